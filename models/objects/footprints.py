@@ -1,0 +1,289 @@
+"""Footprints cut into square cells: from an outline, or from cell centres that are already known."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import shapely
+from numpy.typing import ArrayLike
+from scipy.spatial import cKDTree
+from shapely.geometry import MultiPolygon, Polygon
+
+from models.physics.cell_grid import CellGrid, FloatArray, checked_points, checked_polygon
+
+MAX_CELLS = 50_000  # finer grids than this are taken for a mistake in units
+
+# Of a grid centred on the bounding box: a cell's centre or a corner there, in x and in y.
+_OFFSETS = ((0.0, 0.0), (0.5, 0.5), (0.5, 0.0), (0.0, 0.5))
+_FINE_STEPS = 40
+_LATTICE_TOLERANCE = 0.1  # of a cell's width; measured centres are often rounded
+_BRIDGE = 0.05  # half the side of the bridge between diagonal neighbours, in cell widths
+
+
+def cells_from_polygon(
+    exterior: ArrayLike,
+    holes: Sequence[ArrayLike] = (),
+    *,
+    count: int | None = None,
+    width: float | None = None,
+) -> CellGrid:
+    """Grid squares whose centre lies inside an outline.
+
+    On a straight edge this is the same as asking for a coverage of one half; at corners and thin parts it is
+    less biased in area and second moment than coverage, because a strip thinner than half a cell still has
+    its share of centres. The grid is centred on the bounding box, with a cell's centre or a cell's edge on
+    each of its middle lines, so an object that is symmetric about them gets a symmetric grid. A centre that
+    lies exactly on the outline is outside.
+
+    With `count`, the width is searched for which the number of cells comes nearest to it and, second, the
+    area of the cells nearest to that of the outline. Symmetry can rule a number out: a disc has no
+    symmetric grid of 10 cells and gets another number near it. `count=1` gives one square of the outline's
+    area at its centroid. Rows run in ascending y, and within a row in ascending x.
+
+    Args:
+        exterior: (k, 2) outline in the object frame, either sense, m.
+        holes: rings (k_j, 2) of openings, m.
+        count: wanted number of cells. Give either this or `width`.
+        width: side of a cell, m.
+
+    Raises:
+        ValueError: not exactly one of count and width, one of them out of range, an outline that is not a
+            simple polygon, or a width so large that no centre lies inside.
+    """
+    if (count is None) == (width is None):
+        raise ValueError("cell grid: give exactly one of count and width")
+    outline = checked_points(exterior, "outline")
+    openings = tuple(checked_points(hole, f"hole {j}") for j, hole in enumerate(holes))
+    polygon = checked_polygon(outline, openings)
+    if count is not None:
+        centers, width = _counted(polygon, _checked_count(count))
+    else:
+        assert width is not None
+        centers = _sized(polygon, width)
+    return CellGrid(centers, float(width), outline, openings)
+
+
+def cells_from_centres(
+    centers: ArrayLike, width: float, outline: ArrayLike | None = None, holes: Sequence[ArrayLike] = ()
+) -> CellGrid:
+    """Cells at given centres, for instance those listed in a dataset.
+
+    Without an outline it is the border of the union of the squares. Gaps and overlaps up to a tenth of a cell
+    (rounded centres) close up. Two cells that touch in a corner only are joined by a square bridge with sides
+    of a tenth of a cell, so that the outline stays one simple ring.
+
+    Args:
+        centers: (n, 2) cell centres in the object frame, m.
+        width: side of a cell, m.
+        outline: (k, 2) outline in the object frame, m.
+        holes: rings (k_j, 2) of openings, m; only together with `outline`.
+
+    Raises:
+        ValueError: cells that overlap, that lie more than a cell outside the given outline, or, without an
+            outline, that do not lie on one square grid or fall into separate parts.
+    """
+    points = checked_points(centers, "cell centres")
+    if not (np.isfinite(width) and width > 0):
+        raise ValueError(f"cell grid: cell width must be a positive length in m, got {width}")
+    if len(points) == 0:
+        raise ValueError("cell grid: there are no cells")
+    _require_apart(points, width)
+    if outline is not None:
+        openings = tuple(checked_points(hole, f"hole {j}") for j, hole in enumerate(holes))
+        grid = CellGrid(points, float(width), checked_points(outline, "outline"), openings)
+        distance = np.asarray(shapely.distance(grid.polygon, shapely.points(points)))
+        far = int(np.argmax(distance))
+        if distance[far] > width:
+            raise ValueError(
+                f"cell grid: cell {far} at {points[far].tolist()} lies {distance[far]:.4g} m outside the "
+                f"outline, more than a cell ({width:.4g} m); check that both use the same frame and unit"
+            )
+        return grid
+    if len(holes) > 0:
+        raise ValueError("cell grid: holes were given without an outline")
+    polygon = _union_of_squares(points, float(width))
+    return grid_of_polygon(points, float(width), polygon)
+
+
+def grid_of_polygon(centers: FloatArray, width: float, polygon: Polygon) -> CellGrid:
+    """Cell grid with a shapely polygon as its outline."""
+    rings = [np.asarray(ring.coords)[:-1] for ring in (polygon.exterior, *polygon.interiors)]
+    return CellGrid(centers, width, rings[0], tuple(rings[1:]))
+
+
+def polygon_moments(polygon: Polygon) -> tuple[float, FloatArray, float]:
+    """Area (m²), centroid (2,) (m) and polar second moment about the centroid (m⁴), by Green's theorem."""
+    area, first, polar = 0.0, np.zeros(2), 0.0
+    middle = np.array(polygon.centroid.coords[0])
+    for sign, ring in ((1.0, polygon.exterior), *((-1.0, hole) for hole in polygon.interiors)):
+        a = np.asarray(ring.coords)[:-1] - middle
+        b = np.roll(a, -1, axis=0)
+        cross = a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]
+        sign *= float(np.sign(cross.sum()))
+        area += sign * float(cross.sum()) / 2
+        first += sign * (cross @ (a + b)) / 6
+        polar += sign * float(cross @ np.sum(a * a + a * b + b * b, axis=1)) / 12
+    shift = first / area
+    return area, middle + shift, polar - area * float(shift @ shift)
+
+
+def _sized(polygon: Polygon, width: float) -> FloatArray:
+    if not (np.isfinite(width) and width > 0):
+        raise ValueError(f"cell grid: cell width must be a positive length in m, got {width}")
+    expected = polygon.area / width**2
+    if expected > MAX_CELLS:
+        raise ValueError(
+            f"cell grid: a width of {width:.4g} m cuts the outline into about {expected:.3g} cells, more "
+            f"than {MAX_CELLS}; check the units"
+        )
+    target = polygon_moments(polygon)
+    interior = _Interior(polygon)
+    candidates = [interior.centers(width, offset) for offset in _OFFSETS]
+    centers = min(candidates, key=lambda c: _mismatch(c, width, target))
+    if len(centers) == 0:
+        x0, y0, x1, y1 = polygon.bounds
+        raise ValueError(
+            f"cell grid: no cell of width {width:.4g} m has its centre inside the outline, which measures "
+            f"{x1 - x0:.4g} m × {y1 - y0:.4g} m; choose a smaller width"
+        )
+    return centers
+
+
+def _counted(polygon: Polygon, count: int) -> tuple[FloatArray, float]:
+    target = polygon_moments(polygon)
+    area, centroid, _ = target
+    equal_area = float(np.sqrt(area / count))
+    if count == 1:
+        return centroid[None, :], equal_area
+    interior = _Interior(polygon)
+    crossing = _crossing_width(interior, equal_area, count)
+    # One step changes the number by about half a cell; the first hit going outwards has the best area.
+    steps = np.arange(-_FINE_STEPS, _FINE_STEPS + 1) / (4 * count)
+    widths = np.concatenate([equal_area * np.exp(steps), crossing * np.exp(steps)])
+    best: tuple[tuple[float, ...], FloatArray, float] | None = None
+    for width in widths[np.argsort(np.abs(np.log(widths / equal_area)), kind="stable")]:
+        for centers in (interior.centers(width, offset) for offset in _OFFSETS):
+            if len(centers) == 0:
+                continue
+            area_error = abs(float(np.log(len(centers) * width**2 / area)))
+            key = (abs(len(centers) - count), round(area_error, 9), _mismatch(centers, width, target))
+            if best is None or key < best[0]:
+                best = key, centers, float(width)
+        if best is not None and best[0][0] == 0:
+            break
+    assert best is not None, "a crossing width has cells"
+    return best[1], best[2]
+
+
+def _crossing_width(interior: _Interior, start: float, count: int) -> float:
+    """A width at which the number of cells passes `count`; not `start` for parts thinner than a cell."""
+
+    def number(width: float) -> int:
+        return max(len(interior.centers(width, offset)) for offset in _OFFSETS)
+
+    fine = coarse = start
+    while number(coarse) > count:
+        fine, coarse = coarse, coarse * 1.25
+    while number(fine) < count:
+        fine, coarse = fine / 1.25, fine
+    for _ in range(12):
+        middle = float(np.sqrt(fine * coarse))
+        fine, coarse = (middle, coarse) if number(middle) >= count else (fine, middle)
+    return fine
+
+
+class _Interior:
+    """Finds the grid points inside a polygon."""
+
+    def __init__(self, polygon: Polygon) -> None:
+        x0, y0, x1, y1 = polygon.bounds
+        self.middle = np.array([(x0 + x1) / 2, (y0 + y1) / 2])
+        self.half_extent = np.array([(x1 - x0) / 2, (y1 - y0) / 2])
+        # Shrunk by far more than rounding, so that centres on opposite edges are judged alike.
+        self.polygon = polygon.buffer(-1e-9 * float(self.half_extent.max()), join_style="mitre")
+        shapely.prepare(self.polygon)
+
+    def centers(self, width: float, offset: tuple[float, float]) -> FloatArray:
+        """(n, 2) points (k + offset) width from the bounding box's centre that lie inside, row by row."""
+        axes = []
+        for half, shift in zip(self.half_extent, offset, strict=True):
+            k = np.floor(half / width + 1)
+            axes.append(np.arange(-k, k + 1 - 2 * shift) + shift)
+        x, y = (grid.ravel() * width for grid in np.meshgrid(*axes))
+        points = np.column_stack([x, y]) + self.middle
+        return points[shapely.contains_xy(self.polygon, points[:, 0], points[:, 1])]
+
+
+def _mismatch(centers: FloatArray, width: float, target: tuple[float, FloatArray, float]) -> float:
+    """Relative error of area and second moment, and the centroid's offset in radii of gyration, summed."""
+    if len(centers) == 0:
+        return float("inf")
+    area, centroid, polar = target
+    cell_area = width**2
+    offsets = centers - centroid
+    second = cell_area * float(np.sum(offsets**2) + len(centers) * cell_area / 6)
+    shift = float(np.hypot(*offsets.mean(axis=0))) / np.sqrt(polar / area)
+    # Rounded, so that equally good grids are chosen by their order and not by rounding errors.
+    return round(abs(len(centers) * cell_area / area - 1) + abs(second / polar - 1) + shift, 9)
+
+
+def _union_of_squares(centers: FloatArray, width: float) -> Polygon:
+    relative = (centers - centers[0]) / width
+    index = np.round(relative)
+    # The grid's origin is free: measure the residual about its own middle.
+    residual = relative - index
+    residual -= (residual.max(axis=0) + residual.min(axis=0)) / 2
+    worst = int(np.argmax(np.abs(residual).max(axis=1)))
+    if np.abs(residual[worst]).max() > _LATTICE_TOLERANCE:
+        raise ValueError(
+            f"cell grid: cell {worst} at {centers[worst].tolist()} is {np.abs(residual[worst]).max():.2f} "
+            f"cells off the square grid of width {width:.4g} m along x and y; correct the width or give the "
+            f"outline"
+        )
+    squares = shapely.box(*(2 * index - 1).T, *(2 * index + 1).T)  # whole numbers: their union is exact
+    union = shapely.unary_union([*squares, *_bridges(index)])
+    if isinstance(union, MultiPolygon):
+        part = min(union.geoms, key=lambda p: p.area)
+        inside = np.flatnonzero(shapely.intersects_xy(part, 2 * index[:, 0], 2 * index[:, 1]))
+        raise ValueError(
+            f"cell grid: the cells fall into {len(union.geoms)} separate parts; the smallest has "
+            f"{len(inside)} of {len(centers)} cells, among them cell {inside[0]} at "
+            f"{centers[inside[0]].tolist()}; an object is one connected piece: add the missing cells or give "
+            f"the outline"
+        )
+    origin = np.mean(centers - index * width, axis=0)
+    outline = union.simplify(0.0)
+    assert isinstance(outline, Polygon)
+    return shapely.transform(outline, lambda xy: xy * (width / 2) + origin)
+
+
+def _bridges(index: FloatArray) -> list[Polygon]:
+    """Squares over the corners at which two diagonal neighbours meet alone, in half cells."""
+    occupied = {(int(i), int(j)) for i, j in index}
+    bridges = []
+    for i, j in sorted(occupied):
+        for dj in (1, -1):
+            if (i + 1, j + dj) in occupied and not {(i + 1, j), (i, j + dj)} & occupied:
+                x, y, half = 2 * i + 1, 2 * j + dj, 2 * _BRIDGE
+                bridges.append(shapely.box(x - half, y - half, x + half, y + half))
+    return bridges
+
+
+def _require_apart(centers: FloatArray, width: float) -> None:
+    if len(centers) < 2:
+        return
+    distance, neighbour = (np.asarray(a) for a in cKDTree(centers).query(centers, k=2))
+    close = int(np.argmin(distance[:, 1]))
+    if distance[close, 1] < width / 2:
+        other = int(neighbour[close][neighbour[close] != close][0])
+        raise ValueError(
+            f"cell grid: cells {close} and {other} overlap; their centres are {distance[close, 1]:.4g} m "
+            f"apart, the cell width is {width:.4g} m"
+        )
+
+
+def _checked_count(count: int) -> int:
+    if isinstance(count, bool) or not isinstance(count, int | np.integer) or not 1 <= count <= MAX_CELLS:
+        raise ValueError(f"cell grid: count must be a whole number from 1 to {MAX_CELLS}, got {count!r}")
+    return int(count)

@@ -1,0 +1,216 @@
+"""Contact of a round finger with the object's outline: where they touch, and the force that answers.
+
+The contact is compliant and has a Coulomb cone. Its impulse is the projection, in the metric of the
+regularisation, of the impulse that springs would give (Castro et al., "An unconstrained convex formulation of
+compliant contact", 2022, the model behind Drake's SAP):
+
+    y_n = -gap⁺ / (h R_n),   y_t = v_t / R_t,   γ = argmin over |γ_t| <= mu γ_n of |γ - y|² in the metric R,
+
+with the gap at the end of the step and the finger's tangential speed v_t against the object.
+
+It is the gradient of a convex function of the object's twist, so that the step stays convex. Both
+regularisations scale with the object's whole friction load F, so that the motion does not depend on the units
+of mass: a finger that pushes with F sinks in by `penetration`, and creeps by `stick_speed` under an impulse h F.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from models.physics.compiled import compiled
+
+MAX_CONTACTS = 2
+"""A round finger in a concave corner touches two edges."""
+
+SEPARATE, STICK, SLIDE_FORWARD, SLIDE_BACK = 0, 1, 2, 3
+"""State of one contact in one step; the finger slides forward along the tangent (-n_y, n_x), or back."""
+
+CONTACT_COLUMNS = 10
+"""Row of a contact: normal n_x, n_y; point r_x, r_y; gap; `turn` (1/m) and `slide` (-), by which a unit tangential
+move of the tip turns the normal and shifts the point; then, filled in by the solver, the impulses γ_n, γ_t (N s) and
+the state."""
+
+
+@compiled()
+def find_contacts(px, py, radius, margin, edges, out):  # type: ignore[no-untyped-def]
+    """Places where a disc may touch the outline.
+
+    Each face that the disc's centre stands before, and each convex corner in whose wedge it stands, is one
+    candidate; the nearest `MAX_CONTACTS` within `margin` are kept. A centre inside the object gets the
+    nearest face alone.
+
+    Args:
+        px: centre of the disc in the object frame, x, m.
+        py: the same, y, m.
+        radius: radius of the disc, m.
+        margin: largest gap that is still of interest, m.
+        edges: (E, 4) outline edges, the object to the left.
+        out: (MAX_CONTACTS, CONTACT_COLUMNS) result, see `CONTACT_COLUMNS`; normals point out of the object.
+
+    Returns:
+        Number of rows filled.
+    """
+    count = 0
+    nearest = math.inf
+    nearest_side = 1.0
+    nearest_edge = -1
+    reach = radius + margin
+    for e in range(edges.shape[0]):
+        ax = edges[e, 0]
+        ay = edges[e, 1]
+        ex = edges[e, 2] - ax
+        ey = edges[e, 3] - ay
+        dx = px - ax
+        dy = py - ay
+        length2 = ex * ex + ey * ey
+        along = (dx * ex + dy * ey) / length2
+        clamped = min(max(along, 0.0), 1.0)
+        nx = dx - clamped * ex
+        ny = dy - clamped * ey
+        distance2 = nx * nx + ny * ny
+        if distance2 < nearest:
+            nearest = distance2
+            # Only a face's own interior tells inside from outside; at a corner both of its edges come as near.
+            nearest_side = 1.0
+            if 0.0 < along < 1.0 and dx * ey - dy * ex < 0.0:
+                nearest_side = -1.0
+                nearest_edge = e
+        if distance2 > reach * reach:
+            continue
+        side = dx * ey - dy * ex
+        if 0.0 <= along <= 1.0 and side > 0.0:
+            inverse = 1.0 / math.sqrt(length2)
+            gap = side * inverse - radius
+            count = _keep_nearest(
+                out, count, ey * inverse, -ex * inverse, ax + along * ex, ay + along * ey, gap, 0.0, 1.0
+            )
+        elif along > 1.0:
+            following = _following_edge(edges, e)
+            fx = edges[following, 2] - edges[following, 0]
+            fy = edges[following, 3] - edges[following, 1]
+            cx = px - edges[e, 2]
+            cy = py - edges[e, 3]
+            if cx * fx + cy * fy < 0.0 and ex * fy - ey * fx > 0.0:
+                distance = math.sqrt(distance2)
+                if distance > 0.0:
+                    count = _keep_nearest(
+                        out,
+                        count,
+                        cx / distance,
+                        cy / distance,
+                        edges[e, 2],
+                        edges[e, 3],
+                        distance - radius,
+                        1.0 / distance,
+                        0.0,
+                    )
+    if nearest_side < 0.0:
+        e = nearest_edge
+        ax = edges[e, 0]
+        ay = edges[e, 1]
+        ex = edges[e, 2] - ax
+        ey = edges[e, 3] - ay
+        length = math.sqrt(ex * ex + ey * ey)
+        along = ((px - ax) * ex + (py - ay) * ey) / (length * length)
+        _fill(out, 0, ey / length, -ex / length, ax + along * ex, ay + along * ey, 0.0, 0.0, 1.0)
+        out[0, 4] = -math.sqrt(nearest) - radius
+        count = 1
+    return count
+
+
+@compiled()
+def _following_edge(edges, e):  # type: ignore[no-untyped-def]
+    """Edge that starts where edge `e` ends; rings are stored one after the other."""
+    following = e + 1
+    if (
+        following < edges.shape[0]
+        and edges[following, 0] == edges[e, 2]
+        and edges[following, 1] == edges[e, 3]
+    ):
+        return following
+    for first in range(edges.shape[0]):
+        if edges[first, 0] == edges[e, 2] and edges[first, 1] == edges[e, 3]:
+            return first
+    return e
+
+
+@compiled()
+def _fill(out, row, nx, ny, rx, ry, gap, turn, slide):  # type: ignore[no-untyped-def]
+    out[row, 0] = nx
+    out[row, 1] = ny
+    out[row, 2] = rx
+    out[row, 3] = ry
+    out[row, 4] = gap
+    out[row, 5] = turn
+    out[row, 6] = slide
+    out[row, 7] = 0.0
+    out[row, 8] = 0.0
+    out[row, 9] = SEPARATE
+
+
+@compiled()
+def _keep_nearest(out, count, nx, ny, rx, ry, gap, turn, slide):  # type: ignore[no-untyped-def]
+    """Insert a candidate so that rows stay sorted by gap; a copy of a kept normal and place is dropped."""
+    for row in range(count):
+        same = out[row, 0] * nx + out[row, 1] * ny > 1.0 - 1e-9
+        if same and abs(out[row, 4] - gap) < 1e-9:
+            return count
+    place = count
+    while place > 0 and out[place - 1, 4] > gap:
+        place -= 1
+    if place >= MAX_CONTACTS:
+        return count
+    last = min(count, MAX_CONTACTS - 1)
+    for row in range(last, place, -1):
+        for column in range(CONTACT_COLUMNS):
+            out[row, column] = out[row - 1, column]
+    _fill(out, place, nx, ny, rx, ry, gap, turn, slide)
+    return min(count + 1, MAX_CONTACTS)
+
+
+@compiled()
+def cone_state(y_n, y_t, mu, ratio):  # type: ignore[no-untyped-def]
+    """State of a contact whose springs would give the impulse (y_n, y_t); `ratio` is R_t / R_n."""
+    size = abs(y_t)
+    if size <= mu * y_n:
+        return STICK
+    if y_n + mu * ratio * size <= 0.0:
+        return SEPARATE
+    return SLIDE_FORWARD if y_t > 0.0 else SLIDE_BACK
+
+
+@compiled()
+def cone_matrix(mu, ratio, state):  # type: ignore[no-untyped-def]
+    """Projection on the cone while `state` holds: γ = D y, returned as D_nn, D_nt, D_tn, D_tt.
+
+    It is linear in each state, so D is also the derivative; on the border between two states, one-sided.
+    """
+    if state == STICK:
+        return 1.0, 0.0, 0.0, 1.0
+    if state == SEPARATE:
+        return 0.0, 0.0, 0.0, 0.0
+    slope = mu if state == SLIDE_FORWARD else -mu
+    share = 1.0 / (1.0 + mu * mu * ratio)
+    return share, slope * ratio * share, slope * share, mu * mu * ratio * share
+
+
+def gap(points: np.ndarray, radius: float, edges: np.ndarray) -> np.ndarray:
+    """Signed gap between discs and the outline, m; negative where they overlap.
+
+    Args:
+        points: (k, 2) centres in the object frame, m.
+        radius: radius of the disc, m.
+        edges: (E, 4) outline edges, the object to the left.
+
+    Returns:
+        (k,) gaps.
+    """
+    points = np.asarray(points, dtype=float)
+    result = np.empty(len(points))
+    contacts = np.empty((MAX_CONTACTS, CONTACT_COLUMNS))
+    for k, (x, y) in enumerate(points):
+        find_contacts(x, y, radius, math.inf, edges, contacts)
+        result[k] = contacts[0, 4]
+    return result

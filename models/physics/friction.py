@@ -1,0 +1,82 @@
+"""Base friction of all cells at once: the sums that the convex step and its derivatives need.
+
+A cell of friction load f_i = mu_i N_i that slides with velocity u_i (object frame) while the object turns at
+omega dissipates power f_i φ_i with the smoothed norm
+
+    φ_i = sqrt(|u_i|² + (ρ omega)² + ε²),    u_i = (v_x - omega r_iy, v_y + omega r_ix),    ρ = w / sqrt(12).
+
+ρ stands for the spin of a finite cell. w²/12 is the exact second-order term of the mean of |u| over a square
+that slides faster than it spins, which is nearly every cell: it brings the torque of a 60-cell disc from 0.5 %
+to 0.05 % of 2/3 mu m g R, where the radius that is exact for a square spinning in place (0.3826 w) errs in
+all the others to be right in one.
+"""
+
+from __future__ import annotations
+
+import math
+
+from models.physics.compiled import compiled
+
+SPIN_RADIUS = 1.0 / math.sqrt(12.0)
+"""Radius of gyration ρ of a cell's own friction, in cell widths."""
+
+_FAST = {"reassoc", "contract", "arcp", "nsz"}
+
+
+@compiled(fastmath=_FAST)
+def friction_moments(load, rx, ry, vx, vy, omega, rho2, eps2):  # type: ignore[no-untyped-def]
+    """Sums over cells from which energy, gradient and Hessian of Σ f_i φ_i follow.
+
+    With s = 1/φ, a = f s, b = f s³ and g = Jᵀu = (u_x, u_y, r × u + ρ² omega), the gradient is
+    Σ a g and the Hessian Σ a JᵀJ - Σ b g gᵀ. The loop holds nothing but sums, so that it vectorises.
+
+    Args:
+        load: (n,) friction loads f_i, N.
+        rx: (n,) cell centres, x, m.
+        ry: (n,) cell centres, y, m.
+        vx: twist of the object frame's origin, x, m/s.
+        vy: the same, y, m/s.
+        omega: angular velocity, rad/s.
+        rho2: ρ², m².
+        eps2: ε², m²/s².
+
+    Returns:
+        Σ f φ, Σ a, Σ a r_x, Σ a r_y, Σ a |r|², and Σ b g gᵀ as xx, xy, yy, xω, yω, ωω.
+    """
+    energy = 0.0
+    a_sum = 0.0
+    ax = 0.0
+    ay = 0.0
+    arr = 0.0
+    bxx = 0.0
+    bxy = 0.0
+    byy = 0.0
+    bxw = 0.0
+    byw = 0.0
+    bww = 0.0
+    constant = rho2 * omega * omega + eps2
+    spin = rho2 * omega
+    for i in range(load.shape[0]):
+        x = rx[i]
+        y = ry[i]
+        ux = vx - omega * y
+        uy = vy + omega * x
+        phi2 = ux * ux + uy * uy + constant
+        inverse = 1.0 / math.sqrt(phi2)
+        a = load[i] * inverse
+        energy += a * phi2
+        b = a * inverse * inverse
+        gw = x * uy - y * ux + spin
+        a_sum += a
+        ax += a * x
+        ay += a * y
+        arr += a * (x * x + y * y)
+        bux = b * ux
+        buy = b * uy
+        bxx += bux * ux
+        bxy += bux * uy
+        byy += buy * uy
+        bxw += bux * gw
+        byw += buy * gw
+        bww += b * gw * gw
+    return energy, a_sum, ax, ay, arr, bxx, bxy, byy, bxw, byw, bww
