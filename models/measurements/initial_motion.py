@@ -3,21 +3,22 @@
 from __future__ import annotations
 
 import numpy as np
+
 from models.physics.cell_grid import FloatArray
 
-FEWEST_ROWS = 6
 WINDOW_ROWS = (6, 8, 11, 16, 23, 32, 45, 64)
 LONGEST_WINDOW = 0.25  # s
 SLOWEST_SPEED = 0.01  # m/s; friction of 0.1 stops it within 0.05 mm
 SLOWEST_TURN = 0.1  # rad/s; the same speed at the rim of an object of 0.1 m
-RESOLUTION = 1e-6  # m and rad; files round to about this
-EVIDENCE_AGAINST_REST = 100.0  # least gain in twice the log-likelihood
-EVIDENCE_AGAINST_ONSET = 10.0
+SIGNIFICANCE = 10.0  # least speed in standard errors
+LEAST_TRAVEL = 8.0  # in standard deviations of the tracker's wander over as long a time
+GAIN_OVER_REST = 100.0  # least gain in twice the log-likelihood
+GAIN_OVER_ONSET = 10.0
 BRIEF_REST = 0.015  # s; an onset this early is as good as motion from the start
-TOLERATED_LOSS = 12.0  # against such an onset, which has one parameter a channel more
-SIGNIFICANCE = 5.0  # least speed in standard errors
+TOLERATED_LOSS = 12.0  # against such an onset, which has more parameters
 COARSE_FIT = 0.02  # misfit over travel that still counts as one smooth motion
-FINE_FIT = 0.001  # the same for the window the estimate comes from: bounds the bias by about 1 %
+FINE_FIT = 0.001  # the same for the window the estimate comes from: bounds its bias by about 1 %
+RESOLUTION = 1e-6  # m and rad; files are rounded to about this
 HUBER = 1.345  # residual in standard deviations above which a row counts less (Huber 1964)
 
 
@@ -26,21 +27,23 @@ def initial_twist(time: FloatArray, pose: FloatArray) -> FloatArray:
 
     The first 6, 8, 11 … rows (at most 0.25 s) are fitted with a quadratic in time by Huber's robust
     regression. The object counts as moving when, for one of these windows,
-    (1) the quadratic fits within twice the noise or within 2 % of the travel,
-    (2) its initial speed exceeds 0.01 m/s or 0.1 rad/s and five standard errors, and
-    (3) it explains the rows better than every history that begins at rest: a constant pose, and, where
-    a finger can push, a constant pose over the first k >= 2 rows followed by any quadratic. "Better" is
-    a gain of 30 in twice the log-likelihood, so an onset between the first rows is not taken for motion.
+
+    1. the quadratic fits within twice the noise or within 2 % of the travel,
+    2. its initial speed exceeds 0.01 m/s or 0.1 rad/s and ten standard errors, and
+    3. it explains the rows better than every history that begins at rest: a constant pose (by 100 in twice
+       the log-likelihood), and a constant pose over the first k >= 2 rows followed by any quadratic (by 10).
+       Where that rest ends within 0.015 s the two can hardly be told apart and mean the same for a
+       simulation, so there the quadratic must only not be clearly worse.
+
     The estimate is then taken from the longest window that a quadratic fits within the noise.
 
-    Noise is the robust spread of each row about the line through its neighbours, so slow wander of a
-    tracker goes unnoticed by (3); the least speeds in (2) are there for it. Friction stops anything
-    slower within less than a tenth of a millimetre, so rounding it to rest costs nothing.
+    Noise is the robust spread of each row about the line through its neighbours. That misses slow wander of
+    a tracker, which is why the thresholds are far above those for independent rows. Motion that is rounded
+    to rest costs little: friction stops what is slower than the least speeds within a tenth of a millimetre.
 
     Args:
         time: (T,) s, increasing.
         pose: (T, 3) x, y in m and unwrapped angle in rad.
-        can_be_pushed: whether a finger is near; without one an object at rest stays there.
 
     Returns:
         (3,) world velocity in m/s, m/s, rad/s. Zeros for fewer than six rows: too few to tell.
@@ -49,24 +52,26 @@ def initial_twist(time: FloatArray, pose: FloatArray) -> FloatArray:
     within = int(np.searchsorted(time, time[0] + LONGEST_WINDOW, side="right"))
     sizes = [size for size in WINDOW_ROWS if size <= within]
     for position, size in enumerate(sizes):
-        if _moves(time[:size] - time[0], pose[:size], noise):
+        wander = _row_noise(time, pose, lag=min(size // 2, (len(time) - 1) // 2))
+        if _moves(time[:size] - time[0], pose[:size], noise, wander):
             return _longest_fit(time - time[0], pose, noise, sizes[position:])
     return np.zeros(3)
 
 
-def _moves(time: FloatArray, pose: FloatArray, noise: FloatArray) -> bool:
+def _moves(time: FloatArray, pose: FloatArray, noise: FloatArray, wander: FloatArray) -> bool:
     basis = _quadratic(time)
     coefficients, residual = _huber_fit(basis, pose, noise)
     travel = np.ptp(basis @ coefficients, axis=0)
     misfit = _robust_spread(residual)
     if np.any(misfit > np.maximum(2.0 * noise, COARSE_FIT * travel)):
         return False
-    scale = np.maximum(np.maximum(noise, misfit), 0.5 * COARSE_FIT * travel)
     velocity = np.abs(coefficients[1])
-    standard_error = np.maximum(noise, misfit) * np.sqrt(np.linalg.inv(basis.T @ basis)[1, 1])
+    slope_weights = np.linalg.pinv(basis)[1]
+    standard_error = np.maximum(noise, misfit) * np.linalg.norm(slope_weights)
     fast = velocity > np.array([SLOWEST_SPEED, SLOWEST_SPEED, SLOWEST_TURN])
-    if not np.any(fast & (velocity > SIGNIFICANCE * standard_error)):
+    if not np.any(fast & (velocity > SIGNIFICANCE * standard_error) & (velocity * time[-1] > LEAST_TRAVEL * wander)):
         return False
+    scale = np.maximum(np.maximum(noise, misfit), 0.5 * COARSE_FIT * travel)
     cost = _huber_cost(residual, scale)
     return all(
         _cost_from_rest(time, pose, noise, scale, rows) > cost + _needed_gain(time, rows)
@@ -74,18 +79,20 @@ def _moves(time: FloatArray, pose: FloatArray, noise: FloatArray) -> bool:
     )
 
 
-def _needed_gain(time: FloatArray, rows: int) -> float:
-    if rows == len(time):
-        return EVIDENCE_AGAINST_REST
-    return EVIDENCE_AGAINST_ONSET if time[rows - 1] > BRIEF_REST else -TOLERATED_LOSS
+def _needed_gain(time: FloatArray, resting_rows: int) -> float:
+    if resting_rows == len(time):
+        return GAIN_OVER_REST
+    return GAIN_OVER_ONSET if time[resting_rows - 1] > BRIEF_REST else -TOLERATED_LOSS
 
 
-def _cost_from_rest(time: FloatArray, pose: FloatArray, noise: FloatArray, scale: FloatArray, rows: int) -> float:
-    """Cost of the best history that rests over the first `rows` rows and is quadratic after them."""
-    _, residual = _huber_fit(np.ones((rows, 1)), pose[:rows], noise)
+def _cost_from_rest(
+    time: FloatArray, pose: FloatArray, noise: FloatArray, scale: FloatArray, resting_rows: int
+) -> float:
+    """Cost of the best history that rests over its first rows and is quadratic after them."""
+    _, residual = _huber_fit(np.ones((resting_rows, 1)), pose[:resting_rows], noise)
     cost = _huber_cost(residual, scale)
-    if len(time) - rows > 3:  # three rows or fewer are met exactly
-        _, residual = _huber_fit(_quadratic(time[rows:]), pose[rows:], noise)
+    if len(time) - resting_rows > 3:  # three rows or fewer are met exactly
+        _, residual = _huber_fit(_quadratic(time[resting_rows:]), pose[resting_rows:], noise)
         cost += _huber_cost(residual, scale)
     return cost
 
@@ -107,17 +114,19 @@ def _quadratic(time: FloatArray) -> FloatArray:
     return np.stack([np.ones_like(time), time, time**2], axis=1)
 
 
-def _row_noise(time: FloatArray, pose: FloatArray) -> FloatArray:
-    """(3,) robust standard deviation of a row, from its distance to the line through its neighbours."""
-    if len(time) < 3:
+def _row_noise(time: FloatArray, pose: FloatArray, lag: int = 1) -> FloatArray:
+    """(3,) robust standard deviation of a row about the line through those `lag` rows before and after."""
+    if len(time) <= 2 * lag or lag == 0:
         return np.full(3, RESOLUTION)
-    late = ((time[1:-1] - time[:-2]) / (time[2:] - time[:-2]))[:, None]
-    distance = pose[1:-1] - (1.0 - late) * pose[:-2] - late * pose[2:]
-    return np.maximum(_robust_spread(distance / np.sqrt(1.0 + late**2 + (1.0 - late) ** 2)), RESOLUTION)
+    before, row, after = slice(0, -2 * lag), slice(lag, -lag), slice(2 * lag, None)
+    share = ((time[row] - time[before]) / (time[after] - time[before]))[:, None]
+    distance = pose[row] - (1.0 - share) * pose[before] - share * pose[after]
+    spread = _robust_spread(distance / np.sqrt(1.0 + share**2 + (1.0 - share) ** 2))
+    return np.maximum(spread, RESOLUTION)
 
 
 def _robust_spread(residual: FloatArray) -> FloatArray:
-    """Standard deviation from the median distance to zero (1.4826 makes it exact for Gaussian rows)."""
+    """Standard deviation from the median distance to zero (1.4826 makes it right for Gaussian rows)."""
     return 1.4826 * np.median(np.abs(residual), axis=0)
 
 
@@ -128,7 +137,7 @@ def _huber_cost(residual: FloatArray, scale: FloatArray) -> float:
 
 def _huber_fit(basis: FloatArray, values: FloatArray, noise: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Coefficients (p, 3) and residuals (m, 3) by iteratively reweighted least squares."""
-    widths = np.maximum(np.max(np.abs(basis), axis=0), np.finfo(float).tiny)
+    widths = np.max(np.abs(basis), axis=0)
     design = basis / widths
     weights = np.ones_like(values)
     coefficients = np.empty((basis.shape[1], values.shape[1]))

@@ -162,7 +162,8 @@ def _counted(polygon: Polygon, count: int) -> tuple[FloatArray, float]:
     steps = np.arange(-_FINE_STEPS, _FINE_STEPS + 1) / (4 * count)
     widths = np.concatenate([equal_area * np.exp(steps), crossing * np.exp(steps)])
     best: tuple[tuple[float, ...], FloatArray, float] | None = None
-    for width in widths[np.argsort(np.abs(np.log(widths / equal_area)), kind="stable")]:
+    distance = np.round(np.abs(np.log(widths / equal_area)), 9)  # so that rounding errors decide no tie
+    for width in widths[np.argsort(distance, kind="stable")]:
         for centers in (interior.centers(width, offset) for offset in _OFFSETS):
             if len(centers) == 0:
                 continue

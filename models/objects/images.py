@@ -7,18 +7,17 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-import shapely
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 from shapely.geometry import LinearRing, Polygon
 
 from models.objects.footprints import cells_from_polygon
+from models.objects.tracing import traced_outline
 from models.physics.cell_grid import CellGrid, FloatArray
 
 IntArray = NDArray[np.int64]
 
 _SPECK = 0.01  # of the object's area
-_SIMPLIFICATION = 0.45  # pixels
 
 
 def cells_from_label_image(
@@ -32,10 +31,9 @@ def cells_from_label_image(
     """Cell grid of the object in a label image, and the segment that each cell belongs to.
 
     Every pixel that is not background is part of the object. The object frame has its origin at the centroid
-    of these pixels; x points to the right in the image and y up, that is, against the rows. The outline
-    follows the borders between pixels, cutting corners of a pixel's size, and is simplified by less than
-    half a pixel. Further pieces and holes below 1 % of the object's area count as noise: pieces are dropped,
-    holes filled.
+    of these pixels; x points to the right in the image and y up, that is, against the rows. The outline is
+    that of `traced_outline`. Further pieces and holes below 1 % of the object's area count as noise: pieces
+    are dropped, holes filled.
 
     Args:
         labels: (H, W) whole numbers, or the path of a picture with one channel.
@@ -61,7 +59,7 @@ def cells_from_label_image(
     origin = np.array([columns.mean(), rows.mean()])
     scale = np.array([metres_per_pixel, -metres_per_pixel])
 
-    polygon = _traced(mask)
+    polygon = traced_outline(mask)
     rings = [
         (np.asarray(ring.coords)[:-1] - origin) * scale
         for ring in (polygon.exterior, *(hole for hole in polygon.interiors if _counts(hole, mask)))
@@ -92,9 +90,9 @@ def _label_array(labels: NDArray[np.integer] | str | PathLike[str]) -> tuple[Int
 
 
 def _largest_piece(mask: NDArray[np.bool_], source: str, background: int) -> NDArray[np.bool_]:
-    number, piece, stats, _ = cv2.connectedComponentsWithStats(mask.astype(np.uint8), connectivity=4)
-    if number == 1:
+    if not np.any(mask):
         raise ValueError(f"{source}: no object, every pixel has the background label {background}")
+    _, piece, stats, _ = cv2.connectedComponentsWithStats(mask.astype(np.uint8), connectivity=4)
     areas = stats[1:, cv2.CC_STAT_AREA]
     kept = int(np.argmax(areas))
     others = np.delete(areas, kept)
@@ -108,27 +106,6 @@ def _largest_piece(mask: NDArray[np.bool_], source: str, background: int) -> NDA
             f"one to {background}"
         )
     return piece == kept + 1
-
-
-def _traced(mask: NDArray[np.bool_]) -> Polygon:
-    """Outline with holes in pixel coordinates (column, row; whole numbers are the centres of pixels).
-
-    The union of the rows' runs of pixels follows the pixels' borders exactly. Joining the middles of the
-    borders' unit steps instead of their ends turns the stairs of an oblique edge into an unbiased line.
-    """
-    step = np.diff(np.pad(mask, ((0, 0), (1, 1))).astype(np.int8), axis=1)
-    row, first = np.nonzero(step == 1)
-    last = np.nonzero(step == -1)[1]
-    stairs = shapely.unary_union(shapely.box(first, row, last, row + 1)).segmentize(1.0)
-    assert isinstance(stairs, Polygon)
-    rings = []
-    for ring in (stairs.exterior, *stairs.interiors):
-        corners = np.asarray(ring.coords)
-        rings.append((corners[:-1] + corners[1:]) / 2 - 0.5)
-    polygon = Polygon(rings[0], rings[1:])
-    simplified = polygon.simplify(_SIMPLIFICATION)
-    assert isinstance(simplified, Polygon)
-    return simplified
 
 
 def _counts(hole: LinearRing, mask: NDArray[np.bool_]) -> bool:

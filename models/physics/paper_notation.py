@@ -111,9 +111,7 @@ def rigid_reduction(q: ArrayLike, centers: ArrayLike) -> FloatArray:
         q: (3,) planar pose; only its angle matters.
         centers: (n, 2) cell centres in the object frame, m.
     """
-    pose = _triple(q, "pose q")
-    if pose.shape != (3,):
-        raise ValueError(f"pose q: expected one pose (3,), got shape {pose.shape}")
+    pose = _one_pose(q)
     return np.ascontiguousarray(cell_velocities(np.eye(3), pose, centers).T)
 
 
@@ -203,7 +201,7 @@ def equality_jacobian(q: ArrayLike, centers: ArrayLike, width: float) -> csr_arr
     Returns:
         Sparse (3e, 3n): two rows of velocity (m/s) and one of spin (rad/s) for each of the e `joints`.
     """
-    pose, r = _triple(q, "pose q"), checked_points(centers, "cell centres")
+    pose, r = _one_pose(q), checked_points(centers, "cell centres")
     pairs = joints(r, width)
     e, n = len(pairs), len(r)
     half = _turned(pose[2], (r[pairs[:, 1]] - r[pairs[:, 0]]) / 2)  # c - p^i = -(c - p^j)
@@ -231,8 +229,8 @@ def add(q_a: ArrayLike, q_b: ArrayLike, centers: ArrayLike) -> FloatArray:
     Returns:
         (…,) distances, m.
     """
-    a, b = (cell_poses(q, centers) for q in (q_a, q_b))
-    difference = (a - b).reshape(*np.broadcast_shapes(a.shape, b.shape)[:-1], -1, 3)
+    difference = cell_poses(q_a, centers) - cell_poses(q_b, centers)
+    difference = difference.reshape(*difference.shape[:-1], -1, 3)
     return np.hypot(difference[..., 0], difference[..., 1]).mean(axis=-1)
 
 
@@ -256,6 +254,13 @@ def _triple(values: ArrayLike, what: str) -> FloatArray:
         row = tuple(int(k) for k in np.argwhere(~np.isfinite(array))[0])
         raise ValueError(f"{what}: entry {row} is not finite: {array[row]}")
     return array
+
+
+def _one_pose(q: ArrayLike) -> FloatArray:
+    pose = _triple(q, "pose q")
+    if pose.shape != (3,):
+        raise ValueError(f"pose q: expected one pose (3,), got shape {pose.shape}")
+    return pose
 
 
 def _cell_values(values: ArrayLike, what: str) -> FloatArray:

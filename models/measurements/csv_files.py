@@ -1,0 +1,107 @@
+"""Pushes as CSV: one file a push, a header line of named columns, empty cells where a sensor has no row."""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+from collections import Counter
+from pathlib import Path
+
+import numpy as np
+
+from models.measurements import fields
+from models.measurements.files import Fingerprint, read_bytes, shown_error
+from models.measurements.push_dataset import DatasetError, Role, Trial
+from models.measurements.trial_channels import trial_from_tables
+from models.physics.cell_grid import FloatArray
+
+CSV_ENDINGS = (".csv",)
+CHANNEL_COLUMNS = {
+    "object_pose": ("object_x", "object_y", "object_theta"),
+    "tip_pose": ("tip_x", "tip_y"),
+    "ft_wrench": ("force_x", "force_y", "force_tau"),
+}
+REQUIRED = ("t", *CHANNEL_COLUMNS["object_pose"], *CHANNEL_COLUMNS["tip_pose"])
+OPTIONAL = CHANNEL_COLUMNS["ft_wrench"]
+EXPECTED = f"expected are {', '.join(REQUIRED)} and, where force was measured, {', '.join(OPTIONAL)}"
+
+
+def read_csv_trial(path: Path, role: Role, fingerprint: Fingerprint) -> tuple[Trial, list[str]]:
+    """One push file; s, m, rad, N and N·m, the force that of the finger on the object.
+
+    Channels share the column t and need not share rates: a channel has a row where its cells are filled.
+
+    Raises:
+        DatasetError: missing columns, cells that are no numbers, and what `trial_channels` refuses. Rows are
+            counted from 0 below the header.
+    """
+    content = read_bytes(path)
+    fingerprint.add(path.name, content)
+    where = str(path)
+    header, numbers = _numbers(content, where)
+    column = {name: numbers[:, index] for index, name in enumerate(header)}
+    unknown = [name for name in header if name not in REQUIRED + OPTIONAL]
+    warnings = [
+        f"{where}: the column {fields.shown(name)} is unknown and ignored; {EXPECTED}" for name in unknown
+    ]
+    tables = {}
+    for channel, names in CHANNEL_COLUMNS.items():
+        if all(name in column for name in names):
+            values = np.column_stack([column[name] for name in names])
+            tables[channel] = np.column_stack([column["t"], values])
+            untimed = np.flatnonzero(np.isnan(column["t"]) & ~np.isnan(values).all(axis=1))
+            if len(untimed):
+                raise DatasetError(
+                    f"{where}, {channel}, row {untimed[0]}: has values but no time t; fill it in"
+                )
+    if "ft_wrench" in tables and np.isnan(tables["ft_wrench"][:, 1:]).all():
+        del tables["ft_wrench"]  # the columns are there, but nothing was measured
+    trial, doubts = trial_from_tables(path.name, role, tables, where)
+    return trial, warnings + doubts
+
+
+def _numbers(content: bytes, where: str) -> tuple[list[str], FloatArray]:
+    try:
+        lines = list(csv.reader(io.StringIO(content.decode("utf-8-sig"), newline="")))
+    except (csv.Error, ValueError) as error:
+        raise DatasetError(f"{where}: not readable as CSV ({shown_error(error)})") from None
+    if not lines:
+        raise DatasetError(f"{where}: the file is empty; {EXPECTED}")
+    header = [name.strip() for name in lines[0]]
+    missing = [name for name in REQUIRED if name not in header]
+    if 0 < len(set(OPTIONAL) & set(header)) < len(OPTIONAL):
+        missing += [name for name in OPTIONAL if name not in header]
+    if missing:
+        raise DatasetError(
+            f"{where}: the header {fields.shown(','.join(header))} lacks {', '.join(missing)}; {EXPECTED}"
+        )
+    name, uses = Counter(header).most_common(1)[0]
+    if uses > 1:
+        raise DatasetError(
+            f"{where}: the header has the column {fields.shown(name)} {uses} times; {EXPECTED}"
+        )
+    rows = []
+    for row, cells in enumerate(lines[1:]):
+        if not cells:
+            continue
+        if len(cells) != len(header):
+            raise DatasetError(f"{where}, row {row}: has {len(cells)} cells, the header {len(header)}")
+        rows.append(
+            [_cell(cell, f"{where}, row {row}, {name}") for cell, name in zip(cells, header, strict=True)]
+        )
+    return header, np.array(rows, dtype=float).reshape(-1, len(header))
+
+
+def _cell(cell: str, where: str) -> float:
+    stripped = cell.strip()
+    if not stripped:
+        return math.nan
+    try:
+        if "_" in stripped:
+            raise ValueError
+        return float(stripped)
+    except ValueError:
+        raise DatasetError(
+            f"{where}: {fields.shown(cell)} is no number; leave the cell empty where there is none"
+        ) from None

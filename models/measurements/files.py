@@ -1,0 +1,120 @@
+"""Bytes, JSON and YAML from disk: bounded in size, never executed, and every failure a DatasetError."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections import Counter
+from collections.abc import Hashable
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from models.measurements.fields import shown
+from models.measurements.push_dataset import DatasetError
+
+LARGEST_RECORD = 64 * 2**20  # bytes; ten minutes of three channels at 250 Hz are 30 MB
+LARGEST_YAML = 4 * 2**20  # bytes; 50,000 cells are 1.5 MB
+
+_Loader: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
+
+
+class _PlainLoader(_Loader):
+    """Safe loader without merge keys, which can grow without bound, and without repeated keys."""
+
+    def flatten_mapping(self, node: yaml.MappingNode) -> None:
+        for key, _ in node.value:
+            if key.tag == "tag:yaml.org,2002:merge":
+                raise yaml.constructor.ConstructorError(problem="merge keys (<<) are not part of the format")
+        super().flatten_mapping(node)
+
+    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Hashable, Any]:
+        names = Counter(key.value for key, _ in node.value if isinstance(key, yaml.ScalarNode))
+        for name, uses in names.most_common(1):
+            if uses > 1:
+                raise yaml.constructor.ConstructorError(problem=f"the key {shown(name)} stands there twice")
+        return super().construct_mapping(node, deep)
+
+
+def read_bytes(path: Path, largest: int = LARGEST_RECORD) -> bytes:
+    """The content of a regular file.
+
+    Raises:
+        DatasetError: missing, not a file, unreadable, or larger than `largest` bytes.
+    """
+    try:
+        if not path.is_file():
+            what = "is a folder" if path.is_dir() else "there is no such file"
+            raise DatasetError(f"{path}: {what}; check the name")
+        size = path.stat().st_size
+        if size > largest:
+            raise DatasetError(
+                f"{path}: {size / 2**20:.0f} MiB, more than the {largest / 2**20:.0f} MiB one file may have"
+            )
+        return path.read_bytes()
+    except (OSError, ValueError) as error:
+        if isinstance(error, DatasetError):
+            raise
+        raise DatasetError(f"{shown(str(path))}: cannot be read ({error})") from None
+
+
+def parse_json(content: bytes, where: str) -> Any:
+    """A JSON document; NaN is allowed, a key that stands twice is not.
+
+    Raises:
+        DatasetError: with the line and column of the fault.
+    """
+    try:
+        return json.loads(content, object_pairs_hook=_unrepeated)
+    except RecursionError:
+        raise DatasetError(f"{where}: nested too deeply to be a list of rows") from None
+    except ValueError as error:
+        raise DatasetError(
+            f"{where}: not valid JSON ({shown_error(error)}); was the file cut short?"
+        ) from None
+
+
+def parse_yaml(content: bytes, where: str) -> Any:
+    """A YAML document of plain data.
+
+    Raises:
+        DatasetError: with the line and column of the fault.
+    """
+    try:
+        return yaml.load(content, Loader=_PlainLoader)
+    except RecursionError:
+        raise DatasetError(f"{where}: nested too deeply for a description of a dataset") from None
+    except (yaml.YAMLError, ValueError, TypeError, AttributeError, LookupError, OverflowError) as error:
+        raise DatasetError(f"{where}: not valid YAML ({shown_error(error)})") from None
+
+
+def shown_error(error: Exception) -> str:
+    """The message of a library's exception on one line of bounded length."""
+    message = " ".join(str(error).split())
+    return message if len(message) <= 200 else message[:197] + "..."
+
+
+class Fingerprint:
+    """sha256 over named contents in the order in which they are added."""
+
+    def __init__(self) -> None:
+        self._digest = hashlib.sha256()
+
+    def add(self, name: str, content: bytes) -> None:
+        """Add a file under a name that does not depend on where the dataset lies."""
+        encoded = name.encode("utf-8", "surrogatepass")
+        self._digest.update(f"{len(encoded)} {len(content)} ".encode() + encoded)
+        self._digest.update(content)
+
+    def hexdigest(self) -> str:
+        """The fingerprint so far, 64 hexadecimal digits."""
+        return self._digest.hexdigest()
+
+
+def _unrepeated(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    result = dict(pairs)
+    if len(result) < len(pairs):
+        name, _ = Counter(name for name, _ in pairs).most_common(1)[0]
+        raise ValueError(f"the key {shown(name)} stands there twice")
+    return result

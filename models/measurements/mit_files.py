@@ -1,0 +1,107 @@
+"""Single pushes as the MIT push dataset publishes them: bare JSON or HDF5, the object not described."""
+
+from __future__ import annotations
+
+import io
+import re
+from collections.abc import Sequence
+from pathlib import Path
+
+import h5py
+import numpy as np
+
+from models.measurements import fields
+from models.measurements.files import Fingerprint, parse_json, read_bytes, shown_error
+from models.measurements.push_dataset import DatasetError, Role, Trial
+from models.measurements.trial_channels import COLUMNS, trial_from_tables
+from models.physics.cell_grid import FloatArray
+
+JSON_ENDINGS = (".json",)
+HDF5_ENDINGS = (".h5", ".hdf5")
+MOST_NUMBERS = 8 * 2**20  # in one HDF5 channel
+
+
+def read_mit_trial(path: Path, role: Role, fingerprint: Fingerprint) -> tuple[Trial, list[str]]:
+    """One push file; the stored force of the object on the finger is turned into that on the object.
+
+    Raises:
+        DatasetError: see `trial_channels`; the arrays `object_pose` and `tip_pose` must be there.
+    """
+    content = read_bytes(path)
+    fingerprint.add(path.name, content)
+    where = str(path)
+    tables = _hdf5(content, where) if path.suffix.lower() in HDF5_ENDINGS else _json(content, where)
+    if "ft_wrench" in tables:
+        tables["ft_wrench"] = tables["ft_wrench"] * np.array([1.0, -1.0, -1.0, -1.0])
+    return trial_from_tables(path.name, role, tables, where)
+
+
+def named_shape(files: Sequence[Path]) -> str | None:
+    """The shape that the file names agree on, as in motion_surface=abs_shape=rect1_v=20.json.
+
+    Raises:
+        DatasetError: two shapes; a dataset is about one object.
+    """
+    found: dict[str, Path] = {}
+    for file in files:
+        match = re.search(r"shape=([A-Za-z0-9]+)", file.name)
+        if match:
+            found.setdefault(match[1], file)
+    if len(found) > 1:
+        (one, first), (other, second) = sorted(found.items())[:2]
+        raise DatasetError(
+            f"{first.parent}: {first.name} is about {one}, {second.name} about {other}; a dataset has one"
+            " object, put the files of each into a folder of its own"
+        )
+    return next(iter(found), None)
+
+
+def surface_warnings(files: Sequence[Path]) -> list[str]:
+    """A warning where the file names tell of more than one surface: one friction cannot serve them all."""
+    surfaces = {match[1] for file in files if (match := re.search(r"surface=([A-Za-z0-9]+)", file.name))}
+    if len(surfaces) < 2:
+        return []
+    return [
+        f"{files[0].parent}: the files name the surfaces {', '.join(sorted(surfaces))}; friction will differ"
+    ]
+
+
+def _json(content: bytes, where: str) -> dict[str, FloatArray]:
+    arrays = fields.mapping(parse_json(content, where), where)
+    return {
+        key: fields.table(arrays[key], columns, f"{where}, {key}")
+        for key, columns in COLUMNS.items()
+        if arrays.get(key) is not None
+    }
+
+
+def _hdf5(content: bytes, where: str) -> dict[str, FloatArray]:
+    tables: dict[str, FloatArray] = {}
+    try:
+        with h5py.File(io.BytesIO(content), "r") as file:
+            for key, columns in COLUMNS.items():
+                if isinstance(file.get(key, getlink=True), h5py.HardLink):
+                    tables[key] = _hdf5_table(file[key], columns, f"{where}, {key}")
+    except DatasetError:
+        raise
+    except (OSError, RuntimeError, ValueError, TypeError, LookupError, OverflowError, MemoryError) as error:
+        raise DatasetError(
+            f"{where}: not readable as HDF5 ({shown_error(error)}); was the file cut short?"
+        ) from None
+    return tables
+
+
+def _hdf5_table(item: object, columns: int, where: str) -> FloatArray:
+    if not isinstance(item, h5py.Dataset) or item.is_virtual or item.external:
+        raise DatasetError(f"{where}: must be an array inside the file")
+    if item.dtype.kind not in "fiu":
+        raise DatasetError(f"{where}: must hold numbers, has the type {item.dtype}")
+    if item.size is not None and item.size > MOST_NUMBERS:
+        raise DatasetError(
+            f"{where}: {item.size} numbers are more than the {MOST_NUMBERS} one channel may have"
+        )
+    if item.size == 0:
+        return np.empty((0, columns))
+    if item.ndim != 2 or item.shape[1] != columns:
+        raise DatasetError(f"{where}: needs rows of {columns} columns, has the shape {item.shape}")
+    return np.asarray(item[...], dtype=float)

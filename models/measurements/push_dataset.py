@@ -1,0 +1,216 @@
+"""What was measured while a finger pushed one object over a table: channels, trials, datasets."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+
+from models.measurements.initial_motion import initial_twist
+from models.physics.cell_grid import CellGrid, FloatArray
+
+Role = Literal["fit", "heldout"]
+FAR_AWAY = 1.0  # m
+
+
+class DatasetError(ValueError):
+    """Measurements that cannot be used. Its text is one paragraph: file, trial, row and what to do."""
+
+    def __init__(self, text: str):
+        super().__init__(" ".join(text.split()))
+
+
+@dataclass(frozen=True, eq=False)
+class Channel:
+    """One sensor's rows, on the sensor's own time stamps.
+
+    Attributes:
+        time: (T,) strictly increasing, s.
+        values: (T, c) finite.
+
+    Raises:
+        DatasetError: shapes that do not match, no rows, non-finite numbers, time that does not increase.
+    """
+
+    time: FloatArray
+    values: FloatArray
+
+    def __post_init__(self) -> None:
+        time = np.ascontiguousarray(self.time, dtype=float)
+        values = np.ascontiguousarray(self.values, dtype=float)
+        if time.ndim != 1 or values.ndim != 2 or len(time) != len(values) or len(time) == 0:
+            raise DatasetError(f"channel: needs T >= 1 times and T rows, got {time.shape} and {values.shape}")
+        bad = np.flatnonzero(~(np.isfinite(time) & np.isfinite(values).all(axis=1)))
+        if len(bad):
+            raise DatasetError(f"channel, row {bad[0]}: every number must be finite; leave such rows out")
+        late = np.flatnonzero(np.diff(time) <= 0)
+        if len(late):
+            raise DatasetError(f"channel, row {late[0] + 1}: time must increase from row to row")
+        object.__setattr__(self, "time", time)
+        object.__setattr__(self, "values", values)
+
+    def at(self, t: float | Sequence[float] | FloatArray) -> FloatArray:
+        """Values at times `t` of any shape (...), linear between rows and held beyond the ends: (..., c)."""
+        return np.stack([np.interp(t, self.time, column) for column in self.values.T], axis=-1)
+
+
+@dataclass(frozen=True, eq=False)
+class Trial:
+    """One push, or one slide without a finger.
+
+    Attributes:
+        name: the trial's file, such as 'trials/000.json'.
+        role: 'fit' for learning, 'heldout' for judging.
+        object_pose: (T, 3) x, y in m and unwrapped theta in rad of the object frame in the world frame.
+        tip_pose: (T, 2) centre of the finger in the world frame, m.
+        ft_wrench: (T, 3) force of the finger on the object in the world frame, N, and torque about the
+            finger's axis, N·m; None where force was not measured.
+
+    Raises:
+        DatasetError: an unknown role, a wrong number of columns, or fewer than two object poses.
+    """
+
+    name: str
+    role: Role
+    object_pose: Channel
+    tip_pose: Channel
+    ft_wrench: Channel | None = None
+
+    def __post_init__(self) -> None:
+        if self.role not in ("fit", "heldout"):
+            raise DatasetError(f"{self.name}: role must be fit or heldout, got {self.role!r}")
+        if len(self.object_pose.time) < 2:
+            raise DatasetError(f"{self.name}: object_pose needs two rows or more, a first and a last pose")
+        for what, channel, columns in (
+            ("object_pose", self.object_pose, 3),
+            ("tip_pose", self.tip_pose, 2),
+            ("ft_wrench", self.ft_wrench, 3),
+        ):
+            if channel is not None and channel.values.shape[1] != columns:
+                raise DatasetError(
+                    f"{self.name}: {what} needs {columns} columns beside time, has {channel.values.shape[1]}"
+                )
+
+    @property
+    def start(self) -> float:
+        """Time of the first object pose, s."""
+        return float(self.object_pose.time[0])
+
+    @property
+    def ends_only(self) -> bool:
+        """Whether only the first and the last pose are known: compare at the end, do not interpolate."""
+        return len(self.object_pose.time) == 2
+
+    @property
+    def has_finger(self) -> bool:
+        """Whether the finger ever comes within 1 m of the object frame; a finger farther away is none."""
+        distance = self.tip_pose.values - self.object_pose.at(self.tip_pose.time)[:, :2]
+        return bool(np.min(np.hypot(*distance.T)) < FAR_AWAY)
+
+    def initial_velocity(self) -> FloatArray:
+        """(3,) world velocity (v_x, v_y, omega) at the first pose, m/s and rad/s.
+
+        Exactly zero for `ends_only` and where the rows do not show motion from the first row on; see
+        `initial_motion.initial_twist` for the robust fit and the test of significance.
+        """
+        if self.ends_only:
+            return np.zeros(3)
+        return initial_twist(self.object_pose.time, self.object_pose.values)
+
+
+@dataclass(frozen=True)
+class Noise:
+    """One standard deviation of each channel's rows, where known: m, rad, m, N."""
+
+    position: float | None = None
+    angle: float | None = None
+    tip: float | None = None
+    force: float | None = None
+
+
+@dataclass(frozen=True)
+class Table:
+    """The table top in the world frame: round with a radius, or a rectangle with sides along x and y, m."""
+
+    shape: Literal["round", "rectangle"]
+    center: tuple[float, float]
+    radius: float | None = None
+    size: tuple[float, float] | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class PushDataset:
+    """Trials of one object with one finger.
+
+    Attributes:
+        name, description: free text.
+        grid: the object's cells and outline.
+        height: of the object above the table, m, where known.
+        mass: total mass, kg, where someone weighed it.
+        finger_radius: m.
+        table: the table top, where known.
+        gravity: m/s².
+        noise: standard deviations, where known.
+        trials: in the order of the experiment.
+        fingerprint: sha256 of the files that were read, wherever they lie. A selection of trials keeps it.
+        warnings: what looks wrong without making the data useless.
+
+    Raises:
+        DatasetError: no trials, two of one name, or a radius, gravity, height or mass that is not positive.
+    """
+
+    name: str
+    description: str
+    grid: CellGrid
+    height: float | None
+    mass: float | None
+    finger_radius: float
+    table: Table | None
+    gravity: float
+    noise: Noise
+    trials: tuple[Trial, ...]
+    fingerprint: str
+    warnings: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        for what, value in (
+            ("height", self.height),
+            ("mass", self.mass),
+            ("finger radius", self.finger_radius),
+            ("gravity", self.gravity),
+        ):
+            if value is not None and not (math.isfinite(value) and value > 0):
+                raise DatasetError(f"dataset {self.name}: {what} must be positive and finite, got {value}")
+        if not self.trials:
+            raise DatasetError(f"dataset {self.name}: there are no trials; one push is the least")
+        name, uses = Counter(trial.name for trial in self.trials).most_common(1)[0]
+        if uses > 1:
+            raise DatasetError(f"dataset {self.name}: {uses} trials are called {name}; names must differ")
+
+    @property
+    def fit_trials(self) -> tuple[Trial, ...]:
+        """Trials to learn from."""
+        return tuple(trial for trial in self.trials if trial.role == "fit")
+
+    @property
+    def heldout_trials(self) -> tuple[Trial, ...]:
+        """Trials to judge with."""
+        return tuple(trial for trial in self.trials if trial.role == "heldout")
+
+    def with_fit_pushes(self, count: int) -> PushDataset:
+        """The same dataset with only the first `count` fit trials; every heldout trial stays.
+
+        Raises:
+            ValueError: `count` below 1 or above the number of fit trials.
+        """
+        available = len(self.fit_trials)
+        if not 1 <= count <= available:
+            raise ValueError(
+                f"dataset {self.name}: {count} fit trials wanted, it has {available}; take 1 to {available}"
+            )
+        kept = set(self.fit_trials[:count])
+        return replace(self, trials=tuple(t for t in self.trials if t.role == "heldout" or t in kept))

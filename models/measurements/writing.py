@@ -1,0 +1,160 @@
+"""Writing a dataset as a folder of the format push-dataset/1, whole or not at all."""
+
+from __future__ import annotations
+
+import json
+import os
+import tempfile
+from pathlib import Path, PurePosixPath
+from typing import Any
+
+import numpy as np
+import yaml
+
+from models.measurements import fields
+from models.measurements.files import LARGEST_YAML, parse_yaml, read_bytes
+from models.measurements.push_dataset import Channel, DatasetError, PushDataset, Trial
+from models.measurements.push_format import DESCRIPTION_FILE, FORMAT, check_format
+
+
+def write_dataset(dataset: PushDataset, folder: str | os.PathLike[str], *, overwrite: bool = False) -> Path:
+    """Write `dataset` so that reading it gives the same numbers to the last bit.
+
+    All files are written to a folder beside the target, which is then renamed: a reader finds the old
+    dataset, the new one or none, never half of one. Trials keep their names where those are relative JSON
+    files, else all are numbered trials/000.json and on. The format has no place for openings in the
+    object; a finger pushes from outside, so they are left out.
+
+    Args:
+        dataset: what to write.
+        folder: the target; its parents are made.
+        overwrite: replace a push dataset that is there already. Only the files of that dataset may be in
+            the folder, as everything in it goes.
+
+    Returns:
+        The folder.
+
+    Raises:
+        DatasetError: the target is a file, a dataset and `overwrite` is not set, or anything else.
+        OSError: the disk is full or the place not writable; nothing is left behind.
+    """
+    target = Path(folder).resolve()
+    replaces = _replaces(target, overwrite)
+    target.parent.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory(prefix=f".{target.name}.", dir=target.parent) as scratch:
+        fresh, old = Path(scratch) / "new", Path(scratch) / "old"
+        _write_files(dataset, fresh)
+        if replaces:
+            os.replace(target, old)
+        try:
+            os.replace(fresh, target)
+        except OSError:
+            if replaces:
+                os.replace(old, target)
+            raise
+    return target
+
+
+def _replaces(target: Path, overwrite: bool) -> bool:
+    """Whether something stands at the target that may go."""
+    if not target.exists():
+        return False
+    if not target.is_dir():
+        raise DatasetError(
+            f"{target}: a file stands where the dataset's folder should be; choose another name"
+        )
+    present = {path.relative_to(target).as_posix() for path in target.rglob("*") if not path.is_dir()}
+    if not present:
+        return any(target.iterdir())
+    if DESCRIPTION_FILE not in present:
+        raise DatasetError(
+            f"{target}: the folder holds other files and is no push dataset; choose another one"
+        )
+    where = str(target / DESCRIPTION_FILE)
+    document = fields.mapping(parse_yaml(read_bytes(target / DESCRIPTION_FILE, LARGEST_YAML), where), where)
+    check_format(document, where)
+    if not overwrite:
+        raise DatasetError(
+            f"{target}: a push dataset is there already; choose another folder or allow overwriting"
+        )
+    listed = document.get("trials")
+    entries = [entry for entry in listed if isinstance(entry, dict)] if isinstance(listed, list) else []
+    own = {DESCRIPTION_FILE} | {str(PurePosixPath(str(entry.get("file")))) for entry in entries}
+    foreign = sorted(present - own)
+    if foreign:
+        raise DatasetError(
+            f"{target}: {foreign[0]} is no part of the dataset there and would be lost; move it away first"
+        )
+    return True
+
+
+def _write_files(dataset: PushDataset, folder: Path) -> None:
+    names = _file_names(dataset.trials)
+    folder.mkdir()
+    for name, trial in zip(names, dataset.trials, strict=True):
+        path = folder / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(json.dumps(_record(trial), separators=(",", ":"), allow_nan=False), encoding="utf-8")
+    description = yaml.safe_dump(
+        _description(dataset, names), sort_keys=False, allow_unicode=True, default_flow_style=None, width=110
+    )
+    (folder / DESCRIPTION_FILE).write_text(description, encoding="utf-8")
+
+
+def _file_names(trials: tuple[Trial, ...]) -> list[str]:
+    names = [trial.name for trial in trials]
+    usable = all(
+        name == str(PurePosixPath(name)) and name.endswith(".json") and name.isprintable()
+        and not PurePosixPath(name).is_absolute() and ".." not in PurePosixPath(name).parts
+        and "\\" not in name and all(len(part.encode()) <= 255 for part in PurePosixPath(name).parts)
+        for name in names
+    )  # fmt: skip
+    return names if usable else [f"trials/{index:03d}.json" for index in range(len(trials))]
+
+
+def _record(trial: Trial) -> dict[str, list[list[float]]]:
+    tip = trial.tip_pose
+    record = {
+        "object_pose": _rows(trial.object_pose),
+        "tip_pose": _rows(Channel(tip.time, np.column_stack([tip.values, np.zeros(len(tip.time))]))),
+    }
+    if trial.ft_wrench is not None:
+        record["ft_wrench"] = _rows(trial.ft_wrench)
+    return record
+
+
+def _rows(channel: Channel) -> list[list[float]]:
+    return np.column_stack([channel.time, channel.values]).tolist()
+
+
+def _description(dataset: PushDataset, names: list[str]) -> dict[str, Any]:
+    shape: dict[str, Any] = {
+        "outline": dataset.grid.exterior.tolist(),
+        "cells": {"width": float(dataset.grid.width), "centers": dataset.grid.centers.tolist()},
+    }
+    if dataset.height is not None:
+        shape["height"] = float(dataset.height)
+    if dataset.mass is not None:
+        shape["mass"] = float(dataset.mass)
+    document: dict[str, Any] = {
+        "format": FORMAT,
+        "name": dataset.name,
+        "description": dataset.description,
+        "object": shape,
+        "finger": {"radius": float(dataset.finger_radius)},
+    }
+    if dataset.table is not None:
+        table = dataset.table
+        document["table"] = {"shape": table.shape, "center": [float(value) for value in table.center]}
+        if table.radius is not None:
+            document["table"]["radius"] = float(table.radius)
+        if table.size is not None:
+            document["table"]["size"] = [float(value) for value in table.size]
+    document["gravity"] = float(dataset.gravity)
+    noise = {key: float(value) for key, value in vars(dataset.noise).items() if value is not None}
+    if noise:
+        document["noise"] = noise
+    document["trials"] = [
+        {"file": name, "role": trial.role} for name, trial in zip(names, dataset.trials, strict=True)
+    ]
+    return document

@@ -1,0 +1,80 @@
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from models.measurements import Channel, DatasetError, Trial, read_dataset
+
+
+def channel(rows: int, columns: int, first: float = 0.0) -> Channel:
+    time = first + 0.1 * np.arange(rows)
+    return Channel(time, np.outer(time, np.arange(1.0, columns + 1)))
+
+
+def test_channel_is_linear_between_rows_and_held_beyond_the_ends():
+    slope = channel(11, 2)
+    np.testing.assert_allclose(slope.at(0.55), [0.55, 1.1])
+    np.testing.assert_allclose(slope.at([-3.0, 0.25, 9.0]), [[0.0, 0.0], [0.25, 0.5], [1.0, 2.0]])
+    assert slope.at(np.zeros((4, 3))).shape == (4, 3, 2)
+
+
+@pytest.mark.parametrize(
+    ("time", "values", "complaint"),
+    [
+        ([0.0, 1.0], [[1.0]], "T rows"),
+        ([], np.empty((0, 2)), "T >= 1"),
+        ([0.0, 0.0], [[1.0], [1.0]], "row 1: time must increase"),
+        ([0.0, 2.0, 1.0], [[1.0], [1.0], [1.0]], "row 2: time must increase"),
+        ([0.0, 1.0], [[1.0], [np.nan]], "row 1: every number must be finite"),
+        ([0.0, np.inf], [[1.0], [1.0]], "row 1: every number must be finite"),
+    ],
+)
+def test_channel_refuses(time, values, complaint):
+    with pytest.raises(DatasetError, match=complaint):
+        Channel(np.array(time), np.array(values))
+
+
+def test_trial_refuses_wrong_columns_roles_and_single_poses():
+    with pytest.raises(DatasetError, match=r"a\.json: tip_pose needs 2 columns beside time, has 3"):
+        Trial("a.json", "fit", channel(5, 3), channel(5, 3))
+    with pytest.raises(DatasetError, match=r"a\.json: role must be fit or heldout, got 'test'"):
+        Trial("a.json", "test", channel(5, 3), channel(5, 2))
+    with pytest.raises(DatasetError, match="object_pose needs two rows"):
+        Trial("a.json", "fit", channel(1, 3), channel(5, 2))
+
+
+def test_two_poses_are_ends_only_and_rest():
+    ends = Trial("a.json", "fit", channel(2, 3, first=7.0), channel(9, 2))
+    assert ends.ends_only and ends.start == 7.0
+    assert not ends.initial_velocity().any()
+    assert not Trial("a.json", "fit", channel(3, 3), channel(9, 2)).ends_only
+
+
+def test_a_finger_far_from_the_moving_object_is_none():
+    still = np.zeros((5, 2))
+    time = np.arange(5.0)
+    pose = Channel(time, np.column_stack([time, 0 * time, 0 * time]))  # moves from x = 0 to 4
+    assert not Trial("a", "fit", pose, Channel(time, still + [0.0, 1.1])).has_finger
+    assert Trial("a", "fit", pose, Channel(time, still + [4.0, 0.9])).has_finger
+    assert not Trial("a", "fit", pose, Channel(time[:3], still[:3] + [4.0, 0.9])).has_finger
+
+
+def test_roles_and_the_first_fit_pushes(example):
+    dataset = read_dataset(example.write())
+    assert [t.name[-8:] for t in dataset.fit_trials] == ["000.json", "001.json"]
+    assert [t.name[-8:] for t in dataset.heldout_trials] == ["002.json"]
+    one = dataset.with_fit_pushes(1)
+    assert [t.name[-8:] for t in one.trials] == ["000.json", "002.json"]
+    assert one.fingerprint == dataset.fingerprint
+    assert dataset.with_fit_pushes(2).trials == dataset.trials
+
+
+@pytest.mark.parametrize("count", [0, -1, 3])
+def test_more_fit_pushes_than_there_are(example, count):
+    with pytest.raises(ValueError, match=f"{count} fit trials wanted, it has 2; take 1 to 2"):
+        read_dataset(example.write()).with_fit_pushes(count)
+
+
+@given(st.text(max_size=60))
+def test_an_error_text_is_one_paragraph(text):
+    assert len(str(DatasetError(text)).splitlines()) <= 1
