@@ -11,7 +11,6 @@ LONGEST_WINDOW = 0.25  # s
 SLOWEST_SPEED = 0.01  # m/s; friction of 0.1 stops it within 0.05 mm
 SLOWEST_TURN = 0.1  # rad/s; the same speed at the rim of an object of 0.1 m
 SIGNIFICANCE = 10.0  # least speed in standard errors
-LEAST_TRAVEL = 8.0  # in standard deviations of the tracker's wander over as long a time
 GAIN_OVER_REST = 100.0  # least gain in twice the log-likelihood
 GAIN_OVER_ONSET = 10.0
 BRIEF_REST = 0.015  # s; an onset this early is as good as motion from the start
@@ -20,6 +19,7 @@ COARSE_FIT = 0.02  # misfit over travel that still counts as one smooth motion
 FINE_FIT = 0.001  # the same for the window the estimate comes from: bounds its bias by about 1 %
 RESOLUTION = 1e-6  # m and rad; files are rounded to about this
 HUBER = 1.345  # residual in standard deviations above which a row counts less (Huber 1964)
+HUBER_ITERATIONS = 8
 
 
 def initial_twist(time: FloatArray, pose: FloatArray) -> FloatArray:
@@ -38,8 +38,10 @@ def initial_twist(time: FloatArray, pose: FloatArray) -> FloatArray:
     The estimate is then taken from the longest window that a quadratic fits within the noise.
 
     Noise is the robust spread of each row about the line through its neighbours. That misses slow wander of
-    a tracker, which is why the thresholds are far above those for independent rows. Motion that is rounded
-    to rest costs little: friction stops what is slower than the least speeds within a tenth of a millimetre.
+    a tracker, which is why the thresholds are far above those for independent rows; wander that covers three
+    standard deviations of a row within the window can still pass for a slow start, in under 1 % of trials.
+    Motion that is rounded to rest costs little: friction stops what is slower than the least speeds within
+    a tenth of a millimetre.
 
     Args:
         time: (T,) s, increasing.
@@ -52,13 +54,12 @@ def initial_twist(time: FloatArray, pose: FloatArray) -> FloatArray:
     within = int(np.searchsorted(time, time[0] + LONGEST_WINDOW, side="right"))
     sizes = [size for size in WINDOW_ROWS if size <= within]
     for position, size in enumerate(sizes):
-        wander = _row_noise(time, pose, lag=min(size // 2, (len(time) - 1) // 2))
-        if _moves(time[:size] - time[0], pose[:size], noise, wander):
+        if _moves(time[:size] - time[0], pose[:size], noise):
             return _longest_fit(time - time[0], pose, noise, sizes[position:])
     return np.zeros(3)
 
 
-def _moves(time: FloatArray, pose: FloatArray, noise: FloatArray, wander: FloatArray) -> bool:
+def _moves(time: FloatArray, pose: FloatArray, noise: FloatArray) -> bool:
     basis = _quadratic(time)
     coefficients, residual = _huber_fit(basis, pose, noise)
     travel = np.ptp(basis @ coefficients, axis=0)
@@ -69,7 +70,7 @@ def _moves(time: FloatArray, pose: FloatArray, noise: FloatArray, wander: FloatA
     slope_weights = np.linalg.pinv(basis)[1]
     standard_error = np.maximum(noise, misfit) * np.linalg.norm(slope_weights)
     fast = velocity > np.array([SLOWEST_SPEED, SLOWEST_SPEED, SLOWEST_TURN])
-    if not np.any(fast & (velocity > SIGNIFICANCE * standard_error) & (velocity * time[-1] > LEAST_TRAVEL * wander)):
+    if not np.any(fast & (velocity > SIGNIFICANCE * standard_error)):
         return False
     scale = np.maximum(np.maximum(noise, misfit), 0.5 * COARSE_FIT * travel)
     cost = _huber_cost(residual, scale)
@@ -114,13 +115,12 @@ def _quadratic(time: FloatArray) -> FloatArray:
     return np.stack([np.ones_like(time), time, time**2], axis=1)
 
 
-def _row_noise(time: FloatArray, pose: FloatArray, lag: int = 1) -> FloatArray:
-    """(3,) robust standard deviation of a row about the line through those `lag` rows before and after."""
-    if len(time) <= 2 * lag or lag == 0:
+def _row_noise(time: FloatArray, pose: FloatArray) -> FloatArray:
+    """(3,) robust standard deviation of a row, from its distance to the line through its neighbours."""
+    if len(time) < 3:
         return np.full(3, RESOLUTION)
-    before, row, after = slice(0, -2 * lag), slice(lag, -lag), slice(2 * lag, None)
-    share = ((time[row] - time[before]) / (time[after] - time[before]))[:, None]
-    distance = pose[row] - (1.0 - share) * pose[before] - share * pose[after]
+    share = ((time[1:-1] - time[:-2]) / (time[2:] - time[:-2]))[:, None]
+    distance = pose[1:-1] - (1.0 - share) * pose[:-2] - share * pose[2:]
     spread = _robust_spread(distance / np.sqrt(1.0 + share**2 + (1.0 - share) ** 2))
     return np.maximum(spread, RESOLUTION)
 
@@ -138,17 +138,13 @@ def _huber_cost(residual: FloatArray, scale: FloatArray) -> float:
 def _huber_fit(basis: FloatArray, values: FloatArray, noise: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Coefficients (p, 3) and residuals (m, 3) by iteratively reweighted least squares."""
     widths = np.max(np.abs(basis), axis=0)
-    design = basis / widths
+    orthonormal, triangle = np.linalg.qr(basis / widths)
     weights = np.ones_like(values)
-    coefficients = np.empty((basis.shape[1], values.shape[1]))
-    residual = values
-    for _ in range(8):
-        root = np.sqrt(weights)
-        for column in range(values.shape[1]):
-            weight = root[:, column]
-            solution, *_ = np.linalg.lstsq(design * weight[:, None], values[:, column] * weight)
-            coefficients[:, column] = solution
-        residual = values - design @ coefficients
+    for _ in range(HUBER_ITERATIONS):
+        normal = np.einsum("mp,mc,mq->cpq", orthonormal, weights, orthonormal)
+        right = np.einsum("mp,mc,mc->cp", orthonormal, weights, values)
+        solution = np.linalg.solve(normal, right[..., None])[..., 0].T
+        residual = values - orthonormal @ solution
         size = np.abs(residual) / np.maximum(_robust_spread(residual), noise)
         weights = HUBER / np.maximum(size, HUBER)
-    return coefficients / widths[:, None], residual
+    return np.linalg.solve(triangle, solution) / widths[:, None], residual

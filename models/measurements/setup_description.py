@@ -16,8 +16,10 @@ from models.physics.cell_grid import CellGrid, FloatArray
 SETUP_KEYS = ("name", "description", "object", "finger", "table", "gravity", "noise")
 DEFAULT_CELLS = 60
 STANDARD_GRAVITY = 9.81  # m/s²
+SMALLEST_EXTENT = 1e-3  # m
 LARGEST_EXTENT = 5.0  # m; no object on a table is larger, so the numbers are mm
 LARGEST_FINGER = 0.5  # m
+LARGEST_NOISE = 1e3  # m, rad, N
 NEAR_GRAVITY = (1.0, 30.0)  # m/s²; from the moon to a heavy planet
 
 
@@ -96,6 +98,7 @@ def _grid(shape: dict[str, Any], where: str, warnings: list[str]) -> CellGrid:
         warnings += fields.unknown_keys(cells, ("width", "centers"), f"{where}.cells")
         width = fields.positive(cells.get("width"), f"{where}.cells.width", "m")
         centers = fields.table(cells.get("centers"), 2, f"{where}.cells.centers")
+        _refuse_extent(np.append(centers, [[width, width]], axis=0), f"{where}.cells")
         grid = CellGrid(centers, width, outline)
     except DatasetError:
         raise
@@ -120,12 +123,18 @@ def _outline(rows: object, where: str, warnings: list[str]) -> FloatArray:
     repeated = np.flatnonzero((outline == np.roll(outline, 1, axis=0)).all(axis=1))
     if len(outline) > 1 and len(repeated):
         raise DatasetError(f"{where}, row {repeated[0]}: the same corner as the one before; leave it out")
-    extent = float(np.max(np.abs(outline), initial=0.0))
+    _refuse_extent(outline, where)
+    return outline
+
+
+def _refuse_extent(points: FloatArray, where: str) -> None:
+    extent = float(np.max(np.abs(points), initial=0.0))
     if extent > LARGEST_EXTENT:
         raise DatasetError(
             f"{where}: reaches {extent:g} m from the object frame; lengths are in m, divide by 1000?"
         )
-    return outline
+    if 0.0 < extent < SMALLEST_EXTENT:
+        raise DatasetError(f"{where}: is only {extent:g} m large; lengths are in m, multiply by 1000?")
 
 
 def _doubtful_cells(grid: CellGrid, where: str) -> list[str]:
@@ -179,6 +188,8 @@ def _noise(value: object, where: str, warnings: list[str]) -> Noise:
     warnings += fields.unknown_keys(noise, known, where)
     levels = {key: fields.number(noise[key], f"{where}.{key}") for key in known if noise.get(key) is not None}
     for key, level in levels.items():
-        if level < 0:
-            raise DatasetError(f"{where}.{key}: a standard deviation cannot be negative, got {level}")
+        if not 0 <= level <= LARGEST_NOISE:
+            raise DatasetError(
+                f"{where}.{key}: a standard deviation lies in 0 to {LARGEST_NOISE:g}, got {level}"
+            )
     return Noise(**levels)

@@ -9,13 +9,15 @@ compliant contact", 2022, the model behind Drake's SAP):
 with the gap at the end of the step and the finger's tangential speed v_t against the object.
 
 It is the gradient of a convex function of the object's twist, so that the step stays convex. Both
-regularisations scale with the object's whole friction load F, so that the motion does not depend on the units
-of mass: a finger that pushes with F sinks in by `penetration`, and creeps by `stick_speed` under an impulse h F.
+regularisations scale with the object's whole friction load F, so that the motion does not depend on the
+units of mass: a finger that pushes with F sinks in by `penetration`, and creeps by `stick_speed` under an
+impulse h F.
 """
 
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
@@ -27,13 +29,57 @@ MAX_CONTACTS = 2
 SEPARATE, STICK, SLIDE_FORWARD, SLIDE_BACK = 0, 1, 2, 3
 """State of one contact in one step; the finger slides forward along the tangent (-n_y, n_x), or back."""
 
-CONTACT_COLUMNS = 10
-"""Row of a contact: normal n_x, n_y; point r_x, r_y; gap; `turn` (1/m) and `slide` (-), by which a unit tangential
-move of the tip turns the normal and shifts the point; then, filled in by the solver, the impulses γ_n, γ_t (N s) and
-the state."""
+CONTACT_COLUMNS = 7
+"""Row of a contact: normal n_x, n_y; point r_x, r_y; gap; `turn` (1/m) and `slide` (-), by which a unit
+tangential move of the tip turns the normal and shifts the point."""
 
 
-@compiled()
+class Cone(NamedTuple):
+    """The law of all contacts of a push.
+
+    Attributes:
+        mu: friction with the finger.
+        normal: 1/R_n, kg.
+        tangential: 1/R_t, kg.
+        ratio: R_t / R_n.
+    """
+
+    mu: float
+    normal: float
+    tangential: float
+    ratio: float
+
+
+class Contact(NamedTuple):
+    """One contact in one step, in the step's middle frame. A twist v moves the object at the contact with
+    n_x v_x + n_y v_y + n_w omega along the normal and -n_y v_x + n_x v_y + t_w omega along the tangent.
+
+    Attributes:
+        nx: normal, out of the object, x.
+        ny: normal, y.
+        x: point of contact, m.
+        y: point of contact, m.
+        nw: n_w, m.
+        tw: t_w, m.
+        closing: normal speed at which the step would just end in touch, m/s.
+        drag: tangential speed of the finger, m/s.
+        turn: see `CONTACT_COLUMNS`, 1/m.
+        slide: see `CONTACT_COLUMNS`.
+    """
+
+    nx: float
+    ny: float
+    x: float
+    y: float
+    nw: float
+    tw: float
+    closing: float
+    drag: float
+    turn: float
+    slide: float
+
+
+@compiled(forceinline=True)
 def find_contacts(px, py, radius, margin, edges, out):  # type: ignore[no-untyped-def]
     """Places where a disc may touch the outline.
 
@@ -72,7 +118,7 @@ def find_contacts(px, py, radius, margin, edges, out):  # type: ignore[no-untype
         distance2 = nx * nx + ny * ny
         if distance2 < nearest:
             nearest = distance2
-            # Only a face's own interior tells inside from outside; at a corner both of its edges come as near.
+            # Only a face's own interior tells inside from outside; at a corner both its edges come as near.
             nearest_side = 1.0
             if 0.0 < along < 1.0 and dx * ey - dy * ex < 0.0:
                 nearest_side = -1.0
@@ -120,7 +166,7 @@ def find_contacts(px, py, radius, margin, edges, out):  # type: ignore[no-untype
     return count
 
 
-@compiled()
+@compiled(forceinline=True)
 def _following_edge(edges, e):  # type: ignore[no-untyped-def]
     """Edge that starts where edge `e` ends; rings are stored one after the other."""
     following = e + 1
@@ -136,7 +182,7 @@ def _following_edge(edges, e):  # type: ignore[no-untyped-def]
     return e
 
 
-@compiled()
+@compiled(forceinline=True)
 def _fill(out, row, nx, ny, rx, ry, gap, turn, slide):  # type: ignore[no-untyped-def]
     out[row, 0] = nx
     out[row, 1] = ny
@@ -145,12 +191,9 @@ def _fill(out, row, nx, ny, rx, ry, gap, turn, slide):  # type: ignore[no-untype
     out[row, 4] = gap
     out[row, 5] = turn
     out[row, 6] = slide
-    out[row, 7] = 0.0
-    out[row, 8] = 0.0
-    out[row, 9] = SEPARATE
 
 
-@compiled()
+@compiled(forceinline=True)
 def _keep_nearest(out, count, nx, ny, rx, ry, gap, turn, slide):  # type: ignore[no-untyped-def]
     """Insert a candidate so that rows stay sorted by gap; a copy of a kept normal and place is dropped."""
     for row in range(count):
@@ -170,7 +213,7 @@ def _keep_nearest(out, count, nx, ny, rx, ry, gap, turn, slide):  # type: ignore
     return min(count + 1, MAX_CONTACTS)
 
 
-@compiled()
+@compiled(forceinline=True)
 def cone_state(y_n, y_t, mu, ratio):  # type: ignore[no-untyped-def]
     """State of a contact whose springs would give the impulse (y_n, y_t); `ratio` is R_t / R_n."""
     size = abs(y_t)
@@ -181,7 +224,7 @@ def cone_state(y_n, y_t, mu, ratio):  # type: ignore[no-untyped-def]
     return SLIDE_FORWARD if y_t > 0.0 else SLIDE_BACK
 
 
-@compiled()
+@compiled(forceinline=True)
 def cone_matrix(mu, ratio, state):  # type: ignore[no-untyped-def]
     """Projection on the cone while `state` holds: γ = D y, returned as D_nn, D_nt, D_tn, D_tt.
 
@@ -194,6 +237,14 @@ def cone_matrix(mu, ratio, state):  # type: ignore[no-untyped-def]
     slope = mu if state == SLIDE_FORWARD else -mu
     share = 1.0 / (1.0 + mu * mu * ratio)
     return share, slope * ratio * share, slope * share, mu * mu * ratio * share
+
+
+@compiled(forceinline=True)
+def springs(contact, cone, vx, vy, omega):  # type: ignore[no-untyped-def]
+    """Impulses y_n and y_t, N s, of a contact's springs if the object moves with twist (v_x, v_y, omega)."""
+    along_normal = contact.nx * vx + contact.ny * vy + contact.nw * omega
+    along_tangent = contact.nx * vy - contact.ny * vx + contact.tw * omega
+    return (along_normal - contact.closing) * cone.normal, (contact.drag - along_tangent) * cone.tangential
 
 
 def gap(points: np.ndarray, radius: float, edges: np.ndarray) -> np.ndarray:

@@ -6,24 +6,60 @@ omega dissipates power f_i φ_i with the smoothed norm
     φ_i = sqrt(|u_i|² + (ρ omega)² + ε²),    u_i = (v_x - omega r_iy, v_y + omega r_ix),    ρ = w / sqrt(12).
 
 ρ stands for the spin of a finite cell. w²/12 is the exact second-order term of the mean of |u| over a square
-that slides faster than it spins, which is nearly every cell: it brings the torque of a 60-cell disc from 0.5 %
-to 0.05 % of 2/3 mu m g R, where the radius that is exact for a square spinning in place (0.3826 w) errs in
-all the others to be right in one.
+that slides faster than it spins, which is nearly every cell: it brings the torque of a 60-cell disc from
+0.5 % to 0.05 % of 2/3 mu m g R, where the radius that is exact for a square spinning in place (0.3826 w)
+errs in all the others to be right in one.
 """
 
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
 
 from models.physics.compiled import compiled
 
 SPIN_RADIUS = 1.0 / math.sqrt(12.0)
 """Radius of gyration ρ of a cell's own friction, in cell widths."""
 
+LANES = 8
+"""Loops over cells run fastest on multiples of this; cells without load fill up the rest."""
+
 _FAST = {"reassoc", "contract", "arcp", "nsz"}
 
 
-@compiled(fastmath=_FAST)
+class Cells(NamedTuple):
+    """The cells as the step sees them.
+
+    Attributes:
+        load: (n,) friction loads f_i, N; n is a multiple of `LANES`.
+        rx: (n,) cell centres, x, m.
+        ry: the same, y, m.
+        rho2: ρ², m².
+        eps2: ε², m²/s².
+    """
+
+    load: NDArray[np.float64]
+    rx: NDArray[np.float64]
+    ry: NDArray[np.float64]
+    rho2: float
+    eps2: float
+
+
+@compiled()
+def padded_cells(load, rx, ry, cell_width, slip_speed):  # type: ignore[no-untyped-def]
+    """`Cells` of n loads and centres, filled up with cells without load; `slip_speed` is ε."""
+    n = load.shape[0]
+    rows = np.zeros((3, (n + LANES - 1) // LANES * LANES))
+    rows[0, :n] = load
+    rows[1, :n] = rx
+    rows[2, :n] = ry
+    return Cells(rows[0], rows[1], rows[2], (SPIN_RADIUS * cell_width) ** 2, slip_speed * slip_speed)
+
+
+@compiled(fastmath=_FAST, forceinline=True)
 def friction_moments(load, rx, ry, vx, vy, omega, rho2, eps2):  # type: ignore[no-untyped-def]
     """Sums over cells from which energy, gradient and Hessian of Σ f_i φ_i follow.
 
@@ -41,7 +77,8 @@ def friction_moments(load, rx, ry, vx, vy, omega, rho2, eps2):  # type: ignore[n
         eps2: ε², m²/s².
 
     Returns:
-        Σ f φ, Σ a, Σ a r_x, Σ a r_y, Σ a |r|², and Σ b g gᵀ as xx, xy, yy, xω, yω, ωω.
+        Σ f φ, Σ a, Σ a r_x, Σ a r_y, Σ a |r|², then Σ b g gᵀ as xx, xy, yy, xω, yω, ωω, and last Σ f s²,
+        which bounds how fast the Hessian changes.
     """
     energy = 0.0
     a_sum = 0.0
@@ -54,6 +91,7 @@ def friction_moments(load, rx, ry, vx, vy, omega, rho2, eps2):  # type: ignore[n
     bxw = 0.0
     byw = 0.0
     bww = 0.0
+    bend = 0.0
     constant = rho2 * omega * omega + eps2
     spin = rho2 * omega
     for i in range(load.shape[0]):
@@ -65,7 +103,9 @@ def friction_moments(load, rx, ry, vx, vy, omega, rho2, eps2):  # type: ignore[n
         inverse = 1.0 / math.sqrt(phi2)
         a = load[i] * inverse
         energy += a * phi2
-        b = a * inverse * inverse
+        a_inverse = a * inverse
+        b = a_inverse * inverse
+        bend += a_inverse
         gw = x * uy - y * ux + spin
         a_sum += a
         ax += a * x
@@ -79,4 +119,4 @@ def friction_moments(load, rx, ry, vx, vy, omega, rho2, eps2):  # type: ignore[n
         bxw += bux * gw
         byw += buy * gw
         bww += b * gw * gw
-    return energy, a_sum, ax, ay, arr, bxx, bxy, byy, bxw, byw, bww
+    return energy, a_sum, ax, ay, arr, bxx, bxy, byy, bxw, byw, bww, bend

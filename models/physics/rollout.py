@@ -1,9 +1,11 @@
-"""Roll out many models times many pushes, with exact sensitivities if wanted: the door to the compiled kernel."""
+"""Roll out many models times many pushes, with exact sensitivities if wanted: door to the compiled kernel."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
+from itertools import accumulate
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -39,12 +41,13 @@ class Push:
         tip: (N + 1, 2) finger centre at the ends of the steps, world, m; NaN where there is no finger.
         start_pose: (3,) x, y, θ in the world.
         start_twist: (3,) v_x, v_y, omega in the object frame.
-        pose_times: (S,) ascending times from the start at which poses are wanted, s; default all ends of steps.
+        pose_times: (S,) ascending times from the start at which poses are wanted, s; default ends of steps.
         force_times: (T,) the same for the contact force (the mean over the step that holds the time).
         wrench: (N, 5) applied force (world, N), its point (object frame, m) and a torque (N m), or None.
 
     Raises:
-        ValueError: shapes that do not fit, a step that is not positive, times outside the push or not ascending.
+        ValueError: shapes that do not fit, a step that is not positive, times that lie outside the push or
+            do not ascend.
     """
 
     h: float
@@ -82,6 +85,16 @@ class Push:
                 raise ValueError(f"push: wrench must have shape ({steps}, 5), got {wrench.shape}")
             object.__setattr__(self, "wrench", wrench)
 
+    @cached_property
+    def pose_samples(self) -> tuple[NDArray[np.int64], FloatArray]:
+        """(S,) step in whose course each pose time falls, and (S,) the place in it, 0 to 1."""
+        return _sample_steps(self.h, len(self.tip) - 1, self.pose_times)
+
+    @cached_property
+    def force_steps(self) -> NDArray[np.int64]:
+        """(T,) step in whose course each force time falls."""
+        return _sample_steps(self.h, len(self.tip) - 1, self.force_times)[0]
+
     @classmethod
     def by_force(
         cls,
@@ -96,7 +109,7 @@ class Push:
     ) -> Push:
         """Constant world force (2,) N on an object-frame point (2,) m for `duration` s, then none."""
         wrench = np.zeros((steps, 5))
-        wrench[: int(round(duration / h)), :4] = [*np.asarray(force), *np.asarray(point)]
+        wrench[: round(duration / h), :4] = [*np.asarray(force), *np.asarray(point)]
         nowhere = np.full((steps + 1, 2), np.nan)
         return cls(h, nowhere, np.asarray(start_pose), np.asarray(start_twist), wrench=wrench)
 
@@ -198,6 +211,10 @@ class Slider:
         self.finger_radius = float(finger_radius)
         self.gravity = float(gravity)
         self.smoothing = smoothing or Smoothing()
+        s = self.smoothing
+        self._centers = np.ascontiguousarray(grid.centers.T)
+        self._smoothing = np.array([s.slip_speed, s.stick_speed, s.penetration])
+        self._size = float(np.linalg.norm(grid.exterior, axis=1).max())
 
     @property
     def columns(self) -> int:
@@ -206,10 +223,10 @@ class Slider:
 
     def inertia(self, mass: FloatArray) -> FloatArray:
         """(…, 4) m, s_x, s_y, J of mass maps (…, n), with I_i = m_i w²/6 as in the paper."""
-        return mass @ self._inertia_basis
+        return mass @ self.inertia_basis
 
-    @property
-    def _inertia_basis(self) -> FloatArray:
+    @cached_property
+    def inertia_basis(self) -> FloatArray:
         """(n, 4) what one kilogram in each cell adds to m, s_x, s_y, J."""
         r = self.grid.centers
         second = (r**2).sum(axis=1) + self.grid.width**2 / 6.0
@@ -228,7 +245,7 @@ class Slider:
         shape = (len(maps),) + (1,) * (d_reduced.ndim - 2) + (n,)
         by_load = d_reduced[..., :n]
         by_mass = by_load * (maps.mu * self.gravity).reshape(shape)
-        by_mass += d_reduced[..., n : n + 4] @ self._inertia_basis.T
+        by_mass += d_reduced[..., n : n + 4] @ self.inertia_basis.T
         by_mu = by_load * (maps.mass * self.gravity).reshape(shape)
         return np.concatenate([by_mass, by_mu, d_reduced[..., n + 4 :]], axis=-1)
 
@@ -261,31 +278,29 @@ class Slider:
         load = np.ascontiguousarray(maps.mass * maps.mu * self.gravity)
         if not (load.sum(axis=1) > 0).all():
             raise ValueError("maps: a model without any friction cannot be simulated")
-        steps = [_sample_steps(push.h, len(push.tip) - 1, push.pose_times) for push in pushes]
-        force_steps = [_sample_steps(push.h, len(push.tip) - 1, push.force_times)[0] for push in pushes]
-        sample_at = _offsets([len(s) for s, _ in steps])
+        samples = [push.pose_samples for push in pushes]
+        force_steps = [push.force_steps for push in pushes]
+        sample_at = _offsets([len(s) for s, _ in samples])
         force_at = _offsets([len(s) for s in force_steps])
-        wrenches = [np.zeros((0, 5)) if push.wrench is None else push.wrench for push in pushes]
+        wrenches = [_NO_WRENCH if push.wrench is None else push.wrench for push in pushes]
         if start_poses is None:
-            start_poses = np.broadcast_to(np.array([p.start_pose for p in pushes]), (K, B, 3))
+            start_poses = _of_all_models([p.start_pose for p in pushes], K)
         if start_twists is None:
-            start_twists = np.broadcast_to(np.array([p.start_twist for p in pushes]), (K, B, 3))
+            start_twists = _of_all_models([p.start_twist for p in pushes], K)
         columns = self.columns if sensitivities else 0
         poses = np.empty((K, sample_at[-1], 3))
         forces = np.empty((K, force_at[-1], 2))
         d_poses = np.empty((K, sample_at[-1], 3, columns))
         d_forces = np.empty((K, force_at[-1], 2, columns))
         end = np.empty((K, B, 7))
-        size = float(np.linalg.norm(self.grid.exterior, axis=1).max())
-        smoothing = self.smoothing
         arguments = (
-            load, np.ascontiguousarray(self.grid.centers[:, 0]), np.ascontiguousarray(self.grid.centers[:, 1]),
-            np.ascontiguousarray(self.inertia(maps.mass)), maps.mu_finger, self.grid.width, self.grid.edges,
-            self.finger_radius, size, np.array([smoothing.slip_speed, smoothing.stick_speed, smoothing.penetration]),
-            np.array([push.h for push in pushes]), np.concatenate([push.tip for push in pushes]),
-            _offsets([len(push.tip) for push in pushes]), np.concatenate(wrenches), _offsets([len(w) for w in wrenches]),
+            load, self._centers[0], self._centers[1], self.inertia(maps.mass), maps.mu_finger,
+            self.grid.width, self.grid.edges, self.finger_radius, self._size, self._smoothing,
+            np.array([push.h for push in pushes]),
+            np.concatenate([push.tip for push in pushes]), _offsets([len(push.tip) for push in pushes]),
+            np.concatenate(wrenches), _offsets([len(w) for w in wrenches]),
             np.ascontiguousarray(start_poses, dtype=float), np.ascontiguousarray(start_twists, dtype=float),
-            np.concatenate([s for s, _ in steps]), np.concatenate([f for _, f in steps]), sample_at,
+            np.concatenate([s for s, _ in samples]), np.concatenate([f for _, f in samples]), sample_at,
             np.concatenate(force_steps), force_at, poses, forces, d_poses, d_forces, end,
         )  # fmt: skip
         # A single job is not worth waking the other threads.
@@ -293,7 +308,7 @@ class Slider:
             rollout_one(0, *arguments)
         else:
             rollout_all(*arguments)
-        if (end[..., 6] < 0).any() or not np.isfinite(end).all():
+        if not (np.isfinite(end).all() and end[..., 6].min() >= 0):
             model, push = np.argwhere((end[..., 6] < 0) | ~np.isfinite(end).all(axis=-1))[0]
             raise RolloutError(f"model {model}, push {push}: a step did not converge")
         return Rollouts(
@@ -308,9 +323,7 @@ class Slider:
         )
 
 
-def _sample_steps(
-    h: float, steps: int, times: FloatArray | None
-) -> tuple[NDArray[np.int64], FloatArray]:
+def _sample_steps(h: float, steps: int, times: FloatArray | None) -> tuple[NDArray[np.int64], FloatArray]:
     """Step in whose course each time falls, and the place in it (0 to 1)."""
     assert times is not None
     index = np.clip(np.ceil(times / h - 1e-9).astype(np.int64) - 1, 0, steps - 1)
@@ -318,4 +331,12 @@ def _sample_steps(
 
 
 def _offsets(lengths: Sequence[int]) -> NDArray[np.int64]:
-    return np.concatenate([[0], np.cumsum(lengths)]).astype(np.int64)
+    return np.array([0, *accumulate(lengths)], dtype=np.int64)
+
+
+def _of_all_models(starts: Sequence[FloatArray], models: int) -> FloatArray:
+    """(models, B, 3) the same starts (B of (3,)) for each model."""
+    return np.repeat(np.array([starts]), models, axis=0)
+
+
+_NO_WRENCH = np.zeros((0, 5))

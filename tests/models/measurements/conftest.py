@@ -13,7 +13,6 @@ import pytest
 import yaml
 
 
-
 def push_record(speed: float = 0.05, offset: float = 0.01, noise: float = 0.0) -> dict[str, Any]:
     """A finger of 5 mm comes along +x, meets the -x face of a 0.1 m square after 4 mm and takes it along."""
     time = 1000.0 + np.arange(100) * 0.01

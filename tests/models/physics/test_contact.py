@@ -25,7 +25,7 @@ from sliding_objects import (
 
 from models.physics.cell_grid import CellGrid
 from models.physics.contact import gap
-from models.physics.rollout import Maps, Push, Slider, Smoothing
+from models.physics.rollout import Maps, Push, RolloutError, Slider, Smoothing
 
 ONE_CELL = np.zeros((1, 2))
 
@@ -88,13 +88,17 @@ def test_gap_inside_is_the_negative_distance_less_the_radius(place: tuple[CellGr
     )
 
 
-@pytest.mark.xfail(strict=True, reason="nothing is found behind a concave corner")
+@pytest.mark.xfail(strict=True, raises=AssertionError, reason="nothing is found behind a concave corner")
 def test_gap_inside_behind_a_concave_corner() -> None:
     points = np.array([[0.05, 0.05], [-0.003, -0.004]])
     assert gap(points, FINGER_RADIUS, l_shape().edges)[1] == pytest.approx(-0.005 - FINGER_RADIUS)
 
 
-@pytest.mark.xfail(strict=True, reason="a corner given twice is no corner: its wedge is open to the finger")
+@pytest.mark.xfail(
+    strict=True,
+    raises=AssertionError,
+    reason="its wedge is open to the finger",
+)
 def test_gap_at_a_corner_that_is_listed_twice() -> None:
     exterior = np.array([[-0.05, -0.03], [0.05, -0.03], [0.05, -0.03], [0.05, 0.03], [-0.05, 0.03]])
     grid = CellGrid(ONE_CELL, 0.01, exterior)
@@ -102,7 +106,7 @@ def test_gap_at_a_corner_that_is_listed_twice() -> None:
     assert gap(point, FINGER_RADIUS, grid.edges) == pytest.approx([0.0], abs=1e-12)
 
 
-@pytest.mark.xfail(strict=True, reason="rounding puts the centre beside both edges")
+@pytest.mark.xfail(strict=True, raises=AssertionError, reason="rounding puts the centre beside both edges")
 def test_gap_before_a_corner_in_a_straight_side() -> None:
     side = np.array([[-0.05, -0.03], [0, -0.03], [0.05, -0.03], [0.05, 0.03], [-0.05, 0.03]])
     for angle in np.linspace(0.01, 6.0, 100):
@@ -113,6 +117,34 @@ def test_gap_before_a_corner_in_a_straight_side() -> None:
         for point, distance in zip(points, np.linspace(0.004, 0.006, 20), strict=True):
             far_then_here = gap(np.array([[1.0, 1.0], point]), FINGER_RADIUS, grid.edges)
             assert far_then_here[1] == pytest.approx(distance - FINGER_RADIUS, abs=1e-9)
+
+
+@pytest.mark.xfail(strict=True, raises=AssertionError, reason="rounding puts the centre beside both edges")
+def test_a_push_on_a_corner_in_a_straight_side_holds_contact() -> None:
+    h = 0.01
+    block = rectangle(10, 6)
+    side = np.vstack([block.exterior, [-0.05, 0.0]])
+    maps = Maps(np.full(60, 0.01), np.full(60, 0.4), np.array([0.5]))
+    for angle in np.linspace(0.05, 5.95, 60):
+        turned = rotation(angle).T
+        grid = CellGrid(block.centers @ turned, block.width, side @ turned)
+        heading = rotation(angle)[:, 0]
+        tip = line((-0.05 - FINGER_RADIUS) * heading, 0.05 * heading, 0.5, h)
+        forces = Slider(grid, FINGER_RADIUS).rollout(maps, [finger_push(tip, h)]).forces[0]
+        # Steady translation: the push holds the friction of the whole object.
+        expected = np.tile(0.6 * 0.4 * GRAVITY * heading, (40, 1))
+        assert forces[10:] == pytest.approx(expected, rel=0.02, abs=0.02)
+
+
+@pytest.mark.xfail(strict=True, raises=AssertionError, reason="places are sought without the force's part")
+def test_a_force_does_not_drive_the_object_into_the_finger() -> None:
+    h = 0.02
+    grid = rectangle(10, 6)
+    maps = Maps(np.full(60, 0.01), np.full(60, 0.4), np.array([0.3]))
+    tip = np.tile([0.05 + FINGER_RADIUS + 0.0015, 0.0], (11, 1))
+    push = finger_push(tip, h, wrench=np.tile([6.0, 0, 0, 0, 0], (10, 1)))
+    out = Slider(grid, FINGER_RADIUS).rollout(maps, [push])
+    assert gaps_along(grid, out.poses[0], tip[1:], FINGER_RADIUS).min() > -1e-4
 
 
 def contact_forces(slider: Slider, maps: Maps, push: Push) -> tuple[np.ndarray, np.ndarray]:
@@ -177,7 +209,7 @@ def test_scenes_of_the_cone_hold_sticking_and_slipping() -> None:
         tip = line((-0.05 - FINGER_RADIUS, 0.015), 0.05 * rotation(0.6)[:, 0], 0.5, h)
         _, slips = contact_forces(Slider(grid, FINGER_RADIUS), maps, finger_push(tip, h))
         assert (np.abs(slips[50:]).max() < 2e-5) == sticks
-        assert (np.abs(slips[50:]).min() > 1e-3) != sticks
+        assert (np.abs(slips[-20:]).min() > 5e-3) != sticks
 
 
 def test_a_concave_corner_holds_the_finger_from_two_sides() -> None:
@@ -209,6 +241,19 @@ def test_only_one_side_of_a_concave_corner_is_felt_away_from_it() -> None:
     local_force = np.array([rotation(q[2]).T @ f for q, f in zip(out.poses[0], out.forces[0], strict=True)])
     assert local_force[5:, 0].max() < -0.1
     assert np.abs(local_force[:, 1]).max() < 1e-2
+
+
+@pytest.mark.xfail(strict=True, raises=RolloutError, reason="mu_finger = 0 without slip: holds on")
+def test_a_finger_without_friction_comes_straight_at_the_object() -> None:
+    h = 0.01
+    grid = rectangle(10, 6)
+    maps = Maps(np.full(60, 0.0625), np.full(60, 0.4), np.array([0.0]))
+    slider = Slider(grid, FINGER_RADIUS)
+    for clearance in np.linspace(1e-5, 1e-3, 40):
+        for speed in (0.0, 0.01, 0.05):
+            tip = line((-0.05 - FINGER_RADIUS - clearance, 0.0), (speed, 0), 0.2, h)
+            end = slider.rollout(maps, [finger_push(tip, h)]).end[0, 0]
+            assert end[:3] == pytest.approx([max(speed * 0.2 - clearance, 0), 0, 0], abs=2e-5)
 
 
 def test_a_finger_that_leaves_lets_go() -> None:

@@ -1,0 +1,60 @@
+# `make demo` and `make test` prepare everything they need. `make help` lists all.
+
+# Folder of the Python environment; made when missing.
+VENV ?= .venv
+# Python to make it with; the first one that is new enough when empty.
+PYTHON3 ?=
+
+BIN := $(VENV)/bin
+STAMP := $(VENV)/.slipmap-installed
+.DEFAULT_GOAL := help
+.PHONY: help demo test lint types bench install clean
+
+help: ## Show this list
+	@awk -F ':.*## ' '/^[a-z]+:.*## /{printf "  make %-8s %s\n", $$1, $$2}' Makefile
+
+demo: $(STAMP) ## Push a simulated hammer and identify it; results go to demo/
+	@$(BIN)/slipmap demo -o demo
+
+test: $(STAMP) ## Run all tests
+	@$(BIN)/python -m pytest -q
+
+lint: $(STAMP) ## Check style and formatting
+	@$(BIN)/ruff check .
+	@$(BIN)/ruff format --check .
+
+types: $(STAMP) ## Check types
+	@$(BIN)/mypy
+
+bench: $(STAMP) ## Measure how fast slipmap is on this machine
+	@$(BIN)/slipmap bench
+
+install: $(STAMP) ## Install slipmap into its environment, which the others do by themselves
+
+# Python 3.11 or newer that can make environments; candidates that do not run are passed over.
+$(STAMP): pyproject.toml
+	@set -e; \
+	if ! $(BIN)/python -m pip --version >/dev/null 2>&1; then \
+	    for candidate in $(PYTHON3) python3 python3.13 python3.12 python3.11; do \
+	        found="$$found $$($$candidate --version 2>/dev/null || true)"; \
+	        if $$candidate -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null; then python=$$candidate; break; fi; \
+	    done; \
+	    if [ -z "$$python" ]; then \
+	        echo "slipmap needs Python 3.11 or newer, found:$${found:- none}. Debian 12, Ubuntu 24.04 and later have it:" \
+	             "sudo apt-get install python3 python3-venv. Elsewhere see https://www.python.org/downloads and" \
+	             "name it: make PYTHON3=/path/to/python3" >&2; exit 2; \
+	    fi; \
+	    if ! $$python -c 'import ensurepip, venv' 2>/dev/null; then \
+	        echo "$$python cannot make environments: sudo apt-get install python3-venv, then try again" >&2; exit 2; \
+	    fi; \
+	    echo "making the environment $(VENV) with $$($$python --version)"; \
+	    $$python -m venv --clear $(VENV); \
+	fi
+	@echo "installing slipmap and what it needs into $(VENV), once; this can take some minutes"
+	@$(BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[test]'
+	@$(BIN)/python -m diagrams.system_libraries
+	@touch $(STAMP)
+
+clean: ## Remove the demo's results, caches and build products; the environment stays
+	rm -rf demo build dist slipmap.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis
+	find . -path ./$(VENV) -prune -o -name __pycache__ -type d -exec rm -rf {} +

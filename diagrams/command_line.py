@@ -1,0 +1,127 @@
+"""The command `slipmap`: its subcommands, its exit codes, and how failures are told.
+
+Exit codes: 0 success; 1 a failure of the program itself; 2 wrong use or bad input; 130 stopped by Ctrl-C.
+"""
+
+from __future__ import annotations
+
+import difflib
+import os
+import sys
+import traceback
+from collections.abc import Sequence
+
+import click
+
+from diagrams.commands.bench import bench
+from diagrams.commands.calibrate import calibrate
+from diagrams.commands.demo import demo
+from diagrams.commands.identify import identify
+from diagrams.commands.predict import predict
+
+SUCCESS, INTERNAL_FAILURE, WRONG_USE, STOPPED = 0, 1, 2, 130
+TRACEBACK = "SLIPMAP_TRACEBACK"
+
+
+class _Commands(click.Group):
+    """A group that lists its commands in the order a newcomer meets them, and knows a slip of the pen."""
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        return list(self.commands)
+
+    def resolve_command(
+        self, ctx: click.Context, args: list[str]
+    ) -> tuple[str | None, click.Command | None, list[str]]:
+        name = args[0]
+        if name not in self.commands and not name.startswith("-"):
+            near = difflib.get_close_matches(name, self.commands, n=1)
+            hint = f"did you mean `{near[0]}`?" if near else f"there are {', '.join(self.commands)}."
+            ctx.fail(f"there is no command `{name}`; {hint}")
+        return super().resolve_command(ctx, args)
+
+
+@click.group(
+    cls=_Commands,
+    invoke_without_command=True,
+    context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
+    epilog="`slipmap COMMAND --help` explains a command. Results go to standard output, progress and remarks"
+    " to standard error; --json FILE writes results for programs.",
+)
+@click.version_option(package_name="slipmap", message="slipmap %(version)s")
+@click.pass_context
+def slipmap(ctx: click.Context) -> None:
+    """Find out how an unknown object slides.
+
+    From a few recorded pushes, slipmap learns how mass and friction are spread over an object, says how
+    sure it is, and predicts further pushes.
+
+    New here? `slipmap demo` shows everything in half a minute and needs no data.
+    """
+    if ctx.invoked_subcommand is None:
+        click.echo(ctx.get_help(), err=True)
+        ctx.exit(WRONG_USE)
+
+
+for _command in (demo, identify, predict, calibrate, bench):
+    slipmap.add_command(_command)
+
+
+def run(arguments: Sequence[str]) -> int:
+    """Run one command, tell of its failure on stderr, and return its exit code."""
+    try:
+        result = slipmap.main(list(arguments), prog_name="slipmap", standalone_mode=False)
+        sys.stdout.flush()
+        return result if isinstance(result, int) else SUCCESS
+    except (click.Abort, KeyboardInterrupt):
+        return _told("stopped; nothing half-written is left behind", STOPPED)
+    except click.UsageError as error:
+        path = error.ctx.command_path if error.ctx else "slipmap"
+        return _told(f"{error.format_message()} See `{path} --help`.", WRONG_USE)
+    except click.ClickException as error:
+        return _told(error.format_message(), error.exit_code)
+    except BrokenPipeError:
+        # Whoever read the output has closed it; what is left must not fail once more at exit.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return INTERNAL_FAILURE
+    except Exception as error:
+        return _told(_one_paragraph(error), WRONG_USE) if _is_bad_input(error) else _internal(error)
+
+
+def _is_bad_input(error: Exception) -> bool:
+    from models.inference.belief import BeliefError
+    from models.measurements import DatasetError
+
+    return isinstance(error, BeliefError | DatasetError)
+
+
+def _one_paragraph(error: Exception) -> str:
+    return " ".join(str(error).split())
+
+
+def _internal(error: Exception) -> int:
+    place = traceback.extract_tb(error.__traceback__)[-1]
+    if os.environ.get(TRACEBACK):
+        traceback.print_exception(error)
+    return _told(
+        f"internal failure, {type(error).__name__} in {os.path.basename(place.filename)}, line"
+        f" {place.lineno}: {_one_paragraph(error)}. This is a fault of slipmap, not of your input; please"
+        f" report it with the whole traceback, which the environment variable {TRACEBACK}=1 shows.",
+        INTERNAL_FAILURE,
+    )
+
+
+def _told(message: str, code: int) -> int:
+    click.echo(f"slipmap: {message}", err=True)
+    return code
+
+
+def main() -> None:
+    """Entry point of the console script."""
+    for stream in (sys.stdout, sys.stderr):
+        if hasattr(stream, "reconfigure"):
+            stream.reconfigure(errors="replace")
+    sys.exit(run(sys.argv[1:]))
+
+
+if __name__ == "__main__":
+    main()

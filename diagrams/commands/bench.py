@@ -1,0 +1,25 @@
+"""`slipmap bench`: how fast the model runs on this machine, and against other simulators."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from diagrams.commands.options import json_option
+from diagrams.console import Progress, prepare_kernels
+from diagrams.outputs import write_json
+
+
+@click.command()
+@json_option
+def bench(json_file: Path | None) -> None:
+    """Measure how fast pushes are simulated and maps identified here."""
+    with Progress() as progress:
+        prepare_kernels()
+        from diagrams import benchmark
+
+        result = benchmark.run_benchmark(progress=progress)
+    if json_file is not None:
+        write_json(json_file, result)
+    click.echo(benchmark.format_table(result))

@@ -1,0 +1,95 @@
+"""`slipmap calibrate`: are the intervals right? Beliefs about simulated objects against the truth."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from diagrams.commands.options import PICTURES, OutputFile, json_option, seed_option
+from diagrams.console import Progress, note, prepare_kernels, table
+from diagrams.outputs import write_figures, write_json
+
+if TYPE_CHECKING:
+    from planners.calibration import CalibrationResult
+
+LEVEL = 0.9
+
+
+@click.command()
+@click.option(
+    "--objects", type=click.IntRange(1, 10_000), default=40, show_default=True, metavar="N",
+    help="Objects to simulate; the more, the sharper the answer.",
+)  # fmt: skip
+@seed_option
+@click.option(
+    "-o",
+    "--output",
+    type=OutputFile(*PICTURES),
+    metavar="FILE",
+    help="Picture of the reliability curves (.png, .pdf or .svg).",
+)
+@json_option
+def calibrate(objects: int, seed: int, output: Path | None, json_file: Path | None) -> None:
+    """Check that 90 % intervals hold the truth 90 % of the time.
+
+    Draws objects at random, pushes them in simulation, identifies each, and counts how often the truth
+    lies inside the belief's 90 % interval. The range behind each count (95 %, Clopper and Pearson) is what
+    the true share may be, as so few objects tell it. Takes several seconds an object.
+    """
+    with Progress() as progress:
+        prepare_kernels()
+        from planners import calibration
+
+        result = calibration.calibrate(objects=objects, seed=seed, progress=progress)
+        if output is not None:
+            from diagrams.figures import calibration_figure
+
+            write_figures(output, [calibration_figure(result)])
+    rows = coverage_rows(result)
+    if json_file is not None:
+        document = {
+            "objects": result.objects,
+            "seed": result.seed,
+            "seconds": result.seconds,
+            "level": LEVEL,
+            "coverage": rows,
+        }
+        write_json(json_file, {**document, "ranks": result.ranks})
+    table(
+        f"Truths inside the {LEVEL:.0%} interval, {result.objects} objects in {result.seconds:.0f} s",
+        ["quantity", "inside", "of", "share", "95 % range", "verdict"],
+        [
+            [row["name"], str(row["inside"]), str(row["of"]), f"{row['share']:.0%}",
+             f"{row['low']:.0%} to {row['high']:.0%}", row["verdict"]]
+            for row in rows
+        ],
+        numbers=(1, 2, 3, 4),
+    )  # fmt: skip
+    if output is not None:
+        note(f"picture: {output}")
+
+
+def coverage_rows(result: CalibrationResult) -> list[dict[str, Any]]:
+    """Truths inside, with the 95 % range of their share and what it says of the intervals."""
+    from scipy.stats import binomtest
+
+    rows = []
+    for name, share in result.coverage.items():
+        count = len(result.ranks[name])
+        inside = round(share * count)
+        low, high = binomtest(inside, count).proportion_ci(0.95, method="exact")
+        verdict = "too narrow" if high < LEVEL else "too wide" if low > LEVEL else "as it should be"
+        rows.append(
+            {
+                "name": name,
+                "inside": inside,
+                "of": count,
+                "share": share,
+                "low": low,
+                "high": high,
+                "verdict": verdict,
+            }
+        )
+    return rows

@@ -1,0 +1,113 @@
+"""`slipmap demo`: the whole way, on pushes that it simulates itself."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from diagrams.commands.identify import draw, show
+from diagrams.commands.options import json_option, load_dataset, seed_option
+from diagrams.console import Progress, note, prepare_kernels, table
+from diagrams.outputs import make_folder, write_json, writing
+
+if TYPE_CHECKING:
+    from models.inference.results import Identification
+    from models.physics.rollout import Maps
+
+
+@click.command()
+@click.option(
+    "-o", "--output", "folder", type=click.Path(path_type=Path), default="demo", show_default=True,
+    metavar="DIR", help="Folder for everything that the demo makes.",
+)  # fmt: skip
+@seed_option
+@click.option(
+    "--fit-pushes",
+    type=click.IntRange(1, 100),
+    default=6,
+    show_default=True,
+    metavar="N",
+    help="Pushes to learn from.",
+)
+@click.option(
+    "--heldout-pushes",
+    type=click.IntRange(0, 100),
+    default=4,
+    show_default=True,
+    metavar="N",
+    help="Pushes to judge with.",
+)
+@json_option
+def demo(folder: Path, seed: int, fit_pushes: int, heldout_pushes: int, json_file: Path | None) -> None:
+    """Show the whole way on a simulated hammer; needs no data.
+
+    Pushes a hammer with a steel head and a wooden handle at random, records it with sensor noise as a push
+    dataset, identifies its maps from that alone, and holds what it believes against the truth.
+    """
+    make_folder(folder)
+    place = folder / "hammer"
+    with Progress() as progress:
+        prepare_kernels()
+        progress("pushing the hammer", 0, 1)
+        from diagrams.demonstration import simulated_hammer
+        from models.inference import identification
+        from models.measurements import write_dataset
+
+        recorded, truth = simulated_hammer(seed, fit=fit_pushes, heldout=heldout_pushes)
+        with writing(place):
+            write_dataset(recorded, place, overwrite=True)
+        progress("pushing the hammer", 1, 1)
+        dataset = load_dataset(place, None, progress)
+        result = identification.identify(dataset, seed=seed, progress=progress)
+        result.belief.save(folder / "belief.npz")
+        drawn = draw(result, dataset, folder, "belief", progress, truth)
+    comparison = _against_truth(result, truth)
+    if json_file is not None:
+        write_json(json_file, {**result.to_json(), "truth": comparison})
+    show(result, dataset)
+    _show_comparison(result, comparison)
+    note(f"pushes:  {place}\nbelief:  {folder / 'belief.npz'}")
+    for path in drawn:
+        note(f"picture: {path}")
+    note(
+        f"Next: look at the pictures, or learn from fewer pushes with"
+        f" `slipmap identify {place} -o {folder / 'fewer.npz'} --fit-pushes 2`."
+    )
+
+
+def _against_truth(result: Identification, truth: Maps) -> list[dict[str, Any]]:
+    from diagrams.demonstration import true_values
+
+    known = true_values(result.belief, truth)
+    return [
+        {
+            "name": quantity.name,
+            "unit": quantity.unit,
+            "truth": known[quantity.name],
+            "value": quantity.value,
+            "low": quantity.low,
+            "high": quantity.high,
+            "inside": bool(quantity.low <= known[quantity.name] <= quantity.high),
+        }
+        for quantity in result.quantities
+        if quantity.name in known
+    ]
+
+
+def _show_comparison(result: Identification, comparison: list[dict[str, Any]]) -> None:
+    from diagrams.reports import named, shown
+
+    by_name = {quantity.name: quantity for quantity in result.quantities}
+    rows = []
+    for entry in comparison:
+        quantity = by_name[entry["name"]]
+        numbers = shown(quantity, entry["truth"], quantity.value)
+        rows.append([named(quantity), *numbers, "yes" if entry["inside"] else "no"])
+    table(
+        "The belief against the truth",
+        ["quantity", "truth", "belief", "90 % interval", "truth inside"],
+        rows,
+        numbers=(1, 2, 3),
+    )

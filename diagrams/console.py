@@ -1,0 +1,145 @@
+"""What the commands show on a terminal: notes, progress, tables. Results go to stdout, all else to stderr."""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Sequence
+from types import TracebackType
+from typing import TYPE_CHECKING
+
+import click
+
+if TYPE_CHECKING:
+    from rich.progress import Progress as Bars
+    from rich.progress import TaskID
+
+WIDTH = 80
+"""Columns of everything that is not shown on a terminal."""
+
+WIDEST = 100
+HEARTBEAT = 15.0
+"""Seconds after which a long stage reports again in a log file."""
+
+
+class BadInput(click.ClickException):
+    """Something that the user can mend. Its text is one paragraph: what is wrong, and what to do."""
+
+    exit_code = 2
+
+
+def note(text: str) -> None:
+    """A line on stderr."""
+    click.echo(text, err=True)
+
+
+def prepare_kernels() -> None:
+    """Before anything is simulated: see that compiled kernels can be kept, and tell of the wait for new ones.
+
+    Raises:
+        BadInput: their folder cannot be made.
+    """
+    from models.physics.compiled import CACHE_FOLDER, needs_compiling
+
+    try:
+        CACHE_FOLDER.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise BadInput(
+            f"compiled kernels cannot be kept in {CACHE_FOLDER} ({error.strerror}); set the environment"
+            " variable SLIPMAP_CACHE to a folder that you may write to"
+        ) from error
+    if needs_compiling():
+        note("Compiling the kernels for this machine, once (about half a minute)…")
+
+
+class Progress:
+    """Shows progress on stderr: bars on a terminal, elsewhere a line when a stage begins and ends.
+
+    Use as a context manager, and call with (stage, done, total).
+    """
+
+    def __init__(self) -> None:
+        self._stage = ""
+        self._began = self._spoke = time.monotonic()
+        self._bars: Bars | None = None
+        self._task: TaskID | None = None
+
+    def __enter__(self) -> Progress:
+        if sys.stderr.isatty():
+            from rich.console import Console
+            from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeElapsedColumn
+            from rich.progress import Progress as Bars
+
+            self._bars = Bars(
+                TextColumn("{task.description:<24}"),
+                BarColumn(),
+                MofNCompleteColumn(),
+                TimeElapsedColumn(),
+                console=Console(stderr=True),
+            )
+            self._bars.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._finish(complete=kind is None)
+        if self._bars is not None:
+            self._bars.stop()
+
+    def __call__(self, stage: str, done: int, total: int) -> None:
+        """Report that `done` of `total` parts of a stage are done."""
+        if stage != self._stage:
+            self._finish(complete=True)
+            self._stage, self._began = stage, time.monotonic()
+            self._spoke = self._began
+            if self._bars is not None:
+                self._task = self._bars.add_task(stage, total=total)
+            else:
+                note(f"{stage} …")
+        if self._bars is not None and self._task is not None:
+            self._bars.update(self._task, completed=done, total=total)
+        elif done < total and time.monotonic() - self._spoke > HEARTBEAT:
+            self._spoke = time.monotonic()
+            note(f"{stage}: {done} of {total}")
+
+    def _finish(self, *, complete: bool) -> None:
+        """Close the present stage; a stage may end before its total, when it has converged."""
+        if not self._stage or not complete:
+            return
+        if self._bars is not None and self._task is not None:
+            whole = self._bars.tasks[self._task].total
+            self._bars.update(self._task, completed=whole)
+            self._bars.stop_task(self._task)
+        else:
+            note(f"{self._stage}: done in {time.monotonic() - self._began:.1f} s")
+        self._stage = ""
+
+
+def table(
+    title: str, columns: Sequence[str], rows: Sequence[Sequence[str]], *, numbers: Sequence[int] = ()
+) -> None:
+    """Print a table on stdout, within the terminal's width or 80 columns, and an empty line.
+
+    Args:
+        title: line above it.
+        columns: headings.
+        rows: cells.
+        numbers: columns to align on the right and never to wrap.
+    """
+    from rich import box
+    from rich.console import Console
+    from rich.table import Table
+    from rich.text import Text
+
+    console = Console(width=None if sys.stdout.isatty() else WIDTH, highlight=False)
+    console.width = min(console.width, WIDEST)
+    grid = Table(box=box.SIMPLE_HEAD, show_edge=False, pad_edge=False)
+    for index, name in enumerate(columns):
+        is_number = index in numbers
+        grid.add_column(name, justify="right" if is_number else "left", no_wrap=is_number, overflow="fold")
+    for row in rows:
+        grid.add_row(*map(Text, row))
+    console.print(Text(title, style="bold"))
+    console.print(grid)
+    console.print()

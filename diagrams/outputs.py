@@ -1,0 +1,127 @@
+"""Files that the commands write: each appears whole or not at all."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import tempfile
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from diagrams.console import BadInput
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+
+def check_file(path: Path, endings: Sequence[str] = ()) -> None:
+    """Refuse, before any work is done, an output that could not be written after it.
+
+    Raises:
+        BadInput: another ending, a missing or unwritable folder, or a folder in the file's place.
+    """
+    if endings and path.suffix.lower().lstrip(".") not in endings:
+        wanted = ", ".join(f".{ending}" for ending in endings)
+        raise BadInput(f"cannot write {path}: its name must end in one of {wanted}")
+    if path.is_dir():
+        raise BadInput(f"cannot write {path}: that is a folder; name a file in it")
+    check_folder(path.parent, path)
+
+
+def check_folder(folder: Path, path: Path) -> None:
+    """Refuse a folder in which `path` could not be written.
+
+    Raises:
+        BadInput: it does not exist or cannot be written to.
+    """
+    if not folder.is_dir():
+        raise BadInput(
+            f"cannot write {path}: the folder {folder} does not exist; make it first or choose another"
+        )
+    with writing(path), tempfile.TemporaryFile(dir=folder):
+        pass
+
+
+def make_folder(folder: Path) -> None:
+    """Make a folder for results, its parents included.
+
+    Raises:
+        BadInput: a file is in the way, or the place cannot be written to.
+    """
+    with writing(folder):
+        folder.mkdir(parents=True, exist_ok=True)
+    check_folder(folder, folder)
+
+
+@contextmanager
+def whole_file(path: Path) -> Iterator[Path]:
+    """A temporary name beside `path`, renamed to it when the block ends well and removed when it does not.
+
+    Raises:
+        BadInput: the place cannot be written to.
+    """
+    part = path.with_name(f".{os.getpid()}.{path.name}")
+    try:
+        with writing(path):
+            yield part
+            os.replace(part, path)
+    finally:
+        part.unlink(missing_ok=True)
+
+
+@contextmanager
+def writing(path: Path) -> Iterator[None]:
+    """Tell a failure of the disk or of permissions as bad input that names `path`.
+
+    Raises:
+        BadInput: instead of OSError.
+    """
+    try:
+        yield
+    except OSError as error:
+        raise BadInput(f"cannot write {path}: {error.strerror or error}; choose another place") from error
+
+
+def write_json(path: Path, document: Mapping[str, Any]) -> None:
+    """Write a JSON document, keys sorted; a number that is not finite becomes null.
+
+    Raises:
+        BadInput: the place cannot be written to.
+    """
+    text = json.dumps(_plain(document), indent=2, sort_keys=True, ensure_ascii=False, allow_nan=False)
+    with whole_file(path) as part:
+        part.write_text(text + "\n", encoding="utf-8")
+
+
+def write_figures(path: Path, figures: Sequence[Figure]) -> list[Path]:
+    """Write the pages of a picture: the first as `path`, further ones with their number before the ending.
+
+    Raises:
+        BadInput: the place cannot be written to.
+    """
+    from diagrams.figures import save
+
+    paths = [
+        path,
+        *(path.with_name(f"{path.stem}.{page}{path.suffix}") for page in range(2, len(figures) + 1)),
+    ]
+    for place, figure in zip(paths, figures, strict=True):
+        with whole_file(place) as part:
+            save(figure, part)
+    return paths
+
+
+def _plain(value: Any) -> Any:
+    """Mappings, lists and numbers as JSON knows them; arrays and numpy's numbers have `tolist`."""
+    if hasattr(value, "tolist"):
+        value = value.tolist()
+    if isinstance(value, Mapping):
+        return {str(key): _plain(entry) for key, entry in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(entry) for entry in value]
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value

@@ -1,0 +1,107 @@
+"""Tables that tell a person what an identification or a prediction found."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from diagrams.console import table
+from diagrams.wording import ROLES, short_name
+from models.inference.results import PushPrediction, Quantity
+
+SENSITIVE = 10.0
+"""Metres that the end moves for a metre at the start, from which a push is called near to balance."""
+
+MOST_ROWS = 30
+MEASURES = ("final_add", "uniform_add", "no_motion_add")
+SHOWN_UNITS = {"m": ("mm", 1e3), "-": ("", 1.0)}
+
+
+def show_errors(pushes: Sequence[PushPrediction]) -> None:
+    """How far off predicted ends are: by role, against two baselines, and push by push."""
+    rows = []
+    for role, name in ROLES.items():
+        group = [push for push in pushes if push.role == role]
+        for label, average in (("mean", np.mean), ("median", np.median)):
+            if group:
+                numbers = [average([getattr(push, of) for push in group]) for of in MEASURES]
+                rows.append([f"{len(group)} {name}", label, *map(_millimetres, numbers)])
+    table(
+        "Error at the end of a push (ADD: mean distance of the cells), mm",
+        ["pushes", "", "this belief", "uniform object", "object does not move"],
+        rows,
+        numbers=(2, 3, 4),
+    )
+    _show_pushes(pushes)
+
+
+def _show_pushes(pushes: Sequence[PushPrediction]) -> None:
+    shown, left = list(pushes), 0
+    if len(shown) > MOST_ROWS:
+        shown, left = sorted(pushes, key=lambda push: -push.final_add)[:MOST_ROWS], len(shown) - MOST_ROWS
+    rows = [
+        [
+            short_name(push.trial),
+            ROLES[push.role],
+            *map(_millimetres, (push.final_add, push.spread, push.uniform_add, push.no_motion_add)),
+            remark(push),
+        ]
+        for push in shown
+    ]
+    title = "Push by push, mm"
+    if left:
+        title = f"The {len(shown)} worst pushes of {len(pushes)}, mm (--json holds all)"
+    table(
+        title,
+        ["push", "role", "error", "spread", "uniform", "no motion", "remark"],
+        rows,
+        numbers=(2, 3, 4, 5),
+    )
+
+
+def remark(push: PushPrediction) -> str:
+    """What a reader should know of a push that starts near to balance; empty for others."""
+    if not push.start_sensitivity >= SENSITIVE:
+        return ""
+    return f"half a millimetre decides: it moves the end by {0.5 * push.start_sensitivity:.0f} mm"
+
+
+def show_quantities(quantities: Sequence[Quantity]) -> None:
+    """Value, 90 % interval and reason, first what the pushes pin down, then what they leave open."""
+    for pinned, title in (
+        (True, "Pinned down by these pushes"),
+        (False, "Left open by these pushes: here prior knowledge decides"),
+    ):
+        rows = [
+            [named(quantity), *shown(quantity, quantity.value), quantity.reason]
+            for quantity in quantities
+            if bool(quantity.pinned) is pinned
+        ]
+        if rows:
+            table(title, ["quantity", "value", "90 % interval", "why"], rows, numbers=(1, 2))
+
+
+def named(quantity: Quantity) -> str:
+    """Name and the unit in which `shown` gives its numbers."""
+    unit, _ = SHOWN_UNITS.get(quantity.unit, (quantity.unit, 1.0))
+    return f"{quantity.name}, {unit}" if unit else quantity.name
+
+
+def shown(quantity: Quantity, *values: float) -> tuple[str, ...]:
+    """Values of a quantity (SI) and last its interval, with as many digits as the interval makes sense of."""
+    _, factor = SHOWN_UNITS.get(quantity.unit, (quantity.unit, 1.0))
+    digits = _digits(factor * (quantity.high - quantity.low))
+    numbers = [f"{factor * value:.{digits}f}" for value in (*values, quantity.low, quantity.high)]
+    return (*numbers[:-2], f"{numbers[-2]} to {numbers[-1]}")
+
+
+def _digits(width: float) -> int:
+    """Decimals that show two figures of a width, 0 to 8."""
+    if not (np.isfinite(width) and width > 0):
+        return 3
+    return int(np.clip(1 - np.floor(np.log10(width)), 0, 8))
+
+
+def _millimetres(metres: float) -> str:
+    return f"{1e3 * metres:.1f}"

@@ -1,0 +1,196 @@
+"""What is known of an object after some pushes: hypotheses about its maps, with probabilities."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import tempfile
+import zipfile
+from dataclasses import dataclass, field
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from models.physics.cell_grid import CellGrid
+from models.physics.rollout import Maps, Slider, Smoothing
+
+FloatArray = NDArray[np.float64]
+
+FORMAT = "slipmap-belief/1"
+
+
+class BeliefError(ValueError):
+    """A belief file that is damaged, of another kind, or does not fit what it is used with."""
+
+
+@dataclass(frozen=True, eq=False)
+class Belief:
+    """K hypotheses about one object and finger, weighted by probability.
+
+    Attributes:
+        grid: the object's cells and outline.
+        finger_radius: m.
+        gravity: m/s².
+        maps: K mass and friction maps with finger frictions.
+        probability: (K,) sums to one.
+        smoothing: how softly the model was run when the maps were found; predictions use the same.
+        dataset: name of the dataset that taught it.
+        fingerprint: hash of that dataset.
+        method: `gauss-newton` or `paper`.
+        seed: of every random draw.
+        settings: everything else that shaped the result, JSON-able.
+        versions: of slipmap and of the libraries that compute.
+    """
+
+    grid: CellGrid
+    finger_radius: float
+    gravity: float
+    maps: Maps
+    probability: FloatArray
+    smoothing: Smoothing
+    dataset: str
+    fingerprint: str
+    method: str
+    seed: int
+    settings: dict[str, Any] = field(default_factory=dict)
+    versions: dict[str, str] = field(default_factory=lambda: library_versions())
+
+    def __post_init__(self) -> None:
+        if self.maps.mass.shape[1] != len(self.grid):
+            raise BeliefError(f"belief: maps of {self.maps.mass.shape[1]} cells on a grid of {len(self.grid)}")
+        p = np.asarray(self.probability, dtype=float)
+        if p.shape != (len(self.maps),) or not np.isfinite(p).all() or (p < 0).any() or abs(p.sum() - 1) > 1e-6:
+            raise BeliefError("belief: probabilities must be one number a hypothesis, none negative, summing to 1")
+        object.__setattr__(self, "probability", p)
+
+    def __len__(self) -> int:
+        return len(self.maps)
+
+    @property
+    def slider(self) -> Slider:
+        """The model that the maps belong to."""
+        return Slider(self.grid, self.finger_radius, self.gravity, self.smoothing)
+
+    @property
+    def centers_of_mass(self) -> FloatArray:
+        """(K, 2) centre of mass of each hypothesis, object frame, m."""
+        inertia = self.slider.inertia(self.maps.mass)
+        return inertia[:, 1:3] / inertia[:, :1]
+
+    @property
+    def friction_forces(self) -> FloatArray:
+        """(K,) friction force of the whole object in plain sliding, Σ mu_i m_i g, N."""
+        return (self.maps.mass * self.maps.mu).sum(axis=1) * self.gravity
+
+    def save(self, path: str | Path) -> None:
+        """Write to an `.npz` file; the file appears whole or not at all.
+
+        Raises:
+            BeliefError: the folder does not exist or cannot be written.
+        """
+        path = Path(path)
+        arrays = self._arrays()
+        meta = {
+            "format": FORMAT,
+            "finger_radius": self.finger_radius,
+            "gravity": self.gravity,
+            "cell_width": self.grid.width,
+            "holes": len(self.grid.holes),
+            "smoothing": vars(self.smoothing),
+            "dataset": self.dataset,
+            "fingerprint": self.fingerprint,
+            "method": self.method,
+            "seed": self.seed,
+            "settings": self.settings,
+            "versions": self.versions,
+            "checksum": _checksum(arrays),
+        }
+        try:
+            handle, name = tempfile.mkstemp(dir=path.parent, suffix=".part")
+            try:
+                with os.fdopen(handle, "wb") as stream:
+                    np.savez_compressed(stream, meta=np.array(json.dumps(meta)), **arrays)  # type: ignore[arg-type]
+                os.replace(name, path)
+            except BaseException:
+                Path(name).unlink(missing_ok=True)
+                raise
+        except OSError as error:
+            raise BeliefError(f"cannot write the belief to {path}: {error.strerror or error}") from error
+
+    def _arrays(self) -> dict[str, FloatArray]:
+        holes = {f"hole_{i}": hole for i, hole in enumerate(self.grid.holes)}
+        return {
+            "centers": self.grid.centers,
+            "exterior": self.grid.exterior,
+            "mass": self.maps.mass,
+            "mu": self.maps.mu,
+            "mu_finger": self.maps.mu_finger,
+            "probability": self.probability,
+            **holes,
+        }
+
+    @classmethod
+    def load(cls, path: str | Path) -> Belief:
+        """Read a belief file.
+
+        Raises:
+            BeliefError: the file is missing, not a belief, damaged, or of a newer format.
+        """
+        path = Path(path)
+        if not path.is_file():
+            raise BeliefError(f"there is no belief file {path}; `slipmap identify DATASET -o {path.name}` makes one")
+        try:
+            with np.load(path, allow_pickle=False) as archive:
+                if "meta" not in archive.files:
+                    raise BeliefError(f"{path} is not a belief file: it has no description in it")
+                meta = json.loads(str(archive["meta"]))
+                if not isinstance(meta, dict) or meta.get("format") != FORMAT:
+                    found = meta.get("format") if isinstance(meta, dict) else None
+                    raise BeliefError(f"{path} has format {found!r}, this version reads {FORMAT!r}")
+                names = ["centers", "exterior", "mass", "mu", "mu_finger", "probability"]
+                names += [f"hole_{i}" for i in range(int(meta["holes"]))]
+                arrays = {name: archive[name] for name in names}
+            if _checksum(arrays) != meta["checksum"]:
+                raise BeliefError(f"{path} is damaged: its numbers do not match their checksum")
+            holes = tuple(arrays[f"hole_{i}"] for i in range(int(meta["holes"])))
+            return cls(
+                grid=CellGrid(arrays["centers"], float(meta["cell_width"]), arrays["exterior"], holes),
+                finger_radius=float(meta["finger_radius"]),
+                gravity=float(meta["gravity"]),
+                maps=Maps(arrays["mass"], arrays["mu"], arrays["mu_finger"]),
+                probability=arrays["probability"],
+                smoothing=Smoothing(**meta["smoothing"]),
+                dataset=str(meta["dataset"]),
+                fingerprint=str(meta["fingerprint"]),
+                method=str(meta["method"]),
+                seed=int(meta["seed"]),
+                settings=dict(meta["settings"]),
+                versions=dict(meta["versions"]),
+            )
+        except BeliefError:
+            raise
+        except (OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile, NotImplementedError) as error:
+            raise BeliefError(f"{path} is not a readable belief file ({error})") from error
+
+
+def _checksum(arrays: dict[str, FloatArray]) -> str:
+    digest = hashlib.sha256()
+    for name in sorted(arrays):
+        array = np.ascontiguousarray(arrays[name])
+        digest.update(f"{name}{array.dtype.str}{array.shape}".encode() + array.tobytes())
+    return digest.hexdigest()
+
+
+def library_versions() -> dict[str, str]:
+    """Versions of slipmap and of what computes for it."""
+    versions = {}
+    for name in ("slipmap", "numpy", "scipy", "numba"):
+        try:
+            versions[name] = version(name)
+        except PackageNotFoundError:
+            versions[name] = "not installed"
+    return versions

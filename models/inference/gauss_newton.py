@@ -1,0 +1,134 @@
+"""Levenberg-damped Gauss-Newton for many hypotheses at once.
+
+All hypotheses are rolled out in one parallel call and take their steps in lockstep, each with its own damping. They
+may weigh the pushes differently and lean towards different prior means: the same code serves several starts, refits
+with pushes left out, and randomised refits.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.linalg
+
+from models.inference.likelihood import Likelihood, NormalEquations
+from models.physics.cell_grid import FloatArray
+
+LONGEST_STEP = 1.5
+"""Largest change of a coordinate in one iteration, in standard deviations of the prior."""
+
+FARTHEST_OFFSET = 4.0
+"""Largest start offset, in its standard deviations."""
+
+
+@dataclass(frozen=True, eq=False)
+class Fits:
+    """K fitted hypotheses.
+
+    Attributes:
+        z: (K, d) coordinates.
+        offsets: (K, B, 3) start offsets, m and rad.
+        cost: (K,) weighted cost, prior included.
+        push_cost: (K, B) cost of each push, unweighted.
+        hessian: (K, d, d) of the weighted data cost; add the identity for the prior.
+        iterations: how many were made.
+    """
+
+    z: FloatArray
+    offsets: FloatArray
+    cost: FloatArray
+    push_cost: FloatArray
+    hessian: FloatArray
+    iterations: int
+
+
+def fit(
+    likelihood: Likelihood,
+    start: FloatArray,
+    *,
+    weights: FloatArray | None = None,
+    prior_mean: FloatArray | None = None,
+    strength: FloatArray | None = None,
+    offsets: FloatArray | None = None,
+    iterations: int = 25,
+    tolerance: float = 1e-3,
+    progress: Callable[[int, int], None] | None = None,
+) -> Fits:
+    """Minimise  Σ_b weight_b cost_b(z) + ½ |z - prior_mean|²  from each start.
+
+    Args:
+        likelihood: costs of the pushes.
+        start: (K, d) coordinates to start from.
+        weights: (K, B) weights of the pushes, ones if None.
+        prior_mean: (K, d) centre of the prior, zeros if None.
+        strength: (K,) see `MapPrior.maps`, ones if None.
+        offsets: (K, B, 3) start offsets to start from, zeros if None.
+        iterations: at most.
+        tolerance: a hypothesis rests when an accepted step lowers its cost by less than this share.
+        progress: called with (iteration, iterations).
+    """
+    K, B = len(start), len(likelihood.observations)
+    weights = np.ones((K, B)) if weights is None else weights
+    mean = np.zeros_like(start) if prior_mean is None else prior_mean
+    strength = np.ones(K) if strength is None else strength
+    z = start.copy()
+    shift = np.zeros((K, B, 3)) if offsets is None else offsets.copy()
+    damping = np.full(K, 1e-2)
+
+    def total(push_cost: FloatArray, at: FloatArray, who: np.ndarray) -> FloatArray:
+        return (weights[who] * push_cost).sum(axis=1) + 0.5 * ((at - mean[who]) ** 2).sum(axis=1)
+
+    everyone = np.arange(K)
+    equations = likelihood.linearise(z, shift, strength, weights)
+    cost = total(equations.cost, z, everyone)
+    active = everyone
+    done = 0
+    for done in range(1, iterations + 1):
+        step = np.zeros_like(z)
+        for k in active:
+            step[k] = _damped_step(equations, k, z[k] - mean[k], damping[k])
+        new_z = z[active] + step[active]
+        new_shift = _shifted(equations, active, step[active], shift[active], likelihood.start_sigma)
+        trial = likelihood.linearise(new_z, new_shift, strength[active], weights[active])
+        new_cost = total(trial.cost, new_z, active)
+        better = new_cost < cost[active]
+        gain = np.where(better, cost[active] - new_cost, 0.0)
+        winners = active[better]
+        z[winners], shift[winners], cost[winners] = new_z[better], new_shift[better], new_cost[better]
+        _overwrite(equations, winners, trial, better)
+        damping[active] = np.where(better, np.maximum(damping[active] * 0.3, 1e-6), damping[active] * 6.0)
+        resting = (better & (gain < tolerance * np.maximum(cost[active], 1e-3))) | (damping[active] > 1e4)
+        active = active[~resting]
+        if progress is not None:
+            progress(done, iterations)
+        if len(active) == 0:
+            break
+    return Fits(z, shift, cost, equations.cost, equations.hessian, done)
+
+
+def _damped_step(equations: NormalEquations, k: int, from_mean: FloatArray, damping: float) -> FloatArray:
+    system = equations.hessian[k].copy()
+    diagonal = np.diagonal(system) + 1.0
+    np.fill_diagonal(system, diagonal * (1.0 + damping))
+    step = -scipy.linalg.solve(system, equations.gradient[k] + from_mean, assume_a="pos", check_finite=False)
+    return step * min(1.0, LONGEST_STEP / max(float(np.abs(step).max()), 1e-12))
+
+
+def _shifted(
+    equations: NormalEquations, who: np.ndarray, step: FloatArray, shift: FloatArray, sigma: FloatArray
+) -> FloatArray:
+    """Start offsets that go with a step of the maps, kept within bounds."""
+    result = shift.copy()
+    for b in range(shift.shape[1]):
+        slope = equations.start_gradient[b, who] + np.einsum("kdj,kd->kj", equations.coupling[b, who], step)
+        result[:, b] -= np.einsum("kij,kj->ki", equations.start_gain[b, who], slope)
+    return np.clip(result, -FARTHEST_OFFSET * sigma, FARTHEST_OFFSET * sigma)
+
+
+def _overwrite(old: NormalEquations, who: np.ndarray, new: NormalEquations, rows: np.ndarray) -> None:
+    for name in ("cost", "hessian", "gradient"):
+        getattr(old, name)[who] = getattr(new, name)[rows]
+    for name in ("start_gain", "start_gradient", "coupling"):
+        getattr(old, name)[:, who] = getattr(new, name)[:, rows]

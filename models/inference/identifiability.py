@@ -1,0 +1,173 @@
+"""Which quantities these pushes pin down, which they leave open, and why.
+
+The Gauss-Newton Hessian H of the data's cost, in coordinates where the prior is N(0, 1), says how much the data
+know: a quantity with gradient c over the coordinates has prior variance cᵀc and posterior variance cᵀ(H + I)⁻¹c. It
+counts as pinned where the data leave less than a quarter of the prior's variance, that is half its width.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from models.inference.belief import Belief
+from models.inference.gauss_newton import Fits, fit
+from models.inference.likelihood import Likelihood
+from models.inference.results import Quantity
+from models.physics.cell_grid import FloatArray
+from models.physics.rollout import Maps, Slider
+
+PINNED_SHARE = 0.25
+"""Largest share of the prior's variance that a pinned quantity keeps."""
+
+REGIONS = 3
+DIFFERENCE = 1e-4
+
+
+@dataclass(frozen=True)
+class _Measure:
+    """A quantity as a function of maps; `log` where it is compared as a ratio."""
+
+    name: str
+    unit: str
+    of: Callable[[Maps], FloatArray]
+    log: bool
+    pinned: str
+    open: str
+
+
+def quantities(belief: Belief, likelihood: Likelihood, information: Fits | None) -> tuple[Quantity, ...]:
+    """Value, 90 % interval and verdict for each quantity.
+
+    Args:
+        belief: the hypotheses.
+        likelihood: of the pushes they were fitted to.
+        information: the plain best fit; None where the maps came from another method, then one is made.
+    """
+    prior = likelihood.prior
+    if information is None:
+        information = fit(likelihood, np.array([prior.start(0.35)]))
+    posterior = np.linalg.inv(information.hessian[0] + np.eye(prior.size))
+    has_force = any(observation.sliding.any() for observation in likelihood.observations)
+    weighed = prior.total_spread == prior.settings.known_mass
+    results = []
+    for measure in _measures(prior.slider, has_force, weighed):
+        gradient = _gradient(measure, likelihood, information.z[0])
+        before = float(gradient @ gradient)
+        after = float(gradient @ posterior @ gradient)
+        pinned = after < PINNED_SHARE * before
+        value, low, high = interval(measure.of(belief.maps), belief.probability, log=measure.log)
+        results.append(
+            Quantity(measure.name, measure.unit, value, low, high, pinned, measure.pinned if pinned else measure.open)
+        )
+    return tuple(results)
+
+
+def interval(
+    values: FloatArray, probability: FloatArray, *, level: float = 0.9, log: bool = False
+) -> tuple[float, float, float]:
+    """Weighted median and central interval of K draws.
+
+    The interval is that of a normal distribution (of the logarithm if `log`) with the draws' weighted
+    moments, widened by Student's t for their effective number: quantiles of twenty draws are too coarse.
+    """
+    from scipy.stats import t
+
+    x = np.log(np.maximum(values, 1e-300)) if log else values
+    mean = float(probability @ x)
+    effective = max(2.0, 1.0 / float((probability**2).sum()))
+    variance = float(probability @ (x - mean) ** 2) * effective / (effective - 1.0)
+    width = float(t.ppf(0.5 + 0.5 * level, effective - 1.0)) * np.sqrt(variance * (1.0 + 1.0 / effective))
+    order = np.argsort(x)
+    middle = float(x[order][np.searchsorted(np.cumsum(probability[order]), 0.5)])
+    low, high = mean - width, mean + width
+    return (float(np.exp(middle)), float(np.exp(low)), float(np.exp(high))) if log else (middle, low, high)
+
+
+def _gradient(measure: _Measure, likelihood: Likelihood, z: FloatArray) -> FloatArray:
+    """Central differences over the coordinates (maps are cheap; the rollouts' part is in the Hessian)."""
+    prior = likelihood.prior
+    shifts = DIFFERENCE * np.eye(prior.size)
+    values = measure.of(prior.maps(np.concatenate([z + shifts, z - shifts])))
+    if measure.log:
+        values = np.log(values)
+    return (values[: prior.size] - values[prior.size :]) / (2.0 * DIFFERENCE)
+
+
+def _measures(slider: Slider, has_force: bool, weighed: bool) -> list[_Measure]:
+    centers = slider.grid.centers
+    g = slider.gravity
+
+    def load(maps: Maps) -> FloatArray:
+        return maps.mass * maps.mu * g
+
+    def share(maps: Maps) -> FloatArray:
+        f = load(maps)
+        return f / f.sum(axis=1, keepdims=True)
+
+    def com(maps: Maps) -> FloatArray:
+        return maps.mass @ centers / maps.mass.sum(axis=1, keepdims=True)
+
+    def inertia(maps: Maps) -> FloatArray:
+        m, sx, sy, second = slider.inertia(maps.mass).T
+        return second - (sx**2 + sy**2) / m
+
+    def arm(maps: Maps) -> FloatArray:
+        middle = share(maps) @ centers
+        return np.array(
+            [np.hypot(*(centers - c).T) @ s for c, s in zip(middle, share(maps), strict=True)]
+        )
+
+    no_force = (
+        "no force was measured and the finger's motion is given: in slow motion, scaling all friction leaves "
+        "every pose unchanged"
+    )
+    weak_force = "the forces that count (steady pushing) are too few"
+    slow = "motion is so slow that friction outweighs inertia; what coasts or starts fast would tell"
+    measures = [
+        _Measure("total friction", "N", lambda m: load(m).sum(axis=1), True,
+                 "force in steady sliding" if has_force else "stopping distances", weak_force if has_force else no_force),
+        *(
+            _Measure(f"centre of friction, {axis}", "m", lambda m, i=i: (share(m) @ centers)[:, i], False,
+                     "the way the object turns when pushed", "no push turns the object about this direction")
+            for i, axis in enumerate("xy")
+        ),
+        _Measure("friction arm (mean distance from its centre)", "m", arm, True,
+                 "how much the object turns", "the object hardly turns in these pushes"),
+        _Measure("total mass", "kg", lambda m: m.mass.sum(axis=1), True,
+                 "acceleration against measured force",
+                 "weighed beforehand; these pushes add nothing" if weighed else slow),
+        *(
+            _Measure(f"centre of mass, {axis}", "m", lambda m, i=i: com(m)[:, i], False,
+                     "friction and inertia follow the mass", slow)
+            for i, axis in enumerate("xy")
+        ),
+        _Measure("moment of inertia about the centre of mass", "kg m²", inertia, True,
+                 "turning motion that speeds up or coasts", slow),
+        _Measure("finger friction", "-", lambda m: m.mu_finger, True,
+                 "the contact slides in some pushes", "the contact sticks in all pushes, or slides in all alike"),
+    ]  # fmt: skip
+    for name, cells in _regions(slider):
+        measures.append(
+            _Measure(f"share of mass x friction, {name}", "-", lambda m, c=cells: share(m)[:, c].sum(axis=1), False,
+                     "centre and arm of friction", "other distributions turn the object the same way")
+        )  # fmt: skip
+    return measures
+
+
+def _regions(slider: Slider) -> list[tuple[str, np.ndarray]]:
+    """The footprint cut into `REGIONS` equal lengths along its longer side."""
+    centers = slider.grid.centers
+    if len(centers) < 2 * REGIONS:
+        return []
+    axis = int(np.argmax(np.ptp(centers, axis=0)))
+    low, high = centers[:, axis].min(), centers[:, axis].max()
+    place = np.clip(((centers[:, axis] - low) / (high - low + 1e-12) * REGIONS).astype(int), 0, REGIONS - 1)
+    names = ("low", "middle", "high")
+    return [
+        (f"{names[k]} {'xy'[axis]} third", np.flatnonzero(place == k))
+        for k in range(REGIONS)
+        if (place == k).any()
+    ]

@@ -1,0 +1,227 @@
+"""How badly a model misses the measured pushes, and which way to go: robust costs and their normal equations.
+
+Poses are compared at the cells' centroid as (dx, dy, ρ dθ), ρ being the cells' radius of gyration, so that its norm
+is close to ADD. A rollout of the right model misses a measured push by the sensors' noise and by what no such
+model knows, which grows with the way travelled:
+
+    σ² = σ_noise² + σ_0² + (α travel)²
+
+Residuals along a push are one story told many times, so a push counts as a few independent poses, however densely
+it was sampled. Huber's cost keeps a push that the model cannot explain from deciding everything. The start pose of
+each push is known only as well as the tracker sees it; its offset is solved for along with the maps and
+eliminated from their equations (Schur complement).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from models.inference.observations import Observation
+from models.inference.prior import MapPrior
+from models.measurements import Noise
+from models.physics.cell_grid import FloatArray
+from models.physics.rollout import Rollouts
+
+
+@dataclass(frozen=True)
+class LikelihoodSettings:
+    """What the data are trusted with.
+
+    Attributes:
+        model_error: α, error of the best model as a share of the way travelled.
+        base_error: σ_0, m.
+        independent: as how many independent poses a push counts.
+        independent_forces: the same for its forces; they are there for the scale of friction.
+        force_error: error of the best model's force as a share of the push's typical force.
+        huber: residuals beyond so many standard deviations count linearly.
+        start_position: standard deviation of the start where noise is not declared, m.
+        start_angle: the same for the angle, rad.
+    """
+
+    model_error: float = 0.01
+    base_error: float = 5e-4
+    independent: float = 4.0
+    independent_forces: float = 0.5
+    force_error: float = 0.3
+    huber: float = 2.0
+    start_position: float = 1e-4
+    start_angle: float = 1e-3
+
+
+@dataclass(frozen=True, eq=False)
+class NormalEquations:
+    """Quadratic model of the cost around the present maps, start offsets eliminated.
+
+    Attributes:
+        cost: (K, B) robust cost of each push, its start offset's prior included.
+        hessian: (K, d, d) Gauss-Newton, weighted sum over pushes.
+        gradient: (K, d).
+        start_gain: (B, K, 3, 3) inverse Hessian of each push's start offset.
+        start_gradient: (B, K, 3).
+        coupling: (B, K, d, 3) maps by start.
+    """
+
+    cost: FloatArray
+    hessian: FloatArray
+    gradient: FloatArray
+    start_gain: FloatArray
+    start_gradient: FloatArray
+    coupling: FloatArray
+
+
+class Likelihood:
+    """Costs of K hypotheses against B observed pushes.
+
+    Args:
+        prior: coordinates of the maps.
+        observations: B pushes.
+        noise: of the sensors, where declared.
+        settings: trust.
+    """
+
+    def __init__(
+        self,
+        prior: MapPrior,
+        observations: Sequence[Observation],
+        noise: Noise,
+        settings: LikelihoodSettings,
+    ) -> None:
+        self.prior = prior
+        self.observations = list(observations)
+        self.settings = settings
+        centers = prior.slider.grid.centers
+        self._centroid = centers.mean(axis=0)
+        self._radius = float(np.sqrt(((centers - self._centroid) ** 2).sum(axis=1).mean()))
+        self._sigmas = [self._pose_sigma(observation, noise) for observation in self.observations]
+        self._force_sigmas = [self._force_sigma(observation, noise) for observation in self.observations]
+        # The start is a mean of several rows, hence better known than a row.
+        start = np.array([settings.start_position, settings.start_position, settings.start_angle])
+        if noise.position is not None and noise.angle is not None:
+            start = 0.4 * np.array([noise.position, noise.position, noise.angle])
+        self.start_sigma = start
+        self._pushes = [observation.push for observation in self.observations]
+        self._starts = np.array([push.start_pose for push in self._pushes])
+
+    def _pose_sigma(self, observation: Observation, noise: Noise) -> FloatArray:
+        s = self.settings
+        measured = noise.position or 0.0
+        travel = observation.travel(self.prior.slider.grid.centers)
+        return np.sqrt(measured**2 + s.base_error**2 + (s.model_error * travel) ** 2)
+
+    def _force_sigma(self, observation: Observation, noise: Noise) -> float:
+        if not observation.sliding.any():
+            return np.inf
+        typical = float(np.median(np.hypot(*observation.forces[observation.sliding].T)))
+        return float(np.hypot(self.settings.force_error * typical, noise.force or 0.0))
+
+    def residuals(self, rollouts: Rollouts, push: int) -> FloatArray:
+        """(K, S, 3) predicted minus measured, (dx, dy, ρ dθ) at the cells' centroid, m."""
+        measured = self.observations[push].poses
+        predicted = rollouts.poses_of(push)
+        here, there = self._at_centroid(predicted), self._at_centroid(measured)
+        return np.concatenate(
+            [here - there, self._radius * (predicted[..., 2:] - measured[..., 2:])], axis=-1
+        )
+
+    def _at_centroid(self, poses: FloatArray) -> FloatArray:
+        return poses[..., :2] + self._arm(poses)
+
+    def _arm(self, poses: FloatArray) -> FloatArray:
+        c, s = np.cos(poses[..., 2]), np.sin(poses[..., 2])
+        x, y = self._centroid
+        return np.stack([c * x - s * y, s * x + c * y], axis=-1)
+
+    def cost(self, z: FloatArray, offsets: FloatArray, strength: FloatArray) -> FloatArray:
+        """(K, B) costs alone."""
+        return self._evaluate(z, offsets, strength, None)[0]
+
+    def linearise(
+        self, z: FloatArray, offsets: FloatArray, strength: FloatArray, weights: FloatArray
+    ) -> NormalEquations:
+        """Costs and normal equations at coordinates z (K, d) and start offsets (K, B, 3).
+
+        Args:
+            z: coordinates of the prior.
+            offsets: start offsets, m and rad.
+            strength: (K,) see `MapPrior.maps`.
+            weights: (K, B) weight of each push in each hypothesis' equations; 0 leaves it out.
+        """
+        cost, equations = self._evaluate(z, offsets, strength, weights)
+        assert equations is not None
+        return NormalEquations(cost, *equations)
+
+    def _evaluate(
+        self, z: FloatArray, offsets: FloatArray, strength: FloatArray, weights: FloatArray | None
+    ) -> tuple[FloatArray, tuple[FloatArray, ...] | None]:
+        prior = self.prior
+        K, d, B = len(z), prior.size, len(self.observations)
+        maps = prior.maps(z, strength)
+        starts = self._starts[None] + offsets
+        twists = np.broadcast_to(np.array([push.start_twist for push in self._pushes]), (K, B, 3))
+        derive = weights is not None
+        rollouts = prior.slider.rollout(
+            maps, self._pushes, sensitivities=derive, start_poses=starts, start_twists=twists
+        )
+        scaled_offsets = offsets / self.start_sigma
+        cost = 0.5 * (scaled_offsets**2).sum(axis=-1)
+        if weights is not None:
+            by_pose = prior.chain(maps, rollouts.d_poses, strength)
+            by_force = prior.chain(maps, rollouts.d_forces, strength) if rollouts.d_forces.shape[1] else None
+            hessian = np.zeros((K, d, d))
+            gradient = np.zeros((K, d))
+            gains = np.empty((B, K, 3, 3))
+            start_gradients = np.empty((B, K, 3))
+            couplings = np.empty((B, K, d, 3))
+        for b, observation in enumerate(self.observations):
+            error = self.residuals(rollouts, b)
+            share = min(1.0, self.settings.independent / error.shape[1])
+            weight, push_cost = self._robust(np.linalg.norm(error, axis=-1) / self._sigmas[b])
+            cost[:, b] += share * push_cost.sum(axis=1)
+            sliding = observation.sliding
+            if sliding.any():
+                force_error = rollouts.forces_of(b)[:, sliding] - observation.forces[sliding]
+                force_share = min(1.0, self.settings.independent_forces / sliding.sum())
+                force_weight, force_cost = self._robust(
+                    np.linalg.norm(force_error, axis=-1) / self._force_sigmas[b]
+                )
+                cost[:, b] += force_share * force_cost.sum(axis=1)
+            if weights is None:
+                continue
+            root = np.sqrt(share * weight) / self._sigmas[b]
+            J = by_pose[:, rollouts.pose_at[b] : rollouts.pose_at[b + 1]].copy()
+            arm = self._arm(rollouts.poses_of(b))
+            J[:, :, 0] -= arm[..., 1:] * J[:, :, 2]
+            J[:, :, 1] += arm[..., :1] * J[:, :, 2]
+            J[:, :, 2] *= self._radius
+            J = (J * root[..., None, None]).reshape(K, -1, d + 3)
+            r = (error * root[..., None]).reshape(K, -1)
+            if sliding.any():
+                assert by_force is not None
+                root = np.sqrt(force_share * force_weight) / self._force_sigmas[b]
+                JF = by_force[:, rollouts.force_at[b] : rollouts.force_at[b + 1]][:, sliding]
+                J = np.concatenate([J, (JF * root[..., None, None]).reshape(K, -1, d + 3)], axis=1)
+                r = np.concatenate([r, (force_error * root[..., None]).reshape(K, -1)], axis=1)
+            transposed = J.transpose(0, 2, 1)
+            full = transposed @ J
+            slope = (transposed @ r[..., None])[..., 0]
+            start_hessian = full[:, d:, d:] + np.diag(self.start_sigma**-2.0)
+            start_gradient = slope[:, d:] + scaled_offsets[:, b] / self.start_sigma
+            coupling = full[:, :d, d:]
+            gain = np.linalg.inv(start_hessian)
+            w = weights[:, b]
+            hessian += w[:, None, None] * (full[:, :d, :d] - coupling @ gain @ coupling.transpose(0, 2, 1))
+            gradient += w[:, None] * (slope[:, :d] - (coupling @ gain @ start_gradient[..., None])[..., 0])
+            gains[b], start_gradients[b], couplings[b] = gain, start_gradient, coupling
+        if weights is None:
+            return cost, None
+        return cost, (hessian, gradient, gains, start_gradients, couplings)
+
+    def _robust(self, scaled: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Huber's weight and cost of residual norms in standard deviations."""
+        limit = self.settings.huber
+        beyond = scaled > limit
+        weight = np.where(beyond, limit / np.maximum(scaled, 1e-300), 1.0)
+        return weight, np.where(beyond, limit * (scaled - 0.5 * limit), 0.5 * scaled**2)

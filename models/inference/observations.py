@@ -1,0 +1,151 @@
+"""From a recorded trial to what identification compares: a push to simulate, and poses and forces to match."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+
+from models.measurements import PushDataset, Trial, finger_path, pose_times, wrench_samples
+from models.measurements.smoothing import smooth_track
+from models.physics.cell_grid import FloatArray
+from models.physics.paper_notation import add
+from models.physics.rollout import Push, Smoothing
+
+SAMPLES = 30
+"""Poses compared in a push. Residuals along a push are so correlated that more add nothing."""
+
+LONGEST_STEP = 0.01  # s
+LONGEST_STRIDE = 6e-4  # m that the finger may move in a step
+SLIDING_STEP = 2e-3  # s, for an object that starts in motion
+
+MEASURED_CONTACT = Smoothing(penetration=1e-4)
+"""Contact for recorded fingers: a tenth of a millimetre of give, as fingers have, lets the rest of the jitter
+pass without rattling the force."""
+
+
+@dataclass(frozen=True, eq=False)
+class Observation:
+    """One trial, ready to be compared with a rollout.
+
+    Attributes:
+        trial: its name.
+        role: `fit` or `heldout`.
+        push: what drives the object; its pose and force times are those of the rows below.
+        poses: (S, 3) measured world poses, m and rad.
+        forces: (T, 2) measured force of the finger on the object, world, N; T may be 0.
+        sliding: (T,) whether a force counts: the finger moves and presses, and neither its first touch nor
+            its stop is near, where force depends on contact stiffness rather than on friction.
+    """
+
+    trial: str
+    role: str
+    push: Push
+    poses: FloatArray
+    forces: FloatArray
+    sliding: np.ndarray
+
+    def travel(self, centers: FloatArray) -> FloatArray:
+        """(S,) ADD between each measured pose and the start, m."""
+        return add(self.poses, self.push.start_pose, centers)
+
+
+def observe(trial: Trial) -> Observation:
+    """Prepare one trial: smooth the finger's track, choose the step, average rows, mask forces."""
+    times = pose_times(trial)
+    duration = float(times[-1])
+    twist = trial.initial_velocity()
+    track_time, track = finger_path(trial)
+    track_time, track = smooth_track(track_time, track)
+    if trial.ends_only:
+        speed = float(np.hypot(*np.diff(track, axis=0).T).sum()) / duration
+        step = LONGEST_STRIDE / speed if speed > 0 else LONGEST_STEP
+    else:
+        speed = _fast_speed(track_time, track) if trial.has_finger else 0.0
+        step = min(LONGEST_STEP, LONGEST_STRIDE / speed) if speed > 0 else LONGEST_STEP
+    if twist.any():
+        step = min(step, SLIDING_STEP)
+    steps = max(8, int(np.ceil(duration / step)))
+    step = duration / steps
+    ends = step * np.arange(steps + 1)
+    tip = np.column_stack([np.interp(ends, track_time, column) for column in track.T])
+    if not trial.has_finger:
+        tip[:] = np.nan
+
+    start = trial.object_pose.values[0].copy()
+    if not trial.ends_only and not twist.any():
+        start = _resting_pose(trial.object_pose.values)
+    rows = np.unique(np.linspace(0, len(times) - 1, SAMPLES + 1).astype(int)[1:])
+    poses = _averaged_rows(trial.object_pose.values, rows)
+    force_times, forces = _force_rows(trial)
+    c, s = np.cos(start[2]), np.sin(start[2])
+    push = Push(
+        step,
+        tip,
+        start,
+        np.array([c * twist[0] + s * twist[1], c * twist[1] - s * twist[0], twist[2]]),
+        pose_times=np.minimum(times[rows], steps * step),
+        force_times=np.minimum(force_times, steps * step),
+    )
+    return Observation(trial.name, trial.role, push, poses, forces, _sliding(push, forces))
+
+
+def observe_all(dataset: PushDataset, trials: Iterable[Trial] | None = None) -> list[Observation]:
+    """Prepare some or all trials of a dataset."""
+    return [observe(trial) for trial in (dataset.trials if trials is None else trials)]
+
+
+def _fast_speed(time: FloatArray, track: FloatArray) -> float:
+    """Speed that the finger hardly exceeds (98th percentile), over 50 ms so that jitter does not count."""
+    grid = np.arange(time[0], time[-1], 0.01)
+    if len(grid) < 7:
+        return float(np.hypot(*(track[-1] - track[0])) / max(time[-1] - time[0], 1e-9))
+    x, y = (np.interp(grid, time, column) for column in track.T)
+    return float(np.percentile(np.hypot(x[5:] - x[:-5], y[5:] - y[:-5]) / 0.05, 98))
+
+
+def _resting_pose(poses: FloatArray) -> FloatArray:
+    """Mean of the rows before the object moves, so that noise of the first row does not shift the push."""
+    jitter = 3.0 * float(np.median(np.abs(np.diff(poses[:, :2], axis=0)))) + 1e-4
+    moved = np.hypot(*(poses[:, :2] - poses[0, :2]).T) + 0.03 * np.abs(poses[:, 2] - poses[0, 2])
+    moving = np.flatnonzero(moved > max(jitter, 5e-4))
+    still = int(0.7 * (moving[0] if len(moving) else len(poses)))
+    return poses[: max(1, still)].mean(axis=0)
+
+
+def _averaged_rows(poses: FloatArray, rows: np.ndarray) -> FloatArray:
+    """Poses at some rows, each the mean of five where rows are dense; the mean keeps their time."""
+    half = 2 if len(poses) > 100 else 0
+    return np.array(
+        [
+            poses[row - half : row + half + 1].mean(axis=0) if half <= row < len(poses) - half else poses[row]
+            for row in rows
+        ]
+    )
+
+
+def _force_rows(trial: Trial) -> tuple[FloatArray, FloatArray]:
+    """Mean forces over `SAMPLES` equal stretches of the trial that hold any rows, and their middles."""
+    samples = wrench_samples(trial)
+    if samples is None or len(samples[0]) == 0 or trial.ends_only:
+        return np.zeros(0), np.zeros((0, 2))
+    time, wrench = samples
+    edges = np.linspace(0.0, float(pose_times(trial)[-1]), SAMPLES + 1)
+    place = np.clip(np.searchsorted(edges, time, side="right") - 1, 0, SAMPLES - 1)
+    used = np.unique(place)
+    means = np.array([wrench[place == k, :2].mean(axis=0) for k in used])
+    return 0.5 * (edges[used] + edges[used + 1]), means
+
+
+def _sliding(push: Push, forces: FloatArray) -> np.ndarray:
+    """Rows of force in steady pushing: finger fast, force present, and so in both neighbours."""
+    if len(forces) == 0 or np.isnan(push.tip).any():
+        return np.zeros(len(forces), dtype=bool)
+    speed = np.hypot(*np.diff(push.tip, axis=0).T) / push.h
+    assert push.force_times is not None
+    at = np.clip((push.force_times / push.h).astype(int), 0, len(speed) - 1)
+    size = np.hypot(*forces.T)
+    steady = (speed[at] > 0.2 * speed.max()) & (size > 0.2 * np.percentile(size, 90))
+    padded = np.concatenate([[True], steady, [True]])
+    return steady & padded[:-2] & padded[2:]

@@ -1,0 +1,334 @@
+"""Algorithm 1 of Song and Boularias (IROS 2020): K bounded gradient descents, weighed by a soft-max of their losses.
+
+Line numbers below are those of the printed algorithm, x is its pose vector of 3n numbers (`paper_notation.py`). Lines
+1 to 6 record pushes; `identify_by_algorithm_1` takes recorded ones. Where the text leaves a choice:
+
+- The printed loop over pushes finds the K models anew after each push. Those of fewer pushes are superseded, so only
+  the last round, over all pushes, is run; P is over its K models.
+- With t counted as printed, ẋ_t moves x_t to x_{t+1}: V takes (x_t, ẋ_t) to ẋ_{t+1}, which moves x_{t+1} to x_{t+2}.
+  ẋ_t comes from the poses by a finite difference. V is `Slider`'s step from x_{t+1} with the last twist ẋ_t; the known
+  motion of the finger takes the place of the force F_t, which few robots record.
+- Equation 1 predicts each step from the observed state, line 18 from the simulated one. Both are used: the loss of
+  line 20, and with it P, judges the simulated trajectory; lines 21 and 22 descend the gradient of Equation 1, for
+  which the derivative of one step is exact.
+- Lines 20 and 21 print two indices, t+2 and t+1, for the pose that is compared. Here both mean x_{t+2}, the one pose
+  that V predicts at t (at t = 0 the printed x_{t+1} is the observed pose itself).
+- W of lines 21 and 22 is not given. Here it is ∂x_{t+2}/∂mu and ∂x_{t+2}/∂M, (3n, n), exact by the implicit function
+  theorem, and Diag(x - x^g) W is summed over its 3n rows: the gradient of ½ |x - x^g|².
+- One rate cannot serve kilograms and coefficients: each map is stepped in units of its own bound,
+  mu ← mu - α mu_max² Diag(…) W, and the same for M.
+- The projections of lines 23 and 24 are clippings. The lower bound is `FLOOR` of the upper one rather than 0: an
+  object without mass or friction has no unique motion.
+- The trajectory may be passed more than once (`epochs`). The loss starts from 0 in each pass; the last one counts.
+
+For even K the models K/2 and K have the same bounds and coincide, as printed. The norm of a 3n vector adds metres and
+radians, as printed. One-step predictions rely on velocities differentiated from noisy poses and on the recorded finger
+touching the recorded outline: clocks that disagree mislead this method more than a comparison of whole trajectories.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from models.inference.belief import Belief
+from models.inference.observations import MEASURED_CONTACT
+from models.measurements import DatasetError, PushDataset, Trial, finger_path, pose_times
+from models.measurements.smoothing import smooth_track
+from models.physics.cell_grid import FloatArray
+from models.physics.paper_notation import cell_poses
+from models.physics.rollout import Maps, Push, Slider
+
+HYPOTHESES = 20
+
+FLOOR = 1e-4
+"""Lower bound of masses and frictions as a share of their upper bounds."""
+
+STEPS = 20
+"""Time steps a recorded push is cut into. Shorter ones move the object less than trackers and outlines err."""
+
+EPOCHS = 10
+RATE = 0.03
+"""α |W|², the share of a step's error that one update removes where the step is linear, see `_learning_rate`."""
+
+TEMPERATURE = 0.01
+"""Soft-max temperature as a share of the loss of an object that never moves."""
+
+MU_MAX = 1.0
+MU_FINGER = 0.35
+NOMINAL_MASS = 1.0  # kg, of an object that nobody weighed
+
+Progress = Callable[[int, int], None]
+
+
+@dataclass(frozen=True, eq=False)
+class ObservedPush:
+    """A recorded push at T + 1 times, dt apart.
+
+    Attributes:
+        dt: s.
+        poses: (T + 1, 3) x^g, world pose of the object, m and unwrapped rad; T >= 2.
+        tip: (T + 1, 2) finger centre, world, m; NaN where there is no finger.
+
+    Raises:
+        ValueError: shapes that do not fit, fewer than three poses, poses that are not finite, dt not positive.
+    """
+
+    dt: float
+    poses: FloatArray
+    tip: FloatArray
+
+    def __post_init__(self) -> None:
+        poses, tip = np.asarray(self.poses, dtype=float), np.asarray(self.tip, dtype=float)
+        if not (np.isfinite(self.dt) and self.dt > 0):
+            raise ValueError(f"observed push: dt must be positive, got {self.dt} s")
+        if poses.ndim != 2 or poses.shape[1] != 3 or len(poses) < 3 or not np.isfinite(poses).all():
+            raise ValueError(f"observed push: needs finite poses (T + 1, 3) with T >= 2, got shape {poses.shape}")
+        if tip.shape != (len(poses), 2):
+            raise ValueError(f"observed push: tip must have shape ({len(poses)}, 2), got {tip.shape}")
+        object.__setattr__(self, "poses", poses)
+        object.__setattr__(self, "tip", tip)
+
+    @property
+    def twists(self) -> FloatArray:
+        """(T, 3) ẋ^g_t in the object frame: the constant twist that moves pose t to pose t + 1 in dt."""
+        half = 0.5 * np.diff(self.poses[:, 2])
+        dx, dy = np.diff(self.poses[:, :2], axis=0).T / np.sinc(half / np.pi)
+        c, s = np.cos(self.poses[:-1, 2] + half), np.sin(self.poses[:-1, 2] + half)
+        return np.stack([c * dx + s * dy, c * dy - s * dx, 2.0 * half], axis=-1) / self.dt
+
+    def transitions(self) -> list[Push]:
+        """T - 1 single steps: number t starts in the observed (x_{t+1}, ẋ_t) and predicts x_{t+2}."""
+        return [
+            Push(self.dt, self.tip[t + 1 : t + 3], self.poses[t + 1], twist)
+            for t, twist in enumerate(self.twists[:-1])
+        ]
+
+
+def bound_schedule(hypotheses: int, mass_max: float, mu_max: float) -> tuple[FloatArray, FloatArray]:
+    """Lines 8 to 12: upper bounds (K,) of mass and of friction of the K models.
+
+    Raises:
+        ValueError: fewer than one model, or a maximum that is not positive.
+    """
+    if hypotheses < 1:
+        raise ValueError(f"Algorithm 1: needs at least one hypothesis, got {hypotheses}")
+    for name, value in (("mass_max", mass_max), ("mu_max", mu_max)):
+        if not (np.isfinite(value) and value > 0):
+            raise ValueError(f"Algorithm 1: {name} must be positive, got {value}")
+    share = 2.0 * np.arange(1, hypotheses + 1) / hypotheses
+    return np.where(share <= 1, 1.0, share - 1) * mass_max, np.minimum(share, 1.0) * mu_max
+
+
+def soft_max(loss: FloatArray, temperature: float) -> FloatArray:
+    """Line 30: probabilities (K,) of models with losses (K,).
+
+    Raises:
+        ValueError: a temperature that is not positive.
+    """
+    if not (np.isfinite(temperature) and temperature > 0):
+        raise ValueError(f"Algorithm 1: the temperature must be positive, got {temperature}")
+    # Losses count from the least one, or all exponentials could be 0.
+    weight = np.exp(-(loss - loss.min()) / temperature)
+    return weight / weight.sum()
+
+
+def algorithm_1(
+    slider: Slider,
+    pushes: Sequence[ObservedPush],
+    *,
+    hypotheses: int = HYPOTHESES,
+    mass_max: float,
+    mu_max: float,
+    mu_finger: float,
+    learning_rate: float,
+    temperature: float,
+    epochs: int = 1,
+    progress: Progress | None = None,
+) -> tuple[Maps, FloatArray, FloatArray]:
+    """K models of an object from recorded pushes; see the head of this file for how the printed lines are read.
+
+    Args:
+        slider: the object and its step V.
+        pushes: recorded trajectories, passed one after the other.
+        hypotheses: K.
+        mass_max: largest mass of a cell, kg.
+        mu_max: largest friction coefficient of a cell.
+        mu_finger: friction coefficient of the finger, which the algorithm does not identify.
+        learning_rate: α_rate for maps in units of their bounds; per unit of |x - x^g|².
+        temperature: τ, in units of the loss.
+        epochs: passes over all pushes.
+        progress: called after each push with the number of passes through a push and that of all.
+
+    Returns:
+        Maps of K models, their losses (K,) and probabilities (K,).
+
+    Raises:
+        ValueError: no pushes, or a parameter out of range.
+        RolloutError: a step that could not be solved.
+    """
+    if not pushes:
+        raise ValueError("Algorithm 1: there are no pushes to learn from")
+    if not (np.isfinite(learning_rate) and learning_rate > 0) or epochs < 1:
+        raise ValueError(f"Algorithm 1: learning_rate {learning_rate} and epochs {epochs} must be positive")
+    n, K = len(slider.grid), hypotheses
+    centers = slider.grid.centers
+    bound = np.repeat(np.column_stack(bound_schedule(K, mass_max, mu_max)), n, axis=1)  # (K, 2n), mass first
+    estimate = 0.5 * bound  # lines 14, 15
+    finger = np.full(K, float(mu_finger))
+    transitions = [push.transitions() for push in pushes]
+
+    def maps() -> Maps:
+        return Maps(estimate[:, :n], estimate[:, n:], finger)
+
+    for epoch in range(epochs):
+        loss = np.zeros(K)  # line 16
+        for b, push in enumerate(pushes):
+            q, v = np.tile(push.poses[1], (K, 1)), np.tile(push.twists[0], (K, 1))  # line 13
+            for t, step in enumerate(transitions[b]):
+                result = slider.rollout(
+                    maps(),
+                    [step, step],
+                    sensitivities=True,
+                    start_poses=np.stack([q, np.broadcast_to(step.start_pose, (K, 3))], axis=1),
+                    start_twists=np.stack([v, np.broadcast_to(step.start_twist, (K, 3))], axis=1),
+                )
+                observed = cell_poses(push.poses[t + 2], centers)
+                # The first of the two started in the simulated state, the second in the observed one.
+                q, v = result.end[:, 0, :3], result.end[:, 0, 3:]  # lines 18, 19
+                loss += np.linalg.norm(cell_poses(q, centers) - observed, axis=1)  # line 20
+                predicted = result.poses[:, 1]
+                difference = cell_poses(predicted, centers) - observed
+                by_maps = slider.map_columns(maps(), result.d_poses[:, 1])[..., : 2 * n]
+                # Wᵀ (x - x^g) with W = (∂x/∂q) (∂q/∂(M, mu)), multiplied from the left.
+                pull = np.einsum("kic,ki->kc", _cells_by_pose(predicted, centers), difference)
+                gradient = np.einsum("kc,kcp->kp", pull, by_maps)
+                estimate = estimate - learning_rate * bound**2 * gradient  # lines 21, 22
+                estimate = np.clip(estimate, FLOOR * bound, bound)  # lines 23, 24
+            if progress is not None:
+                progress(epoch * len(pushes) + b + 1, epochs * len(pushes))
+    return maps(), loss, soft_max(loss, temperature)
+
+
+def identify_by_algorithm_1(
+    dataset: PushDataset,
+    *,
+    hypotheses: int = HYPOTHESES,
+    seed: int = 0,
+    progress: Callable[[str, int, int], None] | None = None,
+) -> Belief:
+    """Algorithm 1 on the fit pushes of a dataset, with parameters that fit small and heavy objects alike.
+
+    Each push is cut into `STEPS` equal steps, fewer where it has fewer poses. A cell's mass is at most twice the
+    object's mass over n (of `NOMINAL_MASS` where nobody weighed it), so that most models start with the known
+    mass; nothing holds them to it. Learning rate and temperature are set from the pushes, see `RATE` and
+    `TEMPERATURE`. Forces are not used.
+
+    Args:
+        dataset: measured pushes. Trials with fewer than three poses show no time steps and are left out.
+        hypotheses: K.
+        seed: recorded in the belief; the algorithm draws nothing at random.
+        progress: called with (stage, done, total).
+
+    Raises:
+        DatasetError: no fit push with three poses or more, or none that moves the object.
+        ValueError: fewer than one hypothesis.
+    """
+    trials = [trial for trial in dataset.fit_trials if len(trial.object_pose.time) >= 3]
+    if not trials:
+        raise DatasetError(
+            f"dataset {dataset.name}: Algorithm 1 compares single time steps and needs a fit push with three "
+            "poses or more; use the method gauss-newton for pushes of which only the ends are known"
+        )
+    slider = Slider(dataset.grid, dataset.finger_radius, dataset.gravity, MEASURED_CONTACT)
+    pushes = [observe_steps(trial) for trial in trials]
+    still = _loss_of_rest(pushes, dataset.grid.centers)
+    if still == 0:
+        raise DatasetError(f"dataset {dataset.name}: no fit push moves the object; there is nothing to learn from")
+    total = dataset.mass if dataset.mass is not None else NOMINAL_MASS
+    parameters = {"mass_max": 2.0 * total / len(dataset.grid), "mu_max": MU_MAX, "mu_finger": MU_FINGER}
+    rates = {
+        "learning_rate": _learning_rate(slider, pushes, **parameters),
+        "temperature": TEMPERATURE * still,
+    }
+    report = progress or (lambda stage, done, total: None)
+    maps, loss, probability = algorithm_1(
+        slider,
+        pushes,
+        hypotheses=hypotheses,
+        **parameters,
+        **rates,
+        epochs=EPOCHS,
+        progress=lambda done, total: report("Algorithm 1", done, total),
+    )
+    return Belief(
+        grid=dataset.grid,
+        finger_radius=dataset.finger_radius,
+        gravity=dataset.gravity,
+        maps=maps,
+        probability=probability,
+        smoothing=slider.smoothing,
+        dataset=dataset.name,
+        fingerprint=dataset.fingerprint,
+        method="paper",
+        seed=seed,
+        settings={
+            "hypotheses": hypotheses,
+            "fit_trials": [trial.name for trial in trials],
+            "left_out": [trial.name for trial in dataset.fit_trials if trial not in trials],
+            "known_mass": dataset.mass,
+            "steps": [len(push.poses) - 1 for push in pushes],
+            "epochs": EPOCHS,
+            "floor": FLOOR,
+            "rate": RATE,
+            "temperature_share": TEMPERATURE,
+            **parameters,
+            **rates,
+            "loss": loss.tolist(),
+            "loss_of_rest": still,
+        },
+    )
+
+
+def observe_steps(trial: Trial) -> ObservedPush:
+    """A recorded trial of three poses or more at equal times, linear between rows, the finger's track smoothed."""
+    times = pose_times(trial)
+    steps = min(STEPS, len(times) - 1)
+    ends = np.linspace(0.0, times[-1], steps + 1)
+    track_times, track = smooth_track(*finger_path(trial))
+    tip = np.column_stack([np.interp(ends, track_times, column) for column in track.T])
+    if not trial.has_finger:
+        tip[:] = np.nan
+    return ObservedPush(float(times[-1]) / steps, trial.object_pose.at(trial.start + ends), tip)
+
+
+def _loss_of_rest(pushes: Sequence[ObservedPush], centers: FloatArray) -> float:
+    """The loss of line 20 for an object that stays where it is first seen."""
+    x = [cell_poses(push.poses, centers) for push in pushes]
+    return float(sum(np.linalg.norm(poses[2:] - poses[1], axis=1).sum() for poses in x))
+
+
+def _learning_rate(
+    slider: Slider, pushes: Sequence[ObservedPush], *, mass_max: float, mu_max: float, mu_finger: float
+) -> float:
+    """α = `RATE` over the mean of |W|² at the uniform start, W by maps in units of their bounds."""
+    n = len(slider.grid)
+    start = Maps(np.full((1, n), 0.5 * mass_max), np.full((1, n), 0.5 * mu_max), np.array([mu_finger]))
+    bound = np.repeat([mass_max, mu_max], n)
+    result = slider.rollout(start, [step for push in pushes for step in push.transitions()], sensitivities=True)
+    by_maps = slider.map_columns(start, result.d_poses)[0, ..., : 2 * n] * bound
+    by_pose = _cells_by_pose(result.poses[0], slider.grid.centers)
+    # |E D|² = tr(Eᵀ E D Dᵀ), over rigid motions instead of cells.
+    square = np.einsum("sic,sid,scp,sdp->s", by_pose, by_pose, by_maps, by_maps, optimize=True)
+    return RATE / float(square.mean())
+
+
+def _cells_by_pose(q: FloatArray, centers: FloatArray) -> FloatArray:
+    """∂x/∂q: derivative (K, 3n, 3) of the 3n pose by the planar poses q (K, 3)."""
+    K, n = len(q), len(centers)
+    arm = cell_poses(q, centers).reshape(K, n, 3)[..., :2] - q[:, None, :2]
+    result = np.tile(np.eye(3), (K, n, 1, 1))
+    result[..., 0, 2], result[..., 1, 2] = -arm[..., 1], arm[..., 0]
+    return result.reshape(K, 3 * n, 3)

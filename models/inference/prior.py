@@ -1,0 +1,152 @@
+"""What is believed of the maps before any push: smooth, positive, of unknown scale.
+
+Maps are functions of whitened coordinates z, so that the prior is z ~ N(0, 1) in each:
+
+    m_i   = m_total · exp(σ_m (B z_m)_i) / Σ_j exp(σ_m (B z_m)_j)
+    mu_i  = exp(log mu_0 + σ_scale z_mu0 + σ_mu (B z_mu)_i)
+    mu_f  = exp(log mu_f0 + σ_f z_f),        m_total = m_0 exp(σ_total z_total)
+
+B Bᵀ is a squared-exponential covariance over the cell centres plus a share of white noise: neighbouring cells are
+alike, but need not be. Logarithms keep masses and frictions positive and make the units immaterial: an object
+of 165 kg is as likely as one of 165 g.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from models.physics.cell_grid import CellGrid, FloatArray
+from models.physics.rollout import Maps, Slider
+
+
+@dataclass(frozen=True)
+class PriorSettings:
+    """Strength of the prior, in standard deviations of natural logarithms.
+
+    Attributes:
+        mass_map: σ_m, how much a cell's mass differs from the mean.
+        friction_map: σ_mu, how much a cell's friction differs from the mean.
+        friction_scale: σ_scale of the mean friction.
+        friction_mean: mu_0.
+        finger_friction: σ_f.
+        finger_friction_mean: mu_f0.
+        known_mass: σ_total where the object was weighed.
+        unknown_mass: σ_total where it was not; the median is then 1 kg.
+        length: reach of the covariance in diameters of the footprint.
+        white: share of the variance that neighbours do not share.
+        largest_friction: upper bound of mu and mu_f.
+        modes: most coordinates a map may have; finer variation cannot be seen from pushes.
+    """
+
+    mass_map: float = 0.35
+    friction_map: float = 0.1
+    friction_scale: float = 0.7
+    friction_mean: float = 0.3
+    finger_friction: float = 0.8
+    finger_friction_mean: float = 0.35
+    known_mass: float = 0.02
+    unknown_mass: float = 2.0
+    length: float = 0.35
+    white: float = 0.05
+    largest_friction: float = 3.0
+    modes: int = 96
+
+
+class MapPrior:
+    """Coordinates of maps on one grid, see the formulas above.
+
+    Args:
+        slider: the model whose maps are meant.
+        settings: strength.
+        mass: total mass if it was weighed, kg.
+    """
+
+    def __init__(self, slider: Slider, settings: PriorSettings, mass: float | None) -> None:
+        self.slider = slider
+        self.settings = settings
+        self.total_mass = mass if mass is not None else 1.0
+        self.total_spread = settings.known_mass if mass is not None else settings.unknown_mass
+
+    @cached_property
+    def basis(self) -> FloatArray:
+        """(n, r) B: columns sorted by how much of the prior's variance they carry."""
+        return covariance_basis(self.slider.grid, self.settings)
+
+    @property
+    def size(self) -> int:
+        """Number of coordinates: z_m (r), z_mu (r), z_total, z_mu0, z_f."""
+        return 2 * self.basis.shape[1] + 3
+
+    def start(self, finger_friction: float) -> FloatArray:
+        """(size,) coordinates of the uniform object with some finger friction."""
+        z = np.zeros(self.size)
+        z[-1] = np.log(finger_friction / self.settings.finger_friction_mean) / self.settings.finger_friction
+        return z
+
+    def maps(self, z: FloatArray, strength: FloatArray | float = 1.0) -> Maps:
+        """Maps at coordinates (K, size); `strength` (K,) scales σ_m and σ_mu."""
+        r = self.basis.shape[1]
+        s = self.settings
+        scale = np.broadcast_to(np.asarray(strength, dtype=float), (len(z),))[:, None]
+        shape = np.clip(s.mass_map * scale * (z[:, :r] @ self.basis.T), -20.0, 20.0)
+        shape = np.exp(shape - shape.max(axis=1, keepdims=True))
+        total = self.total_mass * np.exp(np.clip(self.total_spread * z[:, 2 * r], -12.0, 12.0))
+        log_mu = (
+            np.log(s.friction_mean)
+            + s.friction_scale * z[:, 2 * r + 1 : 2 * r + 2]
+            + s.friction_map * scale * (z[:, r : 2 * r] @ self.basis.T)
+        )
+        log_finger = np.log(s.finger_friction_mean) + s.finger_friction * z[:, -1]
+        top = np.log(s.largest_friction)
+        return Maps(
+            total[:, None] * shape / shape.sum(axis=1, keepdims=True),
+            np.exp(np.clip(log_mu, -8.0, top)),
+            np.exp(np.clip(log_finger, -8.0, top)),
+        )
+
+    def chain(self, maps: Maps, derivative: FloatArray, strength: FloatArray | float = 1.0) -> FloatArray:
+        """Turn derivatives by a rollout's reduced columns (K, …, P) into derivatives by z and start pose.
+
+        Where a friction is at its bound the derivative is that of the unbounded formula, so that a step can
+        lead back inside.
+
+        Returns:
+            (K, …, size + 3): coordinates, then start x, y, θ.
+        """
+        n = len(self.slider.grid)
+        s = self.settings
+        ones = (len(maps),) + (1,) * (derivative.ndim - 2)
+        scale = np.broadcast_to(np.asarray(strength, dtype=float), (len(maps),)).reshape((*ones, 1))
+        load = (maps.mass * maps.mu * self.slider.gravity).reshape((*ones, n))
+        by_log_mu = derivative[..., :n] * load
+        by_log_mass = by_log_mu + (
+            derivative[..., n : n + 4] @ self.slider.inertia_basis.T
+        ) * maps.mass.reshape((*ones, n))
+        by_total = by_log_mass.sum(axis=-1, keepdims=True)
+        share = maps.mass / maps.mass.sum(axis=1, keepdims=True)
+        return np.concatenate(
+            [
+                s.mass_map * scale * (by_log_mass @ self.basis - by_total * (share @ self.basis).reshape((*ones, -1))),
+                s.friction_map * scale * (by_log_mu @ self.basis),
+                by_total * self.total_spread,
+                by_log_mu.sum(axis=-1, keepdims=True) * s.friction_scale,
+                derivative[..., n + 4 : n + 5] * (s.finger_friction * maps.mu_finger).reshape((*ones, 1)),
+                derivative[..., n + 5 : n + 8],
+            ],
+            axis=-1,
+        )
+
+
+def covariance_basis(grid: CellGrid, settings: PriorSettings) -> FloatArray:
+    """(n, r) square root of the covariance of a map over the cells, cut to its leading modes."""
+    centers = grid.centers
+    diameter = float(np.hypot(*(np.ptp(centers, axis=0) + grid.width)))
+    distance2 = ((centers[:, None] - centers[None]) ** 2).sum(axis=-1)
+    smooth = np.exp(-0.5 * distance2 / (settings.length * diameter) ** 2)
+    covariance = (1.0 - settings.white) * smooth + settings.white * np.eye(len(centers))
+    values, vectors = np.linalg.eigh(covariance)
+    order = np.argsort(values)[::-1][: settings.modes]
+    return vectors[:, order] * np.sqrt(np.maximum(values[order], 0.0))

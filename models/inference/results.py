@@ -1,0 +1,121 @@
+"""What an identification and a prediction report."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from models.inference.belief import Belief
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class PushPrediction:
+    """One push as measured and as a belief predicts it from its first pose.
+
+    Attributes:
+        trial: name of the trial.
+        role: `fit` or `heldout`.
+        times: (S,) s after the first pose.
+        measured: (S, 3) poses of the object.
+        hypotheses: (K, S, 3) predicted poses.
+        predicted: (S, 3) probability-weighted mean of the hypotheses.
+        final_add: mean distance of the cells at the end between `predicted` and measured, m.
+        spread: probability-weighted mean ADD of the hypotheses from `predicted` at the end, m.
+        no_motion_add: final ADD of an object that does not move, m.
+        uniform_add: final ADD of the uniform object, m.
+        start_sensitivity: how many metres the predicted end moves (ADD) for a metre of sideways shift of
+            the start; large where the push starts near to balance and half a millimetre decides.
+    """
+
+    trial: str
+    role: str
+    times: FloatArray
+    measured: FloatArray
+    hypotheses: FloatArray
+    predicted: FloatArray
+    final_add: float
+    spread: float
+    no_motion_add: float
+    uniform_add: float
+    start_sensitivity: float
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """One physical quantity, what the belief says of it, and whether these pushes pin it down.
+
+    Attributes:
+        name: for a person, such as `centre of mass, x`.
+        unit: SI.
+        value: median over the belief.
+        low: lower end of the 90 % interval.
+        high: upper end.
+        pinned: whether the data, rather than the prior, decide it.
+        reason: why, or why not.
+    """
+
+    name: str
+    unit: str
+    value: float
+    low: float
+    high: float
+    pinned: bool
+    reason: str
+
+
+@dataclass(frozen=True, eq=False)
+class Identification:
+    """Result of `identify`."""
+
+    belief: Belief
+    pushes: tuple[PushPrediction, ...]
+    quantities: tuple[Quantity, ...]
+    seconds: float
+
+    def errors(self, role: str, of: str = "final_add") -> FloatArray:
+        """Final ADD (m) of all pushes with a role; `of` may also be `no_motion_add` or `uniform_add`."""
+        return np.array([getattr(push, of) for push in self.pushes if push.role == role])
+
+    def to_json(self) -> dict[str, object]:
+        """The machine-readable result; lengths in m, angles in rad, null where there is nothing to average."""
+
+        def mean(values: FloatArray) -> float | None:
+            return float(values.mean()) if len(values) else None
+
+        heldout = self.errors("heldout")
+        return {
+            "fit_error_mean": mean(self.errors("fit")),
+            "heldout_error_mean": mean(heldout),
+            "heldout_error_median": float(np.median(heldout)) if len(heldout) else None,
+            "no_motion_error_mean": mean(self.errors("heldout", "no_motion_add")),
+            "uniform_error_mean": mean(self.errors("heldout", "uniform_add")),
+            "trials": [
+                {
+                    "trial": push.trial,
+                    "role": push.role,
+                    "final_add": push.final_add,
+                    "spread": push.spread,
+                    "no_motion_add": push.no_motion_add,
+                    "uniform_add": push.uniform_add,
+                    "start_sensitivity": push.start_sensitivity,
+                }
+                for push in self.pushes
+            ],
+            "hypotheses": [
+                {
+                    "probability": float(self.belief.probability[k]),
+                    "mass": float(self.belief.maps.mass[k].sum()),
+                    "center_of_mass": self.belief.centers_of_mass[k].tolist(),
+                    "friction_force": float(self.belief.friction_forces[k]),
+                    "mu_finger": float(self.belief.maps.mu_finger[k]),
+                }
+                for k in range(len(self.belief))
+            ],
+            "identifiable": [vars(quantity) for quantity in self.quantities],
+            "seconds": self.seconds,
+            "seed": self.belief.seed,
+        }

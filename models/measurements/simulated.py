@@ -1,0 +1,151 @@
+"""Pushes of an object whose maps are known, recorded as sensors would: for demonstrations and checks."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+import shapely
+
+from models.measurements.push_dataset import Channel, Noise, PushDataset, Role, Trial
+from models.physics.cell_grid import CellGrid, FloatArray
+from models.physics.rollout import Maps, Push, Slider
+
+GOOD_SENSORS = Noise(position=0.25e-3, angle=float(np.radians(0.15)), tip=0.05e-3, force=0.05)
+"""A marker tracker, a stiff arm and a wrist force sensor."""
+
+
+def record_pushes(
+    slider: Slider,
+    maps: Maps,
+    pushes: Sequence[Push],
+    rng: np.random.Generator,
+    *,
+    noise: Noise = GOOD_SENSORS,
+    heldout: int = 0,
+    rate: float = 100.0,
+    name: str = "simulated",
+    description: str = "",
+    height: float | None = None,
+    mass: float | None = None,
+) -> PushDataset:
+    """Simulate pushes and record them with independent normal noise on every row.
+
+    A row of force is the mean over 1 / rate, stamped in the middle, as a sensor with a filter gives it.
+
+    Args:
+        slider: the object's model.
+        maps: the true maps, one model.
+        pushes: B pushes by a finger, each from its own start pose.
+        rng: source of the noise.
+        noise: standard deviations; None is no noise. The torque has that of the force times the radius.
+        heldout: so many of the last pushes are for judging, the others for learning.
+        rate: rows a second of every channel.
+        name: of the dataset.
+        description: free text.
+        height: of the object, m, if it is to be told.
+        mass: of the object, kg, if it is to be told.
+
+    Raises:
+        ValueError: several models, a push without a finger, a number of held-out pushes that does not fit, or
+            a rate that is not positive.
+    """
+    if len(maps) != 1:
+        raise ValueError(f"recording: wants the true maps alone, one model, got {len(maps)}")
+    if not 0 <= heldout <= len(pushes) or not pushes:
+        raise ValueError(
+            f"recording: {heldout} of {len(pushes)} pushes cannot be held out; take 0 to all of one or more"
+        )
+    if not (np.isfinite(rate) and rate > 0):
+        raise ValueError(f"recording: rate must be positive, got {rate} Hz")
+    timed = [_sampled(push, rate, index) for index, push in enumerate(pushes)]
+    rollouts = slider.rollout(maps, timed)
+    trials = []
+    for index, push in enumerate(timed):
+        assert push.pose_times is not None
+        role: Role = "heldout" if index >= len(pushes) - heldout else "fit"
+        tip = _at(push.pose_times, _ends(push), push.tip)
+        poses = Channel(push.pose_times, rollouts.poses_of(index)[0])
+        wrench = _wrench(slider.grid, push, poses, rollouts.forces_of(index)[0], rate)
+        force = noise.force or 0.0
+        trials.append(
+            Trial(
+                f"trials/{index:03d}.json",
+                role,
+                _measured(rng, poses, [noise.position, noise.position, noise.angle]),
+                _measured(rng, Channel(push.pose_times, tip), [noise.tip, noise.tip]),
+                _measured(rng, wrench, [force, force, force * slider.finger_radius]),
+            )
+        )
+    return PushDataset(
+        name=name,
+        description=description,
+        grid=slider.grid,
+        height=height,
+        mass=mass,
+        finger_radius=slider.finger_radius,
+        table=None,
+        gravity=slider.gravity,
+        noise=noise,
+        trials=tuple(trials),
+        fingerprint=_fingerprint(trials),
+    )
+
+
+def _sampled(push: Push, rate: float, index: int) -> Push:
+    """The push with poses at `rate` and the force of every step."""
+    if not np.isfinite(push.tip).all():
+        raise ValueError(f"recording: push {index} has no finger; a recorded push needs one")
+    steps = len(push.tip) - 1
+    rows = np.arange(int(np.floor(steps * push.h * rate * (1 + 1e-12))) + 1) / rate
+    if len(rows) < 3 or push.h * rate > 1.0:
+        raise ValueError(
+            f"recording: push {index} lasts {steps * push.h:.3g} s in steps of {push.h:.3g} s; at {rate:g} Hz"
+            " there must be three rows or more, and a step for each"
+        )
+    return replace(push, pose_times=rows, force_times=_ends(push)[1:] - 0.5 * push.h)
+
+
+def _ends(push: Push) -> FloatArray:
+    """(N + 1,) times of the ends of steps, s."""
+    return push.h * np.arange(len(push.tip), dtype=float)
+
+
+def _at(times: FloatArray, known: FloatArray, values: FloatArray) -> FloatArray:
+    return np.column_stack([np.interp(times, known, column) for column in values.T])
+
+
+def _measured(rng: np.random.Generator, true: Channel, levels: Sequence[float | None]) -> Channel:
+    sigma = np.array([level or 0.0 for level in levels])
+    return Channel(true.time, true.values + sigma * rng.standard_normal(true.values.shape))
+
+
+def _wrench(grid: CellGrid, push: Push, poses: Channel, forces: FloatArray, rate: float) -> Channel:
+    """Mean force from row to row of the pose, and the torque about the tip: (contact - tip) × force."""
+    row = np.minimum((push.force_times * rate).astype(int), len(poses.time) - 2)
+    count = np.bincount(row)
+    mean = np.column_stack([np.bincount(row, weights=component) / count for component in forces.T])
+    time = 0.5 * (poses.time[:-1] + poses.time[1:])
+    x, y, angle = poses.at(time).T
+    tip = _at(time, _ends(push), push.tip)
+    c, s = np.cos(angle), np.sin(angle)
+    dx, dy = tip[:, 0] - x, tip[:, 1] - y
+    local = np.column_stack([c * dx + s * dy, c * dy - s * dx])
+    outline = grid.polygon.boundary
+    nearest = shapely.line_interpolate_point(
+        outline, shapely.line_locate_point(outline, shapely.points(local))
+    )
+    ax, ay = (shapely.get_coordinates(nearest) - local).T
+    torque = (c * ax - s * ay) * mean[:, 1] - (s * ax + c * ay) * mean[:, 0]
+    return Channel(time, np.column_stack([mean, torque]))
+
+
+def _fingerprint(trials: Sequence[Trial]) -> str:
+    digest = hashlib.sha256()
+    for trial in trials:
+        for channel in (trial.object_pose, trial.tip_pose, trial.ft_wrench):
+            if channel is not None:
+                digest.update(channel.time.tobytes() + channel.values.tobytes())
+    return digest.hexdigest()

@@ -1,0 +1,229 @@
+"""One Newton iteration of the convex step: a quadratic model of inertia and friction, with exact contact.
+
+The contact's narrow valleys then cost no evaluation of the cells. Matrices of three unknowns are tuples of
+their upper triangle here: small arrays would cost more than the arithmetic.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+from models.physics.compiled import compiled
+from models.physics.contact import SEPARATE, cone_matrix, cone_state, springs
+from models.physics.friction import friction_moments
+
+
+class Quadratic(NamedTuple):
+    """Gradient and Hessian (upper triangle) by v_x, v_y, omega of a convex function at one twist."""
+
+    gx: float
+    gy: float
+    gw: float
+    xx: float
+    xy: float
+    xw: float
+    yy: float
+    yw: float
+    ww: float
+
+
+class Impulse(NamedTuple):
+    """What one contact does in one step: its state in the cone and its impulses γ_n, γ_t, N s."""
+
+    state: int
+    normal: float
+    tangential: float
+
+
+class Minimum(NamedTuple):
+    """Minimum of a quadratic model with contacts: the way to it, inverse Hessian there, and contacts."""
+
+    dx: float
+    dy: float
+    dw: float
+    xx: float
+    xy: float
+    xw: float
+    yy: float
+    yw: float
+    ww: float
+    first: Impulse
+    second: Impulse
+
+
+@compiled(forceinline=True, fastmath={"contract"})
+def smooth_model(cells, inertia, star, h, v):  # type: ignore[no-untyped-def]
+    """Inertia and base friction at the twist v, all but the contact.
+
+    Args:
+        cells: see `Cells`.
+        inertia: m, s_x, s_y, J.
+        star: momentum of the free motion: two components, N s, and the angular one, N m s.
+        h: step, s.
+        v: twist.
+
+    Returns:
+        The `Quadratic`, and the bound Σ f s² on its change, see `friction_moments`.
+    """
+    m, sx, sy, J = inertia
+    vx, vy, omega = v
+    _, a, ax, ay, arr, bxx, bxy, byy, bxw, byw, bww, bend = friction_moments(
+        cells.load, cells.rx, cells.ry, vx, vy, omega, cells.rho2, cells.eps2
+    )
+    spin = arr + cells.rho2 * a
+    model = Quadratic(
+        m * vx - sy * omega - star[0] + h * (a * vx - ay * omega),
+        m * vy + sx * omega - star[1] + h * (a * vy + ax * omega),
+        sx * vy - sy * vx + J * omega - star[2] + h * (ax * vy - ay * vx + spin * omega),
+        m + h * (a - bxx),
+        -h * bxy,
+        -sy - h * (ay + bxw),
+        m + h * (a - byy),
+        sx + h * (ax - byw),
+        J + h * (spin - bww),
+    )
+    return model, bend
+
+
+@compiled(forceinline=True, fastmath={"contract"})
+def with_contact(model, contact, cone, state, y_n, y_t):  # type: ignore[no-untyped-def]
+    """The model with the energy of a contact added that has spring impulses y_n, y_t and keeps its state."""
+    if state == SEPARATE:
+        return model
+    nn, nt, tn, tt = cone_matrix(cone.mu, cone.ratio, state)
+    gamma_n = nn * y_n + nt * y_t
+    gamma_t = tn * y_n + tt * y_t
+    nx, ny, nw = contact.nx, contact.ny, contact.nw
+    tx, ty, tw = -ny, nx, contact.tw
+    hnn = nn * cone.normal
+    hnt = -nt * cone.tangential
+    htt = tt * cone.tangential
+    # Rows of (h_nn n + h_nt t) nᵀ + (h_nt n + h_tt t) tᵀ.
+    ax, ay, aw = hnn * nx + hnt * tx, hnn * ny + hnt * ty, hnn * nw + hnt * tw
+    bx, by, bw = hnt * nx + htt * tx, hnt * ny + htt * ty, hnt * nw + htt * tw
+    return Quadratic(
+        model.gx + nx * gamma_n - tx * gamma_t,
+        model.gy + ny * gamma_n - ty * gamma_t,
+        model.gw + nw * gamma_n - tw * gamma_t,
+        model.xx + ax * nx + bx * tx,
+        model.xy + ax * ny + bx * ty,
+        model.xw + ax * nw + bx * tw,
+        model.yy + ay * ny + by * ty,
+        model.yw + ay * nw + by * tw,
+        model.ww + aw * nw + bw * tw,
+    )
+
+
+@compiled(forceinline=True, fastmath={"contract"})
+def minimum_of(model, first, second):  # type: ignore[no-untyped-def]
+    """`Minimum` of a quadratic model; `first` and `second` are passed through."""
+    a, b, c, d, e, f = model.xx, model.xy, model.xw, model.yy, model.yw, model.ww
+    cxx = d * f - e * e
+    cxy = c * e - b * f
+    cxw = b * e - c * d
+    scale = 1.0 / (a * cxx + b * cxy + c * cxw)
+    xx = cxx * scale
+    xy = cxy * scale
+    xw = cxw * scale
+    yy = (a * f - c * c) * scale
+    yw = (b * c - a * e) * scale
+    ww = (a * d - b * b) * scale
+    dx = -(xx * model.gx + xy * model.gy + xw * model.gw)
+    dy = -(xy * model.gx + yy * model.gy + yw * model.gw)
+    dw = -(xw * model.gx + yw * model.gy + ww * model.gw)
+    return Minimum(dx, dy, dw, xx, xy, xw, yy, yw, ww, first, second)
+
+
+@compiled(forceinline=True, fastmath={"contract"})
+def _impulse_after(contact, cone, state, y_n, y_t, way):  # type: ignore[no-untyped-def]
+    """Contact after the way (d_x, d_y, d_w), as if it kept its state.
+
+    Returns:
+        The `Impulse`, the state that the springs then ask for, and by how much the impulse is not theirs.
+    """
+    dx, dy, dw = way
+    y_n += (contact.nx * dx + contact.ny * dy + contact.nw * dw) * cone.normal
+    y_t -= (contact.nx * dy - contact.ny * dx + contact.tw * dw) * cone.tangential
+    nn, nt, tn, tt = cone_matrix(cone.mu, cone.ratio, state)
+    impulse = Impulse(state, nn * y_n + nt * y_t, tn * y_n + tt * y_t)
+    true_state = cone_state(y_n, y_t, cone.mu, cone.ratio)
+    error = 0.0
+    if true_state != state:
+        nn, nt, tn, tt = cone_matrix(cone.mu, cone.ratio, true_state)
+        error = abs(impulse.normal - nn * y_n - nt * y_t) + abs(impulse.tangential - tn * y_n - tt * y_t)
+    return impulse, true_state, error
+
+
+@compiled(forceinline=True, fastmath={"contract"})
+def solve_with_contacts(model, v, first, second, count, cone):  # type: ignore[no-untyped-def]
+    """Minimise the quadratic model around v plus the exact energy of the first `count` contacts.
+
+    In each combination of contact states the problem is a linear one. The states of the last candidate are
+    tried first; as the minimum is unique, going through all combinations finds it if those run in a circle.
+
+    Returns:
+        `Minimum`.
+    """
+    none = Impulse(SEPARATE, 0.0, 0.0)
+    if count == 0:
+        return minimum_of(model, none, none)
+    vx, vy, omega = v
+    n1, t1 = springs(first, cone, vx, vy, omega)
+    n2, t2 = springs(second, cone, vx, vy, omega)
+    state1 = cone_state(n1, t1, cone.mu, cone.ratio)
+    state2 = cone_state(n2, t2, cone.mu, cone.ratio) if count > 1 else SEPARATE
+    best1, best2 = state1, state2
+    best_error = math.inf
+    followed = 5
+    last = followed + 4**count
+    attempt = 0
+    while True:
+        total = with_contact(model, first, cone, state1, n1, t1)
+        total = with_contact(total, second, cone, state2, n2, t2)
+        minimum = minimum_of(total, none, none)
+        way = (minimum.dx, minimum.dy, minimum.dw)
+        impulse1, true1, error = _impulse_after(first, cone, state1, n1, t1, way)
+        impulse2, true2 = none, SEPARATE
+        if count > 1:
+            impulse2, true2, error2 = _impulse_after(second, cone, state2, n2, t2, way)
+            error += error2
+        scale = (
+            abs(impulse1.normal) + abs(impulse1.tangential) + abs(impulse2.normal) + abs(impulse2.tangential)
+        )
+        if error <= 1e-13 * scale or attempt == last:
+            return Minimum(
+                minimum.dx, minimum.dy, minimum.dw, minimum.xx, minimum.xy, minimum.xw, minimum.yy,
+                minimum.yw, minimum.ww, impulse1, impulse2,
+            )  # fmt: skip
+        if error < best_error:
+            best_error = error
+            best1, best2 = state1, state2
+        attempt += 1
+        if attempt < followed:
+            state1, state2 = true1, true2
+        elif attempt < last:
+            state1, state2 = (attempt - followed) % 4, (attempt - followed) // 4
+        else:
+            state1, state2 = best1, best2
+
+
+@compiled(forceinline=True, fastmath={"contract"})
+def _contact_slope(contact, cone, v, d):  # type: ignore[no-untyped-def]
+    """Derivative of one contact's energy at v along d."""
+    y_n, y_t = springs(contact, cone, v[0], v[1], v[2])
+    nn, nt, tn, tt = cone_matrix(cone.mu, cone.ratio, cone_state(y_n, y_t, cone.mu, cone.ratio))
+    along_normal = contact.nx * d[0] + contact.ny * d[1] + contact.nw * d[2]
+    along_tangent = contact.nx * d[1] - contact.ny * d[0] + contact.tw * d[2]
+    return (nn * y_n + nt * y_t) * along_normal - (tn * y_n + tt * y_t) * along_tangent
+
+
+@compiled(forceinline=True, fastmath={"contract"})
+def slope_along(model, v, d, first, second, count, cone):  # type: ignore[no-untyped-def]
+    """Derivative along d, at v, of the step's whole function; `model` holds its smooth part there."""
+    slope = model.gx * d[0] + model.gy * d[1] + model.gw * d[2]
+    if count > 0:
+        slope += _contact_slope(first, cone, v, d)
+    if count > 1:
+        slope += _contact_slope(second, cone, v, d)
+    return slope

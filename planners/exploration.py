@@ -1,0 +1,157 @@
+"""Pushes worth trying on an object of which nothing is known: Algorithm 2, line 1."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import shapely
+from numpy.typing import ArrayLike
+
+from models.objects import contour_cells
+from models.physics.cell_grid import CellGrid, FloatArray
+from models.physics.rollout import Push
+
+TRIES_PER_CELL = 20
+TOUCH = 1e-9  # m; a path that comes nearer than the finger's radius less this touches
+
+
+class NoReachablePush(ValueError):
+    """No direction was found in which the finger reaches the contour without touching the object before."""
+
+
+@dataclass(frozen=True, eq=False)
+class CandidatePush:
+    """A straight push of a round finger against one cell of the contour.
+
+    Attributes:
+        cell: the cell.
+        contact: (2,) point of the outline that is touched first, object frame, m.
+        direction: (2,) unit vector of the finger's motion, object frame.
+        touch: (2,) finger centre at first touch, object frame, m.
+        approach: way of the finger before it touches, m.
+        length: way of the finger from first touch to its stop, m.
+        speed: of the finger between speeding up and slowing down, m/s.
+    """
+
+    cell: int
+    contact: FloatArray
+    direction: FloatArray
+    touch: FloatArray
+    approach: float
+    length: float
+    speed: float
+
+    def push(self, pose: ArrayLike, *, h: float = 1e-3, ramp: float = 0.1, rest: float = 0.2) -> Push:
+        """The push that a finger at rest performs on the object at `pose`.
+
+        The finger waits for `rest`, speeds up and slows down evenly over `ramp` each, and waits again.
+
+        Args:
+            pose: (3,) of the object before, world, m and rad.
+            h: step, s.
+            ramp: s.
+            rest: s.
+        """
+        x, y, angle = np.asarray(pose, dtype=float)
+        way = self.approach + self.length
+        ramp = min(ramp, way / self.speed)
+        moving = way / self.speed + ramp
+        steps = int(np.ceil((moving + 2 * rest) / h))
+        t = np.clip(h * np.arange(steps + 1) - rest, 0.0, moving)
+        up, down = np.minimum(t, ramp), np.maximum(t - (moving - ramp), 0.0)
+        travelled = self.speed * (0.5 * up**2 / ramp + np.maximum(t - ramp, 0.0) - 0.5 * down**2 / ramp)
+        local = self.touch + np.outer(travelled - self.approach, self.direction)
+        c, s = np.cos(angle), np.sin(angle)
+        return Push(h, local @ np.array([[c, s], [-s, c]]) + [x, y], np.array([x, y, angle]))
+
+
+def candidate_pushes(
+    grid: CellGrid,
+    finger_radius: float,
+    rng: np.random.Generator,
+    count: int,
+    *,
+    length: tuple[float, float] = (0.04, 0.1),
+    speed: tuple[float, float] = (0.03, 0.1),
+    cone: float = np.pi / 6,
+    approach: float = 0.01,
+) -> list[CandidatePush]:
+    """Random pushes on random contact points of the contour (Algorithm 2, line 1).
+
+    Cells of the contour come in random order, and none a second time before every other has had its turn.
+    A cell that no drawn direction reaches is passed over.
+
+    Args:
+        grid: the object.
+        finger_radius: m.
+        rng: source of every draw.
+        count: number of pushes.
+        length: least and largest way after first touch, m.
+        speed: least and largest speed of the finger, m/s.
+        cone: largest angle between direction and inward normal, rad.
+        approach: way before first touch, m.
+
+    Raises:
+        ValueError: a number out of range; the message names it.
+        NoReachablePush: the finger fits nowhere, for instance because it is too thick.
+    """
+    _check(finger_radius, count, length, speed, cone, approach)
+    cells, points, normals = contour_cells(grid)
+    pushes: list[CandidatePush] = []
+    while len(pushes) < count:
+        found = len(pushes)
+        for k in rng.permutation(len(cells)):
+            touch = points[k] + finger_radius * normals[k]
+            direction = _aimed(grid, finger_radius, rng, touch, -normals[k], cone, approach)
+            if direction is not None and len(pushes) < count:
+                way, pace = float(rng.uniform(*length)), float(rng.uniform(*speed))
+                pushes.append(CandidatePush(int(cells[k]), points[k], direction, touch, approach, way, pace))
+        if len(pushes) == found:
+            raise NoReachablePush(
+                f"exploration: a finger of radius {finger_radius:.4g} m reaches none of {len(cells)} contour"
+                f" cells within {np.degrees(cone):.0f}° of their normals; take a thinner finger"
+            )
+    return pushes
+
+
+def _aimed(
+    grid: CellGrid,
+    radius: float,
+    rng: np.random.Generator,
+    touch: FloatArray,
+    inward: FloatArray,
+    cone: float,
+    approach: float,
+) -> FloatArray | None:
+    """A random direction about `inward` in which a disc meets the object at `touch` and not before."""
+    for angle in rng.uniform(-cone, cone, TRIES_PER_CELL):
+        c, s = np.cos(angle), np.sin(angle)
+        direction = np.array([c * inward[0] - s * inward[1], s * inward[0] + c * inward[1]])
+        path = shapely.LineString([touch - approach * direction, touch])
+        if shapely.distance(path, grid.polygon) >= radius - TOUCH:
+            return direction
+    return None
+
+
+def _check(
+    finger_radius: float,
+    count: int,
+    length: Sequence[float],
+    speed: Sequence[float],
+    cone: float,
+    approach: float,
+) -> None:
+    if count < 1:
+        raise ValueError(f"exploration: count must be at least 1, got {count}")
+    for name, value in (("finger_radius", finger_radius), ("approach", approach)):
+        if not (np.isfinite(value) and value > 0):
+            raise ValueError(f"exploration: {name} must be a positive length in m, got {value}")
+    for name, (least, largest) in (("length", length), ("speed", speed)):
+        if not (np.isfinite(largest) and 0 < least <= largest):
+            raise ValueError(
+                f"exploration: {name} must be a positive range (least, largest), got {(least, largest)}"
+            )
+    if not 0 <= cone < np.pi / 2:
+        raise ValueError(f"exploration: cone must lie in [0, π/2) rad, got {cone}")

@@ -1,0 +1,182 @@
+"""Pictures: what they show, not how they look."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import matplotlib
+import numpy as np
+import pytest
+from matplotlib.collections import PolyCollection
+from matplotlib.colors import LogNorm
+
+from diagrams.figures import calibration_figure, maps_figure, push_figures, save
+from diagrams.figures.calibration import inside_share
+from diagrams.figures.maps import centers_of_friction, centers_of_mass
+from diagrams.figures.outlines import outline_path, placed, round_length
+from models.inference.results import PushPrediction
+from models.measurements.simulated import record_pushes
+from models.physics.cell_grid import CellGrid
+from models.physics.rollout import Maps
+from planners.exploration import candidate_pushes
+
+
+def coloured(figure):
+    """Axes with coloured cells: (values, norm) in the order of drawing, column by column."""
+    found = []
+    for axes in figure.axes:
+        for collection in axes.collections:
+            if (
+                isinstance(collection, PolyCollection)
+                and collection.get_array() is not None
+                and axes.axison is False
+            ):
+                found.append((np.asarray(collection.get_array()), collection.norm))
+    return found
+
+
+def test_maps_show_the_most_probable_hypotheses_and_the_mean(belief):
+    cells = coloured(maps_figure(belief, hypotheses=2))
+    assert len(cells) == 3 * 3
+    for column, k in enumerate((1, 2)):
+        mass, mu, force = (values for values, _ in cells[3 * column : 3 * column + 3])
+        np.testing.assert_allclose(mass, 1e3 * belief.maps.mass[k])
+        np.testing.assert_allclose(mu, belief.maps.mu[k])
+        np.testing.assert_allclose(force, 9.81 * belief.maps.mass[k] * belief.maps.mu[k])
+    mass, mu, force = (values for values, _ in cells[6:])
+    np.testing.assert_allclose(mass, 1e3 * belief.probability @ belief.maps.mass)
+    np.testing.assert_allclose(force, 9.81 * belief.probability @ (belief.maps.mass * belief.maps.mu))
+
+
+def test_each_row_has_one_scale_and_titles_give_probabilities(belief):
+    truth = Maps(np.full((1, 24), 0.02), np.full((1, 24), 0.3), np.array([0.3]))
+    figure = maps_figure(belief, truth=truth)
+    norms = [norm for _, norm in coloured(figure)]
+    assert len(norms) == 3 * 6
+    for row in range(3):
+        assert len({(norm.vmin, norm.vmax) for norm in norms[row::3]}) == 1
+    titles = [axes.get_title() for axes in figure.axes if axes.get_title()]
+    assert [title.split("\n")[0] for title in titles] == [
+        "truth", "hypothesis 2", "hypothesis 3", "hypothesis 4", "hypothesis 1", "mean of",
+    ]  # fmt: skip
+    assert "40.0 %" in titles[1]
+    labels = {axes.get_ylabel() for axes in figure.axes}
+    assert {"g a cell", "N a cell"} <= labels
+
+
+def test_scales_are_logarithmic_where_totals_differ_widely(belief):
+    from dataclasses import replace
+
+    wide = Maps(
+        belief.maps.mass * np.array([[1.0], [10.0], [100.0], [1.0]]), belief.maps.mu, belief.maps.mu_finger
+    )
+    mass, mu, _ = coloured(maps_figure(replace(belief, maps=wide)))[:3]
+    assert isinstance(mass[1], LogNorm) and not isinstance(mu[1], LogNorm)
+
+
+def test_centres_are_weighted_means(belief):
+    heavy = np.full((1, 24), 1e-9)
+    heavy[0, 3] = 1.0
+    rough = np.full((1, 24), 1e-9)
+    rough[0, 7] = 1e9
+    maps = Maps(heavy, rough, np.array([0.3]))
+    np.testing.assert_allclose(centers_of_mass(belief, maps)[0], belief.grid.centers[3], atol=1e-6)
+    even = Maps(np.ones((1, 24)), rough, np.array([0.3]))
+    np.testing.assert_allclose(centers_of_friction(belief, even)[0], belief.grid.centers[7], atol=1e-6)
+
+
+def pushes_of(belief, count):
+    rng = np.random.default_rng(0)
+    candidates = candidate_pushes(
+        belief.grid, belief.finger_radius, rng, count, speed=(0.2, 0.2), length=(0.02, 0.03)
+    )
+    pushes = [candidate.push([0.0, 0.0, 0.4]) for candidate in candidates]
+    dataset = record_pushes(belief.slider, belief.maps[1], pushes, rng, heldout=1, name="block")
+    predictions = []
+    for trial in dataset.trials:
+        poses = trial.object_pose.values[10::20]
+        hypotheses = np.stack([poses + [0.0, 0.001 * k, 0.0] for k in range(4)])
+        predictions.append(
+            PushPrediction(trial.name, trial.role, trial.object_pose.time[10::20], poses, hypotheses,
+                           hypotheses[1], 0.0123, 0.0045, 0.1, 0.05, 1.0)
+        )  # fmt: skip
+    return predictions, dataset
+
+
+def test_pushes_fill_pages_of_24_with_their_errors_in_the_titles(belief):
+    predictions, dataset = pushes_of(belief, 26)
+    first, second = push_figures(predictions, dataset)
+    titles = [[axes.get_title() for axes in figure.axes] for figure in (first, second)]
+    assert [len(page) for page in titles] == [24, 2]
+    assert titles[0][0] == "000, fit\nADD 12.3 mm, spread 4.5 mm"
+    assert titles[1][1].startswith("025, held out")
+
+
+def test_a_push_panel_holds_measurement_hypotheses_and_finger(belief):
+    predictions, dataset = pushes_of(belief, 2)
+    (figure,) = push_figures(predictions, dataset)
+    axes = figure.axes[0]
+    outlines = [patch.get_path().vertices for patch in axes.patches if len(patch.get_path().vertices) == 5]
+    expected = [
+        outline_path(dataset.grid, pose).vertices
+        for pose in (
+            dataset.trials[0].object_pose.values[0],
+            predictions[0].measured[-1],
+            *predictions[0].hypotheses[:, -1],
+        )
+    ]
+    for shape in expected:
+        assert any(np.allclose(shape, drawn) for drawn in outlines)
+    assert len(outlines) == 1 + 2 * (1 + 4)
+    tip = dataset.trials[0].tip_pose.values
+    assert any(
+        len(line.get_xydata()) == len(tip) and np.allclose(line.get_xydata(), tip) for line in axes.lines
+    )
+    low, high = np.array([axes.get_xlim(), axes.get_ylim()]).T
+    everything = np.vstack([*expected, tip])
+    assert (everything >= low).all() and (everything <= high).all()
+
+
+def test_all_panels_of_a_page_have_one_scale(belief):
+    predictions, dataset = pushes_of(belief, 3)
+    (figure,) = push_figures(predictions, dataset)
+    spans = {round(float(np.diff(axes.get_xlim())[0]), 9) for axes in figure.axes}
+    assert len(spans) == 1
+
+
+def test_holes_are_part_of_an_outline_and_turn_with_it():
+    ring = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * 0.02
+    grid = CellGrid(np.array([[0.015, 0.0]]), 0.01, ring, (0.5 * ring,))
+    path = outline_path(grid, [1.0, 2.0, np.pi / 2])
+    assert len(path.vertices) == 10
+    np.testing.assert_allclose(placed(np.array([0.02, 0.0]), [1.0, 2.0, np.pi / 2]), [1.0, 2.02])
+    assert not path.contains_point([1.0, 2.0]) and path.contains_point([1.015, 2.0])
+
+
+@pytest.mark.parametrize(("largest", "expected"), [(0.26, 0.2), (0.1, 0.1), (0.0999, 0.05), (7.0, 5.0)])
+def test_bar_lengths_are_round(largest, expected):
+    assert round_length(largest) == pytest.approx(expected)
+
+
+def test_reliability_counts_truths_in_central_intervals():
+    ranks = np.array([0.5, 0.26, 0.74, 0.9, 0.01])  # within 0, 48, 48, 80, 98 % of the middle
+    np.testing.assert_allclose(inside_share(ranks, np.array([0.1, 0.5, 0.9, 1.0])), [0.2, 0.6, 0.8, 1.0])
+
+
+def test_calibration_draws_a_curve_a_quantity(tmp_path):
+    rng = np.random.default_rng(0)
+    ranks = {name: rng.uniform(size=30) for name in ("centre of mass, x", "total friction", "position")}
+    figure = calibration_figure(SimpleNamespace(objects=30, ranks=ranks))
+    titles = [axes.get_title() for axes in figure.axes if axes.get_visible()]
+    assert titles == ["centre of mass, x (30)", "total friction (30)", "position (30)"]
+    curve = max(figure.axes[1].lines, key=lambda line: len(line.get_xydata())).get_xydata()
+    np.testing.assert_allclose(curve[:, 1], inside_share(ranks["total friction"], curve[:, 0]))
+
+
+@pytest.mark.parametrize("ending", ["png", "pdf", "svg"])
+def test_figures_are_saved_and_leave_the_users_style_alone(belief, tmp_path, ending):
+    before = dict(matplotlib.rcParams)
+    save(maps_figure(belief), tmp_path / f"maps.{ending}")
+    assert dict(matplotlib.rcParams) == before
+    start = (tmp_path / f"maps.{ending}").read_bytes()[:200]
+    assert {"png": b"PNG", "pdf": b"%PDF", "svg": b"<?xml"}[ending] in start

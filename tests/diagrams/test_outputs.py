@@ -1,0 +1,149 @@
+"""Files appear whole or not at all; progress in a log file; tables and remarks."""
+
+from __future__ import annotations
+
+import json
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from diagrams import console
+from diagrams.console import BadInput, Progress
+from diagrams.outputs import whole_file, write_json
+from diagrams.reports import named, remark, show_errors, shown
+from models.inference.results import PushPrediction, Quantity
+
+
+def prediction(trial="trials/000.json", role="fit", **numbers):
+    poses = np.zeros((2, 3))
+    values = {
+        "final_add": 0.001,
+        "spread": 0.002,
+        "no_motion_add": 0.1,
+        "uniform_add": 0.05,
+        "start_sensitivity": 1.0,
+    }
+    return PushPrediction(trial, role, np.array([0.1, 0.2]), poses, poses[None], poses, **values | numbers)
+
+
+def test_json_knows_numpy_and_has_no_nan(tmp_path):
+    document = {
+        "b": np.float64(1.5),
+        "a": np.array([[1, 2]]),
+        "flag": np.bool_(True),
+        "nan": float("nan"),
+        "t": (np.inf, "µ"),
+    }
+    write_json(tmp_path / "x.json", document)
+    text = (tmp_path / "x.json").read_text(encoding="utf-8")
+    assert json.loads(text) == {"a": [[1, 2]], "b": 1.5, "flag": True, "nan": None, "t": [None, "µ"]}
+    assert text.startswith('{\n  "a"') and text.endswith("}\n")
+
+
+def test_a_failure_while_writing_leaves_the_old_file(tmp_path):
+    target = tmp_path / "x.json"
+    target.write_text("old")
+    with pytest.raises(RuntimeError), whole_file(target) as part:
+        part.write_text("new, half")
+        raise RuntimeError
+    assert target.read_text() == "old"
+    assert list(tmp_path.iterdir()) == [target]
+
+
+def test_a_folder_that_vanished_is_bad_input(tmp_path):
+    with pytest.raises(BadInput, match="gone"):
+        write_json(tmp_path / "gone" / "x.json", {})
+
+
+def test_progress_in_a_log_file_is_a_line_a_stage(capsys, monkeypatch):
+    now = [0.0]
+    monkeypatch.setattr(console.time, "monotonic", lambda: now[0])
+    with Progress() as progress:
+        for done in range(5):
+            progress("fitting", done, 4)
+            now[0] += 10.0
+        progress("drawing", 0, 1)
+        now[0] += 1.0
+    assert capsys.readouterr().err.splitlines() == [
+        "fitting …",
+        "fitting: 2 of 4",
+        "fitting: done in 50.0 s",
+        "drawing …",
+        "drawing: done in 1.0 s",
+    ]
+
+
+def test_progress_does_not_call_a_failed_stage_done(capsys):
+    with pytest.raises(RuntimeError), Progress() as progress:
+        progress("fitting", 0, 4)
+        raise RuntimeError
+    assert capsys.readouterr().err.splitlines() == ["fitting …"]
+
+
+def test_a_push_near_to_balance_gets_a_remark():
+    assert remark(prediction(start_sensitivity=9.9)) == ""
+    assert remark(prediction(start_sensitivity=float("nan"))) == ""
+    assert "half a millimetre decides" in remark(prediction(start_sensitivity=24.0))
+    assert "12 mm" in remark(prediction(start_sensitivity=24.0))
+
+
+def test_error_table_averages_by_role_against_both_baselines(capsys):
+    pushes = [
+        prediction("trials/000.json", "fit", final_add=0.001, uniform_add=0.02, no_motion_add=0.03),
+        prediction("trials/001.json", "fit", final_add=0.003, uniform_add=0.04, no_motion_add=0.09),
+        prediction("trials/002.json", "heldout", final_add=0.0071, start_sensitivity=30.0),
+    ]
+    show_errors(pushes)
+    lines = [line.split() for line in capsys.readouterr().out.splitlines()]
+    assert ["2", "fit", "mean", "2.0", "30.0", "60.0"] in lines
+    assert ["1", "held", "out", "median", "7.1", "50.0", "100.0"] in lines
+    assert ["000", "fit", "1.0", "2.0", "20.0", "30.0"] in lines
+
+
+def test_many_pushes_are_cut_to_the_worst(capsys):
+    show_errors([prediction(f"trials/{k:03d}.json", final_add=1e-3 * (k % 50)) for k in range(50)])
+    out = capsys.readouterr().out
+    assert "30 worst pushes of 50" in out
+    rows = [line.split()[0] for line in out.splitlines() if " fit " in line and line[:3].isdigit()]
+    assert rows == [f"{k:03d}" for k in range(49, 19, -1)]
+
+
+@pytest.mark.parametrize(
+    ("unit", "value", "low", "high", "texts"),
+    [
+        ("m", 0.0891234, 0.0888, 0.0895, ("89.12", "88.80 to 89.50")),
+        ("kg", 164.2, 159.1, 170.4, ("164", "159 to 170")),
+        ("-", 0.2981, 0.2931, 0.3039, ("0.298", "0.293 to 0.304")),
+    ],
+)
+def test_numbers_have_the_digits_that_the_interval_supports(unit, value, low, high, texts):
+    quantity = Quantity("thing", unit, value, low, high, True, "")
+    assert shown(quantity, value) == texts
+    assert named(quantity) == {"m": "thing, mm", "kg": "thing, kg", "-": "thing"}[unit]
+
+
+def test_compiling_is_announced_once_where_kernels_are_new(tmp_path, capsys, monkeypatch):
+    import models.physics.compiled as compiled
+
+    monkeypatch.setattr(compiled, "CACHE_FOLDER", tmp_path / "kernels")
+    console.prepare_kernels()
+    assert capsys.readouterr().err.startswith("Compiling the kernels for this machine, once")
+    (tmp_path / "kernels" / "step.nbc").touch()
+    console.prepare_kernels()
+    assert capsys.readouterr().err == ""
+    (tmp_path / "file").touch()
+    monkeypatch.setattr(compiled, "CACHE_FOLDER", tmp_path / "file" / "kernels")
+    with pytest.raises(BadInput, match="SLIPMAP_CACHE"):
+        console.prepare_kernels()
+
+
+def test_coverage_comes_with_its_range_and_verdict():
+    from diagrams.commands.calibrate import coverage_rows
+
+    ranks = {"a": np.full(40, 0.5), "b": np.r_[np.full(20, 0.5), np.full(20, 0.999)], "c": np.full(400, 0.5)}
+    result = SimpleNamespace(ranks=ranks, coverage={"a": 1.0, "b": 0.5, "c": 1.0})
+    a, b, c = coverage_rows(result)
+    assert (a["inside"], a["of"], a["high"]) == (40, 40, 1.0)
+    assert a["low"] == pytest.approx(0.025 ** (1 / 40))  # Clopper and Pearson, all inside
+    assert [row["verdict"] for row in (a, b, c)] == ["too wide", "too narrow", "too wide"]

@@ -1,0 +1,135 @@
+import numpy as np
+import pytest
+
+from models.measurements import DatasetError, read_dataset
+
+HEADER = "t,object_x,object_y,object_theta,tip_x,tip_y,force_x,force_y,force_tau"
+
+
+def lines(push=0):
+    """Poses every 20 ms, the tip 5 ms and the force 10 ms after them, in one time column."""
+    rows = []
+    for step in range(40):
+        t = 0.02 * step
+        x = max(0.0, 0.1 * t - 0.005)
+        rows.append(f"{t:.3f},{x:.4f},0,{0.1 * x:.5f},,,,,")
+        rows.append(f"{t + 0.005:.3f},,,,{0.1 * t - 0.055:.4f},{0.001 * push},,,")
+        rows.append(f"{t + 0.010:.3f},,,,,,{2.0 if x else 0.0},0.1,-0.01")
+    return rows
+
+
+def write(folder, rows, header=HEADER, name="push.csv", end="\n"):
+    folder.mkdir(exist_ok=True)
+    (folder / name).write_text(end.join([header, *rows]) + end, encoding="utf-8", newline="")
+    return folder / name
+
+
+def test_channels_of_different_rates_share_one_time_column(tmp_path):
+    dataset = read_dataset(write(tmp_path, lines()), object_name="rect1")
+    trial = dataset.trials[0]
+    assert dataset.warnings == () and (trial.name, trial.role) == ("push.csv", "fit")
+    np.testing.assert_allclose(trial.object_pose.time, 0.02 * np.arange(40), atol=1e-12)
+    np.testing.assert_allclose(trial.tip_pose.time, 0.005 + 0.02 * np.arange(40), atol=1e-12)
+    np.testing.assert_allclose(trial.tip_pose.values[:, 0], 0.002 * np.arange(40) - 0.055, atol=1e-12)
+    np.testing.assert_allclose(trial.ft_wrench.values[-1], [2.0, 0.1, -0.01])  # not turned
+
+
+def test_a_folder_order_of_columns_and_line_ends_do_not_matter(tmp_path):
+    for push in range(4):
+        shuffled = [",".join(reversed(row.split(","))) for row in lines(push)]
+        header = "\ufeff" + " , ".join(reversed(HEADER.split(",")))
+        write(tmp_path / "pushes", shuffled, header, f"{push}.csv", end="\r\n")
+    dataset = read_dataset(tmp_path / "pushes", object_name="rect1")
+    assert [(trial.name, trial.role) for trial in dataset.trials] == [
+        ("0.csv", "fit"), ("1.csv", "fit"), ("2.csv", "fit"), ("3.csv", "heldout"),
+    ]  # fmt: skip
+    assert dataset.trials[2].tip_pose.values[0, 1] == 0.002
+
+
+def test_force_can_be_left_out_or_left_empty(tmp_path):
+    short = [",".join(row.split(",")[:6]) for row in lines()]
+    bare = write(tmp_path, short, ",".join(HEADER.split(",")[:6]))
+    assert read_dataset(bare, object_name="rect1").trials[0].ft_wrench is None
+    empty = write(tmp_path, [row + ",,," for row in short], name="empty.csv")
+    assert read_dataset(empty, object_name="rect1").trials[0].ft_wrench is None
+
+
+@pytest.mark.parametrize("word", ["", "nan", "NaN", "  "])
+def test_ways_to_say_that_nothing_was_measured(tmp_path, word):
+    rows = lines()
+    rows[6] = f"0.040,{word},0,0,,,,,"
+    assert len(read_dataset(write(tmp_path, rows), object_name="rect1").trials[0].object_pose.time) == 39
+
+
+def changed(row, text):
+    def change(rows):
+        rows[row] = text
+
+    return change
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (changed(6, "0.040,abc,0,0,,,,,"), ["row 6, object_x: 'abc' is no number"]),
+        (changed(6, "0.040,1_0,0,0,,,,,"), ["row 6, object_x: '1_0' is no number"]),
+        (changed(6, "0.040,0,0"), ["row 6: has 3 cells, the header 9"]),
+        (changed(6, "0.020,0,0,0,,,,,"), ["object_pose, row 6", "repeats that of row 3"]),
+        (changed(6, "0.010,0,0,0,,,,,"), ["object_pose, row 6", "goes back behind that of row 3"]),
+        (changed(6, "0.040,inf,0,0,,,,,"), ["object_pose, row 6", "infinite"]),
+        (changed(6, ",0.1,0,0,,,,,"), ["object_pose, row 6: has values but no time"]),
+        (lambda rows: rows.clear(), ["object_pose: has no rows"]),
+    ],
+)
+def test_faults_name_the_row_below_the_header(tmp_path, change, words):
+    rows = lines()
+    change(rows)
+    with pytest.raises(DatasetError) as caught:
+        read_dataset(write(tmp_path, rows), object_name="rect1")
+    for word in ["push.csv", *words]:
+        assert word in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("header", "words"),
+    [
+        (
+            "time" + HEADER[1:],
+            ["lacks t;", "expected are t, object_x, object_y, object_theta, tip_x, tip_y and"],
+        ),
+        (HEADER.replace("tip_x,tip_y", "finger_x,finger_y"), ["lacks tip_x, tip_y"]),
+        (HEADER.replace(",", ";"), ["lacks t, object_x"]),
+        (HEADER.replace("force_tau", "torque"), ["lacks force_tau", "force_x, force_y, force_tau"]),
+        (HEADER + ",t", ["the column 't' 2 times"]),
+    ],
+)
+def test_a_wrong_header_is_answered_with_the_right_one(tmp_path, header, words):
+    with pytest.raises(DatasetError) as caught:
+        read_dataset(write(tmp_path, lines(), header), object_name="rect1")
+    for word in ["push.csv", *words]:
+        assert word in str(caught.value)
+
+
+def test_an_unknown_column_is_mentioned(tmp_path):
+    rows = [row + ",1.5" for row in lines()]
+    warnings = read_dataset(write(tmp_path, rows, HEADER + ",humidity"), object_name="rect1").warnings
+    assert len(warnings) == 1 and "'humidity' is unknown" in warnings[0]
+
+
+@pytest.mark.parametrize("content", [b"", b"\xff\xfe", b"t,object_x\x00\n", b'"' + b"x" * 200_000, b"\n\n"])
+def test_bytes_that_are_no_csv(tmp_path, content):
+    (tmp_path / "push.csv").write_bytes(content)
+    with pytest.raises(DatasetError, match=r"push\.csv"):
+        read_dataset(tmp_path / "push.csv", object_name="rect1")
+
+
+def test_the_object_must_be_named(tmp_path):
+    with pytest.raises(DatasetError, match="says nothing of the object that was pushed"):
+        read_dataset(write(tmp_path, lines()))
+
+
+def test_kinds_are_not_mixed(tmp_path):
+    write(tmp_path / "pushes", lines())
+    (tmp_path / "pushes" / "push.json").write_text("{}")
+    with pytest.raises(DatasetError, match="both CSV and MIT push files"):
+        read_dataset(tmp_path / "pushes", object_name="rect1")
