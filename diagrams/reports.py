@@ -89,18 +89,26 @@ def named(quantity: Quantity) -> str:
 
 
 def shown(quantity: Quantity, *values: float) -> tuple[str, ...]:
-    """Values of a quantity (SI) and last its interval, with as many digits as the interval makes sense of."""
+    """Values of a quantity (SI) and last its interval, with as many digits as the interval makes sense of.
+
+    An interval that spans decades gets two figures for each number instead.
+    """
     _, factor = SHOWN_UNITS.get(quantity.unit, (quantity.unit, 1.0))
-    digits = _digits(factor * (quantity.high - quantity.low))
-    numbers = [f"{factor * value:.{digits}f}" for value in (*values, quantity.low, quantity.high)]
+    low, high = factor * quantity.low, factor * quantity.high
+    decades = low > 0 and high > 5 * low
+    numbers = [
+        f"{number:.{_digits(number if decades else high - low)}f}"
+        for number in (*(factor * value for value in values), low, high)
+    ]
     return (*numbers[:-2], f"{numbers[-2]} to {numbers[-1]}")
 
 
-def _digits(width: float) -> int:
-    """Decimals that show two figures of a width, 0 to 8."""
-    if not (np.isfinite(width) and width > 0):
+def _digits(size: float) -> int:
+    """Decimals that show two figures of a number of this size, 0 to 8."""
+    size = abs(size)
+    if not (np.isfinite(size) and size > 0):
         return 3
-    return int(np.clip(1 - np.floor(np.log10(width)), 0, 8))
+    return int(np.clip(1 - np.floor(np.log10(size)), 0, 8))
 
 
 def _millimetres(metres: float) -> str:

@@ -1,8 +1,8 @@
 """Does a 90 % interval hold the truth nine times in ten? Identify many simulated objects and count.
 
-Objects, maps and pushes are drawn at random, more varied than the identification's own prior: two materials with
-sharp borders on top of smooth variation, frictions and masses over an order of magnitude. Rows carry sensor
-noise. The truth is then looked up in the belief's intervals.
+Objects, maps and pushes are drawn at random, more varied than the identification's own prior: two materials
+with sharp borders on top of smooth variation, frictions and masses over an order of magnitude. Rows carry
+sensor noise. The truth is then looked up in the belief's intervals.
 """
 
 from __future__ import annotations

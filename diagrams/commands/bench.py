@@ -14,7 +14,7 @@ from diagrams.outputs import write_json
 @click.command()
 @json_option
 def bench(json_file: Path | None) -> None:
-    """Measure how fast pushes are simulated and maps identified here."""
+    """Measure how fast pushes are simulated here, beside other engines where they are installed."""
     with Progress() as progress:
         prepare_kernels()
         from diagrams import benchmark

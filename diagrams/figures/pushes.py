@@ -122,8 +122,14 @@ def _page(scenes: list[_Scene], dataset: PushDataset, heading: str) -> Figure:
         axes.spines[:].set_color("#dddddd")
         _panel(axes, scene, dataset)
         if k == 0:
-            scale_bar(axes, middle + span * np.array([-0.46, -0.41]), span)
-    figure.legend(handles=_legend(), loc="lower center", ncols=6, columnspacing=1.2, handlelength=1.5)
+            scale_bar(axes, middle + span * np.array([-0.45, -0.41]), span)
+    figure.legend(
+        handles=_legend(any(len(scene.finger) for scene in scenes)),
+        loc="lower center",
+        ncols=6,
+        columnspacing=1.2,
+        handlelength=1.5,
+    )
     return figure
 
 
@@ -157,19 +163,17 @@ def _panel(axes: Axes, scene: _Scene, dataset: PushDataset) -> None:
     axes.set_title(f"{short_name(push.trial)}, {ROLES[push.role]}\n{numbers}", pad=4, fontsize=8.5)
 
 
-def _legend() -> list[Line2D]:
-    return [
-        Line2D(
-            [],
-            [],
-            color=PAPER,
-            linewidth=6,
-            path_effects=[withStroke(linewidth=7, foreground=FAINT)],
-            label="start",
-        ),
+def _legend(finger: bool) -> list[Line2D]:
+    rim = [withStroke(linewidth=7, foreground=FAINT)]
+    handles = [
+        Line2D([], [], color=PAPER, linewidth=6, path_effects=rim, label="start"),
         Line2D([], [], color=INK, linewidth=1.2, label="measured"),
         Line2D([], [], color=BELIEF, linewidth=1.2, alpha=0.8, label="predicted, every hypothesis faint"),
-        Line2D([], [], color=FINGER, linewidth=1.0, label="path of the finger:"),
-        Line2D([], [], color=FINGER, linestyle="none", marker="o", markerfacecolor="none", label="start"),
-        Line2D([], [], color=FINGER, linestyle="none", marker="o", label="end"),
     ]
+    if finger:
+        handles += [
+            Line2D([], [], color=FINGER, linewidth=1.0, label="path of the finger:"),
+            Line2D([], [], color=FINGER, linestyle="none", marker="o", markerfacecolor="none", label="start"),
+            Line2D([], [], color=FINGER, linestyle="none", marker="o", label="end"),
+        ]
+    return handles

@@ -5,8 +5,11 @@ from __future__ import annotations
 import hashlib
 import json
 import os
+import struct
 import tempfile
+import tokenize
 import zipfile
+import zlib
 from dataclasses import dataclass, field
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -21,6 +24,13 @@ from models.physics.rollout import Maps, Slider, Smoothing
 FloatArray = NDArray[np.float64]
 
 FORMAT = "slipmap-belief/1"
+
+
+_DAMAGE = (
+    OSError, ValueError, KeyError, TypeError, IndexError, AttributeError, EOFError, OverflowError,
+    RuntimeError, MemoryError, struct.error, zlib.error, zipfile.BadZipFile, tokenize.TokenError, SyntaxError,
+)  # fmt: skip
+"""What unpacking a damaged archive can raise."""
 
 
 class BeliefError(ValueError):
@@ -61,10 +71,19 @@ class Belief:
 
     def __post_init__(self) -> None:
         if self.maps.mass.shape[1] != len(self.grid):
-            raise BeliefError(f"belief: maps of {self.maps.mass.shape[1]} cells on a grid of {len(self.grid)}")
+            raise BeliefError(
+                f"belief: maps of {self.maps.mass.shape[1]} cells on a grid of {len(self.grid)}"
+            )
         p = np.asarray(self.probability, dtype=float)
-        if p.shape != (len(self.maps),) or not np.isfinite(p).all() or (p < 0).any() or abs(p.sum() - 1) > 1e-6:
-            raise BeliefError("belief: probabilities must be one number a hypothesis, none negative, summing to 1")
+        if (
+            p.shape != (len(self.maps),)
+            or not np.isfinite(p).all()
+            or (p < 0).any()
+            or abs(p.sum() - 1) > 1e-6
+        ):
+            raise BeliefError(
+                "belief: probabilities must be one number a hypothesis, none negative, summing to 1"
+            )
         object.__setattr__(self, "probability", p)
 
     def __len__(self) -> int:
@@ -142,7 +161,9 @@ class Belief:
         """
         path = Path(path)
         if not path.is_file():
-            raise BeliefError(f"there is no belief file {path}; `slipmap identify DATASET -o {path.name}` makes one")
+            raise BeliefError(
+                f"there is no belief file {path}; `slipmap identify DATASET -o {path.name}` makes one"
+            )
         try:
             with np.load(path, allow_pickle=False) as archive:
                 if "meta" not in archive.files:
@@ -173,7 +194,7 @@ class Belief:
             )
         except BeliefError:
             raise
-        except (OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile, NotImplementedError) as error:
+        except _DAMAGE as error:
             raise BeliefError(f"{path} is not a readable belief file ({error})") from error
 
 

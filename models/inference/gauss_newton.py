@@ -1,8 +1,8 @@
 """Levenberg-damped Gauss-Newton for many hypotheses at once.
 
-All hypotheses are rolled out in one parallel call and take their steps in lockstep, each with its own damping. They
-may weigh the pushes differently and lean towards different prior means: the same code serves several starts, refits
-with pushes left out, and randomised refits.
+All hypotheses are rolled out in one parallel call and take their steps in lockstep, each with its own
+damping. They may weigh the pushes differently and lean towards different prior means: the same code serves
+several starts, refits with pushes left out, and randomised refits.
 """
 
 from __future__ import annotations
@@ -88,7 +88,7 @@ def fit(
     for done in range(1, iterations + 1):
         step = np.zeros_like(z)
         for k in active:
-            step[k] = _damped_step(equations, k, z[k] - mean[k], damping[k])
+            step[k] = _damped_step(equations, int(k), z[k] - mean[k], damping[k])
         new_z = z[active] + step[active]
         new_shift = _shifted(equations, active, step[active], shift[active], likelihood.start_sigma)
         trial = likelihood.linearise(new_z, new_shift, strength[active], weights[active])

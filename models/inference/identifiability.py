@@ -1,8 +1,9 @@
 """Which quantities these pushes pin down, which they leave open, and why.
 
-The Gauss-Newton Hessian H of the data's cost, in coordinates where the prior is N(0, 1), says how much the data
-know: a quantity with gradient c over the coordinates has prior variance cᵀc and posterior variance cᵀ(H + I)⁻¹c. It
-counts as pinned where the data leave less than a quarter of the prior's variance, that is half its width.
+The Gauss-Newton Hessian H of the data's cost, in coordinates where the prior is N(0, 1), says how much the
+data know: a quantity with gradient c over the coordinates has prior variance cᵀc and posterior variance
+cᵀ(H + I)⁻¹c. It counts as pinned where the data leave less than a quarter of the prior's variance, that is
+half its width.
 """
 
 from __future__ import annotations
@@ -60,7 +61,15 @@ def quantities(belief: Belief, likelihood: Likelihood, information: Fits | None)
         pinned = after < PINNED_SHARE * before
         value, low, high = interval(measure.of(belief.maps), belief.probability, log=measure.log)
         results.append(
-            Quantity(measure.name, measure.unit, value, low, high, pinned, measure.pinned if pinned else measure.open)
+            Quantity(
+                measure.name,
+                measure.unit,
+                value,
+                low,
+                high,
+                pinned,
+                measure.pinned if pinned else measure.open,
+            )
         )
     return tuple(results)
 
@@ -107,6 +116,9 @@ def _measures(slider: Slider, has_force: bool, weighed: bool) -> list[_Measure]:
         f = load(maps)
         return f / f.sum(axis=1, keepdims=True)
 
+    def middle(maps: Maps) -> FloatArray:
+        return share(maps) @ centers
+
     def com(maps: Maps) -> FloatArray:
         return maps.mass @ centers / maps.mass.sum(axis=1, keepdims=True)
 
@@ -115,9 +127,8 @@ def _measures(slider: Slider, has_force: bool, weighed: bool) -> list[_Measure]:
         return second - (sx**2 + sy**2) / m
 
     def arm(maps: Maps) -> FloatArray:
-        middle = share(maps) @ centers
         return np.array(
-            [np.hypot(*(centers - c).T) @ s for c, s in zip(middle, share(maps), strict=True)]
+            [np.hypot(*(centers - c).T) @ s for c, s in zip(middle(maps), share(maps), strict=True)]
         )
 
     no_force = (
@@ -128,9 +139,10 @@ def _measures(slider: Slider, has_force: bool, weighed: bool) -> list[_Measure]:
     slow = "motion is so slow that friction outweighs inertia; what coasts or starts fast would tell"
     measures = [
         _Measure("total friction", "N", lambda m: load(m).sum(axis=1), True,
-                 "force in steady sliding" if has_force else "stopping distances", weak_force if has_force else no_force),
+                 "force in steady sliding" if has_force else "stopping distances",
+                 weak_force if has_force else no_force),
         *(
-            _Measure(f"centre of friction, {axis}", "m", lambda m, i=i: (share(m) @ centers)[:, i], False,
+            _Measure(f"centre of friction, {axis}", "m", _column(middle, i), False,
                      "the way the object turns when pushed", "no push turns the object about this direction")
             for i, axis in enumerate("xy")
         ),
@@ -140,21 +152,30 @@ def _measures(slider: Slider, has_force: bool, weighed: bool) -> list[_Measure]:
                  "acceleration against measured force",
                  "weighed beforehand; these pushes add nothing" if weighed else slow),
         *(
-            _Measure(f"centre of mass, {axis}", "m", lambda m, i=i: com(m)[:, i], False,
+            _Measure(f"centre of mass, {axis}", "m", _column(com, i), False,
                      "friction and inertia follow the mass", slow)
             for i, axis in enumerate("xy")
         ),
         _Measure("moment of inertia about the centre of mass", "kg m²", inertia, True,
                  "turning motion that speeds up or coasts", slow),
         _Measure("finger friction", "-", lambda m: m.mu_finger, True,
-                 "the contact slides in some pushes", "the contact sticks in all pushes, or slides in all alike"),
+                 "the contact slides in some pushes",
+                 "the contact sticks in all pushes, or slides in all alike"),
     ]  # fmt: skip
     for name, cells in _regions(slider):
         measures.append(
-            _Measure(f"share of mass x friction, {name}", "-", lambda m, c=cells: share(m)[:, c].sum(axis=1), False,
+            _Measure(f"share of mass x friction, {name}", "-", _sum(share, cells), False,
                      "centre and arm of friction", "other distributions turn the object the same way")
         )  # fmt: skip
     return measures
+
+
+def _column(of: Callable[[Maps], FloatArray], index: int) -> Callable[[Maps], FloatArray]:
+    return lambda maps: of(maps)[:, index]
+
+
+def _sum(of: Callable[[Maps], FloatArray], cells: np.ndarray) -> Callable[[Maps], FloatArray]:
+    return lambda maps: of(maps)[:, cells].sum(axis=1)
 
 
 def _regions(slider: Slider) -> list[tuple[str, np.ndarray]]:

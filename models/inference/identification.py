@@ -1,10 +1,10 @@
 """From pushes to a belief: several starts, Gauss-Newton on whole trajectories, randomised refits.
 
 A fit to one set of pushes is one answer; the belief holds many. Each hypothesis is fitted anew to pushes
-weighted at random (weights of the Bayesian bootstrap, Rubin 1981: independent exponentials, here softened) and pulled
-towards maps drawn from the prior. Refits to the weights show what the pushes disagree about, be it noise
-or what no such model knows; refits towards random maps show what the pushes leave open. Neither needs the errors to
-be independent or the model to be right, which for recorded pushes they are not.
+weighted at random (the Bayesian bootstrap of Rubin, 1981: independent exponentials)
+and pulled towards maps drawn from the prior. Refits to the weights show what the pushes disagree about, be
+it noise or what no such model knows; refits towards random maps show what the pushes leave open. Neither
+needs the errors to be independent or the model to be right, which for recorded pushes they are not.
 """
 
 from __future__ import annotations
@@ -31,9 +31,6 @@ METHODS = ("gauss-newton", "paper")
 
 FINGER_STARTS = (0.12, 0.35, 1.0)
 """Finger frictions to start from: contact that sticks and contact that slides are different valleys."""
-
-WEIGHT_SHAPE = 1.0
-"""Shape of the gamma distribution of push weights; 1 is the Bayesian bootstrap, larger is milder."""
 
 STRENGTHS = (0.8, 3.5)
 """Range of the factor on the prior's map variation, drawn log-uniformly for each hypothesis."""
@@ -71,7 +68,9 @@ def identify(
     if hypotheses < 2:
         raise ValueError(f"hypotheses must be at least 2, got {hypotheses}")
     if not dataset.fit_trials:
-        raise DatasetError(f"dataset {dataset.name} has no push with the role fit; give at least one that role")
+        raise DatasetError(
+            f"dataset {dataset.name} has no push with the role fit; give at least one that role"
+        )
     started = time.perf_counter()
     report = progress or (lambda stage, done, total: None)
     report("preparing pushes", 0, 1)
@@ -103,10 +102,10 @@ def _gauss_newton_belief(
     best = int(np.argmin(first.cost))
     rng = np.random.default_rng(seed)
     B = len(likelihood.observations)
-    weights = rng.gamma(WEIGHT_SHAPE, size=(hypotheses, B))
+    weights = rng.exponential(size=(hypotheses, B))
     weights *= B / weights.sum(axis=1, keepdims=True)
     prior_mean = rng.standard_normal((hypotheses, prior.size))
-    strength = np.exp(rng.uniform(*np.log(STRENGTHS), size=hypotheses))
+    strength = np.exp(rng.uniform(np.log(STRENGTHS[0]), np.log(STRENGTHS[1]), hypotheses))
     # The first hypothesis is the plain best fit.
     weights[0], prior_mean[0], strength[0] = 1.0, 0.0, 1.0
     refits = fit(
@@ -135,7 +134,6 @@ def _gauss_newton_belief(
             "hypotheses": hypotheses,
             "fit_trials": [observation.trial for observation in likelihood.observations],
             "finger_starts": list(FINGER_STARTS),
-            "weight_shape": WEIGHT_SHAPE,
             "strengths": list(STRENGTHS),
             "prior": asdict(prior.settings),
             "likelihood": asdict(likelihood.settings),

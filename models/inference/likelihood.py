@@ -1,15 +1,15 @@
 """How badly a model misses the measured pushes, and which way to go: robust costs and their normal equations.
 
-Poses are compared at the cells' centroid as (dx, dy, ρ dθ), ρ being the cells' radius of gyration, so that its norm
-is close to ADD. A rollout of the right model misses a measured push by the sensors' noise and by what no such
-model knows, which grows with the way travelled:
+Poses are compared at the cells' centroid as (dx, dy, ρ dθ), ρ being the cells' radius of gyration, so that
+its norm is close to ADD. A rollout of the right model misses a measured push by the sensors' noise and by
+what no such model knows, which grows with the way travelled:
 
     σ² = σ_noise² + σ_0² + (α travel)²
 
-Residuals along a push are one story told many times, so a push counts as a few independent poses, however densely
-it was sampled. Huber's cost keeps a push that the model cannot explain from deciding everything. The start pose of
-each push is known only as well as the tracker sees it; its offset is solved for along with the maps and
-eliminated from their equations (Schur complement).
+Residuals along a push are one story told many times, so a push counts as a few independent poses, however
+densely it was sampled. Huber's cost keeps a push that the model cannot explain from deciding everything.
+The start pose of each push is known only as well as the tracker sees it; its offset is solved for along
+with the maps and eliminated from their equations (Schur complement).
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""From a recorded trial to what identification compares: a push to simulate, and poses and forces to match."""
+"""From a recorded trial to what identification compares: a push to simulate, poses and forces to match."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.ndimage import uniform_filter1d
 
 from models.measurements import PushDataset, Trial, finger_path, pose_times, wrench_samples
 from models.measurements.smoothing import smooth_track
@@ -76,7 +77,7 @@ def observe(trial: Trial) -> Observation:
     start = trial.object_pose.values[0].copy()
     if not trial.ends_only and not twist.any():
         start = _resting_pose(trial.object_pose.values)
-    rows = np.unique(np.linspace(0, len(times) - 1, SAMPLES + 1).astype(int)[1:])
+    rows = np.unique(np.linspace(0, len(times) - 1, SAMPLES + 1).astype(int))[1:]
     poses = _averaged_rows(trial.object_pose.values, rows)
     force_times, forces = _force_rows(trial)
     c, s = np.cos(start[2]), np.sin(start[2])
@@ -108,7 +109,8 @@ def _fast_speed(time: FloatArray, track: FloatArray) -> float:
 def _resting_pose(poses: FloatArray) -> FloatArray:
     """Mean of the rows before the object moves, so that noise of the first row does not shift the push."""
     jitter = 3.0 * float(np.median(np.abs(np.diff(poses[:, :2], axis=0)))) + 1e-4
-    moved = np.hypot(*(poses[:, :2] - poses[0, :2]).T) + 0.03 * np.abs(poses[:, 2] - poses[0, 2])
+    calm = uniform_filter1d(poses, 5, axis=0, mode="nearest")
+    moved = np.hypot(*(calm[:, :2] - calm[0, :2]).T) + 0.03 * np.abs(calm[:, 2] - calm[0, 2])
     moving = np.flatnonzero(moved > max(jitter, 5e-4))
     still = int(0.7 * (moving[0] if len(moving) else len(poses)))
     return poses[: max(1, still)].mean(axis=0)

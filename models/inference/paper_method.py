@@ -1,29 +1,30 @@
-"""Algorithm 1 of Song and Boularias (IROS 2020): K bounded gradient descents, weighed by a soft-max of their losses.
+"""Algorithm 1 of Song and Boularias (IROS 2020): K bounded gradient descents, weighed by their losses.
 
-Line numbers below are those of the printed algorithm, x is its pose vector of 3n numbers (`paper_notation.py`). Lines
-1 to 6 record pushes; `identify_by_algorithm_1` takes recorded ones. Where the text leaves a choice:
+Line numbers are those of the printed algorithm, x is its pose vector of 3n numbers (`paper_notation.py`).
+Lines 1 to 6 record pushes; here they are recorded already. Where the text leaves a choice:
 
-- The printed loop over pushes finds the K models anew after each push. Those of fewer pushes are superseded, so only
-  the last round, over all pushes, is run; P is over its K models.
-- With t counted as printed, ẋ_t moves x_t to x_{t+1}: V takes (x_t, ẋ_t) to ẋ_{t+1}, which moves x_{t+1} to x_{t+2}.
-  ẋ_t comes from the poses by a finite difference. V is `Slider`'s step from x_{t+1} with the last twist ẋ_t; the known
-  motion of the finger takes the place of the force F_t, which few robots record.
-- Equation 1 predicts each step from the observed state, line 18 from the simulated one. Both are used: the loss of
-  line 20, and with it P, judges the simulated trajectory; lines 21 and 22 descend the gradient of Equation 1, for
-  which the derivative of one step is exact.
-- Lines 20 and 21 print two indices, t+2 and t+1, for the pose that is compared. Here both mean x_{t+2}, the one pose
-  that V predicts at t (at t = 0 the printed x_{t+1} is the observed pose itself).
-- W of lines 21 and 22 is not given. Here it is ∂x_{t+2}/∂mu and ∂x_{t+2}/∂M, (3n, n), exact by the implicit function
-  theorem, and Diag(x - x^g) W is summed over its 3n rows: the gradient of ½ |x - x^g|².
-- One rate cannot serve kilograms and coefficients: each map is stepped in units of its own bound,
-  mu ← mu - α mu_max² Diag(…) W, and the same for M.
-- The projections of lines 23 and 24 are clippings. The lower bound is `FLOOR` of the upper one rather than 0: an
-  object without mass or friction has no unique motion.
-- The trajectory may be passed more than once (`epochs`). The loss starts from 0 in each pass; the last one counts.
+- The printed loop over pushes finds the K models anew after each push. Those of fewer pushes are
+  superseded, so only the last round, over all pushes, is run; P is over its K models.
+- With t counted as printed, ẋ_t moves x_t to x_{t+1}; V takes (x_t, ẋ_t) to ẋ_{t+1}, which moves x_{t+1} to
+  x_{t+2}. Observed velocities are finite differences of the poses. V is one step of `Slider` from x_{t+1}
+  with the twist ẋ_t; the known motion of the finger drives it in place of the force F_t.
+- Equation 1 predicts each step from the observed state, line 18 from the simulated one. Both are used:
+  line 20, and with it P, judges the simulated trajectory; lines 21 and 22 descend the gradient of Equation 1,
+  for which the derivative of one step is exact.
+- Lines 20 and 21 print two indices, t+2 and t+1, for the pose that is compared. Here both mean x_{t+2}, the
+  pose that V predicts at t (at t = 0 the printed x_{t+1} is the observed pose itself).
+- W of lines 21 and 22 is not given. Here it is ∂x_{t+2}/∂mu and ∂x_{t+2}/∂M, (3n, n), by the implicit
+  function theorem, and Diag(x - x^g) W is summed over its 3n rows: the gradient of ½ |x - x^g|².
+- One rate cannot serve both kilograms and coefficients: each map is stepped in units of its own bound,
+  mu ← mu - α mu_max² Diag(…) W with the bound of its model k, and the same for M.
+- Lines 23 and 24 are clippings. The lower bound is `FLOOR` of the upper one rather than 0: an object without
+  mass or friction has no unique motion.
+- The pushes may be passed more than once (`epochs`). The loss starts from 0 in each pass; the last counts.
 
-For even K the models K/2 and K have the same bounds and coincide, as printed. The norm of a 3n vector adds metres and
-radians, as printed. One-step predictions rely on velocities differentiated from noisy poses and on the recorded finger
-touching the recorded outline: clocks that disagree mislead this method more than a comparison of whole trajectories.
+For even K the models K/2 and K have the same bounds and coincide, and the norm of a 3n vector adds metres and
+radians, both as printed. One-step predictions rely on velocities differentiated from noisy poses, and on the
+recorded finger touching the recorded outline: clocks that disagree mislead this method more than a comparison
+of whole trajectories.
 """
 
 from __future__ import annotations
@@ -47,11 +48,11 @@ FLOOR = 1e-4
 """Lower bound of masses and frictions as a share of their upper bounds."""
 
 STEPS = 20
-"""Time steps a recorded push is cut into. Shorter ones move the object less than trackers and outlines err."""
+"""Time steps a recorded push is cut into. In shorter ones the object moves less than trackers err."""
 
 EPOCHS = 10
 RATE = 0.03
-"""α |W|², the share of a step's error that one update removes where the step is linear, see `_learning_rate`."""
+"""Learning rate times the mean |W|²: about the share of a step's error that one update removes."""
 
 TEMPERATURE = 0.01
 """Soft-max temperature as a share of the loss of an object that never moves."""
@@ -73,7 +74,7 @@ class ObservedPush:
         tip: (T + 1, 2) finger centre, world, m; NaN where there is no finger.
 
     Raises:
-        ValueError: shapes that do not fit, fewer than three poses, poses that are not finite, dt not positive.
+        ValueError: shapes that do not fit, fewer than three poses, poses not finite, dt not positive.
     """
 
     dt: float
@@ -85,7 +86,7 @@ class ObservedPush:
         if not (np.isfinite(self.dt) and self.dt > 0):
             raise ValueError(f"observed push: dt must be positive, got {self.dt} s")
         if poses.ndim != 2 or poses.shape[1] != 3 or len(poses) < 3 or not np.isfinite(poses).all():
-            raise ValueError(f"observed push: needs finite poses (T + 1, 3) with T >= 2, got shape {poses.shape}")
+            raise ValueError(f"observed push: needs finite poses (T + 1, 3), T >= 2, got shape {poses.shape}")
         if tip.shape != (len(poses), 2):
             raise ValueError(f"observed push: tip must have shape ({len(poses)}, 2), got {tip.shape}")
         object.__setattr__(self, "poses", poses)
@@ -148,7 +149,7 @@ def algorithm_1(
     epochs: int = 1,
     progress: Progress | None = None,
 ) -> tuple[Maps, FloatArray, FloatArray]:
-    """K models of an object from recorded pushes; see the head of this file for how the printed lines are read.
+    """K models of an object from recorded pushes; the head of this file tells how the printed lines are read.
 
     Args:
         slider: the object and its step V.
@@ -180,36 +181,35 @@ def algorithm_1(
     finger = np.full(K, float(mu_finger))
     transitions = [push.transitions() for push in pushes]
 
-    def maps() -> Maps:
-        return Maps(estimate[:, :n], estimate[:, n:], finger)
-
+    maps = Maps(estimate[:, :n], estimate[:, n:], finger)
     for epoch in range(epochs):
         loss = np.zeros(K)  # line 16
         for b, push in enumerate(pushes):
             q, v = np.tile(push.poses[1], (K, 1)), np.tile(push.twists[0], (K, 1))  # line 13
             for t, step in enumerate(transitions[b]):
+                observed = cell_poses(push.poses[t + 2], centers)
+                # Two rollouts in one: the first from the simulated state, the second from the observed one.
                 result = slider.rollout(
-                    maps(),
+                    maps,
                     [step, step],
                     sensitivities=True,
                     start_poses=np.stack([q, np.broadcast_to(step.start_pose, (K, 3))], axis=1),
                     start_twists=np.stack([v, np.broadcast_to(step.start_twist, (K, 3))], axis=1),
                 )
-                observed = cell_poses(push.poses[t + 2], centers)
-                # The first of the two started in the simulated state, the second in the observed one.
                 q, v = result.end[:, 0, :3], result.end[:, 0, 3:]  # lines 18, 19
                 loss += np.linalg.norm(cell_poses(q, centers) - observed, axis=1)  # line 20
                 predicted = result.poses[:, 1]
+                # (x - x^g)ᵀ W with W = ∂x/∂q ∂q/∂(M, mu), multiplied from the left.
                 difference = cell_poses(predicted, centers) - observed
-                by_maps = slider.map_columns(maps(), result.d_poses[:, 1])[..., : 2 * n]
-                # Wᵀ (x - x^g) with W = (∂x/∂q) (∂q/∂(M, mu)), multiplied from the left.
-                pull = np.einsum("kic,ki->kc", _cells_by_pose(predicted, centers), difference)
-                gradient = np.einsum("kc,kcp->kp", pull, by_maps)
+                by_pose = np.einsum("ki,kic->kc", difference, _cells_by_pose(predicted, centers))
+                by_maps = slider.map_columns(maps, result.d_poses[:, 1])[..., : 2 * n]
+                gradient = np.einsum("kc,kcp->kp", by_pose, by_maps)
                 estimate = estimate - learning_rate * bound**2 * gradient  # lines 21, 22
                 estimate = np.clip(estimate, FLOOR * bound, bound)  # lines 23, 24
+                maps = Maps(estimate[:, :n], estimate[:, n:], finger)
             if progress is not None:
                 progress(epoch * len(pushes) + b + 1, epochs * len(pushes))
-    return maps(), loss, soft_max(loss, temperature)
+    return maps, loss, soft_max(loss, temperature)
 
 
 def identify_by_algorithm_1(
@@ -219,12 +219,12 @@ def identify_by_algorithm_1(
     seed: int = 0,
     progress: Callable[[str, int, int], None] | None = None,
 ) -> Belief:
-    """Algorithm 1 on the fit pushes of a dataset, with parameters that fit small and heavy objects alike.
+    """Algorithm 1 on the fit pushes of a dataset, with parameters that suit small and heavy objects alike.
 
-    Each push is cut into `STEPS` equal steps, fewer where it has fewer poses. A cell's mass is at most twice the
-    object's mass over n (of `NOMINAL_MASS` where nobody weighed it), so that most models start with the known
-    mass; nothing holds them to it. Learning rate and temperature are set from the pushes, see `RATE` and
-    `TEMPERATURE`. Forces are not used.
+    Each push is cut into `STEPS` equal steps, fewer where it has fewer poses. A cell's mass is at most twice
+    the object's mass (`NOMINAL_MASS` where nobody weighed it) over n, so that the first half of the models
+    start from the known mass; nothing holds them to it. Learning rate and temperature follow from the
+    pushes, see `RATE` and `TEMPERATURE`. Forces are not used.
 
     Args:
         dataset: measured pushes. Trials with fewer than three poses show no time steps and are left out.
@@ -244,22 +244,22 @@ def identify_by_algorithm_1(
         )
     slider = Slider(dataset.grid, dataset.finger_radius, dataset.gravity, MEASURED_CONTACT)
     pushes = [observe_steps(trial) for trial in trials]
-    still = _loss_of_rest(pushes, dataset.grid.centers)
-    if still == 0:
-        raise DatasetError(f"dataset {dataset.name}: no fit push moves the object; there is nothing to learn from")
     total = dataset.mass if dataset.mass is not None else NOMINAL_MASS
     parameters = {"mass_max": 2.0 * total / len(dataset.grid), "mu_max": MU_MAX, "mu_finger": MU_FINGER}
-    rates = {
-        "learning_rate": _learning_rate(slider, pushes, **parameters),
-        "temperature": TEMPERATURE * still,
-    }
+    still = _loss_of_rest(pushes, dataset.grid.centers)
+    square = _mean_square_weight(slider, pushes, **parameters)
+    if still == 0 or square == 0:
+        raise DatasetError(
+            f"dataset {dataset.name}: no fit push moves the object, so there is nothing to learn from; give "
+            "pushes in which the finger reaches the outline"
+        )
+    parameters |= {"learning_rate": RATE / square, "temperature": TEMPERATURE * still}
     report = progress or (lambda stage, done, total: None)
     maps, loss, probability = algorithm_1(
         slider,
         pushes,
         hypotheses=hypotheses,
         **parameters,
-        **rates,
         epochs=EPOCHS,
         progress=lambda done, total: report("Algorithm 1", done, total),
     )
@@ -285,7 +285,6 @@ def identify_by_algorithm_1(
             "rate": RATE,
             "temperature_share": TEMPERATURE,
             **parameters,
-            **rates,
             "loss": loss.tolist(),
             "loss_of_rest": still,
         },
@@ -293,7 +292,7 @@ def identify_by_algorithm_1(
 
 
 def observe_steps(trial: Trial) -> ObservedPush:
-    """A recorded trial of three poses or more at equal times, linear between rows, the finger's track smoothed."""
+    """A trial of three poses or more at equal times, linear between rows, the finger's track smoothed."""
     times = pose_times(trial)
     steps = min(STEPS, len(times) - 1)
     ends = np.linspace(0.0, times[-1], steps + 1)
@@ -310,19 +309,20 @@ def _loss_of_rest(pushes: Sequence[ObservedPush], centers: FloatArray) -> float:
     return float(sum(np.linalg.norm(poses[2:] - poses[1], axis=1).sum() for poses in x))
 
 
-def _learning_rate(
+def _mean_square_weight(
     slider: Slider, pushes: Sequence[ObservedPush], *, mass_max: float, mu_max: float, mu_finger: float
 ) -> float:
-    """α = `RATE` over the mean of |W|² at the uniform start, W by maps in units of their bounds."""
+    """Mean of |W|² (Frobenius) over all steps of a uniform object, W by maps in units of their bounds."""
     n = len(slider.grid)
     start = Maps(np.full((1, n), 0.5 * mass_max), np.full((1, n), 0.5 * mu_max), np.array([mu_finger]))
     bound = np.repeat([mass_max, mu_max], n)
-    result = slider.rollout(start, [step for push in pushes for step in push.transitions()], sensitivities=True)
+    steps = [step for push in pushes for step in push.transitions()]
+    result = slider.rollout(start, steps, sensitivities=True)
     by_maps = slider.map_columns(start, result.d_poses)[0, ..., : 2 * n] * bound
     by_pose = _cells_by_pose(result.poses[0], slider.grid.centers)
     # |E D|² = tr(Eᵀ E D Dᵀ), over rigid motions instead of cells.
     square = np.einsum("sic,sid,scp,sdp->s", by_pose, by_pose, by_maps, by_maps, optimize=True)
-    return RATE / float(square.mean())
+    return float(square.mean())
 
 
 def _cells_by_pose(q: FloatArray, centers: FloatArray) -> FloatArray:

@@ -10,7 +10,6 @@ from models.inference.belief import Belief, BeliefError
 from models.inference.observations import Observation, observe_all
 from models.inference.results import PushPrediction
 from models.measurements import PushDataset
-from models.physics.cell_grid import FloatArray
 from models.physics.paper_notation import add
 from models.physics.rollout import Maps, Push
 
@@ -20,7 +19,9 @@ SIDEWAYS_SHIFT = 5e-4
 Progress = Callable[[str, int, int], None]
 
 
-def predict(belief: Belief, dataset: PushDataset, progress: Progress | None = None) -> tuple[PushPrediction, ...]:
+def predict(
+    belief: Belief, dataset: PushDataset, progress: Progress | None = None
+) -> tuple[PushPrediction, ...]:
     """Roll every hypothesis out along every recorded push, from the push's first pose.
 
     Args:
@@ -64,8 +65,9 @@ def predict_observations(
     report("predicting", 1, 3)
     uniform = slider.rollout(uniform_maps(belief), pushes)
     report("predicting", 2, 3)
-    likeliest = maps[[int(np.argmax(belief.probability))]]
-    shifted = [_shifted_ends(slider.rollout(likeliest, _shifted(pushes, sign)).end) for sign in (-1.0, 1.0)]
+    best = int(np.argmax(belief.probability))
+    likeliest = maps[best : best + 1]
+    shifted = [slider.rollout(likeliest, _shifted(pushes, sign)).end[0, :, :3] for sign in (-1.0, 1.0)]
     ends = slider.rollout(likeliest, pushes).end[0, :, :3]
     report("predicting", 3, 3)
     results = []
@@ -114,10 +116,13 @@ def _shifted(pushes: Sequence[Push], sign: float) -> list[Push]:
             continue
         sideways = np.array([-path[1], path[0]]) / length * SIDEWAYS_SHIFT * sign
         result.append(
-            Push(push.h, push.tip + sideways, push.start_pose, push.start_twist, push.pose_times, push.force_times)
+            Push(
+                push.h,
+                push.tip + sideways,
+                push.start_pose,
+                push.start_twist,
+                push.pose_times,
+                push.force_times,
+            )
         )
     return result
-
-
-def _shifted_ends(end: FloatArray) -> FloatArray:
-    return end[0, :, :3]

@@ -6,9 +6,9 @@ Maps are functions of whitened coordinates z, so that the prior is z ~ N(0, 1) i
     mu_i  = exp(log mu_0 + σ_scale z_mu0 + σ_mu (B z_mu)_i)
     mu_f  = exp(log mu_f0 + σ_f z_f),        m_total = m_0 exp(σ_total z_total)
 
-B Bᵀ is a squared-exponential covariance over the cell centres plus a share of white noise: neighbouring cells are
-alike, but need not be. Logarithms keep masses and frictions positive and make the units immaterial: an object
-of 165 kg is as likely as one of 165 g.
+B Bᵀ is a squared-exponential covariance over the cell centres plus a share of white noise: neighbouring
+cells are alike, but need not be. Logarithms keep masses and frictions positive and make the units
+immaterial: an object of 165 kg is as likely as one of 165 g.
 """
 
 from __future__ import annotations
@@ -129,7 +129,9 @@ class MapPrior:
         share = maps.mass / maps.mass.sum(axis=1, keepdims=True)
         return np.concatenate(
             [
-                s.mass_map * scale * (by_log_mass @ self.basis - by_total * (share @ self.basis).reshape((*ones, -1))),
+                s.mass_map
+                * scale
+                * (by_log_mass @ self.basis - by_total * (share @ self.basis).reshape((*ones, -1))),
                 s.friction_map * scale * (by_log_mu @ self.basis),
                 by_total * self.total_spread,
                 by_log_mu.sum(axis=-1, keepdims=True) * s.friction_scale,

@@ -81,7 +81,7 @@ class Identification:
         return np.array([getattr(push, of) for push in self.pushes if push.role == role])
 
     def to_json(self) -> dict[str, object]:
-        """The machine-readable result; lengths in m, angles in rad, null where there is nothing to average."""
+        """The machine-readable result; lengths in m, null where there is nothing to average."""
 
         def mean(values: FloatArray) -> float | None:
             return float(values.mean()) if len(values) else None

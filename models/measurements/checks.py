@@ -58,6 +58,10 @@ def _faults(setup: Setup, trial: Trial, where: str) -> list[str]:
     if len(trial.object_pose.time) > 10 and np.median(np.diff(trial.object_pose.time)) > SLOWEST_RATE:
         faults.append(f"object poses are more than {SLOWEST_RATE:g} s apart; are times in s?")
     if not trial.has_finger:
+        if _moved(setup, trial) and not trial.initial_velocity().any():
+            faults.append(
+                "a resting object begins to move, but no finger is within 1 m; is the tip given in m?"
+            )
         return faults
     _refuse_foreign_clocks(trial, where)
     _refuse_finger_inside(setup, trial, where)

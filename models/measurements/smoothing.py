@@ -1,8 +1,8 @@
 """Smoothing of a recorded finger track.
 
-A finger is stiff and smooth, its record jitters. Fed into the model as it is, jitter of 0.05 mm rattles the contact
-between no force and twice the force, and rectifies into a drift: with the true maps of a simulated object, pushes
-ended 1.4 mm off on average, and 0.5 mm off after this smoothing.
+A finger is stiff and smooth, its record jitters. Fed into the model as it is, jitter of 0.05 mm rattles the
+contact between no force and twice the force, and rectifies into a drift: with the true maps of a simulated
+object, pushes ended 1.4 mm off on average, and 0.5 mm off after this smoothing.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ def smooth_track(time: FloatArray, track: FloatArray) -> tuple[FloatArray, Float
     if len(time) < 12:
         return time, track
     step = float(np.median(np.diff(time)))
-    grid = np.linspace(time[0], time[-1], max(2, int(round((time[-1] - time[0]) / step)) + 1))
+    grid = np.linspace(time[0], time[-1], max(2, round((time[-1] - time[0]) / step) + 1))
     raw = np.column_stack([np.interp(grid, time, column) for column in track.T])
     third = np.abs(np.diff(raw, 3, axis=0))
     noise = max(float((np.median(third, axis=0) / 0.6745 / np.sqrt(20.0)).max()), SMALLEST_NOISE)

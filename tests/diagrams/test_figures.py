@@ -95,7 +95,7 @@ def pushes_of(belief, count):
     predictions = []
     for trial in dataset.trials:
         poses = trial.object_pose.values[10::20]
-        hypotheses = np.stack([poses + [0.0, 0.001 * k, 0.0] for k in range(4)])
+        hypotheses = np.stack([poses + np.array([0.0, 0.001 * (k + 1), 0.0]) for k in range(4)])
         predictions.append(
             PushPrediction(trial.name, trial.role, trial.object_pose.time[10::20], poses, hypotheses,
                            hypotheses[1], 0.0123, 0.0045, 0.1, 0.05, 1.0)
@@ -147,10 +147,14 @@ def test_all_panels_of_a_page_have_one_scale(belief):
 def test_holes_are_part_of_an_outline_and_turn_with_it():
     ring = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * 0.02
     grid = CellGrid(np.array([[0.015, 0.0]]), 0.01, ring, (0.5 * ring,))
-    path = outline_path(grid, [1.0, 2.0, np.pi / 2])
-    assert len(path.vertices) == 10
-    np.testing.assert_allclose(placed(np.array([0.02, 0.0]), [1.0, 2.0, np.pi / 2]), [1.0, 2.02])
-    assert not path.contains_point([1.0, 2.0]) and path.contains_point([1.015, 2.0])
+    pose = [1.0, 2.0, np.pi / 2]
+    np.testing.assert_allclose(placed(np.array([0.02, 0.0]), pose), [1.0, 2.02])
+    exterior, hole = outline_path(grid, pose).vertices.reshape(2, 5, 2)
+    assert sorted(map(tuple, exterior[:4].round(9))) == [(x, y) for x in (0.98, 1.02) for y in (1.98, 2.02)]
+    assert sorted(map(tuple, hole[:4].round(9))) == [(x, y) for x in (0.99, 1.01) for y in (1.99, 2.01)]
+    # Opposite senses, so that the hole stays empty when filled.
+    areas = [np.sum(ring[:-1, 0] * ring[1:, 1] - ring[1:, 0] * ring[:-1, 1]) for ring in (exterior, hole)]
+    assert areas[0] > 0 > areas[1]
 
 
 @pytest.mark.parametrize(("largest", "expected"), [(0.26, 0.2), (0.1, 0.1), (0.0999, 0.05), (7.0, 5.0)])
@@ -175,8 +179,8 @@ def test_calibration_draws_a_curve_a_quantity(tmp_path):
 
 @pytest.mark.parametrize("ending", ["png", "pdf", "svg"])
 def test_figures_are_saved_and_leave_the_users_style_alone(belief, tmp_path, ending):
-    before = dict(matplotlib.rcParams)
-    save(maps_figure(belief), tmp_path / f"maps.{ending}")
-    assert dict(matplotlib.rcParams) == before
+    with matplotlib.rc_context({"font.size": 33.0, "axes.spines.top": True}):
+        save(maps_figure(belief), tmp_path / f"maps.{ending}")
+        assert matplotlib.rcParams["font.size"] == 33.0 and matplotlib.rcParams["axes.spines.top"]
     start = (tmp_path / f"maps.{ending}").read_bytes()[:200]
     assert {"png": b"PNG", "pdf": b"%PDF", "svg": b"<?xml"}[ending] in start

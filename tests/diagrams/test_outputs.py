@@ -115,6 +115,7 @@ def test_many_pushes_are_cut_to_the_worst(capsys):
         ("m", 0.0891234, 0.0888, 0.0895, ("89.12", "88.80 to 89.50")),
         ("kg", 164.2, 159.1, 170.4, ("164", "159 to 170")),
         ("-", 0.2981, 0.2931, 0.3039, ("0.298", "0.293 to 0.304")),
+        ("m", 0.0941, 0.00152, 6.04, ("94", "1.5 to 6040")),
     ],
 )
 def test_numbers_have_the_digits_that_the_interval_supports(unit, value, low, high, texts):

@@ -85,6 +85,11 @@ def test_a_seed_gives_the_same_pushes_and_another_seed_others():
     assert first != other
 
 
+@pytest.mark.parametrize("count", [1, 7, 23])
+def test_there_are_as_many_pushes_as_asked_for(count):
+    assert len(candidate_pushes(rectangle(), RADIUS, np.random.default_rng(10), count)) == count
+
+
 def test_lengths_and_speeds_lie_in_their_ranges():
     pushes = candidate_pushes(
         rectangle(), RADIUS, np.random.default_rng(7), 200, length=(0.02, 0.03), speed=(0.1, 0.2)

@@ -135,6 +135,8 @@ def test_an_object_that_never_moves_is_no_fault(example):
 def test_no_finger_no_questions_about_it(example):
     rows = record(example)
     rows["tip_pose"] = [[0.0, 10.0, 10.0, 0.0]]  # nor need its clock agree
+    for row in rows["object_pose"]:
+        row[1] = 0.5 * (row[0] - 1000.0) - 0.25 * (row[0] - 1000.0) ** 2
     dataset = read_dataset(example.write())
     assert [trial.has_finger for trial in dataset.trials] == [True, False, True]
     assert dataset.warnings == ()
@@ -297,6 +299,12 @@ def test_lengths_in_millimetres_are_noticed(example):
         row[2] = 0.3 + 100.0 * (row[0] - 1000.003)
     warnings = read_dataset(example.write()).warnings
     assert any("tip moves faster than 10 m/s" in warning for warning in warnings)
+
+
+def test_a_tip_in_millimetres_is_not_taken_for_no_finger(example):
+    for row in record(example)["tip_pose"]:
+        row[1] = 1000.0 * row[1] + 2000.0
+    warned(example, "trials/001.json", "begins to move, but no finger is within 1 m")
 
 
 def test_jitter_of_the_stamps_is_not_speed(example):

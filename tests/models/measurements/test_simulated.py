@@ -80,7 +80,7 @@ def test_torque_about_the_finger_comes_from_the_tangential_force_alone(angle):
     (smooth,) = record_pushes(
         slider, maps(slider, 0.0), [push_along_x(0.02, angle)], rng, noise=SILENT
     ).trials
-    assert np.abs(smooth.ft_wrench.values[:, 2]).max() < 1e-6
+    assert np.abs(smooth.ft_wrench.values[:, 2]).max() < 0.01 * np.abs(torque).max()
 
 
 def test_rows_are_the_simulation_at_the_rate():

@@ -187,6 +187,12 @@ class TestAcceptedInput:
         ).d_poses[0]
         assert between == pytest.approx(0.75 * before + 0.25 * after, abs=1e-6 * np.abs(after).max())
 
+    def test_asking_for_sensitivities_does_not_change_the_motion(self) -> None:
+        with_, without = (self.slider.rollout(MAPS, [push()], sensitivities=s) for s in (True, False))
+        assert np.array_equal(with_.poses, without.poses)
+        assert with_.d_poses.shape == (1, STEPS, 3, self.slider.columns)
+        assert without.d_poses.size == 0
+
     def test_a_pose_may_be_asked_for_twice(self) -> None:
         poses = self.slider.rollout(MAPS, [push(pose_times=np.array([0.1, 0.1, 0.2]))]).poses[0]
         assert np.array_equal(poses[0], poses[1])

@@ -83,16 +83,18 @@ def wrench() -> Push:
 
 
 BLOCK = rectangle(6, 4, 0.1 / 6)
+COARSE = rectangle(5, 3, 0.02)
 CASES = {
     "sliding": Case(BLOCK, from_the_left(0.01, 0.7, 2e-4), 0.1),
     "sticking": Case(BLOCK, from_the_left(0.01, 0.3, 2e-4), 1.0),
     "round a corner": Case(BLOCK, from_the_left(0.03, 0.9, 2e-4), 0.3),
     "on a corner": Case(BLOCK, from_the_left(0.037, -0.8, -2e-3), 0.22),
-    "made and lost": Case(BLOCK, made_and_lost(), 0.3),
+    "made and lost": Case(COARSE, made_and_lost(), 0.3),
     "caught in motion": Case(BLOCK, caught_in_motion(), 0.3),
     "concave corner": Case(l_shape(), into_the_corner(), 0.2),
     "wrench": Case(BLOCK, wrench(), 0.3, finger=False),
-    "coasting": Case(BLOCK, coast((0.5, -0.2, 4.0), 0.4, H, start_pose=START), 0.3, finger=False),
+    "fast spin": Case(COARSE, coast((0.5, -0.2, 60.0), 0.06, 2 * H, start_pose=START), 0.3, finger=False),
+    "coasting": Case(COARSE, coast((0.5, -0.2, 4.0), 0.4, H, start_pose=START), 0.3, finger=False),
 }
 PARAMETER_STEPS = {"mass": 3e-6, "mu": 1e-4, "mu_finger": 1e-5, "start_pose": 3e-7, "start_twist": 1e-4}
 
@@ -152,6 +154,18 @@ def test_sensitivities_are_the_central_differences(case: Case) -> None:
         check_groups("forces", slider.map_columns(maps, out.d_forces)[0], numeric[1], case)
 
 
+@pytest.mark.parametrize("cells", [2, 7, 8, 9, 17])
+def test_sensitivities_for_any_number_of_cells(cells: int) -> None:
+    grid = rectangle(cells, 1, 0.03)
+    tip = line((-0.015 * cells - FINGER_RADIUS - 1e-4, -0.009), (0.03, 0.06), 0.3, H)
+    test_sensitivities_are_the_central_differences(Case(grid, finger_push(tip, H), 0.1))
+
+
+def test_sensitivities_of_a_single_cell() -> None:
+    push = drive(np.tile([0.15, 0.05, 0.01, 0.0, 0.001], (30, 1)), H)
+    test_sensitivities_are_the_central_differences(Case(rectangle(1, 1, 0.03), push, 0.3, finger=False))
+
+
 def check_groups(name: str, analytic: np.ndarray, numeric: np.ndarray, case: Case) -> None:
     """Each group of parameters to a millionth of its largest derivative."""
     for group, place in parameter_slices(len(case.grid)).items():
@@ -194,11 +208,6 @@ def test_reduced_columns_of_the_inertia(name: str) -> None:
     assert by_mu == pytest.approx(reduced[..., :n] * maps.mass[0] * GRAVITY)
 
 
-@pytest.mark.xfail(
-    strict=True,
-    raises=AssertionError,
-    reason="the Hessian is that of the last iterate but one, up to 1e-9 m/s away",
-)
 @pytest.mark.parametrize("seed", [33, 54])
 def test_sensitivities_of_an_object_that_holds_against_a_small_force(seed: int) -> None:
     """Creep below the slip speed, where friction is a stiff drag."""
@@ -266,7 +275,6 @@ class TestKinks:
         assert self.derivatives_at_touch(2.0**-50)[0] == pytest.approx(away, rel=1e-5)
         assert self.derivatives_at_touch(-(2.0**-50))[0] == pytest.approx(nearer, rel=1e-5)
 
-    @pytest.mark.xfail(strict=True, raises=AssertionError, reason="columns of both sides mixed")
     def test_the_very_instant_of_contact(self) -> None:
         analytic, nearer, away = self.derivatives_at_touch(0.0)
         errors = [np.abs(analytic / side - 1).max() for side in (nearer, away)]

@@ -98,6 +98,15 @@ def test_a_sliding_block_stops_after_v_squared_over_two_mu_g(yaw: float, heading
     assert end[2:] == pytest.approx([yaw, 0, 0, 0], abs=1e-6)
 
 
+@pytest.mark.parametrize("spin", [0.0, 1e-6, 3.0, 19.9, 20.1, 60.0, -200.0])
+def test_a_step_moves_the_object_along_the_screw_of_its_new_twist(spin: float) -> None:
+    push = coast((0.6, -0.2, spin), 0.06, 0.02, start_pose=(1.0, 2.0, 3.0))
+    maps = random_maps(np.random.default_rng(15), 60)
+    out = Slider(rectangle(10, 6), FINGER_RADIUS).rollout(maps, [push])
+    twists = twists_between(with_start(out.poses[0], push), push.h)
+    assert out.end[0, 0, 3:] == pytest.approx(twists[-1], abs=1e-9)
+
+
 def relative_errors(pose: np.ndarray, reference: np.ndarray) -> np.ndarray:
     """Errors of translation and rotation, each relative to the whole."""
     shift = np.linalg.norm(pose[:2] - reference[:2]) / np.linalg.norm(reference[:2])

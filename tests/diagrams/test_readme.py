@@ -1,0 +1,56 @@
+"""What the README shows works: its example, its commands, its links."""
+
+from __future__ import annotations
+
+import os
+import re
+import shlex
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from diagrams.command_line import slipmap
+
+ROOT = Path(__file__).resolve().parents[2]
+PAGES = ("README.md", "docs/file-formats.md")
+
+
+def test_python_example_runs_on_what_the_demo_leaves(demo_folder, tmp_path):
+    (code,) = re.findall(r"```python\n(.*?)```", (ROOT / "README.md").read_text(), flags=re.S)
+    (tmp_path / "demo").symlink_to(demo_folder / "demo")
+    result = subprocess.run(
+        [sys.executable, "-c", code], cwd=tmp_path, env={**os.environ, "PYTHONPATH": str(ROOT)},
+        capture_output=True, text=True,
+    )  # fmt: skip
+    assert result.returncode == 0, result.stderr
+    assert re.match(r"pushes that were held out end \d+\.\d mm", result.stdout)
+    assert "finger friction" in result.stdout
+    assert (tmp_path / "maps.png").stat().st_size > 10_000
+
+
+@pytest.mark.parametrize("page", PAGES)
+def test_commands_and_options_exist(page):
+    text = (ROOT / page).read_text()
+    shown = re.findall(r"`slipmap ([^`]+)`", text) + re.findall(r"^    slipmap (.+)$", text, flags=re.M)
+    assert len(shown) > 3
+    for line in shown:
+        name, *rest = shlex.split(line, comments=True)
+        options = {option for parameter in slipmap.commands[name].params for option in parameter.opts}
+        assert {word for word in rest if word.startswith("-")} <= options
+
+
+def test_make_targets_exist():
+    targets = set(re.findall(r"^([a-z]+):.*## ", (ROOT / "Makefile").read_text(), flags=re.M))
+    named = set(re.findall(r"\bmake ([a-z]+)\b", (ROOT / "README.md").read_text()))
+    assert {"demo", "test"} <= named <= targets
+
+
+@pytest.mark.parametrize("page", PAGES)
+def test_links_lead_somewhere(page):
+    links = re.findall(r"\]\(([^)#:]+)\)", (ROOT / page).read_text())
+    for link in links:
+        assert ((ROOT / page).parent / link).exists(), link
+    for folder in re.findall(r"^\| `([a-z]+)/` ", (ROOT / page).read_text(), flags=re.M):
+        assert (ROOT / folder).is_dir()

@@ -1,0 +1,108 @@
+"""Belief files: whole round trip, and clear words for anything else."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from models.inference.belief import Belief, BeliefError
+from models.objects import cells_from_polygon
+from models.physics.rollout import Maps, Smoothing
+
+
+def example() -> Belief:
+    outer = [[0, 0], [0.1, 0], [0.1, 0.1], [0, 0.1]]
+    hole = np.array([[0.04, 0.04], [0.06, 0.04], [0.06, 0.06], [0.04, 0.06]])
+    grid = cells_from_polygon(outer, [hole], count=24)
+    rng = np.random.default_rng(0)
+    maps = Maps(
+        rng.uniform(0.1, 1, (3, len(grid))), rng.uniform(0.1, 1, (3, len(grid))), np.array([0.1, 0.2, 0.3])
+    )
+    return Belief(
+        grid, 0.005, 9.8, maps, np.array([0.5, 0.3, 0.2]), Smoothing(), "made up", "abc", "gauss-newton", 7,
+        {"hypotheses": 3},
+    )  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def saved(tmp_path_factory):
+    path = tmp_path_factory.mktemp("belief") / "belief.npz"
+    example().save(path)
+    return path
+
+
+def test_round_trip_is_exact(saved):
+    before, after = example(), Belief.load(saved)
+    for name in ("mass", "mu", "mu_finger"):
+        assert np.array_equal(getattr(before.maps, name), getattr(after.maps, name))
+    assert np.array_equal(before.probability, after.probability)
+    assert np.array_equal(before.grid.edges, after.grid.edges)
+    for name in (
+        "finger_radius",
+        "gravity",
+        "smoothing",
+        "dataset",
+        "fingerprint",
+        "method",
+        "seed",
+        "settings",
+        "versions",
+    ):
+        assert getattr(before, name) == getattr(after, name)
+
+
+def test_centre_of_mass_and_friction_by_hand():
+    belief = example()
+    k = 1
+    total = sum(belief.maps.mass[k])
+    x = sum(m * r[0] for m, r in zip(belief.maps.mass[k], belief.grid.centers, strict=True)) / total
+    assert belief.centers_of_mass[k, 0] == pytest.approx(x)
+    friction = sum(m * mu * 9.8 for m, mu in zip(belief.maps.mass[k], belief.maps.mu[k], strict=True))
+    assert belief.friction_forces[k] == pytest.approx(friction)
+
+
+def test_missing_foreign_and_damaged_files_are_named(saved, tmp_path):
+    with pytest.raises(BeliefError, match="no belief file"):
+        Belief.load(tmp_path / "none.npz")
+    np.savez(tmp_path / "foreign.npz", a=np.zeros(3))
+    with pytest.raises(BeliefError, match="not a belief file"):
+        Belief.load(tmp_path / "foreign.npz")
+    (tmp_path / "text.npz").write_text("hello")
+    with pytest.raises(BeliefError, match="not a readable belief"):
+        Belief.load(tmp_path / "text.npz")
+
+
+def test_changed_numbers_are_noticed(saved, tmp_path):
+    with np.load(saved) as archive:
+        arrays = {name: archive[name] for name in archive.files}
+    arrays["mass"] = arrays["mass"] * 1.01
+    np.savez(tmp_path / "changed.npz", **arrays)
+    with pytest.raises(BeliefError, match="checksum"):
+        Belief.load(tmp_path / "changed.npz")
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.integers(0, 10_000), st.binary(min_size=1, max_size=8), st.booleans())
+def test_any_damage_is_a_belief_error_or_harmless(saved, tmp_path_factory, place, junk, cut):
+    whole = saved.read_bytes()
+    place %= len(whole)
+    broken = whole[:place] if cut else whole[:place] + junk + whole[place + len(junk) :]
+    path = tmp_path_factory.mktemp("broken") / "belief.npz"
+    path.write_bytes(broken)
+    try:
+        belief = Belief.load(path)
+    except BeliefError:
+        return
+    assert np.array_equal(belief.maps.mass, example().maps.mass)
+
+
+def test_a_failed_write_leaves_nothing(tmp_path):
+    with pytest.raises(BeliefError, match="cannot write"):
+        example().save(tmp_path / "nowhere" / "belief.npz")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_probabilities_are_checked():
+    b = example()
+    with pytest.raises(BeliefError, match="probabilities"):
+        Belief(b.grid, 0.005, 9.8, b.maps, np.array([0.5, 0.3, 0.3]), b.smoothing, "", "", "paper", 0)

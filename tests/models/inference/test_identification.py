@@ -1,0 +1,148 @@
+"""From recorded pushes to a belief, against known truth and measured data."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from models.inference.belief import BeliefError
+from models.inference.identifiability import interval
+from models.inference.identification import accuracy_weights, identify
+from models.inference.prediction import predict
+from models.measurements import DatasetError, read_dataset
+
+
+@pytest.fixture(scope="module")
+def result(recorded):
+    return identify(recorded.dataset, hypotheses=12, seed=3)
+
+
+def test_the_truth_is_found(recorded, result):
+    belief = result.belief
+    assert belief.probability @ belief.centers_of_mass == pytest.approx(recorded.center_of_mass, abs=3e-3)
+    assert belief.probability @ belief.friction_forces == pytest.approx(recorded.friction, rel=0.05)
+    assert belief.probability @ belief.maps.mu_finger == pytest.approx(0.3, rel=0.1)
+
+
+def test_predictions_beat_both_baselines_by_far(result):
+    held = result.errors("heldout")
+    assert len(held) == 4
+    assert held.mean() < 1.5e-3
+    assert held.mean() < 0.3 * result.errors("heldout", "uniform_add").mean()
+    assert held.mean() < 0.05 * result.errors("heldout", "no_motion_add").mean()
+
+
+def test_same_seed_same_belief_other_seed_other_belief(recorded, result):
+    again = identify(recorded.dataset, hypotheses=12, seed=3)
+    assert np.array_equal(again.belief.maps.mass, result.belief.maps.mass)
+    other = identify(recorded.dataset, hypotheses=12, seed=4)
+    assert not np.array_equal(other.belief.maps.mass, result.belief.maps.mass)
+
+
+def test_without_force_the_scale_of_friction_is_reported_open(recorded):
+    blind = replace(
+        recorded.dataset, trials=tuple(replace(trial, ft_wrench=None) for trial in recorded.dataset.trials)
+    )
+    facts = {quantity.name: quantity for quantity in identify(blind, hypotheses=8).quantities}
+    assert not facts["total friction"].pinned and "no force" in facts["total friction"].reason
+    assert facts["total friction"].high > 1.5 * facts["total friction"].low
+    assert facts["centre of friction, x"].pinned and facts["finger friction"].pinned
+
+
+def test_with_force_the_scale_of_friction_is_pinned(recorded, result):
+    facts = {quantity.name: quantity for quantity in result.quantities}
+    friction = facts["total friction"]
+    assert friction.pinned
+    assert friction.low < recorded.friction < friction.high
+    assert friction.high < 1.2 * friction.low
+
+
+def test_units_of_mass_do_not_matter(recorded, result):
+    """The same object made a thousand times as heavy, pushed the same way, moves the same way."""
+    heavy = replace(
+        recorded.dataset,
+        mass=recorded.dataset.mass * 1000.0,
+        noise=replace(recorded.dataset.noise, force=50.0),
+        trials=tuple(
+            replace(trial, ft_wrench=replace(trial.ft_wrench, values=trial.ft_wrench.values * 1000.0))
+            for trial in recorded.dataset.trials
+        ),
+    )
+    scaled = identify(heavy, hypotheses=12, seed=3)
+    assert scaled.errors("heldout") == pytest.approx(result.errors("heldout"), abs=5e-5)
+    assert scaled.belief.maps.mass / 1000.0 == pytest.approx(result.belief.maps.mass, rel=1e-3)
+
+
+def test_result_is_json(result):
+    document = json.loads(json.dumps(result.to_json(), allow_nan=False))
+    assert set(document) >= {
+        "fit_error_mean", "heldout_error_mean", "heldout_error_median", "no_motion_error_mean",
+        "uniform_error_mean", "trials", "hypotheses", "identifiable", "seconds", "seed",
+    }  # fmt: skip
+    assert len(document["hypotheses"]) == 12 and len(document["trials"]) == 10
+    assert sum(h["probability"] for h in document["hypotheses"]) == pytest.approx(1.0)
+
+
+def test_no_heldout_pushes_give_null(recorded):
+    fit_only = replace(recorded.dataset, trials=recorded.dataset.fit_trials[:2])
+    document = identify(fit_only, hypotheses=2).to_json()
+    assert document["heldout_error_mean"] is None and document["uniform_error_mean"] is None
+    assert document["fit_error_mean"] is not None
+
+
+def test_wrong_use_is_named(recorded):
+    with pytest.raises(ValueError, match="gauss-newton, paper"):
+        identify(recorded.dataset, method="newton")
+    with pytest.raises(ValueError, match="at least 2"):
+        identify(recorded.dataset, hypotheses=1)
+    with pytest.raises(DatasetError, match="role fit"):
+        identify(replace(recorded.dataset, trials=recorded.dataset.heldout_trials))
+
+
+def test_prediction_refuses_another_object_or_finger(recorded, result):
+    with pytest.raises(BeliefError, match="finger"):
+        predict(result.belief, replace(recorded.dataset, finger_radius=0.01))
+    from models.objects import cells_from_polygon
+
+    other = cells_from_polygon([[0, 0], [0.1, 0], [0.1, 0.1], [0, 0.1]], count=20)
+    with pytest.raises(BeliefError, match="outlines"):
+        predict(result.belief, replace(recorded.dataset, grid=other))
+
+
+def test_accuracy_weights_punish_the_misfit_alone():
+    weights = accuracy_weights(np.array([10.0, 11.0, 12.0, 60.0]))
+    assert weights.sum() == pytest.approx(1.0)
+    assert weights[0] > weights[1] > weights[2] > 100 * weights[3]
+    assert weights[2] > 0.2
+
+
+def test_interval_of_many_draws_is_the_normal_one():
+    draws = np.random.default_rng(0).normal(3.0, 2.0, 20000)
+    value, low, high = interval(draws, np.full(20000, 1 / 20000))
+    assert value == pytest.approx(3.0, abs=0.05)
+    assert (low, high) == pytest.approx((3.0 - 1.645 * 2.0, 3.0 + 1.645 * 2.0), abs=0.06)
+
+
+@pytest.mark.parametrize(
+    ("name", "limit", "measure"),
+    [
+        ("real/cpush_square", 8e-3, "heldout_error_mean"),
+        ("real/mcube_steel", 15e-3, "heldout_error_median"),
+        ("real/mit_abs_rect1", 2.9e-3, "heldout_error_mean"),
+        ("effects/public-none", 1.2e-3, "heldout_error_mean"),
+    ],
+)
+def test_measured_pushes(shared_data, name, limit, measure):
+    document = identify(read_dataset(shared_data / name)).to_json()
+    assert document[measure] < limit
+    assert document["heldout_error_mean"] < document["uniform_error_mean"]
+
+
+@pytest.mark.parametrize("name", ["book_p9", "box_p0", "hammer_p0"])
+def test_the_authors_simulator_is_predicted_better_than_by_either_baseline(shared_data, name):
+    dataset = read_dataset(shared_data / "bullet" / name).with_fit_pushes(5)
+    result = identify(dataset)
+    held = result.errors("heldout")
+    assert held.mean() < result.errors("heldout", "uniform_add").mean()
+    assert held.mean() < 0.2 * result.errors("heldout", "no_motion_add").mean()

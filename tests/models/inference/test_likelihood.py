@@ -1,0 +1,83 @@
+"""Costs and their slopes."""
+
+import numpy as np
+import pytest
+
+from models.inference.gauss_newton import fit
+from models.inference.likelihood import Likelihood, LikelihoodSettings
+from models.inference.observations import MEASURED_CONTACT, observe_all
+from models.inference.prior import MapPrior, PriorSettings
+from models.measurements.simulated import GOOD_SENSORS
+from models.physics.rollout import Slider
+
+
+@pytest.fixture(scope="module")
+def likelihood(recorded) -> Likelihood:
+    dataset = recorded.dataset
+    slider = Slider(dataset.grid, dataset.finger_radius, dataset.gravity, MEASURED_CONTACT)
+    prior = MapPrior(slider, PriorSettings(), dataset.mass)
+    return Likelihood(prior, observe_all(dataset, dataset.fit_trials), dataset.noise, LikelihoodSettings())
+
+
+def test_gradient_is_the_slope_of_the_cost_with_starts_at_their_best(likelihood):
+    rng = np.random.default_rng(0)
+    d, B = likelihood.prior.size, len(likelihood.observations)
+    z = 0.2 * rng.standard_normal((1, d))
+    ones = np.ones(1)
+    weights = rng.uniform(0.5, 1.5, (1, B))
+    offsets = np.zeros((1, B, 3))
+    for _ in range(12):  # bring the eliminated start offsets to their minimum: there the two slopes agree
+        equations = likelihood.linearise(z, offsets, ones, weights)
+        gain, slope = equations.start_gain[:, 0], equations.start_gradient[:, 0]
+        offsets[0] -= 0.7 * np.einsum("bij,bj->bi", gain, slope)
+    equations = likelihood.linearise(z, offsets, ones, weights)
+    size = np.abs(equations.gradient).max()
+    for column in [0, 3, 40, d - 3, d - 2, d - 1]:
+        e = np.zeros((1, d))
+        e[0, column] = 1e-5
+        change = likelihood.cost(z + e, offsets, ones) - likelihood.cost(z - e, offsets, ones)
+        assert (weights * change).sum() / 2e-5 == pytest.approx(
+            equations.gradient[0, column], abs=2e-3 * size
+        )
+
+
+def test_a_push_with_no_weight_does_not_count(likelihood):
+    z = np.zeros((1, likelihood.prior.size))
+    B = len(likelihood.observations)
+    weights = np.zeros((1, B))
+    weights[0, 2] = 1.0
+    alone = Likelihood(likelihood.prior, [likelihood.observations[2]], GOOD_SENSORS, likelihood.settings)
+    ours = likelihood.linearise(z, np.zeros((1, B, 3)), np.ones(1), weights)
+    theirs = alone.linearise(z, np.zeros((1, 1, 3)), np.ones(1), np.ones((1, 1)))
+    assert ours.hessian == pytest.approx(theirs.hessian, rel=1e-9)
+    assert ours.gradient == pytest.approx(theirs.gradient, rel=1e-9)
+
+
+def test_lockstep_gives_what_each_start_gives_alone(likelihood):
+    prior = likelihood.prior
+    starts = np.array([prior.start(0.15), prior.start(0.5)])
+    together = fit(likelihood, starts, iterations=6)
+    for k in (0, 1):
+        alone = fit(likelihood, starts[k : k + 1], iterations=6)
+        assert together.z[k] == pytest.approx(alone.z[0], abs=1e-9)
+        assert together.cost[k] == pytest.approx(alone.cost[0], rel=1e-9)
+
+
+def test_fit_lowers_the_cost_and_stays_at_a_minimum(likelihood):
+    prior = likelihood.prior
+    start = prior.start(0.35)[None]
+    fitted = fit(likelihood, start)
+    B = len(likelihood.observations)
+    before = likelihood.cost(start, np.zeros((1, B, 3)), np.ones(1)).sum()
+    assert fitted.cost[0] < 0.2 * before
+    rng = np.random.default_rng(1)
+    for _ in range(8):
+        z = fitted.z + 0.05 * rng.standard_normal(fitted.z.shape)
+        nearby = likelihood.cost(z, fitted.offsets, np.ones(1)).sum() + 0.5 * (z**2).sum()
+        assert nearby > fitted.cost[0] * 0.999
+
+
+def test_huber_cost_is_linear_beyond_its_limit(likelihood):
+    weight, cost = likelihood._robust(np.array([0.5, 2.0, 4.0, 6.0]))
+    assert cost == pytest.approx([0.125, 2.0, 2.0 * 3.0, 2.0 * 5.0])
+    assert weight == pytest.approx([1.0, 1.0, 0.5, 1.0 / 3.0])

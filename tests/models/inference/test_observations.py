@@ -1,0 +1,77 @@
+"""Trials prepared for comparison, and the smoothing of finger tracks."""
+
+import numpy as np
+import pytest
+
+from models.inference.observations import SAMPLES, observe
+from models.measurements import Channel, Trial, read_dataset
+from models.measurements.smoothing import smooth_track
+
+
+def test_smoothing_removes_jitter_and_keeps_sudden_stops():
+    rng = np.random.default_rng(0)
+    t = np.arange(300) * 0.01
+    x = 0.1 * np.minimum(t, 1.5)  # stops dead at 1.5 s
+    true = np.column_stack([x, 0.0 * x])
+    noisy = true + 5e-5 * rng.standard_normal(true.shape)
+    grid, smooth = smooth_track(t, noisy)
+    away = np.abs(grid - 1.5) > 0.1
+    assert np.abs(grid - t).max() < 1e-9
+    assert np.sqrt(((smooth - true)[away] ** 2).mean()) < 0.4 * 5e-5
+    assert np.abs(smooth - true).max() < 4 * 5e-5
+    speed = np.hypot(*np.diff(smooth, axis=0).T) / 0.01
+    raw_speed = np.hypot(*np.diff(noisy, axis=0).T) / 0.01
+    moving = (grid[1:] > 0.2) & (grid[1:] < 1.3)
+    assert speed[moving].std() < 0.1 * raw_speed[moving].std()
+
+
+def test_a_weaving_track_without_noise_keeps_its_shape():
+    t = np.arange(200) * 0.01
+    track = np.column_stack([np.abs(t - 1.0), 0.02 * np.sin(6.0 * t)])
+    _, smooth = smooth_track(t, track)
+    assert np.abs(smooth - track).max() < 5e-5
+
+
+def test_short_tracks_come_back_as_they_are():
+    t, track = np.array([0.0, 5.0]), np.array([[0.0, 0.0], [0.05, 0.0]])
+    assert smooth_track(t, track)[1] is track
+
+
+def resting_trial(noise: float) -> Trial:
+    rng = np.random.default_rng(1)
+    t = np.arange(300) * 0.01
+    pose = np.column_stack([0.02 * np.maximum(t - 1.0, 0.0), 0 * t, 0 * t]) + noise * rng.standard_normal(
+        (300, 3)
+    )
+    tip = np.column_stack([-0.05 + 0.02 * t, 0 * t])
+    force = np.column_stack([np.where(t > 1.0, 2.0, 0.0), 0 * t, 0 * t])
+    return Trial("t", "fit", Channel(t, pose), Channel(t, tip), Channel(t, force))
+
+
+def test_start_pose_is_the_mean_of_the_resting_rows():
+    observation = observe(resting_trial(2e-4))
+    assert np.abs(observation.push.start_pose).max() < 6e-5
+    assert not observation.push.start_twist.any()
+
+
+def test_first_touch_and_stop_do_not_count_as_force():
+    observation = observe(resting_trial(0.0))
+    times = observation.push.force_times
+    assert len(times) == SAMPLES
+    assert observation.sliding.sum() > 10
+    assert times[observation.sliding].min() > 1.05
+    assert not observation.sliding[-1] or times[observation.sliding].max() < 3.0
+
+
+def test_two_row_trials_compare_at_the_end_alone(shared_data):
+    dataset = read_dataset(shared_data / "real" / "mit_abs_rect1")
+    observation = observe(dataset.trials[0])
+    assert len(observation.poses) == 1
+    assert observation.push.pose_times[0] == pytest.approx(5.0, abs=0.01)
+
+
+def test_an_object_that_slides_without_a_finger_gets_its_first_velocity(shared_data):
+    dataset = read_dataset(shared_data / "real" / "cube_slides")
+    observation = observe(dataset.trials[0])
+    assert np.isnan(observation.push.tip).all()
+    assert 0.2 < np.hypot(*observation.push.start_twist[:2]) < 1.0
