@@ -33,14 +33,14 @@ install: $(STAMP) ## Install slipmap into its environment, which the others do b
 
 # Python 3.11 or newer that can make environments; candidates that do not run are passed over.
 $(STAMP): pyproject.toml
-	@set -e; \
+	@set -e; found=; python=; \
 	if ! $(BIN)/python -m pip --version >/dev/null 2>&1; then \
-	    for candidate in $(PYTHON3) python3 python3.13 python3.12 python3.11; do \
-	        found="$$found $$($$candidate --version 2>/dev/null || true)"; \
+	    for candidate in $(or $(PYTHON3),python3 python3.13 python3.12 python3.11); do \
+	        version=$$($$candidate --version 2>/dev/null || true); found="$$found$${version:+$$version, }"; \
 	        if $$candidate -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null; then python=$$candidate; break; fi; \
 	    done; \
 	    if [ -z "$$python" ]; then \
-	        echo "slipmap needs Python 3.11 or newer, found:$${found:- none}. Debian 12, Ubuntu 24.04 and later have it:" \
+	        echo "slipmap needs Python 3.11 or newer, found $${found:-none, }which is not enough. Debian 12, Ubuntu 24.04 and later have it:" \
 	             "sudo apt-get install python3 python3-venv. Elsewhere see https://www.python.org/downloads and" \
 	             "name it: make PYTHON3=/path/to/python3" >&2; exit 2; \
 	    fi; \

@@ -112,7 +112,8 @@ def _damped_step(equations: NormalEquations, k: int, from_mean: FloatArray, damp
     system = equations.hessian[k].copy()
     diagonal = np.diagonal(system) + 1.0
     np.fill_diagonal(system, diagonal * (1.0 + damping))
-    step = -scipy.linalg.solve(system, equations.gradient[k] + from_mean, assume_a="pos", check_finite=False)
+    factor = scipy.linalg.cho_factor(system, overwrite_a=True, check_finite=False)
+    step = -scipy.linalg.cho_solve(factor, equations.gradient[k] + from_mean, check_finite=False)
     return step * min(1.0, LONGEST_STEP / max(float(np.abs(step).max()), 1e-12))
 
 

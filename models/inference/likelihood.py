@@ -41,7 +41,7 @@ class LikelihoodSettings:
         start_angle: the same for the angle, rad.
     """
 
-    model_error: float = 0.01
+    model_error: float = 0.005
     base_error: float = 5e-4
     independent: float = 4.0
     independent_forces: float = 0.5

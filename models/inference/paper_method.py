@@ -29,9 +29,11 @@ of whole trajectories.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 
+import numba
 import numpy as np
 
 from models.inference.belief import Belief
@@ -136,6 +138,18 @@ def soft_max(loss: FloatArray, temperature: float) -> FloatArray:
     return weight / weight.sum()
 
 
+@contextmanager
+def _one_thread() -> Iterator[None]:
+    """Steps are made one at a time, so short that threads cost more than they save."""
+    threads = numba.get_num_threads()
+    numba.set_num_threads(1)
+    try:
+        yield
+    finally:
+        numba.set_num_threads(threads)
+
+
+@_one_thread()
 def algorithm_1(
     slider: Slider,
     pushes: Sequence[ObservedPush],

@@ -52,7 +52,7 @@ class PriorSettings:
     length: float = 0.35
     white: float = 0.05
     largest_friction: float = 3.0
-    modes: int = 96
+    modes: int = 40
 
 
 class MapPrior:

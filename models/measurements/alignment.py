@@ -29,10 +29,8 @@ def finger_path(trial: Trial) -> tuple[FloatArray, FloatArray]:
     """
     end = pose_times(trial)[-1]
     own = trial.tip_pose.time - trial.start
-    inside = own[(own > 0.0) & (own < end)]
-    time = np.concatenate([[0.0], inside, [end]])
-    kept = np.concatenate([[True], np.diff(time) > 0.0])
-    return time[kept], trial.tip_pose.at(trial.start + time[kept])
+    time = np.unique(np.concatenate([[0.0], own[(own > 0.0) & (own < end)], [end]]))
+    return time, trial.tip_pose.at(trial.start + time)
 
 
 def wrench_samples(trial: Trial) -> tuple[FloatArray, FloatArray] | None:

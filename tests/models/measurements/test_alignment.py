@@ -31,7 +31,9 @@ def test_finger_is_held_before_its_first_and_after_its_last_row():
     np.testing.assert_allclose(path[:, 0], [0.3, 0.3, 0.6, 0.6], atol=1e-9)
 
 
-@pytest.mark.parametrize("stamps", [[1000.0, 1001.0], [1000.5], [990.0, 991.0], [1005.0], [999.0, 1002.0]])
+@pytest.mark.parametrize(
+    "stamps", [[1000.0, 1001.0], [1000.5], [990.0, 991.0], [1005.0], [999.0, 1002.0], [999.2, 999.5, 1000.5]]
+)
 def test_finger_path_covers_exactly_the_span(stamps):
     time, path = finger_path(trial(stamps))
     assert time[0] == 0.0 and time[-1] == pose_times(trial(stamps))[-1]

@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -56,6 +58,23 @@ def test_a_finger_far_from_the_moving_object_is_none():
     assert not Trial("a", "fit", pose, Channel(time, np.tile([0.0, 1.1], (5, 1)))).has_finger
     assert Trial("a", "fit", pose, Channel(time, np.tile([4.0, 0.9], (5, 1)))).has_finger
     assert not Trial("a", "fit", pose, Channel(time[:3], np.tile([4.0, 0.9], (3, 1)))).has_finger
+
+
+def test_names_of_trials_differ(example):
+    dataset = read_dataset(example.write())
+    with pytest.raises(DatasetError, match="dataset example: 2 trials are called trials/000"):
+        replace(
+            dataset, trials=(*dataset.trials[:2], replace(dataset.trials[1], name=dataset.trials[0].name))
+        )
+    with pytest.raises(DatasetError, match="there are no trials"):
+        replace(dataset, trials=())
+
+
+@pytest.mark.parametrize("field", ["height", "mass", "finger_radius", "gravity"])
+@pytest.mark.parametrize("value", [0.0, -1.0, np.nan, np.inf])
+def test_sizes_are_positive(example, field, value):
+    with pytest.raises(DatasetError, match=f"{field.replace('_', ' ')} must be positive and finite"):
+        replace(read_dataset(example.write()), **{field: value})
 
 
 def test_roles_and_the_first_fit_pushes(example):

@@ -258,6 +258,15 @@ def test_degrees_are_noticed(example):
     warned(example, "trials/001.json, object_pose", "degrees?")
 
 
+@pytest.mark.parametrize(("path", "noticed"), [(0.04, True), (2.0, False)])
+def test_a_whole_turn_on_a_short_path_is_noticed(example, path, noticed):
+    """Seven degrees look like more than a turn; a spinning object that goes far may turn that much."""
+    for step, row in enumerate(record(example)["object_pose"]):
+        row[1:] = [path * step / 99, 0.0, 7.0 * step / 99]
+    record(example)["tip_pose"] = [[0.0, 10.0, 10.0, 0.0]]
+    assert any("degrees?" in warning for warning in read_dataset(example.write()).warnings) == noticed
+
+
 def test_a_constant_angle_in_degrees_is_noticed_too(example):
     for row in record(example)["object_pose"]:
         row[3] += 90.0
@@ -278,6 +287,35 @@ def test_a_tip_in_another_frame_is_noticed_where_only_the_ends_are_known(example
     rows["object_pose"] = rows["object_pose"][::99]
     rows["tip_pose"] = [[row[0], row[1], row[2] + 0.3, 0.0] for row in rows["tip_pose"][::99]]
     warned(example, "trials/001.json", "wrong frame?")
+
+
+def ends_of(tips, poses):
+    return {
+        "object_pose": [[float(t), *pose] for t, pose in enumerate(poses)],
+        "tip_pose": [[float(t), *tip, 0.0] for t, tip in enumerate(tips)],
+    }
+
+
+def test_where_only_the_ends_are_known_the_finger_went_straight(example):
+    """It ends beyond the object, far from both of its known poses."""
+    passing = ends_of([(-0.2, 0.0), (0.2, 0.0)], [(0.0, 0.0, 0.0), (0.0, 0.06, 0.4)])
+    example.records["trials/001.json"] = passing
+    assert read_dataset(example.write()).warnings == ()
+
+
+@pytest.mark.parametrize(("turned", "noticed"), [(0.6, False), (-0.6, True)])
+def test_where_only_the_ends_are_known_the_outline_is_turned(example, turned, noticed):
+    example.document["object"]["outline"] = [[-0.1, -0.01], [0.1, -0.01], [0.1, 0.01], [-0.1, 0.01]]
+    example.document["object"]["cells"] = {
+        "width": 0.02,
+        "centers": [[0.02 * i - 0.09, 0] for i in range(10)],
+    }
+    example.document["trials"] = [{"file": "trials/001.json"}]
+    x, y = 0.1 * math.cos(0.6) + 0.008, 0.1 * math.sin(0.6)  # at the end of the bar
+    poses = [(0.0, 0.0, turned), (-0.01, 0.0, turned)]
+    example.records["trials/001.json"] = ends_of([(x + 0.2, y), (x, y)], poses)
+    warnings = read_dataset(example.write()).warnings
+    assert any("wrong frame?" in warning for warning in warnings) == noticed, warnings
 
 
 def test_one_kind_of_suspicion_lists_its_trials(example):
