@@ -36,7 +36,7 @@ def calibrate(objects: int, seed: int, output: Path | None, json_file: Path | No
 
     Draws objects at random, pushes them in simulation, identifies each, and counts how often the truth
     lies inside the belief's 90 % interval. The range behind each count (95 %, Clopper and Pearson) is what
-    the true share may be, as so few objects tell it. Takes several seconds an object.
+    the true share may be, as so many objects tell it. Takes several seconds an object.
     """
     with Progress() as progress:
         prepare_kernels()
@@ -73,13 +73,17 @@ def calibrate(objects: int, seed: int, output: Path | None, json_file: Path | No
 
 def coverage_rows(result: CalibrationResult) -> list[dict[str, Any]]:
     """Truths inside, with the 95 % range of their share and what it says of the intervals."""
-    from scipy.stats import binomtest
+    from scipy.stats import beta
 
     rows = []
     for name, share in result.coverage.items():
         count = len(result.ranks[name])
         inside = round(share * count)
-        low, high = binomtest(inside, count).proportion_ci(0.95, method="exact")
+        # Several pushes of one object are one story: count no more independent draws than objects.
+        draws = min(count, result.objects)
+        hits = share * draws
+        low = float(beta.ppf(0.025, hits, draws - hits + 1)) if inside else 0.0
+        high = float(beta.ppf(0.975, hits + 1, draws - hits)) if inside < count else 1.0
         verdict = "too narrow" if high < LEVEL else "too wide" if low > LEVEL else "as it should be"
         rows.append(
             {

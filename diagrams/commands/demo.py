@@ -111,3 +111,5 @@ def _show_comparison(result: Identification, comparison: list[dict[str, Any]]) -
         rows,
         numbers=(1, 2, 3),
     )
+    inside = sum(entry["inside"] for entry in comparison)
+    click.echo(f"{inside} of {len(comparison)} truths lie inside their 90 % intervals.")

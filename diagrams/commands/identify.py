@@ -80,12 +80,12 @@ def identify(
     Writes the belief, a picture of its maps (belief.maps.png) and one of the pushes as measured and as
     predicted (belief.pushes.png), and prints how well it predicts and what these pushes pin down.
     """
-    if pictures is not None:
-        make_folder(pictures)
     with Progress() as progress:
         measured = load_dataset(dataset, object_name, progress)
         if fit_pushes is not None:
             measured = _first_pushes(measured, fit_pushes)
+        if pictures is not None:
+            make_folder(pictures)
         prepare_kernels()
         from models.inference import identification
 

@@ -51,7 +51,7 @@ def calibration_figure(result: Calibration) -> Figure:
         hspace=0.3,
     )
     for axes, name in zip(panels.flat, names, strict=False):
-        _curve(axes, name, np.asarray(result.ranks[name], dtype=float))
+        _curve(axes, name, np.asarray(result.ranks[name], dtype=float), result.objects)
     for axes in panels.flat[len(names) :]:
         axes.set_visible(False)
     for axes in panels[:, 0]:
@@ -72,9 +72,10 @@ def inside_share(ranks: FloatArray, levels: FloatArray) -> FloatArray:
     return (np.abs(2.0 * ranks - 1.0)[None] <= levels[:, None]).mean(axis=1)
 
 
-def _curve(axes: Axes, name: str, ranks: FloatArray) -> None:
+def _curve(axes: Axes, name: str, ranks: FloatArray, objects: int) -> None:
     count = len(ranks)
-    low, high = (binom.ppf(q, count, LEVELS) / count for q in (0.05, 0.95))
+    draws = min(count, objects)  # several pushes of one object are one story
+    low, high = (binom.ppf(q, draws, LEVELS) / draws for q in (0.05, 0.95))
     axes.fill_between(LEVELS, low, high, color=PAPER, linewidth=0)
     axes.plot([0, 1], [0, 1], color=FAINT, linewidth=0.8)
     axes.plot(LEVELS, inside_share(ranks, LEVELS), color=BELIEF, linewidth=1.6, drawstyle="steps-post")

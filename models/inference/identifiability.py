@@ -29,7 +29,7 @@ DIFFERENCE = 1e-4
 
 @dataclass(frozen=True)
 class _Measure:
-    """A quantity as a function of maps; `log` where it is compared as a ratio."""
+    """A quantity as a function of maps; `log` where it is compared as a ratio, `share` where it is one."""
 
     name: str
     unit: str
@@ -37,6 +37,7 @@ class _Measure:
     log: bool
     pinned: str
     open: str
+    share: bool = False
 
 
 def quantities(belief: Belief, likelihood: Likelihood, information: Fits | None) -> tuple[Quantity, ...]:
@@ -60,6 +61,8 @@ def quantities(belief: Belief, likelihood: Likelihood, information: Fits | None)
         after = float(gradient @ posterior @ gradient)
         pinned = after < PINNED_SHARE * before
         value, low, high = interval(measure.of(belief.maps), belief.probability, log=measure.log)
+        if measure.share:
+            low, high = max(low, 0.0), min(high, 1.0)
         results.append(
             Quantity(
                 measure.name,
@@ -165,7 +168,7 @@ def _measures(slider: Slider, has_force: bool, weighed: bool) -> list[_Measure]:
     for name, cells in _regions(slider):
         measures.append(
             _Measure(f"share of mass x friction, {name}", "-", _sum(share, cells), False,
-                     "centre and arm of friction", "other distributions turn the object the same way")
+                     "centre and arm of friction", "other distributions turn the object the same way", True)
         )  # fmt: skip
     return measures
 

@@ -58,7 +58,9 @@ class CellGrid:
     def edges(self) -> FloatArray:
         """(E, 4) outline edges (x0, y0, x1, y1); the object lies to the left of each edge."""
         rings = (self.exterior, *self.holes)
-        return np.concatenate([np.hstack([ring, np.roll(ring, -1, axis=0)]) for ring in rings])
+        edges = np.concatenate([np.hstack([ring, np.roll(ring, -1, axis=0)]) for ring in rings])
+        # A corner that is listed twice is no edge.
+        return np.ascontiguousarray(edges[(edges[:, :2] != edges[:, 2:]).any(axis=1)])
 
 
 def checked_polygon(exterior: ArrayLike, holes: tuple[FloatArray, ...] = ()) -> Polygon:

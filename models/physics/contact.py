@@ -85,7 +85,7 @@ def find_contacts(px, py, radius, margin, edges, out):  # type: ignore[no-untype
 
     Each face that the disc's centre stands before, and each convex corner in whose wedge it stands, is one
     candidate; the nearest `MAX_CONTACTS` within `margin` are kept. A centre inside the object gets the
-    nearest face alone.
+    nearest point of the outline alone.
 
     Args:
         px: centre of the disc in the object frame, x, m.
@@ -99,8 +99,8 @@ def find_contacts(px, py, radius, margin, edges, out):  # type: ignore[no-untype
         Number of rows filled.
     """
     count = 0
+    inside = False
     nearest = math.inf
-    nearest_side = 1.0
     nearest_edge = -1
     reach = radius + margin
     for e in range(edges.shape[0]):
@@ -118,11 +118,10 @@ def find_contacts(px, py, radius, margin, edges, out):  # type: ignore[no-untype
         distance2 = nx * nx + ny * ny
         if distance2 < nearest:
             nearest = distance2
-            # Only a face's own interior tells inside from outside; at a corner both its edges come as near.
-            nearest_side = 1.0
-            if 0.0 < along < 1.0 and dx * ey - dy * ex < 0.0:
-                nearest_side = -1.0
-                nearest_edge = e
+            nearest_edge = e
+        # A ray along +x leaves an outline through an odd number of edges if it starts inside.
+        if (dy < 0.0) != (dy < ey) and dx < dy * ex / ey:
+            inside = not inside
         if distance2 > reach * reach:
             continue
         side = dx * ey - dy * ex
@@ -138,7 +137,9 @@ def find_contacts(px, py, radius, margin, edges, out):  # type: ignore[no-untype
             fy = edges[following, 3] - edges[following, 1]
             cx = px - edges[e, 2]
             cy = py - edges[e, 3]
-            if cx * fx + cy * fy < 0.0 and ex * fy - ey * fx > 0.0:
+            # Straight corners count as convex: rounding may put the centre beside both of their edges.
+            bend = ex * fy - ey * fx
+            if cx * fx + cy * fy < 0.0 and bend > -1e-9 * math.sqrt(length2 * (fx * fx + fy * fy)):
                 distance = math.sqrt(distance2)
                 if distance > 0.0:
                     count = _keep_nearest(
@@ -152,7 +153,7 @@ def find_contacts(px, py, radius, margin, edges, out):  # type: ignore[no-untype
                         1.0 / distance,
                         0.0,
                     )
-    if nearest_side < 0.0:
+    if inside and nearest > 0.0:
         e = nearest_edge
         ax = edges[e, 0]
         ay = edges[e, 1]
@@ -160,8 +161,13 @@ def find_contacts(px, py, radius, margin, edges, out):  # type: ignore[no-untype
         ey = edges[e, 3] - ay
         length = math.sqrt(ex * ex + ey * ey)
         along = ((px - ax) * ex + (py - ay) * ey) / (length * length)
-        _fill(out, 0, ey / length, -ex / length, ax + along * ex, ay + along * ey, 0.0, 0.0, 1.0)
-        out[0, 4] = -math.sqrt(nearest) - radius
+        depth = math.sqrt(nearest)
+        if 0.0 <= along <= 1.0:
+            x, y, turn, slide = ax + along * ex, ay + along * ey, 0.0, 1.0
+            _fill(out, 0, ey / length, -ex / length, x, y, -depth - radius, turn, slide)
+        else:
+            x, y = (ax, ay) if along < 0.0 else (edges[e, 2], edges[e, 3])
+            _fill(out, 0, (x - px) / depth, (y - py) / depth, x, y, -depth - radius, -1.0 / depth, 0.0)
         count = 1
     return count
 
@@ -217,7 +223,7 @@ def _keep_nearest(out, count, nx, ny, rx, ry, gap, turn, slide):  # type: ignore
 def cone_state(y_n, y_t, mu, ratio):  # type: ignore[no-untyped-def]
     """State of a contact whose springs would give the impulse (y_n, y_t); `ratio` is R_t / R_n."""
     size = abs(y_t)
-    if size <= mu * y_n:
+    if y_n > 0.0 and size <= mu * y_n:
         return STICK
     if y_n + mu * ratio * size <= 0.0:
         return SEPARATE

@@ -80,6 +80,7 @@ def rollout(  # type: ignore[no-untyped-def]
     body = (inertia[0], inertia[1], inertia[2], inertia[3])
     rows = np.zeros((MAX_CONTACTS, CONTACT_COLUMNS))
     applied = wrench.shape[0] > 0
+    about_center = inertia[3] - (inertia[1] * inertia[1] + inertia[2] * inertia[2]) / inertia[0]
 
     A = np.zeros((3, 6))
     extra = np.zeros((3, EXTRA_LANES))
@@ -102,24 +103,26 @@ def rollout(  # type: ignore[no-untyped-def]
         half_cos, half_sin = joined(quarter.cos, quarter.sin, quarter.cos, quarter.sin)
         full_cos, full_sin = joined(half_cos, half_sin, half_cos, half_sin)
         star_x, star_y, star_w = free_momentum(body, v, full_cos, full_sin)
+        applied_x = applied_y = turning = gain = 0.0
+        if applied:
+            c, s = joined(cos, sin, half_cos, half_sin)
+            fx, fy = turned(c, -s, wrench[step, 0], wrench[step, 1])
+            px, py = wrench[step, 2], wrench[step, 3]
+            applied_x, applied_y, turning = h * fx, h * fy, -h * (px * fx + py * fy)
+            torque = h * (px * fy - py * fx + wrench[step, 4])
+            star_x += applied_x
+            star_y += applied_y
+            star_w += torque
+            gain = math.hypot(applied_x, applied_y) / body[0] + size * abs(torque) / about_center
         count = 0
         frame = Frame(1.0, 0.0, 0.0, 0.0, 0.0, 0.0)
         tip0 = (tip[step, 0], tip[step, 1])
         tip1 = (tip[step + 1, 0], tip[step + 1, 1])
         if not math.isnan(tip0[0]) and not math.isnan(tip1[0]):
             frame = middle_frame(x, y, cos, sin, quarter, v, h, tip0, tip1)
-            count = touching(frame, v, h, radius, size, edges, rows)
+            count = touching(frame, v, h, radius, size, edges, rows, gain)
         first = contact_of(rows, 0, frame, v, h)
         second = contact_of(rows, 1, frame, v, h)
-        applied_x = applied_y = turning = 0.0
-        if applied:
-            c, s = joined(cos, sin, half_cos, half_sin)
-            fx, fy = turned(c, -s, wrench[step, 0], wrench[step, 1])
-            px, py = wrench[step, 2], wrench[step, 3]
-            applied_x, applied_y, turning = h * fx, h * fy, -h * (px * fx + py * fy)
-            star_x += applied_x
-            star_y += applied_y
-            star_w += h * (px * fy - py * fx + wrench[step, 4])
         star = (star_x, star_y, star_w)
 
         start = weighted(weights, past)

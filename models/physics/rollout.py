@@ -31,6 +31,11 @@ class Smoothing:
     stick_speed: float = 1e-5
     penetration: float = 1e-5
 
+    def __post_init__(self) -> None:
+        for name, value in vars(self).items():
+            if not (np.isfinite(value) and value > 0):
+                raise ValueError(f"smoothing: {name} must be positive and finite, got {value}")
+
 
 @dataclass(frozen=True, eq=False)
 class Push:
@@ -64,6 +69,12 @@ class Push:
         tip = np.ascontiguousarray(self.tip, dtype=float)
         if tip.ndim != 2 or tip.shape[1] != 2 or len(tip) < 2:
             raise ValueError(f"push: tip must have shape (N + 1, 2) with at least one step, got {tip.shape}")
+        absent = np.isnan(tip).all(axis=1)
+        if not np.isfinite(tip[~absent]).all():
+            row = int(np.flatnonzero(~absent & ~np.isfinite(tip).all(axis=1))[0])
+            raise ValueError(
+                f"push: tip must be finite, or NaN in both columns; row {row} is {tip[row].tolist()}"
+            )
         object.__setattr__(self, "tip", tip)
         steps = len(tip) - 1
         for name in ("start_pose", "start_twist"):
@@ -76,13 +87,19 @@ class Push:
         for name in ("pose_times", "force_times"):
             value = np.ascontiguousarray(getattr(self, name), dtype=float)
             end = steps * self.h * (1 + 1e-9)
-            if len(value) and (np.any(np.diff(value) < 0) or value[0] < 0 or value[-1] > end):
-                raise ValueError(f"push: {name} must ascend within 0 and {end:.6g} s")
+            ascending = value.ndim == 1 and bool(np.all(np.diff(value) >= 0))
+            if not ascending or (len(value) and not (value[0] >= 0 and value[-1] <= end)):
+                raise ValueError(
+                    f"push: {name} must be one row of times that ascend within 0 and {end:.6g} s"
+                )
             object.__setattr__(self, name, value)
         if self.wrench is not None:
             wrench = np.ascontiguousarray(self.wrench, dtype=float)
             if wrench.shape != (steps, 5):
                 raise ValueError(f"push: wrench must have shape ({steps}, 5), got {wrench.shape}")
+            if not np.isfinite(wrench).all():
+                row = int(np.flatnonzero(~np.isfinite(wrench).all(axis=1))[0])
+                raise ValueError(f"push: wrench must be finite; row {row} is {wrench[row].tolist()}")
             object.__setattr__(self, "wrench", wrench)
 
     @cached_property
@@ -107,7 +124,18 @@ class Push:
         start_pose: ArrayLike = (0.0, 0.0, 0.0),
         start_twist: ArrayLike = (0.0, 0.0, 0.0),
     ) -> Push:
-        """Constant world force (2,) N on an object-frame point (2,) m for `duration` s, then none."""
+        """Constant world force (2,) N on an object-frame point (2,) m for `duration` s, then none.
+
+        Raises:
+            ValueError: force or point are not pairs, or the duration is not within the push.
+        """
+        if not (np.isfinite(h) and h > 0):
+            raise ValueError(f"push: the step h must be positive, got {h} s")
+        if not 0 <= duration <= steps * h * (1 + 1e-9):
+            raise ValueError(f"push: duration must lie within 0 and {steps * h:.6g} s, got {duration}")
+        for name, pair in (("force", force), ("point", point)):
+            if np.shape(pair) != (2,):
+                raise ValueError(f"push: {name} must be a pair (x, y), got {pair}")
         wrench = np.zeros((steps, 5))
         wrench[: round(duration / h), :4] = [*np.asarray(force), *np.asarray(point)]
         nowhere = np.full((steps + 1, 2), np.nan)
@@ -132,7 +160,7 @@ class Maps:
         mass = np.atleast_2d(np.ascontiguousarray(self.mass, dtype=float))
         mu = np.atleast_2d(np.ascontiguousarray(self.mu, dtype=float))
         finger = np.atleast_1d(np.ascontiguousarray(self.mu_finger, dtype=float))
-        if mass.shape != mu.shape or finger.shape != (len(mass),):
+        if mass.ndim != 2 or mass.shape != mu.shape or finger.shape != (len(mass),):
             raise ValueError(
                 f"maps: mass {mass.shape} and mu {mu.shape} need one shape (K, n), mu_finger "
                 f"{finger.shape} one number a map"
@@ -275,6 +303,13 @@ class Slider:
         if maps.mass.shape[1] != n:
             raise ValueError(f"maps have {maps.mass.shape[1]} cells, the grid has {n}")
         K, B = len(maps), len(pushes)
+        if B == 0:
+            raise ValueError("rollout: needs at least one push")
+        for name, value in (("start_poses", start_poses), ("start_twists", start_twists)):
+            if value is not None and (np.shape(value) != (K, B, 3) or not np.isfinite(value).all()):
+                raise ValueError(
+                    f"rollout: {name} must be finite and of shape ({K}, {B}, 3), got {np.shape(value)}"
+                )
         load = np.ascontiguousarray(maps.mass * maps.mu * self.gravity)
         if not (load.sum(axis=1) > 0).all():
             raise ValueError("maps: a model without any friction cannot be simulated")

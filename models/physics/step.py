@@ -251,7 +251,7 @@ def middle_frame(x, y, cos, sin, quarter, v, h, tip0, tip1):  # type: ignore[no-
 
 
 @compiled(forceinline=True, fastmath={"contract"})
-def touching(frame, v, h, radius, size, edges, rows):  # type: ignore[no-untyped-def]
+def touching(frame, v, h, radius, size, edges, rows, gain):  # type: ignore[no-untyped-def]
     """Find the contacts of a step.
 
     Args:
@@ -262,11 +262,12 @@ def touching(frame, v, h, radius, size, edges, rows):  # type: ignore[no-untyped
         size: radius of the object, m.
         edges: (E, 4) outline.
         rows: (MAX_CONTACTS, CONTACT_COLUMNS) room for `find_contacts`.
+        gain: most speed that applied forces give any point of the object in the step, m/s.
 
     Returns:
         Number of contacts; they are in `rows`.
     """
-    speeds = abs(frame.speed_x) + abs(frame.speed_y) + _size_of(v, size)
+    speeds = abs(frame.speed_x) + abs(frame.speed_y) + _size_of(v, size) + gain
     reach = CONTACT_MARGIN + 2.0 * h * speeds
     far = size + radius + reach
     if frame.tip_x * frame.tip_x + frame.tip_y * frame.tip_y > far * far:

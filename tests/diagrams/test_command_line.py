@@ -8,11 +8,13 @@ import signal
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
 import pytest
 
+import planners
 from diagrams.command_line import slipmap as group
 from models.inference.belief import Belief
 from models.measurements import read_dataset
@@ -128,8 +130,8 @@ def test_more_fit_pushes_than_there_are_are_refused(slipmap, demo_folder, tmp_pa
     assert_refused(said, "--fit-pushes 9", "3 pushes")
 
 
-def test_outputs_are_checked_before_any_work(slipmap, tmp_path):
-    """The dataset does not exist; it is the output that is complained of."""
+def test_outputs_are_checked_before_any_work(slipmap, demo_folder, tmp_path):
+    """Most of these datasets do not exist; it is the output that is complained of."""
     missing = tmp_path / "missing"
     for arguments in (
         ["-o", missing / "belief.npz"],
@@ -141,7 +143,12 @@ def test_outputs_are_checked_before_any_work(slipmap, tmp_path):
     assert_refused(said, "picture.txt", ".png")
     (tmp_path / "file").write_text("in the way")
     said = slipmap(
-        "identify", tmp_path / "data", "-o", tmp_path / "b.npz", "--pictures", tmp_path / "file" / "sub"
+        "identify",
+        demo_folder / "demo" / "hammer",
+        "-o",
+        tmp_path / "b.npz",
+        "--pictures",
+        tmp_path / "file" / "sub",
     )
     assert_refused(said, tmp_path / "file")
     assert_refused(slipmap("demo", "-o", tmp_path / "file"), tmp_path / "file")
@@ -279,6 +286,39 @@ def test_demo_does_not_overwrite_what_it_did_not_make(slipmap, tmp_path):
     (tmp_path / "hammer" / "thesis.txt").write_text("years of work")
     assert_refused(slipmap("demo", "-o", tmp_path), tmp_path / "hammer", "no push dataset")
     assert files_in(tmp_path) == ["hammer/thesis.txt"]
+
+
+def test_calibrate_prints_draws_and_writes_coverage(slipmap, tmp_path, monkeypatch):
+    rng = np.random.default_rng(0)
+    ranks = {"centre of mass, x": rng.uniform(size=25), "total friction": np.full(25, 0.99)}
+
+    def calibrate(*, objects, seed, progress):
+        progress("objects", objects, objects)
+        coverage = {"centre of mass, x": 0.88, "total friction": 0.0}
+        return SimpleNamespace(objects=objects, seed=seed, seconds=1.0, coverage=coverage, ranks=ranks)
+
+    monkeypatch.setattr(planners, "calibration", SimpleNamespace(calibrate=calibrate), raising=False)
+    picture, result = tmp_path / "curves.png", tmp_path / "c.json"
+    said = slipmap("calibrate", "--objects", 25, "--seed", 3, "-o", picture, "--json", result)
+    assert said.code == 0
+    rows = [line.split() for line in said.out.splitlines()]
+    assert ["total", "friction", "0", "25", "0%", "0%", "to", "14%", "too", "narrow"] in rows
+    document = json.loads(result.read_text())
+    assert (document["objects"], document["seed"], document["coverage"][0]["inside"]) == (25, 3, 22)
+    np.testing.assert_allclose(document["ranks"]["centre of mass, x"], ranks["centre of mass, x"])
+    assert cv2.imread(str(picture)).std() > 5
+
+
+def test_bench_prints_the_table_and_writes_the_numbers(slipmap, tmp_path, monkeypatch):
+    def run_benchmark(*, progress):
+        progress("rollouts", 1, 1)
+        return {"ms": 0.25}
+
+    monkeypatch.setattr("diagrams.benchmark.run_benchmark", run_benchmark)
+    monkeypatch.setattr("diagrams.benchmark.format_table", lambda result: f"{result['ms']} ms a rollout")
+    said = slipmap("bench", "--json", tmp_path / "bench.json")
+    assert (said.code, said.out) == (0, "0.25 ms a rollout\n")
+    assert json.loads((tmp_path / "bench.json").read_text()) == {"ms": 0.25}
 
 
 def fail_with(monkeypatch, error):

@@ -7,6 +7,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from scipy.stats import binomtest
 
 from diagrams import console
 from diagrams.console import BadInput, Progress
@@ -143,8 +144,12 @@ def test_coverage_comes_with_its_range_and_verdict():
     from diagrams.commands.calibrate import coverage_rows
 
     ranks = {"a": np.full(40, 0.5), "b": np.r_[np.full(20, 0.5), np.full(20, 0.999)], "c": np.full(400, 0.5)}
-    result = SimpleNamespace(ranks=ranks, coverage={"a": 1.0, "b": 0.5, "c": 1.0})
+    result = SimpleNamespace(objects=40, ranks=ranks, coverage={"a": 1.0, "b": 0.5, "c": 1.0})
     a, b, c = coverage_rows(result)
     assert (a["inside"], a["of"], a["high"]) == (40, 40, 1.0)
     assert a["low"] == pytest.approx(0.025 ** (1 / 40))  # Clopper and Pearson, all inside
+    assert (c["inside"], c["of"]) == (400, 400)
+    assert c["low"] == pytest.approx(a["low"])  # ten pushes of one object are one draw
+    low, high = binomtest(20, 40).proportion_ci(0.95, method="exact")
+    assert (b["low"], b["high"]) == pytest.approx((low, high))
     assert [row["verdict"] for row in (a, b, c)] == ["too wide", "too narrow", "too wide"]

@@ -88,17 +88,11 @@ def test_gap_inside_is_the_negative_distance_less_the_radius(place: tuple[CellGr
     )
 
 
-@pytest.mark.xfail(strict=True, raises=AssertionError, reason="nothing is found behind a concave corner")
 def test_gap_inside_behind_a_concave_corner() -> None:
     points = np.array([[0.05, 0.05], [-0.003, -0.004]])
     assert gap(points, FINGER_RADIUS, l_shape().edges)[1] == pytest.approx(-0.005 - FINGER_RADIUS)
 
 
-@pytest.mark.xfail(
-    strict=True,
-    raises=AssertionError,
-    reason="its wedge is open to the finger",
-)
 def test_gap_at_a_corner_that_is_listed_twice() -> None:
     exterior = np.array([[-0.05, -0.03], [0.05, -0.03], [0.05, -0.03], [0.05, 0.03], [-0.05, 0.03]])
     grid = CellGrid(ONE_CELL, 0.01, exterior)
@@ -106,7 +100,6 @@ def test_gap_at_a_corner_that_is_listed_twice() -> None:
     assert gap(point, FINGER_RADIUS, grid.edges) == pytest.approx([0.0], abs=1e-12)
 
 
-@pytest.mark.xfail(strict=True, raises=AssertionError, reason="rounding puts the centre beside both edges")
 def test_gap_before_a_corner_in_a_straight_side() -> None:
     side = np.array([[-0.05, -0.03], [0, -0.03], [0.05, -0.03], [0.05, 0.03], [-0.05, 0.03]])
     for angle in np.linspace(0.01, 6.0, 100):
@@ -119,7 +112,6 @@ def test_gap_before_a_corner_in_a_straight_side() -> None:
             assert far_then_here[1] == pytest.approx(distance - FINGER_RADIUS, abs=1e-9)
 
 
-@pytest.mark.xfail(strict=True, raises=AssertionError, reason="rounding puts the centre beside both edges")
 def test_a_push_on_a_corner_in_a_straight_side_holds_contact() -> None:
     h = 0.01
     block = rectangle(10, 6)
@@ -136,7 +128,6 @@ def test_a_push_on_a_corner_in_a_straight_side_holds_contact() -> None:
         assert forces[10:] == pytest.approx(expected, rel=0.02, abs=0.02)
 
 
-@pytest.mark.xfail(strict=True, raises=AssertionError, reason="places are sought without the force's part")
 def test_a_force_does_not_drive_the_object_into_the_finger() -> None:
     h = 0.02
     grid = rectangle(10, 6)
@@ -243,9 +234,6 @@ def test_only_one_side_of_a_concave_corner_is_felt_away_from_it() -> None:
     assert np.abs(local_force[:, 1]).max() < 1e-2
 
 
-@pytest.mark.xfail(
-    strict=True, raises=AssertionError, reason="0 <= 0 y_n holds apart, too: taken for sticking"
-)
 @pytest.mark.parametrize("speed", [0.05, 0.0, -0.05])
 def test_a_finger_without_friction_never_pulls(speed: float) -> None:
     """It comes straight at a symmetric object, stands before it or backs away, so that nothing slips."""

@@ -114,15 +114,16 @@ def test_the_object_frame_does_not_matter(push: Push, origin: tuple[float, float
     assert other_forces == pytest.approx(forces, abs=1e-7)
 
 
-@pytest.mark.xfail(strict=True, raises=AssertionError, reason="within a step the origin goes straight")
-def test_the_object_frame_does_not_matter_within_a_step() -> None:
+def test_the_object_frame_hardly_matters_within_a_step() -> None:
+    """Between the ends of a step the origin goes straight where it should go along an arc: by its sagitta."""
     push = coast((0.0, 0.0, 6.0), 0.2, H)
     push = replace(push, pose_times=H * (np.arange(40) + 0.5))
     origin, angle = np.array([0.1, 0.0]), 1.1
     poses, _, _ = simulate(GRID, MAPS, push)
     other_poses, _, _ = simulate(*_with_maps(in_another_frame(push, origin, angle)))
     expected = np.array([[*to_world(origin, q), q[2] + angle] for q in poses])
-    assert other_poses == pytest.approx(expected, abs=1e-9)
+    sagitta = np.linalg.norm(origin) * (6.0 * H) ** 2 / 8.0
+    assert np.abs(other_poses - expected).max() < 1.01 * sagitta
 
 
 def _with_maps(described: tuple[CellGrid, Push]) -> tuple[CellGrid, Maps, Push]:
