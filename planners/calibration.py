@@ -66,12 +66,13 @@ def calibrate(*, objects: int = 40, seed: int = 0, progress: Progress | None = N
         raise ValueError(f"objects must be at least 1, got {objects}")
     started = time.perf_counter()
     ranks: dict[str, list[float]] = {name: [] for name in QUANTITIES}
+    report = progress or (lambda stage, done, total: None)
+    report("identifying simulated objects", 0, objects)
     for index in range(objects):
         rng = np.random.default_rng([seed, index])
         for name, rank in _one_object(rng, index):
             ranks[name].append(rank)
-        if progress is not None:
-            progress("identifying simulated objects", index + 1, objects)
+        report("identifying simulated objects", index + 1, objects)
     arrays = {name: np.array(values) for name, values in ranks.items()}
     tail = 0.5 * (1.0 - LEVEL)
     coverage = {name: float(np.mean((r > tail) & (r < 1.0 - tail))) for name, r in arrays.items()}

@@ -6,7 +6,6 @@ import hashlib
 import json
 import os
 import struct
-import tempfile
 import tokenize
 import zipfile
 import zlib
@@ -128,15 +127,14 @@ class Belief:
             "versions": self.versions,
             "checksum": _checksum(arrays),
         }
+        part = path.with_name(f".{path.name}.{os.getpid()}.part")
         try:
-            handle, name = tempfile.mkstemp(dir=path.parent, suffix=".part")
             try:
-                with os.fdopen(handle, "wb") as stream:
+                with part.open("wb") as stream:
                     np.savez_compressed(stream, meta=np.array(json.dumps(meta)), **arrays)  # type: ignore[arg-type]
-                os.replace(name, path)
-            except BaseException:
-                Path(name).unlink(missing_ok=True)
-                raise
+                os.replace(part, path)
+            finally:
+                part.unlink(missing_ok=True)
         except OSError as error:
             raise BeliefError(f"cannot write the belief to {path}: {error.strerror or error}") from error
 

@@ -103,7 +103,6 @@ def _gauss_newton_belief(
     rng = np.random.default_rng(seed)
     B = len(likelihood.observations)
     weights = rng.exponential(size=(hypotheses, B))
-    weights *= B / weights.sum(axis=1, keepdims=True)
     prior_mean = rng.standard_normal((hypotheses, prior.size))
     strength = np.exp(rng.uniform(np.log(STRENGTHS[0]), np.log(STRENGTHS[1]), hypotheses))
     # The first hypothesis is the plain best fit.

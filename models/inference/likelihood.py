@@ -44,8 +44,8 @@ class LikelihoodSettings:
     model_error: float = 0.005
     base_error: float = 5e-4
     independent: float = 4.0
-    independent_forces: float = 0.5
-    force_error: float = 0.3
+    independent_forces: float = 1.0
+    force_error: float = 0.15
     huber: float = 2.0
     start_position: float = 1e-4
     start_angle: float = 1e-3

@@ -11,8 +11,7 @@ LONGEST_WINDOW = 0.25  # s
 SLOWEST_SPEED = 0.01  # m/s; friction of 0.1 stops it within 0.05 mm
 SLOWEST_TURN = 0.1  # rad/s; the same speed at the rim of an object of 0.1 m
 SIGNIFICANCE = 10.0  # least speed in standard errors
-GAIN_OVER_REST = 100.0  # least gain in twice the log-likelihood
-GAIN_OVER_ONSET = 10.0
+GAIN_OVER_REST = 10.0  # least gain in twice the log-likelihood
 BRIEF_REST = 0.015  # s; an onset this early is as good as motion from the start
 TOLERATED_LOSS = 12.0  # against such an onset, which has more parameters
 COARSE_FIT = 0.02  # misfit over travel that still counts as one smooth motion
@@ -30,10 +29,10 @@ def initial_twist(time: FloatArray, pose: FloatArray) -> FloatArray:
 
     1. the quadratic fits within twice the noise or within 2 % of the travel,
     2. its initial speed exceeds 0.01 m/s or 0.1 rad/s and ten standard errors, and
-    3. it explains the rows better than every history that begins at rest: a constant pose (by 100 in twice
-       the log-likelihood), and a constant pose over the first k >= 2 rows followed by any quadratic (by 10).
-       Where that rest ends within 0.015 s the two can hardly be told apart and mean the same for a
-       simulation, so there the quadratic must only not be clearly worse.
+    3. it explains the rows better, by 10 in twice the log-likelihood, than every history that begins at rest:
+       a constant pose over the first k >= 2 rows, followed by any quadratic or by nothing. Where that rest
+       ends within 0.015 s the two can hardly be told apart and mean the same for a simulation, so there
+       the quadratic must only not be clearly worse.
 
     The estimate is then taken from the longest window that a quadratic fits within the noise.
 
@@ -75,15 +74,13 @@ def _moves(time: FloatArray, pose: FloatArray, noise: FloatArray) -> bool:
     scale = np.maximum(np.maximum(noise, misfit), 0.5 * COARSE_FIT * travel)
     cost = _huber_cost(residual, scale)
     return all(
-        _cost_from_rest(time, pose, noise, scale, rows) > cost + _needed_gain(time, rows)
+        _cost_from_rest(time, pose, noise, scale, rows) > cost + _needed_gain(time[rows - 1])
         for rows in range(len(time), 1, -1)
     )
 
 
-def _needed_gain(time: FloatArray, resting_rows: int) -> float:
-    if resting_rows == len(time):
-        return GAIN_OVER_REST
-    return GAIN_OVER_ONSET if time[resting_rows - 1] > BRIEF_REST else -TOLERATED_LOSS
+def _needed_gain(rest: float) -> float:
+    return GAIN_OVER_REST if rest > BRIEF_REST else -TOLERATED_LOSS
 
 
 def _cost_from_rest(

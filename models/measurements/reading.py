@@ -57,12 +57,12 @@ def read_dataset(
     try:
         return _read(Path(path), object_name, progress)
     except OSError as error:
-        raise DatasetError(f"{fields.shown(str(path))}: cannot be read ({error})") from None
+        raise DatasetError(f"{str(path)!r} cannot be read ({error})") from None
 
 
 def _read(source: Path, object_name: str | None, progress: Progress | None) -> PushDataset:
     if not source.exists():
-        raise DatasetError(f"{fields.shown(str(source))}: there is no such file or folder; wanted is {KINDS}")
+        raise DatasetError(f"{str(source)!r}: there is no such file or folder; wanted is {KINDS}")
     is_folder = source.is_dir()
     description = source / DESCRIPTION_FILE if is_folder else source
     if (is_folder and description.exists()) or (not is_folder and _is(source, YAML_ENDINGS)):

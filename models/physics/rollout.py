@@ -135,7 +135,7 @@ class Push:
             raise ValueError(f"push: duration must lie within 0 and {steps * h:.6g} s, got {duration}")
         for name, pair in (("force", force), ("point", point)):
             if np.shape(pair) != (2,):
-                raise ValueError(f"push: {name} must be a pair (x, y), got {pair}")
+                raise ValueError(f"push: {name} must be a pair (x, y), got {pair!r}")
         wrench = np.zeros((steps, 5))
         wrench[: round(duration / h), :4] = [*np.asarray(force), *np.asarray(point)]
         nowhere = np.full((steps + 1, 2), np.nan)
