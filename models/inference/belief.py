@@ -162,6 +162,8 @@ class Belief:
             raise BeliefError(
                 f"there is no belief file {path}; `slipmap identify DATASET -o {path.name}` makes one"
             )
+        if not zipfile.is_zipfile(path):
+            raise BeliefError(f"{path} is not a readable belief file: it is not an .npz archive")
         try:
             with np.load(path, allow_pickle=False) as archive:
                 if "meta" not in archive.files:
