@@ -12,6 +12,10 @@ It is the gradient of a convex function of the object's twist, so that the step 
 regularisations scale with the object's whole friction load F, so that the motion does not depend on the
 units of mass: a finger that pushes with F sinks in by `penetration`, and creeps by `stick_speed` under an
 impulse h F.
+
+Two limits of this contact. A finger that slips at v acts from a distance of mu h v, a trait of the convex
+model that shrinks with the step. And the springs have no damping but that of the step: a blow rebounds the
+more, the shorter the step, so that how far a blow throws an object is not to be trusted.
 """
 
 from __future__ import annotations

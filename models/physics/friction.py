@@ -6,9 +6,9 @@ omega dissipates power f_i φ_i with the smoothed norm
     φ_i = sqrt(|u_i|² + (ρ omega)² + ε²),    u_i = (v_x - omega r_iy, v_y + omega r_ix),    ρ = w / sqrt(12).
 
 ρ stands for the spin of a finite cell. w²/12 is the exact second-order term of the mean of |u| over a square
-that slides faster than it spins, which is nearly every cell: it brings the torque of a 60-cell disc from
-0.5 % to 0.05 % of 2/3 mu m g R, where the radius that is exact for a square spinning in place (0.3826 w)
-errs in all the others to be right in one.
+that slides faster than it spins, which is nearly every cell. For 60 cells cut from a disc that spins in place
+it errs by -0.02 % of those squares' torque; the radius that is exact for one square spinning in place
+(0.3826 w) errs by +0.43 %. Cutting the disc into squares itself adds 0.52 % to 2/3 mu m g R.
 """
 
 from __future__ import annotations
