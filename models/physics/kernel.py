@@ -115,7 +115,7 @@ def rollout(  # type: ignore[no-untyped-def]
             star_w += torque
             gain = math.hypot(applied_x, applied_y) / body[0] + size * abs(torque) / about_center
         count = 0
-        frame = Frame(1.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+        frame = Frame(1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
         tip0 = (tip[step, 0], tip[step, 1])
         tip1 = (tip[step + 1, 0], tip[step + 1, 1])
         if not math.isnan(tip0[0]) and not math.isnan(tip1[0]):

@@ -7,11 +7,14 @@ their upper triangle here: small arrays would cost more than the arithmetic.
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+from numba.extending import overload
 
 from models.physics.compiled import compiled
 from models.physics.contact import SEPARATE, cone_matrix, cone_state, springs
-from models.physics.friction import friction_moments
+from models.physics.friction import Cells, friction_moments
 
 
 class Quadratic(NamedTuple):
@@ -52,12 +55,11 @@ class Minimum(NamedTuple):
     second: Impulse
 
 
-@compiled(forceinline=True, fastmath={"contract"})
 def smooth_model(cells, inertia, star, h, v):  # type: ignore[no-untyped-def]
-    """Inertia and base friction at the twist v, all but the contact.
+    """Inertia and friction at the twist v, all but the contact; chosen when compiled, by the class of `cells`.
 
     Args:
-        cells: see `Cells`.
+        cells: `Cells`, or another class for which an implementation is registered (`models.effects.cells`).
         inertia: m, s_x, s_y, J.
         star: momentum of the free motion: two components, N s, and the angular one, N m s.
         h: step, s.
@@ -66,6 +68,22 @@ def smooth_model(cells, inertia, star, h, v):  # type: ignore[no-untyped-def]
     Returns:
         The `Quadratic`, and the bound Σ f s² on its change, see `friction_moments`.
     """
+    raise TypeError("smooth_model runs in compiled code alone")
+
+
+def register_cells(kind: type, implementation: Callable[..., Any]) -> None:
+    """Let `smooth_model` call `implementation` where its cells are of the named tuple class `kind`."""
+
+    @overload(smooth_model, jit_options={"forceinline": True})
+    def chosen(cells, inertia, star, h, v):  # type: ignore[no-untyped-def]
+        if getattr(cells, "instance_class", None) is not kind:
+            return None
+        return lambda cells, inertia, star, h, v: implementation(cells, inertia, star, h, v)
+
+
+@compiled(forceinline=True, fastmath={"contract"})
+def _coulomb_model(cells, inertia, star, h, v):  # type: ignore[no-untyped-def]
+    """`smooth_model` of plain Coulomb friction on `Cells`."""
     m, sx, sy, J = inertia
     vx, vy, omega = v
     _, a, ax, ay, arr, bxx, bxy, byy, bxw, byw, bww, bend = friction_moments(
@@ -84,6 +102,9 @@ def smooth_model(cells, inertia, star, h, v):  # type: ignore[no-untyped-def]
         J + h * (spin - bww),
     )
     return model, bend
+
+
+register_cells(Cells, _coulomb_model)
 
 
 @compiled(forceinline=True, fastmath={"contract"})

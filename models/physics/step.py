@@ -64,6 +64,9 @@ class Frame(NamedTuple):
         tip_y: the same, y.
         speed_x: velocity of the finger, m/s.
         speed_y: the same, y.
+        spring_x: speed at which a finger that bends (see `models.effects`) would straighten within the step
+            if nothing held it, m/s; 0 for a rigid one.
+        spring_y: the same, y.
     """
 
     cos: float
@@ -72,6 +75,8 @@ class Frame(NamedTuple):
     tip_y: float
     speed_x: float
     speed_y: float
+    spring_x: float
+    spring_y: float
 
 
 class Solution(NamedTuple):
@@ -247,7 +252,7 @@ def middle_frame(x, y, cos, sin, quarter, v, h, tip0, tip1):  # type: ignore[no-
     dy = 0.5 * (tip0[1] + tip1[1]) - y - half_way * wy
     tip_x, tip_y = turned(c, -s, dx, dy)
     speed_x, speed_y = turned(c, -s, (tip1[0] - tip0[0]) / h, (tip1[1] - tip0[1]) / h)
-    return Frame(c, s, tip_x, tip_y, speed_x, speed_y)
+    return Frame(c, s, tip_x, tip_y, speed_x, speed_y, 0.0, 0.0)
 
 
 @compiled(forceinline=True, fastmath={"contract"})
@@ -286,6 +291,6 @@ def contact_of(rows, k, frame, v, h):  # type: ignore[no-untyped-def]
     nw = x * ny - y * nx
     tw = x * nx + y * ny
     along = nx * (frame.speed_x + v[0]) + ny * (frame.speed_y + v[1]) + nw * v[2]
-    closing = gap / h + 0.5 * along
-    drag = nx * frame.speed_y - ny * frame.speed_x
+    closing = gap / h + 0.5 * along + nx * frame.spring_x + ny * frame.spring_y
+    drag = nx * (frame.speed_y + frame.spring_y) - ny * (frame.speed_x + frame.spring_x)
     return Contact(nx, ny, x, y, nw, tw, closing, drag, rows[k, 5], rows[k, 6])

@@ -93,22 +93,23 @@ def _contact(v, new, h, cone, frame, quarter, contact, impulse, A, extra, dforce
     wx, wy = turned(quarter.cos, -quarter.sin, v[0], v[1])
     stretch = 0.125 * h * h * quarter.sinc_slope
     common = (v, new, h, cone, frame, contact, impulse, A, dforce)
-    _add_column(0, -cos, sin, 0.0, 0.0, 0.0, 0.0, common)
-    _add_column(1, -sin, -cos, 0.0, 0.0, 0.0, 0.0, common)
-    _add_column(2, way * wy + frame.tip_y, -way * wx - frame.tip_x, vfy, -vfx, 0.0, 0.0, common)
-    _add_column(3, -way * quarter.cos, way * quarter.sin, 0.0, 0.0, 1.0, 0.0, common)
-    _add_column(4, -way * quarter.sin, -way * quarter.cos, 0.0, 0.0, 0.0, 1.0, common)
+    bx, by = frame.spring_x, frame.spring_y
+    add_column(0, -cos, sin, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, common)
+    add_column(1, -sin, -cos, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, common)
+    add_column(2, way * wy + frame.tip_y, -way * wx - frame.tip_x, vfy, -vfx, by, -bx, 0.0, 0.0, common)
+    add_column(3, -way * quarter.cos, way * quarter.sin, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, common)
+    add_column(4, -way * quarter.sin, -way * quarter.cos, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0, common)
     half = 0.5 * h
     dpx = half * (0.5 * way * wy + frame.tip_y) - stretch * wx
     dpy = -half * (0.5 * way * wx + frame.tip_x) - stretch * wy
-    _add_column(5, dpx, dpy, half * vfy, -half * vfx, -y, x, common)
+    add_column(5, dpx, dpy, half * vfy, -half * vfx, half * by, -half * bx, -y, x, common)
     _by_new_twist(cone, contact, impulse, dforce)
     if impulse.state == SLIDE_FORWARD or impulse.state == SLIDE_BACK:
         _by_finger_friction(new, cone, contact, impulse, extra, dforce)
 
 
 @compiled(forceinline=True, fastmath={"contract", "nnan", "nsz"})
-def _add_column(j, dpx, dpy, dvfx, dvfy, dux, duy, common):  # type: ignore[no-untyped-def]
+def add_column(j, dpx, dpy, dvfx, dvfy, dbx, dby, dux, duy, common):  # type: ignore[no-untyped-def]
     """Add to column j of A and dforce what follows from three changes, all in the middle frame.
 
     Args:
@@ -117,6 +118,8 @@ def _add_column(j, dpx, dpy, dvfx, dvfy, dux, duy, common):  # type: ignore[no-u
         dpy: the same, y.
         dvfx: change of its velocity, x.
         dvfy: the same, y.
+        dbx: change of the speed at which a bent finger would straighten, x.
+        dby: the same, y.
         dux: change of the last twist's velocity at the contact, x.
         duy: the same, y.
         common: what all columns share.
@@ -129,19 +132,20 @@ def _add_column(j, dpx, dpy, dvfx, dvfy, dux, duy, common):  # type: ignore[no-u
     dnn, dnt, dtn, dtt = cone_matrix(cone.mu, cone.ratio, impulse.state)
     fx = -nx * gamma_n + tx * gamma_t
     fy = -ny * gamma_n + ty * gamma_t
-    slip_x = vfx - new[0] + new[2] * y
-    slip_y = vfy - new[1] - new[2] * x
+    bx, by = frame.spring_x, frame.spring_y
+    slip_x = vfx + bx - new[0] + new[2] * y
+    slip_y = vfy + by - new[1] - new[2] * x
     # Velocity at the contact: mean of finger and predicted object, less that of the new twist.
-    ux = 0.5 * (vfx + v[0] - v[2] * y) - (new[0] - new[2] * y)
-    uy = 0.5 * (vfy + v[1] + v[2] * x) - (new[1] + new[2] * x)
+    ux = 0.5 * (vfx + v[0] - v[2] * y) + bx - (new[0] - new[2] * y)
+    uy = 0.5 * (vfy + v[1] + v[2] * x) + by - (new[1] + new[2] * x)
     along = tx * dpx + ty * dpy
     turn, slide = contact.turn * along, contact.slide * along
     dnx, dny, dtx, dty = turn * tx, turn * ty, -turn * nx, -turn * ny
     drx, dry = slide * tx, slide * ty
-    dux = 0.5 * (dvfx + dux - v[2] * dry) + new[2] * dry
-    duy = 0.5 * (dvfy + duy + v[2] * drx) - new[2] * drx
+    dux = 0.5 * (dvfx + dux - v[2] * dry) + dbx + new[2] * dry
+    duy = 0.5 * (dvfy + duy + v[2] * drx) + dby - new[2] * drx
     dgap = nx * dpx + ny * dpy + h * (dnx * ux + dny * uy + nx * dux + ny * duy)
-    dslip = dtx * slip_x + dty * slip_y + tx * (dvfx + new[2] * dry) + ty * (dvfy - new[2] * drx)
+    dslip = dtx * slip_x + dty * slip_y + tx * (dvfx + dbx + new[2] * dry) + ty * (dvfy + dby - new[2] * drx)
     dyn = -dgap * cone.normal / h
     dyt = dslip * cone.tangential
     dgn = dnn * dyn + dnt * dyt

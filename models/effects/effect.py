@@ -1,0 +1,175 @@
+"""What an effect is: a name, a sentence, parameters, and formulas in SymPy for what it changes.
+
+A subclass gives `name`, `sentence` and `parameters` and overrides one or more of the methods below. Each gets
+SymPy symbols (`models.effects.symbols`) and the effect's parameters as attributes of `p`, and returns SymPy
+expressions. Derivatives and machine code are made from them; nothing is differentiated by hand.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]
+
+
+class EffectError(ValueError):
+    """An effect that cannot be used; the message names the effect, and file and line where known."""
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One number of an effect.
+
+    Attributes:
+        name: a Python identifier.
+        unit: SI, `1` where it has none.
+        meaning: for a person, a few words.
+        low: smallest value.
+        high: largest value.
+        scale: how far from `center` it is expected to be: the standard deviation of its prior.
+        null: value at which the effect vanishes whatever the other parameters are; None for a parameter that
+            shapes the effect and means nothing without it.
+        start: first guess of a parameter that shapes; its prior is centred there.
+        weight_power: the scale is multiplied by this power of the object's weight in newtons, so that forces
+            are as likely for a heavy object as for a light one.
+    """
+
+    name: str
+    unit: str
+    meaning: str
+    low: float
+    high: float
+    scale: float
+    null: float | None = None
+    start: float = 0.0
+    weight_power: float = 0.0
+
+    @property
+    def center(self) -> float:
+        """The null, or the first guess of a parameter without one."""
+        return self.start if self.null is None else self.null
+
+
+@dataclass(frozen=True)
+class Scene:
+    """What the recorded pushes look like, for effects that have to guess where to begin.
+
+    Attributes:
+        center: (2,) middle of the places at which the object was, m.
+        reach: half the width of those places, m.
+        radius: of the object about its frame's origin, m.
+        speed: that the finger typically had, m/s.
+        pushes: their number.
+        weight: of the object as first fitted, N.
+    """
+
+    center: tuple[float, float]
+    reach: float
+    radius: float
+    speed: float
+    pushes: int
+    weight: float
+
+
+class Effect:
+    """Base of all effects; a subclass overrides what it changes and leaves the rest.
+
+    Attributes:
+        name: lower case with underscores.
+        sentence: what it is, for a person.
+        parameters: at least one with a null value.
+        memory: names of numbers that the effect carries from step to step; they start at 0.
+    """
+
+    name: ClassVar[str]
+    sentence: ClassVar[str]
+    parameters: ClassVar[tuple[Parameter, ...]]
+    memory: ClassVar[tuple[str, ...]] = ()
+
+    def friction(self, cell: Any, p: Any) -> Any:
+        """Factor on the friction of a cell, 1 without the effect."""
+        return None
+
+    def drag(self, cell: Any, p: Any) -> Any:
+        """Force on a cell per speed, against its motion, N s/m; 0 without the effect."""
+        return None
+
+    def stretch(self, body: Any, p: Any) -> Any:
+        """(xx, xy, yy) of Q in the friction norm sqrt(uᵀ Q u) in the object frame; (1, 0, 1) without."""
+        return None
+
+    def force(self, body: Any, p: Any) -> Any:
+        """(F_x, F_y, torque) on the object: world frame, N; about the object frame's origin, N m."""
+        return None
+
+    def blade(self, body: Any, p: Any) -> Any:
+        """(F, n_x, n_y, r_x, r_y): motion of the object's point r along its unit vector n is resisted by F newtons."""
+        return None
+
+    def inertia(self, body: Any, p: Any) -> Any:
+        """Factor on mass and moment of inertia (not on weight), 1 without the effect."""
+        return None
+
+    def compliance(self, body: Any, p: Any) -> Any:
+        """How far the finger gives way to a force, m/N; 0 without the effect."""
+        return None
+
+    def remember(self, before: Any, after: Any, p: Any) -> Any:
+        """The numbers named in `memory` after a step."""
+        return None
+
+    def measured(self, pose: Any, p: Any) -> Any:
+        """(x, y, theta) that the tracker reports where the object truly is at `pose`."""
+        return None
+
+    def delay(self, p: Any) -> Any:
+        """By how much the tracker's poses are late, s; 0 without the effect."""
+        return None
+
+    def starts(self, scene: Scene) -> list[dict[str, float]]:
+        """Guesses of the parameters without a null to begin a search from; others keep their start."""
+        return [{}]
+
+    @property
+    def nulls(self) -> FloatArray:
+        """(P,) parameters at which the effect vanishes, those that shape it at their start."""
+        return np.array([parameter.center for parameter in self.parameters])
+
+    @property
+    def amplitudes(self) -> NDArray[np.bool_]:
+        """(P,) which parameters have a null."""
+        return np.array([parameter.null is not None for parameter in self.parameters])
+
+    def start_values(self, scene: Scene) -> FloatArray:
+        """(G, P) `starts` as arrays, amplitudes at their null.
+
+        Raises:
+            EffectError: a start names an unknown parameter or leaves its range.
+        """
+        names = [parameter.name for parameter in self.parameters]
+        rows = np.repeat(self.nulls[None], len(self.starts(scene)), axis=0)
+        for row, guess in zip(rows, self.starts(scene), strict=True):
+            for name, value in guess.items():
+                if name not in names:
+                    raise EffectError(
+                        f"effect {self.name}: starts() names {name!r}; its parameters are {', '.join(names)}"
+                    )
+                row[names.index(name)] = value
+        low, high = bounds([self])
+        return np.clip(rows, low, high)
+
+
+def bounds(effects: Sequence[Effect]) -> tuple[FloatArray, FloatArray]:
+    """(P,) lowest and highest values of the parameters of some effects, one after the other."""
+    every = [parameter for effect in effects for parameter in effect.parameters]
+    return np.array([p.low for p in every]), np.array([p.high for p in every])
+
+
+def scales(effects: Sequence[Effect], weight: float) -> FloatArray:
+    """(P,) prior standard deviations of the parameters for an object of some weight, N."""
+    return np.array([p.scale * weight**p.weight_power for effect in effects for p in effect.parameters])

@@ -1,0 +1,305 @@
+"""The effects that slipmap knows, one small class each; formulas in the symbols of `models.effects.symbols`."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import sympy as sp
+
+from models.effects.effect import Effect, Parameter, Scene
+from models.effects.symbols import positive_part, smooth_step
+
+
+class ViscousFriction(Effect):
+    name = "viscous_friction"
+    sentence = "A drag in proportion to speed and area, as from a film of oil, comes on top of dry friction."
+    parameters = (
+        Parameter(
+            "drag_per_area", "N s/m^3", "drag per speed and area", 0.0, 1e6, 100.0, 0.0, weight_power=1.0
+        ),
+    )
+
+    def drag(self, cell: Any, p: Any) -> Any:
+        return p.drag_per_area * cell.area
+
+
+class StribeckFriction(Effect):
+    name = "stribeck_friction"
+    sentence = "Friction falls with speed from a static to a kinetic level."
+    parameters = (
+        Parameter("excess", "1", "static friction above kinetic, as a share of it", -0.6, 3.0, 0.3, 0.0),
+        Parameter("speed", "m/s", "speed by which most of it is lost", 0.002, 0.5, 0.03, start=0.04),
+    )
+
+    def friction(self, cell: Any, p: Any) -> Any:
+        return 1 + p.excess * sp.exp(-((cell.speed / p.speed) ** 2))
+
+    def starts(self, scene: Scene) -> list[dict[str, float]]:
+        return [{"speed": share * scene.speed} for share in (0.2, 0.5, 1.2)]
+
+
+def _ellipse(a: Any, b: Any) -> tuple[Any, Any, Any]:
+    """Q with axes (1 + ρ)/(1 - ρ) and its inverse, ρ = hypot(a, b), the long one at the angle atan2(b, a)/2."""
+    square = a**2 + b**2
+    return (1 + square + 2 * a) / (1 - square), 2 * b / (1 - square), (1 + square - 2 * a) / (1 - square)
+
+
+class AnisotropicTable(Effect):
+    name = "anisotropic_table"
+    sentence = "Friction differs along and across the table's grain."
+    parameters = (
+        Parameter(
+            "along_x",
+            "1",
+            "grain a: friction is higher along x and lower along y where positive",
+            -0.6,
+            0.6,
+            0.1,
+            0.0,
+        ),
+        Parameter("along_xy", "1", "grain b: the same along the diagonals", -0.6, 0.6, 0.1, 0.0),
+    )
+
+    def stretch(self, body: Any, p: Any) -> Any:
+        c, s = body.cos**2 - body.sin**2, 2 * body.cos * body.sin
+        return _ellipse(c * p.along_x + s * p.along_xy, c * p.along_xy - s * p.along_x)
+
+
+class AnisotropicObject(Effect):
+    name = "anisotropic_object"
+    sentence = "Friction differs along and across a grain of the object's underside."
+    parameters = (
+        Parameter(
+            "along_x",
+            "1",
+            "grain a: friction is higher along the object's x where positive",
+            -0.6,
+            0.6,
+            0.1,
+            0.0,
+        ),
+        Parameter("along_xy", "1", "grain b: the same along its diagonals", -0.6, 0.6, 0.1, 0.0),
+    )
+
+    def stretch(self, body: Any, p: Any) -> Any:
+        return _ellipse(p.along_x, p.along_xy)
+
+
+class TableTilt(Effect):
+    name = "table_tilt"
+    sentence = "The table is not level: gravity has a component along it."
+    parameters = (
+        Parameter("down_x", "rad", "slope along x, downhill where positive", -0.4, 0.4, 0.03, 0.0),
+        Parameter("down_y", "rad", "slope along y, downhill where positive", -0.4, 0.4, 0.03, 0.0),
+    )
+
+    def force(self, body: Any, p: Any) -> Any:
+        fx, fy = body.weight * p.down_x, body.weight * p.down_y
+        return fx, fy, body.com_x * fy - body.com_y * fx
+
+
+class TableFrictionField(Effect):
+    name = "table_friction_field"
+    sentence = "Friction varies with the place on the table: a gradient, a patch, or both."
+    parameters = (
+        Parameter("gradient_x", "1/m", "relative rise of friction along x", -8.0, 8.0, 1.0, 0.0),
+        Parameter("gradient_y", "1/m", "relative rise of friction along y", -8.0, 8.0, 1.0, 0.0),
+        Parameter("patch", "1", "logarithm of the factor on a round patch", -2.5, 2.5, 0.5, 0.0),
+        Parameter("patch_x", "m", "middle of the patch", -10.0, 10.0, 0.1),
+        Parameter("patch_y", "m", "middle of the patch", -10.0, 10.0, 0.1),
+        Parameter("patch_radius", "m", "its radius", 0.01, 2.0, 0.05, start=0.12),
+    )
+
+    def friction(self, cell: Any, p: Any) -> Any:
+        distance = sp.sqrt((cell.x - p.patch_x) ** 2 + (cell.y - p.patch_y) ** 2 + 1e-12)
+        inside = smooth_step(p.patch_radius - distance, 0.01)
+        return sp.exp(p.gradient_x * cell.x + p.gradient_y * cell.y + p.patch * inside)
+
+    def starts(self, scene: Scene) -> list[dict[str, float]]:
+        places = np.array([-0.6, 0.0, 0.6]) * scene.reach
+        return [
+            {
+                "patch_x": scene.center[0] + x,
+                "patch_y": scene.center[1] + y,
+                "patch_radius": 0.45 * scene.reach,
+            }
+            for x in places
+            for y in places
+        ]
+
+
+class Tether(Effect):
+    name = "tether"
+    sentence = "A cable pulls the object towards a fixed point beyond its slack length."
+    parameters = (
+        Parameter("stiffness", "N/m", "of the cable", 0.0, 1e4, 1.0, 0.0, weight_power=1.0),
+        Parameter("anchor_x", "m", "where the cable is fixed", -10.0, 10.0, 0.3),
+        Parameter("anchor_y", "m", "where the cable is fixed", -10.0, 10.0, 0.3),
+        Parameter("slack", "m", "length at which it begins to pull", 0.0, 10.0, 0.1),
+    )
+
+    def force(self, body: Any, p: Any) -> Any:
+        dx, dy = p.anchor_x - body.x, p.anchor_y - body.y
+        distance = sp.sqrt(dx**2 + dy**2 + 1e-6)
+        pull = p.stiffness * positive_part(distance - p.slack, 2e-3) / distance
+        return pull * dx, pull * dy, 0
+
+    def starts(self, scene: Scene) -> list[dict[str, float]]:
+        result = []
+        for angle in np.arange(0.0, 2 * np.pi, np.pi / 3):
+            for far, slack in ((0.6, 0.0), (1.5, 1.2)):
+                x = scene.center[0] + far * scene.reach * np.cos(angle)
+                y = scene.center[1] + far * scene.reach * np.sin(angle)
+                result.append({"anchor_x": x, "anchor_y": y, "slack": slack * scene.reach})
+        return result
+
+
+class SensorLatency(Effect):
+    name = "sensor_latency"
+    sentence = "The tracker reports the object's pose late."
+    parameters = (Parameter("latency", "s", "by how much the tracker is late", -0.3, 0.5, 0.03, 0.0),)
+
+    def delay(self, p: Any) -> Any:
+        return p.latency
+
+
+class FrictionDrift(Effect):
+    name = "friction_drift"
+    sentence = "Friction changes from push to push, by wear or polishing."
+    parameters = (Parameter("rate", "1/push", "relative change of friction a push", -0.3, 0.3, 0.01, 0.0),)
+
+    def friction(self, cell: Any, p: Any) -> Any:
+        return sp.exp(p.rate * cell.order)
+
+
+class FingerCompliance(Effect):
+    name = "finger_compliance"
+    sentence = "The finger bends: its true tip gives way to the contact force."
+    parameters = (Parameter("compliance", "m/N", "give of the tip", 0.0, 0.1, 4e-3, 0.0, weight_power=-1.0),)
+
+    def compliance(self, body: Any, p: Any) -> Any:
+        return p.compliance
+
+
+class LooseMass(Effect):
+    name = "loose_mass"
+    sentence = "Part of the mass moves inside the object, on a spring and damper."
+    parameters = (
+        Parameter("share", "1", "loose part of the mass", 0.0, 0.9, 0.2, 0.0),
+        Parameter("rate", "rad/s", "natural frequency of the loose part", 1.0, 120.0, 10.0, start=15.0),
+        Parameter("damping", "1", "its damping ratio", 0.0, 2.0, 0.2, start=0.2),
+    )
+    memory = ("lag_x", "lag_y", "rush_x", "rush_y")
+
+    def _pull(self, body: Any, p: Any) -> tuple[Any, Any]:
+        """Acceleration of the loose part by spring and damper, world; it lags behind by lag_x, lag_y."""
+        return tuple(
+            -(p.rate**2) * lag - 2 * p.damping * p.rate * rush
+            for lag, rush in ((body.lag_x, body.rush_x), (body.lag_y, body.rush_y))
+        )  # type: ignore[return-value]
+
+    def inertia(self, body: Any, p: Any) -> Any:
+        return 1 - p.share
+
+    def force(self, body: Any, p: Any) -> Any:
+        ax, ay = self._pull(body, p)
+        fx, fy = -p.share * body.mass * ax, -p.share * body.mass * ay
+        return fx, fy, body.com_x * fy - body.com_y * fx
+
+    def remember(self, before: Any, after: Any, p: Any) -> Any:
+        ax, ay = self._pull(before, p)
+        rush_x = before.rush_x + before.step * ax - (after.com_vx - before.com_vx)
+        rush_y = before.rush_y + before.step * ay - (after.com_vy - before.com_vy)
+        lag_x = before.lag_x + before.step * rush_x
+        return lag_x, before.lag_y + before.step * rush_y, rush_x, rush_y
+
+    def starts(self, scene: Scene) -> list[dict[str, float]]:
+        return [{"rate": rate, "damping": damping} for rate in (6.0, 15.0, 35.0) for damping in (0.1, 0.5)]
+
+
+class LoadTransfer(Effect):
+    name = "load_transfer"
+    sentence = "Pushing above the table, and braking, shift the load between cells."
+    parameters = (
+        Parameter("push_height", "m", "height of the finger above the table", -0.3, 0.5, 0.03, 0.0),
+        Parameter("mass_height", "m", "height of the centre of mass", -0.3, 0.5, 0.03, 0.0),
+    )
+    memory = ("gain_x", "gain_y")
+
+    def friction(self, cell: Any, p: Any) -> Any:
+        # Moment per weight that the table has to answer by loading the cells in front.
+        mx = (p.push_height * cell.force_x - p.mass_height * cell.mass * cell.gain_x) / cell.weight
+        my = (p.push_height * cell.force_y - p.mass_height * cell.mass * cell.gain_y) / cell.weight
+        bx, by = cell.cos * mx + cell.sin * my, cell.cos * my - cell.sin * mx
+        kx = cell.spread_xx * bx + cell.spread_xy * by
+        ky = cell.spread_xy * bx + cell.spread_yy * by
+        shift = kx * (cell.rx - cell.centroid_x) + ky * (cell.ry - cell.centroid_y)
+        return positive_part(1 + shift, 0.02) / positive_part(1, 0.02)
+
+    def remember(self, before: Any, after: Any, p: Any) -> Any:
+        return (
+            (after.com_vx - before.com_vx) / before.step,
+            (after.com_vy - before.com_vy) / before.step,
+        )
+
+
+class Skate(Effect):
+    name = "skate"
+    sentence = "A blade or wheel under the object rolls along one line and resists sideways motion."
+    parameters = (
+        Parameter("resistance", "1", "sideways resistance as a share of the weight", 0.0, 3.0, 0.05, 0.0),
+        Parameter("angle", "rad", "direction in which it rolls, object frame", -7.0, 7.0, 0.4),
+        Parameter("point_x", "m", "where it touches the table, object frame", -1.0, 1.0, 0.03),
+        Parameter("point_y", "m", "where it touches the table, object frame", -1.0, 1.0, 0.03),
+    )
+
+    def blade(self, body: Any, p: Any) -> Any:
+        return p.resistance * body.weight, -sp.sin(p.angle), sp.cos(p.angle), p.point_x, p.point_y
+
+    def starts(self, scene: Scene) -> list[dict[str, float]]:
+        return [{"angle": angle} for angle in np.arange(0.0, np.pi, np.pi / 6)]
+
+
+class TrackerOffset(Effect):
+    name = "tracker_offset"
+    sentence = "The tracked frame is not the object frame."
+    parameters = (
+        Parameter("x", "m", "where the tracked frame sits in the object frame", -0.1, 0.1, 3e-3, 0.0),
+        Parameter("y", "m", "the same, y", -0.1, 0.1, 3e-3, 0.0),
+        Parameter("angle", "rad", "by how much it is turned", -0.6, 0.6, 0.02, 0.0),
+    )
+
+    def measured(self, pose: Any, p: Any) -> Any:
+        c, s = sp.cos(pose.theta), sp.sin(pose.theta)
+        return pose.x + c * p.x - s * p.y, pose.y + s * p.x + c * p.y, pose.theta + p.angle
+
+
+class TrackerScale(Effect):
+    name = "tracker_scale"
+    sentence = "The tracker's lengths are off by a few percent."
+    parameters = (
+        Parameter("excess", "1", "reported lengths above true ones, as a share", -0.3, 0.3, 0.01, 0.0),
+    )
+
+    def measured(self, pose: Any, p: Any) -> Any:
+        return (1 + p.excess) * pose.x, (1 + p.excess) * pose.y, pose.theta
+
+
+LIBRARY: tuple[Effect, ...] = (
+    ViscousFriction(),
+    StribeckFriction(),
+    AnisotropicTable(),
+    AnisotropicObject(),
+    TableTilt(),
+    TableFrictionField(),
+    Tether(),
+    SensorLatency(),
+    FrictionDrift(),
+    FingerCompliance(),
+    LooseMass(),
+    LoadTransfer(),
+    Skate(),
+    TrackerOffset(),
+    TrackerScale(),
+)

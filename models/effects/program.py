@@ -1,0 +1,146 @@
+"""From the formulas of some effects to machine code: values and derivatives of all that the kernel asks for.
+
+The formulas are differentiated by SymPy, written as a small Python module into the folder of compiled
+kernels, and compiled there by numba once. The kernel (`models.physics.effect_kernel`) calls them by address,
+so that it need not be compiled anew for a new effect or combination.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import importlib.util
+import inspect
+import os
+import sys
+import tempfile
+import traceback
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from models.effects.effect import Effect, EffectError
+from models.physics.compiled import CACHE_FOLDER
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Program:
+    """Compiled formulas of some effects.
+
+    Attributes:
+        effects: in the order of their parameters.
+        addresses: (4,) of the functions body, cells, cell slopes, memory.
+        sizes: (5,) as in `effect_kernel.effect_rollout`.
+        measured: x, y, θ (…,) and parameters to (…, 3) poses as the tracker reports them, and their derivatives by
+            the true pose (…, 3, 3) and by the parameters (…, 3, P); None where no effect changes them.
+        delay: parameters to the tracker's delay and its derivative (P,); None where there is none.
+    """
+
+    effects: tuple[Effect, ...]
+    addresses: NDArray[np.int64]
+    sizes: NDArray[np.int64]
+    measured: Callable[..., tuple[FloatArray, FloatArray, FloatArray]] | None
+    delay: Callable[[FloatArray], tuple[float, FloatArray]] | None
+
+    @property
+    def parameters(self) -> int:
+        """P: number of parameters of all effects."""
+        return int(self.sizes[1])
+
+    @property
+    def memory(self) -> int:
+        """E: numbers carried from step to step."""
+        return int(self.sizes[0])
+
+
+def program_of(effects: Sequence[Effect]) -> Program:
+    """Compiled formulas of some effects, from memory or disk where they were compiled before.
+
+    Raises:
+        EffectError: a formula raises an error or is no formula; names the effect, file and line.
+    """
+    return _program_of(tuple(effects))
+
+
+@lru_cache(maxsize=64)
+def _program_of(effects: tuple[Effect, ...]) -> Program:
+    text = None
+    key = _key(effects)
+    if key is None:
+        text = _source(effects)
+        key = hashlib.sha256(text.encode()).hexdigest()[:16]
+    folder = CACHE_FOLDER / f"effects-{key}"
+    path = folder / "program.py"
+    if not path.exists():
+        text = text or _source(effects)
+        folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.NamedTemporaryFile("w", dir=folder, delete=False, suffix=".part") as file:
+            file.write(text)
+        os.replace(file.name, path)
+    spec = importlib.util.spec_from_file_location(f"slipmap_effects_{key}", path)
+    assert spec is not None and spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[spec.name] = module
+    spec.loader.exec_module(module)
+    functions = (module.body, module.cells, module.cell_slopes, module.memory)
+    return Program(
+        effects,
+        np.array([function.address for function in functions], dtype=np.int64),
+        np.array(module.SIZES, dtype=np.int64),
+        module.measured if module.MEASURES else None,
+        module.delay if module.DELAYS else None,
+    )
+
+
+def _key(effects: Sequence[Effect]) -> str | None:
+    """Hash of all that the code is made from, or None where an effect has no file."""
+    digest = hashlib.sha256()
+    for name in ("effect.py", "symbols.py", "program.py", "formulas.py"):
+        digest.update((Path(__file__).parent / name).read_bytes())
+    for effect in effects:
+        try:
+            digest.update(Path(inspect.getfile(type(effect))).read_bytes())
+        except (TypeError, OSError):
+            return None
+        digest.update(type(effect).__qualname__.encode())
+    return digest.hexdigest()[:16]
+
+
+def _source(effects: Sequence[Effect]) -> str:
+    # SymPy takes a third of a second to import and is needed only for formulas that are new.
+    from models.effects.formulas import module_source
+
+    return module_source(effects)
+
+
+def failing_line(error: BaseException) -> str:
+    """`file, line n` of the innermost frame of an error that is outside this package and its libraries."""
+    frames = traceback.extract_tb(error.__traceback__)
+    here = Path(__file__).parent
+    for frame in reversed(frames):
+        path = Path(frame.filename)
+        if "site-packages" not in path.parts and (path.parent != here or path.name == "library.py"):
+            return f"{path.name}, line {frame.lineno}"
+    return "unknown place"
+
+
+def call_formula(effect: Effect, method: str, *arguments: Any) -> Any:
+    """Result of one of the effect's formulas.
+
+    Raises:
+        EffectError: it raised; names the effect, the method, file and line.
+    """
+    try:
+        return getattr(effect, method)(*arguments)
+    except EffectError:
+        raise
+    except Exception as error:
+        raise EffectError(
+            f"effect {effect.name}: {method}() failed in {failing_line(error)}: {type(error).__name__}: {error}"
+        ) from error

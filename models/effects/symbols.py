@@ -1,0 +1,152 @@
+"""The symbols that effects write their formulas with, and functions that stay smooth where needed.
+
+Positions and velocities are those in the middle of a step, predicted from its start; so is `theta`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import sympy as sp
+
+STATE_NAMES = ("q_x", "q_y", "q_theta", "v_x", "v_y", "omega")
+FORCE_NAMES = ("force_x", "force_y")
+INERTIA_NAMES = ("m", "s_x", "s_y", "J")
+CONSTANT_NAMES = ("time", "h", "order", "gravity", "width", "c_x", "c_y", "g_xx", "g_xy", "g_yy", "n")
+
+REST_SPEED = 1e-4
+"""Speeds are smoothed below this, m/s."""
+
+
+class Names:
+    """Symbols by name; an unknown name is an error that lists the known ones."""
+
+    def __init__(self, what: str, values: Mapping[str, Any]) -> None:
+        self.__dict__.update(values)
+        self._what = what
+
+    def __getattr__(self, name: str) -> Any:
+        if name.startswith("__"):
+            raise AttributeError(name)
+        known = ", ".join(sorted(key for key in self.__dict__ if not key.startswith("_")))
+        raise AttributeError(f"{self._what} has no {name!r}; it has {known}")
+
+
+def real(name: str) -> sp.Symbol:
+    """A real symbol."""
+    return sp.Symbol(name, real=True)
+
+
+def body_names(memory: Mapping[str, sp.Symbol]) -> dict[str, Any]:
+    """What formulas may use of the object as a whole, as expressions of the kernel's arguments.
+
+    x, y (m), theta: pose of the object frame in the world. vx, vy: velocity of its origin in the world, omega.
+    com_x, com_y: centre of mass less the origin, com_vx, com_vy its velocity, world. mass, moment (about the
+    origin), gravity, weight. time within the push (s), step (s), order: place of the push in the experiment,
+    from 0. force_x, force_y: last force of the finger on the object, world, N. centroid_x, centroid_y: of the
+    cells, object frame; spread_xx, spread_xy, spread_yy: inverse of their second moments about it, 1/m².
+    width: of a cell.
+    """
+    qx, qy, qt, vx, vy, omega = (real(name) for name in STATE_NAMES)
+    m, sx, sy, moment = (real(name) for name in INERTIA_NAMES)
+    c = {name: real(name) for name in CONSTANT_NAMES}
+    c0, s0 = sp.cos(qt), sp.sin(qt)
+    wx, wy = c0 * vx - s0 * vy, s0 * vx + c0 * vy
+    theta = qt + c["h"] * omega / 2
+    cm, sm = sp.cos(theta), sp.sin(theta)
+    com_x, com_y = (cm * sx - sm * sy) / m, (sm * sx + cm * sy) / m
+    names = {
+        "x": qx + c["h"] / 2 * wx,
+        "y": qy + c["h"] / 2 * wy,
+        "theta": theta,
+        "cos": cm,
+        "sin": sm,
+        "vx": wx,
+        "vy": wy,
+        "omega": omega,
+        "com_x": com_x,
+        "com_y": com_y,
+        "com_vx": wx - omega * (s0 * sx + c0 * sy) / m,
+        "com_vy": wy + omega * (c0 * sx - s0 * sy) / m,
+        "mass": m,
+        "moment": moment,
+        "gravity": c["gravity"],
+        "weight": m * c["gravity"],
+        "time": c["time"],
+        "step": c["h"],
+        "order": c["order"],
+        "width": c["width"],
+        "centroid_x": c["c_x"],
+        "centroid_y": c["c_y"],
+        "spread_xx": c["g_xx"],
+        "spread_xy": c["g_xy"],
+        "spread_yy": c["g_yy"],
+    }
+    return names | dict(memory)
+
+
+def cell_names(body: Mapping[str, Any]) -> dict[str, Any]:
+    """What formulas may use of a cell: all that the body has, and of the cell
+
+    x, y: centre in the world, m. rx, ry: centre in the object frame. ux, uy: velocity in the world.
+    along_x, along_y: velocity in the object frame. speed: smoothed below 0.1 mm/s. area: m².
+    """
+    rx, ry = real("r_x"), real("r_y")
+    vx, vy, omega = real("v_x"), real("v_y"), real("omega")
+    ax, ay = vx - omega * ry, vy + omega * rx
+    qt = real("q_theta")
+    return dict(body) | {
+        "x": body["x"] + body["cos"] * rx - body["sin"] * ry,
+        "y": body["y"] + body["sin"] * rx + body["cos"] * ry,
+        "rx": rx,
+        "ry": ry,
+        "ux": sp.cos(qt) * ax - sp.sin(qt) * ay,
+        "uy": sp.sin(qt) * ax + sp.cos(qt) * ay,
+        "along_x": ax,
+        "along_y": ay,
+        "speed": sp.sqrt(ax**2 + ay**2 + REST_SPEED**2),
+        "area": real("width") ** 2,
+    }
+
+
+def after_names() -> dict[str, Any]:
+    """What `remember` may use of the moment after a step: x, y, theta, vx, vy, omega, com_vx, com_vy, force_x,
+    force_y (world), as in `body_names`."""
+    x, y, theta, vx, vy, omega, fx, fy = (real(f"after_{k}") for k in range(8))
+    m, sx, sy, _ = (real(name) for name in INERTIA_NAMES)
+    c, s = sp.cos(theta), sp.sin(theta)
+    wx, wy = c * vx - s * vy, s * vx + c * vy
+    return {
+        "x": x, "y": y, "theta": theta, "vx": wx, "vy": wy, "omega": omega,
+        "com_vx": wx - omega * (s * sx + c * sy) / m, "com_vy": wy + omega * (c * sx - s * sy) / m,
+        "force_x": fx, "force_y": fy,
+    }  # fmt: skip
+
+
+def written_names(kind: str, extra: tuple[str, ...] = ()) -> dict[str, sp.Symbol]:
+    """The names of `body`, `cell` or `after` as single letters, for formulas to be read."""
+    letters = {
+        "x": "x", "y": "y", "theta": r"\theta", "cos": r"c_\theta", "sin": r"s_\theta", "vx": r"\dot{x}",
+        "vy": r"\dot{y}", "omega": r"\omega", "com_x": r"\bar{r}_x", "com_y": r"\bar{r}_y",
+        "com_vx": r"\bar{v}_x", "com_vy": r"\bar{v}_y", "mass": "m", "moment": "J", "gravity": "g", "weight": "mg",
+        "time": "t", "step": "h", "order": "k", "width": "w", "centroid_x": "c_x", "centroid_y": "c_y",
+        "spread_xx": "G_{xx}", "spread_xy": "G_{xy}", "spread_yy": "G_{yy}", "force_x": "F_x", "force_y": "F_y",
+    }  # fmt: skip
+    if kind == "cell":
+        letters |= {
+            "x": "X", "y": "Y", "rx": "r_x", "ry": "r_y", "ux": "u_x", "uy": "u_y", "along_x": r"u^{O}_x",
+            "along_y": r"u^{O}_y", "speed": "u", "area": "a",
+        }  # fmt: skip
+    prefix = "" if kind != "after" else "^+"
+    return {name: real(letter + prefix) for name, letter in letters.items()} | {n: real(n) for n in extra}
+
+
+def positive_part(value: Any, width: float) -> Any:
+    """max(value, 0), rounded within about `width` of 0."""
+    return (value + sp.sqrt(value**2 + width**2)) / 2
+
+
+def smooth_step(value: Any, width: float) -> Any:
+    """From 0 to 1 as value passes 0, mostly within ± `width`."""
+    return (1 + sp.tanh(2 * value / width)) / 2

@@ -1,0 +1,201 @@
+"""Friction of cells under effects: an ellipse instead of a circle, drag, and lines that resist sideways motion.
+
+A cell of load f_i under a friction factor s_i dissipates f_i s_i φ_i with
+
+    φ_i = sqrt(uᵀ Q u + (ρ omega)² + ε²),
+
+Q being symmetric, positive and the same for all cells; Q = 1 is Coulomb's law of `friction.py`. Drag adds
+½ D_i (|u_i|² + w²/6 omega²), and a blade F sqrt((b·v)² + ε²) with b = (n_x, n_y, r × n), where it resists with F along n.
+All of them are convex in the twist v, so the step stays what it is.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from models.physics.compiled import compiled
+from models.physics.newton import Quadratic, register_cells
+
+_FAST = {"reassoc", "contract", "arcp", "nsz"}
+
+
+class EffectCells(NamedTuple):
+    """The cells as a step with effects sees them.
+
+    Attributes:
+        load: (n,) friction loads times their factors, f_i s_i, N.
+        rx: (n,) cell centres, object frame, m.
+        ry: the same, y.
+        rho2: ρ², m².
+        eps2: ε², m²/s².
+        qxx: Q, object frame.
+        qxy: the same.
+        qyy: the same.
+        drag: (4,) Σ D, Σ D r_x, Σ D r_y, Σ D (|r|² + w²/6).
+        blades: (k, 4) F, b.
+    """
+
+    load: NDArray[np.float64]
+    rx: NDArray[np.float64]
+    ry: NDArray[np.float64]
+    rho2: float
+    eps2: float
+    qxx: float
+    qxy: float
+    qyy: float
+    drag: NDArray[np.float64]
+    blades: NDArray[np.float64]
+
+
+@compiled(fastmath=_FAST)
+def _moments(cells, vx, vy, omega):  # type: ignore[no-untyped-def]
+    """Sums over cells: Σ a g (3), the six of Σ a JᵀQJ by powers of r (a, ax, ay, axx, axy, ayy), Σ b g gᵀ (6),
+    and Σ f/φ², with a = f/φ, b = f/φ³ and g = Jᵀ Q u + (0, 0, ρ² omega)."""
+    load, rx, ry = cells.load, cells.rx, cells.ry
+    qxx, qxy, qyy = cells.qxx, cells.qxy, cells.qyy
+    spin = cells.rho2 * omega
+    constant = spin * omega + cells.eps2
+    gx = gy = gw = 0.0
+    a_sum = ax = ay = axx = axy = ayy = 0.0
+    bxx = bxy = byy = bxw = byw = bww = bend = 0.0
+    for i in range(load.shape[0]):
+        x = rx[i]
+        y = ry[i]
+        ux = vx - omega * y
+        uy = vy + omega * x
+        px = qxx * ux + qxy * uy
+        py = qxy * ux + qyy * uy
+        inverse = 1.0 / math.sqrt(ux * px + uy * py + constant)
+        a = load[i] * inverse
+        flat = a * inverse
+        b = flat * inverse
+        pw = x * py - y * px + spin
+        bend += flat
+        gx += a * px
+        gy += a * py
+        gw += a * pw
+        a_sum += a
+        ax += a * x
+        ay += a * y
+        axx += a * x * x
+        axy += a * x * y
+        ayy += a * y * y
+        bxx += b * px * px
+        bxy += b * px * py
+        byy += b * py * py
+        bxw += b * px * pw
+        byw += b * py * pw
+        bww += b * pw * pw
+    return gx, gy, gw, a_sum, ax, ay, axx, axy, ayy, bxx, bxy, byy, bxw, byw, bww, bend
+
+
+@compiled()
+def _effect_model(cells, inertia, star, h, v):  # type: ignore[no-untyped-def]
+    """`smooth_model` of `EffectCells`."""
+    m, sx, sy, J = inertia
+    vx, vy, omega = v
+    gx, gy, gw, a, ax, ay, axx, axy, ayy, bxx, bxy, byy, bxw, byw, bww, bend = _moments(cells, vx, vy, omega)
+    qxx, qxy, qyy = cells.qxx, cells.qxy, cells.qyy
+    drag, drag_x, drag_y, drag_w = cells.drag[0], cells.drag[1], cells.drag[2], cells.drag[3]
+    hxx = a * qxx - bxx + drag
+    hxy = a * qxy - bxy
+    hyy = a * qyy - byy + drag
+    hxw = ax * qxy - ay * qxx - bxw - drag_y
+    hyw = ax * qyy - ay * qxy - byw + drag_x
+    hww = ayy * qxx - 2.0 * axy * qxy + axx * qyy + cells.rho2 * a - bww + drag_w
+    gx += drag * vx - drag_y * omega
+    gy += drag * vy + drag_x * omega
+    gw += drag_x * vy - drag_y * vx + drag_w * omega
+    # The bound on the third derivative grows with the ellipse's long axis.
+    half = 0.5 * (qxx + qyy)
+    bend *= max(1.0, half + math.hypot(0.5 * (qxx - qyy), qxy)) ** 1.5
+    for k in range(cells.blades.shape[0]):
+        force, nx, ny, nw = cells.blades[k, 0], cells.blades[k, 1], cells.blades[k, 2], cells.blades[k, 3]
+        along = nx * vx + ny * vy + nw * omega
+        phi2 = along * along + cells.eps2
+        inverse = 1.0 / math.sqrt(phi2)
+        slope = force * along * inverse
+        curve = force * cells.eps2 * inverse / phi2
+        gx += slope * nx
+        gy += slope * ny
+        gw += slope * nw
+        hxx += curve * nx * nx
+        hxy += curve * nx * ny
+        hyy += curve * ny * ny
+        hxw += curve * nx * nw
+        hyw += curve * ny * nw
+        hww += curve * nw * nw
+        bend += force / phi2
+    model = Quadratic(
+        m * vx - sy * omega - star[0] + h * gx,
+        m * vy + sx * omega - star[1] + h * gy,
+        sx * vy - sy * vx + J * omega - star[2] + h * gw,
+        m + h * hxx,
+        h * hxy,
+        -sy + h * hxw,
+        m + h * hyy,
+        sx + h * hyw,
+        J + h * hww,
+    )
+    return model, bend
+
+
+register_cells(EffectCells, _effect_model)
+
+
+@compiled()
+def drag_moments(drag, rx, ry, cell_width, out):  # type: ignore[no-untyped-def]
+    """Fill `EffectCells.drag` from the cells' drags (n,), N s/m."""
+    out[:] = 0.0
+    for i in range(drag.shape[0]):
+        out[0] += drag[i]
+        out[1] += drag[i] * rx[i]
+        out[2] += drag[i] * ry[i]
+        out[3] += drag[i] * (rx[i] * rx[i] + ry[i] * ry[i] + cell_width * cell_width / 6.0)
+
+
+@compiled()
+def cell_gradients(cells, v, cell_width, by_load, by_drag, by_stretch):  # type: ignore[no-untyped-def]
+    """Derivatives of the friction's gradient by what effects may change, at the twist v.
+
+    Args:
+        cells: `EffectCells`.
+        v: twist after the step.
+        cell_width: w, m.
+        by_load: (3, n) result, by each cell's load f_i s_i.
+        by_drag: (3, n) result, by each cell's drag.
+        by_stretch: (3, 3) result, columns by q_xx, q_xy, q_yy.
+    """
+    vx, vy, omega = v
+    qxx, qxy, qyy = cells.qxx, cells.qxy, cells.qyy
+    spin = cells.rho2 * omega
+    constant = spin * omega + cells.eps2
+    by_stretch[:, :] = 0.0
+    for i in range(cells.load.shape[0]):
+        x, y = cells.rx[i], cells.ry[i]
+        ux = vx - omega * y
+        uy = vy + omega * x
+        px = qxx * ux + qxy * uy
+        py = qxy * ux + qyy * uy
+        pw = x * py - y * px + spin
+        phi2 = ux * px + uy * py + constant
+        inverse = 1.0 / math.sqrt(phi2)
+        by_load[0, i] = px * inverse
+        by_load[1, i] = py * inverse
+        by_load[2, i] = pw * inverse
+        by_drag[0, i] = ux
+        by_drag[1, i] = uy
+        by_drag[2, i] = x * uy - y * ux + cell_width * cell_width / 6.0 * omega
+        a = cells.load[i] * inverse
+        b = a / phi2
+        for q in range(3):
+            dx = ux if q == 0 else (uy if q == 1 else 0.0)
+            dy = uy if q == 2 else (ux if q == 1 else 0.0)
+            less = b * (0.5 * ux * ux if q == 0 else (ux * uy if q == 1 else 0.5 * uy * uy))
+            by_stretch[0, q] += a * dx - less * px
+            by_stretch[1, q] += a * dy - less * py
+            by_stretch[2, q] += a * (x * dy - y * dx) - less * pw

@@ -1,0 +1,64 @@
+"""Hypotheses about the object: maps of mass and friction, finger friction, parameters of effects."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Maps:
+    """K hypotheses about the object.
+
+    Attributes:
+        mass: (K, n) cell masses, kg.
+        mu: (K, n) friction coefficients with the table.
+        mu_finger: (K,) friction coefficients with the finger.
+        effects: (K, P) parameters of the effects of an `models.effects.EffectSlider`; P is 0 without.
+    """
+
+    mass: FloatArray
+    mu: FloatArray
+    mu_finger: FloatArray
+    effects: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
+
+    def __post_init__(self) -> None:
+        mass = np.atleast_2d(np.ascontiguousarray(self.mass, dtype=float))
+        mu = np.atleast_2d(np.ascontiguousarray(self.mu, dtype=float))
+        finger = np.atleast_1d(np.ascontiguousarray(self.mu_finger, dtype=float))
+        if mass.ndim != 2 or mass.shape != mu.shape or finger.shape != (len(mass),):
+            raise ValueError(
+                f"maps: mass {mass.shape} and mu {mu.shape} need one shape (K, n), mu_finger "
+                f"{finger.shape} one number a map"
+            )
+        for name, value in (("mass", mass), ("mu", mu), ("mu_finger", finger)):
+            if not np.isfinite(value).all() or (value < 0).any():
+                raise ValueError(f"maps: {name} must be finite and not negative")
+        if not (mass.sum(axis=1) > 0).all():
+            raise ValueError("maps: the total mass must be positive")
+        effects = np.ascontiguousarray(self.effects, dtype=float)
+        if effects.size == 0:
+            effects = np.zeros((len(mass), 0))
+        if effects.ndim != 2 or len(effects) != len(mass) or not np.isfinite(effects).all():
+            raise ValueError(
+                f"maps: effects must be finite and of shape ({len(mass)}, P), got {effects.shape}"
+            )
+        object.__setattr__(self, "effects", effects)
+        object.__setattr__(self, "mass", mass)
+        object.__setattr__(self, "mu", mu)
+        object.__setattr__(self, "mu_finger", finger)
+
+    def __len__(self) -> int:
+        return len(self.mass)
+
+    def __getitem__(self, index: int | slice | NDArray[np.integer]) -> Maps:
+        return Maps(
+            self.mass[index],
+            self.mu[index],
+            np.atleast_1d(self.mu_finger[index]),
+            np.atleast_2d(self.effects[index]),
+        )

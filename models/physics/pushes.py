@@ -1,0 +1,189 @@
+"""What drives the object: a finger's path, or a force; one push, or many joined for the kernels."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from itertools import accumulate
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Push:
+    """What drives the object for N steps of length h, and when to look.
+
+    Attributes:
+        h: step, s.
+        tip: (N + 1, 2) finger centre at the ends of the steps, world, m; NaN where there is no finger.
+        start_pose: (3,) x, y, θ in the world.
+        start_twist: (3,) v_x, v_y, omega in the object frame.
+        pose_times: (S,) ascending times from the start at which poses are wanted, s; default ends of steps.
+        force_times: (T,) the same for the contact force (the mean over the step that holds the time).
+        wrench: (N, 5) applied force (world, N), its point (object frame, m) and a torque (N m), or None.
+        order: place of the push in the experiment, from 0, for effects that change from push to push.
+
+    Raises:
+        ValueError: shapes that do not fit, a step that is not positive, times that lie outside the push or
+            do not ascend.
+    """
+
+    h: float
+    tip: FloatArray
+    start_pose: FloatArray
+    start_twist: FloatArray = field(default_factory=lambda: np.zeros(3))
+    pose_times: FloatArray | None = None
+    force_times: FloatArray = field(default_factory=lambda: np.zeros(0))
+    wrench: FloatArray | None = None
+    order: float = 0.0
+
+    def __post_init__(self) -> None:
+        if not (np.isfinite(self.h) and self.h > 0):
+            raise ValueError(f"push: the step h must be positive, got {self.h} s")
+        tip = np.ascontiguousarray(self.tip, dtype=float)
+        if tip.ndim != 2 or tip.shape[1] != 2 or len(tip) < 2:
+            raise ValueError(f"push: tip must have shape (N + 1, 2) with at least one step, got {tip.shape}")
+        absent = np.isnan(tip).all(axis=1)
+        if not np.isfinite(tip[~absent]).all():
+            row = int(np.flatnonzero(~absent & ~np.isfinite(tip).all(axis=1))[0])
+            raise ValueError(
+                f"push: tip must be finite, or NaN in both columns; row {row} is {tip[row].tolist()}"
+            )
+        object.__setattr__(self, "tip", tip)
+        steps = len(tip) - 1
+        for name in ("start_pose", "start_twist"):
+            value = np.ascontiguousarray(getattr(self, name), dtype=float)
+            if value.shape != (3,) or not np.isfinite(value).all():
+                raise ValueError(f"push: {name} must be three finite numbers, got {value}")
+            object.__setattr__(self, name, value)
+        if self.pose_times is None:
+            object.__setattr__(self, "pose_times", self.h * np.arange(1, steps + 1))
+        for name in ("pose_times", "force_times"):
+            value = np.ascontiguousarray(getattr(self, name), dtype=float)
+            end = steps * self.h * (1 + 1e-9)
+            ascending = value.ndim == 1 and bool(np.all(np.diff(value) >= 0))
+            if not ascending or (len(value) and not (value[0] >= 0 and value[-1] <= end)):
+                raise ValueError(
+                    f"push: {name} must be one row of times that ascend within 0 and {end:.6g} s"
+                )
+            object.__setattr__(self, name, value)
+        if self.wrench is not None:
+            wrench = np.ascontiguousarray(self.wrench, dtype=float)
+            if wrench.shape != (steps, 5):
+                raise ValueError(f"push: wrench must have shape ({steps}, 5), got {wrench.shape}")
+            if not np.isfinite(wrench).all():
+                row = int(np.flatnonzero(~np.isfinite(wrench).all(axis=1))[0])
+                raise ValueError(f"push: wrench must be finite; row {row} is {wrench[row].tolist()}")
+            object.__setattr__(self, "wrench", wrench)
+
+    @cached_property
+    def pose_samples(self) -> tuple[NDArray[np.int64], FloatArray]:
+        """(S,) step in whose course each pose time falls, and (S,) the place in it, 0 to 1."""
+        return _sample_steps(self.h, len(self.tip) - 1, self.pose_times)
+
+    @cached_property
+    def force_steps(self) -> NDArray[np.int64]:
+        """(T,) step in whose course each force time falls."""
+        return _sample_steps(self.h, len(self.tip) - 1, self.force_times)[0]
+
+    @classmethod
+    def by_force(
+        cls,
+        force: ArrayLike,
+        point: ArrayLike,
+        *,
+        duration: float,
+        steps: int,
+        h: float,
+        start_pose: ArrayLike = (0.0, 0.0, 0.0),
+        start_twist: ArrayLike = (0.0, 0.0, 0.0),
+    ) -> Push:
+        """Constant world force (2,) N on an object-frame point (2,) m for `duration` s, then none.
+
+        Raises:
+            ValueError: force or point are not pairs, or the duration is not within the push.
+        """
+        if not (np.isfinite(h) and h > 0):
+            raise ValueError(f"push: the step h must be positive, got {h} s")
+        if not 0 <= duration <= steps * h * (1 + 1e-9):
+            raise ValueError(f"push: duration must lie within 0 and {steps * h:.6g} s, got {duration}")
+        for name, pair in (("force", force), ("point", point)):
+            if np.shape(pair) != (2,):
+                raise ValueError(f"push: {name} must be a pair (x, y), got {pair!r}")
+        wrench = np.zeros((steps, 5))
+        wrench[: round(duration / h), :4] = [*np.asarray(force), *np.asarray(point)]
+        nowhere = np.full((steps + 1, 2), np.nan)
+        return cls(h, nowhere, np.asarray(start_pose), np.asarray(start_twist), wrench=wrench)
+
+
+class JoinedPushes:
+    """Pushes end to end, as the kernels take them.
+
+    Args:
+        pushes: B pushes.
+        models: K, for the starts.
+        start_poses: (K, B, 3) instead of the pushes' own starts.
+        start_twists: (K, B, 3) instead of the pushes' own starts, object frame.
+
+    Raises:
+        ValueError: there is no push, or starts of another shape.
+    """
+
+    def __init__(
+        self,
+        pushes: Sequence[Push],
+        models: int,
+        start_poses: FloatArray | None = None,
+        start_twists: FloatArray | None = None,
+    ) -> None:
+        K, B = models, len(pushes)
+        if B == 0:
+            raise ValueError("rollout: needs at least one push")
+        for name, value in (("start_poses", start_poses), ("start_twists", start_twists)):
+            if value is not None and (np.shape(value) != (K, B, 3) or not np.isfinite(value).all()):
+                raise ValueError(
+                    f"rollout: {name} must be finite and of shape ({K}, {B}, 3), got {np.shape(value)}"
+                )
+        if start_poses is None:
+            start_poses = _of_all_models([p.start_pose for p in pushes], K)
+        if start_twists is None:
+            start_twists = _of_all_models([p.start_twist for p in pushes], K)
+        self.start_poses = np.ascontiguousarray(start_poses, dtype=float)
+        self.start_twists = np.ascontiguousarray(start_twists, dtype=float)
+        self.h = np.array([push.h for push in pushes])
+        self.tip = np.concatenate([push.tip for push in pushes])
+        self.tip_at = _offsets([len(push.tip) for push in pushes])
+        wrenches = [_NO_WRENCH if push.wrench is None else push.wrench for push in pushes]
+        self.wrench = np.concatenate(wrenches)
+        self.wrench_at = _offsets([len(w) for w in wrenches])
+        samples = [push.pose_samples for push in pushes]
+        self.sample_step = np.concatenate([step for step, _ in samples])
+        self.sample_fraction = np.concatenate([fraction for _, fraction in samples])
+        self.sample_time = np.concatenate([np.asarray(push.pose_times) for push in pushes])
+        self.sample_at = _offsets([len(step) for step, _ in samples])
+        self.force_step = np.concatenate([push.force_steps for push in pushes])
+        self.force_at = _offsets([len(push.force_steps) for push in pushes])
+        self.order = np.array([push.order for push in pushes], dtype=float)
+
+
+def _sample_steps(h: float, steps: int, times: FloatArray | None) -> tuple[NDArray[np.int64], FloatArray]:
+    """Step in whose course each time falls, and the place in it (0 to 1)."""
+    assert times is not None
+    index = np.clip(np.ceil(times / h - 1e-9).astype(np.int64) - 1, 0, steps - 1)
+    return index, np.clip(times / h - index, 0.0, 1.0)
+
+
+def _offsets(lengths: Sequence[int]) -> NDArray[np.int64]:
+    return np.array([0, *accumulate(lengths)], dtype=np.int64)
+
+
+def _of_all_models(starts: Sequence[FloatArray], models: int) -> FloatArray:
+    """(models, B, 3) the same starts (B of (3,)) for each model."""
+    return np.repeat(np.array([starts]), models, axis=0)
+
+
+_NO_WRENCH = np.zeros((0, 5))
