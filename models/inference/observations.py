@@ -52,8 +52,13 @@ class Observation:
         return add(self.poses, self.push.start_pose, centers)
 
 
-def observe(trial: Trial) -> Observation:
-    """Prepare one trial: smooth the finger's track, choose the step, average rows, mask forces."""
+def observe(trial: Trial, order: int = 0) -> Observation:
+    """Prepare one trial: smooth the finger's track, choose the step, average rows, mask forces.
+
+    Args:
+        trial: as recorded.
+        order: its place in the experiment, from 0.
+    """
     times = pose_times(trial)
     duration = float(times[-1])
     twist = trial.initial_velocity()
@@ -88,13 +93,16 @@ def observe(trial: Trial) -> Observation:
         np.array([c * twist[0] + s * twist[1], c * twist[1] - s * twist[0], twist[2]]),
         pose_times=np.minimum(times[rows], steps * step),
         force_times=np.minimum(force_times, steps * step),
+        order=float(order),
     )
     return Observation(trial.name, trial.role, push, poses, forces, _sliding(push, forces))
 
 
 def observe_all(dataset: PushDataset, trials: Iterable[Trial] | None = None) -> list[Observation]:
     """Prepare some or all trials of a dataset."""
-    return [observe(trial) for trial in (dataset.trials if trials is None else trials)]
+    order = {trial.name: place for place, trial in enumerate(dataset.trials)}
+    chosen = dataset.trials if trials is None else trials
+    return [observe(trial, order.get(trial.name, 0)) for trial in chosen]
 
 
 def _fast_speed(time: FloatArray, track: FloatArray) -> float:
@@ -149,5 +157,5 @@ def _sliding(push: Push, forces: FloatArray) -> np.ndarray:
     at = np.clip((push.force_times / push.h).astype(int), 0, len(speed) - 1)
     size = np.hypot(*forces.T)
     steady = (speed[at] > 0.2 * speed.max()) & (size > 0.2 * np.percentile(size, 90))
-    padded = np.concatenate([[True], steady, [True]])
+    padded = np.concatenate([[False], steady, [False]])
     return steady & padded[:-2] & padded[2:]

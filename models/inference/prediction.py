@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -11,7 +12,8 @@ from models.inference.observations import Observation, observe_all
 from models.inference.results import PushPrediction
 from models.measurements import PushDataset
 from models.physics.paper_notation import add
-from models.physics.rollout import Maps, Push
+from models.physics.maps import Maps
+from models.physics.pushes import Push
 
 SIDEWAYS_SHIFT = 5e-4
 """Shift of the start by which nearness to balance is judged, m."""
@@ -115,14 +117,5 @@ def _shifted(pushes: Sequence[Push], sign: float) -> list[Push]:
             result.append(push)
             continue
         sideways = np.array([-path[1], path[0]]) / length * SIDEWAYS_SHIFT * sign
-        result.append(
-            Push(
-                push.h,
-                push.tip + sideways,
-                push.start_pose,
-                push.start_twist,
-                push.pose_times,
-                push.force_times,
-            )
-        )
+        result.append(replace(push, tip=push.tip + sideways))
     return result

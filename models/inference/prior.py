@@ -5,6 +5,7 @@ Maps are functions of whitened coordinates z, so that the prior is z ~ N(0, 1) i
     m_i   = m_total · exp(σ_m (B z_m)_i) / Σ_j exp(σ_m (B z_m)_j)
     mu_i  = exp(log mu_0 + σ_scale z_mu0 + σ_mu (B z_mu)_i)
     mu_f  = exp(log mu_f0 + σ_f z_f),        m_total = m_0 exp(σ_total z_total)
+    effect parameters:  p = p_0 + scale z_p, within their bounds
 
 B Bᵀ is a squared-exponential covariance over the cell centres plus a share of white noise: neighbouring
 cells are alike, but need not be. Logarithms keep masses and frictions positive and make the units
@@ -18,8 +19,11 @@ from functools import cached_property
 
 import numpy as np
 
+from models.effects.effect import bounds, scales
+from models.effects.slider import EffectSlider
 from models.physics.cell_grid import CellGrid, FloatArray
 from models.physics.rollout import Maps, Slider
+from models.physics.step import EXTRA_COLUMNS
 
 
 @dataclass(frozen=True)
@@ -62,13 +66,20 @@ class MapPrior:
         slider: the model whose maps are meant.
         settings: strength.
         mass: total mass if it was weighed, kg.
+        weight: of the object as far as known, N, for the scale of effects that are forces.
     """
 
-    def __init__(self, slider: Slider, settings: PriorSettings, mass: float | None) -> None:
+    def __init__(
+        self, slider: Slider, settings: PriorSettings, mass: float | None, weight: float | None = None
+    ) -> None:
         self.slider = slider
         self.settings = settings
         self.total_mass = mass if mass is not None else 1.0
         self.total_spread = settings.known_mass if mass is not None else settings.unknown_mass
+        effects = slider.effects if isinstance(slider, EffectSlider) else ()
+        self.effect_centers = np.concatenate([np.zeros(0), *(effect.nulls for effect in effects)])
+        self.effect_scales = scales(effects, weight or self.total_mass * slider.gravity)
+        self.effect_bounds = bounds(effects)
 
     @cached_property
     def basis(self) -> FloatArray:
@@ -77,14 +88,24 @@ class MapPrior:
 
     @property
     def size(self) -> int:
-        """Number of coordinates: z_m (r), z_mu (r), z_total, z_mu0, z_f."""
-        return 2 * self.basis.shape[1] + 3
+        """Number of coordinates: z_m (r), z_mu (r), z_total, z_mu0, z_f, z_p (P)."""
+        return 2 * self.basis.shape[1] + 3 + len(self.effect_scales)
+
+    @property
+    def plain(self) -> int:
+        """Number of coordinates without the effects'."""
+        return self.size - len(self.effect_scales)
 
     def start(self, finger_friction: float) -> FloatArray:
         """(size,) coordinates of the uniform object with some finger friction."""
         z = np.zeros(self.size)
-        z[-1] = np.log(finger_friction / self.settings.finger_friction_mean) / self.settings.finger_friction
+        finger = np.log(finger_friction / self.settings.finger_friction_mean) / self.settings.finger_friction
+        z[self.plain - 1] = finger
         return z
+
+    def effect_coordinates(self, values: FloatArray) -> FloatArray:
+        """z_p of effect parameters (…, P)."""
+        return (values - self.effect_centers) / self.effect_scales
 
     def maps(self, z: FloatArray, strength: FloatArray | float = 1.0) -> Maps:
         """Maps at coordinates (K, size); `strength` (K,) scales σ_m and σ_mu."""
@@ -99,12 +120,13 @@ class MapPrior:
             + s.friction_scale * z[:, 2 * r + 1 : 2 * r + 2]
             + s.friction_map * scale * (z[:, r : 2 * r] @ self.basis.T)
         )
-        log_finger = np.log(s.finger_friction_mean) + s.finger_friction * z[:, -1]
+        log_finger = np.log(s.finger_friction_mean) + s.finger_friction * z[:, self.plain - 1]
         top = np.log(s.largest_friction)
         return Maps(
             total[:, None] * shape / shape.sum(axis=1, keepdims=True),
             np.exp(np.clip(log_mu, -8.0, top)),
             np.exp(np.clip(log_finger, -8.0, top)),
+            np.clip(self.effect_centers + self.effect_scales * z[:, self.plain :], *self.effect_bounds),
         )
 
     def chain(self, maps: Maps, derivative: FloatArray, strength: FloatArray | float = 1.0) -> FloatArray:
@@ -136,6 +158,7 @@ class MapPrior:
                 by_total * self.total_spread,
                 by_log_mu.sum(axis=-1, keepdims=True) * s.friction_scale,
                 derivative[..., n + 4 : n + 5] * (s.finger_friction * maps.mu_finger).reshape((*ones, 1)),
+                derivative[..., n + EXTRA_COLUMNS :] * self.effect_scales,
                 derivative[..., n + 5 : n + 8],
             ],
             axis=-1,

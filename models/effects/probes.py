@@ -1,0 +1,155 @@
+"""Probes: what residuals may depend on when no effect of the library explains them.
+
+A probe is an effect without a name in physics: a flexible law of one argument. The diagnosis lets probes
+compete so that an unknown effect shows as `it depends on …` instead of being pinned on the nearest known one.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import sympy as sp
+
+from models.effects.effect import Effect, Parameter, Scene
+from models.effects.symbols import REST_SPEED
+
+
+def _amplitudes(prefix: str, count: int, scale: float, unit: str = "1") -> tuple[Parameter, ...]:
+    return tuple(
+        Parameter(f"{prefix}{k}", unit, "coefficient", -100.0, 100.0, scale, 0.0) for k in range(count)
+    )
+
+
+def _values(p: Any, prefix: str, count: int) -> list[Any]:
+    return [getattr(p, f"{prefix}{k}") for k in range(count)]
+
+
+class ForceByPlace(Effect):
+    name = "force_by_place"
+    sentence = "A force on the object that depends on where on the table it is."
+    parameters = (*_amplitudes("x", 6, 0.03), *_amplitudes("y", 6, 0.03))
+
+    def force(self, body: Any, p: Any) -> Any:
+        u, v = body.x / 0.2, body.y / 0.2
+        terms = (1, u, v, u * u, u * v, v * v)
+        fx = body.weight * sum(a * t for a, t in zip(_values(p, "x", 6), terms, strict=True))
+        fy = body.weight * sum(a * t for a, t in zip(_values(p, "y", 6), terms, strict=True))
+        return fx, fy, body.com_x * fy - body.com_y * fx
+
+
+class FrictionByPlace(Effect):
+    name = "friction_by_place"
+    sentence = "Friction that depends on where on the table the object is."
+    parameters = _amplitudes("a", 9, 0.2)
+
+    def friction(self, cell: Any, p: Any) -> Any:
+        u, v = cell.x / 0.3, cell.y / 0.3
+        terms = (u, v, u * u, u * v, v * v, u**3, u * u * v, u * v * v, v**3)
+        return sp.exp(3 * sp.tanh(sum(a * t for a, t in zip(_values(p, "a", 9), terms, strict=True)) / 3))
+
+
+class FrictionBySpeed(Effect):
+    name = "friction_by_speed"
+    sentence = "Friction that depends on speed."
+    parameters = _amplitudes("a", 4, 0.2)
+
+    def friction(self, cell: Any, p: Any) -> Any:
+        u = sp.log(1 + cell.speed / 0.01)
+        return sp.exp(3 * sp.tanh(sum(a * (u / 2) ** (k + 1) for k, a in enumerate(_values(p, "a", 4))) / 3))
+
+
+class FrictionByDirection(Effect):
+    name = "friction_by_direction"
+    sentence = "Friction that depends on the direction of motion."
+    parameters = (*_amplitudes("t", 4, 0.1), *_amplitudes("o", 4, 0.1))
+
+    def friction(self, cell: Any, p: Any) -> Any:
+        cx, cy = cell.ux / cell.speed, cell.uy / cell.speed
+        ox, oy = cell.along_x / cell.speed, cell.along_y / cell.speed
+        terms = (cx, cy, cx * cx - cy * cy, 2 * cx * cy, ox, oy, ox * ox - oy * oy, 2 * ox * oy)
+        values = _values(p, "t", 4) + _values(p, "o", 4)
+        return sp.exp(3 * sp.tanh(sum(a * t for a, t in zip(values, terms, strict=True)) / 3))
+
+
+class FrictionByTime(Effect):
+    name = "friction_by_time"
+    sentence = "Friction that depends on the time since the push began."
+    parameters = (
+        *_amplitudes("a", 2, 0.2),
+        Parameter("settle", "1", "coefficient", -100.0, 100.0, 0.2, 0.0),
+    )
+
+    def friction(self, cell: Any, p: Any) -> Any:
+        t = cell.time
+        rest = p.a0 * t / 2 + p.a1 * (t / 2) ** 2 + p.settle * sp.exp(-t / sp.Rational(3, 10))
+        return sp.exp(3 * sp.tanh(rest / 3))
+
+
+class FrictionByOrder(Effect):
+    name = "friction_by_order"
+    sentence = "Friction that depends on the place of the push in the experiment."
+    parameters = _amplitudes("a", 4, 0.2)
+
+    def friction(self, cell: Any, p: Any) -> Any:
+        k = cell.order / 20
+        return sp.exp(3 * sp.tanh(sum(a * k ** (i + 1) for i, a in enumerate(_values(p, "a", 4))) / 3))
+
+
+class ForceByTime(Effect):
+    name = "force_by_time"
+    sentence = "A force on the object that comes and goes with time."
+    parameters = (
+        *_amplitudes("x", 2, 0.03),
+        *_amplitudes("y", 2, 0.03),
+        Parameter("rate", "rad/s", "of its oscillation", 0.2, 100.0, 2.0, start=3.0),
+    )
+
+    def force(self, body: Any, p: Any) -> Any:
+        c, s = sp.cos(p.rate * body.time), sp.sin(p.rate * body.time)
+        fx, fy = body.weight * (p.x0 * c + p.x1 * s), body.weight * (p.y0 * c + p.y1 * s)
+        return fx, fy, body.com_x * fy - body.com_y * fx
+
+    def starts(self, scene: Scene) -> list[dict[str, float]]:
+        return [{"rate": rate} for rate in (1.5, 3.0, 5.0, 8.0, 12.0, 20.0)]
+
+
+class ForceOnObject(Effect):
+    name = "force_on_object"
+    sentence = "A force or torque that turns with the object."
+    parameters = (*_amplitudes("f", 2, 0.03), *_amplitudes("t", 2, 0.002, "m"))
+
+    def force(self, body: Any, p: Any) -> Any:
+        fx = body.weight * (body.cos * p.f0 - body.sin * p.f1)
+        fy = body.weight * (body.sin * p.f0 + body.cos * p.f1)
+        # t1 resists or helps rotation whatever its direction.
+        spin = body.omega / sp.sqrt(body.omega**2 + np.pi**2 * 100 * REST_SPEED**2)
+        return fx, fy, body.com_x * fy - body.com_y * fx + body.weight * (p.t0 - p.t1 * spin)
+
+
+class ForceBySpeed(Effect):
+    name = "force_by_speed"
+    sentence = "A force that depends on the object's velocity: along it, across it, or on its rotation."
+    parameters = _amplitudes("a", 4, 0.05)
+
+    def force(self, body: Any, p: Any) -> Any:
+        speed = sp.sqrt(body.com_vx**2 + body.com_vy**2 + REST_SPEED**2)
+        ux, uy = body.com_vx / speed, body.com_vy / speed
+        along = -p.a0 * speed / 0.1 - p.a1 * (speed / 0.1) ** 2
+        across = p.a2 * speed / 0.1 + p.a3 * body.omega
+        fx = body.weight * (along * ux - across * uy)
+        fy = body.weight * (along * uy + across * ux)
+        return fx, fy, body.com_x * fy - body.com_y * fx
+
+
+PROBES: tuple[Effect, ...] = (
+    ForceByPlace(),
+    FrictionByPlace(),
+    FrictionBySpeed(),
+    FrictionByDirection(),
+    FrictionByTime(),
+    FrictionByOrder(),
+    ForceByTime(),
+    ForceOnObject(),
+    ForceBySpeed(),
+)

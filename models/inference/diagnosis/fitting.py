@@ -1,0 +1,179 @@
+"""Fits of the model with some effects to the open pushes of a dataset."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from models.effects.effect import Effect, Scene
+from models.effects.slider import EffectSlider
+from models.inference.diagnosis.correlated import CorrelatedLikelihood
+from models.inference.diagnosis.error_model import ErrorModel, SensorNoise
+from models.inference.diagnosis.predictive import PushEquations, log_determinant, whitened_rows
+from models.inference.gauss_newton import fit
+from models.inference.observations import MEASURED_CONTACT, Observation
+from models.inference.prior import MapPrior, PriorSettings
+from models.measurements import PushDataset
+from models.physics.cell_grid import FloatArray
+from models.physics.rollout import RolloutError, Slider
+
+MODES = 20
+"""Coordinates of each map; the finest ones cannot be told from noise and cost time."""
+
+FINGER_STARTS = (0.15, 0.35, 1.0)
+
+MOTION_ERRORS = (0.006, 0.01, 0.016, 0.025, 0.04, 0.06, 0.1, 0.16)
+"""α to choose from; no cell grid is better than the first, however good the sensors are."""
+
+FORCE_ERRORS = (0.02, 0.04, 0.08, 0.16, 0.32)
+"""β to choose from."""
+
+
+@dataclass(frozen=True, eq=False)
+class Fitted:
+    """One fitted model.
+
+    Attributes:
+        effects: that it has.
+        likelihood: that was fitted, with its prior and error model.
+        z: (d,) coordinates.
+        prior_mean: (d,) where the prior was centred.
+        offsets: (B, 3) starts of the pushes.
+        cost: that was reached.
+    """
+
+    effects: tuple[Effect, ...]
+    likelihood: CorrelatedLikelihood
+    z: FloatArray
+    prior_mean: FloatArray
+    offsets: FloatArray
+    cost: float
+
+    @property
+    def standard_deviations(self) -> FloatArray:
+        """(P,) of the parameters, everything else being refitted with them."""
+        prior = self.likelihood.prior
+        if not self.effects:
+            return np.zeros(0)
+        equations = self.likelihood.linearise(
+            self.z[None], self.offsets[None], np.ones(1), np.ones((1, len(self.offsets)))
+        )
+        covariance = np.linalg.inv(equations.hessian[0] + np.eye(prior.size))
+        return np.sqrt(np.diagonal(covariance)[prior.plain :]) * prior.effect_scales
+
+    @property
+    def values(self) -> FloatArray:
+        """(P,) parameters of the effects."""
+        return self.likelihood.prior.maps(self.z[None]).effects[0]
+
+
+class Fitter:
+    """Fits models to the same open pushes.
+
+    Args:
+        dataset: what was measured.
+        observations: the open pushes.
+        noise: of the sensors.
+    """
+
+    def __init__(self, dataset: PushDataset, observations: Sequence[Observation], noise: SensorNoise) -> None:
+        self.dataset = dataset
+        self.observations = list(observations)
+        self.noise = noise
+        self.settings = PriorSettings(modes=MODES)
+        self.weight: float | None = None
+
+    def prior(self, effects: Sequence[Effect]) -> MapPrior:
+        """Coordinates of the model with some effects."""
+        d = self.dataset
+        slider = (
+            EffectSlider(d.grid, d.finger_radius, effects, d.gravity, MEASURED_CONTACT)
+            if effects
+            else Slider(d.grid, d.finger_radius, d.gravity, MEASURED_CONTACT)
+        )
+        return MapPrior(slider, self.settings, d.mass, self.weight)
+
+    def base(self, error: ErrorModel, start: Fitted | None = None) -> Fitted:
+        """Fit the model without effects, from several starts or from another fit."""
+        prior = self.prior(())
+        likelihood = CorrelatedLikelihood(prior, self.observations, error)
+        if start is not None:
+            return _best((), likelihood, start.z[None], np.zeros((1, prior.size)), start.offsets)
+        starts = np.array([prior.start(friction) for friction in FINGER_STARTS])
+        return _best((), likelihood, starts, np.zeros_like(starts), None, iterations=40)
+
+    def with_effects(
+        self, effects: Sequence[Effect], error: ErrorModel, near: Fitted, values: FloatArray
+    ) -> Fitted | None:
+        """Fit the model with some effects, from the maps of another fit and some parameters (G, P).
+
+        Returns:
+            The best of the G fits, or None where none can be computed.
+        """
+        prior = self.prior(effects)
+        likelihood = CorrelatedLikelihood(prior, self.observations, error)
+        plain = near.likelihood.prior.plain
+        starts = np.repeat(np.concatenate([near.z[:plain], np.zeros(prior.size - plain)])[None], len(values), axis=0)
+        starts[:, plain:] = prior.effect_coordinates(values)
+        mean = np.zeros_like(starts)
+        shaping = np.concatenate([~effect.amplitudes for effect in effects])
+        mean[:, plain:][:, shaping] = starts[:, plain:][:, shaping]
+        try:
+            return _best(tuple(effects), likelihood, starts, mean, near.offsets)
+        except (RolloutError, np.linalg.LinAlgError):
+            return None
+
+    def scene(self, base: Fitted, speed: float) -> Scene:
+        """What effects have to know to begin their search."""
+        poses = np.concatenate([o.poses for o in self.observations])[:, :2]
+        center = 0.5 * (poses.min(axis=0) + poses.max(axis=0))
+        mass = float(base.likelihood.prior.maps(base.z[None]).mass.sum())
+        return Scene(
+            (float(center[0]), float(center[1])),
+            float(np.abs(poses - center).max()),
+            float(np.linalg.norm(self.dataset.grid.exterior, axis=1).max()),
+            speed,
+            len(self.observations),
+            mass * self.dataset.gravity,
+        )
+
+
+def _best(
+    effects: tuple[Effect, ...],
+    likelihood: CorrelatedLikelihood,
+    starts: FloatArray,
+    mean: FloatArray,
+    offsets: FloatArray | None,
+    iterations: int = 25,
+) -> Fitted:
+    shifts = None if offsets is None else np.repeat(offsets[None], len(starts), axis=0)
+    fits = fit(likelihood, starts, prior_mean=mean, offsets=shifts, iterations=iterations)
+    k = int(np.argmin(fits.cost))
+    return Fitted(effects, likelihood, fits.z[k], mean[k], fits.offsets[k], float(fits.cost[k]))
+
+
+def estimate_errors(fitted: Fitted, noise: SensorNoise) -> ErrorModel:
+    """The error model under which pushes left out are most probable, α and β on a grid."""
+    rows = fitted.likelihood.rows(fitted.z, fitted.offsets)
+    prior = fitted.likelihood.prior
+    columns = np.arange(prior.size)
+    pull = fitted.z - fitted.prior_mean
+
+    def score(motion: float, force: float) -> float:
+        likelihood = CorrelatedLikelihood(prior, fitted.likelihood.observations, ErrorModel(noise, motion, force))
+        jacobians, residuals = whitened_rows(likelihood, rows)
+        # A push that the model misses badly should not set the scale for all others.
+        equations = PushEquations.of(jacobians, [r[:, None] for r in residuals])
+        own = equations.scores(columns, np.ones(prior.size), pull)[:, 0]
+        return float(own.sum()) - log_determinant(likelihood, rows)
+
+    old = fitted.likelihood.error
+    has_force = any(o.sliding.any() for o in fitted.likelihood.observations)
+    motion, force = old.motion, old.force
+    for _ in range(2):
+        motion = max(MOTION_ERRORS, key=lambda value: score(value, force))
+        if has_force:
+            force = max(FORCE_ERRORS, key=lambda value: score(motion, value))
+    return ErrorModel(noise, motion, force)

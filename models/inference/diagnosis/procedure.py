@@ -1,0 +1,351 @@
+"""Which physical effect do the data miss? The procedure, from pushes to verdict.
+
+1. Some pushes are locked away. The model without effects is fitted to the rest; the error model is estimated.
+2. Every candidate is added to first order, maps refitted, and scored on pushes left out. The largest gain is
+   compared with the largest gain by chance. Where it is no larger, the model is adequate, or the data too few.
+3. Candidates that gain are refitted in full, under the error model of the best.
+4. Each that is left is asked the same question again: does anything gain on top of it? The true effect leaves
+   nothing to gain; an impostor leaves the true one. Those that pass are the answer: one, or a set.
+5. Where none passes, pairs are tried; where no pair passes, the effect is unknown to the library.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from models.effects.effect import Effect, Scene, bounds
+from models.effects.library import LIBRARY
+from models.effects.probes import PROBES
+from models.inference.diagnosis.error_model import ErrorModel, sensor_noise
+from models.inference.diagnosis.fitting import Fitted, Fitter, estimate_errors
+from models.inference.diagnosis.locked import locked_errors, locked_trials
+from models.inference.diagnosis.results import CandidateResult, Diagnosis, ParameterEstimate
+from models.inference.diagnosis.screening import Screening, screen
+from models.inference.observations import Observation, observe_all
+from models.measurements import DatasetError, PushDataset
+
+LEVEL = 0.02
+"""Gains that come about by chance more seldom than this count."""
+
+MATERIAL = 0.1
+"""What gains less than this share on top of an effect's own gain is a matter of its exact form."""
+
+MOST_REFITTED = 8
+MOST_ASKED = 5
+QUICK_GAIN = 8.0
+"""Gain, in nats, that counts where chance was not simulated."""
+
+FEWEST_PUSHES = 4
+
+Progress = Callable[[str, int, int], None]
+
+
+def diagnose(
+    dataset: PushDataset,
+    *,
+    effects: Sequence[Effect] = LIBRARY,
+    draws: int = 199,
+    quick: bool = False,
+    seed: int = 0,
+    progress: Progress | None = None,
+) -> Diagnosis:
+    """Find out whether, and which, physical effect the model misses on a dataset.
+
+    Args:
+        dataset: measured pushes.
+        effects: candidates.
+        draws: simulated datasets for the p-values.
+        quick: do not simulate any; gains are judged by a fixed threshold.
+        seed: of every random draw.
+        progress: called with (stage, done, total).
+
+    Raises:
+        DatasetError: no push is left to fit.
+        EffectError: a candidate's formula cannot be used.
+    """
+    started = time.perf_counter()
+    report = progress or (lambda stage, done, total: None)
+    rng = np.random.default_rng(seed)
+    report("preparing pushes", 0, 1)
+    locked = locked_trials(dataset, rng)
+    every = observe_all(dataset)
+    observations = [o for o in every if o.trial not in locked]
+    if not observations:
+        raise DatasetError(f"dataset {dataset.name} has no push left to fit; give at least one the role fit")
+    inquiry = _Inquiry(dataset, observations, tuple(effects), 0 if quick else draws, rng, report)
+    outcome = inquiry.run()
+    held = [o for o in every if o.trial in locked]
+    before = locked_errors(inquiry.base, dataset, held) if held else None
+    after = locked_errors(outcome.best, dataset, held) if held and outcome.best.effects else before
+    return Diagnosis(
+        verdict=outcome.verdict,
+        sentence=outcome.sentence,
+        effects=outcome.effects,
+        together=outcome.together,
+        candidates=tuple(inquiry.candidates()),
+        p_value=inquiry.p_value,
+        depends_on=outcome.depends_on,
+        open_trials=tuple(o.trial for o in observations),
+        locked=tuple(locked),
+        before=before,
+        after=after,
+        base=inquiry.base,
+        best=outcome.best,
+        effect_objects=outcome.best.effects,
+        motion_error=inquiry.error.motion,
+        force_error=inquiry.error.force,
+        quick=quick,
+        seconds=time.perf_counter() - started,
+        seed=seed,
+        rivals=outcome.rivals,
+    )
+
+
+class _Outcome:
+    """Verdict and what belongs to it."""
+
+    def __init__(
+        self,
+        verdict: str,
+        sentence: str,
+        best: Fitted,
+        effects: Sequence[str] = (),
+        together: bool = False,
+        depends_on: str | None = None,
+        rivals: Sequence[Fitted] = (),
+    ) -> None:
+        self.verdict = verdict
+        self.sentence = sentence
+        self.best = best
+        self.effects = tuple(effects)
+        self.together = together
+        self.depends_on = depends_on
+        self.rivals = tuple(rivals)
+
+
+class _Inquiry:
+    """The steps of one diagnosis and what they found on the way."""
+
+    def __init__(
+        self,
+        dataset: PushDataset,
+        observations: Sequence[Observation],
+        effects: tuple[Effect, ...],
+        draws: int,
+        rng: np.random.Generator,
+        report: Progress,
+    ) -> None:
+        self.effects = effects
+        self.everything = (*effects, *PROBES)
+        self.draws = draws
+        self.rng = rng
+        self.report = report
+        noise = sensor_noise(dataset)
+        self.fitter = Fitter(dataset, observations, noise)
+        self.noise = noise
+        report("fitting without effects", 0, 3)
+        first = self.fitter.base(ErrorModel(noise, 0.02, 0.08))
+        report("fitting without effects", 1, 3)
+        self.error = estimate_errors(first, noise)
+        report("fitting without effects", 2, 3)
+        self.base = self.fitter.base(self.error, first)
+        self.scene = self.fitter.scene(self.base, _typical_speed(observations))
+        self.fitter.weight = self.scene.weight
+        report("fitting without effects", 3, 3)
+        self.fits: dict[str, Fitted] = {}
+        self.gains: dict[str, float] = {}
+        self.asked: dict[str, tuple[str | None, float, float | None]] = {}
+        self.accepted: list[str] = []
+        self.first: Screening
+        self.p_value: float | None = None
+
+    def run(self) -> _Outcome:
+        """Go through the steps."""
+        self.report("asking every effect", 0, 1)
+        self.first = self._screen(self.base)
+        self.report("asking every effect", 1, 1)
+        largest = float(self.first.gain.max())
+        self.p_value = self.first.p_value(largest) if self.draws else None
+        if not self._counts(self.first, largest):
+            return self._nothing_found()
+        self._refit()
+        if not self.fits:
+            return self._unknown(self.base, self.first)
+        order = sorted(self.fits, key=lambda name: -self.gains[name])
+        best_gain = self.gains[order[0]]
+        near = [n for n in order if self.gains[n] > best_gain - max(10.0, 0.6 * best_gain)][:MOST_ASKED]
+        rest: dict[str, Screening] = {}
+        for step, name in enumerate(near):
+            self.report("asking what is left", step, len(near))
+            rest[name] = self._screen(self.fits[name])
+            if self._explains(name, rest[name]):
+                self.accepted.append(name)
+        self.report("asking what is left", len(near), len(near))
+        if self.accepted:
+            rivals = [self.fits[name] for name in self.accepted]
+            names = ", ".join(self.accepted)
+            if len(rivals) == 1:
+                return _Outcome("effect", f"The data miss one effect: {names}.", rivals[0], self.accepted, rivals=rivals)
+            return _Outcome(
+                "ambiguous",
+                f"An effect is missing; the data cannot tell which of these it is: {names}.",
+                rivals[0], self.accepted, rivals=rivals,
+            )  # fmt: skip
+        return self._pairs(near, rest)
+
+    def _screen(self, fitted: Fitted) -> Screening:
+        return screen(
+            self.fitter, fitted, self.everything, len(self.effects), self.scene, max(self.draws, 1), self.rng
+        )
+
+    def _counts(self, screening: Screening, gain: float) -> bool:
+        if not self.draws:
+            return gain > QUICK_GAIN
+        return screening.p_value(gain) <= LEVEL
+
+    def _nothing_found(self) -> _Outcome:
+        """Adequate, unless the pushes could not have shown an effect of ordinary size."""
+        seen = [s for effect, s in zip(self.first.candidates, self.first.sharpness, strict=True) if effect in self.effects]
+        blind = sum(1 for s in seen if s > 1.0)
+        pushes = len(self.fitter.observations)
+        if pushes < FEWEST_PUSHES or blind > len(seen) / 2:
+            why = f"{pushes} pushes" if pushes < FEWEST_PUSHES else "these pushes"
+            return _Outcome(
+                "undecided",
+                f"Nothing is seen to be missing, but {why} could not have shown most effects if they were there.",
+                self.base,
+            )
+        return _Outcome("adequate", "The model explains the data; no effect is missing.", self.base)
+
+    def _refit(self) -> None:
+        """Refit promising candidates in full, under the error model of the best of them."""
+        order = np.argsort(-self.first.gain)
+        named = [i for i in order if self.first.candidates[i] in self.effects]
+        chosen = [i for i in named if self.first.gain[i] > 2.0][:MOST_REFITTED] or named[:3]
+        found: dict[str, Fitted] = {}
+        for step, i in enumerate(chosen):
+            self.report("refitting with effects", step, len(chosen) + 2)
+            effect = self.first.candidates[i]
+            guesses = self._guesses(effect, int(self.first.start[i]))
+            fitted = self.fitter.with_effects((effect,), self.error, self.base, guesses)
+            if fitted is not None:
+                found[effect.name] = fitted
+        if not found:
+            return
+        best = min(found.values(), key=lambda fitted: fitted.cost)
+        self.report("refitting with effects", len(chosen), len(chosen) + 2)
+        self.error = estimate_errors(best, self.noise)
+        plain = self.fitter.base(self.error, self.base)
+        for name, fitted in found.items():
+            again = self.fitter.with_effects(fitted.effects, self.error, fitted, fitted.values[None])
+            if again is not None:
+                self.fits[name] = again
+                self.gains[name] = plain.cost - again.cost
+        self.report("refitting with effects", len(chosen) + 2, len(chosen) + 2)
+
+    def _guesses(self, effect: Effect, start: int) -> np.ndarray:
+        values = effect.start_values(self.scene)
+        return values[[start]]
+
+    def _explains(self, name: str, rest: Screening) -> bool:
+        """Whether nothing that matters is left to gain on top of a candidate; remembers what is."""
+        top = int(np.argmax(rest.gain))
+        gain = float(rest.gain[top])
+        p = rest.p_value(gain) if self.draws else None
+        passed = not self._counts(rest, gain) or gain < MATERIAL * self.gains[name]
+        self.asked[name] = (None if passed else rest.candidates[top].name, gain, p)
+        return passed
+
+    def _pairs(self, near: Sequence[str], rest: dict[str, Screening]) -> _Outcome:
+        """Two effects at once, the second being what gains most on top of the first."""
+        tried: list[tuple[Fitted, Screening]] = []
+        for step, name in enumerate(near[:2]):
+            self.report("trying pairs", step, 2)
+            screening = rest[name]
+            order = [i for i in np.argsort(-screening.gain) if screening.candidates[i] in self.effects][:2]
+            for i in order:
+                second = screening.candidates[i]
+                if screening.gain[i] < 0.3 * screening.gain.max():
+                    continue
+                first = self.fits[name]
+                guess = second.start_values(self.scene)[int(screening.start[i])]
+                values = np.concatenate([first.values, guess])[None]
+                pair = self.fitter.with_effects((*first.effects, second), self.error, first, values)
+                if pair is None:
+                    continue
+                left = self._screen(pair)
+                tried.append((pair, left))
+                top = float(left.gain.max())
+                # Both have to pull their weight: what is left is small beside the second effect's own gain.
+                if not self._counts(left, top) or top < MATERIAL * (self.fits[name].cost - pair.cost):
+                    names = [effect.name for effect in pair.effects]
+                    return _Outcome(
+                        "effect",
+                        f"The data miss two effects at once: {names[0]} and {names[1]}.",
+                        pair, names, together=True, rivals=[pair],
+                    )  # fmt: skip
+        return self._unknown(self.fits[near[0]], rest[near[0]])
+
+    def _unknown(self, best: Fitted, screening: Screening) -> _Outcome:
+        probes = [(g, c) for g, c in zip(screening.gain, screening.candidates, strict=True) if c in PROBES]
+        gain, probe = max(probes, key=lambda pair: pair[0])
+        return _Outcome(
+            "unknown",
+            "Structure is left that no effect of the library explains; the residual behaves like this:"
+            f" {probe.sentence[0].lower()}{probe.sentence[1:]}",
+            self.base,
+            depends_on=f"{probe.name}: {probe.sentence}",
+        )
+
+    def candidates(self) -> list[CandidateResult]:
+        """All named candidates, best first."""
+        results = []
+        for i, effect in enumerate(self.first.candidates):
+            if effect not in self.effects:
+                continue
+            fitted = self.fits.get(effect.name)
+            by, gain, p = self.asked.get(effect.name, (None, None, None))
+            results.append(
+                CandidateResult(
+                    effect.name,
+                    float(self.first.gain[i]),
+                    self.first.p_value(float(self.first.gain[i])) if self.draws else None,
+                    self.gains.get(effect.name),
+                    by,
+                    gain,
+                    p,
+                    effect.name in self.accepted,
+                    () if fitted is None else parameter_estimates(fitted),
+                )
+            )
+        return sorted(results, key=lambda c: (-(c.fitted_gain if c.fitted_gain is not None else -np.inf), -c.gain))
+
+
+def parameter_estimates(fitted: Fitted) -> tuple[ParameterEstimate, ...]:
+    """Parameters of a fitted model with their 90 % intervals, cut at the allowed range."""
+    spread = 1.645 * fitted.standard_deviations
+    low, high = bounds(fitted.effects)
+    every = [(effect.name, parameter) for effect in fitted.effects for parameter in effect.parameters]
+    return tuple(
+        ParameterEstimate(
+            name, parameter.name, parameter.unit, float(value), float(max(value - s, lo)), float(min(value + s, hi))
+        )
+        for (name, parameter), value, s, lo, hi in zip(every, fitted.values, spread, low, high, strict=True)
+    )
+
+
+def _typical_speed(observations: Sequence[Observation]) -> float:
+    """Median over pushes of the finger's mean speed while it moves, m/s."""
+    speeds = []
+    for o in observations:
+        speed = np.hypot(*np.diff(o.push.tip, axis=0).T) / o.push.h
+        moving = speed[np.isfinite(speed) & (speed > 1e-3)]
+        if len(moving):
+            speeds.append(float(moving.mean()))
+    return float(np.median(speeds)) if speeds else 0.05
+
+
+__all__ = ["Scene", "diagnose", "parameter_estimates"]

@@ -1,0 +1,164 @@
+"""What a diagnosis reports."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from models.effects.effect import Effect
+from models.inference.diagnosis.fitting import Fitted
+from models.inference.diagnosis.locked import LockedErrors
+
+VERDICTS = ("adequate", "effect", "ambiguous", "unknown", "undecided")
+
+
+@dataclass(frozen=True)
+class ParameterEstimate:
+    """One parameter of an effect with its 90 % interval."""
+
+    effect: str
+    name: str
+    unit: str
+    value: float
+    low: float
+    high: float
+
+
+@dataclass(frozen=True, eq=False)
+class CandidateResult:
+    """What the data say of one candidate.
+
+    Attributes:
+        name: of the effect.
+        gain: in predictive score on pushes left out, to first order, nats.
+        p_value: share of simulated datasets without any missing effect whose largest gain is at least that; None
+            where nothing was simulated.
+        fitted_gain: fall of the cost when all is refitted with the effect, nats; None where it was not refitted.
+        rejected_by: the effect or probe whose addition shows that this one does not explain the data; None
+            where none does, or where it was not asked.
+        remaining_gain: of that addition, nats.
+        remaining_p: its p-value.
+        in_set: whether the data cannot rule it out.
+        parameters: where it was refitted.
+    """
+
+    name: str
+    gain: float
+    p_value: float | None
+    fitted_gain: float | None = None
+    rejected_by: str | None = None
+    remaining_gain: float | None = None
+    remaining_p: float | None = None
+    in_set: bool = False
+    parameters: tuple[ParameterEstimate, ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class Diagnosis:
+    """Result of `diagnose`.
+
+    Attributes:
+        verdict: one of `VERDICTS`.
+        sentence: the verdict for a person.
+        effects: what the data cannot rule out, best first; together if `together`.
+        together: whether the effects are needed at the same time.
+        candidates: all that were tried, best first.
+        p_value: of the largest gain; None where nothing was simulated.
+        depends_on: sentence of the probe that finds structure that no effect explains, or None.
+        open_trials: pushes that were fitted.
+        locked: names of those locked away.
+        before: their errors without any effect; None where none was locked.
+        after: their errors with the best effects; the same as before where there is none.
+        base: fitted model without effects.
+        best: fitted model with the best effects, or without.
+        effect_objects: the effects of `best`.
+        motion_error: α of the final error model.
+        force_error: β of the final error model.
+        quick: whether calibration was skipped.
+        seconds: it took.
+        seed: of all draws.
+        next_push: what to do next as plain numbers, filled in by a planner; None where nothing is to be told apart.
+    """
+
+    verdict: str
+    sentence: str
+    effects: tuple[str, ...]
+    together: bool
+    candidates: tuple[CandidateResult, ...]
+    p_value: float | None
+    depends_on: str | None
+    open_trials: tuple[str, ...]
+    locked: tuple[str, ...]
+    before: LockedErrors | None
+    after: LockedErrors | None
+    base: Fitted
+    best: Fitted
+    effect_objects: tuple[Effect, ...]
+    motion_error: float
+    force_error: float
+    quick: bool
+    seconds: float
+    seed: int
+    rivals: tuple[Fitted, ...] = ()
+    next_push: dict[str, object] | None = field(default=None)
+
+    @property
+    def effect(self) -> str | None:
+        """The one effect that is named, the stronger where two are needed."""
+        return self.effects[0] if self.verdict == "effect" else None
+
+    @property
+    def parameters(self) -> tuple[ParameterEstimate, ...]:
+        """Parameters of the effects in the answer."""
+        found = {candidate.name: candidate.parameters for candidate in self.candidates}
+        return tuple(p for name in self.effects for p in found.get(name, ()))
+
+    def to_json(self) -> dict[str, object]:
+        """The machine-readable result; lengths in m, null where there is none."""
+
+        def mean(errors: LockedErrors | None, name: str) -> float | None:
+            return None if errors is None else float(getattr(errors, name).mean())
+
+        return {
+            "verdict": self.verdict,
+            "sentence": self.sentence,
+            "effect": self.effect,
+            "effects": list(self.effects),
+            "together": self.together,
+            "parameters": {
+                name: {
+                    p.name: {"value": p.value, "low": p.low, "high": p.high, "unit": p.unit}
+                    for p in self.parameters
+                    if p.effect == name
+                }
+                for name in self.effects
+            },
+            "p_value": self.p_value,
+            "depends_on": self.depends_on,
+            "candidates": [
+                {
+                    "name": c.name,
+                    "gain": c.gain,
+                    "p_value": c.p_value,
+                    "fitted_gain": c.fitted_gain,
+                    "rejected_by": c.rejected_by,
+                    "remaining_gain": c.remaining_gain,
+                    "remaining_p": c.remaining_p,
+                    "in_set": c.in_set,
+                }
+                for c in self.candidates
+            ],
+            "open_trials": list(self.open_trials),
+            "locked_trials": list(self.locked),
+            "heldout_error_before": mean(self.before, "path"),
+            "heldout_error_after": mean(self.after, "path"),
+            "heldout_final_error_before": mean(self.before, "final"),
+            "heldout_final_error_after": mean(self.after, "final"),
+            "heldout_misfit_before": None if self.before is None else self.before.total_misfit,
+            "heldout_misfit_after": None if self.after is None else self.after.total_misfit,
+            "motion_error": self.motion_error,
+            "force_error": self.force_error,
+            "next_push": self.next_push,
+            "calibrated": not self.quick,
+            "seconds": self.seconds,
+            "seed": self.seed,
+        }

@@ -1,0 +1,167 @@
+"""What each candidate would add to a fitted model, to first order, with everything else refitted.
+
+One rollout of the model with all candidates at their nulls gives, for each open push, derivatives by maps, by
+the effects already in, and by every candidate. The gain of a candidate is the rise of the predictive score on pushes left out. What
+gains come about by chance is simulated: residuals drawn from the error model, the largest gain over all candidates taken.
+
+Every model, with or without a candidate, may have every effect to a negligible amount (`TOLERANCE`), so that a
+table that is level to a tenth of a degree counts as level.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from models.effects.effect import Effect, Scene
+from models.inference.diagnosis.correlated import CorrelatedLikelihood
+from models.inference.diagnosis.fitting import Fitted, Fitter
+from models.inference.diagnosis.predictive import PushEquations, whitened_rows
+from models.physics.cell_grid import FloatArray
+
+TOLERANCE = 1.0 / 30.0
+"""Negligible amount of an effect, in scales of its amplitudes."""
+
+FREE = 3.0
+"""Standard deviation of a candidate's amplitudes, in their scales."""
+
+
+@dataclass(frozen=True, eq=False)
+class Screening:
+    """Gains of candidates on top of a fitted model.
+
+    Attributes:
+        candidates: the effects that were tried.
+        gain: (C,) best gain of each over its starts, in nats.
+        start: (C,) which start it was.
+        per_push: (C, B) its parts.
+        chance: (C, D) the same gains for simulated data without any missing effect.
+        sharpness: (C,) smallest standard deviation that the data leave of an amplitude, in its scales.
+    """
+
+    candidates: tuple[Effect, ...]
+    gain: FloatArray
+    start: np.ndarray
+    per_push: FloatArray
+    chance: FloatArray
+    sharpness: FloatArray
+
+    @property
+    def largest_by_chance(self) -> FloatArray:
+        """(D,) largest gain over all candidates in each simulated dataset."""
+        return self.chance.max(axis=0)
+
+    def p_value(self, gain: float) -> float:
+        """Share of simulated datasets whose largest gain is at least this one, the data themselves counted."""
+        largest = self.largest_by_chance
+        return float((1 + (largest >= gain).sum()) / (1 + len(largest)))
+
+
+def screen(
+    fitter: Fitter,
+    fitted: Fitted,
+    everything: Sequence[Effect],
+    named: int,
+    scene: Scene,
+    draws: int,
+    rng: np.random.Generator,
+) -> Screening:
+    """Gains of all effects on top of a fitted model.
+
+    Args:
+        fitter: knows the data.
+        fitted: the model, at its optimum.
+        everything: named effects, then probes.
+        named: how many of them are named; their negligible amounts are allowed for.
+        scene: for the candidates' starts.
+        draws: D, simulated datasets.
+        rng: of the draws.
+    """
+    prior = fitter.prior(everything)
+    likelihood = CorrelatedLikelihood(prior, fitter.observations, fitted.likelihood.error)
+    plain = prior.plain
+    at = np.cumsum([0, *(len(effect.parameters) for effect in everything)])
+    names = [effect.name for effect in everything]
+    present = [names.index(effect.name) for effect in fitted.effects]
+    candidates = [i for i in range(len(everything)) if i not in present]
+    starts = [effect.start_values(scene) for effect in everything]
+    values = fitted.values
+    for effect, i in zip(fitted.effects, present, strict=True):
+        starts[i] = values[None, : len(effect.parameters)]
+        values = values[len(effect.parameters) :]
+
+    own_columns: list[list[np.ndarray]] = [[] for _ in everything]
+    base_columns: np.ndarray = np.zeros(0, dtype=np.int64)
+    residuals: list[FloatArray] = []
+    jacobians: list[list[FloatArray]] = [[] for _ in fitter.observations]
+    width = 0
+    for g in range(max(len(starts[i]) for i in range(len(everything)))):
+        guess = np.concatenate([start[min(g, len(start) - 1)] for start in starts])
+        z = np.concatenate([fitted.z[: fitted.likelihood.prior.plain], prior.effect_coordinates(guess)])
+        white, rest = whitened_rows(likelihood, likelihood.rows(z, fitted.offsets))
+        taken = []
+        if g == 0:
+            residuals = rest
+            kept = [np.arange(plain), *(np.arange(plain + at[i], plain + at[i + 1]) for i in present)]
+            taken.append(np.concatenate(kept))
+            base_columns = np.arange(len(taken[0]))
+            width = len(base_columns)
+        for i in candidates:
+            if g < len(starts[i]):
+                columns = plain + at[i] + np.flatnonzero(everything[i].amplitudes)
+                taken.append(columns)
+                own_columns[i].append(np.arange(width, width + len(columns)))
+                width += len(columns)
+        chosen = np.concatenate(taken) if taken else np.zeros(0, dtype=np.int64)
+        for b, J in enumerate(white):
+            jacobians[b].append(J[:, chosen])
+    stacked = [np.concatenate(parts, axis=1) for parts in jacobians]
+    tolerated = [i for i in candidates if i < named]
+    spare = np.concatenate([own_columns[i][0] for i in tolerated])
+
+    small = rng.standard_normal((len(spare), draws)) * TOLERANCE
+    drawn = [
+        np.concatenate([r[:, None], rng.standard_normal((len(r), draws)) + J[:, spare] @ small], axis=1)
+        for J, r in zip(stacked, residuals, strict=True)
+    ]
+    equations = PushEquations.of(stacked, drawn)
+    pull = fitted.z - fitted.prior_mean
+
+    def score(candidate: int | None, g: int) -> FloatArray:
+        others = [own_columns[i][0] for i in tolerated if i != candidate]
+        columns = [base_columns, *others]
+        precision = [np.ones(len(base_columns)), *(np.full(len(c), TOLERANCE**-2.0) for c in others)]
+        if candidate is not None:
+            columns.append(own_columns[candidate][g])
+            precision.append(np.full(len(columns[-1]), FREE**-2.0))
+        joined = np.concatenate(columns)
+        hold = np.zeros(len(joined))
+        hold[: len(pull)] = pull
+        return equations.scores(joined, np.concatenate(precision), hold)
+
+    without = score(None, 0)
+    gain, start, per_push, chance, sharpness = [], [], [], [], []
+    total = equations.normal.sum(axis=0)
+    for i in candidates:
+        tried = np.array([score(i, g) - without for g in range(len(starts[i]))])
+        totals = tried.sum(axis=1)
+        best = int(np.argmax(totals[:, 0]))
+        gain.append(totals[best, 0])
+        start.append(best)
+        per_push.append(tried[best, :, 0])
+        chance.append(totals[:, 1:].max(axis=0))
+        both = np.concatenate([base_columns, own_columns[i][best]])
+        width = len(base_columns)
+        precision = np.concatenate([np.ones(width), np.full(len(both) - width, FREE**-2.0)])
+        covariance = np.linalg.inv(total[both[:, None], both] + np.diag(precision))
+        sharpness.append(float(np.sqrt(np.diagonal(covariance)[width:].min())))
+    return Screening(
+        tuple(everything[i] for i in candidates),
+        np.array(gain),
+        np.array(start),
+        np.array(per_push),
+        np.array(chance),
+        np.array(sharpness),
+    )
