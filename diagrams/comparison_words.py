@@ -23,20 +23,17 @@ def summary(comparison: Comparison) -> str:
     """How far off the model is, against what, in one or two sentences."""
     role, totals = judged(comparison)
     count = f"{totals.pushes} pushes" if totals.pushes > 1 else "the one push"
-    which = {"heldout": f"On {count} that it never saw" if totals.pushes > 1 else "On the one push that it never saw",
-             "fit": f"On {count} that it learnt from"}[role]  # fmt: skip
+    which = f"On {count} that it {'never saw' if role == 'heldout' else 'learnt from'}"
     if role == "fit" and comparison.learnt_from != comparison.dataset:
         which = f"On {count} of this dataset"
     text = (
         f"{which}, the model ends {millimetres(totals.model.final_add)} mm from the measured pose on average"
-        f" (ADD); a uniform object ends {millimetres(totals.uniform.final_add)} mm off, an object that does not"
-        f" move {millimetres(totals.resting.final_add)} mm."
+        f" (ADD); a uniform object ends {millimetres(totals.uniform.final_add)} mm off, an object that does"
+        f" not move {millimetres(totals.resting.final_add)} mm."
     )
     if comparison.floor is not None:
         source = {"repeats": "repeated pushes scatter by", "declared noise": "the sensors alone leave"}
-        text += (
-            f" For comparison, {source[comparison.floor.source]} {millimetres(comparison.floor.add)} mm."
-        )
+        text += f" For comparison, {source[comparison.floor.source]} {millimetres(comparison.floor.add)} mm."
     return text
 
 
@@ -45,10 +42,11 @@ def finding(comparison: Comparison) -> str:
     found = comparison.significant
     if not found:
         if not comparison.testable:
+            tests = len(comparison.structure)
             most = max((pattern.pushes for pattern in comparison.structure), default=0)
             return (
-                f"Whether the rest has a pattern cannot be told from {_pushes(most)}: with"
-                f" {len(comparison.structure)} tests it takes at least {pushes_needed(len(comparison.structure))}."
+                f"Whether the rest has a pattern cannot be told from {_pushes(most)}: with {tests} tests"
+                f" it takes at least {pushes_needed(tests)}."
             )
         return "What is left shows no pattern that chance does not explain as well."
     named = _listed([sentence_part(pattern) for pattern in found[:4]])
@@ -61,14 +59,27 @@ def sentence_part(pattern: Pattern) -> str:
     if pattern.quantity == "delay":
         late = "late" if pattern.size > 0 else "early"
         return f"measured poses come {abs(1e3 * pattern.size):.0f} ms {late}"
-    what = "the motion" if pattern.quantity == "motion" else "the force"
     size = f"{100 * abs(pattern.size):.2g} %"
     if pattern.factor == "overall":
-        more = {"motion": ("farther", "less far"), "force": ("stronger", "weaker")}[pattern.quantity]
-        return f"{what} is {size} {more[0] if pattern.size > 0 else more[1]} everywhere"
+        more = {"motion": ("goes farther", "goes less far"), "force": ("is stronger", "is weaker")}
+        return (
+            f"{_thing(pattern)} {more[pattern.quantity][pattern.size < 0]} than predicted everywhere ({size})"
+        )
     if pattern.factor in ("table_drift", "object_drift"):
-        return f"{what} is off in {pattern.title} ({size})"
-    return f"{what} is off depending on {pattern.title} ({size})"
+        return f"{_thing(pattern)} is off {_turned(pattern)} everywhere ({size})"
+    return f"the error of {_thing(pattern)} changes with the {pattern.title} ({size})"
+
+
+def _thing(pattern: Pattern) -> str:
+    return {"motion": "the motion", "force": "the force"}[pattern.quantity]
+
+
+def _turned(pattern: Pattern) -> str:
+    """Direction of a drift with its sign in it."""
+    if pattern.size > 0:
+        return pattern.strongest.replace(" x", " +x").replace(" y", " +y")
+    opposite = pattern.strongest.replace(" x", " -x").replace(" y", " -y")
+    return opposite.replace("counter-clockwise", "clockwise")
 
 
 def size_text(pattern: Pattern) -> str:

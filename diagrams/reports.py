@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from diagrams.comparison_words import QUANTITIES, millimetres, p_text, role_name, size_text
+from diagrams.comparison_words import QUANTITIES, millimetres, p_text, size_text
 from diagrams.console import table
 from diagrams.wording import ROLES, short_name
 from models.inference.comparison import Comparison
@@ -76,23 +76,24 @@ def show_comparison(result: Comparison) -> None:
     rows = []
     for role, totals in result.totals.items():
         for name, errors in (
-            ("model", totals.model), ("uniform object", totals.uniform), ("does not move", totals.resting),
+            ("model", totals.model), ("uniform", totals.uniform), ("no motion", totals.resting),
         ):  # fmt: skip
-            rows.append([f"{role_name(role, totals)}: {name}", *_errors(errors)])
+            rows.append([f"{ROLES[role]}, {name}", *_errors(errors)])
     floor = ""
     if result.floor is not None:
-        floor = f" (noise floor {millimetres(result.floor.add)} mm, {result.floor.source})"
+        floor = f"; noise floor {millimetres(result.floor.add)} mm ({result.floor.source})"
     table(
-        f"Mean errors{floor}",
-        ["pushes", "ADD at end, mm", "on average", "position", "angle, °", "fit, %", "force, %"],
+        f"Mean errors, mm: ADD at the end and on average, position{floor}",
+        ["pushes", "end", "average", "position", "angle, °", "fit, %", "force, %"],
         rows,
         numbers=range(1, 7),
     )
     if not result.structure:
         return
     shown = [pattern for k, pattern in enumerate(result.structure) if k < FEW_PATTERNS or pattern.significant]
+    tests = len(result.structure)
     table(
-        f"What the rest hangs together with: the surest of {len(result.structure)} (* significant, all considered)",
+        f"What the rest hangs together with: the surest of {tests} tests (* significant)",
         ["of", "", "size", "p"],
         [
             [

@@ -31,8 +31,8 @@ if TYPE_CHECKING:
     help="Belief that `slipmap identify` wrote; without it the fit pushes are learnt from first.",
 )  # fmt: skip
 @click.option(
-    "-o", "--output", type=OutputFile("html", "htm"), default="comparison.html", show_default=True, metavar="FILE",
-    help="The report, one file for any browser; it needs no network.",
+    "-o", "--output", type=OutputFile("html", "htm"), default="comparison.html", show_default=True,
+    metavar="FILE", help="The report, one file for any browser; it needs no network.",
 )  # fmt: skip
 @seed_option
 @object_option
@@ -85,7 +85,10 @@ def report(comparisons: list[Comparison], dataset: PushDataset) -> str:
     if len(comparisons) > 1:
         lead = [f"{c.label}: {text}" for c in comparisons for text in (summary(c), finding(c))]
     return page(
-        f"{dataset.name}: model against measurement", subtitle, lead, comparison_sections(comparisons, dataset)
+        f"{dataset.name}: model against measurement",
+        subtitle,
+        lead,
+        comparison_sections(comparisons, dataset),
     )
 
 
@@ -104,7 +107,7 @@ def _learnt(dataset: PushDataset, seed: int, progress: Progress) -> Belief:
 
     if not dataset.fit_trials:
         raise BadInput(
-            f"dataset {dataset.name} has no push with the role fit to learn from; name a belief with --belief, or"
-            " give at least one push that role"
+            f"dataset {dataset.name} has no push with the role fit to learn from; name a belief with"
+            " --belief, or give at least one push that role"
         )
     return identification.identify(dataset, seed=seed, progress=progress).belief

@@ -5,7 +5,9 @@ from diagrams.figures.comparison import error_figure
 from diagrams.figures.correlations import correlation_figure
 from diagrams.figures.maps import maps_figure
 from diagrams.figures.pushes import push_figures
-from diagrams.figures.residuals import factor_figure, object_figure, residual_figures, table_figure
+from diagrams.figures.residual_curves import factor_figure
+from diagrams.figures.residual_fields import object_figure, table_figure
+from diagrams.figures.residuals import residual_figures
 from diagrams.figures.style import save
 
 __all__ = [

@@ -44,11 +44,8 @@ def error_figure(comparisons: Sequence[Comparison]) -> Figure:
         axes.plot(x, values, "o", color=colour, markersize=5.5, label=comparison.label, linestyle="none")
     if first.floor is not None:
         floor = 1e3 * first.floor.add
-        axes.axhline(floor, color=INK, linewidth=0.9, linestyle=(0, (4, 3)))
-        axes.annotate(
-            f"noise floor {floor:.2g} mm ({first.floor.source})", (1.0, floor), (-2, 2),
-            xycoords=("axes fraction", "data"), textcoords="offset points", ha="right", va="bottom", fontsize=8,
-        )  # fmt: skip
+        label = f"noise floor {floor:.2g} mm ({first.floor.source})"
+        axes.axhline(floor, color=INK, linewidth=0.9, linestyle=(0, (4, 3)), label=label)
     fitted = sum(push.role == "fit" for push in pushes)
     if 0 < fitted < len(pushes):
         axes.axvspan(fitted - 0.5, len(pushes) - 0.5, color="#f6f4ef", linewidth=0, zorder=0)
@@ -67,10 +64,8 @@ def error_figure(comparisons: Sequence[Comparison]) -> Figure:
     axes.set_xticks(x if len(x) <= MOST_NAMES else [])
     if len(x) <= MOST_NAMES:
         rotation = 90 if len(x) > 30 or max(len(short_name(push.trial)) for push in pushes) > 4 else 0
-        axes.set_xticklabels(
-            [short_name(push.trial) for push in pushes], rotation=rotation, fontsize=7.5
-        )
+        axes.set_xticklabels([short_name(push.trial) for push in pushes], rotation=rotation, fontsize=7.5)
     axes.grid(axis="y", color="#e7e4dd", linewidth=0.6)
     axes.set_axisbelow(True)
-    figure.legend(loc="upper right", ncols=4, bbox_to_anchor=(0.995, 1.01), handletextpad=0.3)
+    figure.legend(loc="upper right", ncols=5, bbox_to_anchor=(0.995, 1.01), handletextpad=0.3)
     return figure

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from html import escape
 
 import numpy as np
+from matplotlib.figure import Figure
 
 from diagrams.comparison_words import (
     QUANTITIES,
@@ -16,14 +17,25 @@ from diagrams.comparison_words import (
     size_text,
 )
 from diagrams.figures import correlation_figure, error_figure, residual_figures
-from diagrams.figures.residuals import pattern_of
+from diagrams.figures.residual_means import pattern_of
 from diagrams.html_report.page import Section, part, picture, table
 from diagrams.html_report.push_player import push_section
 from models.inference.comparison import Comparison
 from models.inference.push_errors import Errors
 from models.measurements import PushDataset
 
-ERROR_COLUMNS = ("end (ADD), mm", "on average (ADD), mm", "position, mm", "angle, °", "fit, %", "force, N", "force, %")
+ERROR_COLUMNS = (
+    "end (ADD), mm",
+    "on average (ADD), mm",
+    "position, mm",
+    "angle, °",
+    "fit, %",
+    "force, N",
+    "force, %",
+)
+
+FIELDS = {"table_place": ("table_drift", "table_place"), "contact_place": ("object_drift", "contact_place")}
+"""Pictures of fields, and the factors that they show."""
 
 
 def comparison_sections(comparisons: Sequence[Comparison], dataset: PushDataset) -> list[Section]:
@@ -72,24 +84,28 @@ def error_section(comparisons: Sequence[Comparison]) -> Section:
         caption="Means over pushes. Position, angle: of the object frame at the end. Force: root mean square"
         " while the finger presses steadily.",
     )
-    body = picture(error_figure(comparisons), "Error of every push at its end") + numbers + _floor(first)
+    body = (
+        picture(error_figure(comparisons), "Error of every push at its end", wide=True)
+        + numbers
+        + _floor(first)
+    )
     return Section("errors", "How far off", body)
 
 
 def _floor(comparison: Comparison) -> str:
     floor = comparison.floor
     if floor is None:
-        text = "No noise is declared in the dataset and no push was repeated, so there is no noise floor to show."
+        text = "No noise is declared and no push was repeated, so there is no noise floor to show."
     elif floor.source == "repeats":
         text = (
             f"Noise floor {millimetres(floor.add)} mm: mean ADD of {floor.repeats} pushes in"
-            f" {len(floor.groups)} groups of repeats (same start relative to the object, same finger path) from the"
-            " mean of their group."
+            f" {len(floor.groups)} groups of repeats (same start relative to the object, same finger path)"
+            " from the mean of their group."
         )
     else:
         text = (
-            f"Noise floor {millimetres(floor.add)} mm: the ADD that the declared noise of one pose makes. No push"
-            " was repeated, so how far real pushes scatter is not known."
+            f"Noise floor {millimetres(floor.add)} mm: the ADD that the declared noise of one pose makes. No"
+            " push was repeated, so how far real pushes scatter is not known."
         )
     return f'<p class="note">{escape(text)}</p>'
 
@@ -122,15 +138,12 @@ def structure_section(comparisons: Sequence[Comparison], dataset: PushDataset) -
         chosen = {key: figure for key, figure in figures.items() if key.startswith(f"{quantity}.")}
         if not chosen:
             continue
-        shown = []
-        for key, figure in chosen.items():
-            factor = key.split(".")[1]
-            who = comparisons[1] if key.endswith(".second") else comparisons[0]
-            caption = _caption(who, factor, quantity, named=len(comparisons) > 1)
-            shown.append(
-                f"<figure>{picture(figure, f'{title}: {factor}')}<figcaption>{caption}</figcaption></figure>"
-            )
-        parts.append(f'<h3>{title}</h3><div class="pictures">{"".join(shown)}</div>')
+        fields = {key: figure for key, figure in chosen.items() if key.split(".")[1] in FIELDS}
+        curves = {key: figure for key, figure in chosen.items() if key not in fields}
+        parts.append(f"<h3>{title}</h3>")
+        for group, kind in ((fields, "fields"), (curves, "curves")):
+            shown = [_figure(key, figure, comparisons, title) for key, figure in group.items()]
+            parts.append(f'<div class="pictures {kind}">{"".join(shown)}</div>')
     return Section("where", "Where it fails", "\n".join(parts))
 
 
@@ -150,8 +163,9 @@ def _pattern_table(comparison: Comparison, *, named: bool) -> str:
     columns = ["of", "hangs together with", "most in", "size (95 % interval)", "p", "p, all tests"]
     head = f"{comparison.label}: " if named else ""
     caption = (
-        f"{head}{len(rows)} tests with {max((p.pushes for p in comparison.structure), default=0)} pushes as the"
-        " unit of evidence; marked where chance gives as much with less than 5 % probability, all tests considered."
+        f"{head}{len(rows)} tests with {max((p.pushes for p in comparison.structure), default=0)} pushes as"
+        " the unit of evidence; marked where chance gives as much with less than 5 % probability, all tests"
+        " considered."
     )
     most = max(6, sum(marked))
     shown = table(columns, rows[:most], numbers=(3, 4, 5), marked=marked, caption=caption)
@@ -162,13 +176,21 @@ def _pattern_table(comparison: Comparison, *, named: bool) -> str:
     return shown
 
 
-def _caption(comparison: Comparison, factor: str, quantity: str, *, named: bool) -> str:
-    pattern = pattern_of(comparison, factor, quantity)
-    head = f"{escape(comparison.label)}: " if named else ""
-    if pattern is None:
-        return head + "not tested"
-    text = f"p = {p_text(pattern.p_corrected)} after correction".replace("= below", "below")
-    return head + (f"<b>{text}</b>" if pattern.significant else text)
+def _figure(key: str, figure: Figure, comparisons: Sequence[Comparison], title: str) -> str:
+    quantity, factor = key.split(".")[:2]
+    comparison = comparisons[1] if key.endswith(".second") else comparisons[0]
+    lines = []
+    for name in FIELDS.get(factor, (factor,)):
+        pattern = pattern_of(comparison, name, quantity)
+        if pattern is not None:
+            text = f"{pattern.title}: p = {p_text(pattern.p_corrected)}, corrected".replace(
+                "= below", "below"
+            )
+            text = escape(text[0].upper() + text[1:])
+            lines.append(f"<b>{text}</b>" if pattern.significant else text)
+    head = f"{escape(comparison.label)}. " if len(comparisons) > 1 else ""
+    drawn = picture(figure, f"{title}: {factor.replace('_', ' ')}")
+    return f"<figure>{drawn}<figcaption>{head}{'. '.join(lines)}</figcaption></figure>"
 
 
 def correlation_section(comparisons: Sequence[Comparison]) -> Section:
@@ -177,25 +199,24 @@ def correlation_section(comparisons: Sequence[Comparison]) -> Section:
     assert found is not None
     longest = found.memory.lags[-1]
     memory = (
-        f"It falls to 1/e after {found.memory_time:.2f} s, so a push holds about"
-        f" {found.independent:.0f} independent residual{'s' if round(found.independent) != 1 else ''}, however"
-        " densely it was sampled."
+        f"It falls to 1/e after {found.memory_time:.2f} s: a push holds as much as about"
+        f" {found.independent:.1f} independent residuals, however densely it was sampled."
         if np.isfinite(found.memory_time)
-        else f"It does not fall to 1/e within {longest:.1f} s: a push is about one independent residual, however"
-        " densely it was sampled."
+        else f"It does not fall to 1/e within {longest:.1f} s: a push is about one independent residual,"
+        " however densely it was sampled."
     )
     along, left = (
         "outside the band" if correlation.p < 0.05 else "inside the band"
         for correlation in (found.finger_along, found.finger_left)
     )
     body = (
-        picture(correlation_figure(comparisons), "Correlations over lags")
-        + f"<p>Left: how long the pose residual remembers itself. {escape(memory)} Middle and right: the residual"
-        f" against the finger's velocity, in its direction ({along}, p = {p_text(found.finger_along.p)}) and to its"
-        f" left ({left}, p = {p_text(found.finger_left.p)}). A negative correlation in its direction means that"
-        " measured poses trail behind.</p>"
-        '<p class="note">Bands hold all lags of 95 % of chance results: pairs of different pushes for the left'
-        " picture, random signs of whole pushes for the others. These two p-values are for looking; the tests"
-        " above are the ones that are corrected together.</p>"
+        picture(correlation_figure(comparisons), "Correlations over lags", wide=True)
+        + f"<p>Left: how long the pose residual remembers itself. {escape(memory)} Middle and right: the"
+        f" residual against the finger's velocity, in its direction ({along}, p"
+        f" {p_text(found.finger_along.p)}) and to its left ({left}, p {p_text(found.finger_left.p)}). A"
+        " negative correlation in its direction means that measured poses trail behind.</p>"
+        '<p class="note">Bands hold all lags of 95 % of chance results: pairs of different pushes for the'
+        " left picture, random signs of whole pushes for the others. These two p-values are for looking; the"
+        " tests above are the ones that are corrected together.</p>"
     )
     return Section("time", "Over time", body)

@@ -78,15 +78,22 @@ def part(name: str) -> str:
     return files(__package__).joinpath(name).read_text(encoding="utf-8")
 
 
-def picture(figure: Figure, alternative: str) -> str:
-    """An `img` element that holds the figure; letters are drawn, so that it looks alike everywhere."""
+def picture(figure: Figure, alternative: str, *, wide: bool = False) -> str:
+    """An `img` element that holds the figure; letters are drawn, so that it looks alike everywhere.
+
+    Args:
+        figure: to be shown.
+        alternative: what it shows, for those who cannot see it.
+        wide: as wide as the page, instead of its own width at most.
+    """
     stream = io.BytesIO()
     with matplotlib.rc_context({**STYLE, "svg.fonttype": "path"}):
         figure.savefig(stream, format="svg", metadata={"Date": None})
     width, height = figure.get_size_inches() * 96
     code = base64.b64encode(stream.getvalue()).decode("ascii")
+    kind = " class=wide" if wide else ""
     return (
-        f'<img alt="{escape(alternative)}" width="{width:.0f}" height="{height:.0f}"'
+        f'<img{kind} alt="{escape(alternative)}" width="{width:.0f}" height="{height:.0f}"'
         f' src="data:image/svg+xml;base64,{code}">'
     )
 

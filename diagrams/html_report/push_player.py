@@ -36,6 +36,7 @@ def push_section(comparisons: Sequence[Comparison], dataset: PushDataset) -> Sec
         "table": _table(dataset.table),
         "labels": [comparison.label for comparison in comparisons],
         "first": worst,
+        "floor": None if first.floor is None else first.floor.add,
         "pushes": [
             _push([comparison.pushes[b] for comparison in comparisons], grid.centers)
             for b in range(len(first.pushes))
@@ -48,13 +49,15 @@ def push_section(comparisons: Sequence[Comparison], dataset: PushDataset) -> Sec
     ]
     body = f"""<p class="note">Point at a trace or a row to see it alone; click to load it into the film.</p>
 <div class="pushes">
-<div><h3>All pushes on the table</h3><svg class="map" role="img" aria-label="Traces of all pushes"></svg></div>
+<div><h3>All pushes on the table</h3>
+<svg class="map" role="img" aria-label="Traces of all pushes"></svg></div>
 <div><h3 class="film-title">One push</h3><svg class="film" role="img" aria-label="One push"></svg></div>
 </div>
 <div class="legend">{"".join(legend)}<span><i style='color:var(--finger)'></i>finger</span></div>
 <div class="player"><button type="button">Play</button>
 <input type="range" min="0" max="1" value="1" step="1" aria-label="time within the push"></div>
-<div class="readout" aria-live="polite"></div>
+<div class="course-box"><svg class="course" role="img" aria-label="Error over time"></svg></div>
+<div class="readout"></div>
 <div class="list"><table><thead><tr>{_heads(comparisons)}</tr></thead>
 <tbody>{"".join(_row(comparisons, b) for b in range(len(first.pushes)))}</tbody></table></div>"""
     return Section("pushes", "Push by push", body, data, script="pushes.js")
@@ -71,7 +74,8 @@ def _push(told: Sequence[ComparedPush], centers: FloatArray) -> dict[str, Any]:
         "measured": _rounded(np.vstack([start, observation.poses])),
         "predicted": [_rounded(np.vstack([start, push.predicted])) for push in told],
         "add": [
-            _rounded(np.concatenate([[0.0], add(push.predicted, observation.poses, centers)])) for push in told
+            _rounded(np.concatenate([[0.0], add(push.predicted, observation.poses, centers)]))
+            for push in told
         ],
         "finger": _finger(observation, times),
     }
@@ -89,7 +93,13 @@ def _heads(comparisons: Sequence[Comparison]) -> str:
     columns = ["push", "role"]
     for comparison in comparisons:
         name = f"{comparison.label}: " if len(comparisons) > 1 else ""
-        columns += [f"{name}end, mm", f"{name}average, mm", f"{name}angle, °", f"{name}fit, %", f"{name}force, %"]
+        columns += [
+            f"{name}end, mm",
+            f"{name}average, mm",
+            f"{name}angle, °",
+            f"{name}fit, %",
+            f"{name}force, %",
+        ]
     columns += ["spread, mm", "uniform, mm", "no motion, mm"]
     return "".join(
         f'<th{" class=number" if k > 1 else ""} tabindex="0">{escape(column)}</th>'
@@ -100,7 +110,7 @@ def _heads(comparisons: Sequence[Comparison]) -> str:
 def _row(comparisons: Sequence[Comparison], b: int) -> str:
     push = comparisons[0].pushes[b]
     largest = max(p.errors.final_add for comparison in comparisons for p in comparison.pushes) or 1.0
-    cells = [f"<td>{escape(short_name(push.trial))}</td><td>{ROLES[push.role]}</td>"]
+    cells = [f'<td>{escape(short_name(push.trial))}</td><td class="short">{ROLES[push.role]}</td>']
     for comparison in comparisons:
         errors = comparison.pushes[b].errors
         cells.append(_number(1e3 * errors.final_add, 2, bar=errors.final_add / largest))

@@ -30,7 +30,8 @@
       x0 = Math.min(x0, p[0]); x1 = Math.max(x1, p[0]); y0 = Math.min(y0, p[1]); y1 = Math.max(y1, p[1]);
     }
     const size = Math.max(x1 - x0, y1 - y0) * (1 + 2 * margin);
-    return { x: (x0 + x1 - size) / 2, y: -(y0 + y1 + size) / 2, size: size };
+    // A little more room below, for the scale bar.
+    return { x: (x0 + x1 - size) / 2, y: -(y0 + y1 + size) / 2 + 0.03 * size, size: size };
   }
   function frame(svg, view) {
     svg.setAttribute("viewBox", [view.x, view.y, view.size, view.size].join(" "));
@@ -53,7 +54,7 @@
     for (const push of data.pushes) {
       for (const poses of [push.measured, ...push.predicted]) for (const p of track(poses)) points.push(p);
     }
-    const view = box(points, 0.08), thin = 0.004 * view.size;
+    const view = box(points, 0.09), thin = 0.004 * view.size;
     frame(map, view);
     if (data.table) {
       const t = data.table, style = { fill: PAPER, stroke: FAINT, "stroke-width": thin / 2 };
@@ -105,11 +106,16 @@
       }
     }
     for (const p of push.finger) if (p) points.push(p);
-    const view = box(points, 0.06), thin = 0.0045 * view.size;
+    const view = box(points, 0.1), thin = 0.0045 * view.size;
     frame(film, view);
     element("path", { d: rings(push.measured[0]), fill: PAPER, stroke: FAINT, "stroke-width": thin / 2,
       "fill-rule": "evenodd" }, film);
     element("polyline", { points: line(track(push.measured)), fill: "none", stroke: INK, "stroke-width": thin / 2 }, film);
+    const path = push.finger.filter((p) => p);
+    if (path.length) {
+      element("polyline", { points: line(path), fill: "none", stroke: FINGER, "stroke-width": thin / 2,
+        "stroke-dasharray": [2 * thin, 2 * thin].join(" ") }, film);
+    }
     const shapes = push.predicted.map((poses, k) => {
       element("polyline", { points: line(track(poses)), fill: "none", stroke: COLOURS[k], "stroke-width": thin / 2 }, film);
       return element("path", { fill: COLOURS[k], "fill-opacity": 0.1, stroke: COLOURS[k], "stroke-width": thin,
@@ -118,13 +124,38 @@
     const measured = element("path", { fill: "none", stroke: INK, "stroke-width": thin }, film);
     const finger = element("circle", { r: data.radius, fill: FINGER, "fill-opacity": 0.85 }, film);
     scaleBar(film, view);
-    moving = { measured, shapes, finger };
+    moving = { measured, shapes, finger, cursor: drawCourse(push) };
     slider.max = push.times.length - 1;
     for (const row of root.querySelectorAll("tbody tr")) {
       row.classList.toggle("chosen", Number(row.dataset.push) === index);
     }
     near(-1);
     show(push.times.length - 1);
+  }
+  // Error over time, with a line at the moment shown.
+  const course = root.querySelector(".course");
+  function drawCourse(push) {
+    const wide = Math.max(320, course.clientWidth || 1000), high = 96, left = 52, foot = 18;
+    course.setAttribute("viewBox", `0 0 ${wide} ${high}`);
+    course.replaceChildren();
+    const end = push.times[push.times.length - 1];
+    const top = 1.08 * Math.max(...push.add.flat(), data.floor || 0, 1e-6);
+    const x = (t) => left + (wide - left - 8) * t / end, y = (add) => high - foot - (high - foot - 6) * add / top;
+    const text = (words, px, py, anchor) => {
+      element("text", { x: px, y: py, "font-size": 12, fill: "#6a6a68", "text-anchor": anchor }, course).textContent = words;
+    };
+    element("path", { d: `M${left},4V${high - foot}H${wide - 8}`, fill: "none", stroke: "#9a9a9a" }, course);
+    text((1000 * top / 1.08).toPrecision(2) + " mm", left - 5, y(top / 1.08) + 4, "end");
+    text("0", left - 5, y(0) + 4, "end");
+    text("ADD", left + 6, 14, "start");
+    text(end.toFixed(1) + " s", wide - 8, high - 4, "end");
+    if (data.floor) {
+      element("path", { d: `M${left},${y(data.floor)}H${wide - 8}`, stroke: INK, "stroke-dasharray": "4 3", fill: "none" }, course);
+    }
+    push.add.forEach((values, k) => element("polyline", { fill: "none", stroke: COLOURS[k], "stroke-width": 2,
+      points: values.map((add, i) => x(push.times[i]) + "," + y(add)).join(" ") }, course));
+    const cursor = element("path", { stroke: FINGER, "stroke-width": 1.5 }, course);
+    return (t) => cursor.setAttribute("d", `M${x(t)},4V${high - foot}`);
   }
   function show(index) {
     sample = index;
@@ -139,6 +170,7 @@
       moving.finger.setAttribute("cy", -tip[1]);
     }
     const off = push.add.map((values, k) => data.labels[k] + " " + (1000 * values[index]).toFixed(2) + " mm");
+    moving.cursor(push.times[index]);
     readout.textContent = "t = " + push.times[index].toFixed(2) + " s.  ADD: " + off.join(", ") + "."
       + (push.times.length === 2 ? " Only the first and the last pose were measured." : "");
   }

@@ -269,9 +269,7 @@ def _pushes(
             errors=ours[b],
             uniform=theirs[b],
             resting=resting_errors(observation, grid),
-            spread=float(
-                motion.probability @ add(motion.poses[:, -1], motion.mean_poses[-1], grid.centers)
-            ),
+            spread=float(motion.probability @ add(motion.poses[:, -1], motion.mean_poses[-1], grid.centers)),
         )
         for b, (observation, motion) in enumerate(zip(observations, motions, strict=True))
     )

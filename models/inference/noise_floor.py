@@ -13,7 +13,7 @@ from models.physics.cell_grid import CellGrid, FloatArray
 from models.physics.paper_notation import add
 
 SAME_PATH = 1.5e-3
-"""Two pushes are repeats where the fingers' tracks, seen from the objects' start, are never farther apart, m."""
+"""Two pushes are repeats where the fingers' tracks, seen from the objects' start, never part by more, m."""
 
 SAME_DURATION = 0.05
 """…and where their durations differ by no more than this share."""

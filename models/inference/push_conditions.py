@@ -102,8 +102,8 @@ class Conditions:
 
 
 def conditions(
-    push: int, observation: Observation, poses: FloatArray, begin: FloatArray, end: FloatArray, grid: CellGrid,
-    finger_radius: float,
+    push: int, observation: Observation, poses: FloatArray, begin: FloatArray, end: FloatArray,
+    grid: CellGrid, finger_radius: float,
 ) -> Conditions:  # fmt: skip
     """Conditions of the pieces from `begin` to `end` (N,) s of one push.
 
@@ -150,8 +150,9 @@ def _touch(
     contact = np.full((N, 2), np.nan)
     if np.isnan(push.tip).any():
         return contact, phase
-    steps = push.h * np.arange(len(push.tip))
-    tips = [_seen(pose, _at(steps, push.tip, time)) for pose, time in ((first, begin), (last, end))]
+    steps = np.array(push.h * np.arange(len(push.tip)))
+    path = [_at(steps, push.tip, time) for time in (begin, end)]
+    tips = [_seen(pose, tip) for pose, tip in zip((first, last), path, strict=True)]
     gaps, feet = zip(*(_nearest(tip, grid) for tip in tips), strict=True)
     touching = [gap < radius + TOUCHING for gap in gaps]
     for there, foot in zip(touching, feet, strict=True):
@@ -163,7 +164,7 @@ def _touch(
     normal = arm / np.maximum(np.linalg.norm(arm, axis=1, keepdims=True), 1e-12)
     tangent = np.column_stack([-normal[:, 1], normal[:, 0]])
     slip = (tangent * (tips[1] - tips[0])).sum(axis=1) - turn[:, 0] * np.linalg.norm(arm, axis=1)
-    way = np.linalg.norm(_at(steps, push.tip, end) - _at(steps, push.tip, begin), axis=1)
+    way = np.linalg.norm(path[1] - path[0], axis=1)
     sliding = np.abs(slip) > CREEP * np.maximum(way, 1e-9)
     phase[touching[1]] = np.where(sliding, Phase.SLIDING, Phase.STICKING)[touching[1]]
     phase[touching[1] & ~touching[0]] = Phase.FIRST_TOUCH

@@ -63,12 +63,13 @@ def sign_flip_test(scores: FloatArray, rng: np.random.Generator, flips: int = FL
 
 def all_signs(count: int) -> FloatArray:
     """(2^count, count) every pattern of signs."""
-    return 1.0 - 2.0 * ((np.arange(2**count)[:, None] >> np.arange(count)) & 1)
+    bits = (np.arange(2**count)[:, None] >> np.arange(count)) & 1
+    return np.where(bits == 1, -1.0, 1.0)
 
 
 def random_signs(draws: int, count: int, rng: np.random.Generator) -> FloatArray:
     """(draws, count) random signs."""
-    return 1.0 - 2.0 * rng.integers(0, 2, size=(draws, count))
+    return np.where(rng.integers(0, 2, size=(draws, count)) == 1, -1.0, 1.0)
 
 
 def smallest_p(pushes: int) -> float:

@@ -12,6 +12,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from models.inference.observations import Observation
 from models.inference.predicted_motion import PredictedMotion
@@ -48,7 +49,9 @@ class Correlation:
 
     def to_json(self) -> dict[str, object]:
         """All fields."""
-        return {key: value.tolist() if hasattr(value, "tolist") else value for key, value in vars(self).items()}
+        return {
+            key: value.tolist() if hasattr(value, "tolist") else value for key, value in vars(self).items()
+        }
 
 
 @dataclass(frozen=True, eq=False)
@@ -151,8 +154,8 @@ def delay_pattern(
     power = np.array(powers)[:, None]
     test = sign_flip_test(beyond(tempered, power, NEGLIGIBLE["delay"]), rng)
     return described(
-        test, tempered, power, ["measured pose behind the predicted one"], "delay", "delay of the measured pose",
-        "delay",
+        test, tempered, power, ["measured pose behind the predicted one"], "delay",
+        "delay of the measured pose", "delay",
     )  # fmt: skip
 
 
@@ -199,7 +202,7 @@ def _memory(tracks: list[_Track], most: int, rng: np.random.Generator) -> Correl
         order = rng.permutation(B)
         signs = 1.0 - 2.0 * rng.integers(0, 2, B)
         chance[draw] = (pairs[:, order, np.roll(order, 1)] * signs).sum(axis=1)
-    return _bounded("memory", LAG_STEP * lags, values, chance, skip=1)
+    return _bounded("memory", lags, values, chance, skip=1)
 
 
 def _with_finger(tracks: list[_Track], most: int, name: str, rng: np.random.Generator) -> Correlation:
@@ -216,16 +219,16 @@ def _with_finger(tracks: list[_Track], most: int, name: str, rng: np.random.Gene
             later, now = (slice(k, n), slice(0, n - k)) if k >= 0 else (slice(0, n + k), slice(-k, n))
             per_push[b, j] = (track.residual[later, :2] * finger[now]).sum() / n
     chance = random_signs(DRAWS, len(tracks), rng) @ per_push / len(tracks)
-    return _bounded(name, LAG_STEP * lags, per_push.mean(axis=0), chance)
+    return _bounded(name, lags, per_push.mean(axis=0), chance)
 
 
 def _bounded(
-    name: str, lags: FloatArray, values: FloatArray, chance: FloatArray, skip: int = 0
+    name: str, lags: NDArray[np.int64], values: FloatArray, chance: FloatArray, skip: int = 0
 ) -> Correlation:
-    """Bounds that hold at all lags from `skip` on together: equally many chance deviations at each."""
+    """Bounds that hold at all lags (in steps) from `skip` on together."""
     scale = np.sqrt((chance**2).mean(axis=0))
     scale = np.maximum(scale, 1e-12)
     largest = (np.abs(chance) / scale)[:, skip:].max(axis=1)
     found = float((np.abs(values) / scale)[skip:].max())
     p = (1 + int((largest >= found).sum())) / (1 + len(chance))
-    return Correlation(name, lags, values, float(np.quantile(largest, 0.95)) * scale, p)
+    return Correlation(name, np.array(LAG_STEP * lags), values, float(np.quantile(largest, 0.95)) * scale, p)

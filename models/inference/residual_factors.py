@@ -134,7 +134,7 @@ def turning(residuals: Residuals) -> Columns:
 
 
 def onward(residuals: Residuals) -> Columns:
-    """Along the motion (for a force, along the motion of the centroid) and, for motion, in its sense of turning."""
+    """Along the motion of the centroid and, for residual motion, in the sense of its turning."""
     unit = residuals.at.velocity / np.maximum(residuals.at.speed, 1e-12)[:, None]
     if residuals.values.shape[1] == 2:
         return {"along the motion": (unit[:, :2] * residuals.relative).sum(axis=1)}

@@ -67,6 +67,11 @@ class Pattern:
         """Whether chance is an unlikely explanation, all tests considered."""
         return self.p_corrected < LEVEL
 
+    @property
+    def sureness(self) -> float:
+        """Size over the half width of its interval, which orders patterns of one p-value."""
+        return abs(self.size) / max(0.5 * (self.high - self.low), 1e-300)
+
     def to_json(self) -> dict[str, object]:
         """All fields, and whether it is significant."""
         return {**asdict(self), "significant": self.significant}
@@ -84,7 +89,9 @@ def factor_patterns(
         whole_pushes: only ends of pushes are known, so factors within a push are left out.
     """
     factors = MOTION_FACTORS if quantity == "motion" else FORCE_FACTORS
-    tempered = replace(residuals, values=residuals.values * push_weights(residuals)[residuals.at.push][:, None])
+    tempered = replace(
+        residuals, values=residuals.values * push_weights(residuals)[residuals.at.push][:, None]
+    )
     patterns = [
         _pattern(factor, tempered, quantity, rng)
         for factor in factors
@@ -108,9 +115,7 @@ def push_weights(residuals: Residuals) -> FloatArray:
     return np.minimum(1.0, OUTLYING * np.median(used) / np.maximum(sizes, 1e-300))
 
 
-def _pattern(
-    factor: Factor, residuals: Residuals, quantity: str, rng: np.random.Generator
-) -> Pattern | None:
+def _pattern(factor: Factor, residuals: Residuals, quantity: str, rng: np.random.Generator) -> Pattern | None:
     names, features, components = factor.products(residuals)
     if not names:
         return None
@@ -167,4 +172,4 @@ def corrected(patterns: Sequence[Pattern]) -> tuple[Pattern, ...]:
     """Patterns with p-values corrected for their number, the surest first."""
     together = holm(np.array([pattern.p for pattern in patterns]))
     results = [replace(pattern, p_corrected=float(p)) for pattern, p in zip(patterns, together, strict=True)]
-    return tuple(sorted(results, key=lambda pattern: (pattern.p, -abs(pattern.size))))
+    return tuple(sorted(results, key=lambda pattern: (pattern.p, -pattern.sureness)))
