@@ -48,7 +48,7 @@ def finding(comparison: Comparison) -> str:
                 f"Whether the rest has a pattern cannot be told from {_pushes(most)}: with {tests} tests"
                 f" it takes at least {pushes_needed(tests)}."
             )
-        return "What is left shows no pattern that chance does not explain as well."
+        return "What is left shows no pattern beyond chance and what is negligible."
     named = _listed([sentence_part(pattern) for pattern in found[:4]])
     more = f" and {len(found) - 4} more" if len(found) > 4 else ""
     return f"What is left has a pattern: {named}{more}."

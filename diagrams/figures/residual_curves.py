@@ -10,10 +10,11 @@ from matplotlib.figure import Figure
 
 from diagrams.figures.comparison import MODEL_COLOURS
 from diagrams.figures.residual_means import LEAST_PUSHES, NAMES, UNITS, pattern_of, push_means, wanted
-from diagrams.figures.style import INK, styled
+from diagrams.figures.style import INK, PAPER, styled
 from models.inference.comparison import Comparison
 from models.inference.push_conditions import PHASE_NAMES, Conditions
 from models.inference.residual_factors import FORCE_FACTORS, MOTION_FACTORS
+from models.inference.residual_structure import NEGLIGIBLE
 from models.inference.residuals import Residuals
 from models.physics.cell_grid import FloatArray
 
@@ -37,7 +38,8 @@ CONDITIONS: dict[str, tuple[str, Callable[[Conditions], FloatArray]]] = {
 def factor_figure(comparisons: Sequence[Comparison], factor: str, quantity: str = "motion") -> Figure:
     """Residuals against one condition: that component of them that deviates most in the first comparison.
 
-    Dots are pushes (a push counts once in a bin), bars the mean over pushes with its 95 % interval.
+    Dots are pushes (a push counts once in a bin), bars the mean over pushes with its 95 % interval. The band
+    is what counts as negligible.
 
     Args:
         comparisons: one model, or two over the same pushes.
@@ -57,6 +59,8 @@ def factor_figure(comparisons: Sequence[Comparison], factor: str, quantity: str 
     figure = Figure(figsize=PANEL)
     axes = figure.add_axes((0.14, 0.18, 0.83, 0.68))
     axes.axhline(0.0, color=INK, linewidth=0.8)
+    small = 100 * NEGLIGIBLE[quantity]
+    axes.axhspan(-small, small, color=PAPER, linewidth=0, zorder=0)
     first = wanted(comparisons[0], quantity)
     edges = _edges(factor, condition(first.at))
     for k, comparison in enumerate(comparisons):
@@ -111,7 +115,7 @@ def _bins(
         axes.errorbar(
             [middle], [means.mean()], [half], fmt="o", color=colour, markersize=5, elinewidth=1.8, capsize=0
         )
-    reach = np.quantile(np.abs(values), 0.97) if len(values) else 1.0
+    reach = float(np.quantile(np.abs(values), 0.97)) if len(values) else 1.0
     low, high = axes.get_ylim()
     axes.set_ylim(max(low, -1.6 * reach), min(high, 1.6 * reach))
 
