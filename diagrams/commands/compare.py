@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import textwrap
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -15,7 +16,7 @@ from diagrams.commands.options import (
     object_option,
     seed_option,
 )
-from diagrams.console import BadInput, Progress, note, prepare_kernels
+from diagrams.console import WIDTH, BadInput, Progress, note, prepare_kernels
 from diagrams.outputs import whole_file, write_json
 
 if TYPE_CHECKING:
@@ -99,7 +100,8 @@ def show(result: Comparison) -> None:
 
     click.echo(f"{result.dataset}, {len(result.pushes)} pushes; model learnt from {result.learnt_from}\n")
     show_comparison(result)
-    click.echo(f"{summary(result)}\n{finding(result)}")
+    for text in (summary(result), finding(result)):
+        click.echo(textwrap.fill(text, WIDTH))
 
 
 def _learnt(dataset: PushDataset, seed: int, progress: Progress) -> Belief:

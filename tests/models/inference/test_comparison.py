@@ -70,8 +70,8 @@ def test_totals_are_means_of_pushes(result):
 def test_json_holds_every_number_and_is_json(result):
     document = json.loads(json.dumps(plain(result.to_json()), allow_nan=False))
     assert {
-        "label", "dataset", "learnt_from", "totals", "noise_floor", "pushes", "structure", "structure_testable",
-        "correlations", "seed",
+        "label", "dataset", "learnt_from", "totals", "noise_floor", "pushes", "structure",
+        "structure_testable", "correlations", "seed",
     } == set(document)  # fmt: skip
     assert [push["trial"] for push in document["pushes"]] == [push.trial for push in result.pushes]
     assert document["pushes"][0]["model"]["final_add"] == result.pushes[0].errors.final_add
@@ -88,7 +88,7 @@ def test_predictions_come_from_one_place(recorded, truth):
 
     def stronger(belief, observations):
         return tuple(
-            PredictedMotion(motion.poses, motion.forces + [1.0, 0.0], motion.probability)
+            PredictedMotion(motion.poses, motion.forces + np.array([1.0, 0.0]), motion.probability)
             for motion in predicted_motion(belief, observations)
         )
 

@@ -30,7 +30,7 @@ def observed(poses, start=(0.0, 0.0, 0.0), tip=None, forces=(), name="trials/000
 
 def test_a_shift_is_its_own_length():
     measured = [[0.01, 0, 0], [0.02, 0, 0], [0.03, 0, 0]]
-    told = np.array(measured) + [[0.001, 0, 0], [0.002, 0, 0], [0.003, 0.004, 0]]
+    told = np.add(measured, [[0.001, 0, 0], [0.002, 0, 0], [0.003, 0.004, 0]])
     found = errors(observed(measured), told, None, GRID)
     assert found.final_add == pytest.approx(0.005)
     assert found.mean_add == pytest.approx((0.001 + 0.002 + 0.005) / 3)
@@ -97,8 +97,8 @@ def test_repeats_are_found_wherever_they_lie_on_the_table_and_others_are_not():
     end = [0.05, 0.0, 0.2]
     pushes = [
         placed(here, end, tip, "a"),
-        placed(there, end, tip + [0, 1e-3], "b"),
-        placed(there, end, tip + [0, 4e-3], "another contact"),
+        placed(there, end, np.add(tip, [0, 1e-3]), "b"),
+        placed(there, end, np.add(tip, [0, 4e-3]), "another contact"),
         placed(here, end, tip, "faster", duration=0.5),
         placed(here, end, tip[::-1], "back"),
     ]

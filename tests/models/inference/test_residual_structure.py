@@ -59,7 +59,7 @@ def drift(at):
 
 
 def veer(at):
-    """To the left of the motion along the table's x axis, to the right along y, as grain of the table does."""
+    """To the left of the motion along the table's x axis, to the right along y."""
     direction = at.table_direction
     left = np.column_stack([-np.sin(direction), np.cos(direction), np.zeros(len(at))])
     return 0.08 * np.cos(2 * direction)[:, None] * left * at.translating[:, None]
