@@ -26,8 +26,9 @@ def summary(comparison: Comparison) -> str:
     which = f"On {count} that it {'never saw' if role == 'heldout' else 'learnt from'}"
     if role == "fit" and comparison.learnt_from != comparison.dataset:
         which = f"On {count} of this dataset"
+    average = " on average" if totals.pushes > 1 else ""
     text = (
-        f"{which}, the model ends {millimetres(totals.model.final_add)} mm from the measured pose on average"
+        f"{which}, the model ends {millimetres(totals.model.final_add)} mm from the measured pose{average}"
         f" (ADD); a uniform object ends {millimetres(totals.uniform.final_add)} mm off, an object that does"
         f" not move {millimetres(totals.resting.final_add)} mm."
     )
@@ -35,6 +36,20 @@ def summary(comparison: Comparison) -> str:
         source = {"repeats": "repeated pushes scatter by", "declared noise": "the sensors alone leave"}
         text += f" For comparison, {source[comparison.floor.source]} {millimetres(comparison.floor.add)} mm."
     return text
+
+
+def summary_of_two(before: Comparison, after: Comparison) -> str:
+    """How far off two models over the same pushes are."""
+    role, totals = judged(before)
+    ours, theirs = totals.model, after.totals[role].model
+    which = "held-out" if role == "heldout" else "fit"
+    return (
+        f"Over {totals.pushes} {which} pushes, “{before.label}” ends {millimetres(ours.final_add)} mm from"
+        f" the measured pose, “{after.label}” {millimetres(theirs.final_add)} mm (ADD); over their course"
+        f" {millimetres(ours.mean_add)} and {millimetres(theirs.mean_add)} mm. A uniform object ends"
+        f" {millimetres(totals.uniform.final_add)} mm off, an object that does not move"
+        f" {millimetres(totals.resting.final_add)} mm."
+    )
 
 
 def finding(comparison: Comparison) -> str:
@@ -48,7 +63,11 @@ def finding(comparison: Comparison) -> str:
                 f"Whether the rest has a pattern cannot be told from {_pushes(most)}: with {tests} tests"
                 f" it takes at least {pushes_needed(tests)}."
             )
-        return "What is left shows no pattern beyond chance and what is negligible."
+        text = "What is left shows no pattern beyond chance and what is negligible"
+        most = max(pattern.pushes for pattern in comparison.structure)
+        if smallest_p(most) * len(comparison.structure) > 0.1 * LEVEL:
+            text += f", but {_pushes(most)} can show only very clear ones"
+        return f"{text}."
     named = _listed([sentence_part(pattern) for pattern in found[:4]])
     more = f" and {len(found) - 4} more" if len(found) > 4 else ""
     return f"What is left has a pattern: {named}{more}."

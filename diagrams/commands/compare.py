@@ -76,15 +76,16 @@ def compare(
 
 def report(comparisons: list[Comparison], dataset: PushDataset) -> str:
     """The HTML of one model, or of two over the same pushes."""
-    from diagrams.comparison_words import finding, summary
-    from diagrams.html_report import comparison_sections, page
+    from diagrams.comparison_words import finding, summary, summary_of_two
+    from diagrams.html_report import check_same_pushes, comparison_sections, page
 
     first = comparisons[0]
     learnt = "" if first.learnt_from == first.dataset else f", model learnt from {first.learnt_from}"
     subtitle = f"{len(first.pushes)} measured pushes of {len(dataset.grid)} cells{learnt}; seed {first.seed}"
+    check_same_pushes(comparisons)
     lead = [summary(first), finding(first)]
     if len(comparisons) > 1:
-        lead = [f"{c.label}: {text}" for c in comparisons for text in (summary(c), finding(c))]
+        lead = [summary_of_two(*comparisons), *(f"{c.label}: {finding(c)}" for c in comparisons)]
     return page(
         f"{dataset.name}: model against measurement",
         subtitle,

@@ -39,9 +39,15 @@ def error_figure(comparisons: Sequence[Comparison]) -> Figure:
             x, values, marker, color=colour, markersize=size, markeredgewidth=1.3, label=label,
             markerfacecolor="white", linestyle="none",
         )  # fmt: skip
-    for comparison, colour in zip(comparisons, MODEL_COLOURS, strict=False):
+    # The first of two models is a ring, so that a second one at its place does not hide it.
+    for k, (comparison, colour) in enumerate(zip(comparisons, MODEL_COLOURS, strict=False)):
+        ring = k == 0 and len(comparisons) > 1
+        size, fill = (8.0, "none") if ring else (5.5, colour)
         values = [1e3 * comparison.pushes[b].errors.final_add for b in order]
-        axes.plot(x, values, "o", color=colour, markersize=5.5, label=comparison.label, linestyle="none")
+        axes.plot(
+            x, values, "o", color=colour, markersize=size, markerfacecolor=fill, label=comparison.label,
+            linestyle="none", markeredgewidth=1.4 if ring else 0.0,
+        )  # fmt: skip
     if first.floor is not None:
         floor = 1e3 * first.floor.add
         label = f"noise floor {floor:.2g} mm ({first.floor.source})"

@@ -4,7 +4,7 @@ A report is a list of `Section`s; a command builds those that it has something t
 them together.
 """
 
-from diagrams.html_report.comparison_sections import comparison_sections
+from diagrams.html_report.comparison_sections import check_same_pushes, comparison_sections
 from diagrams.html_report.page import Section, page
 
-__all__ = ["Section", "comparison_sections", "page"]
+__all__ = ["Section", "check_same_pushes", "comparison_sections", "page"]

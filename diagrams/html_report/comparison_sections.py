@@ -127,10 +127,10 @@ def _cells(errors: Errors) -> list[str]:
 
 def structure_section(comparisons: Sequence[Comparison], dataset: PushDataset) -> Section:
     """Where the model fails: tests of all factors, and pictures of residuals against them."""
-    parts = [f"<p>{escape(finding(comparisons[0]))}</p>"]
-    if len(comparisons) > 1:
-        second = finding(comparisons[1])
-        parts.append(f"<p><b>{escape(comparisons[1].label)}:</b> {escape(second)}</p>")
+    parts = []
+    for comparison in comparisons:
+        name = f"<b>{escape(comparison.label)}:</b> " if len(comparisons) > 1 else ""
+        parts.append(f"<p>{name}{escape(finding(comparison))}</p>")
     for comparison in comparisons:
         parts.append(_pattern_table(comparison, named=len(comparisons) > 1))
     figures = residual_figures(comparisons, dataset)

@@ -58,7 +58,7 @@ def push_section(comparisons: Sequence[Comparison], dataset: PushDataset) -> Sec
 <input type="range" min="0" max="1" value="1" step="1" aria-label="time within the push"></div>
 <div class="course-box"><svg class="course" role="img" aria-label="Error over time"></svg></div>
 <div class="readout"></div>
-<div class="list"><table><thead><tr>{_heads(comparisons)}</tr></thead>
+<div class="list"><table><thead>{_heads(comparisons)}</thead>
 <tbody>{"".join(_row(comparisons, b) for b in range(len(first.pushes)))}</tbody></table></div>"""
     return Section("pushes", "Push by push", body, data, script="pushes.js")
 
@@ -89,22 +89,31 @@ def _finger(observation: Observation, times: FloatArray) -> list[Any]:
     return _rounded(np.column_stack([np.interp(times, steps, column) for column in push.tip.T]))
 
 
+COLUMNS = (("end, mm", 2), ("average, mm", 2), ("angle, °", 2), ("fit, %", 1), ("force, %", 0))
+"""Errors of one model in the table, and their digits."""
+
+COLUMNS_OF_TWO = ("end, mm", "average, mm", "fit, %")
+BASELINES = ("spread, mm", "uniform, mm", "no motion, mm")
+
+
+def _columns(comparisons: Sequence[Comparison]) -> list[tuple[str, int]]:
+    return [column for column in COLUMNS if len(comparisons) == 1 or column[0] in COLUMNS_OF_TWO]
+
+
 def _heads(comparisons: Sequence[Comparison]) -> str:
-    columns = ["push", "role"]
-    for comparison in comparisons:
-        name = f"{comparison.label}: " if len(comparisons) > 1 else ""
-        columns += [
-            f"{name}end, mm",
-            f"{name}average, mm",
-            f"{name}angle, °",
-            f"{name}fit, %",
-            f"{name}force, %",
-        ]
-    columns += ["spread, mm", "uniform, mm", "no motion, mm"]
-    return "".join(
-        f'<th{" class=number" if k > 1 else ""} tabindex="0">{escape(column)}</th>'
-        for k, column in enumerate(columns)
+    columns = [name for name, _ in _columns(comparisons)]
+    group = ""
+    if len(comparisons) > 1:
+        names = "".join(
+            f'<th class="group number" colspan="{len(columns)}">{escape(comparison.label)}</th>'
+            for comparison in comparisons
+        )
+        group = f'<tr><th class="group" colspan="2"></th>{names}<th class="group" colspan="3"></th></tr>'
+    texts = "".join(f'<th tabindex="0">{name}</th>' for name in ("push", "role"))
+    numbers = "".join(
+        f'<th class="number" tabindex="0">{name}</th>' for name in (*columns * len(comparisons), *BASELINES)
     )
+    return f'{group}<tr class="sort">{texts}{numbers}</tr>'
 
 
 def _row(comparisons: Sequence[Comparison], b: int) -> str:
@@ -113,14 +122,16 @@ def _row(comparisons: Sequence[Comparison], b: int) -> str:
     cells = [f'<td>{escape(short_name(push.trial))}</td><td class="short">{ROLES[push.role]}</td>']
     for comparison in comparisons:
         errors = comparison.pushes[b].errors
-        cells.append(_number(1e3 * errors.final_add, 2, bar=errors.final_add / largest))
-        for value, digits in (
-            (1e3 * errors.mean_add, 2),
-            (float(np.degrees(errors.angle)), 2),
-            (errors.fit, 1),
-            (100 * errors.force_share, 0),
-        ):
-            cells.append(_number(value, digits))
+        values = {
+            "end, mm": 1e3 * errors.final_add,
+            "average, mm": 1e3 * errors.mean_add,
+            "angle, °": float(np.degrees(errors.angle)),
+            "fit, %": errors.fit,
+            "force, %": 100 * errors.force_share,
+        }
+        for name, digits in _columns(comparisons):
+            bar = errors.final_add / largest if name == "end, mm" else None
+            cells.append(_number(values[name], digits, bar))
     for value in (push.spread, push.uniform.final_add, push.resting.final_add):
         cells.append(_number(1e3 * value, 1))
     return f'<tr data-push="{b}" tabindex="0">{"".join(cells)}</tr>'

@@ -66,7 +66,9 @@
       }
     }
     data.pushes.forEach((push, index) => {
-      const group = element("g", { "stroke-linecap": "round", "stroke-linejoin": "round", fill: "none" }, map);
+      // Between two measured poses nothing is known: dashes.
+      const dash = push.times.length === 2 ? [2.5 * thin, 2 * thin].join(" ") : "none";
+      const group = element("g", { "stroke-dasharray": dash, "stroke-linecap": "round", "stroke-linejoin": "round", fill: "none" }, map);
       element("polyline", { points: line(track(push.measured)), stroke: INK, "stroke-width": thin }, group);
       push.predicted.forEach((poses, k) =>
         element("polyline", { points: line(track(poses)), stroke: COLOURS[k], "stroke-width": thin }, group));
@@ -119,7 +121,7 @@
     const shapes = push.predicted.map((poses, k) => {
       element("polyline", { points: line(track(poses)), fill: "none", stroke: COLOURS[k], "stroke-width": thin / 2 }, film);
       return element("path", { fill: COLOURS[k], "fill-opacity": 0.1, stroke: COLOURS[k], "stroke-width": thin,
-        "fill-rule": "evenodd" }, film);
+        "stroke-dasharray": k ? [3 * thin, 2 * thin].join(" ") : "none", "fill-rule": "evenodd" }, film);
     });
     const measured = element("path", { fill: "none", stroke: INK, "stroke-width": thin }, film);
     const finger = element("circle", { r: data.radius, fill: FINGER, "fill-opacity": 0.85 }, film);
@@ -152,8 +154,14 @@
     if (data.floor) {
       element("path", { d: `M${left},${y(data.floor)}H${wide - 8}`, stroke: INK, "stroke-dasharray": "4 3", fill: "none" }, course);
     }
-    push.add.forEach((values, k) => element("polyline", { fill: "none", stroke: COLOURS[k], "stroke-width": 2,
-      points: values.map((add, i) => x(push.times[i]) + "," + y(add)).join(" ") }, course));
+    push.add.forEach((values, k) => {
+      const points = values.map((add, i) => [x(push.times[i]), y(add)]);
+      if (points.length === 2) {
+        element("circle", { cx: points[1][0], cy: points[1][1], r: 4, fill: COLOURS[k] }, course);
+      } else {
+        element("polyline", { fill: "none", stroke: COLOURS[k], "stroke-width": 2, points: points.join(" ") }, course);
+      }
+    });
     const cursor = element("path", { stroke: FINGER, "stroke-width": 1.5 }, course);
     return (t) => cursor.setAttribute("d", `M${x(t)},4V${high - foot}`);
   }
@@ -194,7 +202,10 @@
   slider.addEventListener("input", () => { stop(); show(Number(slider.value)); });
 
   // Table: click a heading to sort, a row to choose.
-  const body = root.querySelector("tbody"), heads = [...root.querySelectorAll("thead th")];
+  const body = root.querySelector("tbody"), heads = [...root.querySelectorAll("tr.sort th")];
+  heads.forEach((head, column) => head.addEventListener("keydown", (event) => {
+    if (event.key === "Enter" || event.key === " ") { event.preventDefault(); head.click(); }
+  }));
   heads.forEach((head, column) => head.addEventListener("click", () => {
     const up = head.getAttribute("aria-sort") === "descending" ? 1 : head.getAttribute("aria-sort") ? -1 : column < 2 ? 1 : -1;
     heads.forEach((other) => other.removeAttribute("aria-sort"));

@@ -15,7 +15,7 @@ import pytest
 from matplotlib.figure import Figure
 
 from diagrams.commands.compare import report
-from diagrams.comparison_words import finding, pushes_needed, sentence_part, summary
+from diagrams.comparison_words import finding, pushes_needed, sentence_part, summary, summary_of_two
 from diagrams.figures import correlation_figure, error_figure, factor_figure, object_figure, table_figure
 from diagrams.figures.residual_curves import CONDITIONS
 from diagrams.figures.residuals import residual_figures
@@ -126,7 +126,10 @@ def test_two_models_stand_side_by_side(both, learnt):
     data = json.loads(parsed.scripts[0][1])["pushes"]
     assert data["labels"] == ["before", "after"]
     assert all(len(push["predicted"]) == len(push["add"]) == 2 for push in data["pushes"])
-    assert f"after: {summary(both[1])}" in parsed.text
+    assert summary_of_two(*both) in parsed.text and f"after: {finding(both[1])}" in parsed.text
+    errors = [comparison.totals["heldout"].model.final_add for comparison in both]
+    for error in errors:
+        assert f"{1e3 * error:.1f} mm" in summary_of_two(*both)
 
 
 def test_models_over_different_pushes_are_refused(both, learnt):
