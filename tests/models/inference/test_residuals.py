@@ -80,6 +80,18 @@ def test_conditions_come_from_the_prediction_and_not_from_the_measured_pose():
     assert at.place[:, 1].min() > 0.2
 
 
+def test_an_object_that_turns_about_its_centroid_goes_nowhere():
+    angle = 0.5 * TIMES
+    centroid = at_centroid(np.zeros(3), GRID)[:2]
+    c, s = np.cos(angle), np.sin(angle)
+    back = np.column_stack([c * centroid[0] - s * centroid[1], s * centroid[0] + c * centroid[1]])
+    poses = np.column_stack([centroid - back, angle])
+    at = motion_residuals([push_of(poses)], [told(poses)], GRID, RADIUS).at
+    np.testing.assert_allclose(at.speed, 0.5 * radius_of_gyration(GRID))
+    np.testing.assert_allclose(at.translating, 0.0, atol=1e-9)
+    np.testing.assert_allclose(at.place, np.tile(centroid, (len(at), 1)), atol=1e-9)
+
+
 def phases(poses, tip):
     observation = push_of(poses, tip)
     return conditions(0, observation, poses[1:], TIMES[:-1], TIMES[1:], GRID, RADIUS)
@@ -109,10 +121,10 @@ def test_a_finger_that_moves_along_the_side_slides():
 
 def test_a_finger_that_an_object_turns_about_without_slip_sticks():
     """The contact point stays the same on the object while finger and object turn about it."""
-    spin = 0.4 * TIMES
+    spin = 0.6 * TIMES
     corner = np.array([-0.02, 0.0])
     c, s = np.cos(spin), np.sin(spin)
-    contact = np.column_stack([0.05 * TIMES, 0 * TIMES])
+    contact = np.column_stack([0.006 * TIMES, 0 * TIMES])
     place = contact - np.column_stack([c * corner[0] - s * corner[1], s * corner[0] + c * corner[1]])
     # The finger's surface rolls on the side: its centre lies along the normal, shifted by the rolled length.
     rolled = RADIUS * spin
