@@ -37,6 +37,11 @@ ERROR_COLUMNS = (
 FIELDS = {"table_place": ("table_drift", "table_place"), "contact_place": ("object_drift", "contact_place")}
 """Pictures of fields, and the factors that they show."""
 
+MOSTLY_UNSEEN = (
+    "The model did not learn from most of these pushes. Errors of its maps are common to them and can show as"
+    " patterns too; learn from these pushes to tell them from missing physics."
+)
+
 
 def comparison_sections(comparisons: Sequence[Comparison], dataset: PushDataset) -> list[Section]:
     """All sections, in the order of reading.
@@ -131,6 +136,8 @@ def structure_section(comparisons: Sequence[Comparison], dataset: PushDataset) -
     for comparison in comparisons:
         name = f"<b>{escape(comparison.label)}:</b> " if len(comparisons) > 1 else ""
         parts.append(f"<p>{name}{escape(finding(comparison))}</p>")
+    if any(comparison.mostly_unseen and comparison.significant for comparison in comparisons):
+        parts.append(f'<p class="note">{escape(MOSTLY_UNSEEN)}</p>')
     for comparison in comparisons:
         parts.append(_pattern_table(comparison, named=len(comparisons) > 1))
     figures = residual_figures(comparisons, dataset)

@@ -154,6 +154,18 @@ class Comparison:
         """Whether there are pushes enough for any pattern to become significant."""
         return any(smallest_p(pattern.pushes) * len(self.structure) < LEVEL for pattern in self.structure)
 
+    @property
+    def mostly_unseen(self) -> bool:
+        """Whether the belief learnt from fewer of these pushes than it did not see.
+
+        Then errors of the maps, common to the pushes it did not see, can show as patterns (see
+        `residual_structure`).
+        """
+        if self.learnt_from != self.dataset:
+            return True
+        unseen = sum(push.role == "heldout" for push in self.pushes)
+        return 2 * unseen > len(self.pushes)
+
     def to_json(self) -> dict[str, object]:
         """The machine-readable result; lengths in m, angles in rad, forces in N."""
         return {

@@ -127,6 +127,13 @@ def test_one_push_is_compared_without_tests_that_need_more(recorded, truth):
     assert len(found.pushes) == 1 and not found.testable and found.significant == ()
 
 
+def test_pushes_that_the_belief_did_not_learn_from_are_told(result):
+    assert not result.mostly_unseen
+    heldout = tuple(push for push in result.pushes if push.role == "heldout")
+    assert replace(result, pushes=heldout).mostly_unseen
+    assert replace(result, learnt_from="another").mostly_unseen
+
+
 def test_another_object_is_refused(recorded, truth):
     with pytest.raises(BeliefError, match="finger"):
         compare(replace(recorded.dataset, finger_radius=0.02), truth)
