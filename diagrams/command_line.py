@@ -15,6 +15,7 @@ import click
 
 from diagrams.commands.bench import bench
 from diagrams.commands.calibrate import calibrate
+from diagrams.commands.compare import compare
 from diagrams.commands.demo import demo
 from diagrams.commands.identify import identify
 from diagrams.commands.predict import predict
@@ -62,7 +63,7 @@ def slipmap(ctx: click.Context) -> None:
         ctx.exit(WRONG_USE)
 
 
-for _command in (demo, identify, predict, calibrate, bench):
+for _command in (demo, identify, predict, compare, calibrate, bench):
     slipmap.add_command(_command)
 
 

@@ -91,7 +91,7 @@ def write_json(path: Path, document: Mapping[str, Any]) -> None:
     Raises:
         BadInput: the place cannot be written to.
     """
-    text = json.dumps(_plain(document), indent=2, sort_keys=True, ensure_ascii=False, allow_nan=False)
+    text = json.dumps(plain(document), indent=2, sort_keys=True, ensure_ascii=False, allow_nan=False)
     with whole_file(path) as part:
         part.write_text(text + "\n", encoding="utf-8")
 
@@ -114,14 +114,14 @@ def write_figures(path: Path, figures: Sequence[Figure]) -> list[Path]:
     return paths
 
 
-def _plain(value: Any) -> Any:
-    """Mappings, lists and numbers as JSON knows them; arrays and numpy's numbers have `tolist`."""
-    if hasattr(value, "tolist"):
+def plain(value: Any) -> Any:
+    """Mappings, lists and numbers as JSON knows them, null for numbers that are not finite."""
+    if hasattr(value, "tolist"):  # arrays and numpy's numbers
         value = value.tolist()
     if isinstance(value, Mapping):
-        return {str(key): _plain(entry) for key, entry in value.items()}
+        return {str(key): plain(entry) for key, entry in value.items()}
     if isinstance(value, list | tuple):
-        return [_plain(entry) for entry in value]
+        return [plain(entry) for entry in value]
     if isinstance(value, float) and not math.isfinite(value):
         return None
     return value

@@ -6,14 +6,18 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from diagrams.comparison_words import QUANTITIES, millimetres, p_text, size_text
 from diagrams.console import table
 from diagrams.wording import ROLES, short_name
+from models.inference.comparison import Comparison
+from models.inference.push_errors import Errors
 from models.inference.results import PushPrediction, Quantity
 
 SENSITIVE = 10.0
 """Metres that the end moves for a metre at the start, from which a push is called near to balance."""
 
 MOST_ROWS = 30
+FEW_PATTERNS = 5
 MEASURES = ("final_add", "uniform_add", "no_motion_add")
 SHOWN_UNITS = {"m": ("mm", 1e3), "-": ("", 1.0)}
 
@@ -65,6 +69,49 @@ def remark(push: PushPrediction) -> str:
     if not push.start_sensitivity >= SENSITIVE:
         return ""
     return f"half a millimetre decides: it moves the end by {0.5 * push.start_sensitivity:.0f} mm"
+
+
+def show_comparison(result: Comparison) -> None:
+    """Means of the errors by role beside the baselines, and what the residuals hang together with."""
+    rows = []
+    for role, totals in result.totals.items():
+        for name, errors in (
+            ("model", totals.model), ("uniform", totals.uniform), ("no motion", totals.resting),
+        ):  # fmt: skip
+            rows.append([f"{ROLES[role]}, {name}", *_errors(errors)])
+    floor = ""
+    if result.floor is not None:
+        floor = f"; noise floor {millimetres(result.floor.add)} mm ({result.floor.source})"
+    table(
+        f"Mean errors, mm: ADD at the end and on average, position{floor}",
+        ["pushes", "end", "average", "position", "angle, °", "fit, %", "force, %"],
+        rows,
+        numbers=range(1, 7),
+    )
+    if not result.structure:
+        return
+    shown = [pattern for k, pattern in enumerate(result.structure) if k < FEW_PATTERNS or pattern.significant]
+    tests = len(result.structure)
+    table(
+        f"What the rest hangs together with: the surest of {tests} tests (* significant)",
+        ["of", "", "size", "p"],
+        [
+            [
+                QUANTITIES[pattern.quantity],
+                f"{pattern.title}: {pattern.strongest}",
+                size_text(pattern).split(" (")[0],
+                p_text(pattern.p_corrected) + ("*" if pattern.significant else " "),
+            ]
+            for pattern in shown
+        ],
+        numbers=(2, 3),
+    )
+
+
+def _errors(errors: Errors) -> list[str]:
+    numbers = [millimetres(value) for value in (errors.final_add, errors.mean_add, errors.position)]
+    others = (float(np.degrees(errors.angle)), errors.fit, 100 * errors.force_share)
+    return numbers + [f"{value:.1f}" if np.isfinite(value) else "–" for value in others]
 
 
 def show_quantities(quantities: Sequence[Quantity]) -> None:

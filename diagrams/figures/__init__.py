@@ -1,8 +1,24 @@
-"""Pictures of beliefs, pushes and calibration. They are returned as matplotlib Figures; `save` writes one."""
+"""Pictures of beliefs, pushes, comparisons and calibration, as matplotlib Figures; `save` writes one."""
 
 from diagrams.figures.calibration import calibration_figure
+from diagrams.figures.comparison import error_figure
+from diagrams.figures.correlations import correlation_figure
 from diagrams.figures.maps import maps_figure
 from diagrams.figures.pushes import push_figures
+from diagrams.figures.residual_curves import factor_figure
+from diagrams.figures.residual_fields import object_figure, table_figure
+from diagrams.figures.residuals import residual_figures
 from diagrams.figures.style import save
 
-__all__ = ["calibration_figure", "maps_figure", "push_figures", "save"]
+__all__ = [
+    "calibration_figure",
+    "correlation_figure",
+    "error_figure",
+    "factor_figure",
+    "maps_figure",
+    "object_figure",
+    "push_figures",
+    "residual_figures",
+    "save",
+    "table_figure",
+]

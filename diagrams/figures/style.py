@@ -15,6 +15,7 @@ FAINT = "#9a9a9a"
 PAPER = "#f1efea"
 BELIEF = "#1f6fb4"
 FINGER = "#d4691e"
+OTHER = "#2f8f6b"
 
 DOTS_PER_INCH = 130
 FORMATS = ("png", "pdf", "svg")

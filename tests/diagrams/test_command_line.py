@@ -19,7 +19,7 @@ from diagrams.command_line import slipmap as group
 from models.inference.belief import Belief
 from models.measurements import read_dataset
 
-COMMANDS = ("demo", "identify", "predict", "calibrate", "bench")
+COMMANDS = ("demo", "identify", "predict", "compare", "calibrate", "bench")
 HEAVY = ("numpy", "scipy", "numba", "matplotlib", "pydrake", "shapely", "cv2", "rich")
 ENVIRONMENT = {**os.environ, "PYTHONPATH": str(Path(__file__).resolve().parents[2])}
 
@@ -95,6 +95,7 @@ def test_an_unknown_command_lists_what_there_is(slipmap):
         (["identify", "data", "-o", "b.npz", "--method", "magic"], "gauss-newton"),
         (["identify", "data", "-o", "b.npz", "--seed", "-1"], "--seed"),
         (["predict", "data"], "--belief"),
+        (["compare", "data", "--seed", "-1"], "--seed"),
         (["demo", "--fit-pushes", "0"], "--fit-pushes"),
         (["calibrate", "--objects", "none"], "--objects"),
         (["bench", "--jsn", "x"], "--jsn"),

@@ -1,0 +1,129 @@
+"""Sections put together into one HTML page with its styles, scripts and data inside."""
+
+from __future__ import annotations
+
+import base64
+import io
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from html import escape
+from importlib.resources import files
+from typing import Any
+
+import matplotlib
+from matplotlib.figure import Figure
+
+from diagrams.figures.style import STYLE
+from diagrams.outputs import plain
+
+
+@dataclass(frozen=True, eq=False)
+class Section:
+    """One part of a report.
+
+    Attributes:
+        key: identifies it in links and in the data.
+        title: heading.
+        body: HTML.
+        data: what its scripts need, JSON-able.
+        script: name of a script in this folder that gives its body life; empty for none.
+    """
+
+    key: str
+    title: str
+    body: str
+    data: Mapping[str, Any] = field(default_factory=dict)
+    script: str = ""
+
+
+def page(title: str, subtitle: str, lead: Sequence[str], sections: Sequence[Section]) -> str:
+    """A whole HTML document.
+
+    Args:
+        title: of the page.
+        subtitle: a line below it: what was compared, when and with what.
+        lead: paragraphs that say what was found, the most important first.
+        sections: in the order of reading; keys must differ.
+
+    Raises:
+        ValueError: two sections have one key.
+    """
+    keys = [section.key for section in sections]
+    if len(set(keys)) < len(keys):
+        raise ValueError(f"report: section keys must differ, got {', '.join(keys)}")
+    scripts = dict.fromkeys(section.script for section in sections if section.script)
+    data = {section.key: plain(section.data) for section in sections if section.data}
+    parts = {
+        "title": escape(title),
+        "subtitle": escape(subtitle),
+        "style": part("style.css"),
+        "lead": "\n".join(f"<p>{escape(text)}</p>" for text in lead),
+        "links": "\n".join(f'<a href="#{s.key}">{escape(s.title)}</a>' for s in sections),
+        "sections": "\n".join(
+            f'<section id="{s.key}">\n<h2>{escape(s.title)}</h2>\n{s.body}\n</section>' for s in sections
+        ),
+        # A "<" inside a script could end it.
+        "data": json.dumps(data, allow_nan=False).replace("<", "\\u003c"),
+        "scripts": "\n".join(part(name) for name in scripts),
+    }
+    text = part("page.html")
+    for name, value in parts.items():
+        text = text.replace(f"<!--{name}-->", value)
+    return text
+
+
+def part(name: str) -> str:
+    """A file of this folder."""
+    return files(__package__).joinpath(name).read_text(encoding="utf-8")
+
+
+def picture(figure: Figure, alternative: str, *, wide: bool = False) -> str:
+    """An `img` element that holds the figure; letters are drawn, so that it looks alike everywhere.
+
+    Args:
+        figure: to be shown.
+        alternative: what it shows, for those who cannot see it.
+        wide: as wide as the page, instead of its own width at most.
+    """
+    stream = io.BytesIO()
+    with matplotlib.rc_context({**STYLE, "svg.fonttype": "path"}):
+        figure.savefig(stream, format="svg", metadata={"Date": None})
+    width, height = figure.get_size_inches() * 96
+    code = base64.b64encode(stream.getvalue()).decode("ascii")
+    kind = " class=wide" if wide else ""
+    return (
+        f'<img{kind} alt="{escape(alternative)}" width="{width:.0f}" height="{height:.0f}"'
+        f' src="data:image/svg+xml;base64,{code}">'
+    )
+
+
+def table(
+    columns: Sequence[str],
+    rows: Sequence[Sequence[str]],
+    *,
+    numbers: Sequence[int] = (),
+    marked: Sequence[bool] = (),
+    caption: str = "",
+) -> str:
+    """An HTML table of plain texts.
+
+    Args:
+        columns: headings.
+        rows: cells.
+        numbers: columns to align on the right.
+        marked: for each row whether it is to stand out.
+        caption: sentence above it.
+    """
+    kinds = [' class="number"' if k in numbers else "" for k in range(len(columns))]
+    head = "".join(f"<th{kind}>{escape(name)}</th>" for kind, name in zip(kinds, columns, strict=True))
+    lines = []
+    for index, row in enumerate(rows):
+        mark = ' class="marked"' if index < len(marked) and marked[index] else ""
+        cells = "".join(f"<td{kind}>{escape(cell)}</td>" for kind, cell in zip(kinds, row, strict=True))
+        lines.append(f"<tr{mark}>{cells}</tr>")
+    title = f"<caption>{escape(caption)}</caption>" if caption else ""
+    return (
+        f'<div class="scroll"><table>{title}<thead><tr>{head}</tr></thead>'
+        f"<tbody>{''.join(lines)}</tbody></table></div>"
+    )

@@ -1,0 +1,287 @@
+"""A belief held against measured pushes: how far it is off, against what, and where it fails.
+
+`compare` is the door. One `Comparison` is about one model; two of them over the same pushes (before and
+after an effect was added) are shown side by side by whoever draws them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
+
+import numpy as np
+
+from models.inference.belief import Belief
+from models.inference.noise_floor import NoiseFloor, noise_floor
+from models.inference.observations import Observation, observe_all
+from models.inference.predicted_motion import (
+    PredictedMotion,
+    PredictMotion,
+    predicted_motion,
+    uniform_motion,
+)
+from models.inference.prediction import check_same_object
+from models.inference.push_errors import Errors, motion_errors, resting_errors
+from models.inference.push_tests import smallest_p
+from models.inference.residual_correlations import Correlations, correlations, delay_pattern
+from models.inference.residual_structure import LEVEL, Pattern, corrected, factor_patterns
+from models.inference.residuals import Residuals, force_residuals, motion_residuals
+from models.measurements import PushDataset
+from models.physics.cell_grid import FloatArray
+from models.physics.paper_notation import add
+
+Progress = Callable[[str, int, int], None]
+
+ROLES = ("fit", "heldout")
+
+
+@dataclass(frozen=True, eq=False)
+class ComparedPush:
+    """One push as measured, as predicted, and how far apart they are.
+
+    Attributes:
+        observation: what was measured.
+        predicted: (S, 3) mean prediction at the observation's pose times, m and rad.
+        predicted_force: (T, 2) mean prediction at its force times, N.
+        errors: of the prediction.
+        uniform: errors of a uniform object with the belief's mass, friction and finger.
+        resting: errors of an object that does not move.
+        spread: probability-weighted mean ADD of the hypotheses from their mean at the end, m.
+    """
+
+    observation: Observation
+    predicted: FloatArray
+    predicted_force: FloatArray
+    errors: Errors
+    uniform: Errors
+    resting: Errors
+    spread: float
+
+    @property
+    def trial(self) -> str:
+        """Name of the trial."""
+        return self.observation.trial
+
+    @property
+    def role(self) -> str:
+        """`fit` or `heldout`."""
+        return self.observation.role
+
+    @property
+    def ends_only(self) -> bool:
+        """Whether only the first and the last pose were measured."""
+        return len(self.observation.poses) == 1
+
+    def to_json(self) -> dict[str, object]:
+        """All numbers."""
+        return {
+            "trial": self.trial,
+            "role": self.role,
+            "ends_only": self.ends_only,
+            "spread": self.spread,
+            "model": self.errors.to_json(),
+            "uniform": self.uniform.to_json(),
+            "no_motion": self.resting.to_json(),
+        }
+
+
+@dataclass(frozen=True)
+class Totals:
+    """Means over the pushes of one role; NaN where no push has the number.
+
+    Attributes:
+        pushes: their number.
+        model: means of all errors.
+        uniform: the same of a uniform object.
+        resting: the same of an object that does not move.
+        median_add: median final ADD of the model, m.
+    """
+
+    pushes: int
+    model: Errors
+    uniform: Errors
+    resting: Errors
+    median_add: float
+
+    def to_json(self) -> dict[str, object]:
+        """All numbers."""
+        return {
+            "pushes": self.pushes,
+            "median_final_add": self.median_add,
+            "model": self.model.to_json(),
+            "uniform": self.uniform.to_json(),
+            "no_motion": self.resting.to_json(),
+        }
+
+
+@dataclass(frozen=True, eq=False)
+class Comparison:
+    """Result of `compare`.
+
+    Attributes:
+        label: what the model is called, such as `base` or `with table_tilt`.
+        dataset: name of the pushes.
+        learnt_from: name of the dataset that taught the belief.
+        pushes: one by one.
+        totals: by role; a role without pushes is missing.
+        floor: error below which models cannot be told apart, or None where nothing tells.
+        motion: residual velocities, or None where nothing moves.
+        force: residual forces, or None where force was not measured.
+        structure: what residuals hang together with, the surest first.
+        correlations: over time, or None where too few pushes show their course.
+        seed: of every random draw.
+    """
+
+    label: str
+    dataset: str
+    learnt_from: str
+    pushes: tuple[ComparedPush, ...]
+    totals: dict[str, Totals]
+    floor: NoiseFloor | None
+    motion: Residuals | None
+    force: Residuals | None
+    structure: tuple[Pattern, ...]
+    correlations: Correlations | None
+    seed: int
+
+    @property
+    def significant(self) -> tuple[Pattern, ...]:
+        """Patterns that chance hardly explains."""
+        return tuple(pattern for pattern in self.structure if pattern.significant)
+
+    @property
+    def testable(self) -> bool:
+        """Whether there are pushes enough for any pattern to become significant."""
+        return any(smallest_p(pattern.pushes) * len(self.structure) < LEVEL for pattern in self.structure)
+
+    @property
+    def mostly_unseen(self) -> bool:
+        """Whether the belief learnt from fewer of these pushes than it did not see.
+
+        Then errors of the maps, common to the pushes it did not see, can show as patterns (see
+        `residual_structure`).
+        """
+        if self.learnt_from != self.dataset:
+            return True
+        unseen = sum(push.role == "heldout" for push in self.pushes)
+        return 2 * unseen > len(self.pushes)
+
+    def to_json(self) -> dict[str, object]:
+        """The machine-readable result; lengths in m, angles in rad, forces in N."""
+        return {
+            "label": self.label,
+            "dataset": self.dataset,
+            "learnt_from": self.learnt_from,
+            "totals": {role: totals.to_json() for role, totals in self.totals.items()},
+            "noise_floor": None if self.floor is None else self.floor.to_json(),
+            "pushes": [push.to_json() for push in self.pushes],
+            "structure": [pattern.to_json() for pattern in self.structure],
+            "structure_testable": self.testable,
+            "correlations": None if self.correlations is None else self.correlations.to_json(),
+            "seed": self.seed,
+        }
+
+
+def compare(
+    dataset: PushDataset,
+    belief: Belief,
+    *,
+    seed: int = 0,
+    label: str = "model",
+    progress: Progress | None = None,
+    predict: PredictMotion = predicted_motion,
+) -> Comparison:
+    """Hold a belief against every push of a dataset.
+
+    Args:
+        dataset: pushes of the object that the belief is about.
+        belief: what was learnt, from this or another dataset.
+        seed: of every random draw (sign flips, pairings, draws of noise).
+        label: what to call the model.
+        progress: called with (stage, done, total).
+        predict: where poses and forces of the belief's hypotheses come from.
+
+    Raises:
+        BeliefError: the dataset has another finger or another object.
+    """
+    check_same_object(belief, dataset)
+    report = progress or (lambda stage, done, total: None)
+    report("comparing", 0, 2)
+    grid = belief.grid
+    observations = observe_all(dataset)
+    motions = predict(belief, observations)
+    report("comparing", 1, 2)
+    pushes = _pushes(observations, motions, uniform_motion(belief, observations), belief)
+    report("comparing", 2, 2)
+
+    rng = np.random.default_rng(seed)
+    report("looking for patterns", 0, 4)
+    motion = motion_residuals(observations, motions, grid, belief.finger_radius)
+    force = force_residuals(observations, motions, grid, belief.finger_radius)
+    floor = noise_floor(observations, dataset.noise, grid, rng)
+    ends_only = all(push.ends_only for push in pushes)
+    report("looking for patterns", 1, 4)
+    patterns = factor_patterns(motion, "motion", rng, whole_pushes=ends_only) if motion is not None else []
+    report("looking for patterns", 2, 4)
+    patterns += factor_patterns(force, "force", rng) if force is not None else []
+    delay = delay_pattern(observations, motions, grid, rng)
+    patterns += [] if delay is None else [delay]
+    report("looking for patterns", 3, 4)
+    together = correlations(observations, motions, grid, rng)
+    report("looking for patterns", 4, 4)
+    return Comparison(
+        label=label,
+        dataset=dataset.name,
+        learnt_from=belief.dataset,
+        pushes=pushes,
+        totals={role: totals(group) for role in ROLES if (group := [p for p in pushes if p.role == role])},
+        floor=floor,
+        motion=motion,
+        force=force,
+        structure=corrected(patterns),
+        correlations=together,
+        seed=seed,
+    )
+
+
+def totals(pushes: Sequence[ComparedPush]) -> Totals:
+    """Means over some pushes, at least one."""
+    return Totals(
+        pushes=len(pushes),
+        model=_mean([push.errors for push in pushes]),
+        uniform=_mean([push.uniform for push in pushes]),
+        resting=_mean([push.resting for push in pushes]),
+        median_add=float(np.median([push.errors.final_add for push in pushes])),
+    )
+
+
+def _mean(errors: Sequence[Errors]) -> Errors:
+    """Mean of each number over the pushes that have it."""
+
+    def mean(name: str) -> float:
+        known = [value for error in errors if np.isfinite(value := getattr(error, name))]
+        return float(np.mean(known)) if known else float("nan")
+
+    return Errors(**{name: mean(name) for name in asdict(errors[0])})
+
+
+def _pushes(
+    observations: Sequence[Observation],
+    motions: Sequence[PredictedMotion],
+    uniform: Sequence[PredictedMotion],
+    belief: Belief,
+) -> tuple[ComparedPush, ...]:
+    grid = belief.grid
+    ours, theirs = (motion_errors(observations, told, grid) for told in (motions, uniform))
+    return tuple(
+        ComparedPush(
+            observation=observation,
+            predicted=motion.mean_poses,
+            predicted_force=motion.mean_forces,
+            errors=ours[b],
+            uniform=theirs[b],
+            resting=resting_errors(observation, grid),
+            spread=float(motion.probability @ add(motion.poses[:, -1], motion.mean_poses[-1], grid.centers)),
+        )
+        for b, (observation, motion) in enumerate(zip(observations, motions, strict=True))
+    )

@@ -1,0 +1,250 @@
+"""`slipmap compare` and its report: what it writes, says and refuses, and that the page stands by itself."""
+
+from __future__ import annotations
+
+import base64
+import json
+import re
+import shutil
+import subprocess
+from dataclasses import replace
+from html.parser import HTMLParser
+
+import numpy as np
+import pytest
+from matplotlib.figure import Figure
+
+from diagrams.commands.compare import report
+from diagrams.comparison_words import finding, pushes_needed, sentence_part, summary, summary_of_two
+from diagrams.figures import correlation_figure, error_figure, factor_figure, object_figure, table_figure
+from diagrams.figures.residual_curves import CONDITIONS
+from diagrams.figures.residuals import residual_figures
+from diagrams.html_report import Section, page
+from diagrams.html_report.page import part, table
+from models.inference.belief import Belief
+from models.inference.comparison import compare
+from models.measurements import read_dataset
+
+VOID = {"meta", "link", "img", "input", "br"}
+FOREIGN = re.compile(r"""(?:https?:)?//[\w.]|@import|url\(""")
+
+
+class Page(HTMLParser):
+    """Checks that elements are closed in order, and keeps what tests ask for."""
+
+    def __init__(self, text):
+        super().__init__()
+        self.open, self.ids, self.links, self.images, self.scripts, self.rows = [], [], [], [], [], 0
+        self.text = ""
+        self.feed(text)
+        self.close()
+        assert self.open == []
+
+    def handle_starttag(self, tag, attrs):
+        attributes = dict(attrs)
+        self.ids += [attributes["id"]] if "id" in attributes else []
+        self.links += [attributes["href"]] if tag in ("a", "link") else []
+        self.images += [attributes] if tag == "img" else []
+        assert not (tag == "script" and "src" in attributes)
+        if tag == "script":
+            self.scripts.append([attributes.get("type"), ""])
+        self.rows += tag == "tr" and "data-push" in attributes
+        if tag not in VOID:
+            self.open.append(tag)
+
+    def handle_endtag(self, tag):
+        assert self.open.pop() == tag
+
+    def handle_data(self, data):
+        if self.open and self.open[-1] == "script":
+            self.scripts[-1][1] += data
+        elif self.open and self.open[-1] != "style":
+            self.text += data
+
+
+@pytest.fixture(scope="module")
+def learnt(demo_folder):
+    """The demo's pushes, and what its belief makes of them."""
+    dataset = read_dataset(demo_folder / "demo" / "hammer")
+    belief = Belief.load(demo_folder / "demo" / "belief.npz")
+    return dataset, belief, compare(dataset, belief)
+
+
+@pytest.fixture(scope="module")
+def single(learnt):
+    dataset, _, result = learnt
+    return Page(report([result], dataset)), report([result], dataset)
+
+
+@pytest.fixture(scope="module")
+def both(learnt):
+    dataset, belief, before = learnt
+    heavier = replace(belief, maps=replace(belief.maps, mu_finger=0.3 * belief.maps.mu_finger))
+    return [replace(before, label="before"), compare(dataset, heavier, label="after")]
+
+
+def test_the_page_needs_nothing_else(single):
+    parsed, text = single
+    assert len(set(parsed.ids)) == len(parsed.ids)
+    assert {link[1:] for link in parsed.links if link.startswith("#")} <= set(parsed.ids)
+    assert all(link.startswith("#") or link == "data:," for link in parsed.links)
+    assert all(image["src"].startswith("data:image/svg+xml;base64,") for image in parsed.images)
+    assert all(image["alt"] for image in parsed.images)
+    without_names = text.replace('"http://www.w3.org/2000/svg"', "")  # a name, not an address
+    assert FOREIGN.search(re.sub(r"base64,[\w+/=]+", "", without_names)) is None
+    for image in parsed.images:
+        svg = base64.b64decode(image["src"].split(",", 1)[1]).decode()
+        assert "<text" not in svg  # letters are drawn: no font is needed
+        assert all(link.startswith(("#", "data:")) for link in re.findall(r'href="([^"]*)"', svg))
+
+
+def test_the_page_begins_with_what_was_found(single, learnt):
+    parsed, _ = single
+    _, _, result = learnt
+    assert parsed.text.index(summary(result)) < parsed.text.index("How far off")
+    assert finding(result) in parsed.text
+    assert f"{1e3 * result.totals['heldout'].model.final_add:.1f} mm" in summary(result)
+
+
+def test_the_page_holds_every_push_with_its_course(single, learnt):
+    parsed, _ = single
+    dataset, _, result = learnt
+    (kind, text), _ = parsed.scripts
+    data = json.loads(text)["pushes"]
+    assert kind == "application/json"
+    assert parsed.rows == len(data["pushes"]) == len(dataset.trials)
+    for shown, push in zip(data["pushes"], result.pushes, strict=True):
+        np.testing.assert_allclose(shown["measured"][0], push.observation.push.start_pose, atol=1e-5)
+        np.testing.assert_allclose(shown["predicted"][0][1:], push.predicted, atol=1e-5)
+        assert shown["add"][0][-1] == pytest.approx(push.errors.final_add, abs=1e-5)
+        assert len(shown["times"]) == len(shown["finger"]) == len(shown["measured"])
+    assert result.pushes[data["first"]].role == "heldout"
+
+
+def test_two_models_stand_side_by_side(both, learnt):
+    parsed = Page(report(both, learnt[0]))
+    data = json.loads(parsed.scripts[0][1])["pushes"]
+    assert data["labels"] == ["before", "after"]
+    assert all(len(push["predicted"]) == len(push["add"]) == 2 for push in data["pushes"])
+    assert summary_of_two(*both) in parsed.text and f"after: {finding(both[1])}" in parsed.text
+    errors = [comparison.totals["heldout"].model.final_add for comparison in both]
+    for error in errors:
+        assert f"{1e3 * error:.1f} mm" in summary_of_two(*both)
+
+
+def test_models_over_different_pushes_are_refused(both, learnt):
+    fewer = replace(both[1], pushes=both[1].pushes[:-1])
+    with pytest.raises(ValueError, match="same pushes"):
+        report([both[0], fewer], learnt[0])
+    with pytest.raises(ValueError, match="one model or two"):
+        report([*both, both[0]], learnt[0])
+
+
+def test_sections_of_other_commands_fit_in_and_cannot_break_the_page():
+    extra = Section(
+        "verdict", "Verdict <b>", table(["a"], [["<script>alert(1)</script>"]]), {"x": "</script>"}
+    )
+    text = page("tom & <i>jerry</i>", "", ["a < b"], [extra])
+    parsed = Page(text)
+    assert "tom & <i>jerry</i>" in parsed.text and "a < b" in parsed.text
+    assert "<script>alert(1)</script>" in parsed.text
+    assert json.loads(parsed.scripts[0][1]) == {"verdict": {"x": "</script>"}}
+    with pytest.raises(ValueError, match="keys must differ"):
+        page("t", "", [], [extra, extra])
+
+
+def test_the_script_is_javascript(tmp_path):
+    node = shutil.which("node")
+    if node is None:
+        pytest.skip("node is not installed; it would check the report's script")
+    (tmp_path / "pushes.js").write_text(part("pushes.js"))
+    subprocess.run([node, "--check", tmp_path / "pushes.js"], check=True, capture_output=True)
+
+
+def test_few_pushes_are_told_as_such(learnt):
+    _, _, result = learnt
+    assert not result.testable
+    assert "cannot be told from 4 pushes" in finding(result)
+    assert f"at least {pushes_needed(len(result.structure))}" in finding(result)
+    assert pushes_needed(20) == 10  # 20 tests × 2/2^10 is the first below 5 %
+
+
+def test_patterns_in_words(learnt):
+    pattern = replace(learnt[2].structure[0], quantity="force", factor="table_drift", p_corrected=0.001)
+    down = replace(pattern, strongest="towards table y", size=-0.1)
+    assert sentence_part(down) == "the force is off towards table -y everywhere (10 %)"
+    late = replace(pattern, quantity="delay", factor="delay", size=0.06)
+    assert sentence_part(late) == "measured poses come 60 ms late"
+    found = finding(replace(learnt[2], structure=(down, late)))
+    assert found == f"What is left has a pattern: {sentence_part(down)}; and {sentence_part(late)}."
+
+
+def test_figures_are_figures_and_refuse_what_is_not_there(both, learnt):
+    dataset, _, result = learnt
+    figures = residual_figures(both, dataset)
+    assert {"motion.table_place", "motion.table_place.second", "force.contact_place", "motion.speed"} <= set(
+        figures
+    )
+    assert all(isinstance(figure, Figure) for figure in figures.values())
+    lines = [line for line in error_figure(both).axes[0].get_lines() if line.get_label() == "after"]
+    order = sorted(both[0].pushes, key=lambda push: (push.role == "heldout", push.errors.final_add))
+    second = {push.trial: 1e3 * push.errors.final_add for push in both[1].pushes}
+    np.testing.assert_allclose(lines[0].get_ydata(), [second[push.trial] for push in order])
+    assert len(correlation_figure([result]).axes) == 3
+    without = replace(result, force=None, correlations=None)
+    for draw in (
+        lambda: table_figure(without, "force"),
+        lambda: correlation_figure([without]),
+        lambda: factor_figure([result], "colour"),
+        lambda: object_figure(without, dataset.grid, "force"),
+    ):
+        with pytest.raises(ValueError):
+            draw()
+
+
+def test_curves_show_means_over_pushes(learnt):
+    """Dots of a curve: each push once in each bin, at the mean of its pieces there."""
+    result = learnt[2]
+    motion = result.motion
+    component = next(p for p in result.structure if (p.factor, p.quantity) == ("order", "motion")).strongest
+    axes = factor_figure([result], "order").axes[0]
+    assert axes.get_title(loc="left").endswith(component.split(", ")[0])
+    dots = np.concatenate([line.get_xdata() for line in axes.get_lines() if line.get_marker() == "."])
+    assert len(dots) == len(np.unique(motion.at.push))
+    assert set(CONDITIONS) == {"speed", "table_direction", "object_direction", "phase", "time", "order"}
+
+
+def test_compare_with_a_belief_writes_report_and_numbers(slipmap, demo_folder, tmp_path):
+    folder = demo_folder / "demo"
+    html, numbers = tmp_path / "r.html", tmp_path / "r.json"
+    said = slipmap(
+        "compare", folder / "hammer", "--belief", folder / "belief.npz", "-o", html, "--json", numbers
+    )
+    assert said.code == 0, said.err
+    document = json.loads(numbers.read_text())
+    add = document["totals"]["heldout"]["model"]["final_add"]
+    assert f"{1e3 * add:.1f}" in said.out and "noise floor" in said.out
+    assert "drawing: done" in said.err and f"report: {html}" in said.err
+    assert max(map(len, said.out.splitlines())) <= 80
+    assert "cannot be told" in Page(html.read_text()).text
+    predicted = json.loads((folder.parent / "demo.json").read_text())["heldout_error_mean"]
+    assert add == pytest.approx(predicted, rel=1e-9)  # the demo judged the same belief on the same pushes
+
+
+def test_compare_without_a_belief_learns_first(slipmap, demo_folder, tmp_path):
+    said = slipmap("compare", demo_folder / "demo" / "hammer", "-o", tmp_path / "r.html")
+    assert said.code == 0, said.err
+    assert "hypotheses: done" in said.err and "comparing: done" in said.err
+
+
+def test_compare_refuses_what_it_cannot_use(slipmap, demo_folder, tmp_path):
+    hammer = demo_folder / "demo" / "hammer"
+    said = slipmap("compare", hammer, "--belief", tmp_path / "no.npz", "-o", tmp_path / "r.html")
+    assert said.code == 2 and "no.npz" in said.err
+    heldout = tmp_path / "heldout"
+    shutil.copytree(hammer, heldout)
+    description = heldout / "dataset.yaml"
+    description.write_text(description.read_text().replace("role: fit", "role: heldout"))
+    said = slipmap("compare", heldout, "-o", tmp_path / "r.html")
+    assert said.code == 2 and "--belief" in said.err and "fit" in said.err
+    assert not (tmp_path / "r.html").exists()
