@@ -40,7 +40,8 @@ class StribeckFriction(Effect):
 
 
 def _ellipse(a: Any, b: Any) -> tuple[Any, Any, Any]:
-    """Q with axes (1 + ρ)/(1 - ρ) and its inverse, ρ = hypot(a, b), the long one at the angle atan2(b, a)/2."""
+    """Q with eigenvalues (1 + ρ)/(1 - ρ) and its inverse, ρ = hypot(a, b), the first at the angle atan2(b, a)/2;
+    friction along these directions is their square roots times Coulomb's."""
     square = a**2 + b**2
     return (1 + square + 2 * a) / (1 - square), 2 * b / (1 - square), (1 + square - 2 * a) / (1 - square)
 
@@ -114,7 +115,8 @@ class TableFrictionField(Effect):
     def friction(self, cell: Any, p: Any) -> Any:
         distance = sp.sqrt((cell.x - p.patch_x) ** 2 + (cell.y - p.patch_y) ** 2 + 1e-12)
         inside = smooth_step(p.patch_radius - distance, 0.01)
-        return sp.exp(p.gradient_x * cell.x + p.gradient_y * cell.y + p.patch * inside)
+        slope = positive_part(1 + p.gradient_x * cell.x + p.gradient_y * cell.y, 0.02) / positive_part(1, 0.02)
+        return slope * sp.exp(p.patch * inside)
 
     def starts(self, scene: Scene) -> list[dict[str, float]]:
         places = np.array([-0.6, 0.0, 0.6]) * scene.reach

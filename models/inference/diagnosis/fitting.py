@@ -13,6 +13,7 @@ from models.inference.diagnosis.correlated import CorrelatedLikelihood
 from models.inference.diagnosis.error_model import ErrorModel, SensorNoise
 from models.inference.diagnosis.predictive import PushEquations, log_determinant, whitened_rows
 from models.inference.gauss_newton import fit
+from models.inference.likelihood import Likelihood, LikelihoodSettings
 from models.inference.observations import MEASURED_CONTACT, Observation
 from models.inference.prior import MapPrior, PriorSettings
 from models.measurements import PushDataset
@@ -22,7 +23,7 @@ from models.physics.rollout import RolloutError, Slider
 MODES = 20
 """Coordinates of each map; the finest ones cannot be told from noise and cost time."""
 
-FINGER_STARTS = (0.15, 0.35, 1.0)
+FINGER_STARTS = (0.12, 0.35, 1.0)
 
 MOTION_ERRORS = (0.006, 0.01, 0.016, 0.025, 0.04, 0.06, 0.1, 0.16)
 """α to choose from; no cell grid is better than the first, however good the sensors are."""
@@ -84,6 +85,7 @@ class Fitter:
         self.noise = noise
         self.settings = PriorSettings(modes=MODES)
         self.weight: float | None = None
+        self.forgiving_start: tuple[FloatArray, FloatArray]
 
     def prior(self, effects: Sequence[Effect]) -> MapPrior:
         """Coordinates of the model with some effects."""
@@ -96,34 +98,60 @@ class Fitter:
         return MapPrior(slider, self.settings, d.mass, self.weight)
 
     def base(self, error: ErrorModel, start: Fitted | None = None) -> Fitted:
-        """Fit the model without effects, from several starts or from another fit."""
+        """Fit the model without effects, from another fit or from scratch.
+
+        From scratch the forgiving likelihood of the identification comes first: it finds the valley, where the strict
+        one, with its many correlated rows, gets stuck on the way.
+        """
         prior = self.prior(())
         likelihood = CorrelatedLikelihood(prior, self.observations, error)
         if start is not None:
             return _best((), likelihood, start.z[None], np.zeros((1, prior.size)), start.offsets)
         starts = np.array([prior.start(friction) for friction in FINGER_STARTS])
-        return _best((), likelihood, starts, np.zeros_like(starts), None, iterations=40)
+        first = fit(self._forgiving(prior), starts)
+        best = int(np.argmin(first.cost))
+        self.forgiving_start = first.z[best], first.offsets[best]
+        return _best((), likelihood, first.z[best : best + 1], np.zeros((1, prior.size)), first.offsets[best])
+
+    def _forgiving(self, prior: MapPrior) -> Likelihood:
+        return Likelihood(prior, self.observations, self.dataset.noise, LikelihoodSettings())
 
     def with_effects(
-        self, effects: Sequence[Effect], error: ErrorModel, near: Fitted, values: FloatArray
+        self, effects: Sequence[Effect], error: ErrorModel, near: Fitted, values: FloatArray, *, afresh: bool = False
     ) -> Fitted | None:
-        """Fit the model with some effects, from the maps of another fit and some parameters (G, P).
+        """Fit the model with some effects.
+
+        Args:
+            effects: that it has.
+            error: error model.
+            near: fit to start from.
+            values: (P,) parameters to start from.
+            afresh: start a second time from where the forgiving likelihood leads: a model that lacks the effect may
+                have bent its maps too far to find back.
 
         Returns:
-            The best of the G fits, or None where none can be computed.
+            The better fit, or None where none can be computed.
         """
         prior = self.prior(effects)
         likelihood = CorrelatedLikelihood(prior, self.observations, error)
-        plain = near.likelihood.prior.plain
-        starts = np.repeat(np.concatenate([near.z[:plain], np.zeros(prior.size - plain)])[None], len(values), axis=0)
-        starts[:, plain:] = prior.effect_coordinates(values)
-        mean = np.zeros_like(starts)
-        shaping = np.concatenate([~effect.amplitudes for effect in effects])
-        mean[:, plain:][:, shaping] = starts[:, plain:][:, shaping]
+        plain = prior.plain
+        shaping = np.concatenate([np.zeros(plain, dtype=bool), *(~effect.amplitudes for effect in effects)])
+        start = np.concatenate([near.z[:plain], prior.effect_coordinates(values)])
+        mean = np.where(shaping, start, 0.0)
+        found = []
         try:
-            return _best(tuple(effects), likelihood, starts, mean, near.offsets)
+            found.append(_best(tuple(effects), likelihood, start[None], mean[None], near.offsets))
         except (RolloutError, np.linalg.LinAlgError):
-            return None
+            pass
+        if afresh:
+            maps, offsets = self.forgiving_start
+            start = np.concatenate([maps, prior.effect_coordinates(values)])
+            try:
+                first = fit(self._forgiving(prior), start[None], prior_mean=mean[None], offsets=offsets[None])
+                found.append(_best(tuple(effects), likelihood, first.z, mean[None], first.offsets[0]))
+            except (RolloutError, np.linalg.LinAlgError):
+                pass
+        return min(found, key=lambda fitted: fitted.cost, default=None)
 
     def scene(self, base: Fitted, speed: float) -> Scene:
         """What effects have to know to begin their search."""

@@ -30,10 +30,9 @@ from models.measurements import DatasetError, PushDataset
 LEVEL = 0.02
 """Gains that come about by chance more seldom than this count."""
 
-MATERIAL = 0.1
+MATERIAL = 0.03
 """What gains less than this share on top of an effect's own gain is a matter of its exact form."""
 
-MOST_REFITTED = 8
 MOST_ASKED = 5
 QUICK_GAIN = 8.0
 """Gain, in nats, that counts where chance was not simulated."""
@@ -221,34 +220,34 @@ class _Inquiry:
         return _Outcome("adequate", "The model explains the data; no effect is missing.", self.base)
 
     def _refit(self) -> None:
-        """Refit promising candidates in full, under the error model of the best of them."""
-        order = np.argsort(-self.first.gain)
-        named = [i for i in order if self.first.candidates[i] in self.effects]
-        chosen = [i for i in named if self.first.gain[i] > 2.0][:MOST_REFITTED] or named[:3]
+        """Refit all candidates, then again under the error model of the best of them.
+
+        All, since the first order misleads where the model without the effect had to bend its maps far.
+        """
+        named = [i for i in np.argsort(-self.first.gain) if self.first.candidates[i] in self.effects]
         found: dict[str, Fitted] = {}
-        for step, i in enumerate(chosen):
-            self.report("refitting with effects", step, len(chosen) + 2)
+        for step, i in enumerate(named):
+            self.report("refitting with effects", step, len(named) + 2)
             effect = self.first.candidates[i]
-            guesses = self._guesses(effect, int(self.first.start[i]))
-            fitted = self.fitter.with_effects((effect,), self.error, self.base, guesses)
+            guess = effect.start_values(self.scene)[int(self.first.start[i])]
+            fitted = self.fitter.with_effects((effect,), self.error, self.base, guess, afresh=True)
             if fitted is not None:
                 found[effect.name] = fitted
         if not found:
             return
         best = min(found.values(), key=lambda fitted: fitted.cost)
-        self.report("refitting with effects", len(chosen), len(chosen) + 2)
+        self.report("refitting with effects", len(named), len(named) + 2)
         self.error = estimate_errors(best, self.noise)
         plain = self.fitter.base(self.error, self.base)
+        ceiling = best.cost + 0.7 * max(self.base.cost - best.cost, 30.0)
         for name, fitted in found.items():
-            again = self.fitter.with_effects(fitted.effects, self.error, fitted, fitted.values[None])
+            if fitted.cost > ceiling:
+                continue
+            again = self.fitter.with_effects(fitted.effects, self.error, fitted, fitted.values)
             if again is not None:
                 self.fits[name] = again
                 self.gains[name] = plain.cost - again.cost
-        self.report("refitting with effects", len(chosen) + 2, len(chosen) + 2)
-
-    def _guesses(self, effect: Effect, start: int) -> np.ndarray:
-        values = effect.start_values(self.scene)
-        return values[[start]]
+        self.report("refitting with effects", len(named) + 2, len(named) + 2)
 
     def _explains(self, name: str, rest: Screening) -> bool:
         """Whether nothing that matters is left to gain on top of a candidate; remembers what is."""
@@ -272,8 +271,8 @@ class _Inquiry:
                     continue
                 first = self.fits[name]
                 guess = second.start_values(self.scene)[int(screening.start[i])]
-                values = np.concatenate([first.values, guess])[None]
-                pair = self.fitter.with_effects((*first.effects, second), self.error, first, values)
+                values = np.concatenate([first.values, guess])
+                pair = self.fitter.with_effects((*first.effects, second), self.error, first, values, afresh=True)
                 if pair is None:
                     continue
                 left = self._screen(pair)
