@@ -14,6 +14,7 @@ from collections.abc import Sequence
 import click
 
 from diagrams.commands.bench import bench
+from diagrams.commands.blind_test import blind_test
 from diagrams.commands.calibrate import calibrate
 from diagrams.commands.demo import demo
 from diagrams.commands.identify import identify
@@ -62,7 +63,7 @@ def slipmap(ctx: click.Context) -> None:
         ctx.exit(WRONG_USE)
 
 
-for _command in (demo, identify, predict, calibrate, bench):
+for _command in (demo, identify, predict, calibrate, blind_test, bench):
     slipmap.add_command(_command)
 
 

@@ -1,1 +1,1 @@
-"""Blind tests: datasets from a simulator that shares no physics with slipmap, and the score of its diagnoses."""
+"""Blind tests: datasets from a simulator that shares no physics with slipmap, and how diagnoses score."""

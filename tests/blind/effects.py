@@ -1,7 +1,7 @@
 """Hidden effects: what a small class changes in the simulated world, with strengths drawn by chance.
 
-Places and velocities are in the world frame, m and m/s, unless said otherwise. Several of these effects are in
-slipmap's library, written here a second time and otherwise; five are in no library.
+Places and velocities are in the world frame, m and m/s, unless said otherwise. Most of these effects are in
+slipmap's library too and were written here without it; five are in no library.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ from functools import cached_property
 from typing import Any, ClassVar, Literal, Self
 
 import numpy as np
+
 from blind.objects import GRAVITY, FloatArray, SlidingObject
 
 Strength = Literal["clear", "weak"]
@@ -358,9 +359,9 @@ class LooseMassInside(Effect):
 
     @classmethod
     def draw(cls, rng: np.random.Generator, strength: Strength, thing: SlidingObject) -> Self:
-        share = _sized(rng, strength, (0.4, 0.6), (0.1, 0.2))
+        share = _sized(rng, strength, (0.5, 0.7), (0.15, 0.25))
         x, y = thing.center_of_mass
-        frequency, ratio = float(rng.uniform(1.5, 4.0)), float(rng.uniform(0.1, 0.4))
+        frequency, ratio = float(rng.uniform(1.2, 2.5)), float(rng.uniform(0.1, 0.4))
         return cls(share, frequency, ratio, (float(x), float(y)), share * thing.total_mass)
 
     def loose_mass(self) -> LooseMass | None:
@@ -379,7 +380,7 @@ class LoadTransfer(Effect):
 
     @classmethod
     def draw(cls, rng: np.random.Generator, strength: Strength, thing: SlidingObject) -> Self:
-        share = _sized(rng, strength, (0.8, 1.0), (0.3, 0.45))
+        share = _sized(rng, strength, (0.6, 1.0), (0.12, 0.2))
         reach = 0.5 * thing.reach / float(thing.friction_force / (GRAVITY * thing.total_mass))
         height = min(share * max(thing.height, 0.06), share * reach)
         return cls(height, 0.5 * height)
@@ -482,7 +483,7 @@ class Gusts(Effect):
 
 @dataclass
 class Magnet(Effect):
-    """A magnet under the table at `center` adds load within about `radius`: `pressure` in Pa at its middle."""
+    """A magnet under the table at `center` adds load within about `radius`: `pressure`, Pa, at its middle."""
 
     name = "magnet"
     in_library = False
@@ -494,7 +495,7 @@ class Magnet(Effect):
 
     @classmethod
     def draw(cls, rng: np.random.Generator, strength: Strength, thing: SlidingObject) -> Self:
-        share = _sized(rng, strength, (1.0, 2.0), (0.2, 0.35))
+        share = _sized(rng, strength, (1.5, 2.5), (0.5, 0.8))
         pressure = share * GRAVITY * thing.total_mass / thing.area
         return cls(_place(rng, 0.2), float(rng.uniform(0.06, 0.12)), pressure, thing.area)
 
@@ -518,7 +519,7 @@ class StickyLine(Effect):
 
     @classmethod
     def draw(cls, rng: np.random.Generator, strength: Strength, thing: SlidingObject) -> Self:
-        factor = 1.0 + _sized(rng, strength, (3.0, 6.0), (0.6, 1.0))
+        factor = 1.0 + _sized(rng, strength, (3.0, 6.0), (1.0, 1.6))
         return cls(_place(rng, 0.1), float(rng.uniform(0, np.pi)), float(rng.uniform(0.02, 0.04)), factor)
 
     def friction_factor(self, now: Instant) -> FloatArray | float | None:

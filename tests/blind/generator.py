@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 import yaml
+
 from blind.effects import LIBRARY, OUTSIDE, Effect, Strength
 from blind.objects import GRAVITY, FloatArray, SlidingObject, random_object
 from blind.push_plans import HELDOUT, KINDS, TABLE_SIZE, PushPlan, random_plan
@@ -39,6 +40,8 @@ class Truth:
         parameters: of the effect, SI.
         final_change_mm: mean, median, max and per_trial: how far the effect moved the recorded end of each
             push, mean over the cells.
+        largest_change_mm: the same at any time of any push.
+        force_change_rms: N, mean over the pushes.
     """
 
     name: str
@@ -50,6 +53,8 @@ class Truth:
     strength: str | None
     parameters: dict[str, Any]
     final_change_mm: dict[str, Any]
+    largest_change_mm: float
+    force_change_rms: float
 
     @classmethod
     def read(cls, file: Path) -> Truth:
@@ -93,10 +98,11 @@ def generate(
     if hidden.changes_motion and effect is not Effect:
         world = World(thing, hidden)
         changed = [world.push(plan, index=i, count=pushes) for i, plan in enumerate(plans)]
-    change = [
-        _distance(thing, _ends(plan, motion, hidden), _ends(plan, before, Effect()))
+    changes = [
+        _change(thing, plan.duration, hidden, motion, before)
         for plan, motion, before in zip(plans, changed, plain, strict=True)
     ]
+    change = [1e3 * final for final, _, _ in changes]
     is_none = effect is Effect
     truth = Truth(
         name=folder.name,
@@ -108,11 +114,13 @@ def generate(
         strength=None if is_none else strength,
         parameters={} if is_none else _plain(hidden.parameters),
         final_change_mm={
-            "mean": round(1e3 * float(np.mean(change)), 3),
-            "median": round(1e3 * float(np.median(change)), 3),
-            "max": round(1e3 * float(np.max(change)), 3),
-            "per_trial": [round(1e3 * value, 3) for value in change],
+            "mean": round(float(np.mean(change)), 3),
+            "median": round(float(np.median(change)), 3),
+            "max": round(float(np.max(change)), 3),
+            "per_trial": [round(value, 3) for value in change],
         },
+        largest_change_mm=round(1e3 * max(largest for _, largest, _ in changes), 3),
+        force_change_rms=round(float(np.mean([force for _, _, force in changes])), 4),
     )
     sensors = np.random.default_rng([seed, 4])
     trials = [_record(sensors, plan, motion, hidden) for plan, motion in zip(plans, changed, strict=True)]
@@ -138,7 +146,7 @@ def _plans(
     """Pushes that move the object in the plain world, and how."""
     world = World(thing, Effect())
     plans, motions = [], []
-    for kind in (KINDS[i % len(KINDS)] for i in rng.permutation(max(pushes, len(KINDS)))[:pushes]):
+    for kind in [KINDS[i % len(KINDS)] for i in rng.permutation(max(pushes, len(KINDS)))[:pushes]]:
         for _ in range(TRIES):
             plan = random_plan(rng, thing, kind)
             motion = world.push(plan)
@@ -149,18 +157,27 @@ def _plans(
     return plans, motions
 
 
-def _ends(plan: PushPlan, motion: Motion, effect: Effect) -> FloatArray:
-    return effect.reported(np.array([plan.duration]), motion.clock, motion.poses)[0]
+def _change(
+    thing: SlidingObject, duration: float, effect: Effect, motion: Motion, plain: Motion
+) -> tuple[float, float, float]:
+    """What the effect changed: recorded pose at the end and at most, m, and force, N (root mean square)."""
+    times = np.arange(0.0, duration, 1.0 / RATE)
+    recorded = effect.reported(times, motion.clock, motion.poses)
+    apart = _distance(thing, recorded, Effect().reported(times, plain.clock, plain.poses))
+    every = round(motion.clock.size / (RATE * motion.clock[-1]))
+    force = RATE * np.diff((motion.impulse - plain.impulse)[::every, :2], axis=0)
+    return float(apart[-1]), float(apart.max()), float(np.sqrt((force**2).sum(axis=1).mean()))
 
 
-def _distance(thing: SlidingObject, one: FloatArray, other: FloatArray) -> float:
-    """Mean over the cells, m."""
+def _distance(thing: SlidingObject, one: FloatArray, other: FloatArray) -> FloatArray:
+    """(...) mean over the cells of how far they are apart at the poses (..., 3), m."""
 
-    def cells(pose: FloatArray) -> FloatArray:
-        c, s = np.cos(pose[2]), np.sin(pose[2])
-        return thing.centers @ np.array([[c, s], [-s, c]]) + pose[:2]
+    def cells(poses: FloatArray) -> FloatArray:
+        c, s = np.cos(poses[..., 2:]), np.sin(poses[..., 2:])
+        x, y = thing.centers.T
+        return np.stack([poses[..., :1] + c * x - s * y, poses[..., 1:2] + s * x + c * y], axis=-1)
 
-    return float(np.linalg.norm(cells(one) - cells(other), axis=1).mean())
+    return np.linalg.norm(cells(one) - cells(other), axis=-1).mean(axis=-1)
 
 
 def _record(
@@ -217,9 +234,7 @@ def _description(name: str, thing: SlidingObject, roles: list[str]) -> dict[str,
             "tip": TIP_NOISE,
             "force": FORCE_NOISE,
         },
-        "trials": [
-            {"file": f"trials/{index:03d}.json", "role": role} for index, role in enumerate(roles)
-        ],
+        "trials": [{"file": f"trials/{index:03d}.json", "role": role} for index, role in enumerate(roles)],
     }
 
 
@@ -256,7 +271,7 @@ def _write_truth(
             "end": plan.end,
             "duration": plan.duration,
             "object_pose0": plan.pose.tolist(),
-            "moved_mm_without_effect": 1e3 * _distance(thing, motion.poses[-1], motion.poses[0]),
+            "moved_mm_without_effect": 1e3 * float(_distance(thing, motion.poses[-1], motion.poses[0])),
         }
         for plan, motion in zip(plans, plain, strict=True)
     ]

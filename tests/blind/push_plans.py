@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import shapely
+
 from blind.objects import FloatArray, SlidingObject
 
 KINDS = ("medium",) * 7 + ("fast",) * 6 + ("slow",) * 4 + ("accelerating",) * 4 + ("strokes",) * 3

@@ -7,8 +7,9 @@ and slides beyond it at constant force. Explicit in time, with no equations to s
 from __future__ import annotations
 
 import numpy as np
-from blind.objects import FloatArray
 from numba import njit
+
+from blind.objects import FloatArray
 
 REACH = 8e-6  # m
 DAMPING_TIME = 1.5e-3  # s, force of a clinging bristle per rate, over its stiffness

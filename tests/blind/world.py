@@ -1,7 +1,7 @@
 """The simulated world: Drake's multibody plant moves object and finger, friction comes from `table_friction`.
 
-The object slides on a planar joint, so the table holds it up without contacts; the finger is a sphere at half
-its height on two prismatic joints, driven along a prescribed path by a mass so large that no push disturbs it.
+The object slides on a planar joint, so the table holds it up without contacts. The finger is a sphere on two
+prismatic joints, driven along a prescribed path with a mass so large that no push disturbs it.
 Finger and object meet in the plant's own contact.
 """
 
@@ -10,10 +10,6 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from blind.effects import Effect, Instant
-from blind.objects import GRAVITY, FloatArray, SlidingObject
-from blind.push_plans import PushPlan
-from blind.table_friction import bristle_wrench
 from pydrake.geometry import (
     AddContactMaterial,
     Box,
@@ -38,6 +34,11 @@ from pydrake.multibody.tree import (
     UnitInertia,
 )
 from pydrake.systems.framework import DiagramBuilder
+
+from blind.effects import Effect, Instant
+from blind.objects import FloatArray, SlidingObject
+from blind.push_plans import PushPlan
+from blind.table_friction import bristle_wrench
 
 STEP = 5e-4  # s
 HAND_MASS = 100.0  # kg
@@ -88,9 +89,7 @@ class World:
         steps = int(np.ceil(duration / self._step))
         return self._run(pose, twist, np.full((steps + 2, 2), 50.0), 0, 1)
 
-    def _run(
-        self, pose: FloatArray, twist: FloatArray, target: FloatArray, index: int, count: int
-    ) -> Motion:
+    def _run(self, pose: FloatArray, twist: FloatArray, target: FloatArray, index: int, count: int) -> Motion:
         h, plant, context, effect = self._step, self._plant, self._context, self._effect
         positions, velocities = np.zeros(plant.num_positions()), np.zeros(plant.num_velocities())
         positions[self._q], velocities[self._v] = pose, twist
@@ -163,9 +162,7 @@ class World:
         loose = effect.loose_mass()
         fixed = replace(thing, mass=thing.mass * (1.0 - (loose.mass / thing.total_mass if loose else 0.0)))
         body = plant.AddRigidBody("object", pushed, _flat_inertia(fixed))
-        slide = plant.AddJoint(
-            PlanarJoint("slide", plant.world_frame(), body.body_frame(), np.zeros(3))
-        )
+        slide = plant.AddJoint(PlanarJoint("slide", plant.world_frame(), body.body_frame(), np.zeros(3)))
         surface = _surface(thing.mu_finger)
         for number, (center, size) in enumerate(thing.rectangles()):
             place = RigidTransform([*center, 0.0])
