@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import importlib
 import json
+import multiprocessing
+import shutil
+import signal
 import sys
 import time
 import traceback
 from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor, as_completed
-from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
@@ -94,18 +96,36 @@ def _run_all(folder: Path, numbers: list[int], jobs: int) -> Iterator[tuple[int,
         for number in numbers:
             yield number, _run(folder, number)
         return
-    # Forked processes would share the threads of numba and BLAS with this one.
-    with ProcessPoolExecutor(min(jobs, len(numbers) or 1), get_context("spawn")) as pool:
-        futures = {pool.submit(_run, folder, number): number for number in numbers}
-        try:
-            for future in as_completed(futures):
-                number = futures[future]
-                error = future.exception()
-                if error is not None:
-                    _record_failure(folder, number, error)
-                yield number, f"failed: {error}" if error is not None else future.result()
-        finally:
-            pool.shutdown(wait=False, cancel_futures=True)
+    # Forked processes would share the threads of numba and BLAS with this one; Ctrl-C is for this one alone.
+    pool = ProcessPoolExecutor(
+        min(jobs, len(numbers) or 1),
+        multiprocessing.get_context("spawn"),
+        initializer=signal.signal,
+        initargs=(signal.SIGINT, signal.SIG_IGN),
+    )
+    futures = {pool.submit(_run, folder, number): number for number in numbers}
+    try:
+        for future in as_completed(futures):
+            number, error = futures[future], future.exception()
+            if error is not None:
+                _record_failure(folder, number, error)
+            yield number, f"failed: {error}" if error is not None else future.result()
+    except BaseException:
+        pool.shutdown(wait=False, cancel_futures=True)
+        _stop_workers(folder)
+        raise
+    pool.shutdown()
+
+
+def _stop_workers(folder: Path) -> None:
+    """End the processes at work, and remove what they were writing."""
+    workers = multiprocessing.active_children()
+    for worker in workers:
+        worker.terminate()
+    for worker in workers:
+        worker.join()
+        for part in folder.glob(f".{worker.pid}.*"):
+            shutil.rmtree(part) if part.is_dir() else part.unlink()
 
 
 def _run(folder: Path, number: int) -> str:

@@ -19,7 +19,9 @@ from blind.world import Motion, World
 
 RATE = 100.0  # Hz
 POSITION_NOISE, ANGLE_NOISE, TIP_NOISE, FORCE_NOISE = 2.5e-4, float(np.radians(0.15)), 5e-5, 0.05
-TORQUE_NOISE = 1e-4  # N·m
+DROPOUTS = 0.005
+"""Share of rows that a sensor loses; their values are NaN."""
+
 SHARE_NONE, SHARE_OUTSIDE, SHARE_WEAK = 0.3, 0.2, 0.35
 LEAST_MOVED = 0.01  # m
 TRIES = 6
@@ -123,7 +125,9 @@ def generate(
         force_change_rms=round(float(np.mean([force for _, _, force in changes])), 4),
     )
     sensors = np.random.default_rng([seed, 4])
-    trials = [_record(sensors, plan, motion, hidden) for plan, motion in zip(plans, changed, strict=True)]
+    trials = [
+        _record(sensors, thing, plan, motion, hidden) for plan, motion in zip(plans, changed, strict=True)
+    ]
     heldout = set(sensors.permutation(pushes)[: pushes * HELDOUT // len(KINDS)].tolist())
     roles = ["heldout" if index in heldout else "fit" for index in range(pushes)]
     _write(folder, _description(folder.name, thing, roles), trials)
@@ -181,9 +185,9 @@ def _distance(thing: SlidingObject, one: FloatArray, other: FloatArray) -> Float
 
 
 def _record(
-    rng: np.random.Generator, plan: PushPlan, motion: Motion, effect: Effect
+    rng: np.random.Generator, thing: SlidingObject, plan: PushPlan, motion: Motion, effect: Effect
 ) -> dict[str, list[list[float]]]:
-    """What the sensors write: each at 100 Hz with its own first moment and independent noise."""
+    """What the sensors write: at 100 Hz, each with its own first moment, independent noise and lost rows."""
 
     def stamps() -> FloatArray:
         first = rng.uniform(0.0, 1.0 / RATE)
@@ -191,6 +195,7 @@ def _record(
 
     def rows(times: FloatArray, values: FloatArray, levels: list[float]) -> list[list[float]]:
         noisy = values + np.array(levels) * rng.standard_normal(values.shape)
+        noisy[rng.random(len(times)) < DROPOUTS] = np.nan
         return np.round(np.column_stack([times, noisy]), 6).tolist()
 
     def known(times: FloatArray, values: FloatArray) -> FloatArray:
@@ -207,7 +212,7 @@ def _record(
     half = 0.5 / RATE
     low, high = np.maximum(t - half, 0.0), t + half
     wrench = (known(high, motion.impulse) - known(low, motion.impulse)) / (high - low)[:, None]
-    record["ft_wrench"] = rows(t, wrench, [FORCE_NOISE, FORCE_NOISE, TORQUE_NOISE])
+    record["ft_wrench"] = rows(t, wrench, [FORCE_NOISE, FORCE_NOISE, FORCE_NOISE * thing.finger_radius])
     return record
 
 

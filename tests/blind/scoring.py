@@ -52,8 +52,6 @@ class Rate:
         return low, high
 
     def text(self) -> str:
-        if not self.of:
-            return "none of that kind"
         low, high = self.range
         return f"{self.hits} of {self.of}, {self.share:.0%} ({low:.0%} to {high:.0%})"
 
@@ -99,8 +97,9 @@ class Score:
         lines = [_row(head, widths), "─" * (sum(widths) + len(widths) - 1)]
         lines += [_row(row, widths) for row in self._rows()]
         lines.append("")
-        wide = max(len(rate.what) for rate in self.rates)
-        lines += [f"{rate.what:<{wide}}  {rate.text()}" for rate in self.rates]
+        rates = self._counted()
+        wide = max((len(rate.what) for rate in rates), default=0)
+        lines += [f"{rate.what:<{wide}}  {rate.text()}" for rate in rates]
         lines += ["", *(line for remark in self._remarks() for line in textwrap.wrap(remark, WIDTH))]
         return "\n".join(line.rstrip() for line in lines).rstrip() + "\n"
 
@@ -110,9 +109,13 @@ class Score:
         lines = ["| " + " | ".join(head) + " |", "| --- |" + " ---: |" * (len(head) - 1)]
         lines += ["| " + " | ".join(row) + " |" for row in self._rows()]
         lines += ["", "| figure | value (95 % range) |", "| --- | --- |"]
-        lines += [f"| {rate.what} | {rate.text()} |" for rate in self.rates]
+        lines += [f"| {rate.what} | {rate.text()} |" for rate in self._counted()]
         lines += ["", *(f"- {remark}" for remark in self._remarks())]
         return "\n".join(lines).rstrip() + "\n"
+
+    def _counted(self) -> list[Rate]:
+        """Rates of something that occurred."""
+        return [rate for rate in self.rates if rate.of]
 
     def _rows(self) -> list[list[str]]:
         rows = []

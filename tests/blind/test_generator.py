@@ -59,12 +59,22 @@ def test_noise_at_rest_is_what_the_dataset_promises(plain):
         assert len({pose.time[0], wrench.time[0], trial.tip_pose.time[0]}) == 3
 
 
+def test_half_a_percent_of_the_rows_is_lost(plain):
+    lost, rows = 0, 0
+    for path in (plain[0] / "trials").iterdir():
+        for channel in json.loads(path.read_text()).values():
+            values = np.array(channel)
+            assert np.isfinite(values[:, 0]).all()
+            lost, rows = lost + np.isnan(values[:, 1:]).all(axis=1).sum(), rows + len(values)
+    assert 0.001 < lost / rows < 0.01
+
+
 def test_the_truth_lies_beside_and_tells_how_much_the_effect_changed(plain, tmp_path):
     folder, quiet = plain
     assert Truth.read(truth_file(folder)) == quiet
     assert quiet.verdict == "none" and quiet.effect is None
     assert quiet.final_change_mm["max"] == 0.0 and quiet.force_change_rms == 0.0
-    tilted = generate(4, tmp_path / "tilted", effect=TableTilt, strength="clear", pushes=3)
+    tilted = generate(4, tmp_path / "tilted", effect=TableTilt, strength="clear", pushes=1)
     assert tilted.effect == "table_tilt" and tilted.strength == "clear"
     assert 0.03 < tilted.parameters["tilt"] < 0.07
     assert tilted.final_change_mm["max"] > 0.5
@@ -76,15 +86,13 @@ def test_the_truth_lies_beside_and_tells_how_much_the_effect_changed(plain, tmp_
 
 
 def test_a_late_tracker_changes_poses_and_no_forces(plain, tmp_path):
-    late = generate(4, tmp_path / "late", effect=SensorLatency, strength="clear", pushes=3)
+    late = generate(4, tmp_path / "late", effect=SensorLatency, strength="clear", pushes=1)
     assert late.force_change_rms == 0.0 and late.largest_change_mm > 1.0
-    for index in range(3):
-        one, other = (
-            json.loads((path / f"trials/{index:03d}.json").read_text())
-            for path in (plain[0], tmp_path / "late")
-        )
-        assert one["ft_wrench"] == other["ft_wrench"] and one["tip_pose"] == other["tip_pose"]
-        assert one["object_pose"] != other["object_pose"]
+    one, other = (
+        json.loads((path / "trials/000.json").read_text()) for path in (plain[0], tmp_path / "late")
+    )
+    assert all(repr(one[key]) == repr(other[key]) for key in ("ft_wrench", "tip_pose"))  # NaN is NaN
+    assert repr(one["object_pose"]) != repr(other["object_pose"])
 
 
 @pytest.mark.parametrize("effect", EVERY, ids=lambda effect: effect.__name__)
@@ -97,7 +105,7 @@ def test_every_effect_can_be_drawn_simulated_and_read(effect, tmp_path):
 
 def test_weak_effects_are_weaker(tmp_path):
     clear, weak = (
-        generate(21, tmp_path / strength, effect=TableTilt, strength=strength, pushes=2)
+        generate(21, tmp_path / strength, effect=TableTilt, strength=strength, pushes=1)
         for strength in ("clear", "weak")
     )
     assert weak.parameters["tilt"] < 0.5 * clear.parameters["tilt"]

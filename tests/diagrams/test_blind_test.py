@@ -1,6 +1,7 @@
 """`slipmap blind-test` with a small generator and a diagnosis that is told what to say."""
 
 import json
+import sys
 from types import SimpleNamespace
 
 import pytest
@@ -14,7 +15,12 @@ def diagnosed(monkeypatch):
     """A diagnosis in place of the real one; the seeds it was asked for, and what it answers."""
     generator = blind_test._blind("generator")
     generate = generator.generate
-    monkeypatch.setattr(generator, "generate", lambda seed, folder: generate(seed, folder, pushes=1))
+    tilt, nothing = blind_test._blind("effects").TableTilt, blind_test._blind("effects").Effect
+
+    def small(seed, folder):
+        return generate(seed, folder, effect=tilt if seed == 7 else nothing, strength="clear", pushes=1)
+
+    monkeypatch.setattr(generator, "generate", small)
     asked = []
 
     def diagnose(dataset, *, seed):
@@ -28,9 +34,7 @@ def diagnosed(monkeypatch):
         return {"verdict": "ambiguous", "effect": None, "effects": ["tether", "table_tilt"], "seconds": 2.0}
 
     broken: set[int] = set()
-    monkeypatch.setitem(
-        __import__("sys").modules, "models.inference.diagnosis", SimpleNamespace(diagnose=diagnose)
-    )
+    monkeypatch.setitem(sys.modules, "models.inference.diagnosis", SimpleNamespace(diagnose=diagnose))
     return SimpleNamespace(asked=asked, broken=broken)
 
 
@@ -38,12 +42,10 @@ def test_it_writes_datasets_truths_diagnoses_and_the_score(slipmap, tmp_path, di
     said = slipmap("blind-test", "--seed", "7", "--count", "2", "-o", tmp_path / "out")
     assert said.code == 0, said.err
     assert diagnosed.asked == [7, 8]
-    assert "hidden" in said.out and "false alarms" in said.out
-    assert (
-        "1 of 2, " in said.err
-        and " left: blind-00007, " in said.err
-        and "ambiguous tether, table_tilt" in said.err
-    )
+    assert "false alarms where nothing is hidden  1 of 1" in said.out
+    assert "ambiguous sets that hold the truth    1 of 1" in said.out
+    assert "1 of 2, " in said.err
+    assert "left: blind-00007, table_tilt (clear) → ambiguous tether, table_tilt" in said.err
     for name in ("blind-00007", "blind-00008"):
         assert (tmp_path / "out" / name / "dataset.yaml").is_file()
         assert (tmp_path / "out" / f"{name}.truth.yaml").is_file()
@@ -78,7 +80,7 @@ def test_a_diagnosis_with_an_unheard_of_verdict_is_a_failure_and_not_the_end(
     slipmap, tmp_path, diagnosed, monkeypatch
 ):
     monkeypatch.setattr(
-        __import__("sys").modules["models.inference.diagnosis"],
+        sys.modules["models.inference.diagnosis"],
         "diagnose",
         lambda dataset, seed: SimpleNamespace(to_json=lambda: {"verdict": "maybe"}),
     )
