@@ -65,6 +65,15 @@ class LooseMass:
     damping: float
 
 
+@dataclass(frozen=True)
+class Blade:
+    """Resists sideways motion at a place of the object: m, rad of its own line, N."""
+
+    place: tuple[float, float]
+    angle: float
+    resistance: float
+
+
 @dataclass
 class Effect:
     """The plain world. Subclasses change one thing each.
@@ -98,6 +107,10 @@ class Effect:
 
     def loose_mass(self) -> LooseMass | None:
         """The part of the mass that is not fixed to the object."""
+        return None
+
+    def blade(self) -> Blade | None:
+        """A blade under the object."""
         return None
 
     def finger_stiffness(self) -> float | None:
@@ -342,6 +355,10 @@ class FingerCompliance(Effect):
         bend = _sized(rng, strength, (4e-3, 8e-3), (1e-3, 2e-3))
         return cls(bend / (0.6 * thing.friction_force))
 
+    def blade(self) -> Blade | None:
+        """A blade under the object."""
+        return None
+
     def finger_stiffness(self) -> float | None:
         return 1.0 / self.compliance
 
@@ -397,6 +414,25 @@ class LoadTransfer(Effect):
 
 
 @dataclass
+class Skate(Effect):
+    """A blade at `place` of the object rolls along `angle` and resists sideways with `resistance` in N."""
+
+    name = "skate"
+    place: tuple[float, float] = (0.0, 0.0)
+    angle: float = 0.0
+    resistance: float = 0.0
+
+    @classmethod
+    def draw(cls, rng: np.random.Generator, strength: Strength, thing: SlidingObject) -> Self:
+        x, y = thing.centers[rng.integers(len(thing.centers))]
+        share = _sized(rng, strength, (0.35, 0.6), (0.06, 0.12))
+        return cls((float(x), float(y)), float(rng.uniform(0, np.pi)), share * thing.friction_force)
+
+    def blade(self) -> Blade | None:
+        return Blade(self.place, self.angle, self.resistance)
+
+
+@dataclass
 class SensorLatency(Effect):
     """The tracker reports a pose `latency` late."""
 
@@ -443,7 +479,7 @@ class TrackerScale(Effect):
 
     @classmethod
     def draw(cls, rng: np.random.Generator, strength: Strength, thing: SlidingObject) -> Self:
-        size = _sized(rng, strength, (0.03, 0.05), (0.008, 0.015))
+        size = _sized(rng, strength, (0.02, 0.04), (0.005, 0.01))
         return cls(1.0 + float(rng.choice([-1.0, 1.0])) * size)
 
     def reported(self, times: FloatArray, clock: FloatArray, poses: FloatArray) -> FloatArray:
@@ -577,6 +613,6 @@ class MovingTable(Effect):
 LIBRARY: tuple[type[Effect], ...] = (
     TableTilt, Tether, ViscousFriction, StribeckFriction, AnisotropicTable, AnisotropicObject,
     LinearFrictionField, PatchFrictionField, FrictionDrift, FingerCompliance, LooseMassInside, LoadTransfer,
-    SensorLatency, TrackerOffset, TrackerScale,
+    Skate, SensorLatency, TrackerOffset, TrackerScale,
 )  # fmt: skip
 OUTSIDE: tuple[type[Effect], ...] = (Gusts, Magnet, StickyLine, Ageing, MovingTable)

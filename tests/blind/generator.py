@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import shapely
 import yaml
 
 from blind.effects import LIBRARY, OUTSIDE, Effect, Strength
@@ -24,6 +25,7 @@ DROPOUTS = 0.005
 
 SHARE_NONE, SHARE_OUTSIDE, SHARE_WEAK = 0.3, 0.2, 0.35
 LEAST_MOVED = 0.01  # m
+LARGEST_OVERLAP = 0.002  # m
 TRIES = 6
 
 
@@ -95,7 +97,7 @@ def generate(
     effect, strength = effect or drawn_effect, strength or drawn_strength
     thing = random_object(np.random.default_rng([seed, 1]))
     hidden = effect.draw(np.random.default_rng([seed, 2]), strength, thing)
-    plans, plain = _plans(np.random.default_rng([seed, 3]), thing, pushes)
+    plans, plain = _plans(np.random.default_rng([seed, 3]), thing, hidden, pushes)
     changed = plain
     if hidden.changes_motion and effect is not Effect:
         world = World(thing, hidden)
@@ -145,20 +147,33 @@ def _draw_effect(rng: np.random.Generator) -> tuple[type[Effect], Strength]:
 
 
 def _plans(
-    rng: np.random.Generator, thing: SlidingObject, pushes: int
+    rng: np.random.Generator, thing: SlidingObject, effect: Effect, pushes: int
 ) -> tuple[list[PushPlan], list[Motion]]:
-    """Pushes that move the object in the plain world, and how."""
+    """Pushes that move the object in the plain world, and how.
+
+    A tracker that is off must not put the finger into the object: whoever records that looks for the fault.
+    """
     world = World(thing, Effect())
     plans, motions = [], []
     for kind in [KINDS[i % len(KINDS)] for i in rng.permutation(max(pushes, len(KINDS)))[:pushes]]:
         for _ in range(TRIES):
             plan = random_plan(rng, thing, kind)
+            while _recorded_overlap(thing, plan, effect) > LARGEST_OVERLAP:
+                plan = random_plan(rng, thing, kind)
             motion = world.push(plan)
             if _distance(thing, motion.poses[-1], motion.poses[0]) > LEAST_MOVED:
                 break
         plans.append(plan)
         motions.append(motion)
     return plans, motions
+
+
+def _recorded_overlap(thing: SlidingObject, plan: PushPlan, effect: Effect) -> float:
+    """Depth of the finger in the recorded object at the start, m; negative where they are apart."""
+    x, y, angle = effect.reported(np.zeros(1), np.zeros(1), plan.pose[None])[0]
+    c, s = np.cos(angle), np.sin(angle)
+    finger = (plan.path.start - [x, y]) @ np.array([[c, -s], [s, c]])
+    return thing.finger_radius - shapely.Point(finger).distance(thing.footprint)
 
 
 def _change(

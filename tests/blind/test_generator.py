@@ -5,8 +5,16 @@ import json
 import numpy as np
 import pytest
 
-from blind.effects import LIBRARY, OUTSIDE, Effect, SensorLatency, TableTilt
-from blind.generator import Truth, _draw_effect, generate, truth_file
+from blind.effects import LIBRARY, OUTSIDE, Effect, SensorLatency, TableTilt, TrackerOffset, TrackerScale
+from blind.generator import (
+    LARGEST_OVERLAP,
+    Truth,
+    _draw_effect,
+    _plans,
+    _recorded_overlap,
+    generate,
+    truth_file,
+)
 from blind.objects import random_object
 from models.measurements import read_dataset
 
@@ -93,6 +101,15 @@ def test_a_late_tracker_changes_poses_and_no_forces(plain, tmp_path):
     )
     assert all(repr(one[key]) == repr(other[key]) for key in ("ft_wrench", "tip_pose"))  # NaN is NaN
     assert repr(one["object_pose"]) != repr(other["object_pose"])
+
+
+def test_a_tracker_that_is_off_leaves_the_recorded_finger_outside():
+    for effect in (TrackerScale, TrackerOffset):
+        for seed in range(3):
+            thing = random_object(np.random.default_rng(seed))
+            hidden = effect.draw(np.random.default_rng(seed), "clear", thing)
+            (plan,), _ = _plans(np.random.default_rng(seed), thing, hidden, 1)
+            assert _recorded_overlap(thing, plan, hidden) <= LARGEST_OVERLAP
 
 
 @pytest.mark.parametrize("effect", EVERY, ids=lambda effect: effect.__name__)

@@ -18,6 +18,7 @@ from blind.effects import (
     MovingTable,
     PatchFrictionField,
     SensorLatency,
+    Skate,
     StribeckFriction,
     TableTilt,
     Tether,
@@ -171,6 +172,15 @@ def test_an_anisotropic_table_brakes_each_way_by_its_own_friction():
         assert np.hypot(*motion.poses[-1, :2]) == pytest.approx(
             0.6**2 / (2 * factor * MU * GRAVITY), abs=3e-4
         )
+
+
+def test_a_blade_resists_sideways_motion_and_turns_the_object_about_itself():
+    along = coasted(Skate((0.0, 0.0), 0.0, 1.0), [0.6, 0, 0])
+    assert along.poses[-1, 0] == pytest.approx(0.6**2 / (2 * MU * GRAVITY), abs=3e-4)
+    across = coasted(Skate((0.0, 0.0), np.pi / 2, 1.0), [0.6, 0, 0])
+    assert across.poses[-1, 0] == pytest.approx(0.6**2 / (2 * (MU * GRAVITY + 1.0 / MASS)), abs=3e-4)
+    ahead = coasted(Skate((0.04, 0.0), 0.0, 1.0), [0.0, 0.6, 0])  # the front is held back
+    assert ahead.poses[-1, 2] < -0.02
 
 
 def test_friction_that_depends_on_place_and_on_the_push():

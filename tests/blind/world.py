@@ -76,6 +76,7 @@ class World:
         self._loads = thing.mass[cell] * -effect.gravity()[2] / share
         self._limits = self._loads * thing.mu[cell]
         self._drag = effect.drag_per_area() * thing.area / len(self._points)
+        self._blade = effect.blade()
         self._build()
 
     def push(self, plan: PushPlan, *, index: int = 0, count: int = 1) -> Motion:
@@ -97,7 +98,7 @@ class World:
         plant.SetPositions(context, positions)
         plant.SetVelocities(context, velocities)
         nq = plant.num_positions()
-        bristles = np.zeros_like(self._points)
+        bristles, blade_bristle = np.zeros_like(self._points), np.zeros((1, 2))
         effect.begin(index, count, len(self._points))
         contact, table = np.zeros(3), np.zeros(3)
         steps = len(target) - 1
@@ -110,7 +111,7 @@ class World:
             states[k] = state[:nq]
             pose, twist = state[self._q], state[nq + self._v]
             now = Instant(h * k, h, pose, twist, self._points, self._loads, contact, table)
-            table = self._friction(now, bristles)
+            table = self._friction(now, bristles, blade_bristle)
             own = effect.force(now)
             applied[self._v] = table if own is None else table + own
             # The hand reaches its target at the end of the step, whatever pushes against it.
@@ -126,7 +127,7 @@ class World:
                 self._root.SetDiscreteState(new)
         return Motion(h * np.arange(steps), states[:, self._q], states[:, self._hand_q], impulse)
 
-    def _friction(self, now: Instant, bristles: FloatArray) -> FloatArray:
+    def _friction(self, now: Instant, bristles: FloatArray, blade_bristle: FloatArray) -> FloatArray:
         """(3,) of the table on the object, world frame."""
         factor = self._effect.friction_factor(now)
         grain = self._effect.grain(float(now.pose[2]))
@@ -142,7 +143,21 @@ class World:
             twist,
             now.step,
         )
-        return np.array([*(turn @ np.array([fx, fy])), torque])
+        total = np.array([fx, fy, torque])
+        if self._blade is not None:
+            across = np.array([-np.sin(self._blade.angle), np.cos(self._blade.angle)])
+            total += bristle_wrench(
+                blade_bristle,
+                np.array([self._blade.place]),
+                np.array([self._blade.resistance]),
+                np.outer(across, across),
+                0.0,
+                np.zeros(2),
+                twist,
+                now.step,
+            )
+        total[:2] = turn @ total[:2]
+        return total
 
     def _build(self) -> None:
         thing, effect = self._thing, self._effect
