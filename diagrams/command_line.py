@@ -14,6 +14,7 @@ from collections.abc import Sequence
 import click
 
 from diagrams.commands.bench import bench
+from diagrams.commands.blind_test import blind_test
 from diagrams.commands.calibrate import calibrate
 from diagrams.commands.compare import compare
 from diagrams.commands.demo import demo
@@ -63,7 +64,7 @@ def slipmap(ctx: click.Context) -> None:
         ctx.exit(WRONG_USE)
 
 
-for _command in (demo, identify, predict, compare, calibrate, bench):
+for _command in (demo, identify, predict, compare, calibrate, blind_test, bench):
     slipmap.add_command(_command)
 
 

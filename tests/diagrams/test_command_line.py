@@ -19,7 +19,7 @@ from diagrams.command_line import slipmap as group
 from models.inference.belief import Belief
 from models.measurements import read_dataset
 
-COMMANDS = ("demo", "identify", "predict", "compare", "calibrate", "bench")
+COMMANDS = ("demo", "identify", "predict", "compare", "calibrate", "blind-test", "bench")
 HEAVY = ("numpy", "scipy", "numba", "matplotlib", "pydrake", "shapely", "cv2", "rich")
 ENVIRONMENT = {**os.environ, "PYTHONPATH": str(Path(__file__).resolve().parents[2])}
 

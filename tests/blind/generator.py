@@ -1,0 +1,313 @@
+"""One blind dataset from a seed: an object, 24 pushes, one hidden effect or none, and sensors with noise."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import shapely
+import yaml
+
+from blind.effects import LIBRARY, OUTSIDE, Effect, Strength
+from blind.objects import GRAVITY, FloatArray, SlidingObject, random_object
+from blind.push_plans import HELDOUT, KINDS, TABLE_SIZE, PushPlan, random_plan
+from blind.world import Motion, World
+
+RATE = 100.0  # Hz
+POSITION_NOISE, ANGLE_NOISE, TIP_NOISE, FORCE_NOISE = 2.5e-4, float(np.radians(0.15)), 5e-5, 0.05
+DROPOUTS = 0.005
+"""Share of rows that a sensor loses; their values are NaN."""
+
+SHARE_NONE, SHARE_OUTSIDE, SHARE_WEAK = 0.3, 0.2, 0.35
+LEAST_MOVED = 0.01  # m
+LARGEST_OVERLAP = 0.002  # m
+TRIES = 6
+
+
+@dataclass(frozen=True)
+class Truth:
+    """What is hidden in a dataset.
+
+    Attributes:
+        name: of the dataset.
+        seed: it came from.
+        verdict: 'none' or 'effect'.
+        effect: its name, None where there is none.
+        in_library: whether slipmap's library has it.
+        resembles: effects of the library that act like it.
+        strength: 'clear' or 'weak', None where there is none.
+        parameters: of the effect, SI.
+        final_change_mm: mean, median, max and per_trial: how far the effect moved the recorded end of each
+            push, mean over the cells.
+        largest_change_mm: the same at any time of any push.
+        force_change_rms: N, mean over the pushes.
+    """
+
+    name: str
+    seed: int
+    verdict: str
+    effect: str | None
+    in_library: bool
+    resembles: tuple[str, ...]
+    strength: str | None
+    parameters: dict[str, Any]
+    final_change_mm: dict[str, Any]
+    largest_change_mm: float
+    force_change_rms: float
+
+    @classmethod
+    def read(cls, file: Path) -> Truth:
+        """The truth beside a dataset."""
+        document = yaml.safe_load(file.read_text(encoding="utf-8"))
+        document["resembles"] = tuple(document["resembles"])
+        return cls(**{key: document[key] for key in cls.__dataclass_fields__})
+
+
+def truth_file(folder: Path) -> Path:
+    """Where the truth about the dataset in `folder` lies."""
+    return folder.parent / f"{folder.name}.truth.yaml"
+
+
+def generate(
+    seed: int,
+    folder: Path,
+    *,
+    effect: type[Effect] | None = None,
+    strength: Strength | None = None,
+    pushes: int = len(KINDS),
+) -> Truth:
+    """Simulate a dataset and write it to `folder`, the truth beside it.
+
+    The same seed gives the same files to the last bit. A folder that is there already is replaced.
+
+    Args:
+        seed: of every draw.
+        folder: of the dataset; its name is the dataset's.
+        effect: instead of a random one; `Effect` itself for none.
+        strength: instead of a random one.
+        pushes: number of them.
+    """
+    rng = np.random.default_rng([seed, 0x51EB])
+    drawn_effect, drawn_strength = _draw_effect(rng)
+    effect, strength = effect or drawn_effect, strength or drawn_strength
+    thing = random_object(np.random.default_rng([seed, 1]))
+    hidden = effect.draw(np.random.default_rng([seed, 2]), strength, thing)
+    plans, plain = _plans(np.random.default_rng([seed, 3]), thing, hidden, pushes)
+    changed = plain
+    if hidden.changes_motion and effect is not Effect:
+        world = World(thing, hidden)
+        changed = [world.push(plan, index=i, count=pushes) for i, plan in enumerate(plans)]
+    changes = [
+        _change(thing, plan.duration, hidden, motion, before)
+        for plan, motion, before in zip(plans, changed, plain, strict=True)
+    ]
+    change = [1e3 * final for final, _, _ in changes]
+    is_none = effect is Effect
+    truth = Truth(
+        name=folder.name,
+        seed=seed,
+        verdict="none" if is_none else "effect",
+        effect=None if is_none else hidden.name,
+        in_library=hidden.in_library and not is_none,
+        resembles=hidden.resembles,
+        strength=None if is_none else strength,
+        parameters={} if is_none else _plain(hidden.parameters),
+        final_change_mm={
+            "mean": round(float(np.mean(change)), 3),
+            "median": round(float(np.median(change)), 3),
+            "max": round(float(np.max(change)), 3),
+            "per_trial": [round(value, 3) for value in change],
+        },
+        largest_change_mm=round(1e3 * max(largest for _, largest, _ in changes), 3),
+        force_change_rms=round(float(np.mean([force for _, _, force in changes])), 4),
+    )
+    sensors = np.random.default_rng([seed, 4])
+    trials = [
+        _record(sensors, thing, plan, motion, hidden) for plan, motion in zip(plans, changed, strict=True)
+    ]
+    heldout = set(sensors.permutation(pushes)[: pushes * HELDOUT // len(KINDS)].tolist())
+    roles = ["heldout" if index in heldout else "fit" for index in range(pushes)]
+    _write(folder, _description(folder.name, thing, roles), trials)
+    _write_truth(truth_file(folder), truth, thing, plans, plain)
+    return truth
+
+
+def _draw_effect(rng: np.random.Generator) -> tuple[type[Effect], Strength]:
+    strength: Strength = "weak" if rng.random() < SHARE_WEAK else "clear"
+    chance = rng.random()
+    if chance < SHARE_NONE:
+        return Effect, strength
+    group = OUTSIDE if chance < SHARE_NONE + SHARE_OUTSIDE else LIBRARY
+    return group[rng.integers(len(group))], strength
+
+
+def _plans(
+    rng: np.random.Generator, thing: SlidingObject, effect: Effect, pushes: int
+) -> tuple[list[PushPlan], list[Motion]]:
+    """Pushes that move the object in the plain world, and how.
+
+    A tracker that is off must not put the finger into the object: whoever records that looks for the fault.
+    """
+    world = World(thing, Effect())
+    plans, motions = [], []
+    for kind in [KINDS[i % len(KINDS)] for i in rng.permutation(max(pushes, len(KINDS)))[:pushes]]:
+        for _ in range(TRIES):
+            plan = random_plan(rng, thing, kind)
+            while _recorded_overlap(thing, plan, effect) > LARGEST_OVERLAP:
+                plan = random_plan(rng, thing, kind)
+            motion = world.push(plan)
+            if _distance(thing, motion.poses[-1], motion.poses[0]) > LEAST_MOVED:
+                break
+        plans.append(plan)
+        motions.append(motion)
+    return plans, motions
+
+
+def _recorded_overlap(thing: SlidingObject, plan: PushPlan, effect: Effect) -> float:
+    """Depth of the finger in the recorded object at the start, m; negative where they are apart."""
+    x, y, angle = effect.reported(np.zeros(1), np.zeros(1), plan.pose[None])[0]
+    c, s = np.cos(angle), np.sin(angle)
+    finger = (plan.path.start - [x, y]) @ np.array([[c, -s], [s, c]])
+    return thing.finger_radius - shapely.Point(finger).distance(thing.footprint)
+
+
+def _change(
+    thing: SlidingObject, duration: float, effect: Effect, motion: Motion, plain: Motion
+) -> tuple[float, float, float]:
+    """What the effect changed: recorded pose at the end and at most, m, and force, N (root mean square)."""
+    times = np.arange(0.0, duration, 1.0 / RATE)
+    recorded = effect.reported(times, motion.clock, motion.poses)
+    apart = _distance(thing, recorded, Effect().reported(times, plain.clock, plain.poses))
+    every = round(motion.clock.size / (RATE * motion.clock[-1]))
+    force = RATE * np.diff((motion.impulse - plain.impulse)[::every, :2], axis=0)
+    return float(apart[-1]), float(apart.max()), float(np.sqrt((force**2).sum(axis=1).mean()))
+
+
+def _distance(thing: SlidingObject, one: FloatArray, other: FloatArray) -> FloatArray:
+    """(...) mean over the cells of how far they are apart at the poses (..., 3), m."""
+
+    def cells(poses: FloatArray) -> FloatArray:
+        c, s = np.cos(poses[..., 2:]), np.sin(poses[..., 2:])
+        x, y = thing.centers.T
+        return np.stack([poses[..., :1] + c * x - s * y, poses[..., 1:2] + s * x + c * y], axis=-1)
+
+    return np.linalg.norm(cells(one) - cells(other), axis=-1).mean(axis=-1)
+
+
+def _record(
+    rng: np.random.Generator, thing: SlidingObject, plan: PushPlan, motion: Motion, effect: Effect
+) -> dict[str, list[list[float]]]:
+    """What the sensors write: at 100 Hz, each with its own first moment, independent noise and lost rows."""
+
+    def stamps() -> FloatArray:
+        first = rng.uniform(0.0, 1.0 / RATE)
+        return first + np.arange(int((plan.duration - first) * RATE)) / RATE
+
+    def rows(times: FloatArray, values: FloatArray, levels: list[float]) -> list[list[float]]:
+        noisy = values + np.array(levels) * rng.standard_normal(values.shape)
+        noisy[rng.random(len(times)) < DROPOUTS] = np.nan
+        return np.round(np.column_stack([times, noisy]), 6).tolist()
+
+    def known(times: FloatArray, values: FloatArray) -> FloatArray:
+        return np.column_stack([np.interp(times, motion.clock, column) for column in values.T])
+
+    t = stamps()
+    poses = effect.reported(t, motion.clock, motion.poses)
+    record = {"object_pose": rows(t, poses, [POSITION_NOISE, POSITION_NOISE, ANGLE_NOISE])}
+    t = stamps()
+    tip = np.column_stack([known(t, motion.hand), np.zeros(len(t))])
+    record["tip_pose"] = rows(t, tip, [TIP_NOISE, TIP_NOISE, 0.0])
+    t = stamps()
+    # A force sensor's filter: the mean over the time from half a row before to half a row after.
+    half = 0.5 / RATE
+    low, high = np.maximum(t - half, 0.0), t + half
+    wrench = (known(high, motion.impulse) - known(low, motion.impulse)) / (high - low)[:, None]
+    record["ft_wrench"] = rows(t, wrench, [FORCE_NOISE, FORCE_NOISE, FORCE_NOISE * thing.finger_radius])
+    return record
+
+
+def _description(name: str, thing: SlidingObject, roles: list[str]) -> dict[str, Any]:
+    shape: dict[str, Any] = {
+        "outline": np.round(thing.outline, 9).tolist(),
+        "cells": {"width": round(thing.width, 9), "centers": np.round(thing.centers, 9).tolist()},
+        "height": round(thing.height, 3),
+    }
+    if thing.weighed:
+        shape["mass"] = round(thing.total_mass, 4)
+    return {
+        "format": "push-dataset/1",
+        "name": name,
+        "description": "24 pushes of one object over a table with a round finger; poses from a tracker, force"
+        " from the finger. The order of the files is the order of the experiment.",
+        "object": shape,
+        "finger": {"radius": round(thing.finger_radius, 5)},
+        "table": {"shape": "rectangle", "center": [0.0, 0.0], "size": [TABLE_SIZE, TABLE_SIZE]},
+        "gravity": GRAVITY,
+        "noise": {
+            "position": POSITION_NOISE,
+            "angle": round(ANGLE_NOISE, 9),
+            "tip": TIP_NOISE,
+            "force": FORCE_NOISE,
+        },
+        "trials": [{"file": f"trials/{index:03d}.json", "role": role} for index, role in enumerate(roles)],
+    }
+
+
+def _write(folder: Path, description: dict[str, Any], trials: list[dict[str, Any]]) -> None:
+    part = folder.with_name(f".{os.getpid()}.{folder.name}")
+    (part / "trials").mkdir(parents=True)
+    try:
+        for entry, trial in zip(description["trials"], trials, strict=True):
+            (part / entry["file"]).write_text(json.dumps(trial), encoding="utf-8")
+        (part / "dataset.yaml").write_text(_yaml(description), encoding="utf-8")
+        if folder.exists():
+            shutil.rmtree(folder)
+        os.replace(part, folder)
+    finally:
+        shutil.rmtree(part, ignore_errors=True)
+
+
+def _write_truth(
+    file: Path, truth: Truth, thing: SlidingObject, plans: list[PushPlan], plain: list[Motion]
+) -> None:
+    document = asdict(truth)
+    document["object"] = {
+        "shape": thing.shape,
+        "total_mass": thing.total_mass,
+        "com": thing.center_of_mass.tolist(),
+        "mu_finger": thing.mu_finger,
+        "friction_force": thing.friction_force,
+        "mass": thing.mass.tolist(),
+        "mu": thing.mu.tolist(),
+    }
+    document["trials"] = [
+        {
+            "kind": plan.kind,
+            "end": plan.end,
+            "duration": plan.duration,
+            "object_pose0": plan.pose.tolist(),
+            "moved_mm_without_effect": 1e3 * float(_distance(thing, motion.poses[-1], motion.poses[0])),
+        }
+        for plan, motion in zip(plans, plain, strict=True)
+    ]
+    part = file.with_name(f".{os.getpid()}.{file.name}")
+    part.write_text(_yaml(_plain(document)), encoding="utf-8")
+    os.replace(part, file)
+
+
+def _yaml(document: dict[str, Any]) -> str:
+    return yaml.safe_dump(document, sort_keys=False, default_flow_style=None, width=110)
+
+
+def _plain(value: Any) -> Any:
+    """Lists instead of tuples, numbers of seven digits."""
+    if isinstance(value, dict):
+        return {key: _plain(entry) for key, entry in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(entry) for entry in value]
+    return float(f"{value:.7g}") if isinstance(value, float) else value

@@ -1,0 +1,251 @@
+"""How good diagnoses are: what was hidden against what was said."""
+
+from __future__ import annotations
+
+import textwrap
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy.stats import beta
+
+from blind.generator import Truth
+
+VERDICTS = ("adequate", "effect", "ambiguous", "unknown", "undecided")
+COLUMNS = {
+    "adequate": "adequate",
+    "right": "effect: the true one",
+    "near": "effect: one that acts like the true one",
+    "wrong": "effect: another one",
+    "in set": "ambiguous, the true one among them",
+    "not in": "ambiguous, the true one not among them",
+    "unknown": "unknown",
+    "undec.": "undecided",
+}
+"""What was said, in the light of the truth: heading and meaning."""
+
+ALARMS = ("right", "near", "wrong", "in set", "not in", "unknown")
+WIDTH = 80
+OUTSIDE = " *"
+"""Mark of effects that are not in the library."""
+
+
+@dataclass(frozen=True)
+class Rate:
+    """So many of so many."""
+
+    what: str
+    hits: int
+    of: int
+
+    @property
+    def share(self) -> float:
+        return self.hits / self.of if self.of else float("nan")
+
+    @property
+    def range(self) -> tuple[float, float]:
+        """95 % range of the true share (Clopper and Pearson)."""
+        low = float(beta.ppf(0.025, self.hits, self.of - self.hits + 1)) if self.hits else 0.0
+        high = float(beta.ppf(0.975, self.hits + 1, self.of - self.hits)) if self.hits < self.of else 1.0
+        return low, high
+
+    def text(self) -> str:
+        low, high = self.range
+        return f"{self.hits} of {self.of}, {self.share:.0%} ({low:.0%} to {high:.0%})"
+
+
+@dataclass(frozen=True)
+class Score:
+    """Of many diagnoses.
+
+    Attributes:
+        confusion: counts by truth and by what was said (the keys of `COLUMNS`).
+        named: how often each effect was named alone, by truth.
+        rates: the figures that matter.
+        cases: one entry a dataset.
+        failed: names of datasets that gave no diagnosis, and why.
+    """
+
+    confusion: dict[str, dict[str, int]]
+    named: dict[str, dict[str, int]]
+    rates: tuple[Rate, ...]
+    cases: tuple[dict[str, Any], ...]
+    failed: dict[str, str]
+
+    def to_json(self) -> dict[str, Any]:
+        return {
+            "columns": COLUMNS,
+            "confusion": self.confusion,
+            "named": self.named,
+            "rates": [
+                {
+                    "what": rate.what, "hits": rate.hits, "of": rate.of,
+                    "share": rate.share if rate.of else None, "range": list(rate.range),
+                }
+                for rate in self.rates
+            ],
+            "cases": list(self.cases),
+            "failed": self.failed,
+        }  # fmt: skip
+
+    def text(self) -> str:
+        """For a terminal of 80 columns."""
+        head = ["hidden", "n", *COLUMNS]
+        widths = [21, 3, *(max(len(name), 4) for name in COLUMNS)]
+        lines = [_row(head, widths), "─" * (sum(widths) + len(widths) - 1)]
+        lines += [_row(row, widths) for row in self._rows()]
+        lines.append("")
+        rates = self._counted()
+        wide = max((len(rate.what) for rate in rates), default=0)
+        lines += [f"{rate.what:<{wide}}  {rate.text()}" for rate in rates]
+        lines += ["", *(line for remark in self._remarks() for line in textwrap.wrap(remark, WIDTH))]
+        return "\n".join(line.rstrip() for line in lines).rstrip() + "\n"
+
+    def markdown(self) -> str:
+        """The same as Markdown."""
+        head = ["hidden", "n", *COLUMNS]
+        lines = ["| " + " | ".join(head) + " |", "| --- |" + " ---: |" * (len(head) - 1)]
+        lines += ["| " + " | ".join(row) + " |" for row in self._rows()]
+        lines += ["", "| figure | value (95 % range) |", "| --- | --- |"]
+        lines += [f"| {rate.what} | {rate.text()} |" for rate in self._counted()]
+        lines += ["", *(f"- {remark}" for remark in self._remarks())]
+        return "\n".join(lines).rstrip() + "\n"
+
+    def _counted(self) -> list[Rate]:
+        """Rates of something that occurred."""
+        return [rate for rate in self.rates if rate.of]
+
+    def _rows(self) -> list[list[str]]:
+        rows = []
+        for truth, counts in self.confusion.items():
+            numbers = [str(counts[column]) if counts[column] else "·" for column in COLUMNS]
+            rows.append([truth, str(sum(counts.values())), *numbers])
+        return rows
+
+    def _remarks(self) -> list[str]:
+        remarks = []
+        if any(label.endswith(OUTSIDE) for label in self.confusion):
+            remarks.append("*: not in slipmap's library; `unknown` is the right verdict")
+        remarks.append(
+            "; ".join(f"{name} = {meaning}" for name, meaning in COLUMNS.items() if name != meaning)
+        )
+        gains = [
+            [case["heldout_misfit_before"], case["heldout_misfit_after"]]
+            for case in self.cases
+            if case["said"] == "right"
+        ]
+        gains = [gain for gain in gains if None not in gain]
+        if gains:
+            before, after = np.median(gains, axis=0)
+            remarks.append(
+                f"held-out misfit where the true effect was named: {before:.3g} → {after:.3g} (medians)"
+            )
+        seconds = [case["seconds"] for case in self.cases if case["seconds"] is not None]
+        if seconds:
+            remarks.append(f"a diagnosis takes {np.median(seconds):.0f} s (median)")
+        remarks += [f"no diagnosis of {name}: {why}" for name, why in self.failed.items()]
+        return remarks
+
+
+def score(pairs: Iterable[tuple[Truth, Mapping[str, Any]]], failed: Mapping[str, str] | None = None) -> Score:
+    """Compare what was hidden with what was said.
+
+    Args:
+        pairs: truth and the JSON document of the diagnosis, with the keys verdict, effect, effects,
+            parameters, p_value, heldout_misfit_before, heldout_misfit_after and seconds.
+        failed: why there is no diagnosis, by the name of the dataset.
+
+    Raises:
+        ValueError: a verdict that is not in `VERDICTS`.
+    """
+    cases = [_case(truth, result) for truth, result in pairs]
+    # Without an effect first, then those of the library, then the others.
+    cases.sort(key=lambda case: (case["truth"] != "none", case["outside"], case["truth"], case["name"]))
+    confusion: dict[str, dict[str, int]] = {}
+    named: dict[str, Counter[str]] = {}
+    for case in cases:
+        label = case["truth"] + (OUTSIDE if case["outside"] else "")
+        confusion.setdefault(label, dict.fromkeys(COLUMNS, 0))[case["said"]] += 1
+        if case["verdict"] == "effect":
+            named.setdefault(label, Counter())[str(case["effect"])] += 1
+    return Score(
+        confusion=confusion,
+        named={label: dict(count) for label, count in named.items()},
+        rates=_rates(cases),
+        cases=tuple(cases),
+        failed=dict(failed or {}),
+    )
+
+
+def said(truth: Truth, verdict: str, effect: str | None, effects: Sequence[str]) -> str:
+    """Which of `COLUMNS` a diagnosis falls into.
+
+    Raises:
+        ValueError: a verdict that is not in `VERDICTS`.
+    """
+    if verdict not in VERDICTS:
+        raise ValueError(f"{truth.name}: verdict {verdict!r} is none of {', '.join(VERDICTS)}")
+    if verdict == "effect":
+        if truth.effect is not None and effect == truth.effect:
+            return "right"
+        return "near" if effect in truth.resembles else "wrong"
+    if verdict == "ambiguous":
+        # A set that holds a look-alike of an effect outside the library holds all there is to find.
+        wanted = {truth.effect} if truth.in_library else set(truth.resembles)
+        return "in set" if wanted & set(effects) else "not in"
+    return "undec." if verdict == "undecided" else verdict
+
+
+def _case(truth: Truth, result: Mapping[str, Any]) -> dict[str, Any]:
+    verdict, effect, effects = result["verdict"], result.get("effect"), list(result.get("effects") or [])
+    return {
+        "name": truth.name,
+        "truth": truth.effect or "none",
+        "outside": truth.effect is not None and not truth.in_library,
+        "strength": truth.strength,
+        "final_change_mm": truth.final_change_mm["mean"],
+        "verdict": verdict,
+        "effect": effect,
+        "effects": effects,
+        "said": said(truth, verdict, effect, effects),
+        "true_parameters": truth.parameters,
+        "parameters": result.get("parameters"),
+        "p_value": result.get("p_value"),
+        "heldout_misfit_before": result.get("heldout_misfit_before"),
+        "heldout_misfit_after": result.get("heldout_misfit_after"),
+        "seconds": result.get("seconds"),
+    }
+
+
+def _rates(cases: Sequence[Mapping[str, Any]]) -> tuple[Rate, ...]:
+    def rate(what: str, among: list[Mapping[str, Any]], *hits: str) -> Rate:
+        return Rate(what, sum(case["said"] in hits for case in among), len(among))
+
+    none = [case for case in cases if case["truth"] == "none"]
+    inside = [case for case in cases if case["truth"] != "none" and not case["outside"]]
+    outside = [case for case in cases if case["outside"]]
+    clear = [case for case in inside if case["strength"] == "clear"]
+    weak = [case for case in inside if case["strength"] == "weak"]
+    effect = [case for case in cases if case["verdict"] == "effect"]
+    ambiguous = [case for case in inside if case["verdict"] == "ambiguous"]
+    return (
+        rate("false alarms where nothing is hidden", none, *ALARMS),
+        rate("named effects that are right", effect, "right"),
+        rate("ambiguous sets that hold the truth", ambiguous, "in set"),
+        rate("clear effects named rightly", clear, "right"),
+        rate("clear effects named or in the set", clear, "right", "in set"),
+        rate("clear effects missed (adequate)", clear, "adequate"),
+        rate("weak effects named or in the set", weak, "right", "in set"),
+        rate("weak effects missed (adequate)", weak, "adequate"),
+        rate("effects outside the library: unknown", outside, "unknown"),
+        rate("effects outside: named a look-alike", outside, "near", "in set"),
+        rate("effects outside: named another", outside, "wrong", "not in"),
+    )  # fmt: skip
+
+
+def _row(cells: Sequence[str], widths: Sequence[int]) -> str:
+    first, *others = cells
+    numbers = [f"{cell:>{width}}" for cell, width in zip(others, widths[1:], strict=True)]
+    return " ".join([f"{first:<{widths[0]}}", *numbers])

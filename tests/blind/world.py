@@ -1,0 +1,262 @@
+"""The simulated world: Drake's multibody plant moves object and finger, friction comes from `table_friction`.
+
+The object slides on a planar joint, so the table holds it up without contacts. The finger is a sphere on two
+prismatic joints, driven along a prescribed path with a mass so large that no push disturbs it.
+Finger and object meet in the plant's own contact.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from pydrake.geometry import (
+    AddContactMaterial,
+    Box,
+    ProximityProperties,
+    SceneGraph,
+    Sphere,
+)
+from pydrake.math import RigidTransform
+from pydrake.multibody.plant import (
+    CoulombFriction,
+    DiscreteContactApproximation,
+    MultibodyPlant,
+)
+from pydrake.multibody.tree import (
+    FixedOffsetFrame,
+    ModelInstanceIndex,
+    PlanarJoint,
+    PrismaticJoint,
+    PrismaticSpring,
+    RigidBody,
+    SpatialInertia,
+    UnitInertia,
+)
+from pydrake.systems.framework import DiagramBuilder
+
+from blind.effects import Effect, Instant
+from blind.objects import FloatArray, SlidingObject
+from blind.push_plans import PushPlan
+from blind.table_friction import bristle_wrench
+
+STEP = 5e-4  # s
+HAND_MASS = 100.0  # kg
+TIP_MASS = 0.05  # kg, of a compliant finger
+CONTACT_STIFFNESS = 2e5  # N/m, of each of the two bodies
+CONTACT_DISSIPATION = 100.0  # s/m: a finger does not bounce off
+BOX_HEIGHT = 0.1  # m; a finger always meets a side
+IDENTITY = np.eye(2)
+
+
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """What happened in one push, at every step of time.
+
+    Attributes:
+        clock: (N,) s.
+        poses: (N, 3) of the object frame.
+        hand: (N, 2) of the finger as its robot knows it; the tip itself where nothing bends.
+        impulse: (N, 3) of the contact force on the object since the start, N·s, and of its torque about the
+            hand, N·m·s.
+    """
+
+    clock: FloatArray
+    poses: FloatArray
+    hand: FloatArray
+    impulse: FloatArray
+
+
+class World:
+    """One object, one finger, one effect: built once, pushed often."""
+
+    def __init__(self, thing: SlidingObject, effect: Effect, *, step: float = STEP, spacing: float = 0.003):
+        self._thing, self._effect, self._step = thing, effect, step
+        self._points, cell, share = thing.quadrature(spacing)
+        self._loads = thing.mass[cell] * -effect.gravity()[2] / share
+        self._limits = self._loads * thing.mu[cell]
+        self._drag = effect.drag_per_area() * thing.area / len(self._points)
+        self._blade = effect.blade()
+        self._build()
+
+    def push(self, plan: PushPlan, *, index: int = 0, count: int = 1) -> Motion:
+        """Carry out a plan as the push number `index` of `count`."""
+        steps = int(np.ceil((plan.duration + 0.02) / self._step))
+        target = plan.path.positions(self._step * np.arange(steps + 2))
+        return self._run(plan.pose, np.zeros(3), target, index, count)
+
+    def coast(self, pose: FloatArray, twist: FloatArray, duration: float) -> Motion:
+        """Let the object slide on by itself, the finger far away."""
+        steps = int(np.ceil(duration / self._step))
+        return self._run(pose, twist, np.full((steps + 2, 2), 50.0), 0, 1)
+
+    def _run(self, pose: FloatArray, twist: FloatArray, target: FloatArray, index: int, count: int) -> Motion:
+        h, plant, context, effect = self._step, self._plant, self._context, self._effect
+        positions, velocities = np.zeros(plant.num_positions()), np.zeros(plant.num_velocities())
+        positions[self._q], velocities[self._v] = pose, twist
+        positions[self._hand_q] = target[0]
+        plant.SetPositions(context, positions)
+        plant.SetVelocities(context, velocities)
+        nq = plant.num_positions()
+        bristles, blade_bristle = np.zeros_like(self._points), np.zeros((1, 2))
+        effect.begin(index, count, len(self._points))
+        contact, table = np.zeros(3), np.zeros(3)
+        steps = len(target) - 1
+        states = np.empty((steps, nq))
+        impulse = np.zeros((steps, 3))
+        applied = np.zeros(plant.num_velocities())
+        force = self._force.GetMutableData().get_mutable_value()
+        for k in range(steps):
+            state = context.get_discrete_state_vector().value()
+            states[k] = state[:nq]
+            pose, twist = state[self._q], state[nq + self._v]
+            now = Instant(h * k, h, pose, twist, self._points, self._loads, contact, table)
+            table = self._friction(now, bristles, blade_bristle)
+            own = effect.force(now)
+            applied[self._v] = table if own is None else table + own
+            # The hand reaches its target at the end of the step, whatever pushes against it.
+            wanted = (target[k + 1] - state[self._hand_q]) / h
+            applied[self._hand_v] = HAND_MASS * (wanted - state[nq + self._hand_v]) / h
+            force.SetFromVector(applied)
+            contact = self._contact.Eval(context)
+            if k + 1 < steps:
+                arm = state[self._hand_q] - pose[:2]
+                about_hand = contact[2] - (arm[0] * contact[1] - arm[1] * contact[0])
+                impulse[k + 1] = impulse[k] + h * np.array([contact[0], contact[1], about_hand])
+                new = self._diagram.EvalUniquePeriodicDiscreteUpdate(self._root)
+                self._root.SetDiscreteState(new)
+        return Motion(h * np.arange(steps), states[:, self._q], states[:, self._hand_q], impulse)
+
+    def _friction(self, now: Instant, bristles: FloatArray, blade_bristle: FloatArray) -> FloatArray:
+        """(3,) of the table on the object, world frame."""
+        factor = self._effect.friction_factor(now)
+        grain = self._effect.grain(float(now.pose[2]))
+        turn = now.rotation
+        twist = np.array([*(turn.T @ now.twist[:2]), now.twist[2]])
+        fx, fy, torque = bristle_wrench(
+            bristles,
+            self._points,
+            self._limits if factor is None else self._limits * factor,
+            IDENTITY if grain is None else grain,
+            self._drag,
+            turn.T @ self._effect.table_velocity(),
+            twist,
+            now.step,
+        )
+        total = np.array([fx, fy, torque])
+        if self._blade is not None:
+            across = np.array([-np.sin(self._blade.angle), np.cos(self._blade.angle)])
+            total += bristle_wrench(
+                blade_bristle,
+                np.array([self._blade.place]),
+                np.array([self._blade.resistance]),
+                np.outer(across, across),
+                0.0,
+                np.zeros(2),
+                twist,
+                now.step,
+            )
+        total[:2] = turn @ total[:2]
+        return total
+
+    def _build(self) -> None:
+        thing, effect = self._thing, self._effect
+        builder = DiagramBuilder()
+        plant = MultibodyPlant(self._step)
+        plant.SetUseSampledOutputPorts(False)
+        plant.set_discrete_contact_approximation(DiscreteContactApproximation.kLagged)
+        scene = builder.AddSystem(SceneGraph())
+        builder.AddSystem(plant)
+        plant.RegisterAsSourceForSceneGraph(scene)
+        builder.Connect(
+            plant.get_geometry_pose_output_port(), scene.get_source_pose_port(plant.get_source_id())
+        )
+        builder.Connect(scene.get_query_output_port(), plant.get_geometry_query_input_port())
+        plant.mutable_gravity_field().set_gravity_vector(effect.gravity())
+        pushed, finger = plant.AddModelInstance("object"), plant.AddModelInstance("finger")
+        loose = effect.loose_mass()
+        fixed = replace(thing, mass=thing.mass * (1.0 - (loose.mass / thing.total_mass if loose else 0.0)))
+        body = plant.AddRigidBody("object", pushed, _flat_inertia(fixed))
+        slide = plant.AddJoint(PlanarJoint("slide", plant.world_frame(), body.body_frame(), np.zeros(3)))
+        surface = _surface(thing.mu_finger)
+        for number, (center, size) in enumerate(thing.rectangles()):
+            place = RigidTransform([*center, 0.0])
+            box = Box(*size, BOX_HEIGHT)
+            plant.RegisterCollisionGeometry(body, place, box, f"rectangle {number}", surface)
+        hand, joints = _cart(plant, finger, plant.world_body(), "hand", HAND_MASS)
+        tip = hand
+        spring = effect.finger_stiffness()
+        if spring is not None:
+            damping = 1.4 * np.sqrt(spring * TIP_MASS)
+            tip, _ = _cart(plant, finger, hand, "tip", TIP_MASS, stiffness=spring, damping=damping)
+        sphere = Sphere(thing.finger_radius)
+        plant.RegisterCollisionGeometry(tip, RigidTransform(), sphere, "tip", surface)
+        if loose is not None:
+            inside = plant.AddModelInstance("inside")
+            _cart(
+                plant, inside, body, "loose", loose.mass,
+                place=loose.place, stiffness=loose.stiffness, damping=loose.damping,
+            )  # fmt: skip
+        plant.set_gravity_enabled(finger, False)
+        plant.Finalize()
+        self._plant, self._diagram = plant, builder.Build()
+        self._root = self._diagram.CreateDefaultContext()
+        self._context = plant.GetMyMutableContextFromRoot(self._root)
+        self._force = plant.get_applied_generalized_force_input_port().FixValue(
+            self._context, np.zeros(plant.num_velocities())
+        )
+        self._contact = plant.get_generalized_contact_forces_output_port(pushed)
+        self._q, self._v = slide.position_start() + np.arange(3), slide.velocity_start() + np.arange(3)
+        self._hand_q = np.array([joint.position_start() for joint in joints])
+        self._hand_v = np.array([joint.velocity_start() for joint in joints])
+
+
+def _surface(mu: float) -> ProximityProperties:
+    """Drake joins two equal coefficients μ to 2 μ μ / (μ + μ) = μ, and halves two equal stiffnesses."""
+    properties = ProximityProperties()
+    AddContactMaterial(
+        properties=properties,
+        dissipation=CONTACT_DISSIPATION,
+        point_stiffness=CONTACT_STIFFNESS,
+        friction=CoulombFriction(mu, mu),
+    )
+    return properties
+
+
+def _flat_inertia(thing: SlidingObject) -> SpatialInertia:
+    """Of the cells as uniform squares in one plane, about the object frame's origin."""
+    share = thing.mass / thing.total_mass
+    x, y = thing.centers.T
+    square = thing.width**2 / 12
+    xx, yy, xy = share @ (y**2 + square), share @ (x**2 + square), share @ (x * y)
+    unit = UnitInertia(xx, yy, xx + yy, -xy, 0.0, 0.0)
+    return SpatialInertia(thing.total_mass, [*thing.center_of_mass, 0.0], unit)
+
+
+def _cart(
+    plant: MultibodyPlant,
+    instance: ModelInstanceIndex,
+    parent: RigidBody,
+    name: str,
+    mass: float,
+    *,
+    place: tuple[float, float] = (0.0, 0.0),
+    stiffness: float = 0.0,
+    damping: float = 0.0,
+) -> tuple[RigidBody, list[PrismaticJoint]]:
+    """A body that moves along x and y of its parent from `place`, on springs where they have a stiffness."""
+    ball = UnitInertia.SolidSphere(0.005)
+    frame = plant.AddFrame(
+        FixedOffsetFrame(f"{name} rest", parent.body_frame(), RigidTransform([*place, 0.0]))
+    )
+    joints = []
+    for axis, direction in (("x", [1.0, 0.0, 0.0]), ("y", [0.0, 1.0, 0.0])):
+        body = plant.AddRigidBody(
+            f"{name} {axis}", instance, SpatialInertia(0.0 if axis == "x" else mass, np.zeros(3), ball)
+        )
+        joint = PrismaticJoint(f"{name} {axis}", frame, body.body_frame(), direction, damping=damping)
+        joints.append(plant.AddJoint(joint))
+        if stiffness > 0:
+            plant.AddForceElement(PrismaticSpring(joints[-1], 0.0, stiffness))
+        frame = body.body_frame()
+    return body, joints

@@ -1,0 +1,97 @@
+"""`slipmap blind-test` with a small generator and a diagnosis that is told what to say."""
+
+import json
+import sys
+from types import SimpleNamespace
+
+import pytest
+
+from diagrams.commands import blind_test
+from models.measurements import PushDataset
+
+
+@pytest.fixture
+def diagnosed(monkeypatch):
+    """A diagnosis in place of the real one; the seeds it was asked for, and what it answers."""
+    generator = blind_test._blind("generator")
+    generate = generator.generate
+    tilt, nothing = blind_test._blind("effects").TableTilt, blind_test._blind("effects").Effect
+
+    def small(seed, folder):
+        return generate(seed, folder, effect=tilt if seed == 7 else nothing, strength="clear", pushes=1)
+
+    monkeypatch.setattr(generator, "generate", small)
+    asked = []
+
+    def diagnose(dataset, *, seed):
+        assert isinstance(dataset, PushDataset) and len(dataset.trials) == 1
+        asked.append(seed)
+        return SimpleNamespace(to_json=lambda: answer(seed))
+
+    def answer(seed):
+        if seed in broken:
+            raise RuntimeError("the fit ran away")
+        return {"verdict": "ambiguous", "effect": None, "effects": ["tether", "table_tilt"], "seconds": 2.0}
+
+    broken: set[int] = set()
+    monkeypatch.setitem(sys.modules, "models.inference.diagnosis", SimpleNamespace(diagnose=diagnose))
+    return SimpleNamespace(asked=asked, broken=broken)
+
+
+def test_it_writes_datasets_truths_diagnoses_and_the_score(slipmap, tmp_path, diagnosed):
+    said = slipmap("blind-test", "--seed", "7", "--count", "2", "-o", tmp_path / "out")
+    assert said.code == 0, said.err
+    assert diagnosed.asked == [7, 8]
+    assert "false alarms where nothing is hidden  1 of 1" in said.out
+    assert "ambiguous sets that hold the truth    1 of 1" in said.out
+    assert "1 of 2, " in said.err
+    assert "left: blind-00007, table_tilt (clear) → ambiguous tether, table_tilt" in said.err
+    for name in ("blind-00007", "blind-00008"):
+        assert (tmp_path / "out" / name / "dataset.yaml").is_file()
+        assert (tmp_path / "out" / f"{name}.truth.yaml").is_file()
+        assert json.loads((tmp_path / "out" / f"{name}.result.json").read_text())["verdict"] == "ambiguous"
+    score = json.loads((tmp_path / "out" / "score.json").read_text())
+    assert len(score["cases"]) == 2 and score["failed"] == {}
+    assert (tmp_path / "out" / "score.md").read_text().startswith("| hidden |")
+
+
+def test_a_stopped_run_goes_on_and_a_failure_loses_nothing_else(slipmap, tmp_path, diagnosed):
+    diagnosed.broken.add(8)
+    said = slipmap("blind-test", "--seed", "7", "--count", "3", "-o", tmp_path)
+    assert said.code == 0
+    assert "blind-00008, failed: RuntimeError: the fit ran away" in said.err
+    assert "no diagnosis of blind-00008: RuntimeError: the fit ran away" in said.out.replace("\n", " ")
+    assert "answer" in json.loads((tmp_path / "blind-00008.failure.json").read_text())["traceback"]
+    kept = (tmp_path / "blind-00007.result.json").stat().st_mtime_ns
+    dataset = (tmp_path / "blind-00008" / "dataset.yaml").stat().st_mtime_ns
+    diagnosed.broken.clear()
+    diagnosed.asked.clear()
+    said = slipmap("blind-test", "--seed", "7", "--count", "4", "-o", tmp_path)
+    assert said.code == 0
+    assert diagnosed.asked == [8, 10]
+    assert "2 of 4 datasets have their diagnosis" in said.err
+    assert (tmp_path / "blind-00007.result.json").stat().st_mtime_ns == kept
+    assert (tmp_path / "blind-00008" / "dataset.yaml").stat().st_mtime_ns == dataset
+    assert not (tmp_path / "blind-00008.failure.json").exists()
+    assert len(json.loads((tmp_path / "score.json").read_text())["cases"]) == 4
+
+
+def test_a_diagnosis_with_an_unheard_of_verdict_is_a_failure_and_not_the_end(
+    slipmap, tmp_path, diagnosed, monkeypatch
+):
+    monkeypatch.setattr(
+        sys.modules["models.inference.diagnosis"],
+        "diagnose",
+        lambda dataset, seed: SimpleNamespace(to_json=lambda: {"verdict": "maybe"}),
+    )
+    said = slipmap("blind-test", "--count", "1", "-o", tmp_path)
+    assert said.code == 0
+    assert "failed: ValueError: blind-00000: verdict 'maybe'" in said.err
+    assert not (tmp_path / "blind-00000.result.json").exists()
+
+
+def test_an_installed_package_without_the_tests_says_so(slipmap, tmp_path, monkeypatch):
+    monkeypatch.setattr(blind_test, "TESTS", tmp_path)
+    said = slipmap("blind-test", "-o", tmp_path / "out")
+    assert said.code == 2
+    assert "checkout" in said.err and not (tmp_path / "out").exists()
