@@ -9,6 +9,7 @@ import struct
 import tokenize
 import zipfile
 import zlib
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -17,6 +18,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from models.effects.effect import Effect
+from models.effects.library import LIBRARY
+from models.effects.slider import EffectSlider
 from models.physics.cell_grid import CellGrid
 from models.physics.rollout import Maps, Slider, Smoothing
 
@@ -53,6 +57,7 @@ class Belief:
         seed: of every random draw.
         settings: everything else that shaped the result, JSON-able.
         versions: of slipmap and of the libraries that compute.
+        effects: that the model has; the maps carry their parameters.
     """
 
     grid: CellGrid
@@ -67,11 +72,17 @@ class Belief:
     seed: int
     settings: dict[str, Any] = field(default_factory=dict)
     versions: dict[str, str] = field(default_factory=lambda: library_versions())
+    effects: tuple[Effect, ...] = ()
 
     def __post_init__(self) -> None:
         if self.maps.mass.shape[1] != len(self.grid):
             raise BeliefError(
                 f"belief: maps of {self.maps.mass.shape[1]} cells on a grid of {len(self.grid)}"
+            )
+        wanted = sum(len(effect.parameters) for effect in self.effects)
+        if self.maps.effects.shape[1] != wanted:
+            raise BeliefError(
+                f"belief: maps with {self.maps.effects.shape[1]} effect parameters, its effects have {wanted}"
             )
         p = np.asarray(self.probability, dtype=float)
         if (
@@ -90,7 +101,11 @@ class Belief:
 
     @property
     def slider(self) -> Slider:
-        """The model that the maps belong to."""
+        """The model that the maps belong to, with its effects."""
+        if self.effects:
+            return EffectSlider(
+                self.grid, self.finger_radius, self.effects, self.gravity, self.smoothing
+            )
         return Slider(self.grid, self.finger_radius, self.gravity, self.smoothing)
 
     @property
@@ -125,6 +140,7 @@ class Belief:
             "seed": self.seed,
             "settings": self.settings,
             "versions": self.versions,
+            "effects": [effect.name for effect in self.effects],
             "checksum": _checksum(arrays),
         }
         part = path.with_name(f".{path.name}.{os.getpid()}.part")
@@ -147,15 +163,21 @@ class Belief:
             "mu": self.maps.mu,
             "mu_finger": self.maps.mu_finger,
             "probability": self.probability,
+            **({"effects": self.maps.effects} if self.effects else {}),
             **holes,
         }
 
     @classmethod
-    def load(cls, path: str | Path) -> Belief:
+    def load(cls, path: str | Path, known: Sequence[Effect] = LIBRARY) -> Belief:
         """Read a belief file.
 
+        Args:
+            path: of the file.
+            known: effects that it may carry; it holds their names and parameters, not their formulas.
+
         Raises:
-            BeliefError: the file is missing, not a belief, damaged, or of a newer format.
+            BeliefError: the file is missing, not a belief, damaged, of a newer format, or it carries an effect
+                that is not known.
         """
         path = Path(path)
         if not path.is_file():
@@ -174,15 +196,26 @@ class Belief:
                     raise BeliefError(f"{path} has format {found!r}, this version reads {FORMAT!r}")
                 names = ["centers", "exterior", "mass", "mu", "mu_finger", "probability"]
                 names += [f"hole_{i}" for i in range(int(meta["holes"]))]
+                carried = [str(name) for name in meta.get("effects", [])]
+                names += ["effects"] if carried else []
                 arrays = {name: archive[name] for name in names}
             if _checksum(arrays) != meta["checksum"]:
                 raise BeliefError(f"{path} is damaged: its numbers do not match their checksum")
+            by_name = {effect.name: effect for effect in known}
+            for name in carried:
+                if name not in by_name:
+                    raise BeliefError(
+                        f"{path} carries the effect {name!r}, which the library does not have; give the file"
+                        " that defines it with --effect-file"
+                    )
             holes = tuple(arrays[f"hole_{i}"] for i in range(int(meta["holes"])))
             return cls(
                 grid=CellGrid(arrays["centers"], float(meta["cell_width"]), arrays["exterior"], holes),
                 finger_radius=float(meta["finger_radius"]),
                 gravity=float(meta["gravity"]),
-                maps=Maps(arrays["mass"], arrays["mu"], arrays["mu_finger"]),
+                maps=Maps(
+                    arrays["mass"], arrays["mu"], arrays["mu_finger"], arrays.get("effects", np.zeros((0, 0)))
+                ),
                 probability=arrays["probability"],
                 smoothing=Smoothing(**meta["smoothing"]),
                 dataset=str(meta["dataset"]),
@@ -191,6 +224,7 @@ class Belief:
                 seed=int(meta["seed"]),
                 settings=dict(meta["settings"]),
                 versions=dict(meta["versions"]),
+                effects=tuple(by_name[name] for name in carried),
             )
         except BeliefError:
             raise

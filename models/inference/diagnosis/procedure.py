@@ -151,7 +151,7 @@ class _Inquiry:
         self.error = estimate_errors(first, noise)
         report("fitting without effects", 2, 3)
         self.base = self.fitter.base(self.error, first)
-        self.scene = self.fitter.scene(self.base, _typical_speed(observations))
+        self.scene = self.fitter.scene(self.base, typical_speed(observations))
         self.fitter.weight = self.scene.weight
         report("fitting without effects", 3, 3)
         self.fits: dict[str, Fitted] = {}
@@ -336,7 +336,7 @@ def parameter_estimates(fitted: Fitted) -> tuple[ParameterEstimate, ...]:
     )
 
 
-def _typical_speed(observations: Sequence[Observation]) -> float:
+def typical_speed(observations: Sequence[Observation]) -> float:
     """Median over pushes of the finger's mean speed while it moves, m/s."""
     speeds = []
     for o in observations:
@@ -347,4 +347,4 @@ def _typical_speed(observations: Sequence[Observation]) -> float:
     return float(np.median(speeds)) if speeds else 0.05
 
 
-__all__ = ["Scene", "diagnose", "parameter_estimates"]
+__all__ = ["Scene", "diagnose", "parameter_estimates", "typical_speed"]
