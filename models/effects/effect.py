@@ -108,7 +108,8 @@ class Effect:
         return None
 
     def blade(self, body: Any, p: Any) -> Any:
-        """(F, n_x, n_y, r_x, r_y): motion of the object's point r along its unit vector n is resisted by F newtons."""
+        """(F, n_x, n_y, r_x, r_y): motion of the object's point r along its unit vector n is resisted by F
+        newtons."""
         return None
 
     def inertia(self, body: Any, p: Any) -> Any:

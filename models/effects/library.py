@@ -1,4 +1,5 @@
-"""The effects that slipmap knows, one small class each; formulas in the symbols of `models.effects.symbols`."""
+"""The effects that slipmap knows, one small class each; formulas in the symbols of
+`models.effects.symbols`."""
 
 from __future__ import annotations
 
@@ -40,8 +41,8 @@ class StribeckFriction(Effect):
 
 
 def _ellipse(a: Any, b: Any) -> tuple[Any, Any, Any]:
-    """Q with eigenvalues (1 + ρ)/(1 - ρ) and its inverse, ρ = hypot(a, b), the first at the angle atan2(b, a)/2;
-    friction along these directions is their square roots times Coulomb's."""
+    """Q with eigenvalues (1 + ρ)/(1 - ρ) and its inverse, ρ = hypot(a, b), the first at the angle atan2(b,
+    a)/2; friction along these directions is their square roots times Coulomb's."""
     square = a**2 + b**2
     return (1 + square + 2 * a) / (1 - square), 2 * b / (1 - square), (1 + square - 2 * a) / (1 - square)
 
@@ -115,7 +116,9 @@ class TableFrictionField(Effect):
     def friction(self, cell: Any, p: Any) -> Any:
         distance = sp.sqrt((cell.x - p.patch_x) ** 2 + (cell.y - p.patch_y) ** 2 + 1e-12)
         inside = smooth_step(p.patch_radius - distance, 0.01)
-        slope = positive_part(1 + p.gradient_x * cell.x + p.gradient_y * cell.y, 0.02) / positive_part(1, 0.02)
+        slope = positive_part(1 + p.gradient_x * cell.x + p.gradient_y * cell.y, 0.02) / positive_part(
+            1, 0.02
+        )
         return slope * sp.exp(p.patch * inside)
 
     def starts(self, scene: Scene) -> list[dict[str, float]]:
@@ -199,7 +202,7 @@ class LooseMass(Effect):
         return tuple(
             -(p.rate**2) * lag - 2 * p.damping * p.rate * rush
             for lag, rush in ((body.lag_x, body.rush_x), (body.lag_y, body.rush_y))
-        )  # type: ignore[return-value]
+        )
 
     def inertia(self, body: Any, p: Any) -> Any:
         return 1 - p.share

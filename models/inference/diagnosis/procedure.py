@@ -1,12 +1,12 @@
 """Which physical effect do the data miss? The procedure, from pushes to verdict.
 
-1. Some pushes are locked away. The model without effects is fitted to the rest; the error model is estimated.
-2. Every candidate is added to first order, maps refitted, and scored on pushes left out. The largest gain is
-   compared with the largest gain by chance. Where it is no larger, the model is adequate, or the data too few.
-3. Candidates that gain are refitted in full, under the error model of the best.
-4. Each that is left is asked the same question again: does anything gain on top of it? The true effect leaves
-   nothing to gain; an impostor leaves the true one. Those that pass are the answer: one, or a set.
-5. Where none passes, pairs are tried; where no pair passes, the effect is unknown to the library.
+1. Some pushes are locked away. The model without effects is fitted to the rest; the error model is
+estimated. 2. Every candidate is added to first order, maps refitted, and scored on pushes left out. The
+largest gain is compared with the largest gain by chance. Where it is no larger, the model is adequate, or
+the data too few. 3. Candidates that gain are refitted in full, under the error model of the best. 4. Each
+that is left is asked the same question again: does anything gain on top of it? The true effect leaves
+nothing to gain; an impostor leaves the true one. Those that pass are the answer: one, or a set. 5. Where
+none passes, pairs are tried; where no pair passes, the effect is unknown to the library.
 """
 
 from __future__ import annotations
@@ -187,7 +187,9 @@ class _Inquiry:
             rivals = [self.fits[name] for name in self.accepted]
             names = ", ".join(self.accepted)
             if len(rivals) == 1:
-                return _Outcome("effect", f"The data miss one effect: {names}.", rivals[0], self.accepted, rivals=rivals)
+                return _Outcome(
+                    "effect", f"The data miss one effect: {names}.", rivals[0], self.accepted, rivals=rivals
+                )
             return _Outcome(
                 "ambiguous",
                 f"An effect is missing; the data cannot tell which of these it is: {names}.",
@@ -207,16 +209,17 @@ class _Inquiry:
 
     def _nothing_found(self) -> _Outcome:
         """Adequate, unless the pushes could not have shown an effect of ordinary size."""
-        seen = [s for effect, s in zip(self.first.candidates, self.first.sharpness, strict=True) if effect in self.effects]
+        seen = [
+            s
+            for effect, s in zip(self.first.candidates, self.first.sharpness, strict=True)
+            if effect in self.effects
+        ]
         blind = sum(1 for s in seen if s > 1.0)
         pushes = len(self.fitter.observations)
         if pushes < FEWEST_PUSHES or blind > len(seen) / 2:
             why = f"{pushes} pushes" if pushes < FEWEST_PUSHES else "these pushes"
-            return _Outcome(
-                "undecided",
-                f"Nothing is seen to be missing, but {why} could not have shown most effects if they were there.",
-                self.base,
-            )
+            sentence = f"Nothing is seen to be missing, but {why} could not have shown most effects."
+            return _Outcome("undecided", sentence, self.base)
         return _Outcome("adequate", "The model explains the data; no effect is missing.", self.base)
 
     def _refit(self) -> None:
@@ -272,7 +275,9 @@ class _Inquiry:
                 first = self.fits[name]
                 guess = second.start_values(self.scene)[int(screening.start[i])]
                 values = np.concatenate([first.values, guess])
-                pair = self.fitter.with_effects((*first.effects, second), self.error, first, values, afresh=True)
+                pair = self.fitter.with_effects(
+                    (*first.effects, second), self.error, first, values, afresh=True
+                )
                 if pair is None:
                     continue
                 left = self._screen(pair)
@@ -290,7 +295,7 @@ class _Inquiry:
 
     def _unknown(self, best: Fitted, screening: Screening) -> _Outcome:
         probes = [(g, c) for g, c in zip(screening.gain, screening.candidates, strict=True) if c in PROBES]
-        gain, probe = max(probes, key=lambda pair: pair[0])
+        _, probe = max(probes, key=lambda pair: pair[0])
         return _Outcome(
             "unknown",
             "Structure is left that no effect of the library explains; the residual behaves like this:"
@@ -320,7 +325,9 @@ class _Inquiry:
                     () if fitted is None else parameter_estimates(fitted),
                 )
             )
-        return sorted(results, key=lambda c: (-(c.fitted_gain if c.fitted_gain is not None else -np.inf), -c.gain))
+        return sorted(
+            results, key=lambda c: (-(c.fitted_gain if c.fitted_gain is not None else -np.inf), -c.gain)
+        )
 
 
 def parameter_estimates(fitted: Fitted) -> tuple[ParameterEstimate, ...]:
@@ -330,7 +337,12 @@ def parameter_estimates(fitted: Fitted) -> tuple[ParameterEstimate, ...]:
     every = [(effect.name, parameter) for effect in fitted.effects for parameter in effect.parameters]
     return tuple(
         ParameterEstimate(
-            name, parameter.name, parameter.unit, float(value), float(max(value - s, lo)), float(min(value + s, hi))
+            name,
+            parameter.name,
+            parameter.unit,
+            float(value),
+            float(max(value - s, lo)),
+            float(min(value + s, hi)),
         )
         for (name, parameter), value, s, lo, hi in zip(every, fitted.values, spread, low, high, strict=True)
     )
