@@ -146,6 +146,11 @@ class Effect:
         """(P,) which parameters have a null."""
         return np.array([parameter.null is not None for parameter in self.parameters])
 
+    @property
+    def signs(self) -> FloatArray:
+        """(P,) 1 or -1 where a parameter's null is the end of its range and it can only grow or fall, else 0."""
+        return np.array([float(p.center == p.low) - float(p.center == p.high) for p in self.parameters])
+
     def start_values(self, scene: Scene) -> FloatArray:
         """(G, P) `starts` as arrays, amplitudes at their null.
 

@@ -227,8 +227,8 @@ class LoadTransfer(Effect):
     name = "load_transfer"
     sentence = "Pushing above the table, and braking, shift the load between cells."
     parameters = (
-        Parameter("push_height", "m", "height of the finger above the table", -0.3, 0.5, 0.03, 0.0),
-        Parameter("mass_height", "m", "height of the centre of mass", -0.3, 0.5, 0.03, 0.0),
+        Parameter("push_height", "m", "height of the finger above the table", 0.0, 0.5, 0.03, 0.0),
+        Parameter("mass_height", "m", "height of the centre of mass", 0.0, 0.5, 0.03, 0.0),
     )
     memory = ("gain_x", "gain_y")
 

@@ -200,7 +200,7 @@ def estimate_errors(fitted: Fitted, noise: SensorNoise) -> ErrorModel:
         jacobians, residuals = whitened_rows(likelihood, rows)
         # A push that the model misses badly should not set the scale for all others.
         equations = PushEquations.of(jacobians, [r[:, None] for r in residuals])
-        own = equations.scores(columns, np.ones(prior.size), pull)[:, 0]
+        own = equations.scores(columns, np.ones(prior.size), pull)[0][:, 0]
         return float(own.sum()) - log_determinant(likelihood, rows)
 
     old = fitted.likelihood.error

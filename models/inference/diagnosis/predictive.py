@@ -78,8 +78,8 @@ class PushEquations:
 
     def scores(
         self, columns: NDArray[np.int64], precision: FloatArray, pull: FloatArray | None = None
-    ) -> FloatArray:
-        """(B, D) score of each push for a model with some of the columns.
+    ) -> tuple[FloatArray, FloatArray]:
+        """Score of each push for a model with some of the columns.
 
         Args:
             columns: (c,) which.
@@ -106,4 +106,4 @@ class PushEquations:
             extra = scipy.linalg.solve_triangular(others, error_slope, lower=True, check_finite=False)
             left = float(np.log(np.diagonal(others)).sum())
             result[b] = left - whole - 0.5 * (square + (extra**2).sum(axis=0))
-        return result
+        return result, best

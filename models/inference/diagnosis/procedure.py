@@ -30,10 +30,13 @@ from models.measurements import DatasetError, PushDataset
 LEVEL = 0.02
 """Gains that come about by chance more seldom than this count."""
 
-MATERIAL = 0.03
+MATERIAL = 0.01
 """What gains less than this share on top of an effect's own gain is a matter of its exact form."""
 
 MOST_ASKED = 5
+PROBE_GAIN = 20.0
+"""Gain, in nats, below which a probe's finding is put down to the grid and the contact, which are not exact."""
+
 QUICK_GAIN = 8.0
 """Gain, in nats, that counts where chance was not simulated."""
 
@@ -168,7 +171,7 @@ class _Inquiry:
         self.report("asking every effect", 1, 1)
         largest = float(self.first.gain.max())
         self.p_value = self.first.p_value(largest) if self.draws else None
-        if not self._counts(self.first, largest):
+        if self._found(self.first) is None:
             return self._nothing_found()
         self._refit()
         if not self.fits:
@@ -202,10 +205,15 @@ class _Inquiry:
             self.fitter, fitted, self.everything, len(self.effects), self.scene, max(self.draws, 1), self.rng
         )
 
-    def _counts(self, screening: Screening, gain: float) -> bool:
-        if not self.draws:
-            return gain > QUICK_GAIN
-        return screening.p_value(gain) <= LEVEL
+    def _found(self, screening: Screening) -> int | None:
+        """Index of the candidate whose gain counts most, or None where all of it may be chance."""
+        for i in np.argsort(-screening.gain):
+            gain = float(screening.gain[i])
+            if not (gain > QUICK_GAIN if not self.draws else screening.p_value(gain) <= LEVEL):
+                return None
+            if screening.candidates[i] in self.effects or gain > PROBE_GAIN:
+                return int(i)
+        return None
 
     def _nothing_found(self) -> _Outcome:
         """Adequate, unless the pushes could not have shown an effect of ordinary size."""
@@ -254,10 +262,11 @@ class _Inquiry:
 
     def _explains(self, name: str, rest: Screening) -> bool:
         """Whether nothing that matters is left to gain on top of a candidate; remembers what is."""
-        top = int(np.argmax(rest.gain))
+        found = self._found(rest)
+        top = int(np.argmax(rest.gain)) if found is None else found
         gain = float(rest.gain[top])
+        passed = found is None or gain < MATERIAL * self.gains[name]
         p = rest.p_value(gain) if self.draws else None
-        passed = not self._counts(rest, gain) or gain < MATERIAL * self.gains[name]
         self.asked[name] = (None if passed else rest.candidates[top].name, gain, p)
         return passed
 
@@ -282,9 +291,10 @@ class _Inquiry:
                     continue
                 left = self._screen(pair)
                 tried.append((pair, left))
-                top = float(left.gain.max())
-                # Both have to pull their weight: what is left is small beside the second effect's own gain.
-                if not self._counts(left, top) or top < MATERIAL * (self.fits[name].cost - pair.cost):
+                found = self._found(left)
+                # What is left must be small beside the gain of the second effect, not only of both.
+                second_gain = self.fits[name].cost - pair.cost
+                if found is None or left.gain[found] < 3 * MATERIAL * second_gain:
                     names = [effect.name for effect in pair.effects]
                     return _Outcome(
                         "effect",

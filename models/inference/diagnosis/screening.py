@@ -141,8 +141,15 @@ def screen(
         joined = np.concatenate(columns)
         hold = np.zeros(len(joined))
         hold[: len(pull)] = pull
-        return equations.scores(joined, np.concatenate(precision), hold)
+        found, best = equations.scores(joined, np.concatenate(precision), hold)
+        if candidate is not None:
+            # An amplitude of the wrong sign, such as a negative drag, explains nothing.
+            signs = everything[candidate].signs[everything[candidate].amplitudes]
+            wrong = (best[len(best) - len(signs) :] * signs[:, None] < 0.0).any(axis=0)
+            found[:, wrong] = without[:, wrong]
+        return found
 
+    without = np.zeros(0)
     without = score(None, 0)
     gain, start, per_push, chance, sharpness = [], [], [], [], []
     total = equations.normal.sum(axis=0)
