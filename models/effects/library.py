@@ -142,13 +142,17 @@ class Tether(Effect):
         Parameter("anchor_x", "m", "where the cable is fixed", -10.0, 10.0, 0.3),
         Parameter("anchor_y", "m", "where the cable is fixed", -10.0, 10.0, 0.3),
         Parameter("slack", "m", "length at which it begins to pull", 0.0, 10.0, 0.1),
+        Parameter("point_x", "m", "where it is tied to the object, object frame", -1.0, 1.0, 0.03),
+        Parameter("point_y", "m", "where it is tied to the object, object frame", -1.0, 1.0, 0.03),
     )
 
     def force(self, body: Any, p: Any) -> Any:
-        dx, dy = p.anchor_x - body.x, p.anchor_y - body.y
+        arm_x = body.cos * p.point_x - body.sin * p.point_y
+        arm_y = body.sin * p.point_x + body.cos * p.point_y
+        dx, dy = p.anchor_x - body.x - arm_x, p.anchor_y - body.y - arm_y
         distance = sp.sqrt(dx**2 + dy**2 + 1e-6)
         pull = p.stiffness * positive_part(distance - p.slack, 2e-3) / distance
-        return pull * dx, pull * dy, 0
+        return pull * dx, pull * dy, pull * (arm_x * dy - arm_y * dx)
 
     def starts(self, scene: Scene) -> list[dict[str, float]]:
         result = []

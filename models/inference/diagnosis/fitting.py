@@ -108,7 +108,9 @@ class Fitter:
         prior = self.prior(())
         likelihood = CorrelatedLikelihood(prior, self.observations, error)
         if start is not None:
-            return _best((), likelihood, start.z[None], np.zeros((1, prior.size)), start.offsets)
+            return _best(
+                (), likelihood, start.z[None, : prior.size], np.zeros((1, prior.size)), start.offsets
+            )
         starts = np.array([prior.start(friction) for friction in FINGER_STARTS])
         first = fit(self._forgiving(prior), starts)
         best = int(np.argmin(first.cost))

@@ -30,12 +30,19 @@ from models.measurements import DatasetError, PushDataset
 LEVEL = 0.02
 """Gains that come about by chance more seldom than this count."""
 
-MATERIAL = 0.01
+MATERIAL = 0.03
 """What gains less than this share on top of an effect's own gain is a matter of its exact form."""
+
+CLEARLY_WORSE = 0.08
+"""A candidate whose gain is smaller than the best one's by this share, and by 10 nats, is ruled out by that alone."""
 
 MOST_ASKED = 5
 PROBE_GAIN = 20.0
-"""Gain, in nats, below which a probe's finding is put down to the grid and the contact, which are not exact."""
+"""Gain, in nats, below which a probe's finding in the model without effects is put down to the grid and the
+contact, which are not exact."""
+
+REST_GAIN = 10.0
+"""The same for all that is found on top of an effect, where it may come from the effect's exact form."""
 
 QUICK_GAIN = 8.0
 """Gain, in nats, that counts where chance was not simulated."""
@@ -157,6 +164,7 @@ class _Inquiry:
         self.scene = self.fitter.scene(self.base, typical_speed(observations))
         self.fitter.weight = self.scene.weight
         report("fitting without effects", 3, 3)
+        self.second_look = False
         self.fits: dict[str, Fitted] = {}
         self.gains: dict[str, float] = {}
         self.asked: dict[str, tuple[str | None, float, float | None]] = {}
@@ -169,11 +177,14 @@ class _Inquiry:
         self.report("asking every effect", 0, 1)
         self.first = self._screen(self.base)
         self.report("asking every effect", 1, 1)
-        largest = float(self.first.gain.max())
+        named = [effect in self.effects for effect in self.first.candidates]
+        largest = float(self.first.gain[named].max())
         self.p_value = self.first.p_value(largest) if self.draws else None
-        if self._found(self.first) is None:
+        if self._found(self.first, 0.0, PROBE_GAIN) is None:
             return self._nothing_found()
         self._refit()
+        if self._better_base():
+            return self.run()
         if not self.fits:
             return self._unknown(self.base, self.first)
         order = sorted(self.fits, key=lambda name: -self.gains[name])
@@ -183,7 +194,8 @@ class _Inquiry:
         for step, name in enumerate(near):
             self.report("asking what is left", step, len(near))
             rest[name] = self._screen(self.fits[name])
-            if self._explains(name, rest[name]):
+            enough = self.gains[name] > best_gain - max(10.0, CLEARLY_WORSE * best_gain)
+            if self._explains(name, rest[name]) and enough:
                 self.accepted.append(name)
         self.report("asking what is left", len(near), len(near))
         if self.accepted:
@@ -205,13 +217,19 @@ class _Inquiry:
             self.fitter, fitted, self.everything, len(self.effects), self.scene, max(self.draws, 1), self.rng
         )
 
-    def _found(self, screening: Screening) -> int | None:
-        """Index of the candidate whose gain counts most, or None where all of it may be chance."""
+    def _found(self, screening: Screening, floor: float, probe_floor: float) -> int | None:
+        """Index of the candidate whose gain counts most, or None where all of it may be chance.
+
+        Args:
+            screening: gains.
+            floor: that a named effect has to exceed.
+            probe_floor: that a probe has to exceed.
+        """
         for i in np.argsort(-screening.gain):
             gain = float(screening.gain[i])
             if not (gain > QUICK_GAIN if not self.draws else screening.p_value(gain) <= LEVEL):
                 return None
-            if screening.candidates[i] in self.effects or gain > PROBE_GAIN:
+            if gain > (floor if screening.candidates[i] in self.effects else probe_floor):
                 return int(i)
         return None
 
@@ -229,6 +247,26 @@ class _Inquiry:
             sentence = f"Nothing is seen to be missing, but {why} could not have shown most effects."
             return _Outcome("undecided", sentence, self.base)
         return _Outcome("adequate", "The model explains the data; no effect is missing.", self.base)
+
+    def _better_base(self) -> bool:
+        """Whether the maps of a refit, without its effect, explain the data better than those found at first.
+
+        Then it was the search that the effect helped, not the model. Asked once.
+        """
+        if self.second_look or not self.fits:
+            return False
+        self.second_look = True
+        best = min(self.fits.values(), key=lambda fitted: fitted.cost)
+        again = self.fitter.base(self.error, best)
+        plain = self.fitter.base(self.error, self.base)
+        if again.cost > plain.cost - 5.0:
+            return False
+        self.base = again
+        self.error = estimate_errors(again, self.noise)
+        self.base = self.fitter.base(self.error, again)
+        self.fits.clear()
+        self.gains.clear()
+        return True
 
     def _refit(self) -> None:
         """Refit all candidates, then again under the error model of the best of them.
@@ -262,7 +300,7 @@ class _Inquiry:
 
     def _explains(self, name: str, rest: Screening) -> bool:
         """Whether nothing that matters is left to gain on top of a candidate; remembers what is."""
-        found = self._found(rest)
+        found = self._found(rest, REST_GAIN, REST_GAIN)
         top = int(np.argmax(rest.gain)) if found is None else found
         gain = float(rest.gain[top])
         passed = found is None or gain < MATERIAL * self.gains[name]
@@ -291,10 +329,10 @@ class _Inquiry:
                     continue
                 left = self._screen(pair)
                 tried.append((pair, left))
-                found = self._found(left)
+                found = self._found(left, REST_GAIN, REST_GAIN)
                 # What is left must be small beside the gain of the second effect, not only of both.
                 second_gain = self.fits[name].cost - pair.cost
-                if found is None or left.gain[found] < 3 * MATERIAL * second_gain:
+                if found is None or left.gain[found] < 2 * MATERIAL * second_gain:
                     names = [effect.name for effect in pair.effects]
                     return _Outcome(
                         "effect",
