@@ -148,7 +148,8 @@ class Effect:
 
     @property
     def signs(self) -> FloatArray:
-        """(P,) 1 or -1 where a parameter's null is the end of its range and it can only grow or fall, else 0."""
+        """(P,) 1 or -1 where a parameter's null is the end of its range and it can only grow or fall, else
+        0."""
         return np.array([float(p.center == p.low) - float(p.center == p.high) for p in self.parameters])
 
     def start_values(self, scene: Scene) -> FloatArray:

@@ -34,7 +34,8 @@ MATERIAL = 0.03
 """What gains less than this share on top of an effect's own gain is a matter of its exact form."""
 
 CLEARLY_WORSE = 0.08
-"""A candidate whose gain is smaller than the best one's by this share, and by 10 nats, is ruled out by that alone."""
+"""A candidate whose gain is smaller than the best one's by this share, and by 10 nats, is ruled out by that
+alone."""
 
 MOST_ASKED = 5
 PROBE_GAIN = 20.0
