@@ -16,7 +16,7 @@ import numpy as np
 from models.effects.effect import Effect
 from models.effects.library import LIBRARY
 from models.inference.belief import Belief
-from models.inference.diagnosis.error_model import ErrorModel, sensor_noise
+from models.inference.diagnosis.error_model import sensor_noise
 from models.inference.diagnosis.fitting import Fitted, Fitter, estimate_errors
 from models.inference.diagnosis.procedure import parameter_estimates, typical_speed
 from models.inference.diagnosis.screening import screen
@@ -73,7 +73,7 @@ def fit_effects(
     report("fitting", 0, 3)
     noise = sensor_noise(dataset)
     fitter = Fitter(dataset, observations, noise)
-    fitted = fitter.base(ErrorModel(noise, 0.02, 0.08))
+    fitted = fitter.from_scratch()
     report("fitting", 1, 3)
     scene = fitter.scene(fitted, typical_speed(observations))
     fitter.weight = scene.weight

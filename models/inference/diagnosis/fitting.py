@@ -26,7 +26,9 @@ MODES = 20
 
 FINGER_STARTS = (0.12, 0.35, 1.0)
 
-MOTION_ERRORS = (0.006, 0.01, 0.016, 0.025, 0.04, 0.06, 0.1, 0.16)
+FIRST_ERRORS = (0.02, 0.08)
+
+MOTION_ERRORS = (0.006, 0.01, 0.016, 0.025, 0.04, 0.06, 0.1, 0.16, 0.25)
 """α to choose from; no cell grid is better than the first, however good the sensors are."""
 
 FORCE_ERRORS = (0.02, 0.04, 0.08, 0.16, 0.32)
@@ -98,24 +100,28 @@ class Fitter:
         )
         return MapPrior(slider, self.settings, d.mass, self.weight)
 
-    def base(self, error: ErrorModel, start: Fitted | None = None) -> Fitted:
-        """Fit the model without effects, from another fit or from scratch.
-
-        From scratch the forgiving likelihood of the identification comes first: it finds the valley, where
-            the strict
-        one, with its many correlated rows, gets stuck on the way.
-        """
+    def base(self, error: ErrorModel, start: Fitted) -> Fitted:
+        """Fit the model without effects, from the maps of another fit."""
         prior = self.prior(())
         likelihood = CorrelatedLikelihood(prior, self.observations, error)
-        if start is not None:
-            return _best(
-                (), likelihood, start.z[None, : prior.size], np.zeros((1, prior.size)), start.offsets
-            )
+        return _best((), likelihood, start.z[None, : prior.size], np.zeros((1, prior.size)), start.offsets)
+
+    def from_scratch(self) -> Fitted:
+        """Fit the model without effects, and the error model with it.
+
+        The forgiving likelihood of the identification comes first: it finds the valley, where the strict one,
+        with its many correlated rows, gets stuck on the way. What it leaves sets the first error model.
+        """
+        prior = self.prior(())
         starts = np.array([prior.start(friction) for friction in FINGER_STARTS])
         first = fit(self._forgiving(prior), starts)
         best = int(np.argmin(first.cost))
         self.forgiving_start = first.z[best], first.offsets[best]
-        return _best((), likelihood, first.z[best : best + 1], np.zeros((1, prior.size)), first.offsets[best])
+        likelihood = CorrelatedLikelihood(prior, self.observations, ErrorModel(self.noise, *FIRST_ERRORS))
+        fitted = Fitted((), likelihood, first.z[best], np.zeros(prior.size), first.offsets[best], np.inf)
+        for _ in range(2):
+            fitted = self.base(estimate_errors(fitted, self.noise), fitted)
+        return fitted
 
     def _forgiving(self, prior: MapPrior) -> Likelihood:
         return Likelihood(prior, self.observations, self.dataset.noise, LikelihoodSettings())

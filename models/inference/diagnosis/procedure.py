@@ -19,7 +19,7 @@ import numpy as np
 from models.effects.effect import Effect, Scene, bounds
 from models.effects.library import LIBRARY
 from models.effects.probes import PROBES
-from models.inference.diagnosis.error_model import ErrorModel, sensor_noise
+from models.inference.diagnosis.error_model import sensor_noise
 from models.inference.diagnosis.fitting import Fitted, Fitter, estimate_errors
 from models.inference.diagnosis.locked import locked_errors, locked_trials
 from models.inference.diagnosis.results import CandidateResult, Diagnosis, ParameterEstimate
@@ -38,6 +38,12 @@ CLEARLY_WORSE = 0.08
 alone."""
 
 MOST_ASKED = 5
+ROUGH = 0.03
+"""α above which an error model is rough: no sensor's noise, but a description of pushes that scatter."""
+
+AGREEMENT = 0.05
+"""Share of sign changes of whole pushes that may gain as much, where the error model is rough."""
+
 PROBE_GAIN = 20.0
 """Gain, in nats, below which a probe's finding in the model without effects is put down to the grid and the
 contact, which are not exact."""
@@ -90,6 +96,15 @@ def diagnose(
     held = [o for o in every if o.trial in locked]
     before = locked_errors(inquiry.base, dataset, held) if held else None
     after = locked_errors(outcome.best, dataset, held) if held and outcome.best.effects else before
+    if before is not None and after is not None and inquiry.error.motion > ROUGH:
+        if after.total_misfit > before.total_misfit and outcome.verdict in ("effect", "ambiguous"):
+            names = " and ".join(outcome.effects)
+            sentence = (
+                f"On the open pushes {names} would explain much, but the locked pushes become worse with it:"
+                " the pushes are too few, or scatter too much, to decide."
+            )
+            outcome = _Outcome("undecided", sentence, inquiry.base)
+            after = before
     return Diagnosis(
         verdict=outcome.verdict,
         sentence=outcome.sentence,
@@ -156,15 +171,12 @@ class _Inquiry:
         noise = sensor_noise(dataset)
         self.fitter = Fitter(dataset, observations, noise)
         self.noise = noise
-        report("fitting without effects", 0, 3)
-        first = self.fitter.base(ErrorModel(noise, 0.02, 0.08))
-        report("fitting without effects", 1, 3)
-        self.error = estimate_errors(first, noise)
-        report("fitting without effects", 2, 3)
-        self.base = self.fitter.base(self.error, first)
+        report("fitting without effects", 0, 1)
+        self.base = self.fitter.from_scratch()
+        self.error = self.base.likelihood.error
         self.scene = self.fitter.scene(self.base, typical_speed(observations))
         self.fitter.weight = self.scene.weight
-        report("fitting without effects", 3, 3)
+        report("fitting without effects", 1, 1)
         self.second_look = False
         self.fits: dict[str, Fitted] = {}
         self.gains: dict[str, float] = {}
@@ -186,6 +198,10 @@ class _Inquiry:
         self._refit()
         if self._better_base():
             return self.run()
+        if self.error.motion > ROUGH and self.draws:
+            disagreement = self._disagreement()
+            if disagreement is not None:
+                return disagreement
         if not self.fits:
             return self._unknown(self.base, self.first)
         order = sorted(self.fits, key=lambda name: -self.gains[name])
@@ -247,7 +263,32 @@ class _Inquiry:
             why = f"{pushes} pushes" if pushes < FEWEST_PUSHES else "these pushes"
             sentence = f"Nothing is seen to be missing, but {why} could not have shown most effects."
             return _Outcome("undecided", sentence, self.base)
+        if self.error.motion > ROUGH:
+            share = 100 * self.error.motion
+            sentence = (
+                f"The model is off by about {share:.0f} % of the way, which is much, but no effect explains it:"
+                " the pushes may scatter by themselves, or something disturbs them that is not known here."
+            )
+            return _Outcome("undecided", sentence, self.base)
         return _Outcome("adequate", "The model explains the data; no effect is missing.", self.base)
+
+    def _disagreement(self) -> _Outcome | None:
+        """`undecided` where even with the best effect much is left, and the pushes do not agree on what gains.
+
+        Then the error model is no more than a description, and chance has to be judged by the pushes alone: by
+        turning round the residuals of whole pushes at random.
+        """
+        p = self.first.p_of_agreement(self.effects)
+        if p <= AGREEMENT:
+            return None
+        pushes = len(self.fitter.observations)
+        self.p_value = p
+        return _Outcome(
+            "undecided",
+            f"Much is left that the model does not explain, but the {pushes} pushes do not agree on what it is:"
+            f" turned round at random, they would show as much in {100 * p:.0f} % of cases.",
+            self.base,
+        )
 
     def _better_base(self) -> bool:
         """Whether the maps of a refit, without its effect, explain the data better than those found at first.

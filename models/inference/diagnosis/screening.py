@@ -39,6 +39,8 @@ class Screening:
         start: (C,) which start it was.
         per_push: (C, B) its parts.
         chance: (C, D) the same gains for simulated data without any missing effect.
+        turned: (C, D) the same for the data with the residuals of whole pushes turned round at random; the first are
+            the data as they are.
         sharpness: (C,) smallest standard deviation that the data leave of an amplitude, in its scales.
     """
 
@@ -47,6 +49,7 @@ class Screening:
     start: np.ndarray
     per_push: FloatArray
     chance: FloatArray
+    turned: FloatArray
     sharpness: FloatArray
 
     @property
@@ -59,6 +62,11 @@ class Screening:
         counted."""
         largest = self.largest_by_chance
         return float((1 + (largest >= gain).sum()) / (1 + len(largest)))
+
+    def p_of_agreement(self, effects: Sequence[Effect]) -> float:
+        """Share of data with pushes turned round that gain as much by some effects; small where pushes agree."""
+        largest = self.turned[[candidate in effects for candidate in self.candidates]].max(axis=0)
+        return float((largest >= largest[0] - 1e-9).mean())
 
 
 def screen(
@@ -124,9 +132,14 @@ def screen(
     spare = np.concatenate([own_columns[i][0] for i in tolerated])
 
     small = rng.standard_normal((len(spare), draws)) * TOLERANCE
+    signs = rng.choice([-1.0, 1.0], (len(residuals), draws))
+    signs[:, 0] = 1.0
     drawn = [
-        np.concatenate([r[:, None], rng.standard_normal((len(r), draws)) + J[:, spare] @ small], axis=1)
-        for J, r in zip(stacked, residuals, strict=True)
+        np.concatenate(
+            [r[:, None], rng.standard_normal((len(r), draws)) + J[:, spare] @ small, r[:, None] * turn],
+            axis=1,
+        )
+        for J, r, turn in zip(stacked, residuals, signs, strict=True)
     ]
     equations = PushEquations.of(stacked, drawn)
     pull = fitted.z - fitted.prior_mean
@@ -151,7 +164,7 @@ def screen(
 
     without = np.zeros(0)
     without = score(None, 0)
-    gain, start, per_push, chance, sharpness = [], [], [], [], []
+    gain, start, per_push, chance, turned, sharpness = [], [], [], [], [], []
     total = equations.normal.sum(axis=0)
     for i in candidates:
         tried = np.array([score(i, g) - without for g in range(len(starts[i]))])
@@ -160,7 +173,8 @@ def screen(
         gain.append(totals[best, 0])
         start.append(best)
         per_push.append(tried[best, :, 0])
-        chance.append(totals[:, 1:].max(axis=0))
+        chance.append(totals[:, 1 : 1 + draws].max(axis=0))
+        turned.append(totals[:, 1 + draws :].max(axis=0))
         both = np.concatenate([base_columns, own_columns[i][best]])
         width = len(base_columns)
         precision = np.concatenate([np.ones(width), np.full(len(both) - width, FREE**-2.0)])
@@ -172,5 +186,6 @@ def screen(
         np.array(start),
         np.array(per_push),
         np.array(chance),
+        np.array(turned),
         np.array(sharpness),
     )
