@@ -115,7 +115,8 @@ class TableFrictionField(Effect):
 
     def friction(self, cell: Any, p: Any) -> Any:
         distance = sp.sqrt((cell.x - p.patch_x) ** 2 + (cell.y - p.patch_y) ** 2 + 1e-12)
-        inside = smooth_step(p.patch_radius - distance, 0.01)
+        # The share of a cell that lies inside, for an edge that is sharper than cells are small.
+        inside = smooth_step(p.patch_radius - distance, cell.width)
         slope = positive_part(1 + p.gradient_x * cell.x + p.gradient_y * cell.y, 0.02) / positive_part(
             1, 0.02
         )

@@ -96,15 +96,19 @@ def diagnose(
     held = [o for o in every if o.trial in locked]
     before = locked_errors(inquiry.base, dataset, held) if held else None
     after = locked_errors(outcome.best, dataset, held) if held and outcome.best.effects else before
-    if before is not None and after is not None and inquiry.error.motion > ROUGH:
-        if after.total_misfit > before.total_misfit and outcome.verdict in ("effect", "ambiguous"):
-            names = " and ".join(outcome.effects)
-            sentence = (
-                f"On the open pushes {names} would explain much, but the locked pushes become worse with it:"
-                " the pushes are too few, or scatter too much, to decide."
-            )
-            outcome = _Outcome("undecided", sentence, inquiry.base)
-            after = before
+    if (
+        outcome.verdict in ("effect", "ambiguous")
+        and inquiry.error.motion > ROUGH
+        and before is not None
+        and after is not None
+        and after.total_misfit > before.total_misfit
+    ):
+        sentence = (
+            f"On the open pushes {' and '.join(outcome.effects)} would explain much, but the locked pushes"
+            " become worse with it: the pushes are too few, or scatter too much, to decide."
+        )
+        outcome = _Outcome("undecided", sentence, inquiry.base)
+        after = before
     return Diagnosis(
         verdict=outcome.verdict,
         sentence=outcome.sentence,
@@ -266,8 +270,8 @@ class _Inquiry:
         if self.error.motion > ROUGH:
             share = 100 * self.error.motion
             sentence = (
-                f"The model is off by about {share:.0f} % of the way, which is much, but no effect explains it:"
-                " the pushes may scatter by themselves, or something disturbs them that is not known here."
+                f"The model is off by about {share:.0f} % of the way, which is much, but no effect explains"
+                " it: the pushes may scatter by themselves, or something unknown disturbs them."
             )
             return _Outcome("undecided", sentence, self.base)
         return _Outcome("adequate", "The model explains the data; no effect is missing.", self.base)
