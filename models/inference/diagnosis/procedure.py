@@ -277,9 +277,11 @@ class _Inquiry:
         return _Outcome("adequate", "The model explains the data; no effect is missing.", self.base)
 
     def _disagreement(self) -> _Outcome | None:
-        """`undecided` where even with the best effect much is left, and the pushes do not agree on what gains.
+        """`undecided` where even with the best effect much is left, and the pushes do not agree on what
+        gains.
 
-        Then the error model is no more than a description, and chance has to be judged by the pushes alone: by
+        Then the error model is no more than a description, and chance has to be judged by the pushes alone:
+            by
         turning round the residuals of whole pushes at random.
         """
         p = self.first.p_of_agreement(self.effects)
