@@ -3,6 +3,7 @@
 from diagrams.figures.calibration import calibration_figure
 from diagrams.figures.comparison import error_figure
 from diagrams.figures.correlations import correlation_figure
+from diagrams.figures.effects import effect_figure
 from diagrams.figures.maps import maps_figure
 from diagrams.figures.pushes import push_figures
 from diagrams.figures.residual_curves import factor_figure
@@ -13,6 +14,7 @@ from diagrams.figures.style import save
 __all__ = [
     "calibration_figure",
     "correlation_figure",
+    "effect_figure",
     "error_figure",
     "factor_figure",
     "maps_figure",
