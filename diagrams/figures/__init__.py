@@ -10,6 +10,7 @@ from diagrams.figures.residual_curves import factor_figure
 from diagrams.figures.residual_fields import object_figure, table_figure
 from diagrams.figures.residuals import residual_figures
 from diagrams.figures.style import save
+from diagrams.figures.telling_push import telling_push_figure
 
 __all__ = [
     "calibration_figure",
@@ -23,4 +24,5 @@ __all__ = [
     "residual_figures",
     "save",
     "table_figure",
+    "telling_push_figure",
 ]
