@@ -156,15 +156,35 @@ def separations(
     return result
 
 
+def keeps_touch(push: Push, forces: FloatArray) -> bool:
+    """Whether the finger pushes from first touch to its stop; just when it slides off is not for a model to know.
+
+    Args:
+        push: that is imagined.
+        forces: (S, 2) predicted for it.
+    """
+    size = np.hypot(*forces.T)
+    pressed = size > 0.05 * size.max()
+    moving = np.flatnonzero(_paces(push) > 1e-9)
+    first = int(np.argmax(pressed))
+    # A stop half-way may relieve the finger; the last stretch of motion may be cut short.
+    return bool(pressed[first : moving[-1]][_paces(push)[first : moving[-1]] > 1e-9].all())
+
+
+def _paces(push: Push) -> FloatArray:
+    """(SAMPLES,) way of the finger in a step, mean over each stretch, m."""
+    way = np.hypot(*np.diff(push.tip, axis=0).T)
+    edges = np.linspace(0, len(way), SAMPLES + 1).astype(int)
+    return np.add.reduceat(way, edges[:-1]) / np.diff(edges)
+
+
 def _whitened(factor: FloatArray, rows: FloatArray) -> FloatArray:
     return scipy.linalg.solve_triangular(factor, rows.T, lower=True).T
 
 
 def _steady(push: Push, forces: FloatArray) -> np.ndarray:
     """Stretches in steady pushing, as fits count them: finger fast, force present, and so in both neighbours."""
-    speed = np.hypot(*np.diff(push.tip, axis=0).T)
-    edges = np.linspace(0, len(speed), SAMPLES + 1).astype(int)
-    mean = np.add.reduceat(speed, edges[:-1]) / np.diff(edges)
+    mean = _paces(push)
     size = np.hypot(*forces.T)
     steady = (mean > 0.5 * mean.max()) & (size > 0.2 * np.percentile(size, 90))
     padded = np.concatenate([[False], steady, [False]])

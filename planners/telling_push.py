@@ -28,7 +28,7 @@ from models.physics.cell_grid import FloatArray
 from models.physics.maps import Maps
 from models.physics.rollout import Push
 from planners.exploration import CandidatePush, NoReachablePush, candidate_pushes
-from planners.rehearsal import Predictions, Rival, predict, separations, straight_push
+from planners.rehearsal import Predictions, Rival, keeps_touch, predict, separations, straight_push
 
 CANDIDATES = 300
 CONTACTS = 60
@@ -255,7 +255,8 @@ def _most_telling(
 ) -> tuple[_Proposal, float, list[Predictions]]:
     """The best proposal, its separation, and what the rivals predict for it.
 
-    Among the best few, the one that stays telling where the object is put down a little off.
+    Pushes from which the finger slides off are left out. Among the best few, the one that stays telling where the
+    object is put down a little off.
     """
     error, grid = judge.likelihood.error, dataset.grid
     order = float(habits.pushes)
@@ -264,7 +265,9 @@ def _most_telling(
 
     def least(pushes: Sequence[Push]) -> FloatArray:
         predicted = [predict(rival, pushes) for rival in rivals]
-        return separations(predicted, pushes, error, grid, habits.force)[used].min(axis=0)
+        apart = separations(predicted, pushes, error, grid, habits.force)[used].min(axis=0)
+        kept = [all(keeps_touch(push, p.forces[b]) for p in predicted) for b, push in enumerate(pushes)]
+        return np.where(kept, apart, 0.0) if any(kept) else apart
 
     score = least([proposal.push(order) for proposal in proposals])
     finalists = np.argsort(-score, kind="stable")[:FINALISTS]

@@ -40,7 +40,7 @@ def telling_push_figure(told: dict[str, Any], diagnosis: Diagnosis, dataset: Pus
     lines = textwrap.wrap(told["sentence"], 122)
     figure.text(0.02, 0.92, "\n".join(lines), va="top", fontsize=9, linespacing=1.3)
     top = 0.9 - 0.042 * len(lines)
-    axes = figure.add_axes((0.02, 0.1, 0.53, top - 0.1))
+    axes = figure.add_axes((0.05, 0.13, 0.5, top - 0.13))
     axes.add_patch(PathPatch(outline_path(grid, told["pose"]), facecolor=PAPER, edgecolor=FAINT, linewidth=0.8))
     axes.plot(*np.array([told["tip_start"], told["tip_end"]]).T, color=FINGER, linewidth=1.2)
     for place, fill in ((told["tip_start"], "none"), (told["tip_end"], FINGER)):
@@ -56,7 +56,7 @@ def telling_push_figure(told: dict[str, Any], diagnosis: Diagnosis, dataset: Pus
     )
     low, high = points.min(axis=0) - 0.015, points.max(axis=0) + 0.015
     low[1] -= 0.02
-    axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal", xlabel="x, m", ylabel="y, m")
+    axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal")
     axes.tick_params(labelsize=7.5)
     _table_edge(axes, dataset)
     scale_bar(axes, low + np.array([0.008, 0.014]), float((high - low).max()))

@@ -173,6 +173,12 @@ def test_the_push_can_be_made(world: World) -> None:
         assert abs(touch[0] * direction[1] - touch[1] * direction[0]) <= RADIUS + 1e-9
         corners = world.grid.exterior @ np.array([[c, s], [-s, c]]) + told["pose"][:2]
         assert np.all(np.abs(corners) < [0.18, 0.15])
+        for fitted in rivals:
+            prior = fitted.likelihood.prior
+            force = np.hypot(*prior.slider.rollout(prior.maps(fitted.z[None]), [push]).forces[0].T)
+            moving = np.hypot(*np.diff(push.tip, axis=0).T) > 0.99 * told["speed"] * push.h
+            # The finger has not slid off when it stops.
+            assert np.median(force[np.flatnonzero(moving)[-10:]]) > 0.1
         assert np.hypot(*np.subtract(told["tip_end"], told["tip_start"])) == pytest.approx(told["length"] + 0.01)
 
 
