@@ -1,6 +1,7 @@
 """Pushes that are only imagined: what rival models predict for them, and how far the predictions are apart.
 
-Apart means in standard deviations of the error model: the whitened distance between two predicted courses of poses,
+Apart means in standard deviations of the error model: the whitened distance between two predicted
+courses of poses,
 and of forces where the dataset has any, as a fit would weigh them.
 """
 
@@ -65,9 +66,16 @@ class Predictions:
 
 
 def straight_push(
-    pose: FloatArray, begin: FloatArray, end: FloatArray, speed: float, *, dwell: float = 0.0, order: float = 0.0
+    pose: FloatArray,
+    begin: FloatArray,
+    end: FloatArray,
+    speed: float,
+    *,
+    dwell: float = 0.0,
+    order: float = 0.0,
 ) -> Push:
-    """A push along a line with a gentle start and an abrupt stop, and, if `dwell` is positive, a stop half-way.
+    """A push along a line with a gentle start and an abrupt stop, and, if `dwell` is positive, a stop
+    half-way.
 
     Args:
         pose: (3,) of the object before, world.
@@ -83,7 +91,9 @@ def straight_push(
     way = length / parts
     ramp = min(RAMP, way / speed)
     moving = way / speed + ramp / 2
-    times = h * np.arange(int(np.ceil((REST + parts * moving + (parts - 1) * dwell + AFTERWARDS) / h)) + 1)
+    times = h * np.arange(
+        0.0, int(np.ceil((REST + parts * moving + (parts - 1) * dwell + AFTERWARDS) / h)) + 1
+    )
     travelled_way = np.zeros(len(times))
     for part in range(parts):
         t = np.clip(times - REST - part * (moving + dwell), 0.0, moving)
@@ -157,7 +167,8 @@ def separations(
 
 
 def keeps_touch(push: Push, forces: FloatArray) -> bool:
-    """Whether the finger pushes from first touch to its stop; just when it slides off is not for a model to know.
+    """Whether the finger pushes from first touch to its stop; just when it slides off is not for a model
+    to know.
 
     Args:
         push: that is imagined.
@@ -183,7 +194,8 @@ def _whitened(factor: FloatArray, rows: FloatArray) -> FloatArray:
 
 
 def _steady(push: Push, forces: FloatArray) -> np.ndarray:
-    """Stretches in steady pushing, as fits count them: finger fast, force present, and so in both neighbours."""
+    """Stretches in steady pushing, as fits count them: finger fast, force present, and so in both
+    neighbours."""
     mean = _paces(push)
     size = np.hypot(*forces.T)
     steady = (mean > 0.5 * mean.max()) & (size > 0.2 * np.percentile(size, 90))

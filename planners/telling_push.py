@@ -1,7 +1,9 @@
-"""The next push: the one on which the models that are left differ most, or that shows best what is not yet seen.
+"""The next push: the one on which the models that are left differ most, or that shows best what is not
+yet seen.
 
 - Several effects left: the push whose predictions differ most between the two that differ least.
-- One effect: the push on which its least certain parameter shows most, everything else following that parameter as
+- One effect: the push on which its least certain parameter shows most, everything else following that
+  parameter as
   the data demand.
 - Undecided: the push that best shows those effects that the recorded pushes show least.
 - Unknown: the push with the largest residual, repeated with that changed on which the residual depends.
@@ -11,12 +13,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import combinations
 from typing import Any
 
 import numpy as np
-import shapely
 
 from models.effects import LIBRARY, EffectSlider, Scene
 from models.effects.effect import bounds, scales
@@ -27,44 +28,16 @@ from models.measurements import PushDataset
 from models.physics.cell_grid import FloatArray
 from models.physics.maps import Maps
 from models.physics.rollout import Push
-from planners.exploration import CandidatePush, NoReachablePush, candidate_pushes
+from planners.exploration import NoReachablePush
+from planners.proposals import Habits, Proposal, habits_of, how_to, proposals_for
 from planners.rehearsal import Predictions, Rival, keeps_touch, predict, separations, straight_push
+from planners.repeated_push import repeat_the_worst
 
 CANDIDATES = 300
-CONTACTS = 60
 FINALISTS = 12
-FASTER = 1.5
-"""How much faster or slower than any recorded push a proposal may be."""
-
-DWELL = 0.5
-"""s."""
 
 MISPLACED = np.array([[2e-3, 0, 0.03], [-2e-3, 0, -0.03], [0, 2e-3, -0.03], [0, -2e-3, 0.03]])
 """m, rad by which a person may miss the pose; a push has to tell the rivals apart there too."""
-
-APPROACH = 0.01
-"""m between finger and object before."""
-
-
-@dataclass(frozen=True)
-class Habits:
-    """What the recorded pushes were like.
-
-    Attributes:
-        low: (2,) corner of the places at which the object was, m.
-        high: (2,) opposite corner.
-        speeds: slow, medium and fast, m/s.
-        lengths: shortest and longest way to propose, m.
-        force: whether a force was measured.
-        pushes: their number.
-    """
-
-    low: FloatArray
-    high: FloatArray
-    speeds: tuple[float, float, float]
-    lengths: tuple[float, float]
-    force: bool
-    pushes: int
 
 
 def next_push(diagnosis: Diagnosis, dataset: PushDataset, seed: int = 0) -> dict[str, Any] | None:
@@ -76,9 +49,11 @@ def next_push(diagnosis: Diagnosis, dataset: PushDataset, seed: int = 0) -> dict
         seed: of the candidate pushes.
 
     Returns:
-        None where there is nothing to find out or no push can be made; else plain numbers, world frame, m and s:
+        None where there is nothing to find out or no push can be made; else plain numbers, world frame,
+        m and s:
         `pose` (x, y, theta) at which to put the object, `contact` (x, y) on its outline in the object frame,
-        `tip_start` and `tip_end` (x, y) of the finger's centre, `direction_deg` of its motion, `speed`, `length` from
+        `tip_start` and `tip_end` (x, y) of the finger's centre, `direction_deg` of its motion, `speed`,
+        `length` from
         first touch to stop, `dwell` half-way (0 for none), `separates` names, `separation` in standard
         deviations of the error model, and a `sentence` that says all this.
     """
@@ -88,12 +63,12 @@ def next_push(diagnosis: Diagnosis, dataset: PushDataset, seed: int = 0) -> dict
     habits = habits_of(observations, dataset)
     rng = np.random.default_rng(seed)
     if diagnosis.verdict == "unknown":
-        return _repeat_the_worst(diagnosis, dataset, habits)
+        return repeat_the_worst(diagnosis, dataset, habits)
     rivals, pairs, why = _question(diagnosis, dataset, habits)
     try:
         # Many models take as long as many pushes.
         count = CANDIDATES if len(rivals) <= 4 else CANDIDATES // 3
-        chosen = _candidates(dataset, habits, _finger_friction(diagnosis.base), count, rng)
+        chosen = proposals_for(dataset, habits, _finger_friction(diagnosis.base), count, rng)
     except NoReachablePush:
         return None
     best, separation, predictions = _most_telling(rivals, pairs, chosen, diagnosis.best, dataset, habits)
@@ -107,7 +82,8 @@ def next_push(diagnosis: Diagnosis, dataset: PushDataset, seed: int = 0) -> dict
 
 
 def rivals_of(diagnosis: Diagnosis, dataset: PushDataset) -> list[Rival]:
-    """The models whose predictions for the next push are worth comparing; none where the model is adequate."""
+    """The models whose predictions for the next push are worth comparing; none where the model is
+    adequate."""
     if diagnosis.verdict == "adequate":
         return []
     if diagnosis.verdict == "unknown":
@@ -122,7 +98,11 @@ def _question(
     """Models to tell apart, the pairs of them that count, and what that is good for."""
     if diagnosis.verdict == "undecided":
         rivals = _hardly_seen(diagnosis, dataset, habits)
-        return rivals, [(0, k) for k in range(1, len(rivals))], "would show best what the pushes so far show least"
+        return (
+            rivals,
+            [(0, k) for k in range(1, len(rivals))],
+            "would show best what the pushes so far show least",
+        )
     if len(diagnosis.rivals) > 1:
         rivals = [Rival.of(fitted) for fitted in diagnosis.rivals]
         return rivals, list(combinations(range(len(rivals)), 2)), "tells them apart best"
@@ -135,127 +115,18 @@ def push_of(told: dict[str, Any], order: float = 0.0) -> Push:
     return straight_push(np.array(told["pose"]), begin, end, told["speed"], dwell=told["dwell"], order=order)
 
 
-def habits_of(observations: Sequence[Observation], dataset: PushDataset) -> Habits:
-    """Region, speeds and lengths of recorded pushes."""
-    poses = np.concatenate([np.vstack([o.push.start_pose, o.poses]) for o in observations])[:, :2]
-    speeds, ways = [], []
-    for o in observations:
-        speed = np.hypot(*np.diff(o.push.tip, axis=0).T) / o.push.h
-        moving = speed[np.isfinite(speed) & (speed > 1e-3)]
-        if len(moving):
-            speeds.append(float(np.median(moving)))
-        ways.append(float(np.hypot(*(o.poses[-1, :2] - o.push.start_pose[:2]))))
-    speeds = speeds or [0.05]
-    longest = max(max(ways), 0.5 * float(np.ptp(dataset.grid.exterior, axis=0).max()))
-    return Habits(
-        poses.min(axis=0),
-        poses.max(axis=0),
-        (min(speeds) / FASTER, float(np.median(speeds)), max(speeds) * FASTER),
-        (0.5 * longest, longest),
-        any(bool(o.sliding.any()) for o in observations),
-        len(dataset.trials),
-    )
-
-
-@dataclass(frozen=True, eq=False)
-class _Proposal:
-    """A candidate push on the table."""
-
-    pose: FloatArray
-    contact: FloatArray
-    begin: FloatArray
-    end: FloatArray
-    speed: float
-    length: float
-    dwell: float
-
-    @classmethod
-    def of(cls, push: CandidatePush, pose: FloatArray, speed: float, length: float, dwell: float) -> _Proposal:
-        turn = _turn(pose[2])
-        begin = pose[:2] + turn @ (push.touch - push.approach * push.direction)
-        end = pose[:2] + turn @ (push.touch + length * push.direction)
-        return cls(pose, push.contact, begin, end, speed, length, dwell)
-
-    def push(self, order: float, misplaced: FloatArray | None = None) -> Push:
-        pose = self.pose if misplaced is None else self.pose + misplaced
-        return straight_push(pose, self.begin, self.end, self.speed, dwell=self.dwell, order=order)
-
-    def told(self) -> dict[str, Any]:
-        way = self.end - self.begin
-        return {
-            "pose": [float(value) for value in self.pose],
-            "contact": [float(value) for value in self.contact],
-            "direction_deg": float(np.degrees(np.arctan2(way[1], way[0]))),
-            "speed": float(self.speed),
-            "length": float(self.length),
-            "dwell": float(self.dwell),
-            "tip_start": [float(value) for value in self.begin],
-            "tip_end": [float(value) for value in self.end],
-        }
-
-
-def _candidates(
-    dataset: PushDataset, habits: Habits, mu_finger: float, count: int, rng: np.random.Generator
-) -> list[_Proposal]:
-    """Random pushes that stay in the region of the recorded ones and on the table.
-
-    Half of them come in pairs that differ by half a turn alone, since a reversed push is what tells many apart.
-    """
-    cone = float(np.clip(0.9 * np.arctan(mu_finger), 0.05, np.pi / 4))
-    contacts = candidate_pushes(
-        dataset.grid, dataset.finger_radius, rng, CONTACTS, cone=cone, approach=APPROACH
-    )
-    found: list[_Proposal] = []
-    for _ in range(20 * count):
-        if len(found) >= count:
-            break
-        contact = contacts[int(rng.integers(len(contacts)))]
-        yaw = float(rng.uniform(-np.pi, np.pi))
-        length = float(rng.uniform(*habits.lengths))
-        speed = habits.speeds[int(rng.integers(3))]
-        dwell = DWELL if rng.random() < 0.25 else 0.0
-        for turned in (0.0, np.pi) if rng.random() < 1 / 3 else (0.0,):
-            angle = float((yaw + turned + np.pi) % (2 * np.pi) - np.pi)
-            place = _place(habits, length * _turn(angle) @ contact.direction, rng)
-            proposal = _Proposal.of(contact, np.array([*place, angle]), speed, length, dwell)
-            if _on_table(proposal, dataset):
-                found.append(proposal)
-    if not found:
-        raise NoReachablePush("no push stays on the table")
-    return found[:count]
-
-
-def _place(habits: Habits, move: FloatArray, rng: np.random.Generator) -> FloatArray:
-    """Where to begin so that a move ends in the region too; centred on it where it does not fit."""
-    low, high = habits.low - np.minimum(move, 0.0), habits.high - np.maximum(move, 0.0)
-    middle = 0.5 * (habits.low + habits.high) - 0.5 * move
-    return np.where(low < high, rng.uniform(np.minimum(low, high), np.maximum(low, high)), middle)
-
-
-def _on_table(proposal: _Proposal, dataset: PushDataset) -> bool:
-    table = dataset.table
-    if table is None:
-        return True
-    way = proposal.end - proposal.begin
-    corners = dataset.grid.exterior @ _turn(proposal.pose[2]).T + proposal.pose[:2]
-    points = np.vstack([corners, corners + way]) - np.asarray(table.center)
-    if table.radius is not None:
-        return bool((np.hypot(*points.T) < table.radius).all())
-    assert table.size is not None
-    return bool((np.abs(points) < 0.5 * np.asarray(table.size)).all())
-
-
 def _most_telling(
     rivals: Sequence[Rival],
     pairs: Sequence[tuple[int, int]],
-    proposals: Sequence[_Proposal],
+    proposals: Sequence[Proposal],
     judge: Fitted,
     dataset: PushDataset,
     habits: Habits,
-) -> tuple[_Proposal, float, list[Predictions]]:
+) -> tuple[Proposal, float, list[Predictions]]:
     """The best proposal, its separation, and what the rivals predict for it.
 
-    Pushes from which the finger slides off are left out. Among the best few, the one that stays telling where the
+    Pushes from which the finger slides off are left out. Among the best few, the one that stays telling
+    where the
     object is put down a little off.
     """
     error, grid = judge.likelihood.error, dataset.grid
@@ -279,7 +150,8 @@ def _most_telling(
 
 
 def _sharpened(best: Fitted) -> list[Rival]:
-    """The model with its least certain parameter a standard deviation up and down, the rest refitted to it."""
+    """The model with its least certain parameter a standard deviation up and down, the rest refitted to
+    it."""
     prior = best.likelihood.prior
     equations = best.likelihood.linearise(
         best.z[None], best.offsets[None], np.ones(1), np.ones((1, len(best.offsets)))
@@ -299,7 +171,8 @@ def _sharpened(best: Fitted) -> list[Rival]:
 
 
 def _hardly_seen(diagnosis: Diagnosis, dataset: PushDataset, habits: Habits) -> list[Rival]:
-    """The model without effects, and with each of those effects at ordinary size that show least in the recorded
+    """The model without effects, and with each of those effects at ordinary size that show least in the
+    recorded
     pushes: a third of those that show at all."""
     base = diagnosis.base
     plain = Rival.of(base)
@@ -318,8 +191,12 @@ def _hardly_seen(diagnosis: Diagnosis, dataset: PushDataset, habits: Habits) -> 
     rivals = []
     for effect in effects:
         start = effect.start_values(scene)[0]
-        values = np.clip(np.where(effect.amplitudes, effect.nulls + scales([effect], weight), start), *bounds([effect]))
-        slider = EffectSlider(dataset.grid, dataset.finger_radius, [effect], dataset.gravity, MEASURED_CONTACT)
+        values = np.clip(
+            np.where(effect.amplitudes, effect.nulls + scales([effect], weight), start), *bounds([effect])
+        )
+        slider = EffectSlider(
+            dataset.grid, dataset.finger_radius, [effect], dataset.gravity, MEASURED_CONTACT
+        )
         maps = Maps(plain.maps.mass, plain.maps.mu, plain.maps.mu_finger, values[None])
         rivals.append(Rival(effect.name, slider, maps))
     recorded = [_as_imagined(o) for o in base.likelihood.observations if np.isfinite(o.push.tip).all()]
@@ -328,7 +205,9 @@ def _hardly_seen(diagnosis: Diagnosis, dataset: PushDataset, habits: Habits) -> 
     reference = predict(plain, recorded)
     seen = []
     for rival in rivals:
-        apart = separations([reference, predict(rival, recorded)], recorded, base.likelihood.error, dataset.grid, habits.force)
+        apart = separations(
+            [reference, predict(rival, recorded)], recorded, base.likelihood.error, dataset.grid, habits.force
+        )
         seen.append(float(np.linalg.norm(apart)))
     visible = [k for k in np.argsort(seen) if seen[k] > 1e-3 or len(recorded) < 2]
     return [plain, *(rivals[k] for k in visible[: max(2, len(visible) // 3)])]
@@ -339,96 +218,7 @@ def _as_imagined(observation: Observation) -> Push:
     push = observation.push
     steps = len(push.tip) - 1
     looks = push.h * steps * np.arange(1, 31) / 30
-    return replace(push, pose_times=looks, force_times=push.h * (np.arange(steps) + 0.5))
-
-
-def _repeat_the_worst(diagnosis: Diagnosis, dataset: PushDataset, habits: Habits) -> dict[str, Any] | None:
-    """The push that the model misses most, with that changed on which the residual depends."""
-    base = diagnosis.base
-    likelihood = base.likelihood
-    rows = likelihood.rows(base.z, base.offsets)
-    worth = [np.isfinite(o.push.tip).all() for o in likelihood.observations]
-    if not any(worth):
-        return None
-    norms = np.array([
-        float(np.linalg.norm(likelihood.whitened(b, row.pose[..., None], row.force[..., None])))
-        for b, row in enumerate(rows)
-    ])  # fmt: skip
-    worst = int(np.argmax(np.where(worth, norms, -1.0)))
-    observation = likelihood.observations[worst]
-    repeated = _repeated(observation, dataset)
-    if repeated is None:
-        return None
-    depends = (diagnosis.depends_on or "").split(":")[0]
-    changed, what = _changed(repeated, depends, habits)
-    told = changed.told() | {"separates": [depends or "unknown"], "separation": float(norms[worst])}
-    trial = observation.trial
-    return told | {
-        "sentence": f"Repeat the push {trial}, which the model misses most ({norms[worst]:.0f} standard deviations),"
-        f" {what}. {_how(told)} If the miss changes with it, that is what it depends on; if not, it is not."
-    }
-
-
-def _repeated(observation: Observation, dataset: PushDataset) -> _Proposal | None:
-    """A recorded push as a straight line from just before first touch to its end."""
-    push, radius = observation.push, dataset.finger_radius
-    turn = _turn(push.start_pose[2])
-    local = (push.tip - push.start_pose[:2]) @ turn
-    gaps = shapely.distance(shapely.points(local), dataset.grid.polygon) - radius
-    near = np.flatnonzero(gaps <= 1e-3)
-    touch = int(near[0]) if len(near) else int(np.argmin(gaps))
-    way = push.tip[-1] - push.tip[touch]
-    length = float(np.hypot(*way))
-    if length < 1e-3:
-        return None
-    boundary = dataset.grid.polygon.boundary
-    nearest = boundary.interpolate(boundary.project(shapely.Point(local[touch])))
-    speed = np.hypot(*np.diff(push.tip, axis=0).T) / push.h
-    begin = push.tip[touch] - APPROACH * way / length
-    pace = float(np.median(speed[speed > 0.2 * speed.max()]))
-    return _Proposal(push.start_pose, np.array(nearest.coords[0]), begin, push.tip[-1], pace, length, 0.0)
-
-
-def _changed(push: _Proposal, depends: str, habits: Habits) -> tuple[_Proposal, str]:
-    """The push with one thing changed, and what it is."""
-    if "place" in depends:
-        middle = 0.5 * (habits.low + habits.high)
-        way = push.end - push.begin
-        other = np.clip(2 * middle - push.pose[:2] - way, habits.low, habits.high) - push.pose[:2]
-        return (
-            replace(push, pose=push.pose + [*other, 0.0], begin=push.begin + other, end=push.end + other),
-            "at another place, all else the same",
-        )
-    if "direction" in depends or "object" in depends:
-        angle = np.pi / 2 if "direction" in depends else np.pi
-        turn, origin = _turn(angle), push.pose[:2]
-        return (
-            replace(
-                push,
-                pose=push.pose + [0.0, 0.0, angle],
-                begin=origin + turn @ (push.begin - origin),
-                end=origin + turn @ (push.end - origin),
-            ),
-            f"with object and finger turned by {np.degrees(angle):.0f} degrees",
-        )
-    if "time" in depends:
-        return replace(push, dwell=2.0), "with a stop of 2 s half-way"
-    if "order" in depends:
-        return push, "exactly as it was, now after all others"
-    fast = habits.speeds[2] if push.speed < 0.75 * habits.speeds[2] else habits.speeds[0]
-    return replace(push, speed=fast), f"at {fast / push.speed:.1f} times its speed"
-
-
-def _how(told: dict[str, Any]) -> str:
-    """What to do, in a sentence."""
-    x, y, angle = told["pose"]
-    stop = f", rest {told['dwell']:.1g} s half-way" if told["dwell"] else ""
-    return (
-        f"Put the object at x = {1e3 * x:.0f} mm, y = {1e3 * y:.0f} mm, turned by {np.degrees(angle):.0f}°; move the"
-        f" finger from ({1e3 * told['tip_start'][0]:.0f}, {1e3 * told['tip_start'][1]:.0f}) mm to"
-        f" ({1e3 * told['tip_end'][0]:.0f}, {1e3 * told['tip_end'][1]:.0f}) mm at {1e3 * told['speed']:.0f} mm/s{stop},"
-        " and stop abruptly."
-    )
+    return replace(push, pose_times=looks, force_times=push.h * (np.arange(steps, dtype=float) + 0.5))
 
 
 def _sentence(
@@ -442,15 +232,10 @@ def _sentence(
         text = f"{rival.name}: {1e3 * np.hypot(x, y):.0f} mm, {np.degrees(angle):+.0f}°"
         parts.append(text + (f", {pressed.mean():.2g} N" if len(pressed) else ""))
     return (
-        f"{_how(told)} It {why}: by {told['separation']:.1f} standard deviations. Predicted way, turn and mean force"
-        f" — {'; '.join(parts)}."
+        f"{how_to(told)} It {why}: by {told['separation']:.1f} standard deviations. Predicted way,"
+        f" turn and mean force — {'; '.join(parts)}."
     )
 
 
 def _finger_friction(fitted: Fitted) -> float:
     return float(fitted.likelihood.prior.maps(fitted.z[None]).mu_finger[0])
-
-
-def _turn(angle: float) -> FloatArray:
-    c, s = np.cos(angle), np.sin(angle)
-    return np.array([[c, -s], [s, c]])

@@ -41,7 +41,8 @@ def effects(
 ) -> None:
     """List the physical effects that slipmap knows, or explain one.
 
-    Without NAME: all of them, with a sentence each. With NAME: its formula, made from the code that runs, and its
+    Without NAME: all of them, with a sentence each. With NAME: its formula, made from the code that
+    runs, and its
     parameters; --picture shows one object pushed off its centre, without the effect and with it.
     """
     from models.effects.registry import effects_named, known_effects

@@ -46,8 +46,7 @@ def effect_figure(effect: Effect) -> Figure:
     values = _shown_values(effect, grid, push, plain)
     rows = np.vstack([effect.nulls + share * _above_null(effect, values) for share in SHARES])
     rows = np.where(effect.amplitudes, rows, values)
-    many = Maps(*(np.repeat(m, len(rows), axis=0) for m in (maps.mass, maps.mu, maps.mu_finger)), rows)
-    out = EffectSlider(grid, RADIUS, [effect], smoothing=smoothing).rollout(many, [push])
+    out = EffectSlider(grid, RADIUS, [effect], smoothing=smoothing).rollout(_with(maps, rows), [push])
 
     text = written(effect)
     figure = Figure(figsize=(9.0, 4.6 + 0.42 * len(text.formulas)))
@@ -78,13 +77,22 @@ def _maps(grid: CellGrid) -> Maps:
     return Maps(np.full((1, n), MASS / n), np.full((1, n), FRICTION), np.array([FINGER_FRICTION]))
 
 
+def _with(maps: Maps, rows: FloatArray) -> Maps:
+    """One object with K rows of parameters."""
+    K = len(rows)
+    return Maps(
+        np.repeat(maps.mass, K, axis=0), np.repeat(maps.mu, K, axis=0), np.repeat(maps.mu_finger, K), rows
+    )
+
+
 def _push() -> Push:
-    """Straight along the object's x from a gentle start to an abrupt stop, and a rest in which the object slides on."""
+    """Straight along the object's x from a gentle start to an abrupt stop, and a rest in which the
+    object slides on."""
     moving, rest = round((WAY / SPEED + RAMP / 2) / STEP), round(REST / STEP)
     time = STEP * np.minimum(np.arange(moving + rest + 1), moving)
     way = SPEED * np.where(time < RAMP, time**2 / (2 * RAMP), time - RAMP / 2)
     local = np.column_stack([way - 0.06 - RADIUS, np.full(len(way), -OFF_CENTRE)])
-    times = STEP * np.arange(1, len(way))
+    times = STEP * np.arange(1, len(way), dtype=float)
     return Push(
         STEP, placed(local, START), START, pose_times=times, force_times=times - STEP / 2, order=ORDER
     )
@@ -107,9 +115,7 @@ def _shown_values(effect: Effect, grid: CellGrid, push: Push, plain: Rollouts) -
     best = starts[0]
     for doubling in range(7):
         rows = np.where(effect.amplitudes, np.clip(effect.nulls + 2.0**doubling * size, low, high), starts)
-        K = len(rows)
-        many = Maps(*(np.repeat(m, K, axis=0) for m in (maps.mass, maps.mu, maps.mu_finger)), rows)
-        out = slider.rollout(many, [push])
+        out = slider.rollout(_with(maps, rows), [push])
         gap = np.array([add(poses, plain.poses[0], grid.centers).max() for poses in out.poses])
         before = float(np.hypot(*plain.forces[0].T).mean())
         change = np.abs(np.hypot(*np.moveaxis(out.forces, -1, 0)).mean(axis=1) / before - 1)
@@ -139,16 +145,16 @@ def _pushes(axes: Axes, grid: CellGrid, push: Push, plain: Rollouts, out: Rollou
     low, high = points.min(axis=0) - 0.015, points.max(axis=0) + 0.015
     axes.set(xlim=(low[0], high[0]), ylim=(low[1] - 0.012, high[1]), aspect="equal", xticks=[], yticks=[])
     axes.spines[:].set_visible(False)
-    scale_bar(axes, low + [0.005, 0.0], float((high - low).max()))
+    scale_bar(axes, low + np.array([0.005, 0.0]), float((high - low).max()))
 
 
 def _distances(axes: Axes, grid: CellGrid, push: Push, plain: Rollouts, out: Rollouts) -> None:
-    times = push.pose_times
+    times = np.asarray(push.pose_times)
     for poses, tint in zip(out.poses, TINTS, strict=True):
         axes.plot(
             times, 1e3 * add(poses, plain.poses[0], grid.centers), color=BELIEF, alpha=tint, linewidth=1.2
         )
-    axes.set(ylabel="cells apart, mm", xticklabels=[], ylim=(0, None), xlim=(0, times[-1]))  # type: ignore[index]
+    axes.set(ylabel="cells apart, mm", xticklabels=[], ylim=(0, None), xlim=(0, times[-1]))
 
 
 def _forces(axes: Axes, push: Push, plain: Rollouts, out: Rollouts) -> None:
@@ -157,15 +163,12 @@ def _forces(axes: Axes, push: Push, plain: Rollouts, out: Rollouts) -> None:
     def smooth(forces: FloatArray) -> FloatArray:
         return np.convolve(np.hypot(*forces.T), np.full(20, 1 / 20), mode="same")
 
-    axes.plot(
-        push.force_times, smooth(plain.forces[0]), color=INK, linewidth=1.2, linestyle="--", label="without"
-    )
+    times = np.asarray(push.force_times)
+    axes.plot(times, smooth(plain.forces[0]), color=INK, linewidth=1.2, linestyle="--", label="without")
     for forces, tint, share in zip(out.forces, TINTS, ("a third", "two thirds", "full size"), strict=True):
-        axes.plot(push.force_times, smooth(forces), color=BELIEF, alpha=tint, linewidth=1.2, label=share)
+        axes.plot(times, smooth(forces), color=BELIEF, alpha=tint, linewidth=1.2, label=share)
     every = np.array([smooth(f) for f in (plain.forces[0], *out.forces)])[:, 100:]
-    axes.set(
-        xlabel="time, s", ylabel="force, N", xlim=(0, push.force_times[-1]), ylim=(0, 1.25 * every.max())
-    )
+    axes.set(xlabel="time, s", ylabel="force, N", xlim=(0, times[-1]), ylim=(0, 1.25 * every.max()))
     axes.legend(
         loc="lower right",
         bbox_to_anchor=(1.0, 0.98),

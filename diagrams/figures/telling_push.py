@@ -41,7 +41,9 @@ def telling_push_figure(told: dict[str, Any], diagnosis: Diagnosis, dataset: Pus
     figure.text(0.02, 0.92, "\n".join(lines), va="top", fontsize=9, linespacing=1.3)
     top = 0.9 - 0.042 * len(lines)
     axes = figure.add_axes((0.05, 0.13, 0.5, top - 0.13))
-    axes.add_patch(PathPatch(outline_path(grid, told["pose"]), facecolor=PAPER, edgecolor=FAINT, linewidth=0.8))
+    axes.add_patch(
+        PathPatch(outline_path(grid, told["pose"]), facecolor=PAPER, edgecolor=FAINT, linewidth=0.8)
+    )
     axes.plot(*np.array([told["tip_start"], told["tip_end"]]).T, color=FINGER, linewidth=1.2)
     for place, fill in ((told["tip_start"], "none"), (told["tip_end"], FINGER)):
         axes.add_patch(Circle(place, dataset.finger_radius, facecolor=fill, edgecolor=FINGER, linewidth=1.0))

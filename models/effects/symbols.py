@@ -43,7 +43,8 @@ def real(name: str) -> sp.Symbol:
 def body_names(memory: Mapping[str, sp.Symbol]) -> dict[str, Any]:
     """What formulas may use of the object as a whole, as expressions of the kernel's arguments.
 
-    x, y (m), theta: pose of the object frame in the world. vx, vy: velocity of its origin in the world, omega.
+    x, y (m), theta: pose of the object frame in the world. vx, vy: velocity of its origin in the world,
+    omega.
     com_x, com_y: centre of mass less the origin, com_vx, com_vy its velocity, world. mass, moment (about the
     origin), gravity, weight. time within the push (s), step (s), order: place of the push in the experiment,
     from 0. force_x, force_y: last force of the finger on the object, world, N. centroid_x, centroid_y: of the
@@ -113,7 +114,8 @@ def cell_names(body: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def after_names() -> dict[str, Any]:
-    """What `remember` may use of the moment after a step: x, y, theta, vx, vy, omega, com_vx, com_vy, force_x,
+    """What `remember` may use of the moment after a step: x, y, theta, vx, vy, omega, com_vx, com_vy,
+    force_x,
     force_y (world), as in `body_names`."""
     x, y, theta, vx, vy, omega, fx, fy = (real(f"after_{k}") for k in range(8))
     m, sx, sy, _ = (real(name) for name in INERTIA_NAMES)
@@ -133,7 +135,8 @@ def written_names(kind: str, extra: tuple[str, ...] = ()) -> dict[str, Any]:
         "vy": r"\dot{y}", "omega": r"\omega", "com_x": r"\bar{r}_{x}", "com_y": r"\bar{r}_{y}",
         "com_vx": r"\bar{v}_{x}", "com_vy": r"\bar{v}_{y}", "mass": "m", "moment": "J", "gravity": "g",
         "time": "t", "step": "h", "order": "k", "width": "w", "centroid_x": "c_{x}", "centroid_y": "c_{y}",
-        "spread_xx": "G_{xx}", "spread_xy": "G_{xy}", "spread_yy": "G_{yy}", "force_x": "F_{x}", "force_y": "F_{y}",
+        "spread_xx": "G_{xx}", "spread_xy": "G_{xy}", "spread_yy": "G_{yy}",
+        "force_x": "F_{x}", "force_y": "F_{y}",
     }  # fmt: skip
     if kind == "pose":
         letters = {name: letters[name] for name in ("x", "y", "theta")}
@@ -164,7 +167,8 @@ _WRITING = ContextVar("writing", default=False)
 
 @contextmanager
 def writing() -> Iterator[None]:
-    """While this lasts, formulas are made to be read: `positive_part` and `smooth_step` stand by themselves."""
+    """While this lasts, formulas are made to be read: `positive_part` and `smooth_step` stand by
+    themselves."""
     token = _WRITING.set(True)
     try:
         yield

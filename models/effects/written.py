@@ -28,9 +28,13 @@ LONG = 14
 QUANTITIES = {
     "friction": ((r"s",), "factor on the friction of a cell"),
     "drag": ((r"D",), "drag of a cell: the force on it is -D u"),
-    "stretch": (("q_{xx}", "q_{xy}", "q_{yy}"), "friction of a cell of load N is -μ N Q u / √(uᵀ Q u), object frame"),
+    "stretch": (
+        ("q_{xx}", "q_{xy}", "q_{yy}"), "friction of a cell of load N is -μ N Q u / √(uᵀ Q u), object frame",
+    ),
     "force": ((r"F_{x}", r"F_{y}", r"\tau"), "force on the object, and torque about its origin"),
-    "blade": (("F", "n_{x}", "n_{y}", "r_{x}", "r_{y}"), "motion of the object's point r along n is resisted by F"),
+    "blade": (
+        ("F", "n_{x}", "n_{y}", "r_{x}", "r_{y}"), "motion of the object's point r along n is resisted by F",
+    ),
     "inertia": ((r"\kappa",), "factor on the mass that has to be accelerated"),
     "compliance": (("C",), "true tip = recorded tip - C × force on the object"),
     "measured": ((r"\hat{x}", r"\hat{y}", r"\hat{\theta}"), "pose that the tracker reports"),
@@ -39,12 +43,15 @@ QUANTITIES = {
 """Method of an effect: letters of its results, and what they are."""
 
 LETTERS = {
-    "x": "place of the object frame, m", "y": "place of the object frame, m", r"\theta": "angle of the object",
+    "x": "place of the object frame, m", "y": "place of the object frame, m",
+    r"\theta": "angle of the object",
     r"\dot{x}": "velocity of the object frame's origin", r"\dot{y}": "velocity of the object frame's origin",
     r"\omega": "angular velocity", r"\bar{r}_{x}": "centre of mass from the origin, world axes",
-    r"\bar{r}_{y}": "centre of mass from the origin, world axes", r"\bar{v}_{x}": "velocity of the centre of mass",
+    r"\bar{r}_{y}": "centre of mass from the origin, world axes",
+    r"\bar{v}_{x}": "velocity of the centre of mass",
     r"\bar{v}_{y}": "velocity of the centre of mass", "m": "mass", "J": "moment of inertia about the origin",
-    "g": "gravity", "t": "time since the push began", "h": "time step", "k": "place of the push in the experiment",
+    "g": "gravity", "t": "time since the push began", "h": "time step",
+    "k": "place of the push in the experiment",
     "w": "width of a cell", "c_{x}": "middle of the cells", "c_{y}": "middle of the cells",
     "G_{xx}": "inverse of the cells' second moments", "G_{xy}": "inverse of the cells' second moments",
     "G_{yy}": "inverse of the cells' second moments", "F_{x}": "last force of the finger",
@@ -143,7 +150,8 @@ def _equations(effect: Effect, p: Any) -> Iterator[tuple[str, tuple[str, ...], S
             values = list(value) if isinstance(value, (tuple, list)) else [value]
             if len(values) != len(names):
                 raise EffectError(
-                    f"effect {effect.name}: {method}() must return {len(names)} expressions, got {len(values)}"
+                    f"effect {effect.name}: {method}() must return {len(names)} expressions,"
+                    f" got {len(values)}"
                 )
             yield method, names, values
     if memory:
@@ -164,7 +172,8 @@ def _read(expression: Any) -> Any:
         lambda e: sp.Add(*(term for term in e.args if not _tiny(term))),
     )
     expression = expression.replace(lambda e: e.is_Float, _short)
-    if expression.has(sp.cos, sp.sin):
+    # Takes seconds on long expressions, and only squares have something to gain.
+    if any(power.base.func in (sp.cos, sp.sin) for power in expression.atoms(sp.Pow)):
         expression = sp.trigsimp(expression)
     return sp.factor_terms(expression)
 

@@ -58,7 +58,9 @@ def test_the_magnet_is_found_in_pushes_over_it(recorded):
 
 
 def test_the_fan_of_the_readme_is_an_effect(tmp_path):
-    (code,) = re.findall(r"```py\n(.*?)```", (PAGE.parents[1] / "README.md").read_text(encoding="utf-8"), flags=re.S)
+    (code,) = re.findall(
+        r"```py\n(.*?)```", (PAGE.parents[1] / "README.md").read_text(encoding="utf-8"), flags=re.S
+    )
     file = tmp_path / "fan.py"
     file.write_text("from models.effects import Effect, Parameter\n\n\n" + code)
     (fan,) = load_effects(file)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import time
 from dataclasses import replace
+from itertools import pairwise
 from types import SimpleNamespace
 
 import numpy as np
@@ -25,7 +26,11 @@ from planners.telling_push import next_push, push_of
 
 RADIUS, MASS, MU = 0.006, 0.6, 0.3
 SPEED = 0.05
-KEYS = {"pose", "contact", "direction_deg", "speed", "length", "dwell", "tip_start", "tip_end", "separates", "separation", "sentence"}  # fmt: skip
+KEYS = {
+    "pose", "contact", "direction_deg", "speed", "length", "dwell", "tip_start", "tip_end", "separates",
+    "separation",
+    "sentence",
+}  # fmt: skip
 
 
 class World:
@@ -98,10 +103,10 @@ def apart(world: World, told: dict, one: Fitted, other: Fitted) -> float:
     for i, sigma in enumerate((noise.position, noise.position, radius * noise.angle)):
         total += difference[:, i] @ np.linalg.solve(lasting + sigma**2 * np.eye(30), difference[:, i])
     edges = np.linspace(0, len(push.tip) - 1, 31).astype(int)
-    means = np.array([[out.forces[0, a:b].mean(axis=0) for a, b in zip(edges[:-1], edges[1:], strict=True)]
+    means = np.array([[out.forces[0, a:b].mean(axis=0) for a, b in pairwise(edges)]
                       for out in outs])  # fmt: skip
     speed = np.hypot(*np.diff(push.tip, axis=0).T)
-    pace = np.array([speed[a:b].mean() for a, b in zip(edges[:-1], edges[1:], strict=True)])
+    pace = np.array([speed[a:b].mean() for a, b in pairwise(edges)])
     size = np.hypot(*means.mean(axis=0).T)
     good = (pace > 0.5 * pace.max()) & (size > 0.2 * np.percentile(size, 90))
     good = good & np.roll(good, 1) & np.roll(good, -1)
@@ -118,7 +123,9 @@ def apart(world: World, told: dict, one: Fitted, other: Fitted) -> float:
 def test_viscous_and_stribeck_are_told_apart_by_speed(world: World) -> None:
     # At the speed of all recorded pushes, both have the friction of the plain model with 0.3.
     excess, slow, area = 0.5, 0.05, 0.1 * 0.06
-    stribeck = world.model("stribeck_friction", (excess, slow), MU / (1 + excess * np.exp(-((SPEED / slow) ** 2))))
+    stribeck = world.model(
+        "stribeck_friction", (excess, slow), MU / (1 + excess * np.exp(-((SPEED / slow) ** 2)))
+    )
     drag = 0.3 * MU * MASS * 9.81 / (area * SPEED)
     viscous = world.model("viscous_friction", (drag,), 0.7 * MU)
     for seed in range(3):
@@ -144,7 +151,13 @@ def test_tilt_and_tether_are_told_apart_by_a_reversed_push_or_another_place(worl
     likeness = []
     for observation in world.observations:
         tip = observation.push.tip
-        recorded = {"pose": observation.push.start_pose, "tip_start": tip[0], "tip_end": tip[-1], "speed": SPEED, "dwell": 0.0}
+        recorded = {
+            "pose": observation.push.start_pose,
+            "tip_start": tip[0],
+            "tip_end": tip[-1],
+            "speed": SPEED,
+            "dwell": 0.0,
+        }
         likeness.append(apart(world, recorded, tilt, tether))
     assert told["separation"] > 1.3 * max(likeness)
     starts = np.array([o.push.start_pose[:2] for o in world.observations])
@@ -179,7 +192,9 @@ def test_the_push_can_be_made(world: World) -> None:
             moving = np.hypot(*np.diff(push.tip, axis=0).T) > 0.99 * told["speed"] * push.h
             # The finger has not slid off when it stops.
             assert np.median(force[np.flatnonzero(moving)[-10:]]) > 0.1
-        assert np.hypot(*np.subtract(told["tip_end"], told["tip_start"])) == pytest.approx(told["length"] + 0.01)
+        assert np.hypot(*np.subtract(told["tip_end"], told["tip_start"])) == pytest.approx(
+            told["length"] + 0.01
+        )
 
 
 def test_one_effect_is_pinned_down(world: World) -> None:

@@ -1,4 +1,5 @@
-"""One object, one push by a finger and one coast, and parameters at which each effect of the library shows."""
+"""One object, one push by a finger and one coast, and parameters at which each effect of the library
+shows."""
 
 from __future__ import annotations
 
@@ -114,7 +115,8 @@ def coast_of(
 def steady_push(
     angle: float, *, yaw: float = 0.0, order: float = 0.0, half: float = 0.03, speed: float = 0.05
 ) -> Push:
-    """Against the middle of a side of a square centred on the origin, world direction `angle`, for one second."""
+    """Against the middle of a side of a square centred on the origin, world direction `angle`, for one
+    second."""
     h = 2e-3
     ends = h * np.arange(501)
     way = np.array([np.cos(angle), np.sin(angle)])

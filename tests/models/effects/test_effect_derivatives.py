@@ -1,6 +1,7 @@
 """Effects at their nulls are nothing at all; away from them, sensitivities are the difference quotients.
 
-Kinks are kept out: the finger touches once and stays on one side of the object, sliding all the while, or there
+Kinks are kept out: the finger touches once and stays on one side of the object, sliding all the while,
+or there
 is no finger; and no pose is asked for at the end of a step where the tracker is late.
 """
 
@@ -121,7 +122,8 @@ def check(effects, values: np.ndarray, push: Push) -> None:  # type: ignore[no-u
             assert error <= 1e-5 * size + 1e-12, f"{what} by {group}: {error / max(size, 1e-300):.1e}"
     for effect in effects:
         own = [place for group, place in groups.items() if group.startswith(f"{effect.name}.")]
-        seen = max(np.abs(out.d_poses[..., place.start - 2 * N - 7 - len(values) + out.d_poses.shape[-1]]).max()
+        first = out.d_poses.shape[-1] - len(values) - 2 * N - 7
+        seen = max(np.abs(out.d_poses[..., first + place.start]).max()
                    for place in own)  # fmt: skip
         # A bending finger alone does nothing to an object that none touches.
         assert seen > 0 or (effect.name == "finger_compliance" and np.isnan(push.tip).all())

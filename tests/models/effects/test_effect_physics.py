@@ -155,7 +155,7 @@ def test_geometry_of_a_tracked_frame_that_is_off() -> None:
     x, y, angle = 0.01, -0.02, 0.3
     true = np.array([0.1, 0.2, 0.5])
     c, s = np.cos(0.5), np.sin(0.5)
-    reported = true + [c * x - s * y, s * x + c * y, angle]
+    reported = true + np.array([c * x - s * y, s * x + c * y, angle])
     push = coast_of((1.0, 0.2, 8.0), 0.2, 1e-3, start=true)
     there = slide([], [], push, grid=SQUARE).poses[0]
     seen = slide([EFFECTS["tracker_offset"]], [x, y, angle],
@@ -166,7 +166,8 @@ def test_geometry_of_a_tracked_frame_that_is_off() -> None:
     assert seen[:, 1] == pytest.approx(there[:, 1] + sin * x + cos * y, abs=1e-12)
     assert seen[:, 2] == pytest.approx(there[:, 2] + angle, abs=1e-12)
     longer = slide([EFFECTS["tracker_scale"]], [0.05],
-                   coast_of((1.0, 0.2, 8.0), 0.2, 1e-3, start=true * [1.05, 1.05, 1]), grid=SQUARE).poses[0]  # fmt: skip
+                   coast_of((1.0, 0.2, 8.0), 0.2, 1e-3, start=true * [1.05, 1.05, 1]),
+                   grid=SQUARE).poses[0]  # fmt: skip
     assert longer == pytest.approx(there * [1.05, 1.05, 1], abs=1e-12)
 
 
@@ -217,7 +218,8 @@ def test_moment_balance_of_load_transfer() -> None:
     p = SimpleNamespace(push_height=high, mass_height=0.0)
     factors = np.array([
         float(EFFECTS["load_transfer"].friction(SimpleNamespace(
-            force_x=force[0], force_y=force[1], mass=MASS, weight=weight, gain_x=0.0, gain_y=0.0, cos=1.0, sin=0.0,
+            force_x=force[0], force_y=force[1], mass=MASS, weight=weight, gain_x=0.0, gain_y=0.0,
+            cos=1.0, sin=0.0,
             spread_xx=spread[0, 0], spread_xy=spread[0, 1], spread_yy=spread[1, 1], rx=x, ry=y,
             centroid_x=0.0, centroid_y=0.0,
         ), p))

@@ -113,5 +113,5 @@ def test_the_kernels_of_the_plain_model_do_not_change_with_effects() -> None:
 
 def test_values_of_other_effects_are_refused() -> None:
     slider = EffectSlider(BLOCK, RADIUS, [EFFECTS["table_tilt"]])
-    with pytest.raises(ValueError, match="3 effect parameters.*table_tilt have 2"):
+    with pytest.raises(ValueError, match=r"3 effect parameters.*table_tilt have 2"):
         slider.rollout(with_values(plain_maps(), [0.1, 0.2, 0.3]), [sliding_push(0.1)])
