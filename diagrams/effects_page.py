@@ -6,6 +6,7 @@ from pathlib import Path
 
 from diagrams.commands.effects import grouped, null_of
 from models.effects import LIBRARY, Effect
+from models.effects.symbols import body_names, cell_names, latex_name
 from models.effects.written import written
 
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "effects.md"
@@ -24,7 +25,8 @@ This page is made from the code: `python -m diagrams.effects_page` writes it ane
 that run.
 Constants that only round off corners are left out, [v]₊ is the larger of v and 0, σ(v) goes smoothly
 from 0 to 1 about
-v = 0. An effect is nothing at the value under *nothing at*; parameters with a dash there only shape it.
+v = 0. A ⁺ marks what holds after the step. An effect is nothing at the value under *nothing at*;
+parameters with a dash there only shape it.
 """
 
 _OWN = """\
@@ -83,20 +85,19 @@ def section(effect: Effect) -> str:
             lines += [f"{formula.meaning[0].upper()}{formula.meaning[1:]}:", ""]
         lines += [f"$${formula.latex}$$", ""]
     if text.letters:
-        told = "; ".join(f"{letters}: {meaning}" for letters, meaning in grouped(text.letters))
+        groups = grouped((f"${latex}$", meaning) for _, latex, meaning in text.letters)
+        told = "; ".join(f"{letters}: {meaning}" for letters, meaning in groups)
         lines += [f"Here {told}.", ""]
     lines += ["| parameter | unit | range | nothing at | meaning |", "| --- | --- | --- | --- | --- |"]
     for q in effect.parameters:
         name = text.symbols[q.name]
-        shown = f"`{q.name}`" if name == q.name else f"`{q.name}`, {name} in the formula"
+        shown = f"`{q.name}`" if name == q.name else f"`{q.name}`, ${latex_name(name)}$ in the formula"
         lines.append(f"| {shown} | {q.unit} | {q.low:g} to {q.high:g} | {null_of(q)} | {q.meaning} |")
     return "\n".join([*lines, ""])
 
 
 def own() -> str:
     """How to write one's own."""
-    from models.effects.symbols import body_names, cell_names
-
     body = body_names({})
     cell = [name for name in cell_names(body) if name not in body]
     methods = ("friction", "drag", "stretch", "force", "blade", "inertia", "compliance", "measured", "delay")

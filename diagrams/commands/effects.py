@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import textwrap
+from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -82,8 +83,10 @@ def explain(effect: Effect, text: Written) -> None:
         click.echo(_wrapped(f"    {formula.text}", "        "))
     if text.letters:
         click.echo("\nwhere")
-        for letters, meaning in grouped(text.letters):
+        for letters, meaning in grouped((plain, meaning) for plain, _, meaning in text.letters):
             click.echo(_wrapped(f"  {letters}: {meaning}", "      "))
+    if effect.memory:
+        click.echo("  a prime marks what holds after the step")
     click.echo()
     rows = [
         (text.symbols[q.name], q.unit, f"{q.low:g} to {q.high:g}", null_of(q), q.meaning)
@@ -97,7 +100,7 @@ def null_of(parameter: Parameter) -> str:
     return "-" if parameter.null is None else f"{parameter.null:g}"
 
 
-def grouped(letters: tuple[tuple[str, str], ...]) -> list[tuple[str, str]]:
+def grouped(letters: Iterable[tuple[str, str]]) -> list[tuple[str, str]]:
     """(letters, meaning), those of one meaning together."""
     groups: dict[str, list[str]] = {}
     for letter, meaning in letters:
@@ -111,7 +114,7 @@ def document(effect: Effect, text: Written) -> dict[str, Any]:
         "name": effect.name,
         "sentence": effect.sentence,
         "formulas": [vars(formula) for formula in text.formulas],
-        "letters": dict(text.letters),
+        "letters": {plain: meaning for plain, _, meaning in text.letters},
         "parameters": [
             {
                 "name": q.name,

@@ -90,12 +90,12 @@ class Written:
 
     Attributes:
         formulas: its equations, helpers after those that use them.
-        letters: (text, meaning) of each letter in them that is no parameter.
+        letters: (text, LaTeX, meaning) of each letter in them that is no parameter.
         symbols: how each parameter is written in `text`, by its name.
     """
 
     formulas: tuple[Formula, ...]
-    letters: tuple[tuple[str, str], ...]
+    letters: tuple[tuple[str, str, str], ...]
     symbols: dict[str, str]
 
 
@@ -129,7 +129,7 @@ def written(effect: Effect) -> Written:
         used |= {str(symbol) for expression in expressions for symbol in expression.free_symbols}
     parameters = set(latex_of.values())
     letters = tuple(
-        (plain_text(letter), LETTERS[letter]) for letter in LETTERS if letter in used - parameters
+        (plain_text(letter), letter, LETTERS[letter]) for letter in LETTERS if letter in used - parameters
     )
     return Written(tuple(formulas), letters, {name: plain_text(text) for name, text in latex_of.items()})
 

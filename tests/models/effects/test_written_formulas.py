@@ -98,7 +98,7 @@ def test_the_text_computes_what_the_code_does(name: str) -> None:
 def test_every_letter_is_explained_and_mathtext_can_set_it(effect) -> None:  # type: ignore[no-untyped-def]
     text = written(effect)
     parser = MathTextParser("path")
-    told = {letter for letter, _ in text.letters} | set(text.symbols.values())
+    told = {letter for letter, _, _ in text.letters} | set(text.symbols.values())
     helpers = {f.text.split(" = ")[0] for f in text.formulas}
     functions = {"exp", "sin", "cos", "sqrt", "max", "step"}
     for formula in text.formulas:
