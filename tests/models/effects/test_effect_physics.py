@@ -232,6 +232,12 @@ def test_moment_balance_of_load_transfer() -> None:
     assert load * factors @ centers + within_cells == pytest.approx(high * force, rel=2e-3)
 
 
+@pytest.mark.parametrize("high", [0.02, 0.06, 0.1, 0.15])
+def test_the_weight_is_carried_even_where_cells_lift_off(high: float) -> None:
+    """Pushing high above the table shifts the load; it does not make a uniform object heavier."""
+    assert steady_force("load_transfer", [high, 0.0], 0.0) == pytest.approx(MU * MASS * G, rel=0.01)
+
+
 def test_braking_presses_the_front_of_an_object_with_a_high_centre_of_mass() -> None:
     grid = SQUARE
     x = grid.centers[:, 0]
