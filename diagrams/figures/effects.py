@@ -112,13 +112,17 @@ def _shown_values(effect: Effect, grid: CellGrid, push: Push, plain: Rollouts) -
     size = scales([effect], weight)
     slider = EffectSlider(grid, RADIUS, [effect], smoothing=Smoothing(penetration=1e-4))
     maps = _maps(grid)
-    best = starts[0]
+    best, reached = starts[0], 0.0
     for doubling in range(7):
         rows = np.where(effect.amplitudes, np.clip(effect.nulls + 2.0**doubling * size, low, high), starts)
         out = slider.rollout(_with(maps, rows), [push])
         gap = np.array([add(poses, plain.poses[0], grid.centers).max() for poses in out.poses])
         before = float(np.hypot(*plain.forces[0].T).mean())
         change = np.abs(np.hypot(*np.moveaxis(out.forces, -1, 0)).mean(axis=1) / before - 1)
+        # An effect that has reached its limit shows no better when doubled.
+        if gap.max() > 2e-3 and gap.max() < 1.2 * reached:
+            break
+        reached = float(gap.max())
         best = rows[int(np.argmax(gap))]
         # Some effects show in the force alone; it may double at most.
         if gap.max() >= SHOWS_WELL or change.max() > 0.5:
