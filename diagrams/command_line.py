@@ -18,6 +18,7 @@ from diagrams.commands.blind_test import blind_test
 from diagrams.commands.calibrate import calibrate
 from diagrams.commands.compare import compare
 from diagrams.commands.demo import demo
+from diagrams.commands.effects import effects
 from diagrams.commands.identify import identify
 from diagrams.commands.predict import predict
 
@@ -64,7 +65,7 @@ def slipmap(ctx: click.Context) -> None:
         ctx.exit(WRONG_USE)
 
 
-for _command in (demo, identify, predict, compare, calibrate, blind_test, bench):
+for _command in (demo, identify, predict, compare, effects, calibrate, blind_test, bench):
     slipmap.add_command(_command)
 
 
@@ -90,10 +91,11 @@ def run(arguments: Sequence[str]) -> int:
 
 
 def _is_bad_input(error: Exception) -> bool:
+    from models.effects import EffectError
     from models.inference.belief import BeliefError
     from models.measurements import DatasetError
 
-    return isinstance(error, BeliefError | DatasetError)
+    return isinstance(error, BeliefError | DatasetError | EffectError)
 
 
 def _one_paragraph(error: Exception) -> str:

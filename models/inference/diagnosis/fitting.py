@@ -130,7 +130,7 @@ class Fitter:
         self,
         effects: Sequence[Effect],
         error: ErrorModel,
-        near: Fitted,
+        near: Fitted | None,
         values: FloatArray,
         *,
         afresh: bool = False,
@@ -140,7 +140,7 @@ class Fitter:
         Args:
             effects: that it has.
             error: error model.
-            near: fit to start from.
+            near: fit to start from; None to start afresh alone.
             values: (P,) parameters to start from.
             afresh: start a second time from where the forgiving likelihood leads: a model that lacks the
                 effect may have bent its maps too far to find back.
@@ -152,11 +152,13 @@ class Fitter:
         likelihood = CorrelatedLikelihood(prior, self.observations, error)
         plain = prior.plain
         shaping = np.concatenate([np.zeros(plain, dtype=bool), *(~effect.amplitudes for effect in effects)])
-        start = np.concatenate([near.z[:plain], prior.effect_coordinates(values)])
+        maps, offsets = self.forgiving_start if near is None else (near.z, near.offsets)
+        start = np.concatenate([maps[:plain], prior.effect_coordinates(values)])
         mean = np.where(shaping, start, 0.0)
-        found = []
+        found: list[Fitted] = []
         with suppress(RolloutError, np.linalg.LinAlgError):
-            found.append(_best(tuple(effects), likelihood, start[None], mean[None], near.offsets))
+            if near is not None:
+                found.append(_best(tuple(effects), likelihood, start[None], mean[None], near.offsets))
         if afresh:
             maps, offsets = self.forgiving_start
             start = np.concatenate([maps, prior.effect_coordinates(values)])

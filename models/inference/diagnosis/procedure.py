@@ -38,6 +38,8 @@ CLEARLY_WORSE = 0.08
 alone."""
 
 MOST_ASKED = 5
+MOST_ASKED_QUICKLY = 2
+
 ROUGH = 0.03
 """α above which an error model is rough: no sensor's noise, but a description of pushes that scatter."""
 
@@ -210,7 +212,8 @@ class _Inquiry:
             return self._unknown(self.base, self.first)
         order = sorted(self.fits, key=lambda name: -self.gains[name])
         best_gain = self.gains[order[0]]
-        near = [n for n in order if self.gains[n] > best_gain - max(10.0, 0.6 * best_gain)][:MOST_ASKED]
+        near = [n for n in order if self.gains[n] > best_gain - max(10.0, 0.6 * best_gain)]
+        near = near[: MOST_ASKED if self.draws else MOST_ASKED_QUICKLY]
         rest: dict[str, Screening] = {}
         for step, name in enumerate(near):
             self.report("asking what is left", step, len(near))
@@ -219,19 +222,18 @@ class _Inquiry:
             if self._explains(name, rest[name]) and enough:
                 self.accepted.append(name)
         self.report("asking what is left", len(near), len(near))
-        if self.accepted:
-            rivals = [self.fits[name] for name in self.accepted]
-            names = ", ".join(self.accepted)
-            if len(rivals) == 1:
-                return _Outcome(
-                    "effect", f"The data miss one effect: {names}.", rivals[0], self.accepted, rivals=rivals
-                )
-            return _Outcome(
-                "ambiguous",
-                f"An effect is missing; the data cannot tell which of these it is: {names}.",
-                rivals[0], self.accepted, rivals=rivals,
-            )  # fmt: skip
-        return self._pairs(near, rest)
+        return self._answer(self.accepted) if self.accepted else self._pairs(near, rest)
+
+    def _answer(self, accepted: Sequence[str]) -> _Outcome:
+        """One effect, or a set that the data cannot tell apart, best first."""
+        self.accepted = list(accepted)
+        rivals = [self.fits[name] for name in accepted]
+        names = ", ".join(accepted)
+        if len(rivals) == 1:
+            sentence = f"The data miss one effect: {names}."
+            return _Outcome("effect", sentence, rivals[0], accepted, rivals=rivals)
+        sentence = f"An effect is missing; the data cannot tell which of these it is: {names}."
+        return _Outcome("ambiguous", sentence, rivals[0], accepted, rivals=rivals)
 
     def _screen(self, fitted: Fitted) -> Screening:
         return screen(
@@ -284,7 +286,7 @@ class _Inquiry:
             by
         turning round the residuals of whole pushes at random.
         """
-        p = self.first.p_of_agreement(self.effects)
+        p = self.first.p_of_agreement()
         if p <= AGREEMENT:
             return None
         pushes = len(self.fitter.observations)
@@ -327,7 +329,8 @@ class _Inquiry:
             self.report("refitting with effects", step, len(named) + 2)
             effect = self.first.candidates[i]
             guess = effect.start_values(self.scene)[int(self.first.start[i])]
-            fitted = self.fitter.with_effects((effect,), self.error, self.base, guess, afresh=True)
+            near = self.base if self.draws else None
+            fitted = self.fitter.with_effects((effect,), self.error, near, guess, afresh=True)
             if fitted is not None:
                 found[effect.name] = fitted
         if not found:
