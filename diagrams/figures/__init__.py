@@ -1,9 +1,11 @@
-"""Pictures of beliefs, pushes, comparisons and calibration, as matplotlib Figures; `save` writes one."""
+"""Pictures of beliefs, pushes, comparisons, diagnoses and calibration, as matplotlib Figures; `save` writes one."""
 
 from diagrams.figures.calibration import calibration_figure
 from diagrams.figures.comparison import error_figure
 from diagrams.figures.correlations import correlation_figure
+from diagrams.figures.diagnosis import gain_figure, locked_figure
 from diagrams.figures.maps import maps_figure
+from diagrams.figures.next_push import next_push_figure
 from diagrams.figures.pushes import push_figures
 from diagrams.figures.residual_curves import factor_figure
 from diagrams.figures.residual_fields import object_figure, table_figure
@@ -15,7 +17,10 @@ __all__ = [
     "correlation_figure",
     "error_figure",
     "factor_figure",
+    "gain_figure",
+    "locked_figure",
     "maps_figure",
+    "next_push_figure",
     "object_figure",
     "push_figures",
     "residual_figures",
