@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import textwrap
 from collections.abc import Sequence
 
 import click
 
-from diagrams.console import WIDTH, table
+from diagrams.console import paragraph, table
 from diagrams.diagnosis_words import (
     QUICK,
     after_label,
@@ -36,10 +35,10 @@ def show_diagnosis(diagnosis: Diagnosis, dataset: PushDataset, effects: Sequence
         dataset: its pushes.
         effects: all that were tried.
     """
-    _say(f"Verdict: {diagnosis.verdict}. {diagnosis.sentence}")
+    paragraph(f"Verdict: {diagnosis.verdict}. {diagnosis.sentence}")
     for text in (*sizes(diagnosis, dataset.grid), improvement(diagnosis), rivals_sentence(diagnosis)):
-        _say(text)
-    _say(QUICK if diagnosis.quick else "")
+        paragraph(text)
+    paragraph(QUICK if diagnosis.quick else "")
     click.echo()
     table(
         f"Effects that were tried. {evidence(diagnosis)}",
@@ -61,7 +60,7 @@ def show_diagnosis(diagnosis: Diagnosis, dataset: PushDataset, effects: Sequence
         table(f"Parameters of {', '.join(diagnosis.effects)}", ["parameter", "value", "90 % interval", "meaning"], rows, numbers=(1, 2))
     _show_locked(diagnosis)
     if diagnosis.next_push is not None:
-        _say(f"Next push: {diagnosis.next_push['sentence']}")
+        paragraph(f"Next push: {diagnosis.next_push['sentence']}")
         for name, value in push_facts(diagnosis.next_push):
             click.echo(f"  {name:<18} {value}")
 
@@ -69,7 +68,7 @@ def show_diagnosis(diagnosis: Diagnosis, dataset: PushDataset, effects: Sequence
 def _show_locked(diagnosis: Diagnosis) -> None:
     rows = locked_rows(diagnosis)
     if not rows:
-        _say("No push was locked away, so there are no errors to judge by: record three pushes or more.")
+        paragraph("No push was locked away, so there are no errors to judge by: record three pushes or more.")
         return
     count = len(diagnosis.locked)
     title = f"Error on the {count} locked {'push' if count == 1 else 'pushes'}"
@@ -78,8 +77,3 @@ def _show_locked(diagnosis: Diagnosis) -> None:
         table(title, columns, rows, numbers=(1, 2))
     else:
         table(title, ["", "the model"], [row[:2] for row in rows], numbers=(1,))
-
-
-def _say(text: str) -> None:
-    if text:
-        click.echo(textwrap.fill(text, WIDTH))

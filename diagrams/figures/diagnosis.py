@@ -28,16 +28,18 @@ def gain_figure(diagnosis: Diagnosis) -> Figure:
     figure = Figure(figsize=(WIDTH, height))
     bottom, top = 0.12 / height, 1 - 0.62 / height
     answered = [c.in_set or c.name in diagnosis.effects for c in candidates]
+    told_of = list(zip(candidates, answered, strict=True))
     panels: tuple[tuple[str, list[float | None], list[str]], ...] = (
         ("gain to first order", [c.gain for c in candidates], [OTHER if a else PALE for a in answered]),
         ("gain when refitted", [c.fitted_gain for c in candidates], [OTHER if a else PALE for a in answered]),
         (
             "left to gain on top of it",
             [c.remaining_gain for c in candidates],
-            [ALARM if c.rejected_by is not None else OTHER for c in candidates],
+            [ALARM if c.rejected_by is not None else OTHER if a else PALE for c, a in told_of],
         ),
     )
-    for k, (title, values, colours) in enumerate(panels):
+    told = [panel for panel in panels if any(value is not None for value in panel[1])]
+    for k, (title, values, colours) in enumerate(told):
         axes = figure.add_axes((0.175 + 0.278 * k, bottom, 0.235, top - bottom))
         _bars(axes, values, colours)
         axes.set_title(f"{title}, nats", loc="left", fontsize=9)
@@ -48,10 +50,11 @@ def gain_figure(diagnosis: Diagnosis) -> Figure:
     handles = [
         Line2D([], [], color=colour, linewidth=6, label=label)
         for colour, label in (
-            (OTHER, "not ruled out" if any(answered) else "passes"),
-            (PALE, "ruled out"),
+            (OTHER, "not ruled out"),
+            (PALE, "ruled out, or no more than chance"),
             (ALARM, "another gains on top, so it is ruled out"),
         )
+        if any(colour in colours for _, _, colours in told)
     ]
     figure.legend(handles=handles, loc="upper right", ncols=3, handlelength=1.0, bbox_to_anchor=(1.0, 1.0))
     return figure
