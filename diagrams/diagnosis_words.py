@@ -147,7 +147,8 @@ def _millimetre_pair(place: Sequence[float]) -> str:
 
 def nats(gain: float) -> str:
     """A gain with a tenth below 100."""
-    return f"{gain:.0f}" if abs(gain) >= 100 else f"{gain:.1f}"
+    text = f"{gain:.0f}" if abs(gain) >= 100 else f"{gain:.1f}"
+    return "0.0" if text == "-0.0" else text
 
 
 def p_shown(p: float | None) -> str:

@@ -128,10 +128,7 @@ def show(results: Sequence[Comparison]) -> None:
 
     first = results[0]
     click.echo(f"{first.dataset}, {len(first.pushes)} pushes; model learnt from {first.learnt_from}\n")
-    for result in results:
-        if len(results) > 1:
-            click.echo(f"{result.label}:\n")
-        show_comparison(result)
+    show_comparison(results)
     told = [summary(first), finding(first)]
     if len(results) > 1:
         told = [summary_of_two(*results), *(f"{result.label}: {finding(result)}" for result in results)]

@@ -9,13 +9,13 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
+from diagrams.diagnosis_words import nats
 from diagrams.figures.style import BELIEF, FAINT, INK, OTHER, styled
 from diagrams.wording import short_name
 from models.inference.diagnosis import Diagnosis
 from models.physics.cell_grid import FloatArray
 
-WIDTH = 9.6  # inches
-ROW = 0.235
+NAMES, PANEL, ROW = 1.68, 2.64, 0.235  # inches
 ALARM = "#a3341f"
 PALE = "#c9c5bb"
 
@@ -25,7 +25,6 @@ def gain_figure(diagnosis: Diagnosis) -> Figure:
     """Bars for every candidate: gain to first order, gain when refitted, and what another effect still gains."""
     candidates = diagnosis.candidates
     height = 0.62 + ROW * len(candidates) + 0.12
-    figure = Figure(figsize=(WIDTH, height))
     bottom, top = 0.12 / height, 1 - 0.62 / height
     answered = [c.in_set or c.name in diagnosis.effects for c in candidates]
     told_of = list(zip(candidates, answered, strict=True))
@@ -38,9 +37,11 @@ def gain_figure(diagnosis: Diagnosis) -> Figure:
             [ALARM if c.rejected_by is not None else OTHER if a else PALE for c, a in told_of],
         ),
     )
-    told = [panel for panel in panels if any(value is not None for value in panel[1])]
-    for k, (title, values, colours) in enumerate(told):
-        axes = figure.add_axes((0.175 + 0.278 * k, bottom, 0.235, top - bottom))
+    shown = [panel for panel in panels if any(value is not None for value in panel[1])]
+    width = NAMES + PANEL * len(shown)
+    figure = Figure(figsize=(width, height))
+    for k, (title, values, colours) in enumerate(shown):
+        axes = figure.add_axes(((NAMES + PANEL * k) / width, bottom, 0.85 * PANEL / width, top - bottom))
         _bars(axes, values, colours)
         axes.set_title(f"{title}, nats", loc="left", fontsize=9)
         if k == 0:
@@ -54,9 +55,10 @@ def gain_figure(diagnosis: Diagnosis) -> Figure:
             (PALE, "ruled out, or no more than chance"),
             (ALARM, "another gains on top, so it is ruled out"),
         )
-        if any(colour in colours for _, _, colours in told)
+        if any(colour in colours for _, _, colours in shown)
     ]
-    figure.legend(handles=handles, loc="upper right", ncols=3, handlelength=1.0, bbox_to_anchor=(1.0, 1.0))
+    if len(handles) > 1:
+        figure.legend(handles=handles, loc="upper right", ncols=3, handlelength=1.0, bbox_to_anchor=(1.0, 1.0))
     return figure
 
 
@@ -68,7 +70,7 @@ def _bars(axes: Axes, values: Sequence[float | None], colours: Sequence[str]) ->
     axes.barh(rows, drawn, color=list(colours), height=0.62)
     largest = max(float(drawn.max(initial=0.0)), 1e-9)
     for row, value, length in zip(rows, known, drawn, strict=True):
-        text = "–" if np.isnan(value) else f"{value:.0f}" if abs(value) >= 100 else f"{value:.1f}"
+        text = "–" if np.isnan(value) else nats(value)
         axes.annotate(
             text, (length, row), (3, 0), textcoords="offset points", va="center", fontsize=7.5,
             color=FAINT if np.isnan(value) else INK,
@@ -98,8 +100,10 @@ def locked_figure(diagnosis: Diagnosis) -> Figure:
         axes.hlines(rows, before[order], after[order], color=PALE, linewidth=2.4)
         _dots(axes, after[order], rows, OTHER, "with the answer")
     _dots(axes, before[order], rows, BELIEF, "without effects" if changed else "the model")
-    axes.set_xscale("log")
-    axes.xaxis.set_major_formatter("{x:g}")
+    if max(before.max(), after.max()) > 5 * min(before.min(), after.min()):
+        axes.set_xscale("log")
+        axes.xaxis.set_major_formatter("{x:g}")
+        axes.xaxis.set_minor_formatter("")
     axes.set_xlabel("ADD over the course, mm")
     axes.set_yticks(rows, [short_name(diagnosis.locked[b]) for b in order], fontsize=7.5)
     axes.set_ylim(-0.7, len(order) - 0.3)

@@ -104,7 +104,7 @@ def ranking_section(diagnosis: Diagnosis) -> Section:
     )
     body = (
         f"<p>{escape(evidence(diagnosis))}</p>{note}"
-        + picture(gain_figure(diagnosis), "Gains of all candidates", wide=True)
+        + picture(gain_figure(diagnosis), "Gains of all candidates")
         + f"<details><summary>All numbers</summary>{numbers}</details>"
     )
     return Section("ranking", "Every effect that was tried", body)
