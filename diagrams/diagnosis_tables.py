@@ -57,7 +57,12 @@ def show_diagnosis(diagnosis: Diagnosis, dataset: PushDataset, effects: Sequence
     )
     rows = parameter_rows(tried(diagnosis, effects), diagnosis.parameters)
     if rows:
-        table(f"Parameters of {', '.join(diagnosis.effects)}", ["parameter", "value", "90 % interval", "meaning"], rows, numbers=(1, 2))
+        table(
+            f"Parameters of {', '.join(diagnosis.effects)}",
+            ["parameter", "value", "90 % interval", "meaning"],
+            rows,
+            numbers=(1, 2),
+        )
     _show_locked(diagnosis)
     if diagnosis.next_push is not None:
         paragraph(f"Next push: {diagnosis.next_push['sentence']}")

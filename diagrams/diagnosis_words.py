@@ -85,7 +85,9 @@ def improvement(diagnosis: Diagnosis) -> str:
     which = f"On {count} pushes that were locked away" if count > 1 else "On the push that was locked away"
     ours = f"{millimetres(float(before.path.mean()))} mm off on average"
     if not diagnosis.effect_objects:
-        return f"{which}, the model is {ours} and {millimetres(float(before.final.mean()))} mm at the end (ADD)."
+        return (
+            f"{which}, the model is {ours} and {millimetres(float(before.final.mean()))} mm at the end (ADD)."
+        )
     return (
         f"{which}, the model without it is {ours}, with it"
         f" {millimetres(float(after.path.mean()))} mm; at the end {millimetres(float(before.final.mean()))} and"

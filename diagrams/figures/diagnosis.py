@@ -58,7 +58,9 @@ def gain_figure(diagnosis: Diagnosis) -> Figure:
         if any(colour in colours for _, _, colours in shown)
     ]
     if len(handles) > 1:
-        figure.legend(handles=handles, loc="upper right", ncols=3, handlelength=1.0, bbox_to_anchor=(1.0, 1.0))
+        figure.legend(
+            handles=handles, loc="upper right", ncols=3, handlelength=1.0, bbox_to_anchor=(1.0, 1.0)
+        )
     return figure
 
 

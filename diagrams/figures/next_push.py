@@ -42,7 +42,9 @@ def next_push_figure(
         colour = COLOURS[k % len(COLOURS)]
         style = "-" if k < len(COLOURS) else "--"
         axes.add_patch(
-            PathPatch(outline_path(grid, end), facecolor="none", edgecolor=colour, linewidth=1.6, linestyle=style)
+            PathPatch(
+                outline_path(grid, end), facecolor="none", edgecolor=colour, linewidth=1.6, linestyle=style
+            )
         )
         points.append(placed(grid.exterior, end))
         handles.append(Line2D([], [], color=colour, linewidth=1.6, linestyle=style, label=name))
