@@ -1,4 +1,4 @@
-"""The HTML report of a diagnosis: verdict, ranking, locked pushes, and both models beside the measurements."""
+"""The HTML report of a diagnosis: verdict, ranking, locked pushes, both models beside the measurements."""
 
 from __future__ import annotations
 

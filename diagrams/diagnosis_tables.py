@@ -15,7 +15,6 @@ from diagrams.diagnosis_words import (
     locked_rows,
     nats,
     p_shown,
-    push_facts,
     rivals_sentence,
     sizes,
     standing,
@@ -66,8 +65,6 @@ def show_diagnosis(diagnosis: Diagnosis, dataset: PushDataset, effects: Sequence
     _show_locked(diagnosis)
     if diagnosis.next_push is not None:
         paragraph(f"Next push: {diagnosis.next_push['sentence']}")
-        for name, value in push_facts(diagnosis.next_push):
-            click.echo(f"  {name:<18} {value}")
 
 
 def _show_locked(diagnosis: Diagnosis) -> None:

@@ -83,15 +83,14 @@ def improvement(diagnosis: Diagnosis) -> str:
         return ""
     count = len(diagnosis.locked)
     which = f"On {count} pushes that were locked away" if count > 1 else "On the push that was locked away"
-    ours = f"{millimetres(float(before.path.mean()))} mm off on average"
+    path, path_after, end, end_after = (
+        f"{millimetres(float(e.mean()))} mm" for e in (before.path, after.path, before.final, after.final)
+    )
     if not diagnosis.effect_objects:
-        return (
-            f"{which}, the model is {ours} and {millimetres(float(before.final.mean()))} mm at the end (ADD)."
-        )
+        return f"{which}, the model is {path} off on average and {end} at the end (ADD)."
     return (
-        f"{which}, the model without it is {ours}, with it"
-        f" {millimetres(float(after.path.mean()))} mm; at the end {millimetres(float(before.final.mean()))} and"
-        f" {millimetres(float(after.final.mean()))} mm (ADD)."
+        f"{which}, the model without it is {path} off on average, with it {path_after}; at the end {end} and"
+        f" {end_after} (ADD)."
     )
 
 
@@ -102,7 +101,8 @@ def locked_rows(diagnosis: Diagnosis) -> list[tuple[str, str, str]]:
         return []
 
     def row(name: str, number: str) -> tuple[str, str, str]:
-        return name, *(millimetres(float(getattr(e, number).mean())) for e in (before, after))
+        errors = [millimetres(float(getattr(e, number).mean())) for e in (before, after)]
+        return name, errors[0], errors[1]
 
     return [
         row("over the course (ADD), mm", "path"),
@@ -136,10 +136,11 @@ def push_facts(push: Mapping[str, object]) -> list[tuple[str, str]]:
         ("length", f"{1e3 * float(push['length']):.0f} mm"),  # type: ignore[arg-type]
         ("finger", f"from {_millimetre_pair(pair('tip_start'))} to {_millimetre_pair(pair('tip_end'))}"),
     ]
-    names = [str(name) for name in push.get("separates") or ()]  # type: ignore[attr-defined]
-    if names:
-        apart = float(push["separation"])  # type: ignore[arg-type]
-        facts.append(("parts", f"{' and '.join(names)} by {apart:.1f} standard deviations"))
+    if push.get("dwell"):
+        facts.append(("rest half-way", f"{float(push['dwell']):.1f} s"))  # type: ignore[arg-type]
+    names = [str(name) for name in push["separates"]]  # type: ignore[attr-defined]
+    facts.append(("tells apart" if len(names) > 1 else "is about", ", ".join(names)))
+    facts.append(("separation", f"{float(push['separation']):.1f} standard deviations"))  # type: ignore[arg-type]
     return facts
 
 

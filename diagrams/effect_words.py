@@ -55,7 +55,7 @@ def effect_in_words(name: str, estimates: Sequence[ParameterEstimate], grid: Cel
 def parameter_rows(
     effects: Sequence[Effect], estimates: Sequence[ParameterEstimate]
 ) -> list[tuple[str, str, str, str]]:
-    """Name with unit, value, 90 % interval and meaning of every parameter; where effects differ, with theirs."""
+    """Name with unit (and effect, where there are several), value, 90 % interval, meaning of each parameter."""
     meanings = {(effect.name, p.name): p.meaning for effect in effects for p in effect.parameters}
     several = len({e.effect for e in estimates}) > 1
     rows = []
@@ -87,7 +87,7 @@ def _scaled(text: str, estimate: ParameterEstimate, factor: float) -> Reading:
 def _polar(
     x: ParameterEstimate, y: ParameterEstimate
 ) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
-    """Length and direction (rad) of a pair of parameters with their intervals, the two taken as independent."""
+    """Length and direction (rad) of two parameters with their intervals, the two taken as independent."""
     length = float(np.hypot(x.value, y.value))
     spread_x, spread_y = 0.5 * (x.high - x.low), 0.5 * (y.high - y.low)
     angle = float(np.arctan2(y.value, x.value))

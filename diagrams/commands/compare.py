@@ -147,7 +147,7 @@ def _document(results: Sequence[Comparison], effect_names: Sequence[str]) -> dic
 def _learnt_twice(
     dataset: PushDataset, effects: Sequence[Effect], seed: int, progress: Progress
 ) -> dict[str, Belief]:
-    """Beliefs without and with the effects, learnt in the same way, by the names that the report gives them."""
+    """Beliefs without and with the effects, learnt alike, by the names that the report gives them."""
     from models.inference.diagnosis.effect_fit import fit_effects
 
     _check_fit_pushes(dataset)

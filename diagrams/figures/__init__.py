@@ -1,4 +1,4 @@
-"""Pictures of beliefs, pushes, comparisons, diagnoses and calibration, as matplotlib Figures; `save` writes one."""
+"""Pictures of beliefs, pushes, comparisons, diagnoses, calibration: matplotlib Figures; `save` writes one."""
 
 from diagrams.figures.calibration import calibration_figure
 from diagrams.figures.comparison import error_figure

@@ -22,7 +22,7 @@ PALE = "#c9c5bb"
 
 @styled
 def gain_figure(diagnosis: Diagnosis) -> Figure:
-    """Bars for every candidate: gain to first order, gain when refitted, and what another effect still gains."""
+    """Bars for every candidate: gain to first order, gain when refitted, and what another still gains."""
     candidates = diagnosis.candidates
     height = 0.62 + ROW * len(candidates) + 0.12
     bottom, top = 0.12 / height, 1 - 0.62 / height
@@ -96,7 +96,7 @@ def locked_figure(diagnosis: Diagnosis) -> Figure:
     height = 0.85 + 0.21 * len(order)
     figure = Figure(figsize=(5.0, height))
     axes = figure.add_axes((0.13, 0.45 / height, 0.84, 1 - 0.85 / height))
-    rows = np.arange(len(order))
+    rows = np.arange(float(len(order)))
     changed = bool(diagnosis.effect_objects)
     if changed:
         axes.hlines(rows, before[order], after[order], color=PALE, linewidth=2.4)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -23,6 +24,7 @@ from models.inference.diagnosis import diagnose
 from models.inference.diagnosis.results import CandidateResult, ParameterEstimate
 from models.objects import cells_from_polygon
 
+ROOT = Path(__file__).resolve().parents[2]
 EFFECTS = effects_named(["table_tilt", "sensor_latency"])
 
 PUSH = {
@@ -96,7 +98,7 @@ def test_sizes_in_the_units_of_a_person():
         estimate("down_x", 0.0, -0.001, 0.001),
         estimate("down_y", slope, slope - 0.01, slope + 0.01),
     )
-    assert tilt.startswith("tilt 3.00° (2.43 to 3.57), downhill towards 90.0°")
+    assert tilt.startswith("tilt 3.0° (2.4 to 3.6), downhill towards 90.0°")
     assert words("sensor_latency", estimate("latency", 0.06, 0.058, 0.062)) == (
         "the tracker is 60.0 ms late (58.0 to 62.0)"
     )
@@ -137,6 +139,15 @@ def test_standing_tells_why_each_is_ruled_out(tilted):
     assert of(found, "tether") == "far from the best"
     assert of(found, "tether", fitted_gain=1.0) == "less than the best"
     assert of(replace(found, verdict="adequate", effects=()), "tether") == "gains no more than chance"
+
+
+def test_every_key_of_the_json_is_documented(tilted):
+    _, found = tilted
+    section = (ROOT / "docs" / "diagnose.md").read_text().split("## JSON")[1].split("## Limits")[0]
+    document = found.to_json()
+    for key in (*document, *document["candidates"][0], *PUSH):
+        shown = f"`{key}`" if not key.endswith("_after") else key.replace("after", "before")
+        assert shown in section, key
 
 
 def test_report_and_tables_of_one_effect(tilted, capsys):
@@ -250,7 +261,7 @@ def test_compare_with_an_effect_shows_before_and_after(slipmap, tilted_folder, t
     assert set(document) == {"before", "after", "effects"} and document["effects"] == ["table_tilt"]
     errors = [document[key]["totals"]["heldout"]["model"]["final_add"] for key in ("before", "after")]
     assert errors[1] < 0.2 * errors[0]
-    assert "held out, with table_tilt" in " ".join(said.out.split())
+    assert "fit, without effects" in said.out and "fit, with table_tilt" in said.out
     assert max(map(len, said.out.splitlines())) <= 80
     assert json.loads(Page(html.read_text()).scripts[0][1])["pushes"]["labels"][1] == "with table_tilt"
 
@@ -266,7 +277,11 @@ def test_a_slip_of_the_pen_in_a_name(slipmap, tilted_folder, tmp_path, command):
 @pytest.mark.parametrize("command", ["diagnose", "compare", "fit", "predict"])
 @pytest.mark.parametrize(
     ("text", "problem"),
-    [("x = (", "line 1"), ("x = 1", "defines no effect"), (OWN_EFFECT.replace("body.weight", "body.nothing"), "nothing")],
+    [
+        ("x = (", "line 1"),
+        ("x = 1", "defines no effect"),
+        (OWN_EFFECT.replace("body.weight", "body.nothing"), "nothing"),
+    ],
 )
 def test_a_faulty_effect_file_is_refused_before_any_work(
     slipmap, tilted_folder, tmp_path, command, text, problem

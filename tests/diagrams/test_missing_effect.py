@@ -1,4 +1,4 @@
-"""The whole way: a model that misses an effect is seen to fail, the effect is named, added, and errors fall."""
+"""The whole way: a model is seen to fail, the effect that it misses is named and added, and errors fall."""
 
 from __future__ import annotations
 

@@ -45,7 +45,7 @@ def fitted_belief(fitted: Fitted, dataset: PushDataset, seed: int) -> Belief:
 
 
 def as_diagnosed(dataset: PushDataset, diagnosis: Diagnosis) -> PushDataset:
-    """The dataset with the roles that its pushes had in the diagnosis: held out are those that were locked."""
+    """The dataset with the roles of the diagnosis: pushes that were locked away are held out."""
     locked = set(diagnosis.locked)
     trials = tuple(
         replace(trial, role="heldout" if trial.name in locked else "fit") for trial in dataset.trials
