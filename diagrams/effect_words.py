@@ -55,7 +55,7 @@ def effect_in_words(name: str, estimates: Sequence[ParameterEstimate], grid: Cel
 def parameter_rows(
     effects: Sequence[Effect], estimates: Sequence[ParameterEstimate]
 ) -> list[tuple[str, str, str, str]]:
-    """Name with unit (and effect, where there are several), value, 90 % interval, meaning of each parameter."""
+    """Name with unit (and effect, if there are several), value, 90 % interval, meaning of each parameter."""
     meanings = {(effect.name, p.name): p.meaning for effect in effects for p in effect.parameters}
     several = len({e.effect for e in estimates}) > 1
     rows = []

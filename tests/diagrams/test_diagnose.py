@@ -13,7 +13,7 @@ from tilted_table import tilted_pushes
 
 from diagrams.diagnosis_report import compared, diagnosis_report
 from diagrams.diagnosis_tables import show_diagnosis
-from diagrams.diagnosis_words import standing
+from diagrams.diagnosis_words import push_facts, standing
 from diagrams.effect_words import READERS, effect_in_words
 from diagrams.figures import gain_figure, locked_figure, next_push_figure
 from diagrams.next_push import rival_ends
@@ -106,7 +106,7 @@ def test_sizes_in_the_units_of_a_person():
     grain = words(
         "anisotropic_table", estimate("along_x", 0.0, -0.1, 0.1), estimate("along_xy", 0.5, 0.4, 0.6)
     )
-    assert grain.startswith("friction 3.0 times as high (2.3 to 4.0), along 45.0° of the table")
+    assert grain.startswith("friction 3.0 times as high (2.3 to 4.0), along 45° of the table")
     patch = [estimate("patch", np.log(2.0), np.log(1.5), np.log(3.0))]
     patch += [estimate(name, 0.1, 0.09, 0.11) for name in ("patch_x", "patch_y", "patch_radius")]
     level = [estimate(name, 0.01, -0.1, 0.1) for name in ("gradient_x", "gradient_y")]
@@ -158,15 +158,19 @@ def test_report_and_tables_of_one_effect(tilted, capsys):
     assert {"answer", "ranking", "locked", "next", "errors", "pushes", "where", "reading"} <= set(page.ids)
     data = json.loads(page.scripts[0][1])["pushes"]
     assert data["labels"] == ["without effects", "with table_tilt"]
+    for fact in (
+        "x 100 mm, y -50 mm, turned by 90°",
+        "table_tilt, sensor_latency",
+        "7.3 standard deviations",
+    ):
+        assert fact in page.text
+    assert "0.5 s" in dict(push_facts({**PUSH, "dwell": 0.5})).values()
     show_diagnosis(told, dataset, EFFECTS)
     out = capsys.readouterr().out
     assert max(map(len, out.splitlines())) <= 80
     for text in (out, page.text):
         assert found.sentence in text and "chance was not simulated" in " ".join(text.split())
         assert "Push the object along +y & wait." in text
-        assert "x 100 mm, y -50 mm, turned by 90°" in text and "7.3 standard deviations" in " ".join(
-            text.split()
-        )
         assert f"{1e3 * found.before.path.mean():.1f}" in text
         assert f"{found.after.total_misfit:.2f}" in text
 
