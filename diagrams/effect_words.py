@@ -157,7 +157,7 @@ def _field(p: Estimates, grid: CellGrid) -> list[Reading]:
 
 def _tether(p: Estimates, grid: CellGrid) -> list[Reading]:
     return [
-        _scaled("a pull of {} N for each 10 mm", p["stiffness"], 0.01),
+        _scaled("a pull of {} N for each 100 mm", p["stiffness"], 0.1),
         _scaled("towards x {} mm", p["anchor_x"], 1e3),
         _scaled("y {} mm", p["anchor_y"], 1e3),
         _scaled("beyond {} mm of slack", p["slack"], 1e3),

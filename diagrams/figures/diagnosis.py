@@ -8,6 +8,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
+from matplotlib.ticker import LogLocator
 
 from diagrams.diagnosis_words import nats
 from diagrams.figures.style import BELIEF, FAINT, INK, OTHER, styled
@@ -104,6 +105,7 @@ def locked_figure(diagnosis: Diagnosis) -> Figure:
     _dots(axes, before[order], rows, BELIEF, "without effects" if changed else "the model")
     if max(before.max(), after.max()) > 5 * min(before.min(), after.min()):
         axes.set_xscale("log")
+        axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
         axes.xaxis.set_major_formatter("{x:g}")
         axes.xaxis.set_minor_formatter("")
     axes.set_xlabel("ADD over the course, mm")

@@ -14,6 +14,7 @@ from diagrams.figures.style import BELIEF, FAINT, FINGER, INK, OTHER, PAPER, sty
 from models.measurements import PushDataset
 from models.physics.cell_grid import FloatArray
 
+WIDTH = 5.0  # inches
 COLOURS = (BELIEF, OTHER, "#8a4fb0", "#b8860b", "#a3341f")
 
 
@@ -28,12 +29,17 @@ def next_push_figure(
         ends: name and end pose (3,) of each rival.
         dataset: for the object and the finger.
     """
-    figure = Figure(figsize=(5.0, 5.0))
-    axes = figure.add_axes((0.02, 0.02, 0.96, 0.84))
     grid, pose = dataset.grid, np.asarray(push["pose"], dtype=float)
     tips = np.array([push["tip_start"], push["tip_end"]], dtype=float)
+    points = [placed(grid.exterior, pose), *(tips + sign * dataset.finger_radius for sign in (-1, 1))]
+    every = np.concatenate([*points, *(placed(grid.exterior, end) for _, end in ends)])
+    low, high = every.min(axis=0), every.max(axis=0)
+    middle, size = (low + high) / 2, 1.15 * np.maximum(high - low, 0.4 * (high - low).max())
+    legend = 0.2 + 0.19 * -(-(len(ends) + 2) // 2)
+    height = WIDTH * size[1] / size[0] + legend
+    figure = Figure(figsize=(WIDTH, height))
+    axes = figure.add_axes((0.0, 0.0, 1.0, 1 - legend / height))
     axes.add_patch(PathPatch(outline_path(grid, pose), facecolor=PAPER, edgecolor=FAINT, linewidth=1.0))
-    points = [placed(grid.exterior, pose), *(tips + s * dataset.finger_radius for s in (-1, 1))]
     handles = [
         Line2D([], [], color=FAINT, linewidth=1.0, label="before"),
         Line2D([], [], color=FINGER, linewidth=1.2, marker="o", markerfacecolor="none", label="finger"),
@@ -46,19 +52,17 @@ def next_push_figure(
                 outline_path(grid, end), facecolor="none", edgecolor=colour, linewidth=1.6, linestyle=style
             )
         )
-        points.append(placed(grid.exterior, end))
         handles.append(Line2D([], [], color=colour, linewidth=1.6, linestyle=style, label=name))
     axes.annotate("", tips[1], tips[0], arrowprops={"arrowstyle": "-|>", "color": FINGER, "linewidth": 1.2})
     for place, fill in zip(tips, ("none", FINGER), strict=True):
         axes.add_patch(Circle(place, dataset.finger_radius, facecolor=fill, edgecolor=FINGER, linewidth=1.1))
     contact = placed(np.asarray(push["contact"], dtype=float), pose)
     axes.plot(*contact, "x", color=INK, markersize=5, zorder=4)
-    every = np.concatenate(points)
-    low, high = every.min(axis=0), every.max(axis=0)
-    middle, span = (low + high) / 2, 1.15 * float((high - low).max())
-    axes.set(xlim=middle[0] + span * np.array([-0.5, 0.5]), ylim=middle[1] + span * np.array([-0.5, 0.5]))
+    axes.set(
+        xlim=middle[0] + size[0] * np.array([-0.5, 0.5]), ylim=middle[1] + size[1] * np.array([-0.5, 0.5])
+    )
     axes.set(xticks=[], yticks=[], aspect="equal")
     axes.spines[:].set_visible(False)
-    scale_bar(axes, middle + span * np.array([-0.48, -0.45]), span)
+    scale_bar(axes, middle + size * [-0.48, -0.42], float(size[0]))
     figure.legend(handles=handles, loc="upper left", ncols=2, bbox_to_anchor=(0.02, 1.0))
     return figure

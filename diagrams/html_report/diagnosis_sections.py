@@ -102,9 +102,10 @@ def ranking_section(diagnosis: Diagnosis) -> Section:
     numbers = table(
         columns, rows, numbers=range(1, 6), marked=[c.name in diagnosis.effects for c in diagnosis.candidates]
     )
+    drawn = gain_figure(diagnosis)
     body = (
         f"<p>{escape(evidence(diagnosis))}</p>{note}"
-        + picture(gain_figure(diagnosis), "Gains of all candidates")
+        + picture(drawn, "Gains of all candidates", wide=len(drawn.axes) > 1)
         + f"<details><summary>All numbers</summary>{numbers}</details>"
     )
     return Section("ranking", "Every effect that was tried", body)
