@@ -77,8 +77,11 @@ def _blind(module: str) -> Any:
             "the blind tests' simulator is part of slipmap's tests, which an installed package does not"
             " hold; in a checkout of the sources, call python -m diagrams.command_line blind-test"
         )
+    # Folders in tests/ bear the packages' names; what is imported already cannot be taken for them.
+    for package in ("models", "planners"):
+        importlib.import_module(package)
     if str(TESTS) not in sys.path:
-        sys.path.insert(0, str(TESTS))
+        sys.path.append(str(TESTS))
     return importlib.import_module(f"blind.{module}")
 
 

@@ -117,9 +117,9 @@ def _check_values(effect: Effect, slots: Slots, refuse) -> None:  # type: ignore
             results, expected = results[:-3], expected[:-3]
         for value, wanted in zip(results, expected, strict=True):
             if wanted is not None and abs(value - wanted) > VANISHES * max(1.0, abs(wanted)):
+                nulls = [f"{p.name} = {p.null}" for p in effect.parameters if p.null is not None]
                 refuse(
-                    "the effect does not vanish when its parameters are at their nulls"
-                    f" ({', '.join(f'{p.name} = {p.null}' for p in effect.parameters if p.null is not None)}):"
+                    f"the effect does not vanish when its parameters are at their nulls ({', '.join(nulls)}):"
                     f" it gives {value:.6g} instead of {wanted:g}"
                 )
 

@@ -108,7 +108,8 @@ class Effect:
         return None
 
     def blade(self, body: Any, p: Any) -> Any:
-        """(F, n_x, n_y, r_x, r_y): motion of the object's point r along its unit vector n is resisted by F newtons."""
+        """(F, n_x, n_y, r_x, r_y): motion of the object's point r along its unit vector n is resisted by F
+        newtons."""
         return None
 
     def inertia(self, body: Any, p: Any) -> Any:
@@ -144,6 +145,12 @@ class Effect:
     def amplitudes(self) -> NDArray[np.bool_]:
         """(P,) which parameters have a null."""
         return np.array([parameter.null is not None for parameter in self.parameters])
+
+    @property
+    def signs(self) -> FloatArray:
+        """(P,) 1 or -1 where a parameter's null is the end of its range and it can only grow or fall, else
+        0."""
+        return np.array([float(p.center == p.low) - float(p.center == p.high) for p in self.parameters])
 
     def start_values(self, scene: Scene) -> FloatArray:
         """(G, P) `starts` as arrays, amplitudes at their null.

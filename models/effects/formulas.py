@@ -123,9 +123,10 @@ class Slots:
         allowed |= {real(f"after_{k}") for k in range(8)}
         strangers = {s for s in asked | sp.sympify(self.delay).free_symbols if s not in allowed}
         if strangers:
+            names = ", ".join(e.name for e in effects)
             raise EffectError(
-                f"effects {', '.join(e.name for e in effects)}: the formula holds symbols that are neither its"
-                f" parameters nor given to it: {', '.join(sorted(map(str, strangers)))}"
+                f"effects {names}: the formula holds symbols that are neither its parameters nor given to"
+                f" it: {', '.join(sorted(map(str, strangers)))}"
             )
 
     @staticmethod

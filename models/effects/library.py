@@ -1,4 +1,5 @@
-"""The effects that slipmap knows, one small class each; formulas in the symbols of `models.effects.symbols`."""
+"""The effects that slipmap knows, one small class each; formulas in the symbols of
+`models.effects.symbols`."""
 
 from __future__ import annotations
 
@@ -40,8 +41,8 @@ class StribeckFriction(Effect):
 
 
 def _ellipse(a: Any, b: Any) -> tuple[Any, Any, Any]:
-    """Q with eigenvalues (1 + ρ)/(1 - ρ) and its inverse, ρ = hypot(a, b), the first at the angle atan2(b, a)/2;
-    friction along these directions is their square roots times Coulomb's."""
+    """Q with eigenvalues (1 + ρ)/(1 - ρ) and its inverse, ρ = hypot(a, b), the first at the angle atan2(b,
+    a)/2; friction along these directions is their square roots times Coulomb's."""
     square = a**2 + b**2
     return (1 + square + 2 * a) / (1 - square), 2 * b / (1 - square), (1 + square - 2 * a) / (1 - square)
 
@@ -115,7 +116,9 @@ class TableFrictionField(Effect):
     def friction(self, cell: Any, p: Any) -> Any:
         distance = sp.sqrt((cell.x - p.patch_x) ** 2 + (cell.y - p.patch_y) ** 2 + 1e-12)
         inside = smooth_step(p.patch_radius - distance, 0.01)
-        slope = positive_part(1 + p.gradient_x * cell.x + p.gradient_y * cell.y, 0.02) / positive_part(1, 0.02)
+        slope = positive_part(1 + p.gradient_x * cell.x + p.gradient_y * cell.y, 0.02) / positive_part(
+            1, 0.02
+        )
         return slope * sp.exp(p.patch * inside)
 
     def starts(self, scene: Scene) -> list[dict[str, float]]:
@@ -139,13 +142,17 @@ class Tether(Effect):
         Parameter("anchor_x", "m", "where the cable is fixed", -10.0, 10.0, 0.3),
         Parameter("anchor_y", "m", "where the cable is fixed", -10.0, 10.0, 0.3),
         Parameter("slack", "m", "length at which it begins to pull", 0.0, 10.0, 0.1),
+        Parameter("point_x", "m", "where it is tied to the object, object frame", -1.0, 1.0, 0.03),
+        Parameter("point_y", "m", "where it is tied to the object, object frame", -1.0, 1.0, 0.03),
     )
 
     def force(self, body: Any, p: Any) -> Any:
-        dx, dy = p.anchor_x - body.x, p.anchor_y - body.y
+        arm_x = body.cos * p.point_x - body.sin * p.point_y
+        arm_y = body.sin * p.point_x + body.cos * p.point_y
+        dx, dy = p.anchor_x - body.x - arm_x, p.anchor_y - body.y - arm_y
         distance = sp.sqrt(dx**2 + dy**2 + 1e-6)
         pull = p.stiffness * positive_part(distance - p.slack, 2e-3) / distance
-        return pull * dx, pull * dy, 0
+        return pull * dx, pull * dy, pull * (arm_x * dy - arm_y * dx)
 
     def starts(self, scene: Scene) -> list[dict[str, float]]:
         result = []
@@ -199,7 +206,7 @@ class LooseMass(Effect):
         return tuple(
             -(p.rate**2) * lag - 2 * p.damping * p.rate * rush
             for lag, rush in ((body.lag_x, body.rush_x), (body.lag_y, body.rush_y))
-        )  # type: ignore[return-value]
+        )
 
     def inertia(self, body: Any, p: Any) -> Any:
         return 1 - p.share
@@ -224,8 +231,8 @@ class LoadTransfer(Effect):
     name = "load_transfer"
     sentence = "Pushing above the table, and braking, shift the load between cells."
     parameters = (
-        Parameter("push_height", "m", "height of the finger above the table", -0.3, 0.5, 0.03, 0.0),
-        Parameter("mass_height", "m", "height of the centre of mass", -0.3, 0.5, 0.03, 0.0),
+        Parameter("push_height", "m", "height of the finger above the table", 0.0, 0.5, 0.03, 0.0),
+        Parameter("mass_height", "m", "height of the centre of mass", 0.0, 0.5, 0.03, 0.0),
     )
     memory = ("gain_x", "gain_y")
 

@@ -75,15 +75,11 @@ class FrictionByDirection(Effect):
 class FrictionByTime(Effect):
     name = "friction_by_time"
     sentence = "Friction that depends on the time since the push began."
-    parameters = (
-        *_amplitudes("a", 2, 0.2),
-        Parameter("settle", "1", "coefficient", -100.0, 100.0, 0.2, 0.0),
-    )
+    parameters = _amplitudes("a", 3, 0.2)
 
     def friction(self, cell: Any, p: Any) -> Any:
-        t = cell.time
-        rest = p.a0 * t / 2 + p.a1 * (t / 2) ** 2 + p.settle * sp.exp(-t / sp.Rational(3, 10))
-        return sp.exp(3 * sp.tanh(rest / 3))
+        t = cell.time / 2
+        return sp.exp(3 * sp.tanh(sum(a * t ** (k + 1) for k, a in enumerate(_values(p, "a", 3))) / 3))
 
 
 class FrictionByOrder(Effect):

@@ -37,8 +37,9 @@ class Program:
         effects: in the order of their parameters.
         addresses: (4,) of the functions body, cells, cell slopes, memory.
         sizes: (5,) as in `effect_kernel.effect_rollout`.
-        measured: x, y, θ (…,) and parameters to (…, 3) poses as the tracker reports them, and their derivatives by
-            the true pose (…, 3, 3) and by the parameters (…, 3, P); None where no effect changes them.
+        measured: x, y, θ (…,) and parameters to (…, 3) poses as the tracker reports them, and their
+            derivatives by the true pose (…, 3, 3) and by the parameters (…, 3, P); None where no effect
+            changes them.
         delay: parameters to the tracker's delay and its derivative (P,); None where there is none.
     """
 
@@ -142,5 +143,6 @@ def call_formula(effect: Effect, method: str, *arguments: Any) -> Any:
         raise
     except Exception as error:
         raise EffectError(
-            f"effect {effect.name}: {method}() failed in {failing_line(error)}: {type(error).__name__}: {error}"
+            f"effect {effect.name}: {method}() failed in {failing_line(error)}:"
+            f" {type(error).__name__}: {error}"
         ) from error

@@ -19,12 +19,14 @@ def load_effects(path: str | Path) -> tuple[Effect, ...]:
     """Effects that a Python file defines: one of each subclass of `Effect` in it, checked.
 
     Raises:
-        EffectError: the file cannot be read or run, defines no effect, or one that is faulty; names file and line.
+        EffectError: the file cannot be read or run, defines no effect, or one that is faulty; names file
+            and line.
     """
     path = Path(path)
     if not path.is_file():
         raise EffectError(f"effect file {path}: there is no such file")
-    # SymPy formulas are keyed by their file; a module of the same name elsewhere must not be taken for this one.
+    # SymPy formulas are keyed by their file; a module of the same name elsewhere must not be taken for this
+    # one.
     name = f"slipmap_effect_file_{abs(hash(path.resolve()))}"
     spec = importlib.util.spec_from_file_location(name, path)
     if spec is None or spec.loader is None:
@@ -54,7 +56,9 @@ def load_effects(path: str | Path) -> tuple[Effect, ...]:
         try:
             effect = kind()
         except Exception as error:
-            raise EffectError(f"effect file {path}, line {line}: {kind.__name__}() failed: {error}") from error
+            raise EffectError(
+                f"effect file {path}, line {line}: {kind.__name__}() failed: {error}"
+            ) from error
         check_effect(effect, f"{path}, line {line}")
         effects.append(effect)
     return tuple(effects)
@@ -70,7 +74,9 @@ def known_effects(files: Iterable[str | Path] = ()) -> tuple[Effect, ...]:
     for path in files:
         for effect in load_effects(path):
             if effect.name in {other.name for other in effects}:
-                raise EffectError(f"effect file {path}: there is already an effect {effect.name}; rename yours")
+                raise EffectError(
+                    f"effect file {path}: there is already an effect {effect.name}; rename yours"
+                )
             effects.append(effect)
     return tuple(effects)
 

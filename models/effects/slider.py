@@ -18,7 +18,8 @@ from models.physics.rollout import Rollouts, Slider, Smoothing, finished
 class EffectSlider(Slider):
     """A `Slider` whose maps carry the parameters of effects; at their nulls it is the plain one.
 
-    Start poses are those that the tracker reports, as the poses of the results are: a tracker that is off or late
+    Start poses are those that the tracker reports, as the poses of the results are: a tracker that is off
+        or late
     is an effect too.
 
     Args:
@@ -134,7 +135,8 @@ class EffectSlider(Slider):
     def _true_starts(
         self, reported: FloatArray, values: FloatArray
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Where the object is when the tracker reports poses (K, B, 3), and derivatives by report and parameters.
+        """Where the object is when the tracker reports poses (K, B, 3), and derivatives by report and
+        parameters.
 
         The formulas give the report of a true pose; Newton's method turns them round.
         """

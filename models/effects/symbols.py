@@ -41,7 +41,8 @@ def real(name: str) -> sp.Symbol:
 def body_names(memory: Mapping[str, sp.Symbol]) -> dict[str, Any]:
     """What formulas may use of the object as a whole, as expressions of the kernel's arguments.
 
-    x, y (m), theta: pose of the object frame in the world. vx, vy: velocity of its origin in the world, omega.
+    x, y (m), theta: pose of the object frame in the world. vx, vy: velocity of its origin in the world,
+    omega.
     com_x, com_y: centre of mass less the origin, com_vx, com_vy its velocity, world. mass, moment (about the
     origin), gravity, weight. time within the push (s), step (s), order: place of the push in the experiment,
     from 0. force_x, force_y: last force of the finger on the object, world, N. centroid_x, centroid_y: of the
@@ -111,8 +112,8 @@ def cell_names(body: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def after_names() -> dict[str, Any]:
-    """What `remember` may use of the moment after a step: x, y, theta, vx, vy, omega, com_vx, com_vy, force_x,
-    force_y (world), as in `body_names`."""
+    """What `remember` may use of the moment after a step: x, y, theta, vx, vy, omega, com_vx, com_vy,
+    force_x, force_y (world), as in `body_names`."""
     x, y, theta, vx, vy, omega, fx, fy = (real(f"after_{k}") for k in range(8))
     m, sx, sy, _ = (real(name) for name in INERTIA_NAMES)
     c, s = sp.cos(theta), sp.sin(theta)
@@ -129,9 +130,10 @@ def written_names(kind: str, extra: tuple[str, ...] = ()) -> dict[str, sp.Symbol
     letters = {
         "x": "x", "y": "y", "theta": r"\theta", "cos": r"c_\theta", "sin": r"s_\theta", "vx": r"\dot{x}",
         "vy": r"\dot{y}", "omega": r"\omega", "com_x": r"\bar{r}_x", "com_y": r"\bar{r}_y",
-        "com_vx": r"\bar{v}_x", "com_vy": r"\bar{v}_y", "mass": "m", "moment": "J", "gravity": "g", "weight": "mg",
-        "time": "t", "step": "h", "order": "k", "width": "w", "centroid_x": "c_x", "centroid_y": "c_y",
-        "spread_xx": "G_{xx}", "spread_xy": "G_{xy}", "spread_yy": "G_{yy}", "force_x": "F_x", "force_y": "F_y",
+        "com_vx": r"\bar{v}_x", "com_vy": r"\bar{v}_y", "mass": "m", "moment": "J", "gravity": "g",
+        "weight": "mg", "time": "t", "step": "h", "order": "k", "width": "w", "centroid_x": "c_x",
+        "centroid_y": "c_y", "spread_xx": "G_{xx}", "spread_xy": "G_{xy}", "spread_yy": "G_{yy}",
+        "force_x": "F_x", "force_y": "F_y",
     }  # fmt: skip
     if kind == "cell":
         letters |= {

@@ -103,9 +103,7 @@ class Belief:
     def slider(self) -> Slider:
         """The model that the maps belong to, with its effects."""
         if self.effects:
-            return EffectSlider(
-                self.grid, self.finger_radius, self.effects, self.gravity, self.smoothing
-            )
+            return EffectSlider(self.grid, self.finger_radius, self.effects, self.gravity, self.smoothing)
         return Slider(self.grid, self.finger_radius, self.gravity, self.smoothing)
 
     @property
@@ -176,8 +174,8 @@ class Belief:
             known: effects that it may carry; it holds their names and parameters, not their formulas.
 
         Raises:
-            BeliefError: the file is missing, not a belief, damaged, of a newer format, or it carries an effect
-                that is not known.
+            BeliefError: the file is missing, not a belief, damaged, of a newer format, or it carries an
+                effect that is not known.
         """
         path = Path(path)
         if not path.is_file():

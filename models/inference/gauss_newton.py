@@ -7,13 +7,15 @@ several starts, refits with pushes left out, and randomised refits.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 import scipy.linalg
 
-from models.inference.likelihood import Likelihood, NormalEquations
+from models.inference.likelihood import NormalEquations
+from models.inference.observations import Observation
 from models.physics.cell_grid import FloatArray
 
 LONGEST_STEP = 1.5
@@ -21,6 +23,24 @@ LONGEST_STEP = 1.5
 
 FARTHEST_OFFSET = 4.0
 """Largest start offset, in its standard deviations."""
+
+
+class Linearisable(Protocol):
+    """Costs of B pushes that can be minimised: `Likelihood`, or
+    `diagnosis.correlated.CorrelatedLikelihood`."""
+
+    @property
+    def observations(self) -> Sequence[Observation]:
+        """The pushes."""
+
+    @property
+    def start_sigma(self) -> FloatArray:
+        """(3,) standard deviations of start offsets."""
+
+    def linearise(
+        self, z: FloatArray, offsets: FloatArray, strength: FloatArray, weights: FloatArray
+    ) -> NormalEquations:
+        """See `Likelihood.linearise`."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,7 +65,7 @@ class Fits:
 
 
 def fit(
-    likelihood: Likelihood,
+    likelihood: Linearisable,
     start: FloatArray,
     *,
     weights: FloatArray | None = None,

@@ -90,7 +90,7 @@ class Likelihood:
         settings: LikelihoodSettings,
     ) -> None:
         self.prior = prior
-        self.observations = list(observations)
+        self.observations: Sequence[Observation] = list(observations)
         self.settings = settings
         centers = prior.slider.grid.centers
         self._centroid = centers.mean(axis=0)

@@ -11,8 +11,8 @@ from models.inference.belief import Belief, BeliefError
 from models.inference.observations import Observation, observe_all
 from models.inference.results import PushPrediction
 from models.measurements import PushDataset
-from models.physics.paper_notation import add
 from models.physics.maps import Maps
+from models.physics.paper_notation import add
 from models.physics.pushes import Push
 
 SIDEWAYS_SHIFT = 5e-4

@@ -1,12 +1,13 @@
-"""Friction of cells under effects: an ellipse instead of a circle, drag, and lines that resist sideways motion.
+"""Friction of cells under effects: an ellipse instead of a circle, drag, and lines that resist sideways
+motion.
 
 A cell of load f_i under a friction factor s_i dissipates f_i s_i φ_i with
 
     φ_i = sqrt(uᵀ Q u + (ρ omega)² + ε²),
 
-Q being symmetric, positive and the same for all cells; Q = 1 is Coulomb's law of `friction.py`. Drag adds
-½ D_i (|u_i|² + w²/6 omega²), and a blade F sqrt((b·v)² + ε²) with b = (n_x, n_y, r × n), where it resists with F along n.
-All of them are convex in the twist v, so the step stays what it is.
+Q being symmetric, positive and the same for all cells; Q = 1 is Coulomb's law of `friction.py`. Drag adds ½
+D_i (|u_i|² + w²/6 omega²), and a blade F sqrt((b·v)² + ε²) with b = (n_x, n_y, r × n), where it resists
+with F along n. All of them are convex in the twist v, so the step stays what it is.
 """
 
 from __future__ import annotations
@@ -53,8 +54,8 @@ class EffectCells(NamedTuple):
 
 @compiled(fastmath=_FAST)
 def _moments(cells, vx, vy, omega):  # type: ignore[no-untyped-def]
-    """Sums over cells: Σ a g (3), the six of Σ a JᵀQJ by powers of r (a, ax, ay, axx, axy, ayy), Σ b g gᵀ (6),
-    and Σ f/φ², with a = f/φ, b = f/φ³ and g = Jᵀ Q u + (0, 0, ρ² omega)."""
+    """Sums over cells: Σ a g (3), the six of Σ a JᵀQJ by powers of r (a, ax, ay, axx, axy, ayy), Σ b g gᵀ
+    (6), and Σ f/φ², with a = f/φ, b = f/φ³ and g = Jᵀ Q u + (0, 0, ρ² omega)."""
     load, rx, ry = cells.load, cells.rx, cells.ry
     qxx, qxy, qyy = cells.qxx, cells.qxy, cells.qyy
     spin = cells.rho2 * omega

@@ -1,7 +1,7 @@
 """Compiled rollouts of the model with effects, whose formulas are called by their address.
 
-The step is that of `kernel.py` with more terms (`EffectCells`, a wrench, scaled inertia, a finger that bends).
-What the formulas are evaluated at, y, joins
+The step is that of `kernel.py` with more terms (`EffectCells`, a wrench, scaled inertia, a finger that
+bends). What the formulas are evaluated at, y, joins
 
     the state before the step: x, y, θ (world), v_x, v_y, omega (object frame);
     memory: nothing, or the last force of the finger on the object (world, N) and the effects' own numbers;
@@ -178,7 +178,8 @@ def effect_rollout(  # type: ignore[no-untyped-def]
             frame = middle_frame(x, yy, cos, sin, quarter, v, h, tip0, tip1)
             spring_x, spring_y = turned(frame.cos, -frame.sin, bend_x / h, bend_y / h)
             frame = Frame(
-                frame.cos, frame.sin, frame.tip_x, frame.tip_y, frame.speed_x, frame.speed_y, spring_x, spring_y
+                frame.cos, frame.sin, frame.tip_x, frame.tip_y, frame.speed_x, frame.speed_y,
+                spring_x, spring_y,
             )  # fmt: skip
             count = touching(frame, v, h, radius, size, edges, rows, gain + abs(spring_x) + abs(spring_y))
         first = contact_of(rows, 0, frame, v, h)
@@ -216,7 +217,6 @@ def effect_rollout(  # type: ignore[no-untyped-def]
             if E > FORCE:
                 call_address(addresses[3], (y, c, after, own, down))
 
-        wants_force = force_sample < force_step.shape[0] and force_step[force_sample] == step
         if derive:
             step_derivative(
                 v, new, h, scaled, cone, frame, quarter, first, second, impulse1, impulse2, A, extra, dforce
@@ -306,7 +306,8 @@ def effect_rollout(  # type: ignore[no-untyped-def]
                 new_T[5, j] = dw
             if E > 0:
                 _force_rows(
-                    T, new_T, n, P, frame, h, (world_x, world_y), dforce, spring_force, scale_f, dout, new_T, STATE, E
+                    T, new_T, n, P, frame, h, (world_x, world_y), dforce, spring_force, scale_f, dout,
+                    new_T, STATE, E,
                 )  # fmt: skip
                 for e in range(E - FORCE):
                     target = new_T[STATE + FORCE + e]
@@ -369,7 +370,8 @@ def effect_rollout(  # type: ignore[no-untyped-def]
 
 @compiled()
 def _force_rows(T, new_T, n, P, frame, h, force, dforce, spring_force, scale_f, dout, out, at, E):  # type: ignore[no-untyped-def]
-    """Write the derivatives of the finger's force (world, N) by all columns into rows `at` and `at` + 1 of out."""
+    """Write the derivatives of the finger's force (world, N) by all columns into rows `at` and `at` + 1 of
+    out."""
     for j in range(out.shape[1]):
         px = py = 0.0
         if j < n:
@@ -420,7 +422,8 @@ def effect_rollout_all(  # type: ignore[no-untyped-def]
         effect_rollout(
             load[k], rx, ry, inertia[k], mu[k], cell_width, edges, radius, size, smoothing, h[b],
             tip[tip_at[b] : tip_at[b + 1]], wrench[wrench_at[b] : wrench_at[b + 1]], q0[k, b], v0[k, b],
-            sample_time[s0:s1], delay[k], force_step[f0:f1], addresses, sizes, constants[b], parameters[k], memory0,
+            sample_time[s0:s1], delay[k], force_step[f0:f1],
+            addresses, sizes, constants[b], parameters[k], memory0,
             pose_out[k, s0:s1], rate_out[k, s0:s1], force_out[k, f0:f1], dpose_out[k, s0:s1],
             dforce_out[k, f0:f1], end_out[k, b],
         )  # fmt: skip

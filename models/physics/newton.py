@@ -56,7 +56,8 @@ class Minimum(NamedTuple):
 
 
 def smooth_model(cells, inertia, star, h, v):  # type: ignore[no-untyped-def]
-    """Inertia and friction at the twist v, all but the contact; chosen when compiled, by the class of `cells`.
+    """Inertia and friction at the twist v, all but the contact; chosen when compiled, by the class of
+    `cells`.
 
     Args:
         cells: `Cells`, or another class for which an implementation is registered (`models.effects.cells`).

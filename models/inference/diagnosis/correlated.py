@@ -1,7 +1,7 @@
 """Residuals and Jacobians of whole pushes, whitened by an error model; and the cost that fits minimise.
 
-It has the same face as `models.inference.likelihood.Likelihood`, so that `gauss_newton.fit` serves both. There
-each pose counts by itself, and little; here their correlation is spelled out, and all count.
+It has the same face as `models.inference.likelihood.Likelihood`, so that `gauss_newton.fit` serves both.
+There each pose counts by itself, and little; here their correlation is spelled out, and all count.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ class CorrelatedLikelihood:
 
     def __init__(self, prior: MapPrior, observations: Sequence[Observation], error: ErrorModel) -> None:
         self.prior = prior
-        self.observations = list(observations)
+        self.observations: Sequence[Observation] = list(observations)
         self.error = error
         centers = prior.slider.grid.centers
         self._centroid = centers.mean(axis=0)
@@ -69,7 +69,8 @@ class CorrelatedLikelihood:
         self._twists = np.array([push.start_twist for push in self._pushes])
 
     def log_determinant(self, push: int) -> float:
-        """Logarithm of the determinant of the Cholesky factors of one push, by which densities are normalised."""
+        """Logarithm of the determinant of the Cholesky factors of one push, by which densities are
+        normalised."""
         pose, force = self._factors[push]
         total = sum(float(np.log(np.diagonal(factor)).sum()) for factor in pose)
         return total + 2.0 * float(np.log(np.diagonal(force)).sum())
@@ -100,10 +101,12 @@ class CorrelatedLikelihood:
         return result
 
     def whitened(self, push: int, pose: FloatArray, force: FloatArray) -> FloatArray:
-        """Whiten columns of residuals or derivatives: pose (S, 3, c) and force (T, 2, c) to (3 S + 2 T, c)."""
+        """Whiten columns of residuals or derivatives: pose (S, 3, c) and force (T, 2, c) to (3 S + 2 T,
+        c)."""
         factors, force_factor = self._factors[push]
         parts = [
-            scipy.linalg.solve_triangular(factors[i], pose[:, i], lower=True, check_finite=False) for i in range(3)
+            scipy.linalg.solve_triangular(factors[i], pose[:, i], lower=True, check_finite=False)
+            for i in range(3)
         ]
         if len(force):
             parts += [
@@ -131,7 +134,9 @@ class CorrelatedLikelihood:
         J[:, :, 2] *= self._radius
         return residual, J
 
-    def _force(self, rollouts: Rollouts, by_force: FloatArray | None, b: int) -> tuple[FloatArray, FloatArray]:
+    def _force(
+        self, rollouts: Rollouts, by_force: FloatArray | None, b: int
+    ) -> tuple[FloatArray, FloatArray]:
         mean = self._stretches[b]
         residual = np.einsum("ts,ksi->kti", mean, rollouts.forces_of(b))
         residual = residual - self.observations[b].forces[self.observations[b].sliding]
@@ -186,7 +191,8 @@ class CorrelatedLikelihood:
 
 
 def _force_steps(observation: Observation) -> tuple[FloatArray, FloatArray]:
-    """Times of all steps in the stretches whose mean force counts, and the matrix (T, steps) that takes the means.
+    """Times of all steps in the stretches whose mean force counts, and the matrix (T, steps) that takes the
+    means.
 
     A finger path with a little noise rattles the object; over a stretch that cancels in the force as measured
     and as predicted, if all of it is counted.

@@ -1,7 +1,8 @@
-"""A belief with effects: maps and the effects' parameters, learnt together from the pushes with the role `fit`.
+"""A belief with effects: maps and the effects' parameters, learnt together from the pushes with the role
+`fit`.
 
-The error model is estimated as in a diagnosis. The hypotheses are refits to pushes weighted at random and towards maps
-drawn from the prior, as in `models.inference.identification`, but under the strict likelihood.
+The error model is estimated as in a diagnosis. The hypotheses are refits to pushes weighted at random and
+towards maps drawn from the prior, as in `models.inference.identification`, but under the strict likelihood.
 """
 
 from __future__ import annotations

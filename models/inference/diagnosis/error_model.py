@@ -5,8 +5,8 @@ its speed is wrong by a share α of the way travelled, by an error that lasts a 
 
     cov(e(T), e(T')) = α² ∫₀^T ∫₀^T' exp(-|a - b| / ℓ) da db.
 
-The force is off by the sensor's noise and by a share β of the push's typical force that lasts a time. Rows of a
-push are thus one story; different pushes are independent. That is what the scores count.
+The force is off by the sensor's noise and by a share β of the push's typical force that lasts a time. Rows
+of a push are thus one story; different pushes are independent. That is what the scores count.
 """
 
 from __future__ import annotations
@@ -67,7 +67,9 @@ class ErrorModel:
     motion: float
     force: float
 
-    def factors(self, observation: Observation, travel: FloatArray, radius: float) -> tuple[FloatArray, FloatArray]:
+    def factors(
+        self, observation: Observation, travel: FloatArray, radius: float
+    ) -> tuple[FloatArray, FloatArray]:
         """Lower Cholesky factors of the covariances of one push.
 
         Args:
@@ -120,21 +122,25 @@ def sensor_noise(dataset: PushDataset) -> SensorNoise:
     dense = [trial for trial in dataset.trials if len(trial.object_pose.time) > 100]
     share = AVERAGED**-0.5 if dense else 1.0
     if position is None or angle is None:
-        found = np.array([_scatter(trial.object_pose.values) for trial in dense]) if dense else np.zeros((1, 3))
+        found = (
+            np.array([_scatter(trial.object_pose.values) for trial in dense]) if dense else np.zeros((1, 3))
+        )
         typical = np.median(found, axis=0)
         # A sensor that repeats rows seems to have no noise at all.
         position = max(float(np.hypot(typical[0], typical[1])) / np.sqrt(2.0), 1e-4)
         angle = max(float(typical[2]), 1e-3)
-    rows = [trial.ft_wrench for trial in dataset.trials if trial.ft_wrench is not None and len(trial.ft_wrench.time) > 5]
+    rows = [
+        trial.ft_wrench
+        for trial in dataset.trials
+        if trial.ft_wrench is not None and len(trial.ft_wrench.time) > 5
+    ]
     if force is None:
         scatter = [_scatter(channel.values[:, :2]).mean() for channel in rows]
         force = max(float(np.median(scatter)), 0.02) if scatter else 0.1
     per_mean = [max(1.0, len(channel.time) / 30.0) for channel in rows]
     force_share = float(np.median(per_mean)) ** -0.5 if per_mean else 1.0
     known = declared.position is not None and declared.angle is not None
-    return SensorNoise(
-        position * share, angle * share, force * force_share, position, angle, force, known
-    )
+    return SensorNoise(position * share, angle * share, force * force_share, position, angle, force, known)
 
 
 def _scatter(values: FloatArray) -> FloatArray:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
@@ -100,13 +101,16 @@ class Fitter:
     def base(self, error: ErrorModel, start: Fitted | None = None) -> Fitted:
         """Fit the model without effects, from another fit or from scratch.
 
-        From scratch the forgiving likelihood of the identification comes first: it finds the valley, where the strict
+        From scratch the forgiving likelihood of the identification comes first: it finds the valley, where
+            the strict
         one, with its many correlated rows, gets stuck on the way.
         """
         prior = self.prior(())
         likelihood = CorrelatedLikelihood(prior, self.observations, error)
         if start is not None:
-            return _best((), likelihood, start.z[None], np.zeros((1, prior.size)), start.offsets)
+            return _best(
+                (), likelihood, start.z[None, : prior.size], np.zeros((1, prior.size)), start.offsets
+            )
         starts = np.array([prior.start(friction) for friction in FINGER_STARTS])
         first = fit(self._forgiving(prior), starts)
         best = int(np.argmin(first.cost))
@@ -117,7 +121,13 @@ class Fitter:
         return Likelihood(prior, self.observations, self.dataset.noise, LikelihoodSettings())
 
     def with_effects(
-        self, effects: Sequence[Effect], error: ErrorModel, near: Fitted, values: FloatArray, *, afresh: bool = False
+        self,
+        effects: Sequence[Effect],
+        error: ErrorModel,
+        near: Fitted,
+        values: FloatArray,
+        *,
+        afresh: bool = False,
     ) -> Fitted | None:
         """Fit the model with some effects.
 
@@ -126,8 +136,8 @@ class Fitter:
             error: error model.
             near: fit to start from.
             values: (P,) parameters to start from.
-            afresh: start a second time from where the forgiving likelihood leads: a model that lacks the effect may
-                have bent its maps too far to find back.
+            afresh: start a second time from where the forgiving likelihood leads: a model that lacks the
+                effect may have bent its maps too far to find back.
 
         Returns:
             The better fit, or None where none can be computed.
@@ -139,18 +149,14 @@ class Fitter:
         start = np.concatenate([near.z[:plain], prior.effect_coordinates(values)])
         mean = np.where(shaping, start, 0.0)
         found = []
-        try:
+        with suppress(RolloutError, np.linalg.LinAlgError):
             found.append(_best(tuple(effects), likelihood, start[None], mean[None], near.offsets))
-        except (RolloutError, np.linalg.LinAlgError):
-            pass
         if afresh:
             maps, offsets = self.forgiving_start
             start = np.concatenate([maps, prior.effect_coordinates(values)])
-            try:
+            with suppress(RolloutError, np.linalg.LinAlgError):
                 first = fit(self._forgiving(prior), start[None], prior_mean=mean[None], offsets=offsets[None])
                 found.append(_best(tuple(effects), likelihood, first.z, mean[None], first.offsets[0]))
-            except (RolloutError, np.linalg.LinAlgError):
-                pass
         return min(found, key=lambda fitted: fitted.cost, default=None)
 
     def scene(self, base: Fitted, speed: float) -> Scene:
@@ -190,11 +196,13 @@ def estimate_errors(fitted: Fitted, noise: SensorNoise) -> ErrorModel:
     pull = fitted.z - fitted.prior_mean
 
     def score(motion: float, force: float) -> float:
-        likelihood = CorrelatedLikelihood(prior, fitted.likelihood.observations, ErrorModel(noise, motion, force))
+        likelihood = CorrelatedLikelihood(
+            prior, fitted.likelihood.observations, ErrorModel(noise, motion, force)
+        )
         jacobians, residuals = whitened_rows(likelihood, rows)
         # A push that the model misses badly should not set the scale for all others.
         equations = PushEquations.of(jacobians, [r[:, None] for r in residuals])
-        own = equations.scores(columns, np.ones(prior.size), pull)[:, 0]
+        own = equations.scores(columns, np.ones(prior.size), pull)[0][:, 0]
         return float(own.sum()) - log_determinant(likelihood, rows)
 
     old = fitted.likelihood.error

@@ -26,7 +26,8 @@ class LockedErrors:
     Attributes:
         path: (L,) ADD averaged over the trajectory, m.
         final: (L,) ADD at the end, m.
-        misfit: (L,) root mean square of all residuals over the noise of a row, mean forces over stretches included.
+        misfit: (L,) root mean square of all residuals over the noise of a row, mean forces over stretches
+            included.
     """
 
     path: FloatArray
@@ -40,7 +41,8 @@ class LockedErrors:
 
 
 def locked_trials(dataset: PushDataset, rng: np.random.Generator) -> list[str]:
-    """Names of the trials to lock away: those held out, else a share of all, at least one where there are three."""
+    """Names of the trials to lock away: those held out, else a share of all, at least one where there are
+    three."""
     heldout = [trial.name for trial in dataset.heldout_trials]
     if heldout:
         return heldout
@@ -51,9 +53,7 @@ def locked_trials(dataset: PushDataset, rng: np.random.Generator) -> list[str]:
     return sorted(rng.choice(names, count, replace=False).tolist())
 
 
-def locked_errors(
-    fitted: Fitted, dataset: PushDataset, observations: Sequence[Observation]
-) -> LockedErrors:
+def locked_errors(fitted: Fitted, dataset: PushDataset, observations: Sequence[Observation]) -> LockedErrors:
     """Predict locked pushes from their first pose and compare with every row that was measured."""
     prior = fitted.likelihood.prior
     likelihood = CorrelatedLikelihood(prior, observations, fitted.likelihood.error)
@@ -80,4 +80,3 @@ def locked_errors(
             parts.append((rows[b].force / noise.row_force).ravel())
         misfit.append(float(np.sqrt((np.concatenate(parts) ** 2).mean())))
     return LockedErrors(np.array(path), np.array(final), np.array(misfit))
-

@@ -1,8 +1,8 @@
 """How well a linearised model predicts pushes that it was not fitted to, and by how much candidates help.
 
-Around its optimum a model is linear in its coordinates z: whitened residuals r_b + J_b z of push b, prior
-z ~ N(0, 1/Λ). With N_b = J_bᵀJ_b, H = Λ + Σ N_b, the best z and the residuals ê_b there, the density of push b
-given all the others needs no refit:
+Around its optimum a model is linear in its coordinates z: whitened residuals r_b + J_b z of push b, prior z
+~ N(0, 1/Λ). With N_b = J_bᵀJ_b, H = Λ + Σ N_b, the best z and the residuals ê_b there, the density of push
+b given all the others needs no refit:
 
     log p(r_b | others) = ½ log det(1 - J_b H⁻¹ J_bᵀ) - ½ (|ê_b|² + (J_bᵀê_b)ᵀ (H - N_b)⁻¹ (J_bᵀê_b)) + const.
 
@@ -43,7 +43,8 @@ def whitened_rows(
 
 
 def log_determinant(likelihood: CorrelatedLikelihood, rows: Sequence[PushRows]) -> float:
-    """Log of the determinant of all that residuals were whitened with: to compare scores of two error models."""
+    """Log of the determinant of all that residuals were whitened with: to compare scores of two error
+    models."""
     total = 0.0
     for b, push in enumerate(rows):
         start = likelihood.whitened(b, push.pose_slopes[..., -3:], push.force_slopes[..., -3:])
@@ -77,14 +78,14 @@ class PushEquations:
 
     def scores(
         self, columns: NDArray[np.int64], precision: FloatArray, pull: FloatArray | None = None
-    ) -> FloatArray:
-        """(B, D) score of each push for a model with some of the columns.
+    ) -> tuple[FloatArray, FloatArray]:
+        """Score of each push for a model with some of the columns.
 
         Args:
             columns: (c,) which.
             precision: (c,) diagonal of Λ.
-            pull: (c,) gradient of the prior at the optimum, added for the first set of residuals alone: there the
-                data and the prior hold each other.
+            pull: (c,) gradient of the prior at the optimum, added for the first set of residuals alone:
+                there the data and the prior hold each other.
         """
         normal = self.normal[:, columns[:, None], columns]
         slope = self.slope[:, columns]
@@ -105,4 +106,4 @@ class PushEquations:
             extra = scipy.linalg.solve_triangular(others, error_slope, lower=True, check_finite=False)
             left = float(np.log(np.diagonal(others)).sum())
             result[b] = left - whole - 0.5 * (square + (extra**2).sum(axis=0))
-        return result
+        return result, best

@@ -1,12 +1,12 @@
 """Which physical effect do the data miss? The procedure, from pushes to verdict.
 
-1. Some pushes are locked away. The model without effects is fitted to the rest; the error model is estimated.
-2. Every candidate is added to first order, maps refitted, and scored on pushes left out. The largest gain is
-   compared with the largest gain by chance. Where it is no larger, the model is adequate, or the data too few.
-3. Candidates that gain are refitted in full, under the error model of the best.
-4. Each that is left is asked the same question again: does anything gain on top of it? The true effect leaves
-   nothing to gain; an impostor leaves the true one. Those that pass are the answer: one, or a set.
-5. Where none passes, pairs are tried; where no pair passes, the effect is unknown to the library.
+1. Some pushes are locked away. The model without effects is fitted to the rest; the error model is
+estimated. 2. Every candidate is added to first order, maps refitted, and scored on pushes left out. The
+largest gain is compared with the largest gain by chance. Where it is no larger, the model is adequate, or
+the data too few. 3. Candidates that gain are refitted in full, under the error model of the best. 4. Each
+that is left is asked the same question again: does anything gain on top of it? The true effect leaves
+nothing to gain; an impostor leaves the true one. Those that pass are the answer: one, or a set. 5. Where
+none passes, pairs are tried; where no pair passes, the effect is unknown to the library.
 """
 
 from __future__ import annotations
@@ -33,7 +33,18 @@ LEVEL = 0.02
 MATERIAL = 0.03
 """What gains less than this share on top of an effect's own gain is a matter of its exact form."""
 
+CLEARLY_WORSE = 0.08
+"""A candidate whose gain is smaller than the best one's by this share, and by 10 nats, is ruled out by that
+alone."""
+
 MOST_ASKED = 5
+PROBE_GAIN = 20.0
+"""Gain, in nats, below which a probe's finding in the model without effects is put down to the grid and the
+contact, which are not exact."""
+
+REST_GAIN = 10.0
+"""The same for all that is found on top of an effect, where it may come from the effect's exact form."""
+
 QUICK_GAIN = 8.0
 """Gain, in nats, that counts where chance was not simulated."""
 
@@ -154,6 +165,7 @@ class _Inquiry:
         self.scene = self.fitter.scene(self.base, typical_speed(observations))
         self.fitter.weight = self.scene.weight
         report("fitting without effects", 3, 3)
+        self.second_look = False
         self.fits: dict[str, Fitted] = {}
         self.gains: dict[str, float] = {}
         self.asked: dict[str, tuple[str | None, float, float | None]] = {}
@@ -166,11 +178,14 @@ class _Inquiry:
         self.report("asking every effect", 0, 1)
         self.first = self._screen(self.base)
         self.report("asking every effect", 1, 1)
-        largest = float(self.first.gain.max())
+        named = [effect in self.effects for effect in self.first.candidates]
+        largest = float(self.first.gain[named].max())
         self.p_value = self.first.p_value(largest) if self.draws else None
-        if not self._counts(self.first, largest):
+        if self._found(self.first, 0.0, PROBE_GAIN) is None:
             return self._nothing_found()
         self._refit()
+        if self._better_base():
+            return self.run()
         if not self.fits:
             return self._unknown(self.base, self.first)
         order = sorted(self.fits, key=lambda name: -self.gains[name])
@@ -180,14 +195,17 @@ class _Inquiry:
         for step, name in enumerate(near):
             self.report("asking what is left", step, len(near))
             rest[name] = self._screen(self.fits[name])
-            if self._explains(name, rest[name]):
+            enough = self.gains[name] > best_gain - max(10.0, CLEARLY_WORSE * best_gain)
+            if self._explains(name, rest[name]) and enough:
                 self.accepted.append(name)
         self.report("asking what is left", len(near), len(near))
         if self.accepted:
             rivals = [self.fits[name] for name in self.accepted]
             names = ", ".join(self.accepted)
             if len(rivals) == 1:
-                return _Outcome("effect", f"The data miss one effect: {names}.", rivals[0], self.accepted, rivals=rivals)
+                return _Outcome(
+                    "effect", f"The data miss one effect: {names}.", rivals[0], self.accepted, rivals=rivals
+                )
             return _Outcome(
                 "ambiguous",
                 f"An effect is missing; the data cannot tell which of these it is: {names}.",
@@ -200,24 +218,56 @@ class _Inquiry:
             self.fitter, fitted, self.everything, len(self.effects), self.scene, max(self.draws, 1), self.rng
         )
 
-    def _counts(self, screening: Screening, gain: float) -> bool:
-        if not self.draws:
-            return gain > QUICK_GAIN
-        return screening.p_value(gain) <= LEVEL
+    def _found(self, screening: Screening, floor: float, probe_floor: float) -> int | None:
+        """Index of the candidate whose gain counts most, or None where all of it may be chance.
+
+        Args:
+            screening: gains.
+            floor: that a named effect has to exceed.
+            probe_floor: that a probe has to exceed.
+        """
+        for i in np.argsort(-screening.gain):
+            gain = float(screening.gain[i])
+            if not (gain > QUICK_GAIN if not self.draws else screening.p_value(gain) <= LEVEL):
+                return None
+            if gain > (floor if screening.candidates[i] in self.effects else probe_floor):
+                return int(i)
+        return None
 
     def _nothing_found(self) -> _Outcome:
         """Adequate, unless the pushes could not have shown an effect of ordinary size."""
-        seen = [s for effect, s in zip(self.first.candidates, self.first.sharpness, strict=True) if effect in self.effects]
+        seen = [
+            s
+            for effect, s in zip(self.first.candidates, self.first.sharpness, strict=True)
+            if effect in self.effects
+        ]
         blind = sum(1 for s in seen if s > 1.0)
         pushes = len(self.fitter.observations)
         if pushes < FEWEST_PUSHES or blind > len(seen) / 2:
             why = f"{pushes} pushes" if pushes < FEWEST_PUSHES else "these pushes"
-            return _Outcome(
-                "undecided",
-                f"Nothing is seen to be missing, but {why} could not have shown most effects if they were there.",
-                self.base,
-            )
+            sentence = f"Nothing is seen to be missing, but {why} could not have shown most effects."
+            return _Outcome("undecided", sentence, self.base)
         return _Outcome("adequate", "The model explains the data; no effect is missing.", self.base)
+
+    def _better_base(self) -> bool:
+        """Whether the maps of a refit, without its effect, explain the data better than those found at first.
+
+        Then it was the search that the effect helped, not the model. Asked once.
+        """
+        if self.second_look or not self.fits:
+            return False
+        self.second_look = True
+        best = min(self.fits.values(), key=lambda fitted: fitted.cost)
+        again = self.fitter.base(self.error, best)
+        plain = self.fitter.base(self.error, self.base)
+        if again.cost > plain.cost - 5.0:
+            return False
+        self.base = again
+        self.error = estimate_errors(again, self.noise)
+        self.base = self.fitter.base(self.error, again)
+        self.fits.clear()
+        self.gains.clear()
+        return True
 
     def _refit(self) -> None:
         """Refit all candidates, then again under the error model of the best of them.
@@ -251,10 +301,11 @@ class _Inquiry:
 
     def _explains(self, name: str, rest: Screening) -> bool:
         """Whether nothing that matters is left to gain on top of a candidate; remembers what is."""
-        top = int(np.argmax(rest.gain))
+        found = self._found(rest, REST_GAIN, REST_GAIN)
+        top = int(np.argmax(rest.gain)) if found is None else found
         gain = float(rest.gain[top])
+        passed = found is None or gain < MATERIAL * self.gains[name]
         p = rest.p_value(gain) if self.draws else None
-        passed = not self._counts(rest, gain) or gain < MATERIAL * self.gains[name]
         self.asked[name] = (None if passed else rest.candidates[top].name, gain, p)
         return passed
 
@@ -272,14 +323,17 @@ class _Inquiry:
                 first = self.fits[name]
                 guess = second.start_values(self.scene)[int(screening.start[i])]
                 values = np.concatenate([first.values, guess])
-                pair = self.fitter.with_effects((*first.effects, second), self.error, first, values, afresh=True)
+                pair = self.fitter.with_effects(
+                    (*first.effects, second), self.error, first, values, afresh=True
+                )
                 if pair is None:
                     continue
                 left = self._screen(pair)
                 tried.append((pair, left))
-                top = float(left.gain.max())
-                # Both have to pull their weight: what is left is small beside the second effect's own gain.
-                if not self._counts(left, top) or top < MATERIAL * (self.fits[name].cost - pair.cost):
+                found = self._found(left, REST_GAIN, REST_GAIN)
+                # What is left must be small beside the gain of the second effect, not only of both.
+                second_gain = self.fits[name].cost - pair.cost
+                if found is None or left.gain[found] < 2 * MATERIAL * second_gain:
                     names = [effect.name for effect in pair.effects]
                     return _Outcome(
                         "effect",
@@ -290,7 +344,7 @@ class _Inquiry:
 
     def _unknown(self, best: Fitted, screening: Screening) -> _Outcome:
         probes = [(g, c) for g, c in zip(screening.gain, screening.candidates, strict=True) if c in PROBES]
-        gain, probe = max(probes, key=lambda pair: pair[0])
+        _, probe = max(probes, key=lambda pair: pair[0])
         return _Outcome(
             "unknown",
             "Structure is left that no effect of the library explains; the residual behaves like this:"
@@ -320,7 +374,9 @@ class _Inquiry:
                     () if fitted is None else parameter_estimates(fitted),
                 )
             )
-        return sorted(results, key=lambda c: (-(c.fitted_gain if c.fitted_gain is not None else -np.inf), -c.gain))
+        return sorted(
+            results, key=lambda c: (-(c.fitted_gain if c.fitted_gain is not None else -np.inf), -c.gain)
+        )
 
 
 def parameter_estimates(fitted: Fitted) -> tuple[ParameterEstimate, ...]:
@@ -330,7 +386,12 @@ def parameter_estimates(fitted: Fitted) -> tuple[ParameterEstimate, ...]:
     every = [(effect.name, parameter) for effect in fitted.effects for parameter in effect.parameters]
     return tuple(
         ParameterEstimate(
-            name, parameter.name, parameter.unit, float(value), float(max(value - s, lo)), float(min(value + s, hi))
+            name,
+            parameter.name,
+            parameter.unit,
+            float(value),
+            float(max(value - s, lo)),
+            float(min(value + s, hi)),
         )
         for (name, parameter), value, s, lo, hi in zip(every, fitted.values, spread, low, high, strict=True)
     )

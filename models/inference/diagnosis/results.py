@@ -30,9 +30,10 @@ class CandidateResult:
     Attributes:
         name: of the effect.
         gain: in predictive score on pushes left out, to first order, nats.
-        p_value: share of simulated datasets without any missing effect whose largest gain is at least that; None
-            where nothing was simulated.
-        fitted_gain: fall of the cost when all is refitted with the effect, nats; None where it was not refitted.
+        p_value: share of simulated datasets without any missing effect whose largest gain is at least that;
+            None where nothing was simulated.
+        fitted_gain: fall of the cost when all is refitted with the effect, nats; None where it was not
+            refitted.
         rejected_by: the effect or probe whose addition shows that this one does not explain the data; None
             where none does, or where it was not asked.
         remaining_gain: of that addition, nats.
@@ -76,7 +77,8 @@ class Diagnosis:
         quick: whether calibration was skipped.
         seconds: it took.
         seed: of all draws.
-        next_push: what to do next as plain numbers, filled in by a planner; None where nothing is to be told apart.
+        next_push: what to do next as plain numbers, filled in by a planner; None where nothing is to be
+            told apart.
     """
 
     verdict: str

@@ -1,11 +1,12 @@
 """What each candidate would add to a fitted model, to first order, with everything else refitted.
 
-One rollout of the model with all candidates at their nulls gives, for each open push, derivatives by maps, by
-the effects already in, and by every candidate. The gain of a candidate is the rise of the predictive score on pushes left out. What
-gains come about by chance is simulated: residuals drawn from the error model, the largest gain over all candidates taken.
+One rollout of the model with all candidates at their nulls gives, for each open push, derivatives by maps,
+by the effects already in, and by every candidate. The gain of a candidate is the rise of the predictive
+score on pushes left out. What gains come about by chance is simulated: residuals drawn from the error
+model, the largest gain over all candidates taken.
 
-Every model, with or without a candidate, may have every effect to a negligible amount (`TOLERANCE`), so that a
-table that is level to a tenth of a degree counts as level.
+Every model, with or without a candidate, may have every effect to a negligible amount (`TOLERANCE`), so
+that a table that is level to a tenth of a degree counts as level.
 """
 
 from __future__ import annotations
@@ -54,7 +55,8 @@ class Screening:
         return self.chance.max(axis=0)
 
     def p_value(self, gain: float) -> float:
-        """Share of simulated datasets whose largest gain is at least this one, the data themselves counted."""
+        """Share of simulated datasets whose largest gain is at least this one, the data themselves
+        counted."""
         largest = self.largest_by_chance
         return float((1 + (largest >= gain).sum()) / (1 + len(largest)))
 
@@ -139,8 +141,15 @@ def screen(
         joined = np.concatenate(columns)
         hold = np.zeros(len(joined))
         hold[: len(pull)] = pull
-        return equations.scores(joined, np.concatenate(precision), hold)
+        found, best = equations.scores(joined, np.concatenate(precision), hold)
+        if candidate is not None:
+            # An amplitude of the wrong sign, such as a negative drag, explains nothing.
+            signs = everything[candidate].signs[everything[candidate].amplitudes]
+            wrong = (best[len(best) - len(signs) :] * signs[:, None] < 0.0).any(axis=0)
+            found[:, wrong] = without[:, wrong]
+        return found
 
+    without = np.zeros(0)
     without = score(None, 0)
     gain, start, per_push, chance, sharpness = [], [], [], [], []
     total = equations.normal.sum(axis=0)

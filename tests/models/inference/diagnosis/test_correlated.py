@@ -1,0 +1,90 @@
+"""Residuals, derivatives and costs under the error model."""
+
+import numpy as np
+import pytest
+
+from models.effects.library import LIBRARY
+from models.effects.slider import EffectSlider
+from models.inference.diagnosis.correlated import CorrelatedLikelihood
+from models.inference.diagnosis.error_model import ErrorModel, sensor_noise
+from models.inference.diagnosis.predictive import whitened_rows
+from models.inference.observations import MEASURED_CONTACT, observe_all
+from models.inference.prior import MapPrior, PriorSettings
+
+
+@pytest.fixture(scope="module")
+def likelihood(recorded) -> CorrelatedLikelihood:
+    tilt = [effect for effect in LIBRARY if effect.name == "table_tilt"]
+    d = recorded.dataset
+    slider = EffectSlider(d.grid, d.finger_radius, tilt, d.gravity, MEASURED_CONTACT)
+    prior = MapPrior(slider, PriorSettings(modes=6), d.mass, 8.0)
+    observations = [o for o in observe_all(d) if o.role == "fit"]
+    return CorrelatedLikelihood(prior, observations, ErrorModel(sensor_noise(d), 0.02, 0.05))
+
+
+@pytest.fixture(scope="module")
+def point(likelihood) -> tuple[np.ndarray, np.ndarray]:
+    rng = np.random.default_rng(2)
+    z = likelihood.prior.start(0.3) + 0.2 * rng.normal(size=likelihood.prior.size)
+    offsets = rng.normal(size=(len(likelihood.observations), 3)) * 2e-4
+    return z, offsets
+
+
+class TestRows:
+    def test_derivatives_agree_with_differences(self, likelihood, point) -> None:
+        z, offsets = point
+        rows = likelihood.rows(z, offsets)
+        step = 1e-5
+        for column in (0, 7, likelihood.prior.plain - 1, likelihood.prior.size - 1):
+            up, down = z.copy(), z.copy()
+            up[column] += step
+            down[column] -= step
+            above, below = likelihood.rows(up, offsets), likelihood.rows(down, offsets)
+            errors, sizes = [], []
+            for b, row in enumerate(rows):
+                for name in ("pose", "force"):
+                    difference = (getattr(above[b], name) - getattr(below[b], name)) / (2 * step)
+                    errors.append(np.abs(getattr(row, f"{name}_slopes")[..., column] - difference).ravel())
+                    sizes.append(np.abs(difference).ravel())
+            # Contacts change their state here and there: the bulk decides.
+            assert np.quantile(np.concatenate(errors), 0.9) < 1e-5 * np.concatenate(sizes).max()
+
+    def test_gradient_is_that_of_the_cost(self, likelihood, point) -> None:
+        z, offsets = point
+        ones = np.ones(1), np.ones((1, len(offsets)))
+        equations = likelihood.linearise(z[None], offsets[None], *ones)
+        # With the start offsets at their best for z the gradient by z is that of the whole cost.
+        for _ in range(8):
+            slope = equations.start_gradient[:, 0]
+            offsets = offsets - np.einsum("bij,bj->bi", equations.start_gain[:, 0], slope)
+            equations = likelihood.linearise(z[None], offsets[None], *ones)
+        column, step = likelihood.prior.plain - 1, 1e-4
+        costs = []
+        for sign in (1.0, -1.0):
+            moved = z.copy()
+            moved[column] += sign * step
+            costs.append(likelihood.linearise(moved[None], offsets[None], *ones).cost.sum())
+        slope = (costs[0] - costs[1]) / (2 * step)
+        assert equations.gradient[0, column] == pytest.approx(slope, rel=0.02)
+
+
+def test_whitened_residuals_of_the_truth_are_of_size_one(recorded) -> None:
+    d = recorded.dataset
+    observations = observe_all(d)
+    noise = sensor_noise(d)
+    prior = MapPrior(recorded.slider, PriorSettings(), d.mass)
+    likelihood = CorrelatedLikelihood(prior, observations, ErrorModel(noise, 1e-4, 1e-3))
+    # The true maps in the prior's coordinates, with all modes kept: log of the maps is linear in them.
+    basis, s = prior.basis, prior.settings
+    log_mass = np.log(recorded.truth.mass[0])
+    log_mu = np.log(recorded.truth.mu[0] / s.friction_mean)
+    z = np.zeros(prior.size)
+    r = basis.shape[1]
+    z[:r] = np.linalg.lstsq(s.mass_map * basis, log_mass - log_mass.mean(), rcond=None)[0]
+    z[2 * r + 1] = log_mu.mean() / s.friction_scale
+    z[r : 2 * r] = np.linalg.lstsq(s.friction_map * basis, log_mu - log_mu.mean(), rcond=None)[0]
+    z[prior.plain - 1] = np.log(0.3 / s.finger_friction_mean) / s.finger_friction
+    _, residuals = whitened_rows(likelihood, likelihood.rows(z, np.zeros((len(observations), 3))))
+    # Poses alone: forces depend on the rattling of a finger path that is known with noise.
+    poses = np.concatenate([r[: 3 * len(o.poses)] for r, o in zip(residuals, observations, strict=True)])
+    assert np.sqrt(np.median(poses**2)) == pytest.approx(0.6745, rel=0.25)

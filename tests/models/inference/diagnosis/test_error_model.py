@@ -1,0 +1,55 @@
+"""Covariances of the error model, and noise found in rows."""
+
+import numpy as np
+import pytest
+
+from models.inference.diagnosis.error_model import (
+    MEMORY,
+    ErrorModel,
+    SensorNoise,
+    sensor_noise,
+    travelled,
+)
+from models.inference.observations import observe_all
+
+NOISE = SensorNoise(1e-4, 1e-3, 0.05, 2e-4, 2e-3, 0.1, True)
+
+
+class TestFactors:
+    def test_errors_of_the_motion_add_up_along_the_way(self, recorded) -> None:
+        observation = observe_all(recorded.dataset)[0]
+        centers = recorded.slider.grid.centers
+        travel = travelled(observation, centers)
+        pose, _ = ErrorModel(NOISE, 0.05, 0.1).factors(observation, travel, 0.04)
+        covariance = pose[0] @ pose[0].T - NOISE.position**2 * np.eye(len(travel))
+        # The double integral by brute force.
+        fine = np.linspace(0.0, travel[-1], 1500)
+        kernel = np.exp(-np.abs(fine[:, None] - fine) / MEMORY) * (fine[1] - fine[0]) ** 2
+        k, j = len(travel) // 2, len(travel) - 1
+        expected = 0.05**2 * kernel[np.ix_(fine <= travel[k], fine <= travel[j])].sum()
+        assert covariance[k, j] == pytest.approx(expected, rel=0.01)
+        assert covariance[k, j] == covariance[j, k]
+
+    def test_way_is_the_sum_of_all_moves(self, recorded) -> None:
+        observation = observe_all(recorded.dataset)[0]
+        travel = travelled(observation, recorded.slider.grid.centers)
+        assert (np.diff(travel) >= 0).all()
+        assert travel[-1] >= observation.travel(recorded.slider.grid.centers)[-1] * (1 - 1e-9)
+
+
+class TestSensorNoise:
+    def test_declared_noise_is_believed(self, recorded) -> None:
+        noise = sensor_noise(recorded.dataset)
+        assert noise.declared
+        assert noise.row_position == recorded.dataset.noise.position
+
+    def test_noise_is_found_where_nothing_is_declared(self, recorded) -> None:
+        from dataclasses import replace
+
+        from models.measurements import Noise
+
+        silent = replace(recorded.dataset, noise=Noise())
+        found, declared = sensor_noise(silent), sensor_noise(recorded.dataset)
+        assert not found.declared
+        assert found.row_position == pytest.approx(declared.row_position, rel=0.25)
+        assert found.row_force == pytest.approx(declared.row_force, rel=0.5)
