@@ -19,6 +19,7 @@ from diagrams.commands.calibrate import calibrate
 from diagrams.commands.compare import compare
 from diagrams.commands.demo import demo
 from diagrams.commands.diagnose import diagnose
+from diagrams.commands.effects import effects
 from diagrams.commands.fit import fit
 from diagrams.commands.identify import identify
 from diagrams.commands.predict import predict
@@ -66,7 +67,7 @@ def slipmap(ctx: click.Context) -> None:
         ctx.exit(WRONG_USE)
 
 
-for _command in (demo, identify, predict, compare, diagnose, fit, calibrate, blind_test, bench):
+for _command in (demo, identify, predict, compare, diagnose, fit, effects, calibrate, blind_test, bench):
     slipmap.add_command(_command)
 
 
@@ -92,7 +93,7 @@ def run(arguments: Sequence[str]) -> int:
 
 
 def _is_bad_input(error: Exception) -> bool:
-    from models.effects.effect import EffectError
+    from models.effects import EffectError
     from models.inference.belief import BeliefError
     from models.measurements import DatasetError
 

@@ -136,7 +136,7 @@ def push_facts(push: Mapping[str, object]) -> list[tuple[str, str]]:
         ("length", f"{1e3 * float(push['length']):.0f} mm"),  # type: ignore[arg-type]
         ("finger", f"from {_millimetre_pair(pair('tip_start'))} to {_millimetre_pair(pair('tip_end'))}"),
     ]
-    if push.get("dwell"):
+    if push["dwell"]:
         facts.append(("rest half-way", f"{float(push['dwell']):.1f} s"))  # type: ignore[arg-type]
     names = [str(name) for name in push["separates"]]  # type: ignore[attr-defined]
     facts.append(("tells apart" if len(names) > 1 else "is about", ", ".join(names)))

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
-import importlib.util
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -26,8 +24,6 @@ from diagrams.outputs import whole_file, write_json
 if TYPE_CHECKING:
     from models.inference.diagnosis import Diagnosis
     from models.measurements import PushDataset
-
-PLANNER = "planners.telling_push"
 
 
 @click.command()
@@ -87,10 +83,10 @@ def diagnose(
 
 
 def _with_next_push(result: Diagnosis, dataset: PushDataset, progress: Progress) -> Diagnosis:
-    """The diagnosis with the push that would tell most, where a planner finds one."""
-    if result.next_push is not None or importlib.util.find_spec(PLANNER) is None:
-        return result
+    """The diagnosis with the push that would tell most; it says None where there is nothing to find out."""
+    from planners.telling_push import next_push
+
     progress("planning the next push", 0, 1)
-    push = importlib.import_module(PLANNER).next_push(result, dataset, result.seed)
+    push = next_push(result, dataset, result.seed)
     progress("planning the next push", 1, 1)
     return replace(result, next_push=push)

@@ -17,9 +17,8 @@ from diagrams.diagnosis_words import (
     tried,
 )
 from diagrams.effect_words import effect_in_words, parameter_rows
-from diagrams.figures import gain_figure, locked_figure, next_push_figure
+from diagrams.figures import gain_figure, locked_figure, telling_push_figure
 from diagrams.html_report.page import Section, part, picture, table
-from diagrams.next_push import rival_ends
 from models.effects.effect import Effect
 from models.inference.diagnosis import Diagnosis
 from models.measurements import PushDataset
@@ -132,11 +131,11 @@ def next_push_section(diagnosis: Diagnosis, dataset: PushDataset) -> Section:
     """The push that would tell most, drawn and in numbers."""
     push = diagnosis.next_push
     assert push is not None
-    ends = rival_ends(diagnosis, dataset, push)
     facts = "".join(f"<dt>{escape(name)}</dt><dd>{escape(value)}</dd>" for name, value in push_facts(push))
-    drawn = picture(next_push_figure(push, ends, dataset), "The next push, and where each rival says it ends")
-    body = (
-        f"<p>{escape(str(push['sentence']))}</p>"
-        f'<div class="beside"><div>{drawn}</div><div><dl class="facts">{facts}</dl></div></div>'
+    drawn = picture(
+        telling_push_figure(push, diagnosis, dataset),
+        "The next push, and where each model says it ends",
+        wide=True,
     )
+    body = f'<p>{escape(str(push["sentence"]))}</p>{drawn}<dl class="facts">{facts}</dl>'
     return Section("next", "The next push", body)

@@ -5,7 +5,9 @@ Positions and velocities are those in the middle of a step, predicted from its s
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from contextvars import ContextVar
 from typing import Any
 
 import sympy as sp
@@ -125,30 +127,90 @@ def after_names() -> dict[str, Any]:
     }  # fmt: skip
 
 
-def written_names(kind: str, extra: tuple[str, ...] = ()) -> dict[str, sp.Symbol]:
-    """The names of `body`, `cell` or `after` as single letters, for formulas to be read."""
+def written_names(kind: str, extra: tuple[str, ...] = ()) -> dict[str, Any]:
+    """The names of `body`, `cell`, `after` or `pose` as letters in LaTeX, for formulas to be read."""
     letters = {
-        "x": "x", "y": "y", "theta": r"\theta", "cos": r"c_\theta", "sin": r"s_\theta", "vx": r"\dot{x}",
-        "vy": r"\dot{y}", "omega": r"\omega", "com_x": r"\bar{r}_x", "com_y": r"\bar{r}_y",
-        "com_vx": r"\bar{v}_x", "com_vy": r"\bar{v}_y", "mass": "m", "moment": "J", "gravity": "g",
-        "weight": "mg", "time": "t", "step": "h", "order": "k", "width": "w", "centroid_x": "c_x",
-        "centroid_y": "c_y", "spread_xx": "G_{xx}", "spread_xy": "G_{xy}", "spread_yy": "G_{yy}",
-        "force_x": "F_x", "force_y": "F_y",
+        "x": "x", "y": "y", "theta": r"\theta", "vx": r"\dot{x}",
+        "vy": r"\dot{y}", "omega": r"\omega", "com_x": r"\bar{r}_{x}", "com_y": r"\bar{r}_{y}",
+        "com_vx": r"\bar{v}_{x}", "com_vy": r"\bar{v}_{y}", "mass": "m", "moment": "J", "gravity": "g",
+        "time": "t", "step": "h", "order": "k", "width": "w", "centroid_x": "c_{x}", "centroid_y": "c_{y}",
+        "spread_xx": "G_{xx}", "spread_xy": "G_{xy}", "spread_yy": "G_{yy}",
+        "force_x": "F_{x}", "force_y": "F_{y}",
     }  # fmt: skip
+    if kind == "pose":
+        letters = {name: letters[name] for name in ("x", "y", "theta")}
     if kind == "cell":
         letters |= {
-            "x": "X", "y": "Y", "rx": "r_x", "ry": "r_y", "ux": "u_x", "uy": "u_y", "along_x": r"u^{O}_x",
-            "along_y": r"u^{O}_y", "speed": "u", "area": "a",
+            "x": "X", "y": "Y", "rx": "r_{x}", "ry": "r_{y}", "ux": "u_{x}", "uy": "u_{y}",
+            "along_x": "u^{O}_{x}", "along_y": "u^{O}_{y}", "speed": "u", "area": "a",
         }  # fmt: skip
-    prefix = "" if kind != "after" else "^+"
-    return {name: real(letter + prefix) for name, letter in letters.items()} | {n: real(n) for n in extra}
+    if kind == "after":
+        letters = {name: letters[name] + "^{+}" for name in after_names()}
+    names: dict[str, Any] = {name: real(letter) for name, letter in letters.items()}
+    if kind in ("body", "cell"):
+        names |= {"cos": sp.cos(names["theta"]), "sin": sp.sin(names["theta"])}
+        names["weight"] = names["mass"] * names["gravity"]
+    return names | {name: real(latex_name(name)) for name in extra}
+
+
+def latex_name(name: str) -> str:
+    """An identifier in LaTeX: words upright, x, y and single digits at its end as indices."""
+    *words, last = name.split("_")
+    index = words and last in ("x", "y", "xx", "xy", "yy", "p")
+    upright = r"\ ".join(words if index else [*words, last])
+    return rf"\mathrm{{{upright}}}" + (f"_{{{last}}}" if index else "")
+
+
+_WRITING = ContextVar("writing", default=False)
+
+
+@contextmanager
+def writing() -> Iterator[None]:
+    """While this lasts, formulas are made to be read: `positive_part` and `smooth_step` stand by
+    themselves."""
+    token = _WRITING.set(True)
+    try:
+        yield
+    finally:
+        _WRITING.reset(token)
+
+
+class PositivePart(sp.Function):
+    """max(value, 0), unevaluated unless the value is a number."""
+
+    @classmethod
+    def eval(cls, value: Any) -> Any:
+        """A number's positive part."""
+        return sp.Max(value, 0) if value.is_number else None
+
+    def _latex(self, printer: Any, **_: Any) -> str:
+        return rf"\left[{printer.doprint(self.args[0])}\right]_{{+}}"
+
+    def _sympystr(self, printer: Any) -> str:
+        return f"max({printer.doprint(self.args[0])}, 0)"
+
+
+class SmoothStep(sp.Function):
+    """0 below -width, 1 above width."""
+
+    def _latex(self, printer: Any, **_: Any) -> str:
+        value, width = (printer.doprint(argument) for argument in self.args)
+        return rf"\sigma\left(\frac{{{value}}}{{{width}}}\right)"
+
+    def _sympystr(self, printer: Any) -> str:
+        value, width = (printer.doprint(argument) for argument in self.args)
+        return f"step(({value})/{width})"
 
 
 def positive_part(value: Any, width: float) -> Any:
     """max(value, 0), rounded within about `width` of 0."""
+    if _WRITING.get():
+        return PositivePart(sp.sympify(value))
     return (value + sp.sqrt(value**2 + width**2)) / 2
 
 
 def smooth_step(value: Any, width: float) -> Any:
     """From 0 to 1 as value passes 0, mostly within ± `width`."""
+    if _WRITING.get():
+        return SmoothStep(value, width)
     return (1 + sp.tanh(2 * value / width)) / 2

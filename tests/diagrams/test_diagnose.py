@@ -15,8 +15,7 @@ from diagrams.diagnosis_report import compared, diagnosis_report
 from diagrams.diagnosis_tables import show_diagnosis
 from diagrams.diagnosis_words import push_facts, standing
 from diagrams.effect_words import READERS, effect_in_words
-from diagrams.figures import gain_figure, locked_figure, next_push_figure
-from diagrams.next_push import rival_ends
+from diagrams.figures import gain_figure, locked_figure
 from models.effects import LIBRARY
 from models.effects.registry import effects_named
 from models.inference.belief import Belief
@@ -33,6 +32,7 @@ PUSH = {
     "direction_deg": 90.0,
     "speed": 0.05,
     "length": 0.1,
+    "dwell": 0.5,
     "tip_start": [0.1, -0.095],
     "tip_end": [0.1, 0.005],
     "separates": ["table_tilt", "sensor_latency"],
@@ -164,7 +164,8 @@ def test_report_and_tables_of_one_effect(tilted, capsys):
         "7.3 standard deviations",
     ):
         assert fact in page.text
-    assert "0.5 s" in dict(push_facts({**PUSH, "dwell": 0.5})).values()
+    assert dict(push_facts(PUSH))["rest half-way"] == "0.5 s"
+    assert "rest half-way" not in dict(push_facts({**PUSH, "dwell": 0.0}))
     show_diagnosis(told, dataset, EFFECTS)
     out = capsys.readouterr().out
     assert max(map(len, out.splitlines())) <= 80
@@ -227,12 +228,6 @@ def test_pictures_show_the_numbers(tilted):
     assert [bar.get_width() for bar in bars] == pytest.approx([max(c.gain, 0.0) for c in found.candidates])
     dots = {line.get_label(): line for line in locked_figure(found).axes[0].get_lines()}
     assert sorted(dots["with the answer"].get_xdata()) == pytest.approx(sorted(1e3 * found.after.path))
-    ends = rival_ends(found, dataset, PUSH)
-    assert [label for label, _ in ends] == ["table_tilt"]
-    # Pushed from behind through its middle along +y by 100 mm, less the 10 mm before the finger touches.
-    assert ends[0][1][1] == pytest.approx(PUSH["pose"][1] + 0.09, abs=0.01)
-    labels = [text.get_text() for text in next_push_figure(PUSH, ends, dataset).legends[0].get_texts()]
-    assert labels == ["before", "finger", "table_tilt"]
 
 
 def test_fit_and_predict_with_an_effect_of_ones_own(slipmap, tilted_folder, own_effect, tmp_path):

@@ -28,6 +28,7 @@ def test_from_a_model_that_fails_to_one_that_has_the_effect(slipmap, tilted_fold
     for name, value in TILT.items():
         assert found["parameters"]["table_tilt"][name]["value"] == pytest.approx(value, abs=0.003)
     assert found["heldout_error_after"] < 0.2 * found["heldout_error_before"]
+    assert found["next_push"]["sentence"] in " ".join(said.out.split())
     assert said.out.startswith("Verdict: effect. The data miss one effect: table_tilt.")
     assert "tilt 2.9" in said.out and "downhill towards -53" in said.out  # hypot 0.05 rad, atan2(-0.04, 0.03)
     assert "asking every effect: done" in said.err and f"report: {html}" in said.err

@@ -1,0 +1,203 @@
+"""Pushes that are only imagined: what rival models predict for them, and how far the predictions are apart.
+
+Apart means in standard deviations of the error model: the whitened distance between two predicted
+courses of poses,
+and of forces where the dataset has any, as a fit would weigh them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import combinations
+
+import numpy as np
+import scipy.linalg
+
+from models.inference.diagnosis.error_model import ErrorModel, travelled
+from models.inference.diagnosis.fitting import Fitted
+from models.inference.observations import LONGEST_STEP, LONGEST_STRIDE, SAMPLES, Observation
+from models.physics.cell_grid import CellGrid, FloatArray
+from models.physics.rollout import Maps, Push, RolloutError, Slider
+
+REST = 0.1
+"""s that the finger waits before it starts."""
+
+RAMP = 0.1
+"""s in which it speeds up."""
+
+AFTERWARDS = 0.4
+"""s that are watched after it has stopped."""
+
+
+@dataclass(frozen=True, eq=False)
+class Rival:
+    """A model that may be true.
+
+    Attributes:
+        name: for a person.
+        slider: model.
+        maps: one hypothesis.
+    """
+
+    name: str
+    slider: Slider
+    maps: Maps
+
+    @classmethod
+    def of(cls, fitted: Fitted, name: str | None = None, z: FloatArray | None = None) -> Rival:
+        """A fitted model, at its own coordinates or at others (d,)."""
+        prior = fitted.likelihood.prior
+        own = " and ".join(effect.name for effect in fitted.effects) or "no effect"
+        return cls(name or own, prior.slider, prior.maps((fitted.z if z is None else z)[None]))
+
+
+@dataclass(frozen=True, eq=False)
+class Predictions:
+    """What one model predicts for B pushes; NaN where it cannot be computed.
+
+    Attributes:
+        poses: (B, S, 3) as the tracker reports them.
+        forces: (B, S, 2) of the finger on the object, means over equal stretches of time, world, N.
+    """
+
+    poses: FloatArray
+    forces: FloatArray
+
+
+def straight_push(
+    pose: FloatArray,
+    begin: FloatArray,
+    end: FloatArray,
+    speed: float,
+    *,
+    dwell: float = 0.0,
+    order: float = 0.0,
+) -> Push:
+    """A push along a line with a gentle start and an abrupt stop, and, if `dwell` is positive, a stop
+    half-way.
+
+    Args:
+        pose: (3,) of the object before, world.
+        begin: (2,) finger centre at first, world, m.
+        end: (2,) finger centre at last.
+        speed: m/s.
+        dwell: s that the finger stands still half-way.
+        order: place in the experiment.
+    """
+    h = min(LONGEST_STEP, LONGEST_STRIDE / speed)
+    length = float(np.hypot(*(end - begin)))
+    parts = 2 if dwell > 0 else 1
+    way = length / parts
+    ramp = min(RAMP, way / speed)
+    moving = way / speed + ramp / 2
+    times = h * np.arange(
+        0.0, int(np.ceil((REST + parts * moving + (parts - 1) * dwell + AFTERWARDS) / h)) + 1
+    )
+    travelled_way = np.zeros(len(times))
+    for part in range(parts):
+        t = np.clip(times - REST - part * (moving + dwell), 0.0, moving)
+        travelled_way += speed * np.where(t < ramp, t**2 / (2 * ramp), t - ramp / 2)
+    tip = begin + np.outer(np.minimum(travelled_way / length, 1.0), end - begin)
+    looks = times[-1] * np.arange(1, SAMPLES + 1) / SAMPLES
+    return Push(h, tip, pose, pose_times=looks, force_times=times[1:] - h / 2, order=order)
+
+
+def predict(rival: Rival, pushes: Sequence[Push]) -> Predictions:
+    """Roll out one model on all pushes at once."""
+    B = len(pushes)
+    try:
+        out = rival.slider.rollout(rival.maps, pushes)
+    except RolloutError:
+        if B == 1:
+            return Predictions(np.full((1, SAMPLES, 3), np.nan), np.full((1, SAMPLES, 2), np.nan))
+        parts = [predict(rival, pushes[: B // 2]), predict(rival, pushes[B // 2 :])]
+        return Predictions(
+            np.concatenate([part.poses for part in parts]), np.concatenate([part.forces for part in parts])
+        )
+    poses = np.array([out.poses_of(b)[0] for b in range(B)])
+    forces = np.empty((B, SAMPLES, 2))
+    for b in range(B):
+        steps = out.forces_of(b)[0]
+        edges = np.linspace(0, len(steps), SAMPLES + 1).astype(int)
+        forces[b] = np.add.reduceat(steps, edges[:-1], axis=0) / np.diff(edges)[:, None]
+    return Predictions(poses, forces)
+
+
+def separations(
+    predictions: Sequence[Predictions], pushes: Sequence[Push], error: ErrorModel, grid: CellGrid, force: bool
+) -> FloatArray:
+    """(pairs, B) distances between the predictions of each pair of models, in standard deviations.
+
+    Args:
+        predictions: of each model.
+        pushes: B pushes.
+        error: error model.
+        grid: the object.
+        force: whether forces are measured.
+    """
+    pairs = list(combinations(range(len(predictions)), 2))
+    result = np.zeros((len(pairs), len(pushes)))
+    centroid = grid.centers.mean(axis=0)
+    radius = float(np.sqrt(((grid.centers - centroid) ** 2).sum(axis=1).mean()))
+    for b, push in enumerate(pushes):
+        poses = np.array([p.poses[b] for p in predictions])
+        forces = np.array([p.forces[b] for p in predictions])
+        if not np.isfinite(poses).all():
+            continue
+        middle = np.mean(forces, axis=0)
+        counts = _steady(push, middle) if force else np.zeros(SAMPLES, dtype=bool)
+        stretch = len(push.tip) - 1
+        times = push.h * stretch * (np.arange(SAMPLES) + 0.5) / SAMPLES
+        imagined = Observation(
+            "", "fit", replace(push, force_times=times), np.mean(poses, axis=0), middle, counts
+        )
+        pose_factors, force_factor = error.factors(imagined, travelled(imagined, grid.centers), radius)
+        c, s = np.cos(poses[..., 2]), np.sin(poses[..., 2])
+        places = poses[..., :2] + np.stack(
+            [c * centroid[0] - s * centroid[1], s * centroid[0] + c * centroid[1]], axis=-1
+        )
+        rows = np.concatenate([places, radius * poses[..., 2:]], axis=-1)
+        white = [_whitened(pose_factors[i], rows[..., i]) for i in range(3)]
+        if counts.any():
+            white += [_whitened(force_factor, forces[:, counts, i]) for i in range(2)]
+        every = np.concatenate(white, axis=1)
+        result[:, b] = [float(np.linalg.norm(every[i] - every[j])) for i, j in pairs]
+    return result
+
+
+def keeps_touch(push: Push, forces: FloatArray) -> bool:
+    """Whether the finger pushes from first touch to its stop; just when it slides off is not for a model
+    to know.
+
+    Args:
+        push: that is imagined.
+        forces: (S, 2) predicted for it.
+    """
+    size = np.hypot(*forces.T)
+    pressed = size > 0.05 * size.max()
+    moving = np.flatnonzero(_paces(push) > 1e-9)
+    first = int(np.argmax(pressed))
+    # A stop half-way may relieve the finger; the last stretch of motion may be cut short.
+    return bool(pressed[first : moving[-1]][_paces(push)[first : moving[-1]] > 1e-9].all())
+
+
+def _paces(push: Push) -> FloatArray:
+    """(SAMPLES,) way of the finger in a step, mean over each stretch, m."""
+    way = np.hypot(*np.diff(push.tip, axis=0).T)
+    edges = np.linspace(0, len(way), SAMPLES + 1).astype(int)
+    return np.add.reduceat(way, edges[:-1]) / np.diff(edges)
+
+
+def _whitened(factor: FloatArray, rows: FloatArray) -> FloatArray:
+    return scipy.linalg.solve_triangular(factor, rows.T, lower=True).T
+
+
+def _steady(push: Push, forces: FloatArray) -> np.ndarray:
+    """Stretches in steady pushing, as fits count them: finger fast, force present, and so in both
+    neighbours."""
+    mean = _paces(push)
+    size = np.hypot(*forces.T)
+    steady = (mean > 0.5 * mean.max()) & (size > 0.2 * np.percentile(size, 90))
+    padded = np.concatenate([[False], steady, [False]])
+    return steady & padded[:-2] & padded[2:]

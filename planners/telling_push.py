@@ -1,0 +1,241 @@
+"""The next push: the one on which the models that are left differ most, or that shows best what is not
+yet seen.
+
+- Several effects left: the push whose predictions differ most between the two that differ least.
+- One effect: the push on which its least certain parameter shows most, everything else following that
+  parameter as
+  the data demand.
+- Undecided: the push that best shows those effects that the recorded pushes show least.
+- Unknown: the push with the largest residual, repeated with that changed on which the residual depends.
+- Adequate: none.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from itertools import combinations
+from typing import Any
+
+import numpy as np
+
+from models.effects import LIBRARY, EffectSlider, Scene
+from models.effects.effect import bounds, scales
+from models.inference.diagnosis.fitting import Fitted
+from models.inference.diagnosis.results import Diagnosis
+from models.inference.observations import MEASURED_CONTACT, Observation
+from models.measurements import PushDataset
+from models.physics.cell_grid import FloatArray
+from models.physics.maps import Maps
+from models.physics.rollout import Push
+from planners.exploration import NoReachablePush
+from planners.proposals import Habits, Proposal, habits_of, how_to, proposals_for
+from planners.rehearsal import Predictions, Rival, keeps_touch, predict, separations, straight_push
+from planners.repeated_push import repeat_the_worst
+
+CANDIDATES = 300
+FINALISTS = 12
+
+MISPLACED = np.array([[2e-3, 0, 0.03], [-2e-3, 0, -0.03], [0, 2e-3, -0.03], [0, -2e-3, 0.03]])
+"""m, rad by which a person may miss the pose; a push has to tell the rivals apart there too."""
+
+
+def next_push(diagnosis: Diagnosis, dataset: PushDataset, seed: int = 0) -> dict[str, Any] | None:
+    """The push to make next.
+
+    Args:
+        diagnosis: of the dataset.
+        dataset: that was diagnosed.
+        seed: of the candidate pushes.
+
+    Returns:
+        None where there is nothing to find out or no push can be made; else plain numbers, world frame,
+        m and s:
+        `pose` (x, y, theta) at which to put the object, `contact` (x, y) on its outline in the object frame,
+        `tip_start` and `tip_end` (x, y) of the finger's centre, `direction_deg` of its motion, `speed`,
+        `length` from
+        first touch to stop, `dwell` half-way (0 for none), `separates` names, `separation` in standard
+        deviations of the error model, and a `sentence` that says all this.
+    """
+    if diagnosis.verdict == "adequate":
+        return None
+    observations = diagnosis.base.likelihood.observations
+    habits = habits_of(observations, dataset)
+    rng = np.random.default_rng(seed)
+    if diagnosis.verdict == "unknown":
+        return repeat_the_worst(diagnosis, dataset, habits)
+    rivals, pairs, why = _question(diagnosis, dataset, habits)
+    try:
+        # Many models take as long as many pushes.
+        count = CANDIDATES if len(rivals) <= 4 else CANDIDATES // 3
+        chosen = proposals_for(dataset, habits, _finger_friction(diagnosis.base), count, rng)
+    except NoReachablePush:
+        return None
+    best, separation, predictions = _most_telling(rivals, pairs, chosen, diagnosis.best, dataset, habits)
+    if not separation > 0:
+        return None
+    names = [rival.name for rival in rivals]
+    if diagnosis.verdict == "undecided":
+        names = names[1:]
+    told = best.told() | {"separates": names, "separation": separation}
+    return told | {"sentence": _sentence(told, rivals, predictions, why)}
+
+
+def rivals_of(diagnosis: Diagnosis, dataset: PushDataset) -> list[Rival]:
+    """The models whose predictions for the next push are worth comparing; none where the model is
+    adequate."""
+    if diagnosis.verdict == "adequate":
+        return []
+    if diagnosis.verdict == "unknown":
+        return [Rival.of(diagnosis.base)]
+    habits = habits_of(diagnosis.base.likelihood.observations, dataset)
+    return _question(diagnosis, dataset, habits)[0]
+
+
+def _question(
+    diagnosis: Diagnosis, dataset: PushDataset, habits: Habits
+) -> tuple[list[Rival], list[tuple[int, int]], str]:
+    """Models to tell apart, the pairs of them that count, and what that is good for."""
+    if diagnosis.verdict == "undecided":
+        rivals = _hardly_seen(diagnosis, dataset, habits)
+        return (
+            rivals,
+            [(0, k) for k in range(1, len(rivals))],
+            "would show best what the pushes so far show least",
+        )
+    if len(diagnosis.rivals) > 1:
+        rivals = [Rival.of(fitted) for fitted in diagnosis.rivals]
+        return rivals, list(combinations(range(len(rivals)), 2)), "tells them apart best"
+    return _sharpened(diagnosis.best), [(0, 1)], "pins the parameter down best"
+
+
+def push_of(told: dict[str, Any], order: float = 0.0) -> Push:
+    """The push that `next_push` told of, to be simulated; `order` is its place in the experiment."""
+    begin, end = np.array(told["tip_start"]), np.array(told["tip_end"])
+    return straight_push(np.array(told["pose"]), begin, end, told["speed"], dwell=told["dwell"], order=order)
+
+
+def _most_telling(
+    rivals: Sequence[Rival],
+    pairs: Sequence[tuple[int, int]],
+    proposals: Sequence[Proposal],
+    judge: Fitted,
+    dataset: PushDataset,
+    habits: Habits,
+) -> tuple[Proposal, float, list[Predictions]]:
+    """The best proposal, its separation, and what the rivals predict for it.
+
+    Pushes from which the finger slides off are left out. Among the best few, the one that stays telling
+    where the
+    object is put down a little off.
+    """
+    error, grid = judge.likelihood.error, dataset.grid
+    order = float(habits.pushes)
+    place = {pair: k for k, pair in enumerate(combinations(range(len(rivals)), 2))}
+    used = [place[pair] for pair in pairs]
+
+    def least(pushes: Sequence[Push]) -> FloatArray:
+        predicted = [predict(rival, pushes) for rival in rivals]
+        apart = separations(predicted, pushes, error, grid, habits.force)[used].min(axis=0)
+        kept = [all(keeps_touch(push, p.forces[b]) for p in predicted) for b, push in enumerate(pushes)]
+        return np.where(kept, apart, 0.0) if any(kept) else apart
+
+    score = least([proposal.push(order) for proposal in proposals])
+    finalists = np.argsort(-score, kind="stable")[:FINALISTS]
+    pushes = [proposals[i].push(order, shift) for i in finalists for shift in MISPLACED]
+    worst = least(pushes).reshape(len(finalists), -1).min(axis=1)
+    winner = int(finalists[int(np.argmax(np.minimum(worst, score[finalists])))])
+    nominal = [proposals[winner].push(order)]
+    return proposals[winner], float(score[winner]), [predict(rival, nominal) for rival in rivals]
+
+
+def _sharpened(best: Fitted) -> list[Rival]:
+    """The model with its least certain parameter a standard deviation up and down, the rest refitted to
+    it."""
+    prior = best.likelihood.prior
+    equations = best.likelihood.linearise(
+        best.z[None], best.offsets[None], np.ones(1), np.ones((1, len(best.offsets)))
+    )
+    covariance = np.linalg.inv(equations.hessian[0] + np.eye(prior.size))
+    amplitudes = np.concatenate([effect.amplitudes for effect in best.effects])
+    spread = np.diagonal(covariance)[prior.plain :]
+    column = prior.plain + int(np.argmax(np.where(amplitudes, spread, -1.0)))
+    shift = covariance[:, column] / np.sqrt(covariance[column, column])
+    names = [f"{effect.name} {q.name}" for effect in best.effects for q in effect.parameters]
+    rivals = []
+    for sign, word in ((-1, "lower"), (1, "higher")):
+        z = best.z + sign * shift
+        value = prior.maps(z[None]).effects[0, column - prior.plain]
+        rivals.append(Rival.of(best, f"{names[column - prior.plain]} {word} ({value:.3g})", z))
+    return rivals
+
+
+def _hardly_seen(diagnosis: Diagnosis, dataset: PushDataset, habits: Habits) -> list[Rival]:
+    """The model without effects, and with each of those effects at ordinary size that show least in the
+    recorded
+    pushes: a third of those that show at all."""
+    base = diagnosis.base
+    plain = Rival.of(base)
+    weight = float(plain.maps.mass.sum()) * dataset.gravity
+    center = 0.5 * (habits.low + habits.high)
+    scene = Scene(
+        (float(center[0]), float(center[1])),
+        float(np.abs(habits.high - center).max()),
+        float(np.linalg.norm(dataset.grid.exterior, axis=1).max()),
+        habits.speeds[1],
+        habits.pushes,
+        weight,
+    )
+    tried = [c.name for c in diagnosis.candidates]
+    effects = [effect for effect in LIBRARY if not tried or effect.name in tried]
+    rivals = []
+    for effect in effects:
+        start = effect.start_values(scene)[0]
+        values = np.clip(
+            np.where(effect.amplitudes, effect.nulls + scales([effect], weight), start), *bounds([effect])
+        )
+        slider = EffectSlider(
+            dataset.grid, dataset.finger_radius, [effect], dataset.gravity, MEASURED_CONTACT
+        )
+        maps = Maps(plain.maps.mass, plain.maps.mu, plain.maps.mu_finger, values[None])
+        rivals.append(Rival(effect.name, slider, maps))
+    recorded = [_as_imagined(o) for o in base.likelihood.observations if np.isfinite(o.push.tip).all()]
+    if not recorded:
+        return [plain, *rivals[:5]]
+    reference = predict(plain, recorded)
+    seen = []
+    for rival in rivals:
+        apart = separations(
+            [reference, predict(rival, recorded)], recorded, base.likelihood.error, dataset.grid, habits.force
+        )
+        seen.append(float(np.linalg.norm(apart)))
+    visible = [k for k in np.argsort(seen) if seen[k] > 1e-3 or len(recorded) < 2]
+    return [plain, *(rivals[k] for k in visible[: max(2, len(visible) // 3)])]
+
+
+def _as_imagined(observation: Observation) -> Push:
+    """A recorded push, looked at as imagined ones are."""
+    push = observation.push
+    steps = len(push.tip) - 1
+    looks = push.h * steps * np.arange(1, 31) / 30
+    return replace(push, pose_times=looks, force_times=push.h * (np.arange(steps, dtype=float) + 0.5))
+
+
+def _sentence(
+    told: dict[str, Any], rivals: Sequence[Rival], predictions: Sequence[Predictions], why: str
+) -> str:
+    parts = []
+    for rival, predicted in zip(rivals, predictions, strict=True):
+        x, y, angle = predicted.poses[0, -1] - told["pose"]
+        force = np.hypot(*predicted.forces[0].T)
+        pressed = force[force > 0.2 * force.max()]
+        text = f"{rival.name}: {1e3 * np.hypot(x, y):.0f} mm, {np.degrees(angle):+.0f}°"
+        parts.append(text + (f", {pressed.mean():.2g} N" if len(pressed) else ""))
+    return (
+        f"{how_to(told)} It {why}: by {told['separation']:.1f} standard deviations. Predicted way,"
+        f" turn and mean force — {'; '.join(parts)}."
+    )
+
+
+def _finger_friction(fitted: Fitted) -> float:
+    return float(fitted.likelihood.prior.maps(fitted.z[None]).mu_finger[0])

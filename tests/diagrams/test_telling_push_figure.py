@@ -1,0 +1,51 @@
+"""The picture of the next push shows every rival's end."""
+
+from __future__ import annotations
+
+import numpy as np
+from matplotlib.patches import PathPatch
+
+from diagrams.figures import telling_push_figure
+from models.effects.registry import effects_named
+from models.inference.diagnosis.correlated import CorrelatedLikelihood
+from models.inference.diagnosis.error_model import ErrorModel, sensor_noise
+from models.inference.diagnosis.fitting import Fitted, Fitter
+from models.inference.diagnosis.results import Diagnosis
+from models.inference.observations import observe_all
+from models.measurements.simulated import record_pushes
+from models.objects import cells_from_polygon
+from models.physics.rollout import Maps, Slider
+from planners.exploration import candidate_pushes
+from planners.telling_push import next_push
+
+
+def test_outlines_of_the_start_and_of_every_rivals_end():
+    grid = cells_from_polygon(np.array([[-4, -2], [4, -2], [4, 2], [-4, 2]]) * 0.01, width=0.02)
+    rng, n = np.random.default_rng(0), len(grid)
+    maps = Maps(np.full((1, n), 0.5 / n), np.full((1, n), 0.3), np.array([0.35]))
+    pushes = [c.push([0.0, 0.0, 0.2]) for c in candidate_pushes(grid, 0.006, rng, 3)]
+    dataset = record_pushes(Slider(grid, 0.006), maps, pushes, rng, mass=0.5)
+    observations, noise = observe_all(dataset), sensor_noise(dataset)
+    fitter = Fitter(dataset, observations, noise)
+
+    def model(names, values):
+        effects = effects_named(names)
+        prior = fitter.prior(effects)
+        z = np.zeros(prior.size)
+        z[prior.plain :] = prior.effect_coordinates(np.array(values))
+        likelihood = CorrelatedLikelihood(prior, observations, ErrorModel(noise, 0.03, 0.05))
+        return Fitted(effects, likelihood, z, np.zeros(prior.size), np.zeros((3, 3)), 0.0)
+
+    rivals = (model(["table_tilt"], [0.08, 0.0]), model(["skate"], [0.3, 0.5, 0.0, 0.0]))
+    diagnosis = Diagnosis(
+        "ambiguous", "", ("table_tilt", "skate"), False, (), None, None, (), (), None, None, model([], []),
+        rivals[0], rivals[0].effects, 0.03, 0.05, True, 0.0, 0, rivals=rivals,
+    )  # fmt: skip
+    told = next_push(diagnosis, dataset)
+    figure = telling_push_figure(told, diagnosis, dataset)
+    outlines = [patch for patch in figure.axes[0].patches if isinstance(patch, PathPatch)]
+    assert len(outlines) == 3
+    middles = [outline.get_path().vertices[:4].mean(axis=0) for outline in outlines]
+    assert np.allclose(middles[0], told["pose"][:2], atol=1e-6)
+    assert min(np.hypot(*(middle - middles[0])) for middle in middles[1:]) > 5e-3
+    assert [text.get_text() for text in figure.legends[0].get_texts()][1:] == ["table_tilt", "skate"]

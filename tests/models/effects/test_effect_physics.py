@@ -1,0 +1,269 @@
+"""Each effect in a case simple enough for a pencil."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from pushed_with_effects import EFFECTS, block, coast_of, slide, steady_push
+from scipy.integrate import quad
+
+from models.physics.rollout import Push
+
+G = 9.81
+MU, MASS = 0.3, 0.5
+SQUARE = block(6, 6, 0.01)
+AREA = 0.06**2
+DOT = block(1, 1, 1e-3)
+
+
+def test_viscous_coasting_decays_exponentially_beside_dry_friction() -> None:
+    c, speed, mu = 1500.0, 0.8, 0.05
+    times = np.array([0.05, 0.1, 0.2])
+    out = slide(
+        [EFFECTS["viscous_friction"]], [c],
+        coast_of((speed, 0, 0), 0.2, 1e-4, times=times), grid=SQUARE, mass=MASS, mu=mu,
+    )  # fmt: skip
+    k = c * AREA / MASS
+    fall = 1 - np.exp(-k * times)
+    expected = (speed + mu * G / k) * fall / k - mu * G / k * times
+    assert out.poses[0, :, 0] == pytest.approx(expected, rel=1e-3)
+    assert out.end[0, 0, 3] == pytest.approx((speed + mu * G / k) * np.exp(-k * 0.2) - mu * G / k, rel=3e-3)
+
+
+def test_viscous_drag_brakes_a_spin_by_the_second_moment_of_area() -> None:
+    c, spin, mu = 1000.0, 30.0, 1e-6
+    out = slide(
+        [EFFECTS["viscous_friction"]], [c], coast_of((0, 0, spin), 0.3, 2e-4), grid=SQUARE, mass=MASS, mu=mu
+    )
+    # Drag and inertia have one second moment, if both are spread evenly.
+    assert out.end[0, 0, 5] == pytest.approx(spin * np.exp(-c * AREA / MASS * 0.3), rel=3e-3)
+
+
+def test_stopping_distance_under_stribeck_friction() -> None:
+    excess, slow, speed = 0.8, 0.1, 0.4
+    values = [excess, slow]
+    push = coast_of((speed, 0, 0), 0.4, 2e-4)
+    out = slide([EFFECTS["stribeck_friction"]], values, push, grid=SQUARE, mu=MU)
+    expected, _ = quad(lambda v: v / (MU * G * (1 + excess * np.exp(-((v / slow) ** 2)))), 0, speed)
+    assert out.poses[0, -1, 0] == pytest.approx(expected, rel=2e-3)
+    assert abs(out.end[0, 0, 3]) < 1e-4
+    plain = speed**2 / (2 * MU * G)
+    assert abs(expected / plain - 1) > 0.03
+
+
+def steady_force(name: str, values: list[float], angle: float, **more: float) -> float:
+    """Mean size of the finger's force in the second half of a steady push, N."""
+    effects = [EFFECTS[name]] if name else []
+    out = slide(effects, values, steady_push(angle, **more), grid=SQUARE, mass=MASS, mu=MU)
+    return float(np.hypot(*out.forces[0, 250:].T).mean())
+
+
+@pytest.mark.parametrize("name", ["anisotropic_table", "anisotropic_object"])
+def test_forces_along_the_axes_of_a_grain(name: str) -> None:
+    a = 0.2
+    along, across = (steady_force(name, [a, 0.0], angle) for angle in (0.0, np.pi / 2))
+    assert along / across == pytest.approx((1 + a) / (1 - a), rel=1e-4)
+    assert along * across == pytest.approx((MU * MASS * G) ** 2, rel=1e-4)
+    # With the object turned by a right angle, the table's grain stays and the object's turns.
+    turned = steady_force(name, [a, 0.0], 0.0, yaw=np.pi / 2)
+    assert turned == pytest.approx(along if name == "anisotropic_table" else across, rel=1e-6)
+
+
+@pytest.mark.parametrize("name", ["anisotropic_table", "anisotropic_object"])
+def test_diagonal_grain_drives_an_object_off_its_line(name: str) -> None:
+    b = 0.1
+    out = slide([EFFECTS[name]], [0.0, b], coast_of((1.0, 0, 0), 5e-4, 5e-5), grid=SQUARE, mu=MU)
+    # Friction is -Q u / sqrt(u Q u): (q_xx, q_xy) for u along x.
+    q_xx, q_xy = (1 + b**2) / (1 - b**2), 2 * b / (1 - b**2)
+    change = out.end[0, 0, 3:5] - [1.0, 0.0]
+    assert change == pytest.approx(-MU * G * 5e-4 / np.sqrt(q_xx) * np.array([q_xx, q_xy]), rel=2e-3)
+
+
+def test_a_sliding_block_on_a_tilted_table() -> None:
+    down, mu, start = 0.2, 0.05, 0.1
+    out = slide([EFFECTS["table_tilt"]], [down, 0.0], coast_of((start, 0, 0), 0.3, 1e-3), grid=SQUARE, mu=mu)
+    assert out.end[0, 0, 3] == pytest.approx(start + G * (down - mu) * 0.3, rel=1e-6)
+    uphill = slide(
+        [EFFECTS["table_tilt"]], [-down, 0.0], coast_of((1.0, 0, 0), 0.3, 1e-3), grid=SQUARE, mu=mu
+    )
+    assert uphill.end[0, 0, 3] == pytest.approx(1.0 - G * (down + mu) * 0.3, rel=1e-6)
+    resting = slide([EFFECTS["table_tilt"]], [0.2, 0.1], coast_of((0, 0, 0), 0.3, 1e-3), grid=SQUARE, mu=MU)
+    assert np.abs(resting.poses).max() < 1e-5
+
+
+def braking(name: str, values: list[float], place: tuple[float, float]) -> float:
+    """Friction coefficient that a dot sliding at one place feels, less than a millimetre of way."""
+    push = coast_of((0.3, 0, 0), 1e-3, 1e-4, start=(*place, 0.0))
+    out = slide([EFFECTS[name]], values, push, grid=DOT, mu=MU)
+    return float((0.3 - out.end[0, 0, 3]) / (1e-3 * G))
+
+
+def test_patch_and_gradient_of_the_tables_friction() -> None:
+    patch = [0.0, 0.0, 0.7, 0.1, 0.05, 0.08]
+    name = "table_friction_field"
+    assert braking(name, patch, (0.1, 0.05)) == pytest.approx(MU * np.exp(0.7), rel=1e-4)
+    assert braking(name, patch, (0.3, 0.05)) == pytest.approx(MU, rel=1e-4)
+    on_the_border = braking(name, patch, (0.1 - 0.00015, 0.05 + 0.08))
+    assert on_the_border == pytest.approx(MU * np.exp(0.35), rel=0.01)
+    gradient = [2.0, -1.0, 0.0, 0.0, 0.0, 0.1]
+    assert braking(name, gradient, (0.1, 0.05)) == pytest.approx(MU * 1.15, rel=1e-3)
+    assert braking(name, gradient, (-0.2, 0.1)) == pytest.approx(MU * 0.5, rel=1e-3)
+    assert 0 < braking(name, gradient, (-0.9, 0.1)) < 0.02 * MU
+
+
+def test_energy_of_a_tether() -> None:
+    stiffness, slack, speed = 40.0, 0.1, 0.9
+    push = coast_of((speed, 0, 0), 0.15, 1e-4, start=(0.05, 0.0, 0.0))
+    values = [stiffness, 0.0, 0.0, slack]
+    out = slide([EFFECTS["tether"]], values, push, grid=SQUARE, mass=MASS, mu=0.05)
+    far, v = out.end[0, 0, 0], out.end[0, 0, 3]
+    assert far > slack + 0.04
+    spring = 0.5 * stiffness * (far - slack) ** 2
+    lost = MASS * 0.05 * G * (far - 0.05)
+    assert spring > 0.3 * MASS * speed**2 / 2
+    assert 0.5 * MASS * v**2 + spring + lost == pytest.approx(0.5 * MASS * speed**2, rel=4e-3)
+    slow = slide([], [], push, grid=SQUARE, mass=MASS, mu=0.05)
+    assert slow.end[0, 0, 0] - far > 0.005
+
+
+def test_a_slack_tether_pulls_little_and_one_beyond_pulls_towards_its_anchor() -> None:
+    name, values = "tether", [100.0, 0.3, 0.4, 0.2]
+    body = SimpleNamespace(x=0.0, y=0.0)
+    p = SimpleNamespace(**dict(zip([q.name for q in EFFECTS[name].parameters], values, strict=True)))
+    fx, fy, torque = (float(value) for value in EFFECTS[name].force(body, p))
+    assert (fx, fy, torque) == pytest.approx((100 * 0.3 * 0.6, 100 * 0.3 * 0.8, 0), rel=1e-3)
+    near = SimpleNamespace(x=0.3, y=0.3)
+    assert np.hypot(*(float(f) for f in EFFECTS[name].force(near, p)[:2])) < 0.01 * np.hypot(fx, fy)
+
+
+def test_latency_shifts_poses_in_time() -> None:
+    times = np.linspace(0.013, 0.293, 15)
+    late = 0.0707
+    early = slide([], [], coast_of((1.2, 0.3, 6.0), 0.3, 1e-3, times=times), grid=SQUARE)
+    shifted = coast_of((1.2, 0.3, 6.0), 0.5, 1e-3, times=times + late)
+    out = slide([EFFECTS["sensor_latency"]], [late], shifted, grid=SQUARE)
+    assert out.poses == pytest.approx(early.poses, abs=1e-12)
+    before = slide(
+        [EFFECTS["sensor_latency"]], [0.2], coast_of((1, 0, 0), 0.3, 1e-3, times=times), grid=SQUARE
+    )
+    assert np.all(before.poses[0, times < 0.2] == 0)
+
+
+def test_geometry_of_a_tracked_frame_that_is_off() -> None:
+    x, y, angle = 0.01, -0.02, 0.3
+    true = np.array([0.1, 0.2, 0.5])
+    c, s = np.cos(0.5), np.sin(0.5)
+    reported = true + np.array([c * x - s * y, s * x + c * y, angle])
+    push = coast_of((1.0, 0.2, 8.0), 0.2, 1e-3, start=true)
+    there = slide([], [], push, grid=SQUARE).poses[0]
+    seen = slide([EFFECTS["tracker_offset"]], [x, y, angle],
+                 coast_of((1.0, 0.2, 8.0), 0.2, 1e-3, start=reported), grid=SQUARE).poses[0]  # fmt: skip
+    # The frames are rigidly joined: one and the same transform at every instant.
+    cos, sin = np.cos(there[:, 2]), np.sin(there[:, 2])
+    assert seen[:, 0] == pytest.approx(there[:, 0] + cos * x - sin * y, abs=1e-12)
+    assert seen[:, 1] == pytest.approx(there[:, 1] + sin * x + cos * y, abs=1e-12)
+    assert seen[:, 2] == pytest.approx(there[:, 2] + angle, abs=1e-12)
+    longer = slide([EFFECTS["tracker_scale"]], [0.05],
+                   coast_of((1.0, 0.2, 8.0), 0.2, 1e-3, start=true * [1.05, 1.05, 1]),
+                   grid=SQUARE).poses[0]  # fmt: skip
+    assert longer == pytest.approx(there * [1.05, 1.05, 1], abs=1e-12)
+
+
+def test_drift_scales_the_force_by_the_order_of_the_push() -> None:
+    plain = steady_force("", [], 0.0)
+    assert plain == pytest.approx(MU * MASS * G, rel=1e-4)
+    for order in (0, 5, 20):
+        force = steady_force("friction_drift", [0.03], 0.0, order=order)
+        assert force / plain == pytest.approx(np.exp(0.03 * order), rel=1e-5)
+
+
+def test_a_bending_finger_stays_behind_by_compliance_times_force() -> None:
+    compliance, push = 2e-3, steady_push(0.0)
+    out = slide([EFFECTS["finger_compliance"]], [compliance], push, grid=SQUARE, mass=MASS, mu=MU)
+    behind = push.tip[1:, 0] + 0.005 + 0.03 - out.poses[0, :, 0]
+    force = out.forces[0, :, 0]
+    # The object swings on the bent finger; at every instant the give belongs to the force.
+    assert behind[50:] == pytest.approx(compliance * force[50:], rel=0.01)
+    assert np.ptp(force[50:]) > 0.1 * MU * MASS * G
+    period = round(2 * np.pi * np.sqrt(MASS * compliance) / push.h)
+    assert force[-period:].mean() == pytest.approx(MU * MASS * G, rel=0.05)
+
+
+def test_natural_frequency_of_a_loose_mass() -> None:
+    share, rate, kick = 0.4, 20.0, 2.0
+    h, steps = 2e-4, 10_000
+    wrench = np.zeros((steps, 5))
+    wrench[:50, 0] = kick
+    push = Push(h, np.full((steps + 1, 2), np.nan), np.zeros(3), wrench=wrench)
+    out = slide([EFFECTS["loose_mass"]], [share, rate, 0.0], push, grid=SQUARE, mass=MASS, mu=1e-7)
+    speed = np.diff(out.poses[0, :, 0]) / h
+    # Whatever swings inside, the whole keeps the momentum of the kick.
+    mean = kick * 50 * h / MASS
+    swing = speed[60:] - mean
+    rising = np.flatnonzero((swing[:-1] < 0) & (swing[1:] >= 0))
+    period = h * np.diff(rising).mean()
+    # Two bodies, (1 - s) m and s m, on a spring s m ω².
+    assert len(rising) >= 5
+    assert 2 * np.pi / period == pytest.approx(rate / np.sqrt(1 - share), rel=2e-3)
+    assert speed[60 : 60 + round(3 * period / h)].mean() == pytest.approx(mean, rel=0.02)
+
+
+def test_moment_balance_of_load_transfer() -> None:
+    """The cells' loads carry the weight and answer the moment of a force above the table."""
+    high, force, weight, width = 0.02, np.array([0.4, -0.3]), MASS * G, 0.01
+    centers = SQUARE.centers
+    spread = np.linalg.inv(centers.T @ centers / len(centers) + np.eye(2) * width**2 / 12)
+    p = SimpleNamespace(push_height=high, mass_height=0.0)
+    factors = np.array([
+        float(EFFECTS["load_transfer"].friction(SimpleNamespace(
+            force_x=force[0], force_y=force[1], mass=MASS, weight=weight, gain_x=0.0, gain_y=0.0,
+            cos=1.0, sin=0.0,
+            spread_xx=spread[0, 0], spread_xy=spread[0, 1], spread_yy=spread[1, 1], rx=x, ry=y,
+            centroid_x=0.0, centroid_y=0.0,
+        ), p))
+        for x, y in centers
+    ])  # fmt: skip
+    load = weight / len(centers)
+    assert load * factors.sum() == pytest.approx(weight, rel=1e-3)
+    slope = np.linalg.lstsq(centers, factors - factors.mean())[0]
+    within_cells = load * width**2 / 12 * slope * len(centers)
+    assert load * factors @ centers + within_cells == pytest.approx(high * force, rel=2e-3)
+
+
+def test_braking_presses_the_front_of_an_object_with_a_high_centre_of_mass() -> None:
+    grid = SQUARE
+    x = grid.centers[:, 0]
+    rough = 0.3 + 5.0 * x
+    high = 0.015
+    push = coast_of((1.0, 0, 0), 0.1, 1e-4)
+    out = slide([EFFECTS["load_transfer"]], [0.0, high], push, grid=grid, mass=MASS, mu=rough)
+    # a/g = Σ mu_i s_i / n with s = 1 + x (z a/g) / S_xx.
+    second = (x**2).mean() + 0.01**2 / 12
+    expected = 0.3 / (1 - high * (rough * x).mean() / second)
+    assert (1.0 - out.end[0, 0, 3]) / (0.1 * G) == pytest.approx(expected, rel=3e-3)
+    assert expected > 0.32
+
+
+def test_a_skate_resists_sideways_motion_alone() -> None:
+    angle, resistance = 0.5, 0.4
+    values = [resistance, angle, 0.0, 0.0]
+    along = np.array([np.cos(angle), np.sin(angle)])
+    for way, friction in ((along, MU), (np.array([-along[1], along[0]]), MU + resistance)):
+        push = coast_of((*(1.0 * way), 0.0), 0.1, 1e-3)
+        out = slide([EFFECTS["skate"]], values, push, grid=SQUARE, mu=MU)
+        assert out.end[0, 0, 3:5] @ way == pytest.approx(1.0 - friction * G * 0.1, rel=1e-4)
+
+
+def test_a_skate_off_the_centre_turns_the_object() -> None:
+    values = [0.4, 0.0, 0.02, 0.0]
+    out = slide(
+        [EFFECTS["skate"]], values, coast_of((0.0, 1.0, 0.0), 5e-3, 1e-4), grid=SQUARE, mass=MASS, mu=1e-6
+    )
+    moment = MASS * (0.06**2 + 0.06**2) / 12
+    torque = 0.02 * -0.4 * MASS * G
+    # At first the place moves sideways as the object does.
+    inertia_of_cells = MASS * ((SQUARE.centers**2).sum(axis=1).mean() + 0.01**2 / 6)
+    assert inertia_of_cells == pytest.approx(moment, rel=1e-9)
+    assert out.end[0, 0, 5] == pytest.approx(torque / moment * 5e-3, rel=0.01)

@@ -1,0 +1,117 @@
+"""Several effects at once, and what is compiled once."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from pushed_with_effects import (
+    BLOCK,
+    EFFECTS,
+    RADIUS,
+    SHOWN,
+    block,
+    coast_of,
+    coasting,
+    plain_maps,
+    slide,
+    sliding_push,
+    with_values,
+)
+
+from models.effects import Effect, EffectSlider, Parameter
+from models.effects import program as programs
+from models.physics.rollout import Slider
+
+PAIRS = [
+    ("table_tilt", "viscous_friction"),
+    ("anisotropic_table", "anisotropic_object"),
+    ("friction_drift", "table_friction_field"),
+    ("skate", "tether"),
+    ("tracker_offset", "tracker_scale"),
+    ("sensor_latency", "stribeck_friction"),
+]
+
+
+@pytest.mark.parametrize(("one", "other"), PAIRS)
+def test_small_effects_add_up(one: str, other: str) -> None:
+    """What is left of the sum falls with the square of their size; without a finger there are no kinks."""
+    push, maps = coasting(), plain_maps()
+    plain = Slider(BLOCK, RADIUS).rollout(maps, [push]).poses
+
+    def change(names: tuple[str, ...], share: float) -> np.ndarray:
+        values = []
+        for name in names:
+            effect = EFFECTS[name]
+            shown = np.array(SHOWN[name])
+            values.append(np.where(effect.amplitudes, effect.nulls + share * (shown - effect.nulls), shown))
+        slider = EffectSlider(BLOCK, RADIUS, [EFFECTS[name] for name in names])
+        return slider.rollout(with_values(maps, np.concatenate(values)), [push]).poses - plain
+
+    def left_over(share: float) -> float:
+        return float(
+            np.abs(change((one, other), share) - change((one,), share) - change((other,), share)).max()
+        )
+
+    size = np.abs(change((one, other), 0.01)).max()
+    assert left_over(0.01) < 0.05 * size
+    assert left_over(0.01) < 0.02 * left_over(0.1) + 1e-12
+
+
+def test_the_order_of_effects_does_not_matter() -> None:
+    push, maps = sliding_push(0.3), plain_maps()
+    names = ["stribeck_friction", "table_tilt", "finger_compliance"]
+    results = []
+    for order in (names, names[::-1]):
+        slider = EffectSlider(BLOCK, RADIUS, [EFFECTS[name] for name in order])
+        values = np.concatenate([SHOWN[name] for name in order])
+        results.append(slider.rollout(with_values(maps, values), [push]).poses)
+    assert results[0] == pytest.approx(results[1], abs=1e-12)
+
+
+class SteadyPull(Effect):
+    name = "steady_pull"
+    sentence = "A constant force along x."
+    parameters = (Parameter("size", "N", "of the force", -10.0, 10.0, 1.0, 0.0),)
+
+    def force(self, body, p):  # type: ignore[no-untyped-def]
+        return p.size, 0, body.com_x * 0 - body.com_y * p.size
+
+
+def test_wrenches_add_exactly() -> None:
+    grid = block(4, 4, 0.01)
+    push = coast_of((0.5, 0.2, 3.0), 0.2, 1e-3)
+    tilt, pull = EFFECTS["table_tilt"], SteadyPull()
+    down = 0.08
+    both = slide([tilt, pull], [down, 0.0, 0.3], push, grid=grid, mass=0.5)
+    as_one = slide([tilt], [down + 0.3 / (0.5 * 9.81), 0.0], push, grid=grid, mass=0.5)
+    assert both.poses == pytest.approx(as_one.poses, abs=1e-12)
+
+
+def test_formulas_are_compiled_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    effects = (EFFECTS["table_tilt"], EFFECTS["skate"])
+    first = programs.program_of(effects)
+    assert programs.program_of(effects) is first
+    # From disk too: a new process need not even write the formulas out.
+    programs._program_of.cache_clear()
+    monkeypatch.setattr(programs, "_source", lambda effects: pytest.fail("formulas were written anew"))
+    again = programs.program_of(effects)
+    assert again is not first
+    assert (again.sizes == first.sizes).all()
+
+
+def test_the_kernels_of_the_plain_model_do_not_change_with_effects() -> None:
+    push, maps = sliding_push(0.3), plain_maps()
+    slider = Slider(BLOCK, RADIUS)
+    before = slider.rollout(maps, [push])
+    EffectSlider(BLOCK, RADIUS, [EFFECTS["skate"]]).rollout(with_values(maps, SHOWN["skate"]), [push])
+    after = slider.rollout(maps, [push])
+    assert np.array_equal(before.poses, after.poses)
+    from models.physics import kernel
+
+    assert "effect" not in " ".join(vars(kernel))
+
+
+def test_values_of_other_effects_are_refused() -> None:
+    slider = EffectSlider(BLOCK, RADIUS, [EFFECTS["table_tilt"]])
+    with pytest.raises(ValueError, match=r"3 effect parameters.*table_tilt have 2"):
+        slider.rollout(with_values(plain_maps(), [0.1, 0.2, 0.3]), [sliding_push(0.1)])

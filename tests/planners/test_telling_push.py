@@ -1,0 +1,247 @@
+"""The next push separates simulated rivals, and by as much as it claims."""
+
+from __future__ import annotations
+
+import re
+import time
+from dataclasses import replace
+from itertools import pairwise
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from models.effects.registry import effects_named
+from models.inference.diagnosis.correlated import CorrelatedLikelihood
+from models.inference.diagnosis.error_model import FORCE_MEMORY, MEMORY, ErrorModel, sensor_noise
+from models.inference.diagnosis.fitting import Fitted, Fitter
+from models.inference.observations import observe_all
+from models.measurements.push_dataset import Table
+from models.measurements.simulated import record_pushes
+from models.objects import cells_from_polygon
+from models.physics.paper_notation import add
+from models.physics.rollout import Maps, Slider
+from planners.exploration import candidate_pushes
+from planners.telling_push import next_push, push_of
+
+RADIUS, MASS, MU = 0.006, 0.6, 0.3
+SPEED = 0.05
+KEYS = {
+    "pose", "contact", "direction_deg", "speed", "length", "dwell", "tip_start", "tip_end", "separates",
+    "separation",
+    "sentence",
+}  # fmt: skip
+
+
+class World:
+    """Six recorded pushes along +x, all at one speed, and models of them."""
+
+    def __init__(self) -> None:
+        rng = np.random.default_rng(2)
+        self.grid = cells_from_polygon(np.array([[-5, -3], [5, -3], [5, 3], [-5, 3]]) * 0.01, width=0.02)
+        n = len(self.grid)
+        slider = Slider(self.grid, RADIUS)
+        maps = Maps(np.full((1, n), MASS / n), np.full((1, n), MU), np.array([0.35]))
+        pushes = []
+        for candidate in candidate_pushes(
+            self.grid, RADIUS, rng, 6, length=(0.06, 0.08), speed=(SPEED, SPEED), cone=0.2
+        ):
+            yaw = -np.arctan2(candidate.direction[1], candidate.direction[0])
+            pushes.append(candidate.push([*rng.uniform(-0.03, 0.03, 2), yaw + rng.normal(0, 0.1)]))
+        self.dataset = record_pushes(slider, maps, pushes, rng, mass=MASS)
+        self.observations = observe_all(self.dataset)
+        noise = sensor_noise(self.dataset)
+        self.error = ErrorModel(noise, 0.08, 0.04)
+        self.fitter = Fitter(self.dataset, self.observations, noise)
+        self.fitter.weight = MASS * 9.81
+
+    def model(self, name: str = "", values: tuple[float, ...] = (), friction: float = MU) -> Fitted:
+        """A fitted model with an effect of known size and uniform friction."""
+        effects = effects_named([name]) if name else ()
+        prior = self.fitter.prior(effects)
+        z = np.zeros(prior.size)
+        z[prior.plain - 2] = np.log(friction / 0.3) / prior.settings.friction_scale
+        if name:
+            z[prior.plain :] = prior.effect_coordinates(np.array(values))
+        likelihood = CorrelatedLikelihood(prior, self.observations, self.error)
+        offsets = np.zeros((len(self.observations), 3))
+        return Fitted(tuple(effects), likelihood, z, np.zeros(prior.size), offsets, 0.0)
+
+    def diagnosis(self, verdict: str, rivals: list[Fitted], depends_on: str | None = None) -> SimpleNamespace:
+        base = self.model()
+        best = rivals[0] if rivals else base
+        return SimpleNamespace(
+            verdict=verdict, rivals=tuple(rivals), base=base, best=best, depends_on=depends_on, candidates=()
+        )
+
+
+@pytest.fixture(scope="module")
+def world() -> World:
+    return World()
+
+
+def apart(world: World, told: dict, one: Fitted, other: Fitted) -> float:
+    """Separation of two models on a push, computed anew from dense covariances."""
+    push = push_of(told, order=len(world.dataset.trials))
+    outs = []
+    for fitted in (one, other):
+        prior = fitted.likelihood.prior
+        outs.append(prior.slider.rollout(prior.maps(fitted.z[None]), [push]))
+    centers = world.grid.centers
+    radius = np.sqrt((centers**2).sum(axis=1).mean())
+    middle = 0.5 * (outs[0].poses[0] + outs[1].poses[0])
+    track = np.vstack([push.start_pose, middle])
+    way = np.cumsum(add(track[1:], track[:-1], centers))
+    # Fine quadrature of the error that lasts a stretch of way.
+    at = np.linspace(0, way[-1], 1501)[1:] - way[-1] / 3000
+    kernel = np.exp(-np.abs(at[:, None] - at) / MEMORY) * (way[-1] / 1500) ** 2
+    until = (at[None] < way[:, None]).astype(float)
+    lasting = world.error.motion**2 * until @ kernel @ until.T
+    noise = world.error.noise
+    total = 0.0
+    difference = (outs[0].poses - outs[1].poses)[0] * [1, 1, radius]
+    for i, sigma in enumerate((noise.position, noise.position, radius * noise.angle)):
+        total += difference[:, i] @ np.linalg.solve(lasting + sigma**2 * np.eye(30), difference[:, i])
+    edges = np.linspace(0, len(push.tip) - 1, 31).astype(int)
+    means = np.array([[out.forces[0, a:b].mean(axis=0) for a, b in pairwise(edges)]
+                      for out in outs])  # fmt: skip
+    speed = np.hypot(*np.diff(push.tip, axis=0).T)
+    pace = np.array([speed[a:b].mean() for a, b in pairwise(edges)])
+    size = np.hypot(*means.mean(axis=0).T)
+    good = (pace > 0.5 * pace.max()) & (size > 0.2 * np.percentile(size, 90))
+    good = good & np.roll(good, 1) & np.roll(good, -1)
+    times = (np.arange(30) + 0.5)[good] / 30 * push.h * (len(push.tip) - 1)
+    typical = np.median(size[good])
+    covariance = (world.error.force * typical) ** 2 * np.exp(-np.abs(times[:, None] - times) / FORCE_MEMORY)
+    covariance += noise.force**2 * np.eye(len(times))
+    for i in range(2):
+        gap = (means[0] - means[1])[good, i]
+        total += gap @ np.linalg.solve(covariance, gap)
+    return float(np.sqrt(total))
+
+
+def test_viscous_and_stribeck_are_told_apart_by_speed(world: World) -> None:
+    # At the speed of all recorded pushes, both have the friction of the plain model with 0.3.
+    excess, slow, area = 0.5, 0.05, 0.1 * 0.06
+    stribeck = world.model(
+        "stribeck_friction", (excess, slow), MU / (1 + excess * np.exp(-((SPEED / slow) ** 2)))
+    )
+    drag = 0.3 * MU * MASS * 9.81 / (area * SPEED)
+    viscous = world.model("viscous_friction", (drag,), 0.7 * MU)
+    for seed in range(3):
+        told = next_push(world.diagnosis("ambiguous", [viscous, stribeck]), world.dataset, seed)
+        assert told is not None
+        assert set(told) == KEYS
+        assert told["separates"] == ["viscous_friction", "stribeck_friction"]
+        assert abs(np.log(told["speed"] / SPEED)) > 0.3
+        assert SPEED / 1.6 < told["speed"] < 1.6 * SPEED
+        claimed = told["separation"]
+        assert apart(world, told, viscous, stribeck) == pytest.approx(claimed, rel=0.03)
+        assert claimed > 1.4 * apart(world, told | {"speed": SPEED}, viscous, stribeck)
+        assert "viscous_friction: " in told["sentence"]
+
+
+def test_tilt_and_tether_are_told_apart_by_a_reversed_push_or_another_place(world: World) -> None:
+    tilt = world.model("table_tilt", (0.06, 0.0))
+    stiffness = 0.06 * MASS * 9.81 / 0.2
+    tether = world.model("tether", (stiffness, 0.22, 0.0, 0.0))
+    told = next_push(world.diagnosis("ambiguous", [tilt, tether]), world.dataset)
+    assert told is not None
+    assert apart(world, told, tilt, tether) == pytest.approx(told["separation"], rel=0.03)
+    likeness = []
+    for observation in world.observations:
+        tip = observation.push.tip
+        recorded = {
+            "pose": observation.push.start_pose,
+            "tip_start": tip[0],
+            "tip_end": tip[-1],
+            "speed": SPEED,
+            "dwell": 0.0,
+        }
+        likeness.append(apart(world, recorded, tilt, tether))
+    assert told["separation"] > 1.3 * max(likeness)
+    starts = np.array([o.push.start_pose[:2] for o in world.observations])
+    moved = np.hypot(*(starts - told["pose"][:2]).T).min()
+    assert abs(told["direction_deg"]) > 45 or moved > 0.02
+
+
+def test_the_push_can_be_made(world: World) -> None:
+    rivals = [world.model("table_tilt", (0.06, 0.0)), world.model("tether", (1.0, 0.2, 0.0, 0.0))]
+    table = Table("rectangle", (0.0, 0.0), size=(0.36, 0.3))
+    dataset = replace(world.dataset, table=table)
+    for seed in range(3):
+        told = next_push(world.diagnosis("ambiguous", rivals), dataset, seed)
+        assert told is not None
+        push = push_of(told)
+        c, s = np.cos(told["pose"][2]), np.sin(told["pose"][2])
+        local = (push.tip - told["pose"][:2]) @ np.array([[c, -s], [s, c]])
+        from shapely import Point
+
+        # The finger stands free at first and meets the outline at the contact point.
+        assert world.grid.polygon.distance(Point(local[0])) > RADIUS + 1e-3
+        x, y = told["contact"]
+        assert world.grid.polygon.boundary.distance(Point(x, y)) < 1e-9
+        direction = (local[-1] - local[0]) / np.hypot(*(local[-1] - local[0]))
+        touch = np.array([x, y]) - local[0]
+        assert abs(touch[0] * direction[1] - touch[1] * direction[0]) <= RADIUS + 1e-9
+        corners = world.grid.exterior @ np.array([[c, s], [-s, c]]) + told["pose"][:2]
+        assert np.all(np.abs(corners) < [0.18, 0.15])
+        for fitted in rivals:
+            prior = fitted.likelihood.prior
+            force = np.hypot(*prior.slider.rollout(prior.maps(fitted.z[None]), [push]).forces[0].T)
+            moving = np.hypot(*np.diff(push.tip, axis=0).T) > 0.99 * told["speed"] * push.h
+            # The finger has not slid off when it stops.
+            assert np.median(force[np.flatnonzero(moving)[-10:]]) > 0.1
+        assert np.hypot(*np.subtract(told["tip_end"], told["tip_start"])) == pytest.approx(
+            told["length"] + 0.01
+        )
+
+
+def test_one_effect_is_pinned_down(world: World) -> None:
+    told = next_push(world.diagnosis("effect", [world.model("viscous_friction", (500.0,))]), world.dataset)
+    assert told is not None
+    assert told["separates"][0].startswith("viscous_friction drag_per_area lower")
+    assert told["separation"] > 0.1
+
+
+def test_undecided_shows_what_is_hardly_seen(world: World) -> None:
+    told = next_push(world.diagnosis("undecided", []), world.dataset)
+    assert told is not None
+    assert 2 <= len(told["separates"]) <= 5
+    assert "no effect" not in told["separates"]
+
+
+@pytest.mark.parametrize(
+    ("probe", "words"),
+    [
+        ("force_by_place", "at another place"),
+        ("friction_by_direction", "turned by 90 degrees"),
+        ("friction_by_speed", "times its speed"),
+        ("friction_by_time", "a stop of 2 s"),
+        ("friction_by_order", "exactly as it was"),
+    ],
+)
+def test_unknown_repeats_the_worst_push_with_one_thing_changed(world: World, probe: str, words: str) -> None:
+    told = next_push(world.diagnosis("unknown", [], f"{probe}: some sentence."), world.dataset)
+    assert told is not None
+    assert words in told["sentence"]
+    (trial,) = re.findall(r"push (trials/\d+\.json)", told["sentence"])
+    (recorded,) = [o.push for o in world.observations if o.trial == trial]
+    moved = not np.allclose(told["pose"], recorded.start_pose)
+    assert moved == (probe in ("force_by_place", "friction_by_direction"))
+    push_of(told)
+
+
+def test_nothing_to_find_out(world: World) -> None:
+    assert next_push(world.diagnosis("adequate", []), world.dataset) is None
+
+
+def test_a_seed_gives_the_same_push_in_seconds(world: World) -> None:
+    rivals = [world.model("table_tilt", (0.06, 0.0)), world.model("tether", (1.0, 0.2, 0.0, 0.0))]
+    diagnosis = world.diagnosis("ambiguous", rivals)
+    first = next_push(diagnosis, world.dataset, 4)
+    began = time.perf_counter()
+    again = next_push(diagnosis, world.dataset, 4)
+    assert time.perf_counter() - began < 10
+    assert first == again
+    assert next_push(diagnosis, world.dataset, 5) != first
