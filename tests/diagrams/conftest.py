@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from tilted_table import tilted_pushes
+from hidden_effects import tilted_pushes
 
 from diagrams.command_line import run
 from models.inference.belief import Belief

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from hidden_effects import tilted_pushes
 from report_page import Page, assert_alone
-from tilted_table import tilted_pushes
 
 from diagrams.diagnosis_report import compared, diagnosis_report
 from diagrams.diagnosis_tables import show_diagnosis
@@ -223,7 +223,7 @@ def test_names_cannot_break_the_report(tilted):
 
 
 def test_pictures_show_the_numbers(tilted):
-    dataset, found = tilted
+    _, found = tilted
     bars = gain_figure(found).axes[0].patches
     assert [bar.get_width() for bar in bars] == pytest.approx([max(c.gain, 0.0) for c in found.candidates])
     dots = {line.get_label(): line for line in locked_figure(found).axes[0].get_lines()}
