@@ -18,7 +18,9 @@ from diagrams.commands.blind_test import blind_test
 from diagrams.commands.calibrate import calibrate
 from diagrams.commands.compare import compare
 from diagrams.commands.demo import demo
+from diagrams.commands.diagnose import diagnose
 from diagrams.commands.effects import effects
+from diagrams.commands.fit import fit
 from diagrams.commands.identify import identify
 from diagrams.commands.predict import predict
 
@@ -56,7 +58,7 @@ def slipmap(ctx: click.Context) -> None:
     """Find out how an unknown object slides.
 
     From a few recorded pushes, slipmap learns how mass and friction are spread over an object, says how
-    sure it is, and predicts further pushes.
+    sure it is, predicts further pushes, and names the physical effect that its model misses.
 
     New here? `slipmap demo` shows everything in half a minute and needs no data.
     """
@@ -65,7 +67,7 @@ def slipmap(ctx: click.Context) -> None:
         ctx.exit(WRONG_USE)
 
 
-for _command in (demo, identify, predict, compare, effects, calibrate, blind_test, bench):
+for _command in (demo, identify, predict, compare, diagnose, fit, effects, calibrate, blind_test, bench):
     slipmap.add_command(_command)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+import textwrap
 import time
 from collections.abc import Sequence
 from types import TracebackType
@@ -31,6 +32,12 @@ class BadInput(click.ClickException):
 def note(text: str) -> None:
     """A line on stderr."""
     click.echo(text, err=True)
+
+
+def paragraph(text: str) -> None:
+    """A text on stdout, broken into lines of 80 columns; nothing where it is empty."""
+    if text:
+        click.echo(textwrap.fill(text, WIDTH))
 
 
 def prepare_kernels() -> None:

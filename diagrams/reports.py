@@ -71,29 +71,37 @@ def remark(push: PushPrediction) -> str:
     return f"half a millimetre decides: it moves the end by {0.5 * push.start_sensitivity:.0f} mm"
 
 
-def show_comparison(result: Comparison) -> None:
-    """Means of the errors by role beside the baselines, and what the residuals hang together with."""
-    rows = []
-    for role, totals in result.totals.items():
-        for name, errors in (
-            ("model", totals.model), ("uniform", totals.uniform), ("no motion", totals.resting),
-        ):  # fmt: skip
+def show_comparison(results: Sequence[Comparison]) -> None:
+    """Means of the errors by role beside the baselines, and what the residuals hang together with.
+
+    Args:
+        results: one model, or two over the same pushes.
+    """
+    first, rows = results[0], []
+    for role, totals in first.totals.items():
+        models = [(result.label, result.totals[role].model) for result in results]
+        for name, errors in (*models, ("uniform", totals.uniform), ("no motion", totals.resting)):
             rows.append([f"{ROLES[role]}, {name}", *_errors(errors)])
     floor = ""
-    if result.floor is not None:
-        floor = f"; noise floor {millimetres(result.floor.add)} mm ({result.floor.source})"
+    if first.floor is not None:
+        floor = f"; noise floor {millimetres(first.floor.add)} mm ({first.floor.source})"
     table(
         f"Mean errors, mm: ADD at the end and on average, position{floor}",
         ["pushes", "end", "average", "position", "angle, °", "fit, %", "force, %"],
         rows,
         numbers=range(1, 7),
     )
+    for result in results:
+        _show_patterns(result, f", {result.label}" if len(results) > 1 else "")
+
+
+def _show_patterns(result: Comparison, head: str) -> None:
     if not result.structure:
         return
     shown = [pattern for k, pattern in enumerate(result.structure) if k < FEW_PATTERNS or pattern.significant]
     tests = len(result.structure)
     table(
-        f"What the rest hangs together with: the surest of {tests} tests (* significant)",
+        f"What the rest hangs together with{head}: the surest of {tests} tests (* significant)",
         ["of", "", "size", "p"],
         [
             [

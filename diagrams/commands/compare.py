@@ -2,24 +2,28 @@
 
 from __future__ import annotations
 
-import textwrap
+from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from diagrams.commands.options import (
     OutputFile,
     dataset_argument,
+    effect_file_option,
+    effect_option,
+    find_effects,
     json_option,
     load_dataset,
     object_option,
     seed_option,
 )
-from diagrams.console import WIDTH, BadInput, Progress, note, prepare_kernels
+from diagrams.console import BadInput, Progress, note, paragraph, prepare_kernels
 from diagrams.outputs import whole_file, write_json
 
 if TYPE_CHECKING:
+    from models.effects.effect import Effect
     from models.inference.belief import Belief
     from models.inference.comparison import Comparison
     from models.measurements import PushDataset
@@ -29,8 +33,13 @@ if TYPE_CHECKING:
 @dataset_argument
 @click.option(
     "--belief", "belief_file", type=click.Path(path_type=Path), metavar="FILE",
-    help="Belief that `slipmap identify` wrote; without it the fit pushes are learnt from first.",
+    help="Belief that `slipmap identify` or `slipmap fit` wrote; without it the fit pushes are learnt from"
+    " first.",
 )  # fmt: skip
+@effect_option(
+    required=False, purpose="Compare the model without effects, and with this one, both learnt alike"
+)
+@effect_file_option
 @click.option(
     "-o", "--output", type=OutputFile("html", "htm"), default="comparison.html", show_default=True,
     metavar="FILE", help="The report, one file for any browser; it needs no network.",
@@ -41,6 +50,8 @@ if TYPE_CHECKING:
 def compare(
     dataset: Path,
     belief_file: Path | None,
+    effect_names: tuple[str, ...],
+    effect_files: tuple[Path, ...],
     output: Path,
     seed: int,
     object_name: str | None,
@@ -50,27 +61,43 @@ def compare(
 
     Every push of DATASET is predicted from its first pose. The report says how far off the model is beside
     two simple ones and the noise, shows every push as measured and as predicted, and tests what the rest
-    hangs together with: place, direction, speed, phase, time and order.
+    hangs together with: place, direction, speed, phase, time and order. With --effect two models are
+    learnt from the fit pushes, without and with the effects, and shown side by side.
     """
+    from models.effects.registry import effects_named
     from models.inference.belief import Belief
 
-    belief = Belief.load(belief_file) if belief_file is not None else None
+    if belief_file is not None and effect_names:
+        raise BadInput(
+            "--belief and --effect exclude each other: a belief brings its effects along (`slipmap fit` adds"
+            " them), and --effect learns two new models"
+        )
+    known = find_effects(effect_files)
+    effects = effects_named(effect_names, known)
+    belief = Belief.load(belief_file, known) if belief_file is not None else None
     with Progress() as progress:
         measured = load_dataset(dataset, object_name, progress)
         prepare_kernels()
-        if belief is None:
-            belief = _learnt(measured, seed, progress)
+        if belief is not None:
+            models = {"model": belief}
+        elif effects:
+            models = _learnt_twice(measured, effects, seed, progress)
+        else:
+            models = {"model": _learnt(measured, seed, progress)}
         from models.inference import comparison
 
-        result = comparison.compare(measured, belief, seed=seed, progress=progress)
+        results = [
+            comparison.compare(measured, model, seed=seed, label=label, progress=progress)
+            for label, model in models.items()
+        ]
         progress("drawing", 0, 1)
-        text = report([result], measured)
+        text = report(results, measured)
         with whole_file(output) as part:
             part.write_text(text, encoding="utf-8")
         progress("drawing", 1, 1)
     if json_file is not None:
-        write_json(json_file, result.to_json())
-    show(result)
+        write_json(json_file, _document(results, effect_names))
+    show(results)
     note(f"report: {output}")
 
 
@@ -94,23 +121,57 @@ def report(comparisons: list[Comparison], dataset: PushDataset) -> str:
     )
 
 
-def show(result: Comparison) -> None:
-    """Print what was found."""
-    from diagrams.comparison_words import finding, summary
+def show(results: Sequence[Comparison]) -> None:
+    """Print what was found of one model, or of two over the same pushes."""
+    from diagrams.comparison_words import finding, summary, summary_of_two
     from diagrams.reports import show_comparison
 
-    click.echo(f"{result.dataset}, {len(result.pushes)} pushes; model learnt from {result.learnt_from}\n")
-    show_comparison(result)
-    for text in (summary(result), finding(result)):
-        click.echo(textwrap.fill(text, WIDTH))
+    first = results[0]
+    click.echo(f"{first.dataset}, {len(first.pushes)} pushes; model learnt from {first.learnt_from}\n")
+    show_comparison(results)
+    told = [summary(first), finding(first)]
+    if len(results) > 1:
+        told = [summary_of_two(*results), *(f"{result.label}: {finding(result)}" for result in results)]
+    for text in told:
+        paragraph(text)
+
+
+def _document(results: Sequence[Comparison], effect_names: Sequence[str]) -> dict[str, Any]:
+    """One comparison as it is; two as `before` and `after`, with the names of the effects."""
+    if len(results) == 1:
+        return results[0].to_json()
+    before, after = (result.to_json() for result in results)
+    return {"before": before, "after": after, "effects": list(effect_names)}
+
+
+def _learnt_twice(
+    dataset: PushDataset, effects: Sequence[Effect], seed: int, progress: Progress
+) -> dict[str, Belief]:
+    """Beliefs without and with the effects, learnt alike, by the names that the report gives them."""
+    from models.inference.diagnosis.effect_fit import fit_effects
+
+    _check_fit_pushes(dataset)
+    labels = ["without effects", "with " + " and ".join(effect.name for effect in effects)]
+    beliefs = {}
+    for label, added in zip(labels, ((), tuple(effects)), strict=True):
+
+        def report(stage: str, done: int, total: int, label: str = label) -> None:
+            progress(f"{stage}, {label}", done, total)
+
+        beliefs[label] = fit_effects(dataset, added, seed=seed, progress=report).belief
+    return beliefs
 
 
 def _learnt(dataset: PushDataset, seed: int, progress: Progress) -> Belief:
     from models.inference import identification
 
+    _check_fit_pushes(dataset)
+    return identification.identify(dataset, seed=seed, progress=progress).belief
+
+
+def _check_fit_pushes(dataset: PushDataset) -> None:
     if not dataset.fit_trials:
         raise BadInput(
             f"dataset {dataset.name} has no push with the role fit to learn from; name a belief with"
             " --belief, or give at least one push that role"
         )
-    return identification.identify(dataset, seed=seed, progress=progress).belief

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
@@ -11,9 +12,11 @@ from diagrams.console import Progress, note
 from diagrams.outputs import check_file
 
 if TYPE_CHECKING:
+    from models.effects.effect import Effect
     from models.measurements import PushDataset
 
 PICTURES = ("png", "pdf", "svg")
+Command = TypeVar("Command", bound=Callable[..., Any])
 
 
 class OutputFile(click.ParamType):
@@ -49,6 +52,29 @@ object_option = click.option(
     help="What was pushed, for MIT and CSV files, which do not say it: a shape of the MIT push dataset such"
     " as rect1, or a YAML file with the keys object and finger of a dataset.yaml.",
 )
+effect_file_option = click.option(
+    "--effect-file", "effect_files", type=click.Path(path_type=Path), multiple=True, metavar="FILE",
+    help="Python file with effects of your own, beside those of the library; may be given several times.",
+)  # fmt: skip
+
+
+def effect_option(*, required: bool, purpose: str) -> Callable[[Command], Command]:
+    """The option `--effect NAME`, which may be given several times."""
+    return click.option(
+        "--effect", "effect_names", multiple=True, required=required, metavar="NAME",
+        help=f"{purpose}, such as table_tilt; may be given several times.",
+    )  # fmt: skip
+
+
+def find_effects(files: Sequence[Path]) -> tuple[Effect, ...]:
+    """The library's effects, and those of some files.
+
+    Raises:
+        EffectError: a file is faulty, or has an effect of a name that is taken.
+    """
+    from models.effects.registry import known_effects
+
+    return known_effects(files)
 
 
 def load_dataset(path: Path, object_name: str | None, progress: Progress) -> PushDataset:

@@ -12,6 +12,8 @@ from diagrams.commands.options import (
     PICTURES,
     OutputFile,
     dataset_argument,
+    effect_file_option,
+    find_effects,
     json_option,
     load_dataset,
     object_option,
@@ -28,17 +30,23 @@ if TYPE_CHECKING:
 @dataset_argument
 @click.option(
     "--belief", "belief_file", type=click.Path(path_type=Path), required=True, metavar="FILE",
-    help="Belief that `slipmap identify` wrote.",
+    help="Belief that `slipmap identify` or `slipmap fit` wrote.",
 )  # fmt: skip
 @click.option(
     "-o", "--output", type=OutputFile(*PICTURES), default="predictions.png", show_default=True,
     metavar="FILE", help="Picture of the pushes (.png, .pdf or .svg); after each 24 pushes a further page,"
     " predictions.2.png and on.",
 )  # fmt: skip
+@effect_file_option
 @object_option
 @json_option
 def predict(
-    dataset: Path, belief_file: Path, output: Path, object_name: str | None, json_file: Path | None
+    dataset: Path,
+    belief_file: Path,
+    output: Path,
+    effect_files: tuple[Path, ...],
+    object_name: str | None,
+    json_file: Path | None,
 ) -> None:
     """Predict recorded pushes with a belief and compare.
 
@@ -48,7 +56,7 @@ def predict(
     """
     from models.inference.belief import Belief
 
-    belief = Belief.load(belief_file)
+    belief = Belief.load(belief_file, find_effects(effect_files))
     with Progress() as progress:
         measured = load_dataset(dataset, object_name, progress)
         prepare_kernels()

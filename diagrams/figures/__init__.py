@@ -1,8 +1,9 @@
-"""Pictures of beliefs, pushes, comparisons and calibration, as matplotlib Figures; `save` writes one."""
+"""Pictures of beliefs, pushes, comparisons, diagnoses, calibration: matplotlib Figures; `save` writes one."""
 
 from diagrams.figures.calibration import calibration_figure
 from diagrams.figures.comparison import error_figure
 from diagrams.figures.correlations import correlation_figure
+from diagrams.figures.diagnosis import gain_figure, locked_figure
 from diagrams.figures.effects import effect_figure
 from diagrams.figures.maps import maps_figure
 from diagrams.figures.pushes import push_figures
@@ -18,6 +19,8 @@ __all__ = [
     "effect_figure",
     "error_figure",
     "factor_figure",
+    "gain_figure",
+    "locked_figure",
     "maps_figure",
     "object_figure",
     "push_figures",

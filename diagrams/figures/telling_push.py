@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import textwrap
 from typing import Any
 
 import numpy as np
@@ -35,11 +34,8 @@ def telling_push_figure(told: dict[str, Any], diagnosis: Diagnosis, dataset: Pus
     push = push_of(told, float(len(dataset.trials)))
     rivals = rivals_of(diagnosis, dataset)[: len(COLOURS)]
     predictions = [predict(rival, [push]) for rival in rivals]
-    figure = Figure(figsize=(9.0, 5.2))
-    figure.text(0.02, 0.975, "The push to make next", va="top", fontsize=12, fontweight="bold")
-    lines = textwrap.wrap(told["sentence"], 122)
-    figure.text(0.02, 0.92, "\n".join(lines), va="top", fontsize=9, linespacing=1.3)
-    top = 0.9 - 0.042 * len(lines)
+    figure = Figure(figsize=(9.0, 4.4))
+    top = 0.97
     axes = figure.add_axes((0.05, 0.13, 0.5, top - 0.13))
     axes.add_patch(
         PathPatch(outline_path(grid, told["pose"]), facecolor=PAPER, edgecolor=FAINT, linewidth=0.8)

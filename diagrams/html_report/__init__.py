@@ -5,6 +5,14 @@ them together.
 """
 
 from diagrams.html_report.comparison_sections import check_same_pushes, comparison_sections
+from diagrams.html_report.diagnosis_sections import diagnosis_sections, reading_section
 from diagrams.html_report.page import Section, page
 
-__all__ = ["Section", "check_same_pushes", "comparison_sections", "page"]
+__all__ = [
+    "Section",
+    "check_same_pushes",
+    "comparison_sections",
+    "diagnosis_sections",
+    "page",
+    "reading_section",
+]

@@ -37,7 +37,9 @@ class Section:
     script: str = ""
 
 
-def page(title: str, subtitle: str, lead: Sequence[str], sections: Sequence[Section]) -> str:
+def page(
+    title: str, subtitle: str, lead: Sequence[str], sections: Sequence[Section], headline: str = ""
+) -> str:
     """A whole HTML document.
 
     Args:
@@ -45,6 +47,7 @@ def page(title: str, subtitle: str, lead: Sequence[str], sections: Sequence[Sect
         subtitle: a line below it: what was compared, when and with what.
         lead: paragraphs that say what was found, the most important first.
         sections: in the order of reading; keys must differ.
+        headline: a sentence in large letters above the lead.
 
     Raises:
         ValueError: two sections have one key.
@@ -58,6 +61,7 @@ def page(title: str, subtitle: str, lead: Sequence[str], sections: Sequence[Sect
         "title": escape(title),
         "subtitle": escape(subtitle),
         "style": part("style.css"),
+        "headline": f'<p class="headline">{escape(headline)}</p>' if headline else "",
         "lead": "\n".join(f"<p>{escape(text)}</p>" for text in lead),
         "links": "\n".join(f'<a href="#{s.key}">{escape(s.title)}</a>' for s in sections),
         "sections": "\n".join(

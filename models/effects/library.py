@@ -140,8 +140,8 @@ class Tether(Effect):
     sentence = "A cable pulls the object towards a fixed point beyond its slack length."
     parameters = (
         Parameter("stiffness", "N/m", "of the cable", 0.0, 1e4, 1.0, 0.0, weight_power=1.0),
-        Parameter("anchor_x", "m", "where the cable is fixed", -10.0, 10.0, 0.3),
-        Parameter("anchor_y", "m", "where the cable is fixed", -10.0, 10.0, 0.3),
+        Parameter("anchor_x", "m", "where the cable is fixed", -2.0, 2.0, 0.3),
+        Parameter("anchor_y", "m", "where the cable is fixed", -2.0, 2.0, 0.3),
         Parameter("slack", "m", "length at which it begins to pull", 0.0, 10.0, 0.1),
         Parameter("point_x", "m", "where it is tied to the object, object frame", -1.0, 1.0, 0.03),
         Parameter("point_y", "m", "where it is tied to the object, object frame", -1.0, 1.0, 0.03),

@@ -45,6 +45,10 @@ class EffectSlider(Slider):
         self.effects = tuple(effects)
         self.program = program_of(self.effects)
 
+    def __reduce__(self) -> tuple[object, ...]:
+        """Pickled without its machine code, whose addresses mean nothing in another process."""
+        return EffectSlider, (self.grid, self.finger_radius, self.effects, self.gravity, self.smoothing)
+
     @property
     def columns(self) -> int:
         """Reduced parameters of the plain model, then the effects' own."""

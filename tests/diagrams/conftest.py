@@ -8,9 +8,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from hidden_effects import tilted_pushes
 
 from diagrams.command_line import run
 from models.inference.belief import Belief
+from models.measurements import write_dataset
 from models.objects import cells_from_polygon
 from models.physics.rollout import Maps, Smoothing
 
@@ -52,6 +54,12 @@ def demo_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     ]
     assert run([str(argument) for argument in arguments]) == 0
     return folder
+
+
+@pytest.fixture(scope="session")
+def tilted_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The pushes on a tilted table as a folder."""
+    return write_dataset(tilted_pushes(), tmp_path_factory.mktemp("tilted") / "tilted")
 
 
 @pytest.fixture

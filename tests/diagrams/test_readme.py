@@ -14,7 +14,7 @@ import pytest
 from diagrams.command_line import slipmap
 
 ROOT = Path(__file__).resolve().parents[2]
-PAGES = ("README.md", "docs/file-formats.md")
+PAGES = ("README.md", "docs/file-formats.md", "docs/diagnose.md")
 LINKED = (*PAGES, "docs/compare.md", "docs/effects.md")
 
 

@@ -33,7 +33,7 @@ LEVEL = 0.02
 MATERIAL = 0.03
 """What gains less than this share on top of an effect's own gain is a matter of its exact form."""
 
-CLEARLY_WORSE = 0.08
+CLEARLY_WORSE = 0.01
 """A candidate whose gain is smaller than the best one's by this share, and by 10 nats, is ruled out by that
 alone."""
 
@@ -57,6 +57,7 @@ QUICK_GAIN = 8.0
 """Gain, in nats, that counts where chance was not simulated."""
 
 FEWEST_PUSHES = 4
+FEWEST_DRAWS = 49
 
 Progress = Callable[[str, int, int], None]
 
@@ -83,7 +84,10 @@ def diagnose(
     Raises:
         DatasetError: no push is left to fit.
         EffectError: a candidate's formula cannot be used.
+        ValueError: fewer draws than the level of the test needs.
     """
+    if not quick and draws < FEWEST_DRAWS:
+        raise ValueError(f"draws must be at least {FEWEST_DRAWS} to reach p <= {LEVEL}, got {draws}")
     started = time.perf_counter()
     report = progress or (lambda stage, done, total: None)
     rng = np.random.default_rng(seed)
@@ -293,8 +297,8 @@ class _Inquiry:
         self.p_value = p
         return _Outcome(
             "undecided",
-            f"Much is left that the model does not explain, but the {pushes} pushes do not agree on what it is:"
-            f" turned round at random, they would show as much in {100 * p:.0f} % of cases.",
+            f"Much is left that the model does not explain, but the {pushes} pushes do not agree on what it"
+            f" is: turned round at random, they would show as much in {100 * p:.0f} % of cases.",
             self.base,
         )
 

@@ -1,0 +1,92 @@
+"""`slipmap diagnose`: which physical effect do the pushes show that the model does not have?"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from diagrams.commands.options import (
+    OutputFile,
+    dataset_argument,
+    effect_file_option,
+    find_effects,
+    json_option,
+    load_dataset,
+    object_option,
+    seed_option,
+)
+from diagrams.console import Progress, note, prepare_kernels
+from diagrams.outputs import whole_file, write_json
+
+if TYPE_CHECKING:
+    from models.inference.diagnosis import Diagnosis
+    from models.measurements import PushDataset
+
+
+@click.command()
+@dataset_argument
+@effect_file_option
+@click.option(
+    "--quick", is_flag=True,
+    help="Do not simulate what gains come about by chance: several times faster, without p-values.",
+)  # fmt: skip
+@click.option(
+    "--draws", type=click.IntRange(49, 100_000), default=199, show_default=True, metavar="N",
+    help="Datasets to simulate for the p-values; the smallest p is 1 / (N + 1).",
+)  # fmt: skip
+@seed_option
+@click.option(
+    "-o", "--output", type=OutputFile("html", "htm"), default="diagnosis.html", show_default=True,
+    metavar="FILE", help="The report, one file for any browser; it needs no network.",
+)  # fmt: skip
+@object_option
+@json_option
+def diagnose(
+    dataset: Path,
+    effect_files: tuple[Path, ...],
+    quick: bool,
+    draws: int,
+    seed: int,
+    output: Path,
+    object_name: str | None,
+    json_file: Path | None,
+) -> None:
+    """Find out which physical effect a model of the pushes misses.
+
+    Fits the model without effects to pushes of DATASET, asks every effect of the library, and every one of
+    your own files, what it would explain, and asks those that explain most what they leave. The verdict is
+    one effect, a set that the data cannot tell apart, none, something unknown, or too little data. A share
+    of the pushes is locked away before and judges the answer.
+    """
+    effects = find_effects(effect_files)
+    with Progress() as progress:
+        measured = load_dataset(dataset, object_name, progress)
+        prepare_kernels()
+        from models.inference.diagnosis import diagnose as inquire
+
+        result = inquire(measured, effects=effects, draws=draws, quick=quick, seed=seed, progress=progress)
+        result = _with_next_push(result, measured, progress)
+        from diagrams.diagnosis_report import diagnosis_report
+
+        text = diagnosis_report(result, measured, effects, progress)
+        with whole_file(output) as part:
+            part.write_text(text, encoding="utf-8")
+    if json_file is not None:
+        write_json(json_file, result.to_json())
+    from diagrams.diagnosis_tables import show_diagnosis
+
+    show_diagnosis(result, measured, effects)
+    note(f"report: {output}")
+
+
+def _with_next_push(result: Diagnosis, dataset: PushDataset, progress: Progress) -> Diagnosis:
+    """The diagnosis with the push that would tell most; it says None where there is nothing to find out."""
+    from planners.telling_push import next_push
+
+    progress("planning the next push", 0, 1)
+    push = next_push(result, dataset, result.seed)
+    progress("planning the next push", 1, 1)
+    return replace(result, next_push=push)

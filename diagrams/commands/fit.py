@@ -1,0 +1,118 @@
+"""`slipmap fit`: a belief about the object and about effects that are added to its model."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from diagrams.commands.identify import draw, show
+from diagrams.commands.options import (
+    OutputFile,
+    dataset_argument,
+    effect_file_option,
+    effect_option,
+    find_effects,
+    json_option,
+    load_dataset,
+    object_option,
+    seed_option,
+)
+from diagrams.console import Progress, note, prepare_kernels
+from diagrams.outputs import make_folder, write_json
+
+if TYPE_CHECKING:
+    from models.effects.effect import Effect
+    from models.inference.results import Identification
+
+
+@click.command()
+@dataset_argument
+@effect_option(required=True, purpose="Effect to add to the model")
+@effect_file_option
+@click.option(
+    "-o", "--output", type=OutputFile(), required=True, metavar="FILE",
+    help="Where the belief goes, such as belief.npz.",
+)  # fmt: skip
+@click.option(
+    "--hypotheses", type=click.IntRange(2, 1000), default=20, show_default=True, metavar="K",
+    help="Hypotheses to find.",
+)  # fmt: skip
+@seed_option
+@object_option
+@click.option(
+    "--pictures", type=click.Path(path_type=Path), metavar="DIR",
+    help="Folder for the pictures; beside the belief if not given.",
+)  # fmt: skip
+@json_option
+def fit(
+    dataset: Path,
+    effect_names: tuple[str, ...],
+    effect_files: tuple[Path, ...],
+    output: Path,
+    hypotheses: int,
+    seed: int,
+    object_name: str | None,
+    pictures: Path | None,
+    json_file: Path | None,
+) -> None:
+    """Learn maps of mass and friction together with physical effects.
+
+    Adds the effects that you name, of the library or of your own files, to the model and learns their
+    parameters and the maps at the same time from the pushes of DATASET with the role `fit`; `heldout`
+    pushes only judge. `slipmap diagnose` says which effects are worth adding.
+
+    Writes a belief that `predict` and `compare` take, and the same pictures as `identify`.
+    """
+    from models.effects.registry import effects_named
+
+    effects = effects_named(effect_names, find_effects(effect_files))
+    with Progress() as progress:
+        measured = load_dataset(dataset, object_name, progress)
+        if pictures is not None:
+            make_folder(pictures)
+        prepare_kernels()
+        from models.inference.diagnosis.effect_fit import fit_effects
+
+        result = fit_effects(measured, effects, hypotheses=hypotheses, seed=seed, progress=progress)
+        result.belief.save(output)
+        drawn = draw(result, measured, pictures or output.parent, output.stem, progress)
+    estimates = effect_estimates(result, effects)
+    if json_file is not None:
+        write_json(json_file, {**result.to_json(), "effects": estimates})
+    show(result, measured)
+    _show_effects(result, effects)
+    note(f"belief: {output}")
+    for path in drawn:
+        note(f"picture: {path}")
+
+
+def effect_estimates(result: Identification, effects: Sequence[Effect]) -> dict[str, dict[str, Any]]:
+    """By effect and parameter: value (median), 90 % interval, unit, and whether the pushes pin it down."""
+    facts = {quantity.name: quantity for quantity in result.quantities}
+    return {
+        effect.name: {
+            p.name: {
+                key: getattr(facts[f"{effect.name}: {p.name}"], key)
+                for key in ("value", "low", "high", "unit", "pinned")
+            }
+            for p in effect.parameters
+        }
+        for effect in effects
+    }
+
+
+def _show_effects(result: Identification, effects: Sequence[Effect]) -> None:
+    from diagrams.console import paragraph
+    from diagrams.effect_words import effect_in_words
+    from models.inference.diagnosis.results import ParameterEstimate
+
+    told = effect_estimates(result, effects)
+    for effect in effects:
+        estimates = [
+            ParameterEstimate(effect.name, name, v["unit"], v["value"], v["low"], v["high"])
+            for name, v in told[effect.name].items()
+        ]
+        paragraph(f"{effect.name}: {effect_in_words(effect.name, estimates, result.belief.grid)}.")

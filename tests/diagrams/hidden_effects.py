@@ -1,0 +1,44 @@
+"""Simulated pushes of a block, with an effect that the plain model does not have."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from models.effects.registry import effects_named
+from models.effects.slider import EffectSlider
+from models.measurements import PushDataset
+from models.measurements.simulated import record_pushes
+from models.objects import cells_from_polygon
+from models.physics.rollout import Maps
+from planners.exploration import candidate_pushes
+
+TILT = {"down_x": 0.03, "down_y": -0.04}
+"""Slopes, rad."""
+
+
+LATENCY = 0.08
+"""By how much the tracker is late, s."""
+
+
+def tilted_pushes() -> PushDataset:
+    """Pushes on a table that is not level."""
+    return _pushes("tilted", "table_tilt", [TILT["down_x"], TILT["down_y"]])
+
+
+def late_pushes() -> PushDataset:
+    """Pushes seen by a tracker that is late."""
+    return _pushes("late", "sensor_latency", [LATENCY])
+
+
+def _pushes(name: str, effect: str, values: list[float]) -> PushDataset:
+    """12 pushes to learn from and 6 held out, all over a table of 0.6 m."""
+    grid = cells_from_polygon(np.array([[-3, -2], [3, -2], [3, 2], [-3, 2]]) * 0.01, width=0.01)
+    mass = 0.02 * (1.0 + 0.4 * grid.centers[:, 0] / 0.03)
+    truth = Maps(mass[None], np.full((1, len(grid)), 0.3), np.array([0.3]), np.array([values]))
+    slider = EffectSlider(grid, 0.005, effects_named([effect]))
+    rng = np.random.default_rng(3)
+    pushes = [
+        candidate.push([*rng.uniform(-0.3, 0.3, 2), rng.uniform(-np.pi, np.pi)], h=2e-3)
+        for candidate in candidate_pushes(grid, 0.005, rng, 18, length=(0.06, 0.14))
+    ]
+    return record_pushes(slider, truth, pushes, rng, heldout=6, name=name, mass=float(mass.sum()))

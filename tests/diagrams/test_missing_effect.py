@@ -1,0 +1,52 @@
+"""The whole way: a model is seen to fail, the effect that it misses is named and added, and errors fall."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+from hidden_effects import LATENCY, late_pushes
+from report_page import assert_alone
+
+from models.measurements import write_dataset
+
+
+def test_from_a_model_that_fails_to_one_that_has_the_effect(slipmap, tmp_path):
+    recorded = write_dataset(late_pushes(), tmp_path / "late")
+
+    def numbers(*arguments):
+        file = tmp_path / "numbers.json"
+        said = slipmap(*arguments, "--json", file)
+        assert said.code == 0, said.err
+        assert max(map(len, said.out.splitlines())) <= 80
+        return said, json.loads(file.read_text())
+
+    html, belief = tmp_path / "report.html", tmp_path / "belief.npz"
+    _, before = numbers("compare", recorded, "-o", html)
+    error = before["totals"]["heldout"]["model"]["mean_add"]
+    assert error > 5 * before["noise_floor"]["add"]
+    assert "delay" in {test["factor"] for test in before["structure"] if test["significant"]}
+
+    said, found = numbers("diagnose", recorded, "--draws", 49, "-o", html)
+    assert (found["verdict"], found["effect"], found["calibrated"]) == ("effect", "sensor_latency", True)
+    assert found["p_value"] == pytest.approx(1 / 50)
+    assert found["parameters"]["sensor_latency"]["latency"]["value"] == pytest.approx(LATENCY, abs=0.004)
+    assert found["heldout_error_after"] < 0.2 * found["heldout_error_before"]
+    assert said.out.startswith("Verdict: effect. The data miss one effect: sensor_latency.")
+    assert "sensor_latency: the tracker is 7" in said.out or "sensor_latency: the tracker is 8" in said.out
+    assert found["next_push"]["sentence"] in " ".join(said.out.split())
+    assert "asking every effect: done" in said.err and f"report: {html}" in said.err
+    page = assert_alone(html.read_text())
+    assert page.text.index(found["sentence"]) < page.text.index("Locked pushes")
+    assert page.rows == 18
+
+    said, fitted = numbers("fit", recorded, "--effect", "sensor_latency", "-o", belief)
+    told = fitted["effects"]["sensor_latency"]["latency"]
+    assert told["low"] < told["value"] < told["high"] and told["pinned"] and told["unit"] == "s"
+    assert told["value"] == pytest.approx(LATENCY, abs=0.004)
+    assert "sensor_latency: the tracker is " in said.out
+    assert (tmp_path / "belief.maps.png").exists() and (tmp_path / "belief.pushes.png").exists()
+
+    _, after = numbers("compare", recorded, "--belief", belief, "-o", html)
+    assert after["totals"]["heldout"]["model"]["mean_add"] < 0.2 * error
+    assert after["totals"]["heldout"]["model"]["final_add"] == pytest.approx(fitted["heldout_error_mean"])
