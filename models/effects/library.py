@@ -245,7 +245,8 @@ class LoadTransfer(Effect):
         kx = cell.spread_xx * bx + cell.spread_xy * by
         ky = cell.spread_xy * bx + cell.spread_yy * by
         shift = kx * (cell.rx - cell.centroid_x) + ky * (cell.ry - cell.centroid_y)
-        # Cells that lift off carry nothing, and as much more is on those in front: the whole carries the weight.
+        # Cells that lift off carry nothing, and as much more is on those in front: the whole carries the
+        # weight.
         return 1 + shift / (1 + shift**6) ** sp.Rational(1, 6)
 
     def remember(self, before: Any, after: Any, p: Any) -> Any:
