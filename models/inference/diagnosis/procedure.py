@@ -33,7 +33,7 @@ LEVEL = 0.02
 MATERIAL = 0.03
 """What gains less than this share on top of an effect's own gain is a matter of its exact form."""
 
-CLEARLY_WORSE = 0.01
+CLEARLY_WORSE = 0.05
 """A candidate whose gain is smaller than the best one's by this share, and by 10 nats, is ruled out by that
 alone."""
 
@@ -208,7 +208,8 @@ class _Inquiry:
         self._refit()
         if self._better_base():
             return self.run()
-        if self.error.motion > ROUGH and self.draws:
+        # Where the noise was declared, what is left beyond it is the model's, however few pushes show it.
+        if self.error.motion > ROUGH and self.draws and not self.noise.declared:
             disagreement = self._disagreement()
             if disagreement is not None:
                 return disagreement
@@ -222,11 +223,16 @@ class _Inquiry:
         for step, name in enumerate(near):
             self.report("asking what is left", step, len(near))
             rest[name] = self._screen(self.fits[name])
-            enough = self.gains[name] > best_gain - max(10.0, CLEARLY_WORSE * best_gain)
+            enough = self.gains[name] > best_gain - max(REST_GAIN, CLEARLY_WORSE * best_gain)
             if self._explains(name, rest[name]) and enough:
                 self.accepted.append(name)
         self.report("asking what is left", len(near), len(near))
-        return self._answer(self.accepted) if self.accepted else self._pairs(near, rest)
+        if not self.accepted:
+            return self._pairs(near, rest)
+        # One that leaves nothing at all beats those that leave a little and explain less.
+        clean = [n for n in self.accepted if self._found(rest[n], REST_GAIN, REST_GAIN) is None]
+        top = max((self.gains[n] for n in clean), default=-np.inf)
+        return self._answer([n for n in self.accepted if n in clean or self.gains[n] > top - REST_GAIN])
 
     def _answer(self, accepted: Sequence[str]) -> _Outcome:
         """One effect, or a set that the data cannot tell apart, best first."""
