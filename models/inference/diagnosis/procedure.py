@@ -33,8 +33,9 @@ LEVEL = 0.02
 MATERIAL = 0.03
 """What gains less than this share on top of an effect's own gain is a matter of its exact form."""
 
-CLEARLY_WORSE = 0.05
-"""A candidate whose gain is smaller than the best one's by this share, and by 10 nats, is ruled out by that
+CLEARLY_WORSE = 0.01
+CLEARLY_WORSE_GAIN = 25.0
+"""A candidate whose gain is smaller than the best one's by this share and by so many nats is ruled out by that
 alone."""
 
 MOST_ASKED = 5
@@ -223,7 +224,7 @@ class _Inquiry:
         for step, name in enumerate(near):
             self.report("asking what is left", step, len(near))
             rest[name] = self._screen(self.fits[name])
-            enough = self.gains[name] > best_gain - max(REST_GAIN, CLEARLY_WORSE * best_gain)
+            enough = self.gains[name] > best_gain - max(CLEARLY_WORSE_GAIN, CLEARLY_WORSE * best_gain)
             if self._explains(name, rest[name]) and enough:
                 self.accepted.append(name)
         self.report("asking what is left", len(near), len(near))
