@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     help="Do not simulate what gains come about by chance: several times faster, without p-values.",
 )  # fmt: skip
 @click.option(
-    "--draws", type=click.IntRange(49, 100_000), default=199, show_default=True, metavar="N",
+    "--draws", type=click.IntRange(99, 100_000), default=199, show_default=True, metavar="N",
     help="Datasets to simulate for the p-values; the smallest p is 1 / (N + 1).",
 )  # fmt: skip
 @seed_option

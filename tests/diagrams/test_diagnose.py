@@ -302,7 +302,7 @@ def test_wrong_use(slipmap, tilted_folder, belief, tmp_path):
     assert said.code == 2 and "exclude each other" in said.err
     said = slipmap(
         "diagnose", tilted_folder, "--draws", 48
-    )  # 1/49 is above the level: nothing could be found
+    )  # 1/99 is above the level: nothing could be found
     assert said.code == 2 and "--draws" in said.err
     said = slipmap("diagnose", tmp_path / "nowhere", "-o", tmp_path / "r.html")
     assert said.code == 2 and "nowhere" in said.err

@@ -27,7 +27,7 @@ def test_from_a_model_that_fails_to_one_that_has_the_effect(slipmap, tmp_path):
     assert error > 5 * before["noise_floor"]["add"]
     assert "delay" in {test["factor"] for test in before["structure"] if test["significant"]}
 
-    said, found = numbers("diagnose", recorded, "--draws", 49, "-o", html)
+    said, found = numbers("diagnose", recorded, "--draws", 99, "-o", html)
     assert (found["verdict"], found["effect"], found["calibrated"]) == ("effect", "sensor_latency", True)
     assert found["p_value"] == pytest.approx(1 / 50)
     assert found["parameters"]["sensor_latency"]["latency"]["value"] == pytest.approx(LATENCY, abs=0.004)

@@ -27,16 +27,16 @@ from models.inference.diagnosis.screening import Screening, screen
 from models.inference.observations import Observation, observe_all
 from models.measurements import DatasetError, PushDataset
 
-LEVEL = 0.02
+LEVEL = 0.01
 """Gains that come about by chance more seldom than this count."""
 
 MATERIAL = 0.03
 """What gains less than this share on top of an effect's own gain is a matter of its exact form."""
 
-CLEARLY_WORSE = 0.01
-CLEARLY_WORSE_GAIN = 25.0
-"""A candidate whose gain is smaller than the best one's by this share and by so many nats is ruled out by that
-alone."""
+CLEARLY_WORSE = 0.02
+CLEARLY_WORSE_GAIN = 40.0
+"""A candidate whose gain is smaller than the best one's by this share and by so many nats is ruled out by
+that alone."""
 
 MOST_ASKED = 5
 MOST_ASKED_QUICKLY = 2
@@ -51,14 +51,14 @@ PROBE_GAIN = 20.0
 """Gain, in nats, below which a probe's finding in the model without effects is put down to the grid and the
 contact, which are not exact."""
 
-REST_GAIN = 10.0
+REST_GAIN = 8.0
 """The same for all that is found on top of an effect, where it may come from the effect's exact form."""
 
 QUICK_GAIN = 8.0
 """Gain, in nats, that counts where chance was not simulated."""
 
 FEWEST_PUSHES = 4
-FEWEST_DRAWS = 49
+FEWEST_DRAWS = 99
 
 Progress = Callable[[str, int, int], None]
 
@@ -229,6 +229,9 @@ class _Inquiry:
                 self.accepted.append(name)
         self.report("asking what is left", len(near), len(near))
         if not self.accepted:
+            if float(self.first.gain.max()) < PROBE_GAIN:
+                sentence = "Something may be missing, but the pushes show too little of it to say what."
+                return _Outcome("undecided", sentence, self.base)
             return self._pairs(near, rest)
         # One that leaves nothing at all beats those that leave a little and explain less.
         clean = [n for n in self.accepted if self._found(rest[n], REST_GAIN, REST_GAIN) is None]
@@ -394,7 +397,8 @@ class _Inquiry:
                 found = self._found(left, REST_GAIN, REST_GAIN)
                 # What is left must be small beside the gain of the second effect, not only of both.
                 second_gain = self.fits[name].cost - pair.cost
-                if found is None or left.gain[found] < 2 * MATERIAL * second_gain:
+                enough = found is None or left.gain[found] < 2 * MATERIAL * second_gain
+                if second_gain > PROBE_GAIN and enough:
                     names = [effect.name for effect in pair.effects]
                     return _Outcome(
                         "effect",
