@@ -104,7 +104,11 @@ class Fitter:
         """Fit the model without effects, from the maps of another fit."""
         prior = self.prior(())
         likelihood = CorrelatedLikelihood(prior, self.observations, error)
-        return _best((), likelihood, start.z[None, : prior.size], np.zeros((1, prior.size)), start.offsets)
+        # Gains are counted from here: what the search leaves undone would be taken for an effect.
+        return _best(
+            (), likelihood, start.z[None, : prior.size], np.zeros((1, prior.size)), start.offsets,
+            iterations=80, tolerance=1e-5,
+        )  # fmt: skip
 
     def from_scratch(self) -> Fitted:
         """Fit the model without effects, and the error model with it.
@@ -188,10 +192,13 @@ def _best(
     starts: FloatArray,
     mean: FloatArray,
     offsets: FloatArray | None,
-    iterations: int = 25,
+    iterations: int = 30,
+    tolerance: float = 2e-4,
 ) -> Fitted:
     shifts = None if offsets is None else np.repeat(offsets[None], len(starts), axis=0)
-    fits = fit(likelihood, starts, prior_mean=mean, offsets=shifts, iterations=iterations)
+    fits = fit(
+        likelihood, starts, prior_mean=mean, offsets=shifts, iterations=iterations, tolerance=tolerance
+    )
     k = int(np.argmin(fits.cost))
     return Fitted(effects, likelihood, fits.z[k], mean[k], fits.offsets[k], float(fits.cost[k]))
 

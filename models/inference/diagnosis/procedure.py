@@ -225,7 +225,7 @@ class _Inquiry:
             self.report("asking what is left", step, len(near))
             rest[name] = self._screen(self.fits[name])
             enough = self.gains[name] > best_gain - max(CLEARLY_WORSE_GAIN, CLEARLY_WORSE * best_gain)
-            if self._explains(name, rest[name]) and enough:
+            if self._explains(name, rest[name]) and enough and self._stands(name):
                 self.accepted.append(name)
         self.report("asking what is left", len(near), len(near))
         if not self.accepted:
@@ -248,6 +248,12 @@ class _Inquiry:
             return _Outcome("effect", sentence, rivals[0], accepted, rivals=rivals)
         sentence = f"An effect is missing; the data cannot tell which of these it is: {names}."
         return _Outcome("ambiguous", sentence, rivals[0], accepted, rivals=rivals)
+
+    def _stands(self, name: str) -> bool:
+        """Whether a candidate's own gain is beyond chance: to first order, or by far when refitted."""
+        gain = float(self.first.gain[[c.name for c in self.first.candidates].index(name)])
+        seen = gain > QUICK_GAIN if not self.draws else self.first.p_value(gain) <= LEVEL
+        return seen or self.gains[name] > 2 * PROBE_GAIN
 
     def _screen(self, fitted: Fitted) -> Screening:
         return screen(
