@@ -29,7 +29,7 @@ def test_from_a_model_that_fails_to_one_that_has_the_effect(slipmap, tmp_path):
 
     said, found = numbers("diagnose", recorded, "--draws", 99, "-o", html)
     assert (found["verdict"], found["effect"], found["calibrated"]) == ("effect", "sensor_latency", True)
-    assert found["p_value"] == pytest.approx(1 / 50)
+    assert found["p_value"] == pytest.approx(1 / 100)
     assert found["parameters"]["sensor_latency"]["latency"]["value"] == pytest.approx(LATENCY, abs=0.004)
     assert found["heldout_error_after"] < 0.2 * found["heldout_error_before"]
     assert said.out.startswith("Verdict: effect. The data miss one effect: sensor_latency.")

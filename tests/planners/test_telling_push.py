@@ -144,7 +144,7 @@ def test_viscous_and_stribeck_are_told_apart_by_speed(world: World) -> None:
 def test_tilt_and_tether_are_told_apart_by_a_reversed_push_or_another_place(world: World) -> None:
     tilt = world.model("table_tilt", (0.06, 0.0))
     stiffness = 0.06 * MASS * 9.81 / 0.2
-    tether = world.model("tether", (stiffness, 0.22, 0.0, 0.0))
+    tether = world.model("tether", (stiffness, 0.22, 0.0, 0.0, 0.0, 0.0))
     told = next_push(world.diagnosis("ambiguous", [tilt, tether]), world.dataset)
     assert told is not None
     assert apart(world, told, tilt, tether) == pytest.approx(told["separation"], rel=0.03)
@@ -166,7 +166,7 @@ def test_tilt_and_tether_are_told_apart_by_a_reversed_push_or_another_place(worl
 
 
 def test_the_push_can_be_made(world: World) -> None:
-    rivals = [world.model("table_tilt", (0.06, 0.0)), world.model("tether", (1.0, 0.2, 0.0, 0.0))]
+    rivals = [world.model("table_tilt", (0.06, 0.0)), world.model("tether", (1.0, 0.2, 0.0, 0.0, 0.0, 0.0))]
     table = Table("rectangle", (0.0, 0.0), size=(0.36, 0.3))
     dataset = replace(world.dataset, table=table)
     for seed in range(3):
@@ -237,7 +237,7 @@ def test_nothing_to_find_out(world: World) -> None:
 
 
 def test_a_seed_gives_the_same_push_in_seconds(world: World) -> None:
-    rivals = [world.model("table_tilt", (0.06, 0.0)), world.model("tether", (1.0, 0.2, 0.0, 0.0))]
+    rivals = [world.model("table_tilt", (0.06, 0.0)), world.model("tether", (1.0, 0.2, 0.0, 0.0, 0.0, 0.0))]
     diagnosis = world.diagnosis("ambiguous", rivals)
     first = next_push(diagnosis, world.dataset, 4)
     began = time.perf_counter()

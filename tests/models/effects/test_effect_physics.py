@@ -116,7 +116,7 @@ def test_patch_and_gradient_of_the_tables_friction() -> None:
 def test_energy_of_a_tether() -> None:
     stiffness, slack, speed = 40.0, 0.1, 0.9
     push = coast_of((speed, 0, 0), 0.15, 1e-4, start=(0.05, 0.0, 0.0))
-    values = [stiffness, 0.0, 0.0, slack]
+    values = [stiffness, 0.0, 0.0, slack, 0.0, 0.0]
     out = slide([EFFECTS["tether"]], values, push, grid=SQUARE, mass=MASS, mu=0.05)
     far, v = out.end[0, 0, 0], out.end[0, 0, 3]
     assert far > slack + 0.04
@@ -129,13 +129,20 @@ def test_energy_of_a_tether() -> None:
 
 
 def test_a_slack_tether_pulls_little_and_one_beyond_pulls_towards_its_anchor() -> None:
-    name, values = "tether", [100.0, 0.3, 0.4, 0.2]
-    body = SimpleNamespace(x=0.0, y=0.0)
+    name, values = "tether", [100.0, 0.3, 0.4, 0.2, 0.0, 0.0]
+    body = SimpleNamespace(x=0.0, y=0.0, cos=0.8, sin=0.6)
     p = SimpleNamespace(**dict(zip([q.name for q in EFFECTS[name].parameters], values, strict=True)))
     fx, fy, torque = (float(value) for value in EFFECTS[name].force(body, p))
     assert (fx, fy, torque) == pytest.approx((100 * 0.3 * 0.6, 100 * 0.3 * 0.8, 0), rel=1e-3)
-    near = SimpleNamespace(x=0.3, y=0.3)
+    near = SimpleNamespace(x=0.3, y=0.3, cos=0.8, sin=0.6)
     assert np.hypot(*(float(f) for f in EFFECTS[name].force(near, p)[:2])) < 0.01 * np.hypot(fx, fy)
+    # Tied at a point that the turned object carries to (0.08, 0.06), it pulls there, and turns the object.
+    p.point_x, p.point_y = 0.1, 0.0
+    gx, gy, turn = (float(value) for value in EFFECTS[name].force(body, p))
+    away = np.array([0.3 - 0.08, 0.4 - 0.06])
+    pull = 100 * (np.hypot(*away) - 0.2) / np.hypot(*away) * away
+    assert (gx, gy) == pytest.approx(tuple(pull), rel=1e-3)
+    assert turn == pytest.approx(0.08 * pull[1] - 0.06 * pull[0], rel=1e-3)
 
 
 def test_latency_shifts_poses_in_time() -> None:
