@@ -48,8 +48,8 @@ AGREEMENT = 0.05
 """Share of sign changes of whole pushes that may gain as much, where the error model is rough."""
 
 PROBE_GAIN = 20.0
-"""Gain, in nats, below which a probe's finding in the model without effects is put down to the grid and the
-contact, which are not exact."""
+"""Gain, in nats, below which a finding in the model without effects may come from the grid and the contact,
+which are not exact: a probe's does not count, and an effect is not named for it."""
 
 REST_GAIN = 8.0
 """The same for all that is found on top of an effect, where it may come from the effect's exact form."""
@@ -250,10 +250,13 @@ class _Inquiry:
         return _Outcome("ambiguous", sentence, rivals[0], accepted, rivals=rivals)
 
     def _stands(self, name: str) -> bool:
-        """Whether a candidate's own gain is beyond chance: to first order, or by far when refitted."""
+        """Whether a candidate's own gain is beyond chance and more than the grid's errors may feign.
+
+        To first order, or by far when refitted.
+        """
         gain = float(self.first.gain[[c.name for c in self.first.candidates].index(name)])
-        seen = gain > QUICK_GAIN if not self.draws else self.first.p_value(gain) <= LEVEL
-        return seen or self.gains[name] > 2 * PROBE_GAIN
+        seen = gain > PROBE_GAIN and (not self.draws or self.first.p_value(gain) <= LEVEL)
+        return seen or self.gains[name] > 3 * PROBE_GAIN
 
     def _screen(self, fitted: Fitted) -> Screening:
         return screen(
