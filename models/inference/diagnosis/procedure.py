@@ -1,12 +1,12 @@
 """Which physical effect do the data miss? The procedure, from pushes to verdict.
 
-1. Some pushes are locked away. The model without effects is fitted to the rest; the error model is
-estimated. 2. Every candidate is added to first order, maps refitted, and scored on pushes left out. The
-largest gain is compared with the largest gain by chance. Where it is no larger, the model is adequate, or
-the data too few. 3. Candidates that gain are refitted in full, under the error model of the best. 4. Each
-that is left is asked the same question again: does anything gain on top of it? The true effect leaves
-nothing to gain; an impostor leaves the true one. Those that pass are the answer: one, or a set. 5. Where
-none passes, pairs are tried; where no pair passes, the effect is unknown to the library.
+1. Some pushes are locked away. The model without effects and the error model are fitted to the rest.
+2. Every candidate is added to first order, maps refitted, and scored on pushes left out. The largest gain is
+   compared with the largest gain by chance. Where it is no larger, the model is adequate, or the data too few.
+3. Candidates are refitted in full, under the error model of the best.
+4. Each that is left is asked the same question again: does anything gain on top of it? The true effect leaves
+   nothing to gain; an impostor leaves the true one. Those that pass are the answer: one, or a set.
+5. Where none passes, pairs are tried; where no pair passes, the effect is unknown to the library.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from models.effects.effect import Effect, Scene, bounds
+from models.effects.effect import Effect, bounds
 from models.effects.library import LIBRARY
 from models.effects.probes import PROBES
 from models.inference.diagnosis.error_model import sensor_noise
@@ -215,7 +215,7 @@ class _Inquiry:
             if disagreement is not None:
                 return disagreement
         if not self.fits:
-            return self._unknown(self.base, self.first)
+            return self._unknown(self.first)
         order = sorted(self.fits, key=lambda name: -self.gains[name])
         best_gain = self.gains[order[0]]
         near = [n for n in order if self.gains[n] > best_gain - max(10.0, 0.6 * best_gain)]
@@ -302,12 +302,10 @@ class _Inquiry:
         return _Outcome("adequate", "The model explains the data; no effect is missing.", self.base)
 
     def _disagreement(self) -> _Outcome | None:
-        """`undecided` where even with the best effect much is left, and the pushes do not agree on what
-        gains.
+        """`undecided` where much is left even with the best effect, and pushes do not agree on what gains.
 
         Then the error model is no more than a description, and chance has to be judged by the pushes alone:
-            by
-        turning round the residuals of whole pushes at random.
+        by turning round the residuals of whole pushes at random.
         """
         p = self.first.p_of_agreement()
         if p <= AGREEMENT:
@@ -384,7 +382,6 @@ class _Inquiry:
 
     def _pairs(self, near: Sequence[str], rest: dict[str, Screening]) -> _Outcome:
         """Two effects at once, the second being what gains most on top of the first."""
-        tried: list[tuple[Fitted, Screening]] = []
         for step, name in enumerate(near[:2]):
             self.report("trying pairs", step, 2)
             screening = rest[name]
@@ -402,7 +399,6 @@ class _Inquiry:
                 if pair is None:
                     continue
                 left = self._screen(pair)
-                tried.append((pair, left))
                 found = self._found(left, REST_GAIN, REST_GAIN)
                 # What is left must be small beside the gain of the second effect, not only of both.
                 second_gain = self.fits[name].cost - pair.cost
@@ -414,9 +410,10 @@ class _Inquiry:
                         f"The data miss two effects at once: {names[0]} and {names[1]}.",
                         pair, names, together=True, rivals=[pair],
                     )  # fmt: skip
-        return self._unknown(self.fits[near[0]], rest[near[0]])
+        return self._unknown(rest[near[0]])
 
-    def _unknown(self, best: Fitted, screening: Screening) -> _Outcome:
+    def _unknown(self, screening: Screening) -> _Outcome:
+        """Structure is left; told by the probe that gains most."""
         probes = [(g, c) for g, c in zip(screening.gain, screening.candidates, strict=True) if c in PROBES]
         _, probe = max(probes, key=lambda pair: pair[0])
         return _Outcome(
@@ -482,4 +479,4 @@ def typical_speed(observations: Sequence[Observation]) -> float:
     return float(np.median(speeds)) if speeds else 0.05
 
 
-__all__ = ["Scene", "diagnose", "parameter_estimates", "typical_speed"]
+__all__ = ["diagnose", "parameter_estimates", "typical_speed"]
