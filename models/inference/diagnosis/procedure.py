@@ -1,11 +1,12 @@
 """Which physical effect do the data miss? The procedure, from pushes to verdict.
 
 1. Some pushes are locked away. The model without effects and the error model are fitted to the rest.
-2. Every candidate is added to first order, maps refitted, and scored on pushes left out. The largest gain is
-   compared with the largest gain by chance. Where it is no larger, the model is adequate, or the data too few.
+2. Every candidate is added to first order, maps refitted, and scored on pushes left out. The largest gain
+   is compared with the largest gain by chance. Where it is no larger, the model is adequate, or the data
+   too few.
 3. Candidates are refitted in full, under the error model of the best.
-4. Each that is left is asked the same question again: does anything gain on top of it? The true effect leaves
-   nothing to gain; an impostor leaves the true one. Those that pass are the answer: one, or a set.
+4. Each that is left is asked the same question again: does anything gain on top of it? The true effect
+   leaves nothing to gain; an impostor leaves the true one. Those that pass are the answer: one, or a set.
 5. Where none passes, pairs are tried; where no pair passes, the effect is unknown to the library.
 """
 
@@ -121,7 +122,7 @@ def diagnose(
         sentence=outcome.sentence,
         effects=outcome.effects,
         together=outcome.together,
-        candidates=tuple(inquiry.candidates()),
+        candidates=tuple(inquiry.candidates(outcome.best)),
         p_value=inquiry.p_value,
         depends_on=outcome.depends_on,
         open_trials=tuple(o.trial for o in observations),
@@ -424,8 +425,9 @@ class _Inquiry:
             depends_on=f"{probe.name}: {probe.sentence}",
         )
 
-    def candidates(self) -> list[CandidateResult]:
-        """All named candidates, best first."""
+    def candidates(self, answer: Fitted) -> list[CandidateResult]:
+        """All named candidates, best first; two effects found together have the parameters of their fit."""
+        together = parameter_estimates(answer) if len(answer.effects) > 1 else ()
         results = []
         for i, effect in enumerate(self.first.candidates):
             if effect not in self.effects:
@@ -442,7 +444,8 @@ class _Inquiry:
                     gain,
                     p,
                     effect.name in self.accepted,
-                    () if fitted is None else parameter_estimates(fitted),
+                    tuple(e for e in together if e.effect == effect.name)
+                    or (() if fitted is None else parameter_estimates(fitted)),
                 )
             )
         return sorted(
