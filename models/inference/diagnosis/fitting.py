@@ -138,6 +138,7 @@ class Fitter:
         values: FloatArray,
         *,
         afresh: bool = False,
+        iterations: int = 30,
     ) -> Fitted | None:
         """Fit the model with some effects.
 
@@ -148,6 +149,7 @@ class Fitter:
             values: (P,) parameters to start from.
             afresh: start a second time from where the forgiving likelihood leads: a model that lacks the
                 effect may have bent its maps too far to find back.
+            iterations: most that each search may take.
 
         Returns:
             The better fit, or None where none can be computed.
@@ -162,13 +164,17 @@ class Fitter:
         found: list[Fitted] = []
         with suppress(RolloutError, np.linalg.LinAlgError):
             if near is not None:
-                found.append(_best(tuple(effects), likelihood, start[None], mean[None], near.offsets))
+                found.append(
+                    _best(tuple(effects), likelihood, start[None], mean[None], near.offsets, iterations)
+                )
         if afresh:
             maps, offsets = self.forgiving_start
             start = np.concatenate([maps, prior.effect_coordinates(values)])
             with suppress(RolloutError, np.linalg.LinAlgError):
                 first = fit(self._forgiving(prior), start[None], prior_mean=mean[None], offsets=offsets[None])
-                found.append(_best(tuple(effects), likelihood, first.z, mean[None], first.offsets[0]))
+                found.append(
+                    _best(tuple(effects), likelihood, first.z, mean[None], first.offsets[0], iterations)
+                )
         return min(found, key=lambda fitted: fitted.cost, default=None)
 
     def scene(self, base: Fitted, speed: float) -> Scene:
