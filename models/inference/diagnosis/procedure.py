@@ -60,7 +60,7 @@ QUICK_GAIN = 8.0
 
 QUICK_ITERATIONS = 1
 QUICK_REFITS = 3
-"""Where chance was not simulated, one step of the full fit chooses the candidates that are refitted in full."""
+"""Where chance was not simulated, one step of the full fit chooses what is refitted in full."""
 
 FEWEST_PUSHES = 4
 FEWEST_DRAWS = 99

@@ -1,0 +1,1 @@
+"""LeafSystems around the models and planners, to be wired to a station."""
