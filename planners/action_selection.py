@@ -1,0 +1,166 @@
+"""Which push to try next on an object that is not known yet: Algorithm 2 of Song and Boularias (IROS 2020).
+
+A force is a vector of 3n numbers there, so that two pushes on different cells always differ by the same
+amount. Here `most-different` measures what is meant: how far apart contact points and directions are, in the
+object's frame, a contact point shifted by the object's radius of gyration counting as much as a direction
+turned by 60°.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from models.inference.belief import Belief
+from models.physics.cell_grid import CellGrid, FloatArray
+from models.physics.paper_notation import add
+from models.physics.rollout import RolloutError
+from planners.exploration import CandidatePush, NoReachablePush, candidate_pushes
+from planners.proposals import turn
+from planners.rehearsal import straight_push
+from planners.table_push import TablePush
+
+STRATEGIES = ("random", "most-different", "most-distinctive")
+
+
+@dataclass
+class PokeSettings:
+    """What pokes are like.
+
+    Attributes:
+        shortest, longest: way of the finger after first touch, m.
+        slowest, fastest: speed of the finger, m/s.
+        approach: way of the finger before first touch, m.
+        cone: largest angle between direction and inward normal, deg.
+        candidates: size of the set to choose from.
+        region: the object's middle is kept within so far of `center`, m.
+        center: (2,) of the region, world, m.
+    """
+
+    shortest: float = 0.04
+    longest: float = 0.08
+    slowest: float = 0.04
+    fastest: float = 0.08
+    approach: float = 0.015
+    cone: float = 25.0
+    candidates: int = 60
+    region: float = 0.1
+    center: tuple[float, float] = (0.0, 0.0)
+
+
+@dataclass(frozen=True, eq=False)
+class Poke:
+    """A push together with where it meets the object.
+
+    Attributes:
+        push: on the table.
+        contact: (2,) point of first touch, object frame, m.
+        direction: (2,) of the finger's motion, object frame.
+    """
+
+    push: TablePush
+    contact: FloatArray
+    direction: FloatArray
+
+    def __deepcopy__(self, memo: object) -> Poke:
+        return self
+
+
+def select_poke(
+    grid: CellGrid,
+    pose: FloatArray,
+    finger_radius: float,
+    *,
+    strategy: str = "most-distinctive",
+    belief: Belief | None = None,
+    past: Sequence[Poke] = (),
+    settings: PokeSettings | None = None,
+    allowed: Callable[[TablePush], bool] = lambda push: True,
+    rng: np.random.Generator,
+) -> Poke:
+    """Choose the next push (Algorithm 2).
+
+    Without past pushes, or without a belief where one is needed, the choice is random.
+
+    Args:
+        grid: the object.
+        pose: (3,) where it lies, world, m and rad.
+        finger_radius: m.
+        strategy: one of `STRATEGIES`.
+        belief: hypotheses that `most-distinctive` compares.
+        past: pushes that were made.
+        settings: what pokes are like.
+        allowed: whether the robot can make a push; asked in order of preference until one is found.
+        rng: source of every draw.
+
+    Raises:
+        ValueError: an unknown strategy.
+        NoReachablePush: no candidate is allowed.
+    """
+    if strategy not in STRATEGIES:
+        raise ValueError(f"unknown strategy {strategy!r}; choose one of {', '.join(STRATEGIES)}")
+    habits = settings or PokeSettings()
+    contacts = candidate_pushes(
+        grid, finger_radius, rng, habits.candidates, length=(habits.shortest, habits.longest),
+        speed=(habits.slowest, habits.fastest), cone=float(np.radians(habits.cone)), approach=habits.approach,
+    )  # fmt: skip
+    pokes = [_poke(contact, pose) for contact in contacts]
+    pokes = [poke for poke in pokes if _stays(poke, grid, pose, habits)]
+    if strategy == "most-different" and past:
+        worth = _differences(pokes, past, grid)
+    elif strategy == "most-distinctive" and belief is not None and past:
+        worth = _disagreements(pokes, pose, belief)
+    else:
+        worth = rng.random(len(pokes))
+    for index in np.argsort(-worth):
+        if allowed(pokes[index].push):
+            return pokes[index]
+    raise NoReachablePush(
+        f"exploration: of {len(contacts)} candidate pushes {len(pokes)} keep the object in its region, and the"
+        " robot can make none of these"
+    )
+
+
+def _poke(contact: CandidatePush, pose: FloatArray) -> Poke:
+    rotation = turn(pose[2])
+    begin = contact.touch - contact.approach * contact.direction
+    end = contact.touch + contact.length * contact.direction
+    push = TablePush(pose[:2] + rotation @ begin, pose[:2] + rotation @ end, contact.speed)
+    return Poke(push, contact.contact, contact.direction)
+
+
+def _stays(poke: Poke, grid: CellGrid, pose: FloatArray, settings: PokeSettings) -> bool:
+    """Whether the object's middle ends in the region, or nearer to it than before."""
+    middle = pose[:2] + turn(pose[2]) @ grid.centers.mean(axis=0) - np.asarray(settings.center)
+    after = middle + poke.push.direction * (poke.push.length - settings.approach)
+    return bool(np.hypot(*after) < max(settings.region, np.hypot(*middle)))
+
+
+def _differences(pokes: Sequence[Poke], past: Sequence[Poke], grid: CellGrid) -> FloatArray:
+    """(S,) distance of each candidate from the past push that is nearest to it (Algorithm 2, line 6)."""
+    spread = grid.centers - grid.centers.mean(axis=0)
+    gyration = float(np.sqrt((spread**2).sum(axis=1).mean()))
+
+    def features(many: Sequence[Poke]) -> FloatArray:
+        return np.array([np.concatenate([p.contact / gyration, p.direction]) for p in many])
+
+    between = features(pokes)[:, None] - features(past)[None]
+    return np.linalg.norm(between, axis=-1).min(axis=1)
+
+
+def _disagreements(pokes: Sequence[Poke], pose: FloatArray, belief: Belief) -> FloatArray:
+    """(S,) mean distance (ADD) between where two hypotheses expect the object after a push, lines 9 to 19.
+
+    Pairs are weighed by their probabilities: what an unlikely hypothesis expects should not decide.
+    """
+    pushes = [straight_push(pose, p.push.begin, p.push.end, p.push.speed) for p in pokes]
+    try:
+        rollouts = belief.slider.rollout(belief.maps, pushes)
+    except RolloutError:
+        return np.zeros(len(pokes))
+    ends = rollouts.end[..., :3].transpose(1, 0, 2)
+    pairs = add(ends[:, :, None], ends[:, None, :], belief.grid.centers)
+    weights = np.outer(belief.probability, belief.probability)
+    return (pairs * weights).sum(axis=(1, 2))

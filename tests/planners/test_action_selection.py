@@ -1,0 +1,122 @@
+"""Algorithm 2: which push is chosen, and what it keeps to."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import shapely
+
+from models.inference.belief import Belief
+from models.objects.hammer import hammer
+from models.physics.rollout import Maps, Smoothing
+from planners.action_selection import STRATEGIES, PokeSettings, select_poke
+from planners.exploration import NoReachablePush
+
+RADIUS = 0.008
+POSE = np.array([0.02, -0.03, 0.7])
+
+
+def a_belief(masses) -> Belief:
+    grid, truth = hammer()
+    return Belief(
+        grid=grid, finger_radius=RADIUS, gravity=9.81,
+        maps=Maps(np.array(masses), np.repeat(truth.mu, len(masses), axis=0), np.full(len(masses), 0.3)),
+        probability=np.full(len(masses), 1 / len(masses)), smoothing=Smoothing(),
+        dataset="", fingerprint="", method="gauss-newton", seed=0,
+    )  # fmt: skip
+
+
+def choose(seed=0, **options):
+    return select_poke(hammer()[0], POSE, RADIUS, rng=np.random.default_rng(seed), **options)
+
+
+def outline_on_table(grid, pose):
+    c, s = np.cos(pose[2]), np.sin(pose[2])
+    return shapely.Polygon(grid.exterior @ np.array([[c, s], [-s, c]]) + pose[:2])
+
+
+@pytest.mark.parametrize("strategy", STRATEGIES)
+def test_a_push_begins_beside_the_object_and_runs_into_it(strategy):
+    grid, truth = hammer()
+    past = [choose(seed) for seed in (5, 6)]
+    poke = choose(strategy=strategy, past=past, belief=a_belief([truth.mass[0], truth.mass[0] * 2]))
+    outline = outline_on_table(grid, POSE)
+    assert outline.distance(shapely.Point(poke.push.begin)) > RADIUS
+    assert outline.distance(shapely.LineString([poke.push.begin, poke.push.end])) == 0
+    habits = PokeSettings()
+    assert habits.shortest <= poke.push.length - habits.approach <= habits.longest
+    assert habits.slowest <= poke.push.speed <= habits.fastest
+
+
+def test_the_most_different_push_is_farther_from_the_past_than_random_ones():
+    past = [choose(seed) for seed in range(4)]
+
+    def nearest(poke):
+        return min(
+            np.hypot(*(poke.contact - p.contact)) / 0.07 + np.hypot(*(poke.direction - p.direction)) for p in past
+        )
+
+    chosen = [nearest(choose(seed, strategy="most-different", past=past)) for seed in range(10, 20)]
+    drawn = [nearest(choose(seed, strategy="random", past=past)) for seed in range(10, 20)]
+    assert np.mean(chosen) > 1.3 * np.mean(drawn)
+
+
+def test_the_most_distinctive_push_is_where_hypotheses_disagree():
+    """Hypotheses that differ in where the mass is turn differently; the chosen push must show it more."""
+    grid, truth = hammer()
+    uniform = np.full(len(grid), truth.mass.sum() / len(grid))
+    belief = a_belief([truth.mass[0], uniform])
+
+    def gap(poke):
+        from planners.rehearsal import straight_push
+
+        out = belief.slider.rollout(
+            belief.maps, [straight_push(POSE, poke.push.begin, poke.push.end, poke.push.speed)]
+        )
+        return np.hypot(*(out.end[0, 0, :2] - out.end[1, 0, :2])) + 0.05 * abs(out.end[0, 0, 2] - out.end[1, 0, 2])
+
+    past = [choose(99)]
+    chosen = [gap(choose(s, strategy="most-distinctive", past=past, belief=belief)) for s in range(4)]
+    drawn = [gap(choose(s, strategy="random", past=past, belief=belief)) for s in range(12)]
+    assert min(chosen) > np.mean(drawn)
+    assert np.mean(chosen) > 2 * np.mean(drawn)
+
+
+def test_a_hypothesis_without_probability_decides_nothing():
+    grid, truth = hammer()
+    rng = np.random.default_rng(1)
+    wild = truth.mass[0] * rng.uniform(0.1, 3.0, len(grid))
+    three = a_belief([truth.mass[0], truth.mass[0] * 1.5, wild])
+    impossible = replace(three, probability=np.array([0.5, 0.5, 0.0]))
+    two = a_belief([truth.mass[0], truth.mass[0] * 1.5])
+    options = {"strategy": "most-distinctive", "past": [choose(99)]}
+    a, b = (choose(3, belief=belief, **options) for belief in (impossible, two))
+    assert np.array_equal(a.push.begin, b.push.begin)
+
+
+def test_the_object_stays_in_its_region():
+    far = np.array([0.3, 0.0, 0.2])
+    grid = hammer()[0]
+    for seed in range(10):
+        poke = select_poke(grid, far, RADIUS, strategy="random", rng=np.random.default_rng(seed))
+        c, s = np.cos(far[2]), np.sin(far[2])
+        middle = far[:2] + np.array([[c, -s], [s, c]]) @ grid.centers.mean(axis=0)
+        way = poke.push.direction * (poke.push.length - PokeSettings().approach)
+        assert np.hypot(*(middle + way)) < np.hypot(*middle)
+
+
+def test_what_the_robot_cannot_do_is_passed_over():
+    poke = choose(allowed=lambda push: push.begin[0] > POSE[0])
+    assert poke.push.begin[0] > POSE[0]
+    with pytest.raises(NoReachablePush, match="the robot can make none"):
+        choose(allowed=lambda push: False)
+
+
+def test_a_strategy_must_be_known():
+    with pytest.raises(ValueError, match="random, most-different, most-distinctive"):
+        choose(strategy="best")
+
+
+def test_the_same_draws_give_the_same_push():
+    a, b = choose(7), choose(7)
+    assert np.array_equal(a.push.begin, b.push.begin) and not np.array_equal(a.push.begin, choose(8).push.begin)
