@@ -18,36 +18,12 @@ from models.physics.cell_grid import CellGrid, FloatArray
 from models.physics.paper_notation import add
 from models.physics.rollout import RolloutError
 from planners.exploration import CandidatePush, NoReachablePush, candidate_pushes
+from planners.poke_settings import PokeSettings
 from planners.proposals import turn
 from planners.rehearsal import straight_push
 from planners.table_push import TablePush
 
 STRATEGIES = ("random", "most-different", "most-distinctive")
-
-
-@dataclass
-class PokeSettings:
-    """What pokes are like.
-
-    Attributes:
-        shortest, longest: way of the finger after first touch, m.
-        slowest, fastest: speed of the finger, m/s.
-        approach: way of the finger before first touch, m.
-        cone: largest angle between direction and inward normal, deg.
-        candidates: size of the set to choose from.
-        region: the object's middle is kept within so far of `center`, m.
-        center: (2,) of the region, world, m.
-    """
-
-    shortest: float = 0.04
-    longest: float = 0.08
-    slowest: float = 0.04
-    fastest: float = 0.08
-    approach: float = 0.015
-    cone: float = 25.0
-    candidates: int = 60
-    region: float = 0.1
-    center: tuple[float, float] = (0.0, 0.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,8 +94,8 @@ def select_poke(
         if allowed(pokes[index].push):
             return pokes[index]
     raise NoReachablePush(
-        f"exploration: of {len(contacts)} candidate pushes {len(pokes)} keep the object in its region, and the"
-        " robot can make none of these"
+        f"exploration: of {len(contacts)} candidate pushes {len(pokes)} keep the object in its region,"
+        " and the robot can make none of these"
     )
 
 

@@ -9,8 +9,9 @@ import shapely
 from models.inference.belief import Belief
 from models.objects.hammer import hammer
 from models.physics.rollout import Maps, Smoothing
-from planners.action_selection import STRATEGIES, PokeSettings, select_poke
+from planners.action_selection import STRATEGIES, select_poke
 from planners.exploration import NoReachablePush
+from planners.poke_settings import PokeSettings
 
 RADIUS = 0.008
 POSE = np.array([0.02, -0.03, 0.7])
@@ -53,7 +54,8 @@ def test_the_most_different_push_is_farther_from_the_past_than_random_ones():
 
     def nearest(poke):
         return min(
-            np.hypot(*(poke.contact - p.contact)) / 0.07 + np.hypot(*(poke.direction - p.direction)) for p in past
+            np.hypot(*(poke.contact - p.contact)) / 0.07 + np.hypot(*(poke.direction - p.direction))
+            for p in past
         )
 
     chosen = [nearest(choose(seed, strategy="most-different", past=past)) for seed in range(10, 20)]
@@ -73,7 +75,9 @@ def test_the_most_distinctive_push_is_where_hypotheses_disagree():
         out = belief.slider.rollout(
             belief.maps, [straight_push(POSE, poke.push.begin, poke.push.end, poke.push.speed)]
         )
-        return np.hypot(*(out.end[0, 0, :2] - out.end[1, 0, :2])) + 0.05 * abs(out.end[0, 0, 2] - out.end[1, 0, 2])
+        return np.hypot(*(out.end[0, 0, :2] - out.end[1, 0, :2])) + 0.05 * abs(
+            out.end[0, 0, 2] - out.end[1, 0, 2]
+        )
 
     past = [choose(99)]
     chosen = [gap(choose(s, strategy="most-distinctive", past=past, belief=belief)) for s in range(4)]
@@ -119,4 +123,6 @@ def test_a_strategy_must_be_known():
 
 def test_the_same_draws_give_the_same_push():
     a, b = choose(7), choose(7)
-    assert np.array_equal(a.push.begin, b.push.begin) and not np.array_equal(a.push.begin, choose(8).push.begin)
+    assert np.array_equal(a.push.begin, b.push.begin) and not np.array_equal(
+        a.push.begin, choose(8).push.begin
+    )
