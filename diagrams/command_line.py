@@ -20,6 +20,7 @@ from diagrams.commands.compare import compare
 from diagrams.commands.demo import demo
 from diagrams.commands.diagnose import diagnose
 from diagrams.commands.effects import effects
+from diagrams.commands.explore import explore
 from diagrams.commands.fit import fit
 from diagrams.commands.identify import identify
 from diagrams.commands.predict import predict
@@ -67,7 +68,7 @@ def slipmap(ctx: click.Context) -> None:
         ctx.exit(WRONG_USE)
 
 
-for _command in (demo, identify, predict, compare, diagnose, fit, effects, calibrate, blind_test, bench):
+for _command in (demo, explore, identify, predict, compare, diagnose, fit, effects, calibrate, blind_test, bench):
     slipmap.add_command(_command)
 
 

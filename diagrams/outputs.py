@@ -92,8 +92,17 @@ def write_json(path: Path, document: Mapping[str, Any]) -> None:
         BadInput: the place cannot be written to.
     """
     text = json.dumps(plain(document), indent=2, sort_keys=True, ensure_ascii=False, allow_nan=False)
+    write_text(path, text + "\n")
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write a text.
+
+    Raises:
+        BadInput: the place cannot be written to.
+    """
     with whole_file(path) as part:
-        part.write_text(text + "\n", encoding="utf-8")
+        part.write_text(text, encoding="utf-8")
 
 
 def write_figures(path: Path, figures: Sequence[Figure]) -> list[Path]:

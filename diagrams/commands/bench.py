@@ -6,13 +6,13 @@ from pathlib import Path
 
 import click
 
-from diagrams.commands.options import json_option
+from diagrams.commands import options
 from diagrams.console import Progress, prepare_kernels
 from diagrams.outputs import write_json
 
 
 @click.command()
-@json_option
+@options.json_option
 def bench(json_file: Path | None) -> None:
     """Measure how fast pushes are simulated here, beside other engines where they are installed."""
     with Progress() as progress:

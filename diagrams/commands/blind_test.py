@@ -17,7 +17,7 @@ from typing import Any
 
 import click
 
-from diagrams.commands.options import seed_option
+from diagrams.commands import options
 from diagrams.console import BadInput, note, prepare_kernels
 from diagrams.outputs import make_folder, whole_file, write_json
 
@@ -26,7 +26,7 @@ RESULT, FAILURE = ".result.json", ".failure.json"
 
 
 @click.command("blind-test")
-@seed_option
+@options.seed_option
 @click.option(
     "--count", type=click.IntRange(1, 10_000), default=20, show_default=True, metavar="M",
     help="Datasets, one for each seed from SEED on.",

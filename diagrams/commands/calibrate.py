@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from diagrams.commands.options import PICTURES, OutputFile, json_option, seed_option
+from diagrams.commands import options
 from diagrams.console import Progress, note, prepare_kernels, table
 from diagrams.outputs import write_figures, write_json
 
@@ -22,15 +22,15 @@ LEVEL = 0.9
     "--objects", type=click.IntRange(1, 10_000), default=40, show_default=True, metavar="N",
     help="Objects to simulate; the more, the sharper the answer.",
 )  # fmt: skip
-@seed_option
+@options.seed_option
 @click.option(
     "-o",
     "--output",
-    type=OutputFile(*PICTURES),
+    type=options.OutputFile(*options.PICTURES),
     metavar="FILE",
     help="Picture of the reliability curves (.png, .pdf or .svg).",
 )
-@json_option
+@options.json_option
 def calibrate(objects: int, seed: int, output: Path | None, json_file: Path | None) -> None:
     """Check that 90 % intervals hold the truth 90 % of the time.
 

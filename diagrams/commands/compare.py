@@ -8,19 +8,9 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from diagrams.commands.options import (
-    OutputFile,
-    dataset_argument,
-    effect_file_option,
-    effect_option,
-    find_effects,
-    json_option,
-    load_dataset,
-    object_option,
-    seed_option,
-)
+from diagrams.commands import options
 from diagrams.console import BadInput, Progress, note, paragraph, prepare_kernels
-from diagrams.outputs import whole_file, write_json
+from diagrams.outputs import write_json, write_text
 
 if TYPE_CHECKING:
     from models.effects.effect import Effect
@@ -30,23 +20,16 @@ if TYPE_CHECKING:
 
 
 @click.command()
-@dataset_argument
-@click.option(
-    "--belief", "belief_file", type=click.Path(path_type=Path), metavar="FILE",
-    help="Belief that `slipmap identify` or `slipmap fit` wrote; without it the fit pushes are learnt from"
-    " first.",
-)  # fmt: skip
-@effect_option(
+@options.dataset_argument
+@options.belief_option(required=False, more="; without it the fit pushes are learnt from first")
+@options.effect_option(
     required=False, purpose="Compare the model without effects, and with this one, both learnt alike"
 )
-@effect_file_option
-@click.option(
-    "-o", "--output", type=OutputFile("html", "htm"), default="comparison.html", show_default=True,
-    metavar="FILE", help="The report, one file for any browser; it needs no network.",
-)  # fmt: skip
-@seed_option
-@object_option
-@json_option
+@options.effect_file_option
+@options.report_option("comparison.html")
+@options.seed_option
+@options.object_option
+@options.json_option
 def compare(
     dataset: Path,
     belief_file: Path | None,
@@ -72,11 +55,11 @@ def compare(
             "--belief and --effect exclude each other: a belief brings its effects along (`slipmap fit` adds"
             " them), and --effect learns two new models"
         )
-    known = find_effects(effect_files)
+    known = options.find_effects(effect_files)
     effects = effects_named(effect_names, known)
     belief = Belief.load(belief_file, known) if belief_file is not None else None
     with Progress() as progress:
-        measured = load_dataset(dataset, object_name, progress)
+        measured = options.load_dataset(dataset, object_name, progress)
         prepare_kernels()
         if belief is not None:
             models = {"model": belief}
@@ -91,9 +74,7 @@ def compare(
             for label, model in models.items()
         ]
         progress("drawing", 0, 1)
-        text = report(results, measured)
-        with whole_file(output) as part:
-            part.write_text(text, encoding="utf-8")
+        write_text(output, report(results, measured))
         progress("drawing", 1, 1)
     if json_file is not None:
         write_json(json_file, _document(results, effect_names))
@@ -103,37 +84,34 @@ def compare(
 
 def report(comparisons: list[Comparison], dataset: PushDataset) -> str:
     """The HTML of one model, or of two over the same pushes."""
-    from diagrams.comparison_words import finding, summary, summary_of_two
     from diagrams.html_report import check_same_pushes, comparison_sections, page
 
     first = comparisons[0]
     learnt = "" if first.learnt_from == first.dataset else f", model learnt from {first.learnt_from}"
     subtitle = f"{len(first.pushes)} measured pushes of {len(dataset.grid)} cells{learnt}; seed {first.seed}"
     check_same_pushes(comparisons)
-    lead = [summary(first), finding(first)]
-    if len(comparisons) > 1:
-        lead = [summary_of_two(*comparisons), *(f"{c.label}: {finding(c)}" for c in comparisons)]
-    return page(
-        f"{dataset.name}: model against measurement",
-        subtitle,
-        lead,
-        comparison_sections(comparisons, dataset),
-    )
+    title = f"{dataset.name}: model against measurement"
+    return page(title, subtitle, _told(comparisons), comparison_sections(comparisons, dataset))
 
 
 def show(results: Sequence[Comparison]) -> None:
     """Print what was found of one model, or of two over the same pushes."""
-    from diagrams.comparison_words import finding, summary, summary_of_two
     from diagrams.reports import show_comparison
 
     first = results[0]
     click.echo(f"{first.dataset}, {len(first.pushes)} pushes; model learnt from {first.learnt_from}\n")
     show_comparison(results)
-    told = [summary(first), finding(first)]
-    if len(results) > 1:
-        told = [summary_of_two(*results), *(f"{result.label}: {finding(result)}" for result in results)]
-    for text in told:
+    for text in _told(results):
         paragraph(text)
+
+
+def _told(results: Sequence[Comparison]) -> list[str]:
+    """What was found, in words."""
+    from diagrams.comparison_words import finding, summary, summary_of_two
+
+    if len(results) == 1:
+        return [summary(results[0]), finding(results[0])]
+    return [summary_of_two(*results), *(f"{result.label}: {finding(result)}" for result in results)]
 
 
 def _document(results: Sequence[Comparison], effect_names: Sequence[str]) -> dict[str, Any]:

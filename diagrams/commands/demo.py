@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from diagrams.commands.identify import draw, show
-from diagrams.commands.options import json_option, load_dataset, seed_option
+from diagrams.commands import options
+from diagrams.commands.identify import keep, show, tell_files
 from diagrams.console import Progress, note, prepare_kernels, table
 from diagrams.outputs import make_folder, write_json, writing
 
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     "-o", "--output", "folder", type=click.Path(path_type=Path), default="demo", show_default=True,
     metavar="DIR", help="Folder for everything that the demo makes.",
 )  # fmt: skip
-@seed_option
+@options.seed_option
 @click.option(
     "--fit-pushes",
     type=click.IntRange(1, 100),
@@ -39,7 +39,7 @@ if TYPE_CHECKING:
     metavar="N",
     help="Pushes to judge with.",
 )
-@json_option
+@options.json_option
 def demo(folder: Path, seed: int, fit_pushes: int, heldout_pushes: int, json_file: Path | None) -> None:
     """Show the whole way on a simulated hammer; needs no data.
 
@@ -47,7 +47,7 @@ def demo(folder: Path, seed: int, fit_pushes: int, heldout_pushes: int, json_fil
     dataset, identifies its maps from that alone, and holds what it believes against the truth.
     """
     make_folder(folder)
-    place = folder / "hammer"
+    place, belief = folder / "hammer", folder / "belief.npz"
     with Progress() as progress:
         prepare_kernels()
         progress("pushing the hammer", 0, 1)
@@ -59,18 +59,16 @@ def demo(folder: Path, seed: int, fit_pushes: int, heldout_pushes: int, json_fil
         with writing(place):
             write_dataset(recorded, place, overwrite=True)
         progress("pushing the hammer", 1, 1)
-        dataset = load_dataset(place, None, progress)
+        dataset = options.load_dataset(place, None, progress)
         result = identification.identify(dataset, seed=seed, progress=progress)
-        result.belief.save(folder / "belief.npz")
-        drawn = draw(result, dataset, folder, "belief", progress, truth)
+        drawn = keep(result, dataset, belief, None, progress, truth)
     comparison = _against_truth(result, truth)
     if json_file is not None:
         write_json(json_file, {**result.to_json(), "truth": comparison})
     show(result, dataset)
     _show_comparison(result, comparison)
-    note(f"pushes:  {place}\nbelief:  {folder / 'belief.npz'}")
-    for path in drawn:
-        note(f"picture: {path}")
+    note(f"pushes: {place}")
+    tell_files(belief, drawn)
     note(
         f"Next: look at the pictures, or learn from fewer pushes with"
         f" `slipmap identify {place} -o {folder / 'fewer.npz'} --fit-pushes 2`."

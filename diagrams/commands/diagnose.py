@@ -8,18 +8,9 @@ from typing import TYPE_CHECKING
 
 import click
 
-from diagrams.commands.options import (
-    OutputFile,
-    dataset_argument,
-    effect_file_option,
-    find_effects,
-    json_option,
-    load_dataset,
-    object_option,
-    seed_option,
-)
+from diagrams.commands import options
 from diagrams.console import Progress, note, prepare_kernels
-from diagrams.outputs import whole_file, write_json
+from diagrams.outputs import write_json, write_text
 
 if TYPE_CHECKING:
     from models.inference.diagnosis import Diagnosis
@@ -27,8 +18,8 @@ if TYPE_CHECKING:
 
 
 @click.command()
-@dataset_argument
-@effect_file_option
+@options.dataset_argument
+@options.effect_file_option
 @click.option(
     "--quick", is_flag=True,
     help="Do not simulate what gains come about by chance: several times faster, without p-values.",
@@ -37,13 +28,10 @@ if TYPE_CHECKING:
     "--draws", type=click.IntRange(99, 100_000), default=199, show_default=True, metavar="N",
     help="Datasets to simulate for the p-values; the smallest p is 1 / (N + 1).",
 )  # fmt: skip
-@seed_option
-@click.option(
-    "-o", "--output", type=OutputFile("html", "htm"), default="diagnosis.html", show_default=True,
-    metavar="FILE", help="The report, one file for any browser; it needs no network.",
-)  # fmt: skip
-@object_option
-@json_option
+@options.seed_option
+@options.report_option("diagnosis.html")
+@options.object_option
+@options.json_option
 def diagnose(
     dataset: Path,
     effect_files: tuple[Path, ...],
@@ -61,9 +49,9 @@ def diagnose(
     one effect, a set that the data cannot tell apart, none, something unknown, or too little data. A share
     of the pushes is locked away before and judges the answer.
     """
-    effects = find_effects(effect_files)
+    effects = options.find_effects(effect_files)
     with Progress() as progress:
-        measured = load_dataset(dataset, object_name, progress)
+        measured = options.load_dataset(dataset, object_name, progress)
         prepare_kernels()
         from models.inference.diagnosis import diagnose as inquire
 
@@ -71,9 +59,7 @@ def diagnose(
         result = _with_next_push(result, measured, progress)
         from diagrams.diagnosis_report import diagnosis_report
 
-        text = diagnosis_report(result, measured, effects, progress)
-        with whole_file(output) as part:
-            part.write_text(text, encoding="utf-8")
+        write_text(output, diagnosis_report(result, measured, effects, progress))
     if json_file is not None:
         write_json(json_file, result.to_json())
     from diagrams.diagnosis_tables import show_diagnosis

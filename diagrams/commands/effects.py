@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from diagrams.commands.options import PICTURES, OutputFile, json_option
+from diagrams.commands import options
 from diagrams.console import WIDTH, BadInput, note, prepare_kernels, table
 from diagrams.outputs import write_figures, write_json
 
@@ -17,26 +17,17 @@ if TYPE_CHECKING:
     from models.effects import Effect, Parameter
     from models.effects.written import Written
 
-effect_file_option = click.option(
-    "--effect-file",
-    "effect_files",
-    type=click.Path(path_type=Path),
-    multiple=True,
-    metavar="FILE",
-    help="Python file with effects of your own; may be given several times.",
-)
-
 
 @click.command()
 @click.argument("name", required=False)
-@effect_file_option
+@options.effect_file_option
 @click.option(
     "--picture",
-    type=OutputFile(*PICTURES),
+    type=options.OutputFile(*options.PICTURES),
     metavar="FILE",
     help="Draw what the effect does to one push (.png, .pdf or .svg).",
 )
-@json_option
+@options.json_option
 def effects(
     name: str | None, effect_files: tuple[Path, ...], picture: Path | None, json_file: Path | None
 ) -> None:

@@ -8,19 +8,9 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from diagrams.commands.identify import draw, show
-from diagrams.commands.options import (
-    OutputFile,
-    dataset_argument,
-    effect_file_option,
-    effect_option,
-    find_effects,
-    json_option,
-    load_dataset,
-    object_option,
-    seed_option,
-)
-from diagrams.console import Progress, note, prepare_kernels
+from diagrams.commands import options
+from diagrams.commands.identify import keep, show, tell_files
+from diagrams.console import Progress, paragraph, prepare_kernels
 from diagrams.outputs import make_folder, write_json
 
 if TYPE_CHECKING:
@@ -29,24 +19,15 @@ if TYPE_CHECKING:
 
 
 @click.command()
-@dataset_argument
-@effect_option(required=True, purpose="Effect to add to the model")
-@effect_file_option
-@click.option(
-    "-o", "--output", type=OutputFile(), required=True, metavar="FILE",
-    help="Where the belief goes, such as belief.npz.",
-)  # fmt: skip
-@click.option(
-    "--hypotheses", type=click.IntRange(2, 1000), default=20, show_default=True, metavar="K",
-    help="Hypotheses to find.",
-)  # fmt: skip
-@seed_option
-@object_option
-@click.option(
-    "--pictures", type=click.Path(path_type=Path), metavar="DIR",
-    help="Folder for the pictures; beside the belief if not given.",
-)  # fmt: skip
-@json_option
+@options.dataset_argument
+@options.effect_option(required=True, purpose="Effect to add to the model")
+@options.effect_file_option
+@options.belief_output_option
+@options.hypotheses_option
+@options.seed_option
+@options.object_option
+@options.pictures_option
+@options.json_option
 def fit(
     dataset: Path,
     effect_names: tuple[str, ...],
@@ -68,25 +49,22 @@ def fit(
     """
     from models.effects.registry import effects_named
 
-    effects = effects_named(effect_names, find_effects(effect_files))
+    effects = effects_named(effect_names, options.find_effects(effect_files))
     with Progress() as progress:
-        measured = load_dataset(dataset, object_name, progress)
+        measured = options.load_dataset(dataset, object_name, progress)
         if pictures is not None:
             make_folder(pictures)
         prepare_kernels()
         from models.inference.diagnosis.effect_fit import fit_effects
 
         result = fit_effects(measured, effects, hypotheses=hypotheses, seed=seed, progress=progress)
-        result.belief.save(output)
-        drawn = draw(result, measured, pictures or output.parent, output.stem, progress)
+        drawn = keep(result, measured, output, pictures, progress)
     estimates = effect_estimates(result, effects)
     if json_file is not None:
         write_json(json_file, {**result.to_json(), "effects": estimates})
     show(result, measured)
     _show_effects(result, effects)
-    note(f"belief: {output}")
-    for path in drawn:
-        note(f"picture: {path}")
+    tell_files(output, drawn)
 
 
 def effect_estimates(result: Identification, effects: Sequence[Effect]) -> dict[str, dict[str, Any]]:
@@ -105,7 +83,6 @@ def effect_estimates(result: Identification, effects: Sequence[Effect]) -> dict[
 
 
 def _show_effects(result: Identification, effects: Sequence[Effect]) -> None:
-    from diagrams.console import paragraph
     from diagrams.effect_words import effect_in_words
     from models.inference.diagnosis.results import ParameterEstimate
 

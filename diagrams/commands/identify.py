@@ -2,19 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
-from diagrams.commands.options import (
-    OutputFile,
-    dataset_argument,
-    json_option,
-    load_dataset,
-    object_option,
-    seed_option,
-)
+from diagrams.commands import options
 from diagrams.console import BadInput, Progress, note, prepare_kernels
 from diagrams.outputs import make_folder, write_figures, write_json
 
@@ -25,15 +19,8 @@ if TYPE_CHECKING:
 
 
 @click.command()
-@dataset_argument
-@click.option(
-    "-o",
-    "--output",
-    type=OutputFile(),
-    required=True,
-    metavar="FILE",
-    help="Where the belief goes, such as belief.npz.",
-)
+@options.dataset_argument
+@options.belief_output_option
 @click.option(
     "--method",
     type=click.Choice(["gauss-newton", "paper"]),
@@ -41,26 +28,14 @@ if TYPE_CHECKING:
     show_default=True,
     help="How maps are found; `paper` is Algorithm 1 of Song and Boularias (2020) as printed.",
 )
-@click.option(
-    "--hypotheses",
-    type=click.IntRange(2, 1000),
-    default=20,
-    show_default=True,
-    metavar="K",
-    help="Hypotheses to find.",
-)
-@seed_option
+@options.hypotheses_option
+@options.seed_option
 @click.option(
     "--fit-pushes", type=click.IntRange(1), metavar="N", help="Learn from the first N fit pushes alone."
 )
-@object_option
-@click.option(
-    "--pictures",
-    type=click.Path(path_type=Path),
-    metavar="DIR",
-    help="Folder for the pictures; beside the belief if not given.",
-)
-@json_option
+@options.object_option
+@options.pictures_option
+@options.json_option
 def identify(
     dataset: Path,
     output: Path,
@@ -81,7 +56,7 @@ def identify(
     predicted (belief.pushes.png), and prints how well it predicts and what these pushes pin down.
     """
     with Progress() as progress:
-        measured = load_dataset(dataset, object_name, progress)
+        measured = options.load_dataset(dataset, object_name, progress)
         if fit_pushes is not None:
             measured = _first_pushes(measured, fit_pushes)
         if pictures is not None:
@@ -92,31 +67,30 @@ def identify(
         result = identification.identify(
             measured, method=method, hypotheses=hypotheses, seed=seed, progress=progress
         )
-        result.belief.save(output)
-        drawn = draw(result, measured, pictures or output.parent, output.stem, progress)
+        drawn = keep(result, measured, output, pictures, progress)
     if json_file is not None:
         write_json(json_file, result.to_json())
     show(result, measured)
-    note(f"belief: {output}")
-    for path in drawn:
-        note(f"picture: {path}")
+    tell_files(output, drawn)
 
 
-def draw(
+def keep(
     result: Identification,
     dataset: PushDataset,
-    folder: Path,
-    stem: str,
+    output: Path,
+    pictures: Path | None,
     progress: Progress,
     truth: Maps | None = None,
 ) -> list[Path]:
-    """Write the pictures of an identification and return their paths."""
+    """Write a belief, and its pictures to a folder or beside it; returns the paths of the pictures."""
     from diagrams.figures import maps_figure, push_figures
 
+    result.belief.save(output)
+    folder = pictures or output.parent
     progress("drawing", 0, 2)
-    paths = write_figures(folder / f"{stem}.maps.png", [maps_figure(result.belief, truth=truth)])
+    paths = write_figures(folder / f"{output.stem}.maps.png", [maps_figure(result.belief, truth=truth)])
     progress("drawing", 1, 2)
-    paths += write_figures(folder / f"{stem}.pushes.png", push_figures(result.pushes, dataset))
+    paths += write_figures(folder / f"{output.stem}.pushes.png", push_figures(result.pushes, dataset))
     progress("drawing", 2, 2)
     return paths
 
@@ -132,6 +106,13 @@ def show(result: Identification, dataset: PushDataset) -> None:
     )
     show_errors(result.pushes)
     show_quantities(result.quantities)
+
+
+def tell_files(belief: Path, pictures: Sequence[Path]) -> None:
+    """Say where a belief and its pictures are."""
+    note(f"belief: {belief}")
+    for path in pictures:
+        note(f"picture: {path}")
 
 
 def _first_pushes(dataset: PushDataset, count: int) -> PushDataset:

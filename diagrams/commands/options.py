@@ -58,6 +58,36 @@ effect_file_option = click.option(
 )  # fmt: skip
 
 
+belief_output_option = click.option(
+    "-o", "--output", type=OutputFile(), required=True, metavar="FILE",
+    help="Where the belief goes, such as belief.npz.",
+)  # fmt: skip
+hypotheses_option = click.option(
+    "--hypotheses", type=click.IntRange(2, 1000), default=20, show_default=True, metavar="K",
+    help="Hypotheses to find.",
+)  # fmt: skip
+pictures_option = click.option(
+    "--pictures", type=click.Path(path_type=Path), metavar="DIR",
+    help="Folder for the pictures; beside the belief if not given.",
+)  # fmt: skip
+
+
+def belief_option(*, required: bool, more: str = "") -> Callable[[Command], Command]:
+    """The option `--belief FILE`."""
+    return click.option(
+        "--belief", "belief_file", type=click.Path(path_type=Path), required=required, metavar="FILE",
+        help=f"Belief that `slipmap identify` or `slipmap fit` wrote{more}.",
+    )  # fmt: skip
+
+
+def report_option(default: str) -> Callable[[Command], Command]:
+    """The option `--output FILE` of a report for a browser."""
+    return click.option(
+        "-o", "--output", type=OutputFile("html", "htm"), default=default, show_default=True, metavar="FILE",
+        help="The report, one file for any browser; it needs no network.",
+    )  # fmt: skip
+
+
 def effect_option(*, required: bool, purpose: str) -> Callable[[Command], Command]:
     """The option `--effect NAME`, which may be given several times."""
     return click.option(

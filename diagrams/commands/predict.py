@@ -8,16 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from diagrams.commands.options import (
-    PICTURES,
-    OutputFile,
-    dataset_argument,
-    effect_file_option,
-    find_effects,
-    json_option,
-    load_dataset,
-    object_option,
-)
+from diagrams.commands import options
 from diagrams.console import Progress, note, prepare_kernels
 from diagrams.outputs import write_figures, write_json
 
@@ -27,19 +18,17 @@ if TYPE_CHECKING:
 
 
 @click.command()
-@dataset_argument
+@options.dataset_argument
+@options.belief_option(required=True)
 @click.option(
-    "--belief", "belief_file", type=click.Path(path_type=Path), required=True, metavar="FILE",
-    help="Belief that `slipmap identify` or `slipmap fit` wrote.",
-)  # fmt: skip
-@click.option(
-    "-o", "--output", type=OutputFile(*PICTURES), default="predictions.png", show_default=True,
-    metavar="FILE", help="Picture of the pushes (.png, .pdf or .svg); after each 24 pushes a further page,"
+    "-o", "--output", type=options.OutputFile(*options.PICTURES), default="predictions.png",
+    show_default=True, metavar="FILE",
+    help="Picture of the pushes (.png, .pdf or .svg); after each 24 pushes a further page,"
     " predictions.2.png and on.",
 )  # fmt: skip
-@effect_file_option
-@object_option
-@json_option
+@options.effect_file_option
+@options.object_option
+@options.json_option
 def predict(
     dataset: Path,
     belief_file: Path,
@@ -56,9 +45,9 @@ def predict(
     """
     from models.inference.belief import Belief
 
-    belief = Belief.load(belief_file, find_effects(effect_files))
+    belief = Belief.load(belief_file, options.find_effects(effect_files))
     with Progress() as progress:
-        measured = load_dataset(dataset, object_name, progress)
+        measured = options.load_dataset(dataset, object_name, progress)
         prepare_kernels()
         from models.inference import prediction
 

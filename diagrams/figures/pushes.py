@@ -15,6 +15,7 @@ from matplotlib.patheffects import withStroke
 from diagrams.figures.outlines import outline_path, placed, scale_bar
 from diagrams.figures.style import BELIEF, FAINT, FINGER, INK, PAPER, styled
 from diagrams.wording import ROLES, short_name
+from models.inference.push_errors import radius_of_gyration
 from models.inference.results import PushPrediction
 from models.measurements import PushDataset, Trial, finger_path
 from models.physics.cell_grid import CellGrid, FloatArray
@@ -95,9 +96,9 @@ def _scene(push: PushPrediction, trial: Trial, dataset: PushDataset) -> _Scene:
 def _way(poses: FloatArray, grid: CellGrid) -> FloatArray:
     """(S,) way of the cells until each pose but the first, m: of their centroid, and turning about it."""
     centroid = grid.centers.mean(axis=0)
-    radius = float(np.sqrt(((grid.centers - centroid) ** 2).sum(axis=1).mean()))
     track = np.array([placed(centroid, pose) for pose in poses])
-    return np.cumsum(np.hypot(*np.diff(track, axis=0).T) + radius * np.abs(np.diff(poses[:, 2])))
+    turned = radius_of_gyration(grid) * np.abs(np.diff(poses[:, 2]))
+    return np.cumsum(np.hypot(*np.diff(track, axis=0).T) + turned)
 
 
 def _page(scenes: list[_Scene], dataset: PushDataset, heading: str) -> Figure:

@@ -1,6 +1,6 @@
 """Python source of the functions that the kernel calls, written from the effects' formulas.
 
-All formulas become expressions of y and the constants (see `models.physics.effect_kernel`); common
+All formulas become expressions of y and the constants (see `models.physics.effect_layout`); common
 subexpressions are taken out, those that do not depend on the cell in front of the loop over cells.
 """
 
@@ -45,7 +45,7 @@ class Slots:
         parameters: symbols of all parameters.
         memory: symbols of what is carried along; empty, or the last force and the effects' own.
         y: all that the formulas are differentiated by.
-        body: the first entries of the kernel's `BODY_OUTPUTS`, then four for each blade.
+        body: the first entries of `effect_layout.BODY_OUTPUTS`, then four for each blade.
         factor: of a cell's friction.
         drag: of a cell.
         renewed: the effects' own memory after the step.

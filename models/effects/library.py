@@ -47,21 +47,18 @@ def _ellipse(a: Any, b: Any) -> tuple[Any, Any, Any]:
     return (1 + square + 2 * a) / (1 - square), 2 * b / (1 - square), (1 + square - 2 * a) / (1 - square)
 
 
+def _grain(along_x: str, along_xy: str) -> tuple[Parameter, Parameter]:
+    """Parameters a and b of `_ellipse`, with where they raise friction."""
+    return (
+        Parameter("along_x", "1", f"grain a: friction is higher along {along_x}", -0.6, 0.6, 0.1, 0.0),
+        Parameter("along_xy", "1", f"grain b: the same along {along_xy}", -0.6, 0.6, 0.1, 0.0),
+    )
+
+
 class AnisotropicTable(Effect):
     name = "anisotropic_table"
     sentence = "Friction differs along and across the table's grain."
-    parameters = (
-        Parameter(
-            "along_x",
-            "1",
-            "grain a: friction is higher along x and lower along y where positive",
-            -0.6,
-            0.6,
-            0.1,
-            0.0,
-        ),
-        Parameter("along_xy", "1", "grain b: the same along the diagonals", -0.6, 0.6, 0.1, 0.0),
-    )
+    parameters = _grain("x and lower along y where positive", "the diagonals")
 
     def stretch(self, body: Any, p: Any) -> Any:
         c, s = body.cos**2 - body.sin**2, 2 * body.cos * body.sin
@@ -71,18 +68,7 @@ class AnisotropicTable(Effect):
 class AnisotropicObject(Effect):
     name = "anisotropic_object"
     sentence = "Friction differs along and across a grain of the object's underside."
-    parameters = (
-        Parameter(
-            "along_x",
-            "1",
-            "grain a: friction is higher along the object's x where positive",
-            -0.6,
-            0.6,
-            0.1,
-            0.0,
-        ),
-        Parameter("along_xy", "1", "grain b: the same along its diagonals", -0.6, 0.6, 0.1, 0.0),
-    )
+    parameters = _grain("the object's x where positive", "its diagonals")
 
     def stretch(self, body: Any, p: Any) -> Any:
         return _ellipse(p.along_x, p.along_xy)

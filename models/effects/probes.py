@@ -6,6 +6,7 @@ compete so that an unknown effect shows as `it depends on …` instead of being 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -25,6 +26,15 @@ def _values(p: Any, prefix: str, count: int) -> list[Any]:
     return [getattr(p, f"{prefix}{k}") for k in range(count)]
 
 
+def _combined(values: Sequence[Any], terms: Sequence[Any]) -> Any:
+    return sum(a * t for a, t in zip(values, terms, strict=True))
+
+
+def _factor(values: Sequence[Any], terms: Sequence[Any]) -> Any:
+    """exp of a combination, kept between e⁻³ and e³."""
+    return sp.exp(3 * sp.tanh(_combined(values, terms) / 3))
+
+
 class ForceByPlace(Effect):
     name = "force_by_place"
     sentence = "A force on the object that depends on where on the table it is."
@@ -33,8 +43,8 @@ class ForceByPlace(Effect):
     def force(self, body: Any, p: Any) -> Any:
         u, v = body.x / 0.2, body.y / 0.2
         terms = (1, u, v, u * u, u * v, v * v)
-        fx = body.weight * sum(a * t for a, t in zip(_values(p, "x", 6), terms, strict=True))
-        fy = body.weight * sum(a * t for a, t in zip(_values(p, "y", 6), terms, strict=True))
+        fx = body.weight * _combined(_values(p, "x", 6), terms)
+        fy = body.weight * _combined(_values(p, "y", 6), terms)
         return fx, fy, body.com_x * fy - body.com_y * fx
 
 
@@ -46,7 +56,7 @@ class FrictionByPlace(Effect):
     def friction(self, cell: Any, p: Any) -> Any:
         u, v = cell.x / 0.3, cell.y / 0.3
         terms = (u, v, u * u, u * v, v * v, u**3, u * u * v, u * v * v, v**3)
-        return sp.exp(3 * sp.tanh(sum(a * t for a, t in zip(_values(p, "a", 9), terms, strict=True)) / 3))
+        return _factor(_values(p, "a", 9), terms)
 
 
 class FrictionBySpeed(Effect):
@@ -56,7 +66,7 @@ class FrictionBySpeed(Effect):
 
     def friction(self, cell: Any, p: Any) -> Any:
         u = sp.log(1 + cell.speed / 0.01)
-        return sp.exp(3 * sp.tanh(sum(a * (u / 2) ** (k + 1) for k, a in enumerate(_values(p, "a", 4))) / 3))
+        return _factor(_values(p, "a", 4), [(u / 2) ** k for k in range(1, 5)])
 
 
 class FrictionByDirection(Effect):
@@ -68,8 +78,7 @@ class FrictionByDirection(Effect):
         cx, cy = cell.ux / cell.speed, cell.uy / cell.speed
         ox, oy = cell.along_x / cell.speed, cell.along_y / cell.speed
         terms = (cx, cy, cx * cx - cy * cy, 2 * cx * cy, ox, oy, ox * ox - oy * oy, 2 * ox * oy)
-        values = _values(p, "t", 4) + _values(p, "o", 4)
-        return sp.exp(3 * sp.tanh(sum(a * t for a, t in zip(values, terms, strict=True)) / 3))
+        return _factor(_values(p, "t", 4) + _values(p, "o", 4), terms)
 
 
 class FrictionByTime(Effect):
@@ -79,7 +88,7 @@ class FrictionByTime(Effect):
 
     def friction(self, cell: Any, p: Any) -> Any:
         t = cell.time / 2
-        return sp.exp(3 * sp.tanh(sum(a * t ** (k + 1) for k, a in enumerate(_values(p, "a", 3))) / 3))
+        return _factor(_values(p, "a", 3), [t**k for k in range(1, 4)])
 
 
 class FrictionByOrder(Effect):
@@ -89,7 +98,7 @@ class FrictionByOrder(Effect):
 
     def friction(self, cell: Any, p: Any) -> Any:
         k = cell.order / 20
-        return sp.exp(3 * sp.tanh(sum(a * k ** (i + 1) for i, a in enumerate(_values(p, "a", 4))) / 3))
+        return _factor(_values(p, "a", 4), [k**i for i in range(1, 5)])
 
 
 class ForceByTime(Effect):

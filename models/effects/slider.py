@@ -122,7 +122,7 @@ class EffectSlider(Slider):
         return finished(joined, poses, forces, d_poses, d_forces, end)
 
     def _constants(self, joined: JoinedPushes) -> FloatArray:
-        """(B, CONSTANTS) of each push, see `effect_kernel`."""
+        """(B, CONSTANTS) of each push, see `effect_layout`."""
         centers = self.grid.centers
         centroid = centers.mean(axis=0)
         arms = centers - centroid

@@ -9,7 +9,7 @@ import struct
 import tokenize
 import zipfile
 import zlib
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from models.effects.effect import Effect
 from models.effects.library import LIBRARY
 from models.effects.slider import EffectSlider
+from models.measurements import PushDataset
 from models.physics.cell_grid import CellGrid
 from models.physics.rollout import Maps, Slider, Smoothing
 
@@ -95,6 +96,51 @@ class Belief:
                 "belief: probabilities must be one number a hypothesis, none negative, summing to 1"
             )
         object.__setattr__(self, "probability", p)
+
+    @classmethod
+    def learnt(
+        cls,
+        dataset: PushDataset,
+        slider: Slider,
+        maps: Maps,
+        probability: FloatArray,
+        *,
+        method: str,
+        seed: int,
+        trials: Sequence[str],
+        settings: Mapping[str, Any],
+    ) -> Belief:
+        """What was learnt from pushes of a dataset, with what it was learnt from on record.
+
+        Args:
+            dataset: the pushes.
+            slider: the model, with its effects and as softly as it was run.
+            maps: K hypotheses.
+            probability: (K,) of them.
+            method: `gauss-newton` or `paper`.
+            seed: of every random draw.
+            trials: names of the pushes that taught.
+            settings: what else shaped the result.
+        """
+        return cls(
+            grid=dataset.grid,
+            finger_radius=dataset.finger_radius,
+            gravity=dataset.gravity,
+            maps=maps,
+            probability=probability,
+            smoothing=slider.smoothing,
+            dataset=dataset.name,
+            fingerprint=dataset.fingerprint,
+            method=method,
+            seed=seed,
+            settings={
+                "hypotheses": len(maps),
+                "fit_trials": list(trials),
+                "known_mass": dataset.mass,
+                **settings,
+            },
+            effects=slider.effects if isinstance(slider, EffectSlider) else (),
+        )
 
     def __len__(self) -> int:
         return len(self.maps)

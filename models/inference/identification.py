@@ -65,12 +65,7 @@ def identify(
     """
     if method not in METHODS:
         raise ValueError(f"unknown method {method!r}; choose one of {', '.join(METHODS)}")
-    if hypotheses < 2:
-        raise ValueError(f"hypotheses must be at least 2, got {hypotheses}")
-    if not dataset.fit_trials:
-        raise DatasetError(
-            f"dataset {dataset.name} has no push with the role fit; give at least one that role"
-        )
+    check_request(dataset, hypotheses)
     started = time.perf_counter()
     report = progress or (lambda stage, done, total: None)
     report("preparing pushes", 0, 1)
@@ -90,6 +85,21 @@ def identify(
     predictions = predict_observations(belief, observations, progress)
     facts = quantities(belief, likelihood, information)
     return Identification(belief, predictions, facts, time.perf_counter() - started)
+
+
+def check_request(dataset: PushDataset, hypotheses: int) -> None:
+    """Refuse what no belief of several hypotheses can be learnt from.
+
+    Raises:
+        DatasetError: there is no push to fit.
+        ValueError: too few hypotheses.
+    """
+    if hypotheses < 2:
+        raise ValueError(f"hypotheses must be at least 2, got {hypotheses}")
+    if not dataset.fit_trials:
+        raise DatasetError(
+            f"dataset {dataset.name} has no push with the role fit; give at least one that role"
+        )
 
 
 def _gauss_newton_belief(
@@ -118,25 +128,19 @@ def _gauss_newton_belief(
         tolerance=3e-3,
         progress=lambda done, total: report("hypotheses", done, total),
     )
-    belief = Belief(
-        grid=dataset.grid,
-        finger_radius=dataset.finger_radius,
-        gravity=dataset.gravity,
-        maps=prior.maps(refits.z, strength),
-        probability=accuracy_weights(refits.push_cost.sum(axis=1)),
-        smoothing=prior.slider.smoothing,
-        dataset=dataset.name,
-        fingerprint=dataset.fingerprint,
+    belief = Belief.learnt(
+        dataset,
+        prior.slider,
+        prior.maps(refits.z, strength),
+        accuracy_weights(refits.push_cost.sum(axis=1)),
         method="gauss-newton",
         seed=seed,
+        trials=[observation.trial for observation in likelihood.observations],
         settings={
-            "hypotheses": hypotheses,
-            "fit_trials": [observation.trial for observation in likelihood.observations],
             "finger_starts": list(FINGER_STARTS),
             "strengths": list(STRENGTHS),
             "prior": asdict(prior.settings),
             "likelihood": asdict(likelihood.settings),
-            "known_mass": dataset.mass,
         },
     )
     plain = Fits(

@@ -21,6 +21,7 @@ import numpy as np
 
 from models.inference.observations import Observation
 from models.inference.prior import MapPrior
+from models.inference.push_errors import radius_of_gyration
 from models.measurements import Noise
 from models.physics.cell_grid import FloatArray
 from models.physics.rollout import Rollouts
@@ -92,9 +93,8 @@ class Likelihood:
         self.prior = prior
         self.observations: Sequence[Observation] = list(observations)
         self.settings = settings
-        centers = prior.slider.grid.centers
-        self._centroid = centers.mean(axis=0)
-        self._radius = float(np.sqrt(((centers - self._centroid) ** 2).sum(axis=1).mean()))
+        grid = prior.slider.grid
+        self._centroid, self._radius = grid.centers.mean(axis=0), radius_of_gyration(grid)
         self._sigmas = [self._pose_sigma(observation, noise) for observation in self.observations]
         self._force_sigmas = [self._force_sigma(observation, noise) for observation in self.observations]
         # The start is a mean of several rows, hence better known than a row.

@@ -277,22 +277,16 @@ def identify_by_algorithm_1(
         epochs=EPOCHS,
         progress=lambda done, total: report("Algorithm 1", done, total),
     )
-    return Belief(
-        grid=dataset.grid,
-        finger_radius=dataset.finger_radius,
-        gravity=dataset.gravity,
-        maps=maps,
-        probability=probability,
-        smoothing=slider.smoothing,
-        dataset=dataset.name,
-        fingerprint=dataset.fingerprint,
+    return Belief.learnt(
+        dataset,
+        slider,
+        maps,
+        probability,
         method="paper",
         seed=seed,
+        trials=[trial.name for trial in trials],
         settings={
-            "hypotheses": hypotheses,
-            "fit_trials": [trial.name for trial in trials],
             "left_out": [trial.name for trial in dataset.fit_trials if trial not in trials],
-            "known_mass": dataset.mass,
             "steps": [len(push.poses) - 1 for push in pushes],
             "epochs": EPOCHS,
             "floor": FLOOR,

@@ -10,6 +10,14 @@ import math
 import numpy as np
 from numba import prange
 
+from models.physics.around_step import (
+    Applied,
+    add_applied_turning,
+    applied_impulse,
+    finger_impulse,
+    way_by_spin,
+    way_of,
+)
 from models.physics.compiled import compiled
 from models.physics.contact import CONTACT_COLUMNS, MAX_CONTACTS, Cone
 from models.physics.friction import padded_cells
@@ -79,7 +87,7 @@ def rollout(  # type: ignore[no-untyped-def]
     cone = Cone(mu, normal, tangential, normal / tangential)
     body = (inertia[0], inertia[1], inertia[2], inertia[3])
     rows = np.zeros((MAX_CONTACTS, CONTACT_COLUMNS))
-    applied = wrench.shape[0] > 0
+    forced = wrench.shape[0] > 0
     about_center = inertia[3] - (inertia[1] * inertia[1] + inertia[2] * inertia[2]) / inertia[0]
 
     A = np.zeros((3, 6))
@@ -103,17 +111,14 @@ def rollout(  # type: ignore[no-untyped-def]
         half_cos, half_sin = joined(quarter.cos, quarter.sin, quarter.cos, quarter.sin)
         full_cos, full_sin = joined(half_cos, half_sin, half_cos, half_sin)
         star_x, star_y, star_w = free_momentum(body, v, full_cos, full_sin)
-        applied_x = applied_y = turning = gain = 0.0
-        if applied:
-            c, s = joined(cos, sin, half_cos, half_sin)
-            fx, fy = turned(c, -s, wrench[step, 0], wrench[step, 1])
-            px, py = wrench[step, 2], wrench[step, 3]
-            applied_x, applied_y, turning = h * fx, h * fy, -h * (px * fx + py * fy)
-            torque = h * (px * fy - py * fx + wrench[step, 4])
-            star_x += applied_x
-            star_y += applied_y
-            star_w += torque
-            gain = math.hypot(applied_x, applied_y) / body[0] + size * abs(torque) / about_center
+        applied = Applied(0.0, 0.0, 0.0, 0.0)
+        gain = 0.0
+        if forced:
+            applied = applied_impulse(wrench[step], cos, sin, half_cos, half_sin, h)
+            star_x += applied.x
+            star_y += applied.y
+            star_w += applied.spin
+            gain = math.hypot(applied.x, applied.y) / body[0] + size * abs(applied.spin) / about_center
         count = 0
         frame = Frame(1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
         tip0 = (tip[step, 0], tip[step, 1])
@@ -136,18 +141,10 @@ def rollout(  # type: ignore[no-untyped-def]
 
         # Impulse of the finger, about the origin of the middle frame.
         impulse1, impulse2 = minimum.first, minimum.second
-        force_x = -first.nx * impulse1.normal - first.ny * impulse1.tangential
-        force_x -= second.nx * impulse2.normal + second.ny * impulse2.tangential
-        force_y = first.nx * impulse1.tangential - first.ny * impulse1.normal
-        force_y += second.nx * impulse2.tangential - second.ny * impulse2.normal
+        force_x, force_y = finger_impulse(first, second, impulse1, impulse2)
         world_force = turned(frame.cos, frame.sin, force_x, force_y)
-
-        # The pose moves along the screw of v⁺: by h sinc(h omega/2) R(θ + h omega/2) v⁺.
-        next_quarter = turn_by(0.25 * h * new[2])
-        half_cos, half_sin = joined(next_quarter.cos, next_quarter.sin, next_quarter.cos, next_quarter.sin)
-        c, s = joined(cos, sin, half_cos, half_sin)
-        wx, wy = turned(c, s, new[0], new[1])
-        length = h * next_quarter.sinc * next_quarter.cos
+        way = way_of(new, cos, sin, h)
+        length, wx, wy = way.length, way.wx, way.wy
 
         first_sample = sample
         needs_before = False
@@ -164,19 +161,14 @@ def rollout(  # type: ignore[no-untyped-def]
             step_derivative(
                 v, new, h, body, cone, frame, quarter, first, second, impulse1, impulse2, A, extra, dforce
             )  # fmt: skip
-            for row, lever in enumerate((applied_y, -applied_x, turning)):
-                A[row, 2] -= lever
-                A[row, 5] -= 0.5 * h * lever
+            add_applied_turning(A, applied, h)
             if needs_before or wants_force:
                 before[:] = S
             inverse = (minimum.xx, minimum.xy, minimum.xw, minimum.yy, minimum.yw, minimum.ww)
-            # Derivative of sinc(α) = sinc(α/2) cos(α/2) by omega, for α = h omega/2.
-            slope = next_quarter.sinc_slope * next_quarter.cos - next_quarter.sinc * next_quarter.sin
-            slope *= 0.25 * h * h
-            bend = 0.5 * h * length
+            x_omega, y_omega = way_by_spin(way, h)
             pose = PoseUpdate(
-                -length * wy, length * c, -length * s, slope * wx - bend * wy,
-                length * wx, length * s, length * c, slope * wy + bend * wx,
+                -length * wy, length * way.cos, -length * way.sin, x_omega,
+                length * wx, length * way.sin, length * way.cos, y_omega,
             )  # fmt: skip
             moment = first.nw * impulse1.normal - first.tw * impulse1.tangential
             moment += second.nw * impulse2.normal - second.tw * impulse2.tangential
@@ -197,9 +189,9 @@ def rollout(  # type: ignore[no-untyped-def]
         x += length * wx
         y += length * wy
         theta += h * new[2]
-        cos, sin = joined(c, s, half_cos, half_sin)
+        cos, sin = joined(way.cos, way.sin, way.half_cos, way.half_sin)
         v = new
-        quarter = next_quarter
+        quarter = way.quarter
 
     end_out[0], end_out[1], end_out[2] = x, y, theta
     end_out[3], end_out[4], end_out[5] = v

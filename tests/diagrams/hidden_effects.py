@@ -1,4 +1,4 @@
-"""Simulated pushes of a block, with an effect that the plain model does not have."""
+"""Simulated pushes of a block, with effects that the plain model does not have."""
 
 from __future__ import annotations
 
@@ -15,27 +15,35 @@ from planners.exploration import candidate_pushes
 TILT = {"down_x": 0.03, "down_y": -0.04}
 """Slopes, rad."""
 
-
 LATENCY = 0.08
 """By how much the tracker is late, s."""
+
+DRAG = 3000.0
+"""Of a film of oil, N s/m³: at 50 mm/s a quarter of the friction."""
 
 
 def tilted_pushes() -> PushDataset:
     """Pushes on a table that is not level."""
-    return _pushes("tilted", "table_tilt", [TILT["down_x"], TILT["down_y"]])
+    return _pushes("tilted", {"table_tilt": list(TILT.values())})
 
 
 def late_pushes() -> PushDataset:
     """Pushes seen by a tracker that is late."""
-    return _pushes("late", "sensor_latency", [LATENCY])
+    return _pushes("late", {"sensor_latency": [LATENCY]})
 
 
-def _pushes(name: str, effect: str, values: list[float]) -> PushDataset:
+def tilted_and_oily_pushes() -> PushDataset:
+    """Pushes on a table that is neither level nor dry."""
+    return _pushes("oily", {"table_tilt": list(TILT.values()), "viscous_friction": [DRAG]})
+
+
+def _pushes(name: str, hidden: dict[str, list[float]]) -> PushDataset:
     """12 pushes to learn from and 6 held out, all over a table of 0.6 m."""
     grid = cells_from_polygon(np.array([[-3, -2], [3, -2], [3, 2], [-3, 2]]) * 0.01, width=0.01)
     mass = 0.02 * (1.0 + 0.4 * grid.centers[:, 0] / 0.03)
-    truth = Maps(mass[None], np.full((1, len(grid)), 0.3), np.array([0.3]), np.array([values]))
-    slider = EffectSlider(grid, 0.005, effects_named([effect]))
+    values = np.concatenate(list(hidden.values()))
+    truth = Maps(mass[None], np.full((1, len(grid)), 0.3), np.array([0.3]), values[None])
+    slider = EffectSlider(grid, 0.005, effects_named(list(hidden)))
     rng = np.random.default_rng(3)
     pushes = [
         candidate.push([*rng.uniform(-0.3, 0.3, 2), rng.uniform(-np.pi, np.pi)], h=2e-3)

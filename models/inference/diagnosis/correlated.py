@@ -16,6 +16,7 @@ from models.inference.diagnosis.error_model import ErrorModel, travelled
 from models.inference.likelihood import NormalEquations
 from models.inference.observations import SAMPLES, Observation
 from models.inference.prior import MapPrior
+from models.inference.push_errors import radius_of_gyration
 from models.physics.cell_grid import FloatArray
 from models.physics.rollout import Rollouts
 
@@ -53,10 +54,11 @@ class CorrelatedLikelihood:
         self.prior = prior
         self.observations: Sequence[Observation] = list(observations)
         self.error = error
-        centers = prior.slider.grid.centers
-        self._centroid = centers.mean(axis=0)
-        self._radius = float(np.sqrt(((centers - self._centroid) ** 2).sum(axis=1).mean()))
-        self._factors = [error.factors(o, travelled(o, centers), self._radius) for o in self.observations]
+        grid = prior.slider.grid
+        self._centroid, self._radius = grid.centers.mean(axis=0), radius_of_gyration(grid)
+        self._factors = [
+            error.factors(o, travelled(o, grid.centers), self._radius) for o in self.observations
+        ]
         noise = error.noise
         # Where the object is still, the start is a mean of many rows.
         self.start_sigma = np.array([noise.position, noise.position, noise.angle])

@@ -9,20 +9,20 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import asdict
 
 import numpy as np
 
-from models.effects.effect import Effect
+from models.effects.effect import Effect, Scene
 from models.effects.library import LIBRARY
 from models.inference.belief import Belief
 from models.inference.diagnosis.error_model import sensor_noise
+from models.inference.diagnosis.fitted_belief import belief_around
 from models.inference.diagnosis.fitting import Fitted, Fitter, estimate_errors
-from models.inference.diagnosis.procedure import parameter_estimates, typical_speed
+from models.inference.diagnosis.results import parameter_estimates
 from models.inference.diagnosis.screening import screen
 from models.inference.gauss_newton import fit
 from models.inference.identifiability import quantities
-from models.inference.identification import accuracy_weights
+from models.inference.identification import accuracy_weights, check_request
 from models.inference.likelihood import Likelihood, LikelihoodSettings
 from models.inference.observations import observe_all
 from models.inference.prediction import predict_observations
@@ -58,12 +58,7 @@ def fit_effects(
         ValueError: too few hypotheses.
         EffectError: a formula cannot be used.
     """
-    if hypotheses < 2:
-        raise ValueError(f"hypotheses must be at least 2, got {hypotheses}")
-    if not dataset.fit_trials:
-        raise DatasetError(
-            f"dataset {dataset.name} has no push with the role fit; give at least one that role"
-        )
+    check_request(dataset, hypotheses)
     started = time.perf_counter()
     report = progress or (lambda stage, done, total: None)
     rng = np.random.default_rng(seed)
@@ -75,8 +70,7 @@ def fit_effects(
     fitter = Fitter(dataset, observations, noise)
     fitted = fitter.from_scratch()
     report("fitting", 1, 3)
-    scene = fitter.scene(fitted, typical_speed(observations))
-    fitter.weight = scene.weight
+    scene = fitter.scene(fitted)
     if effects:
         fitted = _added(fitter, fitted, effects, scene, rng)
     report("fitting", 2, 3)
@@ -100,35 +94,17 @@ def fit_effects(
         tolerance=3e-3,
         progress=lambda done, total: report("hypotheses", done, total),
     )
-    prior = fitted.likelihood.prior
-    belief = Belief(
-        grid=dataset.grid,
-        finger_radius=dataset.finger_radius,
-        gravity=dataset.gravity,
-        maps=prior.maps(refits.z),
-        probability=accuracy_weights(refits.push_cost.sum(axis=1)),
-        smoothing=prior.slider.smoothing,
-        dataset=dataset.name,
-        fingerprint=dataset.fingerprint,
-        method="gauss-newton",
-        seed=seed,
-        settings={
-            "hypotheses": hypotheses,
-            "fit_trials": [o.trial for o in observations],
-            "prior": asdict(prior.settings),
-            "motion_error": fitted.likelihood.error.motion,
-            "force_error": fitted.likelihood.error.force,
-            "known_mass": dataset.mass,
-        },
-        effects=tuple(effects),
-    )
+    probability = accuracy_weights(refits.push_cost.sum(axis=1))
+    belief = belief_around(fitted, refits.z, probability, dataset, seed)
     predictions = predict_observations(belief, every, progress)
     plain = Likelihood(fitter.prior(()), observations, dataset.noise, LikelihoodSettings())
     facts = (*quantities(belief, plain, None), *_effect_facts(belief, fitted))
     return Identification(belief, predictions, facts, time.perf_counter() - started)
 
 
-def _added(fitter: Fitter, base: Fitted, effects: Sequence[Effect], scene, rng) -> Fitted:  # type: ignore[no-untyped-def]
+def _added(
+    fitter: Fitter, base: Fitted, effects: Sequence[Effect], scene: Scene, rng: np.random.Generator
+) -> Fitted:
     """Fit with the effects, each started where it gains most to first order."""
     guesses = []
     known = (*effects, *(effect for effect in LIBRARY if effect.name not in {e.name for e in effects}))

@@ -1,4 +1,4 @@
-"""Fitted models as beliefs of one hypothesis, so that whatever compares and predicts can use them."""
+"""Fitted models as beliefs, so that whatever compares and predicts can use them."""
 
 from __future__ import annotations
 
@@ -10,37 +10,47 @@ from models.inference.belief import Belief
 from models.inference.diagnosis.fitting import Fitted
 from models.inference.diagnosis.results import Diagnosis
 from models.measurements import PushDataset
+from models.physics.cell_grid import FloatArray
 
 
 def fitted_belief(fitted: Fitted, dataset: PushDataset, seed: int) -> Belief:
-    """One fitted model of a diagnosis as a belief that is certain of it.
+    """A fitted model as a belief that is certain of it.
 
     Args:
         fitted: the model.
         dataset: whose pushes it was fitted to.
-        seed: of the diagnosis.
+        seed: of what fitted it.
     """
-    prior = fitted.likelihood.prior
-    return Belief(
-        grid=dataset.grid,
-        finger_radius=dataset.finger_radius,
-        gravity=dataset.gravity,
-        maps=prior.maps(fitted.z[None]),
-        probability=np.ones(1),
-        smoothing=prior.slider.smoothing,
-        dataset=dataset.name,
-        fingerprint=dataset.fingerprint,
+    return belief_around(fitted, fitted.z[None], np.ones(1), dataset, seed)
+
+
+def belief_around(
+    fitted: Fitted, z: FloatArray, probability: FloatArray, dataset: PushDataset, seed: int
+) -> Belief:
+    """A belief about the maps and effects of a fitted model.
+
+    Args:
+        fitted: the model.
+        z: (K, d) coordinates of the hypotheses.
+        probability: (K,) of them.
+        dataset: whose pushes it was fitted to.
+        seed: of what fitted it.
+    """
+    likelihood = fitted.likelihood
+    prior = likelihood.prior
+    return Belief.learnt(
+        dataset,
+        prior.slider,
+        prior.maps(z),
+        probability,
         method="gauss-newton",
         seed=seed,
+        trials=[observation.trial for observation in likelihood.observations],
         settings={
-            "hypotheses": 1,
-            "fit_trials": [o.trial for o in fitted.likelihood.observations],
             "prior": asdict(prior.settings),
-            "motion_error": fitted.likelihood.error.motion,
-            "force_error": fitted.likelihood.error.force,
-            "known_mass": dataset.mass,
+            "motion_error": likelihood.error.motion,
+            "force_error": likelihood.error.force,
         },
-        effects=fitted.effects,
     )
 
 

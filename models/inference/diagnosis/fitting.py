@@ -111,7 +111,7 @@ class Fitter:
         )  # fmt: skip
 
     def from_scratch(self) -> Fitted:
-        """Fit the model without effects, and the error model with it.
+        """Fit the model without effects, and the error model with it; tells what the object weighs.
 
         The forgiving likelihood of the identification comes first: it finds the valley, where the strict one,
         with its many correlated rows, gets stuck on the way. What it leaves sets the first error model.
@@ -125,6 +125,7 @@ class Fitter:
         fitted = Fitted((), likelihood, first.z[best], np.zeros(prior.size), first.offsets[best], np.inf)
         for _ in range(2):
             fitted = self.base(estimate_errors(fitted, self.noise), fitted)
+        self.weight = self._weight_of(fitted)
         return fitted
 
     def _forgiving(self, prior: MapPrior) -> Likelihood:
@@ -177,19 +178,33 @@ class Fitter:
                 )
         return min(found, key=lambda fitted: fitted.cost, default=None)
 
-    def scene(self, base: Fitted, speed: float) -> Scene:
-        """What effects have to know to begin their search."""
+    def scene(self, base: Fitted) -> Scene:
+        """What effects have to know to begin their search, from a fit of the model without effects."""
         poses = np.concatenate([o.poses for o in self.observations])[:, :2]
         center = 0.5 * (poses.min(axis=0) + poses.max(axis=0))
-        mass = float(base.likelihood.prior.maps(base.z[None]).mass.sum())
         return Scene(
             (float(center[0]), float(center[1])),
             float(np.abs(poses - center).max()),
             float(np.linalg.norm(self.dataset.grid.exterior, axis=1).max()),
-            speed,
+            _typical_speed(self.observations),
             len(self.observations),
-            mass * self.dataset.gravity,
+            self._weight_of(base),
         )
+
+    def _weight_of(self, base: Fitted) -> float:
+        """N."""
+        return float(base.likelihood.prior.maps(base.z[None]).mass.sum()) * self.dataset.gravity
+
+
+def _typical_speed(observations: Sequence[Observation]) -> float:
+    """Median over pushes of the finger's mean speed while it moves, m/s."""
+    speeds = []
+    for o in observations:
+        speed = np.hypot(*np.diff(o.push.tip, axis=0).T) / o.push.h
+        moving = speed[np.isfinite(speed) & (speed > 1e-3)]
+        if len(moving):
+            speeds.append(float(moving.mean()))
+    return float(np.median(speeds)) if speeds else 0.05
 
 
 def _best(

@@ -8,62 +8,52 @@
 4. Each that is left is asked the same question again: does anything gain on top of it? The true effect
    leaves nothing to gain; an impostor leaves the true one. Those that pass are the answer: one, or a set.
 5. Where none passes, pairs are tried; where no pair passes, the effect is unknown to the library.
+
+What counts is said in `verdict_rules`, what it comes to in `outcomes`.
 """
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
+from functools import partial
 
 import numpy as np
 
-from models.effects.effect import Effect, bounds
+from models.effects.effect import Effect
 from models.effects.library import LIBRARY
 from models.effects.probes import PROBES
+from models.inference.diagnosis import outcomes
 from models.inference.diagnosis.error_model import sensor_noise
-from models.inference.diagnosis.fitting import Fitted, Fitter, estimate_errors
+from models.inference.diagnosis.fitting import Fitted, Fitter
 from models.inference.diagnosis.locked import locked_errors, locked_trials
-from models.inference.diagnosis.results import CandidateResult, Diagnosis, ParameterEstimate
+from models.inference.diagnosis.outcomes import Outcome
+from models.inference.diagnosis.refits import Refits, better_base, pairs, refit_candidates
+from models.inference.diagnosis.results import CandidateResult, Diagnosis, parameter_estimates
 from models.inference.diagnosis.screening import Screening, screen
+from models.inference.diagnosis.verdict_rules import (
+    AGREEMENT,
+    FEWEST_DRAWS,
+    FEWEST_PUSHES,
+    LEVEL,
+    PROBE_GAIN,
+    ROUGH,
+    Remainder,
+    Rules,
+    locked_pushes_object,
+    not_outdone,
+    rivals_the_best,
+    worth_asking,
+)
 from models.inference.observations import Observation, observe_all
 from models.measurements import DatasetError, PushDataset
 
-LEVEL = 0.01
-"""Gains that come about by chance more seldom than this count."""
-
-MATERIAL = 0.03
-"""What gains less than this share on top of an effect's own gain is a matter of its exact form."""
-
-CLEARLY_WORSE = 0.02
-CLEARLY_WORSE_GAIN = 40.0
-"""A candidate whose gain is smaller than the best one's by this share and by so many nats is ruled out by
-that alone."""
-
 MOST_ASKED = 5
 MOST_ASKED_QUICKLY = 2
+"""Candidates that are asked what they leave."""
 
-ROUGH = 0.03
-"""α above which an error model is rough: no sensor's noise, but a description of pushes that scatter."""
-
-AGREEMENT = 0.05
-"""Share of sign changes of whole pushes that may gain as much, where the error model is rough."""
-
-PROBE_GAIN = 20.0
-"""Gain, in nats, below which a finding in the model without effects may come from the grid and the contact,
-which are not exact: a probe's does not count, and an effect is not named for it."""
-
-REST_GAIN = 8.0
-"""The same for all that is found on top of an effect, where it may come from the effect's exact form."""
-
-QUICK_GAIN = 8.0
-"""Gain, in nats, that counts where chance was not simulated."""
-
-QUICK_ITERATIONS = 1
-QUICK_REFITS = 3
-"""Where chance was not simulated, one step of the full fit chooses what is refitted in full."""
-
-FEWEST_PUSHES = 4
-FEWEST_DRAWS = 99
+FIRSTS_TRIED = 2
+"""Candidates to which a second effect is added."""
 
 Progress = Callable[[str, int, int], None]
 
@@ -108,19 +98,8 @@ def diagnose(
     held = [o for o in every if o.trial in locked]
     before = locked_errors(inquiry.base, dataset, held) if held else None
     after = locked_errors(outcome.best, dataset, held) if held and outcome.best.effects else before
-    if (
-        outcome.verdict in ("effect", "ambiguous")
-        and inquiry.error.motion > ROUGH
-        and before is not None
-        and after is not None
-        and after.total_misfit > before.total_misfit
-    ):
-        sentence = (
-            f"On the open pushes {' and '.join(outcome.effects)} would explain much, but the locked pushes"
-            " become worse with it: the pushes are too few, or scatter too much, to decide."
-        )
-        outcome = _Outcome("undecided", sentence, inquiry.base)
-        after = before
+    if outcome.effects and locked_pushes_object(inquiry.error.motion, before, after):
+        outcome, after = outcomes.refuted_by_locked_pushes(outcome, inquiry.base), before
     return Diagnosis(
         verdict=outcome.verdict,
         sentence=outcome.sentence,
@@ -145,28 +124,6 @@ def diagnose(
     )
 
 
-class _Outcome:
-    """Verdict and what belongs to it."""
-
-    def __init__(
-        self,
-        verdict: str,
-        sentence: str,
-        best: Fitted,
-        effects: Sequence[str] = (),
-        together: bool = False,
-        depends_on: str | None = None,
-        rivals: Sequence[Fitted] = (),
-    ) -> None:
-        self.verdict = verdict
-        self.sentence = sentence
-        self.best = best
-        self.effects = tuple(effects)
-        self.together = together
-        self.depends_on = depends_on
-        self.rivals = tuple(rivals)
-
-
 class _Inquiry:
     """The steps of one diagnosis and what they found on the way."""
 
@@ -180,262 +137,134 @@ class _Inquiry:
         report: Progress,
     ) -> None:
         self.effects = effects
-        self.everything = (*effects, *PROBES)
         self.draws = draws
         self.rng = rng
         self.report = report
-        noise = sensor_noise(dataset)
-        self.fitter = Fitter(dataset, observations, noise)
-        self.noise = noise
+        self.rules = Rules(effects, simulated=draws > 0)
+        self.fitter = Fitter(dataset, observations, sensor_noise(dataset))
         report("fitting without effects", 0, 1)
         self.base = self.fitter.from_scratch()
-        self.error = self.base.likelihood.error
-        self.scene = self.fitter.scene(self.base, typical_speed(observations))
-        self.fitter.weight = self.scene.weight
+        self.scene = self.fitter.scene(self.base)
         report("fitting without effects", 1, 1)
+        self.error = self.base.likelihood.error
         self.second_look = False
-        self.fits: dict[str, Fitted] = {}
-        self.gains: dict[str, float] = {}
-        self.asked: dict[str, tuple[str | None, float, float | None]] = {}
+        self.refits = Refits(self.error, {}, {})
+        self.left: dict[str, Remainder] = {}
         self.accepted: list[str] = []
         self.first: Screening
         self.p_value: float | None = None
 
-    def run(self) -> _Outcome:
+    def run(self) -> Outcome:
         """Go through the steps."""
-        self.report("asking every effect", 0, 1)
-        self.first = self._screen(self.base)
-        self.report("asking every effect", 1, 1)
-        named = [effect in self.effects for effect in self.first.candidates]
-        largest = float(self.first.gain[named].max())
-        self.p_value = self.first.p_value(largest) if self.draws else None
-        if self._found(self.first, 0.0, PROBE_GAIN) is None:
+        self.first = self._ask_every_effect()
+        if not self.rules.missing(self.first):
             return self._nothing_found()
-        self._refit()
-        if self._better_base():
+        self.refits = refit_candidates(
+            self.fitter, self.base, self.first, self.effects, self.scene,
+            quick=not self.draws, progress=partial(self.report, "refitting with effects"),
+        )  # fmt: skip
+        self.error = self.refits.error
+        if self._found_better_base():
             return self.run()
-        # Where the noise was declared, what is left beyond it is the model's, however few pushes show it.
-        if self.error.motion > ROUGH and self.draws and not self.noise.declared:
-            disagreement = self._disagreement()
-            if disagreement is not None:
-                return disagreement
-        if not self.fits:
-            return self._unknown(self.first)
-        order = sorted(self.fits, key=lambda name: -self.gains[name])
-        best_gain = self.gains[order[0]]
-        near = [n for n in order if self.gains[n] > best_gain - max(10.0, 0.6 * best_gain)]
-        near = near[: MOST_ASKED if self.draws else MOST_ASKED_QUICKLY]
-        rest: dict[str, Screening] = {}
-        for step, name in enumerate(near):
-            self.report("asking what is left", step, len(near))
-            enough = self.gains[name] > best_gain - max(CLEARLY_WORSE_GAIN, CLEARLY_WORSE * best_gain)
-            if not (enough or self.draws):
-                continue
-            rest[name] = self._screen(self.fits[name])
-            if self._explains(name, rest[name]) and enough and self._stands(name):
-                self.accepted.append(name)
-        self.report("asking what is left", len(near), len(near))
-        if not self.accepted:
-            if float(self.first.gain.max()) < PROBE_GAIN:
-                sentence = "Something may be missing, but the pushes show too little of it to say what."
-                return _Outcome("undecided", sentence, self.base)
-            return self._pairs(near, rest)
-        # One that leaves nothing at all beats those that leave a little and explain less.
-        clean = [n for n in self.accepted if self._found(rest[n], REST_GAIN, REST_GAIN) is None]
-        top = max((self.gains[n] for n in clean), default=-np.inf)
-        return self._answer([n for n in self.accepted if n in clean or self.gains[n] > top - REST_GAIN])
-
-    def _answer(self, accepted: Sequence[str]) -> _Outcome:
-        """One effect, or a set that the data cannot tell apart, best first."""
-        self.accepted = list(accepted)
-        rivals = [self.fits[name] for name in accepted]
-        names = ", ".join(accepted)
-        if len(rivals) == 1:
-            sentence = f"The data miss one effect: {names}."
-            return _Outcome("effect", sentence, rivals[0], accepted, rivals=rivals)
-        sentence = f"An effect is missing; the data cannot tell which of these it is: {names}."
-        return _Outcome("ambiguous", sentence, rivals[0], accepted, rivals=rivals)
-
-    def _stands(self, name: str) -> bool:
-        """Whether a candidate's own gain is beyond chance and more than the grid's errors may feign.
-
-        To first order, or by far when refitted.
-        """
-        gain = float(self.first.gain[[c.name for c in self.first.candidates].index(name)])
-        seen = gain > PROBE_GAIN and (not self.draws or self.first.p_value(gain) <= LEVEL)
-        return seen or self.gains[name] > 3 * PROBE_GAIN
+        disagreement = self._disagreement()
+        if disagreement is not None:
+            return disagreement
+        if not self.refits.fits:
+            return outcomes.unknown(self.base, self.first)
+        rest = self._ask_what_is_left()
+        if self.accepted:
+            self.accepted = not_outdone(self.accepted, self.left, self.refits.gains)
+            return outcomes.one_of([self.refits.fits[name] for name in self.accepted])
+        if float(self.first.gain.max()) < PROBE_GAIN:
+            return outcomes.too_faint(self.base)
+        pair = self._pair(rest)
+        if pair is not None:
+            return outcomes.two_at_once(pair)
+        return outcomes.unknown(self.base, next(iter(rest.values())))
 
     def _screen(self, fitted: Fitted) -> Screening:
+        everything = (*self.effects, *PROBES)
         return screen(
-            self.fitter, fitted, self.everything, len(self.effects), self.scene, max(self.draws, 1), self.rng
+            self.fitter, fitted, everything, len(self.effects), self.scene, max(self.draws, 1), self.rng
         )
 
-    def _found(self, screening: Screening, floor: float, probe_floor: float) -> int | None:
-        """Index of the candidate whose gain counts most, or None where all of it may be chance.
+    def _ask_every_effect(self) -> Screening:
+        """Gains on top of the model without effects."""
+        self.report("asking every effect", 0, 1)
+        first = self._screen(self.base)
+        self.report("asking every effect", 1, 1)
+        named = [effect in self.effects for effect in first.candidates]
+        self.p_value = self.rules.p_value(first, float(first.gain[named].max()))
+        return first
 
-        Args:
-            screening: gains.
-            floor: that a named effect has to exceed.
-            probe_floor: that a probe has to exceed.
-        """
-        for i in np.argsort(-screening.gain):
-            gain = float(screening.gain[i])
-            if not (gain > QUICK_GAIN if not self.draws else screening.p_value(gain) <= LEVEL):
-                return None
-            if gain > (floor if screening.candidates[i] in self.effects else probe_floor):
-                return int(i)
-        return None
-
-    def _nothing_found(self) -> _Outcome:
+    def _nothing_found(self) -> Outcome:
         """Adequate, unless the pushes could not have shown an effect of ordinary size."""
-        seen = [
-            s
-            for effect, s in zip(self.first.candidates, self.first.sharpness, strict=True)
-            if effect in self.effects
-        ]
-        blind = sum(1 for s in seen if s > 1.0)
         pushes = len(self.fitter.observations)
-        if pushes < FEWEST_PUSHES or blind > len(seen) / 2:
-            why = f"{pushes} pushes" if pushes < FEWEST_PUSHES else "these pushes"
-            sentence = f"Nothing is seen to be missing, but {why} could not have shown most effects."
-            return _Outcome("undecided", sentence, self.base)
+        if pushes < FEWEST_PUSHES:
+            return outcomes.nothing_visible(self.base, f"{pushes} pushes")
+        if self.rules.blind(self.first):
+            return outcomes.nothing_visible(self.base, "these pushes")
         if self.error.motion > ROUGH:
-            share = 100 * self.error.motion
-            sentence = (
-                f"The model is off by about {share:.0f} % of the way, which is much, but no effect explains"
-                " it: the pushes may scatter by themselves, or something unknown disturbs them."
-            )
-            return _Outcome("undecided", sentence, self.base)
-        return _Outcome("adequate", "The model explains the data; no effect is missing.", self.base)
+            return outcomes.scatter(self.base)
+        return outcomes.nothing_missing(self.base)
 
-    def _disagreement(self) -> _Outcome | None:
+    def _found_better_base(self) -> bool:
+        """Whether a refit leads to a better model without effects, which is then asked anew. Asked once."""
+        if self.second_look or not self.draws:
+            return False
+        self.second_look = True
+        better = better_base(self.fitter, self.base, self.refits)
+        if better is None:
+            return False
+        self.base, self.error = better, better.likelihood.error
+        self.refits = Refits(self.error, {}, {})
+        return True
+
+    def _disagreement(self) -> Outcome | None:
         """`undecided` where much is left even with the best effect, and pushes do not agree on what gains.
 
         Then the error model is no more than a description, and chance has to be judged by the pushes alone:
-        by turning round the residuals of whole pushes at random.
+        by turning round the residuals of whole pushes at random. Where the noise was declared, what is left
+        beyond it is the model's, however few pushes show it.
         """
+        if self.error.motion <= ROUGH or not self.draws or self.fitter.noise.declared:
+            return None
         p = self.first.p_of_agreement()
         if p <= AGREEMENT:
             return None
-        pushes = len(self.fitter.observations)
         self.p_value = p
-        return _Outcome(
-            "undecided",
-            f"Much is left that the model does not explain, but the {pushes} pushes do not agree on what it"
-            f" is: turned round at random, they would show as much in {100 * p:.0f} % of cases.",
-            self.base,
-        )
+        return outcomes.disagreement(self.base, len(self.fitter.observations), p)
 
-    def _better_base(self) -> bool:
-        """Whether the maps of a refit, without its effect, explain the data better than those found at first.
-
-        Then it was the search that the effect helped, not the model. Asked once.
-        """
-        if self.second_look or not self.fits or not self.draws:
-            return False
-        self.second_look = True
-        best = min(self.fits.values(), key=lambda fitted: fitted.cost)
-        again = self.fitter.base(self.error, best)
-        plain = self.fitter.base(self.error, self.base)
-        if again.cost > plain.cost - 5.0:
-            return False
-        self.base = again
-        self.error = estimate_errors(again, self.noise)
-        self.base = self.fitter.base(self.error, again)
-        self.fits.clear()
-        self.gains.clear()
-        return True
-
-    def _refit(self) -> None:
-        """Refit all candidates, then again under the error model of the best of them.
-
-        All, since the first order misleads where the model without the effect had to bend its maps far.
-        """
-        named = [i for i in np.argsort(-self.first.gain) if self.first.candidates[i] in self.effects]
-        found: dict[str, Fitted] = {}
-        for step, i in enumerate(named):
-            self.report("refitting with effects", step, len(named) + 2)
-            effect = self.first.candidates[i]
-            guess = effect.start_values(self.scene)[int(self.first.start[i])]
-            near = self.base if self.draws else None
-            iterations = 30 if self.draws else QUICK_ITERATIONS
-            fitted = self.fitter.with_effects(
-                (effect,), self.error, near, guess, afresh=True, iterations=iterations
-            )
-            if fitted is not None:
-                found[effect.name] = fitted
-        if not found:
-            return
-        if not self.draws:
-            ahead = sorted(found, key=lambda name: found[name].cost)[:QUICK_REFITS]
-            found = {name: found[name] for name in ahead}
-        best = min(found.values(), key=lambda fitted: fitted.cost)
-        self.report("refitting with effects", len(named), len(named) + 2)
-        self.error = estimate_errors(best, self.noise)
-        plain = self.fitter.base(self.error, self.base)
-        ceiling = best.cost + 0.7 * max(self.base.cost - best.cost, 30.0)
-        for name, fitted in found.items():
-            if fitted.cost > ceiling:
+    def _ask_what_is_left(self) -> dict[str, Screening]:
+        """Gains on top of each candidate that is near the best; accepts those that explain the data."""
+        gains = self.refits.gains
+        order = self.refits.order
+        best = gains[order[0]]
+        asked = [name for name in order if worth_asking(gains[name], best)]
+        asked = asked[: MOST_ASKED if self.draws else MOST_ASKED_QUICKLY]
+        rest: dict[str, Screening] = {}
+        for step, name in enumerate(asked):
+            self.report("asking what is left", step, len(asked))
+            rival = rivals_the_best(gains[name], best)
+            if not (rival or self.draws):
                 continue
-            again = self.fitter.with_effects(fitted.effects, self.error, fitted, fitted.values)
-            if again is not None:
-                self.fits[name] = again
-                self.gains[name] = plain.cost - again.cost
-        self.report("refitting with effects", len(named) + 2, len(named) + 2)
+            rest[name] = self._screen(self.refits.fits[name])
+            self.left[name] = self.rules.remainder(rest[name], gains[name])
+            explains = self.left[name].rejected_by is None
+            if explains and rival and self.rules.stands(self.first, name, gains[name]):
+                self.accepted.append(name)
+        self.report("asking what is left", len(asked), len(asked))
+        return rest
 
-    def _explains(self, name: str, rest: Screening) -> bool:
-        """Whether nothing that matters is left to gain on top of a candidate; remembers what is."""
-        found = self._found(rest, REST_GAIN, REST_GAIN)
-        top = int(np.argmax(rest.gain)) if found is None else found
-        gain = float(rest.gain[top])
-        passed = found is None or gain < MATERIAL * self.gains[name]
-        p = rest.p_value(gain) if self.draws else None
-        self.asked[name] = (None if passed else rest.candidates[top].name, gain, p)
-        return passed
-
-    def _pairs(self, near: Sequence[str], rest: dict[str, Screening]) -> _Outcome:
-        """Two effects at once, the second being what gains most on top of the first."""
-        for step, name in enumerate([name for name in near if name in rest][:2]):
-            self.report("trying pairs", step, 2)
-            screening = rest[name]
-            order = [i for i in np.argsort(-screening.gain) if screening.candidates[i] in self.effects][:2]
-            for i in order:
-                second = screening.candidates[i]
-                if screening.gain[i] < 0.3 * screening.gain.max():
-                    continue
-                first = self.fits[name]
-                guess = second.start_values(self.scene)[int(screening.start[i])]
-                values = np.concatenate([first.values, guess])
-                pair = self.fitter.with_effects(
-                    (*first.effects, second), self.error, first, values, afresh=True
-                )
-                if pair is None:
-                    continue
-                left = self._screen(pair)
-                found = self._found(left, REST_GAIN, REST_GAIN)
-                # What is left must be small beside the gain of the second effect, not only of both.
-                second_gain = self.fits[name].cost - pair.cost
-                enough = found is None or left.gain[found] < 2 * MATERIAL * second_gain
-                if second_gain > PROBE_GAIN and enough:
-                    names = [effect.name for effect in pair.effects]
-                    return _Outcome(
-                        "effect",
-                        f"The data miss two effects at once: {names[0]} and {names[1]}.",
-                        pair, names, together=True, rivals=[pair],
-                    )  # fmt: skip
-        return self._unknown(rest[near[0]])
-
-    def _unknown(self, screening: Screening) -> _Outcome:
-        """Structure is left; told by the probe that gains most."""
-        probes = [(g, c) for g, c in zip(screening.gain, screening.candidates, strict=True) if c in PROBES]
-        _, probe = max(probes, key=lambda pair: pair[0])
-        return _Outcome(
-            "unknown",
-            "Structure is left that no effect of the library explains; the residual behaves like this:"
-            f" {probe.sentence[0].lower()}{probe.sentence[1:]}",
-            self.base,
-            depends_on=f"{probe.name}: {probe.sentence}",
-        )
+    def _pair(self, rest: dict[str, Screening]) -> Fitted | None:
+        """Two effects that together leave nothing."""
+        for step, name in enumerate(list(rest)[:FIRSTS_TRIED]):
+            self.report("trying pairs", step, FIRSTS_TRIED)
+            first = self.refits.fits[name]
+            for pair in pairs(self.fitter, first, rest[name], self.effects, self.scene):
+                if self.rules.completes(self._screen(pair), first.cost - pair.cost):
+                    return pair
+        return None
 
     def candidates(self, answer: Fitted) -> list[CandidateResult]:
         """All named candidates, best first; two effects found together have the parameters of their fit."""
@@ -444,20 +273,22 @@ class _Inquiry:
         for i, effect in enumerate(self.first.candidates):
             if effect not in self.effects:
                 continue
-            fitted = self.fits.get(effect.name)
-            by, gain, p = self.asked.get(effect.name, (None, None, None))
+            name, gain = effect.name, float(self.first.gain[i])
+            fitted, left = self.refits.fits.get(name), self.left.get(name)
+            own = tuple(estimate for estimate in together if estimate.effect == name)
+            if not own and fitted is not None:
+                own = parameter_estimates(fitted)
             results.append(
                 CandidateResult(
-                    effect.name,
-                    float(self.first.gain[i]),
-                    self.first.p_value(float(self.first.gain[i])) if self.draws else None,
-                    self.gains.get(effect.name),
-                    by,
-                    gain,
-                    p,
-                    effect.name in self.accepted,
-                    tuple(e for e in together if e.effect == effect.name)
-                    or (() if fitted is None else parameter_estimates(fitted)),
+                    name=name,
+                    gain=gain,
+                    p_value=self.rules.p_value(self.first, gain),
+                    fitted_gain=self.refits.gains.get(name),
+                    rejected_by=left.rejected_by if left else None,
+                    remaining_gain=left.gain if left else None,
+                    remaining_p=left.p_value if left else None,
+                    in_set=name in self.accepted,
+                    parameters=own,
                 )
             )
         return sorted(
@@ -465,33 +296,4 @@ class _Inquiry:
         )
 
 
-def parameter_estimates(fitted: Fitted) -> tuple[ParameterEstimate, ...]:
-    """Parameters of a fitted model with their 90 % intervals, cut at the allowed range."""
-    spread = 1.645 * fitted.standard_deviations
-    low, high = bounds(fitted.effects)
-    every = [(effect.name, parameter) for effect in fitted.effects for parameter in effect.parameters]
-    return tuple(
-        ParameterEstimate(
-            name,
-            parameter.name,
-            parameter.unit,
-            float(value),
-            float(max(value - s, lo)),
-            float(min(value + s, hi)),
-        )
-        for (name, parameter), value, s, lo, hi in zip(every, fitted.values, spread, low, high, strict=True)
-    )
-
-
-def typical_speed(observations: Sequence[Observation]) -> float:
-    """Median over pushes of the finger's mean speed while it moves, m/s."""
-    speeds = []
-    for o in observations:
-        speed = np.hypot(*np.diff(o.push.tip, axis=0).T) / o.push.h
-        moving = speed[np.isfinite(speed) & (speed > 1e-3)]
-        if len(moving):
-            speeds.append(float(moving.mean()))
-    return float(np.median(speeds)) if speeds else 0.05
-
-
-__all__ = ["diagnose", "parameter_estimates", "typical_speed"]
+__all__ = ["diagnose"]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from models.effects.effect import Effect
+from models.effects.effect import Effect, bounds
 from models.inference.diagnosis.fitting import Fitted
 from models.inference.diagnosis.locked import LockedErrors
 
@@ -21,6 +21,24 @@ class ParameterEstimate:
     value: float
     low: float
     high: float
+
+
+def parameter_estimates(fitted: Fitted) -> tuple[ParameterEstimate, ...]:
+    """Parameters of a fitted model with their 90 % intervals, cut at the allowed range."""
+    spread = 1.645 * fitted.standard_deviations
+    low, high = bounds(fitted.effects)
+    every = [(effect.name, parameter) for effect in fitted.effects for parameter in effect.parameters]
+    return tuple(
+        ParameterEstimate(
+            name,
+            parameter.name,
+            parameter.unit,
+            float(value),
+            float(max(value - s, lo)),
+            float(min(value + s, hi)),
+        )
+        for (name, parameter), value, s, lo, hi in zip(every, fitted.values, spread, low, high, strict=True)
+    )
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,0 +1,53 @@
+"""How the arm moves."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class ExecutionConfig:
+    """How the arm moves.
+
+    Attributes:
+        tip_height: of the finger's end over the table while it pushes, m.
+        safe_height: of the finger's end over the table while it passes over things, m; the higher, the less
+            of the table can be reached.
+        push_speed_limit: of the finger while it pushes, m/s.
+        transit_speed: of the finger on its way to a push and back, m/s.
+        lowering_speed: of the finger on its way down and up, m/s.
+        speeding_up: the finger's acceleration at the begin of a push, m/s².
+        slowing_down: at its end, m/s².
+        settle: time the finger rests at the end of a push, s.
+
+    Raises:
+        ValueError: a value out of range.
+    """
+
+    tip_height: float = 0.004
+    safe_height: float = 0.10
+    push_speed_limit: float = 0.3
+    transit_speed: float = 1.5
+    lowering_speed: float = 0.25
+    speeding_up: float = 0.5
+    slowing_down: float = 1.0
+    settle: float = 0.3
+
+    def __post_init__(self) -> None:
+        for name, low, high in (
+            ("tip_height", 0.001, 0.05),
+            ("safe_height", 0.02, 0.3),
+            ("push_speed_limit", 0.001, 1.0),
+            ("transit_speed", 0.01, 2.0),
+            ("lowering_speed", 0.01, 1.0),
+            ("speeding_up", 0.01, 5.0),
+            ("slowing_down", 0.01, 5.0),
+            ("settle", 0.0, 60.0),
+        ):
+            value = getattr(self, name)
+            if not low <= value <= high:
+                raise ValueError(f"execution: {name} must lie between {low} and {high}, got {value}")
+        if self.safe_height <= self.tip_height:
+            raise ValueError(
+                f"execution: safe_height {self.safe_height} must exceed tip_height {self.tip_height}"
+            )

@@ -1,0 +1,121 @@
+"""Where the finger is, and how the arm must stand for the finger to be somewhere, pointing straight down."""
+
+from __future__ import annotations
+
+import numpy as np
+from pydrake.math import RigidTransform
+from pydrake.multibody.inverse_kinematics import InverseKinematics
+from pydrake.multibody.plant import MultibodyPlant
+from pydrake.multibody.tree import JacobianWrtVariable
+from pydrake.solvers import Solve
+
+from models.physics.cell_grid import FloatArray
+from models.robots import ARM_JOINTS, FINGER_LENGTH, POSITION_LIMITS
+
+WORKING_POSTURE = np.array([0.0, 0.8, 0.0, -1.9, 0.0, -0.6, 0.0])
+"""(7,) rad; here the finger points down in the middle of what the arm reaches from `default_arm_base`."""
+
+LIMIT_MARGIN = np.deg2rad(3.0)
+"""The joints keep this far from their limits, rad."""
+
+_TOLERANCE = 1e-6  # m, of the finger's position; over the finger's length also of its direction
+_SWIVELS = np.array(
+    [
+        [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0],
+        [0.6, 0.0, -0.6, 0.0, 0.0, 0.0, 0.0],
+        [-0.6, 0.0, 0.6, 0.0, 0.0, 0.0, 0.0],
+        [0.3, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0],
+        [-0.3, 0.0, 0.0, 0.0, -1.0, 0.0, 0.0],
+    ]
+)
+"""Turns of the elbow about the line from shoulder to wrist, added to the working posture as starts of the
+search. At 60 random points 16 random starts found no posture nearer than these."""
+_WEIGHTS = np.diag([1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 0.1])
+_PULL = 0.1  # towards the working posture, per step along a line
+
+
+class OutOfReach(ValueError):
+    """The finger cannot be held there, pointing down. The text says why."""
+
+
+class FingerKinematics:
+    """Forward and inverse kinematics of the finger's end T.
+
+    Args:
+        model: the arm as `diagrams.station.arm.arm_model` makes it. Finalized, 7 positions, frame `tip`.
+    """
+
+    def __init__(self, model: MultibodyPlant) -> None:
+        self.model = model
+        self.tip = model.GetFrameByName("tip")
+        self._context = model.CreateDefaultContext()  # scratch: every method sets the positions it needs
+
+    def pose(self, q: FloatArray) -> RigidTransform:
+        """X_WT at joint angles q (7,), rad."""
+        self.model.SetPositions(self._context, q)
+        return self.tip.CalcPoseInWorld(self._context)
+
+    def jacobian(self, q: FloatArray) -> FloatArray:
+        """(6, 7) angular, then linear velocity of T in the world per joint speed, rad/s and m/s."""
+        self.model.SetPositions(self._context, q)
+        world = self.model.world_frame()
+        return np.asarray(
+            self.model.CalcJacobianSpatialVelocity(
+                self._context, JacobianWrtVariable.kQDot, self.tip, np.zeros(3), world, world
+            )
+        )
+
+    def inverse(self, p_WT: FloatArray, near: FloatArray | None = None) -> FloatArray:
+        """Joint angles (7,) with the finger's end at a point and the finger pointing down.
+
+        Args:
+            p_WT: (3,) where the end of the finger shall be, world, m.
+            near: (7,) angles of a neighbouring point to go on from, rad: the solution lies close to them. If
+                None, of all ways to reach the point the one nearest to `WORKING_POSTURE` is taken.
+
+        Raises:
+            OutOfReach: there are no such angles within the joints' limits and their margin.
+        """
+        largest = POSITION_LIMITS - LIMIT_MARGIN
+        if near is None:
+            goal, starts = WORKING_POSTURE, WORKING_POSTURE + _SWIVELS
+        else:
+            goal, starts = near + _PULL * (WORKING_POSTURE - near), np.atleast_2d(near)
+        found = [q for q in (self._search(p_WT, start, goal, largest) for start in starts) if q is not None]
+        if not found:
+            raise OutOfReach(self._why_not(p_WT, starts[0]))
+        return min(found, key=lambda q: float((q - goal) @ _WEIGHTS @ (q - goal)))
+
+    def _why_not(self, p_WT: FloatArray, start: FloatArray) -> str:
+        place = f"the finger cannot point down at ({p_WT[0]:.3f}, {p_WT[1]:.3f}) m, {p_WT[2]:.3f} m high"
+        q = self._search(p_WT, start, WORKING_POSTURE, np.full(7, np.pi))
+        largest = POSITION_LIMITS - LIMIT_MARGIN
+        if q is None:
+            return f"{place}: this is out of the arm's reach"
+        k = int(np.argmax(np.abs(q) - largest))
+        if abs(q[k]) <= largest[k]:
+            return f"{place} from the posture before it"
+        return (
+            f"{place}: {ARM_JOINTS[k]} would have to turn to {np.rad2deg(q[k]):.0f} degrees, "
+            f"of which {np.rad2deg(largest[k]):.0f} are allowed"
+        )
+
+    def _search(
+        self, p_WT: FloatArray, start: FloatArray, goal: FloatArray, largest: FloatArray
+    ) -> FloatArray | None:
+        """Of the angles within ±`largest` those nearest to the goal; None if the search finds none."""
+        problem = InverseKinematics(self.model, self._context, with_joint_limits=False)
+        world, q = self.model.world_frame(), problem.q()
+        problem.AddPositionConstraint(self.tip, np.zeros(3), world, p_WT - _TOLERANCE, p_WT + _TOLERANCE)
+        # The finger is vertical when a second point of its axis is above its end.
+        above = p_WT + np.array([0.0, 0.0, FINGER_LENGTH])
+        slack = np.array([_TOLERANCE, _TOLERANCE, FINGER_LENGTH])
+        problem.AddPositionConstraint(
+            self.tip, np.array([0.0, 0.0, -FINGER_LENGTH]), world, above - slack, above + slack
+        )
+        program = problem.get_mutable_prog()
+        program.AddBoundingBoxConstraint(-largest, largest, q)
+        program.AddQuadraticErrorCost(_WEIGHTS, goal, q)
+        program.SetInitialGuess(q, np.clip(start, -largest, largest))
+        result = Solve(program)
+        return np.asarray(result.GetSolution(q)) if result.is_success() else None

@@ -1,0 +1,164 @@
+"""Perception as a block: depth pictures in, the object's cells and pose out."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+from pydrake.common.value import AbstractValue, Value
+from pydrake.math import RigidTransform
+from pydrake.systems.framework import LeafSystem
+from pydrake.systems.sensors import ImageDepth32F
+
+from diagrams.perception.camera import CameraConfig
+from diagrams.systems.held import held, read, replace_held
+from models.perception.arm_mask import Hull, draw_hulls
+from models.perception.camera import DepthImage, PinholeCamera, View
+from models.perception.first_look import ObjectNotSeen, first_look, object_center
+from models.perception.object_mask import Mask
+from models.perception.observed_pose import ObservedPose, Reason
+from models.perception.pose_tracking import track
+from models.perception.seen_object import SeenObject
+from models.perception.table_plane import NoTable
+from models.physics.cell_grid import FloatArray
+
+FRAMES = 15
+"""Pictures of the object at rest that make up the first look; an odd number keeps its edges sharp."""
+
+_TRIED_EVERY = 5  # pictures; also as many of the first and of the last are compared
+_AT_REST = 1.0  # pixels that the object may seem to move between them
+
+
+@dataclass(frozen=True, eq=False)
+class _Memory:
+    """State: pictures gathered for the first look, what it found, and what is known since."""
+
+    observed: ObservedPose
+    frames: tuple[DepthImage, ...] = ()
+    seen: SeenObject | None = None
+    last_pose: FloatArray | None = None
+
+
+class CellPerception(LeafSystem):
+    """Finds the object on the table, cuts it into cells, and follows its pose from picture to picture.
+
+    .. pydrake_system::
+
+        name: CellPerception
+        input_ports:
+        - depth_image
+        - X_WC
+        - arm_position (optional)
+        output_ports:
+        - object_pose
+        - cell_grid
+        - seen_object
+
+    Inputs: `depth_image`, an ImageDepth32F; `X_WC`, a RigidTransform; `arm_position`, (7,) joint angles,
+    with which the arm is masked in the picture. Outputs: `object_pose`, an `ObservedPose`; `cell_grid`, a
+    `CellGrid` or None before the first look is over; `seen_object`, a `SeenObject` with heights, or None.
+
+    The inputs are read at the camera's rate. The first look takes `FRAMES` pictures between which the object
+    does not move; it goes on until there are such, with the arm not near the object. It defines the object
+    frame: origin at the centroid of the footprint's area, axes parallel to the world's. Until then the pose
+    is not valid, and "no object" or "occluded" its reason.
+    """
+
+    def __init__(
+        self,
+        camera: CameraConfig | None = None,
+        cells: int = 60,
+        arm_hulls: Callable[[FloatArray], Sequence[Hull]] | None = None,
+    ) -> None:
+        """Perception with a camera of known intrinsics.
+
+        Args:
+            camera: of the pictures; `CameraConfig()` by default.
+            cells: wanted number of cells.
+            arm_hulls: hulls around the arm for joint angles (7,), rad, such as `ArmHulls`; None if the arm
+                is never in the picture.
+
+        Raises:
+            ValueError: a number of cells below 1.
+        """
+        super().__init__()
+        if cells < 1:
+            raise ValueError(f"perception: the number of cells must be at least 1, got {cells}")
+        config = camera or CameraConfig()
+        self._camera = config.intrinsics
+        self._cells = cells
+        self._arm_hulls = arm_hulls
+        self._image = self.DeclareAbstractInputPort("depth_image", AbstractValue.Make(ImageDepth32F()))
+        self._X_WC = self.DeclareAbstractInputPort("X_WC", AbstractValue.Make(RigidTransform()))
+        self._arm = self.DeclareVectorInputPort("arm_position", 7)
+        memory = self.DeclareAbstractState(held(_Memory(ObservedPose.unseen("no object"))))
+        self._memory = memory
+        ticket = {self.abstract_state_ticket(memory)}
+
+        def write(part: Callable[[_Memory], object]) -> Any:
+            return lambda context, output: output.set_value(part(self._memory_in(context)))
+
+        def port(name: str, part: Callable[[_Memory], object]) -> None:
+            self.DeclareAbstractOutputPort(
+                name,
+                lambda: Value[object](),
+                write(part),
+                ticket,
+            )
+
+        port("object_pose", lambda memory: memory.observed)
+        port("cell_grid", lambda memory: None if memory.seen is None else memory.seen.grid)
+        port("seen_object", lambda memory: memory.seen)
+        self.DeclarePeriodicUnrestrictedUpdateEvent(1.0 / config.rate, 0.0, self._look)
+
+    def _memory_in(self, context: Any) -> _Memory:
+        return read(context, self._memory)
+
+    def _look(self, context: Any, state: Any) -> None:
+        memory = self._memory_in(context)
+        X_WC: Any = self._X_WC.Eval(context)
+        picture: Any = self._image.Eval(context)
+        view = _view(self._camera, X_WC.GetAsMatrix4().tobytes())
+        image = picture.data[:, :, 0]
+        blocked: Mask | None = None
+        if self._arm_hulls is not None and self._arm.HasValue(context):
+            blocked = draw_hulls(self._arm_hulls(np.asarray(self._arm.Eval(context))), view)
+        time = context.get_time()
+        if memory.seen is None:
+            memory = self._first_look(memory, image.copy(), view, blocked, time)
+        else:
+            assert memory.last_pose is not None
+            observed = track(image, view, memory.seen, memory.last_pose, blocked, time)
+            last = observed.pose if observed.valid else memory.last_pose
+            memory = replace(memory, observed=observed, last_pose=last)
+        replace_held(state, self._memory, memory)
+
+    def _first_look(
+        self, memory: _Memory, image: DepthImage, view: View, blocked: Mask | None, time: float
+    ) -> _Memory:
+        frames = (*memory.frames, image)
+        observed = replace(memory.observed, time=time)
+        if len(frames) < FRAMES:
+            return _Memory(observed, frames)
+        later = frames[_TRIED_EVERY:]
+        try:
+            begin, end = (
+                object_center(part, view, blocked) for part in (frames[:_TRIED_EVERY], frames[-_TRIED_EVERY:])
+            )
+            if np.hypot(*(end - begin)) > _AT_REST:
+                return _Memory(ObservedPose.unseen("no object", time), later)
+            seen = first_look(frames, view, self._cells, blocked)
+        except (ObjectNotSeen, NoTable) as error:
+            reason: Reason = error.reason if isinstance(error, ObjectNotSeen) else "no object"
+            return _Memory(ObservedPose.unseen(reason, time), later)
+        observed = track(image, view, seen, seen.first_pose, blocked, time)
+        return _Memory(observed, seen=seen, last_pose=seen.first_pose)
+
+
+@lru_cache(maxsize=4)
+def _view(camera: PinholeCamera, X_WC: bytes) -> View:
+    """The view, whose rays take a while to compute, kept for a camera that does not move."""
+    return View(camera, np.frombuffer(X_WC).reshape(4, 4))

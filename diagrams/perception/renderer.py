@@ -1,0 +1,83 @@
+"""Whether this machine can render depth pictures, found out before Drake takes the process down with it."""
+
+from __future__ import annotations
+
+import functools
+import subprocess
+import sys
+from typing import Any
+
+PACKAGES = ("libegl1", "libgl1-mesa-dri", "libglib2.0-0")
+"""Debian and Ubuntu packages of the libraries that rendering without a display needs."""
+
+_PATIENCE = 60.0  # s; a picture takes half a second
+_TRIAL = "from diagrams.perception.renderer import render_one_picture; render_one_picture()"
+
+
+class RendererUnavailable(RuntimeError):
+    """Depth pictures cannot be rendered here. The text is one paragraph that says what to install."""
+
+
+@functools.cache
+def require_renderer() -> None:
+    """Render one small picture in a process of its own; the answer is kept.
+
+    A missing or broken OpenGL library does not raise an error in Drake: the process dies. A trial in another
+    process turns that into an exception.
+
+    Raises:
+        RendererUnavailable: the trial failed.
+    """
+    command = [sys.executable, "-c", _TRIAL]
+    try:
+        result = subprocess.run(
+            command, capture_output=True, text=True, check=False, stdin=subprocess.DEVNULL, timeout=_PATIENCE
+        )
+    except subprocess.TimeoutExpired:
+        raise RendererUnavailable(_advice(f"no picture after {_PATIENCE:.0f} s")) from None
+    if result.returncode != 0:
+        lines = result.stderr.strip().splitlines()
+        raise RendererUnavailable(_advice(lines[-1] if lines else f"exit code {result.returncode}"))
+
+
+def render_one_picture() -> None:
+    """Render an empty scene; where libraries are missing, this may end the process."""
+    from pydrake.geometry import (
+        ClippingRange,
+        ColorRenderCamera,
+        DepthRange,
+        DepthRenderCamera,
+        MakeRenderEngineVtk,
+        RenderCameraCore,
+        RenderEngineVtkParams,
+        SceneGraph,
+    )
+    from pydrake.math import RigidTransform
+    from pydrake.systems.framework import DiagramBuilder
+    from pydrake.systems.sensors import CameraInfo, RgbdSensor
+
+    builder = DiagramBuilder()
+    scene_graph: Any = builder.AddSystem(SceneGraph())
+    scene_graph.AddRenderer("trial", MakeRenderEngineVtk(RenderEngineVtkParams()))
+    core = RenderCameraCore("trial", CameraInfo(8, 8, 1.0), ClippingRange(0.01, 10.0), RigidTransform())
+    sensor: Any = builder.AddSystem(
+        RgbdSensor(
+            scene_graph.world_frame_id(),
+            RigidTransform(),
+            ColorRenderCamera(core),
+            DepthRenderCamera(core, DepthRange(0.1, 5.0)),
+        )
+    )
+    builder.Connect(scene_graph.get_query_output_port(), sensor.query_object_input_port())
+    diagram = builder.Build()
+    context = sensor.GetMyContextFromRoot(diagram.CreateDefaultContext())
+    sensor.depth_image_32F_output_port().Eval(context)
+
+
+def _advice(reason: str) -> str:
+    return (
+        f"the camera cannot render pictures on this machine ({reason}). Rendering without a display needs "
+        f"EGL and a software or hardware OpenGL driver; on Debian and Ubuntu install them with `sudo apt-get "
+        f"install {' '.join(PACKAGES)}`, elsewhere with the packages that hold libEGL, Mesa's drivers "
+        f"and GLib"
+    )

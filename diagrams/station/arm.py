@@ -1,0 +1,249 @@
+"""The arm: an iiwa 14 with a gripper, mounted beside the table, and the drivers that control it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from pydrake.geometry import Capsule, Cylinder
+from pydrake.manipulation import (
+    IiwaDriver,
+    MakeMultibodyStateToWsgStateSystem,
+    SchunkWsgPositionController,
+    SimIiwaDriver,
+)
+from pydrake.math import RigidTransform, RollPitchYaw, RotationMatrix
+from pydrake.multibody.parsing import LoadModelDirectivesFromString, Parser, ProcessModelDirectives
+from pydrake.multibody.plant import MultibodyPlant
+from pydrake.multibody.tree import FixedOffsetFrame, Frame, ModelInstanceIndex
+from pydrake.systems.framework import DiagramBuilder
+from pydrake.systems.primitives import SharedPointerSystem
+
+from models.robots import ARM_JOINTS, FINGER_RADIUS, FLANGE_HEIGHT, FOLDER, GRIPPER_MODEL, IIWA_MODEL
+
+ARM_MODELS = {
+    "primitives": f"package://slipmap_robots/{IIWA_MODEL.name}",
+    "drake_models": "package://drake_models/iiwa_description/urdf/iiwa14_primitive_collision.urdf",
+}
+"""Where each set of models has its arm. The gripper is our own in all of them, because its finger pushes."""
+
+HOME = np.array([0.83, 1.99, -0.06, -1.94, 0.31, -0.69, 0.0])
+"""(7,) joint angles at which the arm lies folded beside the table, rad. On `default_arm_base` a camera 1.1 m
+above the table's middle sees past it all of the table within 0.48 m."""
+
+STIFFNESS = np.full(7, 8000.0)
+"""(7,) gains of the simulated joint control, 1/s²."""
+
+_FLOOR = -0.75  # m, where the stand ends
+_GRIPPER_STEP = 0.05  # s, period at which the gripper takes commands
+
+_DIRECTIVES = """
+directives:
+- add_model: {{name: iiwa, file: "{arm}"}}
+- add_model: {{name: gripper, file: "package://slipmap_robots/{gripper}"}}
+- add_weld:
+    parent: iiwa::iiwa_link_7
+    child: gripper::hand
+    X_PC: {{translation: [0, 0, {flange}]}}
+- add_collision_filter_group:
+    name: arm
+    members: [{members}]
+    ignored_collision_filter_groups: [arm]
+"""
+
+
+@dataclass(frozen=True, eq=False)
+class Arm:
+    """The arm in a plant.
+
+    Attributes:
+        iiwa: model instance of the arm proper, 7 positions.
+        gripper: model instance of its hand, 2 positions.
+        tip: frame T, its origin the centre of the finger's end, its z along the finger and out of the hand.
+        finger_radius: of the round finger that the closed gripper is, m.
+        X_WB: pose of the arm's base in the world.
+        models: the set of models it came from.
+    """
+
+    iiwa: ModelInstanceIndex
+    gripper: ModelInstanceIndex
+    tip: Frame
+    finger_radius: float
+    X_WB: RigidTransform
+    models: str
+
+
+def default_arm_base() -> RigidTransform:
+    """Pose X_WB of the base: on a stand beyond the table's edge at x = -0.5 m, leaning over the table.
+
+    Upright beside a table of radius 0.5 m an iiwa can hold the finger vertical over a disc of 0.16 m only.
+    Leaning by 60 degrees puts its shoulder over the table, 0.86 m high at x = -0.25 m. The finger then
+    reaches 88 % of the table: all of it within 0.36 m of the middle, and x = 0.38 m at its far side.
+    """
+    return RigidTransform(RollPitchYaw(0.0, np.deg2rad(60.0), 0.0), np.array([-0.56, 0.0, 0.675]))
+
+
+def add_arm(plant: MultibodyPlant, X_WB: RigidTransform | None = None, models: str = "primitives") -> Arm:
+    """Put the arm into a plant that is not finalized yet, at its home posture by default.
+
+    No part of the arm or gripper collides with another one; all of them collide with everything else.
+
+    Args:
+        plant: discrete, with a contact approximation other than `tamsi`, which could not couple the fingers.
+        X_WB: pose of the base in the world; `default_arm_base` if None.
+        models: a key of `ARM_MODELS`. Drake downloads its meshes at first use.
+
+    Raises:
+        ValueError: an unknown set of models.
+        RuntimeError: the models cannot be had, or the plant cannot couple the fingers.
+    """
+    X_WB = default_arm_base() if X_WB is None else X_WB
+    iiwa, gripper = _parse(plant, X_WB, models)
+    # One drive moves both fingers; uncoupled, a sideways push would shift them together.
+    plant.AddCouplerConstraint(
+        plant.GetJointByName("left_finger_joint", gripper),
+        plant.GetJointByName("right_finger_joint", gripper),
+        -1.0,
+    )
+    for name, angle in zip(ARM_JOINTS, HOME, strict=True):
+        plant.GetJointByName(name, iiwa).set_default_positions([angle])
+    if plant.geometry_source_is_registered():
+        _add_stand(plant, X_WB)
+    return Arm(iiwa, gripper, plant.GetFrameByName("tip", gripper), FINGER_RADIUS, X_WB, models)
+
+
+def arm_model(X_WB: RigidTransform | None = None, models: str = "primitives") -> MultibodyPlant:
+    """The arm as its controller knows it: a finalized plant of 7 positions, the closed gripper its load.
+
+    Like the plant of `add_arm` it has a frame `tip`. Its discrete time step has no meaning.
+
+    Raises:
+        ValueError, RuntimeError: as `add_arm`.
+    """
+    complete = MultibodyPlant(1e-3)
+    _, gripper = _parse(complete, RigidTransform(), models)
+    complete.Finalize()
+    context = complete.CreateDefaultContext()
+    hand = complete.GetFrameByName("hand", gripper)
+    load = complete.CalcSpatialInertia(context, hand, complete.GetBodyIndices(gripper))
+    X_HT = complete.GetFrameByName("tip", gripper).CalcPose(context, hand)
+
+    plant = MultibodyPlant(1e-3)
+    (iiwa,) = _parser(plant).AddModelsFromUrl(_arm_url(models))
+    plant.WeldFrames(
+        plant.world_frame(),
+        plant.GetFrameByName("iiwa_link_0", iiwa),
+        default_arm_base() if X_WB is None else X_WB,
+    )
+    body = plant.AddRigidBody("gripper", iiwa, load)
+    flange = RigidTransform([0.0, 0.0, FLANGE_HEIGHT])
+    plant.WeldFrames(plant.GetFrameByName("iiwa_link_7", iiwa), body.body_frame(), flange)
+    plant.AddFrame(FixedOffsetFrame("tip", body.body_frame(), X_HT))
+    plant.Finalize()
+    return plant
+
+
+def add_arm_drivers(builder: DiagramBuilder, plant: MultibodyPlant, arm: Arm) -> None:
+    """Control the arm's joints and the gripper's opening, and export their ports from the diagram.
+
+    The arm's driver is Drake's `SimIiwaDriver` with stiffer joints than its default, at which 15 N bend the
+    finger away by more than a millimetre; the real controller integrates such an error to nothing.
+
+    .. pydrake_system::
+
+        name: the diagram
+        input_ports:
+        - iiwa.position
+        - gripper.position
+        - gripper.force_limit
+        output_ports:
+        - iiwa.position_commanded
+        - iiwa.position_measured
+        - iiwa.velocity_estimated
+        - iiwa.torque_external
+        - gripper.state_measured
+
+    `iiwa.*` are (7,) in rad, rad/s, N m; torque_external is that of the contact forces on arm and gripper,
+    smoothed over 10 ms. `gripper.position` (1,) is the opening from 0 to `GRIPPER_OPENING`, m;
+    `gripper.force_limit` (1,) the largest force of a finger, N, 40 if not connected; `gripper.state_measured`
+    (2,) the opening and its rate, m and m/s.
+
+    Args:
+        builder: of the diagram that the plant is in.
+        plant: finalized.
+        arm: what `add_arm` put into the plant.
+    """
+    model = SharedPointerSystem.AddToBuilder(builder, arm_model(arm.X_WB, arm.models))
+    config = IiwaDriver(control_mode="position_only", desired_kp_gains=STIFFNESS)
+    iiwa = SimIiwaDriver.AddToBuilder(builder, plant, arm.iiwa, config, model)
+    builder.ExportInput(iiwa.GetInputPort("position"), "iiwa.position")
+    for name in ("position_commanded", "position_measured", "velocity_estimated", "torque_external"):
+        builder.ExportOutput(iiwa.GetOutputPort(name), f"iiwa.{name}")
+
+    hand = builder.AddNamedSystem("gripper_control", SchunkWsgPositionController(_GRIPPER_STEP))
+    opening = builder.AddNamedSystem("gripper_state", MakeMultibodyStateToWsgStateSystem())
+    state = plant.get_state_output_port(arm.gripper)
+    builder.Connect(state, hand.GetInputPort("state"))
+    builder.Connect(state, opening.get_input_port())
+    builder.Connect(hand.GetOutputPort("generalized_force"), plant.get_actuation_input_port(arm.gripper))
+    builder.ExportInput(hand.GetInputPort("desired_position"), "gripper.position")
+    builder.ExportInput(hand.GetInputPort("force_limit"), "gripper.force_limit")
+    builder.ExportOutput(opening.get_output_port(), "gripper.state_measured")
+
+
+def _arm_url(models: str) -> str:
+    if models not in ARM_MODELS:
+        raise ValueError(f"arm: no set of models is called {models!r}; there are {', '.join(ARM_MODELS)}")
+    return ARM_MODELS[models]
+
+
+def _parser(plant: MultibodyPlant) -> Parser:
+    parser = Parser(plant)
+    parser.package_map().Add("slipmap_robots", FOLDER)
+    return parser
+
+
+def _parse(
+    plant: MultibodyPlant, X_WB: RigidTransform, models: str
+) -> tuple[ModelInstanceIndex, ModelInstanceIndex]:
+    links = [f"iiwa::iiwa_link_{i}" for i in range(8)]
+    fingers = ["gripper::hand", "gripper::left_finger", "gripper::right_finger"]
+    directives = _DIRECTIVES.format(
+        arm=_arm_url(models),
+        gripper=GRIPPER_MODEL.name,
+        flange=FLANGE_HEIGHT,
+        members=", ".join(links + fingers),
+    )
+    try:
+        ProcessModelDirectives(LoadModelDirectivesFromString(directives), _parser(plant))
+    except RuntimeError as error:
+        if models == "primitives":
+            raise
+        raise RuntimeError(
+            f"arm: Drake could not get its models; take `primitives`, or go online: {error}"
+        ) from error
+    iiwa, gripper = (plant.GetModelInstanceByName(name) for name in ("iiwa", "gripper"))
+    plant.WeldFrames(plant.world_frame(), plant.GetFrameByName("iiwa_link_0", iiwa), X_WB)
+    return iiwa, gripper
+
+
+def _add_stand(plant: MultibodyPlant, X_WB: RigidTransform) -> None:
+    """A column from the floor to the back of the base; nothing collides with it."""
+    back = X_WB @ np.array([0.0, 0.0, -0.02])
+    head = X_WB @ np.array([0.0, 0.0, -0.14])
+    foot = np.array([head[0], head[1], _FLOOR])
+    dark, grey = np.array([0.16, 0.17, 0.19, 1.0]), np.array([0.55, 0.57, 0.6, 1.0])
+    up = RotationMatrix()
+    shapes = (
+        (
+            "plate",
+            Cylinder(0.15, 0.02),
+            RigidTransform(X_WB.rotation(), X_WB @ np.array([0.0, 0.0, -0.01])),
+            dark,
+        ),
+        ("neck", Capsule(0.07, 0.12), RigidTransform(X_WB.rotation(), (back + head) / 2), grey),
+        ("column", Cylinder(0.07, head[2] - _FLOOR), RigidTransform(up, (head + foot) / 2), grey),
+        ("foot", Cylinder(0.22, 0.03), RigidTransform(up, foot + np.array([0.0, 0.0, 0.015])), dark),
+    )
+    for name, shape, X_WG, colour in shapes:
+        plant.RegisterVisualGeometry(plant.world_body(), X_WG, shape, f"arm_stand_{name}", colour)

@@ -1,0 +1,270 @@
+"""Effects in the true world that the object's model does not know of, to be found out from the pushes.
+
+Parameters mean what those of the same name in `models.effects.library` mean; the defaults are no effect.
+"""
+
+# Annotations stay objects: Drake's YAML reader looks at them.
+from dataclasses import dataclass, field, fields
+
+import numpy as np
+from pydrake.common.cpp_param import List
+from pydrake.common.value import AbstractValue, Value
+from pydrake.math import RigidTransform
+from pydrake.multibody.math import SpatialForce, SpatialVelocity
+from pydrake.multibody.plant import ExternallyAppliedSpatialForce, MultibodyPlant
+from pydrake.systems.framework import Context, DiagramBuilder, LeafSystem
+
+from diagrams.station.sliding_object import BODY, GRAVITY
+from models.objects.true_object import TrueObject
+from models.physics.cell_grid import FloatArray
+
+_TOUCH = 2e-3  # m; cells that are farther from the table's height do not slide on it
+_SLOWEST = 1e-3  # m/s; below about this slip an extra friction fades out
+
+
+class _Numbers:
+    _not_negative: tuple[str, ...] = ()
+
+    def check(self) -> None:
+        """Raise ValueError where a field makes no sense."""
+        for item in fields(self):  # type: ignore[arg-type]
+            value = getattr(self, item.name)
+            if not np.isfinite(value) or (item.name in self._not_negative and value < 0):
+                sign = " and not negative" if item.name in self._not_negative else ""
+                raise ValueError(f"{type(self).__name__}.{item.name} must be finite{sign}, got {value}")
+
+
+@dataclass
+class TableTilt(_Numbers):
+    """The table is not level; only the object feels it.
+
+    Attributes:
+        down_x, down_y: slopes along x and y, downhill where positive, rad.
+    """
+
+    down_x: float = 0.0
+    down_y: float = 0.0
+
+    def check(self) -> None:
+        """Raise ValueError where a field makes no sense."""
+        super().check()
+        if max(abs(self.down_x), abs(self.down_y)) > 0.5:
+            raise ValueError(f"TableTilt: slopes are in rad, at most 0.5, got {self.down_x}, {self.down_y}")
+
+
+@dataclass
+class Tether(_Numbers):
+    """A cable pulls the object towards a fixed point beyond its slack length.
+
+    Attributes:
+        stiffness: of the cable, N/m.
+        anchor_x, anchor_y: where it is fixed on the table, world, m.
+        slack: length at which it begins to pull, m.
+        point_x, point_y: where it is tied to the object's base, object frame, m.
+    """
+
+    _not_negative = ("stiffness", "slack")
+
+    stiffness: float = 0.0
+    anchor_x: float = 0.3
+    anchor_y: float = 0.0
+    slack: float = 0.0
+    point_x: float = 0.0
+    point_y: float = 0.0
+
+
+@dataclass
+class ViscousFriction(_Numbers):
+    """A film of oil under the object.
+
+    Attributes:
+        drag_per_area: force per speed and area, N s/m³.
+    """
+
+    _not_negative = ("drag_per_area",)
+
+    drag_per_area: float = 0.0
+
+
+@dataclass
+class TableFrictionField(_Numbers):
+    """Friction varies with the place on the table.
+
+    Attributes:
+        gradient_x, gradient_y: relative rise along x and y, 1/m.
+        patch: logarithm of the factor on a round patch.
+        patch_x, patch_y: its middle, world, m.
+        patch_radius: m.
+    """
+
+    _not_negative = ("patch_radius",)
+
+    gradient_x: float = 0.0
+    gradient_y: float = 0.0
+    patch: float = 0.0
+    patch_x: float = 0.0
+    patch_y: float = 0.0
+    patch_radius: float = 0.12
+
+    def factor(self, points: FloatArray) -> FloatArray:
+        """(k,) by which friction is multiplied at points (k, 2), world, m."""
+        inside = np.hypot(points[:, 0] - self.patch_x, points[:, 1] - self.patch_y) < self.patch_radius
+        slope = 1 + points @ np.array([self.gradient_x, self.gradient_y])
+        return np.maximum(slope, 0.0) * np.exp(self.patch * inside)
+
+
+@dataclass
+class HiddenEffectsConfig:
+    """Everything that can be hidden in the station's table; nothing is by default."""
+
+    table_tilt: TableTilt = field(default_factory=TableTilt)
+    tether: Tether = field(default_factory=Tether)
+    viscous_friction: ViscousFriction = field(default_factory=ViscousFriction)
+    table_friction_field: TableFrictionField = field(default_factory=TableFrictionField)
+
+    @property
+    def is_null(self) -> bool:
+        """Whether there is no effect at all."""
+        tilt, spots = self.table_tilt, self.table_friction_field
+        sizes = [tilt.down_x, tilt.down_y, self.tether.stiffness, self.viscous_friction.drag_per_area]
+        return not any([*sizes, spots.gradient_x, spots.gradient_y, spots.patch])
+
+
+def tilted_gravity(tilt: TableTilt, gravity: float = GRAVITY) -> FloatArray:
+    """(3,) gravity in the frame of a table whose top falls by these slopes along x and y, m/s²."""
+    down = np.array([np.tan(tilt.down_x), np.tan(tilt.down_y), -1.0])
+    return gravity * down / np.linalg.norm(down)
+
+
+class HiddenEffects(LeafSystem):
+    """Forces of the hidden effects on the object, for the plant's `applied_spatial_force`.
+
+    .. pydrake_system::
+
+        name: HiddenEffects
+        input_ports:
+        - body_poses
+        - body_spatial_velocities
+        output_ports:
+        - spatial_forces
+
+    Tilt is the difference between tilted and level gravity, at the centre of mass. The plant's own gravity
+    stays level, so that an arm whose controller knows how it is mounted does not feel it. The tether pulls at
+    the base, so that it does not tip the object. Drag is the integral over the cells' squares.
+
+    The friction field: Drake gives a cell one coefficient for all places, so the difference to the field,
+    (factor - 1) μ m g of each cell on the table, is a force against (or along) the cell's slip. A force that
+    is given for a whole time step cannot stick; it fades out below a slip of 1 mm/s, or as much as a step of
+    extra friction takes from a free cell's speed, whichever is more. In a push, only cells next to the centre
+    of rotation are that slow; but an object at rest is held by the friction that it has without the field.
+
+    Args:
+        plant: with the object, finalized.
+        true_object: what the plant's object was made of.
+        config: the effects.
+
+    Raises:
+        ValueError: a parameter that makes no sense, or an effect so stiff that it cannot be simulated with
+            the plant's time step.
+    """
+
+    def __init__(self, plant: MultibodyPlant, true_object: TrueObject, config: HiddenEffectsConfig) -> None:
+        super().__init__()
+        for effect in fields(config):
+            getattr(config, effect.name).check()
+        grid = true_object.grid
+        self._config = config
+        self._index = plant.GetBodyByName(BODY).index()
+        self._base = np.column_stack([grid.centers, np.zeros(len(grid))])
+        self._width = grid.width
+        self._load = true_object.mass * true_object.mu * GRAVITY
+        self._step_of_speed = true_object.mu * GRAVITY * plant.time_step()
+        self._mass = true_object.total_mass
+        self._p_OC = true_object.center_of_mass
+        self._refuse_stiff(plant.time_step())
+        self._poses = self.DeclareAbstractInputPort("body_poses", Value[List[RigidTransform]]())
+        self._velocities = self.DeclareAbstractInputPort(
+            "body_spatial_velocities", Value[List[SpatialVelocity]]()
+        )
+        self.DeclareAbstractOutputPort(
+            "spatial_forces",
+            lambda: AbstractValue.Make([ExternallyAppliedSpatialForce()]),
+            self._calc_forces,
+            {self._poses.ticket(), self._velocities.ticket()},
+        )
+
+    def _refuse_stiff(self, step: float) -> None:
+        # Explicit Euler needs less than 2 and 4; a quarter of that keeps it accurate.
+        area = len(self._base) * self._width**2
+        if self._config.viscous_friction.drag_per_area * area * step / self._mass > 0.5:
+            raise ValueError(
+                f"ViscousFriction.drag_per_area: too much for an object of {self._mass:.3g} kg and a time "
+                f"step of {step:g} s; at most {0.5 * self._mass / step / area:.3g} N s/m³"
+            )
+        if self._config.tether.stiffness * step**2 / self._mass > 1.0:
+            raise ValueError(
+                f"Tether.stiffness: too stiff for an object of {self._mass:.3g} kg and a time step of "
+                f"{step:g} s; at most {self._mass / step**2:.3g} N/m"
+            )
+
+    def _calc_forces(self, context: Context, output: AbstractValue) -> None:
+        X_WO: RigidTransform = self._poses.Eval(context)[self._index]
+        V_WO: SpatialVelocity = self._velocities.Eval(context)[self._index]
+        force, torque = self.wrench(X_WO, V_WO)
+        applied = ExternallyAppliedSpatialForce()
+        applied.body_index = self._index
+        applied.p_BoBq_B = np.zeros(3)
+        applied.F_Bq_W = SpatialForce(torque, force)
+        output.set_value([applied])
+
+    def wrench(self, X_WO: RigidTransform, V_WO: SpatialVelocity) -> tuple[FloatArray, FloatArray]:
+        """Force (3,) and torque (3,) about the object frame's origin, world, N and N m."""
+        R, p_WO, omega = X_WO.rotation().matrix(), X_WO.translation(), V_WO.rotational()
+        arms = self._base @ R.T
+        velocities = V_WO.translational() + np.cross(omega, arms)
+        velocities[:, 2] = 0.0
+        touching = np.abs(p_WO[2] + arms[:, 2]) < _TOUCH
+
+        places = [R @ self._p_OC]
+        forces = [self._mass * (tilted_gravity(self._config.table_tilt) - tilted_gravity(TableTilt()))]
+        tether = self._config.tether
+        tied = R @ [tether.point_x, tether.point_y, 0.0]
+        places.append(tied)
+        forces.append(_pull(tether, p_WO + tied))
+        drag = self._config.viscous_friction.drag_per_area * self._width**2 * touching
+        slowing = -drag[:, None] * velocities + self._extra_friction(p_WO + arms, velocities, touching)
+        torque = np.cross(places, forces).sum(axis=0) + np.cross(arms, slowing).sum(axis=0)
+        # A square's own second moment, w²/6 of its area.
+        torque[2] -= drag.sum() * self._width**2 / 6 * omega[2]
+        return np.sum(forces, axis=0) + slowing.sum(axis=0), torque
+
+    def _extra_friction(self, p_WC: FloatArray, v_WC: FloatArray, touching: FloatArray) -> FloatArray:
+        """(n, 3) what the friction field adds to the friction of each cell, world, N."""
+        excess = (self._config.table_friction_field.factor(p_WC[:, :2]) - 1) * touching
+        slowest = np.maximum(_SLOWEST, np.abs(excess) * self._step_of_speed)
+        speed = np.sqrt((v_WC**2).sum(axis=1) + slowest**2)
+        return -(excess * self._load / speed)[:, None] * v_WC
+
+
+def _pull(tether: Tether, p_WP: FloatArray) -> FloatArray:
+    """(3,) force on the object's end of the cable, world, N."""
+    way = np.array([tether.anchor_x, tether.anchor_y, p_WP[2]]) - p_WP
+    length = float(np.linalg.norm(way))
+    if length <= max(tether.slack, 1e-9):
+        return np.zeros(3)
+    return tether.stiffness * (length - tether.slack) / length * way
+
+
+def add_hidden_effects(
+    builder: DiagramBuilder, plant: MultibodyPlant, true_object: TrueObject, config: HiddenEffectsConfig
+) -> HiddenEffects | None:
+    """Connect the effects to a finalized plant; None, and nothing done, where there are none."""
+    if config.is_null:
+        return None
+    system = builder.AddNamedSystem("hidden_effects", HiddenEffects(plant, true_object, config))
+    builder.Connect(plant.get_body_poses_output_port(), system.GetInputPort("body_poses"))
+    builder.Connect(
+        plant.get_body_spatial_velocities_output_port(), system.GetInputPort("body_spatial_velocities")
+    )
+    builder.Connect(system.get_output_port(), plant.get_applied_spatial_force_input_port())
+    return system

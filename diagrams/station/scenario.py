@@ -1,0 +1,166 @@
+"""Everything about the robot's cell that a user tunes, as YAML dataclasses like those of Drake's own scenarios."""
+
+# Annotations stay objects: Drake's YAML reader looks at them.
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from diagrams.perception.camera import CameraConfig
+from diagrams.perception.depth_noise import DepthNoiseConfig
+from diagrams.station.arm import ARM_MODELS
+from diagrams.station.hidden_effects import HiddenEffectsConfig
+from models.measurements.push_dataset import Table
+from models.objects.benchmark import benchmark_object
+from models.objects.true_object import DEFAULT_CELLS, DEFAULT_MU_FINGER, TrueObject, object_from_labels, object_from_mesh
+from planners.poke_settings import PokeSettings
+
+
+@dataclass
+class ObjectSettings:
+    """The object on the table: one of the benchmark, or your own from a mesh or a label image.
+
+    Attributes:
+        name: of a benchmark object; not used where `mesh` or `labels` is given.
+        mesh: file that trimesh can load; needs `mass` and `mu`.
+        labels: picture whose pixels name segments; needs `metres_per_pixel`, `masses`, `frictions`, `height`.
+        mass, mu: of an object of one material, kg.
+        metres_per_pixel: side of a pixel, m.
+        masses, frictions: of each label.
+        height: of an object from a label image, m.
+        mu_finger: friction with the finger, of your own object.
+        cells: wanted number of the true object's cells, of your own object.
+        pose: x and y in m, turn in degrees, at the beginning.
+    """
+
+    name: str = "hammer"
+    mesh: str | None = None
+    labels: str | None = None
+    mass: float = 1.0
+    mu: float = 0.4
+    metres_per_pixel: float = 0.001
+    masses: dict[str, float] = field(default_factory=dict)
+    frictions: dict[str, float] = field(default_factory=dict)
+    height: float = 0.03
+    mu_finger: float = DEFAULT_MU_FINGER
+    cells: int = DEFAULT_CELLS
+    pose: list[float] = field(default_factory=lambda: [0.0, 0.0, 0.0])
+
+    def check(self) -> None:
+        """Raise ValueError where a field makes no sense."""
+        if len(self.pose) != 3 or not np.isfinite(self.pose).all():
+            raise ValueError(f"object.pose must be x, y in m and a turn in degrees, got {self.pose}")
+        if self.mesh is not None and self.labels is not None:
+            raise ValueError("object: give mesh or labels, not both")
+        for name in (*self.masses, *self.frictions):
+            if not name.isdigit():
+                raise ValueError(f"object: masses and frictions are by label, a whole number, got {name!r}")
+
+    def make(self) -> TrueObject:
+        """The object.
+
+        Raises:
+            ValueError: it cannot be had; names the object, the file or the number.
+        """
+        if self.mesh is not None:
+            return object_from_mesh(self.mesh, self.mass, self.mu, mu_finger=self.mu_finger, count=self.cells)
+        if self.labels is not None:
+            return object_from_labels(
+                self.labels,
+                self.metres_per_pixel,
+                {int(label): value for label, value in self.masses.items()},
+                {int(label): value for label, value in self.frictions.items()},
+                height=self.height,
+                mu_finger=self.mu_finger,
+                count=self.cells,
+            )
+        return benchmark_object(self.name)
+
+
+@dataclass
+class TableSettings:
+    """The table, its middle at the world's origin.
+
+    Attributes:
+        shape: round or rectangle.
+        radius: of a round table, m.
+        size: along x and y of a rectangular one, m.
+        friction: of the table's own surface; the object's friction with it is the object's affair, but must be
+            below twice this.
+    """
+
+    shape: str = "round"
+    radius: float = 0.5
+    size: list[float] = field(default_factory=lambda: [1.2, 0.8])
+    friction: float = 0.6
+
+    def check(self) -> None:
+        """Raise ValueError where a field makes no sense."""
+        if self.shape not in ("round", "rectangle"):
+            raise ValueError(f"table.shape must be round or rectangle, got {self.shape!r}")
+        if not self.radius > 0 or len(self.size) != 2 or not min(self.size) > 0:
+            raise ValueError(f"table: radius and size must be positive, got {self.radius} and {self.size}")
+        if not self.friction > 0:
+            raise ValueError(f"table.friction must be positive, got {self.friction}")
+
+    def make(self) -> Table:
+        """The table top as push datasets describe it."""
+        if self.shape == "round":
+            return Table("round", (0.0, 0.0), radius=self.radius)
+        return Table("rectangle", (0.0, 0.0), size=(self.size[0], self.size[1]))
+
+
+@dataclass
+class ArmSettings:
+    """The arm.
+
+    Attributes:
+        models: `primitives`, which are part of slipmap, or `drake_models`, which Drake downloads.
+    """
+
+    models: str = "primitives"
+
+    def check(self) -> None:
+        """Raise ValueError where a field makes no sense."""
+        if self.models not in ARM_MODELS:
+            raise ValueError(f"arm.models must be one of {', '.join(ARM_MODELS)}, got {self.models!r}")
+
+
+@dataclass
+class SimulationSettings:
+    """The simulated world.
+
+    Attributes:
+        time_step: of the plant, s.
+    """
+
+    time_step: float = 0.005
+
+    def check(self) -> None:
+        """Raise ValueError where a field makes no sense."""
+        if not 1e-4 <= self.time_step <= 0.01:
+            raise ValueError(f"simulation.time_step must lie between 0.0001 and 0.01 s, got {self.time_step}")
+
+
+@dataclass
+class Scenario:
+    """A robot's cell and what is done in it.
+
+    Attributes:
+        object: what lies on the table.
+        table: where it lies.
+        arm: what pushes it.
+        camera: what watches.
+        depth_noise: how well it sees.
+        hidden: physics of the true world that the plain model does not have; nothing by default.
+        pokes: how the object is explored.
+        simulation: how the world is stepped.
+    """
+
+    object: ObjectSettings = field(default_factory=ObjectSettings)
+    table: TableSettings = field(default_factory=TableSettings)
+    arm: ArmSettings = field(default_factory=ArmSettings)
+    camera: CameraConfig = field(default_factory=CameraConfig)
+    depth_noise: DepthNoiseConfig = field(default_factory=DepthNoiseConfig)
+    hidden: HiddenEffectsConfig = field(default_factory=HiddenEffectsConfig)
+    pokes: PokeSettings = field(default_factory=PokeSettings)
+    simulation: SimulationSettings = field(default_factory=SimulationSettings)

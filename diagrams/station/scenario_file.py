@@ -1,0 +1,96 @@
+"""Reading a scenario from YAML: what is wrong in it is said by the name of the field."""
+
+import dataclasses
+import difflib
+import types
+import typing
+from pathlib import Path
+from typing import Any
+
+import yaml
+from pydrake.common.yaml import yaml_load_typed
+
+
+class ScenarioError(ValueError):
+    """A scenario file that cannot be used; the message names the file and the field."""
+
+
+T = typing.TypeVar("T")
+
+
+def read_settings(path: str | Path, schema: type[T]) -> T:
+    """Read a dataclass from a YAML file; what the file leaves out keeps its default.
+
+    Args:
+        path: of the file.
+        schema: dataclass, whose fields may be dataclasses.
+
+    Raises:
+        ScenarioError: no such file, no YAML, an unknown field, a value of another type, or one that the
+            dataclass itself refuses.
+    """
+    path = Path(path)
+    try:
+        text = path.read_text(encoding="utf-8")
+        content = yaml.safe_load(text)
+    except OSError as error:
+        raise ScenarioError(f"{path}: cannot be read ({error.strerror or error})") from error
+    except (yaml.YAMLError, UnicodeDecodeError) as error:
+        raise ScenarioError(f"{path}: is not YAML ({' '.join(str(error).split())})") from error
+    if content is None:
+        return schema()
+    _check(content, schema, str(path), "")
+    try:
+        settings = yaml_load_typed(schema=schema, data=text, defaults=schema())
+        _refuse(settings)
+    except ValueError as error:
+        raise ScenarioError(f"{path}: {error}") from error
+    return settings
+
+
+def _refuse(settings: Any) -> None:
+    """Ask every part, once complete, whether its numbers make sense."""
+    for field in dataclasses.fields(settings):
+        value = getattr(settings, field.name)
+        if dataclasses.is_dataclass(value):
+            _refuse(value)
+    check = getattr(settings, "check", None)
+    if check is not None:
+        check()
+
+
+def _check(value: Any, wanted: Any, path: str, where: str) -> None:
+    if dataclasses.is_dataclass(wanted):
+        _check_fields(value, wanted, path, where)
+        return
+    options = typing.get_args(wanted)
+    origin = typing.get_origin(wanted)
+    if origin in (typing.Union, types.UnionType):
+        if value is None and type(None) in options:
+            return
+        rest = [option for option in options if option is not type(None)]
+        _check(value, rest[0], path, where)
+        return
+    if origin in (list, tuple):
+        if not isinstance(value, list):
+            raise ScenarioError(f"{path}: {where} must be a list, got {value!r}")
+        for index, item in enumerate(value):
+            _check(item, options[0], path, f"{where}[{index}]")
+        return
+    kinds = {float: (int, float), int: (int,), str: (str,), bool: (bool,)}[wanted]
+    if not isinstance(value, kinds) or (isinstance(value, bool) and wanted is not bool):
+        names = {float: "a number", int: "a whole number", str: "a text", bool: "true or false"}
+        raise ScenarioError(f"{path}: {where} must be {names[wanted]}, got {value!r}")
+
+
+def _check_fields(value: Any, wanted: Any, path: str, where: str) -> None:
+    if not isinstance(value, dict):
+        raise ScenarioError(f"{path}: {where or 'the file'} must hold fields and values, got {value!r}")
+    known = {field.name: field.type for field in dataclasses.fields(wanted)}
+    for name, item in value.items():
+        full = f"{where}.{name}" if where else str(name)
+        if name not in known:
+            near = difflib.get_close_matches(str(name), known, n=1)
+            hint = f"; did you mean {near[0]}?" if near else ""
+            raise ScenarioError(f"{path}: unknown field {full}{hint} Known here: {', '.join(sorted(known))}")
+        _check(item, known[name], path, full)

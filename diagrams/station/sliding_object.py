@@ -1,0 +1,182 @@
+"""The true object in Drake's world: one rigid body on many small feet, each with its own friction."""
+
+from __future__ import annotations
+
+from itertools import groupby
+
+import numpy as np
+from pydrake.common import MemoryFile
+from pydrake.geometry import AddContactMaterial, Convex, InMemoryMesh, Mesh, ProximityProperties, Sphere
+from pydrake.math import RigidTransform, RollPitchYaw
+from pydrake.multibody.plant import CoulombFriction, MultibodyPlant, MultibodyPlantConfig
+from pydrake.multibody.tree import ModelInstanceIndex, SpatialInertia, UnitInertia
+
+from models.objects.convex_pieces import convex_pieces
+from models.objects.shaded_mesh import shaded_obj
+from models.objects.true_object import TrueObject
+from models.physics.cell_grid import FloatArray
+
+GRAVITY = 9.81
+"""m/s²; sets how stiff the feet are."""
+BODY = "object"
+"""Name of the body and of the model instance's only link."""
+FINGER_FRICTION = 0.3
+"""Friction coefficient of the finger's own geometry, as in its model file."""
+
+FOOT_RADIUS = 5e-4  # m; lower than any finger passes over the table
+SINK = 2e-5  # m; depth to which every foot sinks in under the load of its cell
+CLEARANCE = 1e-4  # m; between the table and the blocks that finger and table's edge touch
+_BLOCK_SINK = 5e-5  # m; of a block under the weight of the whole object
+_TABLE_STIFFNESS = 1e8  # N/m
+_DISSIPATION = 20.0  # s/m
+
+# Four points at this distance from the middle (cell widths), along its diagonals, resist spinning like the
+# whole square: the mean distance of a square's points from its middle, (√2 + ln(1 + √2)) / 6.
+_FOOT_DISTANCE = (np.sqrt(2) + np.log(1 + np.sqrt(2))) / 6
+_FEET = np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]]) * _FOOT_DISTANCE / np.sqrt(2)
+
+
+def plant_config(time_step: float) -> MultibodyPlantConfig:
+    """Settings under which the object slides as Coulomb's law wants it.
+
+    With the `lagged` approximation a body of nine cells turns within 0.4° of the exact solution at steps of 1
+    to 5 ms; below the stiction tolerance friction falls to zero, so it must be small against a push's speed.
+    """
+    return MultibodyPlantConfig(
+        time_step=time_step, discrete_contact_approximation="lagged", stiction_tolerance=1e-4
+    )
+
+
+def table_contact(friction: float) -> ProximityProperties:
+    """Contact properties of a table under the object: hard, the feet give way."""
+    properties = ProximityProperties()
+    AddContactMaterial(
+        dissipation=_DISSIPATION,
+        point_stiffness=_TABLE_STIFFNESS,
+        friction=CoulombFriction(friction, friction),
+        properties=properties,
+    )
+    return properties
+
+
+def partner_friction(wanted: FloatArray, given: float, what: str) -> FloatArray:
+    """Coefficients that Drake's rule 2 μ₁ μ₂ / (μ₁ + μ₂) combines with a given one to the wanted ones.
+
+    Args:
+        wanted: (k,) coefficients of the pairs.
+        given: coefficient of the other body.
+        what: the pairs, for the message.
+
+    Raises:
+        ValueError: a wanted coefficient of twice the given one or more, which no partner can reach.
+    """
+    wanted = np.asarray(wanted, dtype=float)
+    worst = float(wanted.max())
+    if not worst < 2 * given:
+        raise ValueError(
+            f"{what}: a friction coefficient of {worst:.3g} is out of reach of a surface with {given:.3g}, "
+            f"because Drake combines two to 2 μ₁ μ₂ / (μ₁ + μ₂); give the surface more than {worst / 2:.3g}"
+        )
+    return wanted * given / (2 * given - wanted)
+
+
+def add_sliding_object(
+    plant: MultibodyPlant,
+    true_object: TrueObject,
+    table_friction: float,
+    finger_friction: float = FINGER_FRICTION,
+) -> ModelInstanceIndex:
+    """Add an object to the plant as a free body named "object", in a model instance of that name.
+
+    Body frame and object frame are the same. Each cell stands on four feet (small spheres) whose friction
+    with the table is the cell's. A foot is as stiff as its cell is heavy: all sink in equally deep, so that
+    at rest each carries the weight of its cell. A finger, or the table's edge once the object tips over it,
+    touches the object's blocks, which end 0.1 mm above the table; feet are too low for a finger.
+
+    Args:
+        plant: registered with a scene graph, not finalized; see `plant_config`.
+        true_object: what to add.
+        table_friction: of the table's own geometry (`table_contact`).
+        finger_friction: of the finger's own geometry; together with the blocks' it gives `mu_finger`.
+
+    Raises:
+        ValueError: a friction that Drake's rule cannot reach with the given surfaces.
+    """
+    name = true_object.name
+    foot_mu = partner_friction(true_object.mu, table_friction, f"object {name} on the table")
+    block_mu = partner_friction(
+        np.array([true_object.mu_finger]), finger_friction, f"object {name} at the finger"
+    )
+    instance = plant.AddModelInstance(BODY)
+    body = plant.AddRigidBody(BODY, instance, spatial_inertia(true_object))
+    grid = true_object.grid
+    for cell, (center, mass) in enumerate(zip(grid.centers, true_object.mass, strict=True)):
+        wanted = mass * GRAVITY / 4 / SINK
+        properties = ProximityProperties()
+        AddContactMaterial(
+            dissipation=_DISSIPATION,
+            point_stiffness=wanted * _TABLE_STIFFNESS / (_TABLE_STIFFNESS - wanted),
+            friction=CoulombFriction(foot_mu[cell], foot_mu[cell]),
+            properties=properties,
+        )
+        for foot, place in enumerate(center + grid.width * _FEET):
+            X_OF = RigidTransform(np.array([*place, FOOT_RADIUS]))
+            plant.RegisterCollisionGeometry(
+                body, X_OF, Sphere(FOOT_RADIUS), f"cell_{cell}_foot_{foot}", properties
+            )
+    properties = ProximityProperties()
+    AddContactMaterial(
+        dissipation=_DISSIPATION,
+        point_stiffness=true_object.total_mass * GRAVITY / _BLOCK_SINK,
+        friction=CoulombFriction(block_mu[0], block_mu[0]),
+        properties=properties,
+    )
+    for index, points in enumerate(_block_corners(true_object)):
+        shape = Convex(points=points, label=f"{name} block {index}")
+        plant.RegisterCollisionGeometry(body, RigidTransform(), shape, f"block_{index}", properties)
+    for index, (color, mesh) in enumerate(_colored_meshes(true_object)):
+        plant.RegisterVisualGeometry(body, RigidTransform(), mesh, f"look_{index}", color)
+    plant.SetDefaultFloatingBaseBodyPose(body, resting_pose(0.0, 0.0, 0.0))
+    return instance
+
+
+def resting_pose(x: float, y: float, angle: float) -> RigidTransform:
+    """X_WO of an object at rest on a level table: all feet carry their load, nothing moves."""
+    return RigidTransform(RollPitchYaw(0.0, 0.0, angle), np.array([x, y, -SINK]))
+
+
+def spatial_inertia(true_object: TrueObject) -> SpatialInertia:
+    """Of the cells as solid upright boxes of their height, about the object frame's origin."""
+    width = true_object.grid.width
+    total = SpatialInertia.Zero()
+    for center, mass, height in zip(
+        true_object.grid.centers, true_object.mass, true_object.height, strict=True
+    ):
+        box = UnitInertia.SolidBox(width, width, height)
+        p_OC = np.array([*center, height / 2])
+        total += SpatialInertia(mass, np.zeros(3), box).Shift(-p_OC)
+    return total
+
+
+def _block_corners(true_object: TrueObject) -> list[FloatArray]:
+    """(3, k) corners of convex prisms."""
+    result = []
+    for block in true_object.blocks:
+        for piece in convex_pieces(block.outline):
+            ring = np.asarray(piece.exterior.coords)[:-1].T
+            ends = [np.vstack([ring, np.full(ring.shape[1], z)]) for z in (CLEARANCE, block.height)]
+            result.append(np.hstack(ends))
+    return result
+
+
+def _colored_meshes(true_object: TrueObject) -> list[tuple[FloatArray, Mesh]]:
+    """The object's looks, one mesh for each colour."""
+    mesh = true_object.mesh
+    colors = np.asarray(mesh.visual.face_colors)
+    order = np.lexsort(colors.T)
+    result: list[tuple[FloatArray, Mesh]] = []
+    for color, group in groupby(order, key=lambda face: tuple(colors[face])):
+        part = mesh.submesh([list(group)], append=True)
+        file = MemoryFile(shaded_obj(part), ".obj", f"{true_object.name}, colour {len(result)}")
+        result.append((np.array(color) / 255, Mesh(InMemoryMesh(mesh_file=file))))
+    return result

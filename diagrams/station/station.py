@@ -1,0 +1,120 @@
+"""The robot's cell in simulation, with the ports that the real one has."""
+
+from __future__ import annotations
+
+import numpy as np
+from pydrake.common.cpp_param import List
+from pydrake.common.value import AbstractValue, Value
+from pydrake.geometry import Meshcat, MeshcatVisualizer, MeshcatVisualizerParams, Role, SceneGraph
+from pydrake.math import RigidTransform
+from pydrake.multibody.plant import AddMultibodyPlant, MultibodyPlant
+from pydrake.multibody.tree import BodyIndex
+from pydrake.systems.framework import Context, Diagram, DiagramBuilder, LeafSystem
+from pydrake.systems.primitives import ConstantValueSource
+
+from diagrams.perception.arm_hulls import ArmHulls
+from diagrams.perception.camera import add_camera
+from diagrams.perception.depth_noise import DepthNoise
+from diagrams.station.arm import add_arm, add_arm_drivers
+from diagrams.station.hidden_effects import add_hidden_effects
+from diagrams.station.scenario import Scenario
+from diagrams.station.sliding_object import BODY, add_sliding_object, plant_config, resting_pose
+from diagrams.station.table import add_table
+
+TRUTH = "truth."
+"""What ports begin with that only a simulation has."""
+
+
+class Station(Diagram):
+    """Arm with gripper, table, object and depth camera.
+
+    .. pydrake_system::
+
+        name: Station
+        input_ports:
+        - iiwa.position
+        - gripper.position
+        - gripper.force_limit
+        output_ports:
+        - iiwa.position_commanded
+        - iiwa.position_measured
+        - iiwa.velocity_estimated
+        - iiwa.torque_external
+        - gripper.state_measured
+        - camera.depth_image
+        - camera.rgb_image
+        - camera.X_WC
+        - truth.object_pose
+        - truth.contact_results
+
+    The arm's and the gripper's ports are those of `add_arm_drivers`. Pictures are as they come from the
+    camera, with its noise; `camera.X_WC` is a `RigidTransform`. `truth.object_pose` is X_WO.
+
+    Args:
+        scenario: what the cell is like.
+        meshcat: where to show it, if anywhere.
+
+    Raises:
+        ValueError: an object or a surface that cannot be had.
+        RendererUnavailable: this machine cannot render pictures.
+    """
+
+    def __init__(self, scenario: Scenario, meshcat: Meshcat | None = None) -> None:
+        super().__init__()
+        builder = DiagramBuilder()
+        self.true_object = scenario.object.make()
+        plant, scene_graph = AddMultibodyPlant(plant_config(scenario.simulation.time_step), builder)
+        add_table(plant, scenario.table.make(), scenario.table.friction)
+        add_sliding_object(plant, self.true_object, scenario.table.friction)
+        self.arm = add_arm(plant, models=scenario.arm.models)
+        body = plant.GetBodyByName(BODY)
+        x, y, degrees = scenario.object.pose
+        plant.SetDefaultFloatingBaseBodyPose(body, resting_pose(x, y, float(np.radians(degrees))))
+        plant.Finalize()
+        self.plant = plant
+        self.arm_hulls = ArmHulls(plant, scene_graph, [self.arm.iiwa, self.arm.gripper])
+        add_hidden_effects(builder, plant, self.true_object, scenario.hidden)
+        add_arm_drivers(builder, plant, self.arm)
+        _export_camera(builder, plant, scene_graph, scenario)
+        _export_truth(builder, plant, body.index())
+        if meshcat is not None:
+            MeshcatVisualizer.AddToBuilder(
+                builder, scene_graph, meshcat, MeshcatVisualizerParams(role=Role.kIllustration)
+            )
+        builder.BuildInto(self)
+        self.set_name("station")
+
+
+def _export_camera(
+    builder: DiagramBuilder, plant: MultibodyPlant, scene_graph: SceneGraph, scenario: Scenario
+) -> None:
+    """Pictures with noise, and where they were taken from."""
+    camera = add_camera(builder, plant, scene_graph, scenario.camera)
+    noise = builder.AddNamedSystem("depth_noise", DepthNoise(scenario.depth_noise, scenario.camera.rate))
+    builder.Connect(camera.GetOutputPort("depth_image_32f"), noise.get_input_port())
+    builder.ExportOutput(noise.get_output_port(), "camera.depth_image")
+    builder.ExportOutput(camera.GetOutputPort("color_image"), "camera.rgb_image")
+    place = builder.AddNamedSystem("camera_pose", ConstantValueSource(AbstractValue.Make(scenario.camera.X_WC)))
+    builder.ExportOutput(place.get_output_port(), "camera.X_WC")
+
+
+def _export_truth(builder: DiagramBuilder, plant: MultibodyPlant, body: BodyIndex) -> None:
+    pose = builder.AddNamedSystem("object_pose", _BodyPose(body))
+    builder.Connect(plant.get_body_poses_output_port(), pose.get_input_port())
+    builder.ExportOutput(pose.get_output_port(), f"{TRUTH}object_pose")
+    builder.ExportOutput(plant.get_contact_results_output_port(), f"{TRUTH}contact_results")
+
+
+class _BodyPose(LeafSystem):
+    """Picks one body's pose out of all."""
+
+    def __init__(self, body: BodyIndex) -> None:
+        super().__init__()
+        self._body = body
+        poses = self.DeclareAbstractInputPort("body_poses", Value[List[RigidTransform]]())
+        self.DeclareAbstractOutputPort(
+            "X_WO", lambda: Value(RigidTransform()), self._calc, {poses.ticket()}
+        )
+
+    def _calc(self, context: Context, output: Value) -> None:
+        output.set_value(self.get_input_port().Eval(context)[self._body])

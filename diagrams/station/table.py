@@ -1,0 +1,85 @@
+"""The table: top at z = 0 of the world, round or rectangular, and the floor below it."""
+
+from __future__ import annotations
+
+import numpy as np
+from pydrake.geometry import Box, Cylinder, Shape
+from pydrake.math import RigidTransform
+from pydrake.multibody.plant import MultibodyPlant
+from pydrake.multibody.tree import ModelInstanceIndex, RigidBody, SpatialInertia
+
+from diagrams.station.sliding_object import table_contact
+from models.measurements.push_dataset import Table
+
+HEIGHT = 0.72
+"""Of the table top above the floor, m."""
+TABLE_FRICTION = 0.6
+"""Friction coefficient of the table's own geometry."""
+ROUND_TABLE = Table("round", (0.0, 0.0), radius=0.5)
+"""The table of the paper's experiments."""
+
+_THICKNESS = 0.03  # m
+_COVER = 0.002  # m; upper layer of the top
+_FLOOR = (8.0, 8.0, 0.2)  # m
+_TOP = (0.84, 0.82, 0.78, 1.0)
+_WOOD = (0.47, 0.34, 0.22, 1.0)
+_METAL = (0.25, 0.26, 0.28, 1.0)
+_GROUND = (0.38, 0.40, 0.43, 1.0)
+
+
+def add_table(
+    plant: MultibodyPlant, table: Table = ROUND_TABLE, friction: float = TABLE_FRICTION
+) -> ModelInstanceIndex:
+    """Add a table and the floor it stands on, fixed to the world, in a model instance named "table".
+
+    Args:
+        plant: registered with a scene graph, not finalized.
+        table: shape, centre and radius or size of the top.
+        friction: friction coefficient of the table's own geometry (the object's feet make up for it).
+
+    Raises:
+        ValueError: a table without the measure that its shape needs, or a friction that is not positive.
+    """
+    if not friction > 0:
+        raise ValueError(f"table: friction must be positive, got {friction}")
+    instance = plant.AddModelInstance("table")
+    body = plant.AddRigidBody("table", instance, SpatialInertia.SolidBoxWithMass(20.0, 1.0, 1.0, HEIGHT))
+    plant.WeldFrames(plant.world_frame(), body.body_frame(), RigidTransform(np.array([*table.center, 0.0])))
+    contact = table_contact(friction)
+    plant.RegisterCollisionGeometry(body, _down(_THICKNESS / 2), _plate(table, _THICKNESS), "top", contact)
+    floor, below = Box(*_FLOOR), _down(HEIGHT + _FLOOR[2] / 2)
+    plant.RegisterCollisionGeometry(body, below, floor, "floor", contact)
+    plant.RegisterVisualGeometry(body, below, floor, "floor", _GROUND)
+    plant.RegisterVisualGeometry(body, _down(_COVER / 2), _plate(table, _COVER), "cover", _TOP)
+    board = _plate(table, _THICKNESS - _COVER, 5e-4)
+    plant.RegisterVisualGeometry(body, _down((_THICKNESS + _COVER) / 2), board, "board", _WOOD)
+    _add_legs(plant, body, table)
+    return instance
+
+
+def _plate(table: Table, thickness: float, inset: float = 0.0) -> Shape:
+    if table.shape == "round":
+        if table.radius is None or not table.radius > inset:
+            raise ValueError(f"table: a round table needs a positive radius in m, got {table.radius}")
+        return Cylinder(table.radius - inset, thickness)
+    if table.size is None or not min(table.size) > 2 * inset:
+        raise ValueError(f"table: a rectangular table needs a positive size (x, y) in m, got {table.size}")
+    return Box(table.size[0] - 2 * inset, table.size[1] - 2 * inset, thickness)
+
+
+def _add_legs(plant: MultibodyPlant, body: RigidBody, table: Table) -> None:
+    length = HEIGHT - _THICKNESS
+    middle = _THICKNESS + length / 2
+    if table.radius is not None:
+        foot = 0.55 * table.radius
+        plant.RegisterVisualGeometry(body, _down(middle), Cylinder(0.04, length), "column", _METAL)
+        plant.RegisterVisualGeometry(body, _down(HEIGHT - 0.01), Cylinder(foot, 0.02), "foot", _METAL)
+    elif table.size is not None:
+        x, y = (side / 2 - min(0.05, side / 4) for side in table.size)
+        for index, place in enumerate(((x, y), (-x, y), (-x, -y), (x, -y))):
+            X_TL = RigidTransform(np.array([*place, -middle]))
+            plant.RegisterVisualGeometry(body, X_TL, Box(0.05, 0.05, length), f"leg_{index}", _METAL)
+
+
+def _down(depth: float) -> RigidTransform:
+    return RigidTransform(np.array([0.0, 0.0, -depth]))

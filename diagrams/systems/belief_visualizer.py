@@ -1,0 +1,265 @@
+"""`BeliefVisualizer`: what is believed of the object, drawn over it in Meshcat."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from pydrake.common.value import Value
+from pydrake.geometry import Meshcat
+from pydrake.math import RigidTransform, RotationMatrix
+from pydrake.systems.framework import Context, LeafSystem
+
+from diagrams.systems.belief_colors import BOARD, MAGNIFIED, MAPS, legend, shown
+from diagrams.systems.unlit_meshes import arrow, billboard, painted, ribbon, ringed_discs, tiles
+from models.inference.belief import Belief
+from models.physics.cell_grid import CellGrid, FloatArray
+from models.physics.paper_notation import cell_poses
+
+MOST = 12
+"""Hypotheses that can be looked at one by one; the others are in the mean."""
+
+ARROWS = 8
+"""Residual arrows, on cells spread over the object."""
+
+LEAST_RESIDUAL = 3e-4
+"""Shorter residuals are not drawn, m."""
+
+BLACK, ORANGE, RED, BLUE = (0.08, 0.08, 0.08), (0.93, 0.45, 0.08), (0.80, 0.10, 0.15), (0.12, 0.44, 0.71)
+
+HYPOTHESIS = "hypothesis (0: mean)"
+MAP = "map (0: mass, 1: friction, 2: both)"
+
+
+class BeliefVisualizer(LeafSystem):
+    """Draws a belief and how it fares into Meshcat.
+
+    .. pydrake_system::
+
+        name: BeliefVisualizer
+        input_ports:
+        - belief
+        - object_pose
+        - predicted_pose
+        - push
+
+    Inputs, all optional:
+        belief: abstract, `Belief` or None.
+        object_pose: abstract, with `pose` (3,) and `valid`, such as an `ObservedPose`.
+        predicted_pose: (3,) x, y, θ in the world; NaN where there is none.
+        push: abstract, None, a `TablePush`, or something with one as its `push`, such as an `ActivePush`.
+
+    Over the object, where it was last seen: its cells as tiles coloured by mass, friction or their product;
+    the observed outline (black) and the predicted one (orange); residual arrows from predicted to observed
+    cells, `MAGNIFIED` times as long (red); the centres of mass of the hypotheses, their size growing with
+    probability (white). The push on the table (blue). A board with the colour scale and the
+    probabilities. Sliders choose the hypothesis (by falling probability) and the map; they are read when this
+    system publishes, as everything else is.
+
+    A recording keeps transforms and properties alone. Therefore every map of every belief is an object of its
+    own, which is made visible at its time; a page from `StaticHtml` shows them as chosen while recording.
+
+    What has been drawn is a property of the Meshcat, not of a Context: one visualizer per Meshcat and path.
+
+    Args:
+        meshcat: to draw into.
+        path: of everything drawn, in the scene tree.
+        height: of the tiles above the table, m: a little more than the object's.
+        period: of drawing, s.
+        X_WB: pose of the board; its picture is in the plane y = 0, seen from -y.
+        which: index of the map to begin with, see `belief_colors.MAPS`.
+    """
+
+    def __init__(
+        self,
+        meshcat: Meshcat,
+        *,
+        path: str = "/belief",
+        height: float = 0.05,
+        period: float = 1 / 15,
+        X_WB: RigidTransform | None = None,
+        which: int = 0,
+    ) -> None:
+        super().__init__()
+        self.set_name("belief_visualizer")
+        self._meshcat = meshcat
+        self._path = path
+        self._height = height
+        self._board = X_WB or RigidTransform(
+            RotationMatrix.MakeXRotation(-0.6), _shifted(0.0, 0.68, 0.2).translation()
+        )
+        self._belief = self.DeclareAbstractInputPort("belief", Value[object](None))
+        self._object_pose = self.DeclareAbstractInputPort("object_pose", Value[object](None))
+        self._predicted = self.DeclareVectorInputPort("predicted_pose", 3)
+        self._push = self.DeclareAbstractInputPort("push", Value[object](None))
+        self._forget()
+        for name in (HYPOTHESIS, MAP):
+            meshcat.DeleteSlider(name, strict=False)
+        meshcat.AddSlider(HYPOTHESIS, 0, MOST, 1, 0, "ArrowLeft", "ArrowRight")
+        meshcat.AddSlider(MAP, 0, len(MAPS) - 1, 1, which, "ArrowDown", "ArrowUp")
+        self.DeclarePeriodicPublishEvent(period, 0.0, self._draw)
+        self.DeclareForcedPublishEvent(self._draw)
+
+    def delete(self) -> None:
+        """Take everything out of the Meshcat."""
+        self._meshcat.Delete(self._path)
+        self._forget()
+
+    def _forget(self) -> None:
+        self._drawn_belief: Belief | None = None
+        self._beliefs = 0
+        self._shown_hypotheses = 0
+        self._drawn_push: tuple[float, ...] = ()
+        self._pushes = 0
+        self._visible: dict[str, str] = {}
+        self._outlined: CellGrid | None = None
+        self._arrows = np.zeros(0, dtype=int)
+
+    def _draw(self, context: Context) -> None:
+        time = context.get_time()
+        ports = (self._belief, self._object_pose, self._predicted, self._push)
+        values: list[Any] = [port.Eval(context) if port.HasValue(context) else None for port in ports]
+        belief, seen, predicted, push = values
+        if belief is not None and not _same(belief, self._drawn_belief):
+            self._add_belief(belief)
+        if self._drawn_belief is not None:
+            self._choose(time)
+            observed = seen.pose if seen is not None and seen.valid else None
+            if predicted is not None and not np.isfinite(predicted).all():
+                predicted = None
+            self._place(observed, predicted, time)
+        self._draw_push(getattr(push, "push", push), time)
+
+    def _add_belief(self, belief: Belief) -> None:
+        """Make all objects of a belief, invisible."""
+        self._drawn_belief = belief
+        self._beliefs += 1
+        what = shown(belief, MOST)
+        self._shown_hypotheses = len(what.hypotheses)
+        if belief.grid is not self._outlined:
+            self._add_outlines(belief.grid)
+        for which, name in enumerate(MAPS):
+            for hypothesis in range(1 + self._shown_hypotheses):
+                mesh = tiles(belief.grid, what.colors(which, hypothesis))
+                self._hidden(f"observed/maps/{self._beliefs}/{name}/{hypothesis}", mesh)
+            board = f"board/{self._beliefs}/{name}"
+            self._hidden(board, billboard(legend(belief, what, which, _rests_on(belief)), *BOARD))
+        radii = 0.35 * belief.grid.width * np.sqrt(belief.probability / belief.probability.max())
+        name = f"observed/centers of mass/{self._beliefs}"
+        self._hidden(name, ringed_discs(belief.centers_of_mass, np.maximum(radii, 5e-4)))
+        self._meshcat.SetTransform(f"{self._path}/board", self._board, 0.0)
+
+    def _add_outlines(self, grid: CellGrid) -> None:
+        self._outlined = grid
+        width = 0.12 * grid.width
+        for name, color in (("observed", BLACK), ("predicted", ORANGE)):
+            outline = painted(ribbon(grid.edges, width), color)
+            self._meshcat.SetObject(f"{self._path}/{name}/outline", outline)
+        self._meshcat.SetProperty(f"{self._path}/predicted", "visible", False, 0.0)
+        self._arrows = _spread_cells(grid, ARROWS)
+        shape = painted(arrow(1.0, 0.08, 0.3), RED)
+        for k in range(len(self._arrows)):
+            self._hidden(f"residuals/{k}", shape)
+
+    def _hidden(self, name: str, mesh: Any) -> None:
+        """An object that is not seen until `_show` says so."""
+        self._meshcat.SetObject(f"{self._path}/{name}", mesh)
+        self._meshcat.SetProperty(f"{self._path}/{name}", "visible", False, 0.0)
+
+    def _show(self, place: str, name: str, time: float) -> None:
+        """Let an object take the place of the one that was seen there before; an empty name takes none."""
+        before = self._visible.get(place, "")
+        if before == name:
+            return
+        for what, visible in ((before, False), (name, True)):
+            if what:
+                self._meshcat.SetProperty(f"{self._path}/{what}", "visible", visible, time)
+        self._visible[place] = name
+
+    def _choose(self, time: float) -> None:
+        """Show what the sliders say."""
+        hypothesis = min(int(self._meshcat.GetSliderValue(HYPOTHESIS)), self._shown_hypotheses)
+        name = MAPS[int(self._meshcat.GetSliderValue(MAP))]
+        self._show("tiles", f"observed/maps/{self._beliefs}/{name}/{hypothesis}", time)
+        self._show("board", f"board/{self._beliefs}/{name}", time)
+        self._show("centers", f"observed/centers of mass/{self._beliefs}", time)
+
+    def _place(self, observed: FloatArray | None, predicted: FloatArray | None, time: float) -> None:
+        """Move the object's parts to where they are seen and predicted; what is not known stays where it was,
+        and a prediction that there is none of is hidden."""
+        meshcat = self._meshcat
+        if observed is not None:
+            meshcat.SetTransform(f"{self._path}/observed", self._pose(observed, 0.0), time)
+            meshcat.SetTransform(f"{self._path}/observed/outline", _shifted(0.0, 0.0, 6e-4), time)
+            meshcat.SetTransform(f"{self._path}/observed/centers of mass", _shifted(0.0, 0.0, 9e-4), time)
+        self._show("predicted", "predicted" if predicted is not None else "", time)
+        if predicted is not None:
+            meshcat.SetTransform(f"{self._path}/predicted", self._pose(predicted, 1.2e-3), time)
+        self._place_residuals(observed, predicted, time)
+
+    def _place_residuals(
+        self, observed: FloatArray | None, predicted: FloatArray | None, time: float
+    ) -> None:
+        assert self._outlined is not None
+        begin = end = np.zeros((len(self._arrows), 2))
+        if observed is not None and predicted is not None:
+            cells = self._outlined.centers[self._arrows]
+            begin, end = (_positions(pose, cells) for pose in (predicted, observed))
+        for k, way in enumerate(end - begin):
+            length = float(np.hypot(*way))
+            name = f"residuals/{k}"
+            self._show(name, name if length > LEAST_RESIDUAL else "", time)
+            if length > LEAST_RESIDUAL:
+                pose = np.array([*begin[k], np.arctan2(way[1], way[0])])
+                self._meshcat.SetTransform(f"{self._path}/{name}", self._pose(pose, 2e-3), time)
+                scale = [MAGNIFIED * length, MAGNIFIED * length, 1.0]
+                self._meshcat.SetProperty(f"{self._path}/{name}", "scale", scale, time)
+
+    def _draw_push(self, push: Any, time: float) -> None:
+        """An arrow along the finger's way, a new one for each push."""
+        if push is not None and (*push.begin, *push.end) != self._drawn_push:
+            self._drawn_push = (*push.begin, *push.end)
+            self._pushes += 1
+            name = f"push/{self._pushes}"
+            self._hidden(name, painted(arrow(push.length, 6e-3, min(0.03, 0.5 * push.length)), BLUE))
+            yaw = np.arctan2(push.direction[1], push.direction[0])
+            pose = np.array([*push.begin, yaw])
+            self._meshcat.SetTransform(f"{self._path}/{name}", self._pose(pose, 3e-3), time)
+        self._show("push", f"push/{self._pushes}" if push is not None else "", time)
+
+    def _pose(self, pose: FloatArray, above: float) -> RigidTransform:
+        place: Any = [pose[0], pose[1], self._height + above]
+        return RigidTransform(RotationMatrix.MakeZRotation(pose[2]), place)
+
+
+def _same(belief: Belief, other: Belief | None) -> bool:
+    """Whether two beliefs look the same; a Context may hold a copy."""
+    if other is None or belief is other:
+        return belief is other
+    pairs = ((belief.maps.mass, other.maps.mass), (belief.maps.mu, other.maps.mu))
+    return all(np.array_equal(a, b) for a, b in (*pairs, (belief.probability, other.probability)))
+
+
+def _shifted(x: float, y: float, z: float) -> RigidTransform:
+    place: Any = [x, y, z]
+    return RigidTransform(place)
+
+
+def _rests_on(belief: Belief) -> str:
+    pushes = len(belief.settings.get("fit_trials", ()))
+    return f"after {pushes} push{'es' * (pushes > 1)}" if pushes else f"of {len(belief)} hypotheses"
+
+
+def _positions(pose: FloatArray, cells: FloatArray) -> FloatArray:
+    """(k, 2) cells at a pose."""
+    return cell_poses(pose, cells).reshape(-1, 3)[:, :2]
+
+
+def _spread_cells(grid: CellGrid, count: int) -> np.ndarray:
+    """Indices of cells far from one another: each the farthest from those before, from the centre on."""
+    chosen = [int(np.argmin(np.linalg.norm(grid.centers - grid.centers.mean(axis=0), axis=1)))]
+    distance = np.linalg.norm(grid.centers - grid.centers[chosen[0]], axis=1)
+    while len(chosen) < min(count, len(grid)):
+        chosen.append(int(np.argmax(distance)))
+        distance = np.minimum(distance, np.linalg.norm(grid.centers - grid.centers[chosen[-1]], axis=1))
+    return np.array(chosen)

@@ -1,0 +1,234 @@
+"""`CellGridSlider`: the differentiable model of a sliding object as a Drake system, effects included."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from pydrake.autodiffutils import AutoDiffXd
+from pydrake.common.value import AbstractValue
+from pydrake.systems.framework import BasicVector_, LeafSystem_, NumericParameterIndex, ValueProducer
+from pydrake.systems.scalar_conversion import TemplateSystem
+
+from diagrams.systems.reported_pose import history_length, pose_then, values_of, with_gradient
+from models.effects.effect import Effect
+from models.effects.stepper import NO_FINGER, NO_WRENCH, StepModels, Stepper
+from models.inference.belief import Belief
+from models.physics.cell_grid import CellGrid, FloatArray
+from models.physics.maps import Maps
+from models.physics.rollout import Smoothing
+
+MASS, FRICTION, FINGER_FRICTION, EFFECTS, PUSH = range(5)
+"""Indices of the numeric parameters in the Context."""
+
+
+@TemplateSystem.define("CellGridSlider_", T_list=[float, AutoDiffXd])
+def CellGridSlider_(T: type) -> type:
+    """`CellGridSlider` for the scalar T, `float` or `AutoDiffXd`."""
+
+    class Impl(LeafSystem_[T]):
+        """The cell-grid model of one object, in steps of h; it is pushed by a finger, by a wrench, or both.
+
+        .. pydrake_system::
+
+            name: CellGridSlider
+            input_ports:
+            - wrench
+            - finger
+            output_ports:
+            - object_pose
+            - object_twist
+            - cell_positions
+            - finger_force
+
+        Inputs, both optional:
+            wrench: (5,) force on the object (world, N), the point at which it acts (object frame, m) and a
+                torque (N m), constant over a step: the convention of `Push.wrench`.
+            finger: (4,) centre of the finger (world, m) and its velocity (m/s), which it keeps over the
+                step; NaN where there is no finger.
+
+        Outputs:
+            object_pose: (3,) x, y, θ in the world as a tracker reports it; without effects that stand
+                between (latency, offset, scale) that is the true one.
+            object_twist: (3,) v_x, v_y (m/s), omega (rad/s) in the object frame, at its origin.
+            cell_positions: (2 n,) x_1, y_1, x_2, … of the cells' centres in the world at `object_pose`, m.
+            finger_force: (2,) mean force of the finger on the object in the last step, world, N.
+
+        The state is one discrete vector: true pose (3), twist (3), the finger's last force (2), what the
+        effects remember, and where the tracker may be late, the last true poses.
+
+        The numeric parameters in the Context are the mass map (n,) kg, the friction map (n,), the friction
+        with the finger (1,), the effects' parameters (P,), and for effects that depend on them the time at
+        which the push began (s) and its place in the experiment (2,).
+
+        With AutoDiffXd a step has the exact derivatives of the kernel by state, inputs and parameters.
+
+        Args:
+            grid: cells and outline.
+            maps: one model; default of the parameters. Without effects' parameters, effects vanish.
+            finger_radius: m.
+            h: step, s.
+            effects: of the model, in the order of the columns of `Maps.effects`.
+            gravity: m/s².
+            smoothing: see `Smoothing`.
+
+        Raises:
+            ValueError: maps of another grid, of other effects, or of more than one model.
+        """
+
+        def _construct(
+            self,
+            grid: CellGrid,
+            maps: Maps,
+            finger_radius: float,
+            h: float,
+            effects: Sequence[Effect] = (),
+            gravity: float = 9.81,
+            smoothing: Smoothing | None = None,
+            converter: Any = None,
+        ) -> None:
+            LeafSystem_[T].__init__(self, converter=converter)
+            if len(maps) != 1:
+                raise ValueError(f"CellGridSlider holds one model, the maps are of {len(maps)}")
+            self.set_name("cell_grid_slider")
+            self.stepper = Stepper(grid, finger_radius, h, effects, gravity, smoothing)
+            models = self.stepper.models(maps)
+            self._arguments = (grid, models.maps, finger_radius, h, effects, gravity, smoothing)
+            self._history = history_length(self.stepper)
+            vector = BasicVector_[T]
+            state = vector(self.stepper.size + 3 * self._history)
+            state.SetFromVector(np.zeros(state.size()))
+            self.DeclareDiscreteState(state)
+            for values in (*_rows(models.maps), np.zeros(2)):
+                self.DeclareNumericParameter(vector(values))
+            entry = self.DeclareCacheEntry(
+                "models as the kernel takes them",
+                ValueProducer(lambda: AbstractValue.Make(models), self._prepare),
+                {self.numeric_parameter_ticket(NumericParameterIndex(i)) for i in range(PUSH)},
+            )
+            self._models_entry = entry.cache_index()
+            self._wrench = self.DeclareVectorInputPort("wrench", 5).get_index()
+            self._finger = self.DeclareVectorInputPort("finger", 4).get_index()
+            of_pose = {self.xd_ticket(), self.numeric_parameter_ticket(NumericParameterIndex(EFFECTS))}
+            self.DeclareVectorOutputPort("object_pose", 3, self._output_pose, of_pose)
+            self.DeclareVectorOutputPort("object_twist", 3, self._output_twist, {self.xd_ticket()})
+            self.DeclareVectorOutputPort("cell_positions", 2 * len(grid), self._output_cells, of_pose)
+            self.DeclareVectorOutputPort("finger_force", 2, self._output_force, {self.xd_ticket()})
+            self.DeclarePeriodicDiscreteUpdateEvent(h, 0.0, self._step)
+
+        def _construct_copy(self, other: Any, converter: Any = None) -> None:
+            grid, maps, radius, h, effects, gravity, smoothing = other._arguments
+            Impl._construct(self, grid, maps, radius, h, effects, gravity, smoothing, converter)
+
+        def set_maps(self, context: Any, maps: Maps) -> None:
+            """Give the Context other maps, and effects' parameters, of one model.
+
+            Raises:
+                ValueError: maps of another grid, of other effects, or of more than one model.
+            """
+            if len(maps) != 1:
+                raise ValueError(f"CellGridSlider holds one model, the maps are of {len(maps)}")
+            for index, values in enumerate(_rows(self.stepper.models(maps).maps)):
+                context.get_mutable_numeric_parameter(index).SetFromVector(values)
+
+        def set_motion(self, context: Any, pose: FloatArray, twist: FloatArray | None = None) -> None:
+            """Place the object where a tracker reports `pose` (3,), at rest or with a twist (3,), untouched
+            and with nothing remembered."""
+            models = self._models(context)
+            start = self.stepper.start(models, pose, None if twist is None else np.asarray(twist)[None])[0]
+            context.SetDiscreteState(np.concatenate([start, np.tile(start[:3], self._history)]))
+
+        def set_push(self, context: Any, begin: float, order: float = 0.0) -> None:
+            """Say when the push began (s) and which of the experiment it is, from 0."""
+            context.get_mutable_numeric_parameter(PUSH).SetFromVector([begin, order])
+
+        def _prepare(self, context: Any, value: Any) -> None:
+            mass, mu, mu_finger, effects = (values_of(row) for row in _parameters(context)[:PUSH])
+            maps = Maps(mass[None], mu[None], mu_finger, effects[None])
+            value.set_value(self.stepper.models(maps))
+
+        def _models(self, context: Any) -> StepModels:
+            return self.get_cache_entry(self._models_entry).Eval(context)
+
+        def _step(self, context: Any, discrete: Any) -> None:
+            state = context.get_discrete_state_vector().CopyToVector()
+            size = self.stepper.size
+            wrench, finger = (self.get_input_port(i) for i in (self._wrench, self._finger))
+            wrench = wrench.Eval(context) if wrench.HasValue(context) else NO_WRENCH
+            tip = NO_FINGER
+            if finger.HasValue(context):
+                center, velocity = np.split(finger.Eval(context), 2)
+                tip = np.vstack([center, center + self.stepper.h * velocity])
+            parameters = _parameters(context)
+            begin, order = values_of(parameters[PUSH])
+            derive = T is AutoDiffXd
+            time = context.get_time().value() if derive else context.get_time()
+            after, jacobian = self.stepper.step(
+                self._models(context),
+                values_of(state[:size])[None],
+                wrench=values_of(wrench),
+                tip=values_of(tip.ravel()).reshape(2, 2),
+                time=time - begin,
+                order=order,
+                derive=derive,
+            )
+            result = after[0]
+            if derive:
+                # In the order of the Jacobian's columns.
+                mass, mu, mu_finger, effects, _ = parameters
+                state_by = (state[:6], effects, state[6:size])
+                arguments = np.concatenate([mass, mu, mu_finger, *state_by, wrench, tip.ravel()])
+                result = with_gradient(after[0], jacobian[0], arguments)
+            if self._history:
+                result = np.concatenate([result, state[:3], state[size:-3]])
+            discrete.set_value(result)
+
+        def _pose(self, context: Any) -> Any:
+            state = context.get_discrete_state_vector().CopyToVector()
+            effects = _parameters(context)[EFFECTS]
+            history = state[self.stepper.size :].reshape(-1, 3)
+            return pose_then(self.stepper, state[:3], history, effects)
+
+        def _output_pose(self, context: Any, output: Any) -> None:
+            output.SetFromVector(self._pose(context))
+
+        def _output_cells(self, context: Any, output: Any) -> None:
+            x, y, theta = self._pose(context)
+            c, s = np.cos(theta), np.sin(theta)
+            rx, ry = self.stepper.grid.centers.T
+            output.SetFromVector(np.column_stack([x + c * rx - s * ry, y + s * rx + c * ry]).ravel())
+
+        def _output_twist(self, context: Any, output: Any) -> None:
+            output.SetFromVector(context.get_discrete_state_vector().CopyToVector()[3:6])
+
+        def _output_force(self, context: Any, output: Any) -> None:
+            output.SetFromVector(context.get_discrete_state_vector().CopyToVector()[6:8])
+
+    return Impl
+
+
+CellGridSlider = CellGridSlider_[float]
+
+
+def slider_of_hypothesis(belief: Belief, hypothesis: int, h: float) -> Any:
+    """`CellGridSlider` of one hypothesis of a belief, with its effects, in steps of h (s)."""
+    return CellGridSlider(
+        belief.grid,
+        belief.maps[hypothesis : hypothesis + 1],
+        belief.finger_radius,
+        h,
+        belief.effects,
+        belief.gravity,
+        belief.smoothing,
+    )
+
+
+def _rows(maps: Maps) -> tuple[FloatArray, ...]:
+    """The numeric parameters of one model, those of the push left out."""
+    return maps.mass[0], maps.mu[0], maps.mu_finger, maps.effects[0]
+
+
+def _parameters(context: Any) -> list[Any]:
+    """Values of all numeric parameters, of the Context's scalar."""
+    return [context.get_numeric_parameter(i).CopyToVector() for i in range(PUSH + 1)]

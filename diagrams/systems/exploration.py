@@ -1,0 +1,106 @@
+"""Algorithm 2 as a block: chooses the next push."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from pydrake.common.value import Value
+from pydrake.systems.framework import Context, EventStatus, LeafSystem, State
+
+from diagrams.systems.held import held, read, replace_held
+from diagrams.systems.messages import LoopStatus, PokeRequest
+from planners.action_selection import Poke, select_poke
+from planners.exploration import NoReachablePush
+from planners.poke_settings import PokeSettings
+from planners.table_push import TablePush
+
+PERIOD = 0.05
+
+
+class Exploration(LeafSystem):
+    """Chooses a push when the loop asks for one.
+
+    .. pydrake_system::
+
+        name: Exploration
+        input_ports:
+        - belief
+        - object_pose
+        - cell_grid
+        - status
+        output_ports:
+        - poke
+
+    - `belief`: `Belief | None`; `object_pose`: `ObservedPose`; `cell_grid`: `CellGrid | None`.
+    - `status`: `LoopStatus`.
+    - `poke`: `PokeRequest | None`; it stands until the loop asks for another.
+
+    The draws of a push depend on the seed and the push's number alone.
+
+    Args:
+        strategy: one of `planners.action_selection.STRATEGIES`; pushes made to judge the belief are random.
+        fit: pushes to learn from.
+        finger_radius: m.
+        settings: what pokes are like.
+        allowed: whether the arm can make a push.
+        seed: of every draw.
+    """
+
+    def __init__(
+        self,
+        strategy: str,
+        fit: int,
+        finger_radius: float,
+        settings: PokeSettings,
+        allowed: Callable[[TablePush], bool],
+        seed: int,
+    ) -> None:
+        super().__init__()
+        self._strategy = strategy
+        self._fit = fit
+        self._finger_radius = finger_radius
+        self._settings = settings
+        self._allowed = allowed
+        self._seed = seed
+        for name in ("belief", "object_pose", "cell_grid", "status"):
+            self.DeclareAbstractInputPort(name, Value[object](None))
+        self._request = self.DeclareAbstractState(held(None))
+        self._past = self.DeclareAbstractState(held(()))
+        self.DeclarePeriodicUnrestrictedUpdateEvent(PERIOD, 0.0, self._choose)
+        self.DeclareAbstractOutputPort(
+            "poke",
+            lambda: Value[object](None),
+            lambda context, output: output.set_value(read(context, self._request)),
+            {self.abstract_state_ticket(self._request)},
+        )
+
+    def _choose(self, context: Context, state: State) -> EventStatus:
+        status: LoopStatus = self.GetInputPort("status").Eval(context)
+        request: PokeRequest | None = read(context, self._request)
+        pose = self.GetInputPort("object_pose").Eval(context)
+        asked = status.mode == "choosing" and (request is None or request.number != status.number)
+        if not asked or not pose.valid:
+            return EventStatus.DidNothing()
+        past: tuple[Poke, ...] = read(context, self._past)
+        if status.attempt > 0:
+            past = past[:-1]  # the arm refused it
+        strategy = self._strategy if status.push < self._fit else "random"
+        try:
+            poke = select_poke(
+                self.GetInputPort("cell_grid").Eval(context),
+                pose.pose,
+                self._finger_radius,
+                strategy=strategy,
+                belief=self.GetInputPort("belief").Eval(context),
+                past=past,
+                settings=self._settings,
+                allowed=self._allowed,
+                rng=np.random.default_rng([self._seed, status.push, status.attempt]),
+            )
+        except NoReachablePush as error:
+            replace_held(state, self._request, PokeRequest(status.number, None, str(error)))
+            return EventStatus.Succeeded()
+        replace_held(state, self._request, PokeRequest(status.number, poke))
+        replace_held(state, self._past, (*past, poke))
+        return EventStatus.Succeeded()

@@ -1,0 +1,200 @@
+"""Writes down what the sensors say while the arm pushes: one trial a push, in the format of every command."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from pydrake.common.value import Value
+from pydrake.math import RigidTransform
+from pydrake.systems.framework import Context, EventStatus, LeafSystem, State
+
+from diagrams.systems.held import held, read, replace_held
+from diagrams.systems.messages import LoopStatus
+from models.measurements import PushDataset, Trial
+from models.measurements.push_dataset import Channel, Noise, Role, Table
+from models.physics.cell_grid import CellGrid
+
+PERIOD = 0.01
+"""s between two rows of tip and force."""
+
+LOOKS = 6
+"""Poses at rest whose mean begins a trial, and as many to end it."""
+
+Row = tuple[float, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class _Recording:
+    """What is written down of the push under way, and the trials before it.
+
+    Attributes:
+        trials: that are complete.
+        looks: last poses seen while the arm was at home.
+        poses, tips, forces: rows (time, …) of this push; empty before it.
+    """
+
+    trials: tuple[Trial, ...] = ()
+    looks: tuple[Row, ...] = ()
+    poses: tuple[Row, ...] = ()
+    tips: tuple[Row, ...] = ()
+    forces: tuple[Row, ...] = ()
+
+
+class MeasurementLogger(LeafSystem):
+    """Records pushes.
+
+    .. pydrake_system::
+
+        name: MeasurementLogger
+        input_ports:
+        - object_pose
+        - tip_pose
+        - tip_force
+        - execution
+        - status
+        output_ports:
+        - records
+
+    - `object_pose`: `ObservedPose`; rows without a valid pose are left out.
+    - `tip_pose`: X_WT of the finger's end; `tip_force`: (3,) of the finger on the object, world, N.
+    - `execution`: `ExecutionStatus`; `status`: `LoopStatus`.
+    - `records`: tuple of `Trial`.
+
+    Tip and force are recorded while the finger is down: above, it may pass over the object. An object at rest
+    has one pose, whenever it is looked at: a trial begins, when the finger comes down, with the mean of the
+    last looks before the arm moved, and ends, when the finger has rested, with that of the first looks after
+    the arm went home. Between them are the poses seen in spite of the arm.
+
+    Args:
+        fit: so many trials are to learn from, those after them to judge.
+    """
+
+    def __init__(self, fit: int) -> None:
+        super().__init__()
+        self._fit = fit
+        self.DeclareAbstractInputPort("object_pose", Value[object](None))
+        self.DeclareAbstractInputPort("tip_pose", Value(RigidTransform()))
+        self.DeclareVectorInputPort("tip_force", 3)
+        self.DeclareAbstractInputPort("execution", Value[object](None))
+        self.DeclareAbstractInputPort("status", Value[object](None))
+        self._recording = self.DeclareAbstractState(held(_Recording()))
+        self.DeclarePeriodicUnrestrictedUpdateEvent(PERIOD, 0.0, self._record)
+        self.DeclareAbstractOutputPort(
+            "records",
+            lambda: Value[object](()),
+            lambda context, output: output.set_value(read(context, self._recording).trials),
+            {self.abstract_state_ticket(self._recording)},
+        )
+
+    def _record(self, context: Context, state: State) -> EventStatus:
+        status: LoopStatus = self.GetInputPort("status").Eval(context)
+        execution = self.GetInputPort("execution").Eval(context)
+        old: _Recording = read(context, self._recording)
+        new = old
+        pose = self.GetInputPort("object_pose").Eval(context)
+        row = (pose.time, *map(float, pose.pose)) if pose is not None and pose.valid else None
+        if execution.mode == "home" and status.mode != "pushing":
+            if row is not None and _fresh(row, old.looks):
+                new = replace(old, looks=(*old.looks, row)[-LOOKS:])
+                if status.mode == "recording":
+                    new = self._completed(new)
+        elif execution.mode == "pushing":
+            time = context.get_time()
+            tip = self.GetInputPort("tip_pose").Eval(context).translation()
+            force = self.GetInputPort("tip_force").Eval(context)
+            if not old.tips:
+                # The finger is on its way to the object, which still rests.
+                still = (_rest(new.looks, time), _rest(new.looks, time + PERIOD))
+                new = replace(new, poses=still, looks=())
+            if row is not None and _fresh(row, new.poses):
+                new = replace(new, poses=(*new.poses, row))
+            new = replace(
+                new,
+                tips=(*new.tips, (time, float(tip[0]), float(tip[1]))),
+                forces=(*new.forces, (time, float(force[0]), float(force[1]), 0.0)),
+            )
+        if new is not old:
+            replace_held(state, self._recording, new)
+        return EventStatus.Succeeded()
+
+    def _completed(self, recording: _Recording) -> _Recording:
+        """The recording with the push under way as a trial, once enough poses were seen after it."""
+        if not recording.tips or len(recording.looks) < LOOKS:
+            return recording
+        start, end = recording.tips[0][0], recording.tips[-1][0]
+        poses = [row for row in recording.poses if row[0] < end]
+        rows = (*poses, _rest(recording.looks, end))
+        number = len(recording.trials)
+        role: Role = "fit" if number < self._fit else "heldout"
+        trial = Trial(
+            f"trials/{number:03d}.json",
+            role,
+            _channel(rows, start),
+            _channel(recording.tips, start),
+            _channel(recording.forces, start),
+        )
+        return _Recording((*recording.trials, trial), looks=recording.looks)
+
+
+def _rest(looks: Sequence[Row], time: float) -> Row:
+    """Pose of an object at rest from several looks; their angles are continuous."""
+    mean = np.mean([row[1:] for row in looks], axis=0)
+    return (time, *map(float, mean))
+
+
+def _fresh(row: Row, rows: Sequence[Row]) -> bool:
+    return not rows or row[0] > rows[-1][0] + 1e-9
+
+
+def _channel(rows: Sequence[Row], start: float) -> Channel:
+    values = np.array(rows, dtype=float)
+    return Channel(values[:, 0] - start, values[:, 1:])
+
+
+def dataset_of(
+    trials: Sequence[Trial],
+    grid: CellGrid,
+    *,
+    name: str,
+    finger_radius: float,
+    noise: Noise,
+    table: Table | None = None,
+    height: float | None = None,
+    description: str = "",
+) -> PushDataset:
+    """Recorded trials as a dataset, like one that was read from a folder.
+
+    Args:
+        trials: one or more.
+        grid: the object as the camera made it out.
+        name: of the dataset.
+        finger_radius: m.
+        noise: of the sensors.
+        table: the table top.
+        height: of the object, m.
+        description: free text.
+
+    Raises:
+        DatasetError: there is no trial.
+    """
+    digest = hashlib.sha256(grid.centers.tobytes())
+    for trial in trials:
+        for channel in (trial.object_pose, trial.tip_pose, trial.ft_wrench):
+            if channel is not None:
+                digest.update(channel.time.tobytes() + channel.values.tobytes())
+    return PushDataset(
+        name=name,
+        description=description,
+        grid=grid,
+        height=height,
+        mass=None,
+        finger_radius=finger_radius,
+        table=table,
+        gravity=9.81,
+        noise=noise,
+        trials=tuple(trials),
+        fingerprint=digest.hexdigest(),
+    )

@@ -1,0 +1,194 @@
+"""`MultiverseSlider`: all hypotheses of a belief, pushed by one finger, stepped together."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from pydrake.common.value import Value
+from pydrake.systems.framework import Context, LeafSystem, State
+
+from diagrams.systems.held import held, read, replace_held
+from diagrams.systems.reported_pose import history_length, pose_then
+from models.effects.stepper import NO_FINGER, NO_WRENCH, StepModels, Stepper
+from models.inference.belief import Belief
+from models.physics.cell_grid import FloatArray
+from models.physics.paper_notation import add
+
+
+@dataclass(frozen=True, eq=False)
+class Universes:
+    """K hypotheses in motion.
+
+    Attributes:
+        belief: that they are of.
+        stepper: the model.
+        models: maps as the kernel takes them.
+        states: (K, Z) see `Stepper`.
+        history: (K, L, 3) true poses one, two, … steps ago, as far back as the tracker may be late.
+        push: number of the push that set them in motion, or None.
+        begin: time at which they were placed, s.
+        order: place of the push in the experiment, from 0.
+    """
+
+    belief: Belief
+    stepper: Stepper
+    models: StepModels
+    states: FloatArray
+    history: FloatArray
+    push: int | None
+    begin: float
+    order: float
+
+    @property
+    def poses(self) -> FloatArray:
+        """(K, 3) poses as the tracker would report them."""
+        program = self.stepper.program
+        if program.delay is None and program.measured is None:
+            return self.states[:, :3]
+        effects = self.models.maps.effects
+        rows = zip(self.states[:, :3], self.history, effects, strict=True)
+        return np.array([pose_then(self.stepper, pose, past, values) for pose, past, values in rows])
+
+    @property
+    def mean_pose(self) -> FloatArray:
+        """(3,) probability-weighted mean of the poses."""
+        return self.belief.probability @ self.poses
+
+    @property
+    def spread(self) -> float:
+        """Probability-weighted mean ADD of the hypotheses from their mean, m."""
+        return float(self.belief.probability @ add(self.poses, self.mean_pose, self.belief.grid.centers))
+
+
+def placed(
+    belief: Belief,
+    h: float,
+    pose: FloatArray,
+    *,
+    push: int | None = None,
+    begin: float = 0.0,
+    order: float = 0.0,
+) -> Universes:
+    """All hypotheses at rest where the tracker reports `pose` (3,), in steps of h (s)."""
+    stepper = Stepper(belief.grid, belief.finger_radius, h, belief.effects, belief.gravity, belief.smoothing)
+    models = stepper.models(belief.maps)
+    states = stepper.start(models, pose)
+    history = np.repeat(states[:, None, :3], history_length(stepper), axis=1)
+    return Universes(belief, stepper, models, states, history, push, begin, order)
+
+
+class MultiverseSlider(LeafSystem):
+    """K hypotheses of a belief under one finger, in steps of h, one call of the kernel a step.
+
+    .. pydrake_system::
+
+        name: MultiverseSlider
+        input_ports:
+        - wrench
+        - finger
+        - belief
+        - object_pose
+        - push
+        output_ports:
+        - poses
+        - mean_pose
+        - spread
+
+    Inputs, all optional:
+        wrench: (5,) and
+        finger: (4,) as of `CellGridSlider`.
+        belief: abstract, `Belief` or None.
+        object_pose: abstract, with `pose` (3,) and `valid`, such as an `ObservedPose`.
+        push: abstract, None or something with a `push_id`, such as an `ActivePush`.
+
+    As soon as `push` has another number, all hypotheses of the `belief` are placed, at rest, where the object
+    is seen; then they go their own ways until the next push.
+
+    Outputs:
+        poses: abstract, (K, 3) x, y, θ in the world as a tracker reports them; (0, 3) without a belief.
+        mean_pose: (3,) probability-weighted mean; NaN without a belief.
+        spread: (1,) probability-weighted mean ADD of the hypotheses from their mean, m; NaN without a belief.
+
+    Args:
+        h: step, s.
+        belief: to begin with, placed at the origin; None waits for the first push.
+    """
+
+    def __init__(self, h: float, belief: Belief | None = None) -> None:
+        super().__init__()
+        self.set_name("multiverse_slider")
+        self._h = h
+        self._wrench = self.DeclareVectorInputPort("wrench", 5)
+        self._finger = self.DeclareVectorInputPort("finger", 4)
+        self._belief = self.DeclareAbstractInputPort("belief", Value[object](None))
+        self._object_pose = self.DeclareAbstractInputPort("object_pose", Value[object](None))
+        self._push = self.DeclareAbstractInputPort("push", Value[object](None))
+        first = None if belief is None else placed(belief, h, np.zeros(3))
+        self._universes = self.DeclareAbstractState(held(first))
+        after = {self.abstract_state_ticket(self._universes)}
+        self.DeclareAbstractOutputPort(
+            "poses", lambda: Value[object](np.zeros((0, 3))), self._output_poses, after
+        )
+        self.DeclareVectorOutputPort("mean_pose", 3, self._output_mean, after)
+        self.DeclareVectorOutputPort("spread", 1, self._output_spread, after)
+        self.DeclarePeriodicUnrestrictedUpdateEvent(h, 0.0, self._step)
+
+    def set_belief(self, context: Context, belief: Belief, pose: FloatArray) -> None:
+        """Place all hypotheses of a belief at rest where a tracker reports `pose` (3,)."""
+        universes = placed(belief, self._h, pose, begin=context.get_time())
+        replace_held(context.get_mutable_state(), self._universes, universes)
+
+    def universes(self, context: Context) -> Universes | None:
+        """The hypotheses in motion."""
+        return read(context, self._universes)
+
+    def _step(self, context: Context, state: State) -> None:
+        universes = self._restarted(context) or self.universes(context)
+        if universes is None:
+            return
+        wrench: Any = self._wrench.Eval(context) if self._wrench.HasValue(context) else NO_WRENCH
+        tip = NO_FINGER
+        if self._finger.HasValue(context):
+            finger: Any = self._finger.Eval(context)
+            center, velocity = np.split(finger, 2)
+            tip = np.vstack([center, center + self._h * velocity])
+        states, _ = universes.stepper.step(
+            universes.models,
+            universes.states,
+            wrench=wrench,
+            tip=tip,
+            time=context.get_time() - universes.begin,
+            order=universes.order,
+        )
+        history = universes.history
+        if history.shape[1]:
+            history = np.concatenate([universes.states[:, None, :3], history[:, :-1]], axis=1)
+        replace_held(state, self._universes, replace(universes, states=states, history=history))
+
+    def _restarted(self, context: Context) -> Universes | None:
+        """The hypotheses placed anew if a new push has begun and the object is seen."""
+        ports = (self._push, self._belief, self._object_pose)
+        values: list[Any] = [port.Eval(context) if port.HasValue(context) else None for port in ports]
+        push, belief, seen = values
+        before = self.universes(context)
+        belief = belief if belief is not None or before is None else before.belief
+        if push is None or belief is None or seen is None or not seen.valid:
+            return None
+        if before is not None and before.push == push.push_id:
+            return None
+        order = 0.0 if before is None or before.push is None else before.order + 1.0
+        return placed(belief, self._h, seen.pose, push=push.push_id, begin=context.get_time(), order=order)
+
+    def _output_poses(self, context: Any, output: Any) -> None:
+        universes = self.universes(context)
+        output.set_value(np.zeros((0, 3)) if universes is None else universes.poses)
+
+    def _output_mean(self, context: Context, output: Any) -> None:
+        universes = self.universes(context)
+        output.SetFromVector(np.full(3, np.nan) if universes is None else universes.mean_pose)
+
+    def _output_spread(self, context: Context, output: Any) -> None:
+        universes = self.universes(context)
+        output.SetFromVector([np.nan if universes is None else universes.spread])

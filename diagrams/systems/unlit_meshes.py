@@ -1,0 +1,182 @@
+"""Flat shapes for Meshcat that look the same from everywhere: their colours are those of a legend, whatever
+the light.
+
+They are glTF files with `KHR_materials_unlit`, held in memory.
+"""
+
+from __future__ import annotations
+
+import base64
+import json
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from pydrake.common import MemoryFile
+from pydrake.geometry import InMemoryMesh, Mesh
+
+from models.physics.cell_grid import CellGrid, FloatArray
+
+_FLOAT, _INDEX = 5126, 5125
+_VERTICES, _INDICES = 34962, 34963
+
+Triangles = tuple[FloatArray, NDArray[np.uint32]]
+"""Vertices (v, 3) in m and triangles (t, 3)."""
+
+
+def unlit_mesh(
+    vertices: FloatArray,
+    triangles: NDArray[np.uint32],
+    colors: FloatArray | None = None,
+    picture: bytes | None = None,
+    places: FloatArray | None = None,
+) -> Mesh:
+    """A mesh with coloured corners or a picture on it, seen from both sides.
+
+    Args:
+        vertices: (v, 3) m.
+        triangles: (t, 3) rows of `vertices`.
+        colors: (v, 3) sRGB, 0 to 1.
+        picture: a PNG file instead of colours.
+        places: (v, 2) of the vertices on the picture, (0, 0) being its upper left corner.
+    """
+    # glTF has y upwards where Drake has z.
+    upright = np.column_stack([vertices[:, 0], vertices[:, 2], -vertices[:, 1]])
+    parts: list[tuple[NDArray[Any], int, str]] = [
+        (upright.astype("<f4"), _VERTICES, "VEC3"),
+        (triangles.astype("<u4").ravel(), _INDICES, "SCALAR"),
+    ]
+    attributes = {"POSITION": 0}
+    material: dict[str, Any] = {
+        "doubleSided": True,
+        "extensions": {"KHR_materials_unlit": {}},
+        "pbrMetallicRoughness": {"metallicFactor": 0.0},
+    }
+    tree: dict[str, Any] = {
+        "asset": {"version": "2.0"},
+        "scene": 0,
+        "scenes": [{"nodes": [0]}],
+        "nodes": [{"mesh": 0}],
+        "materials": [material],
+        "extensionsUsed": ["KHR_materials_unlit"],
+    }
+    if colors is not None:
+        linear = np.where(colors <= 0.04045, colors / 12.92, ((colors + 0.055) / 1.055) ** 2.4)
+        attributes["COLOR_0"] = len(parts)
+        parts.append((linear.astype("<f4"), _VERTICES, "VEC3"))
+    if picture is not None and places is not None:
+        attributes["TEXCOORD_0"] = len(parts)
+        parts.append((places.astype("<f4"), _VERTICES, "VEC2"))
+        tree["images"] = [{"uri": _uri(picture, "image/png")}]
+        tree["textures"] = [{"source": 0}]
+        material["pbrMetallicRoughness"]["baseColorTexture"] = {"index": 0}
+    tree["meshes"] = [{"primitives": [{"attributes": attributes, "indices": 1, "material": 0}]}]
+    views, accessors, data = [], [], b""
+    for k, (array, target, kind) in enumerate(parts):
+        views.append({"buffer": 0, "byteOffset": len(data), "byteLength": array.nbytes, "target": target})
+        component = _INDEX if kind == "SCALAR" else _FLOAT
+        accessor = {"bufferView": k, "componentType": component, "count": len(array), "type": kind}
+        if k == 0:
+            accessor |= {"min": array.min(axis=0).tolist(), "max": array.max(axis=0).tolist()}
+        accessors.append(accessor)
+        data += array.tobytes()
+    tree |= {
+        "bufferViews": views,
+        "accessors": accessors,
+        "buffers": [{"byteLength": len(data), "uri": _uri(data, "application/octet-stream")}],
+    }
+    return Mesh(InMemoryMesh(mesh_file=MemoryFile(json.dumps(tree), ".gltf", "unlit mesh")))
+
+
+def _uri(data: bytes, kind: str) -> str:
+    return f"data:{kind};base64,{base64.b64encode(data).decode()}"
+
+
+def painted(shape: Triangles, color: tuple[float, float, float]) -> Mesh:
+    """A shape in one colour, sRGB."""
+    vertices, triangles = shape
+    return unlit_mesh(vertices, triangles, np.tile(color, (len(vertices), 1)))
+
+
+def tiles(grid: CellGrid, colors: FloatArray, thickness: float = 2e-3, share: float = 0.92) -> Mesh:
+    """One flat box a cell in its colour (n, 3), top at z = 0; their sides are darker. They cover `share` of
+    the cells' width."""
+    half = 0.5 * share * grid.width
+    corners = half * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
+    ring = (grid.centers[:, None] + corners).reshape(-1, 4, 2)
+    n = len(grid)
+    top = np.concatenate([ring, np.zeros((n, 4, 1))], axis=2)
+    low = np.concatenate([ring, np.full((n, 4, 1), -thickness)], axis=2)
+    # Twelve corners a cell: the top's, and those of the sides.
+    vertices = np.concatenate([top, top, low], axis=1).reshape(-1, 3)
+    shades = np.concatenate(
+        [np.repeat(colors[:, None], 4, axis=1), np.repeat(0.7 * colors[:, None], 8, axis=1)], axis=1
+    )
+    one = [[0, 1, 2], [0, 2, 3]]
+    for k in range(4):
+        following = (k + 1) % 4
+        one += [[4 + k, 8 + k, 8 + following], [4 + k, 8 + following, 4 + following]]
+    triangles = (12 * np.arange(n)[:, None, None] + np.array(one)).reshape(-1, 3)
+    return unlit_mesh(vertices, triangles.astype(np.uint32), shades.reshape(-1, 3))
+
+
+def ribbon(edges: FloatArray, width: float) -> Triangles:
+    """Line segments (E, 4) in the plane z = 0 as strips of some width, m."""
+    begin, end = edges[:, :2], edges[:, 2:]
+    along = (end - begin) / np.linalg.norm(end - begin, axis=1, keepdims=True) * 0.5 * width
+    across = np.column_stack([-along[:, 1], along[:, 0]])
+    corners = np.stack(
+        [begin - along - across, end + along - across, end + along + across, begin - along + across], axis=1
+    )
+    return _quads(corners)
+
+
+def ringed_discs(centers: FloatArray, radii: FloatArray) -> Mesh:
+    """White discs with black rims about centres (k, 2), just above the plane z = 0."""
+    sides, k = 16, len(centers)
+    angles = 2 * np.pi * np.arange(sides) / sides
+    ring = np.column_stack([np.cos(angles), np.sin(angles)])
+    rims = (centers[:, None] + 1.3 * radii[:, None, None] * ring).reshape(-1, 2)
+    discs = (centers[:, None] + radii[:, None, None] * ring).reshape(-1, 2)
+    height = np.repeat([0.0, 2e-4], sides * k)
+    fan = np.column_stack([np.zeros(sides - 2), np.arange(1, sides - 1), np.arange(2, sides)])
+    triangles = (sides * np.arange(2 * k)[:, None, None] + fan).reshape(-1, 3)
+    colors = np.repeat([[0.0] * 3, [1.0] * 3], sides * k, axis=0)
+    vertices = np.column_stack([np.concatenate([rims, discs]), height])
+    return unlit_mesh(vertices, triangles.astype(np.uint32), colors)
+
+
+def arrow(length: float, width: float, head: float) -> Triangles:
+    """From the origin along x in the plane z = 0: a shaft of some width, and a head 2.6 times as wide."""
+    neck, half = length - head, 0.5 * width
+    points = np.array(
+        [
+            [0, -half],
+            [neck, -half],
+            [neck, half],
+            [0, half],
+            [neck, -2.6 * half],
+            [length, 0],
+            [neck, 2.6 * half],
+        ]
+    )
+    triangles = np.array([[0, 1, 2], [0, 2, 3], [4, 5, 6]], dtype=np.uint32)
+    return np.column_stack([points, np.zeros(len(points))]), triangles
+
+
+def billboard(picture: bytes, width: float, height: float) -> Mesh:
+    """A picture (PNG) standing in the plane y = 0, centred on the origin, seen from -y."""
+    corners = 0.5 * np.array(
+        [[-width, 0, -height], [width, 0, -height], [width, 0, height], [-width, 0, height]]
+    )
+    places = np.array([[0.0, 1.0], [1.0, 1.0], [1.0, 0.0], [0.0, 0.0]])
+    triangles = np.array([[0, 1, 2], [0, 2, 3]], dtype=np.uint32)
+    return unlit_mesh(corners, triangles, picture=picture, places=places)
+
+
+def _quads(corners: FloatArray) -> Triangles:
+    """Four-cornered faces (k, 4, 2) in the plane z = 0."""
+    k = len(corners)
+    flat = np.column_stack([corners.reshape(-1, 2), np.zeros(4 * k)])
+    triangles = (4 * np.arange(k)[:, None, None] + np.array([[0, 1, 2], [0, 2, 3]])).reshape(-1, 3)
+    return flat, triangles.astype(np.uint32)

@@ -1,0 +1,186 @@
+"""The cell-grid model one step at a time, differentiated by all that a step depends on.
+
+A rollout knows all of its push beforehand. Who steps the model from outside, as a simulation does, keeps its
+state himself: pose, twist, the finger's last force and what the effects remember.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from models.effects.effect import Effect
+from models.effects.slider import EffectSlider
+from models.physics.cell_grid import CellGrid, FloatArray
+from models.physics.effect_kernel import AFTER, CONSTANTS, FORCE
+from models.physics.maps import Maps
+from models.physics.pushes import JoinedPushes, Push
+from models.physics.rollout import RolloutError, Smoothing
+from models.physics.single_step import INPUTS, single_steps
+from models.physics.step import EXTRA_COLUMNS
+
+NO_FINGER = np.full((2, 2), np.nan)
+NO_WRENCH = np.zeros(5)
+
+
+@dataclass(frozen=True, eq=False)
+class StepModels:
+    """K models as the kernel takes them, so that steps need not check and sum the maps again.
+
+    Attributes:
+        maps: with the parameters of all effects.
+        load: (K, n) friction loads, N.
+        inertia: (K, 4) m, s_x, s_y, J.
+    """
+
+    maps: Maps
+    load: FloatArray
+    inertia: FloatArray
+
+
+class Stepper(EffectSlider):
+    """An `EffectSlider`, with or without effects, that takes single steps of length h.
+
+    The state (Z,) of a model is x, y, θ (world), v_x, v_y, omega (object frame), the finger's last force
+    (world, N), and the effects' memory. Its pose is the true one; `reported` gives what a tracker says.
+
+    Args:
+        grid: cells and outline.
+        finger_radius: m.
+        h: step, s.
+        effects: in the order of the columns of `Maps.effects`.
+        gravity: m/s².
+        smoothing: see `Smoothing`.
+    """
+
+    def __init__(
+        self,
+        grid: CellGrid,
+        finger_radius: float,
+        h: float,
+        effects: Sequence[Effect] = (),
+        gravity: float = 9.81,
+        smoothing: Smoothing | None = None,
+    ) -> None:
+        if not (np.isfinite(h) and h > 0):
+            raise ValueError(f"the step h must be positive, got {h} s")
+        super().__init__(grid, finger_radius, effects, gravity, smoothing)
+        self.h = float(h)
+        self._per_step = self._constants_of(self.h, 0.0)
+
+    def __reduce__(self) -> tuple[object, ...]:
+        return Stepper, (
+            self.grid, self.finger_radius, self.h, self.effects, self.gravity, self.smoothing,
+        )  # fmt: skip
+
+    @property
+    def size(self) -> int:
+        """Z: numbers in the state of one model."""
+        return AFTER + max(0, self.program.memory - FORCE)
+
+    @property
+    def nulls(self) -> FloatArray:
+        """(P,) parameters of the effects at which they vanish."""
+        return np.concatenate([np.zeros(0), *(effect.nulls for effect in self.effects)])
+
+    def models(self, maps: Maps) -> StepModels:
+        """Prepare K models.
+
+        Raises:
+            ValueError: maps of another grid or of other effects, or without friction.
+        """
+        effects = maps.effects
+        if effects.shape[1] == 0:
+            effects = np.repeat(self.nulls[None], len(maps), axis=0)
+        if effects.shape[1] != self.program.parameters:
+            raise ValueError(
+                f"maps have {effects.shape[1]} effect parameters, the model has {self.program.parameters}"
+            )
+        maps = Maps(maps.mass, maps.mu, maps.mu_finger, effects)
+        return StepModels(maps, self._loads(maps), self.inertia(maps.mass))
+
+    def start(self, models: StepModels, poses: FloatArray, twists: FloatArray | None = None) -> FloatArray:
+        """(K, Z) states at rest or with twists (K, 3), where the tracker reports `poses` (K, 3) or (3,)."""
+        K = len(models.maps)
+        reported = np.array(np.broadcast_to(poses, (K, 3)), dtype=float)
+        states = np.zeros((K, self.size))
+        states[:, :3] = self._true_starts(reported[:, None], models.maps.effects)[0][:, 0]
+        states[:, 3:6] = 0.0 if twists is None else twists
+        return states
+
+    def step(
+        self,
+        models: StepModels,
+        states: FloatArray,
+        *,
+        wrench: FloatArray = NO_WRENCH,
+        tip: FloatArray = NO_FINGER,
+        time: float = 0.0,
+        order: float = 0.0,
+        derive: bool = False,
+    ) -> tuple[FloatArray, FloatArray]:
+        """Take one step with K models.
+
+        Args:
+            models: see `models`.
+            states: (K, Z).
+            wrench: (5,) force (world, N), its point (object frame, m) and a torque (N m), as in `Push`.
+            tip: (2, 2) finger centre before and after the step, world, m; NaN for no finger.
+            time: at the begin of the step, from the begin of the push, s.
+            order: place of the push in the experiment, from 0.
+            derive: whether to differentiate.
+
+        Returns:
+            States after the step (K, Z), and their derivatives (K, Z, C) by mass (n), mu (n), finger
+            friction, pose (3), twist (3), parameters of effects (P), last force and memory (Z - 6), wrench
+            (5), tip before and after (4); C is 0 unless they were asked for.
+
+        Raises:
+            RolloutError: a model's step was not solved; names the model.
+        """
+        # One layout, so that the kernel is compiled once.
+        states, wrench, tip = (np.ascontiguousarray(a, dtype=float) for a in (states, wrench, tip))
+        K, Z = states.shape
+        constants = self._per_step.copy()
+        constants[0], constants[2] = time + 0.5 * self.h, order
+        columns = len(self.grid) + EXTRA_COLUMNS + self.program.parameters + Z - 6 + INPUTS if derive else 0
+        after, jacobian = np.empty((K, Z + 1)), np.empty((K, Z, columns))
+        single_steps(
+            models.load, self._centers[0], self._centers[1], models.inertia, models.maps.mu_finger,
+            self.grid.width, self.grid.edges, self.finger_radius, self._size, self._smoothing, self.h,
+            states, tip, wrench, self.program.addresses, self.program.sizes, constants,
+            models.maps.effects, after, jacobian,
+        )  # fmt: skip
+        if not (after[:, Z].min() >= 0 and np.isfinite(after).all()):
+            model = int(np.flatnonzero((after[:, Z] < 0) | ~np.isfinite(after).all(axis=1))[0])
+            raise RolloutError(f"model {model}: the step from t = {time:.6g} s was not solved")
+        return after[:, :Z], self.map_columns(models.maps, jacobian) if derive else jacobian
+
+    def delay(self, parameters: FloatArray) -> tuple[float, FloatArray]:
+        """The tracker's delay, s, and its derivative (P,) by the effects' parameters (P,)."""
+        if self.program.delay is None:
+            return 0.0, np.zeros(self.program.parameters)
+        return self.program.delay(parameters)
+
+    def reported(
+        self, poses: FloatArray, parameters: FloatArray
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """What the tracker reports of true poses (…, 3), its derivatives by them (…, 3, 3), and by the
+        effects' parameters (…, 3, P)."""
+        if self.program.measured is None:
+            shape = poses.shape[:-1]
+            identity = np.broadcast_to(np.eye(3), (*shape, 3, 3))
+            return poses, identity, np.zeros((*shape, 3, self.program.parameters))
+        return self.program.measured(poses[..., 0], poses[..., 1], poses[..., 2], parameters)
+
+    def _constants_of(self, h: float, order: float) -> FloatArray:
+        """(CONSTANTS,) of a step, its time left open."""
+        push = Push(h, np.full((2, 2), np.nan), np.zeros(3), order=order)
+        constants = self._constants(JoinedPushes([push], 1))[0]
+        assert constants.shape == (CONSTANTS,)
+        return constants
+
+
+__all__ = ["NO_FINGER", "NO_WRENCH", "StepModels", "Stepper"]

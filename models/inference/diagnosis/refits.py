@@ -1,0 +1,144 @@
+"""Full refits of the model with one more effect, and of the model without, from where they lead."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from models.effects.effect import Effect, Scene
+from models.inference.diagnosis.error_model import ErrorModel
+from models.inference.diagnosis.fitting import Fitted, Fitter, estimate_errors
+from models.inference.diagnosis.screening import Screening
+
+QUICK_ITERATIONS = 1
+QUICK_REFITS = 3
+"""Where chance was not simulated, one step of the full fit chooses what is refitted in full."""
+
+WORTH_REFITTING = 0.7
+WORTH_REFITTING_GAIN = 30.0
+"""Share of the best fall of the cost, or nats, by which a candidate may be behind to be refitted again."""
+
+BETTER_BASE = 5.0
+"""Fall of the cost, in nats, by which other maps of the model without effects are better."""
+
+SECONDS_TRIED = 2
+SECOND_SHARE = 0.3
+"""Second effects that are tried with a first: so many, with at least this share of the largest gain."""
+
+Step = Callable[[int, int], None]
+
+
+@dataclass(frozen=True, eq=False)
+class Refits:
+    """Candidates refitted in full.
+
+    Attributes:
+        error: error model of the best of them.
+        fits: by name, those that come near the best.
+        gains: fall of the cost by each, nats.
+    """
+
+    error: ErrorModel
+    fits: dict[str, Fitted]
+    gains: dict[str, float]
+
+    @property
+    def order(self) -> list[str]:
+        """Names, best first."""
+        return sorted(self.fits, key=lambda name: -self.gains[name])
+
+
+def refit_candidates(
+    fitter: Fitter,
+    base: Fitted,
+    first: Screening,
+    effects: Sequence[Effect],
+    scene: Scene,
+    *,
+    quick: bool,
+    progress: Step,
+) -> Refits:
+    """Refit all candidates, then again under the error model of the best of them.
+
+    All, since the first order misleads where the model without the effect had to bend its maps far.
+
+    Args:
+        fitter: knows the data.
+        base: model without effects.
+        first: gains on top of it.
+        effects: that are refitted.
+        scene: for their starts.
+        quick: whether to take a few alone.
+        progress: called with the number of candidates done and that of all.
+    """
+    error = base.likelihood.error
+    named = [i for i in np.argsort(-first.gain) if first.candidates[i] in effects]
+    found: dict[str, Fitted] = {}
+    for step, i in enumerate(named):
+        progress(step, len(named) + 2)
+        effect = first.candidates[i]
+        guess = effect.start_values(scene)[int(first.start[i])]
+        near, iterations = (None, QUICK_ITERATIONS) if quick else (base, 30)
+        fitted = fitter.with_effects((effect,), error, near, guess, afresh=True, iterations=iterations)
+        if fitted is not None:
+            found[effect.name] = fitted
+    if not found:
+        return Refits(error, {}, {})
+    if quick:
+        ahead = sorted(found, key=lambda name: found[name].cost)[:QUICK_REFITS]
+        found = {name: found[name] for name in ahead}
+    best = min(found.values(), key=lambda fitted: fitted.cost)
+    progress(len(named), len(named) + 2)
+    error = estimate_errors(best, fitter.noise)
+    plain = fitter.base(error, base)
+    ceiling = best.cost + WORTH_REFITTING * max(base.cost - best.cost, WORTH_REFITTING_GAIN)
+    fits = {}
+    for name, fitted in found.items():
+        if fitted.cost > ceiling:
+            continue
+        again = fitter.with_effects(fitted.effects, error, fitted, fitted.values)
+        if again is not None:
+            fits[name] = again
+    progress(len(named) + 2, len(named) + 2)
+    return Refits(error, fits, {name: plain.cost - fitted.cost for name, fitted in fits.items()})
+
+
+def better_base(fitter: Fitter, base: Fitted, refits: Refits) -> Fitted | None:
+    """The model without effects on the maps of the best refit, where these explain the data better.
+
+    Then it was the search that the effect helped, not the model.
+    """
+    if not refits.fits:
+        return None
+    best = min(refits.fits.values(), key=lambda fitted: fitted.cost)
+    again = fitter.base(refits.error, best)
+    if again.cost > fitter.base(refits.error, base).cost - BETTER_BASE:
+        return None
+    return fitter.base(estimate_errors(again, fitter.noise), again)
+
+
+def pairs(
+    fitter: Fitter, first: Fitted, rest: Screening, effects: Sequence[Effect], scene: Scene
+) -> Iterator[Fitted]:
+    """Fits of two effects at once, the second being one that gains most on top of the first.
+
+    Args:
+        fitter: knows the data.
+        first: model with the first effect.
+        rest: gains on top of it.
+        effects: that may be the second.
+        scene: for its start.
+    """
+    order = [i for i in np.argsort(-rest.gain) if rest.candidates[i] in effects][:SECONDS_TRIED]
+    for i in order:
+        if rest.gain[i] < SECOND_SHARE * rest.gain.max():
+            continue
+        second = rest.candidates[i]
+        guess = second.start_values(scene)[int(rest.start[i])]
+        values = np.concatenate([first.values, guess])
+        error = first.likelihood.error
+        pair = fitter.with_effects((*first.effects, second), error, first, values, afresh=True)
+        if pair is not None:
+            yield pair

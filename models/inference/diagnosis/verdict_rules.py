@@ -1,0 +1,171 @@
+"""When does a gain count? Thresholds of a diagnosis, and the rules that its verdicts follow from."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from models.effects.effect import Effect
+from models.inference.diagnosis.locked import LockedErrors
+from models.inference.diagnosis.screening import Screening
+
+LEVEL = 0.01
+"""Gains that come about by chance more seldom than this count."""
+
+FEWEST_DRAWS = 99
+"""Simulated datasets without which no p-value could reach the level."""
+
+QUICK_GAIN = 8.0
+"""Gain, in nats, that counts where chance was not simulated."""
+
+MATERIAL = 0.03
+"""What gains less than this share on top of an effect's own gain is a matter of its exact form."""
+
+PROBE_GAIN = 20.0
+"""Gain, in nats, below which a finding in the model without effects may come from the grid and the contact,
+which are not exact: a probe's does not count, and an effect is not named for it."""
+
+REST_GAIN = 8.0
+"""The same for all that is found on top of an effect, where it may come from the effect's exact form."""
+
+CLEARLY_WORSE = 0.02
+CLEARLY_WORSE_GAIN = 40.0
+"""A candidate whose gain is smaller than the best one's by this share and by so many nats is ruled out by
+that alone."""
+
+FAR_WORSE = 0.6
+FAR_WORSE_GAIN = 10.0
+"""The same share and nats for one that is not even asked what it leaves."""
+
+ROUGH = 0.03
+"""α above which an error model is rough: no sensor's noise, but a description of pushes that scatter."""
+
+AGREEMENT = 0.05
+"""Share of sign changes of whole pushes that may gain as much, where the error model is rough."""
+
+FEWEST_PUSHES = 4
+"""Pushes below which nothing found does not mean that nothing is there."""
+
+BLIND = 1.0
+"""Standard deviation, in scales, above which the pushes could not have shown an effect of ordinary size."""
+
+
+@dataclass(frozen=True)
+class Remainder:
+    """What is left to gain on top of a candidate.
+
+    Attributes:
+        rejected_by: the effect or probe whose gain shows that the candidate does not explain the data, or
+            None.
+        gain: of that addition, or else the largest, nats.
+        p_value: of that gain; None where chance was not simulated.
+        clean: whether nothing at all is left.
+    """
+
+    rejected_by: str | None
+    gain: float
+    p_value: float | None
+    clean: bool
+
+
+@dataclass(frozen=True)
+class Rules:
+    """What counts, for some candidates.
+
+    Attributes:
+        effects: the named candidates; all others are probes.
+        simulated: whether chance was simulated, so that there are p-values.
+    """
+
+    effects: tuple[Effect, ...]
+    simulated: bool
+
+    def p_value(self, screening: Screening, gain: float) -> float | None:
+        """Of a gain; None where chance was not simulated."""
+        return screening.p_value(gain) if self.simulated else None
+
+    def beyond_chance(self, screening: Screening, gain: float) -> bool:
+        """Whether chance hardly gains as much."""
+        return screening.p_value(gain) <= LEVEL if self.simulated else gain > QUICK_GAIN
+
+    def found(self, screening: Screening, floor: float, probe_floor: float) -> int | None:
+        """Index of the candidate whose gain counts most, or None where all of it may be chance.
+
+        Args:
+            screening: gains.
+            floor: that a named effect has to exceed.
+            probe_floor: that a probe has to exceed.
+        """
+        for i in np.argsort(-screening.gain):
+            gain = float(screening.gain[i])
+            if not self.beyond_chance(screening, gain):
+                return None
+            if gain > (floor if screening.candidates[i] in self.effects else probe_floor):
+                return int(i)
+        return None
+
+    def missing(self, first: Screening) -> bool:
+        """Whether the model without effects misses anything."""
+        return self.found(first, 0.0, PROBE_GAIN) is not None
+
+    def remainder(self, rest: Screening, own_gain: float) -> Remainder:
+        """What is left to gain on top of a candidate that gains `own_gain` nats when refitted."""
+        found = self.found(rest, REST_GAIN, REST_GAIN)
+        top = int(np.argmax(rest.gain)) if found is None else found
+        gain = float(rest.gain[top])
+        material = found is not None and gain >= MATERIAL * own_gain
+        return Remainder(
+            rest.candidates[top].name if material else None, gain, self.p_value(rest, gain), found is None
+        )
+
+    def stands(self, first: Screening, name: str, fitted_gain: float) -> bool:
+        """Whether a candidate's own gain is beyond chance and more than the grid's errors may feign.
+
+        To first order, or by far when refitted.
+        """
+        gain = float(first.gain[[c.name for c in first.candidates].index(name)])
+        return (gain > PROBE_GAIN and self.beyond_chance(first, gain)) or fitted_gain > 3 * PROBE_GAIN
+
+    def completes(self, rest: Screening, second_gain: float) -> bool:
+        """Whether a second effect that gains `second_gain` nats makes a pair that leaves nothing.
+
+        What is left must be small beside the gain of the second effect, not only of both.
+        """
+        found = self.found(rest, REST_GAIN, REST_GAIN)
+        enough = found is None or rest.gain[found] < 2 * MATERIAL * second_gain
+        return second_gain > PROBE_GAIN and bool(enough)
+
+    def blind(self, first: Screening) -> bool:
+        """Whether the pushes could not have shown most effects of ordinary size."""
+        pairs = zip(first.candidates, first.sharpness, strict=True)
+        seen = [sharpness for effect, sharpness in pairs if effect in self.effects]
+        return sum(1 for sharpness in seen if sharpness > BLIND) > len(seen) / 2
+
+
+def worth_asking(gain: float, best: float) -> bool:
+    """Whether a refitted candidate is near enough to the best one to be asked what it leaves."""
+    return gain > best - max(FAR_WORSE_GAIN, FAR_WORSE * best)
+
+
+def rivals_the_best(gain: float, best: float) -> bool:
+    """Whether a refitted candidate explains about as much as the best one."""
+    return gain > best - max(CLEARLY_WORSE_GAIN, CLEARLY_WORSE * best)
+
+
+def not_outdone(
+    accepted: Sequence[str], left: Mapping[str, Remainder], gains: Mapping[str, float]
+) -> list[str]:
+    """Those accepted: one that leaves nothing at all beats those that leave a little and explain less."""
+    top = max((gains[name] for name in accepted if left[name].clean), default=-np.inf)
+    return [name for name in accepted if left[name].clean or gains[name] > top - REST_GAIN]
+
+
+def locked_pushes_object(
+    motion_error: float, before: LockedErrors | None, after: LockedErrors | None
+) -> bool:
+    """Whether pushes that scatter, and were locked away, become worse with the answer."""
+    if before is None or after is None or motion_error <= ROUGH:
+        return False
+    return after.total_misfit > before.total_misfit

@@ -1,0 +1,270 @@
+"""An object as it really is: what the experiment hides and the simulated world needs."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from os import PathLike
+from pathlib import Path
+
+import numpy as np
+import shapely
+import trimesh
+from numpy.typing import ArrayLike, NDArray
+from shapely.geometry import Polygon
+
+from models.objects.images import cells_from_label_image
+from models.objects.lofts import coloured, height_over, lofted, rounded
+from models.objects.meshes import _loaded, _turn_to_z, _unit, cells_from_mesh
+from models.physics.cell_grid import CellGrid, FloatArray
+from models.physics.rollout import Maps
+
+DEFAULT_CELLS = 60
+DEFAULT_MU_FINGER = 0.3
+_PALETTE = ("#4c78a8", "#f58518", "#54a24b", "#e45756", "#72b7b2", "#b279a2", "#9d755d", "#eeca3b")
+
+
+@dataclass(frozen=True, eq=False)
+class Block:
+    """Part of the object that a finger can touch: an upright prism on the table.
+
+    Attributes:
+        outline: its footprint, may be concave and have holes, object frame, m.
+        height: m.
+    """
+
+    outline: Polygon
+    height: float
+
+
+@dataclass(frozen=True, eq=False)
+class TrueObject:
+    """An object's true maps, shape and looks. The object frame has z = 0 on the underside, z up.
+
+    Attributes:
+        name: as in messages and in the scene.
+        grid: n cells and the outline.
+        labels: (n,) region of each cell, from 0.
+        mass: (n,) kg.
+        mu: (n,) friction coefficients with the table.
+        mu_finger: friction coefficient with the finger.
+        height: (n,) of the object over each cell, m.
+        mesh: what cameras see, object frame, m, with a colour on each face.
+        colors: (R, 4) red, green, blue, opacity of each region, 0 to 1.
+        blocks: what a finger touches; together they cover the outline.
+
+    Raises:
+        ValueError: arrays that do not fit the grid, or numbers out of range; names the cell.
+    """
+
+    name: str
+    grid: CellGrid
+    labels: NDArray[np.int64]
+    mass: FloatArray
+    mu: FloatArray
+    mu_finger: float
+    height: FloatArray
+    mesh: trimesh.Trimesh
+    colors: FloatArray
+    blocks: tuple[Block, ...]
+
+    def __post_init__(self) -> None:
+        n = len(self.grid)
+        for what, unit, low in (("mass", "kg", True), ("mu", "", False), ("height", "m", True)):
+            values = np.ascontiguousarray(getattr(self, what), dtype=float)
+            if values.shape != (n,):
+                raise ValueError(f"{self.name}: {what} has shape {values.shape}, the grid has {n} cells")
+            bad = np.flatnonzero(~np.isfinite(values) | (values <= 0 if low else values < 0))
+            if len(bad):
+                raise ValueError(
+                    f"{self.name}: {what} of cell {bad[0]} is {values[bad[0]]} {unit}; it must be finite and "
+                    f"{'positive' if low else 'not negative'}"
+                )
+            object.__setattr__(self, what, values)
+        if not (np.isfinite(self.mu_finger) and self.mu_finger >= 0):
+            raise ValueError(f"{self.name}: mu_finger must be finite and not negative, got {self.mu_finger}")
+        labels = np.asarray(self.labels, dtype=np.int64)
+        if labels.shape != (n,) or labels.min() < 0 or labels.max() >= len(self.colors):
+            raise ValueError(
+                f"{self.name}: labels must name one of {len(self.colors)} regions for each of {n} cells"
+            )
+        object.__setattr__(self, "labels", labels)
+        base = float(self.mesh.bounds[0, 2])
+        if abs(base) > 1e-6:
+            raise ValueError(f"{self.name}: the mesh's lowest point must be at z = 0, is at {base:.4g} m")
+
+    @property
+    def maps(self) -> Maps:
+        """The truth as one hypothesis of the cell-grid model."""
+        return Maps(self.mass, self.mu, np.array([self.mu_finger]))
+
+    @property
+    def total_mass(self) -> float:
+        """kg."""
+        return float(self.mass.sum())
+
+    @property
+    def center_of_mass(self) -> FloatArray:
+        """(3,) object frame, m; each cell is an upright box of its height."""
+        r = np.column_stack([self.grid.centers, self.height / 2])
+        return self.mass @ r / self.total_mass
+
+
+def object_from_mesh(
+    path: str | PathLike[str],
+    mass: float,
+    mu: float,
+    *,
+    mu_finger: float = DEFAULT_MU_FINGER,
+    count: int = DEFAULT_CELLS,
+    up: ArrayLike = (0, 0, 1),
+    metres_per_unit: float | None = None,
+) -> TrueObject:
+    """A user's own object of one material, from a mesh file.
+
+    The mesh is set down on its lowest point. Mass is shared out among the cells by the height of the object
+    over them, as in a solid body; friction is the same everywhere.
+
+    Args:
+        path: a file that trimesh can load.
+        mass: of the whole object, kg.
+        mu: friction coefficient with the table.
+        mu_finger: friction coefficient with the finger.
+        count: wanted number of cells.
+        up: (3,) direction away from the table, in the mesh frame.
+        metres_per_unit: length of the mesh's unit; as stated in the file where missing, else 1.
+
+    Raises:
+        ValueError: a file that cannot be used (see `cells_from_mesh`), or a mass or friction out of range.
+    """
+    source = f"mesh {Path(path)}"
+    _positive(mass, f"{source}: mass", "kg")
+    mesh = _upright(path, up, metres_per_unit)
+    grid = cells_from_mesh(mesh, count=count)
+    height = cell_heights(mesh, grid)
+    colors = _region_colors(1)
+    if not mesh.visual.defined:
+        mesh = coloured([(mesh, colors[0])])
+    return TrueObject(
+        name=Path(path).stem,
+        grid=grid,
+        labels=np.zeros(len(grid), dtype=np.int64),
+        mass=mass * height / height.sum(),
+        mu=np.full(len(grid), mu),
+        mu_finger=mu_finger,
+        height=height,
+        mesh=mesh,
+        colors=colors,
+        blocks=(Block(grid.polygon, float(height.max())),),
+    )
+
+
+def object_from_labels(
+    path: str | PathLike[str],
+    metres_per_pixel: float,
+    mass: Mapping[int, float],
+    mu: Mapping[int, float],
+    *,
+    height: float = 0.03,
+    mu_finger: float = DEFAULT_MU_FINGER,
+    count: int = DEFAULT_CELLS,
+) -> TrueObject:
+    """A user's own object of several materials, from a picture whose pixels name its segments.
+
+    Args:
+        path: picture with one channel, 0 where there is no object.
+        metres_per_pixel: side of a pixel, m.
+        mass: label to the segment's whole mass, kg, shared out evenly among its cells.
+        mu: label to the segment's friction coefficient with the table.
+        height: of the object, m.
+        mu_finger: friction coefficient with the finger.
+        count: wanted number of cells.
+
+    Raises:
+        ValueError: a picture that cannot be used (see `cells_from_label_image`), a label without mass or
+            friction, or one that no cell has; names the file and the labels.
+    """
+    source = f"label image {Path(path)}"
+    _positive(height, f"{source}: height", "m")
+    grid, segments = cells_from_label_image(path, metres_per_pixel, count=count)
+    names, labels = np.unique(segments, return_inverse=True)
+    listed = ", ".join(str(name) for name in names)
+    for what, values in (("mass", mass), ("mu", mu)):
+        if set(values) != set(names.tolist()):
+            raise ValueError(
+                f"{source}: {what} must be given for the labels {listed} that cells have, got "
+                f"{', '.join(str(key) for key in sorted(values)) or 'none'}"
+            )
+    share = np.array([mass[int(name)] for name in names]) / np.bincount(labels)
+    colors = _region_colors(len(names))
+    regions = _regions(grid, labels)
+    edge = min(0.1 * height, 0.1 * grid.width)
+    solids = [
+        (lofted(part, rounded(height, edge)), colors[label])
+        for label, region in enumerate(regions)
+        for part in region
+    ]
+    return TrueObject(
+        name=Path(path).stem,
+        grid=grid,
+        labels=labels,
+        mass=share[labels],
+        mu=np.array([mu[int(name)] for name in names])[labels],
+        mu_finger=mu_finger,
+        height=np.full(len(grid), height),
+        mesh=coloured(solids),
+        colors=colors,
+        blocks=(Block(grid.polygon, height),),
+    )
+
+
+def cell_heights(mesh: trimesh.Trimesh, grid: CellGrid) -> FloatArray:
+    """(n,) height of a mesh over each cell, m: at its centre, or where the mesh does not cover that, over
+    the nearest cell that it does cover."""
+    height = height_over(mesh, grid.centers)
+    covered = np.flatnonzero(np.isfinite(height))
+    if len(covered) == 0:
+        raise ValueError("mesh: covers no centre of a cell; are mesh and cells in one frame?")
+    apart = np.linalg.norm(grid.centers[:, None] - grid.centers[covered], axis=2)
+    return height[covered[np.argmin(apart, axis=1)]]
+
+
+def _upright(path: str | PathLike[str], up: ArrayLike, metres_per_unit: float | None) -> trimesh.Trimesh:
+    """The mesh of a file in m, turned like its cells (`cells_from_mesh`) and set down on z = 0."""
+    loaded, source = _loaded(path)
+    mesh = loaded.copy()
+    vertices = mesh.vertices * _unit(loaded, metres_per_unit, source) @ _turn_to_z(up).T
+    mesh.vertices = vertices - [0.0, 0.0, vertices[:, 2].min()]
+    mesh.units = "meters"
+    return mesh
+
+
+def _regions(grid: CellGrid, labels: NDArray[np.int64]) -> list[list[Polygon]]:
+    """Parts of the outline that lie nearest to the cells of each label."""
+    # Of a square grid four regions meet in every corner; moved a little, three do, which GEOS can take.
+    moved = grid.centers + 1e-4 * grid.width * np.random.default_rng(0).uniform(-1, 1, grid.centers.shape)
+    nearest = shapely.get_parts(
+        shapely.voronoi_polygons(
+            shapely.multipoints(moved), extend_to=grid.polygon.buffer(grid.width), ordered=True
+        )
+    )
+    regions = []
+    for label in range(int(labels.max()) + 1):
+        union = shapely.union_all([nearest[cell] for cell in np.flatnonzero(labels == label)])
+        parts = shapely.get_parts(shapely.intersection(union, grid.polygon))
+        regions.append([p for p in parts if isinstance(p, Polygon) and p.area > 1e-3 * grid.width**2])
+    return regions
+
+
+def _region_colors(count: int) -> FloatArray:
+    """(count, 4) colours that tell regions apart."""
+    return np.array([_rgba(_PALETTE[k % len(_PALETTE)]) for k in range(count)])
+
+
+def _rgba(code: str) -> list[float]:
+    return [*(int(code[k : k + 2], 16) / 255 for k in (1, 3, 5)), 1.0]
+
+
+def _positive(value: float, what: str, unit: str) -> None:
+    if not (np.isfinite(value) and value > 0):
+        raise ValueError(f"{what} must be positive, got {value} {unit}")

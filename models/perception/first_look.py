@@ -1,0 +1,176 @@
+"""The first look: from pictures of an object at rest to its footprint, heights and cells."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import shapely
+from scipy.spatial import cKDTree
+from shapely.geometry import Polygon
+
+from models.objects.footprints import cells_from_polygon
+from models.perception.camera import DepthImage, View, pixel_size
+from models.perception.edge_fit import fit_edges
+from models.perception.footprint import Outline, footprint, outline_of
+from models.perception.object_mask import (
+    SMOOTHING,
+    HeightPicture,
+    Heights,
+    Mask,
+    object_mask,
+    smoothed_heights,
+)
+from models.perception.observed_pose import Reason
+from models.perception.relief import Relief
+from models.perception.seen_object import SeenObject
+from models.perception.table_plane import TablePlane, fit_table
+from models.physics.cell_grid import CellGrid, FloatArray
+
+_OUTLINE_POINTS = 300
+_INNER_POINTS = 400
+_INSET = (
+    0.006  # m; inner points keep this distance from the outline, or half of what the object's width allows
+)
+_RIM = 1.5e-3  # m
+_ARM_NEAR = 6  # pixels
+
+
+_REACHES = (4.0, *(3.0,) * 6)  # pixels
+
+
+class ObjectNotSeen(ValueError):
+    """The first look found no object. `reason` is that of `ObservedPose`."""
+
+    def __init__(self, reason: Reason, text: str) -> None:
+        super().__init__(text)
+        self.reason: Reason = reason
+
+
+def first_look(
+    frames: Sequence[DepthImage], view: View, cells: int = 60, blocked: Mask | None = None
+) -> SeenObject:
+    """The object on the table, from depth pictures between which nothing moved.
+
+    Args:
+        frames: at least one depth image (H, W), m; 0 or NaN where there is no reading, inf beyond the range.
+            A pixel's reading is the median over the frames that have one; an odd number is best.
+        view: the camera.
+        cells: wanted number of cells.
+        blocked: (H, W) pixels that show the arm, as from `draw_hulls`.
+
+    Raises:
+        NoTable: there is no table near z = 0 of W.
+        ObjectNotSeen: nothing stands on the table, or the arm hides some of it.
+        ValueError: no frames, or a picture of the wrong size.
+    """
+    if len(frames) == 0:
+        raise ValueError("first look: needs at least one depth image")
+    depth = median_depth([view.checked_depth(frame) for frame in frames])
+    table, raw, heights, mask = _standing_object(depth, view, blocked)
+    polygon_W, outline_W = footprint(mask, heights, raw, table, view)
+    origin = np.asarray(polygon_W.centroid.coords[0])
+    polygon = shapely.transform(polygon_W, lambda xy: xy - origin)
+    rings = [np.asarray(ring.coords)[:-1] for ring in (polygon.exterior, *polygon.interiors)]
+    grid = cells_from_polygon(rings[0], rings[1:], count=cells)
+    points, tops = _cloud(mask, raw, depth, view)
+    points = points - origin
+    relief = Relief.from_cloud(polygon, points, tops, pixel_size(view))
+    inner, outline = _inner_points(polygon), _outline(polygon, outline_W, origin)
+    inner_heights, inner_slopes = relief.smooth(inner, SMOOTHING * pixel_size(view))
+    seen = SeenObject(
+        grid=grid,
+        cell_heights=_heights_of_cells(grid, relief, points, tops),
+        first_pose=np.array([*origin, 0.0]),
+        outline=outline,
+        rim_heights=np.maximum(relief.at(outline.points - _RIM * outline.normals), outline.heights / 2),
+        inner_points=inner,
+        inner_heights=inner_heights,
+        inner_slopes=inner_slopes,
+        relief=relief,
+        table=table,
+    )
+    # The outline was traced and poses are fitted to edges; what differs between the two cancels out of every
+    # motion if the first pose is fitted as well.
+    fit = fit_edges(HeightPicture(heights), view, seen, seen.first_pose, _REACHES)
+    return replace(seen, first_pose=fit.pose)
+
+
+def object_center(frames: Sequence[DepthImage], view: View, blocked: Mask | None = None) -> FloatArray:
+    """(2,) mean column and row of the object's pixels: a quick measure of whether it moves.
+
+    Raises:
+        NoTable, ObjectNotSeen: as `first_look`.
+    """
+    depth = median_depth([view.checked_depth(frame) for frame in frames])
+    *_, mask = _standing_object(depth, view, blocked)
+    rows, columns = np.nonzero(mask)
+    return np.array([columns.mean(), rows.mean()])
+
+
+def _standing_object(
+    depth: DepthImage, view: View, blocked: Mask | None
+) -> tuple[TablePlane, Heights, Heights, Mask]:
+    """The table, heights (H, W) over it as read and smoothed, and the object's pixels, away from the arm."""
+    table = fit_table(depth if blocked is None else np.where(blocked, np.float32(0), depth), view)
+    raw = table.heights(depth, view)
+    heights = smoothed_heights(raw, blocked)
+    mask = object_mask(heights, view)
+    if mask is None:
+        raise ObjectNotSeen("no object", "nothing stands on the table")
+    if blocked is not None:
+        size = 2 * _ARM_NEAR + 1
+        around = cv2.dilate(mask.astype(np.uint8), np.ones((size, size), np.uint8)) > 0
+        if np.any(around & blocked):
+            raise ObjectNotSeen("occluded", "the arm is in front of the object or beside it; move it away")
+    return table, raw, heights, mask
+
+
+def median_depth(frames: Sequence[DepthImage]) -> DepthImage:
+    """Median of each pixel's readings, m; 0 where no frame has one, inf where most are beyond the range.
+
+    A mean would turn the edges, which jitter, into slopes. Of two middle readings the nearer one is taken.
+    """
+    stack = np.stack(frames)
+    stack[~(stack > 0)] = np.nan  # sorted to the end
+    stack.sort(axis=0)
+    count = np.sum(~np.isnan(stack), axis=0)
+    middle = np.take_along_axis(stack, np.maximum(count - 1, 0)[None] // 2, axis=0)[0]
+    return np.where(count > 0, middle, np.float32(0))
+
+
+def _cloud(mask: Mask, heights: Heights, depth: DepthImage, view: View) -> tuple[FloatArray, FloatArray]:
+    """Points (k, 2) of the object's pixels in W, each at its own depth, and their heights (k,), m."""
+    used = mask & np.isfinite(heights) & np.isfinite(depth) & (depth > 0)
+    xy = view.p_WC[:2] + depth[used][:, None].astype(float) * view.rays[used][:, :2]
+    return xy, heights[used].astype(float)
+
+
+def _heights_of_cells(grid: CellGrid, relief: Relief, cloud: FloatArray, tops: FloatArray) -> FloatArray:
+    cell = np.asarray(cKDTree(grid.centers).query(cloud)[1])
+    inside = np.abs(cloud - grid.centers[cell]).max(axis=1) <= grid.width / 2
+    heights = relief.at(grid.centers)
+    for k in np.unique(cell[inside]):
+        heights[k] = np.median(tops[inside & (cell == k)])
+    return heights
+
+
+def _inner_points(polygon: Polygon) -> FloatArray:
+    inset = min(_INSET, polygon.area / polygon.length / 2)
+    inner = polygon.buffer(-inset)
+    if inner.is_empty:
+        return np.array(polygon.representative_point().coords)
+    x0, y0, x1, y1 = inner.bounds
+    step = np.sqrt(inner.area / _INNER_POINTS)
+    x, y = np.meshgrid(np.arange(x0 + step / 2, x1, step), np.arange(y0 + step / 2, y1, step))
+    within = shapely.contains_xy(inner, x.ravel(), y.ravel())
+    points = np.column_stack([x.ravel(), y.ravel()])[within]
+    return points if len(points) else np.array(inner.representative_point().coords)
+
+
+def _outline(polygon: Polygon, traced: Outline, origin: FloatArray) -> Outline:
+    points, normals = outline_of(polygon, polygon.length / _OUTLINE_POINTS)
+    nearest = np.asarray(cKDTree(traced.points - origin).query(points)[1])
+    return Outline(points, normals, traced.heights[nearest])

@@ -1,0 +1,195 @@
+"""Where the object is now: its pose in a new depth picture, or a reason why it cannot be told."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from models.perception.camera import DepthImage, View, pixel_size
+from models.perception.edge_fit import EdgeFit, fit_edges, is_far, placed
+from models.perception.object_mask import HeightPicture, Mask, object_mask, smoothed_heights
+from models.perception.observed_pose import ObservedPose
+from models.perception.seen_object import SeenObject
+from models.physics.cell_grid import FloatArray
+
+_NEAR_REACHES = (8.0, 5.0, *(3.0,) * 8)  # pixels
+_FAR_REACHES = (20.0, 14.0, 9.0, 6.0, 4.0, *(3.0,) * 8)
+_MARGIN = 28  # pixels around the object that are looked at when it has hardly moved
+_DIRECTIONS = 72  # tried when it has
+_REFINED = 6  # of these
+_APART = np.deg2rad(12.0)
+_UNLIKE = 0.005  # m; a point whose height is off by more does not fit at all
+_OUTSIDE = 3.0  # pixels beyond the outline
+_GOOD = 0.2  # mean misfit up to which a pose is accepted: 0 is perfect, 1 fits nowhere
+_AS_GOOD = 0.02  # difference of misfit that says nothing
+_LEAST_FOUND = 0.35  # of the outline
+_LEAST_SEEN = 0.4  # of the inner points
+_SURE = np.array([2e-3, 2e-3, np.deg2rad(2.0)])  # standard deviations beyond which a pose is not known
+# What remains however many edges are averaged: the outline itself was measured.
+_FLOOR = np.diag(np.array([3e-4, 3e-4, np.deg2rad(0.06)]) ** 2)
+
+
+@dataclass(frozen=True, eq=False)
+class _Candidate:
+    fit: EdgeFit
+    misfit: float
+    seen: float  # share of the inner points that are not hidden
+
+    @property
+    def good(self) -> bool:
+        deviation = np.sqrt(np.diag(self.fit.covariance))
+        return (
+            self.misfit < _GOOD
+            and self.seen > _LEAST_SEEN
+            and self.fit.found > _LEAST_FOUND
+            and bool(np.all(deviation < _SURE))
+        )
+
+
+def track(
+    depth: DepthImage,
+    view: View,
+    seen: SeenObject,
+    previous: FloatArray,
+    blocked: Mask | None = None,
+    time: float = 0.0,
+) -> ObservedPose:
+    """Pose of an object in a new picture.
+
+    The outline is fitted to the picture's edges from the previous pose. If it, and the heights within, do
+    not agree with the picture there, the object is looked for on the whole table, in all directions; of poses
+    that fit equally well, as those of a symmetric object do, the one turned least from the previous is taken.
+
+    Args:
+        depth: (H, W) m; 0 or NaN where there is no reading, inf beyond the range.
+        view: the camera.
+        seen: the object, from `first_look`.
+        previous: (3,) last known pose.
+        blocked: (H, W) pixels that show the arm.
+        time: of the picture, s; passed on.
+
+    Raises:
+        ValueError: a picture of the wrong size, or a previous pose that is not finite.
+    """
+    image = view.checked_depth(depth)
+    if not np.all(np.isfinite(previous)):
+        raise ValueError(f"tracking: the previous pose must be finite, got {previous}")
+    previous = np.asarray(previous, dtype=float)
+    near = _near(image, view, seen, previous, blocked)
+    if near is not None and near.good:
+        return _observed(near, time)
+    heights = smoothed_heights(seen.table.heights(image, view), blocked)
+    hidden = _hidden_share(heights, view, seen, previous)
+    mask = object_mask(heights, view)
+    if mask is None:
+        return ObservedPose.unseen("occluded" if hidden > 1 - _LEAST_SEEN else "left the table", time)
+    best = _anywhere(HeightPicture(heights), mask, heights, view, seen, previous)
+    if best is not None and best.good:
+        return _observed(best, time)
+    around = cv2.dilate(mask.astype(np.uint8), np.ones((15, 15), np.uint8)) > 0
+    if hidden > 1 - _LEAST_SEEN or (blocked is not None and np.any(around & blocked)):
+        return ObservedPose.unseen("occluded", time)
+    raw = seen.table.heights(image, view)
+    if np.any(around & (raw < -0.05)):  # tilts over the edge
+        return ObservedPose.unseen("left the table", time)
+    return ObservedPose.unseen("no object", time)
+
+
+def _observed(candidate: _Candidate, time: float) -> ObservedPose:
+    return ObservedPose(candidate.fit.pose, candidate.fit.covariance + _FLOOR, True, "", time)
+
+
+def _near(
+    image: DepthImage, view: View, seen: SeenObject, previous: FloatArray, blocked: Mask | None
+) -> _Candidate | None:
+    """The pose near the previous one, from the part of the picture around it."""
+    outline_W = placed(previous, seen.outline.points)
+    corners = [
+        view.project(seen.table.lift(outline_W, h))[0] for h in (0.0, float(seen.outline.heights.max()))
+    ]
+    pixels = np.concatenate(corners)
+    if not np.all(np.isfinite(pixels)):
+        return None
+    first = np.maximum(np.floor(pixels.min(axis=0)).astype(int) - _MARGIN, 0)
+    last = np.minimum(np.ceil(pixels.max(axis=0)).astype(int) + _MARGIN, [image.shape[1], image.shape[0]])
+    if np.any(last - first < 2):
+        return None
+    rows, columns = slice(first[1], last[1]), slice(first[0], last[0])
+    heights = seen.table.heights(image, view, rows, columns)
+    part = None if blocked is None else blocked[rows, columns]
+    picture = HeightPicture(smoothed_heights(heights, part), first[0], first[1])
+    fit = fit_edges(picture, view, seen, previous, _NEAR_REACHES)
+    return _Candidate(fit, *_misfit(picture, view, seen, fit.pose))
+
+
+def _anywhere(
+    picture: HeightPicture,
+    mask: Mask,
+    heights: np.ndarray,
+    view: View,
+    seen: SeenObject,
+    previous: FloatArray,
+) -> _Candidate | None:
+    """The best pose on the table, or None if the object's pixels suggest none."""
+    rows, columns = np.nonzero(mask & np.isfinite(heights))
+    pixels = np.column_stack([columns, rows]).astype(float)
+    middle = seen.table.meet(pixels, heights[rows, columns].astype(float), view).mean(axis=0)
+    angles = previous[2] + np.pi * (2 * np.arange(_DIRECTIONS) / _DIRECTIONS - 1)
+    starts = [np.array([*middle, angle]) for angle in angles]
+    misfits = [_misfit(picture, view, seen, start, every=3)[0] for start in starts]
+    chosen: list[FloatArray] = []
+    for k in np.argsort(misfits, kind="stable"):
+        if all(abs(_wrapped(starts[k][2] - other[2])) > _APART for other in chosen):
+            chosen.append(starts[k])
+        if len(chosen) == _REFINED:
+            break
+    candidates = []
+    for start in chosen:
+        fit = fit_edges(picture, view, seen, start, _FAR_REACHES)
+        candidate = _Candidate(fit, *_misfit(picture, view, seen, fit.pose))
+        if np.all(np.isfinite(fit.covariance)):
+            candidates.append(candidate)
+    if not candidates:
+        return None
+    least = min(candidate.misfit for candidate in candidates)
+    alike = [candidate for candidate in candidates if candidate.misfit <= least + _AS_GOOD]
+    best = min(alike, key=lambda candidate: abs(candidate.fit.pose[2] - previous[2]))
+    fit = fit_edges(picture, view, seen, best.fit.pose, _NEAR_REACHES)  # from afar it may not have settled
+    return _Candidate(fit, *_misfit(picture, view, seen, fit.pose))
+
+
+def _misfit(
+    picture: HeightPicture, view: View, seen: SeenObject, pose: FloatArray, every: int = 1
+) -> tuple[float, float]:
+    """How badly heights inside, and the table outside, agree with the picture (0 to 1), and the share of the
+    inner points that are seen."""
+    inner = placed(pose, seen.inner_points[::every])
+    expected = seen.inner_heights[::every]
+    read = picture.at(view.project(seen.table.lift(inner, expected))[0])
+    visible = np.isfinite(read)
+    inside = np.minimum(np.abs(read[visible] - expected[visible]) / _UNLIKE, 1.0) ** 2
+
+    outline = seen.outline
+    beyond = placed(pose, (outline.points + _OUTSIDE * pixel_size(view) * outline.normals)[::every])
+    # Past the top of the far side, and before the foot of the near side, lies the table.
+    height = np.where(is_far(pose, outline, view), seen.rim_heights, 0.0)[::every]
+    pixels = view.project(seen.table.lift(beyond, height))[0]
+    expected_out = seen.relief.seen_at(pixels[:, None], pose, seen.table, view)[:, 0]
+    read_out = picture.at(pixels)
+    table = np.isfinite(read_out)
+    outside = np.clip((read_out[table] - expected_out[table]) / _UNLIKE, 0.0, 1.0) ** 2
+    number = len(inside) + len(outside)
+    misfit = (inside.sum() + outside.sum()) / number if number else 1.0
+    return float(misfit), float(visible.mean())
+
+
+def _hidden_share(heights: np.ndarray, view: View, seen: SeenObject, pose: FloatArray) -> float:
+    """Share of the inner points, at a pose, of which the picture shows nothing."""
+    inner = seen.table.lift(placed(pose, seen.inner_points), seen.inner_heights)
+    return float(np.mean(np.isnan(HeightPicture(heights).at(view.project(inner)[0]))))
+
+
+def _wrapped(angle: float) -> float:
+    return float((angle + np.pi) % (2 * np.pi) - np.pi)

@@ -1,0 +1,121 @@
+"""What a rollout does around each solved step: given forces before it, the finger's force and the way after.
+
+Shared by `kernel.py` and `effect_kernel.py`, inlined into the loop of each.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from models.physics.compiled import compiled
+from models.physics.step import Frame
+from models.physics.turns import Turn, joined, turn_by, turned
+
+
+class Applied(NamedTuple):
+    """Impulse of given forces in a step, middle frame.
+
+    Attributes:
+        x: N s.
+        y: the same, y.
+        turning: derivative of its moment about the origin by the object's angle, N m s.
+        spin: its moment about the origin, N m s.
+    """
+
+    x: float
+    y: float
+    turning: float
+    spin: float
+
+
+class Way(NamedTuple):
+    """How a step moves the pose: along the screw of v⁺, by h sinc(h omega/2) R(θ + h omega/2) v⁺.
+
+    Attributes:
+        quarter: `Turn` by h omega/4.
+        half_cos: cosine of h omega/2.
+        half_sin: its sine.
+        cos: cosine of the angle half-way.
+        sin: its sine.
+        wx: direction times speed, world.
+        wy: the same, y.
+        length: h sinc(h omega/2), s.
+    """
+
+    quarter: Turn
+    half_cos: float
+    half_sin: float
+    cos: float
+    sin: float
+    wx: float
+    wy: float
+    length: float
+
+
+@compiled(forceinline=True)
+def applied_impulse(row, cos, sin, half_cos, half_sin, h):  # type: ignore[no-untyped-def]
+    """`Applied` of one row of a push's wrenches.
+
+    Args:
+        row: (5,) force (world, N), its point (object frame, m) and a torque (N m).
+        cos: cosine of the object's angle before the step.
+        sin: its sine.
+        half_cos: cosine of the turn to the middle frame.
+        half_sin: its sine.
+        h: step, s.
+    """
+    c, s = joined(cos, sin, half_cos, half_sin)
+    fx, fy = turned(c, -s, row[0], row[1])
+    px, py = row[2], row[3]
+    return Applied(h * fx, h * fy, -h * (px * fx + py * fy), h * (px * fy - py * fx + row[4]))
+
+
+@compiled(forceinline=True)
+def add_applied_turning(A, applied, h):  # type: ignore[no-untyped-def]
+    """Derivatives of the step's gradient by angle and spin before it, as given forces keep their direction.
+
+    Args:
+        A: (3, 6) gradient by the state before the step, changed in place.
+        applied: `Applied`.
+        h: step, s.
+    """
+    for row, lever in enumerate((applied.y, -applied.x, applied.turning)):
+        A[row, 2] -= lever
+        A[row, 5] -= 0.5 * h * lever
+
+
+@compiled(forceinline=True)
+def bent_frame(frame, bend_x, bend_y, h):  # type: ignore[no-untyped-def]
+    """The `Frame` of a finger that stands bend_x, bend_y (world, m) off its record and would straighten."""
+    x, y = turned(frame.cos, -frame.sin, bend_x / h, bend_y / h)
+    return Frame(frame.cos, frame.sin, frame.tip_x, frame.tip_y, frame.speed_x, frame.speed_y, x, y)
+
+
+@compiled(forceinline=True)
+def finger_impulse(first, second, impulse1, impulse2):  # type: ignore[no-untyped-def]
+    """Impulse of the finger on the object (N s), middle frame."""
+    x = -first.nx * impulse1.normal - first.ny * impulse1.tangential
+    x -= second.nx * impulse2.normal + second.ny * impulse2.tangential
+    y = first.nx * impulse1.tangential - first.ny * impulse1.normal
+    y += second.nx * impulse2.tangential - second.ny * impulse2.normal
+    return x, y
+
+
+@compiled(forceinline=True)
+def way_of(new, cos, sin, h):  # type: ignore[no-untyped-def]
+    """`Way` of the twist v⁺ from an angle with this cosine and sine."""
+    quarter = turn_by(0.25 * h * new[2])
+    half_cos, half_sin = joined(quarter.cos, quarter.sin, quarter.cos, quarter.sin)
+    c, s = joined(cos, sin, half_cos, half_sin)
+    wx, wy = turned(c, s, new[0], new[1])
+    return Way(quarter, half_cos, half_sin, c, s, wx, wy, h * quarter.sinc * quarter.cos)
+
+
+@compiled(forceinline=True)
+def way_by_spin(way, h):  # type: ignore[no-untyped-def]
+    """Derivatives by omega of x and y after the step."""
+    # Derivative of sinc(α) = sinc(α/2) cos(α/2) by omega, for α = h omega/2.
+    slope = way.quarter.sinc_slope * way.quarter.cos - way.quarter.sinc * way.quarter.sin
+    slope *= 0.25 * h * h
+    bend = 0.5 * h * way.length
+    return slope * way.wx - bend * way.wy, slope * way.wy + bend * way.wx

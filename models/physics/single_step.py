@@ -1,0 +1,299 @@
+"""One step of the model, with or without effects, and its derivatives by everything it depends on.
+
+Rollouts (`kernel.py`, `effect_kernel.py`) carry derivatives by parameters and start along; a single step is
+for whoever steps the model from outside, and wants it differentiated by what drives it too. The state is
+
+    x, y, θ (world), v_x, v_y, omega (object frame), the finger's last force (world, N), the effects' memory,
+
+and the columns of its Jacobian are, in this order,
+
+    f_1 … f_n, m, s_x, s_y, J, mu_finger, x, y, θ, v_x, v_y, omega, the effects' parameters (as in a rollout),
+    last force, memory, wrench (force in the world, its point, a torque), finger before and after (world).
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from models.physics.addresses import call_address
+from models.physics.compiled import compiled
+from models.physics.contact import CONTACT_COLUMNS, MAX_CONTACTS, SEPARATE, Cone
+from models.physics.effect_cells import EffectCells, cell_gradients, drag_moments
+from models.physics.effect_derivative import add_contact_scale, add_spring_columns, blade_slopes
+from models.physics.effect_kernel import AFTER, BODY_OUTPUTS, FORCE, INERTIA, STATE
+from models.physics.friction import SPIN_RADIUS
+from models.physics.step import (
+    EXTRA_COLUMNS,
+    MAX_EVALUATIONS,
+    Frame,
+    contact_of,
+    free_momentum,
+    middle_frame,
+    solve_step,
+    touching,
+)
+from models.physics.step_derivative import add_column, step_derivative
+from models.physics.turns import joined, turn_by, turned
+
+INPUTS = 9
+"""Columns of what drives the step: wrench (5), finger before and after the step (4)."""
+
+
+@compiled()
+def single_step(  # type: ignore[no-untyped-def]
+    load, rx, ry, inertia, mu, cell_width, edges, radius, size, smoothing, h, state, tip, wrench,
+    addresses, sizes, constants, parameters, next_out, jacobian_out,
+):  # fmt: skip
+    """One step of one model; arguments that `effect_kernel.effect_rollout` has too are described there.
+
+    Args:
+        state: (Z,) before the step, Z = 8 + the effects' own memory.
+        tip: (2, 2) finger before and after the step, world, m; NaN for no finger.
+        wrench: (5,) force (world, N), its point (object frame, m) and a torque (N m).
+        constants: (CONSTANTS,) with the time in the middle of the step.
+        next_out: (Z + 1,) result: state after the step, and the number of evaluations, negative if the step
+            was not solved.
+        jacobian_out: (Z, columns) result, or an array without columns for none.
+    """
+    n = load.shape[0]
+    E, P, blade_count, with_cells, with_stretch = sizes[0], sizes[1], sizes[2], sizes[3], sizes[4]
+    own = max(0, E - FORCE)
+    after_memory = STATE + E
+    Y = after_memory + INERTIA + P
+    y = np.zeros(Y)
+    y[:after_memory] = state[:after_memory]
+    y[after_memory : after_memory + INERTIA] = inertia
+    y[after_memory + INERTIA :] = parameters
+    out = np.zeros(BODY_OUTPUTS + 4 * blade_count)
+    dout = np.zeros((BODY_OUTPUTS + 4 * blade_count, Y))
+    factor, drag, drag_sums = np.ones(n), np.zeros(n), np.zeros(4)
+    loads = load.copy()
+    call_address(addresses[0], (y, constants, out, dout))
+    if with_cells:
+        call_address(addresses[1], (y, constants, rx, ry, factor, drag))
+        for i in range(n):
+            loads[i] = load[i] * max(factor[i], 0.0)
+        drag_moments(drag, rx, ry, cell_width, drag_sums)
+    kappa, compliance = out[6], out[7]
+    blades = out[BODY_OUTPUTS:].reshape(blade_count, 4)
+    eps2 = smoothing[0] * smoothing[0]
+    rho2 = (SPIN_RADIUS * cell_width) ** 2
+    cells = EffectCells(loads, rx, ry, rho2, eps2, out[3], out[4], out[5], drag_sums, blades)
+    load_sum = load.sum()
+    give, creep = smoothing[2] / load_sum, smoothing[1] / load_sum
+    normal = h * h / (give + compliance)
+    tangential = h * h / (h * creep + compliance)
+    cone = Cone(mu, normal, tangential, normal / tangential)
+    body = (inertia[0], inertia[1], inertia[2], inertia[3])
+    about_center = inertia[3] - (inertia[1] * inertia[1] + inertia[2] * inertia[2]) / inertia[0]
+
+    x, yy, theta = state[0], state[1], state[2]
+    cos, sin = math.cos(theta), math.sin(theta)
+    v = (state[3], state[4], state[5])
+    quarter = turn_by(0.25 * h * v[2])
+    half_cos, half_sin = joined(quarter.cos, quarter.sin, quarter.cos, quarter.sin)
+    full_cos, full_sin = joined(half_cos, half_sin, half_cos, half_sin)
+    free_x, free_y, free_w = free_momentum(body, v, full_cos, full_sin)
+    cc, ss = joined(cos, sin, half_cos, half_sin)
+    fx, fy = turned(cc, -ss, wrench[0], wrench[1])
+    px, py = wrench[2], wrench[3]
+    added_x, added_y = h * (out[0] + fx), h * (out[1] + fy)
+    added_w = h * (out[2] + px * fy - py * fx + wrench[4])
+    gain = math.hypot(added_x, added_y) / body[0] + size * abs(added_w) / about_center
+    rows = np.zeros((MAX_CONTACTS, CONTACT_COLUMNS))
+    count = 0
+    frame = Frame(cc, ss, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    bend_x = compliance * y[STATE] if E > 0 else 0.0
+    bend_y = compliance * y[STATE + 1] if E > 0 else 0.0
+    if not math.isnan(tip[0, 0]) and not math.isnan(tip[1, 0]):
+        tip0 = (tip[0, 0] - bend_x, tip[0, 1] - bend_y)
+        tip1 = (tip[1, 0] - bend_x, tip[1, 1] - bend_y)
+        frame = middle_frame(x, yy, cos, sin, quarter, v, h, tip0, tip1)
+        spring_x, spring_y = turned(frame.cos, -frame.sin, bend_x / h, bend_y / h)
+        frame = Frame(
+            frame.cos, frame.sin, frame.tip_x, frame.tip_y, frame.speed_x, frame.speed_y, spring_x, spring_y
+        )
+        count = touching(frame, v, h, radius, size, edges, rows, gain + abs(spring_x) + abs(spring_y))
+    first = contact_of(rows, 0, frame, v, h)
+    second = contact_of(rows, 1, frame, v, h)
+    star = (kappa * free_x + added_x, kappa * free_y + added_y, kappa * free_w + added_w)
+    scaled = (kappa * body[0], kappa * body[1], kappa * body[2], kappa * body[3])
+    derive = jacobian_out.shape[1] > 0
+    solution = solve_step(cells, scaled, star, h, first, second, count, cone, size, v, derive)
+    new = (solution.vx, solution.vy, solution.omega)
+    minimum = solution.minimum
+    impulse1, impulse2 = minimum.first, minimum.second
+    force_x = -first.nx * impulse1.normal - first.ny * impulse1.tangential
+    force_x -= second.nx * impulse2.normal + second.ny * impulse2.tangential
+    force_y = first.nx * impulse1.tangential - first.ny * impulse1.normal
+    force_y += second.nx * impulse2.tangential - second.ny * impulse2.normal
+    world_x, world_y = turned(frame.cos, frame.sin, force_x / h, force_y / h)
+
+    # The pose moves along the screw of v⁺, as in `kernel.rollout`.
+    turn = turn_by(0.25 * h * new[2])
+    half_cos, half_sin = joined(turn.cos, turn.sin, turn.cos, turn.sin)
+    mid_cos, mid_sin = joined(cos, sin, half_cos, half_sin)
+    wx, wy = turned(mid_cos, mid_sin, new[0], new[1])
+    length = h * turn.sinc * turn.cos
+    next_out[0], next_out[1], next_out[2] = x + length * wx, yy + length * wy, theta + h * new[2]
+    next_out[3], next_out[4], next_out[5] = new
+    next_out[6], next_out[7] = world_x, world_y
+    down = np.zeros((own, Y + AFTER))
+    if own > 0:
+        remembered = np.zeros(own)
+        call_address(addresses[3], (y, constants, next_out[:AFTER].copy(), remembered, down))
+        next_out[AFTER : AFTER + own] = remembered
+    failed = solution.evaluations > MAX_EVALUATIONS
+    next_out[AFTER + own] = -1.0 if failed else float(solution.evaluations)
+    if not derive:
+        return
+
+    # Direct derivatives of the step's gradient g and of the finger's impulse f at fixed v⁺: first by y (with
+    # the state and the memory), then sorted into the columns.
+    A, extra, dforce = np.zeros((3, 6)), np.zeros((3, EXTRA_COLUMNS)), np.zeros((2, 10))
+    step_derivative(
+        v, new, h, scaled, cone, frame, quarter, first, second, impulse1, impulse2, A, extra, dforce
+    )
+    lever_x, lever_y = h * fx, h * fy
+    turning = -h * (px * fx + py * fy)
+    for row, lever in enumerate((lever_y, -lever_x, turning)):
+        A[row, 2] -= lever
+        A[row, 5] -= 0.5 * h * lever
+    by_load, by_drag, by_stretch = np.zeros((3, n)), np.zeros((3, n)), np.zeros((3, 3))
+    cell_gradients(cells, new, cell_width, by_load, by_drag, by_stretch)
+    momentum = (
+        body[0] * new[0] - body[2] * new[2] - free_x,
+        body[0] * new[1] + body[1] * new[2] - free_y,
+        body[1] * new[1] - body[2] * new[0] + body[3] * new[2] - free_w,
+    )
+    G, F = np.zeros((3, Y)), np.zeros((2, Y))
+    for a in range(3):
+        for k in range(Y):
+            G[a, k] = momentum[a] * dout[6, k] - h * dout[a, k]
+            if with_stretch:
+                for q in range(3):
+                    G[a, k] += h * by_stretch[a, q] * dout[3 + q, k]
+    if blade_count > 0:
+        blade_slopes(blades, dout[BODY_OUTPUTS:], new, eps2, h, G)
+    if with_cells:
+        weighted_load = np.zeros((3, n))
+        for i in range(n):
+            share = h * load[i] if factor[i] > 0.0 else 0.0
+            for a in range(3):
+                weighted_load[a, i] = share * by_load[a, i]
+                by_drag[a, i] *= h
+        call_address(addresses[2], (y, constants, rx, ry, weighted_load, by_drag, G))
+    scale_g, scale_f = np.zeros((3, 2)), np.zeros((2, 2))
+    add_contact_scale(
+        first, second, impulse1, impulse2, cone, new, h, give, creep, load_sum, scale_g, scale_f
+    )
+    spring_g, spring_f = np.zeros((3, 3)), np.zeros((2, 3))
+    if E > 0:
+        last = (y[STATE], y[STATE + 1])
+        add_spring_columns(
+            v, new, h, cone, frame, first, second, impulse1, impulse2, last, compliance, spring_g, spring_f
+        )
+        G[:, STATE : STATE + FORCE] += spring_g[:, :FORCE]
+        F[:, STATE : STATE + FORCE] += spring_f[:, :FORCE]
+    for k in range(Y):
+        for a in range(3):
+            G[a, k] += (scale_g[a, 1] + spring_g[a, 2]) * dout[7, k]
+        for a in range(2):
+            F[a, k] += (scale_f[a, 1] + spring_f[a, 2]) * dout[7, k]
+    G[:, :STATE] += A
+    F[:, :STATE] += dforce[:, :STATE]
+
+    columns = n + EXTRA_COLUMNS + P + FORCE + own + INPUTS
+    at_state = n + INERTIA + 1
+    at_effects = n + EXTRA_COLUMNS
+    at_memory = at_effects + P
+    at_wrench = at_memory + FORCE + own
+    at_tip = at_wrench + 5
+    g, f = np.zeros((3, columns)), np.zeros((2, columns))
+    place = np.zeros(Y, dtype=np.int64)
+    place[:STATE] = at_state + np.arange(STATE)
+    place[STATE:after_memory] = at_memory + np.arange(E)
+    place[after_memory : after_memory + INERTIA] = n + np.arange(INERTIA)
+    place[after_memory + INERTIA :] = at_effects + np.arange(P)
+    for a in range(3):
+        for i in range(n):
+            g[a, i] = h * max(factor[i], 0.0) * by_load[a, i] + scale_g[a, 0]
+        for k in range(Y):
+            g[a, place[k]] = G[a, k]
+        for k in range(INERTIA):
+            g[a, n + k] += kappa * extra[a, k]
+        g[a, n + INERTIA] = extra[a, INERTIA]
+    for a in range(2):
+        f[a, :n] = scale_f[a, 0]
+        for k in range(Y):
+            f[a, place[k]] = F[a, k]
+        f[a, n + INERTIA] = dforce[a, 9]
+    g[0, at_wrench], g[1, at_wrench], g[2, at_wrench] = -h * cc, h * ss, h * (px * ss + py * cc)
+    g[0, at_wrench + 1], g[1, at_wrench + 1] = -h * ss, -h * cc
+    g[2, at_wrench + 1] = h * (py * ss - px * cc)
+    g[2, at_wrench + 2], g[2, at_wrench + 3], g[2, at_wrench + 4] = -lever_y, lever_x, -h
+    tip_g, tip_f = np.zeros((3, 4)), np.zeros((2, 4))
+    for k in range(2):
+        contact = first if k == 0 else second
+        impulse = impulse1 if k == 0 else impulse2
+        if impulse.state != SEPARATE:
+            common = (v, new, h, cone, frame, contact, impulse, tip_g, tip_f)
+            c, s = frame.cos, frame.sin
+            for end in range(2):
+                sign = (-1.0 if end == 0 else 1.0) / h
+                add_column(2 * end, 0.5 * c, -0.5 * s, sign * c, -sign * s, 0.0, 0.0, 0.0, 0.0, common)
+                add_column(2 * end + 1, 0.5 * s, 0.5 * c, sign * s, sign * c, 0.0, 0.0, 0.0, 0.0, common)
+    g[:, at_tip:] = tip_g
+    f[:, at_tip:] = tip_f
+
+    # Implicit function theorem: dv⁺ = -H⁻¹ dg; then the pose, the force and the memory.
+    slope = 0.25 * h * h * (turn.sinc_slope * turn.cos - turn.sinc * turn.sin)
+    bend = 0.5 * h * length
+    to_x, to_y = slope * wx - bend * wy, slope * wy + bend * wx
+    J = jacobian_out
+    for j in range(columns):
+        gx, gy, gw = g[0, j], g[1, j], g[2, j]
+        dvx = -(minimum.xx * gx + minimum.xy * gy + minimum.xw * gw)
+        dvy = -(minimum.xy * gx + minimum.yy * gy + minimum.yw * gw)
+        dw = -(minimum.xw * gx + minimum.yw * gy + minimum.ww * gw)
+        dx = 1.0 if j == at_state else 0.0
+        dy = 1.0 if j == at_state + 1 else 0.0
+        dtheta = 1.0 if j == at_state + 2 else 0.0
+        J[0, j] = dx + length * (-wy * dtheta + mid_cos * dvx - mid_sin * dvy) + to_x * dw
+        J[1, j] = dy + length * (wx * dtheta + mid_sin * dvx + mid_cos * dvy) + to_y * dw
+        J[2, j] = dtheta + h * dw
+        J[3, j], J[4, j], J[5, j] = dvx, dvy, dw
+        dfx = f[0, j] + dforce[0, 6] * dvx + dforce[0, 7] * dvy + dforce[0, 8] * dw
+        dfy = f[1, j] + dforce[1, 6] * dvx + dforce[1, 7] * dvy + dforce[1, 8] * dw
+        frame_turn = dtheta + (0.5 * h if j == at_state + 5 else 0.0)
+        J[6, j] = (frame.cos * dfx - frame.sin * dfy) / h - world_y * frame_turn
+        J[7, j] = (frame.sin * dfx + frame.cos * dfy) / h + world_x * frame_turn
+    for e in range(own):
+        for j in range(columns):
+            J[AFTER + e, j] = 0.0
+            for k in range(AFTER):
+                J[AFTER + e, j] += down[e, Y + k] * J[k, j]
+        for k in range(Y):
+            J[AFTER + e, place[k]] += down[e, k]
+
+
+@compiled()
+def single_steps(  # type: ignore[no-untyped-def]
+    load, rx, ry, inertia, mu, cell_width, edges, radius, size, smoothing, h, state, tip, wrench,
+    addresses, sizes, constants, parameters, next_out, jacobian_out,
+):  # fmt: skip
+    """One step of K models, one after the other: waking other threads takes longer than the steps.
+
+    Shapes: load (K, n), inertia (K, 4), mu (K,), state (K, Z), parameters (K, P), next_out (K, Z + 1),
+    jacobian_out (K, Z, columns); the others as in `single_step`.
+    """
+    for k in range(load.shape[0]):
+        single_step(
+            load[k], rx, ry, inertia[k], mu[k], cell_width, edges, radius, size, smoothing, h, state[k], tip,
+            wrench, addresses, sizes, constants, parameters[k], next_out[k], jacobian_out[k],
+        )  # fmt: skip
+
+
+__all__ = ["INPUTS", "single_steps"]

@@ -1,0 +1,91 @@
+import numpy as np
+import pytest
+from pydrake.geometry import Box, Capsule, Cylinder, Ellipsoid
+from pydrake.math import RigidTransform, RollPitchYaw
+from pydrake.multibody.plant import AddMultibodyPlantSceneGraph
+from pydrake.multibody.tree import FixedOffsetFrame, RevoluteJoint, SpatialInertia
+from pydrake.systems.framework import DiagramBuilder
+
+from diagrams.perception.arm_hulls import ArmHulls
+from diagrams.perception.camera import add_camera
+from diagrams.perception.cell_perception import FRAMES, CellPerception
+from models.perception.arm_mask import draw_hulls
+
+PERIOD = 1 / 15
+
+
+def test_from_an_empty_table_to_a_pose_and_back(world):
+    context = world.context()
+    simulator = world.simulator(context)
+    simulator.AdvanceTo(0.5 * PERIOD)
+    assert world.output(context, "object_pose").reason == "no object"
+    world.place(context, "hammer", (0.05, -0.02, 0.6))
+    simulator.AdvanceTo(8.5 * PERIOD)
+    world.place(context, "hammer", (0.08, -0.02, 0.6))  # moved during the first look: it takes longer
+    simulator.AdvanceTo((FRAMES + 0.5) * PERIOD)
+    assert world.output(context, "cell_grid") is None
+    assert not world.output(context, "object_pose").valid
+    simulator.AdvanceTo((FRAMES + 10.5) * PERIOD)
+    grid = world.output(context, "cell_grid")
+    assert len(grid) == pytest.approx(40, abs=3)
+    first = world.output(context, "object_pose")
+    assert first.valid
+    assert first.time == pytest.approx((FRAMES + 10) * PERIOD)
+    world.place(context, "hammer", (0.09, 0.0, 0.65))
+    simulator.AdvanceTo((FRAMES + 11.5) * PERIOD)
+    moved = world.output(context, "object_pose")
+    assert moved.pose[2] - first.pose[2] == pytest.approx(0.05, abs=np.deg2rad(0.5))
+    assert np.array_equal(world.output(context, "cell_grid").centers, grid.centers)
+    assert np.array_equal(world.output(context, "seen_object").grid.centers, grid.centers)
+    world.place(context, None, (0, 0, 0))
+    simulator.AdvanceTo((FRAMES + 12.5) * PERIOD)
+    assert world.output(context, "object_pose").reason == "left the table"
+
+
+def test_the_same_run_twice_is_the_same_to_the_bit(world):
+    poses = []
+    for _ in range(2):
+        context = world.context()
+        world.place(context, "wrench", (0.05, -0.02, 0.6))
+        world.simulator(context).AdvanceTo((FRAMES + 1.5) * PERIOD)
+        poses.append(world.output(context, "object_pose").pose)
+    assert np.all(np.isfinite(poses[0]))
+    assert np.array_equal(*poses)
+
+
+def test_hulls_cover_what_the_camera_sees_of_an_arm(world):
+    builder = DiagramBuilder()
+    plant, scene_graph = AddMultibodyPlantSceneGraph(builder, 0.01)
+    arm = plant.AddModelInstance("arm")
+    parent = plant.world_body()
+    shapes = (Box(0.1, 0.06, 0.2), Capsule(0.04, 0.2), Cylinder(0.05, 0.15), Ellipsoid(0.04, 0.06, 0.1))
+    for k, shape in enumerate(shapes):
+        link = plant.AddRigidBody(f"link{k}", arm, SpatialInertia.SolidSphereWithMass(1.0, 0.1))
+        turned = RigidTransform(RollPitchYaw(0.3 * k, 0.4, 0.0), [0.02, 0.0, 0.1])
+        plant.RegisterVisualGeometry(link, turned, shape, f"shape{k}", [1.0, 1.0, 1.0, 1.0])
+        at = FixedOffsetFrame(f"at{k}", parent.body_frame(), RigidTransform([0.1, 0.05, 0.12 if k else 0.3]))
+        plant.AddJoint(RevoluteJoint(f"joint{k}", plant.AddFrame(at), link.body_frame(), [0, 1, 0]))
+        parent = link
+    plant.Finalize()
+    camera = add_camera(builder, plant, scene_graph)
+    diagram = builder.Build()
+    hulls = ArmHulls(plant, scene_graph, [arm])
+    context = diagram.CreateDefaultContext()
+    rng = np.random.default_rng(0)
+    for _ in range(5):
+        q = rng.uniform(-1.5, 1.5, 4)
+        plant.SetPositions(plant.GetMyMutableContextFromRoot(context), q)
+        port = camera.depth_image_32F_output_port()
+        depth = port.Eval(camera.GetMyContextFromRoot(context)).data[:, :, 0]
+        visible = np.isfinite(depth)
+        mask = draw_hulls(hulls(q), world.view, margin=0.002)
+        assert visible.sum() > 5000
+        assert np.sum(visible & ~mask) < 5
+        assert mask.sum() < 1.15 * visible.sum()
+    with pytest.raises(ValueError, match="at least"):
+        ArmHulls(plant, scene_graph, [])
+
+
+def test_a_number_of_cells_below_one_is_refused():
+    with pytest.raises(ValueError, match="cells"):
+        CellPerception(cells=0)

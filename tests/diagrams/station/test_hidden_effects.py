@@ -1,0 +1,203 @@
+"""Hidden effects in Drake's world do what the effects of the library of the same name do in the model."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, astuple, fields, replace
+
+import numpy as np
+import pytest
+from pushed_object import FINGER_RADIUS, TestBed
+from pydrake.common.yaml import yaml_dump_typed, yaml_load_typed
+from pydrake.geometry import SceneGraph
+from pydrake.math import RigidTransform, RollPitchYaw
+from pydrake.multibody.math import SpatialVelocity
+from pydrake.multibody.plant import MultibodyPlant
+
+from diagrams.station.hidden_effects import (
+    HiddenEffects,
+    HiddenEffectsConfig,
+    TableFrictionField,
+    TableTilt,
+    Tether,
+    ViscousFriction,
+    add_hidden_effects,
+    tilted_gravity,
+)
+from diagrams.station.sliding_object import add_sliding_object
+from models.effects import LIBRARY, EffectSlider
+from models.effects.registry import effects_named
+from models.objects.benchmark import benchmark_object
+from models.objects.true_object import TrueObject
+from models.physics.rollout import Maps, Slider
+from planners.exploration import candidate_pushes
+
+SHOWN = {
+    "table_tilt": TableTilt(0.06, -0.05),
+    "tether": Tether(6.0, 0.1, 0.3, 0.1, 0.05, 0.02),
+    "viscous_friction": ViscousFriction(400.0),
+    "table_friction_field": TableFrictionField(1.5, -1.0, 0.6, -0.05, 0.1, 0.1),
+}
+
+
+@pytest.fixture(scope="module")
+def box() -> TrueObject:
+    return benchmark_object("box")
+
+
+def _with(name: str, effect: object) -> HiddenEffectsConfig:
+    return HiddenEffectsConfig(**{name: effect})
+
+
+def _system(thing: TrueObject, config: HiddenEffectsConfig) -> HiddenEffects:
+    plant, scene_graph = MultibodyPlant(1e-3), SceneGraph()
+    plant.RegisterAsSourceForSceneGraph(scene_graph)
+    add_sliding_object(plant, thing, 0.6)
+    plant.Finalize()
+    return HiddenEffects(plant, thing, config)
+
+
+@pytest.mark.parametrize("name", SHOWN)
+def test_pushed_object_follows_the_model_with_the_effect(name: str) -> None:
+    # A low object: a force at the height of the centre of mass also shifts load, which the model leaves out.
+    thing, effect = benchmark_object("hammer"), SHOWN[name]
+    candidate = candidate_pushes(thing.grid, FINGER_RADIUS, np.random.default_rng(3), 1)[0]
+    push = replace(candidate, length=0.06, speed=0.06).push([-0.05, 0.02, 0.3], h=2e-3, rest=0.05)
+    maps = Maps(thing.mass, thing.mu, thing.maps.mu_finger, np.array([astuple(effect)]))
+    slider = EffectSlider(thing.grid, FINGER_RADIUS, effects_named([name]))
+    expected = slider.rollout(maps, [push]).poses_of(0)[0]
+    without = Slider(thing.grid, FINGER_RADIUS).rollout(thing.maps, [push]).poses_of(0)[0]
+
+    bed = TestBed(thing, finger=True, hidden=_with(name, effect))
+    bed.start(push.start_pose, push.tip[0])
+    off = bed.follow(push.tip, push.h)[1:] - expected
+    # Largest motion of a point 10 cm from the object's middle.
+    reach = np.array([1.0, 1.0, 0.1])
+    size = np.abs((without - expected) * reach).max(axis=0).sum()
+    assert size > 5e-3
+    assert np.abs(off * reach).max(axis=0).sum() < 0.1 * size
+
+
+def test_parameters_are_those_of_the_library() -> None:
+    library = {effect.name: effect for effect in LIBRARY}
+    for hidden in fields(HiddenEffectsConfig):
+        named = [parameter.name for parameter in library[hidden.name].parameters]
+        assert [item.name for item in fields(hidden.type)] == named
+
+
+def test_nothing_hidden_is_no_force(box: TrueObject) -> None:
+    assert HiddenEffectsConfig().is_null
+    assert add_hidden_effects(None, None, box, HiddenEffectsConfig()) is None
+    for name, effect in SHOWN.items():
+        assert not _with(name, effect).is_null
+    force, torque = _system(box, HiddenEffectsConfig()).wrench(
+        RigidTransform(RollPitchYaw(0.1, 0.2, 0.3), [0.1, 0.2, 0.0]), SpatialVelocity([1, 2, 3], [4, 5, 6])
+    )
+    np.testing.assert_array_equal([force, torque], 0.0)
+
+
+def test_tilt_turns_gravity_and_keeps_its_size() -> None:
+    gravity = tilted_gravity(TableTilt(0.1, -0.2))
+    assert np.linalg.norm(gravity) == pytest.approx(9.81)
+    assert np.arctan2(gravity[0], -gravity[2]) == pytest.approx(0.1)
+    assert np.arctan2(gravity[1], -gravity[2]) == pytest.approx(-0.2)
+    np.testing.assert_allclose(tilted_gravity(TableTilt()), [0, 0, -9.81])
+
+
+def test_tilt_acts_at_the_center_of_mass(box: TrueObject) -> None:
+    system = _system(box, _with("table_tilt", TableTilt(0.1, 0.0)))
+    X_WO = RigidTransform(RollPitchYaw(0, 0, 1.1), [0.2, 0.1, 0.0])
+    force, torque = system.wrench(X_WO, SpatialVelocity.Zero())
+    assert force[0] == pytest.approx(box.total_mass * 9.81 * np.sin(0.1))
+    np.testing.assert_allclose(torque, np.cross(X_WO.rotation() @ box.center_of_mass, force), atol=1e-12)
+
+
+def test_object_on_a_steep_table_slides_down(box: TrueObject) -> None:
+    slope = 0.45
+    even = replace(box, mu=np.full(len(box.grid), 0.3), mass=np.full(len(box.grid), 0.03))
+    bed = TestBed(even, hidden=_with("table_tilt", TableTilt(down_y=slope)))
+    bed.start(np.zeros(3))
+    bed.advance(0.4)
+    acceleration = 9.81 * (np.sin(slope) - 0.3 * np.cos(slope))
+    assert bed.pose[1] == pytest.approx(acceleration * 0.4**2 / 2, rel=0.03)
+
+
+def test_tether_pulls_beyond_its_slack_at_its_point(box: TrueObject) -> None:
+    system = _system(box, _with("tether", Tether(50.0, 0.5, 0.0, 0.2, 0.1, 0.0)))
+    X_WO = RigidTransform(RollPitchYaw(0, 0, np.pi / 2), [0.0, 0.0, 0.0])
+    force, torque = system.wrench(X_WO, SpatialVelocity.Zero())
+    way = np.array([0.5, -0.1, 0.0])
+    length = np.linalg.norm(way)
+    np.testing.assert_allclose(force, 50.0 * (length - 0.2) * way / length)
+    np.testing.assert_allclose(torque, np.cross([0.0, 0.1, 0.0], force), atol=1e-12)
+    slack, _ = system.wrench(RigidTransform([0.25, 0.0, 0.0]), SpatialVelocity.Zero())
+    np.testing.assert_array_equal(slack, 0.0)
+
+
+def test_drag_is_the_integral_over_the_base(box: TrueObject) -> None:
+    system = _system(box, _with("viscous_friction", ViscousFriction(200.0)))
+    velocity = SpatialVelocity([0, 0, 2.0], [0.3, -0.1, 0.0])
+    force, torque = system.wrench(RigidTransform(), velocity)
+    half = box.grid.width / 2
+    total, moment = np.zeros(3), np.zeros(3)
+    nodes, weights = np.polynomial.legendre.leggauss(3)
+    for x, y in box.grid.centers:
+        for a, p in zip(nodes, weights, strict=True):
+            for b, q in zip(nodes, weights, strict=True):
+                place = np.array([x + half * a, y + half * b, 0.0])
+                f = -200.0 * p * q * half**2 * (np.array([0.3, -0.1, 0]) + np.cross([0, 0, 2.0], place))
+                total, moment = total + f, moment + np.cross(place, f)
+    np.testing.assert_allclose(force, total)
+    np.testing.assert_allclose(torque, moment, atol=1e-12)
+
+
+def test_no_drag_above_the_table(box: TrueObject) -> None:
+    both = HiddenEffectsConfig(
+        viscous_friction=SHOWN["viscous_friction"],  # type: ignore[arg-type]
+        table_friction_field=SHOWN["table_friction_field"],  # type: ignore[arg-type]
+    )
+    moving = SpatialVelocity([0, 0, 2.0], [0.3, -0.1, 0.0])
+    force, torque = _system(box, both).wrench(RigidTransform([0.0, 0.0, 0.05]), moving)
+    np.testing.assert_array_equal([force, torque], 0.0)
+
+
+def test_patch_makes_up_for_the_missing_friction(box: TrueObject) -> None:
+    system = _system(
+        box, _with("table_friction_field", TableFrictionField(patch=np.log(3.0), patch_radius=1.0))
+    )
+    force, _ = system.wrench(RigidTransform(), SpatialVelocity([0, 0, 0], [0.0, -0.5, 0.0]))
+    friction = float(box.mass @ box.mu) * 9.81
+    assert force[1] == pytest.approx(2.0 * friction, rel=2e-3)
+    slippery = _with("table_friction_field", TableFrictionField(patch=np.log(0.5), patch_radius=1.0))
+    force, _ = _system(box, slippery).wrench(RigidTransform(), SpatialVelocity([0, 0, 0], [0.5, 0, 0]))
+    assert force[0] == pytest.approx(0.5 * friction, rel=2e-3)
+    outside, _ = system.wrench(RigidTransform([1.5, 0, 0]), SpatialVelocity([0, 0, 0], [0.5, 0, 0]))
+    np.testing.assert_array_equal(outside, 0.0)
+
+
+def test_friction_factor_by_place() -> None:
+    field = TableFrictionField(2.0, 0.0, np.log(2.0), 0.1, 0.0, 0.05)
+    np.testing.assert_allclose(field.factor(np.array([[0.1, 0.0], [0.2, 0.0], [-0.6, 0.0]])), [2.4, 1.4, 0.0])
+
+
+@pytest.mark.parametrize(
+    ("name", "effect", "message"),
+    [
+        ("table_tilt", TableTilt(down_x=float("nan")), r"TableTilt\.down_x"),
+        ("table_tilt", TableTilt(down_x=3.0), "at most 0.5"),
+        ("tether", Tether(stiffness=-1.0), r"Tether\.stiffness must be finite and not negative"),
+        ("tether", Tether(stiffness=1e8), r"Tether\.stiffness: too stiff"),
+        ("viscous_friction", ViscousFriction(1e6), r"ViscousFriction\.drag_per_area: too much"),
+        ("table_friction_field", TableFrictionField(patch_radius=-0.1), "patch_radius"),
+    ],
+)
+def test_wrong_parameters_are_refused_by_name(
+    box: TrueObject, name: str, effect: object, message: str
+) -> None:
+    with pytest.raises(ValueError, match=message):
+        _system(box, _with(name, effect))
+
+
+def test_configuration_goes_through_yaml() -> None:
+    config = HiddenEffectsConfig(**SHOWN)  # type: ignore[arg-type]
+    again = yaml_load_typed(schema=HiddenEffectsConfig, data=yaml_dump_typed(config))
+    assert asdict(again) == asdict(config)

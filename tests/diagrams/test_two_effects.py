@@ -1,0 +1,39 @@
+"""Two effects that are hidden at once are found together, with the parameters of one fit."""
+
+from __future__ import annotations
+
+import pytest
+from hidden_effects import DRAG, TILT, tilted_and_oily_pushes
+
+from models.inference.diagnosis import diagnose
+from models.inference.diagnosis.results import Diagnosis
+
+
+@pytest.fixture(scope="module")
+def found() -> Diagnosis:
+    """A diagnosis of pushes on a table that is neither level nor dry, chance simulated."""
+    return diagnose(tilted_and_oily_pushes(), draws=99)
+
+
+def test_both_effects_are_named(found):
+    assert (found.verdict, found.together) == ("effect", True)
+    assert set(found.effects) == {"table_tilt", "viscous_friction"}
+    assert found.sentence == "The data miss two effects at once: table_tilt and viscous_friction."
+    rejected = {candidate.name: candidate.rejected_by for candidate in found.candidates}
+    assert rejected["table_tilt"] == "viscous_friction"  # the tilt alone leaves the oil
+    assert found.after.total_misfit < 0.2 * found.before.total_misfit
+
+
+def test_the_parameters_are_those_of_the_common_fit(found):
+    estimates = {(p.effect, p.name): p for p in found.parameters}
+    common = [(effect.name, p.name) for effect in found.best.effects for p in effect.parameters]
+    assert list(estimates) == common
+    assert [p.value for p in found.parameters] == found.best.values.tolist()
+    for name, slope in TILT.items():
+        assert estimates["table_tilt", name].value == pytest.approx(slope, abs=0.003)
+    assert estimates["viscous_friction", "drag_per_area"].value == pytest.approx(DRAG, rel=0.15)
+    document = found.to_json()["parameters"]
+    assert {effect: list(numbers) for effect, numbers in document.items()} == {
+        "table_tilt": ["down_x", "down_y"],
+        "viscous_friction": ["drag_per_area"],
+    }

@@ -1,0 +1,60 @@
+"""A camera over a table with boxes on it: exact pictures, from rays that meet boxes, without a renderer."""
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+import pytest
+
+from models.perception.camera import PinholeCamera, View
+
+Box = tuple[float, float, float, float, float]  # x0, y0, x1, y1, height, object frame, m
+
+
+class Scene:
+    """Depth pictures of an object made of boxes, at a pose on a table at z = 0."""
+
+    def __init__(self) -> None:
+        X_WC = np.array([[1.0, 0, 0, 0.02], [0, -1, 0, -0.01], [0, 0, -1, 1.1], [0, 0, 0, 1]])
+        self.view = View(PinholeCamera(640, 480, 492.0, 492.0, 319.5, 239.5), X_WC)
+
+    def depth(self, boxes: Sequence[Box], pose: Sequence[float], table_radius: float = 0.5) -> np.ndarray:
+        rays = self.view.rays.astype(float)
+        start = self.view.p_WC
+        depth = -start[2] / rays[..., 2]
+        ground = start + depth[..., None] * rays
+        depth[np.hypot(ground[..., 0], ground[..., 1]) > table_radius] = np.inf
+        c, s = np.cos(pose[2]), np.sin(pose[2])
+        R_OW = np.array([[c, s, 0], [-s, c, 0], [0, 0, 1]])
+        begin = R_OW @ (start - [pose[0], pose[1], 0])
+        along = rays @ R_OW.T
+        for x0, y0, x1, y1, height in boxes:
+            low, high = (
+                (np.array([x0, y0, 0.0]) - begin) / along,
+                (np.array([x1, y1, height]) - begin) / along,
+            )
+            enter, leave = np.minimum(low, high).max(axis=-1), np.maximum(low, high).min(axis=-1)
+            depth = np.where((enter < leave) & (enter < depth), enter, depth)
+        return depth.astype(np.float32)
+
+    def noisy(self, depth: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+        noisy = depth + 1.5e-3 * rng.standard_normal(depth.shape)
+        noisy[rng.random(depth.shape) < 0.01] = 0.0
+        return noisy.astype(np.float32)
+
+
+@pytest.fixture(scope="session")
+def scene() -> Scene:
+    return Scene()
+
+
+@pytest.fixture(scope="session")
+def look(scene: Scene) -> Callable[..., object]:
+    """First look at an object of boxes at a pose, with noise."""
+    from models.perception.first_look import first_look
+
+    def seen(boxes: Sequence[Box], pose: Sequence[float], seed: int = 0, **options: object) -> object:
+        rng = np.random.default_rng(seed)
+        depth = scene.depth(boxes, pose)
+        return first_look([scene.noisy(depth, rng) for _ in range(9)], scene.view, **options)
+
+    return seen

@@ -1,0 +1,64 @@
+import numpy as np
+import pytest
+import shapely
+
+from models.perception.first_look import ObjectNotSeen, first_look
+
+ELL = ((-0.1, -0.06, 0.1, 0.0, 0.03), (-0.1, 0.0, -0.03, 0.08, 0.09))
+
+
+def outline_in_world(boxes, pose):
+    shape = shapely.union_all([shapely.box(*box[:4]) for box in boxes])
+    c, s = np.cos(pose[2]), np.sin(pose[2])
+    return shapely.transform(shape, lambda xy: xy @ np.array([[c, s], [-s, c]]) + pose[:2])
+
+
+@pytest.mark.parametrize("pose", [(0.0, 0.0, 0.4), (0.22, -0.15, 2.0)])
+def test_footprint_heights_and_frame_of_a_tall_object_also_off_the_axis(look, pose):
+    seen = look(ELL, pose, cells=50)
+    truth = outline_in_world(ELL, pose)
+    found = shapely.transform(seen.grid.polygon, lambda xy: xy + seen.first_pose[:2])
+    assert truth.intersection(found).area / truth.union(found).area > 0.96
+    assert np.hypot(*(seen.first_pose[:2] - truth.centroid.coords[0])) < 1e-3
+    assert abs(seen.first_pose[2]) < np.deg2rad(0.5)
+    assert len(seen.grid) == pytest.approx(50, abs=2)
+    assert np.allclose(seen.grid.polygon.centroid.coords[0], 0, atol=1e-9)
+    tall = outline_in_world(ELL[1:], pose)
+    for k, cell in enumerate(seen.grid.centers + seen.first_pose[:2]):
+        distance = tall.boundary.distance(shapely.Point(cell))
+        if distance > seen.grid.width:
+            expected = 0.09 if shapely.contains_xy(tall, *cell) else 0.03
+            assert seen.cell_heights[k] == pytest.approx(expected, abs=1.5e-3)
+
+
+def test_an_opening_is_seen(look):
+    frame = ((-0.1, -0.1, 0.1, -0.05, 0.04), (-0.1, 0.05, 0.1, 0.1, 0.04))
+    frame += ((-0.1, -0.1, -0.05, 0.1, 0.04), (0.05, -0.1, 0.1, 0.1, 0.04))
+    seen = look(frame, (0.0, 0.0, 0.3))
+    assert len(seen.grid.holes) == 1
+    assert seen.grid.polygon.area == pytest.approx(0.03, rel=0.03)
+
+
+def test_an_object_of_8_mm_is_seen_and_a_gap_in_it_is_bridged(scene):
+    rng = np.random.default_rng(3)
+    depth = scene.depth([(-0.12, -0.008, 0.12, 0.008, 0.008)], (0.03, 0.02, 0.0))
+    frames = [scene.noisy(depth, rng) for _ in range(9)]
+    for frame in frames:
+        frame[220:240, 320:345] = 0.0  # shiny metal gives no reading
+    seen = first_look(frames, scene.view, cells=30)
+    x0, _, x1, _ = seen.grid.polygon.bounds
+    assert x1 - x0 == pytest.approx(0.24, abs=3e-3)
+    assert np.median(seen.cell_heights) == pytest.approx(0.008, abs=1e-3)
+
+
+def test_an_empty_table_and_an_arm_beside_the_object_are_said(scene, look):
+    with pytest.raises(ObjectNotSeen) as none:
+        look((), (0, 0, 0))
+    assert none.value.reason == "no object"
+    arm = np.zeros((480, 640), bool)
+    arm[200:280, 200:300] = True
+    with pytest.raises(ObjectNotSeen) as hidden:
+        look(ELL, (0, 0, 0), blocked=arm)
+    assert hidden.value.reason == "occluded"
+    with pytest.raises(ValueError, match="at least one"):
+        first_look([], scene.view)

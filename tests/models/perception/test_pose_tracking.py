@@ -1,0 +1,106 @@
+import numpy as np
+import pytest
+
+from models.perception.pose_tracking import track
+
+ELL = ((-0.1, -0.06, 0.1, 0.0, 0.03), (-0.1, 0.0, -0.03, 0.08, 0.09))
+WRENCH = ((-0.12, -0.008, 0.12, 0.008, 0.008), (0.09, -0.02, 0.13, 0.02, 0.008))
+TWO_LEVELS = ((-0.1, -0.05, 0.0, 0.05, 0.03), (0.0, -0.05, 0.1, 0.05, 0.04))
+BLOCK = ((-0.1, -0.05, 0.1, 0.05, 0.04),)
+
+
+def pose_of_frame(seen, first, pose):
+    """True pose of the seen object's frame when the boxes' frame has moved from one pose to another."""
+    turn = pose[2] - first[2]
+    c, s = np.cos(turn), np.sin(turn)
+    arm = seen.first_pose[:2] - first[:2]
+    return np.array([*(np.array([[c, -s], [s, c]]) @ arm + pose[:2]), turn + seen.first_pose[2]])
+
+
+def errors(scene, seen, boxes, first, pose, start, seed):
+    rng = np.random.default_rng(seed)
+    truth = pose_of_frame(seen, np.array(first), np.array(pose))
+    observed = track(scene.noisy(scene.depth(boxes, pose), rng), scene.view, seen, truth + start)
+    assert observed.valid, observed.reason
+    error = observed.pose - truth
+    error[2] = (error[2] + np.pi) % (2 * np.pi) - np.pi
+    return error, observed
+
+
+@pytest.mark.parametrize("boxes", [ELL, WRENCH], ids=["tall", "8 mm"])
+def test_poses_all_over_the_table_within_a_millimetre_and_half_a_degree(scene, look, boxes):
+    first = (0.01, -0.02, 0.3)
+    seen = look(boxes, first)
+    rng = np.random.default_rng(5)
+    found, misfit = [], []
+    for k in range(20):
+        radius, direction = 0.3 * np.sqrt(rng.random()), rng.uniform(0, 2 * np.pi)
+        pose = (radius * np.cos(direction), radius * np.sin(direction), rng.uniform(-np.pi, np.pi))
+        start = rng.uniform(-1, 1, 3) * [0.01, 0.01, 0.08]
+        error, observed = errors(scene, seen, boxes, first, pose, start, k)
+        found.append([np.hypot(*error[:2]), abs(error[2])])
+        misfit.append(error @ np.linalg.solve(observed.covariance, error))
+    position, angle = np.percentile(found, 95, axis=0)
+    assert position < 1e-3
+    assert angle < np.deg2rad(0.5)
+    assert np.mean(misfit) < 6  # 3 if the covariance were exact
+
+
+def test_a_turn_of_90_degrees_between_two_looks_is_found(scene, look):
+    first = (0.0, 0.0, 0.3)
+    seen = look(ELL, first)
+    error, _ = errors(scene, seen, ELL, first, (0.12, 0.1, 1.0), np.array([-0.1, 0.08, np.pi / 2]), 1)
+    assert np.hypot(*error[:2]) < 1.5e-3
+    assert abs(error[2]) < np.deg2rad(0.7)
+
+
+def test_heights_tell_the_ends_of_a_symmetric_outline_apart(scene, look):
+    first = (0.0, 0.0, 0.0)
+    seen = look(TWO_LEVELS, first)
+    error, _ = errors(scene, seen, TWO_LEVELS, first, (0.05, 0.02, 0.5), np.array([0.0, 0.0, np.pi - 0.2]), 1)
+    assert abs(error[2]) < np.deg2rad(0.7)
+
+
+def test_of_two_poses_that_look_alike_the_nearer_is_taken(scene, look):
+    first = (0.0, 0.0, 0.0)
+    seen = look(BLOCK, first)
+    image = scene.depth(BLOCK, (0.05, 0.02, 0.5))
+    for theta in (0.9, 0.9 - np.pi, 0.9 + 4 * np.pi):
+        observed = track(image, scene.view, seen, np.array([0.0, 0.1, theta]))
+        assert observed.valid
+        assert observed.pose[2] == pytest.approx(theta - 0.4, abs=0.01)
+
+
+def test_an_arm_over_part_of_the_object_does_not_move_it(scene, look):
+    first = (0.0, 0.0, 0.3)
+    seen = look(ELL, first)
+    depth = scene.depth(ELL, (0.05, 0.0, 0.3))
+    depth[:, 305:325] = 0.5
+    arm = np.zeros(depth.shape, bool)
+    arm[:, 300:330] = True
+    truth = pose_of_frame(seen, np.array(first), np.array([0.05, 0.0, 0.3]))
+    observed = track(depth, scene.view, seen, truth + np.array([0.004, -0.004, 0.03]), arm)
+    assert observed.valid
+    assert np.hypot(*(observed.pose - truth)[:2]) < 1e-3
+    unmasked = track(depth, scene.view, seen, truth)
+    assert not unmasked.valid or np.hypot(*(unmasked.pose - truth)[:2]) < 1e-3
+
+
+def test_what_cannot_be_seen_is_said(scene, look):
+    seen = look(ELL, (0.0, 0.0, 0.3))
+    last = seen.first_pose
+    arm = np.zeros((480, 640), bool)
+    arm[120:360, 200:440] = True
+    hidden = track(scene.depth(ELL, (0.0, 0.0, 0.3)), scene.view, seen, last, arm, time=2.0)
+    assert (hidden.valid, hidden.reason, hidden.time) == (False, "occluded", 2.0)
+    assert np.all(np.isnan(hidden.pose))
+    gone = track(scene.depth((), (0, 0, 0)), scene.view, seen, last)
+    assert (gone.valid, gone.reason) == (False, "left the table")
+    other = track(scene.depth(((-0.03, -0.03, 0.03, 0.03, 0.05),), (0.1, 0.1, 0.0)), scene.view, seen, last)
+    assert (other.valid, other.reason) == (False, "no object")
+
+
+def test_a_previous_pose_that_is_not_a_number_is_refused(scene, look):
+    seen = look(ELL, (0.0, 0.0, 0.3))
+    with pytest.raises(ValueError, match="previous pose"):
+        track(scene.depth(ELL, (0, 0, 0)), scene.view, seen, np.full(3, np.nan))

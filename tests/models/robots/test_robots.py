@@ -1,0 +1,86 @@
+"""The constants of the robot and its model files say the same."""
+
+import xml.etree.ElementTree as ElementTree
+
+import numpy as np
+import pytest
+
+from models import robots
+
+DRAKE = "{http://drake.mit.edu}"
+
+
+@pytest.fixture(scope="module")
+def arm():
+    return ElementTree.parse(robots.IIWA_MODEL).getroot()
+
+
+@pytest.fixture(scope="module")
+def gripper():
+    return ElementTree.parse(robots.GRIPPER_MODEL).getroot()
+
+
+def limits(arm, key):
+    joints = {joint.get("name"): joint.find("limit") for joint in arm.findall("joint")}
+    return np.array([float(joints[name].get(key)) for name in robots.ARM_JOINTS])
+
+
+@pytest.mark.parametrize(
+    ("key", "sign", "expected"),
+    [
+        ("lower", -1, robots.POSITION_LIMITS),
+        ("upper", 1, robots.POSITION_LIMITS),
+        ("velocity", 1, robots.SPEED_LIMITS),
+        (f"{DRAKE}acceleration", 1, robots.ACCELERATION_LIMITS),
+        ("effort", 1, robots.TORQUE_LIMITS),
+    ],
+)
+def test_limits_are_those_of_the_file(arm, key, sign, expected):
+    np.testing.assert_allclose(limits(arm, key), sign * expected, rtol=1e-9)
+
+
+def test_published_masses(arm):
+    masses = {
+        link.get("name"): float(link.find("inertial/mass").get("value")) for link in arm.findall("link")
+    }
+    assert [masses[f"iiwa_link_{i}"] for i in range(8)] == [5.0, 5.76, 6.35, 3.5, 3.5, 3.5, 1.8, 1.2]
+
+
+def test_motors_reflect_their_rotors_inertia(arm):
+    motors = arm.findall("transmission/actuator")
+    rotor, gear = (
+        np.array([float(motor.find(f"{DRAKE}{tag}").get("value")) for motor in motors])
+        for tag in ("rotor_inertia", "gear_ratio")
+    )
+    # CSG-32-160, -100 and CSG-20-160 gears with ILM 85x23, 70x18 and 50x08 motors.
+    np.testing.assert_allclose(rotor * gear**2, [3.38176] * 4 + [1.321] + [1.16224] * 2, rtol=1e-4)
+
+
+def test_nothing_but_primitive_shapes(arm, gripper):
+    for model in (arm, gripper):
+        assert not model.findall(".//mesh")
+        assert len(model.findall(".//visual")) > 10
+
+
+def test_both_pins_end_as_the_round_finger(gripper):
+    tip = float(gripper.find("frame[@name='tip']").get("xyz").split()[2])
+    for side in ("left", "right"):
+        thin, end = gripper.findall(f"link[@name='{side}_finger']/collision")
+        spans = {}
+        for part in (thin, end):
+            cylinder = part.find("geometry/cylinder")
+            x, y, z = map(float, part.find("origin").get("xyz").split())
+            length = float(cylinder.get("length"))
+            assert (x, y) == (0.0, 0.0)
+            spans[part] = (z - length / 2, z + length / 2, float(cylinder.get("radius")))
+        assert spans[end][2] == robots.FINGER_RADIUS > spans[thin][2]
+        assert spans[end][0] == pytest.approx(spans[thin][1])
+        assert spans[end][1] == pytest.approx(tip)
+        assert spans[thin][0] == pytest.approx(tip - robots.FINGER_LENGTH)
+
+
+def test_opening_lets_60_mm_in(gripper):
+    limit = {side: gripper.find(f"joint[@name='{side}_finger_joint']/limit") for side in ("left", "right")}
+    opening = float(limit["right"].get("upper")) - float(limit["left"].get("lower"))
+    assert opening == pytest.approx(robots.GRIPPER_OPENING)
+    assert opening - 2 * robots.FINGER_RADIUS >= 0.06
