@@ -13,8 +13,8 @@ STAMP := $(VENV)/.slipmap-installed
 help: ## Show this list
 	@awk -F ':.*## ' '/^[a-z]+:.*## /{printf "  make %-8s %s\n", $$1, $$2}' Makefile
 
-demo: $(STAMP) ## Push a simulated hammer and identify it; results go to demo/
-	@$(BIN)/slipmap demo -o demo
+demo: $(STAMP) ## Let a simulated robot explore a hammer; results go to demo/
+	@$(BIN)/slipmap explore --object hammer --out demo --record demo/recording.html
 
 test: $(STAMP) ## Run all tests
 	@$(BIN)/python -m pytest -q

@@ -68,7 +68,19 @@ def slipmap(ctx: click.Context) -> None:
         ctx.exit(WRONG_USE)
 
 
-for _command in (demo, explore, identify, predict, compare, diagnose, fit, effects, calibrate, blind_test, bench):
+for _command in (
+    demo,
+    explore,
+    identify,
+    predict,
+    compare,
+    diagnose,
+    fit,
+    effects,
+    calibrate,
+    blind_test,
+    bench,
+):
     slipmap.add_command(_command)
 
 

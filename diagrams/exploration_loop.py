@@ -9,13 +9,14 @@ import numpy as np
 from pydrake.geometry import Meshcat
 from pydrake.systems.framework import Diagram, DiagramBuilder
 
+from diagrams.execution.config import ExecutionConfig
 from diagrams.execution.finger_kinematics import FingerKinematics
 from diagrams.execution.push_executor import PushExecutor
-from diagrams.execution.push_plan import ExecutionConfig, PushRefused, plan_push
+from diagrams.execution.push_plan import PushRefused, plan_push
 from diagrams.perception.cell_perception import CellPerception
 from diagrams.station.arm import HOME, arm_model
-from diagrams.station.station import Station
 from diagrams.station.scenario import Scenario
+from diagrams.station.station import Station
 from diagrams.systems.belief_visualizer import BeliefVisualizer
 from diagrams.systems.exploration import Exploration
 from diagrams.systems.finger_motion import FingerMotion
@@ -82,7 +83,7 @@ def exploration_loop(
     """
     builder = DiagramBuilder()
     station = builder.AddSystem(Station(scenario, meshcat))
-    config = ExecutionConfig()
+    config = scenario.execution
     model = arm_model(models=scenario.arm.models)
     perception = builder.AddNamedSystem(
         "perception", CellPerception(scenario.camera, options.cells, station.arm_hulls)

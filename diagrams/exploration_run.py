@@ -141,9 +141,7 @@ def explore(
             )
     if status.mode != "finished" or run is None:
         reason = status.reason or f"not done after {context.get_time():.0f} s of simulated time"
-        raise ExplorationFailed(
-            f"exploration stopped at push {status.push + 1} of {pushes}: {reason}", run
-        )
+        raise ExplorationFailed(f"exploration stopped at push {status.push + 1} of {pushes}: {reason}", run)
     return run
 
 

@@ -1,4 +1,4 @@
-"""Libraries of the operating system that Drake and OpenCV load: found missing by importing, then installed.
+"""Libraries of the operating system that Drake and OpenCV load: found missing by trying, then installed.
 
 Run as `python -m diagrams.system_libraries`, which `make` does after installing slipmap. Wheels bring nearly
 everything along; what they leave to the system is known only when an import fails, one library at a time.
@@ -32,6 +32,13 @@ DEBIAN_PACKAGES = {
 }
 """Package, in Debian and Ubuntu, of each shared library that versions of Drake and OpenCV ask for."""
 
+RENDER = "from diagrams.perception.renderer import render_one_picture; render_one_picture()"
+
+RENDERING_PACKAGES = ("libegl1", "libgl1-mesa-dri", "libglib2.0-0")
+"""What Drake's camera needs beyond the imports, to render without a display."""
+
+WITHOUT_RENDERER = "Everything but the simulated camera, and what explores with it, works without"
+
 Run = Callable[[Sequence[str]], "subprocess.CompletedProcess[str]"]
 
 
@@ -39,11 +46,17 @@ class MissingLibrary(RuntimeError):
     """A library that the user must install. The text is one paragraph with the command that does it."""
 
 
+class MissingRenderer(MissingLibrary):
+    """Everything can be imported, but the simulated camera cannot render."""
+
+
 def main() -> int:
-    """Check and install; the exit code is 0 if every import works, else 1."""
+    """Check and install; the exit code is 0 if every import works, even without a renderer, else 1."""
     try:
         for package in install_missing():
             print(f"installed {package}", file=sys.stderr)
+    except MissingRenderer as error:
+        print(error, file=sys.stderr)
     except MissingLibrary as error:
         print(error, file=sys.stderr)
         return 1
@@ -51,15 +64,38 @@ def main() -> int:
 
 
 def install_missing(run: Run | None = None) -> list[str]:
-    """Install what the imports need, and return the packages.
+    """Install what the imports and the camera's renderer need, and return the packages.
 
     Args:
         run: runs a command and returns its result with text output; the operating system if None.
 
     Raises:
-        MissingLibrary: an import fails for another reason, or the packages cannot be installed from here.
+        MissingLibrary: an import or the renderer fails for another reason, or the packages cannot be
+            installed from here.
     """
     run = run or _run
+    installed = _install_for_imports(run)
+    if _renders(run):
+        return installed
+    packages = [package for package in RENDERING_PACKAGES if package not in installed]
+    try:
+        for package in packages:
+            _install(run, "rendering pictures", package)
+    except MissingLibrary as error:
+        raise MissingRenderer(f"{error}. {WITHOUT_RENDERER}") from error
+    if not _renders(run):
+        raise MissingRenderer(
+            f"rendering pictures fails although {', '.join(RENDERING_PACKAGES)} are installed."
+            f" {WITHOUT_RENDERER}"
+        )
+    return installed + packages
+
+
+def _renders(run: Run) -> bool:
+    return run([sys.executable, "-c", RENDER]).returncode == 0
+
+
+def _install_for_imports(run: Run) -> list[str]:
     installed: list[str] = []
     for module in IMPORTS:
         while (failure := _import_failure(run, module)) is not None:
@@ -76,14 +112,15 @@ def install_missing(run: Run | None = None) -> list[str]:
                 raise MissingLibrary(
                     f"`import {module}` does not find {library} although {package} is installed"
                 )
-            _install(run, module, library, package)
+            _install(run, f"`import {module}`", package, library)
             installed.append(package)
     return installed
 
 
-def _install(run: Run, module: str, library: str, package: str) -> None:
+def _install(run: Run, purpose: str, package: str, library: str = "") -> None:
+    needed = f"the system library {library}" if library else f"what Debian's package {package} holds"
     advice = MissingLibrary(
-        f"`import {module}` needs the system library {library}. On Debian and Ubuntu install it with"
+        f"{purpose} needs {needed}. On Debian and Ubuntu install it with"
         f" `sudo apt-get install {package}`, elsewhere with the package that holds it, and try again"
     )
     if shutil.which("apt-get") is None:
@@ -93,7 +130,7 @@ def _install(run: Run, module: str, library: str, package: str) -> None:
         sudo = ["sudo", "-n"]
         if shutil.which("sudo") is None or run([*sudo, "true"]).returncode != 0:
             raise advice
-    print(f"installing {package}, which holds {library} …", file=sys.stderr)
+    print(f"installing {package} for {purpose} …", file=sys.stderr)
     command = [*sudo, "env", "DEBIAN_FRONTEND=noninteractive", "apt-get"]
     run([*command, "update", "-q"])
     if run([*command, "install", "-q", "-y", "--no-install-recommends", package]).returncode != 0:

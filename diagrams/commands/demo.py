@@ -47,7 +47,7 @@ def demo(folder: Path, seed: int, fit_pushes: int, heldout_pushes: int, json_fil
     dataset, identifies its maps from that alone, and holds what it believes against the truth.
     """
     make_folder(folder)
-    place, belief = folder / "hammer", folder / "belief.npz"
+    place, belief = folder / "pushes", folder / "belief.npz"
     with Progress() as progress:
         prepare_kernels()
         progress("pushing the hammer", 0, 1)

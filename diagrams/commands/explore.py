@@ -142,7 +142,7 @@ def run_loop(
             meshcat.StopRecording()
             meshcat.PublishRecording()
             with whole_file(recording) as part:
-                part.write_text(meshcat.StaticHtml(), encoding="utf-8")
+                part.write_text(str(meshcat.StaticHtml()), encoding="utf-8")
             progress("writing the recording", 1, 1)
     if open_meshcat and meshcat is not None:
         click.echo(f"the view is at {meshcat.web_url()}; press Enter to end", err=True)

@@ -1,11 +1,10 @@
 """How the arm moves."""
 
-from __future__ import annotations
-
+# Annotations stay objects: Drake's YAML reader looks at them.
 from dataclasses import dataclass
 
 
-@dataclass(frozen=True)
+@dataclass
 class ExecutionConfig:
     """How the arm moves.
 
@@ -34,6 +33,10 @@ class ExecutionConfig:
     settle: float = 0.3
 
     def __post_init__(self) -> None:
+        self.check()
+
+    def check(self) -> None:
+        """Raise ValueError where a field makes no sense."""
         for name, low, high in (
             ("tip_height", 0.001, 0.05),
             ("safe_height", 0.02, 0.3),
@@ -46,8 +49,8 @@ class ExecutionConfig:
         ):
             value = getattr(self, name)
             if not low <= value <= high:
-                raise ValueError(f"execution: {name} must lie between {low} and {high}, got {value}")
+                raise ValueError(f"execution.{name} must lie between {low} and {high}, got {value}")
         if self.safe_height <= self.tip_height:
             raise ValueError(
-                f"execution: safe_height {self.safe_height} must exceed tip_height {self.tip_height}"
+                f"execution.safe_height {self.safe_height} must exceed tip_height {self.tip_height}"
             )

@@ -1,8 +1,7 @@
 """The depth camera over the table: its parameters and how it comes into a Diagram."""
 
-from __future__ import annotations
-
-from dataclasses import dataclass
+# Annotations stay objects: Drake's YAML reader looks at them.
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -29,7 +28,7 @@ RENDERER = "camera_renderer"
 _NEAREST, _FARTHEST = 0.2, 4.0  # of depth readings, m
 
 
-@dataclass(frozen=True)
+@dataclass
 class CameraConfig:
     """Camera that looks straight down on the table; defaults see all of a table of radius 0.5 m.
 
@@ -46,7 +45,7 @@ class CameraConfig:
     """
 
     height: float = 1.1
-    position: tuple[float, float] = (0.0, 0.0)
+    position: list[float] = field(default_factory=lambda: [0.0, 0.0])
     yaw: float = 0.0
     fov_y: float = float(np.deg2rad(52.0))
     width: int = 640
@@ -54,6 +53,10 @@ class CameraConfig:
     rate: float = 15.0
 
     def __post_init__(self) -> None:
+        self.check()
+
+    def check(self) -> None:
+        """Raise ValueError where a field makes no sense."""
         for name, value, low, high in (
             ("height", self.height, 0.3, _FARTHEST - 0.1),
             ("fov_y", self.fov_y, 0.05, 2.8),
@@ -62,9 +65,11 @@ class CameraConfig:
             ("rate", self.rate, 0.1, 1000.0),
         ):
             if not low <= value <= high:
-                raise ValueError(f"camera: {name} must lie between {low} and {high}, got {value}")
-        if not np.all(np.isfinite([*self.position, self.yaw])):
-            raise ValueError(f"camera: position and yaw must be finite, got {self.position}, {self.yaw}")
+                raise ValueError(f"camera.{name} must lie between {low} and {high}, got {value}")
+        if len(self.position) != 2 or not np.isfinite(self.position).all():
+            raise ValueError(f"camera.position must be x and y in m, got {self.position}")
+        if not np.isfinite(self.yaw):
+            raise ValueError(f"camera.yaw must be finite, got {self.yaw}")
 
     @property
     def X_WC(self) -> RigidTransform:

@@ -1,7 +1,6 @@
 """Noise of a depth camera: Drake renders perfect depth, real cameras do not measure it."""
 
-from __future__ import annotations
-
+# Annotations stay objects: Drake's YAML reader looks at them.
 from dataclasses import dataclass, fields
 from typing import Any
 
@@ -17,7 +16,7 @@ from models.perception.camera import DepthImage
 _STEP = 0.01  # m; depth jumps more than this at an edge
 
 
-@dataclass(frozen=True)
+@dataclass
 class DepthNoiseConfig:
     """Noise typical of an active stereo or structured-light camera; all zero is a perfect camera.
 
@@ -51,11 +50,15 @@ class DepthNoiseConfig:
     seed: int = 0
 
     def __post_init__(self) -> None:
+        self.check()
+
+    def check(self) -> None:
+        """Raise ValueError where a field makes no sense."""
         for field in fields(self):
             value = getattr(self, field.name)
             highest = 1.0 if field.name.startswith("missing") else np.inf
             if not 0 <= value <= highest:
-                raise ValueError(f"depth noise: {field.name} must lie between 0 and {highest}, got {value}")
+                raise ValueError(f"depth_noise.{field.name} must lie between 0 and {highest}, got {value}")
 
 
 def noisy_depth(depth: DepthImage, config: DepthNoiseConfig, generator: np.random.Generator) -> DepthImage:

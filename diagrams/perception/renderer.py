@@ -7,11 +7,9 @@ import subprocess
 import sys
 from typing import Any
 
-PACKAGES = ("libegl1", "libgl1-mesa-dri", "libglib2.0-0")
-"""Debian and Ubuntu packages of the libraries that rendering without a display needs."""
+from diagrams.system_libraries import RENDER, RENDERING_PACKAGES
 
 _PATIENCE = 60.0  # s; a picture takes half a second
-_TRIAL = "from diagrams.perception.renderer import render_one_picture; render_one_picture()"
 
 
 class RendererUnavailable(RuntimeError):
@@ -28,7 +26,7 @@ def require_renderer() -> None:
     Raises:
         RendererUnavailable: the trial failed.
     """
-    command = [sys.executable, "-c", _TRIAL]
+    command = [sys.executable, "-c", RENDER]
     try:
         result = subprocess.run(
             command, capture_output=True, text=True, check=False, stdin=subprocess.DEVNULL, timeout=_PATIENCE
@@ -78,6 +76,6 @@ def _advice(reason: str) -> str:
     return (
         f"the camera cannot render pictures on this machine ({reason}). Rendering without a display needs "
         f"EGL and a software or hardware OpenGL driver; on Debian and Ubuntu install them with `sudo apt-get "
-        f"install {' '.join(PACKAGES)}`, elsewhere with the packages that hold libEGL, Mesa's drivers "
-        f"and GLib"
+        f"install {' '.join(RENDERING_PACKAGES)}`, elsewhere with the packages that hold libEGL, Mesa's"
+        " drivers and GLib"
     )

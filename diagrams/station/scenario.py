@@ -1,17 +1,24 @@
-"""Everything about the robot's cell that a user tunes, as YAML dataclasses like those of Drake's own scenarios."""
+"""Everything about the robot's cell that a user tunes: YAML dataclasses like those of Drake's scenarios."""
 
 # Annotations stay objects: Drake's YAML reader looks at them.
 from dataclasses import dataclass, field
 
 import numpy as np
 
+from diagrams.execution.config import ExecutionConfig
 from diagrams.perception.camera import CameraConfig
 from diagrams.perception.depth_noise import DepthNoiseConfig
 from diagrams.station.arm import ARM_MODELS
 from diagrams.station.hidden_effects import HiddenEffectsConfig
 from models.measurements.push_dataset import Table
 from models.objects.benchmark import benchmark_object
-from models.objects.true_object import DEFAULT_CELLS, DEFAULT_MU_FINGER, TrueObject, object_from_labels, object_from_mesh
+from models.objects.true_object import (
+    DEFAULT_CELLS,
+    DEFAULT_MU_FINGER,
+    TrueObject,
+    object_from_labels,
+    object_from_mesh,
+)
 from planners.poke_settings import PokeSettings
 
 
@@ -84,8 +91,8 @@ class TableSettings:
         shape: round or rectangle.
         radius: of a round table, m.
         size: along x and y of a rectangular one, m.
-        friction: of the table's own surface; the object's friction with it is the object's affair, but must be
-            below twice this.
+        friction: of the table's own surface; the object's friction with it is the object's affair, but must
+            be below twice this.
     """
 
     shape: str = "round"
@@ -133,7 +140,7 @@ class SimulationSettings:
         time_step: of the plant, s.
     """
 
-    time_step: float = 0.005
+    time_step: float = 0.002
 
     def check(self) -> None:
         """Raise ValueError where a field makes no sense."""
@@ -149,6 +156,7 @@ class Scenario:
         object: what lies on the table.
         table: where it lies.
         arm: what pushes it.
+        execution: how it moves.
         camera: what watches.
         depth_noise: how well it sees.
         hidden: physics of the true world that the plain model does not have; nothing by default.
@@ -159,7 +167,8 @@ class Scenario:
     object: ObjectSettings = field(default_factory=ObjectSettings)
     table: TableSettings = field(default_factory=TableSettings)
     arm: ArmSettings = field(default_factory=ArmSettings)
-    camera: CameraConfig = field(default_factory=CameraConfig)
+    execution: ExecutionConfig = field(default_factory=ExecutionConfig)
+    camera: CameraConfig = field(default_factory=lambda: CameraConfig(rate=10.0))
     depth_noise: DepthNoiseConfig = field(default_factory=DepthNoiseConfig)
     hidden: HiddenEffectsConfig = field(default_factory=HiddenEffectsConfig)
     pokes: PokeSettings = field(default_factory=PokeSettings)

@@ -94,7 +94,9 @@ def _export_camera(
     builder.Connect(camera.GetOutputPort("depth_image_32f"), noise.get_input_port())
     builder.ExportOutput(noise.get_output_port(), "camera.depth_image")
     builder.ExportOutput(camera.GetOutputPort("color_image"), "camera.rgb_image")
-    place = builder.AddNamedSystem("camera_pose", ConstantValueSource(AbstractValue.Make(scenario.camera.X_WC)))
+    place = builder.AddNamedSystem(
+        "camera_pose", ConstantValueSource(AbstractValue.Make(scenario.camera.X_WC))
+    )
     builder.ExportOutput(place.get_output_port(), "camera.X_WC")
 
 
@@ -112,9 +114,7 @@ class _BodyPose(LeafSystem):
         super().__init__()
         self._body = body
         poses = self.DeclareAbstractInputPort("body_poses", Value[List[RigidTransform]]())
-        self.DeclareAbstractOutputPort(
-            "X_WO", lambda: Value(RigidTransform()), self._calc, {poses.ticket()}
-        )
+        self.DeclareAbstractOutputPort("X_WO", lambda: Value(RigidTransform()), self._calc, {poses.ticket()})
 
     def _calc(self, context: Context, output: Value) -> None:
         output.set_value(self.get_input_port().Eval(context)[self._body])

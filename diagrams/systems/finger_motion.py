@@ -21,8 +21,8 @@ class FingerMotion(LeafSystem):
         - finger
 
     - `tip_pose`: X_WT; `execution`: `ExecutionStatus`.
-    - `finger`: (4,) centre (m) and velocity (m/s) in the world; NaN unless the finger pushes, because above the
-      table it may pass over the object.
+    - `finger`: (4,) centre (m) and velocity (m/s) in the world; NaN unless the finger pushes, because above
+      the table it may pass over the object.
 
     Args:
         period: s over which the velocity is taken; the step of the model that it drives.

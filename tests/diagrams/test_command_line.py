@@ -116,8 +116,8 @@ def test_a_missing_dataset_is_named(slipmap, tmp_path):
 def test_a_broken_trial_is_named_and_nothing_is_written(slipmap, demo_folder, tmp_path):
     dataset = tmp_path / "hammer"
     (dataset / "trials").mkdir(parents=True)
-    for name in files_in(demo_folder / "demo" / "hammer"):
-        (dataset / name).write_bytes((demo_folder / "demo" / "hammer" / name).read_bytes())
+    for name in files_in(demo_folder / "demo" / "pushes"):
+        (dataset / name).write_bytes((demo_folder / "demo" / "pushes" / name).read_bytes())
     broken = dataset / "trials" / "001.json"
     broken.write_text(broken.read_text()[:-40])
     before = files_in(tmp_path)
@@ -127,7 +127,7 @@ def test_a_broken_trial_is_named_and_nothing_is_written(slipmap, demo_folder, tm
 
 
 def test_more_fit_pushes_than_there_are_are_refused(slipmap, demo_folder, tmp_path):
-    said = slipmap("identify", demo_folder / "demo" / "hammer", "-o", tmp_path / "b.npz", "--fit-pushes", 9)
+    said = slipmap("identify", demo_folder / "demo" / "pushes", "-o", tmp_path / "b.npz", "--fit-pushes", 9)
     assert_refused(said, "--fit-pushes 9", "3 pushes")
 
 
@@ -145,7 +145,7 @@ def test_outputs_are_checked_before_any_work(slipmap, demo_folder, tmp_path):
     (tmp_path / "file").write_text("in the way")
     said = slipmap(
         "identify",
-        demo_folder / "demo" / "hammer",
+        demo_folder / "demo" / "pushes",
         "-o",
         tmp_path / "b.npz",
         "--pictures",
@@ -163,7 +163,7 @@ def test_a_folder_without_write_permission_is_refused(slipmap, tmp_path):
 
 
 def test_beliefs_that_are_none_are_refused(slipmap, demo_folder, tmp_path):
-    hammer = demo_folder / "demo" / "hammer"
+    hammer = demo_folder / "demo" / "pushes"
     assert_refused(
         slipmap("predict", hammer, "--belief", tmp_path / "no.npz", "-o", tmp_path / "p.png"), "no.npz"
     )
@@ -181,7 +181,7 @@ def test_beliefs_that_are_none_are_refused(slipmap, demo_folder, tmp_path):
 
 def test_a_belief_about_another_object_is_refused(slipmap, demo_folder, belief, tmp_path):
     belief.save(tmp_path / "block.npz")
-    hammer = demo_folder / "demo" / "hammer"
+    hammer = demo_folder / "demo" / "pushes"
     said = slipmap("predict", hammer, "--belief", tmp_path / "block.npz", "-o", tmp_path / "p.png")
     assert_refused(said, "belief", "hammer")
 
@@ -192,10 +192,10 @@ def test_demo_leaves_a_dataset_a_belief_pictures_and_json(demo_folder):
         "demo/belief.maps.png",
         "demo/belief.npz",
         "demo/belief.pushes.png",
-        "demo/hammer/dataset.yaml",
-        *[f"demo/hammer/trials/{k:03d}.json" for k in range(4)],
+        "demo/pushes/dataset.yaml",
+        *[f"demo/pushes/trials/{k:03d}.json" for k in range(4)],
     ]
-    dataset = read_dataset(demo_folder / "demo" / "hammer")
+    dataset = read_dataset(demo_folder / "demo" / "pushes")
     assert (len(dataset.fit_trials), len(dataset.heldout_trials)) == (3, 1)
     learnt = Belief.load(demo_folder / "demo" / "belief.npz")
     assert (learnt.fingerprint, len(learnt)) == (dataset.fingerprint, 20)
@@ -246,7 +246,7 @@ def test_demo_compares_with_the_truth_of_the_hammer(demo_folder):
 
 
 def test_identify_then_predict(slipmap, demo_folder, tmp_path):
-    hammer, pictures = demo_folder / "demo" / "hammer", tmp_path / "pictures"
+    hammer, pictures = demo_folder / "demo" / "pushes", tmp_path / "pictures"
     said = slipmap(
         "identify", hammer, "-o", tmp_path / "one.npz", "--fit-pushes", 1, "--hypotheses", 3,
         "--pictures", pictures, "--json", tmp_path / "one.json",
@@ -283,9 +283,9 @@ def test_identify_then_predict(slipmap, demo_folder, tmp_path):
 
 
 def test_demo_does_not_overwrite_what_it_did_not_make(slipmap, tmp_path):
-    (tmp_path / "hammer").mkdir()
-    (tmp_path / "hammer" / "thesis.txt").write_text("years of work")
-    assert_refused(slipmap("demo", "-o", tmp_path), tmp_path / "hammer", "no push dataset")
+    (tmp_path / "pushes").mkdir()
+    (tmp_path / "pushes" / "thesis.txt").write_text("years of work")
+    assert_refused(slipmap("demo", "-o", tmp_path), tmp_path / "pushes", "no push dataset")
     assert files_in(tmp_path) == ["hammer/thesis.txt"]
 
 
@@ -331,7 +331,7 @@ def fail_with(monkeypatch, error):
 
 def test_an_internal_failure_is_told_as_such(slipmap, demo_folder, tmp_path, monkeypatch):
     fail_with(monkeypatch, ArithmeticError("a step did not\nconverge"))
-    arguments = ["identify", demo_folder / "demo" / "hammer", "-o", tmp_path / "b.npz"]
+    arguments = ["identify", demo_folder / "demo" / "pushes", "-o", tmp_path / "b.npz"]
     said = slipmap(*arguments)
     assert said.code == 1
     assert "internal failure, ArithmeticError" in said.err and "a step did not converge" in said.err
@@ -344,7 +344,7 @@ def test_an_internal_failure_is_told_as_such(slipmap, demo_folder, tmp_path, mon
 def test_ctrl_c_leaves_nothing_behind(slipmap, demo_folder, tmp_path, monkeypatch):
     fail_with(monkeypatch, KeyboardInterrupt())
     said = slipmap(
-        "identify", demo_folder / "demo" / "hammer", "-o", tmp_path / "b.npz", "--json", tmp_path / "b.json"
+        "identify", demo_folder / "demo" / "pushes", "-o", tmp_path / "b.npz", "--json", tmp_path / "b.json"
     )
     assert said.code == 130
     assert said.err.splitlines()[-1].startswith("slipmap: stopped")
@@ -366,4 +366,4 @@ def test_a_real_interrupt_ends_with_130(tmp_path):
     assert "Traceback" not in rest
     assert rest.splitlines()[-1].startswith("slipmap: stopped")
     assert not (tmp_path / "demo" / "belief.npz").exists()
-    assert all(name.startswith("demo/hammer/") for name in files_in(tmp_path))
+    assert all(name.startswith("demo/pushes/") for name in files_in(tmp_path))

@@ -27,7 +27,7 @@ from models.measurements import read_dataset
 @pytest.fixture(scope="module")
 def learnt(demo_folder):
     """The demo's pushes, and what its belief makes of them."""
-    dataset = read_dataset(demo_folder / "demo" / "hammer")
+    dataset = read_dataset(demo_folder / "demo" / "pushes")
     belief = Belief.load(demo_folder / "demo" / "belief.npz")
     return dataset, belief, compare(dataset, belief)
 
@@ -183,13 +183,13 @@ def test_compare_with_a_belief_writes_report_and_numbers(slipmap, demo_folder, t
 
 
 def test_compare_without_a_belief_learns_first(slipmap, demo_folder, tmp_path):
-    said = slipmap("compare", demo_folder / "demo" / "hammer", "-o", tmp_path / "r.html")
+    said = slipmap("compare", demo_folder / "demo" / "pushes", "-o", tmp_path / "r.html")
     assert said.code == 0, said.err
     assert "hypotheses: done" in said.err and "comparing: done" in said.err
 
 
 def test_compare_refuses_what_it_cannot_use(slipmap, demo_folder, tmp_path):
-    hammer = demo_folder / "demo" / "hammer"
+    hammer = demo_folder / "demo" / "pushes"
     said = slipmap("compare", hammer, "--belief", tmp_path / "no.npz", "-o", tmp_path / "r.html")
     assert said.code == 2 and "no.npz" in said.err
     heldout = tmp_path / "heldout"

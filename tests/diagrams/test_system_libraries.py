@@ -7,7 +7,13 @@ import subprocess
 import pytest
 
 from diagrams import system_libraries
-from diagrams.system_libraries import MissingLibrary, install_missing
+from diagrams.system_libraries import (
+    RENDER,
+    RENDERING_PACKAGES,
+    MissingLibrary,
+    MissingRenderer,
+    install_missing,
+)
 
 
 class Machine:
@@ -106,3 +112,19 @@ def test_another_failure_of_an_import_is_shown_as_it_is(as_user):
 
 def test_this_machine_has_what_drake_and_opencv_need():
     assert install_missing() == []
+
+
+def test_what_rendering_needs_is_installed(as_user):
+    as_user(0, "apt-get")
+    machine = Machine({RENDER: "Segmentation fault"})
+    assert install_missing(machine) == list(RENDERING_PACKAGES)
+
+
+def test_without_a_renderer_the_rest_is_installed(as_user, capsys, monkeypatch):
+    as_user(1000, "apt-get")
+    machine = Machine({RENDER: "Segmentation fault"})
+    with pytest.raises(MissingRenderer, match="sudo apt-get install libegl1"):
+        install_missing(machine)
+    monkeypatch.setattr(system_libraries, "_run", machine)
+    assert system_libraries.main() == 0
+    assert "simulated camera" in capsys.readouterr().err
