@@ -26,6 +26,9 @@ _GOOD = 0.2  # mean misfit up to which a pose is accepted: 0 is perfect, 1 fits 
 _AS_GOOD = 0.02  # difference of misfit that says nothing
 _LEAST_FOUND = 0.35  # of the outline
 _LEAST_SEEN = 0.4  # of the inner points
+# Where the last pose is no guide, a part of the object may fit another part: half a handle fits either way.
+_LEAST_FOUND_ANYWHERE = 0.75
+_LEAST_SEEN_ANYWHERE = 0.9
 _SURE = np.array([2e-3, 2e-3, np.deg2rad(2.0)])  # standard deviations beyond which a pose is not known
 # What remains however many edges are averaged: the outline itself was measured.
 _FLOOR = np.diag(np.array([3e-4, 3e-4, np.deg2rad(0.06)]) ** 2)
@@ -47,6 +50,10 @@ class _Candidate:
             and bool(np.all(deviation < _SURE))
         )
 
+    @property
+    def unmistakable(self) -> bool:
+        return self.good and self.seen > _LEAST_SEEN_ANYWHERE and self.fit.found > _LEAST_FOUND_ANYWHERE
+
 
 def track(
     depth: DepthImage,
@@ -59,8 +66,9 @@ def track(
     """Pose of an object in a new picture.
 
     The outline is fitted to the picture's edges from the previous pose. If it, and the heights within, do
-    not agree with the picture there, the object is looked for on the whole table, in all directions; of poses
-    that fit equally well, as those of a symmetric object do, the one turned least from the previous is taken.
+    not agree with the picture there, the object is looked for on the whole table, in all directions,
+    and must be seen nearly whole; of poses that fit equally well, as those of a symmetric object do, the one
+    turned least from the previous is taken.
 
     Args:
         depth: (H, W) m; 0 or NaN where there is no reading, inf beyond the range.
@@ -86,7 +94,7 @@ def track(
     if mask is None:
         return ObservedPose.unseen("occluded" if hidden > 1 - _LEAST_SEEN else "left the table", time)
     best = _anywhere(HeightPicture(heights), mask, heights, view, seen, previous)
-    if best is not None and best.good:
+    if best is not None and best.unmistakable:
         return _observed(best, time)
     around = cv2.dilate(mask.astype(np.uint8), np.ones((15, 15), np.uint8)) > 0
     if hidden > 1 - _LEAST_SEEN or (blocked is not None and np.any(around & blocked)):

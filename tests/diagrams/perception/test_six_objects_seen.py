@@ -68,3 +68,21 @@ def test_perspective_draws_no_object_to_or_from_the_cameras_axis(world, name, li
         assert observed.valid
         drawn.append(1e3 * (observed.pose - expected)[:2] @ outward)
     assert abs(np.mean(drawn)) < limit
+
+
+def test_a_handle_alone_does_not_say_where_the_head_is(world):
+    """The arm hides the hammer's head, and the hammer was pushed on since the last look."""
+    context = world.context()
+    rng = np.random.default_rng(1)
+    world.place(context, "hammer", (0.0, 0.0, 0.0))
+    still = world.depth(context)
+    seen = first_look([noisy_depth(still, DepthNoiseConfig(), rng) for _ in range(FRAMES)], world.view)
+    world.place(context, "hammer", (-0.007, -0.049, -0.36))
+    clear = world.depth(context)
+    for edge in (0.01, 0.015, 0.02, 0.025, 0.03):
+        depth = noisy_depth(clear, DepthNoiseConfig(), rng)
+        points = world.view.rays * np.where(np.isfinite(depth), depth, 0.0)[..., None] + world.view.p_WC
+        arm = 0.87 * points[..., 1] - 0.48 * points[..., 0] > edge
+        depth[arm] = 0.6
+        observed = track(depth, world.view, seen, seen.first_pose, arm)
+        assert not observed.valid or abs(observed.pose[2] - seen.first_pose[2] + 0.36) < np.radians(5), edge
