@@ -27,6 +27,11 @@ PROBE_GAIN = 20.0
 """Gain, in nats, below which a finding in the model without effects may come from the grid and the contact,
 which are not exact: a probe's does not count, and an effect is not named for it."""
 
+UNKNOWN_GAIN = 45.0
+"""Gain, in nats, from which a finding that no effect explains is called unknown physics. Between this and
+`PROBE_GAIN` lie what really was unknown and what an independent simulator, with nothing hidden, gained by its
+own grid and contact (up to 40 nats): there the verdict is that it cannot be told."""
+
 REST_GAIN = 8.0
 """The same for all that is found on top of an effect, where it may come from the effect's exact form."""
 
