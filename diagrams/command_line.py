@@ -24,6 +24,7 @@ from diagrams.commands.explore import explore
 from diagrams.commands.fit import fit
 from diagrams.commands.identify import identify
 from diagrams.commands.predict import predict
+from diagrams.commands.view import view
 
 SUCCESS, INTERNAL_FAILURE, WRONG_USE, STOPPED = 0, 1, 2, 130
 TRACEBACK = "SLIPMAP_TRACEBACK"
@@ -73,6 +74,7 @@ for _command in (
     explore,
     identify,
     predict,
+    view,
     compare,
     diagnose,
     fit,

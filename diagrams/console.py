@@ -40,6 +40,11 @@ def paragraph(text: str) -> None:
         click.echo(textwrap.fill(text, WIDTH))
 
 
+def wait_for_enter() -> None:
+    """Wait until Enter is pressed or the input ends."""
+    sys.stdin.readline()
+
+
 def prepare_kernels() -> None:
     """Before anything is simulated: see that compiled kernels can be kept, and tell of the wait for new ones.
 

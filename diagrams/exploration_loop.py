@@ -16,6 +16,7 @@ from diagrams.execution.push_plan import PushRefused, plan_push
 from diagrams.perception.cell_perception import CellPerception
 from diagrams.station.arm import HOME, arm_model
 from diagrams.station.scenario import Scenario
+from diagrams.station.scenario_file import ScenarioError
 from diagrams.station.station import Station
 from diagrams.systems.belief_visualizer import BeliefVisualizer
 from diagrams.systems.exploration import Exploration
@@ -45,7 +46,7 @@ class LoopOptions:
     Attributes:
         pushes: to learn from.
         checks: pushes after these that only judge the belief.
-        strategy: one of `planners.action_selection.STRATEGIES`.
+        strategy: one of `planners.strategies.STRATEGIES`.
         cells: wanted number of cells.
         hypotheses: K.
         seed: of every draw.
@@ -78,11 +79,15 @@ def exploration_loop(
         learned: called with every belief as it forms and the number of pushes that it comes from.
 
     Raises:
-        ValueError: an object or a surface that cannot be had, an unknown strategy.
+        ScenarioError: an object, a surface or a hidden effect that cannot be had.
+        ValueError: an unknown strategy.
         RendererUnavailable: this machine cannot render pictures.
     """
     builder = DiagramBuilder()
-    station = builder.AddSystem(Station(scenario, meshcat))
+    try:
+        station = builder.AddSystem(Station(scenario, meshcat))
+    except ValueError as error:
+        raise ScenarioError(str(error)) from error
     config = scenario.execution
     model = arm_model(models=scenario.arm.models)
     perception = builder.AddNamedSystem(
@@ -145,6 +150,7 @@ def exploration_loop(
         wires += [
             (identification, "belief", visualizer, "belief"),
             (perception, "object_pose", visualizer, "object_pose"),
+            (perception, "seen_object", visualizer, "seen_object"),
             (multiverse, "mean_pose", visualizer, "predicted_pose"),
             (supervisor, "active_push", visualizer, "push"),
         ]
@@ -160,7 +166,7 @@ def recorded_dataset(trials: Sequence[Trial], grid: CellGrid, scenario: Scenario
     return dataset_of(
         trials,
         grid,
-        name=scenario.object.name,
+        name=scenario.object.called,
         finger_radius=FINGER_RADIUS,
         noise=SENSORS,
         table=scenario.table.make(),

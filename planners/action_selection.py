@@ -21,9 +21,8 @@ from planners.exploration import CandidatePush, NoReachablePush, candidate_pushe
 from planners.poke_settings import PokeSettings
 from planners.proposals import turn
 from planners.rehearsal import straight_push
+from planners.strategies import STRATEGIES
 from planners.table_push import TablePush
-
-STRATEGIES = ("random", "most-different", "most-distinctive")
 
 
 @dataclass(frozen=True, eq=False)

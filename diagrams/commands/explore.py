@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING
 import click
 
 from diagrams.commands.options import OutputFile, json_option, seed_option
-from diagrams.console import BadInput, Progress, note, paragraph, prepare_kernels, table
+from diagrams.console import BadInput, Progress, note, paragraph, prepare_kernels, table, wait_for_enter
 from diagrams.outputs import make_folder, whole_file, write_json, writing
-from planners.action_selection import STRATEGIES
+from planners.strategies import STRATEGIES
 
 if TYPE_CHECKING:
     from pydrake.geometry import Meshcat
@@ -146,15 +146,19 @@ def run_loop(
             progress("writing the recording", 1, 1)
     if open_meshcat and meshcat is not None:
         click.echo(f"the view is at {meshcat.web_url()}; press Enter to end", err=True)
-        click.get_text_stream("stdin").readline()
+        wait_for_enter()
     return run, failure
 
 
 def _meshcat(show: bool) -> Meshcat:
     from pydrake.geometry import Meshcat, MeshcatParams
 
+    from diagrams.systems.belief_visualizer import VIEW
+
     meshcat = Meshcat(MeshcatParams(host="localhost", show_stats_plot=False))
-    meshcat.SetCameraPose([0.9, -0.9, 0.7], [0.0, 0.0, 0.0])
+    meshcat.SetCameraPose(*VIEW)
+    for helper in ("/Grid", "/Axes"):
+        meshcat.SetProperty(helper, "visible", False)
     if show:
         note(f"watch it at {meshcat.web_url()}")
     return meshcat

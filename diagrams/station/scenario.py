@@ -2,6 +2,7 @@
 
 # Annotations stay objects: Drake's YAML reader looks at them.
 from dataclasses import dataclass, field
+from pathlib import Path
 
 import numpy as np
 
@@ -62,6 +63,11 @@ class ObjectSettings:
             if not name.isdigit():
                 raise ValueError(f"object: masses and frictions are by label, a whole number, got {name!r}")
 
+    @property
+    def called(self) -> str:
+        """The object's name: that of its file, if it comes from one."""
+        return Path(self.mesh or self.labels or self.name).stem
+
     def make(self) -> TrueObject:
         """The object.
 
@@ -104,7 +110,8 @@ class TableSettings:
         """Raise ValueError where a field makes no sense."""
         if self.shape not in ("round", "rectangle"):
             raise ValueError(f"table.shape must be round or rectangle, got {self.shape!r}")
-        if not self.radius > 0 or len(self.size) != 2 or not min(self.size) > 0:
+        lengths = np.array([self.radius, *self.size])
+        if len(self.size) != 2 or not (np.isfinite(lengths) & (lengths > 0)).all():
             raise ValueError(f"table: radius and size must be positive, got {self.radius} and {self.size}")
         if not self.friction > 0:
             raise ValueError(f"table.friction must be positive, got {self.friction}")

@@ -42,21 +42,26 @@ def read_settings(path: str | Path, schema: type[T]) -> T:
     _check(content, schema, str(path), "")
     try:
         settings = yaml_load_typed(schema=schema, data=text, defaults=schema())
-        _refuse(settings)
+        _refuse(settings, "")
     except ValueError as error:
         raise ScenarioError(f"{path}: {error}") from error
     return settings
 
 
-def _refuse(settings: Any) -> None:
+def _refuse(settings: Any, where: str) -> None:
     """Ask every part, once complete, whether its numbers make sense."""
     for field in dataclasses.fields(settings):
         value = getattr(settings, field.name)
         if dataclasses.is_dataclass(value):
-            _refuse(value)
+            _refuse(value, f"{where}.{field.name}" if where else field.name)
     check = getattr(settings, "check", None)
-    if check is not None:
+    if check is None:
+        return
+    try:
         check()
+    except ValueError as error:
+        # A section's own check names it; a part of a section does not know where it belongs.
+        raise ValueError(f"{where}: {error}" if "." in where else str(error)) from error
 
 
 def _check(value: Any, wanted: Any, path: str, where: str) -> None:
@@ -77,6 +82,13 @@ def _check(value: Any, wanted: Any, path: str, where: str) -> None:
         for index, item in enumerate(value):
             _check(item, options[0], path, f"{where}[{index}]")
         return
+    if origin is dict:
+        if not isinstance(value, dict):
+            raise ScenarioError(f"{path}: {where} must hold names and values, got {value!r}")
+        for name, item in value.items():
+            _check(name, options[0], path, f"{where}, the name {name!r}")
+            _check(item, options[1], path, f"{where}.{name}")
+        return
     kinds = {float: (int, float), int: (int,), str: (str,), bool: (bool,)}[wanted]
     if not isinstance(value, kinds) or (isinstance(value, bool) and wanted is not bool):
         names = {float: "a number", int: "a whole number", str: "a text", bool: "true or false"}
@@ -91,6 +103,6 @@ def _check_fields(value: Any, wanted: Any, path: str, where: str) -> None:
         full = f"{where}.{name}" if where else str(name)
         if name not in known:
             near = difflib.get_close_matches(str(name), known, n=1)
-            hint = f"; did you mean {near[0]}?" if near else ""
-            raise ScenarioError(f"{path}: unknown field {full}{hint} Known here: {', '.join(sorted(known))}")
+            hint = f"did you mean {near[0]}? " if near else ""
+            raise ScenarioError(f"{path}: unknown field {full}; {hint}Known here: {', '.join(known)}")
         _check(item, known[name], path, full)

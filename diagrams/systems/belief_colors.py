@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import partial
 from io import BytesIO
 
 import numpy as np
@@ -25,9 +24,17 @@ COLORS = ("viridis", "plasma", "cividis")
 MAGNIFIED = 5.0
 """Residual arrows are so many times as long as the residual."""
 
-KEY = f"black: observed, orange: predicted, red: residual × {MAGNIFIED:.0f}"
+BLACK, ORANGE, RED, BLUE = (0.08, 0.08, 0.08), (0.93, 0.45, 0.08), (0.80, 0.10, 0.15), (0.12, 0.44, 0.71)
 
-BOARD = (0.84, 0.28)
+KEY = (
+    (BLACK, "observed outline"),
+    (ORANGE, "predicted outline"),
+    (RED, f"residual × {MAGNIFIED:.0f}"),
+    (BLUE, "the finger's way"),
+)
+"""What the colours over the object mean."""
+
+BOARD = (0.60, 0.42)
 """Size of the legend, m."""
 
 _ROUND = np.array([1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 7.0, 10.0])
@@ -65,6 +72,12 @@ def shown(belief: Belief, most: int) -> Shown:
     return Shown(hypotheses, values, tops)
 
 
+def rests_on(belief: Belief) -> str:
+    """What a belief rests on, a few words for a heading."""
+    pushes = len(belief.settings.get("fit_trials", ()))
+    return f"after {pushes} push{'es' * (pushes > 1)}" if pushes else f"of {len(belief)} hypotheses"
+
+
 def _round_up(value: float) -> float:
     """The next round number, so that scales seldom change."""
     if value <= 0:
@@ -83,26 +96,47 @@ def legend(belief: Belief, what: Shown, which: int, basis: str) -> bytes:
         which: map.
         basis: what the belief rests on, a few words.
     """
-    inch = 6.4
-    figure = Figure(figsize=(BOARD[0] * inch, BOARD[1] * inch), dpi=180)
-    figure.patch.set_edgecolor(FAINT)
-    figure.patch.set_linewidth(2.0)
-    write = partial(figure.text, color=INK, va="center")
-    write(0.04, 0.86, f"Belief {basis}", fontsize=13, weight="bold")
-    write(0.04, 0.66, TITLES[which], fontsize=11.5)
-    bar = figure.add_axes((0.04, 0.42, 0.54, 0.15))
+    figure = _board(f"Belief {basis}")
+    figure.text(0.05, 0.76, TITLES[which], fontsize=10.5, color=INK, va="center")
+    bar = figure.add_axes((0.05, 0.62, 0.90, 0.085))
     scale = ScalarMappable(Normalize(0.0, what.tops[which]), colormaps[COLORS[which]])
     figure.colorbar(scale, cax=bar, orientation="horizontal", ticks=MaxNLocator(5))
-    bar.tick_params(labelsize=11)
-    write(0.04, 0.10, KEY, fontsize=10.5)
+    bar.tick_params(labelsize=10)
     probability = belief.probability[what.hypotheses]
-    write(0.97, 0.86, "hypotheses' probability", fontsize=11.5, ha="right")
-    chart = figure.add_axes((0.69, 0.33, 0.28, 0.40))
+    figure.text(0.05, 0.45, "probability of the hypotheses", fontsize=10.5, color=INK, va="center")
+    chart = figure.add_axes((0.13, 0.28, 0.82, 0.13))
     chart.bar(np.arange(1, len(probability) + 1), probability, color=INK, width=0.7)
     chart.set_xlim(0.3, max(len(probability), 4) + 0.7)
-    chart.xaxis.set_major_locator(MaxNLocator(6, integer=True))
+    chart.xaxis.set_major_locator(MaxNLocator(12, integer=True))
     chart.yaxis.set_major_locator(MaxNLocator(2))
-    chart.tick_params(labelsize=11)
+    chart.tick_params(labelsize=9)
+    return _png(figure)
+
+
+@styled
+def blank_legend() -> bytes:
+    """PNG of the board before there is a belief."""
+    figure = _board("No belief yet")
+    text = "The maps appear when the first push\nhas been learned from."
+    figure.text(0.05, 0.62, text, fontsize=11.5, color=INK, va="center", linespacing=1.5)
+    return _png(figure)
+
+
+def _board(title: str) -> Figure:
+    """The title, and below what the colours over the object mean."""
+    inch = 6.4
+    figure = Figure(figsize=(BOARD[0] * inch, BOARD[1] * inch), dpi=220)
+    figure.patch.set_edgecolor(FAINT)
+    figure.patch.set_linewidth(2.0)
+    figure.text(0.05, 0.90, title, fontsize=14, color=INK, va="center", weight="bold")
+    for k, (color, meaning) in enumerate(KEY):
+        place = (0.05 + 0.47 * (k % 2), 0.125 - 0.075 * (k // 2))
+        figure.text(*place, "\u25a0", fontsize=11, color=color, va="center")
+        figure.text(place[0] + 0.05, place[1], meaning, fontsize=10, color=INK, va="center")
+    return figure
+
+
+def _png(figure: Figure) -> bytes:
     stream = BytesIO()
     figure.savefig(stream, format="png", edgecolor=figure.get_edgecolor())
     return stream.getvalue()

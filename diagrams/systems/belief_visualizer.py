@@ -7,10 +7,22 @@ from typing import Any
 import numpy as np
 from pydrake.common.value import Value
 from pydrake.geometry import Meshcat
-from pydrake.math import RigidTransform, RotationMatrix
+from pydrake.math import RigidTransform, RollPitchYaw, RotationMatrix
 from pydrake.systems.framework import Context, LeafSystem
 
-from diagrams.systems.belief_colors import BOARD, MAGNIFIED, MAPS, legend, shown
+from diagrams.systems.belief_colors import (
+    BLACK,
+    BLUE,
+    BOARD,
+    MAGNIFIED,
+    MAPS,
+    ORANGE,
+    RED,
+    blank_legend,
+    legend,
+    rests_on,
+    shown,
+)
 from diagrams.systems.unlit_meshes import arrow, billboard, painted, ribbon, ringed_discs, tiles
 from models.inference.belief import Belief
 from models.physics.cell_grid import CellGrid, FloatArray
@@ -25,7 +37,11 @@ ARROWS = 8
 LEAST_RESIDUAL = 3e-4
 """Shorter residuals are not drawn, m."""
 
-BLACK, ORANGE, RED, BLUE = (0.08, 0.08, 0.08), (0.93, 0.45, 0.08), (0.80, 0.10, 0.15), (0.12, 0.44, 0.71)
+CLEARANCE = 2e-3
+"""Between the object's highest cell and the tiles, m."""
+
+VIEW = ((0.85, -0.85, 0.75), (0.0, 0.0, 0.25))
+"""Where a camera stands, and the point it looks at, that sees table, arm and board, m."""
 
 HYPOTHESIS = "hypothesis (0: mean)"
 MAP = "map (0: mass, 1: friction, 2: both)"
@@ -42,19 +58,22 @@ class BeliefVisualizer(LeafSystem):
         - object_pose
         - predicted_pose
         - push
+        - seen_object
 
     Inputs, all optional:
         belief: abstract, `Belief` or None.
         object_pose: abstract, with `pose` (3,) and `valid`, such as an `ObservedPose`.
         predicted_pose: (3,) x, y, θ in the world; NaN where there is none.
         push: abstract, None, a `TablePush`, or something with one as its `push`, such as an `ActivePush`.
+        seen_object: abstract, None, or something with `cell_heights` (n,), m, such as a `SeenObject`: the
+            tiles then lie `CLEARANCE` over the highest cell instead of at `height`.
 
     Over the object, where it was last seen: its cells as tiles coloured by mass, friction or their product;
     the observed outline (black) and the predicted one (orange); residual arrows from predicted to observed
     cells, `MAGNIFIED` times as long (red); the centres of mass of the hypotheses, their size growing with
     probability (white). The push on the table (blue). A board with the colour scale and the
-    probabilities. Sliders choose the hypothesis (by falling probability) and the map; they are read when this
-    system publishes, as everything else is.
+    probabilities, empty until there is a belief. Sliders choose the hypothesis (by falling probability) and
+    the map; they are read when this system publishes, as everything else is.
 
     A recording keeps transforms and properties alone. Therefore every map of every belief is an object of its
     own, which is made visible at its time; a page from `StaticHtml` shows them as chosen while recording.
@@ -64,10 +83,12 @@ class BeliefVisualizer(LeafSystem):
     Args:
         meshcat: to draw into.
         path: of everything drawn, in the scene tree.
-        height: of the tiles above the table, m: a little more than the object's.
+        height: of the tiles above the table, m, while `seen_object` says nothing.
         period: of drawing, s.
-        X_WB: pose of the board; its picture is in the plane y = 0, seen from -y.
-        which: index of the map to begin with, see `belief_colors.MAPS`.
+        X_WB: pose of the board; its picture is in the plane y = 0, seen from -y. By default it stands beside
+            the table and faces a camera at `VIEW`.
+        which: index of the map to begin with, see `belief_colors.MAPS`. By default it is the product,
+            the one that slow pushes pin down.
     """
 
     def __init__(
@@ -78,7 +99,7 @@ class BeliefVisualizer(LeafSystem):
         height: float = 0.05,
         period: float = 1 / 15,
         X_WB: RigidTransform | None = None,
-        which: int = 0,
+        which: int = 2,
     ) -> None:
         super().__init__()
         self.set_name("belief_visualizer")
@@ -86,12 +107,13 @@ class BeliefVisualizer(LeafSystem):
         self._path = path
         self._height = height
         self._board = X_WB or RigidTransform(
-            RotationMatrix.MakeXRotation(-0.6), _shifted(0.0, 0.68, 0.2).translation()
+            RollPitchYaw(-0.3, 0.0, np.pi / 4), _shifted(0.64, 0.21, 0.46).translation()
         )
         self._belief = self.DeclareAbstractInputPort("belief", Value[object](None))
         self._object_pose = self.DeclareAbstractInputPort("object_pose", Value[object](None))
         self._predicted = self.DeclareVectorInputPort("predicted_pose", 3)
         self._push = self.DeclareAbstractInputPort("push", Value[object](None))
+        self._seen_object = self.DeclareAbstractInputPort("seen_object", Value[object](None))
         self._forget()
         for name in (HYPOTHESIS, MAP):
             meshcat.DeleteSlider(name, strict=False)
@@ -106,6 +128,7 @@ class BeliefVisualizer(LeafSystem):
         self._forget()
 
     def _forget(self) -> None:
+        self._level = self._height
         self._drawn_belief: Belief | None = None
         self._beliefs = 0
         self._shown_hypotheses = 0
@@ -117,18 +140,29 @@ class BeliefVisualizer(LeafSystem):
 
     def _draw(self, context: Context) -> None:
         time = context.get_time()
-        ports = (self._belief, self._object_pose, self._predicted, self._push)
+        ports = (self._belief, self._object_pose, self._predicted, self._push, self._seen_object)
         values: list[Any] = [port.Eval(context) if port.HasValue(context) else None for port in ports]
-        belief, seen, predicted, push = values
+        belief, seen, predicted, push, seen_object = values
+        if seen_object is not None:
+            self._level = float(np.max(seen_object.cell_heights)) + CLEARANCE
         if belief is not None and not _same(belief, self._drawn_belief):
             self._add_belief(belief)
-        if self._drawn_belief is not None:
+        if self._drawn_belief is None:
+            self._add_blank_board(time)
+        else:
             self._choose(time)
             observed = seen.pose if seen is not None and seen.valid else None
             if predicted is not None and not np.isfinite(predicted).all():
                 predicted = None
             self._place(observed, predicted, time)
         self._draw_push(getattr(push, "push", push), time)
+
+    def _add_blank_board(self, time: float) -> None:
+        """A board that is seen until there is a belief."""
+        if "board" not in self._visible:
+            self._hidden("board/0", billboard(blank_legend(), *BOARD))
+            self._meshcat.SetTransform(f"{self._path}/board", self._board, 0.0)
+            self._show("board", "board/0", time)
 
     def _add_belief(self, belief: Belief) -> None:
         """Make all objects of a belief, invisible."""
@@ -143,7 +177,7 @@ class BeliefVisualizer(LeafSystem):
                 mesh = tiles(belief.grid, what.colors(which, hypothesis))
                 self._hidden(f"observed/maps/{self._beliefs}/{name}/{hypothesis}", mesh)
             board = f"board/{self._beliefs}/{name}"
-            self._hidden(board, billboard(legend(belief, what, which, _rests_on(belief)), *BOARD))
+            self._hidden(board, billboard(legend(belief, what, which, rests_on(belief)), *BOARD))
         radii = 0.35 * belief.grid.width * np.sqrt(belief.probability / belief.probability.max())
         name = f"observed/centers of mass/{self._beliefs}"
         self._hidden(name, ringed_discs(belief.centers_of_mass, np.maximum(radii, 5e-4)))
@@ -155,7 +189,8 @@ class BeliefVisualizer(LeafSystem):
         for name, color in (("observed", BLACK), ("predicted", ORANGE)):
             outline = painted(ribbon(grid.edges, width), color)
             self._meshcat.SetObject(f"{self._path}/{name}/outline", outline)
-        self._meshcat.SetProperty(f"{self._path}/predicted", "visible", False, 0.0)
+            if name not in self._visible:
+                self._meshcat.SetProperty(f"{self._path}/{name}", "visible", False, 0.0)
         self._arrows = _spread_cells(grid, ARROWS)
         shape = painted(arrow(1.0, 0.08, 0.3), RED)
         for k in range(len(self._arrows)):
@@ -165,6 +200,7 @@ class BeliefVisualizer(LeafSystem):
         """An object that is not seen until `_show` says so."""
         self._meshcat.SetObject(f"{self._path}/{name}", mesh)
         self._meshcat.SetProperty(f"{self._path}/{name}", "visible", False, 0.0)
+        self._visible = {place: seen for place, seen in self._visible.items() if seen != name}
 
     def _show(self, place: str, name: str, time: float) -> None:
         """Let an object take the place of the one that was seen there before; an empty name takes none."""
@@ -189,6 +225,7 @@ class BeliefVisualizer(LeafSystem):
         and a prediction that there is none of is hidden."""
         meshcat = self._meshcat
         if observed is not None:
+            self._show("observed", "observed", time)
             meshcat.SetTransform(f"{self._path}/observed", self._pose(observed, 0.0), time)
             meshcat.SetTransform(f"{self._path}/observed/outline", _shifted(0.0, 0.0, 6e-4), time)
             meshcat.SetTransform(f"{self._path}/observed/centers of mass", _shifted(0.0, 0.0, 9e-4), time)
@@ -228,7 +265,7 @@ class BeliefVisualizer(LeafSystem):
         self._show("push", f"push/{self._pushes}" if push is not None else "", time)
 
     def _pose(self, pose: FloatArray, above: float) -> RigidTransform:
-        place: Any = [pose[0], pose[1], self._height + above]
+        place: Any = [pose[0], pose[1], self._level + above]
         return RigidTransform(RotationMatrix.MakeZRotation(pose[2]), place)
 
 
@@ -243,11 +280,6 @@ def _same(belief: Belief, other: Belief | None) -> bool:
 def _shifted(x: float, y: float, z: float) -> RigidTransform:
     place: Any = [x, y, z]
     return RigidTransform(place)
-
-
-def _rests_on(belief: Belief) -> str:
-    pushes = len(belief.settings.get("fit_trials", ()))
-    return f"after {pushes} push{'es' * (pushes > 1)}" if pushes else f"of {len(belief)} hypotheses"
 
 
 def _positions(pose: FloatArray, cells: FloatArray) -> FloatArray:

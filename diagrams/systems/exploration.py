@@ -39,7 +39,7 @@ class Exploration(LeafSystem):
     The draws of a push depend on the seed and the push's number alone.
 
     Args:
-        strategy: one of `planners.action_selection.STRATEGIES`; pushes made to judge the belief are random.
+        strategy: one of `planners.strategies.STRATEGIES`; pushes made to judge the belief are random.
         fit: pushes to learn from.
         finger_radius: m.
         settings: what pokes are like.

@@ -84,7 +84,7 @@ class PushSupervisor(LeafSystem):
         if now.mode == "choosing":
             request = self._input(context, "poke")
             if request is None or request.number != now.number:
-                return now
+                return self._patient(context, now, self._unseen(context))
             if request.poke is None:
                 return LoopStatus("failed", now.push, now.attempt, request.reason)
             return LoopStatus("pushing", now.push, now.attempt)
@@ -109,8 +109,12 @@ class PushSupervisor(LeafSystem):
         pose = self._input(context, "object_pose")
         if self._input(context, "cell_grid") is not None and pose is not None and pose.valid:
             return LoopStatus("choosing", now.push)
+        return self._patient(context, now, self._unseen(context))
+
+    def _unseen(self, context: Context) -> str:
+        pose = self._input(context, "object_pose")
         why = "no picture" if pose is None or not pose.reason else pose.reason
-        return self._patient(context, now, f"the camera does not see the object: {why}")
+        return f"the camera does not see the object: {why}"
 
     def _patient(self, context: Context, now: LoopStatus, reason: str) -> LoopStatus:
         waited = context.get_time() - context.get_discrete_state(0)[0]

@@ -286,7 +286,7 @@ def test_demo_does_not_overwrite_what_it_did_not_make(slipmap, tmp_path):
     (tmp_path / "pushes").mkdir()
     (tmp_path / "pushes" / "thesis.txt").write_text("years of work")
     assert_refused(slipmap("demo", "-o", tmp_path), tmp_path / "pushes", "no push dataset")
-    assert files_in(tmp_path) == ["hammer/thesis.txt"]
+    assert files_in(tmp_path) == ["pushes/thesis.txt"]
 
 
 def test_calibrate_prints_draws_and_writes_coverage(slipmap, tmp_path, monkeypatch):

@@ -9,9 +9,10 @@ import shapely
 from models.inference.belief import Belief
 from models.objects.hammer import hammer
 from models.physics.rollout import Maps, Smoothing
-from planners.action_selection import STRATEGIES, select_poke
+from planners.action_selection import select_poke
 from planners.exploration import NoReachablePush
 from planners.poke_settings import PokeSettings
+from planners.strategies import STRATEGIES
 
 RADIUS = 0.008
 POSE = np.array([0.02, -0.03, 0.7])

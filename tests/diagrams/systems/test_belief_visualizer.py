@@ -8,6 +8,7 @@ import json
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -18,7 +19,7 @@ from pydrake.geometry import Meshcat
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import Diagram, DiagramBuilder
 
-from diagrams.systems.belief_colors import COLORS, MAPS, legend, shown
+from diagrams.systems.belief_colors import BOARD, COLORS, MAPS, legend, shown
 from diagrams.systems.belief_visualizer import HYPOTHESIS, MAP, BeliefVisualizer
 from diagrams.systems.unlit_meshes import tiles
 from models.inference.belief import Belief
@@ -34,6 +35,8 @@ PUSHES = [
 AHEAD = np.array([0.004, -0.003, 0.02])
 CHANGE = 0.45
 """s at which the belief changes."""
+LOOKED = 0.25
+"""s at which the object's height gets known."""
 
 
 def belief_at(time: float) -> Belief | None:
@@ -42,6 +45,10 @@ def belief_at(time: float) -> Belief | None:
 
 def observed_at(time: float) -> Any:
     return seen(np.array([0.1 * time, 0.0, time]))
+
+
+def seen_object_at(time: float) -> Any:
+    return None if time < LOOKED else SimpleNamespace(cell_heights=np.array([0.012, 0.031, 0.02]))
 
 
 def predicted_at(time: float) -> np.ndarray:
@@ -80,11 +87,16 @@ def drawn() -> Iterator[tuple[Recorder, Diagram]]:
     player = builder.AddSystem(
         Player(
             {"predicted_pose": (3, predicted_at)},
-            {"belief": belief_at, "object_pose": observed_at, "push": lambda t: PUSHES[int(t > CHANGE)]},
+            {
+                "belief": belief_at,
+                "object_pose": observed_at,
+                "push": lambda t: PUSHES[int(t > CHANGE)],
+                "seen_object": seen_object_at,
+            },
         )
     )
     visualizer = builder.AddSystem(BeliefVisualizer(recorder, period=0.1))  # type: ignore[arg-type]
-    for port in ("belief", "object_pose", "predicted_pose", "push"):
+    for port in ("belief", "object_pose", "predicted_pose", "push", "seen_object"):
         builder.Connect(player.GetOutputPort(port), visualizer.GetInputPort(port))
     yield recorder, builder.Build()
 
@@ -100,10 +112,35 @@ def played(drawn: tuple[Recorder, Diagram]) -> tuple[Recorder, Simulator]:
     return recorder, Simulator(diagram)
 
 
+def test_it_begins_with_an_empty_board(played: tuple[Recorder, Simulator]) -> None:
+    recorder, simulator = played
+    simulator.AdvanceTo(0.05)
+    assert recorder.visible() == {"board/0", "push/1"}
+    simulator.AdvanceTo(0.25)
+    assert {path for path in recorder.visible() if path.startswith("board")} == {"board/1/mass"}
+
+
+def test_the_tiles_lie_just_over_the_highest_cell_once_it_is_known(
+    played: tuple[Recorder, Simulator],
+) -> None:
+    recorder, simulator = played
+    simulator.AdvanceTo(0.45)
+    heights = [
+        (time, pose.translation()[2])
+        for path, pose, time in recorder.transforms
+        if path == "/belief/observed"
+    ]
+    assert [time < LOOKED for time, _ in heights] == [True, False, False]
+    before, *after = (height for _, height in heights)
+    assert before == pytest.approx(0.05)
+    assert after == pytest.approx([0.033] * len(after))
+
+
 def test_what_is_there(played: tuple[Recorder, Simulator]) -> None:
     recorder, simulator = played
     simulator.AdvanceTo(0.15)
     assert not recorder.HasPath("/belief/observed")
+    assert "observed" not in recorder.visible()
     simulator.AdvanceTo(0.45)
     for name in ("observed/outline", "predicted/outline", "residuals/0", "push/1", "board/1/mass"):
         assert recorder.HasPath(f"/belief/{name}"), name
@@ -112,6 +149,7 @@ def test_what_is_there(played: tuple[Recorder, Simulator]) -> None:
         "board/1/mass",
         "observed/centers of mass/1",
         "push/1",
+        "observed",
         "predicted",
     } <= (recorder.visible())
     simulator.AdvanceTo(0.65)
@@ -201,7 +239,7 @@ def test_tiles_have_the_colours_of_their_values() -> None:
 @pytest.mark.parametrize("which", range(len(MAPS)))
 def test_the_legend_shows_the_scale_in_its_colours(which: int) -> None:
     picture = image.imread(io.BytesIO(legend(FIRST, shown(FIRST, 4), which, "of a block")))[:, :, :3]
-    assert picture.shape[1] > 2.5 * picture.shape[0] > 200
+    assert picture.shape[1] / picture.shape[0] == pytest.approx(BOARD[0] / BOARD[1], rel=0.01)
     for share in (0.02, 0.5, 0.98):
         wanted = colormaps[COLORS[which]](share)[:3]
         assert np.abs(picture - wanted).max(axis=2).min() < 0.02

@@ -1,0 +1,82 @@
+"""`slipmap view`: a belief in a browser, to be turned and looked at from all sides."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
+from threading import Thread
+
+import click
+
+from diagrams.commands import options
+from diagrams.console import note, wait_for_enter
+from diagrams.outputs import write_text
+
+PORT = 7000
+"""Of the page, if it is free."""
+
+
+@click.command()
+@click.argument("belief_file", metavar="BELIEF", type=click.Path(path_type=Path))
+@click.option(
+    "--html", "page_file", type=options.OutputFile("html", "htm"), metavar="FILE",
+    help="Write the view as one page for any browser, which needs no network, and end.",
+)  # fmt: skip
+@options.effect_file_option
+def view(belief_file: Path, page_file: Path | None, effect_files: tuple[Path, ...]) -> None:
+    """Look at a belief in 3D in a browser.
+
+    BELIEF is a file that `slipmap identify`, `slipmap fit` or `slipmap explore` wrote. On each cell of the
+    object stands a prism: the higher and brighter, the more is believed to be there of mass, of friction, or
+    of their product, which is the force that it takes to slide the cell. Side by side stand the mean of all
+    hypotheses and the most probable ones. Where these look alike, the pushes have decided; where they
+    differ, the pushes have left it open. A red pin shows the centre of mass.
+
+    Without --html the page is served to browsers on this computer until you press Enter or Ctrl-C.
+    """
+    from models.inference.belief import Belief
+
+    belief = Belief.load(belief_file, options.find_effects(effect_files))
+    from diagrams.belief_scene import belief_scene
+
+    page = belief_scene(belief).static_html()
+    if page_file is not None:
+        write_text(page_file, page)
+        note(f"view: {page_file}")
+        return
+    with _served(page) as address:
+        note(f"the view is at {address}; press Enter to end")
+        wait_for_enter()
+
+
+@contextmanager
+def _served(page: str) -> Iterator[str]:
+    """Serve one page on this computer while the block runs; yields its address."""
+    content = page.encode("utf-8")
+
+    class Answer(BaseHTTPRequestHandler):
+        def do_GET(self) -> None:
+            if self.path != "/":
+                self.send_error(404)
+                return
+            self.send_response(200)
+            self.send_header("Content-Type", "text/html; charset=utf-8")
+            self.send_header("Content-Length", str(len(content)))
+            self.end_headers()
+            self.wfile.write(content)
+
+        def log_message(self, format: str, *args: object) -> None:
+            """Say nothing."""
+
+    try:
+        server = ThreadingHTTPServer(("127.0.0.1", PORT), Answer)
+    except OSError:
+        server = ThreadingHTTPServer(("127.0.0.1", 0), Answer)
+    with server:
+        Thread(target=server.serve_forever, daemon=True).start()
+        try:
+            yield f"http://localhost:{server.server_port}/"
+        finally:
+            server.shutdown()

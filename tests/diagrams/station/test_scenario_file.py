@@ -1,0 +1,218 @@
+"""Scenario files: everything can be set, and what is wrong is said by the file and the full name."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any
+
+import numpy as np
+import pytest
+import trimesh
+import yaml
+from pydrake.common.yaml import yaml_dump_typed
+
+from diagrams.exploration_loop import recorded_dataset
+from diagrams.station.scenario import Scenario
+from diagrams.station.scenario_file import ScenarioError, read_settings
+from models.measurements import Trial
+from models.measurements.push_dataset import Channel
+from models.objects import cells_from_polygon
+
+
+@pytest.fixture
+def read(tmp_path):
+    def from_text(text: str | bytes) -> Scenario:
+        path = tmp_path / "cell.yaml"
+        path.write_bytes(text if isinstance(text, bytes) else text.encode())
+        return read_settings(path, Scenario)
+
+    return from_text
+
+
+def refusal(read, text: str | bytes) -> str:
+    with pytest.raises(ScenarioError) as caught:
+        read(text)
+    message = str(caught.value)
+    assert "cell.yaml: " in message and "\n" not in message
+    return message
+
+
+def leaves(settings: Any, where: tuple[str, ...] = ()):
+    """(path, value) of every number, text and list in nested dataclasses."""
+    for field in dataclasses.fields(settings):
+        value = getattr(settings, field.name)
+        path = (*where, field.name)
+        yield from leaves(value, path) if dataclasses.is_dataclass(value) else [(path, value)]
+
+
+CHOICES = {
+    "object.name": "wrench",
+    "object.mesh": "shoe.obj",
+    "object.labels": "shoe.png",
+    "object.masses": {"1": 0.5},
+    "object.frictions": {"1": 0.5, "2": 0.25},
+    "table.shape": "rectangle",
+    "arm.models": "drake_models",
+    "pokes.longest": 0.1,
+    "pokes.fastest": 0.1,
+}
+"""Other values of fields that are no plain numbers, or must keep an order."""
+
+
+def another(name: str, value: Any) -> Any:
+    if name in CHOICES:
+        return CHOICES[name]
+    if isinstance(value, list):
+        return [item + 0.125 for item in value]
+    return value + 1 if isinstance(value, int) else value * 0.875 + 0.0009765625
+
+
+DEFAULTS = dict(leaves(Scenario()))
+
+
+def test_the_defaults_survive_a_round_trip(read):
+    assert read(yaml_dump_typed(Scenario())) == Scenario()
+
+
+@pytest.mark.parametrize(("path", "value"), DEFAULTS.items(), ids=map(".".join, DEFAULTS))
+def test_every_field_can_be_set_alone(read, path, value):
+    wanted = another(".".join(path), value)
+    content: Any = wanted
+    for name in reversed(path):
+        content = {name: content}
+    settings = read(yaml.safe_dump(content))
+    changed = [where for where, now in leaves(settings) if now != DEFAULTS[where]]
+    assert changed == [path]
+    assert dict(leaves(settings))[path] == wanted
+
+
+def test_all_sections_can_be_set_at_once(read):
+    settings = read(
+        """
+        object: {name: wrench, pose: [0.1, -0.1, 90]}
+        table: {shape: rectangle, size: [1, 0.7]}
+        execution: {settle: 1}
+        camera: {position: [0.05, 0], rate: 5}
+        depth_noise: {quantum: 0, seed: 3}
+        hidden: {table_tilt: {down_x: 0.1}, tether: {stiffness: 20}}
+        pokes: {center: [0.1, 0]}
+        simulation: {time_step: 0.005}
+        """
+    )
+    assert settings.object.make().name == "wrench"
+    assert settings.table.make().size == (1.0, 0.7)
+    assert settings.execution.settle == 1.0
+    assert settings.camera.X_WC.translation() == pytest.approx([0.05, 0.0, 1.1])
+    assert settings.hidden.tether.stiffness == 20.0 and settings.hidden.table_tilt.down_x == 0.1
+
+
+@pytest.mark.parametrize("text", ["", "\n", "# nothing but a remark\n", "---\n"])
+def test_an_empty_file_means_the_defaults(read, text):
+    assert read(text) == Scenario()
+
+
+@pytest.mark.parametrize(
+    ("text", "named"),
+    [
+        ("camra: {height: 1.0}", ["unknown field camra", "did you mean camera?"]),
+        ("camera: {heigth: 1.0}", ["unknown field camera.heigth", "did you mean height?"]),
+        ("hidden: {table_tilt: {donw_x: 0.1}}", ["hidden.table_tilt.donw_x", "did you mean down_x?"]),
+        ("execution: {tip_hight: 0.01}", ["unknown field execution.tip_hight", "did you mean tip_height?"]),
+        ("table: {qqq: 1}", ["unknown field table.qqq", "radius", "friction"]),
+        ("3: {height: 1.0}", ["unknown field 3", "camera"]),
+    ],
+)
+def test_a_typo_is_told_by_its_full_name(read, text, named):
+    message = refusal(read, text)
+    for name in named:
+        assert name in message
+    assert ("did you mean" in message) == ("mean" in "".join(named))
+
+
+@pytest.mark.parametrize(
+    ("text", "where", "kind", "got"),
+    [
+        ("camera: {height: tall}", "camera.height", "a number", "'tall'"),
+        ("camera: {rate: true}", "camera.rate", "a number", "True"),
+        ("camera: {width: 640.5}", "camera.width", "a whole number", "640.5"),
+        ("camera: {position: 0.1}", "camera.position", "a list", "0.1"),
+        ("camera: {position: [0.1, left]}", "camera.position[1]", "a number", "'left'"),
+        ("object: {name: 7}", "object.name", "a text", "7"),
+        ("object: {mesh: [a]}", "object.mesh", "a text", "['a']"),
+        ("object: {mass: null}", "object.mass", "a number", "None"),
+        ("object: {masses: [1.0]}", "object.masses", "names and values", "[1.0]"),
+        ("object: {masses: {'1': heavy}}", "object.masses.1", "a number", "'heavy'"),
+        ("hidden: {tether: 3}", "hidden.tether", "fields and values", "3"),
+        ("camera:", "camera", "fields and values", "None"),
+        ("[1, 2]", "the file", "fields and values", "[1, 2]"),
+    ],
+)
+def test_a_value_of_another_type_is_told_by_its_full_name(read, text, where, kind, got):
+    message = refusal(read, text)
+    assert f"{where} must" in message
+    assert kind in message and message.endswith(f"got {got}")
+
+
+@pytest.mark.parametrize(
+    ("text", "named"),
+    [
+        ("camera: {height: 9.0}", ["camera.height", "0.3", "3.9", "9.0"]),
+        ("camera: {rate: .nan}", ["camera.rate", "nan"]),
+        ("camera: {position: [0.1, 0.2, 0.3]}", ["camera.position", "[0.1, 0.2, 0.3]"]),
+        ("camera: {yaw: .inf}", ["camera.yaw", "inf"]),
+        ("depth_noise: {missing_at_edges: 1.5}", ["depth_noise.missing_at_edges", "1.0", "1.5"]),
+        ("execution: {settle: -1}", ["execution.settle", "60", "-1"]),
+        ("execution: {tip_height: 0.05, safe_height: 0.04}", ["execution.safe_height", "0.04", "tip_height"]),
+        ("object: {pose: [0.1, 0.2]}", ["object.pose", "[0.1, 0.2]"]),
+        ("object: {pose: [0.1, .nan, 0]}", ["object.pose", "nan"]),
+        ("object: {mesh: a.obj, labels: b.png}", ["object", "mesh", "labels"]),
+        ("object: {masses: {head: 1.0}}", ["object", "masses", "'head'"]),
+        ("table: {shape: oval}", ["table.shape", "round", "rectangle", "'oval'"]),
+        ("table: {size: [1.0]}", ["table", "size", "[1.0]"]),
+        ("table: {radius: .inf}", ["table", "radius", "inf"]),
+        ("table: {friction: 0}", ["table.friction", "0"]),
+        ("arm: {models: lego}", ["arm.models", "primitives", "drake_models", "'lego'"]),
+        ("simulation: {time_step: 0.1}", ["simulation.time_step", "0.01", "0.1"]),
+        ("hidden: {table_tilt: {down_y: 0.7}}", ["hidden.table_tilt", "0.5", "0.7"]),
+        ("hidden: {tether: {stiffness: -1}}", ["hidden.tether", "stiffness", "-1"]),
+        ("pokes: {shortest: 0.2}", ["pokes", "shortest", "0.2"]),
+    ],
+)
+def test_a_value_out_of_range_is_told_by_its_name(read, text, named):
+    message = refusal(read, text)
+    for name in named:
+        assert name in message
+
+
+def test_fields_that_belong_together_are_checked_together(read):
+    """The order of two lines in the file must not matter."""
+    for text in ("{shortest: 0.09, longest: 0.12}", "{longest: 0.12, shortest: 0.09}"):
+        assert read(f"pokes: {text}").pokes.shortest == 0.09
+    for text in ("{tip_height: 0.04, safe_height: 0.15}", "{safe_height: 0.02, tip_height: 0.01}"):
+        assert read(f"execution: {text}").execution.safe_height > 0.01
+
+
+def test_a_missing_file_is_named(tmp_path):
+    with pytest.raises(ScenarioError, match=r"nowhere\.yaml: cannot be read \(No such file"):
+        read_settings(tmp_path / "nowhere.yaml", Scenario)
+    with pytest.raises(ScenarioError, match="cannot be read"):
+        read_settings(tmp_path, Scenario)
+
+
+@pytest.mark.parametrize(
+    "text", ["camera: {height: 1", "a: b: c", "\t- x", b"\xff\xfe\x00name", "a: !!python/name:os.system"]
+)
+def test_what_is_no_yaml_is_named(read, text):
+    assert "is not YAML" in refusal(read, text)
+
+
+def test_recorded_pushes_bear_the_objects_name(tmp_path):
+    """An object of the user's own must not go by the name of the default one."""
+    rows = np.array([0.0, 1.0])
+    trial = Trial("trials/000.json", "fit", Channel(rows, np.zeros((2, 3))), Channel(rows, np.zeros((2, 2))))
+    grid = cells_from_polygon(np.array([[-2, -1], [2, -1], [2, 1], [-2, 1]]) * 0.01, width=0.01)
+    scenario = Scenario()
+    assert recorded_dataset([trial], grid, scenario).name == "hammer"
+    trimesh.creation.box((0.1, 0.05, 0.03)).export(tmp_path / "shoe_box.stl")
+    scenario.object.mesh = str(tmp_path / "shoe_box.stl")
+    assert recorded_dataset([trial], grid, scenario).name == scenario.object.make().name == "shoe_box"

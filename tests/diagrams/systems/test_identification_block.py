@@ -1,0 +1,82 @@
+"""Learning as a block: when it learns, from what, and what comes out."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from driven_block import DrivenBlock
+from hidden_effects import tilted_pushes
+
+from diagrams.systems.identification import PERIOD, Identification
+from models.inference.identification import identify
+
+K, SEED = 4, 7
+
+
+class Learner(DrivenBlock):
+    """A block that keeps account of what it was asked to learn from, and of the beliefs that it told of."""
+
+    def __init__(self) -> None:
+        self.asked: list[tuple[list[str], object]] = []
+        self.told: list[tuple[object, int]] = []
+        block = Identification(
+            self._dataset,
+            hypotheses=K,
+            seed=SEED,
+            learned=lambda belief, count: self.told.append((belief, count)),
+        )
+        super().__init__(block, records=(), cell_grid=None)
+        self.advance(0.5 * PERIOD)
+
+    def _dataset(self, trials, grid):
+        self.asked.append(([trial.name for trial in trials], grid))
+        return replace(DATASET, trials=tuple(trials))
+
+    def step(self, **inputs) -> tuple[object, int]:
+        self.set(**inputs)
+        self.advance(PERIOD)
+        return self.read("belief"), self.read("learned")
+
+
+DATASET = tilted_pushes()
+FIT, HELDOUT = DATASET.fit_trials[:2], DATASET.heldout_trials[:1]
+
+
+@pytest.fixture(scope="module")
+def history():
+    """The block's outputs as trials come in, and the block."""
+    learner = Learner()
+    outputs = [learner.step(cell_grid=DATASET.grid)]
+    for records in (FIT[:1], FIT[:1], FIT, FIT + HELDOUT):
+        outputs.append(learner.step(records=records))
+    return outputs, learner
+
+
+def test_it_learns_when_a_push_to_learn_from_is_recorded(history):
+    outputs, learner = history
+    assert outputs[0] == (None, 0)
+    assert [count for _, count in outputs] == [0, 1, 1, 2, 2]
+    beliefs = [belief for belief, _ in outputs]
+    assert beliefs[1] is beliefs[2] and beliefs[3] is beliefs[4] and beliefs[1] is not beliefs[3]
+    names = [trial.name for trial in FIT]
+    assert [asked for asked, _ in learner.asked] == [names[:1], names]
+    assert all(np.array_equal(grid.centers, DATASET.grid.centers) for _, grid in learner.asked)
+    assert learner.told == [(beliefs[1], 1), (beliefs[3], 2)]
+
+
+def test_pushes_that_judge_do_not_teach():
+    learner = Learner()
+    assert learner.step(cell_grid=DATASET.grid, records=HELDOUT) == (None, 0)
+    assert learner.asked == []
+
+
+def test_its_belief_is_that_of_the_command(history):
+    outputs, _ = history
+    expected = identify(replace(DATASET, trials=FIT), hypotheses=K, seed=SEED).belief
+    belief = outputs[-1][0]
+    assert len(belief) == K
+    assert np.array_equal(belief.maps.mass, expected.maps.mass)
+    assert np.array_equal(belief.maps.mu, expected.maps.mu)
+    assert np.array_equal(belief.probability, expected.probability)

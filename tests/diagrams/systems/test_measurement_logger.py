@@ -1,0 +1,191 @@
+"""Recording a push: what makes up a trial, and what is left out of it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from driven_block import DrivenBlock, seen_at
+from pydrake.math import RigidTransform
+
+from diagrams.execution import ExecutionStatus
+from diagrams.systems.measurement_logger import LOOKS, PERIOD, MeasurementLogger, dataset_of
+from diagrams.systems.messages import LoopStatus
+from models.measurements import PushDataset, Trial, read_dataset, write_dataset
+from models.measurements.push_dataset import Channel, DatasetError, Noise
+from models.objects import cells_from_polygon
+from models.perception.observed_pose import ObservedPose
+
+PICTURE = 0.1  # s between pictures, ten times that between rows
+SPEED, FORCE = 0.05, (3.0, -1.0, 0.5)
+
+
+class Cell(DrivenBlock):
+    """A logger whose camera, arm and supervisor do what the test says."""
+
+    def __init__(self, fit: int = 1) -> None:
+        super().__init__(
+            MeasurementLogger(fit),
+            object_pose=ObservedPose.unseen("no object"), tip_pose=RigidTransform(), tip_force=np.zeros(3),
+            execution=ExecutionStatus("home"), status=LoopStatus("looking", 0),
+        )  # fmt: skip
+        self.tip = np.array([-0.1, 0.02, 0.004])
+        self.advance(0.5 * PERIOD)
+
+    def picture(self, pose: tuple[float, float, float] | None) -> None:
+        """A picture now, and the time until the next."""
+        unseen = ObservedPose.unseen("occluded", self.time)
+        self.set(object_pose=unseen if pose is None else seen_at(*pose, time=self.time))
+        self.advance(PICTURE)
+
+    def look(self, poses) -> None:
+        for pose in poses:
+            self.picture(pose)
+
+    def move(self, mode: str, rows: int) -> None:
+        """The finger goes along x for so many rows, and the arm feels a force all the while."""
+        self.set(execution=ExecutionStatus(mode, 0), tip_force=FORCE)
+        for _ in range(rows):
+            self.tip[0] += SPEED * PERIOD
+            self.set(tip_pose=RigidTransform([*self.tip]))
+            self.advance(PERIOD)
+
+    def push(self, number: int, rows: int = 100) -> None:
+        self.set(status=LoopStatus("pushing", number))
+        for mode, count in (("approaching", 20), ("lowering", 20), ("pushing", rows), ("retreating", 20)):
+            self.move(mode, count)
+        self.set(execution=ExecutionStatus("home", 0), status=LoopStatus("recording", number))
+
+    @property
+    def trials(self) -> tuple[Trial, ...]:
+        return self.read("records")
+
+
+def scattered(center, seed: int, count: int = LOOKS) -> list[tuple[float, float, float]]:
+    """Looks at an object at rest."""
+    return [tuple(row) for row in np.random.default_rng(seed).normal(center, 1e-3, (count, 3))]
+
+
+BEFORE, AFTER = scattered([0.1, 0.2, 0.3], 1), scattered([0.15, 0.2, 0.4], 2)
+
+
+@pytest.fixture(scope="module")
+def trial() -> Trial:
+    """Looks, a push of 1 s in which the finger is down, and looks."""
+    cell = Cell()
+    cell.look([(9.0, 9.0, 9.0), (8.0, 8.0, 8.0), *BEFORE])
+    cell.push(0)
+    cell.look(AFTER)
+    (recorded,) = cell.trials
+    return recorded
+
+
+def test_a_trial_begins_with_the_mean_of_the_last_looks(trial):
+    first, second = trial.object_pose.values[:2]
+    assert first == pytest.approx(np.mean(BEFORE, axis=0), abs=1e-12)
+    assert np.array_equal(first, second)
+    assert trial.object_pose.time[:2] == pytest.approx([0.0, PERIOD])
+
+
+def test_a_trial_ends_with_the_mean_of_the_first_looks_after_it(trial):
+    assert trial.object_pose.values[-1] == pytest.approx(np.mean(AFTER, axis=0), abs=1e-12)
+    assert trial.object_pose.time[-1] == trial.tip_pose.time[-1]
+
+
+def test_tip_and_force_are_recorded_only_while_the_finger_pushes(trial):
+    assert trial.tip_pose.time == pytest.approx(PERIOD * np.arange(100), abs=1e-9)
+    x = trial.tip_pose.values[:, 0]
+    assert np.diff(x) == pytest.approx(np.full(99, SPEED * PERIOD))
+    assert x[0] == pytest.approx(-0.1 + SPEED * PERIOD * 41)  # after approaching and lowering
+    assert trial.tip_pose.values[:, 1] == pytest.approx(np.full(100, 0.02))
+    assert np.array_equal(trial.ft_wrench.time, trial.tip_pose.time)
+    assert trial.ft_wrench.values == pytest.approx(np.tile([FORCE[0], FORCE[1], 0.0], (100, 1)))
+
+
+def test_poses_seen_in_spite_of_the_arm_are_kept_and_others_left_out():
+    cell = Cell()
+    cell.look(BEFORE)
+    cell.set(status=LoopStatus("pushing", 0))
+    cell.move("approaching", 10)
+    cell.picture((7.0, 7.0, 7.0))  # on the way, the finger is not down
+    began = cell.time
+    cell.move("pushing", 30)
+    seen = cell.time
+    cell.set(object_pose=seen_at(0.12, 0.2, 0.35, time=seen))
+    cell.move("pushing", 20)
+    cell.set(object_pose=ObservedPose.unseen("occluded", cell.time))
+    cell.move("pushing", 20)
+    cell.set(object_pose=replace(ObservedPose.unseen("no object", cell.time), pose=np.ones(3)))
+    cell.move("pushing", 20)
+    cell.move("retreating", 10)
+    cell.set(execution=ExecutionStatus("home", 0), status=LoopStatus("recording", 0))
+    cell.look([AFTER[0], None, *AFTER[1:]])
+    (trial,) = cell.trials
+    assert len(trial.object_pose.time) == 4
+    assert trial.object_pose.values[2] == pytest.approx([0.12, 0.2, 0.35])
+    assert trial.object_pose.time[2] == pytest.approx(seen - began, abs=PERIOD)
+    assert trial.object_pose.values[-1] == pytest.approx(np.mean(AFTER, axis=0))
+
+
+def test_a_trial_waits_for_enough_looks_with_the_arm_at_home():
+    cell = Cell()
+    cell.look(BEFORE)
+    cell.push(0)
+    cell.look(AFTER[:-1])
+    assert cell.trials == ()
+    cell.look([None, None])
+    assert cell.trials == ()
+    cell.look(AFTER[-1:])
+    assert len(cell.trials) == 1
+    cell.look(AFTER)
+    assert len(cell.trials) == 1
+
+
+def test_a_picture_counts_once_however_often_it_is_read():
+    """The logger looks ten times at each picture."""
+    cell = Cell()
+    cell.look(BEFORE)
+    cell.push(0)
+    cell.set(object_pose=seen_at(*AFTER[0], time=cell.time))
+    cell.advance(10 * LOOKS * PERIOD)
+    assert cell.trials == ()
+
+
+def test_roles_follow_the_number_of_pushes_to_learn_from():
+    cell = Cell(fit=2)
+    cell.look(BEFORE)
+    for number in range(4):
+        cell.push(number, rows=5)
+        cell.look(scattered([0.1 * number, 0, 0], number))
+        cell.set(status=LoopStatus("looking", number + 1))
+    assert [trial.role for trial in cell.trials] == ["fit", "fit", "heldout", "heldout"]
+    assert [trial.name for trial in cell.trials] == [f"trials/00{k}.json" for k in range(4)]
+    for before, after in zip(
+        cell.trials, cell.trials[1:], strict=False
+    ):  # looks after one are before the next
+        assert np.array_equal(before.object_pose.values[-1], after.object_pose.values[0])
+
+
+def dataset(trials) -> PushDataset:
+    grid = cells_from_polygon(np.array([[-2, -1], [2, -1], [2, 1], [-2, 1]]) * 0.01, width=0.01)
+    noise = Noise(position=4e-4, angle=3e-3, tip=1e-4, force=0.3)
+    return dataset_of(trials, grid, name="block", finger_radius=0.01, noise=noise)
+
+
+def test_recorded_trials_are_a_dataset_that_can_be_written(trial, tmp_path):
+    recorded = dataset([trial])
+    again = read_dataset(write_dataset(recorded, tmp_path / "block"))
+    assert again.name == "block" and again.finger_radius == 0.01 and again.noise == recorded.noise
+    for channel in ("object_pose", "tip_pose", "ft_wrench"):
+        kept = getattr(again.trials[0], channel)
+        assert kept.time == pytest.approx(getattr(trial, channel).time, abs=1e-9)
+        assert kept.values == pytest.approx(getattr(trial, channel).values, abs=1e-9)
+
+
+def test_the_fingerprint_tells_recordings_apart(trial):
+    other = replace(trial, tip_pose=Channel(trial.tip_pose.time, trial.tip_pose.values + 1e-9))
+    assert dataset([trial]).fingerprint == dataset([trial]).fingerprint
+    assert dataset([trial]).fingerprint != dataset([other]).fingerprint
+    with pytest.raises(DatasetError):
+        dataset([])

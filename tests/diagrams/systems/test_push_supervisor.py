@@ -1,0 +1,186 @@
+"""The order of the loop: what each mode waits for, and when it gives up."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from driven_block import DrivenBlock, seen_at
+
+from diagrams.execution import ExecutionStatus
+from diagrams.systems.messages import MOST_ATTEMPTS, LoopStatus, PokeRequest
+from diagrams.systems.push_supervisor import PATIENCE, PERIOD, PushSupervisor
+from models.perception.observed_pose import ObservedPose
+from planners.action_selection import Poke
+from planners.table_push import TablePush
+
+GRID = object()  # the supervisor only asks whether there is one
+POKE = Poke(TablePush(np.zeros(2), np.array([0.1, 0.0]), 0.05), np.zeros(2), np.array([1.0, 0.0]))
+AT_HOME = ExecutionStatus("home")
+UNSEEN = ObservedPose.unseen("occluded")
+
+
+class Loop(DrivenBlock):
+    """A supervisor whose partners do what the test says."""
+
+    def __init__(self, fit: int = 1, heldout: int = 0) -> None:
+        super().__init__(
+            PushSupervisor(fit, heldout),
+            object_pose=UNSEEN, cell_grid=None, poke=None, execution=AT_HOME, records=(), learned=0,
+        )  # fmt: skip
+        self.advance(0.5 * PERIOD)  # decisions fall between the steps of the test
+
+    def step(self, **inputs) -> LoopStatus:
+        """The status after one decision."""
+        self.set(**inputs)
+        self.advance(PERIOD)
+        return self.read("status")
+
+    def begin_push(self) -> LoopStatus:
+        """From looking to pushing."""
+        assert self.step(object_pose=seen_at(0, 0, 0), cell_grid=GRID).mode == "choosing"
+        return self.step(poke=PokeRequest(self.read("status").number, POKE))
+
+
+def mode(status: LoopStatus) -> tuple[str, int, int]:
+    return status.mode, status.push, status.attempt
+
+
+def test_the_modes_follow_in_order():
+    """One push to learn from and one to judge; each mode lasts until what it waits for has come."""
+    loop = Loop(fit=1, heldout=1)
+    record = (object(),)
+    assert mode(loop.step()) == ("looking", 0, 0)
+    assert mode(loop.step(object_pose=seen_at(0, 0, 0))) == ("looking", 0, 0)  # no cells yet
+    assert mode(loop.step(object_pose=UNSEEN, cell_grid=GRID)) == ("looking", 0, 0)
+    assert mode(loop.step(object_pose=seen_at(0, 0, 0))) == ("choosing", 0, 0)
+    assert mode(loop.step()) == ("choosing", 0, 0)
+    assert loop.read("active_push") is None
+    assert mode(loop.step(poke=PokeRequest(0, POKE))) == ("pushing", 0, 0)
+    for doing in ("approaching", "lowering", "pushing", "retreating"):
+        assert loop.read("active_push").push is POKE.push
+        assert mode(loop.step(execution=ExecutionStatus(doing, 0), object_pose=UNSEEN)) == ("pushing", 0, 0)
+    assert mode(loop.step(execution=ExecutionStatus("home", 0))) == ("recording", 0, 0)
+    assert loop.read("active_push") is None
+    assert mode(loop.step()) == ("recording", 0, 0)
+    assert mode(loop.step(records=record)) == ("learning", 0, 0)
+    assert mode(loop.step()) == ("learning", 0, 0)
+    assert mode(loop.step(learned=1)) == ("looking", 1, 0)
+    assert loop.begin_push().push == 1
+    assert (
+        mode(loop.step(execution=ExecutionStatus("home", loop.read("active_push").push_id)))[0] == "recording"
+    )
+    assert mode(loop.step()) == ("recording", 1, 0)  # the first push's record does not count for this one
+    assert mode(loop.step(records=2 * record)) == ("learning", 1, 0)
+    assert mode(loop.step()) == ("finished", 2, 0)  # from a push that only judges, nothing is learned
+    assert mode(loop.step(object_pose=seen_at(0, 0, 0))) == ("finished", 2, 0)
+
+
+def test_every_push_has_a_number_of_its_own():
+    numbers = {LoopStatus("pushing", push, k).number for push in range(5) for k in range(MOST_ATTEMPTS)}
+    assert len(numbers) == 5 * MOST_ATTEMPTS
+
+
+def test_only_what_was_asked_for_counts():
+    """Requests and arm reports of another push are not taken for this one's."""
+    loop = Loop(fit=2)
+    assert loop.begin_push().mode == "pushing"
+    for old in (None, 7):
+        assert loop.step(execution=ExecutionStatus("home", old)).mode == "pushing"
+        assert loop.step(execution=ExecutionStatus("refused", old, "too far")).mode == "pushing"
+    loop.step(execution=ExecutionStatus("home", 0))
+    loop.step(records=(object(),))
+    assert mode(loop.step(learned=1)) == ("looking", 1, 0)
+    assert mode(loop.step()) == ("choosing", 1, 0)
+    assert mode(loop.step()) == ("choosing", 1, 0)  # the first push's request still stands
+    assert mode(loop.step(poke=PokeRequest(MOST_ATTEMPTS, POKE))) == ("pushing", 1, 0)
+    assert loop.read("active_push").push_id == MOST_ATTEMPTS
+    assert mode(loop.step()) == ("pushing", 1, 0)  # "home" was said of the first push
+
+
+def test_a_refused_push_is_chosen_anew_until_attempts_run_out():
+    loop = Loop()
+    loop.begin_push()
+    for attempt in range(MOST_ATTEMPTS):
+        active = loop.read("active_push")
+        assert active.push_id == attempt
+        status = loop.step(execution=ExecutionStatus("refused", attempt, f"joint 4 at its limit, {attempt}"))
+        if attempt + 1 < MOST_ATTEMPTS:
+            assert mode(status) == ("choosing", 0, attempt + 1)
+            assert loop.read("active_push") is None
+            assert loop.step(poke=PokeRequest(attempt + 1, POKE)).mode == "pushing"
+    assert status.mode == "failed"
+    assert status.reason == f"joint 4 at its limit, {MOST_ATTEMPTS - 1}"
+    assert loop.step(execution=AT_HOME).mode == "failed"
+
+
+def test_attempts_are_counted_for_each_push_anew():
+    loop = Loop(fit=2)
+    loop.begin_push()
+    assert mode(loop.step(execution=ExecutionStatus("refused", 0, "too far"))) == ("choosing", 0, 1)
+    loop.step(poke=PokeRequest(1, POKE))
+    assert mode(loop.step(execution=ExecutionStatus("home", 1))) == ("recording", 0, 0)
+    loop.step(records=(object(),))
+    assert mode(loop.step(learned=1)) == ("looking", 1, 0)
+
+
+def test_no_push_that_can_be_made_ends_the_loop_with_its_reason():
+    loop = Loop()
+    loop.step(object_pose=seen_at(0, 0, 0), cell_grid=GRID)
+    status = loop.step(poke=PokeRequest(0, None, "the robot can make none of these"))
+    assert (status.mode, status.reason) == ("failed", "the robot can make none of these")
+
+
+def lost(loop: Loop) -> LoopStatus:
+    """The status just before patience is over is not a failure; returns that just after."""
+    before = loop.read("status")
+    loop.advance(PATIENCE - 2 * PERIOD)
+    assert loop.read("status") == before
+    loop.advance(3 * PERIOD)
+    assert loop.read("status").mode == "failed"
+    return loop.read("status")
+
+
+@pytest.mark.parametrize("pose", [None, UNSEEN, ObservedPose.unseen("left the table")])
+def test_an_object_that_is_never_seen_ends_the_loop(pose):
+    loop = Loop()
+    loop.set(object_pose=pose)
+    status = lost(loop)
+    assert status.push == 0
+    assert ("no picture" if pose is None else pose.reason) in status.reason
+
+
+def test_patience_begins_anew_with_each_mode():
+    """The push before took longer than the patience with what comes after it."""
+    loop = Loop(fit=2)
+    loop.begin_push()
+    loop.step(execution=ExecutionStatus("approaching", 0))
+    loop.advance(2 * PATIENCE)
+    assert loop.step(execution=ExecutionStatus("home", 0)).mode == "recording"
+    assert "not seen after the push" in lost(loop).reason
+
+
+def test_an_object_that_is_lost_between_pushes_ends_the_loop():
+    loop = Loop(fit=2)
+    loop.begin_push()
+    loop.step(execution=ExecutionStatus("home", 0))
+    loop.step(records=(object(),))
+    assert loop.step(learned=1, object_pose=ObservedPose.unseen("left the table")).mode == "looking"
+    status = lost(loop)
+    assert status.push == 1 and "left the table" in status.reason
+
+
+def test_an_object_that_is_lost_while_a_push_is_chosen_ends_the_loop():
+    loop = Loop()
+    assert loop.step(object_pose=seen_at(0, 0, 0), cell_grid=GRID).mode == "choosing"
+    loop.set(object_pose=ObservedPose.unseen("left the table"))
+    assert "left the table" in lost(loop).reason
+
+
+def test_learning_may_take_its_time():
+    """The arm may be slow and learning late; neither is a lost object."""
+    loop = Loop()
+    loop.begin_push()
+    loop.step(execution=ExecutionStatus("home", 0), object_pose=UNSEEN)
+    loop.step(records=(object(),))
+    loop.advance(2 * PATIENCE)
+    assert loop.read("status").mode == "learning"

@@ -1,0 +1,216 @@
+"""`slipmap explore`: one whole run of the robot's cell, and what is said of a wrong request."""
+
+from __future__ import annotations
+
+import base64
+import json
+import re
+from dataclasses import dataclass
+from html.parser import HTMLParser
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import umsgpack
+from pydrake.geometry import Meshcat
+
+from diagrams.command_line import run
+from diagrams.exploration_loop import LoopOptions
+from diagrams.exploration_run import explore
+from diagrams.perception.renderer import RendererUnavailable, require_renderer
+from diagrams.station.scenario import Scenario
+from models.inference.belief import Belief
+from models.measurements import PushDataset, read_dataset
+from models.objects.benchmark import BENCHMARK_OBJECTS, benchmark_object
+from models.physics.paper_notation import add
+
+SEED = 0
+LOADED = {"script": "src", "link": "href", "img": "src", "iframe": "src", "source": "src", "object": "data"}
+MESSAGE = re.compile(r'fetch\("data:application/octet-binary;base64,([\w+/=]+)"\)')
+
+
+@dataclass(frozen=True)
+class Explored:
+    """What a run left behind."""
+
+    code: int
+    folder: Path
+    result: dict[str, Any]
+    dataset: PushDataset
+
+
+@pytest.fixture(scope="module", autouse=True)
+def renderer() -> None:
+    try:
+        require_renderer()
+    except RendererUnavailable as reason:
+        pytest.skip(str(reason))
+
+
+@pytest.fixture(scope="module")
+def explored(tmp_path_factory: pytest.TempPathFactory) -> Explored:
+    """The hammer, explored with two pushes and judged with one."""
+    folder = tmp_path_factory.mktemp("explored")
+    arguments = ["explore", "--object", "hammer", "--pushes", 2, "--checks", 1, "--seed", SEED]
+    arguments += ["--out", folder / "out", "--json", folder / "result.json", "--record", folder / "run.html"]
+    code = run([str(argument) for argument in arguments])
+    result = json.loads((folder / "result.json").read_text(encoding="utf-8"))
+    return Explored(code, folder, result, read_dataset(folder / "out" / "pushes"))
+
+
+class Loaded(HTMLParser):
+    """Collects what a browser would load for a page."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.addresses: list[str] = []
+        self.scripts = 0
+        self.feed(text)
+        self.close()
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.scripts += tag == "script"
+        address = dict(attrs).get(LOADED.get(tag, ""))
+        self.addresses += [address] if address else []
+
+
+def keyframes(page: str, path: str) -> list[tuple[float, list[float]]]:
+    """(time, position) of an object in a recording, as its player gets them."""
+    messages = [umsgpack.unpackb(base64.b64decode(code)) for code in MESSAGE.findall(page)]
+    (animation,) = [message for message in messages if message["type"] == "set_animation"]
+    (clip,) = [entry["clip"] for entry in animation["animations"] if entry["path"] == path]
+    (track,) = [track for track in clip["tracks"] if track["name"] == ".position"]
+    return [(key["time"] / clip["fps"], key["value"]) for key in track["keys"]]
+
+
+def test_the_run_ends_well_and_leaves_every_file(explored):
+    assert explored.code == 0
+    assert explored.result["failure"] == ""
+    files = {path.relative_to(explored.folder).as_posix() for path in explored.folder.rglob("*.*")}
+    expected = {"belief.npz", "belief.maps.png", "belief.pushes.png", "report.html", "pushes/dataset.yaml"}
+    assert {f"out/{name}" for name in expected} | {"result.json", "run.html"} <= files
+    assert not [name for name in files if "part" in name or "tmp" in name]
+
+
+def test_pushes_are_a_dataset_with_roles(explored):
+    assert [trial.role for trial in explored.dataset.trials] == ["fit", "fit", "heldout"]
+    outline = benchmark_object("hammer").grid
+    area = len(explored.dataset.grid) * explored.dataset.grid.width**2
+    assert area == pytest.approx(len(outline) * outline.width**2, rel=0.1)
+    for trial in explored.dataset.trials:
+        way = float(np.linalg.norm(trial.tip_pose.values[-1] - trial.tip_pose.values[0]))
+        assert 0.04 < way < 0.11
+        begin, end = trial.object_pose.values[[0, -1]]
+        moved = float(add(begin, end, explored.dataset.grid.centers))
+        assert 0.005 < moved < 1.5 * way  # ends of an object that turns go farther than the finger
+        forces = np.linalg.norm(trial.ft_wrench.values[:, :2], axis=1)
+        assert 0.3 < forces.max() < 30.0
+
+
+def test_a_push_begins_where_the_one_before_ended(explored):
+    for before, after in zip(explored.dataset.trials, explored.dataset.trials[1:], strict=False):
+        ended, begins = before.object_pose.values[-1], after.object_pose.values[0]
+        assert ended[:2] == pytest.approx(begins[:2], abs=1e-3)
+        assert ended[2] == pytest.approx(begins[2], abs=np.radians(0.5))
+
+
+def test_the_belief_predicts_the_push_that_it_did_not_learn_from(explored):
+    belief = Belief.load(explored.folder / "out" / "belief.npz")
+    assert len(belief) == 20
+    assert len(belief.grid) == len(explored.dataset.grid)
+    (judged,) = [trial for trial in explored.result["trials"] if trial["role"] == "heldout"]
+    assert judged["final_add"] < 0.2 * judged["no_motion_add"]
+
+
+def test_friction_comes_near_the_truth(explored):
+    true = benchmark_object("hammer")
+    force = float((true.mass * true.mu).sum()) * 9.81
+    assert explored.result["truth"]["friction_force"] == pytest.approx(force, rel=0.01)
+    assert explored.result["truth"]["total_mass"] == pytest.approx(true.total_mass)
+    believed = sum(h["probability"] * h["friction_force"] for h in explored.result["hypotheses"])
+    assert believed == pytest.approx(force, rel=0.2)
+
+
+def test_the_true_centre_of_mass_is_told_in_the_frame_of_the_cells(explored):
+    """The footprint's centroid is the origin of the true object's frame and of the frame of the cells."""
+    true = benchmark_object("hammer").center_of_mass[:2]
+    assert explored.result["truth"]["center_of_mass"] == pytest.approx(true, abs=3e-3)
+
+
+@pytest.mark.parametrize("name", ["out/report.html", "run.html"])
+def test_pages_need_no_network(explored, name):
+    text = (explored.folder / name).read_text(encoding="utf-8")
+    assert text.rstrip().endswith("</html>")
+    loaded = Loaded(text)
+    assert loaded.scripts > 0
+    assert all(address.startswith("data:") for address in loaded.addresses), loaded.addresses
+    assert not re.search(r"@import|url\(\s*[\"']?(?:https?:)?//", text)
+
+
+def test_the_recording_plays_the_whole_run(explored):
+    """The object moves in it from where the scenario puts it to where the last push left it."""
+    text = (explored.folder / "run.html").read_text(encoding="utf-8")
+    keys = keyframes(text, "/drake/visualizer/object/object")
+    assert keys[-1][0] > sum(trial.tip_pose.time[-1] for trial in explored.dataset.trials)
+    assert keys[0][1] == pytest.approx([0, 0, 0], abs=1e-3)
+    last = explored.dataset.trials[-1].object_pose.values[-1, :2]
+    assert keys[-1][1] == pytest.approx([*last, 0], abs=3e-3)
+
+
+def test_the_same_seed_repeats_the_push_to_the_bit(explored):
+    """How many pushes follow does not matter to the first. Who watches does, in the last bit: frames divide
+    the steps of the arm's controller, which has an integrator."""
+    again = explore(Scenario(), LoopOptions(pushes=1, checks=0, seed=SEED), meshcat=Meshcat()).dataset
+    first = explored.dataset.trials[0]
+    assert np.array_equal(again.grid.centers, explored.dataset.grid.centers)
+    (trial,) = again.trials
+    for channel in ("object_pose", "tip_pose", "ft_wrench"):
+        assert np.array_equal(getattr(trial, channel).time, getattr(first, channel).time), channel
+        assert np.array_equal(getattr(trial, channel).values, getattr(first, channel).values), channel
+
+
+def files_in(folder: Path) -> list[Path]:
+    return sorted(path for path in folder.rglob("*") if path.is_file())
+
+
+def refused(slipmap, tmp_path: Path, *arguments: object) -> str:
+    """What is said of a wrong request, which leaves no file behind."""
+    before = files_in(tmp_path)
+    said = slipmap("explore", "--out", tmp_path / "out", "--json", tmp_path / "r.json", *arguments)
+    assert said.code == 2
+    assert said.out == ""
+    assert "Traceback" not in said.err
+    assert files_in(tmp_path) == before
+    return said.err
+
+
+def test_an_unknown_object_is_refused_with_the_names_there_are(slipmap, tmp_path):
+    text = refused(slipmap, tmp_path, "--object", "hamer")
+    assert "'hamer'" in text and "did you mean hammer?" in text
+    assert all(name in text for name in BENCHMARK_OBJECTS)
+
+
+@pytest.mark.parametrize(
+    ("yaml", "named"),
+    [
+        ("camera: {heigth: 1.0}", ["camera.heigth", "did you mean height?"]),
+        ("camera: {height: high}", ["camera.height", "a number", "'high'"]),
+        ("camera: {height: 50.0}", ["camera.height", "3.9", "50"]),
+        ("object: {name: anvil}", ["'anvil'", "hammer"]),
+        ("object: {mesh: nowhere.obj}", ["nowhere.obj"]),
+        ("object: {labels: nowhere.png}", ["nowhere.png"]),
+        ("object: {mass: -1.0, mesh: nowhere.obj}", ["nowhere.obj"]),
+        ("table: {friction: 0.05}", ["friction"]),
+        ("hidden: {tether: {stiffness: 1.0e+9}}", ["Tether.stiffness"]),
+    ],
+)
+def test_a_scenario_that_cannot_be_used_is_refused_by_the_fields_name(slipmap, tmp_path, yaml, named):
+    (tmp_path / "cell.yaml").write_text(yaml, encoding="utf-8")
+    text = refused(slipmap, tmp_path, "--scenario", tmp_path / "cell.yaml")
+    for name in named:
+        assert name in text
+
+
+def test_a_scenario_that_is_not_there_is_named(slipmap, tmp_path):
+    assert "nowhere.yaml" in refused(slipmap, tmp_path, "--scenario", tmp_path / "nowhere.yaml")
