@@ -31,9 +31,9 @@ class PokeSettings:
     def check(self) -> None:
         """Raise ValueError, naming the field, where a number makes no sense."""
         for low, high in (("shortest", "longest"), ("slowest", "fastest")):
-            if not 0 < getattr(self, low) <= getattr(self, high):
+            if not 0 < getattr(self, low) <= getattr(self, high) < 10.0:
                 raise ValueError(
-                    f"pokes: {low} and {high} must be positive and in this order, got"
+                    f"pokes: {low} and {high} must be positive, in this order and below 10, got"
                     f" {getattr(self, low)} and {getattr(self, high)}"
                 )
         for name, least, largest in (
@@ -46,5 +46,5 @@ class PokeSettings:
                 raise ValueError(
                     f"pokes: {name} must lie between {least} and {largest}, got {getattr(self, name)}"
                 )
-        if len(self.center) != 2:
-            raise ValueError(f"pokes: center must be x and y, got {self.center}")
+        if len(self.center) != 2 or not all(abs(value) < 10.0 for value in self.center):
+            raise ValueError(f"pokes: center must be x and y in m, got {self.center}")

@@ -84,7 +84,7 @@ def explore(
         write_json(json_file, {**run.identification.to_json(), "truth": run.truth(), "failure": failure})
     show(run)
     for what, path in written.items():
-        note(f"{what + ':':<11}{path}")
+        note(f"{what + ':':<19}{path}")
     if failure:
         raise click.ClickException(f"{failure} What was recorded until then is kept.")
 
@@ -122,6 +122,7 @@ def run_loop(
     """
     from diagrams import exploration_run
     from diagrams.perception.renderer import RendererUnavailable
+    from diagrams.station.scenario_file import ScenarioError
 
     meshcat = _meshcat(open_meshcat) if open_meshcat or recording is not None else None
     failure = ""
@@ -131,7 +132,7 @@ def run_loop(
             meshcat.StartRecording(frames_per_second=15.0)
         try:
             run = exploration_run.explore(scenario, options, meshcat=meshcat, progress=progress)
-        except RendererUnavailable as error:
+        except (RendererUnavailable, ScenarioError) as error:
             raise BadInput(str(error)) from error
         except exploration_run.ExplorationFailed as error:
             if error.run is None:
@@ -182,7 +183,7 @@ def leave(run: ExplorationRun, folder: Path, recording: Path | None) -> dict[str
     with whole_file(folder / "report.html") as part:
         part.write_text(text, encoding="utf-8")
     written = {"pushes": place, "belief": belief, "report": folder / "report.html"}
-    written |= {path.stem.replace("belief.", ""): path for path in pictures}
+    written |= {f"picture of {path.stem.removeprefix('belief.')}": path for path in pictures}
     return written if recording is None else {**written, "recording": recording}
 
 

@@ -175,7 +175,7 @@ class _Inquiry:
         if self.accepted:
             self.accepted = not_outdone(self.accepted, self.left, self.refits.gains)
             return outcomes.one_of([self.refits.fits[name] for name in self.accepted])
-        if max(float(self.first.gain.max()), *self.refits.gains.values()) < UNKNOWN_GAIN:
+        if float(self.first.gain.max()) < UNKNOWN_GAIN:
             return outcomes.too_faint(self.base)
         pair = self._pair(rest)
         if pair is not None:
