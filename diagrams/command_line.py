@@ -21,6 +21,7 @@ from diagrams.commands.demo import demo
 from diagrams.commands.diagnose import diagnose
 from diagrams.commands.effects import effects
 from diagrams.commands.explore import explore
+from diagrams.commands.explore_study import explore_study
 from diagrams.commands.fit import fit
 from diagrams.commands.identify import identify
 from diagrams.commands.predict import predict
@@ -80,6 +81,7 @@ for _command in (
     fit,
     effects,
     calibrate,
+    explore_study,
     blind_test,
     bench,
 ):
