@@ -122,17 +122,9 @@ def _show(rows: dict[str, list[dict[str, Any]]]) -> None:
             for key in ("error", "uniform", "center_of_mass_off")
         }
         count = sum(row["center_of_mass_inside"] for row in good)
-        cells.append(
-            [
-                name,
-                str(len(good)),
-                str(len(results) - len(good)),
-                f"{mean['error']:.1f}",
-                f"{mean['uniform']:.1f}",
-                f"{mean['center_of_mass_off']:.0f}",
-                str(count),
-            ]
-        )
+        failed = len(results) - len(good)
+        means = [f"{mean['error']:.1f}", f"{mean['uniform']:.1f}", f"{mean['center_of_mass_off']:.0f}"]
+        cells.append([name, str(len(good)), str(failed), *means, str(count)])
         inside += count
     table(
         "Final error (ADD) on further pushes, mm",
