@@ -78,6 +78,16 @@ def refuted_by_locked_pushes(answer: Outcome, base: Fitted) -> Outcome:
     return Outcome("undecided", sentence, base)
 
 
+def no_help_to_locked_pushes(answer: Outcome, base: Fitted, screening: Screening) -> Outcome:
+    """The pushes that were locked away stay as far off with the answer as without."""
+    found = unknown(base, screening)
+    sentence = (
+        f"On the open pushes {' and '.join(answer.effects)} would explain something, but the locked pushes"
+        f" are as far off with it as without: it is not what is missing. {found.sentence}"
+    )
+    return Outcome("unknown", sentence, base, depends_on=found.depends_on)
+
+
 def one_of(rivals: Sequence[Fitted]) -> Outcome:
     """One effect, or a set that the data cannot tell apart, best first."""
     names = tuple(fitted.effects[0].name for fitted in rivals)

@@ -41,6 +41,7 @@ from models.inference.diagnosis.verdict_rules import (
     Remainder,
     Rules,
     locked_pushes_object,
+    locked_pushes_stay_off,
     not_outdone,
     rivals_the_best,
     worth_asking,
@@ -100,6 +101,8 @@ def diagnose(
     after = locked_errors(outcome.best, dataset, held) if held and outcome.best.effects else before
     if outcome.effects and locked_pushes_object(inquiry.error.motion, before, after):
         outcome, after = outcomes.refuted_by_locked_pushes(outcome, inquiry.base), before
+    elif outcome.effects and locked_pushes_stay_off(before, after):
+        outcome, after = outcomes.no_help_to_locked_pushes(outcome, inquiry.base, inquiry.first), before
     return Diagnosis(
         verdict=outcome.verdict,
         sentence=outcome.sentence,

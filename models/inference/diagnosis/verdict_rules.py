@@ -32,6 +32,13 @@ UNKNOWN_GAIN = 45.0
 `PROBE_GAIN` lie what really was unknown and what an independent simulator, with nothing hidden, gained by its
 own grid and contact (up to 40 nats): there the verdict is that it cannot be told."""
 
+FAR_OFF = 2.0
+"""Misfit of locked pushes, in sensor noise, that calls for an explanation."""
+
+LEAST_HELP = 0.1
+"""Share by which an answer has to lower it. The true effect lowers it several times over; one that bends to
+a few open pushes does not."""
+
 REST_GAIN = 8.0
 """The same for all that is found on top of an effect, where it may come from the effect's exact form."""
 
@@ -174,3 +181,10 @@ def locked_pushes_object(
     if before is None or after is None or motion_error <= ROUGH:
         return False
     return after.total_misfit > before.total_misfit
+
+
+def locked_pushes_stay_off(before: LockedErrors | None, after: LockedErrors | None) -> bool:
+    """Whether pushes that were locked away, and are far off, are nearly as far off with the answer."""
+    if before is None or after is None or before.total_misfit < FAR_OFF:
+        return False
+    return after.total_misfit > (1 - LEAST_HELP) * before.total_misfit
