@@ -44,6 +44,10 @@ class ExplorationFailed(RuntimeError):
         self.run = run
 
 
+class ExplorationStopped(ExplorationFailed):
+    """Ctrl-C ended the loop."""
+
+
 @dataclass(frozen=True, eq=False)
 class ExplorationRun:
     """What an exploration brought.
@@ -103,6 +107,7 @@ def explore(
 
     Raises:
         ExplorationFailed: the object was lost, or the arm cannot make any push.
+        ExplorationStopped: Ctrl-C; it has what was recorded until then.
         ValueError, RendererUnavailable: see `exploration_loop`.
     """
     started = time.perf_counter()
@@ -123,7 +128,11 @@ def explore(
         return EventStatus.DidNothing()
 
     simulator.set_monitor(watch)
-    simulator.AdvanceTo(LONGEST * pushes)
+    interrupted = False
+    try:
+        simulator.AdvanceTo(LONGEST * pushes)
+    except KeyboardInterrupt:
+        interrupted = True
     status: LoopStatus = _output(loop, "supervisor", "status", context)
     trials = _output(loop, "logger", "records", context)
     run = None
@@ -141,6 +150,8 @@ def explore(
             )
     if status.mode != "finished" or run is None:
         reason = status.reason or f"not done after {context.get_time():.0f} s of simulated time"
+        if interrupted:
+            raise ExplorationStopped(f"stopped after {len(trials)} of {pushes} pushes", run)
         raise ExplorationFailed(f"exploration stopped at push {status.push + 1} of {pushes}: {reason}", run)
     return run
 

@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING
 
 import click
 
-from diagrams.commands.options import OutputFile, json_option, seed_option
+from diagrams.commands.options import json_option, seed_option
 from diagrams.console import BadInput, Progress, note, paragraph, prepare_kernels, table, wait_for_enter
-from diagrams.outputs import make_folder, whole_file, write_json, writing
+from diagrams.outputs import check_file, make_folder, whole_file, write_json, writing
 from planners.strategies import STRATEGIES
 
 if TYPE_CHECKING:
@@ -18,6 +18,12 @@ if TYPE_CHECKING:
     from diagrams.exploration_loop import LoopOptions
     from diagrams.exploration_run import ExplorationRun
     from diagrams.station.scenario import Scenario
+
+
+class _Stopped(click.ClickException):
+    """Ctrl-C, after something was kept."""
+
+    exit_code = 130
 
 
 @click.command()
@@ -46,7 +52,7 @@ if TYPE_CHECKING:
     help="Serve the view and print its address; wait for Enter or Ctrl-C at the end.",
 )  # fmt: skip
 @click.option(
-    "--record", "recording", type=OutputFile("html", "htm"), metavar="FILE",
+    "--record", "recording", type=click.Path(path_type=Path), metavar="FILE",
     help="Write the whole run as a page that plays it back without a network.",
 )  # fmt: skip
 @click.option(
@@ -78,7 +84,9 @@ def explore(
     scenario = scenario_of(scenario_file, object_name)
     options = LoopOptions(pushes=pushes, checks=checks, strategy=strategy, seed=seed)
     make_folder(folder)
-    run, failure = run_loop(scenario, options, open_meshcat, recording)
+    if recording is not None:
+        check_file(recording, ("html", "htm"))
+    run, failure, stopped = run_loop(scenario, options, open_meshcat, recording)
     written = leave(run, folder, recording)
     if json_file is not None:
         write_json(json_file, {**run.identification.to_json(), "truth": run.truth(), "failure": failure})
@@ -86,7 +94,8 @@ def explore(
     for what, path in written.items():
         note(f"{what + ':':<19}{path}")
     if failure:
-        raise click.ClickException(f"{failure} What was recorded until then is kept.")
+        kept = f"{failure} What was recorded until then is kept in {folder}."
+        raise _Stopped(kept) if stopped else click.ClickException(kept)
 
 
 def scenario_of(path: Path | None, object_name: str | None) -> Scenario:
@@ -113,8 +122,8 @@ def scenario_of(path: Path | None, object_name: str | None) -> Scenario:
 
 def run_loop(
     scenario: Scenario, options: LoopOptions, open_meshcat: bool, recording: Path | None
-) -> tuple[ExplorationRun, str]:
-    """Run the loop; returns what it brought, and why it stopped early, if it did.
+) -> tuple[ExplorationRun, str, bool]:
+    """Run the loop; returns what it brought, why it ended early, if it did, and whether Ctrl-C ended it.
 
     Raises:
         BadInput: this machine cannot render pictures.
@@ -125,7 +134,7 @@ def run_loop(
     from diagrams.station.scenario_file import ScenarioError
 
     meshcat = _meshcat(open_meshcat) if open_meshcat or recording is not None else None
-    failure = ""
+    failure, stopped = "", False
     with Progress() as progress:
         prepare_kernels()
         if meshcat is not None and recording is not None:
@@ -135,8 +144,9 @@ def run_loop(
         except (RendererUnavailable, ScenarioError) as error:
             raise BadInput(str(error)) from error
         except exploration_run.ExplorationFailed as error:
+            stopped = isinstance(error, exploration_run.ExplorationStopped)
             if error.run is None:
-                raise click.ClickException(str(error)) from error
+                raise (click.Abort() if stopped else click.ClickException(str(error))) from error
             run, failure = error.run, f"{error}."
         if meshcat is not None and recording is not None:
             progress("writing the recording", 0, 1)
@@ -148,14 +158,17 @@ def run_loop(
     if open_meshcat and meshcat is not None:
         click.echo(f"the view is at {meshcat.web_url()}; press Enter to end", err=True)
         wait_for_enter()
-    return run, failure
+    return run, failure, stopped
 
 
 def _meshcat(show: bool) -> Meshcat:
+    import logging
+
     from pydrake.geometry import Meshcat, MeshcatParams
 
     from diagrams.systems.belief_visualizer import VIEW
 
+    logging.getLogger("drake").setLevel(logging.WARNING)  # the address is told below, where it is of use
     meshcat = Meshcat(MeshcatParams(host="localhost", show_stats_plot=False))
     meshcat.SetCameraPose(*VIEW)
     for helper in ("/Grid", "/Axes"):

@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
+from shapely.affinity import rotate, translate
 
 from diagrams.execution.config import ExecutionConfig
 from diagrams.perception.camera import CameraConfig
@@ -22,6 +23,9 @@ from models.objects.true_object import (
 )
 from planners.poke_settings import PokeSettings
 
+CLEARANCE = 0.02
+"""Between the finger on its way and what it passes over, m."""
+
 
 @dataclass
 class ObjectSettings:
@@ -31,7 +35,8 @@ class ObjectSettings:
         name: of a benchmark object; not used where `mesh` or `labels` is given.
         mesh: file that trimesh can load; needs `mass` and `mu`.
         labels: picture whose pixels name segments; needs `metres_per_pixel`, `masses`, `frictions`, `height`.
-        mass, mu: of an object of one material, kg.
+        mass, mu: of an object of one material, from a mesh, kg.
+        metres_per_unit: of the mesh, 0.001 for millimetres; as the file says where missing, else 1.
         metres_per_pixel: side of a pixel, m.
         masses, frictions: of each label.
         height: of an object from a label image, m.
@@ -43,8 +48,9 @@ class ObjectSettings:
     name: str = "hammer"
     mesh: str | None = None
     labels: str | None = None
-    mass: float = 1.0
-    mu: float = 0.4
+    mass: float | None = None
+    mu: float | None = None
+    metres_per_unit: float | None = None
     metres_per_pixel: float = 0.001
     masses: dict[str, float] = field(default_factory=dict)
     frictions: dict[str, float] = field(default_factory=dict)
@@ -59,6 +65,16 @@ class ObjectSettings:
             raise ValueError(f"object.pose must be x, y in m and a turn in degrees, got {self.pose}")
         if self.mesh is not None and self.labels is not None:
             raise ValueError("object: give mesh or labels, not both")
+        for name in ("mass", "mu", "metres_per_unit"):
+            value = getattr(self, name)
+            if value is not None and self.mesh is None:
+                raise ValueError(
+                    f"object.{name} is for an object of your own, from a mesh; {self.called} has its own"
+                )
+            if value is not None and not (np.isfinite(value) and value > 0):
+                raise ValueError(f"object.{name} must be positive, got {value}")
+        if self.mesh is not None and (self.mass is None or self.mu is None):
+            raise ValueError("object: an object from a mesh needs mass (kg) and mu")
         for name in (*self.masses, *self.frictions):
             if not name.isdigit():
                 raise ValueError(f"object: masses and frictions are by label, a whole number, got {name!r}")
@@ -75,7 +91,11 @@ class ObjectSettings:
             ValueError: it cannot be had; names the object, the file or the number.
         """
         if self.mesh is not None:
-            return object_from_mesh(self.mesh, self.mass, self.mu, mu_finger=self.mu_finger, count=self.cells)
+            assert self.mass is not None and self.mu is not None  # see check
+            return object_from_mesh(
+                self.mesh, self.mass, self.mu,
+                mu_finger=self.mu_finger, count=self.cells, metres_per_unit=self.metres_per_unit,
+            )  # fmt: skip
         if self.labels is not None:
             return object_from_labels(
                 self.labels,
@@ -180,3 +200,26 @@ class Scenario:
     hidden: HiddenEffectsConfig = field(default_factory=HiddenEffectsConfig)
     pokes: PokeSettings = field(default_factory=PokeSettings)
     simulation: SimulationSettings = field(default_factory=SimulationSettings)
+
+    def check_placement(self, thing: TrueObject) -> None:
+        """Raise ValueError unless the object lies on the table, and the finger can pass over it."""
+        x, y, degrees = self.object.pose
+        lies = translate(rotate(thing.grid.polygon, degrees, origin=(0.0, 0.0)), x, y)
+        corners = np.asarray(lies.exterior.coords)
+        if self.table.shape == "round":
+            on_table = bool((np.hypot(*corners.T) < self.table.radius).all())
+            size = f"a radius of {self.table.radius:g} m"
+        else:
+            on_table = bool((np.abs(corners) < np.array(self.table.size) / 2).all())
+            size = f"{self.table.size[0]:g} m by {self.table.size[1]:g} m"
+        if not on_table:
+            raise ValueError(
+                f"object.pose: {thing.name} at x = {x:g} m, y = {y:g} m, {np.ptp(corners[:, 0]):.2f} m by"
+                f" {np.ptp(corners[:, 1]):.2f} m, does not lie on the table, which has {size}"
+            )
+        highest = self.execution.safe_height - CLEARANCE
+        if thing.height.max() > highest:
+            raise ValueError(
+                f"object {thing.name} is {thing.height.max():.3f} m high; the finger passes over what is at"
+                f" most {highest:.3f} m high (execution.safe_height less {CLEARANCE} m)"
+            )

@@ -63,6 +63,7 @@ class Station(Diagram):
         super().__init__()
         builder = DiagramBuilder()
         self.true_object = scenario.object.make()
+        scenario.check_placement(self.true_object)
         plant, scene_graph = AddMultibodyPlant(plant_config(scenario.simulation.time_step), builder)
         add_table(plant, scenario.table.make(), scenario.table.friction)
         add_sliding_object(plant, self.true_object, scenario.table.friction)

@@ -47,7 +47,6 @@ def leaves(settings: Any, where: tuple[str, ...] = ()):
 
 CHOICES = {
     "object.name": "wrench",
-    "object.mesh": "shoe.obj",
     "object.labels": "shoe.png",
     "object.masses": {"1": 0.5},
     "object.frictions": {"1": 0.5, "2": 0.25},
@@ -74,7 +73,13 @@ def test_the_defaults_survive_a_round_trip(read):
     assert read(yaml_dump_typed(Scenario())) == Scenario()
 
 
-@pytest.mark.parametrize(("path", "value"), DEFAULTS.items(), ids=map(".".join, DEFAULTS))
+TOGETHER = ("object.mesh", "object.mass", "object.mu", "object.metres_per_unit")
+"""Fields of an object from a mesh, which need one another."""
+
+ALONE = {path: value for path, value in DEFAULTS.items() if ".".join(path) not in TOGETHER}
+
+
+@pytest.mark.parametrize(("path", "value"), ALONE.items(), ids=map(".".join, ALONE))
 def test_every_field_can_be_set_alone(read, path, value):
     wanted = another(".".join(path), value)
     content: Any = wanted
@@ -84,6 +89,16 @@ def test_every_field_can_be_set_alone(read, path, value):
     changed = [where for where, now in leaves(settings) if now != DEFAULTS[where]]
     assert changed == [path]
     assert dict(leaves(settings))[path] == wanted
+
+
+def test_an_object_from_a_mesh_is_set_as_a_whole(read):
+    settings = read("object: {mesh: shoe.obj, mass: 0.8, mu: 0.3, metres_per_unit: 0.001}")
+    assert [getattr(settings.object, name.split(".")[1]) for name in TOGETHER] == [
+        "shoe.obj",
+        0.8,
+        0.3,
+        0.001,
+    ]
 
 
 def test_all_sections_can_be_set_at_once(read):
@@ -139,7 +154,7 @@ def test_a_typo_is_told_by_its_full_name(read, text, named):
         ("camera: {position: [0.1, left]}", "camera.position[1]", "a number", "'left'"),
         ("object: {name: 7}", "object.name", "a text", "7"),
         ("object: {mesh: [a]}", "object.mesh", "a text", "['a']"),
-        ("object: {mass: null}", "object.mass", "a number", "None"),
+        ("object: {mass: heavy}", "object.mass", "a number", "'heavy'"),
         ("object: {masses: [1.0]}", "object.masses", "names and values", "[1.0]"),
         ("object: {masses: {'1': heavy}}", "object.masses.1", "a number", "'heavy'"),
         ("hidden: {tether: 3}", "hidden.tether", "fields and values", "3"),
@@ -165,7 +180,10 @@ def test_a_value_of_another_type_is_told_by_its_full_name(read, text, where, kin
         ("execution: {tip_height: 0.05, safe_height: 0.04}", ["execution.safe_height", "0.04", "tip_height"]),
         ("object: {pose: [0.1, 0.2]}", ["object.pose", "[0.1, 0.2]"]),
         ("object: {pose: [0.1, .nan, 0]}", ["object.pose", "nan"]),
-        ("object: {mesh: a.obj, labels: b.png}", ["object", "mesh", "labels"]),
+        ("object: {mesh: a.obj, labels: b.png, mass: 1.0, mu: 0.3}", ["object", "mesh", "labels"]),
+        ("object: {mesh: a.obj, mass: 1.0}", ["mesh", "mass", "mu"]),
+        ("object: {mesh: a.obj, mass: -1.0, mu: 0.3}", ["object.mass", "positive", "-1.0"]),
+        ("object: {mass: 3.0}", ["object.mass", "hammer has its own"]),
         ("object: {masses: {head: 1.0}}", ["object", "masses", "'head'"]),
         ("table: {shape: oval}", ["table.shape", "round", "rectangle", "'oval'"]),
         ("table: {size: [1.0]}", ["table", "size", "[1.0]"]),
@@ -215,4 +233,26 @@ def test_recorded_pushes_bear_the_objects_name(tmp_path):
     assert recorded_dataset([trial], grid, scenario).name == "hammer"
     trimesh.creation.box((0.1, 0.05, 0.03)).export(tmp_path / "shoe_box.stl")
     scenario.object.mesh = str(tmp_path / "shoe_box.stl")
+    scenario.object.mass, scenario.object.mu = 0.8, 0.3
     assert recorded_dataset([trial], grid, scenario).name == scenario.object.make().name == "shoe_box"
+
+
+@pytest.mark.parametrize(
+    ("text", "named"),
+    [
+        ("object: {pose: [5.0, 0.0, 0.0]}", ["object.pose", "x = 5 m", "does not lie on the table", "0.5 m"]),
+        ("object: {pose: [0.4, 0.0, 0.0]}", ["does not lie on the table"]),
+        ("{object: {pose: [0.0, 0.3, 0.0]}, table: {shape: rectangle}}", None),
+        ("{object: {pose: [0.0, 0.4, 0.0]}, table: {shape: rectangle}}", ["1.2 m by 0.8 m"]),
+        ("{object: {name: box}, execution: {safe_height: 0.08}}", ["box is 0.070 m high", "0.060 m"]),
+    ],
+)
+def test_an_object_must_lie_on_the_table_and_under_the_finger(read, text, named):
+    scenario = read(text)
+    if named is None:
+        scenario.check_placement(scenario.object.make())
+        return
+    with pytest.raises(ValueError) as refused:
+        scenario.check_placement(scenario.object.make())
+    for part in named:
+        assert part in str(refused.value)
