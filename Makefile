@@ -17,7 +17,7 @@ demo: $(STAMP) ## Let a simulated robot explore a hammer; results go to demo/
 	@$(BIN)/slipmap explore --object hammer --out demo --record demo/recording.html
 
 test: $(STAMP) ## Run all tests
-	@$(BIN)/python -m pytest -q
+	@$(BIN)/python -m pytest -q -n 2 --dist loadfile
 
 lint: $(STAMP) ## Check style and formatting
 	@$(BIN)/ruff check .
