@@ -21,6 +21,13 @@ from models.measurements import read_dataset
 
 COMMANDS = ("demo", "identify", "predict", "compare", "calibrate", "blind-test", "bench")
 HEAVY = ("numpy", "scipy", "numba", "matplotlib", "pydrake", "shapely", "cv2", "rich")
+
+
+def hear_ctrl_c() -> None:
+    """For a child process: where the tests run in the background, it would inherit that SIGINT is ignored."""
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+
+
 ENVIRONMENT = {**os.environ, "PYTHONPATH": str(Path(__file__).resolve().parents[2])}
 
 
@@ -354,7 +361,12 @@ def test_ctrl_c_leaves_nothing_behind(slipmap, demo_folder, tmp_path, monkeypatc
 def test_a_real_interrupt_ends_with_130(tmp_path):
     command = [sys.executable, "-m", "diagrams.command_line", "demo", "-o", str(tmp_path / "demo")]
     with subprocess.Popen(
-        command, env=ENVIRONMENT, stderr=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+        command,
+        env=ENVIRONMENT,
+        stderr=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+        preexec_fn=hear_ctrl_c,
     ) as process:
         assert process.stderr is not None
         for line in process.stderr:

@@ -169,7 +169,7 @@ def test_compare_with_a_belief_writes_report_and_numbers(slipmap, demo_folder, t
     folder = demo_folder / "demo"
     html, numbers = tmp_path / "r.html", tmp_path / "r.json"
     said = slipmap(
-        "compare", folder / "hammer", "--belief", folder / "belief.npz", "-o", html, "--json", numbers
+        "compare", folder / "pushes", "--belief", folder / "belief.npz", "-o", html, "--json", numbers
     )
     assert said.code == 0, said.err
     document = json.loads(numbers.read_text())

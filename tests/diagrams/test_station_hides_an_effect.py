@@ -11,7 +11,7 @@ SCENARIO = """
 object: {name: box}
 camera: {rate: 5.0}
 hidden:
-  table_tilt: {down_x: 0.08, down_y: -0.05}
+  table_tilt: {down_x: 0.12, down_y: -0.08}
 """
 
 

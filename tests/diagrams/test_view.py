@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 import umsgpack
 from meshcat.servers.tree import find_node
-from test_command_line import ENVIRONMENT, assert_refused, files_in
+from test_command_line import ENVIRONMENT, assert_refused, files_in, hear_ctrl_c
 
 from diagrams.belief_scene import MOST, belief_scene
 from diagrams.systems.belief_colors import MAPS
@@ -136,7 +136,9 @@ def test_the_page_is_served_until_it_is_ended(belief, tmp_path: Path, end: str, 
     belief.save(tmp_path / "block.npz")
     command = [sys.executable, "-m", "diagrams.command_line", "view", str(tmp_path / "block.npz")]
     pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
-    with subprocess.Popen(command, env=ENVIRONMENT, text=True, start_new_session=True, **pipes) as process:
+    with subprocess.Popen(
+        command, env=ENVIRONMENT, text=True, start_new_session=True, preexec_fn=hear_ctrl_c, **pipes
+    ) as process:
         assert process.stdin is not None and process.stderr is not None
         (address,) = re.findall(r"http://localhost:\d+/", process.stderr.readline())
         with urllib.request.urlopen(address, timeout=10) as answer:

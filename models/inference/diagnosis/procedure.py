@@ -36,6 +36,7 @@ from models.inference.diagnosis.verdict_rules import (
     FEWEST_DRAWS,
     FEWEST_PUSHES,
     LEVEL,
+    PROBE_GAIN,
     ROUGH,
     UNKNOWN_GAIN,
     Remainder,
@@ -178,11 +179,13 @@ class _Inquiry:
         if self.accepted:
             self.accepted = not_outdone(self.accepted, self.left, self.refits.gains)
             return outcomes.one_of([self.refits.fits[name] for name in self.accepted])
-        if float(self.first.gain.max()) < UNKNOWN_GAIN:
+        if float(self.first.gain.max()) < PROBE_GAIN:
             return outcomes.too_faint(self.base)
         pair = self._pair(rest)
         if pair is not None:
             return outcomes.two_at_once(pair)
+        if float(self.first.gain.max()) < UNKNOWN_GAIN:
+            return outcomes.too_faint(self.base)
         return outcomes.unknown(self.base, next(iter(rest.values())))
 
     def _screen(self, fitted: Fitted) -> Screening:
