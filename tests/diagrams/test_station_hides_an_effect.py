@@ -10,6 +10,7 @@ from diagrams.perception.renderer import RendererUnavailable, require_renderer
 SCENARIO = """
 object: {name: box}
 camera: {rate: 5.0}
+simulation: {time_step: 0.003}
 hidden:
   table_tilt: {down_x: 0.12, down_y: -0.08}
 """
