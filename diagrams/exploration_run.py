@@ -21,6 +21,7 @@ from models.inference.results import Identification
 from models.measurements import PushDataset
 from models.objects.true_object import TrueObject
 from models.physics.cell_grid import FloatArray
+from planners.proposals import turn
 
 LONGEST = 60.0
 """s of simulated time for each push, after which the loop is given up."""
@@ -71,9 +72,7 @@ class ExplorationRun:
     @property
     def true_center_of_mass(self) -> FloatArray:
         """(2,) of the object in the frame of the cells, m."""
-        x, y, angle = self.X_SO
-        c, s = np.cos(angle), np.sin(angle)
-        return np.array([[c, -s], [s, c]]) @ self.true_object.center_of_mass[:2] + [x, y]
+        return turn(self.X_SO[2]) @ self.true_object.center_of_mass[:2] + self.X_SO[:2]
 
     def truth(self) -> dict[str, Any]:
         """The true values of what was learned, and how far off the belief is."""
@@ -165,7 +164,5 @@ def _frames(loop: Diagram, root: Context) -> FloatArray:
     """(3,) pose of the true object's frame in that of the cells, as seen now."""
     X_WO = _output(loop, "station", "truth.object_pose", root)
     seen = _output(loop, "perception", "object_pose", root).pose
-    x, y = X_WO.translation()[:2] - seen[:2]
-    c, s = np.cos(seen[2]), np.sin(seen[2])
-    yaw = RollPitchYaw(X_WO.rotation()).yaw_angle()
-    return np.array([c * x + s * y, c * y - s * x, yaw - seen[2]])
+    place = turn(-seen[2]) @ (X_WO.translation()[:2] - seen[:2])
+    return np.array([*place, RollPitchYaw(X_WO.rotation()).yaw_angle() - seen[2]])

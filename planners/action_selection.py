@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from models.inference.belief import Belief
+from models.inference.push_errors import radius_of_gyration
 from models.physics.cell_grid import CellGrid, FloatArray
 from models.physics.paper_notation import add
 from models.physics.rollout import RolloutError
@@ -115,8 +116,7 @@ def _stays(poke: Poke, grid: CellGrid, pose: FloatArray, settings: PokeSettings)
 
 def _differences(pokes: Sequence[Poke], past: Sequence[Poke], grid: CellGrid) -> FloatArray:
     """(S,) distance of each candidate from the past push that is nearest to it (Algorithm 2, line 6)."""
-    spread = grid.centers - grid.centers.mean(axis=0)
-    gyration = float(np.sqrt((spread**2).sum(axis=1).mean()))
+    gyration = radius_of_gyration(grid)
 
     def features(many: Sequence[Poke]) -> FloatArray:
         return np.array([np.concatenate([p.contact / gyration, p.direction]) for p in many])

@@ -17,6 +17,7 @@ import scipy.linalg
 from models.inference.diagnosis.error_model import ErrorModel, travelled
 from models.inference.diagnosis.fitting import Fitted
 from models.inference.observations import LONGEST_STEP, LONGEST_STRIDE, SAMPLES, Observation
+from models.inference.push_errors import radius_of_gyration
 from models.physics.cell_grid import CellGrid, FloatArray
 from models.physics.rollout import Maps, Push, RolloutError, Slider
 
@@ -139,7 +140,7 @@ def separations(
     pairs = list(combinations(range(len(predictions)), 2))
     result = np.zeros((len(pairs), len(pushes)))
     centroid = grid.centers.mean(axis=0)
-    radius = float(np.sqrt(((grid.centers - centroid) ** 2).sum(axis=1).mean()))
+    radius = radius_of_gyration(grid)
     for b, push in enumerate(pushes):
         poses = np.array([p.poses[b] for p in predictions])
         forces = np.array([p.forces[b] for p in predictions])

@@ -19,7 +19,7 @@ import click
 
 from diagrams.commands import options
 from diagrams.console import BadInput, note, prepare_kernels
-from diagrams.outputs import make_folder, whole_file, write_json
+from diagrams.outputs import make_folder, write_json, write_text
 
 TESTS = Path(__file__).resolve().parents[2] / "tests"
 RESULT, FAILURE = ".result.json", ".failure.json"
@@ -60,8 +60,7 @@ def blind_test(seed: int, count: int, output: Path, jobs: int) -> None:
         note(f"{done} of {len(waiting)}, {_duration(left)} left: {_name(number)}, {outcome}")
     score = _score(output, seeds)
     write_json(output / "score.json", score.to_json())
-    with whole_file(output / "score.md") as part:
-        part.write_text(score.markdown(), encoding="utf-8")
+    write_text(output / "score.md", score.markdown())
     click.echo(score.text(), nl=False)
     note(f"score: {output / 'score.md'}")
 

@@ -9,7 +9,7 @@ import click
 
 from diagrams.commands.options import json_option, seed_option
 from diagrams.console import BadInput, Progress, note, paragraph, prepare_kernels, table, wait_for_enter
-from diagrams.outputs import check_file, make_folder, whole_file, write_json, writing
+from diagrams.outputs import check_file, make_folder, write_json, write_text, writing
 from planners.strategies import STRATEGIES
 
 if TYPE_CHECKING:
@@ -152,8 +152,7 @@ def run_loop(
             progress("writing the recording", 0, 1)
             meshcat.StopRecording()
             meshcat.PublishRecording()
-            with whole_file(recording) as part:
-                part.write_text(str(meshcat.StaticHtml()), encoding="utf-8")
+            write_text(recording, str(meshcat.StaticHtml()))
             progress("writing the recording", 1, 1)
     if open_meshcat and meshcat is not None:
         click.echo(f"the view is at {meshcat.web_url()}; press Enter to end", err=True)
@@ -193,8 +192,7 @@ def leave(run: ExplorationRun, folder: Path, recording: Path | None) -> dict[str
         pictures = keep(run.identification, run.dataset, belief, None, progress)
         comparison = compare(run.dataset, run.identification.belief, seed=0, label="model", progress=progress)
         text = report([comparison], run.dataset)
-    with whole_file(folder / "report.html") as part:
-        part.write_text(text, encoding="utf-8")
+    write_text(folder / "report.html", text)
     written = {"pushes": place, "belief": belief, "report": folder / "report.html"}
     written |= {f"picture of {path.stem.removeprefix('belief.')}": path for path in pictures}
     return written if recording is None else {**written, "recording": recording}

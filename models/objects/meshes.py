@@ -65,6 +65,22 @@ def cells_from_mesh(
     return cells_from_polygon(rings[0], rings[1:], count=count, width=width)
 
 
+def upright_mesh(
+    path: str | PathLike[str], up: ArrayLike = (0, 0, 1), metres_per_unit: float | None = None
+) -> trimesh.Trimesh:
+    """The mesh of a file in m, turned like its cells and set down on z = 0; arguments as `cells_from_mesh`.
+
+    Raises:
+        ValueError: a file that cannot be read, or a wrong up or unit.
+    """
+    loaded, source = _loaded(path)
+    mesh = loaded.copy()
+    vertices = mesh.vertices * _unit(loaded, metres_per_unit, source) @ _turn_to_z(up).T
+    mesh.vertices = vertices - [0.0, 0.0, vertices[:, 2].min()]
+    mesh.units = "meters"
+    return mesh
+
+
 def _loaded(mesh: trimesh.Trimesh | str | PathLike[str]) -> tuple[trimesh.Trimesh, str]:
     source = "mesh"
     if isinstance(mesh, str | PathLike):

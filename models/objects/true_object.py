@@ -15,7 +15,7 @@ from shapely.geometry import Polygon
 
 from models.objects.images import cells_from_label_image
 from models.objects.lofts import coloured, height_over, lofted, rounded
-from models.objects.meshes import _loaded, _turn_to_z, _unit, cells_from_mesh
+from models.objects.meshes import cells_from_mesh, upright_mesh
 from models.physics.cell_grid import CellGrid, FloatArray
 from models.physics.rollout import Maps
 
@@ -139,7 +139,7 @@ def object_from_mesh(
     """
     source = f"mesh {Path(path)}"
     _positive(mass, f"{source}: mass", "kg")
-    mesh = _upright(path, up, metres_per_unit)
+    mesh = upright_mesh(path, up, metres_per_unit)
     grid = cells_from_mesh(mesh, count=count)
     height = cell_heights(mesh, grid)
     colors = _region_colors(1)
@@ -227,16 +227,6 @@ def cell_heights(mesh: trimesh.Trimesh, grid: CellGrid) -> FloatArray:
         raise ValueError("mesh: covers no centre of a cell; are mesh and cells in one frame?")
     apart = np.linalg.norm(grid.centers[:, None] - grid.centers[covered], axis=2)
     return height[covered[np.argmin(apart, axis=1)]]
-
-
-def _upright(path: str | PathLike[str], up: ArrayLike, metres_per_unit: float | None) -> trimesh.Trimesh:
-    """The mesh of a file in m, turned like its cells (`cells_from_mesh`) and set down on z = 0."""
-    loaded, source = _loaded(path)
-    mesh = loaded.copy()
-    vertices = mesh.vertices * _unit(loaded, metres_per_unit, source) @ _turn_to_z(up).T
-    mesh.vertices = vertices - [0.0, 0.0, vertices[:, 2].min()]
-    mesh.units = "meters"
-    return mesh
 
 
 def _regions(grid: CellGrid, labels: NDArray[np.int64]) -> list[list[Polygon]]:
