@@ -22,9 +22,8 @@ class DepthNoiseConfig:
 
     The axial term grows with the square of depth, as disparity noise does: an error of 0.05 pixels at a focal
     length of 900 pixels and a baseline of 55 mm makes 1 mm at 1 m. The lateral term moves edges by a part of
-    a pixel; Nguyen, Izadi and Lovell ("Modeling Kinect sensor noise for improved 3D reconstruction and
-    tracking", 3DIMPVT 2012) measured 0.8 with the coarse pattern of the first Kinect. Both are correlated
-    between neighbours, since such cameras match windows, not single pixels.
+    a pixel. Both are correlated between neighbours, since such cameras match windows, not single pixels. The
+    defaults are a choice, not the measurement of a camera; docs/station.md says what larger ones do.
 
     Attributes:
         axial_floor: standard deviation of depth close to the camera, m.
