@@ -30,3 +30,9 @@ FINGER_LENGTH = 0.1
 """From the end of the finger to the hand, m."""
 GRIPPER_OPENING = 0.08
 """Largest distance between the axes of the two pins, m; what fits between them is two finger radii less."""
+GRIP_FORCE = 80.0
+"""Largest force of a pin, N."""
+HAND_RADIUS = 0.04
+"""The hand is a capsule along the direction in which the pins close; its radius, m."""
+HAND_DISTANCE = 0.16
+"""From the end of the finger back to the capsule's axis, m."""

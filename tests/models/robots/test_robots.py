@@ -84,3 +84,13 @@ def test_opening_lets_60_mm_in(gripper):
     opening = float(limit["right"].get("upper")) - float(limit["left"].get("lower"))
     assert opening == pytest.approx(robots.GRIPPER_OPENING)
     assert opening - 2 * robots.FINGER_RADIUS >= 0.06
+
+
+def test_hand_is_where_planning_takes_it_to_be(gripper):
+    tip = float(gripper.find("frame[@name='tip']").get("xyz").split()[2])
+    (hand,) = gripper.findall("link[@name='hand']/collision")
+    assert float(hand.find(f"geometry/{DRAKE}capsule").get("radius")) == robots.HAND_RADIUS
+    assert tip - float(hand.find("origin").get("xyz").split()[2]) == pytest.approx(robots.HAND_DISTANCE)
+    for side in ("left", "right"):
+        limit = gripper.find(f"joint[@name='{side}_finger_joint']/limit")
+        assert float(limit.get("effort")) == robots.GRIP_FORCE
