@@ -34,9 +34,10 @@ class WorldNoise:
     """How far a world is from what is asked for and reported.
 
     Attributes:
-        control: standard deviation of each coordinate of a push's begin and of its end, m; cut off at 2.5 times.
+        control: standard deviation of each coordinate of a push's begin and of its end, m; cut off at 2.5
+            times that.
         sensors: one standard deviation of every row.
-        camera: poses a second while the finger pushes; 0 for none but those before and after, as under an arm.
+        camera: poses a second while the finger pushes; 0 for none but those before and after.
     """
 
     control: float = 2e-3
@@ -164,7 +165,7 @@ class DirectWorld(ABC):
         rows = rows[np.isfinite(poses[rows]).all(axis=1)]
         poses[rows, 2] = np.unwrap(poses[rows, 2], axis=0)
         poses[rows, 2] += _continued(self._seen, poses[0])[2] - poses[0, 2]
-        time = PERIOD * np.arange(count)
+        time = PERIOD * np.arange(count, dtype=float)
         sensors = self.noise.sensors
         force = self._measured(motion.forces, sensors.force, sensors.force)
         return Trial(

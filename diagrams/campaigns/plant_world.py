@@ -69,12 +69,14 @@ class PlantWorld(DirectWorld):
         super().__init__(true_object, table, noise)
         ratio = PERIOD / time_step
         if abs(ratio - round(ratio)) > 1e-9:
-            raise ValueError(f"plant world: the time step must be a whole fraction of {PERIOD} s, got {time_step}")
+            raise ValueError(
+                f"plant world: the time step must be a whole fraction of {PERIOD} s, got {time_step}"
+            )
         self._time_step = time_step
         builder = DiagramBuilder()
         plant, _ = AddMultibodyPlant(plant_config(time_step), builder)
         add_table(plant, table)
-        add_sliding_object(plant, true_object, TABLE_FRICTION)
+        add_sliding_object(plant, true_object, TABLE_FRICTION, single_feet=True)
         self._finger = _add_finger(plant)
         plant.Finalize()
         if hidden is not None:

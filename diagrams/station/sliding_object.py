@@ -85,6 +85,8 @@ def add_sliding_object(
     true_object: TrueObject,
     table_friction: float,
     finger_friction: float = FINGER_FRICTION,
+    *,
+    single_feet: bool = False,
 ) -> ModelInstanceIndex:
     """Add an object to the plant as a free body named "object", in a model instance of that name.
 
@@ -98,6 +100,8 @@ def add_sliding_object(
         true_object: what to add.
         table_friction: of the table's own geometry (`table_contact`).
         finger_friction: of the finger's own geometry; together with the blocks' it gives `mu_finger`.
+        single_feet: one foot in the middle of each cell instead of four. Simulates several times faster; that
+            a cell by itself resists spinning is lost.
 
     Raises:
         ValueError: a friction that Drake's rule cannot reach with the given surfaces.
@@ -110,8 +114,9 @@ def add_sliding_object(
     instance = plant.AddModelInstance(BODY)
     body = plant.AddRigidBody(BODY, instance, spatial_inertia(true_object))
     grid = true_object.grid
+    feet = np.zeros((1, 2)) if single_feet else _FEET
     for cell, (center, mass) in enumerate(zip(grid.centers, true_object.mass, strict=True)):
-        wanted = mass * GRAVITY / 4 / SINK
+        wanted = mass * GRAVITY / len(feet) / SINK
         properties = ProximityProperties()
         AddContactMaterial(
             dissipation=_DISSIPATION,
@@ -119,7 +124,7 @@ def add_sliding_object(
             friction=CoulombFriction(foot_mu[cell], foot_mu[cell]),
             properties=properties,
         )
-        for foot, place in enumerate(center + grid.width * _FEET):
+        for foot, place in enumerate(center + grid.width * feet):
             X_OF = RigidTransform(np.array([*place, FOOT_RADIUS]))
             plant.RegisterCollisionGeometry(
                 body, X_OF, Sphere(FOOT_RADIUS), f"cell_{cell}_foot_{foot}", properties

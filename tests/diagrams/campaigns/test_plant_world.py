@@ -1,0 +1,171 @@
+"""The plant's world slides like the model, falls where its weight is, repeats itself, and can refuse."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from diagrams.campaigns.direct_world import DirectWorld, WorldNoise, finger_path
+from diagrams.campaigns.plant_world import PlantWorld
+from diagrams.station.hidden_effects import HiddenEffectsConfig, TableTilt
+from models.measurements.push_dataset import Noise
+from models.objects.benchmark import benchmark_object
+from models.physics.rollout import Push, Slider
+from planners.exploration import candidate_pushes
+from planners.proposals import turn
+from planners.table_push import TablePush
+from planners.world import ObjectFell, PushNotMade
+
+EXACT = WorldNoise(control=0.0, sensors=Noise(), camera=100.0)
+POSE = np.array([-0.05, 0.02, 2.9])
+
+
+@pytest.fixture(scope="module")
+def exact() -> PlantWorld:
+    return PlantWorld(benchmark_object("hammer"), noise=EXACT)
+
+
+@pytest.fixture(scope="module")
+def noisy() -> PlantWorld:
+    return PlantWorld(benchmark_object("hammer"))
+
+
+def _push(world: DirectWorld, number: int, length: float = 0.1) -> TablePush:
+    candidates = candidate_pushes(
+        world.true_object.grid, world.finger_radius, np.random.default_rng(1), number + 1
+    )
+    c = candidates[number]
+    rotation = turn(POSE[2])
+    begin, end = c.touch - 0.01 * c.direction, c.touch + length * c.direction
+    return TablePush(POSE[:2] + rotation @ begin, POSE[:2] + rotation @ end, 0.06)
+
+
+@pytest.mark.parametrize("number", [0, 2, 3])
+def test_ten_centimetres_are_those_of_the_cell_grid_model(exact: PlantWorld, number: int) -> None:
+    exact.reset(POSE, np.random.default_rng(0))
+    trial = exact.push(_push(exact, number))
+    thing = exact.true_object
+    push = Push(0.01, trial.tip_pose.values, POSE, pose_times=trial.object_pose.time[1:])
+    expected = Slider(thing.grid, exact.finger_radius).rollout(thing.maps, [push]).poses_of(0)[0]
+    off = trial.object_pose.values[1:] - expected
+    assert np.hypot(*(expected[-1] - POSE)[:2]) > 0.02
+    assert np.linalg.norm(off[:, :2], axis=1).max() < 1e-3
+    assert np.abs(off[:, 2]).max() < np.radians(0.5)
+
+
+def test_force_is_that_of_the_finger_on_the_object(exact: PlantWorld) -> None:
+    thing = exact.true_object
+    exact.reset(POSE, np.random.default_rng(0))
+    push = _push(exact, 0)
+    trial = exact.push(push)
+    assert trial.ft_wrench is not None
+    along = trial.ft_wrench.values[:, :2] @ push.direction
+    pressing = along > 0.1
+    assert pressing.sum() > 100
+    weight = 9.81 * (thing.mass * thing.mu).sum()
+    assert along[pressing].max() < 1.2 * weight
+    assert (along > -1e-6).all()
+
+
+def test_a_trial_repeats_itself_whatever_was_before(noisy: PlantWorld) -> None:
+    results = []
+    for _ in range(2):
+        noisy.reset(POSE, np.random.default_rng(5))
+        trials = [noisy.push(_push(noisy, 0, 0.02)) for _ in range(2)]
+        results.append((*trials, noisy.look()))
+    (first, second, seen), (first_again, second_again, seen_again) = results
+    for one, other in ((first, first_again), (second, second_again)):
+        np.testing.assert_array_equal(one.object_pose.values, other.object_pose.values)
+        np.testing.assert_array_equal(one.tip_pose.values, other.tip_pose.values)
+        assert one.ft_wrench is not None and other.ft_wrench is not None
+        np.testing.assert_array_equal(one.ft_wrench.values, other.ft_wrench.values)
+    np.testing.assert_array_equal(seen, seen_again)
+    assert (first.name, second.name) == ("trials/000.json", "trials/001.json")
+
+
+def test_sensors_and_control_are_as_noisy_as_stated(noisy: PlantWorld) -> None:
+    noisy.reset(POSE, np.random.default_rng(3))
+    looks = np.array([noisy.look() for _ in range(400)])
+    sensors = noisy.noise.sensors
+    np.testing.assert_allclose(looks.std(axis=0), [sensors.position] * 2 + [sensors.angle], rtol=0.15)
+    np.testing.assert_allclose(looks.mean(axis=0), POSE, atol=2e-4)
+    push = TablePush(np.array([0.3, 0.3]), np.array([0.31, 0.3]), 0.1)
+    trials = [noisy.push(push) for _ in range(10)]
+    tips = np.array([trial.tip_pose.values[[0, -1]] for trial in trials])
+    off = (tips - [push.begin, push.end]).ravel()
+    assert off.std() == pytest.approx(noisy.noise.control, rel=0.35)
+    assert np.abs(off).max() < 3 * noisy.noise.control
+
+
+def test_angle_is_continuous_over_a_trial(noisy: PlantWorld) -> None:
+    turned = np.add(POSE, [0.0, 0.0, 4 * np.pi])
+    noisy.reset(turned, np.random.default_rng(3))
+    assert noisy.look()[2] == pytest.approx(turned[2], abs=0.03)
+    trial = noisy.push(_push(noisy, 2, 0.05))
+    angles = trial.object_pose.values[:, 2]
+    assert angles[0] == pytest.approx(turned[2], abs=0.03)
+    assert np.abs(np.diff(angles)).max() < 0.5
+
+
+@pytest.mark.parametrize("angle", [0.4, 2.0, 5.0])
+def test_falls_where_its_weight_is_beyond_the_edge(exact: PlantWorld, angle: float) -> None:
+    assert exact.table.radius is not None
+    middle = turn(angle) @ exact.true_object.center_of_mass[:2]
+    outward = middle / np.hypot(*middle)
+    # The edge is round, so that weight a little within it may still tip over the chord of what is supported.
+    for beyond, falls in ((-0.02, False), (2e-3, True)):
+        place = (exact.table.radius + beyond) * outward - middle
+        exact.reset(np.array([*place, angle]), np.random.default_rng(0))
+        if falls:
+            with pytest.raises(ObjectFell, match="hammer fell; it was seen last at x ="):
+                exact.look()
+        else:
+            np.testing.assert_allclose(exact.look(), [*place, angle], atol=1e-3)
+
+
+def test_pushed_over_the_edge_it_is_gone(exact: PlantWorld) -> None:
+    middle = exact.true_object.center_of_mass[:2]
+    exact.reset(np.array([0.46 - middle[0], -middle[1], 0.0]), np.random.default_rng(0))
+    left = exact.true_object.grid.exterior[:, 0].min() + 0.46 - middle[0]
+    trial = exact.push(TablePush(np.array([left - 0.012, 0.0]), np.array([left + 0.1, 0.0]), 0.1))
+    assert np.isfinite(trial.object_pose.values).all()
+    assert trial.object_pose.time[-1] < trial.tip_pose.time[-1]
+    with pytest.raises(ObjectFell):
+        exact.look()
+    with pytest.raises(PushNotMade, match="fell"):
+        exact.push(_push(exact, 0))
+    exact.reset(POSE, np.random.default_rng(0))
+    np.testing.assert_allclose(exact.look(), POSE, atol=1e-6)
+
+
+def test_refuses_to_come_down_on_the_object(exact: PlantWorld) -> None:
+    exact.reset(POSE, np.random.default_rng(0))
+    middle = POSE[:2] + turn(POSE[2]) @ exact.true_object.grid.centers[0]
+    with pytest.raises(PushNotMade, match=r"come down on the hammer.*nearer than its radius of 8 mm"):
+        exact.push(TablePush(middle, np.add(middle, [0.1, 0.0]), 0.05))
+    np.testing.assert_allclose(exact.look(), POSE, atol=1e-9)
+    assert exact.pushes == 0
+
+
+def test_hidden_effects_act() -> None:
+    slope = HiddenEffectsConfig(table_tilt=TableTilt(down_x=0.4))
+    world = PlantWorld(benchmark_object("hammer"), noise=EXACT, hidden=slope)
+    world.reset(POSE, np.random.default_rng(0))
+    world.push(TablePush(np.array([0.3, 0.3]), np.array([0.31, 0.3]), 0.1))
+    with pytest.raises(ObjectFell):
+        world.look()
+
+
+def test_path_has_the_speed_asked_for() -> None:
+    path = finger_path(np.zeros(2), np.array([0.03, 0.04]), 0.05, 2e-3)
+    speed = np.hypot(*np.diff(path, axis=0).T) / 2e-3
+    assert speed.max() == pytest.approx(0.05)
+    np.testing.assert_allclose(path[[0, -1]], [[0, 0], [0.03, 0.04]], atol=1e-12)
+    assert (len(path) - 1) % 5 == 0
+
+
+def test_noise_out_of_range_is_refused() -> None:
+    with pytest.raises(ValueError, match="control"):
+        WorldNoise(control=-1e-3)
+    with pytest.raises(ValueError, match=r"whole fraction of 0\.01 s"):
+        PlantWorld(benchmark_object("hammer"), time_step=3e-3)
