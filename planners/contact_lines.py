@@ -1,0 +1,167 @@
+"""Where and in which direction a finger may push: Algorithm 3, lines 8 to 10, and its first candidate.
+
+A line of push is named by two numbers, which makes neighbours easy to find: the place of the contact along
+the outer contour, and the angle between the push and the inward normal there.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import shapely
+
+from models.objects import contour_cells
+from models.physics.cell_grid import CellGrid, FloatArray
+from planners.exploration import TOUCH, NoReachablePush
+from planners.pose_metric import compose
+
+TRIES = 20
+"""Draws of as many lines as are wanted, before fewer are taken."""
+
+
+@dataclass(frozen=True, eq=False)
+class ContactLines:
+    """C lines along which a round finger can push, all free until they touch; object frame.
+
+    Attributes:
+        places: (C,) arc length along the exterior, m.
+        angles: (C,) from the inward normal to the direction, counter-clockwise, rad.
+        touches: (C, 2) finger centre at first touch, m.
+        directions: (C, 2) unit vectors of the finger's motion.
+    """
+
+    places: FloatArray
+    angles: FloatArray
+    touches: FloatArray
+    directions: FloatArray
+
+    def __len__(self) -> int:
+        return len(self.places)
+
+
+class ContactContour:
+    """The outer contour of an object, for a finger.
+
+    Args:
+        grid: the object.
+        finger_radius: m.
+        approach: way that must be free before the first touch, m.
+    """
+
+    def __init__(self, grid: CellGrid, finger_radius: float, approach: float) -> None:
+        self._ring = grid.exterior
+        self._polygon = grid.polygon
+        self._radius = finger_radius
+        self._approach = approach
+        edges = np.roll(self._ring, -1, axis=0) - self._ring
+        lengths = np.linalg.norm(edges, axis=1)
+        self._ends = np.cumsum(lengths)
+        self._along = edges / np.where(lengths > 0, lengths, 1.0)[:, None]
+        _, self._cells, _ = contour_cells(grid)
+        line = shapely.LinearRing(self._ring)
+        self.cell_places: FloatArray = shapely.line_locate_point(line, shapely.points(self._cells))
+        """(c,) arc lengths of the contact points of the contour's cells, m."""
+
+    def lines(self, places: FloatArray, angles: FloatArray) -> ContactLines:
+        """Those of the lines (C,) at arc lengths and angles that the finger can take."""
+        places = np.mod(places, self._ends[-1])
+        edge = np.minimum(np.searchsorted(self._ends, places, side="right"), len(self._ends) - 1)
+        back = (self._ends[edge] - places)[:, None]
+        corner = np.roll(self._ring, -1, axis=0)[edge]
+        along = self._along[edge]
+        inward = np.column_stack([-along[:, 1], along[:, 0]])
+        touches = corner - back * along - self._radius * inward
+        c, s = np.cos(angles), np.sin(angles)
+        x, y = inward.T
+        directions = np.column_stack([c * x - s * y, s * x + c * y])
+        ways = shapely.linestrings(np.stack([touches - self._approach * directions, touches], axis=1))
+        free = shapely.distance(ways, self._polygon) >= self._radius - TOUCH
+        return ContactLines(places[free], angles[free], touches[free], directions[free])
+
+    def nearest_to_axis(self, center: FloatArray, ways: FloatArray) -> FloatArray:
+        """The rule of the expected centre of mass: contacts most in line with the way it is to go.
+
+        i = argmax cos(x̂ - x_target, p^i - x̂) over the cells of the contour (section V.D of the paper).
+
+        Args:
+            center: (2,) expected centre of mass x̂, object frame, m.
+            ways: (G, 2) from it to where it is wanted, x_target - x̂, object frame, m.
+
+        Returns:
+            (G',) arc lengths, each once, m; a target with the centre of mass already in place has none.
+        """
+        wanted = ways[np.linalg.norm(ways, axis=1) > 1e-6]
+        spokes = self._cells - center
+        spokes = spokes / np.linalg.norm(spokes, axis=1)[:, None]
+        return self.cell_places[np.unique(np.argmax(-wanted @ spokes.T, axis=1))]
+
+    def spread(self, first: FloatArray, count: int, cone: float, rng: np.random.Generator) -> ContactLines:
+        """Candidates all around: `first`, then cells of the contour, half of all along their normals.
+
+        Args:
+            first: (f,) arc lengths that come before all others, m.
+            count: wanted number of lines.
+            cone: largest angle from the inward normal, rad.
+            rng: source of every draw.
+
+        Raises:
+            NoReachablePush: the finger fits nowhere.
+        """
+        straight = np.concatenate([first, rng.permutation(self.cell_places)])
+        found = _first(self.lines(straight, np.zeros(len(straight))), max(count // 2, len(first)))
+        for _ in range(TRIES):
+            if len(found) >= count:
+                break
+            places = rng.uniform(0.0, self._ends[-1], count)
+            found = joined(found, self.lines(places, rng.uniform(-cone, cone, count)))
+        if not len(found):
+            raise NoReachablePush(
+                f"planning: a finger of radius {self._radius:.4g} m reaches no point of the contour;"
+                " take a thinner finger"
+            )
+        return _first(found, count)
+
+    def near(
+        self,
+        lines: ContactLines,
+        chosen: np.ndarray,
+        count: int,
+        shift: float,
+        tilt: float,
+        cone: float,
+        rng: np.random.Generator,
+    ) -> ContactLines:
+        """Perturbed contact points and directions around some of the lines; may be none.
+
+        Args:
+            lines: that were tried.
+            chosen: (m,) which of them to vary, in turn.
+            count: wanted number of lines.
+            shift: one standard deviation along the contour, m.
+            tilt: the same of the angle, rad.
+            cone: largest angle from the inward normal, rad.
+            rng: source of every draw.
+        """
+        base = np.resize(chosen, count)
+        places = lines.places[base] + shift * rng.standard_normal(count)
+        angles = lines.angles[base] + tilt * rng.standard_normal(count)
+        return self.lines(places, np.clip(angles, -cone, cone))
+
+
+def joined(first: ContactLines, second: ContactLines) -> ContactLines:
+    """Both, one after the other."""
+    return ContactLines(*(np.concatenate(pair) for pair in zip(_fields(first), _fields(second), strict=True)))
+
+
+def ways_of_center(center: FloatArray, targets: FloatArray) -> FloatArray:
+    """(G, 2) way of a point (2,) of the object to its place in targets (G, 3), all in the object frame, m."""
+    return compose(targets, np.append(center, 0.0))[:, :2] - center
+
+
+def _first(lines: ContactLines, count: int) -> ContactLines:
+    return ContactLines(*(values[:count] for values in _fields(lines)))
+
+
+def _fields(lines: ContactLines) -> tuple[FloatArray, ...]:
+    return lines.places, lines.angles, lines.touches, lines.directions

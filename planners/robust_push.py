@@ -1,0 +1,170 @@
+"""The next push towards a target, chosen for all hypotheses at once: inner loops of Algorithm 3 (lines 6 to 21).
+
+As in the paper, a finger pushes at a cell of the contour against the surface normal; the first candidate is
+the cell most in line with the way of the expected centre of mass, the others are perturbed, and the best is
+the one that the hypotheses, weighed by their probabilities, expect nearest to the target. `timeout` is a
+number of candidates, so that the choice does not depend on the machine.
+
+Beyond the paper: candidates vary in length and a little in direction; the finger's control noise is imagined
+together with the hypotheses; falling costs in each; there may be many targets, any of which will do; and what
+is compared is the expected number of pushes to a target (`lookahead`), into which the gap enters. Without that,
+the object would be pushed near to a target at once, from where turning it takes more pushes than before.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from models.inference.belief import Belief
+from models.measurements.push_dataset import Table
+from models.physics.cell_grid import FloatArray
+from planners.contact_lines import ContactContour, ways_of_center
+from planners.exploration import NoReachablePush
+from planners.foresight import Foresight, Scenarios, foresee
+from planners.lookahead import Lookahead, further_pushes
+from planners.pose_metric import PoseMetric, relative
+from planners.pregrasp_settings import PushSettings
+from planners.table_push import TablePush
+
+TARGETS = 40
+"""Targets that are looked at closely, those that seem to take the fewest pushes."""
+
+VARIED = 8
+"""Best lines, around which others are tried."""
+
+SHIFT, TILT = 0.008, np.radians(6.0)
+"""Standard deviations of these from those, m along the contour and rad."""
+
+
+@dataclass(frozen=True, eq=False)
+class PlannedPush:
+    """A push and what is expected of it.
+
+    Attributes:
+        push: on the table.
+        target: index of the target that it serves.
+        gap: expected distance of the cells from where they are in the target, after the push, m.
+        fall_probability: that the object falls on the way or at the end.
+        predicted: (K, 3) pose after the push in each hypothesis, without control noise on average, world.
+        pushes: expected number of pushes to the target, this one included.
+    """
+
+    push: TablePush
+    target: int
+    gap: float
+    fall_probability: float
+    predicted: FloatArray
+    pushes: float
+
+
+def plan_push(
+    belief: Belief,
+    pose: FloatArray,
+    targets: FloatArray,
+    table: Table,
+    settings: PushSettings,
+    rng: np.random.Generator,
+    allowed: Callable[[TablePush], bool] = lambda push: True,
+    costs: FloatArray | None = None,
+) -> PlannedPush:
+    """Choose a push that brings the object to one of the targets, or nearer to it.
+
+    Args:
+        belief: hypotheses, one or many.
+        pose: (3,) where the object lies, world, m and rad.
+        targets: (3,) or (G, 3) poses, any of which will do.
+        table: that it must not fall from.
+        settings: what pushes are like.
+        rng: source of every draw.
+        allowed: whether the robot can make a push; asked in order of preference until one is found.
+        costs: (G,) what is to be added to the expected number of pushes to a target.
+
+    Raises:
+        NoReachablePush: the finger reaches the object nowhere, or no candidate is allowed.
+    """
+    goals = np.atleast_2d(np.asarray(targets, dtype=float))
+    extra = np.zeros(len(goals)) if costs is None else np.asarray(costs, dtype=float)
+    cone = float(np.radians(settings.cone))
+    metric = PoseMetric(belief.grid)
+    scenarios = Scenarios.of(belief, settings, rng)
+    contour = ContactContour(belief.grid, belief.finger_radius, settings.approach)
+
+    expected_center = belief.probability @ belief.centers_of_mass
+    aligned = contour.nearest_to_axis(expected_center, ways_of_center(expected_center, relative(pose, goals)))
+    lines = contour.spread(aligned[: settings.candidates // 2], settings.candidates, cone, rng)
+    seen = [foresee(scenarios, pose, lines, table, settings)]
+    ahead = Lookahead(seen[0], pose, metric, settings, rng)
+
+    near = np.argsort(ahead.after(pose, goals, pairs=True) + extra, kind="stable")[:TARGETS]
+    far = bool((ahead.after(pose, goals[near], pairs=True) + extra[near]).min() > 2.5)
+    values = [_expected_pushes(seen[0], goals[near], extra[near], ahead, metric, settings, far)]
+
+    best = np.argsort(values[0].min(axis=(1, 2)), kind="stable")[:VARIED]
+    varied = contour.near(lines, best, settings.refinements, SHIFT, TILT, cone, rng)
+    if len(varied):
+        seen.append(foresee(scenarios, pose, varied, table, settings))
+        values.append(_expected_pushes(seen[1], goals[near], extra[near], ahead, metric, settings, far))
+    return _first_allowed(seen, values, goals, near, metric, scenarios, settings, allowed)
+
+
+def _expected_pushes(
+    seen: Foresight,
+    goals: FloatArray,
+    extra: FloatArray,
+    ahead: Lookahead,
+    metric: PoseMetric,
+    settings: PushSettings,
+    far: bool,
+) -> FloatArray:
+    """(C, L, G) expected number of pushes to each target if it begins with this one; a fall costs."""
+    reached = metric.embedding(seen.poses)
+    finish = np.empty((*seen.falls.shape, len(goals)))
+    for g, goal in enumerate(metric.embedding(goals)):
+        gaps = np.linalg.norm(reached - goal, axis=-1)
+        finish[..., g] = further_pushes(gaps, settings) @ seen.probability
+    likely = np.einsum("s,clsx->clx", seen.probability, seen.poses)
+    known = np.where(np.isfinite(likely), likely, 0.0)
+    follow = np.minimum(finish, ahead.after(known, goals, pairs=far))
+    value = 1.0 + follow + extra + settings.fall_cost * seen.falls[..., None]
+    return np.where(np.isfinite(likely).all(axis=-1)[..., None], value, np.inf)
+
+
+def _first_allowed(
+    seen: list[Foresight],
+    values: list[FloatArray],
+    goals: FloatArray,
+    near: np.ndarray,
+    metric: PoseMetric,
+    scenarios: Scenarios,
+    settings: PushSettings,
+    allowed: Callable[[TablePush], bool],
+) -> PlannedPush:
+    """The best push that the robot can make."""
+    value = np.concatenate([v.min(axis=2) for v in values])
+    served = np.concatenate([v.argmin(axis=2) for v in values])
+    poses = np.concatenate([s.poses for s in seen])
+    falls = np.concatenate([s.falls for s in seen])
+    begins = np.concatenate([s.begins for s in seen])
+    places = np.concatenate([s.directions for s in seen])
+    for index in np.argsort(value, axis=None, kind="stable"):
+        line, length = np.unravel_index(index, value.shape)
+        if not np.isfinite(value[line, length]):
+            break
+        way = settings.approach + seen[0].lengths[length]
+        push = TablePush(begins[line], begins[line] + way * places[line], settings.speed)
+        if not allowed(push):
+            continue
+        target = int(near[served[line, length]])
+        ends = poses[line, length]
+        return PlannedPush(
+            push=push,
+            target=target,
+            gap=float(scenarios.probability @ metric.gap(ends, goals[target])),
+            fall_probability=float(falls[line, length]),
+            predicted=scenarios.of_hypotheses(ends),
+            pushes=float(value[line, length]),
+        )
+    raise NoReachablePush(f"planning: the robot can make none of {value.size} candidate pushes")
