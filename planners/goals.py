@@ -1,0 +1,255 @@
+"""Goals at the table's edge: poses where the object stays, and sticks out so that the gripper can take it.
+
+Algorithm 4 of Song and Boularias (2020) samples them in its lines 11 to 13.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from models.inference.belief import Belief
+from models.measurements.push_dataset import Table
+from models.physics.balance import balance_margins, corners_of, fall_probability
+from models.physics.cell_grid import CellGrid, FloatArray
+from planners.goal_settings import GoalSettings
+from planners.grasp_lines import GraspLines, grasp_lines
+from planners.grasps import Grasp, Gripper
+
+_ENOUGH_MARGIN = 0.02  # m; more is not better
+
+
+@dataclass(frozen=True, eq=False)
+class Goal:
+    """A pose at the edge with a grasp.
+
+    Attributes:
+        pose: (3,) of the object, world, m and rad.
+        grasp: the best there.
+        fall_probability: of hypotheses whose balance margin there is below the settings' margin.
+        margin: balance margin that the object has with probability 1 - epsilon, m.
+        room: about how much farther over the table the object could lie and still be grasped alike, m.
+        value: by which goals are ranked, larger is better: the grasp's value (`GraspLines.ranked`) and the
+            margin, up to 20 mm, together.
+    """
+
+    pose: FloatArray
+    grasp: Grasp
+    fall_probability: float
+    margin: float
+    room: float
+    value: float
+
+
+@dataclass(frozen=True, eq=False)
+class Graspable:
+    """An object as planning the grasp knows it, with its grasps; made by `of`, once for a belief.
+
+    Attributes:
+        grid: cells and outline.
+        centers_of_mass: (K, 2) of the hypotheses, object frame, m.
+        probability: (K,) of the hypotheses.
+        lines: all its grasps.
+        settings: what goals must be like.
+    """
+
+    grid: CellGrid
+    centers_of_mass: FloatArray
+    probability: FloatArray
+    lines: GraspLines
+    settings: GoalSettings
+
+    @staticmethod
+    def of(
+        grid: CellGrid,
+        heights: ArrayLike,
+        centers_of_mass: ArrayLike,
+        probability: ArrayLike,
+        settings: GoalSettings,
+        masses: ArrayLike | None = None,
+        gripper: Gripper | None = None,
+    ) -> Graspable:
+        """Find the grasps of an object.
+
+        Args:
+            grid: cells and outline.
+            heights: (n,) of the object's top over each cell, m.
+            centers_of_mass: (K, 2) of the hypotheses, object frame, m.
+            probability: (K,) of the hypotheses; those of probability 0 do not count.
+            settings: what goals must be like.
+            masses: (K,) of the whole object in each hypothesis, kg; `settings.mass` where None.
+            gripper: the robot's own where None.
+
+        Raises:
+            ValueError: shapes that do not fit, or settings that make no sense.
+        """
+        settings.check()
+        centers = np.asarray(centers_of_mass, dtype=float)
+        p = np.asarray(probability, dtype=float)
+        weights = np.full(len(p), settings.mass) if masses is None else np.asarray(masses, dtype=float)
+        if centers.shape != (*p.shape, 2) or weights.shape != p.shape:
+            raise ValueError(
+                f"goals: {p.shape} probabilities need as many centres of mass and masses, got"
+                f" {centers.shape} and {weights.shape}"
+            )
+        counts = p > 0
+        lines = grasp_lines(
+            grid,
+            np.asarray(heights, dtype=float),
+            centers[counts],
+            weights[counts],
+            settings,
+            gripper or Gripper(),
+        )
+        return Graspable(grid, centers, p, lines, settings)
+
+    @staticmethod
+    def of_belief(
+        belief: Belief, heights: ArrayLike, settings: GoalSettings, gripper: Gripper | None = None
+    ) -> Graspable:
+        """As `of`, with grid, centres of mass, masses and probabilities of a belief."""
+        masses = belief.maps.mass.sum(axis=1)
+        return Graspable.of(
+            belief.grid, heights, belief.centers_of_mass, belief.probability, settings, masses, gripper
+        )
+
+    def goals_at(self, poses: ArrayLike, table: Table) -> list[Goal | None]:
+        """Which of given poses are goals, as a method would choose them in the paper's Figure 5.
+
+        A pose is a goal where the object falls with a probability of epsilon or less and a grasp passes the
+        check that `GraspLines` states.
+
+        Args:
+            poses: (P, 3) of the object in the world, m and rad.
+            table: the table.
+
+        Returns:
+            A goal or None for each pose.
+        """
+        poses = np.asarray(poses, dtype=float)
+        margins = balance_margins(self.grid, self.centers_of_mass, poses, table)
+        falls = fall_probability(margins, self.probability, self.settings.margin)
+        found: list[Goal | None] = [None] * len(poses)
+        stays = np.flatnonzero(falls <= self.settings.epsilon)
+        if len(stays) == 0 or len(self.lines.start) == 0:
+            return found
+        sure = self._sure_margins(margins[stays])
+        value, room, place = self.lines.ranked(poses[stays], table)
+        best = np.argmax(value, axis=1)
+        for row, (index, line) in enumerate(zip(stays, best, strict=True)):
+            if np.isfinite(value[row, line]):
+                found[index] = Goal(
+                    pose=poses[index],
+                    grasp=self.lines.grasp(int(line), int(place[row, line])),
+                    fall_probability=float(falls[index]),
+                    margin=float(sure[row]),
+                    room=float(room[row, line]),
+                    value=float(value[row, line] + min(sure[row], _ENOUGH_MARGIN)),
+                )
+        return found
+
+    def grasps_at(self, pose: ArrayLike, table: Table) -> list[Grasp]:
+        """All grasps at a pose, one on each line, best first; whether the object stays is not asked."""
+        if len(self.lines.start) == 0:
+            return []
+        value, _, place = (rows[0] for rows in self.lines.ranked(np.asarray(pose, dtype=float)[None], table))
+        order = np.argsort(-value, kind="stable")
+        return [self.lines.grasp(int(k), int(place[k])) for k in order if np.isfinite(value[k])]
+
+    def sample_goals(
+        self, table: Table, rng: np.random.Generator, allowed: Callable[[Goal], bool] = lambda goal: True
+    ) -> list[Goal]:
+        """Goals among poses drawn along the whole edge, best first; see the function of this name."""
+        poses = self._poses_at_edge(table, rng)
+        goals = [goal for goal in self.goals_at(poses, table) if goal is not None]
+        goals.sort(key=lambda goal: -goal.value)
+        kept: list[Goal] = []
+        for goal in goals:
+            if len(kept) == self.settings.count:
+                break
+            if allowed(goal):
+                kept.append(goal)
+        return kept
+
+    def _sure_margins(self, margins: FloatArray) -> FloatArray:
+        """(P,) margin that hypotheses of probability 1 - epsilon or more have."""
+        order = np.argsort(margins, axis=1)
+        below = np.cumsum(self.probability[order], axis=1)
+        first = np.argmax(below > self.settings.epsilon, axis=1)
+        return np.take_along_axis(np.take_along_axis(margins, order, axis=1), first[:, None], axis=1)[:, 0]
+
+    def _poses_at_edge(self, table: Table, rng: np.random.Generator) -> FloatArray:
+        """(P, 3) poses at which some of the object is out, and its middle, as believed, is not.
+
+        Uniform along the edge, in orientation, and in how far it is out.
+        """
+        count = self.settings.samples
+        rim, outward = _points_of_edge(table, rng.uniform(size=count))
+        turn = rng.uniform(-np.pi, np.pi, count)
+        c, s = np.cos(turn), np.sin(turn)
+        in_object = np.column_stack(
+            [c * outward[:, 0] + s * outward[:, 1], c * outward[:, 1] - s * outward[:, 0]]
+        )
+        farthest = (in_object @ self.grid.exterior.T).max(axis=1) - self.settings.least_contact
+        middle = in_object @ (self.probability @ self.centers_of_mass) + self.settings.margin
+        in_by = middle + rng.uniform(size=count) * np.maximum(farthest - middle, 0.0)
+        return np.column_stack([rim - in_by[:, None] * outward, turn])
+
+
+def sample_goals(
+    grid: CellGrid,
+    heights: ArrayLike,
+    centers_of_mass: ArrayLike,
+    probability: ArrayLike,
+    table: Table,
+    settings: GoalSettings,
+    rng: np.random.Generator,
+    allowed: Callable[[Goal], bool] = lambda goal: True,
+    *,
+    masses: ArrayLike | None = None,
+    gripper: Gripper | None = None,
+) -> list[Goal]:
+    """Goals at the table's edge, best first, at most `settings.count`.
+
+    `settings.samples` poses are drawn uniformly along the edge, in orientation, and in how far the object is
+    out; `Graspable.goals_at` says which of them are goals.
+
+    Args:
+        grid: cells and outline.
+        heights: (n,) of the object's top over each cell, m.
+        centers_of_mass: (K, 2) of the hypotheses, object frame, m.
+        probability: (K,) of the hypotheses.
+        table: the table.
+        settings: what goals must be like.
+        rng: of every draw.
+        allowed: whether the robot can serve a goal; asked best first, until there are enough.
+        masses: (K,) of the whole object in each hypothesis, kg; `settings.mass` where None.
+        gripper: the robot's own where None.
+
+    Returns:
+        Goals; none where the object cannot be left at the edge and grasped.
+
+    Raises:
+        ValueError: shapes that do not fit, settings that make no sense, or a table without its measure.
+    """
+    thing = Graspable.of(grid, heights, centers_of_mass, probability, settings, masses, gripper)
+    return thing.sample_goals(table, rng, allowed)
+
+
+def _points_of_edge(table: Table, share: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Points (P, 2) of the edge at shares (P,) of its length and the outward normals (P, 2) there."""
+    corners = corners_of(table)
+    if len(corners) == 0:
+        assert table.radius is not None  # see corners_of
+        outward = np.column_stack([np.cos(2 * np.pi * share), np.sin(2 * np.pi * share)])
+        return np.asarray(table.center) + table.radius * outward, outward
+    sides = np.roll(corners, -1, axis=0) - corners
+    lengths = np.linalg.norm(sides, axis=1)
+    way = share * lengths.sum()
+    side = np.minimum(np.searchsorted(np.cumsum(lengths), way, side="right"), len(sides) - 1)
+    along = sides[side] / lengths[side, None]
+    points = corners[side] + (way - (np.cumsum(lengths) - lengths)[side])[:, None] * along
+    return points, np.column_stack([along[:, 1], -along[:, 0]])

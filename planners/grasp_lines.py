@@ -1,0 +1,254 @@
+"""All grasps of one object: straight lines by which the pins can come, and how far in they may go."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from models.measurements.push_dataset import Table
+from models.physics.cell_grid import CellGrid, FloatArray
+from planners.goal_settings import GoalSettings
+from planners.grasps import Grasp, Gripper
+from planners.height_map import HeightMap
+from planners.table_reach import first_on_table, towards_table
+
+GRAVITY = 9.81  # m/s²
+
+_DIRECTIONS = 48
+_APART = 5e-3  # m, of neighbouring lines
+_STEP = 2.5e-3  # m, of the pins' ends along a line
+_ENOUGH = 0.02  # m, of room; more is not better
+
+
+@dataclass(frozen=True, eq=False)
+class GraspLines:
+    """L lines over the object frame, each with S places for the pins' ends, `_STEP` apart.
+
+    What is checked of a grasp, in the object frame:
+
+    - The open pins have `clearance` above everything that they pass on their way in, and below it.
+    - The hand, swept along the line, stays off the outline by `clearance`, whatever the height there.
+    - The middle of the lower pin lies under the outline over `least_contact` or more.
+    - The upper pin comes down on heights that are known: between cells of different height they may be any
+      between these. `least_contact` or more lies between the outermost place that is certainly as high as
+      all the pin passes (less `tolerance`) and the inner end of the lower contact.
+    - In every hypothesis a force at either end carries the moment of the weight about the pins' cross axis,
+      friction that about their own axis, and the lower pin the weight beside: together no more than the
+      gripper's force. So the object stays level. Both moments are added as if they asked for the same force.
+
+    and at a pose (`reach`): lower pin and hand, swept along the line, stay off the table by `clearance`.
+
+    Attributes:
+        direction: (L, 2) in which the hand moves.
+        offset: (L,) of the line to the left of the origin, m.
+        start: (L,) coordinate along the line of the first place, where the outline begins, m.
+        force: (L, S) that the grasp needs, N; inf where the grasp fails the check.
+        height: (L, S) of what the pins pass, m.
+        lower: (L, S) inner end of the lower contact, coordinate along the line, m.
+        upper: (L, S) outer end of the upper contact, likewise.
+        gripper: whose grasps they are.
+        clearance: m.
+    """
+
+    direction: FloatArray
+    offset: FloatArray
+    start: FloatArray
+    force: FloatArray
+    height: FloatArray
+    lower: FloatArray
+    upper: FloatArray
+    gripper: Gripper
+    clearance: float
+
+    def reach(self, poses: FloatArray, table: Table) -> FloatArray:
+        """(P, L) farthest coordinate of the pins' ends at which the table is clear of pins and hand, m.
+
+        Args:
+            poses: (P, 3) of the object in the world.
+            table: top at the height of the object's underside.
+        """
+        hand = self.gripper.hand_radius + self.clearance
+        pin = self.gripper.finger_radius + self.clearance
+        behind = self.gripper.hand_distance - self.gripper.hand_radius
+        pins_free = first_on_table(self.direction, self.offset, poses, table, pin)
+        hand_free = first_on_table(self.direction, self.offset, poses, table, hand)
+        return np.minimum(pins_free, hand_free + behind) - self.clearance
+
+    def ranked(self, poses: FloatArray, table: Table) -> tuple[FloatArray, FloatArray, NDArray[np.intp]]:
+        """The best grasp on each line at each pose.
+
+        Best is the place that needs the least force. Lines compare by their value: room, up to 20 mm, less
+        20 mm times the share of the gripper's force that is needed. Room is about how much farther over the
+        table the object could lie with some grasp on the line left.
+
+        Args:
+            poses: (P, 3) of the object in the world.
+            table: the table.
+
+        Returns:
+            value: (P, L) m, -inf where the line has no grasp.
+            room: (P, L) m.
+            place: (P, L) index of the best place.
+        """
+        best = _running_argmin(self.force)
+        least = np.minimum.accumulate(self.force, axis=1)
+        first = self.start + _STEP * np.argmax(np.isfinite(self.force), axis=1)
+        reach = self.reach(poses, table)
+        last = np.floor((reach - self.start) / _STEP)
+        index = np.clip(last, 0, self.force.shape[1] - 1).astype(np.intp)
+        line = np.arange(len(self.start))
+        force = np.where(last >= 0, least[line, index], np.inf)
+        spare = np.minimum(reach - first, self.gripper.finger_length)
+        begin = self.offset[:, None] * _left_of(self.direction) + first[:, None] * self.direction
+        room = spare * np.maximum(towards_table(begin, self.direction, poses, table), 0.0)
+        value = np.minimum(room, _ENOUGH) - _ENOUGH * force / self.gripper.force
+        return value, room, best[line, index]
+
+    def grasp(self, line: int, place: int) -> Grasp:
+        """The grasp at one place of a line."""
+        along, offset = self.direction[line], self.offset[line]
+        base = offset * _left_of(along)
+        lower, upper = self.lower[line, place], self.upper[line, place]
+        return Grasp(
+            patch=base + (self.start[line] + lower) / 2 * along,
+            approach=float(np.arctan2(along[1], along[0])),
+            opening=self.gripper.opening,
+            tip=base + (self.start[line] + place * _STEP) * along,
+            height=float(self.height[line, place]),
+            length=float(lower - upper),
+            force=float(self.force[line, place]),
+        )
+
+
+def grasp_lines(
+    grid: CellGrid,
+    heights: FloatArray,
+    centers_of_mass: FloatArray,
+    masses: FloatArray,
+    settings: GoalSettings,
+    gripper: Gripper,
+) -> GraspLines:
+    """Grasps from 48 directions on lines 5 mm apart; `GraspLines` says what is checked.
+
+    Args:
+        grid: cells and outline.
+        heights: (n,) of the object's top over each cell, m.
+        centers_of_mass: (K, 2) of the hypotheses, object frame, m.
+        masses: (K,) of the whole object, kg.
+        settings: see there.
+        gripper: see there.
+
+    Returns:
+        Lines on which some grasp passes the check; perhaps none.
+    """
+    field = HeightMap.of(grid, heights)
+    hand = field.highest_within(gripper.hand_radius + settings.clearance)
+    passed = field.highest_within(gripper.finger_radius + settings.clearance)
+    direction, offset, first = _all_lines(grid, hand_margin=gripper.hand_radius + settings.clearance)
+    extent = float(np.ptp(grid.exterior, axis=0).sum()) + gripper.hand_radius + settings.clearance
+    along = first[:, None] + _STEP * np.arange(int((extent + gripper.finger_length) / _STEP) + 2)
+    normal = _left_of(direction)
+    points = direction[:, None] * along[..., None] + (normal * offset[:, None])[:, None]
+
+    inside = field.sampled(field.lowest, points) > 0
+    entered = np.argmax(inside, axis=1)
+    met = inside[np.arange(len(inside)), entered]
+    window = entered[:, None] + np.arange(int(gripper.finger_length / _STEP) + 1)
+
+    def at_tip(values: NDArray) -> NDArray:
+        return np.take_along_axis(values, window, axis=1)
+
+    height = at_tip(np.maximum.accumulate(field.sampled(passed, points), axis=1))
+    lower = at_tip(np.maximum.accumulate(np.where(inside, along, -np.inf), axis=1))
+    upper = _outer_contact(
+        at_tip(field.sampled(field.lowest, points)), at_tip(along), height - settings.tolerance
+    )
+    behind = window - int(gripper.hand_distance / _STEP)
+    touched = np.maximum.accumulate(field.sampled(hand, points) > 0, axis=1)
+    hand_free = (behind < 0) | ~np.take_along_axis(touched, np.maximum(behind, 0), axis=1)
+
+    start = along[np.arange(len(along)), entered]
+    arm = lower - upper
+    good = met[:, None] & hand_free & (arm >= settings.least_contact)
+    good &= lower - start[:, None] >= settings.least_contact
+    good &= gripper.opening - 2 * gripper.finger_radius - height >= 2 * settings.clearance
+    kept = good.any(axis=1)
+    needed = _needed_force(
+        arm[kept], lower[kept], start[kept], height[kept], direction[kept], offset[kept],
+        centers_of_mass, masses, settings.friction,
+    )  # fmt: skip
+    force = np.where(good[kept] & (needed <= gripper.force), needed, np.inf)
+    holds = np.isfinite(force).any(axis=1)
+    kept[kept] = holds
+    return GraspLines(
+        direction[kept], offset[kept], start[kept], force[holds], height[kept], lower[kept], upper[kept],
+        gripper, settings.clearance,
+    )  # fmt: skip
+
+
+def _all_lines(grid: CellGrid, hand_margin: float) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Direction (L, 2), offset (L,) and a coordinate (L,) before object and hand meet."""
+    parts = []
+    for angle in 2 * np.pi * np.arange(_DIRECTIONS) / _DIRECTIONS:
+        along = np.array([np.cos(angle), np.sin(angle)])
+        across = grid.exterior @ np.array([-along[1], along[0]])
+        count = max(1, int(np.ptp(across) / _APART))
+        offset = across.min() + np.ptp(across) * (np.arange(count) + 0.5) / count
+        first = (grid.exterior @ along).min() - hand_margin
+        parts.append((np.tile(along, (count, 1)), offset, np.full(count, first)))
+    direction, offset, first = (np.concatenate(part) for part in zip(*parts, strict=True))
+    return direction, offset, first
+
+
+def _outer_contact(heights: FloatArray, along: FloatArray, wanted: FloatArray) -> FloatArray:
+    """(L, S) coordinate of the first place as high as wanted (L, S) for this end; inf where none is."""
+    rising = np.maximum.accumulate(heights, axis=1)
+    first = np.zeros(wanted.shape, dtype=np.intp)
+    for column in rising.T:
+        first += column[:, None] < wanted
+    reached = first <= np.arange(wanted.shape[1])
+    index = np.minimum(first, wanted.shape[1] - 1)
+    return np.where(reached, np.take_along_axis(along, index, axis=1), np.inf)
+
+
+def _needed_force(
+    arm: FloatArray,
+    lower: FloatArray,
+    start: FloatArray,
+    height: FloatArray,
+    direction: FloatArray,
+    offset: FloatArray,
+    centers_of_mass: FloatArray,
+    masses: FloatArray,
+    friction: float,
+) -> FloatArray:
+    """(L, S) force of the lower pin, N, the largest over the hypotheses.
+
+    A weight W at a lever l beyond the contact's inner end is held by W l / arm at its outer end from above;
+    one at a distance d beside the line by friction at both pins, W d = friction · force · height.
+    """
+    normal = _left_of(direction)
+    needed = np.zeros(arm.shape)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        for center, mass in zip(centers_of_mass, masses, strict=True):
+            weight = GRAVITY * mass
+            at = (direction @ center)[:, None]
+            beside = np.abs(normal @ center - offset)[:, None]
+            lever = np.maximum(np.maximum(at - lower, start[:, None] - at), 0.0)
+            force = weight * (1.0 + lever / arm + beside / (friction * height))
+            needed = np.maximum(needed, np.where(arm > 0, force, np.inf))
+    return needed
+
+
+def _running_argmin(values: FloatArray) -> NDArray[np.intp]:
+    """(L, S) index of the least value up to each column, the first of equal ones."""
+    least = np.minimum.accumulate(values, axis=1)
+    new = np.hstack([np.ones((len(values), 1), dtype=bool), least[:, 1:] < least[:, :-1]])
+    return np.maximum.accumulate(np.where(new, np.arange(values.shape[1]), 0), axis=1)
+
+
+def _left_of(direction: FloatArray) -> FloatArray:
+    """(..., 2) unit vectors turned by 90 degrees to the left."""
+    return np.stack([-direction[..., 1], direction[..., 0]], axis=-1)

@@ -1,0 +1,95 @@
+"""Where straight lines fixed to an object meet the table, for many poses of the object at once."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from models.measurements.push_dataset import Table
+from models.physics.balance import corners_of
+from models.physics.cell_grid import FloatArray
+
+_AT_ONCE = 256  # poses
+
+
+def first_on_table(
+    direction: FloatArray, offset: FloatArray, poses: FloatArray, table: Table, half_width: float
+) -> FloatArray:
+    """Where strips that come from far away first meet the table's top.
+
+    Args:
+        direction: (L, 2) unit vectors in which they come, object frame.
+        offset: (L,) of the strips' middle lines to the left of the object's origin, m.
+        poses: (P, 3) of the object in the world, m and rad.
+        table: round or rectangular.
+        half_width: of the strips, m.
+
+    Returns:
+        (P, L) coordinate along each line, from the point nearest to the object's origin, m; inf where it
+        passes by.
+    """
+    result = np.empty((len(poses), len(direction)))
+    corners = corners_of(table)
+    for begin in range(0, len(poses), _AT_ONCE):
+        part = slice(begin, begin + _AT_ONCE)
+        if len(corners) == 0:
+            assert table.radius is not None  # see corners_of
+            along, left = _on_lines(direction, offset, poses[part], np.array([table.center]))
+            beside = np.maximum(np.abs(left[..., 0]) - half_width, 0.0)
+            square = table.radius**2 - beside**2
+            chord = np.sqrt(np.maximum(square, 0.0))
+            result[part] = np.where(square > 0, along[..., 0] - chord, np.inf)
+        else:
+            result[part] = _first_in_strip(*_on_lines(direction, offset, poses[part], corners), half_width)
+    return result
+
+
+def towards_table(points: FloatArray, direction: FloatArray, poses: FloatArray, table: Table) -> FloatArray:
+    """Cosine between directions and the shortest way from points outside the table to it.
+
+    Args:
+        points: (L, 2) object frame, m.
+        direction: (L, 2) unit vectors, object frame.
+        poses: (P, 3) of the object in the world, m and rad.
+        table: round or rectangular.
+
+    Returns:
+        (P, L).
+    """
+    away = _turned(points, poses) + poses[:, None, :2] - np.asarray(table.center)
+    if table.shape == "round":
+        to_table = -away
+    else:
+        half = np.asarray(table.size) / 2
+        to_table = np.clip(away, -half, half) - away
+    distance = np.maximum(np.linalg.norm(to_table, axis=-1), 1e-9)
+    return np.asarray(np.sum(to_table * _turned(direction, poses), axis=-1) / distance)
+
+
+def _on_lines(
+    direction: FloatArray, offset: FloatArray, poses: FloatArray, points: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """World points (c, 2) along (P, L, c) and to the left of (P, L, c) each line."""
+    c, s = np.cos(poses[:, 2])[:, None], np.sin(poses[:, 2])[:, None]
+    dx, dy = points[:, 0] - poses[:, :1], points[:, 1] - poses[:, 1:2]
+    x, y = (c * dx + s * dy)[:, None], (c * dy - s * dx)[:, None]
+    ux, uy = direction[:, :1], direction[:, 1:]
+    return x * ux + y * uy, y * ux - x * uy - offset[:, None]
+
+
+def _first_in_strip(along: FloatArray, left: FloatArray, half_width: float) -> FloatArray:
+    """Least coordinate of a polygon (..., c) within |left| <= half_width; inf where it is beside."""
+    next_along, next_left = np.roll(along, -1, axis=-1), np.roll(left, -1, axis=-1)
+    found = np.where(np.abs(left) <= half_width, along, np.inf).min(axis=-1)
+    for side in (-half_width, half_width):
+        crosses = (left > side) != (next_left > side)
+        share = np.where(crosses, (side - left) / np.where(crosses, next_left - left, 1.0), 0.0)
+        there = np.where(crosses, along + share * (next_along - along), np.inf)
+        found = np.minimum(found, there.min(axis=-1))
+    return np.asarray(found)
+
+
+def _turned(vectors: FloatArray, poses: FloatArray) -> FloatArray:
+    """(P, L, 2) vectors (L, 2) of the object frame, world."""
+    c, s = np.cos(poses[:, 2])[:, None], np.sin(poses[:, 2])[:, None]
+    x, y = vectors.T
+    return np.stack([c * x - s * y, s * x + c * y], axis=-1)
