@@ -101,8 +101,8 @@ class GraspLines:
         line = np.arange(len(self.start))
         force = np.where(last >= 0, least[line, index], np.inf)
         spare = np.minimum(reach - first, self.gripper.finger_length)
-        begin = self.offset[:, None] * _left_of(self.direction) + first[:, None] * self.direction
-        room = spare * np.maximum(towards_table(begin, self.direction, poses, table), 0.0)
+        facing = towards_table(self.direction, self.offset, first, poses, table)
+        room = spare * np.maximum(facing, 0.0)
         value = np.minimum(room, _ENOUGH) - _ENOUGH * force / self.gripper.force
         return value, room, best[line, index]
 

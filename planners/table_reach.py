@@ -43,26 +43,33 @@ def first_on_table(
     return result
 
 
-def towards_table(points: FloatArray, direction: FloatArray, poses: FloatArray, table: Table) -> FloatArray:
-    """Cosine between directions and the shortest way from points outside the table to it.
+def towards_table(
+    direction: FloatArray, offset: FloatArray, at: FloatArray, poses: FloatArray, table: Table
+) -> FloatArray:
+    """Cosine between lines and the shortest way from one point of each, outside the table, to the table.
 
     Args:
-        points: (L, 2) object frame, m.
-        direction: (L, 2) unit vectors, object frame.
+        direction: (L, 2) unit vectors along the lines, object frame.
+        offset: (L,) of the lines to the left of the object's origin, m.
+        at: (L,) coordinate of the point along its line, m.
         poses: (P, 3) of the object in the world, m and rad.
         table: round or rectangular.
 
     Returns:
         (P, L).
     """
-    away = _turned(points, poses) + poses[:, None, :2] - np.asarray(table.center)
     if table.shape == "round":
-        to_table = -away
-    else:
-        half = np.asarray(table.size) / 2
-        to_table = np.clip(away, -half, half) - away
-    distance = np.maximum(np.linalg.norm(to_table, axis=-1), 1e-9)
-    return np.asarray(np.sum(to_table * _turned(direction, poses), axis=-1) / distance)
+        along, left = _on_lines(direction, offset, poses, np.array([table.center]))
+        ahead = along[..., 0] - at
+        return np.asarray(ahead / np.maximum(np.hypot(ahead, left[..., 0]), 1e-9))
+    x, y = (at[:, None] * direction + offset[:, None] * direction[:, ::-1] * [-1, 1]).T
+    c, s = np.cos(poses[:, 2])[:, None], np.sin(poses[:, 2])[:, None]
+    away = np.stack([c * x - s * y, s * x + c * y], axis=-1) + poses[:, None, :2] - np.asarray(table.center)
+    half = np.asarray(table.size) / 2
+    to_table = np.clip(away, -half, half) - away
+    ux, uy = direction.T
+    ahead = to_table[..., 0] * (c * ux - s * uy) + to_table[..., 1] * (s * ux + c * uy)
+    return np.asarray(ahead / np.maximum(np.hypot(to_table[..., 0], to_table[..., 1]), 1e-9))
 
 
 def _on_lines(
@@ -86,10 +93,3 @@ def _first_in_strip(along: FloatArray, left: FloatArray, half_width: float) -> F
         there = np.where(crosses, along + share * (next_along - along), np.inf)
         found = np.minimum(found, there.min(axis=-1))
     return np.asarray(found)
-
-
-def _turned(vectors: FloatArray, poses: FloatArray) -> FloatArray:
-    """(P, L, 2) vectors (L, 2) of the object frame, world."""
-    c, s = np.cos(poses[:, 2])[:, None], np.sin(poses[:, 2])[:, None]
-    x, y = vectors.T
-    return np.stack([c * x - s * y, s * x + c * y], axis=-1)
