@@ -12,8 +12,8 @@ import numpy as np
 
 from models.inference.belief import Belief
 from models.measurements.push_dataset import Table
-from models.physics.balance import own_balance_margins
-from models.physics.cell_grid import FloatArray
+from models.physics.balance import balance_margins, own_balance_margins
+from models.physics.cell_grid import CellGrid, FloatArray
 from models.physics.maps import Maps
 from models.physics.rollout import Push, RolloutError, Slider
 from planners.contact_lines import ContactLines
@@ -23,6 +23,9 @@ from planners.pregrasp_settings import PushSettings
 STRIDE = 2.5e-3
 """Way of the finger in one time step, m. Against steps of 0.5 mm, pushes of 0.1 m of the hammer end within
 0.2 mm (95 %), of 0.25 m within 0.4 mm."""
+
+EVERYWHERE = 100.0
+"""Radius of a table without an edge, m."""
 
 NEGLIGIBLE = 1e-4
 """Probability below which a hypothesis is not imagined."""
@@ -38,6 +41,7 @@ class Scenarios:
         probability: (S,) sums to one.
         hypothesis: (S,) index in the belief.
         centers_of_mass: (S, 2) object frame, m.
+        least_margins: (S,) balance margin below which the object counts as falling, m.
         noise: (S, 3) by which the finger's path is off: x, y in m, angle about its begin in rad.
     """
 
@@ -46,6 +50,7 @@ class Scenarios:
     probability: FloatArray
     hypothesis: np.ndarray
     centers_of_mass: FloatArray
+    least_margins: FloatArray
     noise: FloatArray
 
     @classmethod
@@ -64,6 +69,7 @@ class Scenarios:
             probability,
             hypothesis,
             belief.centers_of_mass[hypothesis],
+            least_margins(belief, settings)[hypothesis],
             noise,
         )
 
@@ -128,12 +134,33 @@ def foresee(
     starts = relative(errors, pose)
     imagined = _rolled_out(scenarios, pushes, starts, L)
     poses = compose(errors[:, :, None], imagined).transpose(1, 2, 0, 3)
-    finite = np.where(np.isfinite(poses), poses, pose)
-    centers = np.broadcast_to(scenarios.centers_of_mass, (C, L, S, 2))
-    margins = own_balance_margins(scenarios.slider.grid, centers, finite, table)
-    lowest = np.minimum.accumulate(margins, axis=1)
-    falls = (lowest < settings.margin) @ scenarios.probability
+    tips = np.zeros((C, L, S), dtype=bool)
+    beyond = np.isfinite(poses).all(axis=-1) & ~_surely_on(poses, scenarios.slider.grid, table)
+    centers = np.broadcast_to(scenarios.centers_of_mass, (C, L, S, 2))[beyond]
+    margins = own_balance_margins(scenarios.slider.grid, centers, poses[beyond], table)
+    tips[beyond] = margins < np.broadcast_to(scenarios.least_margins, (C, L, S))[beyond]
+    falls = np.logical_or.accumulate(tips, axis=1) @ scenarios.probability
     return Foresight(lines, begins, directions, lengths, poses, falls, scenarios.probability)
+
+
+def _surely_on(poses: FloatArray, grid: CellGrid, table: Table) -> np.ndarray:
+    """(…) whether a disc around the object at poses (…, 3) is wholly over the table."""
+    size = np.linalg.norm(grid.exterior, axis=1).max()
+    off = poses[..., :2] - np.asarray(table.center)
+    if table.shape == "round":
+        return np.hypot(off[..., 0], off[..., 1]) + size <= (table.radius or 0.0)
+    return (np.abs(off) + size <= np.asarray(table.size) / 2).all(axis=-1)
+
+
+def least_margins(belief: Belief, settings: PushSettings) -> FloatArray:
+    """(K,) balance margin below which the object counts as falling, m.
+
+    That of the settings; but a slender object has little margin wherever it lies, and half of what a
+    hypothesis has far from any edge is enough.
+    """
+    everywhere = Table("round", (0.0, 0.0), radius=EVERYWHERE)
+    free = balance_margins(belief.grid, belief.centers_of_mass, np.zeros((1, 3)), everywhere)[0]
+    return np.minimum(settings.margin, free / 2)
 
 
 def _control_errors(begins: FloatArray, noise: FloatArray) -> FloatArray:

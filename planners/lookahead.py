@@ -1,9 +1,9 @@
 """How many pushes would follow: a look ahead by lookup instead of more rollouts.
 
-Pushing works alike everywhere on the table: a push that moves the object by δ from one pose moves it by δ, as
-seen from the object, from any other. So the pushes imagined for one pose tell what pushes from every other
-pose would do, pairs of them what two would do, and the best next push is a search for the nearest point. Where
-effects depend on the place this holds only roughly, which is enough to look ahead with.
+Pushing works alike everywhere on the table: a push that moves the object by δ from one pose moves it by δ,
+as seen from the object, from any other. So the pushes imagined for one pose tell what pushes from every other
+pose would do, pairs of them what two would do, and the best next push is a search for the nearest point.
+Where effects depend on the place this holds only roughly, which is enough to look ahead with.
 """
 
 from __future__ import annotations
@@ -65,10 +65,10 @@ class Lookahead:
 
 
 def further_pushes(gap: FloatArray, settings: PushSettings) -> FloatArray:
-    """Expected pushes to close gaps (m) that are left: none in the tolerance, then one, and one for each longest.
+    """Expected pushes to close gaps (m) that are left: none within the tolerance, beyond it one and more.
 
-    The gap is one of all cells, the tolerance one of place and of angle; a gap as large as the tolerance misses
-    half of the time.
+    The gap is one of all cells, the tolerance one of place and of angle; a gap as large as the tolerance is
+    taken to miss half of the time.
     """
     misses = gap**4 / (gap**4 + settings.tolerance**4)
     return misses * (1.0 + gap / settings.longest)

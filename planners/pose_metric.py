@@ -34,6 +34,18 @@ def relative(frame: FloatArray, pose: FloatArray) -> FloatArray:
     return np.stack(np.broadcast_arrays(*seen), axis=-1)
 
 
+def turned_to(pose: FloatArray, angle: float) -> FloatArray:
+    """(…, 3) the same poses with angles within half a turn of `angle`, rad."""
+    result = np.array(pose, dtype=float)
+    result[..., 2] = angle + angle_between(result[..., 2], angle)
+    return result
+
+
+def angle_between(one: FloatArray | float, other: FloatArray | float) -> FloatArray:
+    """(…) the angle one - other, wrapped to half a turn on both sides, rad."""
+    return np.remainder(np.asarray(one, dtype=float) - other + np.pi, 2 * np.pi) - np.pi
+
+
 class PoseMetric:
     """Root mean square distance between the cells of an object in two poses, m.
 
@@ -55,3 +67,9 @@ class PoseMetric:
     def gap(self, one: FloatArray, other: FloatArray) -> FloatArray:
         """(…) gap between poses (…, 3), m; leading axes broadcast."""
         return np.linalg.norm(self.embedding(one) - self.embedding(other), axis=-1)
+
+    def gaps(self, poses: FloatArray, targets: FloatArray) -> FloatArray:
+        """(…, G) gap between each pose (…, 3) and each target (G, 3), m; right to a tenth of a micrometre."""
+        points, goals = self.embedding(poses), self.embedding(targets)
+        square = (points**2).sum(axis=-1)[..., None] + (goals**2).sum(axis=-1) - 2.0 * points @ goals.T
+        return np.sqrt(np.maximum(square, 0.0))

@@ -1,4 +1,4 @@
-"""The next push towards a target, chosen for all hypotheses at once: inner loops of Algorithm 3 (lines 6 to 21).
+"""The next push towards a target, chosen for all hypotheses at once: Algorithm 3, lines 6 to 21.
 
 As in the paper, a finger pushes at a cell of the contour against the surface normal; the first candidate is
 the cell most in line with the way of the expected centre of mass, the others are perturbed, and the best is
@@ -6,9 +6,10 @@ the one that the hypotheses, weighed by their probabilities, expect nearest to t
 number of candidates, so that the choice does not depend on the machine.
 
 Beyond the paper: candidates vary in length and a little in direction; the finger's control noise is imagined
-together with the hypotheses; falling costs in each; there may be many targets, any of which will do; and what
-is compared is the expected number of pushes to a target (`lookahead`), into which the gap enters. Without that,
-the object would be pushed near to a target at once, from where turning it takes more pushes than before.
+together with the hypotheses; falling costs in each; there may be many targets, any of which will do; and
+what is compared is the expected number of pushes to a target (`lookahead`), into which the gap enters.
+Without that, the object would be pushed near to a target at once, from where turning it takes more pushes
+than before.
 """
 
 from __future__ import annotations
@@ -29,8 +30,14 @@ from planners.pose_metric import PoseMetric, relative
 from planners.pregrasp_settings import PushSettings
 from planners.table_push import TablePush
 
-TARGETS = 40
+TARGETS = 24
 """Targets that are looked at closely, those that seem to take the fewest pushes."""
+
+FAR = 2.5
+"""Expected pushes to the nearest target above which pairs of pushes are looked up to follow the next."""
+
+STEP = 2
+"""Lengths of a push from one that is looked up to the next."""
 
 VARIED = 8
 """Best lines, around which others are tried."""
@@ -98,8 +105,10 @@ def plan_push(
     seen = [foresee(scenarios, pose, lines, table, settings)]
     ahead = Lookahead(seen[0], pose, metric, settings, rng)
 
-    near = np.argsort(ahead.after(pose, goals, pairs=True) + extra, kind="stable")[:TARGETS]
-    far = bool((ahead.after(pose, goals[near], pairs=True) + extra[near]).min() > 2.5)
+    pushes = ahead.after(pose, goals, pairs=True)
+    near = np.argsort(pushes + extra, kind="stable")[:TARGETS]
+    far = bool(pushes[near[0]] > FAR)
+    near = near[: TARGETS // 2] if far else near
     values = [_expected_pushes(seen[0], goals[near], extra[near], ahead, metric, settings, far)]
 
     best = np.argsort(values[0].min(axis=(1, 2)), kind="stable")[:VARIED]
@@ -120,16 +129,15 @@ def _expected_pushes(
     far: bool,
 ) -> FloatArray:
     """(C, L, G) expected number of pushes to each target if it begins with this one; a fall costs."""
-    reached = metric.embedding(seen.poses)
-    finish = np.empty((*seen.falls.shape, len(goals)))
-    for g, goal in enumerate(metric.embedding(goals)):
-        gaps = np.linalg.norm(reached - goal, axis=-1)
-        finish[..., g] = further_pushes(gaps, settings) @ seen.probability
-    likely = np.einsum("s,clsx->clx", seen.probability, seen.poses)
-    known = np.where(np.isfinite(likely), likely, 0.0)
-    follow = np.minimum(finish, ahead.after(known, goals, pairs=far))
+    solved = np.asarray(np.isfinite(seen.poses).all(axis=(2, 3)))
+    poses = np.where(solved[..., None, None], seen.poses, 0.0)
+    gaps = metric.gaps(poses, goals)
+    follow = np.einsum("clsg,s->clg", further_pushes(gaps, settings), seen.probability)
+    # What follows is looked up for some lengths only: neighbours are alike.
+    likely = np.einsum("clsx,s->clx", poses[:, ::STEP], seen.probability)
+    follow[:, ::STEP] = np.minimum(follow[:, ::STEP], ahead.after(likely, goals, pairs=far))
     value = 1.0 + follow + extra + settings.fall_cost * seen.falls[..., None]
-    return np.where(np.isfinite(likely).all(axis=-1)[..., None], value, np.inf)
+    return np.where(solved[..., None], value, np.inf)
 
 
 def _first_allowed(

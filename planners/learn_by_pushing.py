@@ -1,0 +1,78 @@
+"""Pushing an object in a world to learn what it is like: Algorithms 1 and 2 together."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from models.inference.belief import Belief
+from models.inference.identification import identify
+from models.measurements import PushDataset, Trial
+from models.physics.cell_grid import CellGrid
+from planners.action_selection import Poke, select_poke
+from planners.pregrasp_settings import PregraspSettings
+from planners.table_push import TablePush
+from planners.world import PushNotMade, World
+
+MakeDataset = Callable[[Sequence[Trial], CellGrid], PushDataset]
+
+
+def learn_by_pushing(
+    world: World,
+    grid: CellGrid,
+    make_dataset: MakeDataset,
+    settings: PregraspSettings,
+    rng: np.random.Generator,
+    *,
+    allowed: Callable[[TablePush], bool] = lambda push: True,
+) -> tuple[Belief, tuple[Trial, ...]]:
+    """Choose a push, make it, identify; as often as the settings say. The belief comes from all pushes.
+
+    Args:
+        world: where pushes are made.
+        grid: the object as it was seen.
+        make_dataset: puts trials and grid together with what else is known of the cell.
+        settings: of the procedure.
+        rng: source of every draw.
+        allowed: whether the robot can make a push.
+
+    Raises:
+        ObjectFell: it is not on the table any more.
+        PushNotMade: the robot refused `settings.refusals` pushes in a row.
+        NoReachablePush: no candidate is allowed.
+    """
+    seed = int(rng.integers(2**31))
+    belief: Belief | None = None
+    pokes: list[Poke] = []
+    trials: list[Trial] = []
+    refusals = 0
+    while len(trials) < settings.explorations:
+        poke = select_poke(
+            grid,
+            world.look(),
+            world.finger_radius,
+            strategy=settings.strategy,
+            belief=belief,
+            past=pokes,
+            settings=settings.poke,
+            allowed=allowed,
+            rng=rng,
+        )
+        try:
+            trial = world.push(poke.push)
+        except PushNotMade:
+            refusals += 1
+            if refusals == settings.refusals:
+                raise
+            continue
+        refusals = 0
+        pokes.append(poke)
+        trials.append(replace(trial, name=f"trials/{len(trials):03d}.json", role="fit"))
+        if settings.strategy == "most-distinctive" or len(trials) == settings.explorations:
+            dataset = make_dataset(trials, grid)
+            belief = identify(dataset, hypotheses=settings.hypotheses, seed=seed).belief
+    world.look()
+    assert belief is not None  # there is one exploration or more
+    return belief, tuple(trials)

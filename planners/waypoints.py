@@ -1,0 +1,127 @@
+"""Poses on the way to a goal, by RRT* in SE(2): Algorithm 3, line 1.
+
+An object may be anywhere where it is balanced, its footprint on the table or partly over the edge.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from ompl import base, geometric, util
+
+from models.inference.belief import Belief
+from models.measurements.push_dataset import Table
+from models.physics.balance import balance_margins, corners_of, fall_probability
+from models.physics.cell_grid import FloatArray
+from planners.pose_metric import PoseMetric, turned_to
+
+ITERATIONS = 600
+"""Of RRT*."""
+
+RANGE = 0.2
+"""Longest edge of the tree, m."""
+
+RESOLUTION = 0.02
+"""Distance of poses on an edge at which balance is looked at, m."""
+
+
+class NoWay(ValueError):
+    """No way to the goal was found on which the object stays balanced."""
+
+
+def find_waypoints(
+    belief: Belief,
+    start: FloatArray,
+    goal: FloatArray,
+    table: Table,
+    rng: np.random.Generator,
+    *,
+    epsilon: float = 0.1,
+    margin: float = 0.0,
+) -> FloatArray:
+    """Poses to pass on the way from `start` to `goal`; the straight way where it is safe.
+
+    A pose is safe where the object falls with a probability of at most `epsilon`, or of that at the start or
+    the goal, if these are worse. Distances weigh angles by the object's radius of gyration.
+
+    Args:
+        belief: hypotheses about the centre of mass.
+        start: (3,) world, m and rad.
+        goal: (3,) world.
+        table: that the object must not fall from.
+        rng: source of the seed.
+        epsilon: largest probability of falling.
+        margin: balance margin below which it counts as falling, m.
+
+    Returns:
+        (n, 3) waypoints, the goal last, the start left out; angles continue from that of the start.
+
+    Raises:
+        NoWay: none was found in `ITERATIONS`.
+    """
+
+    def falls(pose: FloatArray) -> float:
+        margins = balance_margins(belief.grid, belief.centers_of_mass, pose[None], table)
+        return float(fall_probability(margins, belief.probability, margin)[0])
+
+    limit = max(epsilon, falls(start), falls(goal)) + 1e-9
+    space = _space(PoseMetric(belief.grid).radius, belief, table)
+    # OMPL's generators take their seeds from one that is shared; it complains, but obeys.
+    util.setLogLevel(util.LOG_NONE)
+    util.RNG.setSeed(int(rng.integers(1, 2**31)))
+    information = base.SpaceInformation(space)
+    information.setStateValidityChecker(lambda state: falls(_pose(state)) <= limit)
+    information.setStateValidityCheckingResolution(RESOLUTION / space.getMaximumExtent())
+    information.setup()
+    ends = [_state(space, pose) for pose in (start, goal)]
+    if information.checkMotion(*ends):
+        return turned_to(goal, float(start[2]))[None]
+
+    setup = geometric.SimpleSetup(information)
+    setup.setStartAndGoalStates(*ends)
+    planner = geometric.RRTstar(information)
+    planner.setRange(RANGE)
+    setup.setPlanner(planner)
+    setup.solve(base.PlannerTerminationCondition(_after(ITERATIONS)))
+    if not setup.haveExactSolutionPath():
+        raise NoWay(
+            f"no way from {np.round(start, 3).tolist()} to {np.round(goal, 3).tolist()} was found on which"
+            " the object stays balanced"
+        )
+    path = setup.getSolutionPath()
+    geometric.PathSimplifier(information).reduceVertices(path)
+    way: list[FloatArray] = []
+    for state in path.getStates()[1:]:
+        way.append(turned_to(_pose(state), float(way[-1][2] if way else start[2])))
+    return np.array(way)
+
+
+def _space(radius: float, belief: Belief, table: Table) -> base.SE2StateSpace:
+    corners = corners_of(table) - np.asarray(table.center)
+    reach = np.abs(corners).max(axis=0) if len(corners) else np.full(2, table.radius or 0.0)
+    reach = reach + np.linalg.norm(belief.grid.exterior, axis=1).max()
+    bounds = base.RealVectorBounds(2)
+    for axis in range(2):
+        bounds.setLow(axis, float(table.center[axis] - reach[axis]))
+        bounds.setHigh(axis, float(table.center[axis] + reach[axis]))
+    space = base.SE2StateSpace()
+    space.setBounds(bounds)
+    space.setSubspaceWeight(1, radius)
+    return space
+
+
+def _state(space: base.SE2StateSpace, pose: FloatArray) -> base.State:
+    state = space.allocState()
+    state.setX(float(pose[0]))
+    state.setY(float(pose[1]))
+    state.setYaw(float(np.arctan2(np.sin(pose[2]), np.cos(pose[2]))))
+    return state
+
+
+def _pose(state: base.SE2StateType) -> FloatArray:
+    return np.array([state.getX(), state.getY(), state.getYaw()])
+
+
+def _after(calls: int):  # type: ignore[no-untyped-def]
+    """A condition that ends planning after so many questions, one an iteration."""
+    left = iter(range(calls))
+    return lambda: next(left, None) is None
