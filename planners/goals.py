@@ -137,17 +137,16 @@ class Graspable:
         if len(stays) == 0 or len(self.lines.start) == 0:
             return found
         sure = self._sure_margins(margins[stays])
-        value, room, place = self.lines.ranked(poses[stays], table)
-        best = np.argmax(value, axis=1)
-        for row, (index, line) in enumerate(zip(stays, best, strict=True)):
-            if np.isfinite(value[row, line]):
+        best = self.lines.best(poses[stays], table)
+        for index, margin, value, room, line, place in zip(stays, sure, *best, strict=True):
+            if np.isfinite(value):
                 found[index] = Goal(
                     pose=poses[index],
-                    grasp=self.lines.grasp(int(line), int(place[row, line])),
+                    grasp=self.lines.grasp(int(line), int(place)),
                     fall_probability=float(falls[index]),
-                    margin=float(sure[row]),
-                    room=float(room[row, line]),
-                    value=float(value[row, line] + min(sure[row], _ENOUGH_MARGIN)),
+                    margin=float(margin),
+                    room=float(room),
+                    value=float(value + min(margin, _ENOUGH_MARGIN)),
                 )
         return found
 

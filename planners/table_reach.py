@@ -8,8 +8,6 @@ from models.measurements.push_dataset import Table
 from models.physics.balance import corners_of
 from models.physics.cell_grid import FloatArray
 
-_AT_ONCE = 256  # poses
-
 
 def first_on_table(
     direction: FloatArray, offset: FloatArray, poses: FloatArray, table: Table, half_width: float
@@ -27,20 +25,14 @@ def first_on_table(
         (P, L) coordinate along each line, from the point nearest to the object's origin, m; inf where it
         passes by.
     """
-    result = np.empty((len(poses), len(direction)))
     corners = corners_of(table)
-    for begin in range(0, len(poses), _AT_ONCE):
-        part = slice(begin, begin + _AT_ONCE)
-        if len(corners) == 0:
-            assert table.radius is not None  # see corners_of
-            along, left = _on_lines(direction, offset, poses[part], np.array([table.center]))
-            beside = np.maximum(np.abs(left[..., 0]) - half_width, 0.0)
-            square = table.radius**2 - beside**2
-            chord = np.sqrt(np.maximum(square, 0.0))
-            result[part] = np.where(square > 0, along[..., 0] - chord, np.inf)
-        else:
-            result[part] = _first_in_strip(*_on_lines(direction, offset, poses[part], corners), half_width)
-    return result
+    if len(corners) > 0:
+        return _first_in_strip(*_on_lines(direction, offset, poses, corners), half_width)
+    assert table.radius is not None  # see corners_of
+    along, left = _on_lines(direction, offset, poses, np.array([table.center]))
+    beside = np.maximum(np.abs(left[..., 0]) - half_width, 0.0)
+    square = table.radius**2 - beside**2
+    return np.asarray(np.where(square > 0, along[..., 0] - np.sqrt(np.maximum(square, 0.0)), np.inf))
 
 
 def towards_table(
