@@ -16,6 +16,7 @@ import click
 from diagrams.commands.bench import bench
 from diagrams.commands.blind_test import blind_test
 from diagrams.commands.calibrate import calibrate
+from diagrams.commands.campaign import campaign
 from diagrams.commands.compare import compare
 from diagrams.commands.demo import demo
 from diagrams.commands.diagnose import diagnose
@@ -82,6 +83,7 @@ for _command in (
     effects,
     calibrate,
     explore_study,
+    campaign,
     blind_test,
     bench,
 ):

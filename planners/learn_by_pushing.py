@@ -44,11 +44,43 @@ def learn_by_pushing(
         NoReachablePush: no candidate is allowed.
     """
     seed = int(rng.integers(2**31))
+
+    def learn(trials: Sequence[Trial]) -> Belief:
+        return identify(make_dataset(trials, grid), hypotheses=settings.hypotheses, seed=seed).belief
+
+    trials = explore(world, grid, settings, rng, learn=learn, allowed=allowed)
+    return learn(trials), trials
+
+
+def explore(
+    world: World,
+    grid: CellGrid,
+    settings: PregraspSettings,
+    rng: np.random.Generator,
+    *,
+    learn: Callable[[Sequence[Trial]], Belief],
+    allowed: Callable[[TablePush], bool] = lambda push: True,
+) -> tuple[Trial, ...]:
+    """Choose and make pushes one after the other (Algorithm 2), and record them.
+
+    Args:
+        world: where pushes are made.
+        grid: the object as it was seen.
+        settings: of the procedure.
+        rng: source of every draw.
+        learn: the belief after some pushes; asked before each push whose choice depends on it.
+        allowed: whether the robot can make a push.
+
+    Raises:
+        ObjectFell, PushNotMade, NoReachablePush: see `learn_by_pushing`.
+    """
     belief: Belief | None = None
     pokes: list[Poke] = []
     trials: list[Trial] = []
     refusals = 0
     while len(trials) < settings.explorations:
+        if settings.strategy == "most-distinctive" and trials and refusals == 0:
+            belief = learn(trials)
         poke = select_poke(
             grid,
             world.look(),
@@ -70,9 +102,5 @@ def learn_by_pushing(
         refusals = 0
         pokes.append(poke)
         trials.append(replace(trial, name=f"trials/{len(trials):03d}.json", role="fit"))
-        if settings.strategy == "most-distinctive" or len(trials) == settings.explorations:
-            dataset = make_dataset(trials, grid)
-            belief = identify(dataset, hypotheses=settings.hypotheses, seed=seed).belief
     world.look()
-    assert belief is not None  # there is one exploration or more
-    return belief, tuple(trials)
+    return tuple(trials)

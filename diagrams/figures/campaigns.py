@@ -1,0 +1,127 @@
+"""Pictures of a campaign: curves over the number of pushes, and shares beside the paper's."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from diagrams.figures.style import BELIEF, FAINT, FINGER, INK, OTHER, styled
+from planners.campaigns.tables import Estimate
+
+COLORS = (BELIEF, FINGER, OTHER, FAINT)
+COLUMNS = 3
+
+
+@styled
+def curves_figure(title: str, curves: Mapping[str, Mapping[str, Sequence[Estimate]]]) -> Figure:
+    """One panel an object, in it one curve a label over the number of pushes, with 95 % intervals, in mm.
+
+    Args:
+        title: above all.
+        curves: object, label, and one estimate (m) after each push.
+    """
+    figure, panels = _panels(title, len(curves), height=2.3)
+    for axes, (name, labels) in zip(panels, curves.items(), strict=False):
+        for (label, estimates), color in zip(labels.items(), COLORS, strict=False):
+            x = np.arange(1, len(estimates) + 1)
+            axes.plot(x, [1e3 * e.value for e in estimates], "-o", color=color, markersize=3, label=label)
+            low, high = ([1e3 * value for value in ends] for ends in zip(*map(_ends, estimates), strict=True))
+            axes.fill_between(x, low, high, color=color, alpha=0.15, linewidth=0)
+        axes.set_title(name.replace("_", " "))
+        axes.set_ylim(bottom=0)
+        axes.set_xticks(x)
+    _label(panels[: len(curves)], "pushes to learn from", "error, mm")
+    return figure
+
+
+@styled
+def shares_figure(
+    title: str,
+    shares: Mapping[str, Mapping[str, Estimate]],
+    paper: Mapping[str, Mapping[str, tuple[float, float]]],
+) -> Figure:
+    """Bars of shares in per cent with 95 % intervals, grouped by object, and the paper's numbers as marks.
+
+    Args:
+        title: above all.
+        shares: object, method, share.
+        paper: object, method, and the paper's share from and to, in per cent, where it has one.
+    """
+    figure = Figure(figsize=(max(6.4, 1.6 * len(shares) + 1.0), 3.4), layout="constrained")
+    axes = figure.subplots()
+    methods = list(dict.fromkeys(label for labels in shares.values() for label in labels))
+    width = 0.8 / max(1, len(methods))
+    for index, (method, color) in enumerate(zip(methods, COLORS, strict=False)):
+        for group, (name, labels) in enumerate(shares.items()):
+            if method not in labels or not np.isfinite(labels[method].value):
+                continue
+            estimate = labels[method]
+            x = group - 0.4 + (index + 0.5) * width
+            off = [[100 * (estimate.value - estimate.low)], [100 * (estimate.high - estimate.value)]]
+            axes.bar(x, 100 * estimate.value, 0.92 * width, color=color, alpha=0.8)
+            axes.errorbar(x, 100 * estimate.value, np.maximum(off, 0.0), color=INK, linewidth=0.8)
+            if method in paper.get(name, {}):
+                axes.plot([x, x], paper[name][method], "_", color=INK, markersize=9)
+        axes.bar(0.0, 0.0, color=color, alpha=0.8, label=method)
+    axes.plot([], [], "_", color=INK, markersize=9, label="the paper")
+    axes.set_xticks(range(len(shares)), [name.replace("_", " ") for name in shares])
+    axes.set(ylim=(0, 104), ylabel="%", title=title)
+    axes.legend(ncols=len(methods) + 1, loc="upper center", bbox_to_anchor=(0.5, -0.1))
+    return figure
+
+
+@styled
+def reliability_figure(title: str, bins: Mapping[str, Sequence[tuple[float, Estimate]]]) -> Figure:
+    """Share of events against the probability that was stated for them.
+
+    Args:
+        title: above all.
+        bins: label, and for each bin the mean of the stated probabilities and the share that came true.
+    """
+    figure = Figure(figsize=(4.2, 4.2), layout="constrained")
+    axes = figure.subplots()
+    axes.plot([0, 1], [0, 1], color=FAINT, linewidth=0.8)
+    for (label, points), color in zip(bins.items(), COLORS, strict=False):
+        stated = [place for place, _ in points]
+        values = [estimate.value for _, estimate in points]
+        off = [[e.value - e.low for _, e in points], [e.high - e.value for _, e in points]]
+        axes.errorbar(
+            stated, values, np.maximum(off, 0.0), fmt="-o", color=color, markersize=4, capsize=2, label=label
+        )
+    axes.set(
+        xlim=(-0.02, 1.02), ylim=(-0.02, 1.02), aspect="equal", title=title,
+        xlabel="stated probability", ylabel="share that came true",
+    )  # fmt: skip
+    axes.legend(loc="upper left")
+    return figure
+
+
+def _ends(estimate: Estimate) -> tuple[float, float]:
+    """The interval; the value itself where one trial gives none."""
+    if np.isfinite(estimate.low + estimate.high):
+        return estimate.low, estimate.high
+    return estimate.value, estimate.value
+
+
+def _panels(title: str, count: int, height: float) -> tuple[Figure, list[Axes]]:
+    columns = max(1, min(COLUMNS, count))
+    rows = max(1, -(-count // columns))
+    size = (max(6.4, 2.7 * columns), height * rows + 0.7)
+    figure = Figure(figsize=size, layout="constrained")
+    panels = list(figure.subplots(rows, columns, squeeze=False).flat)
+    for axes in panels[count:]:
+        axes.set_visible(False)
+    figure.suptitle(title, fontsize=11)
+    return figure, panels
+
+
+def _label(panels: Sequence[Axes], x: str, y: str) -> None:
+    for index, axes in enumerate(panels):
+        axes.set_xlabel(x)
+        if index % COLUMNS == 0:
+            axes.set_ylabel(y)
+    if panels:
+        panels[0].legend()
