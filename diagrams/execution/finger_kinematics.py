@@ -12,8 +12,9 @@ from pydrake.solvers import Solve
 from models.physics.cell_grid import FloatArray
 from models.robots import ARM_JOINTS, FINGER_LENGTH, POSITION_LIMITS
 
-WORKING_POSTURE = np.array([0.0, 0.8, 0.0, -1.9, 0.0, -0.6, 0.0])
-"""(7,) rad; here the finger points down in the middle of what the arm reaches from `default_arm_base`."""
+WORKING_POSTURE = np.array([1.4, -0.8, -1.07, -1.38, 0.0, 1.41, -0.93])
+"""(7,) rad; the finger points about down in the middle of what the arm reaches from `default_arm_base`. The
+elbow is to one side, at a height of 0.3 m at least; above the hand, joint 6 would often be at its limit."""
 
 LIMIT_MARGIN = np.deg2rad(3.0)
 """The joints keep this far from their limits, rad."""

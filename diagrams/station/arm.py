@@ -27,9 +27,9 @@ ARM_MODELS = {
 }
 """Where each set of models has its arm. The gripper is our own in all of them, because its finger pushes."""
 
-HOME = np.array([0.83, 1.99, -0.06, -1.94, 0.31, -0.69, 0.0])
-"""(7,) joint angles at which the arm lies folded beside the table, rad. On `default_arm_base` a camera 1.1 m
-above the table's middle sees past it all of the table within 0.48 m."""
+HOME = np.array([-0.1, -1.27, 0.44, -1.1, -0.05, 1.75, -1.6])
+"""(7,) joint angles at which the arm is raised over its stand, rad. On `default_arm_base` a camera 1.1 m
+above the table's middle sees past it the whole table."""
 
 STIFFNESS = np.full(7, 8000.0)
 """(7,) gains of the simulated joint control, 1/s²."""
@@ -43,7 +43,7 @@ directives:
 - add_model: {{name: gripper, file: "package://slipmap_robots/{gripper}"}}
 - add_weld:
     parent: iiwa::iiwa_link_7
-    child: gripper::hand
+    child: gripper::mount
     X_PC: {{translation: [0, 0, {flange}]}}
 - add_collision_filter_group:
     name: arm
@@ -74,13 +74,11 @@ class Arm:
 
 
 def default_arm_base() -> RigidTransform:
-    """Pose X_WB of the base: on a stand beyond the table's edge at x = -0.5 m, leaning over the table.
+    """Pose X_WB of the base: lying level on a stand beyond the table's edge at x = -0.5 m, 0.6 m over it.
 
-    Upright beside a table of radius 0.5 m an iiwa can hold the finger vertical over a disc of 0.16 m only.
-    Leaning by 60 degrees puts its shoulder over the table, 0.86 m high at x = -0.25 m. The finger then
-    reaches 88 % of the table: all of it within 0.36 m of the middle, and x = 0.38 m at its far side.
+    The shoulder is then over the table, at x = -0.34 m.
     """
-    return RigidTransform(RollPitchYaw(0.0, np.deg2rad(60.0), 0.0), np.array([-0.56, 0.0, 0.675]))
+    return RigidTransform(RollPitchYaw(0.0, np.deg2rad(90.0), 0.0), np.array([-0.70, 0.0, 0.6]))
 
 
 def add_arm(plant: MultibodyPlant, X_WB: RigidTransform | None = None, models: str = "primitives") -> Arm:
@@ -127,6 +125,7 @@ def arm_model(X_WB: RigidTransform | None = None, models: str = "primitives") ->
     hand = complete.GetFrameByName("hand", gripper)
     load = complete.CalcSpatialInertia(context, hand, complete.GetBodyIndices(gripper))
     X_HT = complete.GetFrameByName("tip", gripper).CalcPose(context, hand)
+    X_MH = hand.CalcPose(context, complete.GetFrameByName("mount", gripper))
 
     plant = MultibodyPlant(1e-3)
     (iiwa,) = _parser(plant).AddModelsFromUrl(_arm_url(models))
@@ -137,7 +136,7 @@ def arm_model(X_WB: RigidTransform | None = None, models: str = "primitives") ->
     )
     body = plant.AddRigidBody("gripper", iiwa, load)
     flange = RigidTransform([0.0, 0.0, FLANGE_HEIGHT])
-    plant.WeldFrames(plant.GetFrameByName("iiwa_link_7", iiwa), body.body_frame(), flange)
+    plant.WeldFrames(plant.GetFrameByName("iiwa_link_7", iiwa), body.body_frame(), flange @ X_MH)
     plant.AddFrame(FixedOffsetFrame("tip", body.body_frame(), X_HT))
     plant.Finalize()
     return plant

@@ -28,7 +28,7 @@ FINGER_RADIUS = 0.008
 """Of the closed gripper's round finger where it pushes, over its last 12 mm, m."""
 FINGER_LENGTH = 0.1
 """From the end of the finger to the hand, m."""
-GRIPPER_OPENING = 0.08
+GRIPPER_OPENING = 0.11
 """Largest distance between the axes of the two pins, m; what fits between them is two finger radii less."""
 GRIP_FORCE = 80.0
 """Largest force of a pin, N."""

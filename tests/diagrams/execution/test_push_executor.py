@@ -128,7 +128,7 @@ def test_same_push_same_motion_to_the_bit(rig, pushed):
 
 
 def test_unreachable_push_is_refused_and_the_arm_stays(rig):
-    log = rig.run(rig.start(TablePush([0.2, 0.0], [0.6, 0.0], 0.1), push_id=7), done(7))
+    log = rig.run(rig.start(TablePush([0.2, 0.0], [0.8, 0.0], 0.1), push_id=7), done(7))
     assert log[-1].status.mode == "refused"
     assert "out of the arm's reach" in log[-1].status.reason
     assert log[-1].time < 0.1
@@ -136,7 +136,7 @@ def test_unreachable_push_is_refused_and_the_arm_stays(rig):
 
 
 def test_after_a_refusal_the_next_push_is_made(rig):
-    simulator = rig.start(TablePush([0.2, 0.0], [0.6, 0.0], 0.1), push_id=0)
+    simulator = rig.start(TablePush([0.2, 0.0], [0.8, 0.0], 0.1), push_id=0)
     rig.run(simulator, done(0))
     rig.request(simulator, TablePush([-0.2, 0.2], [-0.15, 0.2], 0.1), 1)
     log = rig.run(simulator, lambda sample: sample.status.mode == "pushing")

@@ -81,8 +81,8 @@ def test_finger_speeds_up_and_slows_down_as_configured(kinematics, length, speed
 @pytest.mark.parametrize(
     ("begin", "end", "reason"),
     [
-        ([0.2, 0.0], [0.5, 0.0], r"cannot point down at \(0\.\d+, 0\.000\) m.* out of the arm's reach"),
-        ([0.6, 0.0], [0.2, 0.0], r"cannot point down at \(0\.600, 0\.000\) m"),
+        ([0.2, 0.0], [0.8, 0.0], r"cannot point down at \(0\.\d+, 0\.000\) m.* out of the arm's reach"),
+        ([0.8, 0.0], [0.2, 0.0], r"cannot point down at \(0\.800, 0\.000\) m"),
     ],
 )
 def test_a_push_out_of_reach_is_refused_with_the_point(kinematics, begin, end, reason):
@@ -98,15 +98,15 @@ def test_a_push_too_fast_for_the_finger_is_refused(kinematics):
 def test_a_push_too_fast_for_a_joint_is_refused_with_the_joint(kinematics):
     fast = ExecutionConfig(push_speed_limit=1.0, speeding_up=5.0, slowing_down=5.0)
     with pytest.raises(PushRefused, match=r"iiwa_joint_\d would have to (turn at|speed up by) \d+ degrees"):
-        plan(kinematics, [0.28, -0.15], [0.28, 0.15], speed=1.0, config=fast)
+        plan(kinematics, [0.4, -0.25], [0.4, 0.25], speed=1.0, config=fast)
 
 
 def test_a_way_that_would_sweep_the_table_is_refused(kinematics):
-    """With the safe height raised beyond what the arches from home clear."""
+    low = kinematics.inverse(np.array([0.2, -0.2, 0.03]))
     with pytest.raises(
-        PushRefused, match=r"the gripper would come down to 0\.\d+ m, at least 0\.2\d+ m are safe"
+        PushRefused, match=r"the gripper would come down to 0\.03\d m, at least 0\.080 m are safe"
     ):
-        plan(kinematics, [0.2, 0.1], [0.25, 0.1], config=ExecutionConfig(safe_height=0.28))
+        plan_push(kinematics, TablePush([0.2, 0.1], [0.25, 0.1], 0.1), HOME, low, CONFIG)
 
 
 def test_a_push_past_a_change_of_the_nearest_posture_can_be_made(kinematics):

@@ -10,7 +10,7 @@ from pydrake.systems.framework import DiagramBuilder
 from diagrams.station.arm import HOME, add_arm, add_arm_drivers, arm_model, default_arm_base
 from models.robots import FINGER_RADIUS, GRIPPER_OPENING, POSITION_LIMITS, TORQUE_LIMITS
 
-FLANGE_TO_TIP = 0.2
+HAND_TO_TIP = 0.2
 
 
 def turn(axis, angle):
@@ -30,13 +30,16 @@ def shift(height):
 
 
 def forward_kinematics(q):
-    """Denavit-Hartenberg: the R820 has d1, d3, d5, d7 = 360, 420, 400, 126 mm and joints at right angles."""
-    d = [0.36, 0.0, 0.42, 0.0, 0.4, 0.0, 0.126 + FLANGE_TO_TIP]
+    """Denavit-Hartenberg: the R820 has d1, d3, d5, d7 = 360, 420, 400, 126 mm and joints at right angles.
+
+    The finger is 100 mm further on, points along -y of the flange and ends 158 mm beside its axis.
+    """
+    d = [0.36, 0.0, 0.42, 0.0, 0.4, 0.0, 0.126 + 0.1]
     alpha = np.array([-1, 1, 1, -1, -1, 1, 0]) * np.pi / 2
     pose = np.eye(4)
     for k in range(7):
         pose = pose @ turn(2, q[k]) @ shift(d[k]) @ turn(0, alpha[k])
-    return pose
+    return pose @ turn(0, np.pi / 2) @ shift(0.158)
 
 
 @pytest.fixture(scope="module")
@@ -173,7 +176,7 @@ def test_a_force_of_15_newton_moves_the_tip_by_less_than_half_a_millimetre(stati
     for direction in np.eye(3):
         force = ExternallyAppliedSpatialForce()
         force.body_index = hand.index()
-        force.p_BoBq_B = np.array([0.0, 0.0, FLANGE_TO_TIP])
+        force.p_BoBq_B = np.array([0.0, 0.0, HAND_TO_TIP])
         force.F_Bq_W = SpatialForce(np.zeros(3), 15.0 * direction)
         station.plant.get_applied_spatial_force_input_port().FixValue(context, [force])
         simulator.AdvanceTo(simulator.get_context().get_time() + 0.3)
@@ -185,7 +188,7 @@ def test_stand_is_beyond_the_table():
     base = default_arm_base()
     assert np.hypot(*base.translation()[:2]) > 0.5
     np.testing.assert_allclose(
-        base.rotation().matrix(), RollPitchYaw(0, np.pi / 3, 0).ToRotationMatrix().matrix(), atol=1e-12
+        base.rotation().matrix(), RollPitchYaw(0, np.pi / 2, 0).ToRotationMatrix().matrix(), atol=1e-12
     )
 
 
