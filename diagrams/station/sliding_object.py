@@ -6,8 +6,19 @@ from itertools import groupby
 
 import numpy as np
 from pydrake.common import MemoryFile
-from pydrake.geometry import AddContactMaterial, Convex, InMemoryMesh, Mesh, ProximityProperties, Sphere
+from pydrake.geometry import (
+    AddContactMaterial,
+    CollisionFilterDeclaration,
+    Convex,
+    GeometryId,
+    GeometrySet,
+    InMemoryMesh,
+    Mesh,
+    ProximityProperties,
+    Sphere,
+)
 from pydrake.math import RigidTransform, RollPitchYaw
+from pydrake.multibody.parsing import Parser
 from pydrake.multibody.plant import CoulombFriction, MultibodyPlant, MultibodyPlantConfig
 from pydrake.multibody.tree import ModelInstanceIndex, SpatialInertia, UnitInertia
 
@@ -20,6 +31,8 @@ GRAVITY = 9.81
 """m/s²; sets how stiff the feet are."""
 BODY = "object"
 """Name of the body and of the model instance's only link."""
+DISC = "disc"
+"""Name of the body of a round table's surface as feet touch it; see `add_table`."""
 FINGER_FRICTION = 0.3
 """Friction coefficient of the finger's own geometry, as in its model file."""
 
@@ -96,7 +109,7 @@ def add_sliding_object(
     touches the object's blocks, which end 0.1 mm above the table; feet are too low for a finger.
 
     Args:
-        plant: registered with a scene graph, not finalized; see `plant_config`.
+        plant: registered with a scene graph, not finalized, a round table in it already; see `plant_config`.
         true_object: what to add.
         table_friction: of the table's own geometry (`table_contact`).
         finger_friction: of the finger's own geometry; together with the blocks' it gives `mu_finger`.
@@ -115,6 +128,7 @@ def add_sliding_object(
     body = plant.AddRigidBody(BODY, instance, spatial_inertia(true_object))
     grid = true_object.grid
     feet = np.zeros((1, 2)) if single_feet else _FEET
+    foot_shapes, block_shapes = [], []
     for cell, (center, mass) in enumerate(zip(grid.centers, true_object.mass, strict=True)):
         wanted = mass * GRAVITY / len(feet) / SINK
         properties = ProximityProperties()
@@ -126,8 +140,9 @@ def add_sliding_object(
         )
         for foot, place in enumerate(center + grid.width * feet):
             X_OF = RigidTransform(np.array([*place, FOOT_RADIUS]))
-            plant.RegisterCollisionGeometry(
-                body, X_OF, Sphere(FOOT_RADIUS), f"cell_{cell}_foot_{foot}", properties
+            name_of_foot = f"cell_{cell}_foot_{foot}"
+            foot_shapes.append(
+                plant.RegisterCollisionGeometry(body, X_OF, Sphere(FOOT_RADIUS), name_of_foot, properties)
             )
     properties = ProximityProperties()
     AddContactMaterial(
@@ -138,7 +153,10 @@ def add_sliding_object(
     )
     for index, points in enumerate(_block_corners(true_object)):
         shape = Convex(points=points, label=f"{name} block {index}")
-        plant.RegisterCollisionGeometry(body, RigidTransform(), shape, f"block_{index}", properties)
+        block_shapes.append(
+            plant.RegisterCollisionGeometry(body, RigidTransform(), shape, f"block_{index}", properties)
+        )
+    _share_round_table(plant, foot_shapes, block_shapes)
     for index, (color, mesh) in enumerate(_colored_meshes(true_object)):
         plant.RegisterVisualGeometry(body, RigidTransform(), mesh, f"look_{index}", color)
     plant.SetDefaultFloatingBaseBodyPose(body, resting_pose(0.0, 0.0, 0.0))
@@ -161,6 +179,21 @@ def spatial_inertia(true_object: TrueObject) -> SpatialInertia:
         p_OC = np.array([*center, height / 2])
         total += SpatialInertia(mass, np.zeros(3), box).Shift(-p_OC)
     return total
+
+
+def _share_round_table(plant: MultibodyPlant, feet: list[GeometryId], blocks: list[GeometryId]) -> None:
+    """Feet touch the disc of a round table, blocks the rest of it."""
+    if not plant.HasBodyNamed(DISC):
+        return
+    disc, table = (
+        GeometrySet(plant.GetCollisionGeometriesForBody(plant.GetBodyByName(name)))
+        for name in (DISC, "table")
+    )
+    # The plant does not tell its scene graph, a parser does.
+    declaration = CollisionFilterDeclaration()
+    declaration.ExcludeBetween(GeometrySet(feet), table)
+    declaration.ExcludeBetween(GeometrySet(blocks), disc)
+    Parser(plant).scene_graph().collision_filter_manager().Apply(declaration)
 
 
 def _block_corners(true_object: TrueObject) -> list[FloatArray]:

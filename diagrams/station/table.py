@@ -3,22 +3,24 @@
 from __future__ import annotations
 
 import numpy as np
-from pydrake.geometry import Box, Cylinder, Shape
+from pydrake.geometry import Box, Convex, Cylinder, Shape
 from pydrake.math import RigidTransform
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import ModelInstanceIndex, RigidBody, SpatialInertia
 
-from diagrams.station.sliding_object import table_contact
+from diagrams.station.sliding_object import DISC, table_contact
 from models.measurements.push_dataset import Table
 
 HEIGHT = 0.72
 """Of the table top above the floor, m."""
 TABLE_FRICTION = 0.6
 """Friction coefficient of the table's own geometry."""
+THICKNESS = 0.03
+"""Of the table top, m."""
 ROUND_TABLE = Table("round", (0.0, 0.0), radius=0.5)
 """The table of the paper's experiments."""
 
-_THICKNESS = 0.03  # m
+_SIDES = 360  # of the prism that a round top is
 _COVER = 0.002  # m; upper layer of the top
 _FLOOR = (8.0, 8.0, 0.2)  # m
 _TOP = (0.84, 0.82, 0.78, 1.0)
@@ -31,6 +33,10 @@ def add_table(
     plant: MultibodyPlant, table: Table = ROUND_TABLE, friction: float = TABLE_FRICTION
 ) -> ModelInstanceIndex:
     """Add a table and the floor it stands on, fixed to the world, in a model instance named "table".
+
+    Drake reports contacts of a cylinder's rim with a convex body along wrong normals: a block that tips over
+    a round table's rim would be thrown off it. So a round top is a prism of 360 sides, and beside it a
+    cylinder for the many feet of `add_sliding_object`, which alone it serves well and fast.
 
     Args:
         plant: registered with a scene graph, not finalized.
@@ -46,13 +52,19 @@ def add_table(
     body = plant.AddRigidBody("table", instance, SpatialInertia.SolidBoxWithMass(20.0, 1.0, 1.0, HEIGHT))
     plant.WeldFrames(plant.world_frame(), body.body_frame(), RigidTransform(np.array([*table.center, 0.0])))
     contact = table_contact(friction)
-    plant.RegisterCollisionGeometry(body, _down(_THICKNESS / 2), _plate(table, _THICKNESS), "top", contact)
+    plate = _plate(table, THICKNESS)
+    top = plate if table.shape == "rectangle" else _prism(plate)
+    plant.RegisterCollisionGeometry(body, _down(THICKNESS / 2), top, "top", contact)
+    if table.shape == "round":
+        disc = plant.AddRigidBody(DISC, instance, SpatialInertia.SolidBoxWithMass(1.0, 1.0, 1.0, THICKNESS))
+        plant.WeldFrames(body.body_frame(), disc.body_frame())
+        plant.RegisterCollisionGeometry(disc, _down(THICKNESS / 2), plate, DISC, contact)
     floor, below = Box(*_FLOOR), _down(HEIGHT + _FLOOR[2] / 2)
     plant.RegisterCollisionGeometry(body, below, floor, "floor", contact)
     plant.RegisterVisualGeometry(body, below, floor, "floor", _GROUND)
     plant.RegisterVisualGeometry(body, _down(_COVER / 2), _plate(table, _COVER), "cover", _TOP)
-    board = _plate(table, _THICKNESS - _COVER, 5e-4)
-    plant.RegisterVisualGeometry(body, _down((_THICKNESS + _COVER) / 2), board, "board", _WOOD)
+    board = _plate(table, THICKNESS - _COVER, 5e-4)
+    plant.RegisterVisualGeometry(body, _down((THICKNESS + _COVER) / 2), board, "board", _WOOD)
     _add_legs(plant, body, table)
     return instance
 
@@ -67,9 +79,19 @@ def _plate(table: Table, thickness: float, inset: float = 0.0) -> Shape:
     return Box(table.size[0] - 2 * inset, table.size[1] - 2 * inset, thickness)
 
 
+def _prism(cylinder: Cylinder) -> Convex:
+    """An upright prism between the circles inside and outside of its sides, 0.02 mm off at 0.5 m."""
+    turn = 2 * np.pi * np.arange(_SIDES) / _SIDES
+    radius = cylinder.radius() / np.sqrt(np.cos(np.pi / _SIDES))
+    ring = radius * np.array([np.cos(turn), np.sin(turn)])
+    half = cylinder.length() / 2
+    ends = [np.vstack([ring, np.full(_SIDES, z)]) for z in (-half, half)]
+    return Convex(points=np.hstack(ends), label="round table")
+
+
 def _add_legs(plant: MultibodyPlant, body: RigidBody, table: Table) -> None:
-    length = HEIGHT - _THICKNESS
-    middle = _THICKNESS + length / 2
+    length = HEIGHT - THICKNESS
+    middle = THICKNESS + length / 2
     if table.radius is not None:
         foot = 0.55 * table.radius
         plant.RegisterVisualGeometry(body, _down(middle), Cylinder(0.04, length), "column", _METAL)
