@@ -16,6 +16,9 @@ from models.physics.cell_grid import CellGrid, FloatArray
 from planners.exploration import TOUCH, NoReachablePush
 from planners.pose_metric import compose
 
+DESCENT = 0.008
+"""Room around the finger where it comes down to the table, m."""
+
 TRIES = 20
 """Draws of as many lines as are wanted, before fewer are taken."""
 
@@ -77,6 +80,8 @@ class ContactContour:
         directions = np.column_stack([c * x - s * y, s * x + c * y])
         ways = shapely.linestrings(np.stack([touches - self._approach * directions, touches], axis=1))
         free = shapely.distance(ways, self._polygon) >= self._radius - TOUCH
+        begins = shapely.points(touches - self._approach * directions)
+        free &= shapely.distance(begins, self._polygon) >= self._radius + DESCENT
         return ContactLines(places[free], angles[free], touches[free], directions[free])
 
     def nearest_to_axis(self, center: FloatArray, ways: FloatArray) -> FloatArray:

@@ -257,9 +257,10 @@ def _towards_nearest(
     rng: np.random.Generator,
     allowed: Allowed,
 ) -> tuple[PlannedPush, Way]:
-    nearest = int(np.argmin(PoseMetric(belief.grid).gap(pose, way.waypoints)))
-    target = way.waypoints[nearest]
-    return plan_push(belief, pose, target, table, settings.push, rng, allowed), way
+    """A push to the nearest waypoint (line 4); the goal has to wait until all others are passed."""
+    nearest = int(np.argmin(PoseMetric(belief.grid).gap(pose, way.waypoints[:-1])))
+    left = way.waypoints[nearest:]
+    return plan_push(belief, pose, left[0], table, settings.push, rng, allowed), Way(way.goal, left)
 
 
 def _alike(one: TablePush, other: TablePush) -> bool:

@@ -37,7 +37,7 @@ class PushSettings:
     longest: float = 0.28
     lengths: int = 28
     approach: float = 0.02
-    speed: float = 0.05
+    speed: float = 0.08
     scenarios: int = 20
     position_noise: float = 0.002
     angle_noise: float = 1.0

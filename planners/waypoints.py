@@ -14,7 +14,7 @@ from models.physics.balance import balance_margins, corners_of, fall_probability
 from models.physics.cell_grid import FloatArray
 from planners.pose_metric import PoseMetric, turned_to
 
-ITERATIONS = 600
+ITERATIONS = 250
 """Of RRT*."""
 
 RANGE = 0.2

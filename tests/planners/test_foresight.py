@@ -1,0 +1,87 @@
+"""Imagined pushes against finer rollouts that really stop, with the finger really off."""
+
+import numpy as np
+import pytest
+
+from models.measurements.push_dataset import Table
+from models.objects.benchmark import benchmark_object
+from models.physics.balance import balance_margins
+from models.physics.rollout import Push
+from planners.contact_lines import ContactContour
+from planners.foresight import Scenarios, foresee, least_margins
+from planners.pregrasp_settings import PushSettings
+from tests.planners.cell_world import RADIUS, TABLE, belief_about
+
+THING = benchmark_object("hammer")
+POSE = np.array([0.05, -0.02, 0.8])
+
+
+def imagined(belief, settings, pose=POSE, table=TABLE):
+    rng = np.random.default_rng(0)
+    contour = ContactContour(belief.grid, RADIUS, settings.approach)
+    lines = contour.spread(np.zeros(0), settings.candidates, np.radians(settings.cone), rng)
+    scenarios = Scenarios.of(belief, settings, rng)
+    return scenarios, foresee(scenarios, pose, lines, table, settings)
+
+
+def pushed(scenarios, s, begin, end, pose, speed=0.03):
+    """Pose after a slow push in fine steps, with a rest at the end."""
+    way = np.hypot(*(end - begin))
+    steps = int(way / 5e-4)
+    tip = begin + np.outer(np.append(np.linspace(0, 1, steps + 1), np.ones(40)), end - begin)
+    push = Push(5e-4 / speed, tip, pose)
+    return scenarios.slider.rollout(scenarios.maps[s : s + 1], [push]).end[0, 0, :3]
+
+
+def test_every_length_ends_where_a_push_of_that_length_ends_with_the_finger_off():
+    settings = PushSettings(candidates=6, scenarios=3)
+    belief = belief_about(THING, hypotheses=3)
+    scenarios, seen = imagined(belief, settings)
+    errors = []
+    for c in range(6):
+        for s, (dx, dy, turn) in enumerate(scenarios.noise):
+            cos, sin = np.cos(turn), np.sin(turn)
+            direction = np.array([[cos, -sin], [sin, cos]]) @ seen.directions[c]
+            begin = seen.begins[c] + [dx, dy]
+            for length in (5, 20):
+                end = begin + (settings.approach + seen.lengths[length]) * direction
+                expected = pushed(scenarios, s, begin, end, POSE)
+                errors.append(np.abs(seen.poses[c, length, s] - expected) * [1, 1, 0.1])
+    assert np.median(errors) < 3e-4
+    assert np.quantile(errors, 0.95) < 1.5e-3
+
+
+def test_noise_is_drawn_for_each_hypothesis_and_has_no_bias():
+    settings = PushSettings(scenarios=20)
+    one = Scenarios.of(belief_about(THING, hypotheses=1), settings, np.random.default_rng(0))
+    assert len(one) == 20
+    assert one.probability @ one.noise == pytest.approx(np.zeros(3), abs=1e-15)
+    assert one.noise[:, 2].std() == pytest.approx(np.radians(1.0), rel=0.4)
+    many = Scenarios.of(belief_about(THING, hypotheses=30), settings, np.random.default_rng(0))
+    assert many.hypothesis.tolist() == list(range(30))
+    assert one.of_hypotheses(np.arange(60.0).reshape(20, 3)).shape == (1, 3)
+
+
+@pytest.mark.parametrize("table", [TABLE, Table("rectangle", (0.1, 0.0), size=(0.9, 0.7))])
+def test_falls_are_the_hypotheses_that_lose_balance_on_the_way(table):
+    settings = PushSettings(candidates=8, margin=0.01)
+    belief = belief_about(THING, hypotheses=20)
+    pose = np.array([0.4, 0.1, 1.0])
+    scenarios, seen = imagined(belief, settings, pose, table)
+    expected = np.zeros_like(seen.falls)
+    for c in range(8):
+        for s, k in enumerate(scenarios.hypothesis):
+            margins = balance_margins(
+                belief.grid, belief.centers_of_mass[k : k + 1], seen.poses[c, :, s], table
+            )
+            expected[c] += scenarios.probability[s] * (np.minimum.accumulate(margins[:, 0]) < 0.01)
+    assert seen.falls == pytest.approx(expected)
+    assert 0.05 < expected.mean() < 0.95
+
+
+def test_a_slender_object_does_not_count_as_falling_where_it_lies_safely():
+    wrench = belief_about(benchmark_object("wrench"))
+    free = balance_margins(wrench.grid, wrench.centers_of_mass, np.zeros((1, 3)), TABLE)[0]
+    least = least_margins(wrench, PushSettings(margin=0.03))
+    assert (least < free).all()
+    assert least_margins(belief_about(THING), PushSettings(margin=0.002)) == pytest.approx(0.002)

@@ -1,0 +1,98 @@
+"""Algorithm 3's choice of a push: near to the target in all hypotheses, and never over the edge."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from models.objects.benchmark import benchmark_object
+from models.physics.balance import balance_margins
+from models.physics.maps import Maps
+from models.physics.pushes import Push
+from planners.contact_lines import ContactContour
+from planners.exploration import NoReachablePush
+from planners.pose_metric import PoseMetric
+from planners.pregrasp_settings import PushSettings
+from planners.robust_push import plan_push
+from planners.table_push import TablePush
+from tests.planners.cell_world import RADIUS, TABLE, CellWorld, belief_about
+
+SETTINGS = PushSettings(candidates=40, refinements=20, lengths=20)
+BELIEF = belief_about(benchmark_object("hammer"))
+START = np.array([0.05, -0.02, 0.8])
+
+
+def plan(targets, seed=0, pose=START, belief=BELIEF, settings=SETTINGS, **options):
+    rng = np.random.default_rng(seed)
+    return plan_push(belief, pose, np.asarray(targets, dtype=float), TABLE, settings, rng, **options)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_target_that_some_push_reaches_is_reached(seed):
+    rng = np.random.default_rng(100 + seed)
+    contour = ContactContour(BELIEF.grid, RADIUS, SETTINGS.approach)
+    line = contour.lines(rng.uniform(0, 0.8, 20), rng.uniform(-0.3, 0.3, 20))
+    c, s = np.cos(START[2]), np.sin(START[2])
+    turn = np.array([[c, -s], [s, c]])
+    begin, end = (START[:2] + turn @ (line.touches[0] + way * line.directions[0]) for way in (-0.02, 0.12))
+    world = CellWorld("hammer", START, seed, noise=0.0)
+    world.push(TablePush(begin, end, SETTINGS.speed))
+    planned = plan(world.pose, seed, settings=PushSettings())
+    again = CellWorld("hammer", START, seed, noise=0.0)
+    again.push(planned.push)
+    metric = PoseMetric(BELIEF.grid)
+    assert metric.gap(START, world.pose) > 0.03
+    assert metric.gap(again.pose, world.pose) < 0.012
+    assert planned.pushes < 1.3
+    assert planned.predicted.shape == (20, 3)
+    assert metric.gap(planned.predicted, world.pose).mean() == pytest.approx(planned.gap, abs=0.005)
+
+
+def test_no_push_over_the_edge_even_where_the_target_is_there():
+    edge = np.array([0.38, 0.0, 0.3])
+    planned = plan([0.6, 0.0, 0.3], pose=edge)
+    margins = balance_margins(BELIEF.grid, BELIEF.centers_of_mass, planned.predicted, TABLE)
+    assert planned.fall_probability < 0.05
+    assert np.diagonal(margins).min() > 0
+
+
+def test_the_nearest_of_many_targets_is_served_unless_it_costs_more():
+    targets = [[-0.3, 0.2, 2.0], [0.10, -0.02, 0.8], [0.3, 0.2, -2.0]]
+    assert plan(targets).target == 1
+    assert plan(targets).pushes < 1.5
+    assert plan(targets, costs=np.array([0.0, 50.0, 0.0])).target != 1
+
+
+def test_only_allowed_pushes_are_planned():
+    target = START + np.array([0.1, 0.0, 0.0])
+    free = plan(target)
+    side = np.sign(free.push.direction[1]) or 1.0
+    planned = plan(target, allowed=lambda push: push.direction[1] * side < 0)
+    assert planned.push.direction[1] * side < 0
+    assert planned.pushes > free.pushes
+    with pytest.raises(NoReachablePush, match="none of"):
+        plan(target, allowed=lambda push: False)
+
+
+def test_the_same_seed_plans_the_same_push():
+    one, other, another = plan([0.2, 0.1, 1.2], 3), plan([0.2, 0.1, 1.2], 3), plan([0.2, 0.1, 1.2], 4)
+    assert (one.push.begin == other.push.begin).all()
+    assert (one.predicted == other.predicted).all()
+    assert not (one.push.begin == another.push.begin).all()
+
+
+def test_the_likelier_hypothesis_decides_where_two_differ():
+    along = np.exp(25 * BELIEF.grid.centers[:, 0])
+    thing = benchmark_object("hammer")
+    maps = Maps(
+        np.array([thing.mass * along, thing.mass / along]), np.array([thing.mu] * 2), np.full(2, 0.25)
+    )
+    pair = replace(BELIEF, maps=maps, probability=np.full(2, 0.5))
+    tip = START[:2] + np.linspace(-0.06, 0.06, 100)[:, None] * [-np.sin(START[2]), np.cos(START[2])]
+    ends = pair.slider.rollout(maps, [Push(0.02, tip, START)]).end[:, 0, :3]
+    metric = PoseMetric(pair.grid)
+    assert metric.gap(*ends) > 0.05
+    for k, p in enumerate((np.array([0.99, 0.01]), np.array([0.01, 0.99]))):
+        planned = plan(ends[k], belief=replace(pair, probability=p))
+        gaps = metric.gap(planned.predicted, ends[k])
+        assert gaps[k] < 0.01 < gaps[1 - k]
