@@ -71,13 +71,6 @@ def names_and_seeds(objects: Sequence[str], trials: int, seed: int) -> Iterator[
             yield name, number
 
 
-def curves_of(
-    values: Mapping[str, Mapping[str, Sequence[Sequence[float]]]],
-) -> dict[str, dict[str, list[Estimate]]]:
-    """Means over trials: object, label, and one estimate a place along the curve."""
-    return {
-        name: {
-            label: [mean(column) for column in zip(*trials, strict=True)] for label, trials in labels.items()
-        }
-        for name, labels in values.items()
-    }
+def curves_of(values: Mapping[str, Sequence[Sequence[float]]]) -> dict[str, list[Estimate]]:
+    """For each label the means over trials, one for each place along the curve."""
+    return {label: [mean(column) for column in zip(*trials, strict=True)] for label, trials in values.items()}

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from diagrams.campaigns.experiment import Experiment, Summary, TableText, curves_of, names_and_seeds
-from planners.campaigns.tables import mean
 from planners.campaigns.trial import TrialOutcome, TrialSpec
 from planners.strategies import STRATEGIES
 
@@ -133,23 +132,21 @@ def _model_summary(outcomes: Sequence[TrialOutcome]) -> Summary:
 
 
 def _summary(title: str, what: str, curves: dict[str, dict[str, list[list[float]]]], remark: str) -> Summary:
-    rows, document = [], {}
+    tables, document = [], {}
+    columns = (what, *map(str, range(1, PUSHES + 1)))
     for name, of_object in curves.items():
-        document[name] = {
-            label: [mean(column).to_json() for column in zip(*values, strict=True)]
-            for label, values in of_object.items()
-        }
-        for label, values in of_object.items():
-            cells = [mean(column).short(1e3) for column in zip(*values, strict=True)]
-            rows.append([name, label, str(len(values)), *cells])
-    table = TableText(title, ("object", what, "trials", *map(str, range(1, PUSHES + 1))), rows)
-    return Summary([table], remark, {"curves": document, "unit": "m"}, lambda: _figure(title, curves))
+        estimates = curves_of(of_object)
+        document[name] = {label: [one.to_json() for one in row] for label, row in estimates.items()}
+        rows = [[label, *(one.short(1e3) for one in row)] for label, row in estimates.items()]
+        count = max(map(len, of_object.values()))
+        tables.append(TableText(f"{title}: {name}, {count} trials", columns, rows))
+    return Summary(tables, remark, {"curves": document, "unit": "m"}, lambda: _figure(title, curves))
 
 
 def _figure(title: str, curves: dict[str, dict[str, list[list[float]]]]) -> Figure:
     from diagrams.figures.campaigns import curves_figure
 
-    return curves_figure(title, curves_of(curves))
+    return curves_figure(title, {name: curves_of(labels) for name, labels in curves.items()})
 
 
 FIGURE_3 = Experiment("fig3", "three strategies of choosing pushes", 10, _strategy_specs, _strategy_summary)

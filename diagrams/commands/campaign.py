@@ -137,7 +137,7 @@ def _cores() -> int:
 
 def _show(summary: Summary, outcomes: Sequence[TrialOutcome]) -> None:
     for shown in summary.tables:
-        numbers = range(2, len(shown.columns))
+        numbers = range(1, len(shown.columns))
         table(shown.title, shown.columns, shown.rows, numbers=list(numbers))
     paragraph("Intervals hold 95 %. " + summary.remark)
     failed = [outcome for outcome in outcomes if outcome.failure is not None]
