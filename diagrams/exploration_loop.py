@@ -11,8 +11,9 @@ from pydrake.systems.framework import Diagram, DiagramBuilder
 
 from diagrams.execution.config import ExecutionConfig
 from diagrams.execution.finger_kinematics import FingerKinematics
+from diagrams.execution.motion import MotionRefused
 from diagrams.execution.push_executor import PushExecutor
-from diagrams.execution.push_plan import PushRefused, plan_push
+from diagrams.execution.push_plan import plan_push
 from diagrams.perception.cell_perception import CellPerception
 from diagrams.station.arm import HOME, arm_model
 from diagrams.station.scenario import Scenario
@@ -180,7 +181,7 @@ def _makes(kinematics: FingerKinematics, config: ExecutionConfig) -> Callable[[T
     def allowed(push: TablePush) -> bool:
         try:
             plan_push(kinematics, push, HOME, HOME, config)
-        except PushRefused:
+        except MotionRefused:
             return False
         return True
 

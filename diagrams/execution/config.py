@@ -18,6 +18,8 @@ class ExecutionConfig:
         speeding_up: the finger's acceleration at the begin of a push, m/s².
         slowing_down: at its end, m/s².
         settle: time the finger rests at the end of a push, s.
+        grasping_speed: of the open gripper on its way in to the object, and of the lifted object, m/s.
+        closing: time that the gripper has to close, s.
 
     Raises:
         ValueError: a value out of range.
@@ -31,6 +33,8 @@ class ExecutionConfig:
     speeding_up: float = 0.5
     slowing_down: float = 1.0
     settle: float = 0.3
+    grasping_speed: float = 0.1
+    closing: float = 1.5
 
     def __post_init__(self) -> None:
         self.check()
@@ -46,6 +50,8 @@ class ExecutionConfig:
             ("speeding_up", 0.01, 5.0),
             ("slowing_down", 0.01, 5.0),
             ("settle", 0.0, 60.0),
+            ("grasping_speed", 0.01, 0.5),
+            ("closing", 0.5, 10.0),
         ):
             value = getattr(self, name)
             if not low <= value <= high:

@@ -1,4 +1,4 @@
-"""Where the finger is, and how the arm must stand for the finger to be somewhere, pointing straight down."""
+"""Where the finger is, and how the arm must stand for the finger to be somewhere, down or level."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ _PULL = 0.1  # towards the working posture, per step along a line
 
 
 class OutOfReach(ValueError):
-    """The finger cannot be held there, pointing down. The text says why."""
+    """The finger cannot be held there, pointing as it should. The text says why."""
 
 
 class FingerKinematics:
@@ -82,14 +82,34 @@ class FingerKinematics:
             goal, starts = WORKING_POSTURE, WORKING_POSTURE + _SWIVELS
         else:
             goal, starts = near + _PULL * (WORKING_POSTURE - near), np.atleast_2d(near)
-        found = [q for q in (self._search(p_WT, start, goal, largest) for start in starts) if q is not None]
+        points = _pointing_down(p_WT)
+        found = [q for q in (self._search(points, start, goal, largest) for start in starts) if q is not None]
         if not found:
             raise OutOfReach(self._why_not(p_WT, starts[0]))
         return min(found, key=lambda q: float((q - goal) @ _WEIGHTS @ (q - goal)))
 
+    def level(self, p_WT: FloatArray, yaw: float, near: FloatArray) -> FloatArray:
+        """Joint angles (7,) with the finger held level, the pins one above the other, and the flange on top.
+
+        Args:
+            p_WT: (3,) where the end of the finger shall be, world, m.
+            yaw: direction in which the finger shall point, rad.
+            near: (7,) angles from which to search, rad: the solution lies close to them.
+
+        Raises:
+            OutOfReach: the search finds none within the joints' limits and their margin.
+        """
+        q = self._search(_held_level(p_WT, yaw), near, near, POSITION_LIMITS - LIMIT_MARGIN)
+        if q is None:
+            raise OutOfReach(
+                f"the finger cannot be held level at ({p_WT[0]:.3f}, {p_WT[1]:.3f}) m, {p_WT[2]:.3f} m high, "
+                f"pointing to {np.rad2deg(yaw):.0f} degrees"
+            )
+        return q
+
     def _why_not(self, p_WT: FloatArray, start: FloatArray) -> str:
         place = f"the finger cannot point down at ({p_WT[0]:.3f}, {p_WT[1]:.3f}) m, {p_WT[2]:.3f} m high"
-        q = self._search(p_WT, start, WORKING_POSTURE, np.full(7, np.pi))
+        q = self._search(_pointing_down(p_WT), start, WORKING_POSTURE, np.full(7, np.pi))
         largest = POSITION_LIMITS - LIMIT_MARGIN
         if q is None:
             return f"{place}: this is out of the arm's reach"
@@ -102,21 +122,35 @@ class FingerKinematics:
         )
 
     def _search(
-        self, p_WT: FloatArray, start: FloatArray, goal: FloatArray, largest: FloatArray
+        self, points: list[_Held], start: FloatArray, goal: FloatArray, largest: FloatArray
     ) -> FloatArray | None:
         """Of the angles within ±`largest` those nearest to the goal; None if the search finds none."""
         problem = InverseKinematics(self.model, self._context, with_joint_limits=False)
         world, q = self.model.world_frame(), problem.q()
-        problem.AddPositionConstraint(self.tip, np.zeros(3), world, p_WT - _TOLERANCE, p_WT + _TOLERANCE)
-        # The finger is vertical when a second point of its axis is above its end.
-        above = p_WT + np.array([0.0, 0.0, FINGER_LENGTH])
-        slack = np.array([_TOLERANCE, _TOLERANCE, FINGER_LENGTH])
-        problem.AddPositionConstraint(
-            self.tip, np.array([0.0, 0.0, -FINGER_LENGTH]), world, above - slack, above + slack
-        )
+        for p_T, p_W, slack in points:
+            problem.AddPositionConstraint(self.tip, p_T, world, p_W - slack, p_W + slack)
         program = problem.get_mutable_prog()
         program.AddBoundingBoxConstraint(-largest, largest, q)
         program.AddQuadraticErrorCost(_WEIGHTS, goal, q)
         program.SetInitialGuess(q, np.clip(start, -largest, largest))
         result = Solve(program)
         return np.asarray(result.GetSolution(q)) if result.is_success() else None
+
+
+_Held = tuple[FloatArray, FloatArray, FloatArray]  # a point (3,) in T, where in the world, and slack there, m
+_EXACT = np.full(3, _TOLERANCE)
+
+
+def _pointing_down(p_WT: FloatArray) -> list[_Held]:
+    """The finger is vertical when a second point of its axis is above its end."""
+    up = np.array([0.0, 0.0, FINGER_LENGTH])
+    return [(np.zeros(3), p_WT, _EXACT), (-up, p_WT + up, np.array([_TOLERANCE, _TOLERANCE, FINGER_LENGTH]))]
+
+
+def _held_level(p_WT: FloatArray, yaw: float) -> list[_Held]:
+    ahead, down = np.array([np.cos(yaw), np.sin(yaw), 0.0]), np.array([0.0, 0.0, -1.0])
+    return [
+        (np.zeros(3), p_WT, _EXACT),
+        (np.array([0.0, 0.0, -FINGER_LENGTH]), p_WT - FINGER_LENGTH * ahead, _EXACT),
+        (np.array([0.0, FINGER_LENGTH, 0.0]), p_WT + FINGER_LENGTH * down, _EXACT),
+    ]

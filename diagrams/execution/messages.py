@@ -4,9 +4,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from models.physics.cell_grid import CellGrid, FloatArray
+from planners.grasps import Grasp
 from planners.table_push import TablePush
 
-MODES = ("home", "approaching", "lowering", "pushing", "retreating", "refused")
+MODES = (
+    "home", "approaching", "lowering", "pushing", "retreating", "refused",
+    "reaching", "closing", "lifting", "holding",
+)  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
@@ -22,6 +27,25 @@ class ActivePush:
     push: TablePush
 
 
+@dataclass(frozen=True, eq=False)
+class ActiveGrasp:
+    """A grasp that the arm is to make at the table's edge.
+
+    Attributes:
+        push_id: its number; pushes and grasps are counted together.
+        grasp: what to do.
+        pose: (3,) of the object, world, m and rad.
+        grid: cells and outline, to go around.
+        heights: (n,) of the object's top over each cell, m.
+    """
+
+    push_id: int
+    grasp: Grasp
+    pose: FloatArray
+    grid: CellGrid
+    heights: FloatArray
+
+
 @dataclass(frozen=True)
 class ExecutionStatus:
     """What the arm is doing.
@@ -29,8 +53,9 @@ class ExecutionStatus:
     Attributes:
         mode: one of `MODES`. In `pushing` the finger moves along the line of the push, or rests at its end.
             In `home` and `refused` the arm is at its home posture or, at the very start, on the way there.
-        push_id: of the last push taken up, whether under way, done or refused; None before the first.
-        reason: why that push was refused or given up, else empty.
+            A grasp ends in `holding`, the object lifted, and the arm stays so.
+        push_id: of the last push or grasp taken up, under way, done or refused; None before the first.
+        reason: why it was refused or given up, else empty.
     """
 
     mode: str

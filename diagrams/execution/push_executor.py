@@ -1,4 +1,4 @@
-"""The block that makes the arm push."""
+"""The block that makes the arm push, and grasp at the table's edge."""
 
 from __future__ import annotations
 
@@ -10,13 +10,18 @@ from pydrake.math import RigidTransform
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.systems.framework import BasicVector, Context, EventStatus, LeafSystem, State
 
+from diagrams.execution.clearance import ArmClearance
 from diagrams.execution.config import ExecutionConfig
 from diagrams.execution.finger_kinematics import FingerKinematics
-from diagrams.execution.messages import ActivePush, ExecutionStatus
-from diagrams.execution.push_plan import Plan, PushRefused, plan_push, plan_retreat
+from diagrams.execution.grasp_plan import plan_grasp
+from diagrams.execution.messages import ActiveGrasp, ActivePush, ExecutionStatus
+from diagrams.execution.motion import MotionRefused, Phase, Plan
+from diagrams.execution.push_plan import plan_push, plan_retreat
 from diagrams.execution.tip_force import tip_force
 from diagrams.systems.held import held, read, replace_held
+from models.measurements.push_dataset import Table
 from models.physics.cell_grid import FloatArray
+from models.robots import GRIP_FORCE
 
 PERIOD = 0.02
 """s between two looks at the inputs."""
@@ -43,27 +48,32 @@ class _Execution:
 
 
 class PushExecutor(LeafSystem):
-    """Plans and makes pushes one at a time, and tells where the finger is and what force it exerts.
+    """Plans and makes pushes and grasps one at a time; tells where the finger is and what force it exerts.
 
     .. pydrake_system::
 
         name: PushExecutor
         input_ports:
         - push
+        - grasp
         - iiwa.position_measured
         - iiwa.torque_external
         - abort
         output_ports:
         - iiwa.position
         - gripper.position
+        - gripper.force_limit
         - tip_pose
         - tip_force
         - status
 
     - `push`: `ActivePush | None`; a new number starts a push once the arm is home. `abort`: bool, need not be
-      connected; True stops a push, lifts the finger and brings the arm home.
+      connected; True stops a push, lifts the finger and brings the arm home. A grasp goes on.
+    - `grasp`: `ActiveGrasp | None`, need not be connected; a new number starts a grasp once the arm is home.
+      It ends in `holding`: nothing is put down, and nothing is done after it.
     - `iiwa.position_measured` (7,) rad; `iiwa.torque_external` (7,) N m, of the contact forces on the arm.
-    - `iiwa.position` (7,) rad; `gripper.position` (1,) m, always closed.
+    - `iiwa.position` (7,) rad; `gripper.position` (1,) m, closed unless a grasp is under way;
+      `gripper.force_limit` (1,) N.
     - `tip_pose`: `RigidTransform` X_WT at the measured joint angles.
     - `tip_force` (3,) N, of the finger on the object, in the world.
     - `status`: `ExecutionStatus`.
@@ -71,23 +81,30 @@ class PushExecutor(LeafSystem):
     With the drivers of `add_arm_drivers` the finger keeps within 0.5 mm of where it shall be while it pushes
     a box of up to 3 kg (15 N) at up to 0.1 m/s, at simulation steps of 1 to 5 ms.
 
-    A push that cannot be made is refused with the reason, and the arm stays where it is. At the start the arm
-    goes home from wherever it is.
+    A push or grasp that cannot be made is refused with the reason, and the arm stays where it is. At the
+    start the arm goes home from wherever it is.
 
     Args:
         model: the arm as `diagrams.station.arm.arm_model` makes it.
         home: (7,) joint angles between pushes, rad.
         config: how the arm moves.
+        table: for grasps at its edge; None if there will be none.
     """
 
     def __init__(
-        self, model: MultibodyPlant, home: FloatArray, config: ExecutionConfig | None = None
+        self,
+        model: MultibodyPlant,
+        home: FloatArray,
+        config: ExecutionConfig | None = None,
+        table: Table | None = None,
     ) -> None:
         super().__init__()
+        self._clearance = None if table is None else ArmClearance(table)
         self._kinematics = FingerKinematics(model)
         self._home = np.asarray(home, dtype=float)
         self._config = config or ExecutionConfig()
         self._push = self.DeclareAbstractInputPort("push", Value[object](None))
+        self._grasp = self.DeclareAbstractInputPort("grasp", Value[object](None))
         self._measured = self.DeclareVectorInputPort("iiwa.position_measured", 7)
         self._torque = self.DeclareVectorInputPort("iiwa.torque_external", 7)
         self._abort = self.DeclareAbstractInputPort("abort", Value[object](False))
@@ -97,9 +114,8 @@ class PushExecutor(LeafSystem):
         motion = {self.time_ticket(), self.abstract_state_ticket(self._execution)}
         measured, torque = self._measured.ticket(), self._torque.ticket()
         self.DeclareVectorOutputPort("iiwa.position", 7, self._calc_position, motion | {measured})
-        self.DeclareVectorOutputPort(
-            "gripper.position", 1, lambda context, output: output.SetZero(), {self.nothing_ticket()}
-        )
+        self.DeclareVectorOutputPort("gripper.position", 1, self._calc_opening, motion)
+        self.DeclareVectorOutputPort("gripper.force_limit", 1, self._calc_force, motion)
         self.DeclareAbstractOutputPort(
             "tip_pose", lambda: Value(RigidTransform()), self._calc_tip_pose, {measured}
         )
@@ -123,21 +139,31 @@ class PushExecutor(LeafSystem):
             if abort and not now.aborted and now.status.mode != "home":
                 return self._aborted(now, time)
             return now
-        request: ActivePush | None = self._push.Eval(context)
+        request: ActivePush | ActiveGrasp | None = self._push.Eval(context)
+        if self._grasp.HasValue(context) and self._grasp.Eval(context) is not None:
+            request = self._grasp.Eval(context)
         if abort or request is None or request.push_id == now.status.push_id:
             return now
-        q = now.plan.at(time - now.begin)[1]
+        if now.plan.phases[-1].mode == "holding":
+            return now
         try:
-            plan = plan_push(self._kinematics, request.push, q, self._home, self._config)
-        except PushRefused as refusal:
+            plan = self._plan(request, now.plan.at(time - now.begin)[1])
+        except MotionRefused as refusal:
             return replace(now, status=ExecutionStatus("refused", request.push_id, str(refusal)))
-        return _Execution(ExecutionStatus("approaching", request.push_id), plan, time)
+        return _Execution(ExecutionStatus(plan.phases[0].mode, request.push_id), plan, time)
+
+    def _plan(self, request: ActivePush | ActiveGrasp, q: FloatArray) -> Plan:
+        if isinstance(request, ActivePush):
+            return plan_push(self._kinematics, request.push, q, self._home, self._config)
+        if self._clearance is None:
+            raise MotionRefused("the executor was made without a table at whose edge it could grasp")
+        return plan_grasp(self._kinematics, self._clearance, request, q, self._config)
 
     def _aborted(self, now: _Execution, time: float) -> _Execution:
         plan, since = now.plan, time - now.begin
         assert plan is not None
         mode = plan.at(since)[0]
-        if mode == "retreating":
+        if mode == "retreating" or plan.phases[-1].mode == "holding":
             return replace(now, aborted=True)
         status = replace(now.status, reason=f"aborted while {mode}")
         return _Execution(status, self._plan_home(*plan.motion(since)), time, aborted=True)
@@ -152,6 +178,18 @@ class PushExecutor(LeafSystem):
         else:
             output.SetFromVector(now.plan.at(context.get_time() - now.begin)[1])
 
+    def _calc_opening(self, context: Context, output: BasicVector) -> None:
+        phase = self._phase(context)
+        output.SetFromVector([0.0 if phase is None else phase.opening])
+
+    def _calc_force(self, context: Context, output: BasicVector) -> None:
+        phase = self._phase(context)
+        output.SetFromVector([GRIP_FORCE / 2 if phase is None else phase.force])
+
+    def _phase(self, context: Context) -> Phase | None:
+        now: _Execution = read(context, self._execution)
+        return None if now.plan is None else now.plan.phase(context.get_time() - now.begin)[0]
+
     def _calc_tip_pose(self, context: Context, output: Value) -> None:
         output.set_value(self._kinematics.pose(self._measured.Eval(context)))
 
@@ -164,6 +202,8 @@ class PushExecutor(LeafSystem):
         status, time = now.status, context.get_time()
         if status.mode not in ("home", "refused"):
             assert now.plan is not None
-            mode = now.plan.at(time - now.begin)[0] if now.running(time) else "home"
+            mode = now.plan.at(time - now.begin)[0]
+            if not now.running(time) and mode != "holding":
+                mode = "home"
             status = replace(status, mode=mode)
         output.set_value(status)

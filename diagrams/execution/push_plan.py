@@ -2,25 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from pydrake.math import RigidTransform
 from pydrake.trajectories import PiecewisePolynomial, Trajectory
 
 from diagrams.execution.config import ExecutionConfig
 from diagrams.execution.finger_kinematics import FingerKinematics, OutOfReach
-from diagrams.execution.trajectories import SPEED_SHARE, braking, joint_path, paced, smooth
+from diagrams.execution.motion import MotionRefused, Phase, Plan, check_joints, follow
+from diagrams.execution.trajectories import braking, joint_path, paced, smooth
 from models.physics.cell_grid import FloatArray
-from models.robots import ACCELERATION_LIMITS, ARM_JOINTS, POSITION_LIMITS, SPEED_LIMITS
+from models.robots import POSITION_LIMITS
 from planners.table_push import TablePush
-
-KNOT_DISTANCES = (0.01, 0.0025)
-"""Of the points of a line at which the joint angles are computed, m; a spline joins them. The finer is tried
-where the joints have to turn fast, as they do beside their limits."""
-
-LARGEST_STEP = 0.2
-"""Of a joint between two such points, rad; more would be another way of reaching the point."""
 
 ARCH = np.array([0.0, 0.0, 0.8, 0.0, 0.0, 0.0, 0.0])
 """(7,) rad; times one of `ARCHES` and added to the middle of the way to or from a push, lifts the finger."""
@@ -32,51 +24,6 @@ SAG = 0.02
 _LOW_BALLS = np.array([[0.0, 0.0, 0.0], [0.0, 0.06, -0.16], [0.0, -0.06, -0.16], [0.0, -0.226, -0.158]]).T
 _LOW_RADII = np.array([0.0, 0.04, 0.04, 0.076])
 # (3, 4) in T and (4,), m: the finger's end, both ends of the hand, the wrist
-
-
-class PushRefused(ValueError):
-    """The arm cannot make this push. The text says why."""
-
-
-@dataclass(frozen=True, eq=False)
-class Phase:
-    """A part of the motion: its mode (see `ExecutionStatus`) and joint angles, rad, over time from 0, s."""
-
-    mode: str
-    trajectory: Trajectory
-
-    @property
-    def duration(self) -> float:
-        """In s."""
-        return float(self.trajectory.end_time())
-
-
-@dataclass(frozen=True, eq=False)
-class Plan:
-    """Phases one after the other, from rest to rest."""
-
-    phases: tuple[Phase, ...]
-
-    @property
-    def duration(self) -> float:
-        """In s."""
-        return sum(phase.duration for phase in self.phases)
-
-    def at(self, time: float) -> tuple[str, FloatArray]:
-        """Mode and joint angles (7,) at a time since the plan's begin, s; rests at both ends."""
-        for phase in self.phases:
-            if time < phase.duration:
-                break
-            time -= phase.duration
-        else:
-            time = phase.duration
-        return phase.mode, phase.trajectory.value(max(time, 0.0))[:, 0]
-
-    def motion(self, time: float) -> tuple[FloatArray, FloatArray]:
-        """Joint angles (7,) rad and speeds (7,) rad/s at a time since the plan's begin, s."""
-        step = 1e-4
-        q = self.at(time)[1]
-        return q, (self.at(time + step)[1] - q) / step
 
 
 def plan_push(
@@ -96,17 +43,17 @@ def plan_push(
         config: how it moves.
 
     Raises:
-        PushRefused: a point out of reach, a joint limit in the way, or too fast for a joint or the finger.
+        MotionRefused: a point out of reach, a joint limit in the way, or too fast for a joint or the finger.
     """
     if push.speed > config.push_speed_limit:
-        raise PushRefused(
+        raise MotionRefused(
             f"{push.speed:g} m/s is faster than the finger may push, at most {config.push_speed_limit:g} m/s"
         )
     lift = np.array([0.0, 0.0, config.safe_height - config.tip_height])
     begin, end = (np.array([*point, config.tip_height]) for point in (push.begin, push.end))
     line, pushing = _pushing(kinematics, push, begin, end, config)
-    down = _follow(kinematics, begin, begin + lift, line[0])[::-1]
-    up = _follow(kinematics, end, end + lift, line[-1])
+    down = follow(kinematics.inverse, begin, begin + lift, line[0])[::-1]
+    up = follow(kinematics.inverse, end, end + lift, line[-1])
     return Plan(
         (
             Phase("approaching", _way(kinematics, q, down[0], config)),
@@ -135,8 +82,8 @@ def plan_retreat(
     tip = kinematics.pose(q).translation()
     if tip[2] < config.safe_height:
         try:
-            up = _follow(kinematics, tip, np.array([tip[0], tip[1], config.safe_height]), q)
-        except PushRefused:
+            up = follow(kinematics.inverse, tip, np.array([tip[0], tip[1], config.safe_height]), q)
+        except MotionRefused:
             pass  # not pointing down, or at the edge of the reach: the way home lifts it as well
         else:
             up[0] = q
@@ -153,11 +100,11 @@ def _way(
     """From rest at q to rest at the goal, both (7,), rad.
 
     Raises:
-        PushRefused: the gripper would come lower than its safe height by more than `SAG`.
+        MotionRefused: the gripper would come lower than its safe height by more than `SAG`.
     """
     path, lowest = _arch(kinematics, q, goal, config)
     if lowest < config.safe_height - SAG:
-        raise PushRefused(
+        raise MotionRefused(
             f"between the push and the home posture the gripper would come down to {lowest:.3f} m, "
             f"at least {config.safe_height - SAG:.3f} m are safe"
         )
@@ -201,74 +148,12 @@ def _pushing(
             try:
                 start = kinematics.inverse(first)
             except OutOfReach as error:
-                raise PushRefused(str(error)) from error
-            line = _follow(kinematics, first, last, start)[::order]
+                raise MotionRefused(str(error)) from error
+            line = follow(kinematics.inverse, first, last, start)[::order]
             pace = push.pace(config.speeding_up, config.slowing_down)
             motion = paced(joint_path(line), pace, config.settle)
-            _check_joints(motion)
+            check_joints(motion)
             return line, motion
-        except PushRefused as refusal:
+        except MotionRefused as refusal:
             refusals.append(refusal)
     raise max(refusals, key=lambda refusal: isinstance(refusal.__cause__, OutOfReach))
-
-
-def _follow(
-    kinematics: FingerKinematics, first: FloatArray, last: FloatArray, start: FloatArray
-) -> FloatArray:
-    """Joint angles (m, 7) of the finger pointing down at points (3,) of a line, evenly spaced.
-
-    Args:
-        kinematics: of the arm.
-        first, last: (3,) ends of the line, m.
-        start: (7,) joint angles at its first end, rad.
-
-    Raises:
-        PushRefused: a point is out of reach, or only with a leap of the joints.
-    """
-    for distance in KNOT_DISTANCES:
-        try:
-            return _knots(kinematics, first, last, start, distance)
-        except PushRefused as refusal:
-            refused = refusal
-    raise refused
-
-
-def _knots(
-    kinematics: FingerKinematics, first: FloatArray, last: FloatArray, start: FloatArray, distance: float
-) -> FloatArray:
-    """See `_follow`; the points are at most `distance` (m) apart."""
-    pieces = max(int(np.ceil(np.linalg.norm(last - first) / distance)), 3)
-    knots = [start]
-    for share in np.linspace(0.0, 1.0, pieces + 1)[1:]:
-        point = (1.0 - share) * first + share * last
-        try:
-            q = kinematics.inverse(point, near=knots[-1])
-        except OutOfReach as error:
-            raise PushRefused(str(error)) from error
-        leap = np.abs(q - knots[-1])
-        if leap.max() > LARGEST_STEP:
-            k = int(np.argmax(leap))
-            raise PushRefused(
-                f"at ({point[0]:.3f}, {point[1]:.3f}) m {ARM_JOINTS[k]} would have to leap by "
-                f"{np.rad2deg(leap[k]):.0f} degrees"
-            )
-        knots.append(q)
-    return np.array(knots)
-
-
-def _check_joints(motion: Trajectory) -> None:
-    """Refuse a motion that is too fast for a joint or passes a limit between its knots."""
-    times = np.linspace(motion.start_time(), motion.end_time(), 200)
-    derivative, second = motion.MakeDerivative(), motion.MakeDerivative(2)
-    for what, values, limits, unit in (
-        ("turn to", motion.vector_values(times), POSITION_LIMITS, "degrees"),
-        ("turn at", derivative.vector_values(times), SPEED_SHARE * SPEED_LIMITS, "degrees a second"),
-        ("speed up by", second.vector_values(times), ACCELERATION_LIMITS, "degrees a second squared"),
-    ):
-        largest = np.abs(values).max(axis=1)
-        k = int(np.argmax(largest / limits))
-        if largest[k] > limits[k]:
-            raise PushRefused(
-                f"{ARM_JOINTS[k]} would have to {what} {np.rad2deg(largest[k]):.0f} {unit}, "
-                f"of which {np.rad2deg(limits[k]):.0f} are allowed"
-            )

@@ -9,6 +9,7 @@ from pydrake.trajectories import PathParameterizedTrajectory, PiecewisePolynomia
 from diagrams.execution.finger_kinematics import FingerKinematics
 from models.physics.cell_grid import FloatArray
 from models.robots import ACCELERATION_LIMITS, SPEED_LIMITS
+from planners.table_push import Pace
 
 SPEED_SHARE = 0.9
 """Share of the joints' speed limits that motions use."""
@@ -57,31 +58,21 @@ def smooth(path: Trajectory, kinematics: FingerKinematics, tip_speed: float) -> 
     return PathParameterizedTrajectory(path, unit)
 
 
-def paced(
-    path: Trajectory, length: float, speed: float, speeding_up: float, slowing_down: float, rest: float
-) -> Trajectory:
-    """Along a path over [0, 1] at a constant speed between speeding up and slowing down, then a rest.
-
-    Where the path is too short for the speed, the fastest point is where slowing down has to begin.
+def paced(path: Trajectory, pace: Pace, rest: float) -> Trajectory:
+    """Along a path over [0, 1] at a given pace, then a rest.
 
     Args:
         path: of 7 joint angles, rad; equal steps of its parameter are equal ways of the finger.
-        length: way of the finger, m.
-        speed: of the finger, m/s.
-        speeding_up, slowing_down: its constant accelerations, m/s².
+        pace: of the finger.
         rest: time at the end, s.
     """
-    top = min(speed, np.sqrt(2.0 * length / (1.0 / speeding_up + 1.0 / slowing_down)))
-    up, down = top / speeding_up, top / slowing_down
-    cruise = max(length - top * (up + down) / 2.0, 0.0) / top
-    times, ways, speeds = [0.0], [0.0], [0.0]
-    for duration, reached in ((up, top), (cruise, top), (down, 0.0), (rest, 0.0)):
-        if duration > 1e-9:
-            times.append(times[-1] + duration)
-            ways.append(ways[-1] + duration * (speeds[-1] + reached) / 2.0)
-            speeds.append(reached)
-    pace = PiecewisePolynomial.CubicHermite(times, np.array([ways]) / ways[-1], np.array([speeds]) / ways[-1])
-    return PathParameterizedTrajectory(path, pace)
+    times, ways, speeds = (list(values) for values in (pace.times, pace.ways, pace.speeds))
+    if rest > 1e-9:
+        times, ways, speeds = [*times, times[-1] + rest], [*ways, ways[-1]], [*speeds, 0.0]
+    share = PiecewisePolynomial.CubicHermite(
+        times, np.array([ways]) / ways[-1], np.array([speeds]) / ways[-1]
+    )
+    return PathParameterizedTrajectory(path, share)
 
 
 def braking(q: FloatArray, speed: FloatArray) -> Trajectory:

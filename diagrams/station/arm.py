@@ -19,6 +19,7 @@ from pydrake.multibody.tree import FixedOffsetFrame, Frame, ModelInstanceIndex
 from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import SharedPointerSystem
 
+from models.physics.cell_grid import FloatArray
 from models.robots import ARM_JOINTS, FINGER_RADIUS, FLANGE_HEIGHT, FOLDER, GRIPPER_MODEL, IIWA_MODEL
 
 ARM_MODELS = {
@@ -27,15 +28,19 @@ ARM_MODELS = {
 }
 """Where each set of models has its arm. The gripper is our own in all of them, because its finger pushes."""
 
-HOME = np.array([-0.1, -1.27, 0.44, -1.1, -0.05, 1.75, -1.6])
-"""(7,) joint angles at which the arm is raised over its stand, rad. On `default_arm_base` a camera 1.1 m
-above the table's middle sees past it the whole table."""
+HOME = np.array([0.69, -1.06, -1.07, -1.38, 0.0, 1.41, -0.93])
+"""(7,) joint angles at which the arm is raised beside its stand, rad. On `default_arm_base` a camera 1.1 m
+above the table's middle sees past it all of the table within 0.49 m, and nothing of it is as high as that."""
 
 STIFFNESS = np.full(7, 8000.0)
 """(7,) gains of the simulated joint control, 1/s²."""
 
+STAND_RADIUS = 0.07
+"""Of the column that carries the arm, m."""
+
 _FLOOR = -0.75  # m, where the stand ends
 _GRIPPER_STEP = 0.05  # s, period at which the gripper takes commands
+_GRIPPER_GAINS = (8000.0, 100.0)  # N/m and N s/m: on an object 10 mm thick it closes with all its force
 
 _DIRECTIVES = """
 directives:
@@ -179,7 +184,8 @@ def add_arm_drivers(builder: DiagramBuilder, plant: MultibodyPlant, arm: Arm) ->
     for name in ("position_commanded", "position_measured", "velocity_estimated", "torque_external"):
         builder.ExportOutput(iiwa.GetOutputPort(name), f"iiwa.{name}")
 
-    hand = builder.AddNamedSystem("gripper_control", SchunkWsgPositionController(_GRIPPER_STEP))
+    controller = SchunkWsgPositionController(_GRIPPER_STEP, *_GRIPPER_GAINS)
+    hand = builder.AddNamedSystem("gripper_control", controller)
     opening = builder.AddNamedSystem("gripper_state", MakeMultibodyStateToWsgStateSystem())
     state = plant.get_state_output_port(arm.gripper)
     builder.Connect(state, hand.GetInputPort("state"))
@@ -226,10 +232,15 @@ def _parse(
     return iiwa, gripper
 
 
+def stand_head(X_WB: RigidTransform) -> FloatArray:
+    """(3,) upper end of the stand's column in the world, m, behind a base at X_WB."""
+    return np.asarray(X_WB @ np.array([0.0, 0.0, -0.14]))
+
+
 def _add_stand(plant: MultibodyPlant, X_WB: RigidTransform) -> None:
     """A column from the floor to the back of the base; nothing collides with it."""
     back = X_WB @ np.array([0.0, 0.0, -0.02])
-    head = X_WB @ np.array([0.0, 0.0, -0.14])
+    head = stand_head(X_WB)
     foot = np.array([head[0], head[1], _FLOOR])
     dark, grey = np.array([0.16, 0.17, 0.19, 1.0]), np.array([0.55, 0.57, 0.6, 1.0])
     up = RotationMatrix()
@@ -240,8 +251,8 @@ def _add_stand(plant: MultibodyPlant, X_WB: RigidTransform) -> None:
             RigidTransform(X_WB.rotation(), X_WB @ np.array([0.0, 0.0, -0.01])),
             dark,
         ),
-        ("neck", Capsule(0.07, 0.12), RigidTransform(X_WB.rotation(), (back + head) / 2), grey),
-        ("column", Cylinder(0.07, head[2] - _FLOOR), RigidTransform(up, (head + foot) / 2), grey),
+        ("neck", Capsule(STAND_RADIUS, 0.12), RigidTransform(X_WB.rotation(), (back + head) / 2), grey),
+        ("column", Cylinder(STAND_RADIUS, head[2] - _FLOOR), RigidTransform(up, (head + foot) / 2), grey),
         ("foot", Cylinder(0.22, 0.03), RigidTransform(up, foot + np.array([0.0, 0.0, 0.015])), dark),
     )
     for name, shape, X_WG, colour in shapes:

@@ -5,7 +5,8 @@ import pytest
 
 from diagrams.execution.config import ExecutionConfig
 from diagrams.execution.finger_kinematics import FingerKinematics
-from diagrams.execution.push_plan import PushRefused, plan_push, plan_retreat
+from diagrams.execution.motion import MotionRefused
+from diagrams.execution.push_plan import plan_push, plan_retreat
 from diagrams.station.arm import HOME, arm_model
 from models.robots import ACCELERATION_LIMITS, POSITION_LIMITS, SPEED_LIMITS
 from planners.table_push import TablePush
@@ -86,25 +87,27 @@ def test_finger_speeds_up_and_slows_down_as_configured(kinematics, length, speed
     ],
 )
 def test_a_push_out_of_reach_is_refused_with_the_point(kinematics, begin, end, reason):
-    with pytest.raises(PushRefused, match=reason):
+    with pytest.raises(MotionRefused, match=reason):
         plan(kinematics, begin, end)
 
 
 def test_a_push_too_fast_for_the_finger_is_refused(kinematics):
-    with pytest.raises(PushRefused, match=r"0\.31 m/s is faster than the finger may push, at most 0\.3 m/s"):
+    with pytest.raises(
+        MotionRefused, match=r"0\.31 m/s is faster than the finger may push, at most 0\.3 m/s"
+    ):
         plan(kinematics, [0, 0], [0.1, 0], speed=0.31)
 
 
 def test_a_push_too_fast_for_a_joint_is_refused_with_the_joint(kinematics):
     fast = ExecutionConfig(push_speed_limit=1.0, speeding_up=5.0, slowing_down=5.0)
-    with pytest.raises(PushRefused, match=r"iiwa_joint_\d would have to (turn at|speed up by) \d+ degrees"):
+    with pytest.raises(MotionRefused, match=r"iiwa_joint_\d would have to (turn at|speed up by) \d+ degrees"):
         plan(kinematics, [0.4, -0.25], [0.4, 0.25], speed=1.0, config=fast)
 
 
 def test_a_way_that_would_sweep_the_table_is_refused(kinematics):
     low = kinematics.inverse(np.array([0.2, -0.2, 0.03]))
     with pytest.raises(
-        PushRefused, match=r"the gripper would come down to 0\.03\d m, at least 0\.080 m are safe"
+        MotionRefused, match=r"the gripper would come down to 0\.03\d m, at least 0\.080 m are safe"
     ):
         plan_push(kinematics, TablePush([0.2, 0.1], [0.25, 0.1], 0.1), HOME, low, CONFIG)
 

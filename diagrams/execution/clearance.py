@@ -1,0 +1,165 @@
+"""How far the arm is from what it must not touch: table, stand, object and itself."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from pydrake.geometry import Capsule, Cylinder, Role, SceneGraph, SceneGraphInspector, Shape, Sphere
+from pydrake.math import RigidTransform
+from pydrake.multibody.plant import AddMultibodyPlantSceneGraph, MultibodyPlant
+from pydrake.multibody.tree import BodyIndex
+from pydrake.systems.framework import DiagramBuilder
+
+from diagrams.station.arm import STAND_RADIUS, add_arm, default_arm_base, stand_head
+from diagrams.station.table import THICKNESS
+from models.measurements.push_dataset import Table
+from models.physics.cell_grid import CellGrid, FloatArray
+
+_APART = 0.5  # of the balls along a shape, in its radii
+_FIXED = ("iiwa_link_0", "iiwa_link_1", "iiwa_link_2")  # what hand and forearm could hit of the arm itself
+_NEXT = ("iiwa_link_3", "iiwa_link_4")  # always close to those
+
+
+@dataclass(frozen=True, eq=False)
+class Obstacle:
+    """The object as upright boxes, one a cell.
+
+    Attributes:
+        grid: cells and outline.
+        heights: (n,) of the object's top over each cell, m.
+        pose: (3,) of the object in the world, m and rad; it lies on the table.
+    """
+
+    grid: CellGrid
+    heights: FloatArray
+    pose: FloatArray
+
+    def distance(self, points: FloatArray) -> FloatArray:
+        """(...) signed distance of points (..., 3) in the world from the nearest box, m."""
+        c, s = np.cos(self.pose[2]), np.sin(self.pose[2])
+        local = (points[..., :2] - self.pose[:2]) @ np.array([[c, -s], [s, c]])
+        aside = np.abs(local[..., None, :] - self.grid.centers) - self.grid.width / 2
+        above = np.abs(points[..., 2, None] - self.heights / 2) - self.heights / 2
+        return np.asarray(_box_distance(np.concatenate([aside, above[..., None]], axis=-1)).min(axis=-1))
+
+
+class ArmClearance:
+    """Distances of the default arm, covered by balls, from table, stand, itself and an object.
+
+    Args:
+        table: whose top is at z = 0.
+        X_WB: pose of the arm's base; `default_arm_base` if None.
+    """
+
+    def __init__(self, table: Table, X_WB: RigidTransform | None = None) -> None:
+        self._table = table
+        self._head = stand_head(default_arm_base() if X_WB is None else X_WB)
+        plant, scene_graph = AddMultibodyPlantSceneGraph(DiagramBuilder(), 1e-3)
+        self._arm = add_arm(plant, X_WB)
+        plant.Finalize()
+        self._plant, self._context = plant, plant.CreateDefaultContext()
+        self._balls = _balls(plant, scene_graph, (self._arm.iiwa, self._arm.gripper))
+        names = np.concatenate(
+            [np.full(len(radii), plant.get_body(body).name()) for body, _, radii in self._balls]
+        )
+        self._radii = np.concatenate([radii for _, _, radii in self._balls])
+        self._fixed = np.isin(names, _FIXED)
+        self._free = ~self._fixed & ~np.isin(names, _NEXT)
+        self._gripper = np.isin(
+            names, [plant.get_body(b).name() for b in plant.GetBodyIndices(self._arm.gripper)]
+        )
+
+    def centers(self, q: FloatArray, opening: float) -> FloatArray:
+        """(B, 3) centres of the balls in the world at joint angles (7,), rad, and an opening, m."""
+        self._plant.SetPositions(self._context, self._arm.iiwa, q)
+        self._plant.SetPositions(self._context, self._arm.gripper, np.array([-opening, opening]) / 2)
+        return np.concatenate(
+            [
+                points @ X_WB.rotation().matrix().T + X_WB.translation()
+                for points, X_WB in (
+                    (points, self._plant.EvalBodyPoseInWorld(self._context, self._plant.get_body(body)))
+                    for body, points, _ in self._balls
+                )
+            ]
+        )
+
+    def of(
+        self, q: FloatArray, opening: float, obstacle: Obstacle | None = None, *, holding: bool = False
+    ) -> float:
+        """Smallest distance at joint angles (7,), rad, and an opening of the gripper, m; negative inside.
+
+        Args:
+            q, opening: of arm and gripper.
+            obstacle: the object, if it counts.
+            holding: the gripper may be at the object.
+        """
+        centers = self.centers(q, opening)
+        moving = ~self._fixed
+        distances = [
+            self._from_table(centers[moving]) - self._radii[moving],
+            self._from_stand(centers[moving]) - self._radii[moving],
+            np.linalg.norm(centers[self._free, None] - centers[None, self._fixed], axis=2).min(axis=1)
+            - self._radii[self._free]
+            - self._radii[self._fixed].max(),
+        ]
+        if obstacle is not None:
+            near = moving & ~self._gripper if holding else moving
+            distances.append(obstacle.distance(centers[near]) - self._radii[near])
+        return min(float(distance.min()) for distance in distances)
+
+    def _from_table(self, points: FloatArray) -> FloatArray:
+        beside = points[:, :2] - np.asarray(self._table.center)
+        above = np.abs(points[:, 2] + THICKNESS / 2) - THICKNESS / 2
+        if self._table.radius is not None:
+            aside = (np.hypot(*beside.T) - self._table.radius)[:, None]
+        else:
+            aside = np.abs(beside) - np.asarray(self._table.size) / 2
+        return _box_distance(np.column_stack([aside, above]))
+
+    def _from_stand(self, points: FloatArray) -> FloatArray:
+        below = np.maximum(points[:, 2] - self._head[2], 0.0)
+        return np.asarray(
+            np.sqrt(((points[:, :2] - self._head[:2]) ** 2).sum(axis=1) + below**2) - STAND_RADIUS
+        )
+
+
+def _box_distance(outside: FloatArray) -> FloatArray:
+    """(...) signed distance from signed distances (..., d) to the slabs that make up a box."""
+    return np.asarray(
+        np.linalg.norm(np.maximum(outside, 0.0), axis=-1) + np.minimum(outside.max(axis=-1), 0.0)
+    )
+
+
+def _balls(
+    plant: MultibodyPlant, scene_graph: SceneGraph, instances: tuple
+) -> list[tuple[BodyIndex, FloatArray, FloatArray]]:
+    """Per body: centres (b, 3) in its frame and radii (b,) of balls along its collision shapes, m."""
+    inspector: SceneGraphInspector = scene_graph.model_inspector()
+    result = []
+    for instance in instances:
+        for body in plant.GetBodyIndices(instance):
+            centers, radii = [np.zeros((0, 3))], [np.zeros(0)]
+            for geometry in inspector.GetGeometries(plant.GetBodyFrameIdOrThrow(body), Role.kProximity):
+                shape = inspector.GetShape(geometry)
+                X_BG = inspector.GetPoseInFrame(geometry)
+                along = _along(shape)
+                points = np.column_stack([np.zeros((len(along), 2)), along])
+                centers.append(points @ X_BG.rotation().matrix().T + X_BG.translation())
+                radii.append(np.full(len(along), shape.radius()))
+            if len(centers) > 1:
+                result.append((body, np.concatenate(centers), np.concatenate(radii)))
+    return result
+
+
+def _along(shape: Shape) -> FloatArray:
+    """Where on the shape's z balls of its radius lie."""
+    if isinstance(shape, Sphere):
+        return np.zeros(1)
+    if isinstance(shape, Capsule):
+        half = shape.length() / 2
+    elif isinstance(shape, Cylinder):
+        half = max(shape.length() / 2 - shape.radius(), 0.0)
+    else:
+        raise ValueError(f"arm clearance: a {type(shape).__name__} among the arm's collision shapes")
+    return np.linspace(-half, half, max(int(np.ceil(2 * half / (_APART * shape.radius()))) + 1, 1))
