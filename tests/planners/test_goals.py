@@ -239,6 +239,20 @@ def test_upper_pin_stays_off_a_tower(slab: dict) -> None:
         assert goal.grasp.height == pytest.approx(0.03)
 
 
+def test_upper_pin_passes_beside_a_wall_with_clearance(slab: dict) -> None:
+    """Along one side a wall; it may begin anywhere between the cells that are low and those that are high."""
+    walled = np.where(slab["grid"].centers[:, 1] > 0.025, 0.2, 0.03)
+    grasps = Graspable.of(**slab | {"heights": walled}).grasps_at([0.45, 0.0, 0.0], ROUND)
+    wall = shapely.box(-0.15, 0.0125, 0.15, 0.05)
+    nearest = np.inf
+    for grasp in grasps:
+        along = np.array([np.cos(grasp.approach), np.sin(grasp.approach)])
+        pin = shapely.LineString([grasp.tip, grasp.tip - 0.3 * along])
+        pin = pin.buffer(Gripper().finger_radius, cap_style="flat")
+        nearest = min(nearest, shapely.distance(pin, wall))
+    assert 5e-3 - ROUNDING <= nearest < 12e-3
+
+
 def test_same_seed_same_goals_and_only_allowed_ones(slab: dict) -> None:
     thing = Graspable.of(**slab)
     first, second = (thing.sample_goals(ROUND, np.random.default_rng(3)) for _ in range(2))
