@@ -14,16 +14,20 @@ from dataclasses import dataclass
 import numpy as np
 
 from models.inference.belief import Belief
+from models.inference.observations import LONGEST_STEP, LONGEST_STRIDE
 from models.inference.push_errors import radius_of_gyration
 from models.physics.cell_grid import CellGrid, FloatArray
 from models.physics.paper_notation import add
-from models.physics.rollout import RolloutError
+from models.physics.rollout import Push, RolloutError
 from planners.exploration import CandidatePush, NoReachablePush, candidate_pushes
 from planners.poke_settings import PokeSettings
 from planners.proposals import turn
-from planners.rehearsal import straight_push
+from planners.rehearsal import AFTERWARDS, RAMP
 from planners.strategies import STRATEGIES
 from planners.table_push import TablePush
+
+TOUCH_WAY = 0.004
+"""m that a tap's finger may go on slowly after it should have touched: no one knows exactly where it will."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,6 +57,7 @@ def select_poke(
     belief: Belief | None = None,
     past: Sequence[Poke] = (),
     settings: PokeSettings | None = None,
+    tap: bool | None = None,
     allowed: Callable[[TablePush], bool] = lambda push: True,
     rng: np.random.Generator,
 ) -> Poke:
@@ -68,6 +73,7 @@ def select_poke(
         belief: hypotheses that `most-distinctive` compares.
         past: pushes that were made.
         settings: what pokes are like.
+        tap: whether it is to be a tap; by default as the settings say for the number of past pushes.
         allowed: whether the robot can make a push; asked in order of preference until one is found.
         rng: source of every draw.
 
@@ -82,7 +88,8 @@ def select_poke(
         grid, finger_radius, rng, habits.candidates, length=(habits.shortest, habits.longest),
         speed=(habits.slowest, habits.fastest), cone=float(np.radians(habits.cone)), approach=habits.approach,
     )  # fmt: skip
-    pokes = [_poke(contact, pose) for contact in contacts]
+    tapping = habits.is_tap(len(past)) if tap is None else tap
+    pokes = [_poke(contact, pose, habits.tap_speed if tapping else None) for contact in contacts]
     pokes = [poke for poke in pokes if _stays(poke, grid, pose, habits)]
     if strategy == "most-different" and past:
         worth = _differences(pokes, past, grid)
@@ -99,11 +106,15 @@ def select_poke(
     )
 
 
-def _poke(contact: CandidatePush, pose: FloatArray) -> Poke:
+def _poke(contact: CandidatePush, pose: FloatArray, tap_speed: float | None) -> Poke:
+    """The candidate on the table, as a tap where a speed for one is given."""
     rotation = turn(pose[2])
     begin = contact.touch - contact.approach * contact.direction
     end = contact.touch + contact.length * contact.direction
-    push = TablePush(pose[:2] + rotation @ begin, pose[:2] + rotation @ end, contact.speed)
+    creep = 0.0 if tap_speed is None else contact.approach + min(TOUCH_WAY, contact.length / 2)
+    push = TablePush(
+        pose[:2] + rotation @ begin, pose[:2] + rotation @ end, tap_speed or contact.speed, creep
+    )
     return Poke(push, contact.contact, contact.direction)
 
 
@@ -130,7 +141,7 @@ def _disagreements(pokes: Sequence[Poke], pose: FloatArray, belief: Belief) -> F
 
     Pairs are weighed by their probabilities: what an unlikely hypothesis expects should not decide.
     """
-    pushes = [straight_push(pose, p.push.begin, p.push.end, p.push.speed) for p in pokes]
+    pushes = [_imagined(poke.push, pose) for poke in pokes]
     try:
         rollouts = belief.slider.rollout(belief.maps, pushes)
     except RolloutError:
@@ -139,3 +150,10 @@ def _disagreements(pokes: Sequence[Poke], pose: FloatArray, belief: Belief) -> F
     pairs = add(ends[:, :, None], ends[:, None, :], belief.grid.centers)
     weights = np.outer(belief.probability, belief.probability)
     return (pairs * weights).sum(axis=(1, 2))
+
+
+def _imagined(push: TablePush, pose: FloatArray) -> Push:
+    pace = push.pace(push.speed / RAMP, push.speed / RAMP)
+    h = min(LONGEST_STEP, LONGEST_STRIDE / push.speed)
+    times = h * np.arange(np.ceil((pace.duration + AFTERWARDS) / h) + 1)
+    return Push(h, push.begin + np.outer(pace.at(times), push.direction), pose, pose_times=times[-1:])

@@ -1,4 +1,4 @@
-"""A push as it is asked for: the finger moves along a line on the table."""
+"""A push as it is asked for: the finger moves along a line on the table, and when it is where on it."""
 
 from __future__ import annotations
 
@@ -8,23 +8,34 @@ import numpy as np
 
 from models.physics.cell_grid import FloatArray
 
+TOUCH_SPEED = 0.05
+"""m/s, at which a tap meets the object: fast enough to be brief, too slow for a blow."""
+TAP_SPEEDING_UP, TAP_SLOWING_DOWN = 3.0, 8.0
+"""m/s², of the finger in a tap. It stops faster than friction stops an object, which slides on alone."""
+
 
 @dataclass(frozen=True, eq=False)
 class TablePush:
     """A straight push of the finger.
 
+    A tap touches the object gently, speeds up with it, and stops short, so that the object slides on by
+    itself. How far and with what turn tells mass from friction, which slow pushes cannot.
+
     Attributes:
         begin: (2,) centre of the finger before it moves, free of the object, world, m.
         end: (2,) centre of the finger where it stops, world, m.
         speed: of the finger between speeding up and slowing down, m/s.
+        creep: of a tap, way that the finger goes at `TOUCH_SPEED` before it speeds up, m; 0 in other pushes.
 
     Raises:
-        ValueError: a number that is not finite, a speed that is not positive, or no way to go.
+        ValueError: a number that is not finite, a speed that is not positive, no way to go, or a creep that
+            takes up all of it.
     """
 
     begin: FloatArray
     end: FloatArray
     speed: float
+    creep: float = 0.0
 
     def __post_init__(self) -> None:
         begin, end = np.asarray(self.begin, dtype=float), np.asarray(self.end, dtype=float)
@@ -34,6 +45,8 @@ class TablePush:
             raise ValueError(f"push: speed must be positive, got {self.speed} m/s")
         if np.hypot(*(end - begin)) < 1e-6:
             raise ValueError("push: begin and end are the same point")
+        if not 0 <= self.creep < np.hypot(*(end - begin)):
+            raise ValueError(f"push: creep must lie between 0 and the length of the push, got {self.creep} m")
         object.__setattr__(self, "begin", begin)
         object.__setattr__(self, "end", end)
 
@@ -46,3 +59,57 @@ class TablePush:
     def direction(self) -> FloatArray:
         """(2,) unit vector of the finger's motion, world."""
         return (self.end - self.begin) / self.length
+
+    def pace(self, speeding_up: float, slowing_down: float) -> Pace:
+        """When the finger is where, from rest to rest.
+
+        Where the way is too short for the speed, the fastest point is where slowing down has to begin.
+
+        Args:
+            speeding_up: acceleration in pushes that are not taps, m/s².
+            slowing_down: the same at the end.
+        """
+        slow = min(TOUCH_SPEED, self.speed, np.sqrt(2.0 * speeding_up * self.creep))
+        up, down = (TAP_SPEEDING_UP, TAP_SLOWING_DOWN) if self.creep else (speeding_up, slowing_down)
+        way = self.length - self.creep
+        top = min(self.speed, np.sqrt((2.0 * way + slow**2 / up) / (1.0 / up + 1.0 / down)))
+        cruise = max(way - (top**2 - slow**2) / (2.0 * up) - top**2 / (2.0 * down), 0.0) / top
+        pieces = [((top - slow) / up, top), (cruise, top), (top / down, 0.0)]
+        if self.creep:
+            rise = slow / speeding_up
+            pieces = [(rise, slow), (self.creep / slow - rise / 2.0, slow), *pieces]
+        times, ways, speeds = [0.0], [0.0], [0.0]
+        for duration, reached in pieces:
+            if duration > 1e-9:
+                times.append(times[-1] + duration)
+                ways.append(ways[-1] + duration * (speeds[-1] + reached) / 2.0)
+                speeds.append(reached)
+        return Pace(np.array(times), np.array(ways), np.array(speeds))
+
+
+@dataclass(frozen=True, eq=False)
+class Pace:
+    """A finger's way over time, with constant accelerations between knots.
+
+    Attributes:
+        times: (m,) from 0, s.
+        ways: (m,) gone until then, m.
+        speeds: (m,) then, m/s.
+    """
+
+    times: FloatArray
+    ways: FloatArray
+    speeds: FloatArray
+
+    @property
+    def duration(self) -> float:
+        """s."""
+        return float(self.times[-1])
+
+    def at(self, times: FloatArray) -> FloatArray:
+        """(T,) way gone at times (T,), m; at rest before the first and after the last knot."""
+        t = np.clip(times, 0.0, self.duration)
+        k = np.clip(np.searchsorted(self.times, t, side="right") - 1, 0, len(self.times) - 2)
+        since = t - self.times[k]
+        rate = (self.speeds[k + 1] - self.speeds[k]) / (self.times[k + 1] - self.times[k])
+        return np.asarray(self.ways[k] + self.speeds[k] * since + 0.5 * rate * since**2)

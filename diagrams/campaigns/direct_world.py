@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import shapely
@@ -18,8 +18,8 @@ from planners.proposals import turn
 from planners.table_push import TablePush
 from planners.world import ObjectFell, PushNotMade
 
-REST = 0.1
-"""s that the finger stands still before and after it moves."""
+REST = 0.3
+"""s that the finger stands still before and after it moves; an object that was tapped slides on."""
 RAMP = 0.1
 """s in which it speeds up, and slows down."""
 PERIOD = 0.01
@@ -150,7 +150,7 @@ class DirectWorld(ABC):
                 f" ({1e3 * begin[0]:.0f}, {1e3 * begin[1]:.0f}) mm is {1e3 * gap:.1f} mm from the outline,"
                 f" nearer than its radius of {1e3 * self.finger_radius:.0f} mm"
             )
-        motion = self._drive(finger_path(begin, end, push.speed, self._step))
+        motion = self._drive(finger_path(replace(push, begin=begin, end=end), self._step))
         self._settle()
         trial = self._recorded(motion)
         self.pushes += 1
@@ -218,22 +218,11 @@ class DirectWorld(ABC):
         """(3,) true pose, NaN where the object is not flat on the table."""
 
 
-def finger_path(begin: FloatArray, end: FloatArray, speed: float, step: float) -> FloatArray:
-    """(N + 1, 2) finger centre, a row each step: it rests, speeds up and slows down evenly, and rests.
-
-    Args:
-        begin, end: (2,) world, m.
-        speed: between speeding up and slowing down, m/s.
-        step: s.
-    """
-    way = float(np.hypot(*(end - begin)))
-    ramp = min(RAMP, way / speed)
-    moving = way / speed + ramp
-    rows = int(np.ceil((moving + 2 * REST) / PERIOD)) * round(PERIOD / step)
-    t = np.clip(step * np.arange(rows + 1) - REST, 0.0, moving)
-    up, down = np.minimum(t, ramp), np.maximum(t - (moving - ramp), 0.0)
-    travelled = speed * (0.5 * up**2 / ramp + np.maximum(t - ramp, 0.0) - 0.5 * down**2 / ramp)
-    return begin + np.outer(travelled / way, end - begin)
+def finger_path(push: TablePush, step: float) -> FloatArray:
+    """(N + 1, 2) finger centre, a row each `step` in s: it rests, goes its way, and rests."""
+    pace = push.pace(push.speed / RAMP, push.speed / RAMP)
+    rows = int(np.ceil((pace.duration + 2 * REST) / PERIOD)) * round(PERIOD / step)
+    return push.begin + np.outer(pace.at(step * np.arange(rows + 1, dtype=float) - REST), push.direction)
 
 
 def _continued(before: FloatArray, pose: FloatArray) -> FloatArray:

@@ -39,7 +39,8 @@ class Exploration(LeafSystem):
     The draws of a push depend on the seed and the push's number alone.
 
     Args:
-        strategy: one of `planners.strategies.STRATEGIES`; pushes made to judge the belief are random.
+        strategy: one of `planners.strategies.STRATEGIES`; pushes made to judge the belief are
+            random and none of them is a tap.
         fit: pushes to learn from.
         finger_radius: m.
         settings: what pokes are like.
@@ -95,6 +96,7 @@ class Exploration(LeafSystem):
                 belief=self.GetInputPort("belief").Eval(context),
                 past=past,
                 settings=self._settings,
+                tap=self._settings.is_tap(status.push) and status.push < self._fit,
                 allowed=self._allowed,
                 rng=np.random.default_rng([self._seed, status.push, status.attempt]),
             )

@@ -97,10 +97,11 @@ class Likelihood:
         self._centroid, self._radius = grid.centers.mean(axis=0), radius_of_gyration(grid)
         self._sigmas = [self._pose_sigma(observation, noise) for observation in self.observations]
         self._force_sigmas = [self._force_sigma(observation, noise) for observation in self.observations]
-        # The start is a mean of several rows, hence better known than a row.
         start = np.array([settings.start_position, settings.start_position, settings.start_angle])
         if noise.position is not None and noise.angle is not None:
-            start = 0.4 * np.array([noise.position, noise.position, noise.angle])
+            # Where there are many rows the start is a mean of several, hence better known than a row.
+            single = any(len(observation.poses) == 1 for observation in self.observations)
+            start = (1.0 if single else 0.4) * np.array([noise.position, noise.position, noise.angle])
         self.start_sigma = start
         self._pushes = [observation.push for observation in self.observations]
         self._starts = np.array([push.start_pose for push in self._pushes])

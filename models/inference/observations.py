@@ -64,12 +64,8 @@ def observe(trial: Trial, order: int = 0) -> Observation:
     twist = trial.initial_velocity()
     track_time, track = finger_path(trial)
     track_time, track = smooth_track(track_time, track)
-    if trial.ends_only:
-        speed = float(np.hypot(*np.diff(track, axis=0).T).sum()) / duration
-        step = LONGEST_STRIDE / speed if speed > 0 else LONGEST_STEP
-    else:
-        speed = _fast_speed(track_time, track) if trial.has_finger else 0.0
-        step = min(LONGEST_STEP, LONGEST_STRIDE / speed) if speed > 0 else LONGEST_STEP
+    speed = _fast_speed(track_time, track) if trial.has_finger else 0.0
+    step = min(LONGEST_STEP, LONGEST_STRIDE / speed) if speed > 0 else LONGEST_STEP
     if twist.any():
         step = min(step, SLIDING_STEP)
     steps = max(8, int(np.ceil(duration / step)))

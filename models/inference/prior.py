@@ -2,14 +2,17 @@
 
 Maps are functions of whitened coordinates z, so that the prior is z ~ N(0, 1) in each:
 
-    m_i   = m_total · exp(σ_m (B z_m)_i) / Σ_j exp(σ_m (B z_m)_j)
-    mu_i  = exp(log mu_0 + σ_scale z_mu0 + σ_mu (B z_mu)_i)
+    l = σ_load B z_load,    s = σ_split B z_split
+    m_i   = m_total · exp(a l_i + s_i) / Σ_j exp(a l_j + s_j)
+    mu_i  = exp(log mu_0 + σ_scale z_mu0 + (1 - a) l_i - s_i)
     mu_f  = exp(log mu_f0 + σ_f z_f),        m_total = m_0 exp(σ_total z_total)
     effect parameters:  p = p_0 + scale z_p, within their bounds
 
 B Bᵀ is a squared-exponential covariance over the cell centres plus a share of white noise: neighbouring
-cells are alike, but need not be. Logarithms keep masses and frictions positive and make the units
-immaterial: an object of 165 kg is as likely as one of 165 g.
+cells are alike, but need not be. The product of mass and friction, which slow pushes show, varies by l alone;
+how it is split between the two, which they do not show, varies by s. (Independent spreads of mass and
+friction that leave the split as open would allow wild products.) Logarithms keep masses and frictions
+positive and make the units immaterial: an object of 165 kg is as likely as one of 165 g.
 """
 
 from __future__ import annotations
@@ -31,8 +34,9 @@ class PriorSettings:
     """Strength of the prior, in standard deviations of natural logarithms.
 
     Attributes:
-        mass_map: σ_m, how much a cell's mass differs from the mean.
-        friction_map: σ_mu, how much a cell's friction differs from the mean.
+        load_map: σ_load, how much a cell's product of mass and friction differs from the mean.
+        mass_share: a, how much of that comes from the mass where nothing else is known.
+        split: σ_split, how much mass and friction differ from that in opposite senses.
         friction_scale: σ_scale of the mean friction.
         friction_mean: mu_0.
         finger_friction: σ_f.
@@ -45,8 +49,9 @@ class PriorSettings:
         modes: most coordinates a map may have; finer variation cannot be seen from pushes.
     """
 
-    mass_map: float = 0.35
-    friction_map: float = 0.1
+    load_map: float = 0.40
+    mass_share: float = 0.8
+    split: float = 0.27
     friction_scale: float = 0.7
     friction_mean: float = 0.3
     finger_friction: float = 0.8
@@ -88,7 +93,7 @@ class MapPrior:
 
     @property
     def size(self) -> int:
-        """Number of coordinates: z_m (r), z_mu (r), z_total, z_mu0, z_f, z_p (P)."""
+        """Number of coordinates: z_load (r), z_split (r), z_total, z_mu0, z_f, z_p (P)."""
         return 2 * self.basis.shape[1] + 3 + len(self.effect_scales)
 
     @property
@@ -108,17 +113,20 @@ class MapPrior:
         return (values - self.effect_centers) / self.effect_scales
 
     def maps(self, z: FloatArray, strength: FloatArray | float = 1.0) -> Maps:
-        """Maps at coordinates (K, size); `strength` (K,) scales σ_m and σ_mu."""
+        """Maps at coordinates (K, size); `strength` (K,) scales σ_load and σ_split."""
         r = self.basis.shape[1]
         s = self.settings
         scale = np.broadcast_to(np.asarray(strength, dtype=float), (len(z),))[:, None]
-        shape = np.clip(s.mass_map * scale * (z[:, :r] @ self.basis.T), -20.0, 20.0)
+        load = s.load_map * scale * (z[:, :r] @ self.basis.T)
+        split = s.split * scale * (z[:, r : 2 * r] @ self.basis.T)
+        shape = np.clip(s.mass_share * load + split, -20.0, 20.0)
         shape = np.exp(shape - shape.max(axis=1, keepdims=True))
         total = self.total_mass * np.exp(np.clip(self.total_spread * z[:, 2 * r], -12.0, 12.0))
         log_mu = (
             np.log(s.friction_mean)
             + s.friction_scale * z[:, 2 * r + 1 : 2 * r + 2]
-            + s.friction_map * scale * (z[:, r : 2 * r] @ self.basis.T)
+            + (1.0 - s.mass_share) * load
+            - split
         )
         log_finger = np.log(s.finger_friction_mean) + s.finger_friction * z[:, self.plain - 1]
         top = np.log(s.largest_friction)
@@ -149,12 +157,12 @@ class MapPrior:
         ) * maps.mass.reshape((*ones, n))
         by_total = by_log_mass.sum(axis=-1, keepdims=True)
         share = maps.mass / maps.mass.sum(axis=1, keepdims=True)
+        by_mass = by_log_mass @ self.basis - by_total * (share @ self.basis).reshape((*ones, -1))
+        by_friction = by_log_mu @ self.basis
         return np.concatenate(
             [
-                s.mass_map
-                * scale
-                * (by_log_mass @ self.basis - by_total * (share @ self.basis).reshape((*ones, -1))),
-                s.friction_map * scale * (by_log_mu @ self.basis),
+                s.load_map * scale * (s.mass_share * by_mass + (1.0 - s.mass_share) * by_friction),
+                s.split * scale * (by_mass - by_friction),
                 by_total * self.total_spread,
                 by_log_mu.sum(axis=-1, keepdims=True) * s.friction_scale,
                 derivative[..., n + 4 : n + 5] * (s.finger_friction * maps.mu_finger).reshape((*ones, 1)),

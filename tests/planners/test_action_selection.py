@@ -41,13 +41,23 @@ def outline_on_table(grid, pose):
 def test_a_push_begins_beside_the_object_and_runs_into_it(strategy):
     grid, truth = hammer()
     past = [choose(seed) for seed in (5, 6)]
-    poke = choose(strategy=strategy, past=past, belief=a_belief([truth.mass[0], truth.mass[0] * 2]))
+    belief = a_belief([truth.mass[0], truth.mass[0] * 2])
+    poke = choose(strategy=strategy, past=past, belief=belief, tap=False)
     outline = outline_on_table(grid, POSE)
     assert outline.distance(shapely.Point(poke.push.begin)) > RADIUS
     assert outline.distance(shapely.LineString([poke.push.begin, poke.push.end])) == 0
     habits = PokeSettings()
     assert habits.shortest <= poke.push.length - habits.approach <= habits.longest
     assert habits.slowest <= poke.push.speed <= habits.fastest
+
+
+def test_the_first_poke_is_slow_and_most_others_are_taps():
+    habits = PokeSettings(taps=0.8)
+    assert [habits.is_tap(number) for number in range(10)] == [False, *4 * [True], False, *4 * [True]]
+    assert choose().push.creep == 0.0
+    tap = choose(past=[choose()]).push
+    assert tap.speed == habits.tap_speed
+    assert tap.creep == pytest.approx(habits.approach + 0.004)
 
 
 def test_the_most_different_push_is_farther_from_the_past_than_random_ones():

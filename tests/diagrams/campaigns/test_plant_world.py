@@ -157,7 +157,7 @@ def test_hidden_effects_act() -> None:
 
 
 def test_path_has_the_speed_asked_for() -> None:
-    path = finger_path(np.zeros(2), np.array([0.03, 0.04]), 0.05, 2e-3)
+    path = finger_path(TablePush(np.zeros(2), np.array([0.03, 0.04]), 0.05), 2e-3)
     speed = np.hypot(*np.diff(path, axis=0).T) / 2e-3
     assert speed.max() == pytest.approx(0.05)
     np.testing.assert_allclose(path[[0, -1]], [[0, 0], [0.03, 0.04]], atol=1e-12)

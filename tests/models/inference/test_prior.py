@@ -29,12 +29,17 @@ def test_total_mass_varies_by_its_own_coordinate_alone(prior):
 
 
 def test_drawn_maps_vary_as_the_settings_say():
-    settings = PriorSettings(mass_map=0.5, friction_map=0.2, white=0.1)
+    settings = PriorSettings(load_map=0.4, mass_share=0.75, split=0.3, white=0.1)
     prior = MapPrior(Slider(SQUARE, 0.005), settings, mass=None)
     z = np.random.default_rng(1).standard_normal((4000, prior.size))
     z[:, -2] = 0.0
-    log_mu = np.log(prior.maps(z).mu)
-    assert log_mu.std(axis=0) == pytest.approx(0.2, rel=0.06)
+    maps = prior.maps(z)
+    log_mu = np.log(maps.mu)
+    assert log_mu.std(axis=0) == pytest.approx(np.hypot(0.25 * 0.4, 0.3), rel=0.06)
+    load = np.log(maps.mass) + log_mu
+    differences = load[:, 0] - load[:, 7]  # in which neither the total mass nor its normalisation shows
+    d = prior.basis[0] - prior.basis[7]
+    assert differences.std() == pytest.approx(0.4 * np.sqrt(d @ d), rel=0.06)
     neighbours = np.corrcoef(log_mu[:, 0], log_mu[:, 1])[0, 1]
     assert 0.7 < neighbours < 0.95  # alike, but a tenth of the variance is each cell's own
 

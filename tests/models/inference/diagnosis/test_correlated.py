@@ -80,9 +80,11 @@ def test_whitened_residuals_of_the_truth_are_of_size_one(recorded) -> None:
     log_mu = np.log(recorded.truth.mu[0] / s.friction_mean)
     z = np.zeros(prior.size)
     r = basis.shape[1]
-    z[:r] = np.linalg.lstsq(s.mass_map * basis, log_mass - log_mass.mean(), rcond=None)[0]
+    relative_mass, relative_mu = log_mass - log_mass.mean(), log_mu - log_mu.mean()
+    load = relative_mass + relative_mu
+    z[:r] = np.linalg.lstsq(s.load_map * basis, load, rcond=None)[0]
     z[2 * r + 1] = log_mu.mean() / s.friction_scale
-    z[r : 2 * r] = np.linalg.lstsq(s.friction_map * basis, log_mu - log_mu.mean(), rcond=None)[0]
+    z[r : 2 * r] = np.linalg.lstsq(s.split * basis, relative_mass - s.mass_share * load, rcond=None)[0]
     z[prior.plain - 1] = np.log(0.3 / s.finger_friction_mean) / s.finger_friction
     _, residuals = whitened_rows(likelihood, likelihood.rows(z, np.zeros((len(observations), 3))))
     # Poses alone: forces depend on the rattling of a finger path that is known with noise.
