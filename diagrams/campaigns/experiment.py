@@ -36,13 +36,13 @@ class Summary:
         tables: with the paper's numbers where it has any.
         remark: on the comparison.
         document: the same for programs.
-        figure: draws it.
+        figures: draws them.
     """
 
     tables: list[TableText]
     remark: str
     document: dict[str, Any]
-    figure: Callable[[], Figure]
+    figures: Callable[[], list[Figure]]
 
 
 @dataclass(frozen=True)

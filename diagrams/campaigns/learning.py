@@ -1,13 +1,23 @@
-"""Pushes recorded in a campaign's world, as a dataset."""
+"""Pushes recorded in a campaign's world, and what is learned from them."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import lru_cache
+
+import numpy as np
 
 from diagrams.campaigns.direct_world import DirectWorld
+from diagrams.campaigns.worlds import world_of
 from diagrams.systems.measurement_logger import dataset_of
+from models.inference.belief import Belief
 from models.measurements import PushDataset, Trial
+from planners.learn_by_pushing import learn_by_pushing
+from planners.pregrasp_settings import PregraspSettings
+
+PUSHES = 5
+"""From which an object is identified, as in the paper."""
 
 
 def as_dataset(world: DirectWorld, fit: Sequence[Trial], heldout: Sequence[Trial] = ()) -> PushDataset:
@@ -29,3 +39,23 @@ def as_dataset(world: DirectWorld, fit: Sequence[Trial], heldout: Sequence[Trial
         table=world.table,
         description=f"Recorded in the world of {type(world).__name__}.",
     )
+
+
+@lru_cache(maxsize=32)
+def identified(truth: str, object_name: str, seed: int) -> Belief:
+    """What five pushes of an object in its world teach; made once in a process for each seed.
+
+    Raises:
+        ObjectFell, PushNotMade: the object could not be explored.
+    """
+    world = world_of(truth, object_name)
+    rng = np.random.default_rng([seed, 0])
+    world.reset(np.array([0.0, 0.0, rng.uniform(-np.pi, np.pi)]), rng)
+    belief, _ = learn_by_pushing(
+        world,
+        world.true_object.grid,
+        lambda trials, grid: as_dataset(world, trials),
+        PregraspSettings(explorations=PUSHES),
+        np.random.default_rng([seed, 1]),
+    )
+    return belief

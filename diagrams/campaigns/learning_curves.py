@@ -143,10 +143,10 @@ def _summary(title: str, what: str, curves: dict[str, dict[str, list[list[float]
     return Summary(tables, remark, {"curves": document, "unit": "m"}, lambda: _figure(title, curves))
 
 
-def _figure(title: str, curves: dict[str, dict[str, list[list[float]]]]) -> Figure:
+def _figure(title: str, curves: dict[str, dict[str, list[list[float]]]]) -> list[Figure]:
     from diagrams.figures.campaigns import curves_figure
 
-    return curves_figure(title, {name: curves_of(labels) for name, labels in curves.items()})
+    return [curves_figure(title, {name: curves_of(labels) for name, labels in curves.items()})]
 
 
 FIGURE_3 = Experiment("fig3", "three strategies of choosing pushes", 10, _strategy_specs, _strategy_summary)

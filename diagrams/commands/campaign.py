@@ -96,7 +96,7 @@ def campaign(
     summary = chosen.summary(outcomes)
     picture = folder / f"{experiment}-{truth}.png"
     _show(summary, outcomes)
-    write_figures(picture, [summary.figure()])
+    write_figures(picture, summary.figures())
     document = summary.document | {
         "experiment": experiment,
         "truth": truth,
