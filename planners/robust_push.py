@@ -22,7 +22,7 @@ import numpy as np
 from models.inference.belief import Belief
 from models.measurements.push_dataset import Table
 from models.physics.cell_grid import FloatArray
-from planners.contact_lines import ContactContour, ways_of_center
+from planners.contact_lines import ContactContour, joined, ways_of_center
 from planners.exploration import NoReachablePush
 from planners.foresight import Foresight, Scenarios, foresee
 from planners.lookahead import Lookahead, further_pushes
@@ -36,11 +36,17 @@ TARGETS = 24
 FAR = 2.5
 """Expected pushes to the nearest target above which pairs of pushes are looked up to follow the next."""
 
+SHORTER = 0.7
+"""Of the length of a push that is not allowed, what is asked for next on the same line at most."""
+
 STEP = 2
 """Lengths of a push from one that is looked up to the next."""
 
 VARIED = 8
 """Best lines, around which others are tried."""
+
+FINENESS = (1.0, 0.3)
+"""How far off these are, round by round."""
 
 SHIFT, TILT = 0.008, np.radians(6.0)
 """Standard deviations of these from those, m along the contour and rad."""
@@ -86,7 +92,8 @@ def plan_push(
         table: that it must not fall from.
         settings: what pushes are like.
         rng: source of every draw.
-        allowed: whether the robot can make a push; asked in order of preference until one is found.
+        allowed: whether the robot can make a push; asked in order of preference until one is found. Where a
+            push is not allowed, only clearly shorter ones on the same line are asked for.
         costs: (G,) what is to be added to the expected number of pushes to a target.
 
     Raises:
@@ -111,11 +118,14 @@ def plan_push(
     near = near[: TARGETS // 2] if far else near
     values = [_expected_pushes(seen[0], goals[near], extra[near], ahead, metric, settings, far)]
 
-    best = np.argsort(values[0].min(axis=(1, 2)), kind="stable")[:VARIED]
-    varied = contour.near(lines, best, settings.refinements, SHIFT, TILT, cone, rng)
-    if len(varied):
-        seen.append(foresee(scenarios, pose, varied, table, settings))
-        values.append(_expected_pushes(seen[1], goals[near], extra[near], ahead, metric, settings, far))
+    for share in FINENESS:
+        best = np.argsort(np.concatenate(values).min(axis=(1, 2)), kind="stable")[:VARIED]
+        count = settings.refinements // len(FINENESS)
+        varied = contour.near(lines, best, count, share * SHIFT, share * TILT, cone, rng)
+        if len(varied):
+            seen.append(foresee(scenarios, pose, varied, table, settings))
+            values.append(_expected_pushes(seen[-1], goals[near], extra[near], ahead, metric, settings, far))
+            lines = joined(lines, varied)
     return _first_allowed(seen, values, goals, near, metric, scenarios, settings, allowed)
 
 
@@ -156,14 +166,20 @@ def _first_allowed(
     poses = np.concatenate([s.poses for s in seen])
     falls = np.concatenate([s.falls for s in seen])
     begins = np.concatenate([s.begins for s in seen])
-    places = np.concatenate([s.directions for s in seen])
+    directions = np.concatenate([s.directions for s in seen])
+    longest = np.full(len(value), np.inf)
     for index in np.argsort(value, axis=None, kind="stable"):
         line, length = np.unravel_index(index, value.shape)
         if not np.isfinite(value[line, length]):
             break
-        way = settings.approach + seen[0].lengths[length]
-        push = TablePush(begins[line], begins[line] + way * places[line], settings.speed)
+        pushed = seen[0].lengths[length]
+        if pushed > longest[line]:
+            continue
+        push = TablePush(
+            begins[line], begins[line] + (settings.approach + pushed) * directions[line], settings.speed
+        )
         if not allowed(push):
+            longest[line] = SHORTER * pushed
             continue
         target = int(near[served[line, length]])
         ends = poses[line, length]
