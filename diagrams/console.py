@@ -65,7 +65,7 @@ def prepare_kernels() -> None:
 
 
 class Progress:
-    """Shows progress on stderr: bars on a terminal, elsewhere a line when a stage begins and ends.
+    """Shows progress and the time left on stderr: bars on a terminal, elsewhere a line now and then.
 
     Use as a context manager, and call with (stage, done, total).
     """
@@ -73,13 +73,20 @@ class Progress:
     def __init__(self) -> None:
         self._stage = ""
         self._began = self._spoke = time.monotonic()
+        self._first = 0
         self._bars: Bars | None = None
         self._task: TaskID | None = None
 
     def __enter__(self) -> Progress:
         if sys.stderr.isatty():
             from rich.console import Console
-            from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeElapsedColumn
+            from rich.progress import (
+                BarColumn,
+                MofNCompleteColumn,
+                TextColumn,
+                TimeElapsedColumn,
+                TimeRemainingColumn,
+            )
             from rich.progress import Progress as Bars
 
             self._bars = Bars(
@@ -87,6 +94,8 @@ class Progress:
                 BarColumn(),
                 MofNCompleteColumn(),
                 TimeElapsedColumn(),
+                TextColumn("left"),
+                TimeRemainingColumn(),
                 console=Console(stderr=True),
             )
             self._bars.start()
@@ -103,7 +112,7 @@ class Progress:
         """Report that `done` of `total` parts of a stage are done."""
         if stage != self._stage:
             self._finish(complete=True)
-            self._stage, self._began = stage, time.monotonic()
+            self._stage, self._began, self._first = stage, time.monotonic(), done
             self._spoke = self._began
             if self._bars is not None:
                 self._task = self._bars.add_task(stage, total=total)
@@ -113,7 +122,18 @@ class Progress:
             self._bars.update(self._task, completed=done, total=total)
         elif done < total and time.monotonic() - self._spoke > HEARTBEAT:
             self._spoke = time.monotonic()
-            note(f"{stage}: {done} of {total}")
+            note(f"{stage}: {done} of {total}{self._left(done, total)}")
+
+    def _left(self, done: int, total: int) -> str:
+        """Time left at the pace of this stage; what was done before it began took no time."""
+        made = done - self._first
+        if made <= 0:
+            return ""
+        seconds = (time.monotonic() - self._began) / made * (total - done)
+        for unit, length in (("h", 3600.0), ("min", 60.0)):
+            if seconds > 2 * length:
+                return f", about {seconds / length:.0f} {unit} left"
+        return f", about {seconds:.0f} s left"
 
     def _finish(self, *, complete: bool) -> None:
         """Close the present stage; a stage may end before its total, when it has converged."""

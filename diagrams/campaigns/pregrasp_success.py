@@ -118,7 +118,7 @@ def _summary(outcomes: Sequence[TrialOutcome]) -> Summary:
         if name in PREGRASP_SUCCESS:
             rows.append(["  the paper", *(f"{PREGRASP_SUCCESS[name][method]:.0f}" for method in METHODS)])
     actions = [
-        ["pushes, mean", *(pushes[method].told(digits=2) for method in METHODS)],
+        ["pushes, mean", *(pushes[method].short(digits=2) for method in METHODS)],
         ["  the paper", *(f"{PREGRASP_ACTIONS[method]:.2f}" for method in METHODS)],
         *([fate, *(str(fates[method][fate]) for method in METHODS)] for fate in _FATES),
     ]

@@ -68,7 +68,7 @@ def test_progress_in_a_log_file_is_a_line_a_stage(capsys, monkeypatch):
         now[0] += 1.0
     assert capsys.readouterr().err.splitlines() == [
         "fitting …",
-        "fitting: 2 of 4",
+        "fitting: 2 of 4, about 20 s left",
         "fitting: done in 50.0 s",
         "drawing …",
         "drawing: done in 1.0 s",

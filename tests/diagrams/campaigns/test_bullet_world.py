@@ -1,0 +1,77 @@
+"""Bullet's world: weights, friction and falls are those of the object, without a line of the plant's."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from diagrams.campaigns.direct_world import WorldNoise
+from models.measurements.push_dataset import Noise, Table
+from models.objects.benchmark import benchmark_object
+from models.physics.rollout import Push, Slider
+from planners.proposals import turn
+from planners.table_push import TablePush
+from planners.world import ObjectFell
+
+pytest.importorskip("pybullet", reason="Bullet comes with the extra `bench`")
+
+from diagrams.campaigns.bullet_world import BulletWorld
+
+EXACT = WorldNoise(control=0.0, sensors=Noise(), camera=100.0)
+
+
+@pytest.fixture(scope="module")
+def world() -> BulletWorld:
+    return BulletWorld(benchmark_object("book"), noise=EXACT)
+
+
+def test_slides_like_the_model_and_pushes_back_with_its_friction(world: BulletWorld) -> None:
+    thing = world.true_object
+    rng = np.random.default_rng(0)
+    world.reset(np.zeros(3), rng)
+    left = thing.grid.exterior[:, 0].min()
+    side = thing.center_of_mass[1] + 0.05
+    push = TablePush(np.array([left - 0.011, side]), np.array([left + 0.09, side]), 0.1)
+    trials = [world.push(push)]
+    world.reset(np.zeros(3), rng)
+    trials.append(world.push(push))
+    np.testing.assert_array_equal(trials[0].object_pose.values, trials[1].object_pose.values)
+    tip = trials[0].tip_pose
+    motion = Push(
+        0.01, tip.values, np.zeros(3),
+        pose_times=trials[0].object_pose.time[1:], force_times=tip.time[1:] - 0.005,
+    )  # fmt: skip
+    rollouts = Slider(thing.grid, world.finger_radius).rollout(thing.maps, [motion])
+    expected = rollouts.poses_of(0)[0]
+    off = trials[0].object_pose.values[1:] - expected
+    assert abs(expected[-1, 2]) > np.radians(4.0)
+    assert np.linalg.norm(off[:, :2], axis=1).max() < 4e-3
+    assert np.abs(off[:, 2]).max() < np.radians(2.0)
+    assert trials[0].ft_wrench is not None
+    steady = slice(60, 100)
+    measured = trials[0].ft_wrench.values[steady, :2].mean(axis=0)
+    predicted = rollouts.forces_of(0)[0][steady].mean(axis=0)
+    np.testing.assert_allclose(measured, predicted, atol=0.05 * np.hypot(*predicted))
+
+
+def test_falls_where_its_weight_is_beyond_the_edge(world: BulletWorld) -> None:
+    assert world.table.radius is not None
+    for angle in (0.3, 2.5):
+        middle = turn(angle) @ world.true_object.center_of_mass[:2]
+        outward = middle / np.hypot(*middle)
+        for beyond, falls in ((-0.02, False), (5e-3, True)):
+            place = (world.table.radius + beyond) * outward - middle
+            world.reset(np.array([*place, angle]), np.random.default_rng(0))
+            if falls:
+                with pytest.raises(ObjectFell):
+                    world.look()
+            else:
+                np.testing.assert_allclose(world.look(), [*place, angle], atol=2e-3)
+
+
+def test_thin_prisms_rest_on_a_rectangular_table() -> None:
+    table = Table("rectangle", (0.1, 0.0), size=(0.9, 0.8))
+    world = BulletWorld(benchmark_object("wrench"), table, EXACT)
+    world.reset(np.array([0.1, 0.0, 1.0]), np.random.default_rng(0))
+    world.push(TablePush(np.array([0.5, 0.3]), np.array([0.51, 0.3]), 0.2))
+    np.testing.assert_allclose(world.look(), [0.1, 0.0, 1.0], atol=1e-4)

@@ -1,0 +1,139 @@
+"""`slipmap campaign` makes trials, keeps them, and tells what came of them beside the paper's numbers."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from diagrams.campaigns.experiments import EXPERIMENTS
+from diagrams.campaigns.pregrasp_success import near
+from diagrams.command_line import run
+from planners.campaigns.trial import TrialOutcome, write_outcome
+from planners.methods import METHODS
+from planners.strategies import STRATEGIES
+
+POSES = 4
+
+
+def _pretend(figure: str, seed: int, parameters: dict[str, Any]) -> dict[str, Any]:
+    """What a trial of a figure might return."""
+    if figure == "fig3":
+        rank = STRATEGIES.index(parameters["strategy"])
+        return {"errors": [1e-3 * (rank + 1) / n for n in range(1, 6)]}
+    if figure == "fig4":
+        return {"errors": {name: [2e-3] * 5 for name in ("identified", "uniform", "Algorithm 1")}}
+    if figure == "fig5":
+        fell = [False, False, True, False]
+        chosen = {
+            "probabilistic": [[True, True, False, False]],
+            "deterministic": [[True, False, True, False], [True, True, False, True]],
+            "uniform": [[False, False, True, False]],
+            "true": [[not one for one in fell]],
+        }
+        return {"poses": [[0, 0, 0]] * POSES, "fell": fell, "chosen": chosen,
+                "stay_probability": [1.0, 0.96, 0.02, 0.6]}  # fmt: skip
+    good = parameters["method"] == "true" or seed % 2 == 0
+    return {
+        "success": good,
+        "fate": "success" if good else "fell",
+        "pushes": 3 + seed,
+        "reason": "",
+        "yaw": 0,
+    }
+
+
+def _campaign(figure: str, folder: Path, objects: Sequence[str], trials: int) -> tuple[int, dict[str, Any]]:
+    """Run a campaign all of whose trials are on file."""
+    files = folder / f"{figure}-plant"
+    files.mkdir()
+    for spec in EXPERIMENTS[figure].specs(objects, trials, 0, "plant"):
+        result = _pretend(figure, spec.seed, dict(spec.parameters))
+        write_outcome(TrialOutcome(spec, result, None, 1.0), files)
+    names = [word for name in objects for word in ("--objects", name)]
+    report = folder / "report.json"
+    code = run(
+        ["campaign", figure, *names, "--trials", str(trials), "-o", str(folder), "--json", str(report)]
+    )
+    return code, json.loads(report.read_text())
+
+
+def _lines(text: str, name: str) -> list[str]:
+    return [line for line in text.splitlines() if line.strip().startswith(name)]
+
+
+def test_strategies_are_compared_push_by_push(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    code, document = _campaign("fig3", tmp_path, ["book", "hammer"], 2)
+    assert code == 0
+    assert document["curves"]["book"]["most-different"][1]["value"] == pytest.approx(1e-3)
+    assert _lines(capsys.readouterr().out, "most-different")[0].split()[1] == "2.0"
+    assert (tmp_path / "fig3-plant.png").stat().st_size > 10_000
+    assert document["failed"] == {}
+
+
+def test_models_are_compared_push_by_push(tmp_path: Path) -> None:
+    code, document = _campaign("fig4", tmp_path, ["book"], 1)
+    assert code == 0
+    assert set(document["curves"]["book"]) == {"identified", "uniform", "Algorithm 1"}
+
+
+def test_goals_are_counted_both_ways(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    code, document = _campaign("fig5", tmp_path, ["book"], 2)
+    assert code == 0
+    # Two trials, each: probabilistic 2 of 2 chosen stay, of 3 that stay 2 are chosen; and so on by hand.
+    precision, recall = document["precision"]["book"], document["recall"]["book"]
+    assert [precision[m]["value"] for m in METHODS] == pytest.approx([1.0, 4 / 5, 0.0, 1.0])
+    assert [recall[m]["value"] for m in METHODS] == pytest.approx([2 / 3, 4 / 6, 0.0, 1.0])
+    assert [precision[m]["count"] for m in METHODS] == [4, 10, 2, 6]
+    bins = document["reliability"]
+    assert [(b["stated"], b["value"], b["count"]) for b in bins] == [
+        (pytest.approx(0.02), 0.0, 2), (pytest.approx(0.6), 1.0, 2), (pytest.approx(0.98), 1.0, 4)
+    ]  # fmt: skip
+    assert _lines(capsys.readouterr().out, "the paper")[0].split()[2] == "100"
+    assert (tmp_path / "fig5-plant.2.png").exists()
+
+
+def test_success_stands_beside_the_papers(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    code, document = _campaign("fig6", tmp_path, ["snack"], 4)
+    assert code == 0
+    success = document["success"]["snack"]
+    assert [success[m]["value"] for m in METHODS] == [0.5, 0.5, 0.5, 1.0]
+    assert document["pushes"]["true"]["value"] == pytest.approx(4.5)
+    assert document["fates"]["uniform"] == {"success": 2, "fell": 2}
+    paper = _lines(capsys.readouterr().out, "the paper")
+    assert paper[0].split()[2:] == ["81", "61", "42", "76"]
+    assert paper[1].split()[2:] == ["6.27", "5.69", "6.05", "5.46"]
+
+
+def test_near_is_twenty_millimetres_and_fifteen_degrees() -> None:
+    goal = np.array([0.3, 0.1, 3.1])
+    assert near(np.add(goal, [0.019, 0.0, 2 * np.pi + 0.26]), goal)
+    assert not near(np.add(goal, [0.015, 0.015, 0.0]), goal)
+    assert not near(np.add(goal, [0.0, 0.0, 0.27]), goal)
+
+
+def test_wrong_use_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = ["-o", str(tmp_path)]
+    assert run(["campaign", "fig3", "--objects", "hamer", *out]) == 2
+    assert "did you mean hammer?" in capsys.readouterr().err
+    assert run(["campaign", "fig4", "--objects", "book", "--trials", "1", "--backend", "dask", *out]) == 2
+    assert "scheduler" in capsys.readouterr().err or "cluster" in capsys.readouterr().err
+
+
+def test_failed_trials_are_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    files = tmp_path / "fig4-plant"
+    files.mkdir()
+    specs = EXPERIMENTS["fig4"].specs(["book"], 1, 0, "plant")
+    outcomes = [TrialOutcome(spec, None, "RuntimeError in x.py, line 3: lost") for spec in specs]
+    summary = EXPERIMENTS["fig4"].summary(outcomes)
+    assert summary.tables == []
+    assert len(summary.figures()) == 1
+    from diagrams.commands.campaign import _show
+
+    _show(summary, outcomes)
+    told = capsys.readouterr()
+    assert "1 of 1 trials failed" in told.err and "line 3: lost" in told.err
