@@ -45,8 +45,8 @@ STEP = 2
 VARIED = 8
 """Best lines, around which others are tried."""
 
-FINENESS = (1.0, 0.3)
-"""How far off these are, round by round."""
+ROUNDS = 2
+"""In which these are tried; the second around the best of the first, too."""
 
 SHIFT, TILT = 0.008, np.radians(6.0)
 """Standard deviations of these from those, m along the contour and rad."""
@@ -118,10 +118,9 @@ def plan_push(
     near = near[: TARGETS // 2] if far else near
     values = [_expected_pushes(seen[0], goals[near], extra[near], ahead, metric, settings, far)]
 
-    for share in FINENESS:
+    for _ in range(ROUNDS):
         best = np.argsort(np.concatenate(values).min(axis=(1, 2)), kind="stable")[:VARIED]
-        count = settings.refinements // len(FINENESS)
-        varied = contour.near(lines, best, count, share * SHIFT, share * TILT, cone, rng)
+        varied = contour.near(lines, best, settings.refinements // ROUNDS, SHIFT, TILT, cone, rng)
         if len(varied):
             seen.append(foresee(scenarios, pose, varied, table, settings))
             values.append(_expected_pushes(seen[-1], goals[near], extra[near], ahead, metric, settings, far))

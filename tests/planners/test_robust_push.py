@@ -28,7 +28,7 @@ def plan(targets, seed=0, pose=START, belief=BELIEF, settings=SETTINGS, **option
     return plan_push(belief, pose, np.asarray(targets, dtype=float), TABLE, settings, rng, **options)
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", [0, 3, 7])
 def test_a_target_that_some_push_reaches_is_reached(seed):
     rng = np.random.default_rng(100 + seed)
     contour = ContactContour(BELIEF.grid, RADIUS, SETTINGS.approach)
