@@ -51,14 +51,12 @@ class Experiment:
 
     Attributes:
         name: of the figure, such as `fig3`.
-        about: half a sentence.
         trials: of each object, unless told otherwise.
         specs: trials of (objects, number of trials, first seed, truth).
         summary: of their outcomes; failed ones have no result.
     """
 
     name: str
-    about: str
     trials: int
     specs: Callable[[Sequence[str], int, int, str], list[TrialSpec]]
     summary: Callable[[Sequence[TrialOutcome]], Summary]

@@ -149,7 +149,5 @@ def _figure(title: str, curves: dict[str, dict[str, list[list[float]]]]) -> list
     return [curves_figure(title, {name: curves_of(labels) for name, labels in curves.items()})]
 
 
-FIGURE_3 = Experiment("fig3", "three strategies of choosing pushes", 10, _strategy_specs, _strategy_summary)
-FIGURE_4 = Experiment(
-    "fig4", "identified, uniform, and Algorithm 1 as printed", 10, _model_specs, _model_summary
-)
+FIGURE_3 = Experiment("fig3", 10, _strategy_specs, _strategy_summary)
+FIGURE_4 = Experiment("fig4", 10, _model_specs, _model_summary)

@@ -150,4 +150,4 @@ def _figure(success: dict[str, dict[str, Estimate]]) -> list[Figure]:
     return [shares_figure("Brought to the edge, within 20 mm and 15° of the goal", success, marks)]
 
 
-FIGURE_6 = Experiment("fig6", "pushing to the table's edge by four methods", 100, _specs, _summary)
+FIGURE_6 = Experiment("fig6", 100, _specs, _summary)

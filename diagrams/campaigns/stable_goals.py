@@ -181,4 +181,4 @@ def _figure(precision: dict[str, dict[str, Estimate]], bins: list[tuple[float, E
     ]
 
 
-FIGURE_5 = Experiment("fig5", "stable goals at the table's edge", 20, _specs, _summary)
+FIGURE_5 = Experiment("fig5", 20, _specs, _summary)

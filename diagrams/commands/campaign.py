@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from diagrams.campaigns.experiments import EXPERIMENTS
+from diagrams.campaigns.experiments import ABOUT, experiment_of
 from diagrams.commands import options
 from diagrams.console import BadInput, Progress, note, paragraph, prepare_kernels, table
 from diagrams.outputs import make_folder, write_figures, write_json
@@ -22,10 +22,8 @@ if TYPE_CHECKING:
 SHOWN_FAILURES = 5
 
 
-@click.command(
-    epilog="Experiments: " + "; ".join(f"{name}: {e.about}" for name, e in EXPERIMENTS.items()) + "."
-)
-@click.argument("experiment", type=click.Choice(list(EXPERIMENTS)), metavar="EXPERIMENT")
+@click.command(epilog="Experiments: " + "; ".join(f"{name}, {about}" for name, about in ABOUT.items()) + ".")
+@click.argument("experiment", type=click.Choice(list(ABOUT)), metavar="EXPERIMENT")
 @click.option(
     "--objects", "object_names", multiple=True, metavar="NAME",
     help="Object; may be given several times. [default: all six]",
@@ -74,7 +72,7 @@ def campaign(
     from planners.campaigns.running import run_trials
     from planners.campaigns.trial import CampaignError
 
-    chosen = EXPERIMENTS[experiment]
+    chosen = experiment_of(experiment)
     names = _checked(object_names)
     _check_truth(truth)
     files = folder / f"{experiment}-{truth}"

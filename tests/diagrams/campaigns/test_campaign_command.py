@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from diagrams.campaigns.experiments import EXPERIMENTS
+from diagrams.campaigns.experiments import ABOUT, experiment_of
 from diagrams.campaigns.pregrasp_success import near
 from diagrams.command_line import run
 from planners.campaigns.trial import TrialOutcome, write_outcome
@@ -51,7 +51,7 @@ def _campaign(figure: str, folder: Path, objects: Sequence[str], trials: int) ->
     """Run a campaign all of whose trials are on file."""
     files = folder / f"{figure}-plant"
     files.mkdir()
-    for spec in EXPERIMENTS[figure].specs(objects, trials, 0, "plant"):
+    for spec in experiment_of(figure).specs(objects, trials, 0, "plant"):
         result = _pretend(figure, spec.seed, dict(spec.parameters))
         write_outcome(TrialOutcome(spec, result, None, 1.0), files)
     names = [word for name in objects for word in ("--objects", name)]
@@ -109,6 +109,12 @@ def test_success_stands_beside_the_papers(tmp_path: Path, capsys: pytest.Capture
     assert paper[1].split()[2:] == ["6.27", "5.69", "6.05", "5.46"]
 
 
+def test_every_experiment_is_found_by_its_name() -> None:
+    assert [experiment_of(name).name for name in ABOUT] == list(ABOUT)
+    with pytest.raises(ValueError, match="there are fig3, fig4"):
+        experiment_of("fig1")
+
+
 def test_near_is_twenty_millimetres_and_fifteen_degrees() -> None:
     goal = np.array([0.3, 0.1, 3.1])
     assert near(np.add(goal, [0.019, 0.0, 2 * np.pi + 0.26]), goal)
@@ -127,9 +133,9 @@ def test_wrong_use_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -
 def test_failed_trials_are_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     files = tmp_path / "fig4-plant"
     files.mkdir()
-    specs = EXPERIMENTS["fig4"].specs(["book"], 1, 0, "plant")
+    specs = experiment_of("fig4").specs(["book"], 1, 0, "plant")
     outcomes = [TrialOutcome(spec, None, "RuntimeError in x.py, line 3: lost") for spec in specs]
-    summary = EXPERIMENTS["fig4"].summary(outcomes)
+    summary = experiment_of("fig4").summary(outcomes)
     assert summary.tables == []
     assert len(summary.figures()) == 1
     from diagrams.commands.campaign import _show
