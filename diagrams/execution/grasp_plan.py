@@ -24,6 +24,7 @@ CLOSE = 0.003
 LIFT = 0.10
 """Height to which the object is lifted, m."""
 
+_REST = 0.5  # s, after which the arm stays where it is
 _BACK = (0.06, 0.09, 0.12, 0.16, 0.2)  # m, by which the gripper may stand back before it comes in
 _STARTS = 24
 _SEARCHES = np.random.default_rng(11).uniform(-0.8, 0.8, (_STARTS, 7)) * POSITION_LIMITS
@@ -67,10 +68,11 @@ def plan_grasp(
         )
         return Plan(
             (
-                *(Phase("reaching", leg, opening) for leg in (*ways, coming)),
-                Phase("closing", _still(posture, config.closing), 0.0, GRIP_FORCE),
-                Phase("lifting", lifting, 0.0, GRIP_FORCE),
-                Phase("holding", _still(lifts[-1], config.settle), 0.0, GRIP_FORCE),
+                Phase("reaching", ways[0], opening),
+                *(Phase("reaching", leg, opening, opening) for leg in (*ways[1:], coming)),
+                Phase("closing", _still(posture, config.closing), 0.0, opening, GRIP_FORCE),
+                Phase("lifting", lifting, force=GRIP_FORCE),
+                Phase("holding", _still(lifts[-1], _REST), force=GRIP_FORCE),
             )
         )
     if refusals:

@@ -35,19 +35,26 @@ class Phase:
     Attributes:
         mode: see `ExecutionStatus`.
         trajectory: joint angles (7,), rad, over time from 0, s.
-        opening: what the gripper is told, m.
+        opening: what the gripper is told at the end, m.
+        opening_before: what it is told at the begin, from where it moves evenly, m.
         force: largest force of a pin, N.
     """
 
     mode: str
     trajectory: Trajectory
     opening: float = 0.0
+    opening_before: float = 0.0
     force: float = GRIP_FORCE / 2
 
     @property
     def duration(self) -> float:
         """In s."""
         return float(self.trajectory.end_time())
+
+    def opening_at(self, time: float) -> float:
+        """What the gripper is told at a time since the phase's begin, s."""
+        share = min(time / self.duration, 1.0)
+        return (1.0 - share) * self.opening_before + share * self.opening
 
 
 @dataclass(frozen=True, eq=False)

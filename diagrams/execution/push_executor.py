@@ -179,16 +179,16 @@ class PushExecutor(LeafSystem):
             output.SetFromVector(now.plan.at(context.get_time() - now.begin)[1])
 
     def _calc_opening(self, context: Context, output: BasicVector) -> None:
-        phase = self._phase(context)
-        output.SetFromVector([0.0 if phase is None else phase.opening])
+        phase, since = self._phase(context)
+        output.SetFromVector([0.0 if phase is None else phase.opening_at(since)])
 
     def _calc_force(self, context: Context, output: BasicVector) -> None:
-        phase = self._phase(context)
+        phase, _ = self._phase(context)
         output.SetFromVector([GRIP_FORCE / 2 if phase is None else phase.force])
 
-    def _phase(self, context: Context) -> Phase | None:
+    def _phase(self, context: Context) -> tuple[Phase | None, float]:
         now: _Execution = read(context, self._execution)
-        return None if now.plan is None else now.plan.phase(context.get_time() - now.begin)[0]
+        return (None, 0.0) if now.plan is None else now.plan.phase(context.get_time() - now.begin)
 
     def _calc_tip_pose(self, context: Context, output: Value) -> None:
         output.set_value(self._kinematics.pose(self._measured.Eval(context)))

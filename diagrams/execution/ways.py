@@ -11,9 +11,9 @@ from diagrams.execution.motion import MotionRefused
 from models.physics.cell_grid import FloatArray
 from models.robots import POSITION_LIMITS
 
-RESOLUTION = 0.04
+RESOLUTION = 0.06
 """Between the postures of a way that are looked at, rad (norm over all joints)."""
-ITERATIONS = 4000
+ITERATIONS = 500
 _SHORTCUTS = 60
 _SEED = 7
 
