@@ -83,6 +83,22 @@ def plan_grasp(
     )
 
 
+def can_grasp(
+    kinematics: FingerKinematics, clearance: ArmClearance, grasp: ActiveGrasp, q: FloatArray
+) -> bool:
+    """Whether the arm can come in straight and lift there; a way from q (7,), rad, is not looked for."""
+    obstacle = Obstacle(grasp.grid, grasp.heights, grasp.pose)
+    x, y, z, yaw = grasp.grasp.at(grasp.pose)
+    tip = np.array([x, y, z])
+    for posture in _postures(kinematics, tip, yaw, q):
+        try:
+            _lines(kinematics, clearance, tip, yaw, posture, obstacle, grasp)
+        except MotionRefused:
+            continue
+        return True
+    return False
+
+
 def _postures(kinematics: FingerKinematics, tip: FloatArray, yaw: float, q: FloatArray) -> list[FloatArray]:
     """All ways (7,) found to hold the gripper at the object, the nearest to q first."""
     found: list[FloatArray] = []
