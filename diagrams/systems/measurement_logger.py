@@ -23,6 +23,11 @@ PERIOD = 0.01
 LOOKS = 6
 """Poses at rest whose mean begins a trial, and as many to end it."""
 
+RESTED = 0.15
+"""s before the arm lifts the finger from when on the object certainly rests."""
+MISPLACED, TURNED = 4e-3, 0.05
+"""m and rad by which a pose seen then may differ from that seen afterwards, with the arm out of the way."""
+
 Row = tuple[float, ...]
 
 
@@ -125,8 +130,8 @@ class MeasurementLogger(LeafSystem):
         if not recording.tips or len(recording.looks) < LOOKS:
             return recording
         start, end = recording.tips[0][0], recording.tips[-1][0]
-        poses = [row for row in recording.poses if row[0] < end]
-        rows = (*poses, _rest(recording.looks, end))
+        rest = _rest(recording.looks, end)
+        rows = (*_credible([row for row in recording.poses if row[0] < end], rest), rest)
         number = len(recording.trials)
         role: Role = "fit" if number < self._fit else "heldout"
         trial = Trial(
@@ -137,6 +142,15 @@ class MeasurementLogger(LeafSystem):
             _channel(recording.forces, start),
         )
         return _Recording((*recording.trials, trial), looks=recording.looks)
+
+
+def _credible(poses: Sequence[Row], rest: Row) -> Sequence[Row]:
+    """Poses seen during a push; those at its begin alone where the last of them is not where the object came
+    to rest, though it rested already: then the arm hid too much of it."""
+    begin, last = poses[:2], np.array(poses[-1])
+    off = np.abs(last[1:] - rest[1:])
+    at_rest = last[0] > rest[0] - RESTED
+    return begin if at_rest and (off > [MISPLACED, MISPLACED, TURNED]).any() else poses
 
 
 def _rest(looks: Sequence[Row], time: float) -> Row:

@@ -128,6 +128,23 @@ def test_poses_seen_in_spite_of_the_arm_are_kept_and_others_left_out():
     assert trial.object_pose.values[-1] == pytest.approx(np.mean(AFTER, axis=0))
 
 
+@pytest.mark.parametrize(("last_seen", "kept"), [((0.15, 0.2, 0.4), 5), ((0.12, 0.2, 0.4), 3)])
+def test_a_track_that_does_not_end_where_the_object_lies_is_left_out(last_seen, kept):
+    cell = Cell()
+    cell.look(BEFORE)
+    cell.set(status=LoopStatus("pushing", 0))
+    cell.move("pushing", 30)
+    cell.set(object_pose=seen_at(0.12, 0.2, 0.35, time=cell.time))
+    cell.move("pushing", 60)
+    cell.set(object_pose=seen_at(*last_seen, time=cell.time))
+    cell.move("pushing", 10)
+    cell.move("retreating", 10)
+    cell.set(execution=ExecutionStatus("home", 0), status=LoopStatus("recording", 0))
+    cell.look(AFTER)
+    (trial,) = cell.trials
+    assert len(trial.object_pose.time) == kept
+
+
 def test_a_trial_waits_for_enough_looks_with_the_arm_at_home():
     cell = Cell()
     cell.look(BEFORE)
