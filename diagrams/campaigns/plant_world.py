@@ -115,9 +115,9 @@ class PlantWorld(DirectWorld):
         self._path.UpdateTrajectory(path)
         self._root.SetTime(0.0)
         self._plant.SetPositions(self._context, self._finger, tip[0])
-        self._simulator.Initialize()
         for sink in (self._states, self._contact):
             sink.FindMutableLog(self._root).Clear()
+        self._simulator.Initialize()  # logs the first row
         self._simulator.AdvanceTo(times[-1])
         stride = round(PERIOD / h)
         states = np.asarray(self._states.FindLog(self._root).data()).T[::stride]

@@ -25,6 +25,18 @@ def world() -> BulletWorld:
     return BulletWorld(benchmark_object("book"), noise=EXACT)
 
 
+def test_each_foot_carries_the_weight_of_its_cell(world: BulletWorld) -> None:
+    thing = world.true_object
+    world.reset(np.zeros(3), np.random.default_rng(0))
+    world._settle()
+    n = len(thing.grid)
+    carried = np.zeros(n + 20)
+    for contact in world._p.getContactPoints(world._body, **world._where):
+        carried[contact[3]] += contact[9]
+    np.testing.assert_allclose(carried[:n], 9.81 * thing.mass, rtol=0.02)
+    assert carried[n:].max() == 0.0  # prisms hang above the table
+
+
 def test_slides_like_the_model_and_pushes_back_with_its_friction(world: BulletWorld) -> None:
     thing = world.true_object
     rng = np.random.default_rng(0)

@@ -67,6 +67,14 @@ def test_force_is_that_of_the_finger_on_the_object(exact: PlantWorld) -> None:
     assert (along > -1e-6).all()
 
 
+def test_finger_is_where_it_was_told_to_be(exact: PlantWorld) -> None:
+    exact.reset(POSE, np.random.default_rng(0))
+    push = _push(exact, 0)
+    path = finger_path(push, 0.01)
+    off = np.linalg.norm(exact.push(push).tip_pose.values - path, axis=1)
+    assert off.max() < 2e-5
+
+
 def test_a_trial_repeats_itself_whatever_was_before(noisy: PlantWorld) -> None:
     results = []
     for _ in range(2):
