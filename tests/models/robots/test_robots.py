@@ -1,6 +1,7 @@
 """The constants of the robot and its model files say the same."""
 
 import xml.etree.ElementTree as ElementTree
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -65,18 +66,19 @@ def test_nothing_but_primitive_shapes(arm, gripper):
 def test_both_pins_end_as_the_round_finger(gripper):
     tip = float(gripper.find("frame[@name='tip']").get("xyz").split()[2])
     for side in ("left", "right"):
-        thin, end = gripper.findall(f"link[@name='{side}_finger']/collision")
-        spans = {}
-        for part in (thin, end):
+        spans = []
+        for part in gripper.findall(f"link[@name='{side}_finger']/collision"):
             cylinder = part.find("geometry/cylinder")
             x, y, z = map(float, part.find("origin").get("xyz").split())
             length = float(cylinder.get("length"))
             assert (x, y) == (0.0, 0.0)
-            spans[part] = (z - length / 2, z + length / 2, float(cylinder.get("radius")))
-        assert spans[end][2] == robots.FINGER_RADIUS > spans[thin][2]
-        assert spans[end][0] == pytest.approx(spans[thin][1])
-        assert spans[end][1] == pytest.approx(tip)
-        assert spans[thin][0] == pytest.approx(tip - robots.FINGER_LENGTH)
+            spans.append((z - length / 2, z + length / 2, float(cylinder.get("radius"))))
+        *thin, end = sorted(spans)
+        assert all(end[2] == robots.FINGER_RADIUS > span[2] for span in thin)
+        for span, following in pairwise([*thin, end]):
+            assert following[0] == pytest.approx(span[1])
+        assert end[1] == pytest.approx(tip)
+        assert thin[0][0] == pytest.approx(tip - robots.FINGER_LENGTH)
 
 
 def test_opening_lets_the_box_in(gripper):
