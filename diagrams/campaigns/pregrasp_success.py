@@ -116,10 +116,10 @@ def _summary(outcomes: Sequence[TrialOutcome]) -> Summary:
     for name, of_methods in success.items():
         rows.append([name, *(one.percent() for one in of_methods.values())])
         if name in PREGRASP_SUCCESS:
-            rows.append(["  the paper", *(f"{PREGRASP_SUCCESS[name][method]:.0f}" for method in METHODS)])
+            rows.append(["  paper", *(f"{PREGRASP_SUCCESS[name][method]:.0f}" for method in METHODS)])
     actions = [
         ["pushes, mean", *(pushes[method].short(digits=2) for method in METHODS)],
-        ["  the paper", *(f"{PREGRASP_ACTIONS[method]:.2f}" for method in METHODS)],
+        ["  paper", *(f"{PREGRASP_ACTIONS[method]:.2f}" for method in METHODS)],
         *([fate, *(str(fates[method][fate]) for method in METHODS)] for fate in _FATES),
     ]
     return Summary(

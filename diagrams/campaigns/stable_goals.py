@@ -127,7 +127,7 @@ def _summary(outcomes: Sequence[TrialOutcome]) -> Summary:
     paper = [
         f"{low:.0f}" if low == high else f"{low:.0f} to {high:.0f}" for low, high in STABLE_GOALS.values()
     ]
-    rows.append(["the paper", *paper, "–"])
+    rows.append(["paper", *paper, "–"])
     bins = _reliability(everything)
     return Summary(
         [
