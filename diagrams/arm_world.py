@@ -23,7 +23,7 @@ from diagrams.perception.cell_perception import CellPerception
 from diagrams.station.arm import HOME, arm_model
 from diagrams.station.scenario import Scenario
 from diagrams.station.station import Station
-from diagrams.systems.measurement_logger import MeasurementLogger
+from diagrams.systems.measurement_logger import LOOKS, MeasurementLogger
 from diagrams.systems.messages import MOST_ATTEMPTS, LoopStatus
 from models.measurements import Trial
 from models.perception.observed_pose import ObservedPose
@@ -65,6 +65,7 @@ class ArmWorld:
         self.table = scenario.table.make()
         self.finger_radius = FINGER_RADIUS
         self._config = scenario.execution
+        self._looks = (LOOKS + 1) / scenario.camera.rate  # s, until a trial can begin
         builder = DiagramBuilder()
         self.station = builder.AddSystem(Station(scenario, meshcat))
         model = arm_model(models=scenario.arm.models)
@@ -142,13 +143,17 @@ class ArmWorld:
 
     def push(self, push: TablePush) -> Trial:
         """Make a push. Raises PushNotMade; ObjectFell where it is not seen any more afterwards."""
+        try:
+            plan_push(self._kinematics, push, HOME, HOME, self._config)
+        except MotionRefused as refusal:
+            raise PushNotMade(str(refusal)) from refusal
+        self._simulator.AdvanceTo(self.time + self._looks)
         self._number += 1
         made = len(self._says(self._logger, "records"))
         self._tell("status", LoopStatus("pushing", self._number))
         self._tell("push", ActivePush(MOST_ATTEMPTS * self._number, push))
         status = self._until("home", MOST_ATTEMPTS * self._number)
         if status.mode == "refused":
-            self._tell("status", LoopStatus("looking", self._number))
             raise PushNotMade(status.reason)
         self._tell("status", LoopStatus("recording", self._number))
         self._patiently(lambda: len(self._says(self._logger, "records")) > made)
