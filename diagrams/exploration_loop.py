@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 from pydrake.geometry import Meshcat
-from pydrake.systems.framework import Diagram, DiagramBuilder
+from pydrake.systems.framework import Diagram, DiagramBuilder, LeafSystem, System
 
 from diagrams.execution.config import ExecutionConfig
 from diagrams.execution.finger_kinematics import FingerKinematics
@@ -38,6 +39,12 @@ STEP = 0.01
 
 SENSORS = Noise(position=0.4e-3, angle=float(np.radians(0.2)), tip=0.1e-3, force=0.3)
 """Of the camera's poses, the arm's joint sensors and the force taken from its torques."""
+
+
+Wire = tuple[System, str, System, str]
+"""A system, its output port, another system, its input port."""
+
+Block = TypeVar("Block", bound=System)
 
 
 @dataclass(frozen=True)
@@ -85,81 +92,124 @@ def exploration_loop(
         RendererUnavailable: this machine cannot render pictures.
     """
     builder = DiagramBuilder()
+    blocks = add_exploration(builder, scenario, options, meshcat=meshcat, learned=learned)
+    connect(builder, blocks.wires(blocks.supervisor))
+    loop = builder.Build()
+    loop.set_name("exploration_loop")
+    return loop
+
+
+@dataclass(frozen=True, eq=False)
+class ExplorationBlocks:
+    """The systems of the loop, in a diagram that is being built."""
+
+    station: Station
+    perception: CellPerception
+    supervisor: PushSupervisor
+    exploration: Exploration
+    executor: PushExecutor
+    logger: MeasurementLogger
+    identification: Identification
+    finger: FingerMotion
+    multiverse: MultiverseSlider
+    visualizer: BeliefVisualizer | None
+
+    def wires(self, command: LeafSystem) -> list[Wire]:
+        """All connections, with the ports `status` and `active_push` of the system that commands the arm."""
+        wires: list[Wire] = [
+            (self.station, "camera.depth_image", self.perception, "depth_image"),
+            (self.station, "camera.X_WC", self.perception, "X_WC"),
+            (self.station, "iiwa.position_measured", self.perception, "arm_position"),
+            (self.station, "iiwa.position_measured", self.executor, "iiwa.position_measured"),
+            (self.station, "iiwa.torque_external", self.executor, "iiwa.torque_external"),
+            (self.executor, "iiwa.position", self.station, "iiwa.position"),
+            (self.executor, "gripper.position", self.station, "gripper.position"),
+            (self.executor, "gripper.force_limit", self.station, "gripper.force_limit"),
+            (self.perception, "object_pose", self.supervisor, "object_pose"),
+            (self.perception, "cell_grid", self.supervisor, "cell_grid"),
+            (self.exploration, "poke", self.supervisor, "poke"),
+            (self.executor, "status", self.supervisor, "execution"),
+            (self.logger, "records", self.supervisor, "records"),
+            (self.identification, "learned", self.supervisor, "learned"),
+            (command, "active_push", self.executor, "push"),
+            (self.identification, "belief", self.exploration, "belief"),
+            (self.perception, "object_pose", self.exploration, "object_pose"),
+            (self.perception, "cell_grid", self.exploration, "cell_grid"),
+            (self.supervisor, "status", self.exploration, "status"),
+            (self.perception, "object_pose", self.logger, "object_pose"),
+            (self.executor, "tip_pose", self.logger, "tip_pose"),
+            (self.executor, "tip_force", self.logger, "tip_force"),
+            (self.executor, "status", self.logger, "execution"),
+            (command, "status", self.logger, "status"),
+            (self.logger, "records", self.identification, "records"),
+            (self.perception, "cell_grid", self.identification, "cell_grid"),
+            (self.executor, "tip_pose", self.finger, "tip_pose"),
+            (self.executor, "status", self.finger, "execution"),
+            (self.finger, "finger", self.multiverse, "finger"),
+            (self.identification, "belief", self.multiverse, "belief"),
+            (self.perception, "object_pose", self.multiverse, "object_pose"),
+            (command, "active_push", self.multiverse, "push"),
+        ]
+        if self.visualizer is not None:
+            wires += [
+                (self.identification, "belief", self.visualizer, "belief"),
+                (self.perception, "object_pose", self.visualizer, "object_pose"),
+                (self.perception, "seen_object", self.visualizer, "seen_object"),
+                (self.multiverse, "mean_pose", self.visualizer, "predicted_pose"),
+                (command, "active_push", self.visualizer, "push"),
+            ]
+        return wires
+
+
+def add_exploration(
+    builder: DiagramBuilder,
+    scenario: Scenario,
+    options: LoopOptions,
+    *,
+    meshcat: Meshcat | None = None,
+    learned: Callable[[Belief, int], None] | None = None,
+) -> ExplorationBlocks:
+    """Add everything that explores, not yet connected; arguments and errors as of `exploration_loop`."""
     try:
         station = builder.AddSystem(Station(scenario, meshcat))
     except ValueError as error:
         raise ScenarioError(str(error)) from error
     config = scenario.execution
     model = arm_model(models=scenario.arm.models)
-    perception = builder.AddNamedSystem(
-        "perception", CellPerception(scenario.camera, options.cells, station.arm_hulls)
-    )
-    supervisor = builder.AddNamedSystem("supervisor", PushSupervisor(options.pushes, options.checks))
-    executor = builder.AddNamedSystem("executor", PushExecutor(model, HOME, config))
-    exploration = builder.AddNamedSystem(
-        "exploration",
-        Exploration(
-            options.strategy, options.pushes, FINGER_RADIUS, scenario.pokes,
-            _makes(FingerKinematics(model), config), options.seed,
+
+    def add(name: str, system: Block) -> Block:
+        return builder.AddNamedSystem(name, system)
+
+    return ExplorationBlocks(
+        station=station,
+        perception=add("perception", CellPerception(scenario.camera, options.cells, station.arm_hulls)),
+        supervisor=add("supervisor", PushSupervisor(options.pushes, options.checks)),
+        exploration=add(
+            "exploration",
+            Exploration(
+                options.strategy, options.pushes, FINGER_RADIUS, scenario.pokes,
+                push_check(FingerKinematics(model), config), options.seed,
+            ),
         ),
-    )  # fmt: skip
-    logger = builder.AddNamedSystem("logger", MeasurementLogger(options.pushes))
-    identification = builder.AddNamedSystem(
-        "identification",
-        Identification(
-            lambda trials, grid: recorded_dataset(trials, grid, scenario),
-            hypotheses=options.hypotheses, seed=options.seed, learned=learned,
+        executor=add("executor", PushExecutor(model, HOME, config, scenario.table.make())),
+        logger=add("logger", MeasurementLogger(options.pushes)),
+        identification=add(
+            "identification",
+            Identification(
+                lambda trials, grid: recorded_dataset(trials, grid, scenario),
+                hypotheses=options.hypotheses, seed=options.seed, learned=learned,
+            ),
         ),
+        finger=add("finger", FingerMotion(STEP)),
+        multiverse=add("multiverse", MultiverseSlider(STEP)),
+        visualizer=None if meshcat is None else builder.AddSystem(BeliefVisualizer(meshcat)),
     )  # fmt: skip
-    finger = builder.AddNamedSystem("finger", FingerMotion(STEP))
-    multiverse = builder.AddNamedSystem("multiverse", MultiverseSlider(STEP))
-    wires = [
-        (station, "camera.depth_image", perception, "depth_image"),
-        (station, "camera.X_WC", perception, "X_WC"),
-        (station, "iiwa.position_measured", perception, "arm_position"),
-        (station, "iiwa.position_measured", executor, "iiwa.position_measured"),
-        (station, "iiwa.torque_external", executor, "iiwa.torque_external"),
-        (executor, "iiwa.position", station, "iiwa.position"),
-        (executor, "gripper.position", station, "gripper.position"),
-        (perception, "object_pose", supervisor, "object_pose"),
-        (perception, "cell_grid", supervisor, "cell_grid"),
-        (exploration, "poke", supervisor, "poke"),
-        (executor, "status", supervisor, "execution"),
-        (logger, "records", supervisor, "records"),
-        (identification, "learned", supervisor, "learned"),
-        (supervisor, "active_push", executor, "push"),
-        (identification, "belief", exploration, "belief"),
-        (perception, "object_pose", exploration, "object_pose"),
-        (perception, "cell_grid", exploration, "cell_grid"),
-        (supervisor, "status", exploration, "status"),
-        (perception, "object_pose", logger, "object_pose"),
-        (executor, "tip_pose", logger, "tip_pose"),
-        (executor, "tip_force", logger, "tip_force"),
-        (executor, "status", logger, "execution"),
-        (supervisor, "status", logger, "status"),
-        (logger, "records", identification, "records"),
-        (perception, "cell_grid", identification, "cell_grid"),
-        (executor, "tip_pose", finger, "tip_pose"),
-        (executor, "status", finger, "execution"),
-        (finger, "finger", multiverse, "finger"),
-        (identification, "belief", multiverse, "belief"),
-        (perception, "object_pose", multiverse, "object_pose"),
-        (supervisor, "active_push", multiverse, "push"),
-    ]
-    if meshcat is not None:
-        visualizer = builder.AddSystem(BeliefVisualizer(meshcat))
-        wires += [
-            (identification, "belief", visualizer, "belief"),
-            (perception, "object_pose", visualizer, "object_pose"),
-            (perception, "seen_object", visualizer, "seen_object"),
-            (multiverse, "mean_pose", visualizer, "predicted_pose"),
-            (supervisor, "active_push", visualizer, "push"),
-        ]
+
+
+def connect(builder: DiagramBuilder, wires: Sequence[Wire]) -> None:
+    """Connect ports by their names."""
     for source, output, target, target_input in wires:
         builder.Connect(source.GetOutputPort(output), target.GetInputPort(target_input))
-    loop = builder.Build()
-    loop.set_name("exploration_loop")
-    return loop
 
 
 def recorded_dataset(trials: Sequence[Trial], grid: CellGrid, scenario: Scenario) -> PushDataset:
@@ -175,7 +225,7 @@ def recorded_dataset(trials: Sequence[Trial], grid: CellGrid, scenario: Scenario
     )
 
 
-def _makes(kinematics: FingerKinematics, config: ExecutionConfig) -> Callable[[TablePush], bool]:
+def push_check(kinematics: FingerKinematics, config: ExecutionConfig) -> Callable[[TablePush], bool]:
     """Whether the arm can make a push from home."""
 
     def allowed(push: TablePush) -> bool:
