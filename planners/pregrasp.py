@@ -13,12 +13,13 @@ from models.measurements import Trial
 from models.physics.cell_grid import CellGrid, FloatArray
 from models.physics.maps import Maps
 from planners.exploration import NoReachablePush
-from planners.goal_pushing import Allowed, MadePush, push_to_goal
+from planners.goal_pushing import MadePush, push_to_goal
 from planners.goals import Goal, Graspable
 from planners.grasps import Grasp
 from planners.learn_by_pushing import MakeDataset, learn_by_pushing
 from planners.methods import planning_belief
 from planners.pregrasp_settings import PregraspSettings
+from planners.push_decisions import Allowed
 from planners.world import ObjectFell, PushNotMade, World
 
 
