@@ -11,7 +11,7 @@ import h5py
 import numpy as np
 import pytest
 import yaml
-from conftest import example_in
+from example_dataset import example_in
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 

@@ -5,7 +5,7 @@ import h5py
 import numpy as np
 import pytest
 import yaml
-from conftest import push_record
+from example_dataset import push_record
 from shapely.geometry import Polygon
 
 from models.measurements import DatasetError, read_dataset

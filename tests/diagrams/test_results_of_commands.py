@@ -1,0 +1,144 @@
+"""What commands print and leave behind when all goes well."""
+
+from __future__ import annotations
+
+import json
+from types import SimpleNamespace
+
+import cv2
+import numpy as np
+import pytest
+from refusals import files_in
+
+import planners
+from models.inference.belief import Belief
+from models.measurements import read_dataset
+
+
+def test_demo_leaves_a_dataset_a_belief_pictures_and_json(demo_folder):
+    assert files_in(demo_folder) == [
+        "demo.json",
+        "demo/belief.maps.png",
+        "demo/belief.npz",
+        "demo/belief.pushes.png",
+        "demo/pushes/dataset.yaml",
+        *[f"demo/pushes/trials/{k:03d}.json" for k in range(4)],
+    ]
+    dataset = read_dataset(demo_folder / "demo" / "pushes")
+    assert (len(dataset.fit_trials), len(dataset.heldout_trials)) == (3, 1)
+    learnt = Belief.load(demo_folder / "demo" / "belief.npz")
+    assert (learnt.fingerprint, len(learnt)) == (dataset.fingerprint, 20)
+
+
+def test_demo_pictures_show_something(demo_folder):
+    for name in ("maps", "pushes"):
+        picture = cv2.imread(str(demo_folder / "demo" / f"belief.{name}.png"))
+        assert min(picture.shape[:2]) > 500
+        ink = (picture.min(axis=2) < 200).mean()
+        assert 0.01 < ink < 0.6
+        colours = np.ptp(picture.astype(int), axis=2)
+        assert (colours > 60).mean() > 0.001
+
+
+def test_json_of_the_demo(demo_folder):
+    text = (demo_folder / "demo.json").read_text()
+    result = json.loads(text, parse_constant=lambda name: pytest.fail(f"{name} is not JSON"))
+    assert text == json.dumps(result, indent=2, sort_keys=True, ensure_ascii=False) + "\n"
+    assert {
+        "fit_error_mean",
+        "heldout_error_mean",
+        "trials",
+        "hypotheses",
+        "identifiable",
+        "seed",
+        "truth",
+    } <= set(result)
+    assert [trial["role"] for trial in result["trials"]] == ["fit"] * 3 + ["heldout"]
+    assert sum(hypothesis["probability"] for hypothesis in result["hypotheses"]) == pytest.approx(1)
+    assert result["fit_error_mean"] < 0.1 * np.mean([trial["no_motion_add"] for trial in result["trials"]])
+
+
+def test_demo_compares_with_the_truth_of_the_hammer(demo_folder):
+    truth = {entry["name"]: entry for entry in json.loads((demo_folder / "demo.json").read_text())["truth"]}
+    steel, wood = 7850 * 0.1 * 0.0375 * 0.025, 700 * 0.025 * 0.225 * 0.02
+    assert truth["total mass"]["truth"] == pytest.approx(steel + wood)
+    assert truth["total friction"]["truth"] == pytest.approx((0.2 * steel + 0.4 * wood) * 9.81)
+    # The head's middle lies at 131.25 - 18.75 mm, the handle's at -131.25 + 112.5 mm.
+    middle = (steel * 0.1125 + wood * -0.01875) / (steel + wood)
+    assert truth["centre of mass, y"]["truth"] == pytest.approx(middle)
+    middle = (0.2 * steel * 0.1125 + 0.4 * wood * -0.01875) / (0.2 * steel + 0.4 * wood)
+    assert truth["centre of friction, y"]["truth"] == pytest.approx(middle)
+    assert truth["centre of friction, x"]["truth"] == pytest.approx(0, abs=1e-9)
+    assert set(truth) >= {"centre of mass, x", "finger friction"}
+    for entry in truth.values():
+        assert entry["inside"] is (entry["low"] <= entry["truth"] <= entry["high"])
+
+
+def test_identify_then_predict(slipmap, demo_folder, tmp_path):
+    hammer, pictures = demo_folder / "demo" / "pushes", tmp_path / "pictures"
+    said = slipmap(
+        "identify", hammer, "-o", tmp_path / "one.npz", "--fit-pushes", 1, "--hypotheses", 3,
+        "--pictures", pictures, "--json", tmp_path / "one.json",
+    )  # fmt: skip
+    assert said.code == 0
+    assert files_in(tmp_path) == ["one.json", "one.npz", "pictures/one.maps.png", "pictures/one.pushes.png"]
+    assert max(map(len, said.out.splitlines())) <= 80
+    assert "object does not move" in said.out and "90 % interval" in said.out
+    assert str(tmp_path / "one.npz") in said.err
+    result = json.loads((tmp_path / "one.json").read_text())
+    assert len(result["trials"]) == 2 and len(result["hypotheses"]) == 3
+
+    said = slipmap(
+        "predict",
+        hammer,
+        "--belief",
+        tmp_path / "one.npz",
+        "-o",
+        tmp_path / "p.svg",
+        "--json",
+        tmp_path / "p.json",
+    )
+    assert said.code == 0
+    assert "<svg" in (tmp_path / "p.svg").read_text()[:1000]
+    prediction = json.loads((tmp_path / "p.json").read_text())
+    assert [trial["trial"] for trial in prediction["trials"]] == [f"trials/{k:03d}.json" for k in range(4)]
+    by_name = {trial["trial"]: trial for trial in result["trials"]}
+    for trial in prediction["trials"]:
+        assert np.shape(trial["predicted_end_hypotheses"]) == (3, 3)
+        mean = np.array(prediction["probability"]) @ np.array(trial["predicted_end_hypotheses"])
+        np.testing.assert_allclose(mean, trial["predicted_end"])
+        if trial["trial"] in by_name:
+            assert trial["final_add"] == pytest.approx(by_name[trial["trial"]]["final_add"])
+
+
+def test_calibrate_prints_draws_and_writes_coverage(slipmap, tmp_path, monkeypatch):
+    rng = np.random.default_rng(0)
+    ranks = {"centre of mass, x": rng.uniform(size=25), "total friction": np.full(25, 0.99)}
+
+    def calibrate(*, objects, seed, progress):
+        progress("objects", objects, objects)
+        coverage = {"centre of mass, x": 0.88, "total friction": 0.0}
+        return SimpleNamespace(objects=objects, seed=seed, seconds=1.0, coverage=coverage, ranks=ranks)
+
+    monkeypatch.setattr(planners, "calibration", SimpleNamespace(calibrate=calibrate), raising=False)
+    picture, result = tmp_path / "curves.png", tmp_path / "c.json"
+    said = slipmap("calibrate", "--objects", 25, "--seed", 3, "-o", picture, "--json", result)
+    assert said.code == 0
+    rows = [line.split() for line in said.out.splitlines()]
+    assert ["total", "friction", "0", "25", "0%", "0%", "to", "14%", "too", "narrow"] in rows
+    document = json.loads(result.read_text())
+    assert (document["objects"], document["seed"], document["coverage"][0]["inside"]) == (25, 3, 22)
+    np.testing.assert_allclose(document["ranks"]["centre of mass, x"], ranks["centre of mass, x"])
+    assert cv2.imread(str(picture)).std() > 5
+
+
+def test_bench_prints_the_table_and_writes_the_numbers(slipmap, tmp_path, monkeypatch):
+    def run_benchmark(*, progress):
+        progress("rollouts", 1, 1)
+        return {"ms": 0.25}
+
+    monkeypatch.setattr("diagrams.benchmark.run_benchmark", run_benchmark)
+    monkeypatch.setattr("diagrams.benchmark.format_table", lambda result: f"{result['ms']} ms a rollout")
+    said = slipmap("bench", "--json", tmp_path / "bench.json")
+    assert (said.code, said.out) == (0, "0.25 ms a rollout\n")
+    assert json.loads((tmp_path / "bench.json").read_text()) == {"ms": 0.25}
