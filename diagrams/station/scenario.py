@@ -21,7 +21,9 @@ from models.objects.true_object import (
     object_from_labels,
     object_from_mesh,
 )
+from planners.goal_settings import GoalSettings
 from planners.poke_settings import PokeSettings
+from planners.pregrasp_settings import PushSettings
 
 CLEARANCE = 0.02
 """Between the finger on its way and what it passes over, m."""
@@ -188,6 +190,8 @@ class Scenario:
         depth_noise: how well it sees.
         hidden: physics of the true world that the plain model does not have; nothing by default.
         pokes: how the object is explored.
+        goals: where at the table's edge it may be left.
+        pushes: how it is pushed there.
         simulation: how the world is stepped.
     """
 
@@ -199,6 +203,8 @@ class Scenario:
     depth_noise: DepthNoiseConfig = field(default_factory=DepthNoiseConfig)
     hidden: HiddenEffectsConfig = field(default_factory=HiddenEffectsConfig)
     pokes: PokeSettings = field(default_factory=PokeSettings)
+    goals: GoalSettings = field(default_factory=lambda: GoalSettings(count=60))
+    pushes: PushSettings = field(default_factory=PushSettings)
     simulation: SimulationSettings = field(default_factory=SimulationSettings)
 
     def check_placement(self, thing: TrueObject) -> None:

@@ -8,6 +8,7 @@ from pydrake.systems.framework import Context, EventStatus, LeafSystem, State
 from diagrams.execution import ActivePush
 from diagrams.systems.held import held, read, replace_held
 from diagrams.systems.messages import MOST_ATTEMPTS, LoopStatus
+from models.perception.observed_pose import ObservedPose
 
 PERIOD = 0.05
 """s between two decisions."""
@@ -112,9 +113,7 @@ class PushSupervisor(LeafSystem):
         return self._patient(context, now, self._unseen(context))
 
     def _unseen(self, context: Context) -> str:
-        pose = self._input(context, "object_pose")
-        why = "no picture" if pose is None or not pose.reason else pose.reason
-        return f"the camera does not see the object: {why}"
+        return unseen(self._input(context, "object_pose"))
 
     def _patient(self, context: Context, now: LoopStatus, reason: str) -> LoopStatus:
         waited = context.get_time() - context.get_discrete_state(0)[0]
@@ -122,3 +121,9 @@ class PushSupervisor(LeafSystem):
 
     def _input(self, context: Context, name: str):  # type: ignore[no-untyped-def]
         return self.GetInputPort(name).Eval(context)
+
+
+def unseen(pose: ObservedPose | None) -> str:
+    """Why the camera does not see the object, in words."""
+    why = "no picture" if pose is None or not pose.reason else pose.reason
+    return f"the camera does not see the object: {why}"

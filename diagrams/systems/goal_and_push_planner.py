@@ -1,0 +1,228 @@
+"""Algorithms 3 and 4 as a block: from the belief to goals at the table's edge, pushes, and the grasp."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from pydrake.common.value import Value
+from pydrake.systems.framework import Context, EventStatus, LeafSystem, State
+
+from diagrams.execution.messages import ActiveGrasp
+from diagrams.systems.held import held, read, replace_held
+from diagrams.systems.messages import LoopStatus, PregraspPlan
+from models.inference.belief import Belief
+from models.measurements.push_dataset import Table
+from models.perception.seen_object import SeenObject
+from models.physics.balance import own_balance_margins
+from models.physics.cell_grid import FloatArray
+from models.physics.maps import Maps
+from planners.foresight import NEGLIGIBLE
+from planners.goals import Goal, Graspable
+from planners.grasps import Grasp
+from planners.methods import planning_belief
+from planners.pregrasp_settings import PregraspSettings
+from planners.push_decisions import Allowed, Decision, Pursuit, decide, near_enough
+
+PERIOD = 0.05
+
+GRASPS = 12
+"""Grasps at one pose that the arm is asked about, the best; others lie beside them."""
+
+SAME_PLACE = 0.01
+"""Grasps from one side whose ends are nearer than this count as the one that was refused, m."""
+
+CanGrasp = Callable[[ActiveGrasp], bool]
+
+
+@dataclass(frozen=True, eq=False)
+class _Planning:
+    """What was planned so far.
+
+    Attributes:
+        known: the belief that the method plans with.
+        thing: the object with its grasps.
+        goals: that will do.
+        pursuit: what came of pushing.
+        last: the decision behind the plan.
+        plan: what is to be done.
+        refused: grasps that the arm refused.
+    """
+
+    known: Belief
+    thing: Graspable
+    goals: tuple[Goal, ...]
+    pursuit: Pursuit = field(default_factory=Pursuit)
+    last: Decision | None = None
+    plan: PregraspPlan | None = None
+    refused: tuple[Grasp, ...] = ()
+
+    def continued(self, status: LoopStatus) -> _Planning:
+        """With what came of the last plan, as the loop now asks for another."""
+        if self.last is None or self.plan is None or self.last.way is None:
+            return self
+        if self.plan.push is not None:
+            if status.attempt == 0:
+                return replace(self, pursuit=self.pursuit.made(self.last.way), refused=())
+            pursuit = self.pursuit.not_made(self.last.way, self.plan.push.push, status.reason)
+            return replace(self, pursuit=pursuit)
+        if self.plan.grasp is not None:
+            return replace(self, refused=(*self.refused, self.plan.grasp.grasp))
+        return self
+
+
+class GoalAndPushPlanner(LeafSystem):
+    """Plans a push or the grasp when the loop asks for one.
+
+    .. pydrake_system::
+
+        name: GoalAndPushPlanner
+        input_ports:
+        - belief
+        - object_pose
+        - seen_object
+        - status
+        output_ports:
+        - plan
+
+    - `belief`: `Belief | None`; `object_pose`: `ObservedPose`; `seen_object`: `SeenObject | None`.
+    - `status`: `LoopStatus`; in the mode `planning` a plan of its number is made.
+    - `plan`: `PregraspPlan | None`; it stands until the loop asks for another.
+
+    Goals are sampled at the first plan. The simulation waits while the block computes. The draws of a plan
+    depend on the seed and its number alone.
+
+    Args:
+        settings: of the procedure.
+        table: that the object lies on.
+        method: one of `planners.methods.METHODS`.
+        can_push: whether the arm can make a push.
+        can_grasp: whether it can come in and lift at a goal.
+        seed: of every draw.
+        truth: the true maps over the cells seen, which only the method `true` asks for.
+    """
+
+    def __init__(
+        self,
+        settings: PregraspSettings,
+        table: Table,
+        *,
+        method: str = "probabilistic",
+        can_push: Allowed = lambda push: True,
+        can_grasp: CanGrasp = lambda grasp: True,
+        seed: int = 0,
+        truth: Callable[[SeenObject], Maps] | None = None,
+    ) -> None:
+        super().__init__()
+        settings.check()
+        self._settings = settings
+        self._table = table
+        self._method = method
+        self._can_push = can_push
+        self._can_grasp = can_grasp
+        self._seed = seed
+        self._truth = truth
+        for name in ("belief", "object_pose", "seen_object", "status"):
+            self.DeclareAbstractInputPort(name, Value[object](None))
+        self._planning = self.DeclareAbstractState(held(None))
+        self.DeclarePeriodicUnrestrictedUpdateEvent(PERIOD, 0.0, self._update)
+        self.DeclareAbstractOutputPort(
+            "plan",
+            lambda: Value[object](None),
+            self._calc_plan,
+            {self.abstract_state_ticket(self._planning)},
+        )
+
+    def _calc_plan(self, context: Context, output: Value) -> None:
+        planning: _Planning | None = read(context, self._planning)
+        output.set_value(None if planning is None else planning.plan)
+
+    def _update(self, context: Context, state: State) -> EventStatus:
+        status: LoopStatus = self.GetInputPort("status").Eval(context)
+        planning: _Planning | None = read(context, self._planning)
+        pose = self.GetInputPort("object_pose").Eval(context)
+        plan = None if planning is None else planning.plan
+        if status.mode != "planning" or (plan is not None and plan.number == status.number):
+            return EventStatus.DidNothing()
+        if not pose.valid:
+            return EventStatus.DidNothing()
+        seen: SeenObject = self.GetInputPort("seen_object").Eval(context)
+        rng = np.random.default_rng([self._seed, status.push, status.attempt])
+        if planning is None:
+            planning = self._begun(self.GetInputPort("belief").Eval(context), seen, rng)
+        planning = self._planned(planning.continued(status), status.number, pose.pose, seen, rng)
+        replace_held(state, self._planning, planning)
+        return EventStatus.Succeeded()
+
+    def _begun(self, belief: Belief, seen: SeenObject, rng: np.random.Generator) -> _Planning:
+        truth = self._truth(seen) if self._method == "true" and self._truth is not None else None
+        known = planning_belief(self._method, belief, rng, truth)
+        thing = Graspable.of_belief(known, seen.cell_heights, self._settings.goals)
+
+        def can_serve(goal: Goal) -> bool:
+            return self._can_grasp(ActiveGrasp(0, goal.grasp, goal.pose, seen.grid, seen.cell_heights))
+
+        return _Planning(known, thing, tuple(thing.sample_goals(self._table, rng, can_serve)))
+
+    def _planned(
+        self, now: _Planning, number: int, pose: FloatArray, seen: SeenObject, rng: np.random.Generator
+    ) -> _Planning:
+        goals = self._settings.goals
+        if not now.goals:
+            reason = (
+                f"of {goals.samples} poses at the edge, in none the object stays with a probability of"
+                f" {1 - goals.epsilon:.0%} and can be grasped by the arm"
+            )
+            return replace(now, plan=PregraspPlan(number, reason=reason))
+        grasps: list[ActiveGrasp] = []
+
+        def can_be_grasped(at: FloatArray) -> bool:
+            grasps.extend(self._grasp_at(now, at, number, seen))
+            return bool(grasps)
+
+        told = decide(
+            now.known, pose, now.goals, now.pursuit, self._table, self._settings, rng,
+            allowed=self._can_push, good=can_be_grasped,
+        )  # fmt: skip
+        goal = None if told.way is None else now.goals[told.way.goal]
+        plan = PregraspPlan(number, goal, reason=told.reason)
+        if told.reached:
+            success, margin = self._prospects(now, pose[None])
+            plan = PregraspPlan(number, goal, None, grasps[0], success, margin)
+        elif told.planned is not None:
+            success, margin = self._prospects(now, told.planned.predicted, goal)
+            plan = PregraspPlan(number, goal, told.planned, None, success, margin)
+        return replace(now, last=told, plan=plan)
+
+    def _grasp_at(self, now: _Planning, pose: FloatArray, number: int, seen: SeenObject) -> list[ActiveGrasp]:
+        """The best grasp at a pose that the arm can make and did not refuse before; none or one."""
+        for grasp in now.thing.grasps_at(pose, self._table)[:GRASPS]:
+            active = ActiveGrasp(number, grasp, pose, seen.grid, seen.cell_heights)
+            if not any(_alike(grasp, other) for other in now.refused) and self._can_grasp(active):
+                return [active]
+        return []
+
+    def _prospects(self, now: _Planning, poses: FloatArray, goal: Goal | None = None) -> tuple[float, float]:
+        """Probability of success and margin of a plan, see `PregraspPlan`.
+
+        Args:
+            now: what is known.
+            poses: (K, 3) of the object in the hypotheses that were imagined, or (1, 3) in all of them.
+            goal: near which it shall lie; anywhere if None.
+        """
+        imagined = now.known.probability > NEGLIGIBLE
+        p = now.known.probability[imagined] / now.known.probability[imagined].sum()
+        ends = np.broadcast_to(poses, (len(p), 3))
+        margins = own_balance_margins(now.known.grid, now.known.centers_of_mass[imagined], ends, self._table)
+        good = margins > 0
+        if goal is not None:
+            good &= [near_enough(end, goal.pose, self._settings.push) for end in ends]
+        order = np.argsort(margins)
+        sure = order[np.searchsorted(np.cumsum(p[order]), self._settings.goals.epsilon, side="right")]
+        return float(p @ good), float(margins[sure])
+
+
+def _alike(one: Grasp, other: Grasp) -> bool:
+    """Whether two grasps are at the same place from the same side."""
+    return bool(np.hypot(*(one.tip - other.tip)) < SAME_PLACE and one.approach == other.approach)
