@@ -6,7 +6,7 @@ import numpy as np
 from pydrake.math import RigidTransform
 from pydrake.multibody.inverse_kinematics import InverseKinematics
 from pydrake.multibody.plant import MultibodyPlant
-from pydrake.multibody.tree import JacobianWrtVariable
+from pydrake.multibody.tree import Frame, JacobianWrtVariable
 from pydrake.solvers import Solve
 
 from models.physics.cell_grid import FloatArray
@@ -50,6 +50,18 @@ class FingerKinematics:
         self.model = model
         self.tip = model.GetFrameByName("tip")
         self._context = model.CreateDefaultContext()  # scratch: every method sets the positions it needs
+        shoulder, elbow, wrist = (model.GetFrameByName(f"iiwa_link_{k}") for k in (2, 4, 6))
+        origin = np.zeros(3)
+
+        def place(frame: Frame, seen_from: Frame) -> FloatArray:
+            return np.asarray(model.CalcPointsPositions(self._context, frame, origin, seen_from).ravel())
+
+        # The axes of the last three joints meet in the wrist, those of the first three in the shoulder.
+        self._p_WShoulder = place(shoulder, model.world_frame())
+        self._p_TWrist = place(wrist, self.tip)
+        self._upper_arm, self._forearm = (
+            float(np.linalg.norm(place(*ends))) for ends in ((elbow, shoulder), (wrist, elbow))
+        )
 
     def pose(self, q: FloatArray) -> RigidTransform:
         """X_WT at joint angles q (7,), rad."""
@@ -99,13 +111,21 @@ class FingerKinematics:
         Raises:
             OutOfReach: the search finds none within the joints' limits and their margin.
         """
-        q = self._search(_held_level(p_WT, yaw), near, near, POSITION_LIMITS - LIMIT_MARGIN)
+        ahead, down = np.array([np.cos(yaw), np.sin(yaw), 0.0]), np.array([0.0, 0.0, -1.0])
+        q = None
+        if self._arm_spans(p_WT + np.column_stack([np.cross(down, ahead), down, ahead]) @ self._p_TWrist):
+            q = self._search(_held_level(p_WT, yaw), near, near, POSITION_LIMITS - LIMIT_MARGIN)
         if q is None:
             raise OutOfReach(
                 f"the finger cannot be held level at ({p_WT[0]:.3f}, {p_WT[1]:.3f}) m, {p_WT[2]:.3f} m high, "
                 f"pointing to {np.rad2deg(yaw):.0f} degrees"
             )
         return q
+
+    def _arm_spans(self, p_WWrist: FloatArray) -> bool:
+        """Whether the wrist can be there with some bend of the elbow; a search takes long to say no."""
+        distance = np.linalg.norm(p_WWrist - self._p_WShoulder)
+        return bool(distance <= self._upper_arm + self._forearm)
 
     def _why_not(self, p_WT: FloatArray, start: FloatArray) -> str:
         place = f"the finger cannot point down at ({p_WT[0]:.3f}, {p_WT[1]:.3f}) m, {p_WT[2]:.3f} m high"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from itertools import pairwise
 
 import numpy as np
@@ -90,7 +91,7 @@ def can_grasp(
     obstacle = Obstacle(grasp.grid, grasp.heights, grasp.pose)
     x, y, z, yaw = grasp.grasp.at(grasp.pose)
     tip = np.array([x, y, z])
-    for posture in _postures(kinematics, tip, yaw, q):
+    for posture in _each_posture(kinematics, tip, yaw, q):
         try:
             _lines(kinematics, clearance, tip, yaw, posture, obstacle, grasp)
         except MotionRefused:
@@ -101,6 +102,14 @@ def can_grasp(
 
 def _postures(kinematics: FingerKinematics, tip: FloatArray, yaw: float, q: FloatArray) -> list[FloatArray]:
     """All ways (7,) found to hold the gripper at the object, the nearest to q first."""
+    found = _each_posture(kinematics, tip, yaw, q)
+    return sorted(found, key=lambda posture: float(np.abs(posture - q).max()))
+
+
+def _each_posture(
+    kinematics: FingerKinematics, tip: FloatArray, yaw: float, q: FloatArray
+) -> Iterator[FloatArray]:
+    """The same as they are found."""
     found: list[FloatArray] = []
     for start in (q, *_SEARCHES):
         try:
@@ -109,7 +118,7 @@ def _postures(kinematics: FingerKinematics, tip: FloatArray, yaw: float, q: Floa
             continue
         if all(np.abs(posture - other).max() > 0.1 for other in found):
             found.append(posture)
-    return sorted(found, key=lambda posture: float(np.abs(posture - q).max()))
+            yield posture
 
 
 def _lines(
