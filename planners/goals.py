@@ -101,6 +101,7 @@ class Graspable:
             np.asarray(heights, dtype=float),
             centers[counts],
             weights[counts],
+            p[counts],
             settings,
             gripper or Gripper(),
         )

@@ -35,9 +35,10 @@ class GraspLines:
     - The upper pin comes down on heights that are known: between cells of different height they may be any
       between these. `least_contact` or more lies between the outermost place that is certainly as high as
       all the pin passes (less `tolerance`) and the inner end of the lower contact.
-    - In every hypothesis a force at either end carries the moment of the weight about the pins' cross axis,
-      friction that about their own axis, and the lower pin the weight beside: together no more than the
-      gripper's force. So the object stays level. Both moments are added as if they asked for the same force.
+    - In hypotheses of probability 1 - epsilon or more a force at either end carries the moment of the weight
+      about the pins' cross axis, friction that about their own axis, and the lower pin the weight beside:
+      together no more than the gripper's force. So the object stays level. Both moments are added as if they
+      asked for the same force.
 
     and at a pose (`reach`): lower pin and hand, swept along the line, stay off the table by `clearance`.
 
@@ -144,6 +145,7 @@ def grasp_lines(
     heights: FloatArray,
     centers_of_mass: FloatArray,
     masses: FloatArray,
+    probability: FloatArray,
     settings: GoalSettings,
     gripper: Gripper,
 ) -> GraspLines:
@@ -154,6 +156,7 @@ def grasp_lines(
         heights: (n,) of the object's top over each cell, m.
         centers_of_mass: (K, 2) of the hypotheses, object frame, m.
         masses: (K,) of the whole object, kg.
+        probability: (K,) of the hypotheses.
         settings: see there.
         gripper: see there.
 
@@ -194,7 +197,7 @@ def grasp_lines(
     kept = good.any(axis=1)
     needed = _needed_force(
         arm[kept], lower[kept], start[kept], height[kept], direction[kept], offset[kept],
-        centers_of_mass, masses, settings.friction,
+        centers_of_mass, masses, probability, settings,
     )  # fmt: skip
     force = np.where(good[kept] & (needed <= gripper.force), needed, np.inf)
     holds = np.isfinite(force).any(axis=1)
@@ -239,24 +242,27 @@ def _needed_force(
     offset: FloatArray,
     centers_of_mass: FloatArray,
     masses: FloatArray,
-    friction: float,
+    probability: FloatArray,
+    settings: GoalSettings,
 ) -> FloatArray:
-    """(L, S) force of the lower pin, N, the largest over the hypotheses.
+    """(L, S) force of the lower pin, N, that is enough in hypotheses of probability 1 - epsilon or more.
 
     A weight W at a lever l beyond the contact's inner end is held by W l / arm at its outer end from above;
     one at a distance d beside the line by friction at both pins, W d = friction · force · height.
     """
     normal = _left_of(direction)
-    needed = np.zeros(arm.shape)
+    needed = np.empty((len(masses), *arm.shape))
     with np.errstate(divide="ignore", invalid="ignore"):
-        for center, mass in zip(centers_of_mass, masses, strict=True):
-            weight = GRAVITY * mass
+        for k, (center, mass) in enumerate(zip(centers_of_mass, masses, strict=True)):
             at = (direction @ center)[:, None]
             beside = np.abs(normal @ center - offset)[:, None]
             lever = np.maximum(np.maximum(at - lower, start[:, None] - at), 0.0)
-            force = weight * (1.0 + lever / arm + beside / (friction * height))
-            needed = np.maximum(needed, np.where(arm > 0, force, np.inf))
-    return needed
+            force = GRAVITY * mass * (1.0 + lever / arm + beside / (settings.friction * height))
+            needed[k] = np.where(arm > 0, force, np.inf)
+    order = np.argsort(-needed, axis=0)
+    weaker = np.cumsum(probability[order], axis=0) > settings.epsilon
+    enough = np.take_along_axis(order, np.argmax(weaker, axis=0)[None], axis=0)
+    return np.take_along_axis(needed, enough, axis=0)[0]
 
 
 def _running_argmin(values: FloatArray) -> NDArray[np.intp]:

@@ -53,7 +53,7 @@ class Grasp:
         height: of the object's top between the pins, m.
         length: between the inner end of the lower contact and the outer end of the upper one, m: the arm at
             which two opposed forces carry the weight.
-        force: of the lower pin, by which the object stays level in every hypothesis, N.
+        force: of the lower pin, by which the object stays level with probability 1 - epsilon, N.
     """
 
     patch: FloatArray

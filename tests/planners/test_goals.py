@@ -98,7 +98,7 @@ def test_gripper_comes_without_touching_table_or_object(case: Case) -> None:
         assert z - goal.grasp.opening / 2 + gripper.finger_radius <= -4.9e-3
 
 
-def test_grasp_carries_the_weight_in_every_hypothesis(case: Case) -> None:
+def test_grasp_carries_the_weight_in_hypotheses_that_are_likely_enough(case: Case) -> None:
     """Least force of the lower pin by a linear programme over points at both lines of contact."""
     thing = case.thing
     weight = GRAVITY * thing.total_mass
@@ -111,7 +111,8 @@ def test_grasp_carries_the_weight_in_every_hypothesis(case: Case) -> None:
         nearest = np.linalg.norm(line[:, None] - thing.grid.centers, axis=2).argmin(axis=1)
         high = line[thing.height[nearest] >= grasp.height - 3e-3 - 1e-6]
         below, above = line @ along, high @ along
-        for center in case.centers:
+        too_heavy = 0.0
+        for center, p in zip(case.centers, case.probability, strict=True):
             at = float(center @ along)
             result = linprog(
                 np.r_[np.ones(len(below)), np.zeros(len(above))],
@@ -127,7 +128,9 @@ def test_grasp_carries_the_weight_in_every_hypothesis(case: Case) -> None:
             beside = weight * across / (0.2 * grasp.height)
             assert result.status == 0
             # Places are 2.5 mm apart: of a short contact that is much.
-            assert result.fun + beside <= grasp.force * (1 + 2.5e-3 / grasp.length) + 1e-6
+            if result.fun + beside > grasp.force * (1 + 2.5e-3 / grasp.length) + 1e-6:
+                too_heavy += p
+        assert too_heavy <= GoalSettings().epsilon
         assert grasp.force <= 80.0
 
 
