@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -109,60 +109,128 @@ def explore(
         ExplorationStopped: Ctrl-C; it has what was recorded until then.
         ValueError, RendererUnavailable: see `exploration_loop`.
     """
-    started = time.perf_counter()
     report = progress or (lambda stage, done, total: None)
     loop = exploration_loop(scenario, options, meshcat=meshcat)
-    simulator = Simulator(loop)
-    context = simulator.get_mutable_context()
     pushes = options.pushes + options.checks
-    first_look: list[FloatArray] = []
 
-    def watch(root: Context) -> EventStatus:
-        status: LoopStatus = _output(loop, "supervisor", "status", root)
-        if status.mode in ("finished", "failed"):
-            return EventStatus.ReachedTermination(loop.GetSubsystemByName("supervisor"), status.mode)
-        if not first_look and status.mode == "choosing":
-            first_look.append(_frames(loop, root))
+    def watch(status: LoopStatus, context: Context) -> None:
         report(f"exploring: {DOING[status.mode]}", status.push, pushes)
-        return EventStatus.DidNothing()
 
-    simulator.set_monitor(watch)
-    interrupted = False
-    try:
-        simulator.AdvanceTo(LONGEST * pushes)
-    except KeyboardInterrupt:
-        interrupted = True
-    status: LoopStatus = _output(loop, "supervisor", "status", context)
-    trials = _output(loop, "logger", "records", context)
-    run = None
-    if trials:
-        grid = _output(loop, "perception", "cell_grid", context)
-        dataset = recorded_dataset(trials, grid, scenario)
-        if dataset.fit_trials:
-            run = ExplorationRun(
-                dataset,
-                identify(dataset, hypotheses=options.hypotheses, seed=options.seed, progress=report),
-                loop.GetSubsystemByName("station").true_object,
-                first_look[0],
-                float(context.get_time()),
-                time.perf_counter() - started,
-            )
-    if status.mode != "finished" or run is None:
-        reason = status.reason or f"not done after {context.get_time():.0f} s of simulated time"
-        if interrupted:
-            raise ExplorationStopped(f"stopped after {len(trials)} of {pushes} pushes", run)
-        raise ExplorationFailed(f"exploration stopped at push {status.push + 1} of {pushes}: {reason}", run)
+    ended = run_loop(loop, "supervisor", ("finished", "failed"), LONGEST * pushes, watch)
+    run = explored(loop, ended, scenario, options, report)
+    if ended.status.mode != "finished" or run is None:
+        recorded = 0 if run is None else len(run.dataset.trials)
+        if ended.interrupted:
+            raise ExplorationStopped(f"stopped after {recorded} of {pushes} pushes", run)
+        raise ExplorationFailed(
+            f"exploration stopped at push {ended.status.push + 1} of {pushes}: {ended.reason}", run
+        )
     return run
 
 
-def _output(loop: Diagram, system: str, port: str, root: Context) -> Any:
+@dataclass(frozen=True, eq=False)
+class LoopEnd:
+    """A loop that has ended.
+
+    Attributes:
+        status: last of the supervisor.
+        context: of the whole loop.
+        X_SO: (3,) see `ExplorationRun`; None where the object was never seen.
+        interrupted: whether Ctrl-C ended it.
+        seconds: that it took, s.
+    """
+
+    status: LoopStatus
+    context: Context
+    X_SO: FloatArray | None
+    interrupted: bool
+    seconds: float
+
+    @property
+    def simulated(self) -> float:
+        """s of simulated time."""
+        return float(self.context.get_time())
+
+    @property
+    def reason(self) -> str:
+        """Why it ended, if it failed."""
+        return self.status.reason or f"not done after {self.simulated:.0f} s of simulated time"
+
+
+def run_loop(
+    loop: Diagram,
+    supervisor: str,
+    last: Sequence[str],
+    longest: float,
+    watch: Callable[[LoopStatus, Context], None],
+) -> LoopEnd:
+    """Run a loop until its supervisor is in one of its last modes, or Ctrl-C.
+
+    Args:
+        loop: with the systems of `exploration_loop`.
+        supervisor: name of the system whose status counts.
+        last: modes.
+        longest: simulated time after which it is given up, s.
+        watch: called at every step, with the status and the loop's Context.
+    """
+    started = time.perf_counter()
+    simulator = Simulator(loop)
+    context = simulator.get_mutable_context()
+    first_look: list[FloatArray] = []
+
+    def monitor(root: Context) -> EventStatus:
+        status: LoopStatus = output_of(loop, supervisor, "status", root)
+        if status.mode in last:
+            return EventStatus.ReachedTermination(loop.GetSubsystemByName(supervisor), status.mode)
+        if not first_look and status.mode == "choosing":
+            first_look.append(_frames(loop, root))
+        watch(status, root)
+        return EventStatus.DidNothing()
+
+    simulator.set_monitor(monitor)
+    interrupted = False
+    try:
+        simulator.AdvanceTo(longest)
+    except KeyboardInterrupt:
+        interrupted = True
+    return LoopEnd(
+        output_of(loop, supervisor, "status", context),
+        context,
+        first_look[0] if first_look else None,
+        interrupted,
+        time.perf_counter() - started,
+    )
+
+
+def explored(
+    loop: Diagram, ended: LoopEnd, scenario: Scenario, options: LoopOptions, report: Progress
+) -> ExplorationRun | None:
+    """What was learned in a loop that has ended; None where nothing was recorded to learn from."""
+    started = time.perf_counter()
+    trials = output_of(loop, "logger", "records", ended.context)
+    if ended.X_SO is None or not any(trial.role == "fit" for trial in trials):
+        return None
+    dataset = recorded_dataset(trials, output_of(loop, "perception", "cell_grid", ended.context), scenario)
+    identification = identify(dataset, hypotheses=options.hypotheses, seed=options.seed, progress=report)
+    return ExplorationRun(
+        dataset,
+        identification,
+        loop.GetSubsystemByName("station").true_object,
+        ended.X_SO,
+        ended.simulated,
+        ended.seconds + time.perf_counter() - started,
+    )
+
+
+def output_of(loop: Diagram, system: str, port: str, root: Context) -> Any:
+    """What a port of one of a loop's systems says."""
     block = loop.GetSubsystemByName(system)
     return block.GetOutputPort(port).Eval(block.GetMyContextFromRoot(root))
 
 
 def _frames(loop: Diagram, root: Context) -> FloatArray:
     """(3,) pose of the true object's frame in that of the cells, as seen now."""
-    X_WO = _output(loop, "station", "truth.object_pose", root)
-    seen = _output(loop, "perception", "object_pose", root).pose
+    X_WO = output_of(loop, "station", "truth.object_pose", root)
+    seen = output_of(loop, "perception", "object_pose", root).pose
     place = turn(-seen[2]) @ (X_WO.translation()[:2] - seen[:2])
     return np.array([*place, RollPitchYaw(X_WO.rotation()).yaw_angle() - seen[2]])

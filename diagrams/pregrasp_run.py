@@ -1,0 +1,165 @@
+"""Runs the pre-grasp loop to its end and takes out what came of it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from pydrake.geometry import Meshcat
+from pydrake.systems.framework import Context
+
+from diagrams.exploration_run import (
+    DOING,
+    LONGEST,
+    ExplorationFailed,
+    ExplorationRun,
+    ExplorationStopped,
+    Progress,
+    explored,
+    output_of,
+    run_loop,
+)
+from diagrams.pregrasp_loop import PregraspOptions, pregrasp_loop
+from diagrams.station.scenario import Scenario
+from diagrams.systems.messages import LoopStatus, PregraspPlan
+from models.physics.cell_grid import FloatArray
+
+BRINGS = {
+    "planning": "planning",
+    "pushing": "pushing to the edge",
+    "recording": "recording",
+    "grasping": "grasping",
+    "lifting": "lifting",
+    "holding": "holding",
+}
+
+IN_THE_AIR = 0.05
+"""Height of the object's lowest point over the table from which it is truly lifted, m."""
+
+FALLEN = -0.05
+"""The same below which it truly fell, m."""
+
+
+@dataclass(frozen=True, eq=False)
+class PregraspRun:
+    """What the whole procedure brought.
+
+    Attributes:
+        exploration: what was recorded and learned; pushes towards the edge are in it too, to judge with.
+        options: what was to be done.
+        held: whether the gripper holds the object, as the robot knows.
+        reason: why it does not, else empty.
+        plans: of pushes that were made towards the edge, and of the grasp where it came to that, in order.
+        true_height: of the object's frame over the table at the end, m; only the simulator knows.
+        interrupted: whether Ctrl-C ended it.
+    """
+
+    exploration: ExplorationRun
+    options: PregraspOptions
+    held: bool
+    reason: str
+    plans: tuple[PregraspPlan, ...]
+    true_height: float
+    interrupted: bool = False
+
+    @property
+    def pushes(self) -> tuple[PregraspPlan, ...]:
+        """Plans of the pushes towards the edge."""
+        return tuple(plan for plan in self.plans if plan.push is not None)
+
+    @property
+    def fate(self) -> str:
+        """What truly became of the object: held, fell, dropped (the robot was wrong about it), or gave up."""
+        if self.true_height < FALLEN:
+            return "fell"
+        if self.held:
+            return "held" if self.true_height > IN_THE_AIR else "dropped"
+        return "gave up"
+
+    def to_json(self) -> dict[str, Any]:
+        """As plain data."""
+        first = self.options.exploration.pushes + self.options.exploration.checks
+        trials = self.exploration.dataset.trials[first:]
+        rows = []
+        for plan, trial in zip(self.pushes, trials, strict=False):
+            assert plan.push is not None and plan.goal is not None
+            before, after = trial.object_pose.values[0], trial.object_pose.values[-1]
+            rows.append(
+                {
+                    "begin": _plain(plan.push.push.begin),
+                    "end": _plain(plan.push.push.end),
+                    "before": _plain(before),
+                    "after": _plain(after),
+                    "goal": _plain(plan.goal.pose),
+                    "fall_probability": plan.push.fall_probability,
+                    "success_probability": plan.success_probability,
+                    "margin": plan.margin,
+                }
+            )
+        grasps = [plan.grasp for plan in self.plans if plan.grasp is not None]
+        return {
+            "method": self.options.method,
+            "seed": self.options.exploration.seed,
+            "held": self.held,
+            "fate": self.fate,
+            "reason": self.reason,
+            "explorations": self.options.exploration.pushes,
+            "pushes": rows,
+            "grasp": None if not grasps else _plain(grasps[-1].grasp.at(grasps[-1].pose)),
+            "true_height": self.true_height,
+            "simulated": self.exploration.simulated,
+            "seconds": self.exploration.seconds,
+        }
+
+
+def run_pregrasp(
+    scenario: Scenario,
+    options: PregraspOptions,
+    *,
+    meshcat: Meshcat | None = None,
+    progress: Progress | None = None,
+) -> PregraspRun:
+    """Explore the object of a scenario, bring it to the table's edge, grasp and lift it.
+
+    Args:
+        scenario: what the cell is like.
+        options: what to do.
+        meshcat: where to show it, if anywhere.
+        progress: called with (stage, done, total) pushes.
+
+    Raises:
+        ExplorationFailed: before there was anything to learn from; `ExplorationStopped` where by Ctrl-C.
+        ValueError, ScenarioError, RendererUnavailable: see `exploration_loop`.
+    """
+    report = progress or (lambda stage, done, total: None)
+    loop = pregrasp_loop(scenario, options, meshcat=meshcat)
+    first = options.exploration.pushes + options.exploration.checks
+    plans: dict[int, PregraspPlan] = {}
+
+    def watch(status: LoopStatus, context: Context) -> None:
+        if status.push < first:
+            report(f"exploring: {DOING.get(status.mode, status.mode)}", status.push, first)
+            return
+        report(f"to the edge: {BRINGS.get(status.mode, status.mode)}", status.push - first, options.pushes)
+        if status.mode in ("pushing", "grasping"):
+            plans[status.push] = output_of(loop, "planner", "plan", context)
+
+    longest = LONGEST * (first + options.pushes + 2)
+    ended = run_loop(loop, "pregrasp_supervisor", ("held", "failed"), longest, watch)
+    exploration = explored(loop, ended, scenario, options.exploration, report)
+    if exploration is None:
+        if ended.interrupted:
+            raise ExplorationStopped("stopped before anything was recorded")
+        raise ExplorationFailed(f"nothing was recorded: {ended.reason}")
+    held = ended.status.mode == "held"
+    reason = "" if held else ("stopped" if ended.interrupted else ended.reason)
+    X_WO = output_of(loop, "station", "truth.object_pose", ended.context)
+    made = [plans[number] for number in sorted(plans)]
+    return PregraspRun(
+        exploration, options, held, reason, tuple(made), float(X_WO.translation()[2]), ended.interrupted
+    )
+
+
+def _plain(values: FloatArray) -> list[float]:
+    return [float(value) for value in np.asarray(values)]
