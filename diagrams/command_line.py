@@ -26,6 +26,7 @@ from diagrams.commands.explore_study import explore_study
 from diagrams.commands.fit import fit
 from diagrams.commands.identify import identify
 from diagrams.commands.predict import predict
+from diagrams.commands.pregrasp import pregrasp
 from diagrams.commands.view import view
 
 SUCCESS, INTERNAL_FAILURE, WRONG_USE, STOPPED = 0, 1, 2, 130
@@ -74,6 +75,7 @@ def slipmap(ctx: click.Context) -> None:
 for _command in (
     demo,
     explore,
+    pregrasp,
     identify,
     predict,
     view,

@@ -7,38 +7,37 @@ from typing import TYPE_CHECKING
 
 import click
 
-from diagrams.commands.options import json_option, seed_option
-from diagrams.console import BadInput, Progress, note, paragraph, prepare_kernels, table, wait_for_enter
+from diagrams.commands.options import (
+    explorations_option,
+    folder_option,
+    json_option,
+    meshcat_option,
+    record_option,
+    scenario_option,
+    seed_option,
+    station_object_option,
+)
+from diagrams.commands.viewing import in_view
+from diagrams.console import BadInput, Progress, note, paragraph, table
 from diagrams.outputs import check_file, make_folder, write_json, write_text, writing
 from planners.strategies import STRATEGIES
 
 if TYPE_CHECKING:
-    from pydrake.geometry import Meshcat
-
     from diagrams.exploration_loop import LoopOptions
     from diagrams.exploration_run import ExplorationRun
     from diagrams.station.scenario import Scenario
 
 
-class _Stopped(click.ClickException):
+class Stopped(click.ClickException):
     """Ctrl-C, after something was kept."""
 
     exit_code = 130
 
 
 @click.command()
-@click.option(
-    "--object", "object_name", metavar="NAME",
-    help="One of the six objects: book, box, hammer, wrench, snack, spray_gun. [default: hammer]",
-)  # fmt: skip
-@click.option(
-    "--scenario", "scenario_file", type=click.Path(path_type=Path), metavar="FILE",
-    help="YAML file that describes the cell: table, camera, noise, your own object, hidden effects.",
-)  # fmt: skip
-@click.option(
-    "--pushes", type=click.IntRange(1, 100), default=5, show_default=True, metavar="N",
-    help="Pushes to learn from.",
-)  # fmt: skip
+@station_object_option
+@scenario_option
+@explorations_option
 @click.option(
     "--checks", type=click.IntRange(0, 100), default=3, show_default=True, metavar="N",
     help="Random pushes after these, which only judge what was learned.",
@@ -47,18 +46,9 @@ class _Stopped(click.ClickException):
     "--strategy", type=click.Choice(STRATEGIES), default="most-distinctive", show_default=True,
     help="How the next push is chosen (Algorithm 2).",
 )  # fmt: skip
-@click.option(
-    "--meshcat", "open_meshcat", is_flag=True,
-    help="Serve the view and print its address; wait for Enter or Ctrl-C at the end.",
-)  # fmt: skip
-@click.option(
-    "--record", "recording", type=click.Path(path_type=Path), metavar="FILE",
-    help="Write the whole run as a page that plays it back without a network.",
-)  # fmt: skip
-@click.option(
-    "--out", "folder", type=click.Path(path_type=Path), default="exploration", show_default=True,
-    metavar="DIR", help="Folder for pushes, belief, pictures and report.",
-)  # fmt: skip
+@meshcat_option
+@record_option
+@folder_option("exploration")
 @seed_option
 @json_option
 def explore(
@@ -89,13 +79,14 @@ def explore(
     run, failure, stopped = run_loop(scenario, options, open_meshcat, recording)
     written = leave(run, folder, recording)
     if json_file is not None:
-        write_json(json_file, {**run.identification.to_json(), "truth": run.truth(), "failure": failure})
+        found = {"truth": run.truth(), "monitor": run.watch.to_json(), "failure": failure}
+        write_json(json_file, {**run.identification.to_json(), **found})
     show(run)
     for what, path in written.items():
         note(f"{what + ':':<19}{path}")
     if failure:
         kept = f"{failure} What was recorded until then is kept in {folder}."
-        raise _Stopped(kept) if stopped else click.ClickException(kept)
+        raise Stopped(kept) if stopped else click.ClickException(kept)
 
 
 def scenario_of(path: Path | None, object_name: str | None) -> Scenario:
@@ -130,51 +121,17 @@ def run_loop(
         click.ClickException: the loop stopped before anything could be learned.
     """
     from diagrams import exploration_run
-    from diagrams.perception.renderer import RendererUnavailable
-    from diagrams.station.scenario_file import ScenarioError
 
-    meshcat = _meshcat(open_meshcat) if open_meshcat or recording is not None else None
     failure, stopped = "", False
-    with Progress() as progress:
-        prepare_kernels()
-        if meshcat is not None and recording is not None:
-            meshcat.StartRecording(frames_per_second=15.0)
+    with in_view(open_meshcat, recording) as (meshcat, progress):
         try:
             run = exploration_run.explore(scenario, options, meshcat=meshcat, progress=progress)
-        except (RendererUnavailable, ScenarioError) as error:
-            raise BadInput(str(error)) from error
         except exploration_run.ExplorationFailed as error:
             stopped = isinstance(error, exploration_run.ExplorationStopped)
             if error.run is None:
                 raise (click.Abort() if stopped else click.ClickException(str(error))) from error
             run, failure = error.run, f"{error}."
-        if meshcat is not None and recording is not None:
-            progress("writing the recording", 0, 1)
-            meshcat.StopRecording()
-            meshcat.PublishRecording()
-            write_text(recording, str(meshcat.StaticHtml()))
-            progress("writing the recording", 1, 1)
-    if open_meshcat and meshcat is not None:
-        click.echo(f"the view is at {meshcat.web_url()}; press Enter to end", err=True)
-        wait_for_enter()
     return run, failure, stopped
-
-
-def _meshcat(show: bool) -> Meshcat:
-    import logging
-
-    from pydrake.geometry import Meshcat, MeshcatParams
-
-    from diagrams.systems.belief_visualizer import VIEW
-
-    logging.getLogger("drake").setLevel(logging.WARNING)  # the address is told below, where it is of use
-    meshcat = Meshcat(MeshcatParams(host="localhost", show_stats_plot=False))
-    meshcat.SetCameraPose(*VIEW)
-    for helper in ("/Grid", "/Axes"):
-        meshcat.SetProperty(helper, "visible", False)
-    if show:
-        note(f"watch it at {meshcat.web_url()}")
-    return meshcat
 
 
 def leave(run: ExplorationRun, folder: Path, recording: Path | None) -> dict[str, Path]:
@@ -218,3 +175,21 @@ def show(run: ExplorationRun) -> None:
         f"The belief's centre of mass is {1e3 * truth['center_of_mass_error']:.1f} mm off."
         f" {run.simulated:.0f} s of simulated time took {run.seconds:.0f} s."
     )
+    paragraph(monitor_words(run.watch))
+
+
+def monitor_words(watch: Watch) -> str:
+    """What the monitor says at the end, in a sentence or two."""
+    if not watch.judged:
+        return "Monitor: no push was made after the belief had formed, so none was held against it."
+    largest = max(push.misfit for push in watch.judged)
+    count = f"{len(watch.judged)} push{'es' * (len(watch.judged) > 1)}"
+    numbers = f"{count} held against the belief before each, largest misfit {largest:.1f} (1 is usual)"
+    peak = max(push.evidence for push in watch.judged)
+    if any(push.alarm for push in watch.judged):
+        first = next(push.trial for push in watch.judged if push.alarm)
+        return (
+            f"Monitor: ALARM from push {first + 1} on{'' if watch.alarm else ', taken back since'}: {numbers}."
+            " The object does not move as the model says; `slipmap diagnose` may tell why."
+        )
+    return f"Monitor: no alarm; {numbers}, evidence at most {peak:.1f} of the {1 / LEVEL:.0f} that it takes."

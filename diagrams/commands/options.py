@@ -121,3 +121,33 @@ def load_dataset(path: Path, object_name: str | None, progress: Progress) -> Pus
     for warning in dataset.warnings:
         note(f"warning: {warning}")
     return dataset
+
+
+station_object_option = click.option(
+    "--object", "object_name", metavar="NAME",
+    help="One of the six objects: book, box, hammer, wrench, snack, spray_gun. [default: hammer]",
+)  # fmt: skip
+scenario_option = click.option(
+    "--scenario", "scenario_file", type=click.Path(path_type=Path), metavar="FILE",
+    help="YAML file that describes the cell: table, camera, noise, your own object, hidden effects.",
+)  # fmt: skip
+explorations_option = click.option(
+    "--pushes", type=click.IntRange(1, 100), default=5, show_default=True, metavar="N",
+    help="Pushes to learn from.",
+)  # fmt: skip
+meshcat_option = click.option(
+    "--meshcat", "open_meshcat", is_flag=True,
+    help="Serve the view and print its address; wait for Enter or Ctrl-C at the end.",
+)  # fmt: skip
+record_option = click.option(
+    "--record", "recording", type=click.Path(path_type=Path), metavar="FILE",
+    help="Write the whole run as a page that plays it back without a network.",
+)  # fmt: skip
+
+
+def folder_option(default: str) -> Callable[[Command], Command]:
+    """The option `--out DIR` of what a run in the robot's cell leaves."""
+    return click.option(
+        "--out", "folder", type=click.Path(path_type=Path), default=default, show_default=True,
+        metavar="DIR", help="Folder for pushes, belief, pictures and report.",
+    )  # fmt: skip

@@ -1,0 +1,132 @@
+"""`slipmap pregrasp`: the robot explores an object, pushes it to the table's edge, and takes it there."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from diagrams.commands.explore import Stopped, leave, scenario_of, show
+from diagrams.commands.options import (
+    explorations_option,
+    folder_option,
+    json_option,
+    meshcat_option,
+    record_option,
+    scenario_option,
+    seed_option,
+    station_object_option,
+)
+from diagrams.commands.viewing import in_view
+from diagrams.console import note, paragraph, table
+from diagrams.outputs import check_file, make_folder, write_json
+from planners.methods import METHODS
+
+if TYPE_CHECKING:
+    from diagrams.pregrasp_loop import PregraspOptions
+    from diagrams.pregrasp_run import PregraspRun
+    from diagrams.station.scenario import Scenario
+
+
+@click.command()
+@station_object_option
+@scenario_option
+@explorations_option
+@click.option(
+    "--method", type=click.Choice(METHODS), default="probabilistic", show_default=True,
+    help="What is planned with: all hypotheses, one drawn from them, a uniform object, or the truth.",
+)  # fmt: skip
+@meshcat_option
+@record_option
+@folder_option("pregrasp")
+@seed_option
+@json_option
+def pregrasp(
+    object_name: str | None,
+    scenario_file: Path | None,
+    pushes: int,
+    method: str,
+    open_meshcat: bool,
+    recording: Path | None,
+    folder: Path,
+    seed: int,
+    json_file: Path | None,
+) -> None:
+    """Let a simulated robot take an object that it cannot grasp where it lies.
+
+    It explores the object as `slipmap explore` does, pushes it to where it sticks out over the table's edge
+    and certainly stays, grasps it there and lifts it. The pushes are left as a dataset; those towards the
+    edge judge what was learned. The command succeeds only where the object is held in the end.
+    """
+    from diagrams.exploration_loop import LoopOptions
+    from diagrams.pregrasp_loop import PregraspOptions
+
+    scenario = scenario_of(scenario_file, object_name)
+    options = PregraspOptions(LoopOptions(pushes=pushes, seed=seed), method=method)
+    make_folder(folder)
+    if recording is not None:
+        check_file(recording, ("html", "htm"))
+    run = _run(scenario, options, open_meshcat, recording)
+    written = leave(run.exploration, folder, recording)
+    if json_file is not None:
+        learned = run.exploration
+        document = {**learned.identification.to_json(), "truth": learned.truth(), "pregrasp": run.to_json()}
+        write_json(json_file, document)
+    show(run.exploration)
+    _show(run)
+    for what, path in written.items():
+        note(f"{what + ':':<19}{path}")
+    if not run.held:
+        kept = f"the object is not held: {run.reason}. What was recorded is kept in {folder}."
+        raise Stopped(kept) if run.interrupted else click.ClickException(kept)
+
+
+def _run(
+    scenario: Scenario, options: PregraspOptions, open_meshcat: bool, recording: Path | None
+) -> PregraspRun:
+    """Run the loop to its end.
+
+    Raises:
+        BadInput: this machine cannot render pictures.
+        click.ClickException: the loop stopped before anything could be learned.
+    """
+    from diagrams.exploration_run import ExplorationFailed, ExplorationStopped
+    from diagrams.pregrasp_run import run_pregrasp
+
+    with in_view(open_meshcat, recording) as (meshcat, progress):
+        try:
+            return run_pregrasp(scenario, options, meshcat=meshcat, progress=progress)
+        except ExplorationStopped as error:
+            raise click.Abort() from error
+        except ExplorationFailed as error:
+            raise click.ClickException(str(error)) from error
+
+
+def _show(run: PregraspRun) -> None:
+    """Print the way to the edge, and how it ended."""
+    rows = []
+    for number, push in enumerate(run.to_json()["pushes"], 1):
+        off = [1e3 * (push["after"][k] - push["goal"][k]) for k in range(2)]
+        rows.append(
+            [
+                str(number),
+                f"{(off[0] ** 2 + off[1] ** 2) ** 0.5:.0f}",
+                f"{100 * push['success_probability']:.0f}",
+                f"{100 * push['fall_probability']:.0f}",
+                f"{1e3 * push['margin']:.0f}",
+            ]
+        )
+    if rows:
+        table(
+            "Pushes towards the edge, as planned and as they went",
+            ["push", "then off the goal, mm", "at the goal, %", "falls, %", "margin, mm"],
+            rows,
+            numbers=(0, 1, 2, 3, 4),
+        )
+    if run.held:
+        paragraph(f"After {len(run.pushes)} pushes the gripper took the object at the edge, and holds it.")
+    else:
+        paragraph(f"The object is not held: {run.reason}.")
+    if run.fate != ("held" if run.held else "gave up"):
+        paragraph(f"In truth, which only the simulator knows, it {run.fate}.")
