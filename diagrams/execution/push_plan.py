@@ -32,7 +32,7 @@ def plan_push(
     """Approach, lower, push, rest, lift and return home.
 
     From `default_arm_base` every push between points within 0.36 m of W's origin can be made at 0.1 m/s, as
-    120 random ones showed, and 117 of 120 within 0.45 m; the others are close under the shoulder. Planning
+    60 random ones showed, and 57 of 60 within 0.45 m; the others are close under the shoulder. Planning
     takes 50 ms.
 
     Args:
