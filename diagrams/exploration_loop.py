@@ -25,6 +25,7 @@ from diagrams.systems.exploration import Exploration
 from diagrams.systems.finger_motion import FingerMotion
 from diagrams.systems.identification import Identification
 from diagrams.systems.measurement_logger import MeasurementLogger, dataset_of
+from diagrams.systems.model_monitor import ModelMonitor
 from diagrams.systems.multiverse_slider import MultiverseSlider
 from diagrams.systems.push_supervisor import PushSupervisor
 from models.inference.belief import Belief
@@ -34,8 +35,8 @@ from models.physics.cell_grid import CellGrid
 from models.robots import FINGER_RADIUS
 from planners.table_push import TablePush
 
-STEP = 0.01
-"""s, of the hypotheses that run beside the real object."""
+STEP = 0.005
+"""s, of the hypotheses that run beside the real object; with twice that, taps end 1 mm elsewhere."""
 
 SENSORS = Noise(position=0.4e-3, angle=float(np.radians(0.2)), tip=0.1e-3, force=0.3)
 """Of the camera's poses, the arm's joint sensors and the force taken from its torques."""
@@ -78,7 +79,7 @@ def exploration_loop(
     """The station with everything that explores the object on its table.
 
     Its systems are named `station`, `perception`, `supervisor`, `exploration`, `executor`, `logger`,
-    `identification`, `multiverse`, and with Meshcat `belief_visualizer`.
+    `identification`, `multiverse`, `model_monitor`, and with Meshcat `belief_visualizer`.
 
     Args:
         scenario: what the cell is like.
@@ -112,6 +113,7 @@ class ExplorationBlocks:
     identification: Identification
     finger: FingerMotion
     multiverse: MultiverseSlider
+    monitor: ModelMonitor
     visualizer: BeliefVisualizer | None
 
     def wires(self, command: LeafSystem) -> list[Wire]:
@@ -149,6 +151,9 @@ class ExplorationBlocks:
             (self.identification, "belief", self.multiverse, "belief"),
             (self.perception, "object_pose", self.multiverse, "object_pose"),
             (command, "active_push", self.multiverse, "push"),
+            (self.multiverse, "universes", self.monitor, "universes"),
+            (self.perception, "object_pose", self.monitor, "object_pose"),
+            (self.logger, "records", self.monitor, "records"),
         ]
         if self.visualizer is not None:
             wires += [
@@ -202,6 +207,7 @@ def add_exploration(
         ),
         finger=add("finger", FingerMotion(STEP)),
         multiverse=add("multiverse", MultiverseSlider(STEP)),
+        monitor=add("model_monitor", ModelMonitor(SENSORS)),
         visualizer=None if meshcat is None else builder.AddSystem(BeliefVisualizer(meshcat)),
     )  # fmt: skip
 

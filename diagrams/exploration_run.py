@@ -16,6 +16,7 @@ from pydrake.systems.framework import Context, Diagram, EventStatus
 from diagrams.exploration_loop import LoopOptions, exploration_loop, recorded_dataset
 from diagrams.station.scenario import Scenario
 from diagrams.systems.messages import LoopStatus
+from diagrams.systems.model_monitor import Watch
 from models.inference.identification import identify
 from models.inference.results import Identification
 from models.measurements import PushDataset
@@ -56,6 +57,7 @@ class ExplorationRun:
     Attributes:
         dataset: recorded pushes; those made to judge have the role `heldout`.
         identification: what was learned from the others.
+        watch: what the monitor made of pushes that the belief of those before had predicted.
         true_object: what the station put on the table.
         X_SO: (3,) pose of the true object's frame in the frame S of the cells that the camera made out.
         simulated: s of simulated time.
@@ -64,6 +66,7 @@ class ExplorationRun:
 
     dataset: PushDataset
     identification: Identification
+    watch: Watch
     true_object: TrueObject
     X_SO: FloatArray
     simulated: float
@@ -215,6 +218,7 @@ def explored(
     return ExplorationRun(
         dataset,
         identification,
+        output_of(loop, "model_monitor", "watch", ended.context),
         loop.GetSubsystemByName("station").true_object,
         ended.X_SO,
         ended.simulated,

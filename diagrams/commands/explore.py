@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from diagrams.exploration_loop import LoopOptions
     from diagrams.exploration_run import ExplorationRun
     from diagrams.station.scenario import Scenario
+    from diagrams.systems.model_monitor import Watch
 
 
 class Stopped(click.ClickException):
@@ -180,6 +181,8 @@ def show(run: ExplorationRun) -> None:
 
 def monitor_words(watch: Watch) -> str:
     """What the monitor says at the end, in a sentence or two."""
+    from diagrams.systems.model_monitor import LEVEL
+
     if not watch.judged:
         return "Monitor: no push was made after the belief had formed, so none was held against it."
     largest = max(push.misfit for push in watch.judged)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -10,34 +10,40 @@ from pydrake.common.value import Value
 from pydrake.systems.framework import Context, LeafSystem, State
 
 from diagrams.systems.held import held, read, replace_held
+from diagrams.systems.multiverse_slider import Universes
 from models.inference.diagnosis.error_model import ErrorModel
-from models.inference.observations import SAMPLES, Observation
-from models.inference.push_misfit import bet, observed_push, pose_noise, push_misfit, rank_p
-from models.physics.cell_grid import CellGrid, FloatArray
-from models.physics.rollout import Push
+from models.inference.push_misfit import bet, pose_noise, resting_misfit
+from models.measurements import Trial
+from models.measurements.push_dataset import Noise
+from models.physics.cell_grid import FloatArray
 
 LEVEL = 0.01
 """At least 1/LEVEL pushes pass on average before a false alarm."""
 
-LEAST_SAMPLES = 3
-"""A push seen less often tells nothing."""
+LEAST_P = 0.005
+"""One push is not believed to be rarer: nobody knows errors that well. An alarm takes three such pushes."""
+
+MODEL_ERROR = 0.05
+"""α, by which share of the way the model is off anyway; see `models.inference.diagnosis.error_model`."""
 
 
-@dataclass(frozen=True, eq=False)
-class Sample:
-    """One look during a push.
+@dataclass(frozen=True)
+class Judged:
+    """One push that was predicted and seen.
 
     Attributes:
-        time: s.
-        predicted: (3,) pose.
-        observed: (3,) pose.
-        covariance: (3, 3) of the observed pose.
+        trial: number of the push in the recording, from 0.
+        misfit: see `models.inference.push_misfit`.
+        p: probability of a misfit as large if nothing is missing.
+        evidence: E after this push.
+        alarm: whether it is given after this push.
     """
 
-    time: float
-    predicted: FloatArray
-    observed: FloatArray
-    covariance: FloatArray
+    trial: int
+    misfit: float
+    p: float
+    evidence: float
+    alarm: bool
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,87 +51,89 @@ class Watch:
     """What the monitor has seen.
 
     Attributes:
-        push: number of the push under way, or None.
-        samples: of that push, or of the last one.
-        misfits: of all finished pushes, in order.
-        evidence: E, see `models.inference.push_misfit`.
-        alarm: whether it is given.
+        records: trials looked at.
+        residual: (3,) when the object was last seen beside the hypotheses.
+        judged: pushes that a belief had predicted, in order.
     """
 
-    push: int | None = None
-    samples: tuple[Sample, ...] = ()
-    misfits: tuple[float, ...] = ()
-    evidence: float = 1.0
-    alarm: bool = False
+    records: int
+    residual: FloatArray
+    judged: tuple[Judged, ...] = ()
+
+    @property
+    def evidence(self) -> float:
+        """E; 1 before any push."""
+        return self.judged[-1].evidence if self.judged else 1.0
+
+    @property
+    def alarm(self) -> bool:
+        """Whether it is given now."""
+        return bool(self.judged) and self.judged[-1].alarm
+
+    def to_json(self) -> dict[str, Any]:
+        """The alarm, the evidence, and each push that was judged."""
+        pushes = [asdict(push) for push in self.judged]
+        return {"alarm": self.alarm, "evidence": self.evidence, "pushes": pushes}
 
 
 class ModelMonitor(LeafSystem):
-    """Holds the predicted pose against the observed one while pushes are made.
+    """Holds the predicted pose against the observed one.
 
     .. pydrake_system::
 
         name: ModelMonitor
         input_ports:
-        - predicted_pose
+        - universes
         - object_pose
-        - push
+        - records
         output_ports:
         - residual
         - misfit
         - evidence
         - alarm
+        - watch
 
     Inputs:
-        predicted_pose: (3,) x, y, θ in the world, predicted from where the push began, such as `mean_pose` of
-            a `MultiverseSlider`; NaN where there is none.
-        object_pose: abstract, with `pose` (3,), `covariance` (3, 3) and `valid`, such as an `ObservedPose`.
-        push: abstract, None or something with a `push_id`, such as an `ActivePush`.
+        universes: abstract, `Universes` of a `MultiverseSlider`, moved by the same finger, or None.
+        object_pose: abstract, with `pose` (3,) and `valid`, such as an `ObservedPose`.
+        records: abstract, tuple of recorded `Trial`s, which begin and end with the object at rest.
 
     Outputs:
-        residual: (3,) observed minus predicted pose when last seen during a push (m, m, rad); NaN before.
-        misfit: (1,) `push_misfit` of the push under way so far, or of the last one; NaN before.
-        evidence: (1,) E of `models.inference.push_misfit`, renewed when a push ends.
+        residual: (3,) observed minus predicted pose (m, m, rad) when the object was last seen; NaN before.
+        misfit: (1,) of the last push that was judged (`models.inference.push_misfit`); NaN before.
+        evidence: (1,) E of `models.inference.push_misfit`.
         alarm: abstract bool. It is given when the evidence reaches 1/LEVEL, and taken back only when the
             evidence is down at 1 again, that is when pushes have been predicted as well as usual for a while.
-            If nothing is missing, at least 1/LEVEL pushes pass on average before a (false) alarm.
+        watch: abstract, `Watch`, all of it.
 
-    Poses are compared every `period`; a push counts when it ends, that is when `push` changes its number or
-    becomes None. The unit of evidence is the push.
+    A push is judged when its record is complete, by where the object came to rest: on its way, the arm may
+    hide it. Pushes that no belief predicted do not count.
 
     Args:
-        grid: cells and outline.
-        calibration: (m,) misfits of pushes without a missing effect, in the same setting: simulated
-            (`simulated_misfits`) or measured. Evidence of one push is limited by their number; have 200.
-        period: of comparing, s.
-        model_error: α, by which share of the way the model is off anyway; the same for the calibration.
+        sensors: noise of the recorded poses; position and angle are used.
+        period: of looking, s.
+        model_error: α, by which share of the way the model is off anyway.
 
     Raises:
-        ValueError: fewer than 20 calibration misfits, or some that are not finite.
+        ValueError: the noise of position or angle is not given.
     """
 
-    def __init__(
-        self, grid: CellGrid, calibration: FloatArray, period: float = 1 / 15, model_error: float = 0.03
-    ) -> None:
+    def __init__(self, sensors: Noise, period: float = 0.05, model_error: float = MODEL_ERROR) -> None:
         super().__init__()
         self.set_name("model_monitor")
-        calibration = np.asarray(calibration, dtype=float)
-        if calibration.ndim != 1 or len(calibration) < 20 or not np.isfinite(calibration).all():
-            raise ValueError(
-                "ModelMonitor: calibration must be at least 20 finite misfits, got shape"
-                f" {calibration.shape}; `simulated_misfits` makes them"
-            )
-        self._grid = grid
-        self._calibration = calibration
-        self._model_error = model_error
-        self._predicted = self.DeclareVectorInputPort("predicted_pose", 3)
+        if sensors.position is None or sensors.angle is None:
+            raise ValueError(f"ModelMonitor: noise of position and angle must be given, got {sensors}")
+        self._error = ErrorModel(pose_noise(sensors.position, sensors.angle), model_error, 0.0)
+        self._universes = self.DeclareAbstractInputPort("universes", Value[object](None))
         self._observed = self.DeclareAbstractInputPort("object_pose", Value[object](None))
-        self._push = self.DeclareAbstractInputPort("push", Value[object](None))
-        self._watch = self.DeclareAbstractState(held(Watch()))
+        self._records = self.DeclareAbstractInputPort("records", Value[object](()))
+        self._watch = self.DeclareAbstractState(held(Watch(0, np.full(3, np.nan))))
         after = {self.abstract_state_ticket(self._watch)}
         self.DeclareVectorOutputPort("residual", 3, self._output_residual, after)
         self.DeclareVectorOutputPort("misfit", 1, self._output_misfit, after)
         self.DeclareVectorOutputPort("evidence", 1, self._output_evidence, after)
         self.DeclareAbstractOutputPort("alarm", lambda: Value[bool](False), self._output_alarm, after)
+        self.DeclareAbstractOutputPort("watch", lambda: Value[object](None), self._output_watch, after)
         self.DeclarePeriodicUnrestrictedUpdateEvent(period, 0.0, self._look)
 
     def watch(self, context: Context) -> Watch:
@@ -133,48 +141,34 @@ class ModelMonitor(LeafSystem):
         return read(context, self._watch)
 
     def _look(self, context: Context, state: State) -> None:
-        watch = self.watch(context)
-        push: Any = self._push.Eval(context)
-        number = None if push is None else int(push.push_id)
-        if number != watch.push:
-            watch = self._ended(watch)
-            samples = watch.samples if number is None else ()
-            watch = replace(watch, push=number, samples=samples)
-        predicted: Any = self._predicted.Eval(context)
+        before = watch = self.watch(context)
+        universes: Any = self._universes.Eval(context)
         seen: Any = self._observed.Eval(context)
-        if number is not None and seen is not None and seen.valid and np.isfinite(predicted).all():
-            sample = Sample(context.get_time(), predicted.copy(), seen.pose, seen.covariance)
-            watch = replace(watch, samples=(*watch.samples, sample))
-        replace_held(state, self._watch, watch)
+        records: Any = self._records.Eval(context)
+        if universes is not None and seen is not None and seen.valid:
+            watch = replace(watch, residual=seen.pose - universes.mean_pose)
+        if len(records) > watch.records:
+            watch = replace(watch, records=len(records))
+            if universes is not None:
+                judged = self._judged(len(records) - 1, records[-1], universes, watch)
+                watch = replace(watch, judged=(*watch.judged, judged))
+        if watch is not before:
+            replace_held(state, self._watch, watch)
 
-    def _ended(self, watch: Watch) -> Watch:
-        """Count the push that was under way, if there was one."""
-        if watch.push is None or len(watch.samples) < LEAST_SAMPLES:
-            return watch
-        misfit = self._misfit(watch.samples)
-        p = rank_p(misfit, np.concatenate([self._calibration, watch.misfits]))
-        evidence = max(watch.evidence, 1.0) * bet(p)
+    def _judged(self, number: int, trial: Trial, universes: Universes, watch: Watch) -> Judged:
+        belief = universes.belief
+        start, end = trial.object_pose.values[[0, -1]]
+        misfit, p = resting_misfit(start, end, universes.poses, belief.probability, self._error, belief.grid)
+        evidence = max(watch.evidence, 1.0) * bet(max(p, LEAST_P))
         alarm = evidence >= 1.0 / LEVEL or (watch.alarm and evidence > 1.0)
-        return replace(watch, misfits=(*watch.misfits, misfit), evidence=evidence, alarm=alarm)
-
-    def _misfit(self, samples: tuple[Sample, ...]) -> float:
-        """`push_misfit` of one push, as many of its samples as a push is compared at."""
-        rows = np.unique(np.linspace(0, len(samples) - 1, SAMPLES + 1).astype(int))
-        used = [samples[row] for row in rows]
-        variances = np.mean([np.diagonal(sample.covariance) for sample in used], axis=0)
-        noise = pose_noise(float(np.sqrt(variances[:2].mean())), float(np.sqrt(variances[2])))
-        error = ErrorModel(noise, self._model_error, 0.0)
-        predicted = np.array([sample.predicted for sample in used[1:]])
-        return push_misfit(_observation(used), predicted, error, self._grid)
+        return Judged(number, misfit, p, evidence, alarm)
 
     def _output_residual(self, context: Context, output: Any) -> None:
-        samples = self.watch(context).samples
-        last = samples[-1].observed - samples[-1].predicted if samples else np.full(3, np.nan)
-        output.SetFromVector(last)
+        output.SetFromVector(self.watch(context).residual)
 
     def _output_misfit(self, context: Context, output: Any) -> None:
-        samples = self.watch(context).samples
-        output.SetFromVector([self._misfit(samples) if len(samples) >= LEAST_SAMPLES else np.nan])
+        judged = self.watch(context).judged
+        output.SetFromVector([judged[-1].misfit if judged else np.nan])
 
     def _output_evidence(self, context: Context, output: Any) -> None:
         output.SetFromVector([self.watch(context).evidence])
@@ -182,10 +176,5 @@ class ModelMonitor(LeafSystem):
     def _output_alarm(self, context: Any, output: Any) -> None:
         output.set_value(self.watch(context).alarm)
 
-
-def _observation(samples: list[Sample]) -> Observation:
-    """A push as it was seen, from its first look on."""
-    times = np.array([sample.time for sample in samples])
-    nowhere = np.full((2, 2), np.nan)
-    push = Push(times[-1] - times[0], nowhere, samples[0].observed, pose_times=(times - times[0])[1:])
-    return observed_push(push, np.array([sample.observed for sample in samples[1:]]))
+    def _output_watch(self, context: Any, output: Any) -> None:
+        output.set_value(self.watch(context))

@@ -95,6 +95,7 @@ class MultiverseSlider(LeafSystem):
         - poses
         - mean_pose
         - spread
+        - universes
 
     Inputs, all optional:
         wrench: (5,) and
@@ -110,6 +111,7 @@ class MultiverseSlider(LeafSystem):
         poses: abstract, (K, 3) x, y, θ in the world as a tracker reports them; (0, 3) without a belief.
         mean_pose: (3,) probability-weighted mean; NaN without a belief.
         spread: (1,) probability-weighted mean ADD of the hypotheses from their mean, m; NaN without a belief.
+        universes: abstract, `Universes` or None without a belief.
 
     Args:
         h: step, s.
@@ -133,6 +135,12 @@ class MultiverseSlider(LeafSystem):
         )
         self.DeclareVectorOutputPort("mean_pose", 3, self._output_mean, after)
         self.DeclareVectorOutputPort("spread", 1, self._output_spread, after)
+        self.DeclareAbstractOutputPort(
+            "universes",
+            lambda: Value[object](None),
+            lambda context, output: output.set_value(self.universes(context)),
+            after,
+        )
         self.DeclarePeriodicUnrestrictedUpdateEvent(h, 0.0, self._step)
 
     def set_belief(self, context: Context, belief: Belief, pose: FloatArray) -> None:

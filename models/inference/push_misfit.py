@@ -2,27 +2,23 @@
 
 The statistic is the one by which the diagnosis tells an outlying push (`diagnosis.correlated`): the root mean
 square of a push's residuals after whitening with its error model, so that the correlation along a push is
-spelled out. About 1 where the error model holds.
+spelled out. About 1 where the error model holds and the belief is sure of itself.
 
-Evidence gathers over pushes. How usual a misfit is, is told by its rank among the misfits of pushes without
-any missing effect (calibration) and all pushes before: as long as they are exchangeable, the rank p is
-uniform and independent of the past (conformal prediction; Vovk, Gammerman and Shafer, 2005). A bet against
-that pays e(p), with mean 1 at most, and E ← max(E, 1) e(p) from push to push is a CUSUM of such bets: if
-nothing is missing, at least 1/a pushes pass on average before E reaches 1/a.
+Evidence gathers over pushes. If nothing is missing, each p is uniform or larger, whatever came before. A bet
+against that pays e(p), with mean 1 at most, and E ← max(E, 1) e(p) from push to push is a CUSUM of such bets:
+at least 1/a pushes pass on average before E reaches 1/a (Vovk, Gammerman and Shafer, 2005).
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 import scipy.linalg
+from scipy.stats import ncx2
 
-from models.inference.belief import Belief
 from models.inference.diagnosis.error_model import ErrorModel, SensorNoise, travelled
 from models.inference.observations import Observation
-from models.inference.predicted_motion import predicted_motion
 from models.inference.push_errors import radius_of_gyration
 from models.inference.residuals import centroid_tracks
 from models.physics.cell_grid import CellGrid, FloatArray
@@ -65,46 +61,37 @@ def _factors(predicted: Observation, error: ErrorModel, grid: CellGrid) -> Float
     return np.linalg.cholesky(covariance)
 
 
-def simulated_misfits(
-    belief: Belief, pushes: Sequence[Push], error: ErrorModel, draws: int, rng: np.random.Generator
-) -> FloatArray:
-    """(draws,) misfits of pushes in which nothing is missing: parametric bootstrap of the belief itself.
+def resting_misfit(
+    start: FloatArray,
+    observed: FloatArray,
+    told: FloatArray,
+    probability: FloatArray,
+    error: ErrorModel,
+    grid: CellGrid,
+) -> tuple[float, float]:
+    """Misfit of where an object came to rest, and how usual it is if one of the hypotheses is true.
 
-    The truth of each draw is a hypothesis, taken by probability, with errors as the error model has them; the
-    prediction is the belief's mean from a start seen with noise.
+    Given hypothesis k, three times the squared misfit is χ² distributed with three degrees of freedom and
+    the noncentrality that k has by itself, three times its squared misfit without any error.
 
     Args:
-        belief: whose predictions are judged.
-        pushes: typical ones, drawn from again and again.
+        start: (3,) pose before the push.
+        observed: (3,) pose at rest after it.
+        told: (K, 3) where the hypotheses ended.
+        probability: (K,) of them.
         error: see `push_misfit`.
-        draws: number of misfits.
-        rng: of the truths and the noise.
+        grid: cells.
+
+    Returns:
+        The misfit, against the mean of the hypotheses, and p, the probability of one as large.
     """
-    grid = belief.grid
-    radius = radius_of_gyration(grid)
-    noise = np.array([error.noise.position, error.noise.position, error.noise.angle])
-    chosen = [pushes[b] for b in rng.integers(len(pushes), size=draws)]
-    truth = rng.choice(len(belief), size=draws, p=belief.probability)
-    begun = [replace(push, start_pose=push.start_pose + noise * rng.normal(size=3)) for push in chosen]
-    # Placeholders stand for the poses, which the prediction does not read.
-    motions, told = (
-        predicted_motion(belief, [observed_push(p, np.zeros((len(p.pose_samples[0]), 3))) for p in group])
-        for group in (chosen, begun)
-    )
-    misfits = np.empty(draws)
-    for b, (push, motion, prediction) in enumerate(zip(begun, motions, told, strict=True)):
-        poses = motion.poses[truth[b]]
-        exact = observed_push(push, poses)
-        factors, _ = error.factors(exact, travelled(exact, grid.centers), radius)
-        off = np.stack([factor @ rng.normal(size=len(poses)) for factor in factors], axis=1)
-        observed = observed_push(push, poses + off / np.array([1.0, 1.0, radius]))
-        misfits[b] = push_misfit(observed, prediction.mean_poses, error, grid)
-    return misfits
-
-
-def rank_p(misfit: float, before: FloatArray) -> float:
-    """Share of pushes, this one included, whose misfit is as large; uniform if they are exchangeable."""
-    return (1 + int((before >= misfit).sum())) / (1 + len(before))
+    nowhere = np.full((2, 2), np.nan)
+    push = Push(1.0, nowhere, start, pose_times=np.ones(1))
+    mean = (probability @ told)[None]
+    misfit = push_misfit(observed_push(push, observed[None]), mean, error, grid)
+    own = np.array([push_misfit(observed_push(push, pose[None]), mean, error, grid) for pose in told])
+    p = probability @ ncx2.sf(3.0 * misfit**2, 3, 3.0 * own**2)
+    return misfit, float(min(p, 1.0))
 
 
 def bet(p: float) -> float:
@@ -115,4 +102,4 @@ def bet(p: float) -> float:
     return (1.0 - p + p * log) / (p * log * log)
 
 
-__all__ = ["bet", "observed_push", "pose_noise", "push_misfit", "rank_p", "simulated_misfits"]
+__all__ = ["bet", "observed_push", "pose_noise", "push_misfit", "resting_misfit"]

@@ -4,36 +4,42 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
-from moving_blocks import Player, block, block_belief, moved, seen, table_pushes
+from moving_blocks import H, Player, block, block_belief, moved, seen, table_pushes
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import Context, Diagram, DiagramBuilder
 
 from diagrams.systems.model_monitor import LEVEL, ModelMonitor
+from diagrams.systems.multiverse_slider import Universes, placed
 from models.effects.registry import effects_named
 from models.inference.diagnosis.error_model import ErrorModel
-from models.inference.push_misfit import observed_push, pose_noise, push_misfit, simulated_misfits
+from models.inference.push_misfit import pose_noise, resting_misfit
+from models.measurements import Trial
+from models.measurements.push_dataset import Channel, Noise
 from models.physics.cell_grid import FloatArray
-from models.physics.rollout import Push
 
 NOISE = np.array([5e-4, 5e-4, 4e-3])
-ERROR = ErrorModel(pose_noise(NOISE[0], NOISE[2]), 0.03, 0.0)
+SENSORS = Noise(position=5e-4, angle=4e-3, tip=None, force=None)
 PERIOD = 0.1
-LOOKS = 30
-GAP = 3
-"""Looks between two pushes."""
+LASTS = 4
+"""Looks from the beginning of a push to that of the next; its record is complete at the last but one."""
 
 
 @dataclass(frozen=True)
 class Told:
-    """One push: poses predicted and observed at `LOOKS` + 1 times."""
+    """One push: the hypotheses after it, None without a belief, and poses observed at its ends."""
 
-    predicted: FloatArray
-    observed: FloatArray
+    universes: Universes | None
+    start: FloatArray
+    end: FloatArray
+
+    @property
+    def trial(self) -> Trial:
+        poses = Channel(np.array([0.0, 1.0]), np.array([self.start, self.end]))
+        return Trial("trial", "fit", poses, Channel(np.array([0.0, 1.0]), np.zeros((2, 2))), None)
 
 
 @lru_cache
@@ -42,12 +48,11 @@ def pushes_seen(effect: str, values: tuple[float, ...], count: int, seed: int) -
     told = []
     belief = block_belief()
     for push in table_pushes(count, seed):
-        true = moved(push, effects_named([effect]) if effect else (), values)
-        start = push.start_pose + NOISE * rng.normal(size=3)
-        observed = np.vstack([start, true + NOISE * rng.normal(size=true.shape)])
-        rollouts = belief.slider.rollout(belief.maps, [replace(push, start_pose=start)])
-        predicted = np.einsum("k,ksc->sc", belief.probability, rollouts.poses)
-        told.append(Told(np.vstack([start, predicted]), observed))
+        true = moved(push, effects_named([effect]) if effect else (), values)[-1]
+        start, end = (pose + NOISE * rng.normal(size=3) for pose in (push.start_pose, true))
+        poses = belief.slider.rollout(belief.maps, [replace(push, start_pose=start)]).poses[:, -1]
+        universes = placed(belief, H, start)
+        told.append(Told(replace(universes, states=np.hstack([poses, universes.states[:, 3:]])), start, end))
     return tuple(told)
 
 
@@ -55,37 +60,31 @@ PLAYED: list[Told] = []
 
 
 def look(time: float) -> tuple[int, int]:
-    """Number of the push and of the look at it; the push is over where that is beyond `LOOKS`."""
-    return divmod(round(time / PERIOD), LOOKS + 1 + GAP)
+    """Number of the push and of the look at it."""
+    push, row = divmod(round(time / PERIOD), LASTS)
+    return min(push, len(PLAYED) - 1), row
 
 
-def push_at(time: float) -> Any:
+def universes_at(time: float) -> Any:
+    return PLAYED[look(time)[0]].universes
+
+
+def records_at(time: float) -> tuple[Trial, ...]:
     push, row = look(time)
-    return SimpleNamespace(push_id=push) if push < len(PLAYED) and row <= LOOKS else None
-
-
-def pose_at(time: float, which: str) -> FloatArray:
-    push, row = look(time)
-    if push >= len(PLAYED):
-        return np.zeros(3)
-    return getattr(PLAYED[push], which)[min(row, LOOKS)]
+    return tuple(told.trial for told in PLAYED[: push + (row >= LASTS - 2)])
 
 
 @pytest.fixture(scope="module")
 def diagram() -> Diagram:
-    calibration = simulated_misfits(block_belief(), table_pushes(20, 1), ERROR, 300, np.random.default_rng(0))
     builder = DiagramBuilder()
-    player = builder.AddSystem(
-        Player(
-            {"predicted_pose": (3, lambda time: pose_at(time, "predicted"))},
-            {
-                "object_pose": lambda time: seen(pose_at(time, "observed"), NOISE[0], NOISE[2]),
-                "push": push_at,
-            },
-        )
-    )
-    monitor = builder.AddSystem(ModelMonitor(block(), calibration, PERIOD))
-    for port in ("predicted_pose", "object_pose", "push"):
+    values = {
+        "universes": universes_at,
+        "object_pose": lambda time: seen(PLAYED[look(time)[0]].end),
+        "records": records_at,
+    }
+    player = builder.AddSystem(Player({}, values))
+    monitor = builder.AddSystem(ModelMonitor(SENSORS, PERIOD))
+    for port in values:
         builder.Connect(player.GetOutputPort(port), monitor.GetInputPort(port))
     return builder.Build()
 
@@ -98,6 +97,7 @@ class After:
     alarm: bool
     misfit: float
     residual: FloatArray
+    judged: int
 
 
 def watched(diagram: Diagram, told: tuple[Told, ...]) -> list[After]:
@@ -106,17 +106,17 @@ def watched(diagram: Diagram, told: tuple[Told, ...]) -> list[After]:
     monitor = diagram.GetSubsystemByName("model_monitor")
     rows = []
     for b in range(len(told)):
-        simulator.AdvanceTo(PERIOD * ((b + 1) * (LOOKS + 1 + GAP) - 0.5))
+        simulator.AdvanceTo(PERIOD * ((b + 1) * LASTS - 0.5))
         context: Context = monitor.GetMyContextFromRoot(simulator.get_context())
-        evidence, misfit, residual, alarm = (
-            monitor.GetOutputPort(name).Eval(context) for name in ("evidence", "misfit", "residual", "alarm")
-        )
-        rows.append(After(float(evidence[0]), alarm, float(misfit[0]), residual.copy()))
+        names = ("evidence", "misfit", "residual", "alarm", "watch")
+        evidence, misfit, residual, alarm, watch = (monitor.GetOutputPort(n).Eval(context) for n in names)
+        rows.append(After(float(evidence[0]), alarm, float(misfit[0]), residual.copy(), len(watch.judged)))
     return rows
 
 
 def test_quiet_on_pushes_as_believed(diagram: Diagram) -> None:
     rows = watched(diagram, pushes_seen("", (), 20, 7))
+    assert [row.judged for row in rows] == list(range(1, 21))
     assert not any(row.alarm for row in rows)
     assert max(row.evidence for row in rows) < 0.2 / LEVEL
 
@@ -126,7 +126,7 @@ def test_loud_on_a_tilted_table_and_calm_again(diagram: Diagram) -> None:
     tilted = pushes_seen("table_tilt", (0.05, -0.06), 8, 7)
     rows = watched(diagram, tilted)
     first = next(b for b, row in enumerate(rows) if row.alarm)
-    assert first <= 4
+    assert 2 <= first <= 4
     rows = watched(diagram, tilted[: first + 1] + pushes_seen("", (), 20, 7))
     alarms = [row.alarm for row in rows]
     assert alarms[first : first + 2] == [True, True]
@@ -139,20 +139,23 @@ def test_loud_on_a_tilted_table_and_calm_again(diagram: Diagram) -> None:
 def test_outputs_are_those_of_the_last_push(diagram: Diagram) -> None:
     (told,) = pushes_seen("table_tilt", (0.05, -0.06), 1, 9)
     (row,) = watched(diagram, (told,))
-    assert np.allclose(row.residual, told.observed[-1] - told.predicted[-1])
-    times = PERIOD * np.arange(1, LOOKS + 1)
-    push = Push(times[-1], np.full((2, 2), np.nan), told.observed[0], pose_times=times)
-    expected = push_misfit(observed_push(push, told.observed[1:]), told.predicted[1:], ERROR, block())
+    assert told.universes is not None
+    probability = told.universes.belief.probability
+    assert np.allclose(row.residual, told.end - probability @ told.universes.poses)
+    error = ErrorModel(pose_noise(5e-4, 4e-3), 0.05, 0.0)
+    expected, _ = resting_misfit(told.start, told.end, told.universes.poses, probability, error, block())
     assert row.misfit == pytest.approx(expected, rel=1e-9)
 
 
-def test_nothing_seen_is_no_evidence(diagram: Diagram) -> None:
-    (row,) = watched(diagram, (Told(np.full((31, 3), np.nan), np.zeros((31, 3))),))
-    assert row.evidence == 1.0
-    assert np.isnan(row.misfit)
-    assert np.isnan(row.residual).all()
+def test_a_push_that_no_belief_predicted_does_not_count(diagram: Diagram) -> None:
+    told = pushes_seen("", (), 2, 7)
+    rows = watched(diagram, (replace(told[0], universes=None), told[1]))
+    assert [row.judged for row in rows] == [0, 1]
+    assert rows[0].evidence == 1.0
+    assert np.isnan(rows[0].misfit)
+    assert np.isnan(rows[0].residual).all()
 
 
-def test_calibration_is_checked() -> None:
-    with pytest.raises(ValueError, match="at least 20 finite misfits"):
-        ModelMonitor(block(), np.ones(5))
+def test_noise_must_be_known() -> None:
+    with pytest.raises(ValueError, match="position and angle must be given"):
+        ModelMonitor(Noise())

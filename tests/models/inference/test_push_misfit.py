@@ -5,19 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from models.effects.registry import effects_named
-from models.effects.slider import EffectSlider
 from models.inference.belief import Belief
 from models.inference.diagnosis.error_model import ErrorModel
-from models.inference.push_misfit import (
-    bet,
-    observed_push,
-    pose_noise,
-    push_misfit,
-    rank_p,
-    simulated_misfits,
-)
+from models.inference.push_misfit import bet, observed_push, pose_noise, push_misfit, resting_misfit
 from models.objects import cells_from_polygon
+from models.physics.paper_notation import add
 from models.physics.rollout import Maps, Push, Smoothing
 from planners.exploration import candidate_pushes
 
@@ -62,39 +54,34 @@ def test_noise_alone_misfits_by_one(belief: Belief, pushes: list[Push]) -> None:
     assert push_misfit(observed_push(push, too_far), poses, ERROR, GRID) > 2.0
 
 
-def test_simulated_pushes_are_exchangeable_with_others_and_a_tilt_is_not(
-    belief: Belief, pushes: list[Push]
-) -> None:
+def test_p_of_an_end_is_uniform_if_a_hypothesis_is_true() -> None:
+    """Ends drawn from the error model itself: of the start and of the end as seen, and of the way."""
     rng = np.random.default_rng(3)
-    dense = [at_thirty_times(push) for push in pushes]
-    calibration = simulated_misfits(belief, dense, ERROR, 200, rng)
-    fresh = simulated_misfits(belief, dense, ERROR, 200, rng)
-    ranks = np.array([rank_p(misfit, calibration) for misfit in fresh])
-    # Kolmogorov's bound at 0.1 % for two samples of 200.
-    assert np.abs(np.sort(ranks) - np.arange(1, 201) / 200).max() < 0.195
-    maps = belief.maps[1:2]
-    tilted = EffectSlider(GRID, 0.005, effects_named(["table_tilt"])).rollout(
-        Maps(maps.mass, maps.mu, maps.mu_finger, np.array([[0.05, -0.06]])), dense
-    )
-    plain = belief.slider.rollout(maps, dense)
-    misfits = [
-        push_misfit(observed_push(push, tilted.poses_of(b)[0]), plain.poses_of(b)[0], ERROR, GRID)
-        for b, push in enumerate(dense)
-    ]
-    assert np.median([rank_p(misfit, calibration) for misfit in misfits]) < 0.02
+    start = np.array([0.1, -0.05, 0.4])
+    told = start + np.array([[0.05, 0.01, 0.3], [0.06, 0.01, 0.2], [0.052, 0.015, 0.35]])
+    probability = np.array([0.5, 0.2, 0.3])
+    radius = np.sqrt(np.sum((GRID.centers - GRID.centers.mean(axis=0)) ** 2, axis=1).mean())
+    way = add(probability @ told, start, GRID.centers)
+    length = 0.03
+    lasting = 0.02 * np.sqrt(2 * length * (way - length * (1 - np.exp(-way / length))))
+    spread = np.sqrt(lasting**2 + 2 * np.array([5e-4, 5e-4, radius * 4e-3]) ** 2)
+    found = []
+    for _ in range(1000):
+        end = told[rng.choice(3, p=probability)] + spread * rng.normal(size=3) / [1, 1, radius]
+        found.append(resting_misfit(start, end, told, probability, ERROR, GRID)[1])
+    # Kolmogorov's bound at 0.1 % for 1000 draws.
+    assert np.abs(np.sort(found) - np.arange(1, 1001) / 1000).max() < 0.062
 
 
-def test_simulated_starts_are_seen_with_noise(belief: Belief) -> None:
-    """The finger stays away, so residuals are the noise of poses and of the start, as the error model has
-    them; without the start's, the mean square would be smaller by one in thirty."""
-    away = Push(0.05, np.full((31, 2), 1.0), np.zeros(3))
-    misfits = simulated_misfits(belief, [away], ERROR, 1000, np.random.default_rng(6))
-    assert np.mean(np.square(misfits)) == pytest.approx(1.0, abs=0.015)
-
-
-def test_same_seed_same_misfits(belief: Belief, pushes: list[Push]) -> None:
-    first, second = (simulated_misfits(belief, pushes, ERROR, 5, np.random.default_rng(1)) for _ in range(2))
-    assert np.array_equal(first, second)
+def test_an_end_is_usual_beside_doubtful_hypotheses_and_not_beside_sure_ones() -> None:
+    start, end = np.zeros(3), np.array([0.05, 0.0, 0.12])
+    sure = np.array([[0.05, 0.0, 0.35], [0.05, 0.0, 0.37]])
+    doubtful = np.array([[0.05, 0.0, 0.1], [0.05, 0.0, 0.62]])
+    half = np.full(2, 0.5)
+    misfit, p = resting_misfit(start, end, sure, half, ERROR, GRID)
+    assert misfit > 3.0 and p < 1e-4
+    also, usual = resting_misfit(start, end, doubtful, half, ERROR, GRID)
+    assert also == pytest.approx(misfit) and usual > 0.3
 
 
 def test_bets_are_fair() -> None:
@@ -105,20 +92,16 @@ def test_bets_are_fair() -> None:
     assert bet(1.0) == pytest.approx(0.5)
     assert bet(1.0 - 2e-4) == pytest.approx(0.5, abs=1e-3)
     assert bet(0.01) > 4.0
-    assert rank_p(2.0, np.array([1.0, 3.0, 2.5])) == 0.75
 
 
 def test_false_alarms_are_as_rare_as_promised() -> None:
-    """Pushes until E reaches 20, if misfits are exchangeable: 20 at least on average."""
+    """Pushes until E reaches 20, with uniform p that is not believed below 0.005: 20 at least on average."""
     rng = np.random.default_rng(4)
     waits = []
     for _ in range(60):
-        before = list(rng.exponential(size=200))
         evidence, count = 1.0, 0
         while evidence < 20.0 and count < 200:
-            misfit = rng.exponential()
-            evidence = max(evidence, 1.0) * bet(rank_p(misfit, np.array(before)))
-            before.append(misfit)
+            evidence = max(evidence, 1.0) * bet(max(rng.uniform(), 0.005))
             count += 1
         waits.append(count)
     assert np.mean(waits) > 20.0
