@@ -54,12 +54,14 @@ class Experiment:
         trials: of each object, unless told otherwise.
         specs: trials of (objects, number of trials, first seed, truth).
         summary: of their outcomes; failed ones have no result.
+        objects: that are tried, unless told otherwise; all six where empty.
     """
 
     name: str
     trials: int
     specs: Callable[[Sequence[str], int, int, str], list[TrialSpec]]
     summary: Callable[[Sequence[TrialOutcome]], Summary]
+    objects: tuple[str, ...] = ()
 
 
 def names_and_seeds(objects: Sequence[str], trials: int, seed: int) -> Iterator[tuple[str, int]]:

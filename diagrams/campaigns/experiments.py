@@ -13,6 +13,7 @@ ABOUT = {
     "fig4": "error of identified maps, a uniform object, and Algorithm 1 as printed",
     "fig5": "stable goals at the table's edge",
     "fig6": "pushing to the table's edge by four methods",
+    "fig7": "the whole procedure with arm and camera",
 }
 """Every experiment, named after the paper's figure."""
 
@@ -21,6 +22,7 @@ _PLACES = {
     "fig4": "learning_curves:FIGURE_4",
     "fig5": "stable_goals:FIGURE_5",
     "fig6": "pregrasp_success:FIGURE_6",
+    "fig7": "whole_procedure:FIGURE_7",
 }
 
 

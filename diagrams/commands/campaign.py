@@ -26,7 +26,7 @@ SHOWN_FAILURES = 5
 @click.argument("experiment", type=click.Choice(list(ABOUT)), metavar="EXPERIMENT")
 @click.option(
     "--objects", "object_names", multiple=True, metavar="NAME",
-    help="Object; may be given several times. [default: all six]",
+    help="Object; may be given several times. [default: all six; fig7: hammer]",
 )  # fmt: skip
 @click.option(
     "--trials", type=click.IntRange(1, 100_000), metavar="N",
@@ -73,13 +73,13 @@ def campaign(
     from planners.campaigns.trial import CampaignError
 
     chosen = experiment_of(experiment)
-    names = _checked(object_names)
+    names = _checked(object_names or chosen.objects)
     _check_truth(truth)
     files = folder / f"{experiment}-{truth}"
     make_folder(files)
     prepare_kernels()
-    specs = chosen.specs(names, trials or chosen.trials, seed, truth)
     try:
+        specs = chosen.specs(names, trials or chosen.trials, seed, truth)
         with Progress() as progress:
             outcomes = run_trials(
                 specs,
