@@ -123,15 +123,15 @@ def _errors(errors: Errors) -> list[str]:
 
 
 def show_quantities(quantities: Sequence[Quantity]) -> None:
-    """Value, 90 % interval and reason, first what the pushes pin down, then what they leave open."""
-    for pinned, title in (
-        (True, "Pinned down by these pushes"),
+    """Value, 90 % interval and reason, first what the pushes show, then what they leave open."""
+    for by_pushes, title in (
+        (True, "Shown by these pushes: less than half as wide as without them"),
         (False, "Left open by these pushes: here prior knowledge decides"),
     ):
         rows = [
             [named(quantity), *shown(quantity, quantity.value), quantity.reason]
             for quantity in quantities
-            if bool(quantity.pinned) is pinned
+            if bool(quantity.shown) is by_pushes
         ]
         if rows:
             table(title, ["quantity", "value", "90 % interval", "why"], rows, numbers=(1, 2))

@@ -74,7 +74,7 @@ def effect_estimates(result: Identification, effects: Sequence[Effect]) -> dict[
         effect.name: {
             p.name: {
                 key: getattr(facts[f"{effect.name}: {p.name}"], key)
-                for key in ("value", "low", "high", "unit", "pinned")
+                for key in ("value", "low", "high", "unit", "shown")
             }
             for p in effect.parameters
         }

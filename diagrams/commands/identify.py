@@ -53,7 +53,7 @@ def identify(
     .h5), or CSV files. Pushes with the role `fit` teach; `heldout` pushes only judge.
 
     Writes the belief, a picture of its maps (belief.maps.png) and one of the pushes as measured and as
-    predicted (belief.pushes.png), and prints how well it predicts and what these pushes pin down.
+    predicted (belief.pushes.png), and prints how well it predicts and what these pushes show.
     """
     with Progress() as progress:
         measured = options.load_dataset(dataset, object_name, progress)

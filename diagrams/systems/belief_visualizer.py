@@ -88,7 +88,7 @@ class BeliefVisualizer(LeafSystem):
         X_WB: pose of the board; its picture is in the plane y = 0, seen from -y. By default it stands beside
             the table and faces a camera at `VIEW`.
         which: index of the map to begin with, see `belief_colors.MAPS`. By default it is the product,
-            the one that slow pushes pin down.
+            the one that slow pushes show.
     """
 
     def __init__(

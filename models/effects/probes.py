@@ -1,7 +1,7 @@
 """Probes: what residuals may depend on when no effect of the library explains them.
 
 A probe is an effect without a name in physics: a flexible law of one argument. The diagnosis lets probes
-compete so that an unknown effect shows as `it depends on …` instead of being pinned on the nearest known one.
+compete so that an unknown effect shows as `it depends on …` instead of being blamed on the nearest known one.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
-"""Which quantities these pushes pin down, which they leave open, and why.
+"""Which quantities these pushes show, which they leave open, and why.
 
 The Gauss-Newton Hessian H of the data's cost, in coordinates where the prior is N(0, 1), says how much the
 data know: a quantity with gradient c over the coordinates has prior variance cᵀc and posterior variance
-cᵀ(H + I)⁻¹c. It counts as pinned where the data leave less than a quarter of the prior's variance, that is
+cᵀ(H + I)⁻¹c. It counts as shown where the data leave less than a quarter of the prior's variance, that is
 half its width.
 """
 
@@ -20,8 +20,8 @@ from models.inference.results import Quantity
 from models.physics.cell_grid import FloatArray
 from models.physics.rollout import Maps, Slider
 
-PINNED_SHARE = 0.25
-"""Largest share of the prior's variance that a pinned quantity keeps."""
+SHOWN_SHARE = 0.25
+"""Largest share of the prior's variance that a quantity keeps that counts as shown."""
 
 REGIONS = 3
 DIFFERENCE = 1e-4
@@ -35,7 +35,7 @@ class _Measure:
     unit: str
     of: Callable[[Maps], FloatArray]
     log: bool
-    pinned: str
+    shown: str
     open: str
     share: bool = False
 
@@ -59,7 +59,7 @@ def quantities(belief: Belief, likelihood: Likelihood, information: Fits | None)
         gradient = _gradient(measure, likelihood, information.z[0])
         before = float(gradient @ gradient)
         after = float(gradient @ posterior @ gradient)
-        pinned = after < PINNED_SHARE * before
+        shown = after < SHOWN_SHARE * before
         value, low, high = interval(measure.of(belief.maps), belief.probability, log=measure.log)
         if measure.share:
             low, high = max(low, 0.0), min(high, 1.0)
@@ -70,8 +70,8 @@ def quantities(belief: Belief, likelihood: Likelihood, information: Fits | None)
                 value,
                 low,
                 high,
-                pinned,
-                measure.pinned if pinned else measure.open,
+                shown,
+                measure.shown if shown else measure.open,
             )
         )
     return tuple(results)

@@ -46,7 +46,7 @@ class PushPrediction:
 
 @dataclass(frozen=True)
 class Quantity:
-    """One physical quantity, what the belief says of it, and whether these pushes pin it down.
+    """One physical quantity, what the belief says of it, and whether these pushes show it.
 
     Attributes:
         name: for a person, such as `centre of mass, x`.
@@ -54,7 +54,7 @@ class Quantity:
         value: median over the belief.
         low: lower end of the 90 % interval.
         high: upper end.
-        pinned: whether the data, rather than the prior, decide it.
+        shown: whether the data leave less than half of the width that the prior has.
         reason: why, or why not.
     """
 
@@ -63,7 +63,7 @@ class Quantity:
     value: float
     low: float
     high: float
-    pinned: bool
+    shown: bool
     reason: str
 
 

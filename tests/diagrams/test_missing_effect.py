@@ -42,7 +42,7 @@ def test_from_a_model_that_fails_to_one_that_has_the_effect(slipmap, tmp_path):
 
     said, fitted = numbers("fit", recorded, "--effect", "sensor_latency", "-o", belief)
     told = fitted["effects"]["sensor_latency"]["latency"]
-    assert told["low"] < told["value"] < told["high"] and told["pinned"] and told["unit"] == "s"
+    assert told["low"] < told["value"] < told["high"] and told["shown"] and told["unit"] == "s"
     assert told["value"] == pytest.approx(LATENCY, abs=0.004)
     assert "sensor_latency: the tracker is " in said.out
     assert (tmp_path / "belief.maps.png").exists() and (tmp_path / "belief.pushes.png").exists()
