@@ -13,16 +13,21 @@ from diagrams.execution.clearance import ArmClearance
 from diagrams.execution.finger_kinematics import FingerKinematics
 from diagrams.execution.grasp_plan import can_grasp
 from diagrams.exploration_loop import LoopOptions, add_exploration, connect, push_check
+from diagrams.perception.sight import Sight
 from diagrams.station.arm import HOME, arm_model
 from diagrams.station.scenario import Scenario
 from diagrams.systems.goal_and_push_planner import GoalAndPushPlanner
 from diagrams.systems.pregrasp_supervisor import PregraspSupervisor
 from models.inference.belief import Belief
 from models.objects.true_object import TrueObject
+from models.perception.camera import View
 from models.perception.seen_object import SeenObject
 from models.physics.maps import Maps
 from planners.pose_metric import compose, relative
 from planners.pregrasp_settings import PregraspSettings
+
+ENOUGH_SEEN = 0.85
+"""Share of the cells that the camera has to see at a goal, past the arm and inside the picture."""
 
 
 @dataclass(frozen=True)
@@ -64,6 +69,8 @@ def pregrasp_loop(
     blocks = add_exploration(builder, scenario, options.exploration, meshcat=meshcat, learned=learned)
     table = scenario.table.make()
     kinematics, clearance = FingerKinematics(arm_model(models=scenario.arm.models)), ArmClearance(table)
+    camera = View(scenario.camera.intrinsics, scenario.camera.X_WC.GetAsMatrix4())
+    sight = Sight(camera, blocks.station.arm_hulls(HOME))
     true_object = blocks.station.true_object
     planner = builder.AddNamedSystem(
         "planner",
@@ -75,6 +82,7 @@ def pregrasp_loop(
             method=options.method,
             can_push=push_check(kinematics, scenario.execution),
             can_grasp=lambda grasp: can_grasp(kinematics, clearance, grasp, HOME),
+            can_see=lambda seen, pose: sight.share(seen, pose) > ENOUGH_SEEN,
             seed=options.exploration.seed,
             truth=lambda seen: true_maps(true_object, scenario.object.pose, seen),
         ),

@@ -73,7 +73,8 @@ def select_poke(
         belief: hypotheses that `most-distinctive` compares.
         past: pushes that were made.
         settings: what pokes are like.
-        tap: whether it is to be a tap; by default as the settings say for the number of past pushes.
+        tap: whether it is to be a tap; by default as the settings say for the number of past pushes. Where
+            the robot can make none of the taps, a slow push is chosen instead.
         allowed: whether the robot can make a push; asked in order of preference until one is found.
         rng: source of every draw.
 
@@ -100,6 +101,11 @@ def select_poke(
     for index in np.argsort(-worth):
         if allowed(pokes[index].push):
             return pokes[index]
+    if tapping:
+        return select_poke(
+            grid, pose, finger_radius, strategy=strategy, belief=belief, past=past, settings=settings,
+            tap=False, allowed=allowed, rng=rng,
+        )  # fmt: skip
     raise NoReachablePush(
         f"exploration: of {len(contacts)} candidate pushes {len(pokes)} keep the object in its region,"
         " and the robot can make none of these"

@@ -34,6 +34,7 @@ SAME_PLACE = 0.01
 """Grasps from one side whose ends are nearer than this count as the one that was refused, m."""
 
 CanGrasp = Callable[[ActiveGrasp], bool]
+CanSee = Callable[[SeenObject, FloatArray], bool]
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,7 +99,9 @@ class GoalAndPushPlanner(LeafSystem):
         table: that the object lies on.
         method: one of `planners.methods.METHODS`.
         can_push: whether the arm can make a push.
-        can_grasp: whether it can come in and lift at a goal.
+        can_grasp: whether it can come in and lift.
+        can_see: whether the camera sees the object at a pose (3,), which a goal needs: the push that leads
+            there may not be the last.
         seed: of every draw.
         truth: the true maps over the cells seen, which only the method `true` asks for.
     """
@@ -111,6 +114,7 @@ class GoalAndPushPlanner(LeafSystem):
         method: str = "probabilistic",
         can_push: Allowed = lambda push: True,
         can_grasp: CanGrasp = lambda grasp: True,
+        can_see: CanSee = lambda seen, pose: True,
         seed: int = 0,
         truth: Callable[[SeenObject], Maps] | None = None,
     ) -> None:
@@ -121,6 +125,7 @@ class GoalAndPushPlanner(LeafSystem):
         self._method = method
         self._can_push = can_push
         self._can_grasp = can_grasp
+        self._can_see = can_see
         self._seed = seed
         self._truth = truth
         for name in ("belief", "object_pose", "seen_object", "status"):
@@ -161,7 +166,8 @@ class GoalAndPushPlanner(LeafSystem):
         thing = Graspable.of_belief(known, seen.cell_heights, self._settings.goals)
 
         def can_serve(goal: Goal) -> bool:
-            return self._can_grasp(ActiveGrasp(0, goal.grasp, goal.pose, seen.grid, seen.cell_heights))
+            active = ActiveGrasp(0, goal.grasp, goal.pose, seen.grid, seen.cell_heights)
+            return self._can_see(seen, goal.pose) and self._can_grasp(active)
 
         return _Planning(known, thing, tuple(thing.sample_goals(self._table, rng, can_serve)))
 
@@ -172,7 +178,7 @@ class GoalAndPushPlanner(LeafSystem):
         if not now.goals:
             reason = (
                 f"of {goals.samples} poses at the edge, in none the object stays with a probability of"
-                f" {1 - goals.epsilon:.0%} and can be grasped by the arm"
+                f" {1 - goals.epsilon:.0%}, is seen by the camera, and can be grasped by the arm"
             )
             return replace(now, plan=PregraspPlan(number, reason=reason))
         grasps: list[ActiveGrasp] = []
