@@ -1,0 +1,120 @@
+"""Planning as a block: when it plans, what it passes on, and what it makes of refusals."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from driven_block import DrivenBlock, seen_at
+
+from diagrams.systems.goal_and_push_planner import PERIOD, GoalAndPushPlanner
+from diagrams.systems.messages import LoopStatus, PregraspPlan
+from models.objects.benchmark import benchmark_object
+from models.perception.observed_pose import ObservedPose
+from planners.goal_settings import GoalSettings
+from planners.pregrasp_settings import PregraspSettings, PushSettings
+from tests.planners.cell_world import TABLE, belief_about
+
+HAMMER = benchmark_object("hammer")
+BELIEF = belief_about(HAMMER, hypotheses=4)
+SEEN = SimpleNamespace(grid=HAMMER.grid, cell_heights=HAMMER.height)
+SETTINGS = PregraspSettings(
+    push=PushSettings(candidates=10, refinements=4, lengths=10, scenarios=4),
+    goals=GoalSettings(samples=200, count=10),
+    refusals=2,
+)
+MIDDLE = (0.0, 0.0, 0.5)
+
+
+class Planner(DrivenBlock):
+    def __init__(self, **options) -> None:
+        super().__init__(
+            GoalAndPushPlanner(SETTINGS, TABLE, **options),
+            belief=BELIEF, object_pose=seen_at(*MIDDLE), seen_object=SEEN, status=LoopStatus("recording", 4),
+        )  # fmt: skip
+        self.advance(0.5 * PERIOD)
+
+    def plan(self, push: int = 5, attempt: int = 0, reason: str = "", **inputs) -> PregraspPlan | None:
+        """What the block says once the loop asks."""
+        self.set(status=LoopStatus("planning", push, attempt, reason), **inputs)
+        self.advance(PERIOD)
+        return self.read("plan")
+
+    def at_the_goal(self) -> PregraspPlan:
+        """The plan after a push that went as it should."""
+        return self.plan(6, object_pose=seen_at(*self.plan(5).goal.pose))
+
+
+def test_it_plans_when_asked_and_the_object_is_seen():
+    planner = Planner()
+    planner.advance(2 * PERIOD)
+    assert planner.read("plan") is None
+    assert planner.plan(object_pose=ObservedPose.unseen("occluded")) is None
+    plan = planner.plan(object_pose=seen_at(*MIDDLE))
+    assert plan.number == LoopStatus("planning", 5).number
+    assert plan.push is not None
+    assert plan.grasp is None
+    assert 0.0 <= plan.success_probability <= 1.0
+    assert plan.margin > 0.0
+    before = plan.push.push.end
+    planner.set(object_pose=seen_at(0.1, 0.0, 0.0))
+    planner.advance(2 * PERIOD)
+    assert (planner.read("plan").push.push.end == before).all()  # it stands
+
+
+def test_the_same_seed_makes_the_same_plan_and_another_another():
+    ends = [Planner(seed=seed).plan().push.push.end for seed in (1, 1, 2)]
+    assert (ends[0] == ends[1]).all()
+    assert (ends[0] != ends[2]).any()
+
+
+def test_at_a_goal_it_asks_for_the_grasp_and_for_another_where_that_is_refused():
+    planner = Planner()
+    first = planner.at_the_goal()
+    assert first.push is None
+    assert first.grasp.push_id == first.number
+    assert first.success_probability > 0.9
+    second = planner.plan(6, 1, "no way to it")
+    assert second.grasp.push_id == second.number
+    apart = np.hypot(*(second.grasp.grasp.tip - first.grasp.grasp.tip))
+    assert apart > 0.009 or second.grasp.grasp.approach != first.grasp.grasp.approach
+
+
+def test_where_the_arm_can_take_it_from_no_side_it_pushes_on():
+    planner, able = Planner(can_grasp=lambda grasp: able[0]), [True]
+    planner.plan()
+    able[0] = False
+    assert planner.at_the_goal().push is not None
+
+
+def test_a_refused_push_is_not_asked_for_again_and_too_many_end_it():
+    planner = Planner()
+    first = planner.plan().push.push
+    second = planner.plan(attempt=1, reason="too far").push.push
+    assert max(np.hypot(*(first.begin - second.begin)), np.hypot(*(first.end - second.end))) > 0.005
+    last = planner.plan(attempt=2, reason="too near")
+    assert (last.push, last.grasp) == (None, None)
+    assert "2 pushes in a row were refused, the last because too near" in last.reason
+
+
+@pytest.mark.parametrize(
+    "options", [{"can_see": lambda seen, pose: False}, {"can_grasp": lambda grasp: False}]
+)
+def test_without_a_goal_it_says_why(options):
+    plan = Planner(**options).plan()
+    assert (plan.push, plan.grasp) == (None, None)
+    assert "of 200 poses at the edge" in plan.reason
+
+
+def test_the_true_maps_are_asked_for_by_the_method_true_alone():
+    asked = []
+
+    def truth(seen):
+        asked.append(seen)
+        return HAMMER.maps
+
+    Planner(truth=truth).plan()
+    assert not asked
+    assert Planner(method="true", truth=truth).plan().push is not None
+    assert len(asked) == 1
