@@ -1,4 +1,4 @@
-"""Threads of the workers, and fixtures shared by all tests."""
+"""Threads of the workers, the order of files, and fixtures shared by all tests."""
 
 import os
 from pathlib import Path
@@ -11,7 +11,30 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 if "PYTEST_XDIST_WORKER" in os.environ:
     os.environ.setdefault("NUMBA_NUM_THREADS", "1")
 
+# Which take longest, one or few tests each. Begun last, they would keep one worker while the other has
+# nothing left to do; by itself, xdist begins files with few tests last.
+COSTLY = (
+    "test_missing_effect.py",
+    "test_station_hides_an_effect.py",
+    "test_diagnose.py",
+    "test_explore.py",
+    "test_two_effects.py",
+    "test_generator.py",
+)
+
 SHARED_DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Let xdist keep the order below."""
+    if hasattr(config.option, "loadscopereorder"):
+        config.option.loadscopereorder = False
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Costly files first, the others as collected."""
+    rank = {name: place for place, name in enumerate(COSTLY)}
+    items.sort(key=lambda item: rank.get(item.path.name, len(COSTLY)))
 
 
 @pytest.fixture

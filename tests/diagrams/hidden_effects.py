@@ -23,13 +23,13 @@ DRAG = 3000.0
 
 
 def tilted_pushes() -> PushDataset:
-    """Pushes on a table that is not level."""
-    return _pushes("tilted", {"table_tilt": list(TILT.values())})
+    """Pushes on a table that is not level, of large cells."""
+    return _pushes("tilted", {"table_tilt": list(TILT.values())}, width=0.02)
 
 
 def late_pushes() -> PushDataset:
-    """Pushes seen by a tracker that is late."""
-    return _pushes("late", {"sensor_latency": [LATENCY]})
+    """Pushes seen by a tracker that is late, of large cells, and faster than the others."""
+    return _pushes("late", {"sensor_latency": [LATENCY]}, width=0.02, speed=(0.05, 0.15))
 
 
 def tilted_and_oily_pushes() -> PushDataset:
@@ -37,16 +37,22 @@ def tilted_and_oily_pushes() -> PushDataset:
     return _pushes("oily", {"table_tilt": list(TILT.values()), "viscous_friction": [DRAG]})
 
 
-def _pushes(name: str, hidden: dict[str, list[float]]) -> PushDataset:
-    """12 pushes to learn from and 6 held out, all over a table of 0.6 m."""
-    grid = cells_from_polygon(np.array([[-3, -2], [3, -2], [3, 2], [-3, 2]]) * 0.01, width=0.01)
-    mass = 0.02 * (1.0 + 0.4 * grid.centers[:, 0] / 0.03)
+def _pushes(
+    name: str,
+    hidden: dict[str, list[float]],
+    *,
+    width: float = 0.01,
+    speed: tuple[float, float] = (0.03, 0.1),
+) -> PushDataset:
+    """12 pushes to learn from and 6 held out, all over a table of 0.6 m; cells of 200 kg/m² on average."""
+    grid = cells_from_polygon(np.array([[-3, -2], [3, -2], [3, 2], [-3, 2]]) * 0.01, width=width)
+    mass = 200.0 * width**2 * (1.0 + 0.4 * grid.centers[:, 0] / 0.03)
     values = np.concatenate(list(hidden.values()))
     truth = Maps(mass[None], np.full((1, len(grid)), 0.3), np.array([0.3]), values[None])
     slider = EffectSlider(grid, 0.005, effects_named(list(hidden)))
     rng = np.random.default_rng(3)
     pushes = [
         candidate.push([*rng.uniform(-0.3, 0.3, 2), rng.uniform(-np.pi, np.pi)], h=2e-3)
-        for candidate in candidate_pushes(grid, 0.005, rng, 18, length=(0.06, 0.14))
+        for candidate in candidate_pushes(grid, 0.005, rng, 18, length=(0.06, 0.14), speed=speed)
     ]
     return record_pushes(slider, truth, pushes, rng, heldout=6, name=name, mass=float(mass.sum()))
