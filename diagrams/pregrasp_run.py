@@ -138,10 +138,11 @@ def run_pregrasp(
     plans: dict[int, PregraspPlan] = {}
 
     def watch(status: LoopStatus, context: Context) -> None:
-        if status.push < first:
-            report(f"exploring: {DOING.get(status.mode, status.mode)}", status.push, first)
+        if status.push < first and status.mode in DOING:
+            report(f"exploring: {DOING[status.mode]}", status.push, first)
+        if status.push < first or status.mode not in BRINGS:
             return
-        report(f"to the edge: {BRINGS.get(status.mode, status.mode)}", status.push - first, options.pushes)
+        report(f"to the edge: {BRINGS[status.mode]}", status.push - first, options.pushes)
         if status.mode in ("pushing", "grasping"):
             plans[status.push] = output_of(loop, "planner", "plan", context)
 

@@ -1,0 +1,72 @@
+"""The whole procedure in the robot's cell, as short as can be: one push to learn from, then to the edge."""
+
+from __future__ import annotations
+
+import json
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from diagrams.command_line import run
+from diagrams.exploration_loop import LoopOptions
+from diagrams.perception.renderer import RendererUnavailable, require_renderer
+from diagrams.pregrasp_loop import PregraspOptions, true_maps
+from diagrams.pregrasp_run import run_pregrasp
+from diagrams.station.scenario import Scenario
+from models.objects.benchmark import benchmark_object
+from planners.pose_metric import compose
+
+
+@pytest.fixture(scope="module")
+def taken():
+    """The hammer, which lies near the edge already."""
+    try:
+        require_renderer()
+    except RendererUnavailable as reason:
+        pytest.skip(str(reason))
+    scenario = Scenario()
+    scenario.simulation.time_step = 0.005
+    scenario.camera.rate = 6.0
+    scenario.object.pose = [-0.27, 0.13, 20.0]
+    scenario.pokes.center = [-0.27, 0.13]
+    scenario.pokes.longest = 0.05
+    scenario.pushes.candidates = 24
+    exploration = LoopOptions(pushes=1, cells=40, hypotheses=8)
+    return run_pregrasp(scenario, PregraspOptions(exploration, pushes=6))
+
+
+def test_the_object_is_held_in_the_air(taken):
+    assert (taken.held, taken.reason, taken.fate) == (True, "", "held")
+    assert taken.true_height == pytest.approx(0.10, abs=0.03)
+
+
+def test_every_push_is_recorded_and_told(taken):
+    told = json.loads(json.dumps(taken.to_json()))
+    roles = [trial.role for trial in taken.exploration.dataset.trials]
+    assert roles == ["fit"] + ["heldout"] * len(taken.pushes)
+    assert 1 <= len(told["pushes"]) == len(taken.pushes) <= 6
+    last = told["pushes"][-1]
+    off = np.subtract(last["after"], last["goal"])
+    assert np.hypot(*off[:2]) < 0.018
+    assert np.hypot(*told["grasp"][:2]) > 0.4  # the pins' ends are at the edge
+    assert told["grasp"][2] == pytest.approx(taken.plans[-1].grasp.grasp.height / 2)
+
+
+def test_true_maps_lie_over_the_cells_that_were_seen():
+    hammer = benchmark_object("hammer")
+    shift, turned = np.array([0.01, 0.02]), 0.3
+    c, s = np.cos(turned), np.sin(turned)
+    centers = (hammer.grid.centers - shift) @ np.array([[c, -s], [s, c]])
+    X_WS = compose(np.array([0.1, -0.2, np.radians(40.0)]), np.array([*shift, turned]))
+    seen = SimpleNamespace(grid=SimpleNamespace(centers=centers), first_pose=X_WS)
+    maps = true_maps(hammer, [0.1, -0.2, 40.0], seen)
+    assert maps.mass[0] == pytest.approx(hammer.mass)
+    assert maps.mu[0] == pytest.approx(hammer.mu)
+
+
+def test_wrong_use_is_told(tmp_path, capsys):
+    assert run(["pregrasp", "--object", "hamer", "--out", str(tmp_path / "out")]) == 2
+    assert "hammer" in capsys.readouterr().err
+    assert run(["pregrasp", "--method", "best", "--out", str(tmp_path / "out")]) == 2
+    assert "probabilistic" in capsys.readouterr().err
