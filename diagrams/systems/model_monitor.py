@@ -23,7 +23,7 @@ LEVEL = 0.01
 LEAST_P = 0.005
 """One push is not believed to be rarer: nobody knows errors that well. An alarm takes three such pushes."""
 
-MODEL_ERROR = 0.05
+MODEL_ERROR = 0.03
 """α, by which share of the way the model is off anyway; see `models.inference.diagnosis.error_model`."""
 
 

@@ -15,7 +15,7 @@ from dataclasses import replace
 
 import numpy as np
 import scipy.linalg
-from scipy.stats import ncx2
+from scipy.stats import chi2
 
 from models.inference.diagnosis.error_model import ErrorModel, SensorNoise, travelled
 from models.inference.observations import Observation
@@ -69,10 +69,11 @@ def resting_misfit(
     error: ErrorModel,
     grid: CellGrid,
 ) -> tuple[float, float]:
-    """Misfit of where an object came to rest, and how usual it is if one of the hypotheses is true.
+    """Misfit of where an object came to rest, beside all that is not known of it.
 
-    Given hypothesis k, three times the squared misfit is χ² distributed with three degrees of freedom and
-    the noncentrality that k has by itself, three times its squared misfit without any error.
+    The residual r against the mean of the hypotheses is whitened with the covariance Σ of the error model
+    and of the hypotheses together: 3 misfit² = rᵀ Σ⁻¹ r, which is χ² distributed with three degrees of
+    freedom if errors and hypotheses are normally distributed.
 
     Args:
         start: (3,) pose before the push.
@@ -83,15 +84,22 @@ def resting_misfit(
         grid: cells.
 
     Returns:
-        The misfit, against the mean of the hypotheses, and p, the probability of one as large.
+        The misfit, about 1 where nothing is missing, and p, the probability of one as large then.
     """
-    nowhere = np.full((2, 2), np.nan)
-    push = Push(1.0, nowhere, start, pose_times=np.ones(1))
     mean = (probability @ told)[None]
-    misfit = push_misfit(observed_push(push, observed[None]), mean, error, grid)
-    own = np.array([push_misfit(observed_push(push, pose[None]), mean, error, grid) for pose in told])
-    p = probability @ ncx2.sf(3.0 * misfit**2, 3, 3.0 * own**2)
-    return misfit, float(min(p, 1.0))
+    push = Push(1.0, np.full((2, 2), np.nan), start, pose_times=np.ones(1))
+
+    def residual(pose: FloatArray) -> FloatArray:
+        _, measured, expected = centroid_tracks(observed_push(push, pose[None]), mean, grid)
+        return (measured - expected)[1]
+
+    spread = np.array([residual(pose) for pose in told])
+    covariance = np.einsum("k,ki,kj->ij", probability, spread, spread)
+    # One row: the factors are standard deviations.
+    covariance += np.diag(_factors(observed_push(push, mean), error, grid)[:, 0, 0] ** 2)
+    r = residual(observed)
+    square = float(r @ np.linalg.solve(covariance, r))
+    return float(np.sqrt(square / 3.0)), float(chi2.sf(square, 3))
 
 
 def bet(p: float) -> float:

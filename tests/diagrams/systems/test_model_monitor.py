@@ -142,7 +142,7 @@ def test_outputs_are_those_of_the_last_push(diagram: Diagram) -> None:
     assert told.universes is not None
     probability = told.universes.belief.probability
     assert np.allclose(row.residual, told.end - probability @ told.universes.poses)
-    error = ErrorModel(pose_noise(5e-4, 4e-3), 0.05, 0.0)
+    error = ErrorModel(pose_noise(5e-4, 4e-3), 0.03, 0.0)
     expected, _ = resting_misfit(told.start, told.end, told.universes.poses, probability, error, block())
     assert row.misfit == pytest.approx(expected, rel=1e-9)
 
