@@ -117,7 +117,8 @@ def explore(
     pushes = options.pushes + options.checks
 
     def watch(status: LoopStatus, context: Context) -> None:
-        report(f"exploring: {DOING[status.mode]}", status.push, pushes)
+        number = min(status.push + 1, pushes)
+        report(f"push {number} of {pushes}: {DOING[status.mode]}", status.push, pushes)
 
     ended = run_loop(loop, "supervisor", ("finished", "failed"), LONGEST * pushes, watch)
     run = explored(loop, ended, scenario, options, report)

@@ -51,6 +51,9 @@ def make_folder(folder: Path) -> None:
     Raises:
         BadInput: a file is in the way, or the place cannot be written to.
     """
+    for place in (folder, *folder.parents):
+        if place.exists() and not place.is_dir():
+            raise BadInput(f"cannot make the folder {folder}: {place} is a file; name another folder")
     with writing(folder):
         folder.mkdir(parents=True, exist_ok=True)
     check_folder(folder, folder)

@@ -111,7 +111,13 @@ def _told(results: Sequence[Comparison]) -> list[str]:
 
     if len(results) == 1:
         return [summary(results[0]), finding(results[0])]
-    return [summary_of_two(*results), *(f"{result.label}: {finding(result)}" for result in results)]
+    learnt = (
+        "Both models were learnt as by `slipmap fit`, which takes the errors of one push as hanging together;"
+        " `slipmap identify`, and compare without --effect, count every measured pose for itself, so that"
+        " their model differs a little from the one without effects here."
+    )
+    findings = [f"{result.label}: {finding(result)}" for result in results]
+    return [summary_of_two(*results), *findings, learnt]
 
 
 def _document(results: Sequence[Comparison], effect_names: Sequence[str]) -> dict[str, Any]:

@@ -10,7 +10,7 @@ import click
 from diagrams.commands.options import (
     explorations_option,
     folder_option,
-    json_option,
+    json_in_folder_option,
     meshcat_option,
     record_option,
     scenario_option,
@@ -51,7 +51,7 @@ class Stopped(click.ClickException):
 @record_option
 @folder_option("exploration")
 @seed_option
-@json_option
+@json_in_folder_option
 def explore(
     object_name: str | None,
     scenario_file: Path | None,
@@ -77,6 +77,8 @@ def explore(
     make_folder(folder)
     if recording is not None:
         check_file(recording, ("html", "htm"))
+    if json_file is not None:
+        check_file(json_file)
     run, failure, stopped = run_loop(scenario, options, open_meshcat, recording)
     written = leave(run, folder, recording)
     if json_file is not None:
@@ -192,7 +194,8 @@ def monitor_words(watch: Watch) -> str:
     if any(push.alarm for push in watch.judged):
         first = next(push.trial for push in watch.judged if push.alarm)
         return (
-            f"Monitor: ALARM from push {first + 1} on{'' if watch.alarm else ', taken back since'}: {numbers}."
+            f"Monitor: ALARM from push {first + 1} on{'' if watch.alarm else ', since taken back'}:"
+            f" {numbers}."
             " The object does not move as the model says; `slipmap diagnose` may tell why."
         )
     return f"Monitor: no alarm; {numbers}, evidence at most {peak:.1f} of the {1 / LEVEL:.0f} that it takes."

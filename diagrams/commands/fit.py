@@ -68,7 +68,7 @@ def fit(
 
 
 def effect_estimates(result: Identification, effects: Sequence[Effect]) -> dict[str, dict[str, Any]]:
-    """By effect and parameter: value (median), 90 % interval, unit, and whether the pushes pin it down."""
+    """By effect and parameter: value (median), 90 % interval, unit, and whether the pushes show it."""
     facts = {quantity.name: quantity for quantity in result.quantities}
     return {
         effect.name: {

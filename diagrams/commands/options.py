@@ -38,6 +38,11 @@ dataset_argument = click.argument("dataset", type=click.Path(path_type=Path))
 json_option = click.option(
     "--json", "json_file", type=OutputFile(), metavar="FILE", help="Write the result as JSON."
 )
+json_in_folder_option = click.option(
+    "--json", "json_file", type=click.Path(path_type=Path), metavar="FILE",
+    help="Write the result as JSON; it may go into the folder of --out.",
+)  # fmt: skip
+"""For commands that make a folder first, and check the file then."""
 seed_option = click.option(
     "--seed",
     type=click.IntRange(0, 2**32 - 1),

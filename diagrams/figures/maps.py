@@ -14,7 +14,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import PathPatch
 
 from diagrams.figures.outlines import outline_path, scale_bar
-from diagrams.figures.style import BELIEF, INK, PAPER, styled
+from diagrams.figures.style import BELIEF, INK, MAP_COLORS, PAPER, styled
 from models.inference.belief import Belief
 from models.physics.cell_grid import FloatArray
 from models.physics.rollout import Maps
@@ -65,6 +65,8 @@ def maps_figure(belief: Belief, *, truth: Maps | None = None, hypotheses: int = 
     A cross marks the centre of mass, a ring the centre of friction (the mean of the cells' places weighted by
     mass × friction). Dots in the first row are the centres of mass of all hypotheses.
 
+    Hypotheses are numbered by falling probability, as in `slipmap view`.
+
     Args:
         belief: what to draw.
         truth: true maps (one model), drawn in a column of their own where they are known.
@@ -75,9 +77,11 @@ def maps_figure(belief: Belief, *, truth: Maps | None = None, hypotheses: int = 
     mu = np.concatenate([column.maps.mu for column in columns])
     in_grams = np.quantile(mass, 0.99) < 0.5
     rows = [
-        _Row("mass", "g a cell" if in_grams else "kg a cell", "YlGnBu", mass * (1e3 if in_grams else 1.0)),
-        _Row("friction\ncoefficient", "", "YlOrBr", mu),
-        _Row("mass × friction:\nforce to slide it", "N a cell", "PuRd", mass * mu * belief.gravity),
+        _Row(
+            "mass", "g a cell" if in_grams else "kg a cell", MAP_COLORS[0], mass * (1e3 if in_grams else 1.0)
+        ),
+        _Row("friction\ncoefficient", "", MAP_COLORS[1], mu),
+        _Row("mass × friction:\nforce to slide it", "N a cell", MAP_COLORS[2], mass * mu * belief.gravity),
     ]
     return _drawn(belief, columns, rows)
 
@@ -97,7 +101,7 @@ def _columns(belief: Belief, truth: Maps | None, hypotheses: int) -> list[_Colum
     p = belief.probability
     order = np.argsort(-p, kind="stable")[:hypotheses]
     columns = [
-        _Column(f"hypothesis {k + 1}\n{100 * p[k]:.1f} %", belief.maps[int(k)], apart=not column)
+        _Column(f"hypothesis {column + 1}\n{100 * p[k]:.1f} %", belief.maps[int(k)], apart=not column)
         for column, k in enumerate(order)
     ]
     mass, load = p @ belief.maps.mass, p @ (belief.maps.mass * belief.maps.mu)

@@ -23,7 +23,11 @@ from models.physics.cell_grid import CellGrid, FloatArray
 PANELS_A_PAGE = 24
 COLUMNS = 6
 PANEL = 2.1  # inches
-HEAD, FOOT, SIDE, GAP, TITLE = 0.62, 0.5, 0.15, 0.15, 0.4
+OUTLINES = (
+    "Outlines: grey at the start, thin halfway, strong at the end. Lines between: way of the cells' centroid"
+)
+
+HEAD, FOOT, SIDE, GAP, TITLE = 0.8, 0.5, 0.15, 0.15, 0.4
 NARROWEST_PAGE = 8.4  # inches; heading and legend need them
 NEAR = 1.2
 """The finger's path is drawn as far as it lies within so many object sizes of the object's way."""
@@ -109,6 +113,7 @@ def _page(scenes: list[_Scene], dataset: PushDataset, heading: str) -> Figure:
     figure = Figure(figsize=(width, height))
     figure.text(0.5, 1 - 0.16 / height, heading, ha="center", va="top", fontsize=11)
     figure.text(0.5, 1 - 0.39 / height, MEANING_OF_ADD, ha="center", va="top", fontsize=8.5, color=FAINT)
+    figure.text(0.5, 1 - 0.56 / height, OUTLINES, ha="center", va="top", fontsize=8.5, color=FAINT)
     span = 1.06 * max(float((scene.high - scene.low).max()) for scene in scenes)
     left = (width - columns * PANEL - (columns - 1) * GAP) / 2
     for k, scene in enumerate(scenes):

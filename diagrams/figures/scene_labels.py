@@ -11,8 +11,8 @@ from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from diagrams.figures.style import INK, styled
-from diagrams.systems.belief_colors import COLORS, Shown, rests_on
+from diagrams.figures.style import INK, MAP_COLORS, styled
+from diagrams.systems.belief_colors import Shown, rests_on
 from models.inference.belief import Belief
 from models.physics.cell_grid import FloatArray
 
@@ -66,7 +66,7 @@ def scale(what: Shown, which: int, size: FloatArray) -> bytes:
     _write(figure, (0.06, 0.86), name, 17, weight="bold")
     _write(figure, (0.06, 0.66), unit, 14)
     bar = figure.add_axes((0.06, 0.34, 0.84, 0.17))
-    colors = ScalarMappable(Normalize(0.0, what.tops[which]), colormaps[COLORS[which]])
+    colors = ScalarMappable(Normalize(0.0, what.tops[which]), colormaps[MAP_COLORS[which]])
     figure.colorbar(colors, cax=bar, orientation="horizontal", ticks=MaxNLocator(4))
     bar.tick_params(labelsize=14)
     return _png(figure)

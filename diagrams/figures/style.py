@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable
 from functools import wraps
 from pathlib import Path
@@ -16,6 +17,9 @@ PAPER = "#f1efea"
 BELIEF = "#1f6fb4"
 FINGER = "#d4691e"
 OTHER = "#2f8f6b"
+
+MAP_COLORS = ("viridis", "plasma", "cividis")
+"""Of mass, friction and their product; perceptually uniform, a different one for each map."""
 
 DOTS_PER_INCH = 130
 FORMATS = ("png", "pdf", "svg")
@@ -54,6 +58,8 @@ def styled(draw: Callable[Arguments, Drawn]) -> Callable[Arguments, Drawn]:
 
     @wraps(draw)
     def drawn(*args: Arguments.args, **kwargs: Arguments.kwargs) -> Drawn:
+        # A letter without the wanted weight is drawn in the nearest one; to say so helps nobody.
+        logging.getLogger("matplotlib.font_manager").setLevel(logging.ERROR)
         with matplotlib.rc_context(STYLE):
             return draw(*args, **kwargs)
 

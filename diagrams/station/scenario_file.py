@@ -2,6 +2,7 @@
 
 import dataclasses
 import difflib
+import math
 import types
 import typing
 from pathlib import Path
@@ -92,13 +93,29 @@ def _check(value: Any, wanted: Any, path: str, where: str) -> None:
     kinds = {float: (int, float), int: (int,), str: (str,), bool: (bool,)}[wanted]
     if not isinstance(value, kinds) or (isinstance(value, bool) and wanted is not bool):
         names = {float: "a number", int: "a whole number", str: "a text", bool: "true or false"}
-        raise ScenarioError(f"{path}: {where} must be {names[wanted]}, got {value!r}")
+        hint = _exponent(value) if wanted is not str else ""
+        raise ScenarioError(f"{path}: {where} must be {names[wanted]}, got {value!r}{hint}")
+
+
+def _exponent(value: Any) -> str:
+    """What to write instead of a number that YAML reads as a text, such as 1e6."""
+    try:
+        number = float(value) if isinstance(value, str) else None
+    except ValueError:
+        return ""
+    if number is None or not math.isfinite(number):
+        return ""
+    mantissa, _, power = f"{number:e}".partition("e")
+    digits = mantissa.rstrip("0")
+    written = f"{digits}0e{power}" if digits.endswith(".") else f"{digits}e{power}"
+    return f", which YAML reads as a text; write {written}"
 
 
 def _check_fields(value: Any, wanted: Any, path: str, where: str) -> None:
-    if not isinstance(value, dict):
-        raise ScenarioError(f"{path}: {where or 'the file'} must hold fields and values, got {value!r}")
     known = {field.name: field.type for field in dataclasses.fields(wanted)}
+    if not isinstance(value, dict):
+        hint = f"; write {where}: {{name: {value}}}" if isinstance(value, str) and "name" in known else ""
+        raise ScenarioError(f"{path}: {where or 'the file'} must hold fields and values, got {value!r}{hint}")
     for name, item in value.items():
         full = f"{where}.{name}" if where else str(name)
         if name not in known:

@@ -12,15 +12,12 @@ from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from diagrams.figures.style import FAINT, INK, styled
+from diagrams.figures.style import FAINT, INK, MAP_COLORS, styled
 from models.inference.belief import Belief
 from models.physics.cell_grid import FloatArray
 
 MAPS = ("mass", "friction", "mass x friction")
 TITLES = ("mass of a cell, g", "friction coefficient of a cell", "mass × friction: force to slide a cell, mN")
-COLORS = ("viridis", "plasma", "cividis")
-"""Perceptually uniform, a different one for each map."""
-
 MAGNIFIED = 5.0
 """Residual arrows are so many times as long as the residual."""
 
@@ -59,7 +56,7 @@ class Shown:
     def colors(self, which: int, hypothesis: int) -> FloatArray:
         """(n, 3) sRGB of the cells on map `which`; hypothesis 0 is the mean."""
         share = np.clip(self.values[which, hypothesis] / self.tops[which], 0.0, 1.0)
-        return colormaps[COLORS[which]](share)[:, :3]
+        return colormaps[MAP_COLORS[which]](share)[:, :3]
 
 
 def shown(belief: Belief, most: int) -> Shown:
@@ -99,7 +96,7 @@ def legend(belief: Belief, what: Shown, which: int, basis: str) -> bytes:
     figure = _board(f"Belief {basis}")
     figure.text(0.05, 0.76, TITLES[which], fontsize=10.5, color=INK, va="center")
     bar = figure.add_axes((0.05, 0.62, 0.90, 0.085))
-    scale = ScalarMappable(Normalize(0.0, what.tops[which]), colormaps[COLORS[which]])
+    scale = ScalarMappable(Normalize(0.0, what.tops[which]), colormaps[MAP_COLORS[which]])
     figure.colorbar(scale, cax=bar, orientation="horizontal", ticks=MaxNLocator(5))
     bar.tick_params(labelsize=10)
     probability = belief.probability[what.hypotheses]

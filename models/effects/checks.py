@@ -10,12 +10,15 @@ import sympy as sp
 
 from models.effects.effect import Effect, EffectError, Parameter
 from models.effects.formulas import Slots
+from models.effects.singular import singular_point
 from models.effects.symbols import FORCE_NAMES
 
 UNITS = re.compile(r"^(1|([a-zA-Z]+(\^-?\d+)?)([ /][a-zA-Z]+(\^-?\d+)?)*|1(/[a-zA-Z]+(\^\d+)?)+)$")
 KNOWN_UNITS = {"m", "s", "kg", "N", "rad", "push", "J", "W", "Hz", "Pa"}
 POINTS = 20
 VANISHES = 1e-12
+FIXED = {"m": 1.0, "J": 0.01, "gravity": 9.81, "h": 0.005, "width": 0.01, "n": 60.0}
+"""Of an object and its cells, as in SI."""
 
 
 def check_effect(effect: Effect, where: str) -> None:
@@ -95,9 +98,8 @@ def _check_values(effect: Effect, slots: Slots, refuse) -> None:  # type: ignore
         for symbol in symbols:
             parameter = parameters.get(str(symbol))
             if parameter is None:
-                fixed = {"m": 1.0, "J": 0.01, "gravity": 9.81, "h": 0.005, "width": 0.01, "n": 60.0}
                 drawn = rng.normal(scale=0.1)
-                values[symbol] = fixed.get(str(symbol), 0.0 if null and str(symbol) in own else drawn)
+                values[symbol] = FIXED.get(str(symbol), 0.0 if null and str(symbol) in own else drawn)
             elif null and parameter.null is not None:
                 values[symbol] = parameter.null
             else:
@@ -109,6 +111,15 @@ def _check_values(effect: Effect, slots: Slots, refuse) -> None:  # type: ignore
             refuse(f"the formula cannot be evaluated: {type(error).__name__}: {error}; {_told(values)}")
         if not np.isfinite(results).all():
             refuse(f"the formula is not finite at {_told(values)}")
+        if trial == 1:
+            states = [symbol for symbol in symbols if str(symbol) not in {*parameters, *FIXED}]
+            found = singular_point(outputs, states, values, rng)
+            if found is not None:
+                place, divisor = found
+                refuse(
+                    f"the formula has no value at {_told(place)}, where {divisor} is 0; keep what it divides by"
+                    " away from 0, as in sqrt(x**2 + y**2 + 0.01**2)"
+                )
         if not null:
             continue
         pose = [values.get(symbol, 0.0) for symbol in sp.symbols("pose_x pose_y pose_theta", real=True)]

@@ -224,6 +224,10 @@ class Belief:
                 effect that is not known.
         """
         path = Path(path)
+        if path.is_dir():
+            inside = sorted(path.glob("*.npz"))
+            hint = f"; did you mean {inside[0]}?" if inside else ""
+            raise BeliefError(f"{path} is a folder, a belief is a file{hint}")
         if not path.is_file():
             raise BeliefError(
                 f"there is no belief file {path}; `slipmap identify DATASET -o {path.name}` makes one"

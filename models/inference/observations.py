@@ -134,7 +134,7 @@ def _averaged_rows(poses: FloatArray, rows: np.ndarray) -> FloatArray:
 def _force_rows(trial: Trial) -> tuple[FloatArray, FloatArray]:
     """Mean forces over `SAMPLES` equal stretches of the trial that hold any rows, and their middles."""
     samples = wrench_samples(trial)
-    if samples is None or len(samples[0]) == 0 or trial.ends_only:
+    if samples is None or len(samples[0]) == 0 or len(trial.object_pose.time) == 2:
         return np.zeros(0), np.zeros((0, 2))
     time, wrench = samples
     edges = np.linspace(0.0, float(pose_times(trial)[-1]), SAMPLES + 1)

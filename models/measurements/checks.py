@@ -134,7 +134,7 @@ def _moved(setup: Setup, trial: Trial) -> bool:
 
 def _clearance(setup: Setup, trial: Trial) -> float:
     """Least distance between the finger's rim and the outline over a trial, m; negative where it overlaps."""
-    if trial.ends_only:  # between its two rows the finger went straight, the object is anywhere
+    if trial.ends_only:  # the finger went straight, the object is anywhere between
         track = shapely.LineString(trial.tip_pose.values[[0, *range(len(trial.tip_pose.time))]])
         outlines = [_outline_at(setup, pose) for pose in trial.object_pose.values]
         return float(min(track.distance(outline) for outline in outlines)) - setup.finger_radius

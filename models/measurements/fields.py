@@ -71,7 +71,7 @@ def number(value: object, where: str) -> float:
     if isinstance(value, bool) or not isinstance(value, int | float):
         hint = ""
         if isinstance(value, str) and "e" in value.lower() and len(value) < 40:
-            hint = "; YAML reads 5e-3 as text, write 5.0e-3"
+            hint = "; YAML reads 5e-3 and 1.e6 as text, write 5.0e-3 and 1.0e+6"
         raise DatasetError(f"{where}: must be a number, got {shown(value)}{hint}")
     result = _as_float(value, where)
     if not math.isfinite(result):

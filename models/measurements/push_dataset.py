@@ -102,8 +102,12 @@ class Trial:
 
     @property
     def ends_only(self) -> bool:
-        """Whether only the first and the last pose are known: compare at the end, do not interpolate."""
-        return len(self.object_pose.time) == 2
+        """Whether only the first and the last pose are known: compare at the end, do not interpolate.
+
+        The first rows count once where they are equal: one look at an object at rest, written twice.
+        """
+        poses = self.object_pose.values
+        return bool((poses[:-1] == poses[0]).all())
 
     @property
     def has_finger(self) -> bool:

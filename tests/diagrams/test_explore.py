@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import io
 import json
 import re
 from dataclasses import dataclass
@@ -10,9 +11,11 @@ from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
 
+import matplotlib.image
 import numpy as np
 import pytest
 import umsgpack
+from browser import chromium, opened
 from pydrake.geometry import Meshcat
 
 from diagrams.command_line import run
@@ -26,6 +29,13 @@ from models.objects.benchmark import BENCHMARK_OBJECTS, benchmark_object
 from models.physics.paper_notation import add
 
 SEED = 0
+SCENE = """(() => {
+    if (document.readyState !== "complete" || !viewer.scene_tree.children.drake) return null;
+    const below = (node) => Object.fromEntries(
+        Object.entries(node.children).map(([name, child]) => [name, below(child)]));
+    return below(viewer.scene_tree);
+})()"""
+"""The tree of what a page of Meshcat shows, once it is there."""
 LOADED = {"script": "src", "link": "href", "img": "src", "iframe": "src", "source": "src", "object": "data"}
 MESSAGE = re.compile(r'fetch\("data:application/octet-binary;base64,([\w+/=]+)"\)')
 
@@ -146,6 +156,41 @@ def test_pages_need_no_network(explored, name):
     assert loaded.scripts > 0
     assert all(address.startswith("data:") for address in loaded.addresses), loaded.addresses
     assert not re.search(r"@import|url\(\s*[\"']?(?:https?:)?//", text)
+
+
+@pytest.fixture
+def browser() -> None:
+    if chromium() is None:
+        pytest.skip("no chromium to open pages in; on Debian: apt-get install chromium")
+
+
+def test_the_recording_opens_in_a_browser(explored, browser):
+    page = explored.folder / "run.html"
+    seen = opened(page.as_uri(), SCENE)
+    assert seen.errors == []
+    assert seen.addresses == [page.as_uri()]
+    shown = seen.answer["drake"]["visualizer"]
+    assert {f"iiwa_link_{number}" for number in range(8)} <= set(shown["iiwa"])
+    assert {"table", "object", "gripper"} <= set(shown)
+    assert set(seen.answer["belief"]["observed"]["maps"]["2"]) == {"mass", "friction", "mass x friction"}
+    picture = matplotlib.image.imread(io.BytesIO(seen.picture))
+    # The object's tiles and the table are drawn: the picture has many colours.
+    assert len(np.unique((picture[:, :, :3] * 31).astype(int).reshape(-1, 3), axis=0)) > 200
+
+
+def test_the_report_opens_in_a_browser(explored, browser):
+    page = explored.folder / "out" / "report.html"
+    seen = opened(page.as_uri(), 'document.readyState === "complete" ? document.title : null')
+    assert seen.errors == []
+    assert seen.addresses == [page.as_uri()]
+    assert "model against measurement" in seen.answer
+
+
+def test_pushes_are_held_against_the_belief_before_them(explored):
+    monitor = explored.result["monitor"]
+    assert not monitor["alarm"]
+    assert [push["trial"] for push in monitor["pushes"]] == [1, 2]
+    assert all(0.0 < push["misfit"] < 3.0 for push in monitor["pushes"])
 
 
 def test_the_recording_plays_the_whole_run(explored):

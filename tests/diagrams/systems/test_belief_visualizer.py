@@ -19,7 +19,8 @@ from pydrake.geometry import Meshcat
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import Diagram, DiagramBuilder
 
-from diagrams.systems.belief_colors import BOARD, COLORS, MAPS, legend, shown
+from diagrams.figures.style import MAP_COLORS
+from diagrams.systems.belief_colors import BOARD, MAPS, legend, shown
 from diagrams.systems.belief_visualizer import HYPOTHESIS, MAP, BeliefVisualizer
 from diagrams.systems.unlit_meshes import tiles
 from models.inference.belief import Belief
@@ -223,7 +224,7 @@ def test_tiles_have_the_colours_of_their_values() -> None:
     assert np.allclose(what.values[2, 1], 1e3 * 9.81 * FIRST.maps.mass[3] * FIRST.maps.mu[3])
     assert what.tops[0] >= np.quantile(1e3 * FIRST.maps.mass[2:], 0.97)
     colors = what.colors(0, 0)
-    assert np.allclose(colors, colormaps[COLORS[0]](np.clip(mean / what.tops[0], 0, 1))[:, :3])
+    assert np.allclose(colors, colormaps[MAP_COLORS[0]](np.clip(mean / what.tops[0], 0, 1))[:, :3])
     mesh = tiles(block(), colors).source().in_memory().mesh_file.contents()
     tree = json.loads(mesh)
     data = base64.b64decode(tree["buffers"][0]["uri"].split(",")[1])
@@ -241,5 +242,5 @@ def test_the_legend_shows_the_scale_in_its_colours(which: int) -> None:
     picture = image.imread(io.BytesIO(legend(FIRST, shown(FIRST, 4), which, "of a block")))[:, :, :3]
     assert picture.shape[1] / picture.shape[0] == pytest.approx(BOARD[0] / BOARD[1], rel=0.01)
     for share in (0.02, 0.5, 0.98):
-        wanted = colormaps[COLORS[which]](share)[:3]
+        wanted = colormaps[MAP_COLORS[which]](share)[:3]
         assert np.abs(picture - wanted).max(axis=2).min() < 0.02

@@ -86,7 +86,7 @@ def test_an_end_is_usual_beside_doubtful_hypotheses_and_not_beside_sure_ones() -
     less, usual = resting_misfit(start, end, doubtful, half, ERROR, GRID)
     assert less < 1.0 and usual > 0.3
     # Doubt about the angle does not excuse another place.
-    _, elsewhere = resting_misfit(start, end + [0.0, 0.02, 0.0], doubtful, half, ERROR, GRID)
+    _, elsewhere = resting_misfit(start, end + np.array([0.0, 0.02, 0.0]), doubtful, half, ERROR, GRID)
     assert elsewhere < 1e-4
 
 
