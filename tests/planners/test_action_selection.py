@@ -137,3 +137,9 @@ def test_the_same_draws_give_the_same_push():
     assert np.array_equal(a.push.begin, b.push.begin) and not np.array_equal(
         a.push.begin, choose(8).push.begin
     )
+
+
+def test_a_robot_that_can_make_no_tap_pushes_slowly():
+    push = choose(tap=True, allowed=lambda push: push.creep == 0.0).push
+    assert push.creep == 0.0
+    assert push.speed <= PokeSettings().fastest

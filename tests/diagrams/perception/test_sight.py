@@ -1,0 +1,36 @@
+"""What the camera sees of an object past the arm and inside its picture."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from diagrams.perception.camera import CameraConfig
+from diagrams.perception.sight import Sight
+from models.objects import cells_from_polygon
+from models.perception.arm_mask import Hull
+from models.perception.camera import View
+
+GRID = cells_from_polygon(np.array([[-10, -2], [10, -2], [10, 2], [-10, 2]]) * 0.01, width=0.01)
+SEEN = SimpleNamespace(grid=GRID, cell_heights=np.full(len(GRID), 0.02))
+CONFIG = CameraConfig()
+VIEW = View(CONFIG.intrinsics, CONFIG.X_WC.GetAsMatrix4())
+
+
+def test_all_is_seen_in_the_middle_and_half_where_the_picture_ends():
+    sight = Sight(VIEW, [])
+    assert sight.share(SEEN, np.array([0.1, -0.1, 0.7])) == 1.0
+    # At a height of 0.02 m the picture ends where the slope of the outermost ray says.
+    edge = (CONFIG.height - 0.02) * np.tan(CONFIG.fov_y / 2)
+    assert sight.share(SEEN, np.array([0.0, edge, np.pi / 2])) == pytest.approx(0.5, abs=0.06)
+    assert sight.share(SEEN, np.array([0.0, edge + 0.2, 0.0])) == 0.0
+
+
+def test_what_the_arm_hides_is_not_seen():
+    """A wall just over the object, which covers everything at x > 0.3 m."""
+    wall = Hull(np.array([[x, y, z] for x in (0.3, 0.9) for y in (-0.6, 0.6) for z in (0.02, 0.021)]), 0.0)
+    sight = Sight(VIEW, [wall])
+    assert sight.share(SEEN, np.array([0.1, 0.0, 0.0])) == 1.0
+    assert sight.share(SEEN, np.array([0.3, 0.0, 0.0])) == pytest.approx(0.5, abs=0.06)
+    assert sight.share(SEEN, np.array([0.35, 0.1, np.pi])) == pytest.approx(0.25, abs=0.06)
+    assert sight.share(SEEN, np.array([0.45, 0.0, 0.0])) == 0.0
