@@ -27,9 +27,9 @@ from models.physics.cell_grid import FloatArray
 
 BRINGS = {
     "planning": "planning",
-    "pushing": "pushing to the edge",
+    "pushing": "pushing",
     "recording": "recording",
-    "grasping": "grasping",
+    "grasping": "grasping at the edge",
     "lifting": "lifting",
     "holding": "holding",
 }
@@ -139,10 +139,13 @@ def run_pregrasp(
 
     def watch(status: LoopStatus, context: Context) -> None:
         if status.push < first and status.mode in DOING:
-            report(f"exploring: {DOING[status.mode]}", status.push, first)
+            report(f"push {status.push + 1} of {first}: {DOING[status.mode]}", status.push, first)
         if status.push < first or status.mode not in BRINGS:
             return
-        report(f"to the edge: {BRINGS[status.mode]}", status.push - first, options.pushes)
+        stage = BRINGS[status.mode]
+        if status.mode in ("planning", "pushing", "recording"):
+            stage = f"to the edge, push {status.push - first + 1}: {stage}"
+        report(stage, status.push - first, options.pushes)
         if status.mode in ("pushing", "grasping"):
             plans[status.push] = output_of(loop, "planner", "plan", context)
 

@@ -11,7 +11,7 @@ from diagrams.commands.explore import Stopped, leave, scenario_of, show
 from diagrams.commands.options import (
     explorations_option,
     folder_option,
-    json_option,
+    json_in_folder_option,
     meshcat_option,
     record_option,
     scenario_option,
@@ -41,7 +41,7 @@ if TYPE_CHECKING:
 @record_option
 @folder_option("pregrasp")
 @seed_option
-@json_option
+@json_in_folder_option
 def pregrasp(
     object_name: str | None,
     scenario_file: Path | None,
@@ -67,6 +67,8 @@ def pregrasp(
     make_folder(folder)
     if recording is not None:
         check_file(recording, ("html", "htm"))
+    if json_file is not None:
+        check_file(json_file)
     run = _run(scenario, options, open_meshcat, recording)
     written = leave(run.exploration, folder, recording)
     if json_file is not None:
