@@ -76,10 +76,9 @@ def maps_figure(belief: Belief, *, truth: Maps | None = None, hypotheses: int = 
     mass = np.concatenate([column.maps.mass for column in columns])
     mu = np.concatenate([column.maps.mu for column in columns])
     in_grams = np.quantile(mass, 0.99) < 0.5
+    scaled, unit = (1e3 * mass, "g a cell") if in_grams else (mass, "kg a cell")
     rows = [
-        _Row(
-            "mass", "g a cell" if in_grams else "kg a cell", MAP_COLORS[0], mass * (1e3 if in_grams else 1.0)
-        ),
+        _Row("mass", unit, MAP_COLORS[0], scaled),
         _Row("friction\ncoefficient", "", MAP_COLORS[1], mu),
         _Row("mass × friction:\nforce to slide it", "N a cell", MAP_COLORS[2], mass * mu * belief.gravity),
     ]

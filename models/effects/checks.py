@@ -113,12 +113,11 @@ def _check_values(effect: Effect, slots: Slots, refuse) -> None:  # type: ignore
             refuse(f"the formula is not finite at {_told(values)}")
         if trial == 1:
             states = [symbol for symbol in symbols if str(symbol) not in {*parameters, *FIXED}]
-            found = singular_point(outputs, states, values, rng)
-            if found is not None:
-                place, divisor = found
+            place = singular_point(outputs, states, values, rng)
+            if place is not None:
                 refuse(
-                    f"the formula has no value at {_told(place)}, where {divisor} is 0; keep what it divides by"
-                    " away from 0, as in sqrt(x**2 + y**2 + 0.01**2)"
+                    f"the formula has no value at {_told(place)}: it divides by what is 0 there; keep"
+                    " that away from 0, as in sqrt(x**2 + y**2 + 0.01**2)"
                 )
         if not null:
             continue

@@ -25,8 +25,8 @@ Values = dict[sp.Symbol, float]
 
 def singular_point(
     outputs: Sequence[sp.Expr], states: Sequence[sp.Symbol], values: Values, rng: np.random.Generator
-) -> tuple[Values, sp.Expr] | None:
-    """A state at which some output is not finite, and the divisor that vanishes there; None if none is found.
+) -> Values | None:
+    """A state at which some output is not finite because a divisor vanishes; None if none is found.
 
     Args:
         outputs: formulas.
@@ -35,26 +35,24 @@ def singular_point(
         rng: of the states from which zeros are searched.
     """
     usual = 1.0 + max(abs(_value(entry, values)) for entry in outputs)
+    moving = [state for state in states if str(state).startswith("v_")]
     for divisor in _divisors(outputs):
-        free = [state for state in states if state in divisor.free_symbols]
-        # A place at which an object rests says more than one that it passes.
-        moving = [state for state in free if str(state).startswith("v_")]
-        if len(moving) < len(free):
-            free = [state for state in free if state not in moving]
-            values = {**values, **dict.fromkeys(moving, 0.0)}
-        if not free:
-            continue
-        others = {symbol: value for symbol, value in values.items() if symbol not in free}
-        function = sp.lambdify([free], divisor.subs(others), modules="math")
         users = [entry for entry in outputs if entry.has(divisor)]
-        for _ in range(STARTS):
-            zero = _zero(function, rng.normal(scale=0.1, size=len(free)))
-            if zero is None:
-                continue
-            for place in (np.round(zero, DIGITS) + 0.0, zero):
-                at = {**values, **dict(zip(free, map(float, place), strict=True))}
-                if not all(_is_value(entry, at, HUGE * usual) for entry in users):
-                    return {state: at[state] for state in free}, divisor
+        # First at rest: a place at which an object lies says more than one that it passes.
+        at_rest = [state for state in moving if state in divisor.free_symbols]
+        for still in [at_rest, []] if at_rest else [[]]:
+            begin = {**values, **dict.fromkeys(still, 0.0)}
+            free = [state for state in states if state in divisor.free_symbols and state not in still]
+            others = {symbol: value for symbol, value in begin.items() if symbol not in free}
+            function = sp.lambdify([free], divisor.subs(others), modules="math")
+            for _ in range(STARTS):
+                zero = _zero(function, rng.normal(scale=0.1, size=len(free)))
+                if zero is None:
+                    continue
+                for place in (np.round(zero, DIGITS) + 0.0, zero):
+                    at = {**begin, **dict(zip(free, map(float, place), strict=True))}
+                    if not all(_is_value(entry, at, HUGE * usual) for entry in users):
+                        return {state: round(at[state], DIGITS) + 0.0 for state in (*free, *still)}
     return None
 
 
@@ -78,6 +76,8 @@ def _zero(function, start: np.ndarray) -> np.ndarray | None:  # type: ignore[no-
         except (ArithmeticError, ValueError):
             return np.inf
 
+    if len(start) == 0 or size(start) == 0.0:
+        return start if size(start) == 0.0 else None
     options = {"xatol": 1e-12, "fatol": 1e-24, "maxiter": 400 * len(start)}
     best = minimize(size, start, method="Nelder-Mead", options=options)
     return best.x if best.fun < ZERO * max(1.0, size(start)) else None

@@ -30,12 +30,12 @@ from models.physics.paper_notation import add
 
 SEED = 0
 SCENE = """(() => {
-    if (document.readyState !== "complete" || !viewer.scene_tree.children.drake) return null;
     const below = (node) => Object.fromEntries(
         Object.entries(node.children).map(([name, child]) => [name, below(child)]));
-    return below(viewer.scene_tree);
+    const tree = below(viewer.scene_tree), {iiwa, table, object} = tree.drake.visualizer;
+    return iiwa && table && object && tree.belief.observed.maps["2"] ? tree : null;
 })()"""
-"""The tree of what a page of Meshcat shows, once it is there."""
+"""The tree of what a page of Meshcat shows, once all of it is there; what is not yet there is an error."""
 LOADED = {"script": "src", "link": "href", "img": "src", "iframe": "src", "source": "src", "object": "data"}
 MESSAGE = re.compile(r'fetch\("data:application/octet-binary;base64,([\w+/=]+)"\)')
 
