@@ -168,7 +168,7 @@ def run_loop(
     longest: float,
     watch: Callable[[LoopStatus, Context], None],
 ) -> LoopEnd:
-    """Run a loop until its supervisor is in one of its last modes, or Ctrl-C.
+    """Run a loop until its supervisor is in one of its last modes, or Ctrl-C; it can be run once.
 
     Args:
         loop: with the systems of `exploration_loop`.
@@ -197,6 +197,7 @@ def run_loop(
         simulator.AdvanceTo(longest)
     except KeyboardInterrupt:
         interrupted = True
+    loop.GetSubsystemByName("station").release_renderer(context)
     return LoopEnd(
         output_of(loop, supervisor, "status", context),
         context,

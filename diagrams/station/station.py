@@ -13,7 +13,7 @@ from pydrake.systems.framework import Context, Diagram, DiagramBuilder, LeafSyst
 from pydrake.systems.primitives import ConstantValueSource
 
 from diagrams.perception.arm_hulls import ArmHulls
-from diagrams.perception.camera import add_camera
+from diagrams.perception.camera import RENDERER, add_camera
 from diagrams.perception.depth_noise import DepthNoise
 from diagrams.station.arm import add_arm, add_arm_drivers
 from diagrams.station.hidden_effects import add_hidden_effects
@@ -82,8 +82,21 @@ class Station(Diagram):
             MeshcatVisualizer.AddToBuilder(
                 builder, scene_graph, meshcat, MeshcatVisualizerParams(role=Role.kIllustration)
             )
+        self._scene_graph = scene_graph
         builder.BuildInto(self)
         self.set_name("station")
+
+    def release_renderer(self, root: Context) -> None:
+        """Free what the camera draws with, of this station and of a Context; there are no pictures after it.
+
+        Drake never frees a diagram with systems written in Python, and the renderer is most of it.
+
+        Args:
+            root: of the diagram that the station is in.
+        """
+        context = self._scene_graph.GetMyMutableContextFromRoot(root)
+        self._scene_graph.RemoveRenderer(context, RENDERER)
+        self._scene_graph.RemoveRenderer(RENDERER)
 
 
 def _export_camera(
