@@ -68,6 +68,7 @@ def test_pushes_follow_until_a_grasp_and_the_object_is_held():
     assert loop.step(plan=PregraspPlan(FIRST, push=PLANNED)) == "pushing"
     assert loop.read("active_push").push_id == FIRST
     assert (loop.read("active_push").push.end == PUSH.end).all()
+    assert loop.step() == "pushing"  # the arm said "home" of the push before
     assert loop.step(execution=ExecutionStatus("pushing", FIRST)) == "pushing"
     assert loop.step(execution=ExecutionStatus("home", FIRST)) == "recording"
     assert loop.read("active_push") is None
