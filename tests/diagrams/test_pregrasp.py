@@ -32,7 +32,6 @@ def taken():
     scenario.pokes.center = [-0.27, 0.13]
     scenario.pokes.longest = 0.05
     scenario.pushes.candidates = 24
-    scenario.goals.count = 20
     exploration = LoopOptions(pushes=1, cells=40, hypotheses=8)
     return run_pregrasp(scenario, PregraspOptions(exploration, pushes=6))
 
