@@ -57,7 +57,7 @@ def test_each_row_has_one_scale_and_titles_give_probabilities(belief):
         assert len({(norm.vmin, norm.vmax) for norm in norms[row::3]}) == 1
     titles = [axes.get_title() for axes in figure.axes if axes.get_title()]
     assert [title.split("\n")[0] for title in titles] == [
-        "truth", "hypothesis 2", "hypothesis 3", "hypothesis 4", "hypothesis 1", "mean of",
+        "truth", "hypothesis 1", "hypothesis 2", "hypothesis 3", "hypothesis 4", "mean of",
     ]  # fmt: skip
     assert "40.0 %" in titles[1]
     labels = {axes.get_ylabel() for axes in figure.axes}
