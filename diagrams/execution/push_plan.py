@@ -25,11 +25,15 @@ _LOW_BALLS = np.array([[0.0, 0.0, 0.0], [0.0, 0.06, -0.16], [0.0, -0.06, -0.16],
 _LOW_RADII = np.array([0.0, 0.04, 0.04, 0.076])
 # (3, 4) in T and (4,), m: the finger's end, both ends of the hand, the wrist
 
+RELEASE, RELEASE_SPEED = 0.005, 0.05
+"""m and m/s by which the finger goes back before it is lifted. One that still pressed on the object would drag
+it up and away: a box by 3 to 23 mm."""
+
 
 def plan_push(
     kinematics: FingerKinematics, push: TablePush, q: FloatArray, home: FloatArray, config: ExecutionConfig
 ) -> Plan:
-    """Approach, lower, push, rest, lift and return home.
+    """Approach, lower, push, rest, go back a little, lift and return home.
 
     From `default_arm_base` every push between points within 0.36 m of W's origin can be made at 0.1 m/s, as
     60 random ones showed, and 57 of 60 within 0.45 m; the others are close under the shoulder. Planning
@@ -53,12 +57,15 @@ def plan_push(
     begin, end = (np.array([*point, config.tip_height]) for point in (push.begin, push.end))
     line, pushing = _pushing(kinematics, push, begin, end, config)
     down = follow(kinematics.inverse, begin, begin + lift, line[0])[::-1]
-    up = follow(kinematics.inverse, end, end + lift, line[-1])
+    off = end - np.array([*(RELEASE * push.direction), 0.0])
+    back = follow(kinematics.inverse, end, off, line[-1])
+    up = follow(kinematics.inverse, off, off + lift, back[-1])
     return Plan(
         (
             Phase("approaching", _way(kinematics, q, down[0], config)),
             Phase("lowering", smooth(joint_path(down), kinematics, config.lowering_speed)),
             Phase("pushing", pushing),
+            Phase("retreating", smooth(joint_path(back), kinematics, RELEASE_SPEED)),
             Phase("retreating", smooth(joint_path(up), kinematics, config.lowering_speed)),
             Phase("retreating", _way(kinematics, up[-1], home, config)),
         )
