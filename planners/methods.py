@@ -9,9 +9,9 @@ import numpy as np
 from models.inference.belief import Belief
 from models.inference.prediction import uniform_maps
 from models.physics.maps import Maps
+from planners.strategies import METHODS
 
-METHODS = ("probabilistic", "deterministic", "uniform", "true")
-"""All hypotheses; one of them drawn from P; every cell alike; the truth."""
+__all__ = ["METHODS", "planning_belief"]
 
 
 def planning_belief(

@@ -74,12 +74,12 @@ def campaign(
 
     chosen = experiment_of(experiment)
     names = _checked(object_names or chosen.objects)
-    _check_truth(truth)
     files = folder / f"{experiment}-{truth}"
     make_folder(files)
     prepare_kernels()
     try:
         specs = chosen.specs(names, trials or chosen.trials, seed, truth)
+        _check_truth(truth)
         with Progress() as progress:
             outcomes = run_trials(
                 specs,

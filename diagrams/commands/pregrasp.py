@@ -21,7 +21,7 @@ from diagrams.commands.options import (
 from diagrams.commands.viewing import in_view
 from diagrams.console import note, paragraph, table
 from diagrams.outputs import check_file, make_folder, write_json
-from planners.methods import METHODS
+from planners.strategies import METHODS
 
 if TYPE_CHECKING:
     from diagrams.pregrasp_loop import PregraspOptions
