@@ -16,7 +16,7 @@ from pydrake.math import RigidTransform, RollPitchYaw, RotationMatrix
 from pydrake.multibody.parsing import LoadModelDirectivesFromString, Parser, ProcessModelDirectives
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import FixedOffsetFrame, Frame, ModelInstanceIndex
-from pydrake.systems.framework import DiagramBuilder
+from pydrake.systems.framework import BasicVector, Context, DiagramBuilder, LeafSystem
 from pydrake.systems.primitives import SharedPointerSystem
 
 from models.physics.cell_grid import FloatArray
@@ -40,7 +40,8 @@ STAND_RADIUS = 0.07
 
 _FLOOR = -0.75  # m, where the stand ends
 _GRIPPER_STEP = 0.05  # s, period at which the gripper takes commands
-_GRIPPER_GAINS = (8000.0, 100.0)  # N/m and N s/m: on an object 10 mm thick it closes with all its force
+_GRIPPER_GAINS = (8000.0, 100.0)  # N/m and N s/m
+_SQUEEZE = 0.01  # m beyond closed that is asked for, so that it closes with all its force
 
 _DIRECTIVES = """
 directives:
@@ -186,14 +187,32 @@ def add_arm_drivers(builder: DiagramBuilder, plant: MultibodyPlant, arm: Arm) ->
 
     controller = SchunkWsgPositionController(_GRIPPER_STEP, *_GRIPPER_GAINS)
     hand = builder.AddNamedSystem("gripper_control", controller)
+    squeeze = builder.AddNamedSystem("gripper_squeeze", _Squeeze())
     opening = builder.AddNamedSystem("gripper_state", MakeMultibodyStateToWsgStateSystem())
     state = plant.get_state_output_port(arm.gripper)
     builder.Connect(state, hand.GetInputPort("state"))
     builder.Connect(state, opening.get_input_port())
     builder.Connect(hand.GetOutputPort("generalized_force"), plant.get_actuation_input_port(arm.gripper))
-    builder.ExportInput(hand.GetInputPort("desired_position"), "gripper.position")
+    builder.Connect(squeeze.get_output_port(), hand.GetInputPort("desired_position"))
+    builder.ExportInput(squeeze.get_input_port(), "gripper.position")
     builder.ExportInput(hand.GetInputPort("force_limit"), "gripper.force_limit")
     builder.ExportOutput(opening.get_output_port(), "gripper.state_measured")
+
+
+class _Squeeze(LeafSystem):
+    """Makes a gripper that is told to close do so with all its force.
+
+    Told just to be closed, its control would give way by 3.5 mm when a push strikes one of the pins.
+    """
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.DeclareVectorInputPort("opening", 1)
+        self.DeclareVectorOutputPort("desired", 1, self._calc)
+
+    def _calc(self, context: Context, output: BasicVector) -> None:
+        (opening,) = self.get_input_port().Eval(context)
+        output.SetFromVector([opening if opening > 0.0 else -_SQUEEZE])
 
 
 def _arm_url(models: str) -> str:
