@@ -124,6 +124,7 @@ class ExplorationBlocks:
             (self.station, "iiwa.position_measured", self.perception, "arm_position"),
             (self.station, "iiwa.position_measured", self.executor, "iiwa.position_measured"),
             (self.station, "iiwa.torque_external", self.executor, "iiwa.torque_external"),
+            (self.station, "gripper.state_measured", self.executor, "gripper.state_measured"),
             (self.executor, "iiwa.position", self.station, "iiwa.position"),
             (self.executor, "gripper.position", self.station, "gripper.position"),
             (self.executor, "gripper.force_limit", self.station, "gripper.force_limit"),

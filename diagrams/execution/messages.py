@@ -10,7 +10,7 @@ from planners.table_push import TablePush
 
 MODES = (
     "home", "approaching", "lowering", "pushing", "retreating", "refused",
-    "reaching", "closing", "lifting", "holding",
+    "reaching", "closing", "lifting", "holding", "stopped",
 )  # fmt: skip
 
 
@@ -53,11 +53,39 @@ class ExecutionStatus:
     Attributes:
         mode: one of `MODES`. In `pushing` the finger moves along the line of the push, or rests at its end.
             In `home` and `refused` the arm is at its home posture or, at the very start, on the way there.
-            A grasp ends in `holding`, the object lifted, and the arm stays so.
+            A grasp ends in `holding`, the object lifted, and the arm stays so. In `stopped` a fault ended
+            everything: the arm holds where it is until all is started anew.
         push_id: of the last push or grasp taken up, under way, done or refused; None before the first.
-        reason: why it was refused or given up, else empty.
+        reason: why it was refused, given up or stopped, else empty.
     """
 
     mode: str
     push_id: int | None = None
     reason: str = ""
+
+
+@dataclass(frozen=True)
+class Health:
+    """Whether the arm may move.
+
+    Attributes:
+        mode: `waiting` for the arm's first status, `ok`, or `stopped` by a fault, for good.
+        cause: of the stop, with numbers; else empty.
+        remedy: what to do about it; else empty.
+        time: of the fault, s.
+    """
+
+    mode: str
+    cause: str = ""
+    remedy: str = ""
+    time: float = 0.0
+
+    @property
+    def ok(self) -> bool:
+        """Whether the arm may move."""
+        return self.mode == "ok"
+
+    @property
+    def text(self) -> str:
+        """Cause and remedy; empty unless stopped."""
+        return f"{self.cause}; {self.remedy}" if self.cause else ""

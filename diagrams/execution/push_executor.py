@@ -14,7 +14,7 @@ from diagrams.execution.clearance import ArmClearance
 from diagrams.execution.config import ExecutionConfig
 from diagrams.execution.finger_kinematics import FingerKinematics
 from diagrams.execution.grasp_plan import plan_grasp
-from diagrams.execution.messages import ActiveGrasp, ActivePush, ExecutionStatus
+from diagrams.execution.messages import ActiveGrasp, ActivePush, ExecutionStatus, Health
 from diagrams.execution.motion import MotionRefused, Phase, Plan
 from diagrams.execution.push_plan import plan_push, plan_retreat
 from diagrams.execution.tip_force import tip_force
@@ -26,6 +26,9 @@ from models.robots import GRIP_FORCE
 PERIOD = 0.02
 """s between two looks at the inputs."""
 
+CLOSED = 0.005
+"""Opening up to which the gripper is one round finger, m."""
+
 
 @dataclass(frozen=True, eq=False)
 class _Execution:
@@ -36,15 +39,21 @@ class _Execution:
         plan: the motion under way, or the last one.
         begin: time when it began, s.
         aborted: whether it is the way home after an abort.
+        stopped: time when a fault ended it, s; else infinite.
     """
 
     status: ExecutionStatus
     plan: Plan | None = None
     begin: float = 0.0
     aborted: bool = False
+    stopped: float = np.inf
 
     def running(self, time: float) -> bool:
         return self.plan is not None and time < self.begin + self.plan.duration
+
+    def since(self, time: float) -> float:
+        """s from the begin of the plan; they end with a fault."""
+        return min(time, self.stopped) - self.begin
 
 
 class PushExecutor(LeafSystem):
@@ -59,6 +68,8 @@ class PushExecutor(LeafSystem):
         - iiwa.position_measured
         - iiwa.torque_external
         - abort
+        - health
+        - gripper.state_measured
         output_ports:
         - iiwa.position
         - gripper.position
@@ -71,6 +82,11 @@ class PushExecutor(LeafSystem):
       connected; True stops a push, lifts the finger and brings the arm home. A grasp goes on.
     - `grasp`: `ActiveGrasp | None`, need not be connected; a new number starts a grasp once the arm is home.
       It ends in `holding`: nothing is put down, and nothing is done after it.
+    - `health`: `Health` of a `CommandGuard`, need not be connected. Nothing is planned while the guard waits
+      for the arm. When it has stopped the arm, the push or grasp ends in `stopped` with the guard's reason;
+      arm and gripper are told to stay as they are, and nothing is done after it.
+    - `gripper.state_measured` (2,) opening and its rate, m and m/s, need not be connected; a gripper that
+      does not close for a push ends in `stopped`, too.
     - `iiwa.position_measured` (7,) rad; `iiwa.torque_external` (7,) N m, of the contact forces on the arm.
     - `iiwa.position` (7,) rad; `gripper.position` (1,) m, closed unless a grasp is under way;
       `gripper.force_limit` (1,) N.
@@ -108,6 +124,8 @@ class PushExecutor(LeafSystem):
         self._measured = self.DeclareVectorInputPort("iiwa.position_measured", 7)
         self._torque = self.DeclareVectorInputPort("iiwa.torque_external", 7)
         self._abort = self.DeclareAbstractInputPort("abort", Value[object](False))
+        self._health = self.DeclareAbstractInputPort("health", Value[object](None))
+        self._gripper = self.DeclareVectorInputPort("gripper.state_measured", 2)
         self._execution = self.DeclareAbstractState(held(_Execution(ExecutionStatus("home"))))
         self.DeclarePeriodicUnrestrictedUpdateEvent(PERIOD, 0.0, self._update)
 
@@ -131,6 +149,13 @@ class PushExecutor(LeafSystem):
 
     def _next(self, context: Context, now: _Execution) -> _Execution:
         time = context.get_time()
+        health: Health | None = self._health.Eval(context) if self._health.HasValue(context) else None
+        if now.status.mode == "stopped" or (health is not None and health.mode == "waiting"):
+            return now
+        if health is not None and not health.ok:
+            return replace(
+                now, status=ExecutionStatus("stopped", now.status.push_id, health.text), stopped=time
+            )
         if now.plan is None:
             plan = self._plan_home(self._measured.Eval(context), np.zeros(7))
             return replace(now, plan=plan, begin=time)
@@ -146,6 +171,10 @@ class PushExecutor(LeafSystem):
             return now
         if now.plan.phases[-1].mode == "holding":
             return now
+        if isinstance(request, ActivePush) and self._gripper.HasValue(context):
+            opening = self._gripper.Eval(context)[0]
+            if not opening <= CLOSED:
+                return self._not_closed(now, time, request.push_id, opening)
         try:
             plan = self._plan(request, now.plan.at(time - now.begin)[1])
         except MotionRefused as refusal:
@@ -168,6 +197,16 @@ class PushExecutor(LeafSystem):
         status = replace(now.status, reason=f"aborted while {mode}")
         return _Execution(status, self._plan_home(*plan.motion(since)), time, aborted=True)
 
+    def _not_closed(self, now: _Execution, time: float, push_id: int, opening: float) -> _Execution:
+        assert now.plan is not None
+        if time < now.begin + now.plan.duration + self._config.closing:
+            return now  # it may be on its way
+        reason = (
+            f"the gripper does not close: it is open by {1e3 * opening:.0f} mm; see whether it is stuck or "
+            "switched off, then start again"
+        )
+        return replace(now, status=ExecutionStatus("stopped", push_id, reason), stopped=time)
+
     def _plan_home(self, q: FloatArray, speed: FloatArray) -> Plan:
         return plan_retreat(self._kinematics, q, speed, self._home, self._config)
 
@@ -176,7 +215,7 @@ class PushExecutor(LeafSystem):
         if now.plan is None:
             output.SetFromVector(self._measured.Eval(context))
         else:
-            output.SetFromVector(now.plan.at(context.get_time() - now.begin)[1])
+            output.SetFromVector(now.plan.at(now.since(context.get_time()))[1])
 
     def _calc_opening(self, context: Context, output: BasicVector) -> None:
         phase, since = self._phase(context)
@@ -188,7 +227,7 @@ class PushExecutor(LeafSystem):
 
     def _phase(self, context: Context) -> tuple[Phase | None, float]:
         now: _Execution = read(context, self._execution)
-        return (None, 0.0) if now.plan is None else now.plan.phase(context.get_time() - now.begin)
+        return (None, 0.0) if now.plan is None else now.plan.phase(now.since(context.get_time()))
 
     def _calc_tip_pose(self, context: Context, output: Value) -> None:
         output.set_value(self._kinematics.pose(self._measured.Eval(context)))
@@ -200,7 +239,7 @@ class PushExecutor(LeafSystem):
     def _calc_status(self, context: Context, output: Value) -> None:
         now: _Execution = read(context, self._execution)
         status, time = now.status, context.get_time()
-        if status.mode not in ("home", "refused"):
+        if status.mode not in ("home", "refused", "stopped"):
             assert now.plan is not None
             mode = now.plan.at(time - now.begin)[0]
             if not now.running(time) and mode != "holding":

@@ -8,6 +8,7 @@ import numpy as np
 from shapely.affinity import rotate, translate
 
 from diagrams.execution.config import ExecutionConfig
+from diagrams.hardware.guard_settings import GuardSettings
 from diagrams.perception.camera import CameraConfig
 from diagrams.perception.depth_noise import DepthNoiseConfig
 from diagrams.station.arm import ARM_MODELS
@@ -186,6 +187,7 @@ class Scenario:
         table: where it lies.
         arm: what pushes it.
         execution: how it moves.
+        guard: when a real arm is stopped.
         camera: what watches.
         depth_noise: how well it sees.
         hidden: physics of the true world that the plain model does not have; nothing by default.
@@ -199,6 +201,7 @@ class Scenario:
     table: TableSettings = field(default_factory=TableSettings)
     arm: ArmSettings = field(default_factory=ArmSettings)
     execution: ExecutionConfig = field(default_factory=ExecutionConfig)
+    guard: GuardSettings = field(default_factory=GuardSettings)
     camera: CameraConfig = field(default_factory=lambda: CameraConfig(rate=10.0))
     depth_noise: DepthNoiseConfig = field(default_factory=DepthNoiseConfig)
     hidden: HiddenEffectsConfig = field(default_factory=HiddenEffectsConfig)

@@ -22,6 +22,9 @@ HOLD = 1.0
 HELD_LESS = 0.5
 """Share of the height between the pins by which they may come closer than that while they hold."""
 
+HELD_MORE = 0.01
+"""m by which they may be further apart than that: the camera may be wrong by less."""
+
 
 @dataclass(frozen=True, eq=False)
 class _Bringing:
@@ -123,6 +126,8 @@ class PregraspSupervisor(LeafSystem):
         def patient(reason: str) -> _Bringing:
             return now if time - now.since < PATIENCE else to("failed", reason)
 
+        if execution.mode == "stopped" and status.mode not in ("held", "failed"):
+            return to("failed", execution.reason)
         if status.mode == "planning":
             plan: PregraspPlan | None = self._input(context, "plan")
             if plan is None or plan.number != status.number:
@@ -143,13 +148,23 @@ class PregraspSupervisor(LeafSystem):
         if status.mode == "lifting":
             return to("holding") if execution.mode == "holding" else now
         if status.mode == "holding" and time - now.since >= HOLD:
-            return to("held") if self._holds(context, now) else to("failed", "the pins closed on nothing")
+            reason = self._empty(context, now)
+            return to("failed", reason) if reason else to("held")
         return now
 
-    def _holds(self, context: Context, now: _Bringing) -> bool:
+    def _empty(self, context: Context, now: _Bringing) -> str:
+        """Why the gripper holds nothing; empty if it holds the object."""
         assert now.grasp is not None
         between = self._input(context, "gripper.state_measured")[0] - 2 * FINGER_RADIUS
-        return bool(between > (1.0 - HELD_LESS) * now.grasp.grasp.height)
+        height = now.grasp.grasp.height
+        if not between > (1.0 - HELD_LESS) * height:
+            return "the pins closed on nothing"
+        if between > height + HELD_MORE:
+            return (
+                f"the gripper did not close: there are {1e3 * between:.0f} mm between its pins, and the"
+                f" object is {1e3 * height:.0f} mm high; see whether it is stuck or switched off"
+            )
+        return ""
 
     def _input(self, context: Context, name: str) -> Any:
         return self.GetInputPort(name).Eval(context)

@@ -80,6 +80,8 @@ class PushSupervisor(LeafSystem):
         if now.mode in ("finished", "failed"):
             return now
         execution = self._input(context, "execution")
+        if execution.mode == "stopped":
+            return LoopStatus("failed", now.push, now.attempt, execution.reason)
         if now.mode == "looking":
             return self._look(context, now)
         if now.mode == "choosing":

@@ -98,6 +98,30 @@ def test_pins_that_closed_on_nothing_hold_nothing():
     assert (loop.read("status").mode, loop.read("status").reason) == ("failed", "the pins closed on nothing")
 
 
+def test_a_gripper_that_is_stuck_open_holds_nothing():
+    loop = Loop()
+    loop.step()
+    loop.reach("holding")
+    loop.set(**{"gripper.state_measured": [0.094, 0.0]})
+    loop.advance(HOLD + PERIOD)
+    assert loop.read("status").mode == "failed"
+    assert "did not close: there are 78 mm between its pins" in loop.read("status").reason
+
+
+@pytest.mark.parametrize("when", ["planning", "pushing", "grasping", "holding"])
+def test_an_arm_that_was_stopped_ends_the_loop_with_its_reason(when):
+    loop = Loop()
+    loop.step()
+    if when == "pushing":
+        loop.step(plan=PregraspPlan(FIRST, push=PLANNED))
+    elif when != "planning":
+        loop.reach(when)
+    assert loop.read("status").mode == when
+    assert loop.step(execution=ExecutionStatus("stopped", FIRST, "stopped by hand")) == "failed"
+    assert loop.read("status").reason == "stopped by hand"
+    assert loop.read("active_push") is None
+
+
 @pytest.mark.parametrize("plan", [{"push": PLANNED}, {"grasp": GRASP}])
 def test_what_the_arm_refuses_is_planned_anew_until_it_is_too_often(plan):
     loop = Loop()

@@ -184,3 +184,21 @@ def test_learning_may_take_its_time():
     loop.step(records=(object(),))
     loop.advance(2 * PATIENCE)
     assert loop.read("status").mode == "learning"
+
+
+@pytest.mark.parametrize("when", ["looking", "choosing", "pushing", "recording", "learning"])
+def test_an_arm_that_was_stopped_ends_the_loop_with_its_reason(when):
+    loop = Loop()
+    if when != "looking":
+        loop.step(object_pose=seen_at(0, 0, 0), cell_grid=GRID)
+    if when in ("pushing", "recording", "learning"):
+        loop.step(poke=PokeRequest(0, POKE))
+    if when in ("recording", "learning"):
+        loop.step(execution=ExecutionStatus("home", 0))
+    if when == "learning":
+        loop.step(records=(object(),))
+    assert loop.read("status").mode == when
+    status = loop.step(execution=ExecutionStatus("stopped", None, "joint 4 is pushed; look why"))
+    assert (status.mode, status.reason) == ("failed", "joint 4 is pushed; look why")
+    assert loop.read("active_push") is None
+    assert loop.step(execution=AT_HOME).mode == "failed"

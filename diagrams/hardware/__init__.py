@@ -1,0 +1,1 @@
+"""The real arm, or its twin in another process, and what keeps it from doing harm."""
