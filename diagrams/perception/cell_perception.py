@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from typing import Any
 
@@ -20,6 +20,7 @@ from models.perception.camera import DepthImage, PinholeCamera, View
 from models.perception.first_look import ObjectNotSeen, first_look, object_center
 from models.perception.object_mask import Mask
 from models.perception.observed_pose import ObservedPose, Reason
+from models.perception.picture_check import PictureHistory, readings
 from models.perception.pose_tracking import track
 from models.perception.seen_object import SeenObject
 from models.perception.table_plane import NoTable
@@ -28,18 +29,27 @@ from models.physics.cell_grid import FloatArray
 FRAMES = 15
 """Pictures of the object at rest that make up the first look; an odd number keeps its edges sharp."""
 
+OLD = 3
+"""Pictures that may fail to come before the last one is too old."""
+
+_STILL = np.array([1e-3, 1e-3, np.deg2rad(0.5)])  # m, m, rad between two pictures of an object at rest
 _TRIED_EVERY = 5  # pictures; also as many of the first and of the last are compared
 _AT_REST = 1.0  # pixels that the object may seem to move between them
 
 
 @dataclass(frozen=True, eq=False)
 class _Memory:
-    """State: pictures gathered for the first look, what it found, and what is known since."""
+    """State: pictures gathered for the first look, what it found, and what is known since.
+
+    `doubtful` after a torn picture: those after it may be torn in the same place, where no row comes twice.
+    """
 
     observed: ObservedPose
+    history: PictureHistory = field(default_factory=PictureHistory)
     frames: tuple[DepthImage, ...] = ()
     seen: SeenObject | None = None
     last_pose: FloatArray | None = None
+    doubtful: bool = False
 
 
 class CellPerception(LeafSystem):
@@ -52,19 +62,28 @@ class CellPerception(LeafSystem):
         - depth_image
         - X_WC
         - arm_position (optional)
+        - image_age (optional)
         output_ports:
         - object_pose
         - cell_grid
         - seen_object
 
     Inputs: `depth_image`, an ImageDepth32F; `X_WC`, a RigidTransform; `arm_position`, (7,) joint angles,
-    with which the arm is masked in the picture. Outputs: `object_pose`, an `ObservedPose`; `cell_grid`, a
+    with which the arm is masked in the picture; `image_age`, (1,) s since the picture was taken, 0 if not
+    connected. Outputs: `object_pose`, an `ObservedPose`; `cell_grid`, a
     `CellGrid` or None before the first look is over; `seen_object`, a `SeenObject` with heights, or None.
 
     The inputs are read at the camera's rate. The first look takes `FRAMES` pictures between which the object
     does not move; it goes on until there are such, with the arm not near the object. It defines the object
     frame: origin at the centroid of the footprint's area, axes parallel to the world's. Until then the pose
     is not valid, and "no object" or "occluded" its reason.
+
+    A picture that was seen before, by its age or because each of its rows was, tells nothing new; after `OLD`
+    pictures that did not come the pose is not valid. Nor is it where the picture is torn, that is, has rows
+    of one before, and from then on until the object rests; or where a tenth more pixels than usual have no
+    reading. A camera without noise repeats rows
+    whenever nothing moves: whether this one does is found out during the first look, before which torn
+    and repeated pictures are not noticed.
     """
 
     def __init__(
@@ -94,6 +113,8 @@ class CellPerception(LeafSystem):
         self._image = self.DeclareAbstractInputPort("depth_image", AbstractValue.Make(ImageDepth32F()))
         self._X_WC = self.DeclareAbstractInputPort("X_WC", AbstractValue.Make(RigidTransform()))
         self._arm = self.DeclareVectorInputPort("arm_position", 7)
+        self._age = self.DeclareVectorInputPort("image_age", 1)
+        self._oldest = OLD / config.rate
         memory = self.DeclareAbstractState(held(_Memory(ObservedPose.unseen("no object"))))
         self._memory = memory
         ticket = {self.abstract_state_ticket(memory)}
@@ -119,22 +140,46 @@ class CellPerception(LeafSystem):
 
     def _look(self, context: Any, state: Any) -> None:
         memory = self._memory_in(context)
-        X_WC: Any = self._X_WC.Eval(context)
+        looked = self._looked(context, memory)
+        if looked is not memory:
+            replace_held(state, self._memory, looked)
+
+    def _looked(self, context: Any, memory: _Memory) -> _Memory:
+        time = context.get_time()
+        age = float(self._age.Eval(context)[0]) if self._age.HasValue(context) else 0.0
         picture: Any = self._image.Eval(context)
-        view = _view(self._camera, X_WC.GetAsMatrix4().tobytes())
-        image = picture.data[:, :, 0]
+        camera = self._camera
+        if picture.width() * picture.height() == 0 or not np.isfinite(age):
+            return replace(memory, observed=ObservedPose.unseen("no picture", time))
+        if (picture.width(), picture.height()) != (camera.width, camera.height):
+            return replace(memory, observed=ObservedPose.unseen("corrupt picture", time))
+        X_WC: Any = self._X_WC.Eval(context)
+        view = _view(camera, X_WC.GetAsMatrix4().tobytes())
+        image = readings(picture.data[:, :, 0])
         blocked: Mask | None = None
         if self._arm_hulls is not None and self._arm.HasValue(context):
             blocked = draw_hulls(self._arm_hulls(np.asarray(self._arm.Eval(context))), view)
-        time = context.get_time()
+        fault, new, history = memory.history.judged(image, time - age, time, self._oldest, blocked)
+        if fault:
+            doubtful = memory.doubtful or fault == "torn picture"
+            return replace(memory, observed=ObservedPose.unseen(fault, time), doubtful=doubtful)
+        if not new:
+            return memory
+        memory = replace(memory, history=history)
         if memory.seen is None:
-            memory = self._first_look(memory, image.copy(), view, blocked, time)
-        else:
-            assert memory.last_pose is not None
-            observed = track(image, view, memory.seen, memory.last_pose, blocked, time)
-            last = observed.pose if observed.valid else memory.last_pose
-            memory = replace(memory, observed=observed, last_pose=last)
-        replace_held(state, self._memory, memory)
+            return self._first_look(memory, image, view, blocked, time - age)
+        assert memory.last_pose is not None
+        observed = track(image, view, memory.seen, memory.last_pose, blocked, time - age)
+        if not observed.valid and history.spoilt(image, blocked):
+            observed = replace(observed, reason="corrupt picture")
+        if not observed.valid:
+            return replace(memory, observed=observed)
+        moved = np.abs(observed.pose - memory.last_pose)
+        doubtful = memory.doubtful and bool((moved > _STILL).any())
+        last = observed.pose
+        if doubtful:
+            observed = ObservedPose.unseen("torn picture", time)
+        return replace(memory, observed=observed, last_pose=last, doubtful=doubtful)
 
     def _first_look(
         self, memory: _Memory, image: DepthImage, view: View, blocked: Mask | None, time: float
@@ -142,20 +187,21 @@ class CellPerception(LeafSystem):
         frames = (*memory.frames, image)
         observed = replace(memory.observed, time=time)
         if len(frames) < FRAMES:
-            return _Memory(observed, frames)
+            return replace(memory, observed=observed, frames=frames)
         later = frames[_TRIED_EVERY:]
         try:
             begin, end = (
                 object_center(part, view, blocked) for part in (frames[:_TRIED_EVERY], frames[-_TRIED_EVERY:])
             )
             if np.hypot(*(end - begin)) > _AT_REST:
-                return _Memory(ObservedPose.unseen("no object", time), later)
+                return replace(memory, observed=ObservedPose.unseen("no object", time), frames=later)
             seen = first_look(frames, view, self._cells, blocked)
         except (ObjectNotSeen, NoTable) as error:
             reason: Reason = error.reason if isinstance(error, ObjectNotSeen) else "no object"
-            return _Memory(ObservedPose.unseen(reason, time), later)
+            return replace(memory, observed=ObservedPose.unseen(reason, time), frames=later)
         observed = track(image, view, seen, seen.first_pose, blocked, time)
-        return _Memory(observed, seen=seen, last_pose=seen.first_pose)
+        history = memory.history.learned(frames, blocked)
+        return _Memory(observed, history, seen=seen, last_pose=seen.first_pose)
 
 
 @lru_cache(maxsize=4)

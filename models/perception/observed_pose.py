@@ -7,9 +7,10 @@ from typing import Literal
 
 import numpy as np
 
+from models.perception.picture_check import Fault
 from models.physics.cell_grid import FloatArray
 
-Reason = Literal["", "no object", "occluded", "left the table"]
+Reason = Literal["", "no object", "occluded", "left the table"] | Fault
 
 
 @dataclass(frozen=True, eq=False)
@@ -22,7 +23,7 @@ class ObservedPose:
         covariance: (3, 3) of the pose, m², m rad, rad²; NaN if not valid.
         valid: whether the object was seen.
         reason: empty, or why not: "no object" (none was seen yet, or what is seen is not it), "occluded" (the
-            arm hides too much of it) or "left the table".
+            arm hides too much of it), "left the table", or what is wrong with the picture.
         time: at which the picture was taken, s.
     """
 

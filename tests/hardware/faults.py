@@ -164,7 +164,7 @@ class PictureLink(LeafSystem):
     ) -> None:
         super().__init__()
         assert fault is None or fault in PICTURE_FAULTS
-        self._fault, self._at, self._band = fault, at, band
+        self._plan = self.DeclareAbstractState(held((fault, at, band)))
         self.DeclareAbstractInputPort("depth_image", AbstractValue.Make(ImageDepth32F()))
         self._now = self.DeclareAbstractState(held((-np.inf, None, None)))  # stamp, sent before, what came
         self.DeclarePeriodicUnrestrictedUpdateEvent(period, 0.0, self._send)
@@ -174,22 +174,30 @@ class PictureLink(LeafSystem):
         )
         self.DeclareVectorOutputPort("age", 1, self._age, {own, self.time_ticket()})
 
+    def spoil(self, root, fault: str | None, at: float = -np.inf, band: tuple[float, float] = (0, 1)) -> None:
+        """Another fault, in a Context of the diagram in which this is."""
+        assert fault is None or fault in PICTURE_FAULTS
+        replace_held(
+            self.GetMyMutableContextFromRoot(root).get_mutable_state(), self._plan, (fault, at, band)
+        )
+
     def _send(self, context, state) -> None:
         time = context.get_time()
         _, before, come = read(context, self._now)
         sent = self.GetInputPort("depth_image").Eval(context).data[:, :, 0].copy()
-        faulty = self._fault if time >= self._at - 1e-9 else None
+        fault, at, band = read(context, self._plan)
+        faulty = fault if time >= at - 1e-9 else None
         if faulty == "drop":
             return
         if faulty != "freeze":
-            come = sent if faulty is None else self._spoilt(faulty, sent, before, time)
+            come = sent if faulty is None else self._spoilt(faulty, band, sent, before, time)
         replace_held(state, self._now, (time, sent, come))
 
-    def _spoilt(self, fault: str, sent: np.ndarray, before: np.ndarray, time: float) -> np.ndarray:
+    def _spoilt(self, fault, band, sent: np.ndarray, before: np.ndarray, time: float) -> np.ndarray:
         if fault == "empty":
             return sent[:0, :0]
         come = sent.copy()
-        first, last = (round(share * len(sent)) for share in self._band)
+        first, last = (round(share * len(sent)) for share in band)
         if fault == "torn":
             come[first:last] = before[first:last]
         elif fault == "rubbish":

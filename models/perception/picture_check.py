@@ -1,0 +1,96 @@
+"""Whether a depth picture can be believed: a camera may stop, repeat itself, or send half a picture."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from typing import Literal
+
+import numpy as np
+
+from models.perception.camera import DepthImage
+from models.perception.object_mask import Mask
+from models.physics.cell_grid import FloatArray
+
+Fault = Literal["", "no picture", "old picture", "torn picture", "corrupt picture"]
+
+REMEMBERED = 4
+"""Pictures with whose rows those of a new one are compared."""
+
+_SPAN = (0.05, 20.0)  # m; a finite reading beyond is none
+_USABLE = 30  # readings that make a row worth comparing
+_TORN = 0.02  # of the rows
+_CORRUPT = 0.1  # of the pixels, without a reading beyond those that usually have none
+_SPOILT = 0.01  # the same for a picture in which the object is not found
+
+
+@dataclass(frozen=True, eq=False)
+class PictureHistory:
+    """What is known of the pictures before.
+
+    Attributes:
+        recent: the newest that could be believed, at most `REMEMBERED`.
+        taken: when the newest was, s.
+        noisy: whether no two pictures of this camera have a row in common, so that one that does is not new.
+        missing: usual share of pixels without a reading.
+    """
+
+    recent: tuple[DepthImage, ...] = ()
+    taken: float = 0.0
+    noisy: bool = False
+    missing: float = 1.0
+
+    def learned(self, frames: Sequence[DepthImage], blocked: Mask | None) -> PictureHistory:
+        """With what pictures (H, W) of a scene at rest tell of their noise.
+
+        Two pictures of a camera without noise have rows in common wherever nothing moves.
+        """
+        noisy = any(not _same_rows(one, other).any() for one, other in pairwise(frames))
+        return replace(self, noisy=noisy, missing=float(np.mean([missing(f, blocked) for f in frames])))
+
+    def judged(
+        self, image: DepthImage, taken: float, now: float, oldest: float, blocked: Mask | None
+    ) -> tuple[Fault, bool, PictureHistory]:
+        """What is wrong with a picture, whether it is new, and the history with it.
+
+        Args:
+            image: (H, W) m, as from `readings`.
+            taken: when it was, as its sender says, s.
+            now: s.
+            oldest: age from which a picture is too old, s.
+            blocked: (H, W) pixels that show the arm.
+        """
+        same = [_same_rows(image, other) for other in self.recent] if self.noisy else []
+        new = taken > self.taken + 1e-6 or not self.recent
+        if new and not any(len(rows) and rows.all() for rows in same):
+            if any(rows.mean() > _TORN for rows in same if len(rows)):
+                return "torn picture", True, self
+            if missing(image, blocked) > self.missing + _CORRUPT:
+                return "corrupt picture", True, self
+            return "", True, replace(self, recent=(*self.recent, image)[-REMEMBERED:], taken=taken)
+        return ("old picture" if now - self.taken > oldest else ""), False, self
+
+    def spoilt(self, image: DepthImage, blocked: Mask | None) -> bool:
+        """Whether pixels without a reading may be why an object is not found."""
+        return missing(image, blocked) > self.missing + _SPOILT
+
+
+def readings(image: DepthImage) -> DepthImage:
+    """A copy (H, W) of a depth picture, m; 0 for all that cannot be a reading, inf beyond the range."""
+    low, high = _SPAN
+    possible = (image >= low) & ((image <= high) | np.isposinf(image))
+    return np.where(possible, image, np.float32(0))
+
+
+def missing(image: DepthImage, blocked: Mask | None) -> float:
+    """Share of the pixels without a reading, of those that do not show the arm."""
+    empty = image == 0 if blocked is None else (image == 0)[~blocked]
+    return float(empty.mean()) if empty.size else 1.0
+
+
+def _same_rows(one: DepthImage, other: DepthImage) -> FloatArray:
+    """For each row in which both pictures have finite readings, whether they have the same."""
+    usable = np.isfinite(one) & (one > 0)
+    rows = usable.sum(axis=1) >= _USABLE
+    return (one == other)[rows].all(axis=1)
