@@ -13,6 +13,7 @@ from pydrake.systems.framework import Diagram, DiagramBuilder, LeafSystem, Syste
 from diagrams.execution.config import ExecutionConfig
 from diagrams.execution.finger_kinematics import FingerKinematics
 from diagrams.execution.motion import MotionRefused
+from diagrams.execution.object_watch import ObjectWatch
 from diagrams.execution.push_executor import PushExecutor
 from diagrams.execution.push_plan import plan_push
 from diagrams.perception.cell_perception import CellPerception
@@ -78,8 +79,8 @@ def exploration_loop(
 ) -> Diagram:
     """The station with everything that explores the object on its table.
 
-    Its systems are named `station`, `perception`, `supervisor`, `exploration`, `executor`, `logger`,
-    `identification`, `multiverse`, `model_monitor`, and with Meshcat `belief_visualizer`.
+    Its systems are named `station`, `perception`, `supervisor`, `exploration`, `executor`, `object_watch`,
+    `logger`, `identification`, `multiverse`, `model_monitor`, and with Meshcat `belief_visualizer`.
 
     Args:
         scenario: what the cell is like.
@@ -109,6 +110,7 @@ class ExplorationBlocks:
     supervisor: PushSupervisor
     exploration: Exploration
     executor: PushExecutor
+    watch: ObjectWatch
     logger: MeasurementLogger
     identification: Identification
     finger: FingerMotion
@@ -125,6 +127,9 @@ class ExplorationBlocks:
             (self.station, "iiwa.position_measured", self.executor, "iiwa.position_measured"),
             (self.station, "iiwa.torque_external", self.executor, "iiwa.torque_external"),
             (self.station, "gripper.state_measured", self.executor, "gripper.state_measured"),
+            (self.perception, "object_pose", self.watch, "object_pose"),
+            (self.executor, "status", self.watch, "execution"),
+            (self.watch, "moved", self.executor, "moved"),
             (self.executor, "iiwa.position", self.station, "iiwa.position"),
             (self.executor, "gripper.position", self.station, "gripper.position"),
             (self.executor, "gripper.force_limit", self.station, "gripper.force_limit"),
@@ -198,6 +203,7 @@ def add_exploration(
             ),
         ),
         executor=add("executor", PushExecutor(model, HOME, config, scenario.table.make())),
+        watch=add("object_watch", ObjectWatch()),
         logger=add("logger", MeasurementLogger(options.pushes)),
         identification=add(
             "identification",

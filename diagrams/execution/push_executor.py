@@ -40,6 +40,7 @@ class _Execution:
         begin: time when it began, s.
         aborted: whether it is the way home after an abort.
         stopped: time when a fault ended it, s; else infinite.
+        last: mode once the plan is over, but for a grasp.
     """
 
     status: ExecutionStatus
@@ -47,6 +48,7 @@ class _Execution:
     begin: float = 0.0
     aborted: bool = False
     stopped: float = np.inf
+    last: str = "home"
 
     def running(self, time: float) -> bool:
         return self.plan is not None and time < self.begin + self.plan.duration
@@ -68,6 +70,7 @@ class PushExecutor(LeafSystem):
         - iiwa.position_measured
         - iiwa.torque_external
         - abort
+        - moved
         - health
         - gripper.state_measured
         output_ports:
@@ -82,6 +85,8 @@ class PushExecutor(LeafSystem):
       connected; True stops a push, lifts the finger and brings the arm home. A grasp goes on.
     - `grasp`: `ActiveGrasp | None`, need not be connected; a new number starts a grasp once the arm is home.
       It ends in `holding`: nothing is put down, and nothing is done after it.
+    - `moved`: str of an `ObjectWatch`, need not be connected; where it is not empty on the way to a push, the
+      arm goes home and the push counts as refused for that reason.
     - `health`: `Health` of a `CommandGuard`, need not be connected. Nothing is planned while the guard waits
       for the arm. When it has stopped the arm, the push or grasp ends in `stopped` with the guard's reason;
       arm and gripper are told to stay as they are, and nothing is done after it.
@@ -124,6 +129,7 @@ class PushExecutor(LeafSystem):
         self._measured = self.DeclareVectorInputPort("iiwa.position_measured", 7)
         self._torque = self.DeclareVectorInputPort("iiwa.torque_external", 7)
         self._abort = self.DeclareAbstractInputPort("abort", Value[object](False))
+        self._moved = self.DeclareAbstractInputPort("moved", Value[object](""))
         self._health = self.DeclareAbstractInputPort("health", Value[object](None))
         self._gripper = self.DeclareVectorInputPort("gripper.state_measured", 2)
         self._execution = self.DeclareAbstractState(held(_Execution(ExecutionStatus("home"))))
@@ -163,6 +169,10 @@ class PushExecutor(LeafSystem):
         if now.running(time):
             if abort and not now.aborted and now.status.mode != "home":
                 return self._aborted(now, time)
+            moved = self._moved.Eval(context) if self._moved.HasValue(context) else ""
+            if moved and now.plan.at(time - now.begin)[0] in ("approaching", "lowering"):
+                back = self._plan_home(*now.plan.motion(time - now.begin))
+                return _Execution(replace(now.status, reason=moved), back, time, True, last="refused")
             return now
         request: ActivePush | ActiveGrasp | None = self._push.Eval(context)
         if self._grasp.HasValue(context) and self._grasp.Eval(context) is not None:
@@ -243,6 +253,6 @@ class PushExecutor(LeafSystem):
             assert now.plan is not None
             mode = now.plan.at(time - now.begin)[0]
             if not now.running(time) and mode != "holding":
-                mode = "home"
+                mode = now.last
             status = replace(status, mode=mode)
         output.set_value(status)

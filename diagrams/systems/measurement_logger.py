@@ -26,7 +26,8 @@ LOOKS = 6
 RESTED = 0.15
 """s before the arm lifts the finger from when on the object certainly rests."""
 MISPLACED, TURNED = 4e-3, 0.05
-"""m and rad by which a pose seen then may differ from that seen afterwards, with the arm out of the way."""
+"""m and rad by which a pose seen then may differ from that seen afterwards, with the arm out of the way, and
+two looks at an object at rest."""
 
 Row = tuple[float, ...]
 
@@ -102,8 +103,9 @@ class MeasurementLogger(LeafSystem):
         pose = self.GetInputPort("object_pose").Eval(context)
         row = (pose.time, *map(float, pose.pose)) if pose is not None and pose.valid else None
         if execution.mode == "home" and status.mode != "pushing":
-            if row is not None and _fresh(row, old.looks):
-                new = replace(old, looks=(*old.looks, row)[-LOOKS:])
+            if row is not None and _fresh(row, old.looks or old.tips):
+                before = old.looks if _lies_there(row, old.looks) else ()
+                new = replace(old, looks=(*before, row)[-LOOKS:])
                 if status.mode == "recording":
                     new = self._completed(new)
         elif execution.mode == "pushing":
@@ -157,6 +159,12 @@ def _rest(looks: Sequence[Row], time: float) -> Row:
     """Pose of an object at rest from several looks; their angles are continuous."""
     mean = np.mean([row[1:] for row in looks], axis=0)
     return (time, *map(float, mean))
+
+
+def _lies_there(row: Row, looks: Sequence[Row]) -> bool:
+    """Whether the object lies where it did; else something else moved it, and looks before say nothing."""
+    off = np.abs(np.subtract(row, _rest(looks, row[0])))[1:] if looks else np.zeros(3)
+    return bool((off <= [MISPLACED, MISPLACED, TURNED]).all())
 
 
 def _fresh(row: Row, rows: Sequence[Row]) -> bool:

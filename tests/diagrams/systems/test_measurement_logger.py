@@ -169,6 +169,31 @@ def test_a_picture_counts_once_however_often_it_is_read():
     assert cell.trials == ()
 
 
+def test_looks_before_something_else_moved_the_object_do_not_count():
+    """A mean of two places would be a third."""
+    cell = Cell()
+    moved = [(x + 0.02, y, theta) for x, y, theta in BEFORE[:4]]
+    cell.look([*BEFORE, *moved])
+    cell.push(0)
+    cell.look([*AFTER[:3], *[(x, y + 0.03, theta) for x, y, theta in AFTER]])
+    (trial,) = cell.trials
+    assert trial.object_pose.values[0] == pytest.approx(np.mean(moved, axis=0), abs=1e-12)
+    after = np.add(np.mean(AFTER, axis=0), [0, 0.03, 0])
+    assert trial.object_pose.values[-1] == pytest.approx(after, abs=1e-12)
+
+
+def test_a_picture_from_before_the_push_is_no_look_after_it():
+    cell = Cell()
+    cell.look(BEFORE)
+    cell.push(0)
+    cell.advance(PICTURE)  # the picture is still the last one before the push
+    cell.look(AFTER[:-1])
+    assert cell.trials == ()
+    cell.look(AFTER[-1:])
+    (trial,) = cell.trials
+    assert trial.object_pose.values[-1] == pytest.approx(np.mean(AFTER, axis=0), abs=1e-12)
+
+
 def test_roles_follow_the_number_of_pushes_to_learn_from():
     cell = Cell(fit=2)
     cell.look(BEFORE)
