@@ -101,8 +101,9 @@ def _free_momentum(M: FloatArray, v: FloatArray, h: float) -> FloatArray:
 
 def _contact(
     slider: Slider, q: FloatArray, tip0: FloatArray, tip1: FloatArray, v: FloatArray, h: float
-) -> tuple[FloatArray, FloatArray] | None:
-    """Contact rows C (2, 3) and offsets b (2,): C u - b are the speeds of normal and tangential spring.
+) -> tuple[FloatArray, FloatArray, FloatArray] | None:
+    """Contact rows C (2, 3), offsets b (2,) and factors (2,): C u - b, times the factors, are the speeds of
+    normal and tangential spring.
 
     None where the finger is out of reach.
     """
@@ -121,15 +122,20 @@ def _contact(
     tangent = np.array([-normal[1], normal[0]])
     lever = np.array([-point[1], point[0]])
     C = np.array([[*normal, normal @ lever], [*-tangent, -tangent @ lever]])
-    # The gap is known in the middle of the step; finger and object close it or open it from there.
-    gap += 0.5 * h * (normal @ finger + C[0] @ v)
-    return C, np.array([gap / h, -tangent @ finger])
+    # The gap is known in the middle of the step; finger and object had closed it or opened it until there.
+    gap += 0.5 * h * (C[0] @ v - normal @ finger)
+    depth = max(-gap, 0.0)
+    share = depth**2 / (depth**2 + (slider.smoothing.penetration / 2) ** 2)
+    stiffening = 1.0 + share * slider.smoothing.relaxation / h
+    b = np.array([normal @ finger + gap / (h * stiffening), -tangent @ finger])
+    return C, b, np.array([stiffening, 1.0])
 
 
 def _contact_derivatives(
-    C: FloatArray, b: FloatArray, springs: FloatArray, mu: float, u: FloatArray
+    C: FloatArray, b: FloatArray, factors: FloatArray, springs: FloatArray, mu: float, u: FloatArray
 ) -> _Derivatives:
     """Those of ½ γᵀ R γ, where γ is the projection of the springs' impulses y on the cone."""
+    springs = factors * springs
     y_n, y_t = springs * (C @ u - b)
     ratio = springs[0] / springs[1]
     if abs(y_t) <= mu * y_n:

@@ -21,9 +21,9 @@ LONGEST_STEP = 0.01  # s
 LONGEST_STRIDE = 6e-4  # m that the finger may move in a step
 SLIDING_STEP = 2e-3  # s, for an object that starts in motion
 
-MEASURED_CONTACT = Smoothing(penetration=1e-4)
+MEASURED_CONTACT = Smoothing(penetration=1e-4, relaxation=1.2e-2)
 """Contact for recorded fingers: a tenth of a millimetre of give, as fingers have, lets the rest of the jitter
-pass without rattling the force."""
+pass without rattling the force, and what strikes the object does not throw it."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -4,18 +4,22 @@ The contact is compliant and has a Coulomb cone. Its impulse is the projection, 
 regularisation, of the impulse that springs would give (Castro et al., "An unconstrained convex formulation of
 compliant contact", 2022, the model behind Drake's SAP):
 
-    y_n = -gap⁺ / (h R_n),   y_t = v_t / R_t,   γ = argmin over |γ_t| <= mu γ_n of |γ - y|² in the metric R,
+    y_n = -(gap⁺ + τ (gap⁺ - gap) / h) / (h R),   1/R_n = (1 + τ/h) / R,   y_t = v_t / R_t,
+    γ = argmin over |γ_t| <= mu γ_n of |γ - y|² in the metric (R_n, R_t),
 
-with the gap at the end of the step and the finger's tangential speed v_t against the object.
+with the gap at the start and at the end of the step and the finger's tangential speed v_t against the object.
 
 It is the gradient of a convex function of the object's twist, so that the step stays convex. Both
 regularisations scale with the object's whole friction load F, so that the motion does not depend on the
 units of mass: a finger that pushes with F sinks in by `penetration`, and creeps by `stick_speed` under an
 impulse h F.
 
-Two limits of this contact. A finger that slips at v acts from a distance of mu h v, a trait of the convex
-model that shrinks with the step. And the springs have no damping but that of the step: a blow rebounds the
-more, the shorter the step, so that how far a blow throws an object is not to be trusted.
+The damping grows with the depth x at the start of the step, as in the law of Hunt and Crossley (1975), but
+levels off: τ = relaxation · x² / (x² + (penetration / 2)²). So a blow ends in pushing, whatever the step, and
+nothing is felt before it is touched.
+
+A limit of this contact: a finger that slips at v acts from a distance of mu h v, a trait of the convex model
+that shrinks with the step.
 """
 
 from __future__ import annotations
@@ -43,15 +47,19 @@ class Cone(NamedTuple):
 
     Attributes:
         mu: friction with the finger.
-        normal: 1/R_n, kg.
+        give: penetration under one newton, m/N.
+        compliance: of the finger, in series with it, m/N.
         tangential: 1/R_t, kg.
-        ratio: R_t / R_n.
+        damping: τ/h, most by which damping stiffens a contact within a step.
+        ramp: penetration at which half of that acts, m.
     """
 
     mu: float
-    normal: float
+    give: float
+    compliance: float
     tangential: float
-    ratio: float
+    damping: float
+    ramp: float
 
 
 class Contact(NamedTuple):
@@ -69,6 +77,10 @@ class Contact(NamedTuple):
         drag: tangential speed of the finger, m/s.
         turn: see `CONTACT_COLUMNS`, 1/m.
         slide: see `CONTACT_COLUMNS`.
+        gap: at the start of the step, as seen from its middle, m.
+        stiffening: 1 + τ/h.
+        normal: 1/R_n, kg.
+        ratio: R_t / R_n.
     """
 
     nx: float
@@ -81,6 +93,10 @@ class Contact(NamedTuple):
     drag: float
     turn: float
     slide: float
+    gap: float
+    stiffening: float
+    normal: float
+    ratio: float
 
 
 @compiled(forceinline=True)
@@ -224,6 +240,39 @@ def _keep_nearest(out, count, nx, ny, rx, ry, gap, turn, slide):  # type: ignore
 
 
 @compiled(forceinline=True)
+def cone_of(mu, smoothing, load_sum, compliance, h):  # type: ignore[no-untyped-def]
+    """`Cone` of a step.
+
+    Args:
+        mu: friction with the finger.
+        smoothing: (4,) slip speed ε, stick_speed, penetration, relaxation; see `Smoothing`.
+        load_sum: friction load of all cells, N.
+        compliance: of the finger, m/N.
+        h: step, s.
+    """
+    tangential = h * h / (h * smoothing[1] / load_sum + compliance)
+    give, ramp = smoothing[2] / load_sum, 0.5 * smoothing[2]
+    return Cone(mu, give, compliance, tangential, smoothing[3] / h, ramp)
+
+
+@compiled(forceinline=True)
+def stiffening_of(gap, cone):  # type: ignore[no-untyped-def]
+    """1 + τ/h of a contact with this gap at the start of the step."""
+    if gap >= 0.0:
+        return 1.0
+    return 1.0 + cone.damping * gap * gap / (cone.ramp * cone.ramp + gap * gap)
+
+
+@compiled(forceinline=True)
+def stiffening_slope(gap, cone):  # type: ignore[no-untyped-def]
+    """Its derivative by the gap, 1/m."""
+    if gap >= 0.0:
+        return 0.0
+    square = cone.ramp * cone.ramp
+    return 2.0 * cone.damping * gap * square / ((square + gap * gap) * (square + gap * gap))
+
+
+@compiled(forceinline=True)
 def cone_state(y_n, y_t, mu, ratio):  # type: ignore[no-untyped-def]
     """State of a contact whose springs would give the impulse (y_n, y_t); `ratio` is R_t / R_n."""
     size = abs(y_t)
@@ -254,7 +303,7 @@ def springs(contact, cone, vx, vy, omega):  # type: ignore[no-untyped-def]
     """Impulses y_n and y_t, N s, of a contact's springs if the object moves with twist (v_x, v_y, omega)."""
     along_normal = contact.nx * vx + contact.ny * vy + contact.nw * omega
     along_tangent = contact.nx * vy - contact.ny * vx + contact.tw * omega
-    return (along_normal - contact.closing) * cone.normal, (contact.drag - along_tangent) * cone.tangential
+    return (along_normal - contact.closing) * contact.normal, (contact.drag - along_tangent) * cone.tangential
 
 
 def gap(points: np.ndarray, radius: float, edges: np.ndarray) -> np.ndarray:

@@ -41,26 +41,27 @@ def _by_stiffness(contact, impulse, cone, v, dnormal, dtangential):  # type: ign
     if impulse.state == SEPARATE:
         return 0.0, 0.0
     y_n, y_t = springs(contact, cone, v[0], v[1], v[2])
-    dy_n = y_n * dnormal / cone.normal
+    dy_n = y_n * dnormal / contact.normal
     dy_t = y_t * dtangential / cone.tangential
     if impulse.state == STICK:
         return dy_n, dy_t
     slope = cone.mu if impulse.state == SLIDE_FORWARD else -cone.mu
-    dratio = cone.ratio * (dnormal / cone.normal - dtangential / cone.tangential)
-    share = 1.0 / (1.0 + cone.mu * cone.mu * cone.ratio)
+    dratio = contact.ratio * (dnormal / contact.normal - dtangential / cone.tangential)
+    share = 1.0 / (1.0 + cone.mu * cone.mu * contact.ratio)
     dgn = share * (
-        dy_n + slope * (dratio * y_t + cone.ratio * dy_t) - cone.mu * cone.mu * dratio * impulse.normal
+        dy_n + slope * (dratio * y_t + contact.ratio * dy_t) - cone.mu * cone.mu * dratio * impulse.normal
     )
     return dgn, slope * dgn
 
 
 @compiled()
 def add_contact_scale(  # type: ignore[no-untyped-def]
-    first, second, impulse1, impulse2, cone, v, h, give, creep, load_sum, scale_g, scale_f
+    first, second, impulse1, impulse2, cone, v, h, stick_speed, load_sum, scale_g, scale_f
 ):  # fmt: skip
     """Derivatives of the contact's part by the sum of loads and by the finger's compliance, at fixed v⁺.
 
-    With 1/R_n = h²/(give + C) and 1/R_t = h²/(h creep + C), where give and creep fall with the sum of loads.
+    With 1/R_n = h²/(give/s + C), s the contact's stiffening by damping, and 1/R_t = h²/(h creep + C), where
+    give and creep = stick_speed / Σ f fall with the sum of loads.
 
     Args:
         first: nearest contact.
@@ -70,19 +71,20 @@ def add_contact_scale(  # type: ignore[no-untyped-def]
         cone: law of the contacts.
         v: twist after the step.
         h: step, s.
-        give: penetration under one newton, m/N.
-        creep: the same of the tangential speed, m/s/N.
+        stick_speed: see `Smoothing`, m/s.
         load_sum: Σ f, N.
         scale_g: (3, 2) result, gradient by Σ f and by C.
         scale_f: (2, 2) result, impulse on the object (middle frame) by the same.
     """
     scale_g[:, :] = 0.0
     scale_f[:, :] = 0.0
-    by_give = -cone.normal * cone.normal / (h * h)
     by_creep = -cone.tangential * cone.tangential / (h * h)
+    creep = stick_speed / load_sum
     for k in range(2):
         contact = first if k == 0 else second
         impulse = impulse1 if k == 0 else impulse2
+        by_give = -contact.normal * contact.normal / (h * h)
+        give = cone.give / contact.stiffening
         for column in range(2):
             if column == 0:
                 dn, dt = -by_give * give / load_sum, -by_creep * h * creep / load_sum

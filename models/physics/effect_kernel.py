@@ -23,7 +23,7 @@ from models.physics.around_step import (
     way_of,
 )
 from models.physics.compiled import compiled
-from models.physics.contact import CONTACT_COLUMNS, MAX_CONTACTS, Cone
+from models.physics.contact import CONTACT_COLUMNS, MAX_CONTACTS, cone_of
 from models.physics.effect_cells import EffectCells, cell_gradients, drag_moments
 from models.physics.effect_derivative import add_contact_scale, add_spring_columns, blade_slopes
 from models.physics.effect_layout import AFTER, BODY_OUTPUTS, CONSTANTS, FORCE, INERTIA, STATE
@@ -81,7 +81,6 @@ def effect_rollout(  # type: ignore[no-untyped-def]
     Y = memory_rows + INERTIA + P
     columns = n + EXTRA_COLUMNS + P if derive else 0
     load_sum = load.sum()
-    give, creep = smoothing[2] / load_sum, smoothing[1] / load_sum
     body = (inertia[0], inertia[1], inertia[2], inertia[3])
     about_center = inertia[3] - (inertia[1] * inertia[1] + inertia[2] * inertia[2]) / inertia[0]
     rho2, eps2 = (SPIN_RADIUS * cell_width) ** 2, smoothing[0] * smoothing[0]
@@ -141,10 +140,7 @@ def effect_rollout(  # type: ignore[no-untyped-def]
         kappa, compliance = out[6], out[7]
         blades = out[BODY_OUTPUTS:].reshape(blade_count, 4)
         cells = EffectCells(loads, rx, ry, rho2, eps2, out[3], out[4], out[5], drag_sums, blades)
-        # 1/R_n and 1/R_t of the contact, as in `kernel.rollout`, in series with the finger's own give.
-        normal = h * h / (give + compliance)
-        tangential = h * h / (h * creep + compliance)
-        cone = Cone(mu, normal, tangential, normal / tangential)
+        cone = cone_of(mu, smoothing, load_sum, compliance, h)
 
         half_cos, half_sin = joined(quarter.cos, quarter.sin, quarter.cos, quarter.sin)
         full_cos, full_sin = joined(half_cos, half_sin, half_cos, half_sin)
@@ -169,8 +165,8 @@ def effect_rollout(  # type: ignore[no-untyped-def]
             frame = bent_frame(frame, bend_x, bend_y, h)
             gain = gain + abs(frame.spring_x) + abs(frame.spring_y)
             count = touching(frame, v, h, radius, size, edges, rows, gain)
-        first = contact_of(rows, 0, frame, v, h)
-        second = contact_of(rows, 1, frame, v, h)
+        first = contact_of(rows, 0, frame, v, h, cone)
+        second = contact_of(rows, 1, frame, v, h, cone)
         star = (kappa * free[0] + added_x, kappa * free[1] + added_y, kappa * free[2] + added_w)
         scaled = (kappa * body[0], kappa * body[1], kappa * body[2], kappa * body[3])
 
@@ -212,7 +208,7 @@ def effect_rollout(  # type: ignore[no-untyped-def]
                 call_address(addresses[2], (y, c, rx, ry, weighted_load, by_drag, G))
             # By the contact's stiffness: through the sum of loads and the finger's compliance.
             add_contact_scale(
-                first, second, impulse1, impulse2, cone, new, h, give, creep, load_sum, scale_g, scale_f
+                first, second, impulse1, impulse2, cone, new, h, smoothing[1], load_sum, scale_g, scale_f
             )
             if E > 0:
                 last = (y[STATE], y[STATE + 1])

@@ -19,7 +19,7 @@ from models.physics.around_step import (
     way_of,
 )
 from models.physics.compiled import compiled
-from models.physics.contact import CONTACT_COLUMNS, MAX_CONTACTS, Cone
+from models.physics.contact import CONTACT_COLUMNS, MAX_CONTACTS, cone_of
 from models.physics.friction import padded_cells
 from models.physics.prediction import best_weights, weighted
 from models.physics.sensitivity import (
@@ -82,9 +82,7 @@ def rollout(  # type: ignore[no-untyped-def]
     derive = dpose_out.shape[2] > 0
     cells = padded_cells(load, rx, ry, cell_width, smoothing[0])
     load_sum = load.sum()
-    # 1/R_n and 1/R_t of the contact, see `Smoothing`.
-    normal, tangential = h * h * load_sum / smoothing[2], h * load_sum / smoothing[1]
-    cone = Cone(mu, normal, tangential, normal / tangential)
+    cone = cone_of(mu, smoothing, load_sum, 0.0, h)
     body = (inertia[0], inertia[1], inertia[2], inertia[3])
     rows = np.zeros((MAX_CONTACTS, CONTACT_COLUMNS))
     forced = wrench.shape[0] > 0
@@ -126,8 +124,8 @@ def rollout(  # type: ignore[no-untyped-def]
         if not math.isnan(tip0[0]) and not math.isnan(tip1[0]):
             frame = middle_frame(x, y, cos, sin, quarter, v, h, tip0, tip1)
             count = touching(frame, v, h, radius, size, edges, rows, gain)
-        first = contact_of(rows, 0, frame, v, h)
-        second = contact_of(rows, 1, frame, v, h)
+        first = contact_of(rows, 0, frame, v, h, cone)
+        second = contact_of(rows, 1, frame, v, h, cone)
         star = (star_x, star_y, star_w)
 
         start = weighted(weights, past)

@@ -113,12 +113,12 @@ def with_contact(model, contact, cone, state, y_n, y_t):  # type: ignore[no-unty
     """The model with the energy of a contact added that has spring impulses y_n, y_t and keeps its state."""
     if state == SEPARATE:
         return model
-    nn, nt, tn, tt = cone_matrix(cone.mu, cone.ratio, state)
+    nn, nt, tn, tt = cone_matrix(cone.mu, contact.ratio, state)
     gamma_n = nn * y_n + nt * y_t
     gamma_t = tn * y_n + tt * y_t
     nx, ny, nw = contact.nx, contact.ny, contact.nw
     tx, ty, tw = -ny, nx, contact.tw
-    hnn = nn * cone.normal
+    hnn = nn * contact.normal
     hnt = -nt * cone.tangential
     htt = tt * cone.tangential
     # Rows of (h_nn n + h_nt t) nᵀ + (h_nt n + h_tt t) tᵀ.
@@ -165,14 +165,14 @@ def _impulse_after(contact, cone, state, y_n, y_t, way):  # type: ignore[no-unty
         The `Impulse`, the state that the springs then ask for, and by how much the impulse is not theirs.
     """
     dx, dy, dw = way
-    y_n += (contact.nx * dx + contact.ny * dy + contact.nw * dw) * cone.normal
+    y_n += (contact.nx * dx + contact.ny * dy + contact.nw * dw) * contact.normal
     y_t -= (contact.nx * dy - contact.ny * dx + contact.tw * dw) * cone.tangential
-    nn, nt, tn, tt = cone_matrix(cone.mu, cone.ratio, state)
+    nn, nt, tn, tt = cone_matrix(cone.mu, contact.ratio, state)
     impulse = Impulse(state, nn * y_n + nt * y_t, tn * y_n + tt * y_t)
-    true_state = cone_state(y_n, y_t, cone.mu, cone.ratio)
+    true_state = cone_state(y_n, y_t, cone.mu, contact.ratio)
     error = 0.0
     if true_state != state:
-        nn, nt, tn, tt = cone_matrix(cone.mu, cone.ratio, true_state)
+        nn, nt, tn, tt = cone_matrix(cone.mu, contact.ratio, true_state)
         error = abs(impulse.normal - nn * y_n - nt * y_t) + abs(impulse.tangential - tn * y_n - tt * y_t)
     return impulse, true_state, error
 
@@ -193,8 +193,8 @@ def solve_with_contacts(model, v, first, second, count, cone):  # type: ignore[n
     vx, vy, omega = v
     n1, t1 = springs(first, cone, vx, vy, omega)
     n2, t2 = springs(second, cone, vx, vy, omega)
-    state1 = cone_state(n1, t1, cone.mu, cone.ratio)
-    state2 = cone_state(n2, t2, cone.mu, cone.ratio) if count > 1 else SEPARATE
+    state1 = cone_state(n1, t1, cone.mu, first.ratio)
+    state2 = cone_state(n2, t2, cone.mu, second.ratio) if count > 1 else SEPARATE
     best1, best2 = state1, state2
     best_error = math.inf
     followed = 5
@@ -234,7 +234,7 @@ def solve_with_contacts(model, v, first, second, count, cone):  # type: ignore[n
 def _contact_slope(contact, cone, v, d):  # type: ignore[no-untyped-def]
     """Derivative of one contact's energy at v along d."""
     y_n, y_t = springs(contact, cone, v[0], v[1], v[2])
-    nn, nt, tn, tt = cone_matrix(cone.mu, cone.ratio, cone_state(y_n, y_t, cone.mu, cone.ratio))
+    nn, nt, tn, tt = cone_matrix(cone.mu, contact.ratio, cone_state(y_n, y_t, cone.mu, contact.ratio))
     along_normal = contact.nx * d[0] + contact.ny * d[1] + contact.nw * d[2]
     along_tangent = contact.nx * d[1] - contact.ny * d[0] + contact.tw * d[2]
     return (nn * y_n + nt * y_t) * along_normal - (tn * y_n + tt * y_t) * along_tangent

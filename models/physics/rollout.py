@@ -26,11 +26,15 @@ class Smoothing:
         slip_speed: ε of the friction norm, m/s; below it base friction acts like a viscous hold.
         stick_speed: creep of a sticking finger contact under the object's whole friction load, m/s.
         penetration: depth to which the finger sinks in under the object's whole friction load, m.
+        relaxation: time constant with which a compressed contact would spring back if nothing but its own
+            damping held it, s; about 2 sqrt(penetration / (mu g)) for an object to stay on the finger that
+            strikes it.
     """
 
     slip_speed: float = 1e-5
     stick_speed: float = 1e-5
     penetration: float = 1e-5
+    relaxation: float = 4e-3
 
     def __post_init__(self) -> None:
         for name, value in vars(self).items():
@@ -98,7 +102,7 @@ class Slider:
         self.smoothing = smoothing or Smoothing()
         s = self.smoothing
         self._centers = np.ascontiguousarray(grid.centers.T)
-        self._smoothing = np.array([s.slip_speed, s.stick_speed, s.penetration])
+        self._smoothing = np.array([s.slip_speed, s.stick_speed, s.penetration, s.relaxation])
         self._size = float(np.linalg.norm(grid.exterior, axis=1).max())
 
     @property

@@ -19,7 +19,7 @@ import numpy as np
 
 from models.physics.addresses import call_address
 from models.physics.compiled import compiled
-from models.physics.contact import CONTACT_COLUMNS, MAX_CONTACTS, SEPARATE, Cone
+from models.physics.contact import CONTACT_COLUMNS, MAX_CONTACTS, SEPARATE, cone_of
 from models.physics.effect_cells import EffectCells, cell_gradients, drag_moments
 from models.physics.effect_derivative import add_contact_scale, add_spring_columns, blade_slopes
 from models.physics.effect_kernel import AFTER, BODY_OUTPUTS, FORCE, INERTIA, STATE
@@ -82,10 +82,7 @@ def single_step(  # type: ignore[no-untyped-def]
     rho2 = (SPIN_RADIUS * cell_width) ** 2
     cells = EffectCells(loads, rx, ry, rho2, eps2, out[3], out[4], out[5], drag_sums, blades)
     load_sum = load.sum()
-    give, creep = smoothing[2] / load_sum, smoothing[1] / load_sum
-    normal = h * h / (give + compliance)
-    tangential = h * h / (h * creep + compliance)
-    cone = Cone(mu, normal, tangential, normal / tangential)
+    cone = cone_of(mu, smoothing, load_sum, compliance, h)
     body = (inertia[0], inertia[1], inertia[2], inertia[3])
     about_center = inertia[3] - (inertia[1] * inertia[1] + inertia[2] * inertia[2]) / inertia[0]
 
@@ -116,8 +113,8 @@ def single_step(  # type: ignore[no-untyped-def]
             frame.cos, frame.sin, frame.tip_x, frame.tip_y, frame.speed_x, frame.speed_y, spring_x, spring_y
         )
         count = touching(frame, v, h, radius, size, edges, rows, gain + abs(spring_x) + abs(spring_y))
-    first = contact_of(rows, 0, frame, v, h)
-    second = contact_of(rows, 1, frame, v, h)
+    first = contact_of(rows, 0, frame, v, h, cone)
+    second = contact_of(rows, 1, frame, v, h, cone)
     star = (kappa * free_x + added_x, kappa * free_y + added_y, kappa * free_w + added_w)
     scaled = (kappa * body[0], kappa * body[1], kappa * body[2], kappa * body[3])
     derive = jacobian_out.shape[1] > 0
@@ -187,7 +184,7 @@ def single_step(  # type: ignore[no-untyped-def]
         call_address(addresses[2], (y, constants, rx, ry, weighted_load, by_drag, G))
     scale_g, scale_f = np.zeros((3, 2)), np.zeros((2, 2))
     add_contact_scale(
-        first, second, impulse1, impulse2, cone, new, h, give, creep, load_sum, scale_g, scale_f
+        first, second, impulse1, impulse2, cone, new, h, smoothing[1], load_sum, scale_g, scale_f
     )
     spring_g, spring_f = np.zeros((3, 3)), np.zeros((2, 3))
     if E > 0:

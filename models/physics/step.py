@@ -27,7 +27,7 @@ import math
 from typing import NamedTuple
 
 from models.physics.compiled import compiled
-from models.physics.contact import Contact, find_contacts
+from models.physics.contact import Contact, find_contacts, stiffening_of
 from models.physics.newton import (
     Minimum,
     minimum_of,
@@ -281,16 +281,17 @@ def touching(frame, v, h, radius, size, edges, rows, gain):  # type: ignore[no-u
 
 
 @compiled(forceinline=True, fastmath={"contract"})
-def contact_of(rows, k, frame, v, h):  # type: ignore[no-untyped-def]
-    """`Contact` of row k of `find_contacts`.
-
-    Its gap is the one that the step would end with if the object stood still, counted from the predicted
-    half step.
-    """
+def contact_of(rows, k, frame, v, h, cone):  # type: ignore[no-untyped-def]
+    """`Contact` of row k of `find_contacts`; its gap is counted back from the predicted half step."""
     nx, ny, x, y, gap = rows[k, 0], rows[k, 1], rows[k, 2], rows[k, 3], rows[k, 4]
     nw = x * ny - y * nx
     tw = x * nx + y * ny
-    along = nx * (frame.speed_x + v[0]) + ny * (frame.speed_y + v[1]) + nw * v[2]
-    closing = gap / h + 0.5 * along + nx * frame.spring_x + ny * frame.spring_y
+    finger = nx * frame.speed_x + ny * frame.speed_y
+    gap += 0.5 * h * (nx * v[0] + ny * v[1] + nw * v[2] - finger)
+    stiffening = stiffening_of(gap, cone)
+    closing = gap / (h * stiffening) + finger + nx * frame.spring_x + ny * frame.spring_y
     drag = nx * (frame.speed_y + frame.spring_y) - ny * (frame.speed_x + frame.spring_x)
-    return Contact(nx, ny, x, y, nw, tw, closing, drag, rows[k, 5], rows[k, 6])
+    normal = h * h * stiffening / (cone.give + stiffening * cone.compliance)
+    ratio = normal / cone.tangential
+    turn, slide = rows[k, 5], rows[k, 6]
+    return Contact(nx, ny, x, y, nw, tw, closing, drag, turn, slide, gap, stiffening, normal, ratio)

@@ -7,7 +7,7 @@ over Σ f, as the contact's stiffness grows with Σ f; `sensitivity.py` adds it 
 from __future__ import annotations
 
 from models.physics.compiled import compiled
-from models.physics.contact import SEPARATE, SLIDE_BACK, SLIDE_FORWARD, cone_matrix, springs
+from models.physics.contact import SEPARATE, SLIDE_BACK, SLIDE_FORWARD, cone_matrix, springs, stiffening_slope
 from models.physics.turns import joined, turned
 
 
@@ -129,27 +129,35 @@ def add_column(j, dpx, dpy, dvfx, dvfy, dbx, dby, dux, duy, common):  # type: ig
     nx, ny, x, y = contact.nx, contact.ny, contact.x, contact.y
     tx, ty = -ny, nx
     vfx, vfy = frame.speed_x, frame.speed_y
-    dnn, dnt, dtn, dtt = cone_matrix(cone.mu, cone.ratio, impulse.state)
+    dnn, dnt, dtn, dtt = cone_matrix(cone.mu, contact.ratio, impulse.state)
     fx = -nx * gamma_n + tx * gamma_t
     fy = -ny * gamma_n + ty * gamma_t
     bx, by = frame.spring_x, frame.spring_y
     slip_x = vfx + bx - new[0] + new[2] * y
     slip_y = vfy + by - new[1] - new[2] * x
-    # Velocity at the contact: mean of finger and predicted object, less that of the new twist.
-    ux = 0.5 * (vfx + v[0] - v[2] * y) + bx - (new[0] - new[2] * y)
-    uy = 0.5 * (vfy + v[1] + v[2] * x) + by - (new[1] + new[2] * x)
+    # Half of the velocity with which the gap was closing before the step.
+    half_x, half_y = 0.5 * (v[0] - v[2] * y - vfx), 0.5 * (v[1] + v[2] * x - vfy)
     along = tx * dpx + ty * dpy
     turn, slide = contact.turn * along, contact.slide * along
     dnx, dny, dtx, dty = turn * tx, turn * ty, -turn * nx, -turn * ny
     drx, dry = slide * tx, slide * ty
-    dux = 0.5 * (dvfx + dux - v[2] * dry) + dbx + new[2] * dry
-    duy = 0.5 * (dvfy + duy + v[2] * drx) + dby - new[2] * drx
-    dgap = nx * dpx + ny * dpy + h * (dnx * ux + dny * uy + nx * dux + ny * duy)
-    dslip = dtx * slip_x + dty * slip_y + tx * (dvfx + dbx + new[2] * dry) + ty * (dvfy + dby - new[2] * drx)
-    dyn = -dgap * cone.normal / h
-    dyt = dslip * cone.tangential
+    dux, duy = 0.5 * (dux - v[2] * dry - dvfx), 0.5 * (duy + v[2] * drx - dvfy)
+    dgap = nx * dpx + ny * dpy + h * (dnx * half_x + dny * half_y + nx * dux + ny * duy)
+    dsx, dsy = dvfx + dbx + new[2] * dry, dvfy + dby - new[2] * drx
+    dopening = dnx * slip_x + dny * slip_y + nx * dsx + ny * dsy
+    dyt = (dtx * slip_x + dty * slip_y + tx * dsx + ty * dsy) * cone.tangential
+    # Damping grows with the depth: dnormal is its change of 1/R_n.
+    more = stiffening_slope(contact.gap, cone) * dgap / contact.stiffening
+    dnormal = contact.normal * contact.normal * cone.give * more / (h * h * contact.stiffening)
+    y_n, y_t = springs(contact, cone, new[0], new[1], new[2])
+    dyn = y_n * dnormal / contact.normal
+    dyn += contact.normal * ((contact.gap * more - dgap) / (h * contact.stiffening) - dopening)
     dgn = dnn * dyn + dnt * dyt
     dgt = dtn * dyn + dtt * dyt
+    if impulse.state == SLIDE_FORWARD or impulse.state == SLIDE_BACK:
+        by_ratio = _by_ratio(cone, contact, impulse, y_t) * dnormal / cone.tangential
+        dgn += by_ratio
+        dgt += by_ratio * (cone.mu if impulse.state == SLIDE_FORWARD else -cone.mu)
     dfx = -dnx * gamma_n - nx * dgn + dtx * gamma_t + tx * dgt
     dfy = -dny * gamma_n - ny * dgn + dty * gamma_t + ty * dgt
     A[0, j] -= dfx
@@ -160,15 +168,22 @@ def add_column(j, dpx, dpy, dvfx, dvfy, dbx, dby, dux, duy, common):  # type: ig
 
 
 @compiled(forceinline=True)
+def _by_ratio(cone, contact, impulse, y_t):  # type: ignore[no-untyped-def]
+    """Change of a sliding contact's γ_n by R_t / R_n."""
+    mu = cone.mu
+    return mu * (abs(y_t) - mu * impulse.normal) / (1.0 + mu * mu * contact.ratio)
+
+
+@compiled(forceinline=True)
 def _by_new_twist(cone, contact, impulse, dforce):  # type: ignore[no-untyped-def]
     """Add the change of the force by v⁺."""
     nx, ny = contact.nx, contact.ny
-    dnn, dnt, dtn, dtt = cone_matrix(cone.mu, cone.ratio, impulse.state)
+    dnn, dnt, dtn, dtt = cone_matrix(cone.mu, contact.ratio, impulse.state)
     for j in range(3):
         dn = nx if j == 0 else (ny if j == 1 else contact.nw)
         dt = -ny if j == 0 else (nx if j == 1 else contact.tw)
-        dgn = dnn * dn * cone.normal - dnt * dt * cone.tangential
-        dgt = dtn * dn * cone.normal - dtt * dt * cone.tangential
+        dgn = dnn * dn * contact.normal - dnt * dt * cone.tangential
+        dgt = dtn * dn * contact.normal - dtt * dt * cone.tangential
         dforce[0, 6 + j] += -nx * dgn - ny * dgt
         dforce[1, 6 + j] += -ny * dgn + nx * dgt
 
@@ -179,7 +194,8 @@ def _by_finger_friction(new, cone, contact, impulse, extra, dforce):  # type: ig
     nx, ny = contact.nx, contact.ny
     sign = 1.0 if impulse.state == SLIDE_FORWARD else -1.0
     _, y_t = springs(contact, cone, new[0], new[1], new[2])
-    dgn = cone.ratio * (abs(y_t) - 2.0 * cone.mu * impulse.normal) / (1.0 + cone.mu * cone.mu * cone.ratio)
+    ratio = contact.ratio
+    dgn = ratio * (abs(y_t) - 2.0 * cone.mu * impulse.normal) / (1.0 + cone.mu * cone.mu * ratio)
     dgt = sign * (impulse.normal + cone.mu * dgn)
     dfx = -nx * dgn - ny * dgt
     dfy = -ny * dgn + nx * dgt
