@@ -27,6 +27,7 @@ from diagrams.commands.fit import fit
 from diagrams.commands.identify import identify
 from diagrams.commands.predict import predict
 from diagrams.commands.pregrasp import pregrasp
+from diagrams.commands.station import station
 from diagrams.commands.view import view
 
 SUCCESS, INTERNAL_FAILURE, WRONG_USE, STOPPED = 0, 1, 2, 130
@@ -76,6 +77,7 @@ for _command in (
     demo,
     explore,
     pregrasp,
+    station,
     identify,
     predict,
     view,

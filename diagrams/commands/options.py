@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import click
 
 from diagrams.console import Progress, note
+from diagrams.hardware.channels import LCM_URL
 from diagrams.outputs import check_file
 
 if TYPE_CHECKING:
@@ -135,6 +136,10 @@ station_object_option = click.option(
 scenario_option = click.option(
     "--scenario", "scenario_file", type=click.Path(path_type=Path), metavar="FILE",
     help="YAML file that describes the cell: table, camera, noise, your own object, hidden effects.",
+)  # fmt: skip
+lcm_option = click.option(
+    "--lcm", "url", default=LCM_URL, show_default=True, metavar="URL",
+    help="Address of the cell's messages; with ttl=0 they stay on this computer.",
 )  # fmt: skip
 explorations_option = click.option(
     "--pushes", type=click.IntRange(1, 100), default=5, show_default=True, metavar="N",

@@ -10,7 +10,7 @@ from pydrake.math import RigidTransform
 from pydrake.multibody.plant import AddMultibodyPlant, MultibodyPlant
 from pydrake.multibody.tree import BodyIndex
 from pydrake.systems.framework import Context, Diagram, DiagramBuilder, LeafSystem
-from pydrake.systems.primitives import ConstantValueSource
+from pydrake.systems.primitives import ConstantValueSource, ConstantVectorSource
 
 from diagrams.perception.arm_hulls import ArmHulls
 from diagrams.perception.camera import RENDERER, add_camera
@@ -44,11 +44,14 @@ class Station(Diagram):
         - camera.depth_image
         - camera.rgb_image
         - camera.X_WC
+        - iiwa.age
+        - camera.age
         - truth.object_pose
         - truth.contact_results
 
     The arm's and the gripper's ports are those of `add_arm_drivers`. Pictures are as they come from the
-    camera, with its noise; `camera.X_WC` is a `RigidTransform`. `truth.object_pose` is X_WO.
+    camera, with its noise; `camera.X_WC` is a `RigidTransform`. `iiwa.age` (1,) and `camera.age` (1,) are how
+    old the arm's state and the picture are, s: nothing in a simulation. `truth.object_pose` is X_WO.
 
     Args:
         scenario: what the cell is like.
@@ -77,6 +80,7 @@ class Station(Diagram):
         add_hidden_effects(builder, plant, self.true_object, scenario.hidden)
         add_arm_drivers(builder, plant, self.arm)
         _export_camera(builder, plant, scene_graph, scenario)
+        _export_ages(builder)
         _export_truth(builder, plant, body.index())
         if meshcat is not None:
             MeshcatVisualizer.AddToBuilder(
@@ -112,6 +116,12 @@ def _export_camera(
         "camera_pose", ConstantValueSource(AbstractValue.Make(scenario.camera.X_WC))
     )
     builder.ExportOutput(place.get_output_port(), "camera.X_WC")
+
+
+def _export_ages(builder: DiagramBuilder) -> None:
+    for name in ("iiwa.age", "camera.age"):
+        age = builder.AddNamedSystem(name, ConstantVectorSource(np.zeros(1)))
+        builder.ExportOutput(age.get_output_port(), name)
 
 
 def _export_truth(builder: DiagramBuilder, plant: MultibodyPlant, body: BodyIndex) -> None:

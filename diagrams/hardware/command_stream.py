@@ -1,0 +1,158 @@
+"""Commands to the arm at an even rate, from a process of their own.
+
+The diagram that makes them also looks at pictures and learns, and is late at times. It tells this process
+joint angles and the time on its own clock at which they hold; they are sent a little later, evenly. It is
+started as `python -m diagrams.hardware.command_stream URL`.
+"""
+
+from __future__ import annotations
+
+import gc
+import os
+import select
+import struct
+import sys
+import time
+from collections import deque
+from contextlib import suppress
+
+import numpy as np
+from drake import lcmt_iiwa_command
+
+from diagrams.hardware.channels import ARM_PERIOD, IIWA_COMMAND, HardwareError
+from diagrams.hardware.child import Child, be_ready
+from diagrams.hardware.network import open_lcm
+from models.physics.cell_grid import FloatArray
+
+DELAY = 0.04
+"""s by which commands are sent later than the diagram makes them; by less it may be late without effect."""
+
+_TOO_MUCH = 1.5  # delays; what is more than that is played faster
+_CATCH_UP = 0.05  # of the pace
+_SAMPLE = struct.Struct("<8d")
+
+
+class CommandBuffer:
+    """Plays joint angles back in the order and at the pace at which they were made, a little later.
+
+    Where none come, the pace falls evenly to nothing: the arm slows down on its path, and waits there. Where
+    more wait than should, they are played 5 % faster, or skipped while the arm is at rest.
+
+    Args:
+        delay: s between making and playing.
+    """
+
+    def __init__(self, delay: float = DELAY) -> None:
+        self._delay = delay
+        self._samples: deque[tuple[float, FloatArray]] = deque()
+        self._clock = 0.0  # of whoever makes the angles, as far as they are played
+        self._now = 0.0
+
+    def add(self, time: float, q: FloatArray) -> None:
+        """Angles (7,), rad, that hold at a time of the maker's clock, s; not before those that were added."""
+        if not self._samples:
+            self._clock = time - self._delay
+        self._samples.append((time, np.array(q, dtype=float)))
+
+    def at(self, now: float) -> FloatArray | None:
+        """Angles (7,) to be sent at a time, s of any even clock, or None before there are some."""
+        if not self._samples:
+            return None
+        passed, self._now = max(now - self._now, 0.0) if self._now else 0.0, now
+        newest = self._samples[-1][0]
+        left = newest - self._clock  # still to be played; the delay, just before more of it comes
+        if left > 2 * self._delay and self._rests():
+            self._clock = newest - self._delay
+        elif left > _TOO_MUCH * self._delay:
+            self._clock += (1.0 + _CATCH_UP) * passed
+        else:
+            # The pace goes with what is left, from half the delay on.
+            self._clock += min(passed * min(1.0, 2.0 * left / self._delay), left)
+        while len(self._samples) > 1 and self._samples[1][0] <= self._clock:
+            self._samples.popleft()
+        return self._between()
+
+    def _rests(self) -> bool:
+        first = self._samples[0][1]
+        return all(np.abs(q - first).max() < 1e-9 for _, q in self._samples)
+
+    def _between(self) -> FloatArray:
+        (before, q), *following = self._samples[0], *list(self._samples)[1:2]
+        if not following or self._clock <= before:
+            return q
+        after, further = following[0]
+        share = (self._clock - before) / (after - before)
+        return (1.0 - share) * q + share * further
+
+
+class CommandStream:
+    """The process that sends commands; `close` ends it.
+
+    Args:
+        url: see `network.open_lcm`; not `memq://`, which another process does not hear.
+
+    Raises:
+        HardwareError: it could not be started.
+    """
+
+    def __init__(self, url: str) -> None:
+        self._child = Child("the process that sends commands to the arm", __name__, url)
+        self._child.wait_until_ready()
+
+    def send(self, time: float, q: FloatArray) -> None:
+        """Have joint angles (7,), rad, sent that hold at a time of the caller's clock, s.
+
+        Raises:
+            HardwareError: the process has ended.
+        """
+        self._child.send(_SAMPLE.pack(time, *q))
+
+    def close(self) -> None:
+        """Let the arm come to rest and end the process."""
+        self._child.close()
+
+
+def message(q: FloatArray, now: float) -> bytes:
+    """A command of joint angles (7,), rad, stamped with a time, s."""
+    command = lcmt_iiwa_command()
+    command.utime = round(1e6 * now)
+    command.num_joints, command.joint_position = 7, [float(angle) for angle in q]
+    return bytes(command.encode())
+
+
+def main(url: str) -> None:
+    """Send what comes in on the standard input until it ends and the arm has come to rest."""
+    lcm = open_lcm(url)
+    buffer = CommandBuffer()
+    source, received, ends = sys.stdin.fileno(), b"", np.inf
+    with suppress(OSError):
+        os.nice(-10)  # where that is allowed; others must not keep the arm waiting
+    gc.freeze()
+    gc.disable()
+    be_ready()
+    tick = time.monotonic()
+    while tick < ends:
+        while (left := tick - time.monotonic()) > 0:
+            if ends < np.inf:
+                time.sleep(left)
+            elif select.select([source], [], [], left)[0]:
+                data = os.read(source, 1 << 16)
+                received += data
+                if not data:
+                    ends = time.monotonic() + 5 * DELAY
+        whole = len(received) // _SAMPLE.size * _SAMPLE.size
+        for moment, *q in _SAMPLE.iter_unpack(received[:whole]):
+            buffer.add(moment, np.array(q))
+        received = received[whole:]
+        now = time.monotonic()
+        command = buffer.at(now)
+        if command is not None:
+            lcm.Publish(IIWA_COMMAND, message(command, now))
+        tick = max(tick + ARM_PERIOD, now)
+
+
+if __name__ == "__main__":
+    try:
+        main(sys.argv[1])
+    except HardwareError as failure:
+        sys.exit(f"slipmap: {failure}")

@@ -1,0 +1,266 @@
+"""The real cell, or its twin in another process, with the ports that the station has."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+
+import numpy as np
+from drake import lcmt_drake_signal, lcmt_iiwa_command, lcmt_schunk_wsg_command
+from pydrake.common.eigen_geometry import Quaternion
+from pydrake.common.value import AbstractValue, Value
+from pydrake.lcm import DrakeLcmInterface
+from pydrake.manipulation import (
+    IiwaCommandSender,
+    IiwaControlMode,
+    IiwaStatusReceiver,
+    SchunkWsgCommandSender,
+    SchunkWsgStatusReceiver,
+)
+from pydrake.math import RigidTransform
+from pydrake.multibody.plant import AddMultibodyPlantSceneGraph
+from pydrake.systems.framework import BasicVector, Context, Diagram, DiagramBuilder, EventStatus, LeafSystem
+from pydrake.systems.lcm import LcmInterfaceSystem
+from pydrake.systems.sensors import LcmImageArrayToImages
+
+from diagrams.hardware import channels, network
+from diagrams.hardware.command_stream import CommandStream
+from diagrams.hardware.messages import CheckedMessages, Received, publish
+from diagrams.hardware.validation import rules
+from diagrams.perception.arm_hulls import ArmHulls
+from diagrams.station.arm import add_arm
+from diagrams.station.scenario import Scenario
+
+PATIENCE = 10.0
+"""s that the cell has for its first messages."""
+
+SAME_CLOCK = 1.0
+"""s by which arm and camera may seem apart; if they are more, their stamps are of different clocks."""
+
+_NEEDED = (channels.IIWA_STATUS, channels.GRIPPER_STATUS, channels.CAMERA_DEPTH, channels.CAMERA_POSE)
+
+
+class HardwareInterface(Diagram):
+    """The cell behind an LCM address.
+
+    .. pydrake_system::
+
+        name: HardwareInterface
+        input_ports:
+        - iiwa.position
+        - gripper.position
+        - gripper.force_limit
+        output_ports:
+        - iiwa.position_commanded
+        - iiwa.position_measured
+        - iiwa.velocity_estimated
+        - iiwa.torque_external
+        - gripper.state_measured
+        - camera.depth_image
+        - camera.rgb_image
+        - camera.X_WC
+        - iiwa.age
+        - camera.age
+
+    The ports are those of `Station`, less those that only a simulation has. Every message is checked before
+    anything of it is used (`CheckedMessages`, one a channel, named like it), and `connect` must be called
+    before the simulation begins. A Simulator runs it at a real-time rate of 1.
+
+    Args:
+        lcm: the address, see `network.open_lcm`, or a connection.
+        scenario: what the cell is like; of the object nothing is used.
+        stream: whether a process of its own sends the arm's commands, so that they keep coming while this
+            one is busy; it takes an address.
+
+    Raises:
+        HardwareError: a malformed address, or no network.
+    """
+
+    def __init__(self, lcm: str | DrakeLcmInterface, scenario: Scenario, *, stream: bool = True) -> None:
+        super().__init__()
+        self._url = lcm if isinstance(lcm, str) else lcm.get_lcm_url()
+        self._lcm = network.open_lcm(lcm) if isinstance(lcm, str) else lcm
+        builder = DiagramBuilder()
+        self._bus = builder.AddSystem(LcmInterfaceSystem(self._lcm))
+        rule = rules(scenario.camera.width, scenario.camera.height_pixels)
+        self._checked: dict[str, CheckedMessages] = {
+            channel: builder.AddNamedSystem(channel, CheckedMessages(self._lcm, channel, rule[channel]))
+            for channel in (*_NEEDED, channels.CAMERA_COLOR)
+        }
+        self._export_arm(builder, stream)
+        self._export_gripper(builder)
+        self._export_camera(builder)
+        self.arm_hulls = _arm_hulls(scenario)
+        builder.BuildInto(self)
+        self.set_name("station")
+
+    def connect(self, root: Context, patience: float = PATIENCE) -> None:
+        """Wait for the first messages and let the Context begin with them; then commands may be sent.
+
+        Args:
+            root: of the diagram that this one is in.
+            patience: longest time to wait, s.
+
+        Raises:
+            HardwareError: names the channels that are silent, or what is wrong with what comes.
+        """
+        contexts = {name: system.GetMyMutableContextFromRoot(root) for name, system in self._checked.items()}
+        deadline = time.monotonic() + patience
+        while True:
+            self._lcm.HandleSubscriptions(20)
+            came = {name: system.take(contexts[name]) for name, system in self._checked.items()}
+            silent = [name for name in _NEEDED if not came[name].good]
+            if not silent:
+                break
+            if time.monotonic() > deadline:
+                raise channels.HardwareError(self._silence(silent, came, patience))
+        if isinstance(self._sender, _StreamSender):
+            self._sender.start(self._url)
+
+    def _silence(self, silent: list[str], came: Mapping[str, Received], patience: float) -> str:
+        causes = [f"{name}: {', '.join(came[name].dropped)}" for name in silent if came[name].dropped]
+        heard = f" ({'; '.join(causes)})" if causes else ""
+        return (
+            f"no good message on {', '.join(silent)} at {self._url} within {patience:g} s{heard}; see that"
+            f" the cell's drivers run there, or start its twin with `slipmap station --lcm '{self._url}'` and"
+            " the same scenario"
+        )
+
+    def close(self) -> None:
+        """Let the arm come to rest and send no more commands."""
+        if isinstance(self._sender, _StreamSender):
+            self._sender.stop()
+
+    def received(self, root: Context) -> dict[str, Received]:
+        """What came on each channel until now, and what of it was dropped."""
+        return {
+            name: system.received(system.GetMyContextFromRoot(root)) for name, system in self._checked.items()
+        }
+
+    def _export_arm(self, builder: DiagramBuilder, stream: bool) -> None:
+        status = builder.AddSystem(IiwaStatusReceiver())
+        checked = self._checked[channels.IIWA_STATUS]
+        builder.Connect(checked.GetOutputPort("message"), status.GetInputPort("lcmt_iiwa_status"))
+        for name in ("position_commanded", "position_measured", "velocity_estimated", "torque_external"):
+            builder.ExportOutput(status.GetOutputPort(name), f"iiwa.{name}")
+        builder.ExportOutput(checked.GetOutputPort("age"), "iiwa.age")
+        self._sender: LeafSystem
+        if stream:
+            self._sender = builder.AddNamedSystem(f"{channels.IIWA_COMMAND}_stream", _StreamSender())
+        else:
+            self._sender = builder.AddSystem(IiwaCommandSender(7, IiwaControlMode.kPositionOnly))
+            publisher = publish(
+                builder, self._bus, channels.IIWA_COMMAND, lcmt_iiwa_command, channels.ARM_PERIOD
+            )
+            builder.Connect(self._sender.get_output_port(), publisher.get_input_port())
+        builder.ExportInput(self._sender.GetInputPort("position"), "iiwa.position")
+
+    def _export_gripper(self, builder: DiagramBuilder) -> None:
+        status = builder.AddSystem(SchunkWsgStatusReceiver())
+        checked = self._checked[channels.GRIPPER_STATUS]
+        builder.Connect(checked.GetOutputPort("message"), status.get_status_input_port())
+        builder.ExportOutput(status.get_state_output_port(), "gripper.state_measured")
+        sender = builder.AddSystem(SchunkWsgCommandSender())
+        publisher = publish(
+            builder, self._bus, channels.GRIPPER_COMMAND, lcmt_schunk_wsg_command, channels.GRIPPER_PERIOD
+        )
+        builder.Connect(sender.get_output_port(), publisher.get_input_port())
+        builder.ExportInput(sender.get_position_input_port(), "gripper.position")
+        builder.ExportInput(sender.get_force_limit_input_port(), "gripper.force_limit")
+
+    def _export_camera(self, builder: DiagramBuilder) -> None:
+        for channel, picture, port in (
+            (channels.CAMERA_DEPTH, "depth_image", "camera.depth_image"),
+            (channels.CAMERA_COLOR, "color_image", "camera.rgb_image"),
+        ):
+            images = builder.AddSystem(LcmImageArrayToImages())
+            message = self._checked[channel].GetOutputPort("message")
+            builder.Connect(message, images.image_array_t_input_port())
+            builder.ExportOutput(images.GetOutputPort(picture), port)
+        pose = builder.AddSystem(_PoseReceiver())
+        received = self._checked[channels.CAMERA_POSE].GetOutputPort("received")
+        builder.Connect(received, pose.get_input_port())
+        builder.ExportOutput(pose.get_output_port(), "camera.X_WC")
+        age = builder.AddSystem(_PictureAge())
+        for name, channel, port in (
+            ("arm_stamp", channels.IIWA_STATUS, "stamp"),
+            ("arm_age", channels.IIWA_STATUS, "age"),
+            ("picture_stamp", channels.CAMERA_DEPTH, "stamp"),
+            ("picture_age", channels.CAMERA_DEPTH, "age"),
+        ):
+            builder.Connect(self._checked[channel].GetOutputPort(port), age.GetInputPort(name))
+        builder.ExportOutput(age.get_output_port(), "camera.age")
+
+
+def _arm_hulls(scenario: Scenario) -> ArmHulls:
+    plant, scene_graph = AddMultibodyPlantSceneGraph(DiagramBuilder(), 1e-3)
+    arm = add_arm(plant, models=scenario.arm.models)
+    plant.Finalize()
+    return ArmHulls(plant, scene_graph, [arm.iiwa, arm.gripper])
+
+
+class _StreamSender(LeafSystem):
+    """Hands the arm's commands to the process that sends them."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._stream: CommandStream | None = None
+        self.DeclareVectorInputPort("position", 7)
+        self.DeclarePeriodicPublishEvent(channels.ARM_PERIOD, 0.0, self._send)
+
+    def start(self, url: str) -> None:
+        """Start the process."""
+        self.stop()
+        self._stream = CommandStream(url)
+
+    def stop(self) -> None:
+        """End it."""
+        if self._stream is not None:
+            self._stream.close()
+            self._stream = None
+
+    def _send(self, context: Context) -> EventStatus:
+        if self._stream is None:
+            raise channels.HardwareError("hardware: call `connect` before the simulation begins")
+        self._stream.send(context.get_time(), self.get_input_port().Eval(context))
+        return EventStatus.Succeeded()
+
+
+class _PoseReceiver(LeafSystem):
+    """A pose from seven named numbers; the identity before they came."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.DeclareAbstractInputPort("received", Value[object](None))
+        self.DeclareAbstractOutputPort("pose", lambda: Value(RigidTransform()), self._calc)
+
+    def _calc(self, context: Context, output: AbstractValue) -> None:
+        data = self.get_input_port().Eval(context).data
+        pose = RigidTransform()
+        if data:
+            numbers = np.array(lcmt_drake_signal.decode(data).val)
+            pose = RigidTransform(Quaternion(numbers[3:] / np.linalg.norm(numbers[3:])), numbers[:3])
+        output.set_value(pose)
+
+
+class _PictureAge(LeafSystem):
+    """How long ago the newest picture was taken.
+
+    The arm's newest status tells what the sender's clock shows now, so that neither rendering nor a large
+    message's way counts. Where the camera has another clock, it is the time since the picture came.
+    """
+
+    def __init__(self) -> None:
+        super().__init__()
+        for name in ("arm_stamp", "arm_age", "picture_stamp", "picture_age"):
+            self.DeclareVectorInputPort(name, 1)
+        self.DeclareVectorOutputPort("age", 1, self._calc)
+
+    def _calc(self, context: Context, output: BasicVector) -> None:
+        arm_stamp, arm_age, picture_stamp, since = (
+            float(self.get_input_port(index).Eval(context)[0]) for index in range(4)
+        )
+        age = arm_stamp + arm_age - picture_stamp
+        if not abs(age - since) < SAME_CLOCK:
+            age = since
+        output.SetFromVector([max(age, 0.0)])

@@ -1,0 +1,164 @@
+"""Messages from the network as ports of a diagram: only good ones come through, the others are counted."""
+
+from __future__ import annotations
+
+import logging
+from collections import deque
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+from pydrake.common.value import AbstractValue, Value
+from pydrake.lcm import DrakeLcmInterface
+from pydrake.systems.framework import BasicVector, Context, DiagramBuilder, EventStatus, LeafSystem, State
+from pydrake.systems.lcm import (
+    LcmInterfaceSystem,
+    LcmPublisherSystem,
+    _Serializer_,  # no other name leads to messages that Drake's own receivers take
+)
+
+from diagrams.hardware.validation import BadMessage, Rule
+from diagrams.systems.held import held, read, replace_held
+
+CLOCKS = 0.1
+"""s in which the difference of two clocks is followed; where one is slow, ages err by a share of this."""
+
+_log = logging.getLogger("slipmap.hardware")
+
+
+@dataclass(frozen=True, eq=False)
+class Received:
+    """State: the newest good message and what was wrong with others.
+
+    Attributes:
+        data: of the newest good message, encoded anew; empty before the first.
+        stamp: the sender's clock in it, s.
+        offset: what the clock of the diagram shows more than the sender's where messages just come, s.
+        good: number of good messages.
+        dropped: number of bad ones by their cause.
+    """
+
+    data: bytes = b""
+    stamp: float = np.nan
+    offset: float = -np.inf
+    good: int = 0
+    dropped: Mapping[str, int] = field(default_factory=lambda: MappingProxyType({}))
+
+
+class CheckedMessages(LeafSystem):
+    """Lets good messages of a channel through, and warns of others.
+
+    .. pydrake_system::
+
+        name: CheckedMessages
+        output_ports:
+        - message
+        - stamp
+        - age
+        - received
+
+    - `message`: the newest good message as Drake's own receivers take it, all zero before the first.
+    - `stamp` (1,): the sender's clock in it, s, NaN before the first.
+    - `age` (1,): time since it was sent, s, infinite before the first. It is told from the stamp, so that a
+      diagram that was busy for a while and then reads several messages at once is not misled; how far the two
+      clocks are apart, the way of a message included, is followed within `CLOCKS`. While the diagram's clock
+      is late the age may be negative.
+    - `received`: `Received`.
+
+    A warning names channel and cause at the 1st, 10th, 100th … message that is bad in one way. Drake's own
+    subscriber would end the process at a message that cannot be decoded.
+
+    Args:
+        lcm: who hears them; an `LcmInterfaceSystem` in the diagram has it listen at every step.
+        channel: whose messages these are.
+        rule: what they must be.
+    """
+
+    def __init__(self, lcm: DrakeLcmInterface, channel: str, rule: Rule) -> None:
+        super().__init__()
+        # Belongs to the network, not to a Context; LCM itself keeps one message between two looks.
+        self._waiting: deque[bytes] = deque(maxlen=16)
+        lcm.Subscribe(channel, self._waiting.append)
+        self._channel = channel
+        self._rule = rule
+        self._serializer = _Serializer_[rule.lcm_type]()
+        self._received = self.DeclareAbstractState(held(Received()))
+        self.DeclarePerStepUnrestrictedUpdateEvent(self._update)
+        own = self.abstract_state_ticket(self._received)
+        self.DeclareAbstractOutputPort(
+            "message", self._serializer.CreateDefaultValue, self._calc_message, {own}
+        )
+        self.DeclareVectorOutputPort("stamp", 1, self._calc_stamp, {own})
+        self.DeclareVectorOutputPort("age", 1, self._calc_age, {own, self.time_ticket()})
+        self.DeclareAbstractOutputPort(
+            "received",
+            lambda: Value[object](None),
+            lambda context, output: output.set_value(self.received(context)),
+            {own},
+        )
+
+    def received(self, context: Context) -> Received:
+        """What came until now, of this system's Context."""
+        return read(context, self._received)
+
+    def take(self, context: Context) -> Received:
+        """Look at what waits before the diagram runs.
+
+        Args:
+            context: of this system, changed.
+        """
+        now = self._taken(context)
+        replace_held(context.get_mutable_state(), self._received, now)
+        return now
+
+    def _update(self, context: Context, state: State) -> EventStatus:
+        if not self._waiting:
+            return EventStatus.DidNothing()
+        replace_held(state, self._received, self._taken(context))
+        return EventStatus.Succeeded()
+
+    def _taken(self, context: Context) -> Received:
+        now = self.received(context)
+        while self._waiting:
+            now = self._after(now, self._waiting.popleft(), context.get_time())
+        return now
+
+    def _after(self, now: Received, data: bytes, time: float) -> Received:
+        try:
+            message, stamp = self._rule.read(data, now.stamp if now.good else None)
+        except BadMessage as error:
+            cause = str(error)
+            count = now.dropped.get(cause, 0) + 1
+            if np.log10(count).is_integer():
+                _log.warning("%s: message dropped, %s (%d so far)", self._channel, cause, count)
+            return replace(now, dropped=MappingProxyType({**now.dropped, cause: count}))
+        offset = time - stamp
+        if now.good:
+            offset = now.offset + (offset - now.offset) * -np.expm1((now.stamp - stamp) / CLOCKS)
+        return replace(now, data=message.encode(), stamp=stamp, offset=float(offset), good=now.good + 1)
+
+    def _calc_message(self, context: Context, output: AbstractValue) -> None:
+        data = self.received(context).data
+        if data:
+            self._serializer.Deserialize(data, output)
+        else:
+            output.SetFrom(self._serializer.CreateDefaultValue())
+
+    def _calc_stamp(self, context: Context, output: BasicVector) -> None:
+        output.SetFromVector([self.received(context).stamp])
+
+    def _calc_age(self, context: Context, output: BasicVector) -> None:
+        now = self.received(context)
+        output.SetFromVector([context.get_time() - now.offset - now.stamp if now.good else np.inf])
+
+
+def publish(
+    builder: DiagramBuilder, lcm: LcmInterfaceSystem, channel: str, lcm_type: Any, period: float
+) -> LcmPublisherSystem:
+    """Add a publisher of Drake's messages to a channel, named like the channel."""
+    serializer = _Serializer_[lcm_type]()
+    return builder.AddNamedSystem(
+        f"{channel}_publisher", LcmPublisherSystem(channel, serializer, lcm, publish_period=period)
+    )

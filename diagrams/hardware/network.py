@@ -1,0 +1,53 @@
+"""Connections to LCM's network."""
+
+from __future__ import annotations
+
+import re
+
+from pydrake.lcm import DrakeLcm
+
+from diagrams.hardware.channels import LCM_URL, HardwareError
+
+_ADDRESS = re.compile(r"udpm://\d{1,3}(\.\d{1,3}){3}:\d{1,5}(\?(?P<options>[\w=&.]*))?")
+_BUFFER = 4_194_304  # bytes that the socket holds; a picture comes in several packets at once
+
+
+def open_lcm(url: str = LCM_URL) -> DrakeLcm:
+    """A connection to an address.
+
+    Args:
+        url: `udpm://GROUP:PORT`, with `?ttl=N` for N > 0 where messages shall leave this computer, or `memq://`
+            for one that exists in this object alone.
+
+    Raises:
+        HardwareError: a malformed address, or a network that does not carry messages.
+    """
+    if url == "memq://":
+        return DrakeLcm(url)
+    match = _ADDRESS.fullmatch(url)
+    if match is None:
+        raise HardwareError(f"--lcm: the address must look like {LCM_URL}, got {url}")
+    options = match["options"] or ""
+    settings = dict(part.partition("=")[::2] for part in options.split("&") if part)
+    unknown = settings.keys() - {"ttl", "recv_buf_size"}
+    if unknown or not all(value.isdigit() for value in settings.values()):
+        raise HardwareError(
+            "--lcm: after the ? of an address may stand ttl=N and recv_buf_size=N, whole numbers joined by &;"
+            f" got {url}"
+        )
+    group = int(url.removeprefix("udpm://").partition(".")[0])
+    if not 224 <= group <= 239:
+        raise HardwareError(
+            f"--lcm: the address must be one of multicast, 224.0.0.0 to 239.255.255.255, got {url}"
+        )
+    settings = {"ttl": "0", "recv_buf_size": str(_BUFFER), **settings}
+    address = url.partition("?")[0]
+    lcm = DrakeLcm(f"{address}?{'&'.join('='.join(item) for item in settings.items())}")
+    try:
+        lcm.HandleSubscriptions(0)
+    except RuntimeError as error:
+        raise HardwareError(
+            f"--lcm: nothing can be sent to {url} ({error}). Without a network, let multicast stay on this"
+            " computer: `sudo ip link set lo multicast on; sudo ip route add 224.0.0.0/4 dev lo`"
+        ) from error
+    return lcm

@@ -1,0 +1,148 @@
+"""A twin of the real cell: the simulated station behind the messages that arm, gripper and camera send."""
+
+from __future__ import annotations
+
+import numpy as np
+from drake import lcmt_drake_signal, lcmt_iiwa_status, lcmt_image_array, lcmt_schunk_wsg_status
+from pydrake.common.value import AbstractValue, Value
+from pydrake.lcm import DrakeLcmInterface
+from pydrake.manipulation import (
+    IiwaCommandReceiver,
+    IiwaControlMode,
+    IiwaStatusSender,
+    SchunkWsgCommandReceiver,
+    SchunkWsgStatusSender,
+)
+from pydrake.math import RigidTransform
+from pydrake.systems.framework import Context, Diagram, DiagramBuilder, LeafSystem
+from pydrake.systems.lcm import LcmInterfaceSystem, LcmPublisherSystem
+from pydrake.systems.primitives import ConstantVectorSource
+from pydrake.systems.sensors import ImageToLcmImageArrayT, PixelType
+
+from diagrams.hardware import channels
+from diagrams.hardware.messages import CheckedMessages, Received, publish
+from diagrams.hardware.validation import POSE_COORDINATES, rules
+from diagrams.station.scenario import Scenario
+from diagrams.station.station import Station
+from models.robots import GRIP_FORCE
+
+
+class CellTwin(Diagram):
+    """The station that is told by messages what to do, and says by messages what it does.
+
+    It has no ports; its subsystem `station` is the `Station`. Messages of the arm are sent at 200 Hz, of the
+    gripper at 20 Hz, pictures at the camera's rate, packed, with where they were taken from. The stamps are
+    the diagram's clock. Until commands come the arm stays as it is, and the gripper is closed.
+
+    Args:
+        scenario: what the cell is like.
+        lcm: where messages come and go.
+        arm: whether arm and gripper take part.
+        camera: whether the camera does; rendering takes so long that arm and camera are best kept apart.
+
+    Raises:
+        ValueError, RendererUnavailable: as `Station`.
+    """
+
+    def __init__(
+        self, scenario: Scenario, lcm: DrakeLcmInterface, *, arm: bool = True, camera: bool = True
+    ) -> None:
+        super().__init__()
+        builder = DiagramBuilder()
+        self.station: Station = builder.AddSystem(Station(scenario))
+        bus = builder.AddSystem(LcmInterfaceSystem(lcm))
+        self._checked: dict[str, CheckedMessages] = {}
+        if arm:
+            rule = rules(scenario.camera.width, scenario.camera.height_pixels)
+            self._checked = {
+                channel: builder.AddNamedSystem(channel, CheckedMessages(lcm, channel, rule[channel]))
+                for channel in (channels.IIWA_COMMAND, channels.GRIPPER_COMMAND)
+            }
+            _add_arm(builder, self.station, bus, self._checked[channels.IIWA_COMMAND])
+            _add_gripper(builder, self.station, bus, self._checked[channels.GRIPPER_COMMAND])
+        if camera:
+            self.camera_publishers = _add_camera(builder, self.station, bus, scenario)
+        builder.BuildInto(self)
+        self.set_name("cell_twin")
+
+    def received(self, root: Context) -> dict[str, Received]:
+        """What came on each channel until now, and what of it was dropped."""
+        return {
+            name: system.received(system.GetMyContextFromRoot(root)) for name, system in self._checked.items()
+        }
+
+
+def _add_arm(
+    builder: DiagramBuilder, station: Station, bus: LcmInterfaceSystem, commands: CheckedMessages
+) -> None:
+    receiver = builder.AddSystem(IiwaCommandReceiver(7, IiwaControlMode.kPositionOnly))
+    sender = builder.AddSystem(IiwaStatusSender())
+    no_torque = builder.AddSystem(ConstantVectorSource(np.zeros(7)))
+    status = publish(builder, bus, channels.IIWA_STATUS, lcmt_iiwa_status, channels.ARM_PERIOD)
+    measured = station.GetOutputPort("iiwa.position_measured")
+    builder.Connect(commands.GetOutputPort("message"), receiver.GetInputPort("lcmt_iiwa_command"))
+    builder.Connect(measured, receiver.GetInputPort("position_measured"))
+    builder.Connect(receiver.GetOutputPort("position"), station.GetInputPort("iiwa.position"))
+    builder.Connect(measured, sender.GetInputPort("position_measured"))
+    for name in ("position_commanded", "velocity_estimated", "torque_external"):
+        builder.Connect(station.GetOutputPort(f"iiwa.{name}"), sender.GetInputPort(name))
+    builder.Connect(no_torque.get_output_port(), sender.GetInputPort("torque_commanded"))
+    builder.Connect(sender.get_output_port(), status.get_input_port())
+
+
+def _add_gripper(
+    builder: DiagramBuilder, station: Station, bus: LcmInterfaceSystem, commands: CheckedMessages
+) -> None:
+    receiver = builder.AddSystem(SchunkWsgCommandReceiver(initial_position=0.0, initial_force=GRIP_FORCE / 2))
+    sender = builder.AddSystem(SchunkWsgStatusSender())
+    status = publish(builder, bus, channels.GRIPPER_STATUS, lcmt_schunk_wsg_status, channels.GRIPPER_PERIOD)
+    builder.Connect(commands.GetOutputPort("message"), receiver.GetInputPort("command_message"))
+    for name in ("position", "force_limit"):
+        builder.Connect(receiver.GetOutputPort(name), station.GetInputPort(f"gripper.{name}"))
+    builder.Connect(station.GetOutputPort("gripper.state_measured"), sender.get_state_input_port())
+    builder.Connect(sender.get_output_port(), status.get_input_port())
+
+
+def _add_camera(
+    builder: DiagramBuilder, station: Station, bus: LcmInterfaceSystem, scenario: Scenario
+) -> dict[str, LcmPublisherSystem]:
+    """Returns the publishers by their channels."""
+    period = 1.0 / scenario.camera.rate
+    result = {}
+    for channel, port, pixels, every in (
+        (channels.CAMERA_DEPTH, "camera.depth_image", PixelType.kDepth32F, period),
+        (channels.CAMERA_COLOR, "camera.rgb_image", PixelType.kRgba8U, max(channels.COLOR_PERIOD, period)),
+    ):
+        packer = ImageToLcmImageArrayT(do_compress=True)
+        image = packer.DeclareImageInputPort[pixels]("camera")
+        builder.AddNamedSystem(f"{channel}_packer", packer)
+        publisher = publish(builder, bus, channel, lcmt_image_array, every)
+        builder.Connect(station.GetOutputPort(port), image)
+        builder.Connect(packer.image_array_t_msg_output_port(), publisher.get_input_port())
+        result[channel] = publisher
+    pose = builder.AddSystem(_PoseSender())
+    publisher = builder.AddNamedSystem(
+        f"{channels.CAMERA_POSE}_publisher",
+        LcmPublisherSystem.Make(channels.CAMERA_POSE, lcmt_drake_signal, bus, publish_period=period),
+    )
+    builder.Connect(station.GetOutputPort("camera.X_WC"), pose.get_input_port())
+    builder.Connect(pose.get_output_port(), publisher.get_input_port())
+    return {**result, channels.CAMERA_POSE: publisher}
+
+
+class _PoseSender(LeafSystem):
+    """A pose as seven named numbers."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.DeclareAbstractInputPort("pose", Value(RigidTransform()))
+        self.DeclareAbstractOutputPort("message", lambda: Value(lcmt_drake_signal()), self._calc)
+
+    def _calc(self, context: Context, output: AbstractValue) -> None:
+        X: RigidTransform = self.get_input_port().Eval(context)
+        message = lcmt_drake_signal()
+        message.dim = len(POSE_COORDINATES)
+        message.coord = list(POSE_COORDINATES)
+        message.val = [*map(float, X.translation()), *map(float, X.rotation().ToQuaternion().wxyz())]
+        message.timestamp = round(1e6 * context.get_time())
+        output.set_value(message)
