@@ -39,7 +39,7 @@ def write_dataset(dataset: PushDataset, folder: str | os.PathLike[str], *, overw
         OSError: the disk is full or the place not writable; nothing is left behind.
     """
     target = Path(folder).resolve()
-    replaces = _replaces(target, overwrite)
+    replaces = is_replaced(target, overwrite)
     target.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(prefix=f".{target.name}.", dir=target.parent) as scratch:
         fresh, old = Path(scratch) / "new", Path(scratch) / "old"
@@ -55,8 +55,12 @@ def write_dataset(dataset: PushDataset, folder: str | os.PathLike[str], *, overw
     return target
 
 
-def _replaces(target: Path, overwrite: bool) -> bool:
-    """Whether something stands at the target that may go."""
+def is_replaced(target: Path, overwrite: bool) -> bool:
+    """Whether something stands at the target that may go.
+
+    Raises:
+        DatasetError: see `write_dataset`.
+    """
     if not target.exists():
         return False
     if not target.is_dir():
@@ -94,11 +98,20 @@ def _write_files(dataset: PushDataset, folder: Path) -> None:
     for name, trial in zip(names, dataset.trials, strict=True):
         path = folder / name
         path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(json.dumps(_record(trial), separators=(",", ":"), allow_nan=False), encoding="utf-8")
-    description = yaml.safe_dump(
+        path.write_text(trial_text(trial), encoding="utf-8")
+    (folder / DESCRIPTION_FILE).write_text(description_text(dataset, names), encoding="utf-8")
+
+
+def trial_text(trial: Trial) -> str:
+    """A trial's file."""
+    return json.dumps(_record(trial), separators=(",", ":"), allow_nan=False)
+
+
+def description_text(dataset: PushDataset, names: list[str]) -> str:
+    """The file that describes a dataset whose trials have these names."""
+    return yaml.safe_dump(
         _description(dataset, names), sort_keys=False, allow_unicode=True, default_flow_style=None, width=110
     )
-    (folder / DESCRIPTION_FILE).write_text(description, encoding="utf-8")
 
 
 def _file_names(trials: tuple[Trial, ...]) -> list[str]:
