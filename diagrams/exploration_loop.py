@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from concurrent.futures import Executor
 from dataclasses import dataclass
 from typing import TypeVar
 
@@ -10,13 +11,13 @@ import numpy as np
 from pydrake.geometry import Meshcat
 from pydrake.systems.framework import Diagram, DiagramBuilder, LeafSystem, System
 
-from diagrams.execution.config import ExecutionConfig
-from diagrams.execution.finger_kinematics import FingerKinematics
-from diagrams.execution.motion import MotionRefused
+from diagrams.execution.arm_checks import ArmChecks
 from diagrams.execution.object_watch import ObjectWatch
 from diagrams.execution.push_executor import PushExecutor
-from diagrams.execution.push_plan import plan_push
+from diagrams.hardware.guard import CommandGuard
+from diagrams.hardware.interface import HardwareInterface
 from diagrams.perception.cell_perception import CellPerception
+from diagrams.recorded import Recorded
 from diagrams.station.arm import HOME, arm_model
 from diagrams.station.scenario import Scenario
 from diagrams.station.scenario_file import ScenarioError
@@ -34,7 +35,6 @@ from models.measurements import PushDataset, Trial
 from models.measurements.push_dataset import Noise
 from models.physics.cell_grid import CellGrid
 from models.robots import FINGER_RADIUS
-from planners.table_push import TablePush
 
 STEP = 0.005
 """s, of the hypotheses that run beside the real object; with twice that, taps end 1 mm elsewhere."""
@@ -74,19 +74,26 @@ def exploration_loop(
     scenario: Scenario,
     options: LoopOptions,
     *,
+    cell: HardwareInterface | None = None,
+    worker: Executor | None = None,
     meshcat: Meshcat | None = None,
     learned: Callable[[Belief, int], None] | None = None,
+    before: Recorded | None = None,
 ) -> Diagram:
     """The station with everything that explores the object on its table.
 
     Its systems are named `station`, `perception`, `supervisor`, `exploration`, `executor`, `object_watch`,
-    `logger`, `identification`, `multiverse`, `model_monitor`, and with Meshcat `belief_visualizer`.
+    `logger`, `identification`, `multiverse`, `model_monitor`, with Meshcat `belief_visualizer`, and with a
+    real cell `guard`.
 
     Args:
         scenario: what the cell is like.
         options: what to do.
+        cell: the real cell, which takes the station's place; a guard stands between it and the executor.
+        worker: who looks at pictures, learns and plans; this process if None, which then waits for it.
         meshcat: where to show it, if anywhere.
         learned: called with every belief as it forms and the number of pushes that it comes from.
+        before: what an earlier process recorded, to go on from; the object lies where that one left it.
 
     Raises:
         ScenarioError: an object, a surface or a hidden effect that cannot be had.
@@ -94,7 +101,9 @@ def exploration_loop(
         RendererUnavailable: this machine cannot render pictures.
     """
     builder = DiagramBuilder()
-    blocks = add_exploration(builder, scenario, options, meshcat=meshcat, learned=learned)
+    blocks = add_exploration(
+        builder, scenario, options, cell=cell, worker=worker, meshcat=meshcat, learned=learned
+    )
     connect(builder, blocks.wires(blocks.supervisor))
     loop = builder.Build()
     loop.set_name("exploration_loop")
@@ -105,7 +114,8 @@ def exploration_loop(
 class ExplorationBlocks:
     """The systems of the loop, in a diagram that is being built."""
 
-    station: Station
+    station: Station | HardwareInterface
+    guard: CommandGuard | None
     perception: CellPerception
     supervisor: PushSupervisor
     exploration: Exploration
@@ -123,6 +133,7 @@ class ExplorationBlocks:
         wires: list[Wire] = [
             (self.station, "camera.depth_image", self.perception, "depth_image"),
             (self.station, "camera.X_WC", self.perception, "X_WC"),
+            (self.station, "camera.age", self.perception, "image_age"),
             (self.station, "iiwa.position_measured", self.perception, "arm_position"),
             (self.station, "iiwa.position_measured", self.executor, "iiwa.position_measured"),
             (self.station, "iiwa.torque_external", self.executor, "iiwa.torque_external"),
@@ -130,7 +141,6 @@ class ExplorationBlocks:
             (self.perception, "object_pose", self.watch, "object_pose"),
             (self.executor, "status", self.watch, "execution"),
             (self.watch, "moved", self.executor, "moved"),
-            (self.executor, "iiwa.position", self.station, "iiwa.position"),
             (self.executor, "gripper.position", self.station, "gripper.position"),
             (self.executor, "gripper.force_limit", self.station, "gripper.force_limit"),
             (self.perception, "object_pose", self.supervisor, "object_pose"),
@@ -161,6 +171,18 @@ class ExplorationBlocks:
             (self.perception, "object_pose", self.monitor, "object_pose"),
             (self.logger, "records", self.monitor, "records"),
         ]
+        if self.guard is None:
+            wires.append((self.executor, "iiwa.position", self.station, "iiwa.position"))
+        else:
+            wires += [
+                (self.executor, "iiwa.position", self.guard, "iiwa.position"),
+                (self.station, "iiwa.position_measured", self.guard, "iiwa.position_measured"),
+                (self.station, "iiwa.torque_external", self.guard, "iiwa.torque_external"),
+                (self.station, "iiwa.age", self.guard, "status_age"),
+                (self.station, "camera.age", self.guard, "image_age"),
+                (self.guard, "iiwa.position", self.station, "iiwa.position"),
+                (self.guard, "health", self.executor, "health"),
+            ]
         if self.visualizer is not None:
             wires += [
                 (self.identification, "belief", self.visualizer, "belief"),
@@ -177,39 +199,48 @@ def add_exploration(
     scenario: Scenario,
     options: LoopOptions,
     *,
+    cell: HardwareInterface | None = None,
+    worker: Executor | None = None,
     meshcat: Meshcat | None = None,
     learned: Callable[[Belief, int], None] | None = None,
+    before: Recorded | None = None,
 ) -> ExplorationBlocks:
     """Add everything that explores, not yet connected; arguments and errors as of `exploration_loop`."""
     try:
-        station = builder.AddSystem(Station(scenario, meshcat))
+        station = builder.AddSystem(Station(scenario, meshcat) if cell is None else cell)
     except ValueError as error:
         raise ScenarioError(str(error)) from error
-    config = scenario.execution
     model = arm_model(models=scenario.arm.models)
+    checks = ArmChecks(scenario.arm.models, scenario.table.make(), scenario.execution)
+
+    trials = () if before is None else before.trials
+    known = None if before is None else (before.first, trials[-1].object_pose.values[-1])
 
     def add(name: str, system: Block) -> Block:
         return builder.AddNamedSystem(name, system)
 
     return ExplorationBlocks(
         station=station,
-        perception=add("perception", CellPerception(scenario.camera, options.cells, station.arm_hulls)),
+        guard=None if cell is None else add("guard", CommandGuard(model, scenario.guard)),
+        perception=add(
+            "perception", CellPerception(scenario.camera, options.cells, station.arm_hulls, worker)
+        ),
         supervisor=add("supervisor", PushSupervisor(options.pushes, options.checks)),
         exploration=add(
             "exploration",
             Exploration(
                 options.strategy, options.pushes, FINGER_RADIUS, scenario.pokes,
-                push_check(FingerKinematics(model), config), options.seed,
+                checks.can_push, options.seed, worker,
             ),
         ),
-        executor=add("executor", PushExecutor(model, HOME, config, scenario.table.make())),
+        executor=add("executor", PushExecutor(model, HOME, scenario.execution, checks.table)),
         watch=add("object_watch", ObjectWatch()),
-        logger=add("logger", MeasurementLogger(options.pushes)),
+        logger=add("logger", MeasurementLogger(options.pushes, trials)),
         identification=add(
             "identification",
             Identification(
                 lambda trials, grid: recorded_dataset(trials, grid, scenario),
-                hypotheses=options.hypotheses, seed=options.seed, learned=learned,
+                hypotheses=options.hypotheses, seed=options.seed, learned=learned, worker=worker,
             ),
         ),
         finger=add("finger", FingerMotion(STEP)),
@@ -236,16 +267,3 @@ def recorded_dataset(trials: Sequence[Trial], grid: CellGrid, scenario: Scenario
         table=scenario.table.make(),
         description="Recorded by the station's arm and depth camera.",
     )
-
-
-def push_check(kinematics: FingerKinematics, config: ExecutionConfig) -> Callable[[TablePush], bool]:
-    """Whether the arm can make a push from home."""
-
-    def allowed(push: TablePush) -> bool:
-        try:
-            plan_push(kinematics, push, HOME, HOME, config)
-        except MotionRefused:
-            return False
-        return True
-
-    return allowed

@@ -3,19 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from concurrent.futures import Executor
 from dataclasses import dataclass, field
+from functools import partial
 
 import numpy as np
 from pydrake.geometry import Meshcat
 from pydrake.systems.framework import Diagram, DiagramBuilder
 
-from diagrams.execution.clearance import ArmClearance
-from diagrams.execution.finger_kinematics import FingerKinematics
-from diagrams.execution.grasp_plan import can_grasp
-from diagrams.exploration_loop import LoopOptions, add_exploration, connect, push_check
+from diagrams.execution.arm_checks import ArmChecks
+from diagrams.exploration_loop import LoopOptions, add_exploration, connect
+from diagrams.hardware.interface import HardwareInterface
 from diagrams.perception.sight import Sight
-from diagrams.station.arm import HOME, arm_model
+from diagrams.station.arm import HOME
 from diagrams.station.scenario import Scenario
+from diagrams.station.station import Station
 from diagrams.systems.goal_and_push_planner import GoalAndPushPlanner
 from diagrams.systems.pregrasp_supervisor import PregraspSupervisor
 from models.inference.belief import Belief
@@ -49,6 +51,8 @@ def pregrasp_loop(
     scenario: Scenario,
     options: PregraspOptions,
     *,
+    cell: HardwareInterface | None = None,
+    worker: Executor | None = None,
     meshcat: Meshcat | None = None,
     learned: Callable[[Belief, int], None] | None = None,
 ) -> Diagram:
@@ -59,6 +63,7 @@ def pregrasp_loop(
     Args:
         scenario: what the cell is like.
         options: what to do.
+        cell, worker: see `exploration_loop`; a real cell knows no truth to plan with.
         meshcat: where to show it, if anywhere.
         learned: called with every belief as it forms and the number of pushes that it comes from.
 
@@ -66,12 +71,16 @@ def pregrasp_loop(
         ScenarioError, ValueError, RendererUnavailable: see `exploration_loop`.
     """
     builder = DiagramBuilder()
-    blocks = add_exploration(builder, scenario, options.exploration, meshcat=meshcat, learned=learned)
+    blocks = add_exploration(
+        builder, scenario, options.exploration, cell=cell, worker=worker, meshcat=meshcat, learned=learned
+    )
     table = scenario.table.make()
-    kinematics, clearance = FingerKinematics(arm_model(models=scenario.arm.models)), ArmClearance(table)
+    checks = ArmChecks(scenario.arm.models, table, scenario.execution)
     camera = View(scenario.camera.intrinsics, scenario.camera.X_WC.GetAsMatrix4())
     sight = Sight(camera, blocks.station.arm_hulls(HOME))
-    true_object = blocks.station.true_object
+    truth = None
+    if isinstance(blocks.station, Station):
+        truth = partial(true_maps, blocks.station.true_object, scenario.object.pose)
     planner = builder.AddNamedSystem(
         "planner",
         GoalAndPushPlanner(
@@ -80,11 +89,12 @@ def pregrasp_loop(
             ),
             table,
             method=options.method,
-            can_push=push_check(kinematics, scenario.execution),
-            can_grasp=lambda grasp: can_grasp(kinematics, clearance, grasp, HOME),
+            can_push=checks.can_push,
+            can_grasp=checks.can_grasp,
             can_see=lambda seen, pose: sight.share(seen, pose) > ENOUGH_SEEN,
             seed=options.exploration.seed,
-            truth=lambda seen: true_maps(true_object, scenario.object.pose, seen),
+            truth=truth,
+            worker=worker,
         ),
     )
     commander = builder.AddNamedSystem("pregrasp_supervisor", PregraspSupervisor())

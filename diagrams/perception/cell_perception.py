@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from concurrent.futures import Executor
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from typing import Any
@@ -15,9 +16,11 @@ from pydrake.systems.sensors import ImageDepth32F
 
 from diagrams.perception.camera import CameraConfig
 from diagrams.systems.held import held, read, replace_held
+from diagrams.systems.workers import begun
 from models.perception.arm_mask import Hull, draw_hulls
 from models.perception.camera import DepthImage, PinholeCamera, View
-from models.perception.first_look import ObjectNotSeen, first_look, object_center
+from models.perception.first_look import ObjectNotSeen, first_look, median_depth, object_center
+from models.perception.first_picture import FirstPicture
 from models.perception.object_mask import Mask
 from models.perception.observed_pose import ObservedPose, Reason
 from models.perception.picture_check import PictureHistory, readings
@@ -48,118 +51,41 @@ class _Memory:
     history: PictureHistory = field(default_factory=PictureHistory)
     frames: tuple[DepthImage, ...] = ()
     seen: SeenObject | None = None
+    first: FirstPicture | None = None
     last_pose: FloatArray | None = None
     doubtful: bool = False
 
 
-class CellPerception(LeafSystem):
-    """Finds the object on the table, cuts it into cells, and follows its pose from picture to picture.
+@dataclass(frozen=True, eq=False)
+class _Glance:
+    """What the inputs say at one time; `picture` (H, W) is None before the first."""
 
-    .. pydrake_system::
+    picture: DepthImage | None
+    X_WC: bytes
+    arm: Sequence[Hull] | None
+    age: float
+    time: float
 
-        name: CellPerception
-        input_ports:
-        - depth_image
-        - X_WC
-        - arm_position (optional)
-        - image_age (optional)
-        output_ports:
-        - object_pose
-        - cell_grid
-        - seen_object
 
-    Inputs: `depth_image`, an ImageDepth32F; `X_WC`, a RigidTransform; `arm_position`, (7,) joint angles,
-    with which the arm is masked in the picture; `image_age`, (1,) s since the picture was taken, 0 if not
-    connected. Outputs: `object_pose`, an `ObservedPose`; `cell_grid`, a
-    `CellGrid` or None before the first look is over; `seen_object`, a `SeenObject` with heights, or None.
+@dataclass(frozen=True)
+class _Eye:
+    """How pictures are looked at; `oldest` (s) may be the newest picture."""
 
-    The inputs are read at the camera's rate. The first look takes `FRAMES` pictures between which the object
-    does not move; it goes on until there are such, with the arm not near the object. It defines the object
-    frame: origin at the centroid of the footprint's area, axes parallel to the world's. Until then the pose
-    is not valid, and "no object" or "occluded" its reason.
+    camera: PinholeCamera
+    cells: int
+    oldest: float
 
-    A picture that was seen before, by its age or because each of its rows was, tells nothing new; after `OLD`
-    pictures that did not come the pose is not valid. Nor is it where the picture is torn, that is, has rows
-    of one before, and from then on until the object rests; or where a tenth more pixels than usual have no
-    reading. A camera without noise repeats rows
-    whenever nothing moves: whether this one does is found out during the first look, before which torn
-    and repeated pictures are not noticed.
-    """
-
-    def __init__(
-        self,
-        camera: CameraConfig | None = None,
-        cells: int = 60,
-        arm_hulls: Callable[[FloatArray], Sequence[Hull]] | None = None,
-    ) -> None:
-        """Perception with a camera of known intrinsics.
-
-        Args:
-            camera: of the pictures; `CameraConfig()` by default.
-            cells: wanted number of cells.
-            arm_hulls: hulls around the arm for joint angles (7,), rad, such as `ArmHulls`; None if the arm
-                is never in the picture.
-
-        Raises:
-            ValueError: a number of cells below 1.
-        """
-        super().__init__()
-        if cells < 1:
-            raise ValueError(f"perception: the number of cells must be at least 1, got {cells}")
-        config = camera or CameraConfig()
-        self._camera = config.intrinsics
-        self._cells = cells
-        self._arm_hulls = arm_hulls
-        self._image = self.DeclareAbstractInputPort("depth_image", AbstractValue.Make(ImageDepth32F()))
-        self._X_WC = self.DeclareAbstractInputPort("X_WC", AbstractValue.Make(RigidTransform()))
-        self._arm = self.DeclareVectorInputPort("arm_position", 7)
-        self._age = self.DeclareVectorInputPort("image_age", 1)
-        self._oldest = OLD / config.rate
-        memory = self.DeclareAbstractState(held(_Memory(ObservedPose.unseen("no object"))))
-        self._memory = memory
-        ticket = {self.abstract_state_ticket(memory)}
-
-        def write(part: Callable[[_Memory], object]) -> Any:
-            return lambda context, output: output.set_value(part(self._memory_in(context)))
-
-        def port(name: str, part: Callable[[_Memory], object]) -> None:
-            self.DeclareAbstractOutputPort(
-                name,
-                lambda: Value[object](),
-                write(part),
-                ticket,
-            )
-
-        port("object_pose", lambda memory: memory.observed)
-        port("cell_grid", lambda memory: None if memory.seen is None else memory.seen.grid)
-        port("seen_object", lambda memory: memory.seen)
-        self.DeclarePeriodicUnrestrictedUpdateEvent(1.0 / config.rate, 0.0, self._look)
-
-    def _memory_in(self, context: Any) -> _Memory:
-        return read(context, self._memory)
-
-    def _look(self, context: Any, state: Any) -> None:
-        memory = self._memory_in(context)
-        looked = self._looked(context, memory)
-        if looked is not memory:
-            replace_held(state, self._memory, looked)
-
-    def _looked(self, context: Any, memory: _Memory) -> _Memory:
-        time = context.get_time()
-        age = float(self._age.Eval(context)[0]) if self._age.HasValue(context) else 0.0
-        picture: Any = self._image.Eval(context)
-        camera = self._camera
-        if picture.width() * picture.height() == 0 or not np.isfinite(age):
+    def looked(self, memory: _Memory, glance: _Glance) -> _Memory:
+        """What is known after another look."""
+        camera, picture, age, time = self.camera, glance.picture, glance.age, glance.time
+        if picture is None or not np.isfinite(age):
             return replace(memory, observed=ObservedPose.unseen("no picture", time))
-        if (picture.width(), picture.height()) != (camera.width, camera.height):
+        if picture.shape != (camera.height, camera.width):
             return replace(memory, observed=ObservedPose.unseen("corrupt picture", time))
-        X_WC: Any = self._X_WC.Eval(context)
-        view = _view(camera, X_WC.GetAsMatrix4().tobytes())
-        image = readings(picture.data[:, :, 0])
-        blocked: Mask | None = None
-        if self._arm_hulls is not None and self._arm.HasValue(context):
-            blocked = draw_hulls(self._arm_hulls(np.asarray(self._arm.Eval(context))), view)
-        fault, new, history = memory.history.judged(image, time - age, time, self._oldest, blocked)
+        view = _view(camera, glance.X_WC)
+        image = readings(picture)
+        blocked: Mask | None = None if glance.arm is None else draw_hulls(glance.arm, view)
+        fault, new, history = memory.history.judged(image, time - age, time, self.oldest, blocked)
         if fault:
             doubtful = memory.doubtful or fault == "torn picture"
             return replace(memory, observed=ObservedPose.unseen(fault, time), doubtful=doubtful)
@@ -195,13 +121,143 @@ class CellPerception(LeafSystem):
             )
             if np.hypot(*(end - begin)) > _AT_REST:
                 return replace(memory, observed=ObservedPose.unseen("no object", time), frames=later)
-            seen = first_look(frames, view, self._cells, blocked)
+            seen = first_look(frames, view, self.cells, blocked)
         except (ObjectNotSeen, NoTable) as error:
             reason: Reason = error.reason if isinstance(error, ObjectNotSeen) else "no object"
             return replace(memory, observed=ObservedPose.unseen(reason, time), frames=later)
         observed = track(image, view, seen, seen.first_pose, blocked, time)
         history = memory.history.learned(frames, blocked)
-        return _Memory(observed, history, seen=seen, last_pose=seen.first_pose)
+        hidden = np.zeros(image.shape, bool) if blocked is None else blocked
+        first = FirstPicture(
+            median_depth(frames), view.X_WC, hidden, self._cells, history.noisy, history.missing
+        )
+        return _Memory(observed, history, seen=seen, first=first, last_pose=seen.first_pose)
+
+
+class CellPerception(LeafSystem):
+    """Finds the object on the table, cuts it into cells, and follows its pose from picture to picture.
+
+    .. pydrake_system::
+
+        name: CellPerception
+        input_ports:
+        - depth_image
+        - X_WC
+        - arm_position (optional)
+        - image_age (optional)
+        output_ports:
+        - object_pose
+        - cell_grid
+        - seen_object
+        - first_picture
+
+    Inputs: `depth_image`, an ImageDepth32F; `X_WC`, a RigidTransform; `arm_position`, (7,) joint angles,
+    with which the arm is masked in the picture; `image_age`, (1,) s since the picture was taken, 0 if not
+    connected. Outputs: `object_pose`, an `ObservedPose`; `cell_grid`, a
+    `CellGrid` or None before the first look is over; `seen_object`, a `SeenObject` with heights, or None;
+    `first_picture`, the `FirstPicture` from which it comes, or None.
+
+    The inputs are read at the camera's rate. The first look takes `FRAMES` pictures between which the object
+    does not move; it goes on until there are such, with the arm not near the object. It defines the object
+    frame: origin at the centroid of the footprint's area, axes parallel to the world's. Until then the pose
+    is not valid, and "no object" or "occluded" its reason.
+
+    A picture that was seen before, by its age or because each of its rows was, tells nothing new; after `OLD`
+    pictures that did not come the pose is not valid. Nor is it where the picture is torn, that is, has rows
+    of one before, and from then on until the object rests; or where a tenth more pixels than usual have no
+    reading. A camera without noise repeats rows
+    whenever nothing moves: whether this one does is found out during the first look, before which torn
+    and repeated pictures are not noticed.
+    """
+
+    def __init__(
+        self,
+        camera: CameraConfig | None = None,
+        cells: int = 60,
+        arm_hulls: Callable[[FloatArray], Sequence[Hull]] | None = None,
+        worker: Executor | None = None,
+    ) -> None:
+        """Perception with a camera of known intrinsics.
+
+        Args:
+            camera: of the pictures; `CameraConfig()` by default.
+            cells: wanted number of cells.
+            arm_hulls: hulls around the arm for joint angles (7,), rad, such as `ArmHulls`; None if the arm
+                is never in the picture.
+            worker: who looks at pictures; this process if None. With one, what is seen is known a picture
+                later, with the time at which it was seen, and pictures that come meanwhile are left out.
+
+        Raises:
+            ValueError: a number of cells below 1.
+        """
+        super().__init__()
+        if cells < 1:
+            raise ValueError(f"perception: the number of cells must be at least 1, got {cells}")
+        config = camera or CameraConfig()
+        self._eye = _Eye(config.intrinsics, cells, OLD / config.rate)
+        self._worker = worker
+        self._arm_hulls = arm_hulls
+        self._image = self.DeclareAbstractInputPort("depth_image", AbstractValue.Make(ImageDepth32F()))
+        self._X_WC = self.DeclareAbstractInputPort("X_WC", AbstractValue.Make(RigidTransform()))
+        self._arm = self.DeclareVectorInputPort("arm_position", 7)
+        self._age = self.DeclareVectorInputPort("image_age", 1)
+        start = _Memory(ObservedPose.unseen("no object"))
+        if known is not None:
+            first, last_pose = known
+            history = PictureHistory(noisy=first.noisy, missing=first.missing)
+            seen = first.seen(self._camera)
+            start = replace(start, history=history, seen=seen, first=first, last_pose=last_pose)
+        memory = self.DeclareAbstractState(held(start))
+        self._memory = memory
+        self._job = self.DeclareAbstractState(held(None))
+        ticket = {self.abstract_state_ticket(memory)}
+
+        def write(part: Callable[[_Memory], object]) -> Any:
+            return lambda context, output: output.set_value(part(self._memory_in(context)))
+
+        def port(name: str, part: Callable[[_Memory], object]) -> None:
+            self.DeclareAbstractOutputPort(
+                name,
+                lambda: Value[object](),
+                write(part),
+                ticket,
+            )
+
+        port("object_pose", lambda memory: memory.observed)
+        port("cell_grid", lambda memory: None if memory.seen is None else memory.seen.grid)
+        port("seen_object", lambda memory: memory.seen)
+        port("first_picture", lambda memory: memory.first)
+        self.DeclarePeriodicUnrestrictedUpdateEvent(1.0 / config.rate, 0.0, self._look)
+
+    def _memory_in(self, context: Any) -> _Memory:
+        return read(context, self._memory)
+
+    def _look(self, context: Any, state: Any) -> None:
+        job = read(context, self._job)
+        memory = before = self._memory_in(context)
+        if job is not None and job.done():
+            memory, job = job.result(), None
+        if job is None:
+            job = begun(self._worker, self._eye.looked, memory, self._glance(context))
+            if job.done():
+                memory, job = job.result(), None
+        if memory is not before:
+            replace_held(state, self._memory, memory)
+        replace_held(state, self._job, job)
+
+    def _glance(self, context: Any) -> _Glance:
+        picture: Any = self._image.Eval(context)
+        X_WC: Any = self._X_WC.Eval(context)
+        hulls = None
+        if self._arm_hulls is not None and self._arm.HasValue(context):
+            hulls = self._arm_hulls(np.asarray(self._arm.Eval(context)))
+        return _Glance(
+            picture.data[:, :, 0].copy() if picture.width() * picture.height() else None,
+            X_WC.GetAsMatrix4().tobytes(),
+            hulls,
+            float(self._age.Eval(context)[0]) if self._age.HasValue(context) else 0.0,
+            context.get_time(),
+        )
 
 
 @lru_cache(maxsize=4)

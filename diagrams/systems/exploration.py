@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from concurrent.futures import Executor
+from typing import Any
 
 import numpy as np
 from pydrake.common.value import Value
@@ -10,6 +12,7 @@ from pydrake.systems.framework import Context, EventStatus, LeafSystem, State
 
 from diagrams.systems.held import held, read, replace_held
 from diagrams.systems.messages import LoopStatus, PokeRequest
+from diagrams.systems.workers import begun
 from planners.action_selection import Poke, select_poke
 from planners.exploration import NoReachablePush
 from planners.poke_settings import PokeSettings
@@ -46,6 +49,8 @@ class Exploration(LeafSystem):
         settings: what pokes are like.
         allowed: whether the arm can make a push.
         seed: of every draw.
+        worker: who computes; this process if None, and then the simulation waits. It must be able to take
+            `allowed` along.
     """
 
     def __init__(
@@ -56,6 +61,7 @@ class Exploration(LeafSystem):
         settings: PokeSettings,
         allowed: Callable[[TablePush], bool],
         seed: int,
+        worker: Executor | None = None,
     ) -> None:
         super().__init__()
         self._strategy = strategy
@@ -64,10 +70,12 @@ class Exploration(LeafSystem):
         self._settings = settings
         self._allowed = allowed
         self._seed = seed
+        self._worker = worker
         for name in ("belief", "object_pose", "cell_grid", "status"):
             self.DeclareAbstractInputPort(name, Value[object](None))
         self._request = self.DeclareAbstractState(held(None))
-        self._past = self.DeclareAbstractState(held(()))
+        self._past = self.DeclareAbstractState(held(tuple(past)))
+        self._job = self.DeclareAbstractState(held(None))
         self.DeclarePeriodicUnrestrictedUpdateEvent(PERIOD, 0.0, self._choose)
         self.DeclareAbstractOutputPort(
             "poke",
@@ -77,18 +85,21 @@ class Exploration(LeafSystem):
         )
 
     def _choose(self, context: Context, state: State) -> EventStatus:
-        status: LoopStatus = self.GetInputPort("status").Eval(context)
-        request: PokeRequest | None = read(context, self._request)
-        pose = self.GetInputPort("object_pose").Eval(context)
-        asked = status.mode == "choosing" and (request is None or request.number != status.number)
-        if not asked or not pose.valid:
-            return EventStatus.DidNothing()
-        past: tuple[Poke, ...] = read(context, self._past)
-        if status.attempt > 0:
-            past = past[:-1]  # the arm refused it
-        strategy = self._strategy if status.push < self._fit else "random"
-        try:
-            poke = select_poke(
+        job, number, past = read(context, self._job) or (None, 0, ())
+        if job is None:
+            status: LoopStatus = self.GetInputPort("status").Eval(context)
+            request: PokeRequest | None = read(context, self._request)
+            pose = self.GetInputPort("object_pose").Eval(context)
+            asked = status.mode == "choosing" and (request is None or request.number != status.number)
+            if not asked or not pose.valid:
+                return EventStatus.DidNothing()
+            number, past = status.number, read(context, self._past)
+            if status.attempt > 0:
+                past = past[:-1]  # the arm refused it
+            strategy = self._strategy if status.push < self._fit else "random"
+            job = begun(
+                self._worker,
+                _selected,
                 self.GetInputPort("cell_grid").Eval(context),
                 pose.pose,
                 self._finger_radius,
@@ -100,9 +111,20 @@ class Exploration(LeafSystem):
                 allowed=self._allowed,
                 rng=np.random.default_rng([self._seed, status.push, status.attempt]),
             )
-        except NoReachablePush as error:
-            replace_held(state, self._request, PokeRequest(status.number, None, str(error)))
+        if not job.done():
+            replace_held(state, self._job, (job, number, past))
             return EventStatus.Succeeded()
-        replace_held(state, self._request, PokeRequest(status.number, poke))
-        replace_held(state, self._past, (*past, poke))
+        poke, reason = job.result()
+        replace_held(state, self._job, None)
+        replace_held(state, self._request, PokeRequest(number, poke, reason))
+        if poke is not None:
+            replace_held(state, self._past, (*past, poke))
         return EventStatus.Succeeded()
+
+
+def _selected(*args: Any, **kwargs: Any) -> tuple[Poke | None, str]:
+    """As `select_poke`, or why there is none."""
+    try:
+        return select_poke(*args, **kwargs), ""
+    except NoReachablePush as error:
+        return None, str(error)

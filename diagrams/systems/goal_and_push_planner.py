@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from concurrent.futures import Executor
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -12,6 +13,7 @@ from pydrake.systems.framework import Context, EventStatus, LeafSystem, State
 from diagrams.execution.messages import ActiveGrasp
 from diagrams.systems.held import held, read, replace_held
 from diagrams.systems.messages import LoopStatus, PregraspPlan
+from diagrams.systems.workers import begun
 from models.inference.belief import Belief
 from models.measurements.push_dataset import Table
 from models.perception.seen_object import SeenObject
@@ -73,6 +75,102 @@ class _Planning:
         return self
 
 
+@dataclass(frozen=True, eq=False)
+class _Procedure:
+    """How plans are made; the arguments of `GoalAndPushPlanner`."""
+
+    settings: PregraspSettings
+    table: Table
+    method: str
+    can_push: Allowed
+    can_grasp: CanGrasp
+    can_see: CanSee
+    seed: int
+    truth: Callable[[SeenObject], Maps] | None
+
+    def next(
+        self,
+        planning: _Planning | None,
+        status: LoopStatus,
+        belief: Belief,
+        pose: FloatArray,
+        seen: SeenObject,
+    ) -> _Planning:
+        """What is planned for a status; the object lies at a pose (3,)."""
+        rng = np.random.default_rng([self.seed, status.push, status.attempt])
+        if planning is None:
+            planning = self._begun(belief, seen, rng)
+        return self._planned(planning.continued(status), status.number, pose, seen, rng)
+
+    def _begun(self, belief: Belief, seen: SeenObject, rng: np.random.Generator) -> _Planning:
+        truth = self.truth(seen) if self.method == "true" and self.truth is not None else None
+        known = planning_belief(self.method, belief, rng, truth)
+        thing = Graspable.of_belief(known, seen.cell_heights, self.settings.goals)
+
+        def can_serve(goal: Goal) -> bool:
+            active = ActiveGrasp(0, goal.grasp, goal.pose, seen.grid, seen.cell_heights)
+            return self.can_see(seen, goal.pose) and self.can_grasp(active)
+
+        return _Planning(known, thing, tuple(thing.sample_goals(self.table, rng, can_serve)))
+
+    def _planned(
+        self, now: _Planning, number: int, pose: FloatArray, seen: SeenObject, rng: np.random.Generator
+    ) -> _Planning:
+        goals = self.settings.goals
+        if not now.goals:
+            reason = (
+                f"of {goals.samples} poses at the edge, in none the object stays with a probability of"
+                f" {1 - goals.epsilon:.0%}, is seen by the camera, and can be grasped by the arm"
+            )
+            return replace(now, plan=PregraspPlan(number, reason=reason))
+        grasps: list[ActiveGrasp] = []
+
+        def can_be_grasped(at: FloatArray) -> bool:
+            grasps.extend(self._grasp_at(now, at, number, seen))
+            return bool(grasps)
+
+        told = decide(
+            now.known, pose, now.goals, now.pursuit, self.table, self.settings, rng,
+            allowed=self.can_push, good=can_be_grasped,
+        )  # fmt: skip
+        goal = None if told.way is None else now.goals[told.way.goal]
+        plan = PregraspPlan(number, goal, reason=told.reason)
+        if told.reached:
+            success, margin = self._prospects(now, pose[None])
+            plan = PregraspPlan(number, goal, None, grasps[0], success, margin)
+        elif told.planned is not None:
+            success, margin = self._prospects(now, told.planned.predicted, goal)
+            plan = PregraspPlan(number, goal, told.planned, None, success, margin)
+        return replace(now, last=told, plan=plan)
+
+    def _grasp_at(self, now: _Planning, pose: FloatArray, number: int, seen: SeenObject) -> list[ActiveGrasp]:
+        """The best grasp at a pose that the arm can make and did not refuse before; none or one."""
+        for grasp in now.thing.grasps_at(pose, self.table)[:GRASPS]:
+            active = ActiveGrasp(number, grasp, pose, seen.grid, seen.cell_heights)
+            if not any(_alike(grasp, other) for other in now.refused) and self.can_grasp(active):
+                return [active]
+        return []
+
+    def _prospects(self, now: _Planning, poses: FloatArray, goal: Goal | None = None) -> tuple[float, float]:
+        """Probability of success and margin of a plan, see `PregraspPlan`.
+
+        Args:
+            now: what is known.
+            poses: (K, 3) of the object in the hypotheses that were imagined, or (1, 3) in all of them.
+            goal: near which it shall lie; anywhere if None.
+        """
+        imagined = now.known.probability > NEGLIGIBLE
+        p = now.known.probability[imagined] / now.known.probability[imagined].sum()
+        ends = np.broadcast_to(poses, (len(p), 3))
+        margins = own_balance_margins(now.known.grid, now.known.centers_of_mass[imagined], ends, self.table)
+        good = margins > 0
+        if goal is not None:
+            good &= [near_enough(end, goal.pose, self.settings.push) for end in ends]
+        order = np.argsort(margins)
+        sure = order[np.searchsorted(np.cumsum(p[order]), self.settings.goals.epsilon, side="right")]
+        return float(p @ good), float(margins[sure])
+
+
 class GoalAndPushPlanner(LeafSystem):
     """Plans a push or the grasp when the loop asks for one.
 
@@ -91,8 +189,8 @@ class GoalAndPushPlanner(LeafSystem):
     - `status`: `LoopStatus`; in the mode `planning` a plan of its number is made.
     - `plan`: `PregraspPlan | None`; it stands until the loop asks for another.
 
-    Goals are sampled at the first plan. The simulation waits while the block computes. The draws of a plan
-    depend on the seed and its number alone.
+    Goals are sampled at the first plan. Without a worker the simulation waits while the block computes. The
+    draws of a plan depend on the seed and its number alone.
 
     Args:
         settings: of the procedure.
@@ -104,6 +202,7 @@ class GoalAndPushPlanner(LeafSystem):
             there may not be the last.
         seed: of every draw.
         truth: the true maps over the cells seen, which only the method `true` asks for.
+        worker: who computes; this process if None. It must be able to take the functions along.
     """
 
     def __init__(
@@ -117,20 +216,16 @@ class GoalAndPushPlanner(LeafSystem):
         can_see: CanSee = lambda seen, pose: True,
         seed: int = 0,
         truth: Callable[[SeenObject], Maps] | None = None,
+        worker: Executor | None = None,
     ) -> None:
         super().__init__()
         settings.check()
-        self._settings = settings
-        self._table = table
-        self._method = method
-        self._can_push = can_push
-        self._can_grasp = can_grasp
-        self._can_see = can_see
-        self._seed = seed
-        self._truth = truth
+        self._procedure = _Procedure(settings, table, method, can_push, can_grasp, can_see, seed, truth)
+        self._worker = worker
         for name in ("belief", "object_pose", "seen_object", "status"):
             self.DeclareAbstractInputPort(name, Value[object](None))
         self._planning = self.DeclareAbstractState(held(None))
+        self._job = self.DeclareAbstractState(held(None))
         self.DeclarePeriodicUnrestrictedUpdateEvent(PERIOD, 0.0, self._update)
         self.DeclareAbstractOutputPort(
             "plan",
@@ -144,89 +239,25 @@ class GoalAndPushPlanner(LeafSystem):
         output.set_value(None if planning is None else planning.plan)
 
     def _update(self, context: Context, state: State) -> EventStatus:
-        status: LoopStatus = self.GetInputPort("status").Eval(context)
-        planning: _Planning | None = read(context, self._planning)
-        pose = self.GetInputPort("object_pose").Eval(context)
-        plan = None if planning is None else planning.plan
-        if status.mode != "planning" or (plan is not None and plan.number == status.number):
-            return EventStatus.DidNothing()
-        if not pose.valid:
-            return EventStatus.DidNothing()
-        seen: SeenObject = self.GetInputPort("seen_object").Eval(context)
-        rng = np.random.default_rng([self._seed, status.push, status.attempt])
-        if planning is None:
-            planning = self._begun(self.GetInputPort("belief").Eval(context), seen, rng)
-        planning = self._planned(planning.continued(status), status.number, pose.pose, seen, rng)
-        replace_held(state, self._planning, planning)
+        job = read(context, self._job)
+        if job is None:
+            status: LoopStatus = self.GetInputPort("status").Eval(context)
+            planning: _Planning | None = read(context, self._planning)
+            pose = self.GetInputPort("object_pose").Eval(context)
+            plan = None if planning is None else planning.plan
+            if status.mode != "planning" or (plan is not None and plan.number == status.number):
+                return EventStatus.DidNothing()
+            if not pose.valid:
+                return EventStatus.DidNothing()
+            seen: SeenObject = self.GetInputPort("seen_object").Eval(context)
+            belief: Belief = self.GetInputPort("belief").Eval(context)
+            job = begun(self._worker, self._procedure.next, planning, status, belief, pose.pose, seen)
+        if not job.done():
+            replace_held(state, self._job, job)
+            return EventStatus.Succeeded()
+        replace_held(state, self._job, None)
+        replace_held(state, self._planning, job.result())
         return EventStatus.Succeeded()
-
-    def _begun(self, belief: Belief, seen: SeenObject, rng: np.random.Generator) -> _Planning:
-        truth = self._truth(seen) if self._method == "true" and self._truth is not None else None
-        known = planning_belief(self._method, belief, rng, truth)
-        thing = Graspable.of_belief(known, seen.cell_heights, self._settings.goals)
-
-        def can_serve(goal: Goal) -> bool:
-            active = ActiveGrasp(0, goal.grasp, goal.pose, seen.grid, seen.cell_heights)
-            return self._can_see(seen, goal.pose) and self._can_grasp(active)
-
-        return _Planning(known, thing, tuple(thing.sample_goals(self._table, rng, can_serve)))
-
-    def _planned(
-        self, now: _Planning, number: int, pose: FloatArray, seen: SeenObject, rng: np.random.Generator
-    ) -> _Planning:
-        goals = self._settings.goals
-        if not now.goals:
-            reason = (
-                f"of {goals.samples} poses at the edge, in none the object stays with a probability of"
-                f" {1 - goals.epsilon:.0%}, is seen by the camera, and can be grasped by the arm"
-            )
-            return replace(now, plan=PregraspPlan(number, reason=reason))
-        grasps: list[ActiveGrasp] = []
-
-        def can_be_grasped(at: FloatArray) -> bool:
-            grasps.extend(self._grasp_at(now, at, number, seen))
-            return bool(grasps)
-
-        told = decide(
-            now.known, pose, now.goals, now.pursuit, self._table, self._settings, rng,
-            allowed=self._can_push, good=can_be_grasped,
-        )  # fmt: skip
-        goal = None if told.way is None else now.goals[told.way.goal]
-        plan = PregraspPlan(number, goal, reason=told.reason)
-        if told.reached:
-            success, margin = self._prospects(now, pose[None])
-            plan = PregraspPlan(number, goal, None, grasps[0], success, margin)
-        elif told.planned is not None:
-            success, margin = self._prospects(now, told.planned.predicted, goal)
-            plan = PregraspPlan(number, goal, told.planned, None, success, margin)
-        return replace(now, last=told, plan=plan)
-
-    def _grasp_at(self, now: _Planning, pose: FloatArray, number: int, seen: SeenObject) -> list[ActiveGrasp]:
-        """The best grasp at a pose that the arm can make and did not refuse before; none or one."""
-        for grasp in now.thing.grasps_at(pose, self._table)[:GRASPS]:
-            active = ActiveGrasp(number, grasp, pose, seen.grid, seen.cell_heights)
-            if not any(_alike(grasp, other) for other in now.refused) and self._can_grasp(active):
-                return [active]
-        return []
-
-    def _prospects(self, now: _Planning, poses: FloatArray, goal: Goal | None = None) -> tuple[float, float]:
-        """Probability of success and margin of a plan, see `PregraspPlan`.
-
-        Args:
-            now: what is known.
-            poses: (K, 3) of the object in the hypotheses that were imagined, or (1, 3) in all of them.
-            goal: near which it shall lie; anywhere if None.
-        """
-        imagined = now.known.probability > NEGLIGIBLE
-        p = now.known.probability[imagined] / now.known.probability[imagined].sum()
-        ends = np.broadcast_to(poses, (len(p), 3))
-        margins = own_balance_margins(now.known.grid, now.known.centers_of_mass[imagined], ends, self._table)
-        good = margins > 0
-        if goal is not None:
-            good &= [near_enough(end, goal.pose, self._settings.push) for end in ends]
-        order = np.argsort(margins)
-        sure = order[np.searchsorted(np.cumsum(p[order]), self._settings.goals.epsilon, side="right")]
-        return float(p @ good), float(margins[sure])
 
 
 def _alike(one: Grasp, other: Grasp) -> bool:

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from concurrent.futures import Executor
 
 from pydrake.common.value import Value
 from pydrake.systems.framework import Context, EventStatus, LeafSystem, State
 
 from diagrams.systems.held import held, read, replace_held
+from diagrams.systems.workers import begun
 from models.inference.belief import Belief
 from models.inference.identification import identify
 from models.measurements import PushDataset, Trial
@@ -34,7 +36,8 @@ class Identification(LeafSystem):
     - `records`: tuple of `Trial`; `cell_grid`: `CellGrid | None`.
     - `belief`: `Belief | None`; `learned`: number of pushes that it comes from.
 
-    The simulation waits while it computes; to the clock of the diagram it takes no time.
+    Without a worker the simulation waits while it computes, and to the clock of the diagram it takes no time.
+    With one, the diagram goes on, and the same belief comes later.
 
     Args:
         make_dataset: puts trials and grid together with what else is known of the cell.
@@ -42,6 +45,7 @@ class Identification(LeafSystem):
         hypotheses: K.
         seed: of every draw.
         learned: called with every belief as it forms, for progress.
+        worker: who computes; this process if None.
     """
 
     def __init__(
@@ -52,6 +56,7 @@ class Identification(LeafSystem):
         hypotheses: int = 20,
         seed: int = 0,
         learned: Callable[[Belief, int], None] | None = None,
+        worker: Executor | None = None,
     ) -> None:
         super().__init__()
         self._make_dataset = make_dataset
@@ -59,9 +64,11 @@ class Identification(LeafSystem):
         self._hypotheses = hypotheses
         self._seed = seed
         self._learned = learned
+        self._worker = worker
         self.DeclareAbstractInputPort("records", Value[object](()))
         self.DeclareAbstractInputPort("cell_grid", Value[object](None))
         self._belief = self.DeclareAbstractState(held((None, 0)))
+        self._job = self.DeclareAbstractState(held(None))
         self.DeclarePeriodicUnrestrictedUpdateEvent(PERIOD, 0.0, self._learn)
         for index, name in enumerate(("belief", "learned")):
             self.DeclareAbstractOutputPort(
@@ -72,15 +79,24 @@ class Identification(LeafSystem):
             )
 
     def _learn(self, context: Context, state: State) -> EventStatus:
-        records: tuple[Trial, ...] = self.GetInputPort("records").Eval(context)
-        trials = [trial for trial in records if trial.role == "fit"]
-        _, done = read(context, self._belief)
-        if len(trials) <= done:
-            return EventStatus.DidNothing()
-        grid = self.GetInputPort("cell_grid").Eval(context)
-        dataset = self._make_dataset(trials, grid)
-        result = identify(dataset, method=self._method, hypotheses=self._hypotheses, seed=self._seed)
-        replace_held(state, self._belief, (result.belief, len(trials)))
+        job, count = read(context, self._job) or (None, 0)
+        if job is None:
+            records: tuple[Trial, ...] = self.GetInputPort("records").Eval(context)
+            trials = [trial for trial in records if trial.role == "fit"]
+            if len(trials) <= read(context, self._belief)[1]:
+                return EventStatus.DidNothing()
+            dataset = self._make_dataset(trials, self.GetInputPort("cell_grid").Eval(context))
+            count = len(trials)
+            job = begun(
+                self._worker, identify, dataset,
+                method=self._method, hypotheses=self._hypotheses, seed=self._seed,
+            )  # fmt: skip
+        if not job.done():
+            replace_held(state, self._job, (job, count))
+            return EventStatus.Succeeded()
+        belief = job.result().belief
+        replace_held(state, self._job, None)
+        replace_held(state, self._belief, (belief, count))
         if self._learned is not None:
-            self._learned(result.belief, len(trials))
+            self._learned(belief, count)
         return EventStatus.Succeeded()
