@@ -102,7 +102,7 @@ def exploration_loop(
     """
     builder = DiagramBuilder()
     blocks = add_exploration(
-        builder, scenario, options, cell=cell, worker=worker, meshcat=meshcat, learned=learned
+        builder, scenario, options, cell=cell, worker=worker, meshcat=meshcat, learned=learned, before=before
     )
     connect(builder, blocks.wires(blocks.supervisor))
     loop = builder.Build()
@@ -223,14 +223,14 @@ def add_exploration(
         station=station,
         guard=None if cell is None else add("guard", CommandGuard(model, scenario.guard)),
         perception=add(
-            "perception", CellPerception(scenario.camera, options.cells, station.arm_hulls, worker)
+            "perception", CellPerception(scenario.camera, options.cells, station.arm_hulls, worker, known)
         ),
-        supervisor=add("supervisor", PushSupervisor(options.pushes, options.checks)),
+        supervisor=add("supervisor", PushSupervisor(options.pushes, options.checks, len(trials))),
         exploration=add(
             "exploration",
             Exploration(
                 options.strategy, options.pushes, FINGER_RADIUS, scenario.pokes,
-                checks.can_push, options.seed, worker,
+                checks.can_push, options.seed, worker, () if before is None else before.pokes,
             ),
         ),
         executor=add("executor", PushExecutor(model, HOME, scenario.execution, checks.table)),

@@ -129,7 +129,7 @@ class _Eye:
         history = memory.history.learned(frames, blocked)
         hidden = np.zeros(image.shape, bool) if blocked is None else blocked
         first = FirstPicture(
-            median_depth(frames), view.X_WC, hidden, self._cells, history.noisy, history.missing
+            median_depth(frames), view.X_WC, hidden, self.cells, history.noisy, history.missing
         )
         return _Memory(observed, history, seen=seen, first=first, last_pose=seen.first_pose)
 
@@ -176,6 +176,7 @@ class CellPerception(LeafSystem):
         cells: int = 60,
         arm_hulls: Callable[[FloatArray], Sequence[Hull]] | None = None,
         worker: Executor | None = None,
+        known: tuple[FirstPicture, FloatArray] | None = None,
     ) -> None:
         """Perception with a camera of known intrinsics.
 
@@ -186,6 +187,8 @@ class CellPerception(LeafSystem):
                 is never in the picture.
             worker: who looks at pictures; this process if None. With one, what is seen is known a picture
                 later, with the time at which it was seen, and pictures that come meanwhile are left out.
+            known: what an earlier process saw first, and the (3,) pose at which it saw the object last; there
+                is no first look then.
 
         Raises:
             ValueError: a number of cells below 1.
@@ -205,7 +208,7 @@ class CellPerception(LeafSystem):
         if known is not None:
             first, last_pose = known
             history = PictureHistory(noisy=first.noisy, missing=first.missing)
-            seen = first.seen(self._camera)
+            seen = first.seen(self._eye.camera)
             start = replace(start, history=history, seen=seen, first=first, last_pose=last_pose)
         memory = self.DeclareAbstractState(held(start))
         self._memory = memory

@@ -51,6 +51,7 @@ class Exploration(LeafSystem):
         seed: of every draw.
         worker: who computes; this process if None, and then the simulation waits. It must be able to take
             `allowed` along.
+        past: pokes that were made before.
     """
 
     def __init__(
@@ -62,6 +63,7 @@ class Exploration(LeafSystem):
         allowed: Callable[[TablePush], bool],
         seed: int,
         worker: Executor | None = None,
+        past: Sequence[Poke] = (),
     ) -> None:
         super().__init__()
         self._strategy = strategy

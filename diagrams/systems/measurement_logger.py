@@ -76,9 +76,10 @@ class MeasurementLogger(LeafSystem):
 
     Args:
         fit: so many trials are to learn from, those after them to judge.
+        trials: that were recorded before.
     """
 
-    def __init__(self, fit: int) -> None:
+    def __init__(self, fit: int, trials: Sequence[Trial] = ()) -> None:
         super().__init__()
         self._fit = fit
         self.DeclareAbstractInputPort("object_pose", Value[object](None))
@@ -86,7 +87,7 @@ class MeasurementLogger(LeafSystem):
         self.DeclareVectorInputPort("tip_force", 3)
         self.DeclareAbstractInputPort("execution", Value[object](None))
         self.DeclareAbstractInputPort("status", Value[object](None))
-        self._recording = self.DeclareAbstractState(held(_Recording()))
+        self._recording = self.DeclareAbstractState(held(_Recording(tuple(trials))))
         self.DeclarePeriodicUnrestrictedUpdateEvent(PERIOD, 0.0, self._record)
         self.DeclareAbstractOutputPort(
             "records",

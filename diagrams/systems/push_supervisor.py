@@ -43,15 +43,17 @@ class PushSupervisor(LeafSystem):
     Args:
         fit: pushes to learn from.
         heldout: pushes after these, made to judge the belief and not learned from.
+        made: pushes that were recorded before; it begins with learning from them.
     """
 
-    def __init__(self, fit: int, heldout: int = 0) -> None:
+    def __init__(self, fit: int, heldout: int = 0, made: int = 0) -> None:
         super().__init__()
         self._fit = fit
         self._pushes = fit + heldout
         for name in ("object_pose", "cell_grid", "poke", "execution", "records", "learned"):
             self.DeclareAbstractInputPort(name, Value[object](None))
-        self._status = self.DeclareAbstractState(held(LoopStatus("looking", 0)))
+        start = LoopStatus("learning", made - 1) if made else LoopStatus("looking", 0)
+        self._status = self.DeclareAbstractState(held(start))
         self._active = self.DeclareAbstractState(held(None))
         self._waiting = self.DeclareDiscreteState(1)
         self.DeclarePeriodicUnrestrictedUpdateEvent(PERIOD, 0.0, self._decide)
