@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import PathPatch
 
-from diagrams.figures.outlines import outline_path, scale_bar
+from diagrams.figures.outlines import draw_cells, outline_path, scale_bar
 from diagrams.figures.style import BELIEF, INK, MAP_COLORS, PAPER, styled
 from models.inference.belief import Belief
 from models.physics.cell_grid import FloatArray
@@ -137,7 +137,7 @@ def _drawn(belief: Belief, columns: list[_Column], rows: list[_Row]) -> Figure:
         _footprint(panel, belief, column.maps)
         for r, row in enumerate(rows, start=1):
             panel = axes(r, c)
-            _cells(panel, belief, row, row.values[c])
+            draw_cells(panel, belief.grid, row.values[c], colors=row.colours, norm=row.norm)
             _marks(panel, belief, column.maps, mass=r == 1, friction=r == len(rows))
     scale_bar(axes(0, len(columns) - 1), low - margin, float(extent.max()))
     for r, name in enumerate(["footprint", *(row.name for row in rows)]):
@@ -160,15 +160,6 @@ def _footprint(axes: Axes, belief: Belief, maps: Maps) -> None:
     cloud = centers_of_mass(belief, belief.maps)
     axes.plot(*cloud.T, ".", color=BELIEF, markersize=4, alpha=0.6, markeredgewidth=0)
     _marks(axes, belief, maps)
-
-
-def _cells(axes: Axes, belief: Belief, row: _Row, values: FloatArray) -> None:
-    squares = PolyCollection(
-        _squares(belief), array=values, cmap=row.colours, norm=row.norm, edgecolors="face", linewidths=0.3
-    )
-    squares.set_clip_path(outline_path(belief.grid), axes.transData)
-    axes.add_collection(squares, autolim=False)
-    axes.add_patch(PathPatch(outline_path(belief.grid), facecolor="none", edgecolor=INK, linewidth=0.9))
 
 
 def _squares(belief: Belief) -> list[FloatArray]:

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.collections import PolyCollection
+from matplotlib.colors import Normalize
+from matplotlib.patches import PathPatch
 from matplotlib.path import Path
 from numpy.typing import ArrayLike
 
@@ -15,6 +18,43 @@ def outline_path(grid: CellGrid, pose: ArrayLike = (0.0, 0.0, 0.0)) -> Path:
     """Exterior and holes as one path, placed at a pose (3,) in the world, m and rad."""
     rings = [placed(ring, pose) for ring in (grid.exterior, *grid.holes)]
     return Path.make_compound_path(*(Path(np.vstack([ring, ring[:1]]), closed=True) for ring in rings))
+
+
+def draw_outline(
+    axes: Axes,
+    grid: CellGrid,
+    pose: ArrayLike = (0.0, 0.0, 0.0),
+    *,
+    color: str = INK,
+    width: float = 0.9,
+    fill: str = "none",
+) -> None:
+    """Outline of an object at a pose (3,) in the world, m and rad."""
+    axes.add_patch(PathPatch(outline_path(grid, pose), facecolor=fill, edgecolor=color, linewidth=width))
+
+
+def draw_cells(
+    axes: Axes,
+    grid: CellGrid,
+    values: ArrayLike,
+    pose: ArrayLike = (0.0, 0.0, 0.0),
+    *,
+    colors: str = "viridis",
+    norm: Normalize | None = None,
+) -> PolyCollection:
+    """Cells coloured by values (n,), cut off at the outline, with it, at a pose (3,) in the world, m and rad.
+
+    Limits of the axes are left alone. Returns the squares, of which `Figure.colorbar` makes a scale.
+    """
+    corners = grid.width / 2 * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
+    squares = PolyCollection(
+        [placed(center + corners, pose) for center in grid.centers],
+        array=np.asarray(values, dtype=float), cmap=colors, norm=norm, edgecolors="face", linewidths=0.3,
+    )  # fmt: skip
+    squares.set_clip_path(outline_path(grid, pose), axes.transData)
+    axes.add_collection(squares, autolim=False)
+    draw_outline(axes, grid, pose)
+    return squares
 
 
 def placed(points: FloatArray, pose: ArrayLike) -> FloatArray:
