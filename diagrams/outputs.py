@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import math
 import os
@@ -85,6 +86,10 @@ def writing(path: Path) -> Iterator[None]:
     try:
         yield
     except OSError as error:
+        if error.errno in (errno.ENOSPC, errno.EDQUOT):
+            raise BadInput(
+                f"cannot write {path}: the disk is full; make room or choose another place"
+            ) from error
         raise BadInput(f"cannot write {path}: {error.strerror or error}; choose another place") from error
 
 

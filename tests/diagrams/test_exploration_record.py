@@ -1,0 +1,203 @@
+"""The folder of an exploration: what one process records, another goes on with."""
+
+from __future__ import annotations
+
+import errno
+import json
+import os
+import shutil
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from diagrams.console import BadInput
+from diagrams.exploration_loop import LoopOptions
+from diagrams.exploration_record import PICTURE, PUSHES, RUN, SCENARIO, ExplorationRecord, resumed
+from diagrams.recorded import Recorded
+from diagrams.station.scenario import Scenario
+from models.measurements import Channel, Trial, read_dataset, recording
+from models.perception.camera import View
+from models.perception.first_picture import FirstPicture
+from planners.action_selection import Poke
+from planners.table_push import TablePush
+from tests.models.perception.conftest import Scene
+
+OPTIONS = LoopOptions(pushes=3, checks=1, cells=20, seed=4)
+
+
+def scenario() -> Scenario:
+    made = Scenario()
+    made.object.name = "book"
+    made.table.friction = 0.7
+    return made
+
+
+@pytest.fixture(scope="module")
+def whole() -> Recorded:
+    """Four pushes, made up, of an object that a camera saw."""
+    scene, camera = Scene(), scenario().camera
+    scene.view = View(camera.intrinsics, camera.X_WC.GetAsMatrix4())
+    depth = scene.depth(((-0.1, -0.06, 0.1, 0.0, 0.03),), (0.0, 0.0, 0.3))
+    blocked = np.zeros(depth.shape, bool)
+    first = FirstPicture(depth, scene.view.X_WC, blocked, OPTIONS.cells, noisy=True, missing=0.01)
+    time = np.linspace(0.0, 1.0, 11)
+    tip = np.column_stack([-0.2 + 0.1 * time, 0 * time])
+    trials, pokes = [], []
+    for number in range(4):
+        pose = np.column_stack([0.01 * number + 0.01 * time**2, 0 * time, 0.1 * time])
+        force = np.column_stack([time, 0 * time, 0 * time])
+        role = "fit" if number < 3 else "heldout"
+        channels = (Channel(time, values) for values in (pose, tip, force))
+        trials.append(Trial(f"trials/{number:03d}.json", role, *channels))
+        push = TablePush([-0.2, 0.0], [-0.1, 0.001 * number], 0.05, creep=0.01)
+        pokes.append(Poke(push, np.array([-0.1, 0.01 * number]), np.array([1.0, 0.0])))
+    places = tuple([0.01 * number, 0.0, 5.7] for number in range(4))
+    grid = first.seen(camera.intrinsics).grid
+    return Recorded(tuple(trials), tuple(pokes), places, grid, first)
+
+
+def part(whole: Recorded, count: int) -> Recorded:
+    return replace(whole, trials=whole.trials[:count], pokes=whole.pokes[:count], places=whole.places[:count])
+
+
+def recorded(folder, whole, count, first=0, before=None):
+    record = ExplorationRecord(folder, scenario(), OPTIONS, before)
+    for number in range(first + 1, count + 1):
+        record.keep(part(whole, number))
+    return record
+
+
+def said(error) -> str:
+    return error.value.format_message()
+
+
+def test_another_process_finds_all_that_it_needs(whole, tmp_path):
+    recorded(tmp_path, whole, 2)
+    cell, options, before = resumed(tmp_path)
+    assert options == OPTIONS
+    assert cell.object.pose == whole.places[1]  # the simulated object lies where it was left
+    cell.object.pose = scenario().object.pose
+    assert cell == scenario()
+    assert before.places == whole.places[:2]
+    assert np.array_equal(before.grid.centers, whole.grid.centers)
+    assert np.array_equal(before.first.depth, whole.first.depth)
+    assert (before.first.noisy, before.first.missing) == (True, 0.01)
+    for ours, theirs in zip(before.pokes, whole.pokes, strict=False):
+        assert (ours.push.end == theirs.push.end).all() and ours.push.creep == theirs.push.creep
+        assert (ours.contact == theirs.contact).all() and (ours.direction == theirs.direction).all()
+    assert [trial.role for trial in before.trials] == ["fit", "fit"]
+    assert np.array_equal(before.trials[1].tip_pose.values, whole.trials[1].tip_pose.values)
+
+
+def test_going_on_ends_in_the_same_files_as_going_through(whole, tmp_path):
+    for name in ("through", "on"):
+        (tmp_path / name).mkdir()
+    recorded(tmp_path / "through", whole, 4).end()
+    recorded(tmp_path / "on", whole, 2)
+    before = resumed(tmp_path / "on")[2]
+    recorded(tmp_path / "on", whole, 4, first=2, before=before).end()
+    through, on = (
+        {path.relative_to(folder).as_posix(): path.read_bytes() for path in folder.rglob("*.*")}
+        for folder in (tmp_path / "through", tmp_path / "on")
+    )
+    runs = [json.loads(files.pop(RUN)) for files in (through, on)]
+    for files in (through, on):
+        del files[PICTURE]  # a zip file holds the time of day, and the run its digest
+    assert through == on
+    for run in runs:
+        del run["digests"]
+    assert runs[0] == runs[1]
+    assert runs[0]["ended"]
+
+
+def test_a_run_that_was_cut_off_is_not_overwritten_and_one_that_ended_may_be(whole, tmp_path):
+    record = recorded(tmp_path, whole, 2)
+    with pytest.raises(BadInput) as told:
+        ExplorationRecord(tmp_path, scenario(), OPTIONS)
+    assert "cut off after 2 pushes" in said(told) and f"--resume {tmp_path}" in said(told)
+    record.end()
+    recorded(tmp_path, whole, 1)
+    assert len(read_dataset(tmp_path / PUSHES).trials) == 1
+    assert len(resumed(tmp_path)[2].trials) == 1
+
+
+def test_a_run_that_ended_can_be_gone_on_with(whole, tmp_path):
+    recorded(tmp_path, whole, 3).end()
+    assert len(resumed(tmp_path)[2].trials) == 3
+
+
+def test_cut_off_between_the_run_file_and_the_push_the_push_did_not_happen(whole, tmp_path, monkeypatch):
+    record = recorded(tmp_path, whole, 1)
+
+    def cut(*arguments):
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
+        patch.setattr(recording.PushRecorder, "keep", cut)
+        record.keep(part(whole, 2))
+    before = resumed(tmp_path)[2]
+    assert len(before.trials) == len(before.pokes) == len(before.places) == 1
+
+
+def test_a_full_disk_names_the_file_and_says_how_to_go_on(whole, tmp_path, monkeypatch):
+    record = recorded(tmp_path, whole, 2)
+    calls = []
+
+    def full(descriptor):
+        calls.append(descriptor)
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    with monkeypatch.context() as patch, pytest.raises(BadInput) as told:
+        patch.setattr(recording.os, "fsync", full)
+        record.keep(part(whole, 3))
+    assert calls
+    for words in ("trials/002.json: the disk is full; make room", "the 2 pushes before are kept", "--resume"):
+        assert words in said(told)
+    assert len(resumed(tmp_path)[2].trials) == 2
+
+
+@pytest.mark.parametrize("name", [SCENARIO, PICTURE, PUSHES, f"{PUSHES}/trials/001.json"])
+def test_what_is_missing_is_named(whole, tmp_path, name):
+    recorded(tmp_path, whole, 2)
+    path = tmp_path / name
+    shutil.rmtree(path) if path.is_dir() else path.unlink()
+    with pytest.raises(BadInput) as told:
+        resumed(tmp_path)
+    assert name in said(told)
+
+
+@pytest.mark.parametrize("name", [SCENARIO, PUSHES])
+def test_files_of_two_runs_are_not_mixed(whole, tmp_path, name):
+    (tmp_path / "one").mkdir(), (tmp_path / "other").mkdir()
+    recorded(tmp_path / "one", whole, 2)
+    other = scenario()
+    other.table.friction = 0.9
+    later = replace(whole, trials=tuple(replace(trial, ft_wrench=None) for trial in whole.trials))
+    ExplorationRecord(tmp_path / "other", other, OPTIONS).keep(part(later, 1))
+    if name == PUSHES:
+        shutil.rmtree(tmp_path / "one" / name)
+        shutil.copytree(tmp_path / "other" / name, tmp_path / "one" / name)
+    else:
+        shutil.copy(tmp_path / "other" / name, tmp_path / "one" / name)
+    with pytest.raises(BadInput) as told:
+        resumed(tmp_path / "one")
+    assert name in said(told) and "not th" in said(told)
+
+
+@pytest.mark.parametrize(
+    "content", [None, "", "[1]", '{"format": "other"}', '{"format": "slipmap-exploration/1"}']
+)
+def test_a_folder_without_a_run_is_told(tmp_path, content):
+    if content is not None:
+        (tmp_path / RUN).write_text(content)
+    with pytest.raises(BadInput) as told:
+        resumed(tmp_path)
+    assert str(tmp_path) in said(told)
+
+
+def test_files_that_are_no_part_of_a_run_are_told_before_it_begins(tmp_path):
+    (tmp_path / PUSHES).mkdir()
+    (tmp_path / PUSHES / "notes.txt").write_text("mine")
+    with pytest.raises(BadInput, match="no push dataset"):
+        ExplorationRecord(tmp_path, scenario(), OPTIONS)
