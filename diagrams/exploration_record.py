@@ -12,26 +12,25 @@ from typing import Any, BinaryIO, cast
 
 import numpy as np
 from pydrake.common.yaml import yaml_dump_typed
-from pydrake.systems.framework import Context, Diagram
 
 from diagrams.console import BadInput
-from diagrams.exploration_loop import LoopOptions, recorded_dataset
-from diagrams.outputs import whole_file, write_json, write_text, writing
+from diagrams.exploration_loop import LoopOptions
+from diagrams.outputs import whole_file, write_json, write_text
+from diagrams.push_record import PUSHES, PushRecord
 from diagrams.recorded import Recorded
 from diagrams.station.scenario import ObjectSettings, Scenario
 from diagrams.station.scenario_file import ScenarioError, read_settings
 from models.measurements import DatasetError, read_dataset
-from models.measurements.recording import PushRecorder
 from models.measurements.writing import trial_text
 from models.perception.first_picture import FirstPicture
 from planners.action_selection import Poke
 from planners.table_push import TablePush
 
 FORMAT = "slipmap-exploration/1"
-RUN, SCENARIO, PICTURE, PUSHES = "run.json", "scenario.yaml", "first_picture.npz", "pushes"
+RUN, SCENARIO, PICTURE = "run.json", "scenario.yaml", "first_picture.npz"
 
 
-class ExplorationRecord:
+class ExplorationRecord(PushRecord):
     """Keeps a run's folder in step with it.
 
     Beside the pushes it holds what another process needs to go on: scenario, options, the picture from which
@@ -50,13 +49,10 @@ class ExplorationRecord:
     def __init__(
         self, folder: Path, scenario: Scenario, options: LoopOptions, before: Recorded | None = None
     ) -> None:
-        self._folder, self._scenario, self._options = folder, scenario, options
         if before is None:
             _refuse_cut_off(folder)
-        try:
-            self._pushes = PushRecorder(folder / PUSHES, 0 if before is None else len(before.trials))
-        except DatasetError as error:
-            raise BadInput(str(error)) from error
+        super().__init__(folder, scenario, 0 if before is None else len(before.trials))
+        self._options = options
         self._run: dict[str, Any] | None = None if before is None else _read(folder / RUN)
 
     def keep(self, recorded: Recorded) -> None:
@@ -71,14 +67,9 @@ class ExplorationRecord:
             {"digest": _digest(trial_text(trial).encode()), "poke": _poke(poke), "place": place}
             for trial, poke, place in zip(recorded.trials, recorded.pokes, recorded.places, strict=True)
         ]
-        dataset = recorded_dataset(recorded.trials, recorded.grid, self._scenario)
         with self._going_on(len(recorded.trials) - 1):
             write_json(self._folder / RUN, self._run)
-            try:
-                self._pushes.keep(dataset)
-            except OSError as error:
-                with writing(Path(error.filename)):
-                    raise
+            super().keep(recorded)
 
     def end(self) -> None:
         """Say that the run came to its end, for better or worse: it may be replaced by another."""
@@ -149,49 +140,6 @@ def resumed(folder: Path) -> tuple[Scenario, LoopOptions, Recorded]:
     return scenario, options, Recorded(dataset.trials, pokes, places, grid, first)
 
 
-class Recording:
-    """Tells an `ExplorationRecord` of pushes of a loop, as soon as they are recorded.
-
-    Args:
-        loop: that runs.
-        record: where they go.
-        before: pushes that are there already.
-    """
-
-    def __init__(self, loop: Diagram, record: ExplorationRecord, before: Recorded | None = None) -> None:
-        self._loop, self._record = loop, record
-        self._pokes = () if before is None else before.pokes
-        self._places = () if before is None else before.places
-
-    def look(self, root: Context) -> None:
-        """Keep what is new; to be called often.
-
-        Raises:
-            BadInput: see `ExplorationRecord.keep`.
-        """
-        trials = self._said("logger", "records", root)
-        if len(trials) == len(self._pokes):
-            return
-        request = self._said("exploration", "poke", root)
-        self._pokes = (*self._pokes, request.poke)
-        self._places = (*self._places, self._place(root))
-        grid, first = (self._said("perception", name, root) for name in ("cell_grid", "first_picture"))
-        self._record.keep(Recorded(trials, self._pokes, self._places, grid, first))
-
-    def _place(self, root: Context) -> list[float] | None:
-        """x and y (m) and turn (degrees) of the simulated object."""
-        if not self._loop.GetSubsystemByName("station").HasOutputPort("truth.object_pose"):
-            return None
-        X_WO = self._said("station", "truth.object_pose", root)
-        x_axis = X_WO.rotation().matrix()[:, 0]
-        turn = np.degrees(np.arctan2(x_axis[1], x_axis[0]))
-        return [float(value) for value in (*X_WO.translation()[:2], turn)]
-
-    def _said(self, system: str, port: str, root: Context) -> Any:
-        block = self._loop.GetSubsystemByName(system)
-        return block.GetOutputPort(port).Eval(block.GetMyContextFromRoot(root))
-
-
 def _refuse_cut_off(folder: Path) -> None:
     try:
         run = _read(folder / RUN)
@@ -199,7 +147,7 @@ def _refuse_cut_off(folder: Path) -> None:
         return  # none, or none that could be gone on with
     if not run.get("ended") and run.get("pushes"):
         raise BadInput(
-            f"{folder}: holds a run that was cut off after {len(run['pushes'])} pushes; go on with"
+            f"{folder}: holds a run that was cut off, with pushes recorded: {len(run['pushes'])}; go on with"
             f" `slipmap explore --resume {folder}`, or choose another folder with --out"
         )
 

@@ -63,11 +63,14 @@ class MeasurementLogger(LeafSystem):
         - status
         output_ports:
         - records
+        - under_way
 
     - `object_pose`: `ObservedPose`; rows without a valid pose are left out.
     - `tip_pose`: X_WT of the finger's end; `tip_force`: (3,) of the finger on the object, world, N.
     - `execution`: `ExecutionStatus`; `status`: `LoopStatus`.
     - `records`: tuple of `Trial`.
+    - `under_way`: dict of rows of the push that is made now, by channel as in a trial's file, but with the
+      diagram's time; none before and after it.
 
     Tip and force are recorded while the finger is down: above, it may pass over the object. An object at rest
     has one pose, whenever it is looked at: a trial begins, when the finger comes down, with the mean of the
@@ -93,6 +96,13 @@ class MeasurementLogger(LeafSystem):
             "records",
             lambda: Value[object](()),
             lambda context, output: output.set_value(read(context, self._recording).trials),
+            {self.abstract_state_ticket(self._recording)},
+        )
+
+        self.DeclareAbstractOutputPort(
+            "under_way",
+            lambda: Value[object](None),
+            lambda context, output: output.set_value(_under_way(read(context, self._recording))),
             {self.abstract_state_ticket(self._recording)},
         )
 
@@ -145,6 +155,11 @@ class MeasurementLogger(LeafSystem):
             _channel(recording.forces, start),
         )
         return _Recording((*recording.trials, trial), looks=recording.looks)
+
+
+def _under_way(recording: _Recording) -> dict[str, tuple[Row, ...]]:
+    tips = tuple((*row, 0.0) for row in recording.tips)
+    return {"object_pose": recording.poses, "tip_pose": tips, "ft_wrench": recording.forces}
 
 
 def _credible(poses: Sequence[Row], rest: Row) -> Sequence[Row]:

@@ -108,7 +108,7 @@ class PushSupervisor(LeafSystem):
         if self._input(context, "learned") < min(now.push + 1, self._fit):
             return now
         done = now.push + 1
-        return LoopStatus("finished" if done == self._pushes else "looking", done)
+        return LoopStatus("finished" if done >= self._pushes else "looking", done)
 
     def _look(self, context: Context, now: LoopStatus) -> LoopStatus:
         pose = self._input(context, "object_pose")

@@ -13,7 +13,8 @@ import pytest
 
 from diagrams.console import BadInput
 from diagrams.exploration_loop import LoopOptions
-from diagrams.exploration_record import PICTURE, PUSHES, RUN, SCENARIO, ExplorationRecord, resumed
+from diagrams.exploration_record import PICTURE, RUN, SCENARIO, ExplorationRecord, resumed
+from diagrams.push_record import PUSHES, UNDER_WAY
 from diagrams.recorded import Recorded
 from diagrams.station.scenario import Scenario
 from models.measurements import Channel, Trial, read_dataset, recording
@@ -115,7 +116,7 @@ def test_a_run_that_was_cut_off_is_not_overwritten_and_one_that_ended_may_be(who
     record = recorded(tmp_path, whole, 2)
     with pytest.raises(BadInput) as told:
         ExplorationRecord(tmp_path, scenario(), OPTIONS)
-    assert "cut off after 2 pushes" in said(told) and f"--resume {tmp_path}" in said(told)
+    assert "cut off, with pushes recorded: 2" in said(told) and f"--resume {tmp_path}" in said(told)
     record.end()
     recorded(tmp_path, whole, 1)
     assert len(read_dataset(tmp_path / PUSHES).trials) == 1
@@ -138,6 +139,16 @@ def test_cut_off_between_the_run_file_and_the_push_the_push_did_not_happen(whole
         record.keep(part(whole, 2))
     before = resumed(tmp_path)[2]
     assert len(before.trials) == len(before.pokes) == len(before.places) == 1
+
+
+def test_what_was_measured_of_the_push_under_way_stays_until_it_is_recorded(whole, tmp_path):
+    record = recorded(tmp_path, whole, 1)
+    record.note(1, {"tip_pose": ((0.5, 0.1, 0.2, 0.0),)})
+    told = json.loads((tmp_path / UNDER_WAY).read_text())
+    assert told == {"push": 1, "tip_pose": [[0.5, 0.1, 0.2, 0.0]]}
+    assert len(resumed(tmp_path)[2].trials) == 1
+    record.keep(part(whole, 2))
+    assert not (tmp_path / UNDER_WAY).exists()
 
 
 def test_a_full_disk_names_the_file_and_says_how_to_go_on(whole, tmp_path, monkeypatch):

@@ -194,6 +194,24 @@ def test_a_picture_from_before_the_push_is_no_look_after_it():
     assert trial.object_pose.values[-1] == pytest.approx(np.mean(AFTER, axis=0), abs=1e-12)
 
 
+def test_the_push_under_way_is_told_row_by_row():
+    cell = Cell()
+    cell.look(BEFORE)
+    assert cell.read("under_way") == {"object_pose": (), "tip_pose": (), "ft_wrench": ()}
+    cell.set(status=LoopStatus("pushing", 0))
+    cell.move("pushing", 30)
+    rows = cell.read("under_way")
+    assert [len(rows[name]) for name in ("object_pose", "tip_pose", "ft_wrench")] == [2, 30, 30]
+    cell.move("retreating", 5)
+    cell.set(execution=ExecutionStatus("home", 0), status=LoopStatus("recording", 0))
+    cell.look(AFTER)
+    (trial,) = cell.trials
+    tips = np.array(rows["tip_pose"])
+    assert tips[:, 0] - tips[0, 0] == pytest.approx(trial.tip_pose.time)
+    assert tips[:, 1:3] == pytest.approx(trial.tip_pose.values)
+    assert cell.read("under_way")["tip_pose"] == ()
+
+
 def test_roles_follow_the_number_of_pushes_to_learn_from():
     cell = Cell(fit=2)
     cell.look(BEFORE)
