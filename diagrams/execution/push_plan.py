@@ -26,8 +26,8 @@ _LOW_RADII = np.array([0.0, 0.04, 0.04, 0.076])
 # (3, 4) in T and (4,), m: the finger's end, both ends of the hand, the wrist
 
 RELEASE, RELEASE_SPEED = 0.005, 0.05
-"""m and m/s by which the finger goes back before it is lifted. One that still pressed on the object would
-drag it up and away: a box by 3 to 23 mm."""
+"""m and m/s by which the finger goes back before it is lifted. One that still presses on the object can drag
+it up and away: with fingers that gave way, a box by 3 to 23 mm."""
 
 
 def plan_push(

@@ -11,12 +11,10 @@ SCENARIO = """
 object: {name: box}
 camera: {rate: 5.0}
 simulation: {time_step: 0.003}
+pokes: {taps: 0.0}
 hidden:
   table_tilt: {down_x: 0.12, down_y: -0.08}
 """
-
-# Since most exploring pokes are taps and the arm stands elsewhere, six pushes leave the verdict undecided.
-pytestmark = pytest.mark.xfail(reason="a tilt of 8 degrees is not found from one slow push and five taps")
 
 
 @pytest.fixture(scope="module")
@@ -36,6 +34,9 @@ def explored(tmp_path_factory):
     return folder
 
 
+@pytest.mark.xfail(
+    reason="from these six pushes the quick look names a tether alone: its place, 65 cm away, makes it pull like a tilt"
+)
 def test_the_hidden_tilt_is_found_and_the_error_falls(explored):
     said = explored / "diagnosis.json"
     arguments = ["diagnose", str(explored / "pushes"), "--quick", "-o", str(explored / "diagnosis.html")]

@@ -67,6 +67,12 @@ def test_box_goes_along(pushed):
     assert way[:2] @ push.direction == pytest.approx(expected, abs=2e-3)
 
 
+def test_the_box_rests_while_the_finger_goes_away(pushed):
+    _, log = pushed
+    after = [sample.box for sample in log if sample.status.mode == "retreating"]
+    assert np.abs(np.array(after) - after[0]).max() < 0.1e-3
+
+
 def test_modes_follow_one_another(pushed):
     _, log = pushed
     modes = [mode for mode, _ in itertools.groupby(log, key=lambda sample: sample.status.mode)]

@@ -107,6 +107,18 @@ def test_arm_holds_still_under_gravity(station):
     np.testing.assert_allclose(station.read(simulator, "iiwa.torque_external"), 0, atol=1e-9)
 
 
+@pytest.mark.parametrize("joint", ["left_finger_joint", "right_finger_joint"])
+def test_the_closed_gripper_does_not_give_way(station, joint):
+    """30 N spread the pins: as much as a heavy box gives at first touch."""
+    simulator = station.simulator()
+    force = np.zeros(station.plant.num_velocities())
+    force[station.plant.GetJointByName(joint).velocity_start()] = -30.0 if joint.startswith("left") else 30.0
+    simulator.AdvanceTo(0.2)
+    station.plant.get_applied_generalized_force_input_port().FixValue(station.plant_context(simulator), force)
+    simulator.AdvanceTo(0.4)
+    assert abs(station.read(simulator, "gripper.state_measured")[0]) < 1e-4
+
+
 def test_without_its_drivers_the_arm_falls(station):
     """The test above would pass for an arm without weight."""
     plant = MultibodyPlant(0.002)
