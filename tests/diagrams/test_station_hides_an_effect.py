@@ -35,7 +35,7 @@ def explored(tmp_path_factory):
 
 
 @pytest.mark.xfail(
-    reason="from these six pushes the quick look names a tether alone: its place, 65 cm away, makes it pull like a tilt"
+    reason="from these six pushes the quick look names a tether alone, which pulls like a tilt from 65 cm away"
 )
 def test_the_hidden_tilt_is_found_and_the_error_falls(explored):
     said = explored / "diagnosis.json"
