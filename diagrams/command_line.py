@@ -20,6 +20,7 @@ from diagrams.commands.campaign import campaign
 from diagrams.commands.compare import compare
 from diagrams.commands.demo import demo
 from diagrams.commands.diagnose import diagnose
+from diagrams.commands.doctor import doctor
 from diagrams.commands.effects import effects
 from diagrams.commands.explore import explore
 from diagrams.commands.explore_study import explore_study
@@ -74,6 +75,7 @@ def slipmap(ctx: click.Context) -> None:
 
 
 for _command in (
+    doctor,
     demo,
     explore,
     pregrasp,

@@ -91,6 +91,11 @@ def install_missing(run: Run | None = None) -> list[str]:
     return installed + packages
 
 
+def package_for(failure: str) -> str | None:
+    """Debian's package of the shared library that the loader's error says is missing, if both are known."""
+    return DEBIAN_PACKAGES.get(_missing_library(failure) or "")
+
+
 def _renders(run: Run) -> bool:
     return run([sys.executable, "-c", RENDER]).returncode == 0
 

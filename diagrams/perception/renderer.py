@@ -10,6 +10,7 @@ from typing import Any
 from diagrams.system_libraries import RENDER, RENDERING_PACKAGES
 
 _PATIENCE = 60.0  # s; a picture takes half a second
+_NEAR = 1e-3  # m
 
 
 class RendererUnavailable(RuntimeError):
@@ -39,13 +40,22 @@ def require_renderer() -> None:
 
 
 def render_one_picture() -> None:
-    """Render an empty scene; where libraries are missing, this may end the process."""
+    """Render a wall and look whether it is where it should be; where libraries are missing, this may end the
+    process.
+
+    Raises:
+        RuntimeError: the picture shows something else.
+    """
     from pydrake.geometry import (
+        Box,
         ClippingRange,
         ColorRenderCamera,
         DepthRange,
         DepthRenderCamera,
+        GeometryInstance,
+        MakePhongIllustrationProperties,
         MakeRenderEngineVtk,
+        PerceptionProperties,
         RenderCameraCore,
         RenderEngineVtkParams,
         SceneGraph,
@@ -57,6 +67,14 @@ def render_one_picture() -> None:
     builder = DiagramBuilder()
     scene_graph: Any = builder.AddSystem(SceneGraph())
     scene_graph.AddRenderer("trial", MakeRenderEngineVtk(RenderEngineVtkParams()))
+    thickness, away = 0.1, 1.0
+    wall = GeometryInstance(
+        RigidTransform([0.0, 0.0, away + thickness / 2]), Box(9.0, 9.0, thickness), "wall"
+    )
+    wall.set_perception_properties(
+        PerceptionProperties(MakePhongIllustrationProperties([0.5, 0.5, 0.5, 1.0]))
+    )
+    scene_graph.RegisterAnchoredGeometry(scene_graph.RegisterSource("trial"), wall)
     core = RenderCameraCore("trial", CameraInfo(8, 8, 1.0), ClippingRange(0.01, 10.0), RigidTransform())
     sensor: Any = builder.AddSystem(
         RgbdSensor(
@@ -69,7 +87,9 @@ def render_one_picture() -> None:
     builder.Connect(scene_graph.get_query_output_port(), sensor.query_object_input_port())
     diagram = builder.Build()
     context = sensor.GetMyContextFromRoot(diagram.CreateDefaultContext())
-    sensor.depth_image_32F_output_port().Eval(context)
+    depth = sensor.depth_image_32F_output_port().Eval(context).data
+    if not (abs(depth - away) < _NEAR).all():
+        raise RuntimeError(f"a wall {away} m away is seen at {depth.min():.3f} to {depth.max():.3f} m")
 
 
 def _advice(reason: str) -> str:
