@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from pydrake.common.value import Value
@@ -12,60 +11,13 @@ from pydrake.systems.framework import BasicVector, Context, EventStatus, LeafSys
 
 from diagrams.execution.finger_kinematics import FingerKinematics
 from diagrams.execution.messages import Health
+from diagrams.hardware.guard_rules import LINK, PERIOD, Guarded, GuardRules, Stop, Told, is_age
 from diagrams.hardware.guard_settings import GuardSettings
 from diagrams.systems.held import held, read, replace_held
-from models.physics.cell_grid import FloatArray
-from models.robots import ARM_JOINTS, POSITION_LIMITS, SPEED_LIMITS
+from models.robots import SPEED_LIMITS
 
-PERIOD = 0.005
-"""s between two commands."""
-
-_LEAP_SPEED, _LEAP = 1.5, 0.01
-"""A measured angle that moves by more than this many times the joint's largest speed and this angle (rad)
-did not move, but is wrong."""
-
-_BLOW = 0.02
-"""s that a torque must last: the blow as the finger meets an object at 0.3 m/s has 39 N m, but briefly."""
-
-_CLOCKS = 1e-3
-"""s by which a message may seem to come from the future: clocks differ a little."""
-
-_START = "check the arm and its surroundings, then start again"
-_LINK = "see whether the arm's driver runs and the cable holds, then start again"
-
-
-@dataclass(frozen=True, eq=False)
-class _Inputs:
-    """What the guard is told; arrays are (7,)."""
-
-    time: float
-    wanted: FloatArray
-    measured: FloatArray
-    torque: FloatArray
-    status_age: float
-    image_age: float
-    abort: bool
-
-
-@dataclass(frozen=True, eq=False)
-class _Guarded:
-    """State: what the arm was told, and what it said.
-
-    Attributes:
-        health: see there; from its time on, once it is stopped, the command comes to rest.
-        commands: (n, 7) of the last `lag`, newest last; empty while there was no status.
-        speed: (7,) of the newest command, rad/s.
-        last: the inputs before.
-        saw: whether a picture has come.
-        pressed: time since which the torque of contact is too large, s; infinite while it is not.
-    """
-
-    health: Health
-    commands: FloatArray
-    speed: FloatArray
-    last: _Inputs | None = None
-    saw: bool = False
-    pressed: float = np.inf
+_BACK = 2.5
+"""Times the time that the fastest joint would need for the way back of an arm that presses on something."""
 
 
 class CommandGuard(LeafSystem):
@@ -96,7 +48,8 @@ class CommandGuard(LeafSystem):
     a late or impossible status; an arm that is not where it was told to be; a picture that is late, once
     there was one; torque of contact; a wanted position that is no number, leaps, asks a joint or the finger
     for too much speed, or comes near a joint's limit; `abort`. The command is then brought to rest evenly
-    within `GuardSettings.stopping`, whatever is wanted, and stays there.
+    within `GuardSettings.stopping`, whatever is wanted, and stays there; where something presses against the
+    arm, at the measured position, so that it no longer does.
 
     It stays stopped until the process is started anew, also when the cause is gone or `abort` goes back to
     0: an arm must not begin to move because a cable was put in or somebody let go of a button, and what was
@@ -114,14 +67,14 @@ class CommandGuard(LeafSystem):
         super().__init__()
         self._settings = settings or GuardSettings()
         self._settings.check()
-        self._kinematics = FingerKinematics(model)
+        self._rules = GuardRules(self._settings, FingerKinematics(model))
         self._wanted = self.DeclareVectorInputPort("iiwa.position", 7)
         self._measured = self.DeclareVectorInputPort("iiwa.position_measured", 7)
         self._torque = self.DeclareVectorInputPort("iiwa.torque_external", 7)
         self._status_age = self.DeclareVectorInputPort("status_age", 1)
         self._image_age = self.DeclareVectorInputPort("image_age", 1)
         self._abort = self.DeclareVectorInputPort("abort", 1)
-        start = _Guarded(Health("waiting"), np.zeros((0, 7)), np.zeros(7))
+        start = Guarded(Health("waiting"), np.zeros((0, 7)), np.zeros(7))
         self._guarded = self.DeclareAbstractState(held(start))
         self.DeclarePeriodicUnrestrictedUpdateEvent(PERIOD, 0.0, self._update)
         own = self.abstract_state_ticket(self._guarded)
@@ -132,10 +85,10 @@ class CommandGuard(LeafSystem):
         replace_held(state, self._guarded, self._next(read(context, self._guarded), self._inputs(context)))
         return EventStatus.Succeeded()
 
-    def _inputs(self, context: Context) -> _Inputs:
+    def _inputs(self, context: Context) -> Told:
         image_age = self._image_age.Eval(context)[0] if self._image_age.HasValue(context) else np.inf
         abort = self._abort.HasValue(context) and not self._abort.Eval(context)[0] <= 0.5
-        return _Inputs(
+        return Told(
             time=context.get_time(),
             wanted=self._wanted.Eval(context).copy(),
             measured=self._measured.Eval(context).copy(),
@@ -145,131 +98,48 @@ class CommandGuard(LeafSystem):
             abort=bool(abort),
         )
 
-    def _next(self, now: _Guarded, inputs: _Inputs) -> _Guarded:
+    def _next(self, now: Guarded, inputs: Told) -> Guarded:
         now = replace(
             now,
-            saw=now.saw or _is_age(inputs.image_age, self._settings.image_age),
-            pressed=min(now.pressed, inputs.time) if self._pressed(inputs.torque) else np.inf,
+            saw=now.saw or is_age(inputs.image_age, self._settings.image_age),
+            pressed=min(now.pressed, inputs.time) if self._rules.pressed(inputs.torque) else np.inf,
         )
         health = now.health
         if health.mode == "waiting":
-            if _is_age(inputs.status_age, self._settings.status_age) and np.isfinite(inputs.measured).all():
+            if is_age(inputs.status_age, self._settings.status_age) and np.isfinite(inputs.measured).all():
                 now = replace(now, health=Health("ok"), commands=inputs.measured[None], last=inputs)
             elif inputs.time < self._settings.patience:
                 return now
             else:
                 cause = f"no status of the arm has come within {self._settings.patience:g} s"
-                return replace(now, health=Health("stopped", cause, _LINK, inputs.time))
+                return replace(now, health=Health("stopped", cause, LINK, inputs.time))
         if now.health.ok:
-            fault = next(self._faults(now, inputs), None)
+            fault = next(self._rules.faults(now, inputs), None)
             if fault is not None:
-                now = replace(now, health=Health("stopped", *fault, inputs.time))
+                stop = self._stop(now, inputs)
+                now = replace(now, health=Health("stopped", *fault, inputs.time), stop=stop)
         if len(now.commands) == 0:
             return now  # there was never a status: nothing to hold
         before = now.commands[-1]
-        command = inputs.wanted
-        if not now.health.ok:
-            command = before + self._braking(inputs.time - now.health.time) * PERIOD * now.speed
+        command = inputs.wanted if now.stop is None else now.stop.at(inputs.time)
         kept = round(self._settings.lag / PERIOD)
         return replace(
             now,
             commands=np.vstack([now.commands, command])[-kept:],
-            speed=(command - before) / PERIOD if now.health.ok else now.speed,
+            speed=(command - before) / PERIOD,
             last=inputs,
         )
 
-    def _braking(self, since: float) -> float:
-        """Share of the last free speed that is left, on average, over the period from a time since the
-        stop, s."""
-        left = 1.0 - np.clip((since + np.array([0.0, PERIOD])) / self._settings.stopping, 0.0, 1.0)
-        return float(left.mean())
-
-    def _faults(self, now: _Guarded, inputs: _Inputs) -> Iterator[tuple[str, str]]:
-        """What is wrong, and what to do."""
-        for rule in (self._abort_fault, self._status_fault, self._arm_fault, self._wanted_fault):
-            yield from rule(now, inputs)
-
-    def _abort_fault(self, now: _Guarded, inputs: _Inputs) -> Iterator[tuple[str, str]]:
-        if inputs.abort:
-            yield "stopped by hand", "start again to go on"
-
-    def _status_fault(self, now: _Guarded, inputs: _Inputs) -> Iterator[tuple[str, str]]:
-        """Messages that are late or make no sense."""
-        settings = self._settings
-        if not _is_age(inputs.status_age, settings.status_age):
-            yield f"the arm's last status is {_late(inputs.status_age, settings.status_age)}", _LINK
-        if now.saw and not _is_age(inputs.image_age, settings.image_age):
-            late = _late(inputs.image_age, settings.image_age)
-            yield (
-                f"the camera's last picture is {late}",
-                "see whether the camera's driver runs and the cable holds, then start again",
-            )
-        if not np.isfinite([inputs.measured, inputs.torque]).all():
-            yield "the arm's status holds something that is no number", _LINK
-        last = now.last
-        assert last is not None
-        between = max(inputs.time - inputs.status_age - last.time + last.status_age, 0.0)
-        moved = np.abs(inputs.measured - last.measured)
-        k = _worst(moved - _LEAP_SPEED * SPEED_LIMITS * between)
-        if moved[k] > _LEAP_SPEED * SPEED_LIMITS[k] * between + _LEAP:
-            leap = f"{_degrees(moved[k])} within {1e3 * between:.0f} ms"
-            yield (
-                f"the arm's status leaps: {ARM_JOINTS[k]} by {leap}",
-                "see whether two drivers send to one address, then start again",
-            )
-
-    def _arm_fault(self, now: _Guarded, inputs: _Inputs) -> Iterator[tuple[str, str]]:
-        """An arm that does not go where it shall, or touches what it shall not."""
-        settings, measured = self._settings, inputs.measured
-        off = np.maximum(now.commands.min(axis=0) - measured, measured - now.commands.max(axis=0))
-        k = _worst(off)
-        if off[k] > settings.following:
-            yield (
-                f"the arm does not follow: {ARM_JOINTS[k]} is {_degrees(off[k])} off what it was told, "
-                f"{_degrees(settings.following)} are allowed",
-                "see whether the arm is blocked, in another mode or braked, then start again",
-            )
-        if inputs.time - now.pressed > _BLOW - 1e-9:
-            torque, most = np.abs(inputs.torque), np.array(settings.torque)
-            k = _worst(torque / most)
-            yield (
-                f"something pushes against the arm: {torque[k]:.1f} N m at {ARM_JOINTS[k]}, "
-                f"{most[k]:g} N m are allowed",
-                _START,
-            )
-
-    def _pressed(self, torque: FloatArray) -> bool:
-        return bool((np.abs(torque) > self._settings.torque).any())
-
-    def _wanted_fault(self, now: _Guarded, inputs: _Inputs) -> Iterator[tuple[str, str]]:
-        """A motion that is asked for and must not be made."""
-        settings, wanted = self._settings, inputs.wanted
-        if not np.isfinite(wanted).all():
-            yield "the wanted position is no number", _START
-            return
-        speed = (wanted - now.commands[-1]) / PERIOD
-        k = _worst(np.abs(speed) / SPEED_LIMITS)
-        if abs(speed[k]) > SPEED_LIMITS[k]:
-            yield (
-                f"the wanted position leaps: {ARM_JOINTS[k]} would have to turn at {_degrees(abs(speed[k]))} "
-                f"a second, of which {_degrees(SPEED_LIMITS[k])} are allowed",
-                _START,
-            )
-        tip_speed = float(np.linalg.norm(self._kinematics.jacobian(wanted)[3:] @ speed))
-        if tip_speed > settings.tip_speed:
-            yield (
-                f"the finger would have to move at {tip_speed:.2f} m/s, of which {settings.tip_speed:g} m/s "
-                "are allowed",
-                _START,
-            )
-        rest = np.abs(wanted + speed * settings.stopping / 2.0)
-        k = _worst(rest - POSITION_LIMITS)
-        if rest[k] > POSITION_LIMITS[k] - settings.joint_margin:
-            limit = f"{_degrees(rest[k])} of {_degrees(POSITION_LIMITS[k])}"
-            yield (
-                f"{ARM_JOINTS[k]} comes near its limit: {limit}",
-                "move the arm away from the limit by hand, then start again",
-            )
+    def _stop(self, now: Guarded, inputs: Told) -> Stop:
+        """The way to rest. An arm that presses on something stops where it is, not where it was told to go:
+        it would go on pressing."""
+        q, v, duration = now.commands[-1], now.speed, self._settings.stopping
+        rest = q + v * duration / 2.0
+        near = (np.abs(inputs.measured - q) <= self._settings.following).all()
+        if near and self._rules.presses(now, inputs):
+            rest = inputs.measured
+            duration = max(duration, float((_BACK * np.abs(rest - q) / SPEED_LIMITS).max()))
+        return Stop(q, v, rest, inputs.time - PERIOD, duration)
 
     def _calc_position(self, context: Context, output: BasicVector) -> None:
         commands = read(context, self._guarded).commands
@@ -277,21 +147,3 @@ class CommandGuard(LeafSystem):
 
     def _calc_health(self, context: Context, output: Value) -> None:
         output.set_value(read(context, self._guarded).health)
-
-
-def _is_age(age: float, most: float) -> bool:
-    return -_CLOCKS <= age <= most + 1e-9
-
-
-def _late(age: float, most: float) -> str:
-    if not -_CLOCKS <= age < np.inf:
-        return f"of no possible age ({age:g} s)"
-    return f"{1e3 * age:.0f} ms old, {1e3 * most:.0f} ms are allowed"
-
-
-def _worst(values: FloatArray) -> int:
-    return int(np.argmax(values))
-
-
-def _degrees(angle: float) -> str:
-    return f"{np.rad2deg(angle):.1f}°"

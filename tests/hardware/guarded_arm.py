@@ -13,7 +13,8 @@ from pydrake.systems.primitives import ConstantValueSource
 from diagrams.execution import ActivePush
 from diagrams.execution.finger_kinematics import FingerKinematics
 from diagrams.execution.push_executor import PushExecutor
-from diagrams.hardware.guard import PERIOD, CommandGuard
+from diagrams.hardware.guard import CommandGuard
+from diagrams.hardware.guard_rules import PERIOD
 from diagrams.station.arm import HOME, arm_model
 from planners.table_push import TablePush
 from tests.hardware.faults import FollowingArm, StatusLink

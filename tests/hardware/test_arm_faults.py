@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from pydrake.systems.framework import LeafSystem
 
-from diagrams.hardware.guard import PERIOD, CommandGuard
+from diagrams.hardware.guard import CommandGuard
+from diagrams.hardware.guard_rules import PERIOD
 from diagrams.hardware.guard_settings import GuardSettings
 from diagrams.station.arm import HOME
 from models.robots import POSITION_LIMITS, SPEED_LIMITS

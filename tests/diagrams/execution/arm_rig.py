@@ -56,14 +56,20 @@ class Rig:
         builder = DiagramBuilder()
         self.station = builder.AddNamedSystem("station", station)
         self.executor = builder.AddNamedSystem("executor", PushExecutor(arm_model(), HOME))
-        for name in ("iiwa.position", "gripper.position"):
-            builder.Connect(self.executor.GetOutputPort(name), station.GetInputPort(name))
+        builder.Connect(
+            self.executor.GetOutputPort("gripper.position"), station.GetInputPort("gripper.position")
+        )
+        self._connect_command(builder)
         for name in ("iiwa.position_measured", "iiwa.torque_external"):
             builder.Connect(station.GetOutputPort(name), self.executor.GetInputPort(name))
         for name in ("push", "abort"):
             builder.ExportInput(self.executor.GetInputPort(name), name)
         self.diagram = builder.Build()
         self.kinematics = FingerKinematics(arm_model())
+
+    def _connect_command(self, builder):
+        name = "iiwa.position"
+        builder.Connect(self.executor.GetOutputPort(name), self.station.GetInputPort(name))
 
     def _add_table_and_box(self):
         friction = CoulombFriction(0.5, 0.5)
