@@ -18,6 +18,7 @@ from diagrams.commands.blind_test import blind_test
 from diagrams.commands.calibrate import calibrate
 from diagrams.commands.campaign import campaign
 from diagrams.commands.compare import compare
+from diagrams.commands.completion import completion
 from diagrams.commands.demo import demo
 from diagrams.commands.diagnose import diagnose
 from diagrams.commands.doctor import doctor
@@ -67,7 +68,8 @@ def slipmap(ctx: click.Context) -> None:
     From a few recorded pushes, slipmap learns how mass and friction are spread over an object, says how
     sure it is, predicts further pushes, and names the physical effect that its model misses.
 
-    New here? `slipmap demo` shows everything in half a minute and needs no data.
+    New here? `slipmap demo` shows everything in half a minute and needs no data; `slipmap doctor` says
+    whether this machine has all that is needed.
     """
     if ctx.invoked_subcommand is None:
         click.echo(ctx.get_help(), err=True)
@@ -92,6 +94,7 @@ for _command in (
     campaign,
     blind_test,
     bench,
+    completion,
 ):
     slipmap.add_command(_command)
 
@@ -106,7 +109,8 @@ def run(arguments: Sequence[str]) -> int:
         return _told("stopped; nothing half-written is left behind", STOPPED)
     except click.UsageError as error:
         path = error.ctx.command_path if error.ctx else "slipmap"
-        return _told(f"{error.format_message()} See `{path} --help`.", WRONG_USE)
+        said = error.format_message() + _nearest_choice(error, arguments)
+        return _told(f"{said} See `{path} --help`.", WRONG_USE)
     except click.ClickException as error:
         return _told(error.format_message(), error.exit_code)
     except BrokenPipeError:
@@ -115,6 +119,17 @@ def run(arguments: Sequence[str]) -> int:
         return INTERNAL_FAILURE
     except Exception as error:
         return _told(_one_paragraph(error), WRONG_USE) if _is_bad_input(error) else _internal(error)
+
+
+def _nearest_choice(error: click.UsageError, arguments: Sequence[str]) -> str:
+    """What was meant, where one of a few words was wanted and another was given."""
+    kind = error.param.type if isinstance(error, click.BadParameter) and error.param else None
+    if isinstance(kind, click.Choice):
+        for word in (argument.rpartition("=")[2] for argument in arguments):
+            near = difflib.get_close_matches(word, kind.choices, n=1)
+            if near and repr(word) in error.message:
+                return f" Did you mean {near[0]!r}?"
+    return ""
 
 
 def _is_bad_input(error: Exception) -> bool:

@@ -90,8 +90,9 @@ def effects_named(names: Sequence[str], known: Sequence[Effect] = LIBRARY) -> tu
     by_name = {effect.name: effect for effect in known}
     for name in names:
         if name not in by_name:
-            near = difflib.get_close_matches(name, by_name, n=1)
-            hint = f"did you mean {near[0]}?" if near else f"there are {', '.join(by_name)}"
+            part_of = [known_name for known_name in by_name if name and name in known_name]
+            near = difflib.get_close_matches(name, by_name, n=1) or part_of
+            hint = f"did you mean {' or '.join(near)}?" if near else f"there are {', '.join(by_name)}"
             raise EffectError(f"unknown effect {name!r}; {hint}")
         if list(names).count(name) > 1:
             raise EffectError(f"effect {name} is given twice")

@@ -9,6 +9,7 @@ is left out: its outline exists only as a list of measured points there.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from difflib import get_close_matches
 
 import numpy as np
 
@@ -35,8 +36,10 @@ def mit_shape(name: str, where: str) -> MitShape:
         DatasetError: another name.
     """
     if name not in MIT_SHAPES:
+        near = get_close_matches(name, MIT_SHAPES, n=1)
+        hint = f" Did you mean {near[0]}?" if near else ""
         raise DatasetError(
-            f"{where}: no outline is known of {name!r}, only of {', '.join(sorted(MIT_SHAPES))}."
+            f"{where}: no outline is known of {name!r}, only of {', '.join(sorted(MIT_SHAPES))}.{hint}"
             " For another object give a YAML file with the keys object and finger of a dataset.yaml"
         )
     return MIT_SHAPES[name]

@@ -92,6 +92,42 @@ def test_wrong_options_are_named_with_a_way_to_help(slipmap, tmp_path, monkeypat
     assert files_in(tmp_path) == []
 
 
+@pytest.mark.parametrize(
+    ("arguments", "hint"),
+    [
+        (["identify", "data", "-o", "b.npz", "--method", "papr"], "Did you mean 'paper'?"),
+        (["explore", "--strategy=most-distinct"], "Did you mean 'most-distinctive'?"),
+        (["explore", "--object", "hamer"], "did you mean hammer?"),
+        (["effects", "tilt"], "did you mean table_tilt?"),
+        (["completion", "bsh"], "Did you mean 'bash'?"),
+        (["completion", "--help-me"], "--help"),
+    ],
+)
+def test_a_misspelt_word_is_recognised(slipmap, tmp_path, monkeypatch, arguments, hint):
+    monkeypatch.chdir(tmp_path)
+    assert_refused(slipmap(*arguments), hint)
+    assert files_in(tmp_path) == []
+
+
+def test_nothing_is_proposed_where_nothing_is_near(slipmap, tmp_path):
+    said = slipmap("identify", "data", "-o", tmp_path / "b.npz", "--method", "magic")
+    assert "Did you mean" not in said.err
+
+
+@pytest.mark.parametrize(("shell", "part"), [("zsh", "#compdef slipmap"), ("fish", "complete --no-files")])
+def test_completion_prints_a_script(slipmap, shell, part):
+    said = slipmap("completion", shell)
+    assert said.code == 0 and part in said.out
+
+
+def test_the_shell_is_told_commands_that_fit():
+    asked = {"COMP_WORDS": "slipmap ident", "COMP_CWORD": "1", "_SLIPMAP_COMPLETE": "bash_complete"}
+    script = "import sys; sys.argv = ['slipmap']; from diagrams.command_line import main; main()"
+    command = [sys.executable, "-c", script]
+    result = subprocess.run(command, env={**ENVIRONMENT, **asked}, capture_output=True, text=True)
+    assert result.stdout == "plain,identify\n"
+
+
 def fail_with(monkeypatch, error):
     def failing(*args, **kwargs):
         raise error
