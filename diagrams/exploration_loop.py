@@ -90,7 +90,7 @@ def exploration_loop(
         scenario: what the cell is like.
         options: what to do.
         cell: the real cell, which takes the station's place; a guard stands between it and the executor.
-        worker: who looks at pictures, learns and plans; this process if None, which then waits for it.
+        worker: who looks at pictures, learns and plans; the diagram itself if None, which then waits.
         meshcat: where to show it, if anywhere.
         learned: called with every belief as it forms and the number of pushes that it comes from.
         before: what an earlier process recorded, to go on from; the object lies where that one left it.
@@ -102,8 +102,9 @@ def exploration_loop(
     """
     builder = DiagramBuilder()
     blocks = add_exploration(
-        builder, scenario, options, cell=cell, worker=worker, meshcat=meshcat, learned=learned, before=before
-    )
+        builder, scenario, options,
+        cell=cell, worker=worker, meshcat=meshcat, learned=learned, before=before,
+    )  # fmt: skip
     connect(builder, blocks.wires(blocks.supervisor))
     loop = builder.Build()
     loop.set_name("exploration_loop")
@@ -223,7 +224,8 @@ def add_exploration(
         station=station,
         guard=None if cell is None else add("guard", CommandGuard(model, scenario.guard)),
         perception=add(
-            "perception", CellPerception(scenario.camera, options.cells, station.arm_hulls, worker, known)
+            "perception",
+            CellPerception(scenario.camera, options.cells, station.arm_hulls, worker, known),
         ),
         supervisor=add("supervisor", PushSupervisor(options.pushes, options.checks, len(trials))),
         exploration=add(

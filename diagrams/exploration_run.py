@@ -14,7 +14,11 @@ from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import Context, Diagram, EventStatus
 
 from diagrams.exploration_loop import LoopOptions, exploration_loop, recorded_dataset
+from diagrams.hardware.control import real_cell
+from diagrams.push_record import PushRecord, Recording
+from diagrams.recorded import Recorded
 from diagrams.station.scenario import Scenario
+from diagrams.station.station import Station
 from diagrams.systems.messages import LoopStatus
 from diagrams.systems.model_monitor import Watch
 from models.inference.identification import identify
@@ -26,6 +30,9 @@ from planners.proposals import turn
 
 LONGEST = 60.0
 """s of simulated time for each push, after which the loop is given up."""
+
+LONGEST_REAL = 300.0
+"""The same in a real cell, where learning and planning take their time, s."""
 
 DOING = {
     "looking": "looking at the object",
@@ -58,37 +65,39 @@ class ExplorationRun:
         dataset: recorded pushes; those made to judge have the role `heldout`.
         identification: what was learned from the others.
         watch: what the monitor made of pushes that the belief of those before had predicted.
-        true_object: what the station put on the table.
-        X_SO: (3,) pose of the true object's frame in the frame S of the cells that the camera made out.
-        simulated: s of simulated time.
+        true_object: what the station put on the table; None in a real cell.
+        X_SO: (3,) pose of the true object's frame in the frame S of the cells that the camera made out; None
+            in a real cell.
+        simulated: s of simulated time, or of the real cell's.
         seconds: s that it took.
     """
 
     dataset: PushDataset
     identification: Identification
     watch: Watch
-    true_object: TrueObject
-    X_SO: FloatArray
+    true_object: TrueObject | None
+    X_SO: FloatArray | None
     simulated: float
     seconds: float
 
     @property
     def true_center_of_mass(self) -> FloatArray:
-        """(2,) of the object in the frame of the cells, m."""
+        """(2,) of the object in the frame of the cells, m; only a simulation knows it."""
+        assert self.true_object is not None and self.X_SO is not None
         return turn(self.X_SO[2]) @ self.true_object.center_of_mass[:2] + self.X_SO[:2]
 
-    def truth(self) -> dict[str, Any]:
-        """The true values of what was learned, and how far off the belief is."""
-        belief = self.identification.belief
-        centers, p = belief.centers_of_mass, belief.probability
-        mean = p @ centers
-        off = self.true_center_of_mass - mean
+    def truth(self) -> dict[str, Any] | None:
+        """The true values of what was learned, and how far off the belief is; None in a real cell."""
+        if self.true_object is None or self.X_SO is None:
+            return None
+        belief, true = self.identification.belief, self.true_center_of_mass
+        mean = belief.probability @ belief.centers_of_mass
         return {
             "total_mass": self.true_object.total_mass,
             "friction_force": float((self.true_object.mass * self.true_object.mu).sum() * belief.gravity),
-            "center_of_mass": [float(value) for value in self.true_center_of_mass],
+            "center_of_mass": [float(value) for value in true],
             "center_of_mass_believed": [float(value) for value in mean],
-            "center_of_mass_error": float(np.hypot(*off)),
+            "center_of_mass_error": float(np.hypot(*(true - mean))),
         }
 
 
@@ -96,32 +105,44 @@ def explore(
     scenario: Scenario,
     options: LoopOptions,
     *,
+    hardware: str | None = None,
     meshcat: Meshcat | None = None,
     progress: Progress | None = None,
+    record: PushRecord | None = None,
+    before: Recorded | None = None,
 ) -> ExplorationRun:
     """Explore the object of a scenario.
 
     Args:
         scenario: what the cell is like.
         options: what to do.
+        hardware: LCM address of a real cell, in which then the object is; simulated if None.
         meshcat: where to show it, if anywhere.
         progress: called with (stage, done, total) pushes.
+        record: where pushes go as soon as they are recorded; what it raises ends the run.
+        before: what an earlier process recorded, to go on from.
 
     Raises:
         ExplorationFailed: the object was lost, or the arm cannot make any push.
         ExplorationStopped: Ctrl-C; it has what was recorded until then.
         ValueError, RendererUnavailable: see `exploration_loop`.
+        HardwareError: the real cell cannot be reached.
     """
     report = progress or (lambda stage, done, total: None)
-    loop = exploration_loop(scenario, options, meshcat=meshcat)
     pushes = options.pushes + options.checks
 
     def watch(status: LoopStatus, context: Context) -> None:
         number = min(status.push + 1, pushes)
         report(f"push {number} of {pushes}: {DOING[status.mode]}", status.push, pushes)
+        if recording is not None:
+            recording.look(context)
 
-    ended = run_loop(loop, "supervisor", ("finished", "failed"), LONGEST * pushes, watch)
-    run = explored(loop, ended, scenario, options, report)
+    with real_cell(scenario, hardware) as (cell, worker):
+        loop = exploration_loop(scenario, options, cell=cell, worker=worker, meshcat=meshcat, before=before)
+        recording = None if record is None else Recording(loop, record, before)
+        longest = LONGEST if cell is None else LONGEST_REAL
+        ended = run_loop(loop, "supervisor", ("finished", "failed"), longest * pushes, watch)
+        run = explored(loop, ended, scenario, options, report)
     if ended.status.mode != "finished" or run is None:
         recorded = 0 if run is None else len(run.dataset.trials)
         if ended.interrupted:
@@ -139,7 +160,7 @@ class LoopEnd:
     Attributes:
         status: last of the supervisor.
         context: of the whole loop.
-        X_SO: (3,) see `ExplorationRun`; None where the object was never seen.
+        X_SO: (3,) see `ExplorationRun`; None where the object was never seen, too.
         interrupted: whether Ctrl-C ended it.
         seconds: that it took, s.
     """
@@ -176,17 +197,25 @@ def run_loop(
         last: modes.
         longest: simulated time after which it is given up, s.
         watch: called at every step, with the status and the loop's Context.
+
+    Raises:
+        HardwareError: the real cell does not answer.
     """
-    started = time.perf_counter()
     simulator = Simulator(loop)
     context = simulator.get_mutable_context()
+    station = loop.GetSubsystemByName("station")
+    simulated = isinstance(station, Station)
+    if not simulated:
+        station.connect(context)
+        simulator.set_target_realtime_rate(1.0)
+    started = time.perf_counter()
     first_look: list[FloatArray] = []
 
     def monitor(root: Context) -> EventStatus:
         status: LoopStatus = output_of(loop, supervisor, "status", root)
         if status.mode in last:
             return EventStatus.ReachedTermination(loop.GetSubsystemByName(supervisor), status.mode)
-        if not first_look and status.mode == "choosing":
+        if simulated and not first_look and status.mode == "choosing":
             first_look.append(_frames(loop, root))
         watch(status, root)
         return EventStatus.DidNothing()
@@ -197,7 +226,8 @@ def run_loop(
         simulator.AdvanceTo(longest)
     except KeyboardInterrupt:
         interrupted = True
-    loop.GetSubsystemByName("station").release_renderer(context)
+    if simulated:
+        station.release_renderer(context)
     return LoopEnd(
         output_of(loop, supervisor, "status", context),
         context,
@@ -212,8 +242,9 @@ def explored(
 ) -> ExplorationRun | None:
     """What was learned in a loop that has ended; None where nothing was recorded to learn from."""
     started = time.perf_counter()
+    station = loop.GetSubsystemByName("station")
     trials = output_of(loop, "logger", "records", ended.context)
-    if ended.X_SO is None or not any(trial.role == "fit" for trial in trials):
+    if not any(trial.role == "fit" for trial in trials):
         return None
     dataset = recorded_dataset(trials, output_of(loop, "perception", "cell_grid", ended.context), scenario)
     identification = identify(dataset, hypotheses=options.hypotheses, seed=options.seed, progress=report)
@@ -221,7 +252,7 @@ def explored(
         dataset,
         identification,
         output_of(loop, "model_monitor", "watch", ended.context),
-        loop.GetSubsystemByName("station").true_object,
+        station.true_object if isinstance(station, Station) else None,
         ended.X_SO,
         ended.simulated,
         ended.seconds + time.perf_counter() - started,

@@ -7,11 +7,12 @@ from typing import Any
 
 import numpy as np
 from pydrake.geometry import Meshcat
-from pydrake.systems.framework import Context
+from pydrake.systems.framework import Context, Diagram
 
 from diagrams.exploration_run import (
     DOING,
     LONGEST,
+    LONGEST_REAL,
     ExplorationFailed,
     ExplorationRun,
     ExplorationStopped,
@@ -20,8 +21,11 @@ from diagrams.exploration_run import (
     output_of,
     run_loop,
 )
+from diagrams.hardware.control import real_cell
 from diagrams.pregrasp_loop import PregraspOptions, pregrasp_loop
+from diagrams.push_record import PushRecord, Recording
 from diagrams.station.scenario import Scenario
+from diagrams.station.station import Station
 from diagrams.systems.messages import LoopStatus, PregraspPlan
 from models.physics.cell_grid import FloatArray
 
@@ -51,7 +55,7 @@ class PregraspRun:
         held: whether the gripper holds the object, as the robot knows.
         reason: why it does not, else empty.
         plans: of pushes that were made towards the edge, and of the grasp where it came to that, in order.
-        true_height: of the object's frame over the table at the end, m; only the simulator knows.
+        true_height: of the object's frame over the table at the end, m; None in a real cell.
         interrupted: whether Ctrl-C ended it.
     """
 
@@ -60,7 +64,7 @@ class PregraspRun:
     held: bool
     reason: str
     plans: tuple[PregraspPlan, ...]
-    true_height: float
+    true_height: float | None
     interrupted: bool = False
 
     @property
@@ -70,7 +74,12 @@ class PregraspRun:
 
     @property
     def fate(self) -> str:
-        """What truly became of the object: held, fell, dropped (the robot was wrong about it), or gave up."""
+        """What truly became of the object: held, fell, dropped (the robot was wrong about it), or gave up.
+
+        In a real cell it is what the robot knows, held or gave up.
+        """
+        if self.true_height is None:
+            return "held" if self.held else "gave up"
         if self.true_height < FALLEN:
             return "fell"
         if self.held:
@@ -117,27 +126,49 @@ def run_pregrasp(
     scenario: Scenario,
     options: PregraspOptions,
     *,
+    hardware: str | None = None,
     meshcat: Meshcat | None = None,
     progress: Progress | None = None,
+    record: PushRecord | None = None,
 ) -> PregraspRun:
     """Explore the object of a scenario, bring it to the table's edge, grasp and lift it.
 
     Args:
         scenario: what the cell is like.
         options: what to do.
+        hardware: LCM address of a real cell; simulated if None.
         meshcat: where to show it, if anywhere.
         progress: called with (stage, done, total) pushes.
+        record: where pushes go as soon as they are recorded; what it raises ends the run.
 
     Raises:
         ExplorationFailed: before there was anything to learn from; `ExplorationStopped` where by Ctrl-C.
         ValueError, ScenarioError, RendererUnavailable: see `exploration_loop`.
+        HardwareError: the real cell cannot be reached.
     """
+    with real_cell(scenario, hardware) as (cell, worker):
+        loop = pregrasp_loop(scenario, options, cell=cell, worker=worker, meshcat=meshcat)
+        patience = LONGEST if cell is None else LONGEST_REAL
+        return _run(loop, scenario, options, patience, progress, record)
+
+
+def _run(
+    loop: Diagram,
+    scenario: Scenario,
+    options: PregraspOptions,
+    patience: float,
+    progress: Progress | None,
+    record: PushRecord | None,
+) -> PregraspRun:
+    """Run a loop to its end; it may take some time (s) for each push."""
     report = progress or (lambda stage, done, total: None)
-    loop = pregrasp_loop(scenario, options, meshcat=meshcat)
     first = options.exploration.pushes + options.exploration.checks
     plans: dict[int, PregraspPlan] = {}
+    recording = None if record is None else Recording(loop, record)
 
     def watch(status: LoopStatus, context: Context) -> None:
+        if recording is not None:
+            recording.look(context)
         if status.push < first and status.mode in DOING:
             report(f"push {status.push + 1} of {first}: {DOING[status.mode]}", status.push, first)
         if status.push < first or status.mode not in BRINGS:
@@ -149,7 +180,7 @@ def run_pregrasp(
         if status.mode in ("pushing", "grasping"):
             plans[status.push] = output_of(loop, "planner", "plan", context)
 
-    longest = LONGEST * (first + options.pushes + 2)
+    longest = patience * (first + options.pushes + 2)
     ended = run_loop(loop, "pregrasp_supervisor", ("held", "failed"), longest, watch)
     exploration = explored(loop, ended, scenario, options.exploration, report)
     if exploration is None:
@@ -158,11 +189,11 @@ def run_pregrasp(
         raise ExplorationFailed(f"nothing was recorded: {ended.reason}")
     held = ended.status.mode == "held"
     reason = "" if held else ("stopped" if ended.interrupted else ended.reason)
-    X_WO = output_of(loop, "station", "truth.object_pose", ended.context)
+    height = None
+    if isinstance(loop.GetSubsystemByName("station"), Station):
+        height = float(output_of(loop, "station", "truth.object_pose", ended.context).translation()[2])
     made = [plans[number] for number in sorted(plans)]
-    return PregraspRun(
-        exploration, options, held, reason, tuple(made), float(X_WO.translation()[2]), ended.interrupted
-    )
+    return PregraspRun(exploration, options, held, reason, tuple(made), height, ended.interrupted)
 
 
 def _plain(values: FloatArray) -> list[float]:

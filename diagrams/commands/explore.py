@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from diagrams.commands.options import (
     explorations_option,
     folder_option,
+    hardware_option,
     json_in_folder_option,
+    lcm_option,
     meshcat_option,
     record_option,
     scenario_option,
@@ -19,12 +21,14 @@ from diagrams.commands.options import (
 )
 from diagrams.commands.viewing import in_view
 from diagrams.console import BadInput, Progress, note, paragraph, table
-from diagrams.outputs import check_file, make_folder, write_json, write_text, writing
+from diagrams.outputs import check_file, make_folder, write_json, write_text
 from planners.strategies import STRATEGIES
 
 if TYPE_CHECKING:
     from diagrams.exploration_loop import LoopOptions
     from diagrams.exploration_run import ExplorationRun
+    from diagrams.push_record import PushRecord
+    from diagrams.recorded import Recorded
     from diagrams.station.scenario import Scenario
     from diagrams.systems.model_monitor import Watch
 
@@ -47,40 +51,66 @@ class Stopped(click.ClickException):
     "--strategy", type=click.Choice(STRATEGIES), default="most-distinctive", show_default=True,
     help="How the next push is chosen (Algorithm 2).",
 )  # fmt: skip
+@hardware_option
+@lcm_option
 @meshcat_option
 @record_option
 @folder_option("exploration")
+@click.option(
+    "--resume", type=click.Path(path_type=Path), metavar="DIR",
+    help="Go on with the run in this folder that was cut off or gave up; what was asked for then holds.",
+)  # fmt: skip
 @seed_option
 @json_in_folder_option
+@click.pass_context
 def explore(
+    context: click.Context,
     object_name: str | None,
     scenario_file: Path | None,
     pushes: int,
     checks: int,
     strategy: str,
+    hardware: bool,
+    url: str,
     open_meshcat: bool,
     recording: Path | None,
     folder: Path,
+    resume: Path | None,
     seed: int,
     json_file: Path | None,
 ) -> None:
-    """Let a simulated robot explore an object: look, poke, learn, and poke again.
+    """Let a robot explore an object: look, poke, learn, and poke again.
 
     A Kuka iiwa with a finger pushes the object on its table, a depth camera watches, and after each push the
     belief about mass and friction forms anew. Nothing but the camera's pictures and the arm's own sensors is
-    used. The pushes are left as a dataset, on which every other command works.
+    used. The pushes are left as a dataset, on which every other command works. Each is written as soon as it
+    is recorded: a run that is killed is gone on with by --resume.
+
+    The robot is simulated, unless --hardware is given.
     """
     from diagrams.exploration_loop import LoopOptions
+    from diagrams.exploration_record import ExplorationRecord, resumed
 
-    scenario = scenario_of(scenario_file, object_name)
-    options = LoopOptions(pushes=pushes, checks=checks, strategy=strategy, seed=seed)
-    make_folder(folder)
+    before = None
+    if resume is None:
+        scenario = scenario_of(scenario_file, object_name)
+        options = LoopOptions(pushes=pushes, checks=checks, strategy=strategy, seed=seed)
+        make_folder(folder)
+    else:
+        _refuse_beside_resume(context)
+        folder = resume
+        scenario, options, before = resumed(folder)
+    record = ExplorationRecord(folder, scenario, options, before)
     if recording is not None:
         check_file(recording, ("html", "htm"))
     if json_file is not None:
         check_file(json_file)
-    run, failure, stopped = run_loop(scenario, options, open_meshcat, recording)
+    address = url if hardware else None
+    run, failure, stopped = run_loop(
+        scenario, options, address, open_meshcat, recording, record=record, before=before
+    )
     written = leave(run, folder, recording)
+    record.end()
     if json_file is not None:
         found = {"truth": run.truth(), "monitor": run.watch.to_json(), "failure": failure}
         write_json(json_file, {**run.identification.to_json(), **found})
@@ -88,8 +118,23 @@ def explore(
     for what, path in written.items():
         note(f"{what + ':':<19}{path}")
     if failure:
-        kept = f"{failure} What was recorded until then is kept in {folder}."
+        kept = (
+            f"{failure} What was recorded until then is kept; go on with `slipmap explore --resume {folder}`."
+        )
         raise Stopped(kept) if stopped else click.ClickException(kept)
+
+
+def _refuse_beside_resume(context: click.Context) -> None:
+    """Refuse options that --resume takes from the folder.
+
+    Raises:
+        BadInput: names the first.
+    """
+    names = {"object_name": "--object", "scenario_file": "--scenario", "folder": "--out"}
+    for name in (*names, "pushes", "checks", "strategy", "seed"):
+        if context.get_parameter_source(name) is not click.core.ParameterSource.DEFAULT:
+            option = names.get(name, f"--{name}")
+            raise BadInput(f"--resume goes on as it began; leave out {option}")
 
 
 def scenario_of(path: Path | None, object_name: str | None) -> Scenario:
@@ -115,12 +160,19 @@ def scenario_of(path: Path | None, object_name: str | None) -> Scenario:
 
 
 def run_loop(
-    scenario: Scenario, options: LoopOptions, open_meshcat: bool, recording: Path | None
+    scenario: Scenario,
+    options: LoopOptions,
+    hardware: str | None,
+    open_meshcat: bool,
+    recording: Path | None,
+    *,
+    record: PushRecord | None = None,
+    before: Recorded | None = None,
 ) -> tuple[ExplorationRun, str, bool]:
     """Run the loop; returns what it brought, why it ended early, if it did, and whether Ctrl-C ended it.
 
     Raises:
-        BadInput: this machine cannot render pictures.
+        BadInput: this machine cannot render pictures, or the real cell cannot be reached.
         click.ClickException: the loop stopped before anything could be learned.
     """
     from diagrams import exploration_run
@@ -128,7 +180,10 @@ def run_loop(
     failure, stopped = "", False
     with in_view(open_meshcat, recording) as (meshcat, progress):
         try:
-            run = exploration_run.explore(scenario, options, meshcat=meshcat, progress=progress)
+            run = exploration_run.explore(
+                scenario, options,
+                hardware=hardware, meshcat=meshcat, progress=progress, record=record, before=before,
+            )  # fmt: skip
         except exploration_run.ExplorationFailed as error:
             stopped = isinstance(error, exploration_run.ExplorationStopped)
             if error.run is None:
@@ -138,22 +193,18 @@ def run_loop(
 
 
 def leave(run: ExplorationRun, folder: Path, recording: Path | None) -> dict[str, Path]:
-    """Write dataset, belief, pictures and report; returns what lies where."""
+    """Write belief, pictures and report beside the pushes; returns what lies where."""
     from diagrams.commands.compare import report
     from diagrams.commands.identify import keep
     from models.inference.comparison import compare
-    from models.measurements import write_dataset
 
-    place = folder / "pushes"
-    with writing(place):
-        write_dataset(run.dataset, place, overwrite=True)
     belief = folder / "belief.npz"
     with Progress() as progress:
         pictures = keep(run.identification, run.dataset, belief, None, progress)
         comparison = compare(run.dataset, run.identification.belief, seed=0, label="model", progress=progress)
         text = report([comparison], run.dataset)
     write_text(folder / "report.html", text)
-    written = {"pushes": place, "belief": belief, "report": folder / "report.html"}
+    written = {"pushes": folder / "pushes", "belief": belief, "report": folder / "report.html"}
     written |= {f"picture of {path.stem.removeprefix('belief.')}": path for path in pictures}
     return written if recording is None else {**written, "recording": recording}
 
@@ -164,6 +215,15 @@ def show(run: ExplorationRun) -> None:
 
     show_identification(run.identification, run.dataset)
     truth = run.truth()
+    if truth is None:
+        paragraph(f"It took {run.seconds:.0f} s.")
+    else:
+        _show_truth(truth)
+        paragraph(f"{run.simulated:.0f} s of simulated time took {run.seconds:.0f} s.")
+    paragraph(monitor_words(run.watch))
+
+
+def _show_truth(truth: dict[str, Any]) -> None:
     believed, true = truth["center_of_mass_believed"], truth["center_of_mass"]
     table(
         "Centre of mass, against the truth that only the simulator knows",
@@ -174,11 +234,7 @@ def show(run: ExplorationRun) -> None:
         ],
         numbers=(1, 2),
     )
-    paragraph(
-        f"The belief's centre of mass is {1e3 * truth['center_of_mass_error']:.1f} mm off."
-        f" {run.simulated:.0f} s of simulated time took {run.seconds:.0f} s."
-    )
-    paragraph(monitor_words(run.watch))
+    paragraph(f"The belief's centre of mass is {1e3 * truth['center_of_mass_error']:.1f} mm off.")
 
 
 def monitor_words(watch: Watch) -> str:

@@ -141,6 +141,10 @@ lcm_option = click.option(
     "--lcm", "url", default=LCM_URL, show_default=True, metavar="URL",
     help="Address of the cell's messages; with ttl=0 they stay on this computer.",
 )  # fmt: skip
+hardware_option = click.option(
+    "--hardware", is_flag=True,
+    help="Drive a real cell, or its twin of `slipmap station`, that listens at the address of --lcm.",
+)  # fmt: skip
 explorations_option = click.option(
     "--pushes", type=click.IntRange(1, 100), default=5, show_default=True, metavar="N",
     help="Pushes to learn from.",

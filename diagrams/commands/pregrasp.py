@@ -11,7 +11,9 @@ from diagrams.commands.explore import Stopped, leave, scenario_of, show
 from diagrams.commands.options import (
     explorations_option,
     folder_option,
+    hardware_option,
     json_in_folder_option,
+    lcm_option,
     meshcat_option,
     record_option,
     scenario_option,
@@ -19,13 +21,14 @@ from diagrams.commands.options import (
     station_object_option,
 )
 from diagrams.commands.viewing import in_view
-from diagrams.console import note, paragraph, table
+from diagrams.console import BadInput, note, paragraph, table
 from diagrams.outputs import check_file, make_folder, write_json
 from planners.strategies import METHODS
 
 if TYPE_CHECKING:
     from diagrams.pregrasp_loop import PregraspOptions
     from diagrams.pregrasp_run import PregraspRun
+    from diagrams.push_record import PushRecord
     from diagrams.station.scenario import Scenario
 
 
@@ -37,6 +40,8 @@ if TYPE_CHECKING:
     "--method", type=click.Choice(METHODS), default="probabilistic", show_default=True,
     help="What is planned with: all hypotheses, one drawn from them, a uniform object, or the truth.",
 )  # fmt: skip
+@hardware_option
+@lcm_option
 @meshcat_option
 @record_option
 @folder_option("pregrasp")
@@ -47,29 +52,37 @@ def pregrasp(
     scenario_file: Path | None,
     pushes: int,
     method: str,
+    hardware: bool,
+    url: str,
     open_meshcat: bool,
     recording: Path | None,
     folder: Path,
     seed: int,
     json_file: Path | None,
 ) -> None:
-    """Let a simulated robot take an object that it cannot grasp where it lies.
+    """Let a robot take an object that it cannot grasp where it lies.
 
     It explores the object as `slipmap explore` does, pushes it to where it sticks out over the table's edge
     and certainly stays, grasps it there and lifts it. The pushes are left as a dataset; those towards the
     edge judge what was learned. The command succeeds only where the object is held in the end.
+
+    The robot is simulated, unless --hardware is given.
     """
     from diagrams.exploration_loop import LoopOptions
     from diagrams.pregrasp_loop import PregraspOptions
+    from diagrams.push_record import PushRecord
 
     scenario = scenario_of(scenario_file, object_name)
     options = PregraspOptions(LoopOptions(pushes=pushes, seed=seed), method=method)
+    if hardware and method == "true":
+        raise BadInput("--method true: the truth is known of a simulated object alone; choose another method")
     make_folder(folder)
     if recording is not None:
         check_file(recording, ("html", "htm"))
     if json_file is not None:
         check_file(json_file)
-    run = _run(scenario, options, open_meshcat, recording)
+    record = PushRecord(folder, scenario)
+    run = _run(scenario, options, url if hardware else None, open_meshcat, recording, record)
     written = leave(run.exploration, folder, recording)
     if json_file is not None:
         learned = run.exploration
@@ -85,12 +98,17 @@ def pregrasp(
 
 
 def _run(
-    scenario: Scenario, options: PregraspOptions, open_meshcat: bool, recording: Path | None
+    scenario: Scenario,
+    options: PregraspOptions,
+    hardware: str | None,
+    open_meshcat: bool,
+    recording: Path | None,
+    record: PushRecord,
 ) -> PregraspRun:
     """Run the loop to its end.
 
     Raises:
-        BadInput: this machine cannot render pictures.
+        BadInput: this machine cannot render pictures, or the real cell cannot be reached.
         click.ClickException: the loop stopped before anything could be learned.
     """
     from diagrams.exploration_run import ExplorationFailed, ExplorationStopped
@@ -98,7 +116,9 @@ def _run(
 
     with in_view(open_meshcat, recording) as (meshcat, progress):
         try:
-            return run_pregrasp(scenario, options, meshcat=meshcat, progress=progress)
+            return run_pregrasp(
+                scenario, options, hardware=hardware, meshcat=meshcat, progress=progress, record=record
+            )
         except ExplorationStopped as error:
             raise click.Abort() from error
         except ExplorationFailed as error:
@@ -130,5 +150,5 @@ def _show(run: PregraspRun) -> None:
         paragraph(f"After {len(run.pushes)} pushes the gripper took the object at the edge, and holds it.")
     else:
         paragraph(f"The object is not held: {run.reason}.")
-    if run.fate != ("held" if run.held else "gave up"):
+    if run.true_height is not None and run.fate != ("held" if run.held else "gave up"):
         paragraph(f"In truth, which only the simulator knows, it {run.fate}.")

@@ -25,8 +25,9 @@ def in_view(show: bool, recording: Path | None) -> Iterator[tuple[Meshcat | None
         recording: page that plays the run back, if wanted.
 
     Raises:
-        BadInput: this machine cannot render pictures, or the scenario cannot be had.
+        BadInput: this machine cannot render pictures, or the scenario or the real cell cannot be had.
     """
+    from diagrams.hardware.channels import HardwareError
     from diagrams.perception.renderer import RendererUnavailable
     from diagrams.station.scenario_file import ScenarioError
 
@@ -37,7 +38,7 @@ def in_view(show: bool, recording: Path | None) -> Iterator[tuple[Meshcat | None
             meshcat.StartRecording(frames_per_second=15.0)
         try:
             yield meshcat, progress
-        except (RendererUnavailable, ScenarioError) as error:
+        except (HardwareError, RendererUnavailable, ScenarioError) as error:
             raise BadInput(str(error)) from error
         if meshcat is not None and recording is not None:
             progress("writing the recording", 0, 1)

@@ -37,7 +37,9 @@ PATIENCE = 10.0
 SAME_CLOCK = 1.0
 """s by which arm and camera may seem apart; if they are more, their stamps are of different clocks."""
 
-_NEEDED = (channels.IIWA_STATUS, channels.GRIPPER_STATUS, channels.CAMERA_DEPTH, channels.CAMERA_POSE)
+_ARM = (channels.IIWA_STATUS, channels.GRIPPER_STATUS)
+_CAMERA = (channels.CAMERA_DEPTH, channels.CAMERA_POSE, channels.CAMERA_COLOR)
+_NEEDED = (*_ARM, channels.CAMERA_DEPTH, channels.CAMERA_POSE)
 
 
 class HardwareInterface(Diagram):
@@ -67,27 +69,32 @@ class HardwareInterface(Diagram):
     before the simulation begins. A Simulator runs it at a real-time rate of 1.
 
     Args:
-        lcm: the address, see `network.open_lcm`, or a connection.
+        lcm: the address of a cell that runs by itself, see `network.open_lcm`. Then a thread hears messages,
+            and a process sends the arm's commands, both however busy the diagram is. Or a connection, such as
+            one in memory, that the diagram itself serves at its steps.
         scenario: what the cell is like; of the object nothing is used.
-        stream: whether a process of its own sends the arm's commands, so that they keep coming while this
-            one is busy; it takes an address.
 
     Raises:
         HardwareError: a malformed address, or no network.
     """
 
-    def __init__(self, lcm: str | DrakeLcmInterface, scenario: Scenario, *, stream: bool = True) -> None:
+    def __init__(self, lcm: str | DrakeLcmInterface, scenario: Scenario) -> None:
         super().__init__()
+        alone = isinstance(lcm, str)
         self._url = lcm if isinstance(lcm, str) else lcm.get_lcm_url()
         self._lcm = network.open_lcm(lcm) if isinstance(lcm, str) else lcm
         builder = DiagramBuilder()
         self._bus = builder.AddSystem(LcmInterfaceSystem(self._lcm))
         rule = rules(scenario.camera.width, scenario.camera.height_pixels)
         self._checked: dict[str, CheckedMessages] = {
-            channel: builder.AddNamedSystem(channel, CheckedMessages(self._lcm, channel, rule[channel]))
-            for channel in (*_NEEDED, channels.CAMERA_COLOR)
+            channel: builder.AddNamedSystem(channel, CheckedMessages(channel, rule[channel]))
+            for channel in (*_ARM, *_CAMERA)
         }
-        self._export_arm(builder, stream)
+        self._listeners: list[network.Listener] = []
+        if not alone:
+            for channel, system in self._checked.items():
+                self._lcm.Subscribe(channel, system.hear)
+        self._export_arm(builder, alone)
         self._export_gripper(builder)
         self._export_camera(builder)
         self.arm_hulls = _arm_hulls(scenario)
@@ -104,18 +111,27 @@ class HardwareInterface(Diagram):
         Raises:
             HardwareError: names the channels that are silent, or what is wrong with what comes.
         """
+        self.close()
+        if isinstance(self._sender, _StreamSender):
+            # Pictures take some ms to check, for which the arm does not wait.
+            self._listeners = [
+                network.Listener(self._url, {name: self._checked[name].hear for name in together})
+                for together in (_ARM, _CAMERA)
+            ]
+            self._sender.start(self._url)  # before, since it takes a while, and messages shall be fresh
         contexts = {name: system.GetMyMutableContextFromRoot(root) for name, system in self._checked.items()}
         deadline = time.monotonic() + patience
         while True:
-            self._lcm.HandleSubscriptions(20)
+            if self._listeners:
+                time.sleep(0.01)
+            else:
+                self._lcm.HandleSubscriptions(20)
             came = {name: system.take(contexts[name]) for name, system in self._checked.items()}
             silent = [name for name in _NEEDED if not came[name].good]
             if not silent:
-                break
+                return
             if time.monotonic() > deadline:
                 raise channels.HardwareError(self._silence(silent, came, patience))
-        if isinstance(self._sender, _StreamSender):
-            self._sender.start(self._url)
 
     def _silence(self, silent: list[str], came: Mapping[str, Received], patience: float) -> str:
         causes = [f"{name}: {', '.join(came[name].dropped)}" for name in silent if came[name].dropped]
@@ -127,9 +143,11 @@ class HardwareInterface(Diagram):
         )
 
     def close(self) -> None:
-        """Let the arm come to rest and send no more commands."""
+        """Let the arm come to rest, send no more commands, and hear no more messages."""
         if isinstance(self._sender, _StreamSender):
             self._sender.stop()
+        while self._listeners:
+            self._listeners.pop().close()
 
     def received(self, root: Context) -> dict[str, Received]:
         """What came on each channel until now, and what of it was dropped."""
@@ -137,7 +155,7 @@ class HardwareInterface(Diagram):
             name: system.received(system.GetMyContextFromRoot(root)) for name, system in self._checked.items()
         }
 
-    def _export_arm(self, builder: DiagramBuilder, stream: bool) -> None:
+    def _export_arm(self, builder: DiagramBuilder, alone: bool) -> None:
         status = builder.AddSystem(IiwaStatusReceiver())
         checked = self._checked[channels.IIWA_STATUS]
         builder.Connect(checked.GetOutputPort("message"), status.GetInputPort("lcmt_iiwa_status"))
@@ -145,7 +163,7 @@ class HardwareInterface(Diagram):
             builder.ExportOutput(status.GetOutputPort(name), f"iiwa.{name}")
         builder.ExportOutput(checked.GetOutputPort("age"), "iiwa.age")
         self._sender: LeafSystem
-        if stream:
+        if alone:
             self._sender = builder.AddNamedSystem(f"{channels.IIWA_COMMAND}_stream", _StreamSender())
         else:
             self._sender = builder.AddSystem(IiwaCommandSender(7, IiwaControlMode.kPositionOnly))

@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 from pydrake.common.value import AbstractValue, Value
-from pydrake.lcm import DrakeLcmInterface
 from pydrake.systems.framework import BasicVector, Context, DiagramBuilder, EventStatus, LeafSystem, State
 from pydrake.systems.lcm import (
     LcmInterfaceSystem,
@@ -19,10 +18,10 @@ from pydrake.systems.lcm import (
     _Serializer_,  # no other name leads to messages that Drake's own receivers take
 )
 
-from diagrams.hardware.validation import BadMessage, Rule
+from diagrams.hardware.validation import BadMessage, Rule, check_stamp
 from diagrams.systems.held import held, read, replace_held
 
-CLOCKS = 0.1
+CLOCKS = 0.5
 """s in which the difference of two clocks is followed; where one is slow, ages err by a share of this."""
 
 _log = logging.getLogger("slipmap.hardware")
@@ -59,6 +58,8 @@ class CheckedMessages(LeafSystem):
         - age
         - received
 
+    What comes is told it with `hear`, and is looked at in the next step.
+
     - `message`: the newest good message as Drake's own receivers take it, all zero before the first.
     - `stamp` (1,): the sender's clock in it, s, NaN before the first.
     - `age` (1,): time since it was sent, s, infinite before the first. It is told from the stamp, so that a
@@ -71,16 +72,14 @@ class CheckedMessages(LeafSystem):
     subscriber would end the process at a message that cannot be decoded.
 
     Args:
-        lcm: who hears them; an `LcmInterfaceSystem` in the diagram has it listen at every step.
         channel: whose messages these are.
         rule: what they must be.
     """
 
-    def __init__(self, lcm: DrakeLcmInterface, channel: str, rule: Rule) -> None:
+    def __init__(self, channel: str, rule: Rule) -> None:
         super().__init__()
-        # Belongs to the network, not to a Context; LCM itself keeps one message between two looks.
-        self._waiting: deque[bytes] = deque(maxlen=16)
-        lcm.Subscribe(channel, self._waiting.append)
+        # What was heard and not yet looked at belongs to the network, not to a Context.
+        self._heard: deque[tuple[bytes, float] | BadMessage] = deque(maxlen=16)
         self._channel = channel
         self._rule = rule
         self._serializer = _Serializer_[rule.lcm_type]()
@@ -103,8 +102,21 @@ class CheckedMessages(LeafSystem):
         """What came until now, of this system's Context."""
         return read(context, self._received)
 
+    def hear(self, data: bytes) -> None:
+        """Check a message and keep it for the next step; may be called by another thread.
+
+        Args:
+            data: as received.
+        """
+        try:
+            message, stamp = self._rule.read(data)
+        except BadMessage as error:
+            self._heard.append(error)
+        else:
+            self._heard.append((message.encode(), stamp))
+
     def take(self, context: Context) -> Received:
-        """Look at what waits before the diagram runs.
+        """Look at what was heard before the diagram runs.
 
         Args:
             context: of this system, changed.
@@ -114,20 +126,23 @@ class CheckedMessages(LeafSystem):
         return now
 
     def _update(self, context: Context, state: State) -> EventStatus:
-        if not self._waiting:
+        if not self._heard:
             return EventStatus.DidNothing()
         replace_held(state, self._received, self._taken(context))
         return EventStatus.Succeeded()
 
     def _taken(self, context: Context) -> Received:
         now = self.received(context)
-        while self._waiting:
-            now = self._after(now, self._waiting.popleft(), context.get_time())
+        while self._heard:
+            now = self._after(now, self._heard.popleft(), context.get_time())
         return now
 
-    def _after(self, now: Received, data: bytes, time: float) -> Received:
+    def _after(self, now: Received, heard: tuple[bytes, float] | BadMessage, time: float) -> Received:
         try:
-            message, stamp = self._rule.read(data, now.stamp if now.good else None)
+            if isinstance(heard, BadMessage):
+                raise heard
+            data, stamp = heard
+            check_stamp(stamp, now.stamp)
         except BadMessage as error:
             cause = str(error)
             count = now.dropped.get(cause, 0) + 1
@@ -137,7 +152,7 @@ class CheckedMessages(LeafSystem):
         offset = time - stamp
         if now.good:
             offset = now.offset + (offset - now.offset) * -np.expm1((now.stamp - stamp) / CLOCKS)
-        return replace(now, data=message.encode(), stamp=stamp, offset=float(offset), good=now.good + 1)
+        return replace(now, data=data, stamp=stamp, offset=float(offset), good=now.good + 1)
 
     def _calc_message(self, context: Context, output: AbstractValue) -> None:
         data = self.received(context).data

@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import re
+import threading
+import time
+from collections.abc import Callable, Mapping
 
 from pydrake.lcm import DrakeLcm
 
 from diagrams.hardware.channels import LCM_URL, HardwareError
 
 _ADDRESS = re.compile(r"udpm://\d{1,3}(\.\d{1,3}){3}:\d{1,5}(\?(?P<options>[\w=&.]*))?")
+_LOOK_EVERY = 1e-3  # s
 _BUFFER = 4_194_304  # bytes that the socket holds; a picture comes in several packets at once
 
 
@@ -51,3 +55,37 @@ def open_lcm(url: str = LCM_URL) -> DrakeLcm:
             " computer: `sudo ip link set lo multicast on; sudo ip route add 224.0.0.0/4 dev lo`"
         ) from error
     return lcm
+
+
+class Listener:
+    """A thread that hears messages as they come.
+
+    LCM keeps one message of a channel, the oldest, until somebody asks: a diagram that was busy would be told
+    of a state long past.
+
+    Args:
+        url: see `open_lcm`.
+        hear: what to call with the messages of each channel.
+
+    Raises:
+        HardwareError: see `open_lcm`.
+    """
+
+    def __init__(self, url: str, hear: Mapping[str, Callable[[bytes], None]]) -> None:
+        self._lcm = open_lcm(url)
+        for channel, function in hear.items():
+            self._lcm.Subscribe(channel, function)
+        self._ends = threading.Event()
+        self._thread = threading.Thread(target=self._listen, daemon=True)
+        self._thread.start()
+
+    def close(self) -> None:
+        """End the thread."""
+        self._ends.set()
+        self._thread.join()
+
+    def _listen(self) -> None:
+        while not self._ends.is_set():
+            # Waiting inside of LCM would keep all other threads waiting, too.
+            if not self._lcm.HandleSubscriptions(0):
+                time.sleep(_LOOK_EVERY)

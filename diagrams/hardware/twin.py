@@ -55,9 +55,11 @@ class CellTwin(Diagram):
         if arm:
             rule = rules(scenario.camera.width, scenario.camera.height_pixels)
             self._checked = {
-                channel: builder.AddNamedSystem(channel, CheckedMessages(lcm, channel, rule[channel]))
+                channel: builder.AddNamedSystem(channel, CheckedMessages(channel, rule[channel]))
                 for channel in (channels.IIWA_COMMAND, channels.GRIPPER_COMMAND)
             }
+            for channel, system in self._checked.items():
+                lcm.Subscribe(channel, system.hear)
             _add_arm(builder, self.station, bus, self._checked[channels.IIWA_COMMAND])
             _add_gripper(builder, self.station, bus, self._checked[channels.GRIPPER_COMMAND])
         if camera:

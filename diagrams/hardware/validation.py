@@ -61,12 +61,11 @@ class Rule:
     stamp: Callable[[Any], int]
     check: Callable[[Any], None]
 
-    def read(self, data: bytes, last: float | None = None) -> tuple[Any, float]:
-        """A message that may be believed and its stamp, s of the sender's clock.
+    def read(self, data: bytes) -> tuple[Any, float]:
+        """A message that may be believed, but for its stamp, and the stamp, s of the sender's clock.
 
         Args:
             data: as received.
-            last: stamp of the last good message, s.
 
         Raises:
             BadMessage: names the cause.
@@ -78,14 +77,21 @@ class Rule:
         except Exception as error:  # generated code fails on hostile bytes in many ways
             raise BadMessage("cannot be decoded") from error
         self.check(message)
-        stamp = 1e-6 * self.stamp(message)
-        if stamp < 0:
-            raise BadMessage("stamp is negative")
-        if last is not None and stamp < last:
-            raise BadMessage("stamp goes back")
-        if last is not None and stamp > last + LONGEST_LEAP:
-            raise BadMessage(f"stamp leaps ahead by more than {LONGEST_LEAP:.0f} s")
-        return message, stamp
+        return message, 1e-6 * self.stamp(message)
+
+
+def check_stamp(stamp: float, last: float) -> None:
+    """Refuse a stamp that cannot follow the last good one, both in s; the last is NaN before the first.
+
+    Raises:
+        BadMessage: names the cause.
+    """
+    if stamp < 0:
+        raise BadMessage("stamp is negative")
+    if stamp < last:
+        raise BadMessage("stamp goes back")
+    if stamp > last + LONGEST_LEAP:
+        raise BadMessage(f"stamp leaps ahead by more than {LONGEST_LEAP:.0f} s")
 
 
 def rules(width: int, height: int) -> Mapping[str, Rule]:

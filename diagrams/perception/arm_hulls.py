@@ -50,6 +50,7 @@ class ArmHulls:
         if len(instances) == 0:
             raise ValueError("arm hulls: name at least the model instance of the arm")
         self._plant = plant
+        self._context = plant.CreateDefaultContext()  # scratch: every call sets the positions
         self._arm = instances[0]
         inspector = scene_graph.model_inspector()
         self._shapes: list[tuple[BodyIndex, FloatArray, float]] = []
@@ -63,7 +64,7 @@ class ArmHulls:
 
     def __call__(self, q: Any) -> list[Hull]:
         """Hulls in W at joint angles q (7,), rad."""
-        context = self._plant.CreateDefaultContext()
+        context = self._context
         self._plant.SetPositions(context, self._arm, q)
         poses: dict[BodyIndex, RigidTransform] = {}
         hulls = []

@@ -236,17 +236,21 @@ class CellPerception(LeafSystem):
         return read(context, self._memory)
 
     def _look(self, context: Any, state: Any) -> None:
-        job = read(context, self._job)
+        job, kept = read(context, self._job) or (None, ())
         memory = before = self._memory_in(context)
         if job is not None and job.done():
-            memory, job = job.result(), None
+            memory, job = _with_frames(job.result(), kept), None
         if job is None:
-            job = begun(self._worker, self._eye.looked, memory, self._glance(context))
+            # Pictures gathered for the first look are large; a worker gets them when there are enough.
+            few = memory.seen is None and len(memory.frames) + 1 < FRAMES
+            kept = memory.frames if few else ()
+            sent = replace(memory, frames=()) if few else memory
+            job = begun(self._worker, self._eye.looked, sent, self._glance(context))
             if job.done():
-                memory, job = job.result(), None
+                memory, job = _with_frames(job.result(), kept), None
         if memory is not before:
             replace_held(state, self._memory, memory)
-        replace_held(state, self._job, job)
+        replace_held(state, self._job, None if job is None else (job, kept))
 
     def _glance(self, context: Any) -> _Glance:
         picture: Any = self._image.Eval(context)
@@ -261,6 +265,10 @@ class CellPerception(LeafSystem):
             float(self._age.Eval(context)[0]) if self._age.HasValue(context) else 0.0,
             context.get_time(),
         )
+
+
+def _with_frames(memory: _Memory, earlier: tuple[DepthImage, ...]) -> _Memory:
+    return replace(memory, frames=(*earlier, *memory.frames)) if earlier else memory
 
 
 @lru_cache(maxsize=4)

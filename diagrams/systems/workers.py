@@ -1,12 +1,16 @@
-"""Work that takes long, done beside the diagram by other processes, or at once where there are none."""
+"""Work that takes long, done beside the diagram by others, or at once where there are none."""
 
 from __future__ import annotations
 
+import gc
 import os
 import signal
+import sys
+import time
 from collections.abc import Callable, Iterator
-from concurrent.futures import Executor, Future
+from concurrent.futures import Executor, Future, wait
 from contextlib import contextmanager, suppress
+from importlib import import_module
 from typing import Any, ParamSpec, TypeVar
 
 Arguments = ParamSpec("Arguments")
@@ -16,6 +20,7 @@ COUNT = 2
 """Processes: one for pictures, one for learning or planning."""
 
 _NICER = 5  # of a worker: what commands the arm comes first
+_HAND_OVER = 1e-3  # s after which a thread lets another go on
 
 
 def begun(
@@ -38,14 +43,36 @@ def begun(
 
 @contextmanager
 def workers() -> Iterator[Executor]:
-    """Processes for tasks; at the end those that still work are ended."""
+    """Processes for tasks, up and running; at the end those that still work are ended.
+
+    Meanwhile the threads of this process hand over more often than by default, and what it holds is not
+    searched for garbage, which would stop everything for a while now and then.
+    """
     from joblib.externals.loky import ProcessPoolExecutor  # takes closures, unlike that of the library
 
+    before = sys.getswitchinterval()
     pool: Any = ProcessPoolExecutor(COUNT, timeout=None, initializer=_prepare)
     try:
+        wait([pool.submit(_load) for _ in range(COUNT)])
+        gc.collect()
+        gc.freeze()
+        sys.setswitchinterval(_HAND_OVER)
         yield pool
     finally:
+        sys.setswitchinterval(before)
+        gc.unfreeze()
         pool.shutdown(wait=True, kill_workers=True)
+
+
+def _load() -> None:
+    """Load what tasks need, and take so long that the other process has to start, too."""
+    for name in (
+        "diagrams.perception.cell_perception",
+        "diagrams.systems.goal_and_push_planner",
+        "models.inference.identification",
+    ):
+        import_module(name)
+    time.sleep(0.1)
 
 
 def _prepare() -> None:

@@ -8,10 +8,10 @@ from itertools import pairwise
 from typing import Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from models.perception.camera import DepthImage
 from models.perception.object_mask import Mask
-from models.physics.cell_grid import FloatArray
 
 Fault = Literal["", "no picture", "old picture", "torn picture", "corrupt picture"]
 
@@ -30,13 +30,13 @@ class PictureHistory:
     """What is known of the pictures before.
 
     Attributes:
-        recent: the newest that could be believed, at most `REMEMBERED`.
+        recent: sums (H,) of the rows of the newest that could be believed, at most `REMEMBERED`.
         taken: when the newest was, s.
         noisy: whether no two pictures of this camera have a row in common, so that one that does is not new.
         missing: usual share of pixels without a reading.
     """
 
-    recent: tuple[DepthImage, ...] = ()
+    recent: tuple[NDArray[np.uint64], ...] = ()
     taken: float = 0.0
     noisy: bool = False
     missing: float = 1.0
@@ -46,7 +46,7 @@ class PictureHistory:
 
         Two pictures of a camera without noise have rows in common wherever nothing moves.
         """
-        noisy = any(not _same_rows(one, other).any() for one, other in pairwise(frames))
+        noisy = any(not _same_rows(one, _row_sums(other)).any() for one, other in pairwise(frames))
         return replace(self, noisy=noisy, missing=float(np.mean([missing(f, blocked) for f in frames])))
 
     def judged(
@@ -68,7 +68,7 @@ class PictureHistory:
                 return "torn picture", True, self
             if missing(image, blocked) > self.missing + _CORRUPT:
                 return "corrupt picture", True, self
-            return "", True, replace(self, recent=(*self.recent, image)[-REMEMBERED:], taken=taken)
+            return "", True, replace(self, recent=(*self.recent, _row_sums(image))[-REMEMBERED:], taken=taken)
         return ("old picture" if now - self.taken > oldest else ""), False, self
 
     def spoilt(self, image: DepthImage, blocked: Mask | None) -> bool:
@@ -89,8 +89,14 @@ def missing(image: DepthImage, blocked: Mask | None) -> float:
     return float(empty.mean()) if empty.size else 1.0
 
 
-def _same_rows(one: DepthImage, other: DepthImage) -> FloatArray:
-    """For each row in which both pictures have finite readings, whether they have the same."""
-    usable = np.isfinite(one) & (one > 0)
-    rows = usable.sum(axis=1) >= _USABLE
-    return (one == other)[rows].all(axis=1)
+def _row_sums(image: DepthImage) -> NDArray[np.uint64]:
+    """(H,) a number for each row of a picture that is practically never that of another row."""
+    bits = np.ascontiguousarray(image, dtype=np.float32).view(np.uint32).astype(np.uint64)
+    weights = np.random.default_rng(0).integers(1, 2**63, size=bits.shape[1], dtype=np.uint64)
+    return np.asarray(bits @ (2 * weights + 1))  # modulo 2^64
+
+
+def _same_rows(image: DepthImage, sums: NDArray[np.uint64]) -> NDArray[np.bool_]:
+    """For each row of a picture with enough readings, whether another one, of these sums, has the same."""
+    rows = (np.isfinite(image) & (image > 0)).sum(axis=1) >= _USABLE
+    return np.asarray(_row_sums(image)[rows] == sums[rows])

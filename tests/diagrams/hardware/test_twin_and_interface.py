@@ -39,7 +39,7 @@ class Both:
         self.lcm = DrakeLcm("memq://")
         builder = DiagramBuilder()
         self.twin = builder.AddSystem(CellTwin(scenario, self.lcm))
-        self.interface = builder.AddSystem(HardwareInterface(self.lcm, scenario, stream=False))
+        self.interface = builder.AddSystem(HardwareInterface(self.lcm, scenario))
         for index in range(self.interface.num_input_ports()):
             port = self.interface.get_input_port(index)
             builder.ExportInput(port, port.get_name())
@@ -132,7 +132,7 @@ def test_junk_on_every_channel_changes_nothing_and_is_counted(both):
 
 def test_a_silent_cell_is_told_with_its_channels():
     lcm = DrakeLcm("memq://")
-    interface = HardwareInterface(lcm, Scenario(), stream=False)
+    interface = HardwareInterface(lcm, Scenario())
     lcm.Publish(channels.GRIPPER_STATUS, b"junk")
     with pytest.raises(channels.HardwareError) as error:
         interface.connect(interface.CreateDefaultContext(), patience=0.05)
