@@ -8,10 +8,10 @@ PYTHON3 ?=
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.slipmap-installed
 .DEFAULT_GOAL := help
-.PHONY: help demo test lint types bench install clean
+.PHONY: help demo test lint types bench notebooks install clean
 
 help: ## Show this list
-	@awk -F ':.*## ' '/^[a-z]+:.*## /{printf "  make %-8s %s\n", $$1, $$2}' Makefile
+	@awk -F ':.*## ' '/^[a-z]+:.*## /{printf "  make %-9s %s\n", $$1, $$2}' Makefile
 
 demo: $(STAMP) ## Let a simulated robot take a hammer at the table's edge; results go to demo/
 	@$(BIN)/slipmap pregrasp --object hammer --out demo --record demo/recording.html
@@ -28,6 +28,9 @@ types: $(STAMP) ## Check types
 
 bench: $(STAMP) ## Measure how fast slipmap is on this machine
 	@$(BIN)/slipmap bench
+
+notebooks: $(STAMP) ## Run the notebooks anew and keep what they show
+	@for notebook in notebooks/*.ipynb; do echo $$notebook; $(BIN)/python notebooks/run.py $$notebook || exit 1; done
 
 install: $(STAMP) ## Install slipmap into its environment, which the others do by themselves
 
@@ -56,5 +59,5 @@ $(STAMP): pyproject.toml
 	@touch $(STAMP)
 
 clean: ## Remove the demo's results, caches and build products; the environment stays
-	rm -rf demo build dist slipmap.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis
+	rm -rf demo notebooks/results build dist slipmap.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis
 	find . -path ./$(VENV) -prune -o -name __pycache__ -type d -exec rm -rf {} +

@@ -15,7 +15,7 @@ from diagrams.command_line import slipmap
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGES = ("README.md", "docs/file-formats.md", "docs/diagnose.md")
-LINKED = (*PAGES, "docs/compare.md", "docs/effects.md")
+LINKED = (*PAGES, "docs/compare.md", "docs/effects.md", "docs/contributing.md", "docs/changelog.md")
 
 
 def test_python_example_runs_on_what_the_demo_leaves(demo_folder, tmp_path):
