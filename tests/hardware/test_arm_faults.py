@@ -184,8 +184,9 @@ def test_a_fault_that_passes_stops_for_good_and_the_first_cause_stands():
 
 
 def test_a_camera_that_stops_stops_the_arm_once_it_has_sent_a_picture():
-    age = GuardSettings().image_age
-    log = run(AT + age + 0.5, image_age=Signal(lambda t: max(t - AT, 0.05)))
+    age = 0.2
+    late = Signal(lambda t: max(t - AT, 0.05))
+    log = run(AT + age + 0.1, settings=GuardSettings(image_age=age), image_age=late)
     assert "camera's last picture" in held(log, AT + age, PERIOD + REST).cause
 
 
@@ -202,7 +203,7 @@ def test_the_gripper_stays_as_it_was_after_a_stop():
 
 def test_a_gripper_that_does_not_close_ends_the_push_before_it_begins():
     """It has the time to close that a grasp has; a push with open pins would be of another finger."""
-    stuck = run(5.0, gripper=Signal(lambda t: [0.094, 0.0], size=2))
+    stuck = run(1.8, gripper=Signal(lambda t: [0.094, 0.0], size=2))
     assert stuck.status.mode == "stopped" and stuck.health[-1].ok
     assert "does not close: it is open by 94 mm" in stuck.status.reason
     assert set(stuck.modes) == {"home", "stopped"}
