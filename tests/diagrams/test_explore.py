@@ -6,7 +6,8 @@ import base64
 import io
 import json
 import re
-from dataclasses import dataclass
+import shutil
+from dataclasses import dataclass, replace
 from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
@@ -20,11 +21,12 @@ from pydrake.geometry import Meshcat
 
 from diagrams.command_line import run
 from diagrams.exploration_loop import LoopOptions
+from diagrams.exploration_record import ExplorationRecord, resumed
 from diagrams.exploration_run import explore
 from diagrams.perception.renderer import RendererUnavailable, require_renderer
 from diagrams.station.scenario import Scenario
 from models.inference.belief import Belief
-from models.measurements import PushDataset, read_dataset
+from models.measurements import PushDataset, read_dataset, write_dataset
 from models.objects.benchmark import BENCHMARK_OBJECTS, benchmark_object
 from models.physics.paper_notation import add
 
@@ -99,6 +101,7 @@ def test_the_run_ends_well_and_leaves_every_file(explored):
     assert explored.result["failure"] == ""
     files = {path.relative_to(explored.folder).as_posix() for path in explored.folder.rglob("*.*")}
     expected = {"belief.npz", "belief.maps.png", "belief.pushes.png", "report.html", "pushes/dataset.yaml"}
+    expected |= {"run.json", "scenario.yaml", "first_picture.npz"}
     assert {f"out/{name}" for name in expected} | {"result.json", "run.html"} <= files
     assert not [name for name in files if "part" in name or "tmp" in name]
 
@@ -213,6 +216,27 @@ def test_the_same_seed_repeats_the_push_to_the_bit(explored):
     for channel in ("object_pose", "tip_pose", "ft_wrench"):
         assert np.array_equal(getattr(trial, channel).time, getattr(first, channel).time), channel
         assert np.array_equal(getattr(trial, channel).values, getattr(first, channel).values), channel
+
+
+def test_a_run_that_was_cut_off_goes_on_from_its_pushes(explored, tmp_path):
+    """As if it were killed in its third push: that one is made, from where the second left the object."""
+    out = explored.folder / "out"
+    for name in ("run.json", "scenario.yaml", "first_picture.npz"):
+        shutil.copy(out / name, tmp_path / name)
+    write_dataset(replace(explored.dataset, trials=explored.dataset.trials[:2]), tmp_path / "pushes")
+    scenario, options, before = resumed(tmp_path)
+    scenario.simulation.time_step = 0.005  # for speed
+    record = ExplorationRecord(tmp_path, scenario, options, before)
+    run = explore(scenario, options, record=record, before=before)
+    recorded = read_dataset(tmp_path / "pushes")
+    assert [trial.role for trial in recorded.trials] == ["fit", "fit", "heldout"]
+    assert np.array_equal(recorded.grid.centers, explored.dataset.grid.centers)
+    ours, theirs = recorded.trials[2], explored.dataset.trials[2]
+    for way in (0, -1):
+        assert ours.object_pose.values[way] == pytest.approx(theirs.object_pose.values[way], abs=3e-3)
+        assert ours.tip_pose.values[way] == pytest.approx(theirs.tip_pose.values[way], abs=3e-3)
+    learned = run.identification.belief.centers_of_mass
+    assert learned == pytest.approx(Belief.load(out / "belief.npz").centers_of_mass, abs=1e-9)
 
 
 def files_in(folder: Path) -> list[Path]:
