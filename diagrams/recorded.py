@@ -27,3 +27,8 @@ class Recorded:
     places: tuple[list[float] | None, ...]
     grid: CellGrid
     first: FirstPicture
+
+    @property
+    def of_a_real_cell(self) -> bool:
+        """Whether it was recorded there, not in a simulation."""
+        return self.places[-1] is None

@@ -100,6 +100,9 @@ def explore(
         _refuse_beside_resume(context)
         folder = resume
         scenario, options, before = resumed(folder)
+        if hardware is not before.of_a_real_cell:
+            was = "in simulation; leave out" if hardware else "in a real cell; add"
+            raise BadInput(f"{folder}: that run was made {was} --hardware to go on with it")
     record = ExplorationRecord(folder, scenario, options, before)
     if recording is not None:
         check_file(recording, ("html", "htm"))

@@ -212,3 +212,30 @@ def test_files_that_are_no_part_of_a_run_are_told_before_it_begins(tmp_path):
     (tmp_path / PUSHES / "notes.txt").write_text("mine")
     with pytest.raises(BadInput, match="no push dataset"):
         ExplorationRecord(tmp_path, scenario(), OPTIONS)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["--pushes", 3], ["--resume goes on as it began; leave out --pushes"]),
+        (["--out", "elsewhere"], ["leave out --out"]),
+        (["--hardware"], ["made in simulation; leave out --hardware"]),
+    ],
+)
+def test_what_cannot_be_asked_for_beside_resume_is_told(slipmap, whole, tmp_path, arguments, words):
+    recorded(tmp_path, whole, 2)
+    said_by = slipmap("explore", "--resume", tmp_path, *arguments)
+    assert said_by.code == 2 and "Traceback" not in said_by.err
+    assert all(word in said_by.err for word in words)
+
+
+def test_a_run_in_a_real_cell_is_not_gone_on_with_in_simulation(slipmap, whole, tmp_path):
+    recorded(tmp_path, replace(whole, places=(None,) * 4), 2)
+    told = slipmap("explore", "--resume", tmp_path)
+    assert told.code == 2 and "made in a real cell; add --hardware" in told.err
+
+
+def test_a_run_that_was_cut_off_is_told_by_the_command(slipmap, whole, tmp_path):
+    recorded(tmp_path, whole, 2)
+    told = slipmap("explore", "--out", tmp_path)
+    assert told.code == 2 and f"slipmap explore --resume {tmp_path}" in " ".join(told.err.split())
