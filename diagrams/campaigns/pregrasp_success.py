@@ -2,21 +2,17 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from diagrams.campaigns.experiment import Experiment, Summary, TableText, names_and_seeds
+from diagrams.campaigns.experiment import Experiment, Summary
+from diagrams.campaigns.methods_compared import compare_methods, specs_of_methods
 from diagrams.campaigns.paper_numbers import PREGRASP_ACTIONS, PREGRASP_SUCCESS
-from planners.campaigns.tables import Estimate, mean, share
 from planners.campaigns.trial import TrialOutcome, TrialSpec
-from planners.methods import METHODS
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
     from models.physics.cell_grid import FloatArray
 
 NEAR = 0.02
@@ -26,7 +22,6 @@ NEAR_ANGLE = 15.0
 YAWS_A_BELIEF = 100
 """Trials with one and the same belief: the paper identifies each object once."""
 
-_HERE = "diagrams.campaigns.pregrasp_success"
 _FATES = ("success", "fell", "missed", "gave up")
 
 
@@ -79,75 +74,28 @@ def near(pose: FloatArray, goal: FloatArray) -> bool:
 
 
 def _specs(objects: Sequence[str], trials: int, seed: int, truth: str) -> list[TrialSpec]:
-    return [
-        TrialSpec(
-            f"{name}-{method}-{number}",
-            f"{_HERE}:trial",
-            {
-                "truth": truth,
-                "object_name": name,
-                "method": method,
-                "belief_seed": number // YAWS_A_BELIEF,
-            },
-            number,
-        )
-        for name, number in names_and_seeds(objects, trials, seed)
-        for method in METHODS
-    ]
-
-
-def _summary(outcomes: Sequence[TrialOutcome]) -> Summary:
-    results: dict[str, dict[str, list[dict[str, Any]]]] = {}
-    for outcome in outcomes:
-        if outcome.result is not None:
-            told = outcome.spec.parameters
-            of_object = results.setdefault(told["object_name"], {method: [] for method in METHODS})
-            of_object[told["method"]].append(outcome.result)
-    every = {method: [one for of in results.values() for one in of[method]] for method in METHODS}
-    success = {
-        name: {
-            method: share(sum(one["success"] for one in of[method]), len(of[method])) for method in METHODS
-        }
-        for name, of in [*results.items(), ("all", every)]
-    }
-    pushes = {method: mean([one["pushes"] for one in every[method]]) for method in METHODS}
-    fates = {method: Counter(one["fate"] for one in every[method]) for method in METHODS}
-    rows = []
-    for name, of_methods in success.items():
-        rows.append([name, *(one.percent() for one in of_methods.values())])
-        if name in PREGRASP_SUCCESS:
-            rows.append(["  paper", *(f"{PREGRASP_SUCCESS[name][method]:.0f}" for method in METHODS)])
-    actions = [
-        ["pushes, mean", *(pushes[method].short(digits=2) for method in METHODS)],
-        ["  paper", *(f"{PREGRASP_ACTIONS[method]:.2f}" for method in METHODS)],
-        *([fate, *(str(fates[method][fate]) for method in METHODS)] for fate in _FATES),
-    ]
-    return Summary(
-        [
-            TableText("Brought to the edge, %", ("object", *METHODS), rows),
-            TableText("Pushes, and how trials ended", ("", *METHODS), actions),
-        ],
-        "Pushes count in all trials, failed ones too.",
-        {
-            "success": {
-                name: {method: one.to_json() for method, one in of.items()} for name, of in success.items()
-            },
-            "pushes": {method: one.to_json() for method, one in pushes.items()},
-            "fates": {method: dict(of) for method, of in fates.items()},
-            "paper": {"success": PREGRASP_SUCCESS, "pushes": PREGRASP_ACTIONS},
-        },
-        lambda: _figure(success),
+    return specs_of_methods(
+        f"{__name__}:trial",
+        objects,
+        trials,
+        seed,
+        lambda number: {"truth": truth, "belief_seed": number // YAWS_A_BELIEF},
     )
 
 
-def _figure(success: dict[str, dict[str, Estimate]]) -> list[Figure]:
-    from diagrams.figures.campaigns import shares_figure
-
-    marks = {
-        name: {method: (value, value) for method, value in of.items()}
-        for name, of in PREGRASP_SUCCESS.items()
-    }
-    return [shares_figure("Brought to the edge, within 20 mm and 15° of the goal", success, marks)]
+def _summary(outcomes: Sequence[TrialOutcome]) -> Summary:
+    compared = compare_methods(
+        outcomes, good="success", pushes=lambda result: result["pushes"], together=True
+    )
+    return Summary(
+        [
+            compared.success_table("Brought to the edge, %", PREGRASP_SUCCESS),
+            compared.ways_table("Pushes, and how trials ended", "pushes, mean", _FATES, PREGRASP_ACTIONS),
+        ],
+        "Pushes count in all trials, failed ones too.",
+        compared.to_json("success") | {"paper": {"success": PREGRASP_SUCCESS, "pushes": PREGRASP_ACTIONS}},
+        lambda: compared.figures("Brought to the edge, within 20 mm and 15° of the goal", PREGRASP_SUCCESS),
+    )
 
 
 FIGURE_6 = Experiment("fig6", 100, _specs, _summary)

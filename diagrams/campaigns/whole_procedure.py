@@ -2,22 +2,16 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
-from diagrams.campaigns.experiment import Experiment, Summary, TableText, names_and_seeds
+from diagrams.campaigns.experiment import Experiment, Summary
+from diagrams.campaigns.methods_compared import compare_methods, specs_of_methods
 from diagrams.campaigns.paper_numbers import WHOLE_PROCEDURE
-from planners.campaigns.tables import Estimate, mean, share
 from planners.campaigns.trial import CampaignError, TrialOutcome, TrialSpec
-from planners.methods import METHODS
 
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
-_HERE = "diagrams.campaigns.whole_procedure"
 _FATES = ("held", "fell", "dropped", "gave up")
 
 
@@ -51,67 +45,23 @@ def trial(*, seed: int, object_name: str, method: str) -> dict[str, Any]:
 def _specs(objects: Sequence[str], trials: int, seed: int, truth: str) -> list[TrialSpec]:
     if truth != "plant":
         raise CampaignError("fig7: the robot's cell is simulated by plant alone; leave out --truth")
-    return [
-        TrialSpec(
-            f"{name}-{method}-{number}", f"{_HERE}:trial", {"object_name": name, "method": method}, number
-        )
-        for name, number in names_and_seeds(objects, trials, seed)
-        for method in METHODS
-    ]
+    return specs_of_methods(f"{__name__}:trial", objects, trials, seed)
 
 
 def _summary(outcomes: Sequence[TrialOutcome]) -> Summary:
-    results: dict[str, dict[str, list[dict[str, Any]]]] = {}
-    for outcome in outcomes:
-        if outcome.result is not None:
-            told = outcome.spec.parameters
-            of_object = results.setdefault(told["object_name"], {method: [] for method in METHODS})
-            of_object[told["method"]].append(outcome.result)
-    held = {
-        name: {
-            method: share(sum(one["fate"] == "held" for one in of[method]), len(of[method]))
-            for method in METHODS
-        }
-        for name, of in results.items()
-    }
-    every = {method: [one for of in results.values() for one in of[method]] for method in METHODS}
-    pushes = {method: mean([len(one["pushes"]) for one in every[method]]) for method in METHODS}
-    fates = {method: Counter(one["fate"] for one in every[method]) for method in METHODS}
-    rows = []
-    for name, of_methods in held.items():
-        rows.append([name, *(one.percent() for one in of_methods.values())])
-        if name in WHOLE_PROCEDURE:
-            paper = WHOLE_PROCEDURE[name]
-            rows.append(["  paper", *(f"{paper[m]:.0f}" if m in paper else "–" for m in METHODS)])
-    ways = [
-        ["pushes to the edge, mean", *(pushes[method].short(digits=2) for method in METHODS)],
-        *([fate, *(str(fates[method][fate]) for method in METHODS)] for fate in _FATES),
-    ]
+    compared = compare_methods(outcomes, good="held", pushes=lambda result: len(result["pushes"]))
+    title = "Explored, brought to the edge, grasped and lifted"
     return Summary(
         [
-            TableText("Explored, brought to the edge, grasped and lifted, %", ("object", *METHODS), rows),
-            TableText("Pushes to the edge, and how trials ended", ("", *METHODS), ways),
+            compared.success_table(f"{title}, %", WHOLE_PROCEDURE),
+            compared.ways_table(
+                "Pushes to the edge, and how trials ended", "pushes to the edge, mean", _FATES
+            ),
         ],
         "Pushes count in all trials, failed ones too; those that explore are not among them.",
-        {
-            "held": {
-                name: {method: one.to_json() for method, one in of.items()} for name, of in held.items()
-            },
-            "pushes": {method: one.to_json() for method, one in pushes.items()},
-            "fates": {method: dict(of) for method, of in fates.items()},
-            "paper": WHOLE_PROCEDURE,
-        },
-        lambda: _figure(held),
+        compared.to_json("held") | {"paper": WHOLE_PROCEDURE},
+        lambda: compared.figures(title, WHOLE_PROCEDURE),
     )
-
-
-def _figure(held: dict[str, dict[str, Estimate]]) -> list[Figure]:
-    from diagrams.figures.campaigns import shares_figure
-
-    marks = {
-        name: {method: (value, value) for method, value in of.items()} for name, of in WHOLE_PROCEDURE.items()
-    }
-    return [shares_figure("Explored, brought to the edge, grasped and lifted", held, marks)]
 
 
 FIGURE_7 = Experiment("fig7", 10, _specs, _summary, ("hammer",))
