@@ -71,6 +71,11 @@ class ExplorationRecord(PushRecord):
             write_json(self._folder / RUN, self._run)
             super().keep(recorded)
 
+    def note(self, push: int, rows: dict[str, Any]) -> None:
+        """See `PushRecord.note`."""
+        with self._going_on(push):
+            super().note(push, rows)
+
     def end(self) -> None:
         """Say that the run came to its end, for better or worse: it may be replaced by another."""
         if self._run is not None:

@@ -11,6 +11,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from diagrams import outputs
 from diagrams.console import BadInput
 from diagrams.exploration_loop import LoopOptions
 from diagrams.exploration_record import PICTURE, RUN, SCENARIO, ExplorationRecord, resumed
@@ -149,6 +150,20 @@ def test_what_was_measured_of_the_push_under_way_stays_until_it_is_recorded(whol
     assert len(resumed(tmp_path)[2].trials) == 1
     record.keep(part(whole, 2))
     assert not (tmp_path / UNDER_WAY).exists()
+
+
+def test_a_disk_that_is_full_before_the_push_is_over_is_told_alike(whole, tmp_path, monkeypatch):
+    record = recorded(tmp_path, whole, 1)
+
+    def full(*arguments, **options):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    with monkeypatch.context() as patch, pytest.raises(BadInput) as told:
+        patch.setattr(outputs.os, "replace", full)
+        record.note(1, {"tip_pose": ((0.5, 0.1, 0.2, 0.0),)})
+    for words in (f"{UNDER_WAY}: the disk is full; make room", "the push before is kept", "--resume"):
+        assert words in said(told)
+    assert len(resumed(tmp_path)[2].trials) == 1
 
 
 def test_a_full_disk_names_the_file_and_says_how_to_go_on(whole, tmp_path, monkeypatch):
