@@ -122,11 +122,12 @@ def message(q: FloatArray, now: float) -> bytes:
 
 def main(url: str) -> None:
     """Send what comes in on the standard input until it ends and the arm has come to rest."""
-    lcm = open_lcm(url)
+    lcm = open_lcm(url, listens=False)  # or it would also receive all pictures
     buffer = CommandBuffer()
     source, received, ends = sys.stdin.fileno(), b"", np.inf
-    with suppress(OSError):
-        os.nice(-10)  # where that is allowed; others must not keep the arm waiting
+    with suppress(OSError, AttributeError):
+        # Where the system has this and allows it, no other process keeps the arm waiting.
+        os.sched_setscheduler(0, os.SCHED_RR, os.sched_param(1))
     gc.freeze()
     gc.disable()
     be_ready()

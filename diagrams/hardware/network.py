@@ -16,10 +16,11 @@ _LOOK_EVERY = 1e-3  # s
 _BUFFER = 4_194_304  # bytes that the socket holds; a picture comes in several packets at once
 
 
-def open_lcm(url: str = LCM_URL) -> DrakeLcm:
+def open_lcm(url: str = LCM_URL, *, listens: bool = True) -> DrakeLcm:
     """A connection to an address.
 
     Args:
+        listens: whether messages will be heard, and not only sent; the network is tried out then.
         url: `udpm://GROUP:PORT`, with `?ttl=N` for N > 0 where messages shall leave this computer, or `memq://`
             for one that exists in this object alone.
 
@@ -47,6 +48,8 @@ def open_lcm(url: str = LCM_URL) -> DrakeLcm:
     settings = {"ttl": "0", "recv_buf_size": str(_BUFFER), **settings}
     address = url.partition("?")[0]
     lcm = DrakeLcm(f"{address}?{'&'.join('='.join(item) for item in settings.items())}")
+    if not listens:
+        return lcm
     try:
         lcm.HandleSubscriptions(0)
     except RuntimeError as error:

@@ -64,7 +64,7 @@ def main(url: str) -> None:
 
     source = sys.stdin.fileno()
     scenario: Scenario = pickle.loads(_read(source, _LENGTH.unpack(_read(source, _LENGTH.size))[0]))
-    twin = CellTwin(scenario, open_lcm(url), arm=False)
+    twin = CellTwin(scenario, open_lcm(url, listens=False), arm=False)
     root = Simulator(twin).get_mutable_context()
     plant = twin.station.plant
     state = plant.GetMyMutableContextFromRoot(root)
