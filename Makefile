@@ -30,7 +30,7 @@ bench: $(STAMP) ## Measure how fast slipmap is on this machine
 	@$(BIN)/slipmap bench
 
 notebooks: $(STAMP) ## Run the notebooks anew and keep what they show
-	@for notebook in notebooks/*.ipynb; do echo $$notebook; $(BIN)/python notebooks/run.py $$notebook || exit 1; done
+	@$(BIN)/python notebooks/run.py notebooks/*.ipynb
 
 install: $(STAMP) ## Install slipmap into its environment, which the others do by themselves
 

@@ -1,7 +1,7 @@
-"""Run a notebook from top to bottom and keep what it shows: `python notebooks/run.py 01_sliding.ipynb`.
+"""Run notebooks from top to bottom and keep what they show: `python notebooks/run.py NOTEBOOK …`.
 
-Jupyter does the same with more fuss in the file: here counters, times and versions are left out, and pictures are
-packed small, so that a change of a notebook reads as one.
+Jupyter does the same with more noise in the file: here counters, times and versions are left out, and
+pictures are packed small, so that a change of a notebook reads as one.
 """
 
 from __future__ import annotations
@@ -34,32 +34,53 @@ class CellFailed(RuntimeError):
 def main() -> None:
     """Command line."""
     parser = argparse.ArgumentParser(description="Run notebooks from top to bottom and keep what they show.")
-    parser.add_argument("notebook", type=Path)
-    parser.add_argument("--check", action="store_true", help="only run it; the file stays as it is")
+    parser.add_argument("notebooks", type=Path, nargs="+", metavar="NOTEBOOK")
+    parser.add_argument(
+        "--check", action="store_true", help="only run them, here; the files stay as they are"
+    )
     arguments = parser.parse_args()
-    path = arguments.notebook.resolve()
-    notebook = json.loads(path.read_text())
-    if not arguments.check:
-        os.chdir(path.parent)  # where Jupyter would run it
-    try:
-        execute(notebook)
-    except CellFailed as error:
-        sys.exit(f"{path.name}, {error}")
-    if not arguments.check:
-        path.write_text(as_text(notebook))
+    shell = _shell()
+    for path in [path.resolve() for path in arguments.notebooks]:
+        notebook = json.loads(path.read_text())
+        if not arguments.check:
+            os.chdir(path.parent)  # where Jupyter would run it
+        shell.reset()
+        try:
+            execute(notebook, shell)
+        except CellFailed as error:
+            sys.exit(f"{path.name}, {error}")
+        if not arguments.check:
+            path.write_text(as_text(notebook))
 
 
-def execute(notebook: dict[str, Any]) -> None:
-    """Run all code cells in this process, and put what they show in place of their outputs.
+def execute(notebook: dict[str, Any], shell: Any) -> None:
+    """Run all code cells, and put what they show in place of their outputs.
+
+    Args:
+        notebook: that is changed.
+        shell: with nothing defined yet.
 
     Raises:
         CellFailed: one raised an exception; those behind it were not run.
     """
-    # The same as in Jupyter, without a server: cell magics, the last expression, figures in line.
+    from IPython.utils.capture import capture_output
+
+    cells = [cell for cell in notebook["cells"] if cell["cell_type"] == "code"]
+    for number, cell in enumerate(cells, start=1):
+        source = "".join(cell["source"])
+        with capture_output() as shown:
+            result = shell.run_cell(source, store_history=True)
+        sys.stderr.write(shown.stderr)
+        if not result.success:
+            raise CellFailed(f"code cell {number} failed:\n{source}\n\n{shown.stdout}")
+        cell["outputs"] = _kept(shown)
+
+
+def _shell() -> Any:
+    """What runs cells as Jupyter does, without a server: magics, the last expression, figures in line."""
     os.environ["MPLBACKEND"] = "module://matplotlib_inline.backend_inline"
     from IPython.core.displayhook import DisplayHook
     from IPython.core.interactiveshell import InteractiveShell
-    from IPython.utils.capture import capture_output
 
     class Published(DisplayHook):
         def __call__(self, result: object = None) -> None:
@@ -75,16 +96,7 @@ def execute(notebook: dict[str, Any]) -> None:
 
     shell = Shell.instance(colors="nocolor")
     shell.history_manager.enabled = False  # nothing goes to the user's own history
-    cells = [cell for cell in notebook["cells"] if cell["cell_type"] == "code"]
-    for number, cell in enumerate(cells, start=1):
-        source = "".join(cell["source"])
-        with capture_output() as shown:
-            result = shell.run_cell(source, store_history=True)
-        sys.stderr.write(shown.stderr)
-        if not result.success:
-            raise CellFailed(f"code cell {number} failed:\n{source}\n\n{shown.stdout}")
-        cell["outputs"] = _kept(shown)
-        cell["execution_count"] = None
+    return shell
 
 
 def as_text(notebook: dict[str, Any]) -> str:

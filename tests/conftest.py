@@ -14,6 +14,7 @@ if "PYTEST_XDIST_WORKER" in os.environ:
 # Which take longest, one or few tests each. Begun last, they would keep one worker while the other has
 # nothing left to do; by itself, xdist begins files with few tests last.
 COSTLY = (
+    "test_notebooks.py",
     "test_missing_effect.py",
     "test_station_hides_an_effect.py",
     "test_diagnose.py",

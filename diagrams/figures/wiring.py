@@ -1,4 +1,4 @@
-"""A Drake diagram as an N² chart: its systems on the diagonal, what one tells another where row and column meet."""
+"""A Drake diagram as an N² chart: systems on the diagonal, what one tells another where they meet."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ WIDE, HIGH = 1.12, 0.62  # inches, a cell
 
 @styled
 def wiring_figure(diagram: Diagram) -> Figure:
-    """Systems of a diagram in the order in which they were added, with the names of connected output ports.
+    """Systems of a diagram in the order in which they were added, and the connected output ports of each.
 
-    Outputs leave to the left and right and enter from above and below: what stands in the row of one system and
-    the column of another goes from the first to the second. Above the diagonal it goes forward, below it back.
+    Outputs leave to the left and right and enter from above and below: what stands in the row of one system
+    and the column of another goes from the first to the second.
 
     Args:
         diagram: with connections between its systems; exported ports are not shown.
@@ -42,9 +42,8 @@ def wiring_figure(diagram: Diagram) -> Figure:
         x, y = target + 0.5, source + 0.5
         for points in (([source + 0.5, x], [y, y]), ([x, x], [y, target + 0.5])):
             axes.plot(*points, color=FAINT, linewidth=0.6, zorder=1)
-        lines = [name.replace("_", "_\N{ZERO WIDTH SPACE}") for name in names]
         box = {"facecolor": "white", "edgecolor": "none", "pad": 1.0}
-        axes.text(x, y, "\n".join(lines), fontsize=6, color=INK, ha="center", va="center", bbox=box, zorder=3)
+        axes.text(x, y, "\n".join(names), fontsize=6, color=INK, ha="center", va="center", bbox=box, zorder=3)
     for name, k in place.items():
         axes.add_patch(Rectangle((k + 0.06, k + 0.2), 0.88, 0.6, facecolor=PAPER, edgecolor=BELIEF, zorder=2))
         axes.text(
