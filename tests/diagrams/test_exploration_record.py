@@ -32,6 +32,7 @@ def scenario() -> Scenario:
     made = Scenario()
     made.object.name = "book"
     made.table.friction = 0.7
+    made.camera.width, made.camera.height_pixels = 320, 240  # for speed
     return made
 
 

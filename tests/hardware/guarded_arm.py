@@ -15,13 +15,15 @@ from diagrams.execution.finger_kinematics import FingerKinematics
 from diagrams.execution.push_executor import PushExecutor
 from diagrams.hardware.guard import CommandGuard
 from diagrams.hardware.guard_rules import PERIOD
-from diagrams.station.arm import HOME, arm_model
+from diagrams.station.arm import arm_model
 from planners.table_push import TablePush
 from tests.hardware.faults import FollowingArm, StatusLink
 
 PUSH = TablePush(np.array([-0.12, 0.02]), np.array([0.06, 0.02]), 0.1)
 MODEL = arm_model()
 KINEMATICS = FingerKinematics(MODEL)
+NEAR = KINEMATICS.inverse(np.array([-0.14, 0.02, 0.10]))
+"""(7,) joint angles over the begin of the push, from where it does not take long."""
 
 
 @dataclass(frozen=True)
@@ -59,7 +61,7 @@ def run(
     arm=None,
     settings=None,
     push=PUSH,
-    start=HOME,
+    home=NEAR,
     before_guard=None,
     gripper=None,
     **inputs,
@@ -72,16 +74,16 @@ def run(
         arm: `FollowingArm`.
         settings: `GuardSettings`.
         push: what to do; None for nothing.
-        start: joint angles at the begin.
+        home: joint angles at the begin, and between pushes.
         before_guard: system between executor and guard, ports 0.
         gripper: source of the gripper's state for the executor.
         inputs: sources for `image_age` or `abort` of the guard, systems with one output.
     """
     builder = DiagramBuilder()
-    executor = builder.AddSystem(PushExecutor(MODEL, HOME))
+    executor = builder.AddSystem(PushExecutor(MODEL, home))
     guard = builder.AddSystem(CommandGuard(MODEL, settings))
     link = builder.AddSystem(link or StatusLink())
-    arm = builder.AddSystem(arm or FollowingArm(start))
+    arm = builder.AddSystem(arm or FollowingArm(home))
     request = builder.AddSystem(ConstantValueSource(Value[object](push and ActivePush(1, push))))
     builder.Connect(request.get_output_port(), executor.GetInputPort("push"))
     wanted = executor.GetOutputPort("iiwa.position")

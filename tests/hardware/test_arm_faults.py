@@ -13,12 +13,13 @@ from diagrams.station.arm import HOME
 from models.robots import POSITION_LIMITS, SPEED_LIMITS
 from tests.diagrams.systems.driven_block import DrivenBlock
 from tests.hardware.faults import FollowingArm, StatusLink
-from tests.hardware.guarded_arm import MODEL, run
+from tests.hardware.guarded_arm import MODEL, NEAR, run
 
-AT = 2.05
-"""s; the finger then pushes."""
+AT = 1.1
+"""s; the finger then pushes, if the arm comes from near."""
 FASTEST = 0.7
-"""s; the arm is then in the middle of its fast way to the push."""
+"""s; the arm is then in the middle of its fast way to the push, if it comes from home."""
+AFAR = (FASTEST, HOME)
 REST = GuardSettings().stopping
 
 
@@ -76,7 +77,7 @@ def smooth(log, stopped):
 
 @pytest.fixture(scope="module")
 def undisturbed():
-    return run(6.5)
+    return run(6.5, home=HOME)
 
 
 def test_without_a_fault_the_whole_push_passes_unchanged(undisturbed):
@@ -86,12 +87,13 @@ def test_without_a_fault_the_whole_push_passes_unchanged(undisturbed):
     assert (log.status.mode, log.status.push_id) == ("home", 1)
     assert limited(log)
     assert (np.abs(log.speeds).max(axis=0) / SPEED_LIMITS).max() > 0.5
-    assert log.modes[int(AT / PERIOD)] == "pushing" and log.modes[int(FASTEST / PERIOD)] == "approaching"
+    assert log.modes[int(FASTEST / PERIOD)] == "approaching"
+    assert run(AT).modes[-1] == "pushing"
 
 
-@pytest.mark.parametrize("at", [AT, FASTEST])
-def test_a_status_that_stops_is_noticed_when_it_is_too_old_and_the_arm_rests_50_ms_later(at):
-    log = run(at + 0.2, link=StatusLink("stop", at))
+@pytest.mark.parametrize(("at", "home"), [(AT, NEAR), AFAR])
+def test_a_status_that_stops_is_noticed_when_it_is_too_old_and_the_arm_rests_50_ms_later(at, home):
+    log = run(at + 0.2, home=home, link=StatusLink("stop", at))
     health = held(log, at, GuardSettings().status_age + PERIOD + REST)
     assert "55 ms old, 50 ms are allowed" in health.cause
     assert "driver" in health.remedy
@@ -128,17 +130,19 @@ def test_a_status_that_goes_back_in_time_is_dropped_and_counts_as_late():
     assert not any("leaps" in health.cause for health in log.health)
 
 
-@pytest.mark.parametrize(("at", "leap"), [(AT, -1.0), (AT, np.nan), (FASTEST, 0.05), (FASTEST, np.inf)])
-def test_a_wanted_position_that_leaps_or_is_no_number_becomes_a_hold(at, leap):
+@pytest.mark.parametrize(
+    ("at", "home", "leap"), [(AT, NEAR, -1.0), (AT, NEAR, np.nan), (*AFAR, 0.05), (*AFAR, np.inf)]
+)
+def test_a_wanted_position_that_leaps_or_is_no_number_becomes_a_hold(at, home, leap):
     """The arm does not go there, not by one step."""
-    log = run(at + 0.3, before_guard=Wish(at, leap=leap))
+    log = run(at + 0.3, home=home, before_guard=Wish(at, leap=leap))
     health = held(log, at, REST + PERIOD)
     assert ("leaps: iiwa_joint_1" if np.isfinite(leap) else "no number") in health.cause
     assert smooth(log, health.time)
 
 
 def test_a_wanted_position_that_creeps_to_a_joints_limit_stops_short_of_it():
-    log = run(3.0, push=None, before_guard=Wish(0.5, creep=1.2))
+    log = run(1.8, push=None, before_guard=Wish(0.1, creep=1.2))
     assert "iiwa_joint_1 comes near its limit" in held(log, health_time(log), REST + PERIOD).cause
     margin = POSITION_LIMITS[0] - np.abs(log.commands[:, 0]).max()
     assert GuardSettings().joint_margin - 1e-9 <= margin < GuardSettings().joint_margin + 0.01
@@ -146,27 +150,27 @@ def test_a_wanted_position_that_creeps_to_a_joints_limit_stops_short_of_it():
 
 def test_a_finger_that_would_be_too_fast_stops_though_no_joint_is():
     settings = GuardSettings(tip_speed=0.5)
-    log = run(2.0, settings=settings)
+    log = run(1.5, home=HOME, settings=settings)
     assert "0.5 m/s are allowed" in held(log, health_time(log), REST + PERIOD).cause
     assert log.tip_speeds.max() <= 0.5
 
 
 def test_an_arm_that_refuses_to_move_is_not_told_to_go_much_further():
-    log = run(AT + 1.2, arm=FollowingArm(HOME, "refuse", AT))
+    log = run(AT + 1.2, arm=FollowingArm(NEAR, "refuse", AT))
     health = held(log, health_time(log), REST)
     assert "does not follow" in health.cause and "braked" in health.remedy
     assert np.abs(log.commands[-1] - log.measured[-1]).max() < GuardSettings().following + 0.03
 
 
 def test_a_force_that_lasts_stops_the_arm_within_50_ms_and_names_joint_and_torque():
-    log = run(AT + 0.2, arm=FollowingArm(HOME, "force", AT, 45.0))
+    log = run(AT + 0.2, arm=FollowingArm(NEAR, "force", AT, 45.0))
     health = held(log, AT, 0.02 + 2 * PERIOD + REST)
     assert "45.0 N m at iiwa_joint_4, 30 N m are allowed" in health.cause
     assert health.time - AT < 0.05
 
 
 def test_a_knock_as_when_the_finger_meets_an_object_stops_nothing():
-    log = run(AT + 0.2, arm=FollowingArm(HOME, "knock", AT, 45.0))
+    log = run(AT + 0.2, arm=FollowingArm(NEAR, "knock", AT, 45.0))
     assert log.health[-1].ok and log.status.mode == "pushing"
 
 
@@ -208,7 +212,7 @@ def test_a_gripper_that_does_not_close_ends_the_push_before_it_begins():
     assert "does not close: it is open by 94 mm" in stuck.status.reason
     assert set(stuck.modes) == {"home", "stopped"}
     late = run(1.0, gripper=Signal(lambda t: [0.094 if t < 0.5 else 0.004, 0.0], size=2))
-    assert late.status.mode == "approaching"
+    assert late.status.mode in ("approaching", "lowering")
 
 
 def test_an_arm_that_never_says_anything_is_an_error_after_a_while_and_moves_nowhere():

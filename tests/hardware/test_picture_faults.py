@@ -150,8 +150,17 @@ def test_pictures_that_stop_or_repeat_themselves_are_no_new_poses_and_too_old_af
     assert not any(observed.valid for observed in said[OLD + 2 :])
 
 
-@pytest.mark.parametrize("fault", ["zeros", "nans", "rubbish"])
-@pytest.mark.parametrize("band", [(0.0, 1.0), (0.3, 0.55), (0.45, 0.53)])
+@pytest.mark.parametrize(
+    ("fault", "band"),
+    [
+        ("zeros", (0.0, 1.0)),
+        ("rubbish", (0.0, 1.0)),
+        ("nans", (0.3, 0.55)),
+        ("rubbish", (0.3, 0.55)),
+        ("nans", (0.45, 0.53)),
+        ("rubbish", (0.45, 0.53)),
+    ],
+)
 def test_a_band_without_readings_is_a_corrupt_picture_or_does_no_harm(watched, fault, band):
     """The last band is less than a tenth of the picture, over the object."""
     said = watched.looks(fault, band, last=6)
@@ -164,7 +173,7 @@ def test_a_band_without_readings_is_a_corrupt_picture_or_does_no_harm(watched, f
 @pytest.mark.parametrize("band", [(0.5, 1.0), (0.0, 0.45), (0.48, 0.52)])
 def test_torn_pictures_of_a_moving_object_have_no_pose(watched, band):
     """The halves are 7 mm apart. The first has rows of the picture before; those after it have not."""
-    said = watched.looks("torn", band, last=5)
+    said = watched.looks("torn", band, last=4)
     assert watched.right(said)
     assert reasons(said[1:]) == {"torn picture"}
     assert not any(observed.valid for observed in said[1:])
@@ -192,7 +201,7 @@ def test_after_a_torn_picture_poses_go_on_once_the_object_rests(watched):
 def test_a_camera_without_noise_may_repeat_itself():
     """In a simulation without noise a scene at rest has the same picture again and again."""
     noiseless = Watched(stamped=False, noise=False)
-    said = noiseless.looks("freeze", last=8)
+    said = noiseless.looks("freeze", last=6)
     assert all(observed.valid for observed in said)
     times = [observed.time for observed in said]
     assert all(later > earlier for earlier, later in pairwise(times))
