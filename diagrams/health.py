@@ -96,8 +96,11 @@ def _packages() -> Iterator[Finding]:
     """What slipmap's own description asks for, in the versions that it asks for."""
     from importlib.metadata import PackageNotFoundError, version
 
-    from packaging.requirements import Requirement
-
+    try:
+        from packaging.requirements import Requirement
+    except ImportError:
+        yield _finding("packaging", False, "not installed", f"{sys.executable} -m pip install packaging")
+        return
     wanted = [Requirement(text) for text in _required()]
     for requirement in wanted:
         if requirement.marker is not None and not requirement.marker.evaluate({"extra": ""}):
@@ -145,9 +148,11 @@ def _compiler(attempt: Try) -> Finding:
 
 
 def _cache() -> Finding:
-    from models.physics.compiled import CACHE_FOLDER, needs_compiling
-
     name, remedy = "cache of compiled kernels", "export SLIPMAP_CACHE=/a/folder/that/you/may/write"
+    try:
+        from models.physics.compiled import CACHE_FOLDER, needs_compiling
+    except ImportError as error:
+        return _finding(name, False, f"cannot be told: {error}", "install what is missing above")
     try:
         CACHE_FOLDER.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryFile(dir=CACHE_FOLDER) as file:
@@ -159,22 +164,18 @@ def _cache() -> Finding:
 
 
 def _disk() -> Finding:
-    from models.physics.compiled import CACHE_FOLDER
-
-    place = next(folder for folder in (CACHE_FOLDER, *CACHE_FOLDER.parents) if folder.exists())
-    least = min(shutil.disk_usage(folder).free for folder in (place, Path.cwd())) / 1e9
+    least = min(shutil.disk_usage(folder).free for folder in (Path.home(), Path.cwd())) / 1e9
     remedy = "make room, or move the cache with the environment variable SLIPMAP_CACHE"
     return _finding("disk", least >= LEAST_DISK, f"{least:.1f} GB free", remedy)
 
 
 def _cores() -> Finding:
-    import numba
-
     available = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    threads = numba.config.NUMBA_NUM_THREADS
-    found = f"{available}, rollouts use {threads} threads"
+    threads = os.environ.get("NUMBA_NUM_THREADS", str(available))
+    ok = available >= 2 and threads.isdigit() and 1 <= int(threads) <= available
     remedy = "with one core everything takes its time; more threads than cores: unset NUMBA_NUM_THREADS"
-    return _finding("processor cores", available >= 2 and threads <= available, found, remedy, needed=False)
+    found = f"{available}, threads for rollouts: {threads}"
+    return _finding("processor cores", ok, found, remedy, needed=False)
 
 
 def _browser() -> Finding:

@@ -64,6 +64,22 @@ def test_a_cache_that_cannot_be_written(monkeypatch, tmp_path):
     assert found.needed and not found.ok and "SLIPMAP_CACHE" in found.remedy
 
 
+def test_a_machine_on_which_nothing_loads_is_told_too(monkeypatch):
+    monkeypatch.setitem(sys.modules, "models.physics.compiled", None)
+    found = findings({"import": "ModuleNotFoundError: No module named 'numba'"})
+    cache = found["cache of compiled kernels"]
+    assert not cache.ok and "models.physics.compiled" in cache.found
+    assert not found["compiler (numba)"].ok
+
+
+@pytest.mark.parametrize(("threads", "ok"), [("1", True), ("999", False), ("many", False)])
+def test_threads_that_outnumber_cores(monkeypatch, threads, ok):
+    monkeypatch.setattr(health.os, "sched_getaffinity", lambda process: {0, 1}, raising=False)
+    monkeypatch.setenv("NUMBA_NUM_THREADS", threads)
+    found = findings()["processor cores"]
+    assert found.ok is ok and not found.needed and threads in found.found
+
+
 def test_a_full_disk(monkeypatch):
     usage = namedtuple("usage", "total used free")
     monkeypatch.setattr(health.shutil, "disk_usage", lambda folder: usage(10e9, 9.8e9, 0.2e9))
