@@ -14,7 +14,7 @@ from pydrake.manipulation import (
     SchunkWsgStatusSender,
 )
 from pydrake.math import RigidTransform
-from pydrake.systems.framework import Context, Diagram, DiagramBuilder, LeafSystem
+from pydrake.systems.framework import Context, Diagram, DiagramBuilder, DiscreteValues, LeafSystem
 from pydrake.systems.lcm import LcmInterfaceSystem, LcmPublisherSystem
 from pydrake.systems.primitives import ConstantVectorSource
 from pydrake.systems.sensors import ImageToLcmImageArrayT, PixelType
@@ -24,7 +24,7 @@ from diagrams.hardware.messages import CheckedMessages, Received, publish
 from diagrams.hardware.validation import POSE_COORDINATES, rules
 from diagrams.station.scenario import Scenario
 from diagrams.station.station import Station
-from models.robots import GRIP_FORCE
+from models.robots import GRIP_FORCE, SPEED_LIMITS
 
 
 class CellTwin(Diagram):
@@ -32,7 +32,9 @@ class CellTwin(Diagram):
 
     It has no ports; its subsystem `station` is the `Station`. Messages of the arm are sent at 200 Hz, of the
     gripper at 20 Hz, pictures at the camera's rate, packed, with where they were taken from. The stamps are
-    the diagram's clock. Until commands come the arm stays as it is, and the gripper is closed.
+    the diagram's clock. Until commands come the arm stays as it is, and the gripper is closed. The arm
+    follows commands no faster than its joints may turn, also where this process was late and they seem to
+    leap.
 
     Args:
         scenario: what the cell is like.
@@ -84,7 +86,9 @@ def _add_arm(
     measured = station.GetOutputPort("iiwa.position_measured")
     builder.Connect(commands.GetOutputPort("message"), receiver.GetInputPort("lcmt_iiwa_command"))
     builder.Connect(measured, receiver.GetInputPort("position_measured"))
-    builder.Connect(receiver.GetOutputPort("position"), station.GetInputPort("iiwa.position"))
+    limit = builder.AddSystem(_SpeedLimit())
+    builder.Connect(receiver.GetOutputPort("position"), limit.get_input_port())
+    builder.Connect(limit.get_output_port(), station.GetInputPort("iiwa.position"))
     builder.Connect(measured, sender.GetInputPort("position_measured"))
     for name in ("position_commanded", "velocity_estimated", "torque_external"):
         builder.Connect(station.GetOutputPort(f"iiwa.{name}"), sender.GetInputPort(name))
@@ -130,6 +134,26 @@ def _add_camera(
     builder.Connect(station.GetOutputPort("camera.X_WC"), pose.get_input_port())
     builder.Connect(pose.get_output_port(), publisher.get_input_port())
     return {**result, channels.CAMERA_POSE: publisher}
+
+
+class _SpeedLimit(LeafSystem):
+    """Joint angles that go after others no faster than joints may turn."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.DeclareVectorInputPort("wanted", 7)
+        followed = self.DeclareDiscreteState(7)
+        self.DeclareInitializationDiscreteUpdateEvent(self._begin)
+        self.DeclarePeriodicDiscreteUpdateEvent(channels.ARM_PERIOD, 0.0, self._follow)
+        self.DeclareStateOutputPort("followed", followed)
+
+    def _begin(self, context: Context, state: DiscreteValues) -> None:
+        state.set_value(self.get_input_port().Eval(context))
+
+    def _follow(self, context: Context, state: DiscreteValues) -> None:
+        now = context.get_discrete_state_vector().value()
+        most = channels.ARM_PERIOD * SPEED_LIMITS
+        state.set_value(now + np.clip(self.get_input_port().Eval(context) - now, -most, most))
 
 
 class _PoseSender(LeafSystem):

