@@ -27,7 +27,9 @@ _CLOCKS = 0.5
 """s by which a message may seem to come from the future: this process's clock is late when it was busy."""
 
 _START = "check the arm and its surroundings, then start again"
-LINK = "see whether the arm's driver runs and the cable holds, then start again"
+LINK = (
+    "see whether the arm's driver runs, the cable holds and this computer is not too busy, then start again"
+)
 
 
 @dataclass(frozen=True, eq=False)
