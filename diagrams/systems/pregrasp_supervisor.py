@@ -14,6 +14,7 @@ from diagrams.execution.messages import ActiveGrasp
 from diagrams.systems.held import held, read, replace_held
 from diagrams.systems.messages import MOST_ATTEMPTS, LoopStatus, PregraspPlan
 from diagrams.systems.push_supervisor import PATIENCE, PERIOD, unseen
+from models.perception.observed_pose import ObservedPose
 from models.robots import FINGER_RADIUS
 
 HOLD = 1.0
@@ -131,7 +132,10 @@ class PregraspSupervisor(LeafSystem):
         if status.mode == "planning":
             plan: PregraspPlan | None = self._input(context, "plan")
             if plan is None or plan.number != status.number:
-                return patient(unseen(self._input(context, "object_pose")))
+                pose: ObservedPose | None = self._input(context, "object_pose")
+                if pose is not None and pose.valid:
+                    return now  # planning takes its time
+                return patient(unseen(pose))
             return _started(plan, status, time)
         if status.mode in ("pushing", "grasping") and answered and execution.mode == "refused":
             if status.attempt + 1 == MOST_ATTEMPTS:

@@ -89,6 +89,8 @@ class PushSupervisor(LeafSystem):
         if now.mode == "choosing":
             request = self._input(context, "poke")
             if request is None or request.number != now.number:
+                if self._input(context, "object_pose").valid:
+                    return now  # choosing takes its time
                 return self._patient(context, now, self._unseen(context))
             if request.poke is None:
                 return LoopStatus("failed", now.push, now.attempt, request.reason)

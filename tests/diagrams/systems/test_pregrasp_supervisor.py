@@ -141,6 +141,15 @@ def test_a_plan_of_nothing_ends_the_loop_with_its_reason():
     assert loop.read("status").reason == "no goal"
 
 
+def test_planning_may_take_its_time_while_the_object_is_seen():
+    loop = Loop()
+    loop.step()
+    loop.advance(2 * PATIENCE)
+    assert loop.read("status").mode == "planning"
+    loop.step(object_pose=ObservedPose.unseen("left the table"))
+    assert "left the table" in loop.read("status").reason
+
+
 def test_an_object_that_is_not_seen_after_a_push_ends_the_loop():
     loop = Loop()
     loop.step()

@@ -176,6 +176,13 @@ def test_an_object_that_is_lost_while_a_push_is_chosen_ends_the_loop():
     assert "left the table" in lost(loop).reason
 
 
+def test_choosing_may_take_its_time():
+    loop = Loop()
+    assert loop.step(object_pose=seen_at(0, 0, 0), cell_grid=GRID).mode == "choosing"
+    loop.advance(2 * PATIENCE)
+    assert loop.read("status").mode == "choosing"
+
+
 def test_learning_may_take_its_time():
     """The arm may be slow and learning late; neither is a lost object."""
     loop = Loop()
