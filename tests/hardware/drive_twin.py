@@ -4,8 +4,9 @@
 
 A twin comes up in a process of its own, `slipmap explore --hardware` pushes what lies there once and learns
 from it, and both end. The exit code is that of exploring. The cell is small: a camera of 320 by 240 pixels at
-5 Hz, so that two cores keep up with real time while little else runs. Whether they do, the twin says; where
-they do not, the guard may stop the arm.
+5 Hz, so that two cores keep up with real time while little else runs, and the guard allows for the hiccups of
+a computer that is no controller. The twin says whether it keeps up; where it does not, the guard stops the
+arm.
 """
 
 from __future__ import annotations
@@ -22,6 +23,7 @@ CELL = """\
 object: {name: book}
 simulation: {time_step: 0.005}
 camera: {width: 320, height_pixels: 240, rate: 5.0}
+guard: {status_age: 0.4, image_age: 5.0, following: 0.2, lag: 0.5}
 """
 
 
