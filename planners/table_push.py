@@ -86,6 +86,28 @@ class TablePush:
                 speeds.append(reached)
         return Pace(np.array(times), np.array(ways), np.array(speeds))
 
+    def path(
+        self, step: float, *, speeding_up: float = 0.5, slowing_down: float = 0.5, rest: float = 0.4
+    ) -> FloatArray:
+        """(N + 1, 2) centre of the finger, a row each `step` (s), as `models.physics.pushes.Push` takes it.
+
+        The finger rests before it moves, and after; an object that was tapped slides on meanwhile.
+
+        Args:
+            step: s.
+            speeding_up: acceleration in pushes that are not taps, m/s².
+            slowing_down: the same at the end.
+            rest: at least so long before and after, s.
+
+        Raises:
+            ValueError: a step that is not positive.
+        """
+        if not (np.isfinite(step) and step > 0):
+            raise ValueError(f"push: the step must be positive, got {step} s")
+        pace = self.pace(speeding_up, slowing_down)
+        times = step * np.arange(int(np.ceil((pace.duration + 2 * rest) / step)) + 1)
+        return self.begin + np.outer(pace.at(times - rest), self.direction)
+
 
 @dataclass(frozen=True, eq=False)
 class Pace:

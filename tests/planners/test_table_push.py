@@ -52,3 +52,17 @@ def test_a_tap_touches_slowly():
     ways = pace.at(times)
     slow = ways[1:] < 0.019
     assert (np.diff(ways) / np.diff(times))[slow].max() < TOUCH_SPEED + 1e-6
+
+
+@pytest.mark.parametrize("creep", [0.0, 0.02])
+def test_the_path_rests_goes_straight_and_rests(creep):
+    push = TablePush(np.array([0.1, -0.2]), np.array([0.16, -0.12]), 0.3, creep=creep)
+    path = push.path(1e-3, rest=0.25)
+    speed = np.hypot(*np.diff(path, axis=0).T) / 1e-3
+    assert (path[:251] == push.begin).all() and not (path[252] == push.begin).all()
+    assert path[-250:] == pytest.approx(np.tile(push.end, (250, 1)), abs=1e-12)
+    off_the_line = (path - push.begin) @ [push.direction[1], -push.direction[0]]
+    assert np.abs(off_the_line).max() < 1e-12
+    assert 0.1 < speed.max() <= 0.3 + 1e-9
+    with pytest.raises(ValueError, match="step must be positive"):
+        push.path(0.0)
