@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from copy import deepcopy
+
 import numpy as np
 from drake import lcmt_drake_signal, lcmt_iiwa_status, lcmt_image_array, lcmt_schunk_wsg_status
 from pydrake.common.value import AbstractValue, Value
@@ -14,17 +16,29 @@ from pydrake.manipulation import (
     SchunkWsgStatusSender,
 )
 from pydrake.math import RigidTransform
-from pydrake.systems.framework import Context, Diagram, DiagramBuilder, DiscreteValues, LeafSystem
+from pydrake.systems.framework import (
+    BasicVector,
+    Context,
+    Diagram,
+    DiagramBuilder,
+    EventStatus,
+    LeafSystem,
+    State,
+)
 from pydrake.systems.lcm import LcmInterfaceSystem, LcmPublisherSystem
 from pydrake.systems.primitives import ConstantVectorSource
 from pydrake.systems.sensors import ImageToLcmImageArrayT, PixelType
 
 from diagrams.hardware import channels
+from diagrams.hardware.command_stream import CommandBuffer
 from diagrams.hardware.messages import CheckedMessages, Received, publish
 from diagrams.hardware.validation import POSE_COORDINATES, rules
 from diagrams.station.scenario import Scenario
 from diagrams.station.station import Station
-from models.robots import GRIP_FORCE, SPEED_LIMITS
+from diagrams.systems.held import held, read, replace_held
+from models.robots import GRIP_FORCE
+
+_PLAYED_LATER = 0.015  # s; messages do not come quite evenly
 
 
 class CellTwin(Diagram):
@@ -33,7 +47,7 @@ class CellTwin(Diagram):
     It has no ports; its subsystem `station` is the `Station`. Messages of the arm are sent at 200 Hz, of the
     gripper at 20 Hz, pictures at the camera's rate, packed, with where they were taken from. The stamps are
     the diagram's clock. Until commands come the arm stays as it is, and the gripper is closed. The arm
-    follows commands no faster than its joints may turn, also where this process was late and they seem to
+    follows commands at the pace at which they were sent, also where this process was late and would see a
     leap.
 
     Args:
@@ -86,9 +100,10 @@ def _add_arm(
     measured = station.GetOutputPort("iiwa.position_measured")
     builder.Connect(commands.GetOutputPort("message"), receiver.GetInputPort("lcmt_iiwa_command"))
     builder.Connect(measured, receiver.GetInputPort("position_measured"))
-    limit = builder.AddSystem(_SpeedLimit())
-    builder.Connect(receiver.GetOutputPort("position"), limit.get_input_port())
-    builder.Connect(limit.get_output_port(), station.GetInputPort("iiwa.position"))
+    paced = builder.AddSystem(_Paced())
+    builder.Connect(receiver.GetOutputPort("position"), paced.GetInputPort("position"))
+    builder.Connect(commands.GetOutputPort("stamp"), paced.GetInputPort("stamp"))
+    builder.Connect(paced.get_output_port(), station.GetInputPort("iiwa.position"))
     builder.Connect(measured, sender.GetInputPort("position_measured"))
     for name in ("position_commanded", "velocity_estimated", "torque_external"):
         builder.Connect(station.GetOutputPort(f"iiwa.{name}"), sender.GetInputPort(name))
@@ -136,24 +151,31 @@ def _add_camera(
     return {**result, channels.CAMERA_POSE: publisher}
 
 
-class _SpeedLimit(LeafSystem):
-    """Joint angles that go after others no faster than joints may turn."""
+class _Paced(LeafSystem):
+    """Commands at the pace of their stamps; before the first, angles as they come."""
 
     def __init__(self) -> None:
         super().__init__()
-        self.DeclareVectorInputPort("wanted", 7)
-        followed = self.DeclareDiscreteState(7)
-        self.DeclareInitializationDiscreteUpdateEvent(self._begin)
-        self.DeclarePeriodicDiscreteUpdateEvent(channels.ARM_PERIOD, 0.0, self._follow)
-        self.DeclareStateOutputPort("followed", followed)
+        self.DeclareVectorInputPort("position", 7)
+        self.DeclareVectorInputPort("stamp", 1)
+        self._played = self.DeclareAbstractState(held((CommandBuffer(_PLAYED_LATER), np.nan, None)))
+        self.DeclarePeriodicUnrestrictedUpdateEvent(channels.ARM_PERIOD, 0.0, self._play)
+        self.DeclareVectorOutputPort("paced", 7, self._calc)
 
-    def _begin(self, context: Context, state: DiscreteValues) -> None:
-        state.set_value(self.get_input_port().Eval(context))
+    def _play(self, context: Context, state: State) -> EventStatus:
+        before, last, _ = read(context, self._played)
+        buffer = deepcopy(before)
+        stamp = float(self.GetInputPort("stamp").Eval(context)[0])
+        if np.isfinite(stamp) and stamp != last:
+            buffer.add(stamp, self.GetInputPort("position").Eval(context))
+        # It counts from above 0, which to it means that it was never asked.
+        q = buffer.at(1.0 + context.get_time())
+        replace_held(state, self._played, (buffer, stamp, q))
+        return EventStatus.Succeeded()
 
-    def _follow(self, context: Context, state: DiscreteValues) -> None:
-        now = context.get_discrete_state_vector().value()
-        most = channels.ARM_PERIOD * SPEED_LIMITS
-        state.set_value(now + np.clip(self.get_input_port().Eval(context) - now, -most, most))
+    def _calc(self, context: Context, output: BasicVector) -> None:
+        q = read(context, self._played)[2]
+        output.SetFromVector(self.GetInputPort("position").Eval(context) if q is None else q)
 
 
 class _PoseSender(LeafSystem):

@@ -77,5 +77,8 @@ def _load() -> None:
 
 def _prepare() -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the diagram's affair
+    with suppress(OSError, AttributeError):
+        # Who gave the diagram real-time priority, where there is such a thing, did not mean its workers.
+        os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
     with suppress(OSError):
         os.nice(_NICER)
