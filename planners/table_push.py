@@ -105,7 +105,7 @@ class TablePush:
         if not (np.isfinite(step) and step > 0):
             raise ValueError(f"push: the step must be positive, got {step} s")
         pace = self.pace(speeding_up, slowing_down)
-        times = step * np.arange(int(np.ceil((pace.duration + 2 * rest) / step)) + 1)
+        times: FloatArray = step * np.arange(int(np.ceil((pace.duration + 2 * rest) / step)) + 1, dtype=float)
         return self.begin + np.outer(pace.at(times - rest), self.direction)
 
 
