@@ -167,8 +167,8 @@ class SimulationSettings:
     """The simulated world.
 
     Attributes:
-        time_step: of the plant, s; best a divisor of 10 ms, at which the finger is recorded: with 3 ms its record
-            jitters by what it moves in a step, and a tap seems 20 % faster or slower.
+        time_step: of the plant, s; best a divisor of 10 ms, at which the finger is recorded: with 3 ms its
+            record jitters by what it moves in a step, and a tap seems 20 % faster or slower.
     """
 
     time_step: float = 0.002
