@@ -19,6 +19,7 @@ COSTLY = (
     "test_station_hides_an_effect.py",
     "test_diagnose.py",
     "test_explore.py",
+    "test_pregrasp_loop.py",
     "test_two_effects.py",
     "test_generator.py",
 )
