@@ -126,8 +126,10 @@ def main(url: str) -> None:
     buffer = CommandBuffer()
     source, received, ends = sys.stdin.fileno(), b"", np.inf
     with suppress(OSError, AttributeError):
-        # Where the system has this and allows it, no other process keeps the arm waiting.
-        os.sched_setscheduler(0, os.SCHED_RR, os.sched_param(1))
+        # Where the system has this and allows it, no other process keeps the arm waiting, nor does the
+        # diagram if it has real-time priority itself.
+        priority = min(os.sched_getparam(0).sched_priority + 1, os.sched_get_priority_max(os.SCHED_RR))
+        os.sched_setscheduler(0, os.SCHED_RR, os.sched_param(priority))
     gc.freeze()
     gc.disable()
     be_ready()
