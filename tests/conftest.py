@@ -12,14 +12,15 @@ if "PYTEST_XDIST_WORKER" in os.environ:
     os.environ.setdefault("NUMBA_NUM_THREADS", "1")
 
 # Which take longest, one or few tests each. Begun last, they would keep one worker while the other has
-# nothing left to do; by itself, xdist begins files with few tests last.
+# nothing left to do; by itself, xdist begins files with few tests last. The first one compiles what notebooks
+# and diagnoses then find in the cache.
 COSTLY = (
-    "test_notebooks.py",
     "test_missing_effect.py",
     "test_station_hides_an_effect.py",
-    "test_diagnose.py",
     "test_explore.py",
+    "test_notebooks.py",
     "test_pregrasp_loop.py",
+    "test_diagnose.py",
     "test_two_effects.py",
     "test_generator.py",
 )

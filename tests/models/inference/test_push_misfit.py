@@ -59,10 +59,10 @@ def test_p_of_an_end_is_uniform_if_errors_are_as_told() -> None:
     hypotheses as make their spread normal."""
     rng = np.random.default_rng(3)
     start = np.array([0.1, -0.05, 0.4])
-    lean = rng.normal(size=400)
+    lean = rng.normal(size=100)
     lean = (lean - lean.mean()) / lean.std()
     told = start + [0.05, 0.01, 0.3] + lean[:, None] * np.array([2e-3, 1e-3, 0.05])
-    probability = np.full(400, 1 / 400)
+    probability = np.full(100, 1 / 100)
     radius = np.sqrt(np.sum((GRID.centers - GRID.centers.mean(axis=0)) ** 2, axis=1).mean())
     way = add(probability @ told, start, GRID.centers)
     length = 0.03
@@ -70,7 +70,7 @@ def test_p_of_an_end_is_uniform_if_errors_are_as_told() -> None:
     spread = np.sqrt(lasting**2 + 2 * np.array([5e-4, 5e-4, radius * 4e-3]) ** 2)
     found = []
     for _ in range(1000):
-        end = told[rng.integers(400)] + spread * rng.normal(size=3) / [1, 1, radius]
+        end = told[rng.integers(100)] + spread * rng.normal(size=3) / [1, 1, radius]
         found.append(resting_misfit(start, end, told, probability, ERROR, GRID)[1])
     # Kolmogorov's bound at 0.1 % for 1000 draws.
     assert np.abs(np.sort(found) - np.arange(1, 1001) / 1000).max() < 0.062
