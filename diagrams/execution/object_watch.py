@@ -12,6 +12,7 @@ from diagrams.execution.messages import ExecutionStatus
 from diagrams.systems.held import held, read, replace_held
 from models.perception.observed_pose import ObservedPose
 from models.physics.cell_grid import FloatArray
+from planners.pose_metric import angle_between
 
 PERIOD = 0.02
 """s between two looks at the inputs."""
@@ -82,8 +83,8 @@ def _with(aim: _Aim, observed: ObservedPose) -> _Aim:
     """What another picture adds."""
     if aim.pose is None or aim.moved:
         return aim
-    dx, dy, turned = np.abs(observed.pose - aim.pose)
-    way = float(np.hypot(dx, dy))
+    way = float(np.hypot(*(observed.pose - aim.pose)[:2]))
+    turned = abs(float(angle_between(observed.pose[2], aim.pose[2])))
     strayed = aim.strayed + 1 if way > MOVED or turned > TURNED else 0
     moved = ""
     if strayed == TIMES:

@@ -55,9 +55,10 @@ def test_how_far_is_said():
     [
         [AWAY, AWAY, (0.1, 0.0, 0.3)] * 3,
         [(0.1 + 0.8 * MOVED, 0.0, 0.3)] * 6,
+        [(0.1, 0.0, 0.3 - 2 * np.pi)] * 6,
         [None] * 6,
     ],
-    ids=["seldom", "little", "hidden by the arm"],
+    ids=["seldom", "little", "the angle counted otherwise", "hidden by the arm"],
 )
 def test_an_object_that_seems_moved_seldom_or_little_or_is_hidden_stops_nothing(poses):
     assert Cell().see(*poses) == ""
