@@ -169,9 +169,9 @@ def add_arm_drivers(builder: DiagramBuilder, plant: MultibodyPlant, arm: Arm) ->
         - gripper.state_measured
 
     `iiwa.*` are (7,) in rad, rad/s, N m; torque_external is that of the contact forces on arm and gripper,
-    smoothed over 10 ms. `gripper.position` (1,) is the opening from 0 to `GRIPPER_OPENING`, m;
-    `gripper.force_limit` (1,) the largest force of a finger, N, 40 if not connected; `gripper.state_measured`
-    (2,) the opening and its rate, m and m/s.
+    smoothed over 10 ms. `gripper.position` (1,) is the opening from 0 to `GRIPPER_OPENING`, m; told 0, the
+    gripper closes with all the force that `gripper.force_limit` allows. That is (1,) the largest force of a
+    finger, N, 40 if not connected; `gripper.state_measured` (2,) the opening and its rate, m and m/s.
 
     Args:
         builder: of the diagram that the plant is in.
