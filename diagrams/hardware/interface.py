@@ -5,41 +5,20 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping
 
-import numpy as np
-from drake import lcmt_drake_signal, lcmt_iiwa_command, lcmt_schunk_wsg_command
-from pydrake.common.eigen_geometry import Quaternion
-from pydrake.common.value import AbstractValue, Value
+from drake import lcmt_iiwa_command, lcmt_schunk_wsg_command
 from pydrake.lcm import DrakeLcmInterface
-from pydrake.manipulation import (
-    IiwaCommandSender,
-    IiwaControlMode,
-    IiwaStatusReceiver,
-    SchunkWsgCommandSender,
-    SchunkWsgStatusReceiver,
-)
-from pydrake.math import RigidTransform
-from pydrake.multibody.plant import AddMultibodyPlantSceneGraph
-from pydrake.systems.framework import BasicVector, Context, Diagram, DiagramBuilder, EventStatus, LeafSystem
+from pydrake.manipulation import IiwaCommandSender, IiwaControlMode, SchunkWsgCommandSender
+from pydrake.systems.framework import Context, Diagram, DiagramBuilder, EventStatus, LeafSystem
 from pydrake.systems.lcm import LcmInterfaceSystem
-from pydrake.systems.sensors import LcmImageArrayToImages
 
 from diagrams.hardware import channels, network
 from diagrams.hardware.command_stream import CommandStream
-from diagrams.hardware.messages import CheckedMessages, Received, publish
-from diagrams.hardware.validation import rules
-from diagrams.perception.arm_hulls import ArmHulls
-from diagrams.station.arm import add_arm
+from diagrams.hardware.heard_cell import ARM, CAMERA, NEEDED, HeardCell
+from diagrams.hardware.messages import Received, publish
 from diagrams.station.scenario import Scenario
 
 PATIENCE = 10.0
 """s that the cell has for its first messages."""
-
-SAME_CLOCK = 1.0
-"""s by which arm and camera may seem apart; if they are more, their stamps are of different clocks."""
-
-_ARM = (channels.IIWA_STATUS, channels.GRIPPER_STATUS)
-_CAMERA = (channels.CAMERA_DEPTH, channels.CAMERA_POSE, channels.CAMERA_COLOR)
-_NEEDED = (*_ARM, channels.CAMERA_DEPTH, channels.CAMERA_POSE)
 
 
 class HardwareInterface(Diagram):
@@ -66,7 +45,7 @@ class HardwareInterface(Diagram):
 
     The ports are those of `Station`, less those that only a simulation has. Every message is checked before
     anything of it is used (`CheckedMessages`, one a channel, named like it), and `connect` must be called
-    before the simulation begins. A Simulator runs it at a real-time rate of 1.
+    before the simulation begins.
 
     Args:
         lcm: the address of a cell that runs by itself, see `network.open_lcm`. Then a thread hears messages,
@@ -78,6 +57,9 @@ class HardwareInterface(Diagram):
         HardwareError: a malformed address, or no network.
     """
 
+    realtime_rate = 1.0
+    """At which a Simulator runs it."""
+
     def __init__(self, lcm: str | DrakeLcmInterface, scenario: Scenario) -> None:
         super().__init__()
         alone = isinstance(lcm, str)
@@ -85,19 +67,18 @@ class HardwareInterface(Diagram):
         self._lcm = network.open_lcm(lcm) if isinstance(lcm, str) else lcm
         builder = DiagramBuilder()
         self._bus = builder.AddSystem(LcmInterfaceSystem(self._lcm))
-        rule = rules(scenario.camera.width, scenario.camera.height_pixels)
-        self._checked: dict[str, CheckedMessages] = {
-            channel: builder.AddNamedSystem(channel, CheckedMessages(channel, rule[channel]))
-            for channel in (*_ARM, *_CAMERA)
-        }
+        self._heard = builder.AddNamedSystem("heard", HeardCell(scenario))
+        self.arm_hulls = self._heard.arm_hulls
+        self._checked = self._heard.checked
         self._listeners: list[network.Listener] = []
         if not alone:
             for channel, system in self._checked.items():
                 self._lcm.Subscribe(channel, system.hear)
-        self._export_arm(builder, alone)
-        self._export_gripper(builder)
-        self._export_camera(builder)
-        self.arm_hulls = _arm_hulls(scenario)
+        for index in range(self._heard.num_output_ports()):
+            port = self._heard.get_output_port(index)
+            builder.ExportOutput(port, port.get_name())
+        self._add_arm_commands(builder, alone)
+        self._add_gripper_commands(builder)
         builder.BuildInto(self)
         self.set_name("station")
 
@@ -116,7 +97,7 @@ class HardwareInterface(Diagram):
             # Pictures take some ms to check, for which the arm does not wait.
             self._listeners = [
                 network.Listener(self._url, {name: self._checked[name].hear for name in together})
-                for together in (_ARM, _CAMERA)
+                for together in (ARM, CAMERA)
             ]
             self._sender.start(self._url)  # before, since it takes a while, and messages shall be fresh
         contexts = {name: system.GetMyMutableContextFromRoot(root) for name, system in self._checked.items()}
@@ -127,7 +108,7 @@ class HardwareInterface(Diagram):
             else:
                 self._lcm.HandleSubscriptions(20)
             came = {name: system.take(contexts[name]) for name, system in self._checked.items()}
-            silent = [name for name in _NEEDED if not came[name].good]
+            silent = [name for name in NEEDED if not came[name].good]
             if not silent:
                 return
             if time.monotonic() > deadline:
@@ -151,17 +132,9 @@ class HardwareInterface(Diagram):
 
     def received(self, root: Context) -> dict[str, Received]:
         """What came on each channel until now, and what of it was dropped."""
-        return {
-            name: system.received(system.GetMyContextFromRoot(root)) for name, system in self._checked.items()
-        }
+        return self._heard.received(root)
 
-    def _export_arm(self, builder: DiagramBuilder, alone: bool) -> None:
-        status = builder.AddSystem(IiwaStatusReceiver())
-        checked = self._checked[channels.IIWA_STATUS]
-        builder.Connect(checked.GetOutputPort("message"), status.GetInputPort("lcmt_iiwa_status"))
-        for name in ("position_commanded", "position_measured", "velocity_estimated", "torque_external"):
-            builder.ExportOutput(status.GetOutputPort(name), f"iiwa.{name}")
-        builder.ExportOutput(checked.GetOutputPort("age"), "iiwa.age")
+    def _add_arm_commands(self, builder: DiagramBuilder, alone: bool) -> None:
         self._sender: LeafSystem
         if alone:
             self._sender = builder.AddNamedSystem(f"{channels.IIWA_COMMAND}_stream", _StreamSender())
@@ -173,11 +146,7 @@ class HardwareInterface(Diagram):
             builder.Connect(self._sender.get_output_port(), publisher.get_input_port())
         builder.ExportInput(self._sender.GetInputPort("position"), "iiwa.position")
 
-    def _export_gripper(self, builder: DiagramBuilder) -> None:
-        status = builder.AddSystem(SchunkWsgStatusReceiver())
-        checked = self._checked[channels.GRIPPER_STATUS]
-        builder.Connect(checked.GetOutputPort("message"), status.get_status_input_port())
-        builder.ExportOutput(status.get_state_output_port(), "gripper.state_measured")
+    def _add_gripper_commands(self, builder: DiagramBuilder) -> None:
         sender = builder.AddSystem(SchunkWsgCommandSender())
         publisher = publish(
             builder, self._bus, channels.GRIPPER_COMMAND, lcmt_schunk_wsg_command, channels.GRIPPER_PERIOD
@@ -185,36 +154,6 @@ class HardwareInterface(Diagram):
         builder.Connect(sender.get_output_port(), publisher.get_input_port())
         builder.ExportInput(sender.get_position_input_port(), "gripper.position")
         builder.ExportInput(sender.get_force_limit_input_port(), "gripper.force_limit")
-
-    def _export_camera(self, builder: DiagramBuilder) -> None:
-        for channel, picture, port in (
-            (channels.CAMERA_DEPTH, "depth_image", "camera.depth_image"),
-            (channels.CAMERA_COLOR, "color_image", "camera.rgb_image"),
-        ):
-            images = builder.AddSystem(LcmImageArrayToImages())
-            message = self._checked[channel].GetOutputPort("message")
-            builder.Connect(message, images.image_array_t_input_port())
-            builder.ExportOutput(images.GetOutputPort(picture), port)
-        pose = builder.AddSystem(_PoseReceiver())
-        received = self._checked[channels.CAMERA_POSE].GetOutputPort("received")
-        builder.Connect(received, pose.get_input_port())
-        builder.ExportOutput(pose.get_output_port(), "camera.X_WC")
-        age = builder.AddSystem(_PictureAge())
-        for name, channel, port in (
-            ("arm_stamp", channels.IIWA_STATUS, "stamp"),
-            ("arm_age", channels.IIWA_STATUS, "age"),
-            ("picture_stamp", channels.CAMERA_DEPTH, "stamp"),
-            ("picture_age", channels.CAMERA_DEPTH, "age"),
-        ):
-            builder.Connect(self._checked[channel].GetOutputPort(port), age.GetInputPort(name))
-        builder.ExportOutput(age.get_output_port(), "camera.age")
-
-
-def _arm_hulls(scenario: Scenario) -> ArmHulls:
-    plant, scene_graph = AddMultibodyPlantSceneGraph(DiagramBuilder(), 1e-3)
-    arm = add_arm(plant, models=scenario.arm.models)
-    plant.Finalize()
-    return ArmHulls(plant, scene_graph, [arm.iiwa, arm.gripper])
 
 
 class _StreamSender(LeafSystem):
@@ -242,43 +181,3 @@ class _StreamSender(LeafSystem):
             raise channels.HardwareError("hardware: call `connect` before the simulation begins")
         self._stream.send(context.get_time(), self.get_input_port().Eval(context))
         return EventStatus.Succeeded()
-
-
-class _PoseReceiver(LeafSystem):
-    """A pose from seven named numbers; the identity before they came."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.DeclareAbstractInputPort("received", Value[object](None))
-        self.DeclareAbstractOutputPort("pose", lambda: Value(RigidTransform()), self._calc)
-
-    def _calc(self, context: Context, output: AbstractValue) -> None:
-        data = self.get_input_port().Eval(context).data
-        pose = RigidTransform()
-        if data:
-            numbers = np.array(lcmt_drake_signal.decode(data).val)
-            pose = RigidTransform(Quaternion(numbers[3:] / np.linalg.norm(numbers[3:])), numbers[:3])
-        output.set_value(pose)
-
-
-class _PictureAge(LeafSystem):
-    """How long ago the newest picture was taken.
-
-    The arm's newest status tells what the sender's clock shows now, so that neither rendering nor a large
-    message's way counts. Where the camera has another clock, it is the time since the picture came.
-    """
-
-    def __init__(self) -> None:
-        super().__init__()
-        for name in ("arm_stamp", "arm_age", "picture_stamp", "picture_age"):
-            self.DeclareVectorInputPort(name, 1)
-        self.DeclareVectorOutputPort("age", 1, self._calc)
-
-    def _calc(self, context: Context, output: BasicVector) -> None:
-        arm_stamp, arm_age, picture_stamp, since = (
-            float(self.get_input_port(index).Eval(context)[0]) for index in range(4)
-        )
-        age = arm_stamp + arm_age - picture_stamp
-        if not abs(age - since) < SAME_CLOCK:
-            age = since
-        output.SetFromVector([max(age, 0.0)])
