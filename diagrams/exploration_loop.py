@@ -60,6 +60,7 @@ class LoopOptions:
         cells: wanted number of cells.
         hypotheses: K.
         seed: of every draw.
+        effects: of the library, which the model is given.
     """
 
     pushes: int = 5
@@ -68,6 +69,7 @@ class LoopOptions:
     cells: int = 60
     hypotheses: int = 20
     seed: int = 0
+    effects: Sequence[str] = ()
 
 
 def exploration_loop(
@@ -242,7 +244,8 @@ def add_exploration(
             "identification",
             Identification(
                 lambda trials, grid: recorded_dataset(trials, grid, scenario),
-                hypotheses=options.hypotheses, seed=options.seed, learned=learned, worker=worker,
+                hypotheses=options.hypotheses, seed=options.seed, effects=options.effects,
+                learned=learned, worker=worker,
             ),
         ),
         finger=add("finger", FingerMotion(STEP)),

@@ -15,13 +15,14 @@ from pydrake.systems.framework import Context, Diagram, EventStatus
 
 from diagrams.exploration_loop import LoopOptions, exploration_loop, recorded_dataset
 from diagrams.hardware.control import real_cell
+from diagrams.hardware.interface import HardwareInterface
 from diagrams.push_record import PushRecord, Recording
 from diagrams.recorded import Recorded
 from diagrams.station.scenario import Scenario
 from diagrams.station.station import Station
+from diagrams.systems.identification import learning
 from diagrams.systems.messages import LoopStatus
 from diagrams.systems.model_monitor import Watch
-from models.inference.identification import identify
 from models.inference.results import Identification
 from models.measurements import PushDataset
 from models.objects.true_object import TrueObject
@@ -105,7 +106,7 @@ def explore(
     scenario: Scenario,
     options: LoopOptions,
     *,
-    hardware: str | None = None,
+    hardware: str | HardwareInterface | None = None,
     meshcat: Meshcat | None = None,
     progress: Progress | None = None,
     record: PushRecord | None = None,
@@ -116,7 +117,8 @@ def explore(
     Args:
         scenario: what the cell is like.
         options: what to do.
-        hardware: LCM address of a real cell, in which then the object is; simulated if None.
+        hardware: LCM address of a real cell, in which then the object is, or see `control.real_cell`;
+            simulated if None.
         meshcat: where to show it, if anywhere.
         progress: called with (stage, done, total) pushes.
         record: where pushes go as soon as they are recorded; what it raises ends the run.
@@ -207,7 +209,7 @@ def run_loop(
     simulated = isinstance(station, Station)
     if not simulated:
         station.connect(context)
-        simulator.set_target_realtime_rate(1.0)
+        simulator.set_target_realtime_rate(station.realtime_rate)
     started = time.perf_counter()
     first_look: list[FloatArray] = []
 
@@ -247,7 +249,8 @@ def explored(
     if not any(trial.role == "fit" for trial in trials):
         return None
     dataset = recorded_dataset(trials, output_of(loop, "perception", "cell_grid", ended.context), scenario)
-    identification = identify(dataset, hypotheses=options.hypotheses, seed=options.seed, progress=report)
+    learn = learning(options.effects)
+    identification = learn(dataset, hypotheses=options.hypotheses, seed=options.seed, progress=report)
     return ExplorationRun(
         dataset,
         identification,

@@ -22,6 +22,7 @@ from diagrams.exploration_run import (
     run_loop,
 )
 from diagrams.hardware.control import real_cell
+from diagrams.hardware.interface import HardwareInterface
 from diagrams.pregrasp_loop import PregraspOptions, pregrasp_loop
 from diagrams.push_record import PushRecord, Recording
 from diagrams.station.scenario import Scenario
@@ -126,7 +127,7 @@ def run_pregrasp(
     scenario: Scenario,
     options: PregraspOptions,
     *,
-    hardware: str | None = None,
+    hardware: str | HardwareInterface | None = None,
     meshcat: Meshcat | None = None,
     progress: Progress | None = None,
     record: PushRecord | None = None,
@@ -136,7 +137,7 @@ def run_pregrasp(
     Args:
         scenario: what the cell is like.
         options: what to do.
-        hardware: LCM address of a real cell; simulated if None.
+        hardware: LCM address of a real cell, or see `control.real_cell`; simulated if None.
         meshcat: where to show it, if anywhere.
         progress: called with (stage, done, total) pushes.
         record: where pushes go as soon as they are recorded; what it raises ends the run.

@@ -5,6 +5,8 @@ from pathlib import Path
 
 import pytest
 
+pytest_plugins = ["diagrams.hardware.pytest_plugin"]
+
 # Before numpy and numba are loaded: two workers have two cores. With BLAS threads that wait for each other,
 # a diagnosis took 19 times as long on a machine that had something else to do.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")

@@ -40,13 +40,14 @@ def station(url: str, scenario_file: Path | None, object_name: str | None) -> No
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     note(f"the cell of the {scenario.object.called} comes up at {url} …")
     try:
-        last = run_twin(scenario, url, _tell)
+        last = run_twin(scenario, url, tell)
     except (HardwareError, RendererUnavailable, ValueError) as error:
         raise BadInput(str(error)) from error
     note(f"stopped after {last.simulated:.1f} s, {last.behind:.2f} s behind real time{_dropped(last)}")
 
 
-def _tell(report: TwinReport) -> None:
+def tell(report: TwinReport) -> None:
+    """Print how a twin fares."""
     if report.simulated == 0.0:
         note("it runs; Ctrl-C ends it")
         return

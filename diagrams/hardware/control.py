@@ -14,25 +14,32 @@ from diagrams.systems.workers import workers
 
 @contextmanager
 def real_cell(
-    scenario: Scenario, url: str | None
+    scenario: Scenario, where: str | HardwareInterface | None
 ) -> Iterator[tuple[HardwareInterface | None, Executor | None]]:
-    """The cell behind an LCM address and workers, until the block ends; none of them where there is no URL.
+    """The cell behind an LCM address and workers, until the block ends; neither where there is no address.
 
     At the end the arm comes to rest.
 
     Args:
         scenario: what the cell is like.
-        url: see `network.open_lcm`; the station is simulated if None, and waits for what takes long.
+        where: LCM address, see `network.open_lcm`; the station is simulated if None, and waits for what takes
+            long. Or what has the ports and methods of `HardwareInterface`; it waits likewise.
 
     Raises:
         HardwareError: a malformed address, or no network.
         BadInput: somebody else controls the cell.
     """
-    if url is None:
+    if where is None:
         yield None, None
         return
-    with only_controller(url), workers() as worker:
-        cell = HardwareInterface(url, scenario)
+    if not isinstance(where, str):
+        try:
+            yield where, None
+        finally:
+            where.close()
+        return
+    with only_controller(where), workers() as worker:
+        cell = HardwareInterface(where, scenario)
         try:
             yield cell, worker
         finally:

@@ -4,14 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from concurrent.futures import Executor
+from functools import partial
 
 from pydrake.common.value import Value
 from pydrake.systems.framework import Context, EventStatus, LeafSystem, State
 
 from diagrams.systems.held import held, read, replace_held
 from diagrams.systems.workers import begun
+from models.effects.registry import effects_named
 from models.inference.belief import Belief
 from models.inference.identification import identify
+from models.inference.results import Identification as Learned
 from models.measurements import PushDataset, Trial
 from models.physics.cell_grid import CellGrid
 
@@ -42,6 +45,7 @@ class Identification(LeafSystem):
     Args:
         make_dataset: puts trials and grid together with what else is known of the cell.
         method: of `identify`.
+        effects: of the library, which the model is given; then `method` does not count.
         hypotheses: K.
         seed: of every draw.
         learned: called with every belief as it forms, for progress.
@@ -53,6 +57,7 @@ class Identification(LeafSystem):
         make_dataset: MakeDataset,
         *,
         method: str = "gauss-newton",
+        effects: Sequence[str] = (),
         hypotheses: int = 20,
         seed: int = 0,
         learned: Callable[[Belief, int], None] | None = None,
@@ -60,7 +65,7 @@ class Identification(LeafSystem):
     ) -> None:
         super().__init__()
         self._make_dataset = make_dataset
-        self._method = method
+        self._learn_from = learning(effects, method)
         self._hypotheses = hypotheses
         self._seed = seed
         self._learned = learned
@@ -88,8 +93,7 @@ class Identification(LeafSystem):
             dataset = self._make_dataset(trials, self.GetInputPort("cell_grid").Eval(context))
             count = len(trials)
             job = begun(
-                self._worker, identify, dataset,
-                method=self._method, hypotheses=self._hypotheses, seed=self._seed,
+                self._worker, self._learn_from, dataset, hypotheses=self._hypotheses, seed=self._seed,
             )  # fmt: skip
         if not job.done():
             replace_held(state, self._job, (job, count))
@@ -100,3 +104,16 @@ class Identification(LeafSystem):
         if self._learned is not None:
             self._learned(belief, count)
         return EventStatus.Succeeded()
+
+
+def learning(effects: Sequence[str] = (), method: str = "gauss-newton") -> Callable[..., Learned]:
+    """`identify`, or `fit_effects` with effects of the library; arguments beside these are still to be given.
+
+    Raises:
+        EffectError: an unknown effect.
+    """
+    if not effects:
+        return partial(identify, method=method)
+    from models.inference.diagnosis.effect_fit import fit_effects
+
+    return partial(fit_effects, effects=effects_named(list(effects)))

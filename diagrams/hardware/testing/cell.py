@@ -1,0 +1,233 @@
+"""A cell as a test sees it: what is on its table, what the robot does there, and what goes wrong."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, Protocol
+
+from diagrams.exploration_loop import LoopOptions
+from diagrams.exploration_record import ExplorationRecord
+from diagrams.exploration_run import DOING, ExplorationRun, explore
+from diagrams.hardware.guard_settings import GuardSettings
+from diagrams.hardware.interface import HardwareInterface
+from diagrams.hardware.network import open_lcm
+from diagrams.hardware.testing.command_log import CommandLog, CommandRecorder
+from diagrams.hardware.testing.faults import Fault
+from diagrams.hardware.testing.lockstep import LockstepCell
+from diagrams.hardware.testing.relay import RelayProcess
+from diagrams.hardware.testing.twin_process import TwinProcess, free_url
+from diagrams.pregrasp_loop import PregraspOptions
+from diagrams.pregrasp_run import BRINGS, PregraspRun, run_pregrasp
+from diagrams.push_record import PushRecord
+from diagrams.station.scenario import Scenario
+from models.physics.cell_grid import FloatArray
+
+TWIN, LOCKSTEP = "twin", "lockstep"
+"""The twin in a process of its own, and the one that steps together with what drives it."""
+
+BUSY = GuardSettings(status_age=0.4, image_age=5.0, following=0.2, lag=0.5)
+"""Guard for a computer that does much else beside; not for a real arm."""
+
+
+def small_scenario(where: str = TWIN) -> Scenario:
+    """A cell whose twin keeps up with real time on two cores.
+
+    Args:
+        where: `twin`, whose guard allows for a busy computer, or `lockstep`, which needs no such allowance.
+    """
+    scenario = Scenario()
+    scenario.simulation.time_step = 0.005
+    scenario.camera = replace(scenario.camera, width=320, height_pixels=240, rate=5.0)
+    if where == TWIN:
+        scenario.guard = replace(BUSY)
+    return scenario
+
+
+class FaultsOnTheWay(Protocol):
+    """What lets faults happen."""
+
+    def order(self, fault: Fault) -> None:
+        """Let a fault begin."""
+
+
+@dataclass
+class Faults:
+    """Faults that are to happen while the robot works.
+
+    Attributes:
+        happened: what was ordered so far, in order.
+    """
+
+    happened: list[Fault] = field(default_factory=list)
+    _planned: list[tuple[str, int, Fault]] = field(default_factory=list)
+    _way: FaultsOnTheWay | None = None
+
+    def now(self, fault: Fault) -> None:
+        """Let a fault begin now.
+
+        Raises:
+            RuntimeError: the robot does nothing in a cell that steps only with it.
+        """
+        if self._way is None:
+            raise RuntimeError("faults: nothing is running; plan them with `when` before the robot begins")
+        self.happened.append(fault)
+        self._way.order(fault)
+
+    def when(self, doing: str, fault: Fault, *, push: int = 1) -> None:
+        """Let a fault begin as soon as the robot does something.
+
+        Args:
+            doing: `looking`, `choosing`, `pushing`, `recording`, `learning`; in a pre-grasp also `planning`,
+                `grasping`, `lifting`, `holding`.
+            fault: what is to go wrong.
+            push: number of the push during which, from 1; towards the edge they are counted anew.
+
+        Raises:
+            ValueError: the robot does no such thing.
+        """
+        if doing not in (known := {**DOING, **BRINGS}):
+            raise ValueError(f"faults: the robot never is {doing!r}; choose one of {', '.join(known)}")
+        self._planned.append((doing, push, fault))
+
+    def look(self, stage: str, done: int) -> None:
+        """Let begin what was planned for a stage of the run, as `explore` tells it."""
+        for planned in list(self._planned):
+            doing, push, fault = planned
+            words = {DOING.get(doing), BRINGS.get(doing)} - {None}
+            if done + 1 >= push and any(stage.endswith(str(word)) for word in words):
+                self._planned.remove(planned)
+                self.now(fault)
+
+
+class Cell:
+    """A cell with something on its table. Use `open_cell` to get one.
+
+    Attributes:
+        scenario: what the cell is like; of a twin also what it hides.
+        folder: where recordings go, a folder for each thing the robot did.
+        is_real: whether there is a real arm.
+        faults: what is to go wrong.
+    """
+
+    def __init__(
+        self,
+        scenario: Scenario,
+        folder: Path,
+        url: str | None,
+        *,
+        is_real: bool,
+        recorder: CommandRecorder | None,
+    ) -> None:
+        self.scenario, self.folder, self.is_real = scenario, folder, is_real
+        self.faults = Faults()
+        self._url, self._recorder = url, recorder
+        self._positions: FloatArray | None = None
+        self._logs: list[CommandLog] = []
+        self._runs = 0
+
+    @property
+    def commands(self) -> list[CommandLog]:
+        """All commands that the arm was sent until now, a log for each stretch of one clock."""
+        return [self._recorder.log()] if self._recorder is not None else list(self._logs)
+
+    def explore(self, pushes: int = 3, checks: int = 1, **options: Any) -> ExplorationRun:
+        """Have the robot explore what lies on the table, as `slipmap explore` does.
+
+        Args:
+            pushes, checks, options: see `LoopOptions`.
+
+        Raises:
+            ExplorationFailed, HardwareError: see `diagrams.exploration_run.explore`.
+        """
+        asked = LoopOptions(pushes=pushes, checks=checks, **options)
+        record = ExplorationRecord(self._next_folder("exploration"), self.scenario, asked)
+        with self._driven() as where:
+            run = explore(self.scenario, asked, hardware=where, progress=self._watch, record=record)
+        record.end()
+        return run
+
+    def pregrasp(
+        self, pushes: int = 3, *, most: int = 20, method: str = "probabilistic", **options: Any
+    ) -> PregraspRun:
+        """Have the robot explore, push to the edge, grasp and lift, as `slipmap pregrasp` does.
+
+        Args:
+            pushes, options: of exploring, see `LoopOptions`.
+            most: pushes towards the edge.
+            method: see `PregraspOptions`.
+
+        Raises:
+            ExplorationFailed, HardwareError: see `diagrams.pregrasp_run.run_pregrasp`.
+        """
+        asked = PregraspOptions(LoopOptions(pushes=pushes, **options), method, most)
+        record = PushRecord(self._next_folder("pregrasp"), self.scenario)
+        with self._driven() as where:
+            return run_pregrasp(self.scenario, asked, hardware=where, progress=self._watch, record=record)
+
+    def _next_folder(self, what: str) -> Path:
+        self._runs += 1
+        folder = self.folder / f"{self._runs}-{what}"
+        folder.mkdir(parents=True)
+        return folder
+
+    def _watch(self, stage: str, done: int, total: int) -> None:
+        self.faults.look(stage, done)
+
+    @contextmanager
+    def _driven(self) -> Iterator[str | HardwareInterface]:
+        """Where the cell is while the robot works."""
+        if self._url is not None:
+            yield self._url
+            return
+        cell = LockstepCell(self.scenario, self._positions)
+        self.faults._way = cell
+        try:
+            yield cell
+        finally:
+            self.faults._way = None
+            self._logs.append(cell.log())
+            self._positions = cell.positions
+
+
+@contextmanager
+def open_cell(
+    where: str, folder: Path, scenario: Scenario | None = None, *, faulty: bool = False
+) -> Iterator[Cell]:
+    """A cell, until the block ends.
+
+    Args:
+        where: `twin`, `lockstep`, or the LCM address of a cell that runs by itself.
+        folder: where recordings go.
+        scenario: what the cell is like, `small_scenario(where)` if None.
+        faulty: whether faults are to happen; then messages go through one more process.
+
+    Raises:
+        HardwareError: a process could not be started, or a malformed address.
+        ValueError, RendererUnavailable: as `Station`.
+    """
+    scenario = scenario or small_scenario(where)
+    if where == LOCKSTEP:
+        yield Cell(scenario, folder, None, is_real=False, recorder=None)
+        return
+    is_real = where != TWIN
+    with ExitStack() as processes:
+        url = where
+        if is_real:
+            open_lcm(url)  # refuses a malformed address
+        else:
+            twin = TwinProcess(scenario, folder)
+            processes.callback(twin.close)
+            url = twin.url
+        relay = None
+        if faulty:
+            beyond, url = url, free_url()
+            relay = RelayProcess(beyond, url)
+            processes.callback(relay.close)
+        recorder = CommandRecorder(url, folder / "commands.bin")
+        processes.callback(recorder.close)
+        cell = Cell(scenario, folder, url, is_real=is_real, recorder=recorder)
+        cell.faults._way = relay
+        yield cell

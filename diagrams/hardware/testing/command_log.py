@@ -1,0 +1,118 @@
+"""All commands that the arm was sent, and how fast they asked it to move.
+
+As a process it is started as `python -m diagrams.hardware.testing.command_log URL FILE`, and writes commands
+to a file until its standard input ends.
+"""
+
+from __future__ import annotations
+
+import os
+import select
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+from drake import lcmt_iiwa_command
+
+from diagrams.execution.finger_kinematics import FingerKinematics
+from diagrams.hardware.channels import IIWA_COMMAND, HardwareError
+from diagrams.hardware.child import Child, be_ready
+from diagrams.hardware.network import open_lcm
+from diagrams.station.arm import arm_model
+from models.physics.cell_grid import FloatArray
+
+_LOOK_EVERY = 1e-3  # s
+
+
+@dataclass(frozen=True, eq=False)
+class CommandLog:
+    """Commands in the order in which they were sent.
+
+    Attributes:
+        times: (n,) stamps of the sender, increasing, s.
+        q: (n, 7) joint angles, rad.
+    """
+
+    times: FloatArray
+    q: FloatArray
+
+    @staticmethod
+    def of(rows: FloatArray) -> CommandLog:
+        """From rows (n, 8) of a stamp and seven angles; what repeats a stamp, or goes back, is left out."""
+        rows = np.asarray(rows, dtype=float).reshape(-1, 8)
+        if len(rows):
+            newest = np.maximum.accumulate(rows[:, 0])
+            rows = rows[np.r_[True, rows[1:, 0] > newest[:-1]]]
+        return CommandLog(rows[:, 0], rows[:, 1:])
+
+    @cached_property
+    def joint_speeds(self) -> FloatArray:
+        """(n - 1, 7) from one command to the next, rad/s."""
+        return np.diff(self.q, axis=0) / np.diff(self.times)[:, None]
+
+    @cached_property
+    def tip_speeds(self) -> FloatArray:
+        """(n - 1,) of the finger's end, m/s."""
+        kinematics = FingerKinematics(arm_model())
+        tips = np.array([kinematics.pose(q).translation() for q in self.q]).reshape(-1, 3)
+        return np.linalg.norm(np.diff(tips, axis=0), axis=1) / np.diff(self.times)
+
+
+class CommandRecorder:
+    """The process that writes them down; `close` ends it.
+
+    Args:
+        url: LCM address at which the commands are heard.
+        path: of the file.
+
+    Raises:
+        HardwareError: it could not be started.
+    """
+
+    def __init__(self, url: str, path: Path) -> None:
+        self._path = path
+        self._child = Child("the process that records commands", __name__, url, str(path))
+        self._child.wait_until_ready()
+
+    def log(self) -> CommandLog:
+        """All commands until a moment ago."""
+        data = self._path.read_bytes()
+        return CommandLog.of(np.frombuffer(data[: len(data) // 64 * 64], "<f8"))
+
+    def close(self) -> None:
+        """Hear no more."""
+        self._child.close()
+
+
+def row_of(data: bytes) -> list[float]:
+    """Stamp, s, and angles of a command as it is sent."""
+    command = lcmt_iiwa_command.decode(data)
+    return [1e-6 * command.utime, *command.joint_position]
+
+
+def main(url: str, path: str) -> None:
+    """Write commands until the standard input ends."""
+    source = sys.stdin.fileno()
+    with open(path, "wb", buffering=0) as file:
+        hear: Callable[[bytes], None] = lambda data: _write(file.fileno(), data)  # noqa: E731
+        lcm = open_lcm(url)
+        lcm.Subscribe(IIWA_COMMAND, hear)
+        be_ready()
+        while True:
+            if select.select([source], [], [], _LOOK_EVERY)[0] and not os.read(source, 1):
+                return
+            lcm.HandleSubscriptions(0)
+
+
+def _write(file: int, data: bytes) -> None:
+    os.write(file, np.array(row_of(data), "<f8").tobytes())
+
+
+if __name__ == "__main__":
+    try:
+        main(*sys.argv[1:])
+    except HardwareError as failure:
+        sys.exit(f"slipmap: {failure}")

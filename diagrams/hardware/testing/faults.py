@@ -1,0 +1,205 @@
+"""Faults on the way between a cell and what drives it, message by message."""
+
+from __future__ import annotations
+
+import zlib
+from collections import deque
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from drake import lcmt_iiwa_status, lcmt_image, lcmt_image_array
+from numpy.typing import NDArray
+
+from diagrams.hardware import channels
+
+Rows = NDArray[np.float32]
+KINDS: dict[str, tuple[str, ...]] = {
+    "status": ("stop", "delay", "repeat", "jump", "back"),
+    "pictures": ("stop", "delay", "freeze", "zeros", "nans", "rubbish", "torn"),
+    "arm": ("refuse",),
+    "gripper": ("stuck",),
+}
+"""What can go wrong, by what it goes wrong with."""
+
+FROM_CELL = (
+    channels.IIWA_STATUS,
+    channels.GRIPPER_STATUS,
+    channels.CAMERA_DEPTH,
+    channels.CAMERA_COLOR,
+    channels.CAMERA_POSE,
+)
+TO_CELL = (channels.IIWA_COMMAND, channels.GRIPPER_COMMAND)
+
+_CHANNEL = {
+    "status": channels.IIWA_STATUS,
+    "pictures": channels.CAMERA_DEPTH,
+    "arm": channels.IIWA_COMMAND,
+    "gripper": channels.GRIPPER_COMMAND,
+}
+_KEPT = 400  # messages that can come again, backwards
+
+
+@dataclass(frozen=True)
+class Fault:
+    """One thing that goes wrong with the messages of a channel.
+
+    | of | kind | what happens |
+    | --- | --- | --- |
+    | `status` | `stop` | the arm's status stops coming |
+    | | `delay` | it comes `amount` seconds late |
+    | | `repeat` | the one of that time comes again and again, with new stamps |
+    | | `jump` | measured angles are `amount` rad larger than they are |
+    | | `back` | those before come again, backwards, with their old stamps |
+    | `pictures` | `stop`, `delay` | as above, of depth pictures |
+    | | `freeze` | the picture of that time comes again and again, with new stamps |
+    | | `zeros`, `nans`, `rubbish` | the rows of `band` hold no reading, no numbers, or anything |
+    | | `torn` | the rows of `band` are those of the picture before |
+    | `arm` | `refuse` | the arm hears no commands |
+    | `gripper` | `stuck` | the gripper hears no commands, and stays as it is |
+
+    Attributes:
+        of, kind: see the table.
+        amount: s or rad, where the table says so.
+        seconds: that it lasts.
+        after: s from when it is ordered until it begins.
+        band: share of a picture's rows, from and to.
+
+    Raises:
+        ValueError: an unknown fault, or a number that makes no sense.
+    """
+
+    of: str
+    kind: str
+    amount: float = 0.0
+    seconds: float = np.inf
+    after: float = 0.0
+    band: tuple[float, float] = (0.0, 1.0)
+
+    def __post_init__(self) -> None:
+        if self.of not in KINDS:
+            raise ValueError(f"a fault is of {', '.join(KINDS)}, got {self.of!r}")
+        if self.kind not in KINDS[self.of]:
+            raise ValueError(f"faults of {self.of} are {', '.join(KINDS[self.of])}, got {self.kind!r}")
+        if not (np.isfinite(self.amount) and self.seconds >= 0 and 0 <= self.after < np.inf):
+            raise ValueError(f"{self}: amount must be finite, seconds and after must not be negative")
+        if self.kind == "delay" and self.amount < 0:
+            raise ValueError(f"{self}: a message cannot come before it was sent; give amount in s")
+        if not 0.0 <= self.band[0] < self.band[1] <= 1.0:
+            raise ValueError(f"{self}: band must be a part of 0 to 1")
+
+    @property
+    def channel(self) -> str:
+        """Whose messages it is about."""
+        return _CHANNEL[self.of]
+
+    def __str__(self) -> str:
+        amount = f" {self.amount:g}" if self.amount else ""
+        lasts = f" for {self.seconds:.2g} s" if np.isfinite(self.seconds) else ""
+        return f"{self.of} {self.kind}{amount}{lasts}"
+
+
+class Link:
+    """The way of one channel's messages, with at most one fault at a time.
+
+    Times are of one clock that does not go back, s.
+    """
+
+    def __init__(self) -> None:
+        self._fault: Fault | None = None
+        self._begin = np.inf
+        self._sent: deque[bytes] = deque(maxlen=_KEPT)
+        self._frozen: bytes | None = None
+        self._late: deque[tuple[float, bytes]] = deque()
+
+    def order(self, fault: Fault, now: float) -> None:
+        """Let a fault begin in `fault.after` seconds, in the place of one before."""
+        self._fault, self._begin, self._frozen = fault, now + fault.after, None
+
+    def faulty(self, now: float) -> bool:
+        """Whether something is wrong now."""
+        return self._fault is not None and 0.0 <= now - self._begin < self._fault.seconds
+
+    def through(self, data: bytes, now: float) -> bytes | None:
+        """What comes out, at once, of a message that goes in; None where nothing does."""
+        come: bytes | None = data
+        if self.faulty(now):
+            assert self._fault is not None
+            come = self._spoilt(self._fault, data, now)
+        else:
+            self._sent.append(data)
+        return come
+
+    def due(self, now: float) -> list[bytes]:
+        """Late messages whose time has come."""
+        come = []
+        while self._late and self._late[0][0] <= now:
+            come.append(self._late.popleft()[1])
+        return come
+
+    def _spoilt(self, fault: Fault, data: bytes, now: float) -> bytes | None:
+        if fault.kind in ("stop", "refuse", "stuck"):
+            return None
+        if fault.kind == "delay":
+            self._late.append((now + fault.amount, data))
+            return None
+        if fault.kind == "back":
+            return self._sent.pop() if self._sent else None
+        if fault.kind in ("repeat", "freeze"):
+            self._frozen = self._frozen or (self._sent[-1] if self._sent else data)
+            return _stamped_like(self._frozen, data, fault.of)
+        if fault.kind == "jump":
+            status = lcmt_iiwa_status.decode(data)
+            status.joint_position_measured = [q + fault.amount for q in status.joint_position_measured]
+            return bytes(status.encode())
+        before = self._sent[-1] if self._sent else data
+        self._sent.append(data)
+        return _spoilt_picture(fault, data, before, round(1e3 * now))
+
+
+def _stamped_like(old: bytes, new: bytes, of: str) -> bytes:
+    if of == "status":
+        status = lcmt_iiwa_status.decode(old)
+        status.utime = lcmt_iiwa_status.decode(new).utime
+        return bytes(status.encode())
+    array = lcmt_image_array.decode(old)
+    array.header.utime = lcmt_image_array.decode(new).header.utime
+    return bytes(array.encode())
+
+
+def _spoilt_picture(fault: Fault, data: bytes, before: bytes, seed: int) -> bytes:
+    array = lcmt_image_array.decode(data)
+    image = array.images[0]
+    rows = _rows(image)
+    spoilt = spoilt_rows(fault.kind, rows, _rows(lcmt_image_array.decode(before).images[0]), fault.band, seed)
+    image.data = zlib.compress(np.ascontiguousarray(spoilt, "<f4").tobytes(), 1)
+    image.size, image.compression_method = len(image.data), lcmt_image.COMPRESSION_METHOD_ZLIB
+    return bytes(array.encode())
+
+
+def _rows(image: Any) -> Rows:
+    packed = image.compression_method == lcmt_image.COMPRESSION_METHOD_ZLIB
+    pixels = zlib.decompress(image.data) if packed else bytes(image.data)
+    return np.frombuffer(pixels, "<f4").reshape(image.height, image.width)
+
+
+def spoilt_rows(kind: str, rows: Rows, before: Rows, band: tuple[float, float], seed: int) -> Rows:
+    """A depth picture some of whose rows are wrong.
+
+    Args:
+        kind: `zeros`, `nans`, `rubbish` or `torn`.
+        rows: (h, w) the picture, m.
+        before: (h, w) the picture before.
+        band: share of the rows, from and to.
+        seed: of the rubbish.
+    """
+    come = np.array(rows, np.float32)
+    first, last = (round(share * len(rows)) for share in band)
+    if kind == "torn":
+        come[first:last] = before[first:last]
+    elif kind == "rubbish":
+        bits = np.random.default_rng(seed).integers(0, 2**32, come[first:last].shape, np.uint32)
+        come[first:last] = bits.view(np.float32)
+    else:
+        come[first:last] = {"zeros": 0.0, "nans": np.nan}[kind]
+    return come

@@ -1,0 +1,121 @@
+"""A twin on the clock of the diagram that drives it: all messages and checks, but no real time."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from pydrake.lcm import DrakeLcm
+from pydrake.math import RigidTransform
+from pydrake.systems.framework import Context, Diagram, DiagramBuilder, EventStatus, LeafSystem
+
+from diagrams.hardware import channels
+from diagrams.hardware.interface import PATIENCE, HardwareInterface
+from diagrams.hardware.messages import Received
+from diagrams.hardware.testing.command_log import CommandLog, row_of
+from diagrams.hardware.testing.faults import Fault
+from diagrams.hardware.testing.relay import Relay
+from diagrams.hardware.twin import CellTwin
+from diagrams.station.scenario import Scenario
+from models.physics.cell_grid import FloatArray
+
+
+class LockstepCell(Diagram):
+    """`HardwareInterface`, a relay, and the twin behind it, which step together.
+
+    It stands where `HardwareInterface` would and has its ports and methods. Messages go through memory. The
+    simulation takes the time that it takes; the result does not depend on how busy the computer is. What it
+    leaves out is what only real time brings: late messages of a busy computer, and processes that end.
+
+    Args:
+        scenario: what the cell is like.
+        positions: of the plant, to begin with; those of the scenario if None.
+
+    Raises:
+        ValueError, RendererUnavailable: as `Station`.
+    """
+
+    realtime_rate = 0.0
+
+    def __init__(self, scenario: Scenario, positions: FloatArray | None = None) -> None:
+        super().__init__()
+        cell, driver = DrakeLcm("memq://"), DrakeLcm("memq://")
+        self._positions = positions
+        self._root: Context | None = None
+        self._commands: list[list[float]] = []
+        driver.Subscribe(channels.IIWA_COMMAND, lambda data: self._commands.append(row_of(data)))
+        builder = DiagramBuilder()
+        self.twin: CellTwin = builder.AddSystem(CellTwin(scenario, cell))
+        self._clock = builder.AddSystem(_Clock())
+        self._relay = Relay(cell, driver, lambda: self._clock.now)
+        self._clock.tick = self._relay.flush
+        self._interface: HardwareInterface = builder.AddSystem(HardwareInterface(driver, scenario))
+        self._lcm = cell
+        self.arm_hulls = self._interface.arm_hulls
+        for index in range(self._interface.num_input_ports()):
+            port = self._interface.get_input_port(index)
+            builder.ExportInput(port, port.get_name())
+        for index in range(self._interface.num_output_ports()):
+            port = self._interface.get_output_port(index)
+            builder.ExportOutput(port, port.get_name())
+        builder.BuildInto(self)
+        self.set_name("station")
+
+    def connect(self, root: Context, patience: float = PATIENCE) -> None:
+        """See `HardwareInterface.connect`; the twin sends its first messages now."""
+        self._root = root
+        if self._positions is not None:
+            plant = self.twin.station.plant
+            plant.SetPositions(plant.GetMyMutableContextFromRoot(root), self._positions)
+        self.twin.ForcedPublish(self.twin.GetMyContextFromRoot(root))
+        self._lcm.HandleSubscriptions(0)
+        self._interface.connect(root, patience)
+
+    def close(self) -> None:
+        """See `HardwareInterface.close`; nothing can be driven any more."""
+        self._interface.close()
+        if self._root is not None:
+            self._positions = self._now()
+            self.twin.station.release_renderer(self._root)
+            self._root = None
+
+    def received(self, root: Context) -> dict[str, Received]:
+        """See `HardwareInterface.received`."""
+        return self._interface.received(root)
+
+    def order(self, fault: Fault) -> None:
+        """Let a fault begin."""
+        self._relay.order(fault)
+
+    def log(self) -> CommandLog:
+        """All commands until now."""
+        return CommandLog.of(np.array(self._commands))
+
+    @property
+    def positions(self) -> FloatArray | None:
+        """Of the twin's plant, with which another one can go on; None before it was connected."""
+        return self._positions if self._root is None else self._now()
+
+    def X_WO(self, root: Context) -> RigidTransform:
+        """True pose of the object."""
+        station = self.twin.station
+        return station.GetOutputPort("truth.object_pose").Eval(station.GetMyContextFromRoot(root))
+
+    def _now(self) -> FloatArray:
+        plant = self.twin.station.plant
+        return np.array(plant.GetPositions(plant.GetMyContextFromRoot(self._root)))
+
+
+class _Clock(LeafSystem):
+    """Tells the time of the diagram to those who are no part of it."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.now = 0.0
+        self.tick: Callable[[], None] = lambda: None
+        self.DeclarePerStepPublishEvent(self._tell)
+
+    def _tell(self, context: Context) -> EventStatus:
+        self.now = context.get_time()
+        self.tick()
+        return EventStatus.Succeeded()

@@ -1,0 +1,81 @@
+"""A twin of a cell in a process of its own, for as long as a test needs it.
+
+It is started as `python -m diagrams.hardware.testing.twin_process URL SCENARIO`, and ends when its standard
+input does.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import socket
+import sys
+import threading
+from pathlib import Path
+
+from pydrake.common.yaml import yaml_dump_typed
+
+from diagrams.hardware.channels import HardwareError
+from diagrams.hardware.child import Child, be_ready
+from diagrams.station.scenario import Scenario
+
+
+class TwinProcess:
+    """The process; `close` ends it. It tells on the standard error whether it keeps up with real time.
+
+    Args:
+        scenario: what the cell is like.
+        folder: in which the scenario is left for it.
+        url: where it can be reached; one of its own on this computer if None.
+
+    Raises:
+        HardwareError: it could not be started; it says why on the standard error.
+    """
+
+    def __init__(self, scenario: Scenario, folder: Path, url: str | None = None) -> None:
+        self.url = url or free_url()
+        path = folder / "cell.yaml"
+        path.write_text(yaml_dump_typed(scenario), encoding="utf-8")
+        self._child = Child("the twin", __name__, self.url, str(path))
+        self._child.wait_until_ready()
+
+    def close(self) -> None:
+        """End it."""
+        self._child.close()
+
+
+def free_url() -> str:
+    """An LCM address that nobody uses, whose messages stay on this computer."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.bind(("", 0))
+        return f"udpm://239.255.76.67:{probe.getsockname()[1]}?ttl=0"
+
+
+def main(url: str, path: str) -> None:
+    """Run the twin until the standard input ends."""
+    from diagrams.commands.station import tell
+    from diagrams.hardware.twin_run import TwinReport, run_twin
+    from diagrams.station.scenario_file import read_settings
+
+    def report(now: TwinReport) -> None:
+        if now.simulated == 0.0:
+            be_ready()
+        tell(now)
+
+    def end_with_input() -> None:
+        while os.read(sys.stdin.fileno(), 1):
+            pass
+        os.kill(os.getpid(), signal.SIGINT)
+
+    threading.Thread(target=end_with_input, daemon=True).start()
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+    run_twin(read_settings(path, Scenario), url, report)
+
+
+if __name__ == "__main__":
+    from diagrams.perception.renderer import RendererUnavailable
+
+    try:
+        main(*sys.argv[1:])
+    except (HardwareError, RendererUnavailable, ValueError) as failure:
+        sys.exit(f"slipmap: {failure}")
