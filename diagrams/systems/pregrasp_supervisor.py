@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from pydrake.common.value import Value
@@ -33,7 +33,7 @@ class _Bringing:
 
     Attributes:
         status: where the loop is.
-        since: when that began, s.
+        since: when that began, or, while it is planned, when the object was last seen, s.
         push, grasp: what the arm is to do.
     """
 
@@ -111,7 +111,7 @@ class PregraspSupervisor(LeafSystem):
             replace_held(state, self._bringing, now)
             return EventStatus.Succeeded()
         following = self._next(context, now)
-        if following.status == now.status:
+        if following is now:
             return EventStatus.DidNothing()
         replace_held(state, self._bringing, following)
         return EventStatus.Succeeded()
@@ -134,7 +134,7 @@ class PregraspSupervisor(LeafSystem):
             if plan is None or plan.number != status.number:
                 pose: ObservedPose | None = self._input(context, "object_pose")
                 if pose is not None and pose.valid:
-                    return now  # planning takes its time
+                    return replace(now, since=time)  # planning takes its time, and the object is there
                 return patient(unseen(pose))
             return _started(plan, status, time)
         if status.mode in ("pushing", "grasping") and answered and execution.mode == "refused":

@@ -76,6 +76,9 @@ class PushSupervisor(LeafSystem):
                 request = self._input(context, "poke")
                 active = ActivePush(following.number, request.poke.push)
             replace_held(state, self._active, active)
+        elif now.mode == "choosing" and self._input(context, "object_pose").valid:
+            # Choosing takes its time; patience is for an object that is out of sight.
+            state.get_mutable_discrete_state(0)[0] = context.get_time()
         return EventStatus.Succeeded()
 
     def _next(self, context: Context, now: LoopStatus) -> LoopStatus:

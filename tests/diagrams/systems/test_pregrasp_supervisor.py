@@ -145,8 +145,12 @@ def test_planning_may_take_its_time_while_the_object_is_seen():
     loop = Loop()
     loop.step()
     loop.advance(2 * PATIENCE)
+    assert loop.step(object_pose=ObservedPose.unseen("no object")) == "planning"  # one bad picture
+    assert loop.step(object_pose=seen_at(0, 0, 0)) == "planning"
+    loop.set(object_pose=ObservedPose.unseen("left the table"))
+    loop.advance(PATIENCE - 2 * PERIOD)
     assert loop.read("status").mode == "planning"
-    loop.step(object_pose=ObservedPose.unseen("left the table"))
+    loop.advance(4 * PERIOD)
     assert "left the table" in loop.read("status").reason
 
 

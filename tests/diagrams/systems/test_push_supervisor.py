@@ -180,7 +180,8 @@ def test_choosing_may_take_its_time():
     loop = Loop()
     assert loop.step(object_pose=seen_at(0, 0, 0), cell_grid=GRID).mode == "choosing"
     loop.advance(2 * PATIENCE)
-    assert loop.read("status").mode == "choosing"
+    assert loop.step(object_pose=ObservedPose.unseen("no object")).mode == "choosing"  # one bad picture
+    assert "no object" in lost(loop).reason
 
 
 def test_learning_may_take_its_time():
