@@ -4,18 +4,24 @@ In pytest, `pytest_plugins = ["diagrams.hardware.pytest_plugin"]` in the outermo
 fixtures `cell`, `scenario`, `faults`, `explored` and `pushes`. Without pytest, `open_cell` gives the cell.
 """
 
-from diagrams.hardware.testing.assertions import (
-    assert_alarm,
-    assert_better_than_uniform,
-    assert_held,
-    assert_limits_kept,
-    assert_names,
-    assert_predicts,
-    assert_quiet,
-)
-from diagrams.hardware.testing.cell import LOCKSTEP, TWIN, Cell, Faults, open_cell, small_scenario
-from diagrams.hardware.testing.command_log import CommandLog
-from diagrams.hardware.testing.faults import Fault
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from diagrams.hardware.testing.assertions import (
+        assert_alarm,
+        assert_better_than_uniform,
+        assert_held,
+        assert_limits_kept,
+        assert_names,
+        assert_predicts,
+        assert_quiet,
+    )
+    from diagrams.hardware.testing.cell import LOCKSTEP, TWIN, Cell, Faults, open_cell, small_scenario
+    from diagrams.hardware.testing.command_log import CommandLog
+    from diagrams.hardware.testing.faults import Fault
 
 __all__ = [
     "LOCKSTEP",
@@ -34,3 +40,12 @@ __all__ = [
     "open_cell",
     "small_scenario",
 ]
+
+
+def __getattr__(name: str) -> Any:
+    # The processes that modules of this package run as need little of it, and should start fast.
+    if name not in __all__:
+        raise AttributeError(f"module {__name__} has no attribute {name}")
+    home = {"CommandLog": "command_log", "Fault": "faults"}
+    module = "assertions" if name.startswith("assert_") else home.get(name, "cell")
+    return getattr(import_module(f"{__name__}.{module}"), name)
