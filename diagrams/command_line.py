@@ -29,6 +29,8 @@ from diagrams.commands.fit import fit
 from diagrams.commands.identify import identify
 from diagrams.commands.predict import predict
 from diagrams.commands.pregrasp import pregrasp
+from diagrams.commands.record import record
+from diagrams.commands.replay import replay
 from diagrams.commands.station import station
 from diagrams.commands.view import view
 
@@ -82,6 +84,8 @@ for _command in (
     explore,
     pregrasp,
     station,
+    record,
+    replay,
     identify,
     predict,
     view,

@@ -31,6 +31,8 @@ if TYPE_CHECKING:
     from diagrams.recorded import Recorded
     from diagrams.station.scenario import Scenario
     from diagrams.systems.model_monitor import Watch
+    from models.inference.results import Identification
+    from models.measurements import PushDataset
 
 
 class Stopped(click.ClickException):
@@ -112,7 +114,7 @@ def explore(
     run, failure, stopped = run_loop(
         scenario, options, address, open_meshcat, recording, record=record, before=before
     )
-    written = leave(run, folder, recording)
+    written = leave(run.identification, run.dataset, folder, recording)
     record.end()
     if json_file is not None:
         found = {"truth": run.truth(), "monitor": run.watch.to_json(), "failure": failure}
@@ -195,7 +197,9 @@ def run_loop(
     return run, failure, stopped
 
 
-def leave(run: ExplorationRun, folder: Path, recording: Path | None) -> dict[str, Path]:
+def leave(
+    identification: Identification, dataset: PushDataset, folder: Path, recording: Path | None = None
+) -> dict[str, Path]:
     """Write belief, pictures and report beside the pushes; returns what lies where."""
     from diagrams.commands.compare import report
     from diagrams.commands.identify import keep
@@ -203,9 +207,9 @@ def leave(run: ExplorationRun, folder: Path, recording: Path | None) -> dict[str
 
     belief = folder / "belief.npz"
     with Progress() as progress:
-        pictures = keep(run.identification, run.dataset, belief, None, progress)
-        comparison = compare(run.dataset, run.identification.belief, seed=0, label="model", progress=progress)
-        text = report([comparison], run.dataset)
+        pictures = keep(identification, dataset, belief, None, progress)
+        comparison = compare(dataset, identification.belief, seed=0, label="model", progress=progress)
+        text = report([comparison], dataset)
     write_text(folder / "report.html", text)
     written = {"pushes": folder / "pushes", "belief": belief, "report": folder / "report.html"}
     written |= {f"picture of {path.stem.removeprefix('belief.')}": path for path in pictures}

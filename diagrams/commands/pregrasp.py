@@ -83,7 +83,7 @@ def pregrasp(
         check_file(json_file)
     record = PushRecord(folder, scenario)
     run = _run(scenario, options, url if hardware else None, open_meshcat, recording, record)
-    written = leave(run.exploration, folder, recording)
+    written = leave(run.exploration.identification, run.exploration.dataset, folder, recording)
     if json_file is not None:
         learned = run.exploration
         document = {**learned.identification.to_json(), "truth": learned.truth(), "pregrasp": run.to_json()}

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+from typing import IO
 
 from diagrams.hardware.channels import HardwareError
 
@@ -41,6 +42,12 @@ class Child:
         if self._process.stdout.readline() != _READY:
             self.close()
             raise HardwareError(f"{self._what} did not start; it says why above")
+
+    @property
+    def output(self) -> IO[bytes]:
+        """What it writes to its standard output once it is ready."""
+        assert self._process.stdout is not None
+        return self._process.stdout
 
     def send(self, data: bytes) -> None:
         """Write to its standard input.

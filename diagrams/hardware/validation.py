@@ -22,6 +22,7 @@ from drake import (
 )
 
 from diagrams.hardware import channels
+from diagrams.hardware.message_log import LARGEST
 from models.physics.cell_grid import FloatArray
 from models.robots import POSITION_LIMITS, SPEED_LIMITS, TORQUE_LIMITS
 
@@ -31,7 +32,6 @@ POSE_COORDINATES = ("x", "y", "z", "qw", "qx", "qy", "qz")
 LONGEST_LEAP = 600.0
 """s by which a stamp may be later than the one before; a later one would shut out all true ones after it."""
 
-_LARGEST = 40_000_000  # bytes of a message; pictures are at most 4096 by 4096 when packed
 _ANGLE_SLACK = float(np.deg2rad(10.0))  # over a joint's limit, for measured angles
 _COMMAND_SLACK = 1e-3  # rad, for commanded ones
 _FORCE_FACTOR = 5.0  # a blow may exceed what a motor can do
@@ -70,7 +70,7 @@ class Rule:
         Raises:
             BadMessage: names the cause.
         """
-        if len(data) > _LARGEST:
+        if len(data) > LARGEST:
             raise BadMessage("too long")
         try:
             message = self.lcm_type.decode(data)

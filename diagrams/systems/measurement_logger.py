@@ -59,6 +59,7 @@ class MeasurementLogger(LeafSystem):
         - object_pose
         - tip_pose
         - tip_force
+        - tip_age (optional)
         - execution
         - status
         output_ports:
@@ -66,7 +67,8 @@ class MeasurementLogger(LeafSystem):
         - under_way
 
     - `object_pose`: `ObservedPose`; rows without a valid pose are left out.
-    - `tip_pose`: X_WT of the finger's end; `tip_force`: (3,) of the finger on the object, world, N.
+    - `tip_pose`: X_WT of the finger's end; `tip_force`: (3,) of the finger on the object, world, N; `tip_age`
+      (1,): s since both were measured, 0 if not connected.
     - `execution`: `ExecutionStatus`; `status`: `LoopStatus`.
     - `records`: tuple of `Trial`.
     - `under_way`: dict of rows of the push that is made now, by channel as in a trial's file, but with the
@@ -75,7 +77,8 @@ class MeasurementLogger(LeafSystem):
     Tip and force are recorded while the finger is down: above, it may pass over the object. An object at rest
     has one pose, whenever it is looked at: a trial begins, when the finger comes down, with the mean of the
     last looks before the arm moved, and ends, when the finger has rested, with that of the first looks after
-    the arm went home. Between them are the poses seen in spite of the arm.
+    the arm went home. Between them are the poses seen in spite of the arm. Where the loop gives a push up,
+    what was written down of it is dropped.
 
     Args:
         fit: so many trials are to learn from, those after them to judge.
@@ -88,6 +91,7 @@ class MeasurementLogger(LeafSystem):
         self.DeclareAbstractInputPort("object_pose", Value[object](None))
         self.DeclareAbstractInputPort("tip_pose", Value(RigidTransform()))
         self.DeclareVectorInputPort("tip_force", 3)
+        self._tip_age = self.DeclareVectorInputPort("tip_age", 1)
         self.DeclareAbstractInputPort("execution", Value[object](None))
         self.DeclareAbstractInputPort("status", Value[object](None))
         self._recording = self.DeclareAbstractState(held(_Recording(tuple(trials))))
@@ -111,32 +115,42 @@ class MeasurementLogger(LeafSystem):
         execution = self.GetInputPort("execution").Eval(context)
         old: _Recording = read(context, self._recording)
         new = old
+        if old.tips and status.mode not in ("pushing", "recording"):
+            new = replace(old, poses=(), tips=(), forces=())
         pose = self.GetInputPort("object_pose").Eval(context)
         row = (pose.time, *map(float, pose.pose)) if pose is not None and pose.valid else None
         if execution.mode == "home" and status.mode != "pushing":
-            if row is not None and _fresh(row, old.looks or old.tips):
-                before = old.looks if _lies_there(row, old.looks) else ()
-                new = replace(old, looks=(*before, row)[-LOOKS:])
+            if row is not None and _fresh(row, new.looks or new.tips):
+                before = new.looks if _lies_there(row, new.looks) else ()
+                new = replace(new, looks=(*before, row)[-LOOKS:])
                 if status.mode == "recording":
                     new = self._completed(new)
         elif execution.mode == "pushing":
-            time = context.get_time()
-            tip = self.GetInputPort("tip_pose").Eval(context).translation()
-            force = self.GetInputPort("tip_force").Eval(context)
-            if not old.tips:
-                # The finger is on its way to the object, which still rests.
-                still = (_rest(new.looks, time), _rest(new.looks, time + PERIOD))
-                new = replace(new, poses=still, looks=())
-            if row is not None and _fresh(row, new.poses):
-                new = replace(new, poses=(*new.poses, row))
-            new = replace(
-                new,
-                tips=(*new.tips, (time, float(tip[0]), float(tip[1]))),
-                forces=(*new.forces, (time, float(force[0]), float(force[1]), 0.0)),
-            )
+            new = self._pushed(context, new, row)
         if new is not old:
             replace_held(state, self._recording, new)
         return EventStatus.Succeeded()
+
+    def _pushed(self, context: Context, recording: _Recording, row: Row | None) -> _Recording:
+        """The recording with where the finger is, and a pose seen meanwhile, if any."""
+        age = float(self._tip_age.Eval(context)[0]) if self._tip_age.HasValue(context) else 0.0
+        time = context.get_time() - age
+        tip = self.GetInputPort("tip_pose").Eval(context).translation()
+        force = self.GetInputPort("tip_force").Eval(context)
+        new = recording
+        if not new.tips:
+            # The finger is on its way to the object, which still rests.
+            still = (_rest(new.looks, time), _rest(new.looks, time + PERIOD))
+            new = replace(new, poses=still, looks=())
+        if row is not None and _fresh(row, new.poses):
+            new = replace(new, poses=(*new.poses, row))
+        if not _fresh((time,), new.tips):
+            return new
+        return replace(
+            new,
+            tips=(*new.tips, (time, float(tip[0]), float(tip[1]))),
+            forces=(*new.forces, (time, float(force[0]), float(force[1]), 0.0)),
+        )
 
     def _completed(self, recording: _Recording) -> _Recording:
         """The recording with the push under way as a trial, once enough poses were seen after it."""

@@ -1,0 +1,197 @@
+"""From messages of a cell that somebody else drives to recorded pushes, in the order of their stamps."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from pydrake.systems.analysis import Simulator
+from pydrake.systems.framework import DiagramBuilder
+
+from diagrams.exploration_loop import connect, recorded_dataset
+from diagrams.hardware import channels
+from diagrams.hardware.heard_cell import ARM, CAMERA, NEEDED, HeardCell
+from diagrams.hardware.message_log import Event
+from diagrams.hardware.messages import Received
+from diagrams.hardware.validation import BadMessage, check_stamp, rules
+from diagrams.perception.cell_perception import CellPerception
+from diagrams.station.arm import arm_model
+from diagrams.station.scenario import Scenario
+from diagrams.systems.arm_aside import ArmAside
+from diagrams.systems.finger_sense import FingerSense
+from diagrams.systems.measurement_logger import PERIOD, MeasurementLogger
+from diagrams.systems.push_finder import Descent, PushFinder
+from models.measurements import PushDataset
+from models.perception.observed_pose import ObservedPose
+from models.robots import FINGER_RADIUS
+
+HEARD = (*ARM, *CAMERA)
+"""Channels that pushes are made out from."""
+
+EVERY = 4
+"""Every so manieth push is held out to judge by, the others are to learn from."""
+
+LONGEST_SILENCE = 2.0
+"""s that the clock goes on at most between two messages of the arm: what came before a longer silence has
+nothing to do with what comes after it."""
+
+
+@dataclass(frozen=True)
+class Heard:
+    """What came on a channel.
+
+    Attributes:
+        count: messages, good and bad.
+        rate: a second, over the time in which they came; 0 of fewer than two.
+        dropped: bad ones, by their cause.
+    """
+
+    count: int
+    rate: float
+    dropped: Mapping[str, int]
+
+
+class PushListener:
+    """Hears messages, and makes out the pushes that they tell of.
+
+    Its diagram has the blocks of the exploration loop that look and write down (`CellPerception`,
+    `MeasurementLogger`), and `PushFinder` where executor and supervisor are. Its clock is that of the arm's
+    stamps: nothing depends on when a message came or how long it took to look at it, so that the same
+    messages in the same order give the same pushes, to the last bit. It sends nothing.
+
+    Args:
+        scenario: what the cell is like; of the object nothing is used.
+        name: of the dataset.
+        cells: wanted number.
+    """
+
+    def __init__(self, scenario: Scenario, name: str, cells: int = 60) -> None:
+        self._scenario, self._name = scenario, name
+        camera = scenario.camera
+        self._status = rules(camera.width, camera.height_pixels)[channels.IIWA_STATUS]
+        builder = DiagramBuilder()
+        self._cell = cell = builder.AddSystem(HeardCell(scenario))
+        self._perception = perception = builder.AddSystem(CellPerception(camera, cells, cell.arm_hulls))
+        sense = builder.AddSystem(FingerSense(arm_model(models=scenario.arm.models)))
+        aside = builder.AddSystem(ArmAside(camera.intrinsics, cell.arm_hulls))
+        self._finder = finder = builder.AddSystem(PushFinder(FINGER_RADIUS))
+        self._logger = logger = builder.AddSystem(MeasurementLogger(fit=10**9))
+        connect(
+            builder,
+            [
+                (cell, "camera.depth_image", perception, "depth_image"),
+                (cell, "camera.X_WC", perception, "X_WC"),
+                (cell, "camera.age", perception, "image_age"),
+                (cell, "iiwa.position_measured", perception, "arm_position"),
+                (cell, "iiwa.position_measured", sense, "iiwa.position_measured"),
+                (cell, "iiwa.torque_external", sense, "iiwa.torque_external"),
+                (cell, "iiwa.position_measured", aside, "arm_position"),
+                (cell, "camera.X_WC", aside, "X_WC"),
+                (perception, "object_pose", aside, "object_pose"),
+                (perception, "seen_object", aside, "seen_object"),
+                (perception, "object_pose", finder, "object_pose"),
+                (perception, "seen_object", finder, "seen_object"),
+                (aside, "aside", finder, "aside"),
+                (sense, "tip_pose", finder, "tip_pose"),
+                (cell, "iiwa.age", finder, "tip_age"),
+                (cell, "gripper.state_measured", finder, "gripper.state_measured"),
+                (logger, "records", finder, "records"),
+                (perception, "object_pose", logger, "object_pose"),
+                (sense, "tip_pose", logger, "tip_pose"),
+                (sense, "tip_force", logger, "tip_force"),
+                (cell, "iiwa.age", logger, "tip_age"),
+                (finder, "execution", logger, "execution"),
+                (finder, "status", logger, "status"),
+            ],
+        )
+        self._simulator = Simulator(builder.Build())
+        self._root = self._simulator.get_mutable_context()
+        self._begin = self._last = np.nan  # stamps of the arm; the first counts as the time 0
+        self._came: Counter[str] = Counter()
+        self._times: dict[str, tuple[int, int]] = {}
+
+    def hear(self, event: Event) -> None:
+        """Take a message; others than of `HEARD` are counted alone."""
+        self._came[event.channel] += 1
+        first, _ = self._times.get(event.channel, (event.utime, 0))
+        self._times[event.channel] = (first, event.utime)
+        if event.channel not in HEARD:
+            return
+        self._cell.checked[event.channel].hear(event.data)
+        if event.channel == channels.IIWA_STATUS:
+            self._go_on(event.data)
+
+    def _go_on(self, data: bytes) -> None:
+        """Let time pass until the arm's message was sent, in steps of `PERIOD` at least."""
+        try:
+            _, stamp = self._status.read(data)
+            check_stamp(stamp, self._last)
+        except BadMessage:
+            return  # counted already
+        if not np.isfinite(self._last):
+            self._begin = self._last = stamp
+        self._begin += max(stamp - self._last - LONGEST_SILENCE, 0.0)
+        self._last = stamp
+        if stamp - self._begin >= self.time + PERIOD:
+            self._simulator.AdvanceTo(stamp - self._begin)
+
+    @property
+    def time(self) -> float:
+        """s of the arm's clock since its first message, less long silences."""
+        return float(self._root.get_time())
+
+    @property
+    def pose(self) -> ObservedPose:
+        """What the camera says of the object."""
+        return self._said(self._perception, "object_pose")
+
+    @property
+    def descents(self) -> tuple[Descent, ...]:
+        """Every time that the finger was down, and what came of it."""
+        return self._said(self._finder, "descents")
+
+    @property
+    def given_up(self) -> str:
+        """Why what the finger does now is not a push yet; empty where it is up."""
+        return self._finder.given_up(self._finder.GetMyContextFromRoot(self._root))
+
+    @property
+    def pushes(self) -> int:
+        """Number of recorded pushes."""
+        return len(self._said(self._logger, "records"))
+
+    def dataset(self) -> PushDataset:
+        """The recorded pushes.
+
+        Raises:
+            DatasetError: there are none.
+        """
+        trials = [
+            replace(trial, role="heldout" if (number + 1) % EVERY == 0 else "fit")
+            for number, trial in enumerate(self._said(self._logger, "records"))
+        ]
+        grid = self._said(self._perception, "cell_grid")
+        return replace(recorded_dataset(trials, grid, self._scenario), name=self._name)
+
+    def heard(self) -> dict[str, Heard]:
+        """What came on every channel until now."""
+        received: Mapping[str, Received] = self._cell.received(self._root)
+        result = {}
+        for channel in (*HEARD, *sorted(self._came.keys() - set(HEARD))):
+            count = self._came[channel]
+            first, last = self._times.get(channel, (0, 0))
+            rate = (count - 1) / (1e-6 * (last - first)) if last > first else 0.0
+            dropped = received[channel].dropped if channel in received else {}
+            result[channel] = Heard(count, rate, dict(dropped))
+        return result
+
+    def silent(self) -> list[str]:
+        """Channels that are needed, and on which nothing good has come."""
+        received = self._cell.received(self._root)
+        return [channel for channel in NEEDED if not received[channel].good]
+
+    def _said(self, block: Any, port: str) -> Any:
+        return block.GetOutputPort(port).Eval(block.GetMyContextFromRoot(self._root))

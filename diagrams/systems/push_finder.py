@@ -1,0 +1,253 @@
+"""Finds pushes in what a cell says, whoever makes them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import shapely
+from pydrake.common.value import Value
+from pydrake.math import RigidTransform
+from pydrake.systems.framework import Context, EventStatus, LeafSystem, State
+
+from diagrams.execution.messages import ExecutionStatus
+from diagrams.execution.push_executor import CLOSED
+from diagrams.systems.held import held, read, replace_held
+from diagrams.systems.measurement_logger import PERIOD
+from diagrams.systems.messages import LoopStatus
+from models.perception.observed_pose import ObservedPose
+from models.perception.seen_object import SeenObject
+from models.physics.cell_grid import FloatArray
+
+TOUCH = 0.005
+"""m between finger and outline up to which they may have touched: outline and pose are not that exact."""
+
+MOVED, TURNED = 0.002, 0.02
+"""m and rad that the object must have moved by; less is what looking at it again may show."""
+
+GAP = 0.1
+"""s without a word of the arm after which nobody knows what the finger did."""
+
+LONGEST = 60.0
+"""s that the finger may be down for a push."""
+
+_UNSEEN = "the object was not seen at rest afterwards"
+
+
+@dataclass(frozen=True)
+class Descent:
+    """A time during which the finger was down beside the object, and what came of it.
+
+    Attributes:
+        begin, end: s of the diagram's time.
+        reason: why it was not kept as a push; empty where it was.
+    """
+
+    begin: float
+    end: float
+    reason: str = ""
+
+    @property
+    def kept(self) -> bool:
+        """Whether it is a recorded push."""
+        return not self.reason
+
+
+@dataclass(frozen=True, eq=False)
+class _Found:
+    """State.
+
+    Attributes:
+        phase: `up`, `down`, or `after`: up again, and the object is to be seen at rest.
+        begin, end: of the present descent, s.
+        reason: why the present descent is no push, once that is known.
+        touched: whether the finger was at the object.
+        rest: pose (3,) at which the object was last seen with the arm aside, since the descent before.
+        told: time at which the arm measured where it was, s.
+        looked: time of the newest picture that showed the object, s.
+        aside: whether the arm was aside at the last look, and is.
+        descents: that are over.
+    """
+
+    phase: str = "up"
+    begin: float = 0.0
+    end: float = 0.0
+    reason: str = ""
+    touched: bool = False
+    rest: FloatArray | None = None
+    told: float = -np.inf
+    looked: float = -np.inf
+    aside: tuple[bool, bool] = (False, False)
+    descents: tuple[Descent, ...] = ()
+
+
+class PushFinder(LeafSystem):
+    """Says of an arm that somebody else drives when it pushes, as executor and supervisor of a loop would.
+
+    .. pydrake_system::
+
+        name: PushFinder
+        input_ports:
+        - object_pose
+        - seen_object
+        - aside
+        - tip_pose
+        - tip_age
+        - gripper.state_measured
+        - records
+        output_ports:
+        - execution
+        - status
+        - descents
+
+    - `object_pose`: `ObservedPose`; `seen_object`: `SeenObject | None`; `aside`: bool, whether the arm hides
+      nothing of the object.
+    - `tip_pose`: X_WT of the finger's end; `tip_age` (1,): s since it was measured.
+    - `gripper.state_measured` (2,): opening and its rate, m and m/s.
+    - `records`: tuple of `Trial` of the `MeasurementLogger` that listens to this.
+    - `execution`: `ExecutionStatus` in `home` (the arm is aside), `pushing` (the finger is down) or
+      `retreating`; `status`: `LoopStatus` in `looking`, `pushing` or `recording`.
+    - `descents`: tuple of `Descent`.
+
+    The finger is down while its end is lower than the object's top. A descent is a push where the object was
+    seen at rest before it and is so after it, and has moved; where the finger came near it, closed; and where
+    the arm said all the time where it was. A look counts where the arm is out of its way before and after.
+
+    Args:
+        finger_radius: m.
+    """
+
+    def __init__(self, finger_radius: float) -> None:
+        super().__init__()
+        self._reach = finger_radius + TOUCH
+        for name in ("object_pose", "seen_object"):
+            self.DeclareAbstractInputPort(name, Value[object](None))
+        self.DeclareAbstractInputPort("aside", Value[object](False))
+        self.DeclareAbstractInputPort("tip_pose", Value(RigidTransform()))
+        self.DeclareVectorInputPort("tip_age", 1)
+        self.DeclareVectorInputPort("gripper.state_measured", 2)
+        self.DeclareAbstractInputPort("records", Value[object](()))
+        self._found = self.DeclareAbstractState(held(_Found()))
+        self.DeclarePeriodicUnrestrictedUpdateEvent(PERIOD, 0.0, self._update)
+        own = self.abstract_state_ticket(self._found)
+        records = self.GetInputPort("records").ticket()
+        for name, calc in (("execution", _execution), ("status", self._status), ("descents", _descents)):
+            self.DeclareAbstractOutputPort(
+                name,
+                lambda: Value[object](None),
+                lambda context, output, calc=calc: output.set_value(
+                    calc(read(context, self._found), len(self._input(context, "records")))
+                ),
+                {own, records},
+            )
+
+    def given_up(self, context: Context) -> str:
+        """Why the push under way, if any, is not a push yet; empty where there is none."""
+        found: _Found = read(context, self._found)
+        if found.phase == "up":
+            return ""
+        return found.reason or ("the finger was still down" if found.phase == "down" else _UNSEEN)
+
+    def _update(self, context: Context, state: State) -> EventStatus:
+        before: _Found = read(context, self._found)
+        replace_held(state, self._found, self._next(context, before))
+        return EventStatus.Succeeded()
+
+    def _next(self, context: Context, now: _Found) -> _Found:
+        pose: ObservedPose = self._input(context, "object_pose")
+        seen: SeenObject | None = self._input(context, "seen_object")
+        tip = self._input(context, "tip_pose").translation()
+        told = context.get_time() - float(self._input(context, "tip_age")[0])
+        down = seen is not None and tip[2] < seen.cell_heights.max()
+        silent = told - now.told if np.isfinite(now.told) else 0.0
+        now = replace(now, told=told)
+        if now.phase == "after" and len(self._input(context, "records")) > sum(
+            descent.kept for descent in now.descents
+        ):
+            now = replace(_over(now, ""), rest=pose.pose if pose.valid else None)
+        if not pose.valid:
+            now = replace(now, aside=(False, False))
+        if not down:
+            if now.phase == "down":
+                now = self._lifted(replace(now, end=told))
+            return self._looked(context, now, pose) if pose.valid else now
+        assert seen is not None
+        if now.phase == "after":
+            now = _over(now, f"{_UNSEEN}, before the finger came down again")
+        if now.phase == "up":
+            return replace(
+                now, phase="down", begin=told, end=told, touched=False, reason=self._unfit(context, now)
+            )
+        reason = now.reason
+        if silent > GAP:
+            reason = reason or f"the arm said nothing for {silent:.2f} s"
+        if told - now.begin > LONGEST:
+            reason = reason or f"the finger was down for more than {LONGEST:.0f} s"
+        lies = pose.pose if pose.valid else now.rest
+        touched = now.touched or (lies is not None and self._near(seen, lies, tip))
+        return replace(now, touched=touched, reason=reason)
+
+    def _unfit(self, context: Context, now: _Found) -> str:
+        """Why no push can begin now."""
+        if now.rest is None:
+            return "the object was not seen at rest before"
+        opening = float(self._input(context, "gripper.state_measured")[0])
+        if not opening <= CLOSED:
+            return f"the gripper was open by {1e3 * opening:.0f} mm"
+        return ""
+
+    def _near(self, seen: SeenObject, lies: FloatArray, tip: FloatArray) -> bool:
+        c, s = np.cos(lies[2]), np.sin(lies[2])
+        x, y = np.array([[c, s], [-s, c]]) @ (tip[:2] - lies[:2])
+        return bool(seen.grid.polygon.distance(shapely.Point(x, y)) <= self._reach)
+
+    def _lifted(self, now: _Found) -> _Found:
+        reason = now.reason or ("" if now.touched else "the finger did not come near the object")
+        if reason:
+            return _over(now, reason)
+        return replace(now, phase="after", aside=(False, False))
+
+    def _looked(self, context: Context, now: _Found, pose: ObservedPose) -> _Found:
+        """With a picture that is new; one counts if the arm is aside then, and at the next."""
+        if pose.time <= now.looked:
+            return now
+        aside = (now.aside[1], bool(self._input(context, "aside")))
+        now = replace(now, looked=pose.time, aside=aside)
+        if not all(aside):
+            return now
+        if now.phase == "after":
+            assert now.rest is not None
+            off = np.abs(pose.pose - now.rest)
+            if np.hypot(*off[:2]) < MOVED and off[2] < TURNED:
+                return _over(replace(now, rest=pose.pose), "the object did not move")
+            return now
+        return replace(now, rest=pose.pose)
+
+    def _status(self, now: _Found, records: int) -> LoopStatus:
+        if now.phase == "down" and not now.reason:
+            return LoopStatus("pushing", records)
+        return LoopStatus("recording" if now.phase == "after" else "looking", records)
+
+    def _input(self, context: Context, name: str):  # type: ignore[no-untyped-def]
+        return self.GetInputPort(name).Eval(context)
+
+
+def _over(now: _Found, reason: str) -> _Found:
+    """The present descent is over."""
+    return replace(
+        now,
+        phase="up",
+        reason="",
+        rest=None if now.touched else now.rest,
+        descents=(*now.descents, Descent(now.begin, now.end, reason)),
+    )
+
+
+def _execution(now: _Found, records: int) -> ExecutionStatus:
+    if now.phase == "down":
+        return ExecutionStatus("approaching" if now.reason else "pushing", records)
+    return ExecutionStatus("home" if all(now.aside) else "retreating", records)
+
+
+def _descents(now: _Found, records: int) -> tuple[Descent, ...]:
+    return now.descents
