@@ -118,25 +118,30 @@ class PushListener:
         self._came[event.channel] += 1
         first, _ = self._times.get(event.channel, (event.utime, 0))
         self._times[event.channel] = (first, event.utime)
-        if event.channel not in HEARD:
+        if event.channel == channels.IIWA_STATUS and not self._go_on(event.data):
             return
-        self._cell.checked[event.channel].hear(event.data)
-        if event.channel == channels.IIWA_STATUS:
-            self._go_on(event.data)
+        if event.channel in HEARD:
+            checked = self._cell.checked[event.channel]
+            checked.hear(event.data)
+            checked.take(checked.GetMyMutableContextFromRoot(self._root))
 
-    def _go_on(self, data: bytes) -> None:
-        """Let time pass until the arm's message was sent, in steps of `PERIOD` at least."""
+    def _go_on(self, data: bytes) -> bool:
+        """Let time pass until the arm's message was sent; whether it is to be looked at, since the last one
+        that was is `PERIOD` older, or it is a bad one."""
         try:
             _, stamp = self._status.read(data)
             check_stamp(stamp, self._last)
         except BadMessage:
-            return  # counted already
+            return True
         if not np.isfinite(self._last):
             self._begin = self._last = stamp
+            return True
         self._begin += max(stamp - self._last - LONGEST_SILENCE, 0.0)
         self._last = stamp
-        if stamp - self._begin >= self.time + PERIOD:
-            self._simulator.AdvanceTo(stamp - self._begin)
+        if stamp - self._begin < self.time + PERIOD - 1e-6:
+            return False
+        self._simulator.AdvanceTo(stamp - self._begin)
+        return True
 
     @property
     def time(self) -> float:

@@ -112,8 +112,8 @@ def lag_words(lag: CameraLag | None) -> str:
         return f"Camera: no lag beside the arm is to be seen ({numbers})."
     which = "late" if value > 0 else "early"
     return (
-        f"Camera: its pictures are {abs(value):.0f} ms {which} beside the arm ({numbers}). See to the clocks of"
-        " their drivers, or learn with it: `slipmap fit --effect sensor_latency`."
+        f"Camera: its pictures are {abs(value):.0f} ms {which} beside the arm ({numbers}). See to the clocks"
+        " of their drivers, or learn with it: `slipmap fit --effect sensor_latency`."
     )
 
 

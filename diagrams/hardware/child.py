@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+from contextlib import suppress
 from typing import IO
 
 from diagrams.hardware.channels import HardwareError
@@ -76,3 +77,11 @@ class Child:
 def be_ready() -> None:
     """In the child: tell the parent that all is prepared."""
     os.write(sys.stdout.fileno(), _READY)
+
+
+def have_priority() -> None:
+    """In the child: where the system has this and allows it, be kept waiting by no other process, nor by the
+    parent if it has real-time priority itself."""
+    with suppress(OSError, AttributeError):
+        priority = min(os.sched_getparam(0).sched_priority + 1, os.sched_get_priority_max(os.SCHED_RR))
+        os.sched_setscheduler(0, os.SCHED_RR, os.sched_param(priority))

@@ -14,13 +14,12 @@ import struct
 import sys
 import time
 from collections import deque
-from contextlib import suppress
 
 import numpy as np
 from drake import lcmt_iiwa_command
 
 from diagrams.hardware.channels import ARM_PERIOD, IIWA_COMMAND, HardwareError
-from diagrams.hardware.child import Child, be_ready
+from diagrams.hardware.child import Child, be_ready, have_priority
 from diagrams.hardware.network import open_lcm
 from models.physics.cell_grid import FloatArray
 
@@ -125,11 +124,7 @@ def main(url: str) -> None:
     lcm = open_lcm(url, listens=False)  # or it would also receive all pictures
     buffer = CommandBuffer()
     source, received, ends = sys.stdin.fileno(), b"", np.inf
-    with suppress(OSError, AttributeError):
-        # Where the system has this and allows it, no other process keeps the arm waiting, nor does the
-        # diagram if it has real-time priority itself.
-        priority = min(os.sched_getparam(0).sched_priority + 1, os.sched_get_priority_max(os.SCHED_RR))
-        os.sched_setscheduler(0, os.SCHED_RR, os.sched_param(priority))
+    have_priority()
     gc.freeze()
     gc.disable()
     be_ready()

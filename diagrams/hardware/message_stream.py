@@ -19,15 +19,17 @@ from functools import partial
 from typing import cast
 
 from diagrams.hardware.channels import HardwareError
-from diagrams.hardware.child import Child, be_ready
+from diagrams.hardware.child import Child, be_ready, have_priority
 from diagrams.hardware.message_log import Event, LogReader
-from diagrams.hardware.network import Listener
+from diagrams.hardware.network import open_lcm
 
 TICK = "slipmap.tick"
 """Channel of empty events that come every `TICKS` s, so that whoever reads wakes when nothing is heard."""
 
 TICKS = 0.5
 """s between two of them."""
+
+_LOOK_EVERY = 3e-4  # s
 
 WAITING = 400_000_000
 """Bytes of messages that may wait for a busy reader; more are left out, which shows in their numbers."""
@@ -93,8 +95,9 @@ class _Waiting:
 def main(url: str, *heard: str) -> None:
     """Write what is heard to the standard output until the input ends."""
     waiting = _Waiting()
-    listener = Listener(url, {name: partial(waiting.add, name) for name in heard})
-    be_ready()
+    lcm = open_lcm(url)
+    for name in heard:
+        lcm.Subscribe(name, partial(waiting.add, name))
 
     def write() -> None:
         with suppress(OSError):  # nobody reads any more
@@ -103,10 +106,16 @@ def main(url: str, *heard: str) -> None:
                 while left:
                     left = left[os.write(sys.stdout.fileno(), left) :]
 
+    be_ready()
     threading.Thread(target=write, daemon=True).start()
-    while not select.select([sys.stdin], [], [], TICKS)[0]:
-        waiting.add(TICK, b"")
-    listener.close()
+    have_priority()  # LCM keeps one message of a channel until it is asked for
+    ticked = time.monotonic()
+    while not select.select([sys.stdin], [], [], 0.0)[0]:
+        if not lcm.HandleSubscriptions(0):  # waiting inside of it would keep the other thread waiting
+            time.sleep(_LOOK_EVERY)
+        if time.monotonic() - ticked > TICKS:
+            ticked = time.monotonic()
+            waiting.add(TICK, b"")
 
 
 if __name__ == "__main__":
