@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from array import array
 from collections.abc import Callable
 
 import numpy as np
@@ -42,8 +43,8 @@ class LockstepCell(Diagram):
         cell, driver = DrakeLcm("memq://"), DrakeLcm("memq://")
         self._positions = positions
         self._root: Context | None = None
-        self._commands: list[list[float]] = []
-        driver.Subscribe(channels.IIWA_COMMAND, lambda data: self._commands.append(row_of(data)))
+        self._commands = array("d")
+        driver.Subscribe(channels.IIWA_COMMAND, lambda data: self._commands.extend(row_of(data)))
         builder = DiagramBuilder()
         self.twin: CellTwin = builder.AddSystem(CellTwin(scenario, cell))
         self._clock = builder.AddSystem(_Clock())
@@ -90,6 +91,11 @@ class LockstepCell(Diagram):
     def log(self) -> CommandLog:
         """All commands until now."""
         return CommandLog.of(np.array(self._commands))
+
+    @property
+    def now(self) -> float:
+        """Time that was simulated, s."""
+        return self._clock.now
 
     @property
     def positions(self) -> FloatArray | None:

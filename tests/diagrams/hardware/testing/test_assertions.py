@@ -1,0 +1,103 @@
+"""Assertions on what a cell was told and what was learned in it: they hold, and they fail with numbers."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from diagrams.hardware.guard_settings import GuardSettings
+from diagrams.hardware.testing import (
+    CommandLog,
+    Fault,
+    Faults,
+    assert_alarm,
+    assert_limits_kept,
+    assert_predicts,
+    assert_quiet,
+)
+from diagrams.station.arm import HOME
+from diagrams.systems.model_monitor import Judged, Watch
+from models.inference.belief import Belief
+from models.inference.results import Identification, PushPrediction
+from models.robots import SPEED_LIMITS
+
+
+def log(share: float, joint: int = 6, n: int = 50) -> CommandLog:
+    """A joint turns at a share of its largest speed; the last one moves the finger by little."""
+    times = 0.005 * np.arange(n)
+    q = np.tile(HOME, (n, 1))
+    q[:, joint] += share * SPEED_LIMITS[joint] * times
+    return CommandLog.of(np.column_stack([times, q]))
+
+
+def test_speeds_are_told_from_stamps_whatever_is_missing():
+    full = log(0.5)
+    sparse = CommandLog.of(np.column_stack([full.times, full.q])[[0, 1, 5, 6, 20, 20, 19, 30]])
+    assert len(sparse.times) == 6
+    np.testing.assert_allclose(sparse.joint_speeds[:, 6], 0.5 * SPEED_LIMITS[6], rtol=1e-9)
+
+
+def test_limits_of_joints_and_finger():
+    assert_limits_kept([log(0.99)], GuardSettings())
+    with pytest.raises(AssertionError, match=r"iiwa_joint_7 was asked for 1\.01 times"):
+        assert_limits_kept([log(0.5), log(1.01)], GuardSettings())
+    fast = log(0.9, joint=0)
+    assert fast.tip_speeds.max() == pytest.approx(fast.tip_speeds.min(), rel=1e-3)  # on a circle
+    with pytest.raises(AssertionError, match="the finger was asked for"):
+        assert_limits_kept([fast], GuardSettings(tip_speed=0.9 * fast.tip_speeds.max()))
+    with pytest.raises(AssertionError, match="no commands"):
+        assert_limits_kept([CommandLog.of(np.zeros((0, 8)))], GuardSettings())
+
+
+def learned(*errors: float) -> Identification:
+    pushes = [
+        PushPrediction(f"trials/{k:03d}.json", "heldout", *[np.zeros(0)] * 4, error, 0.001, 0.05, 0.02, 1.0)
+        for k, error in enumerate(errors)
+    ]
+    return Identification(SimpleNamespace(spec=Belief), tuple(pushes), (), 0.0)  # type: ignore[arg-type]
+
+
+def test_predictions_are_judged_by_the_worst_push():
+    assert_predicts(learned(0.001, 0.004), within=0.005)
+    with pytest.raises(AssertionError, match=r"ended 6\.0 mm .*5\.0 mm are allowed[^$]*trials/001"):
+        assert_predicts(learned(0.001, 0.006), within=0.005)
+    with pytest.raises(AssertionError, match="no push has the role fit"):
+        assert_predicts(learned(0.001), within=0.005, role="fit")
+
+
+def watched(*evidence: float) -> Watch:
+    judged = [Judged(k, 3.0, 0.01, value, value >= 100) for k, value in enumerate(evidence)]
+    return Watch(len(judged), np.zeros(3), tuple(judged))
+
+
+def test_a_quiet_monitor_must_have_had_something_to_judge():
+    assert_quiet(watched(1.0, 2.0, 4.0))
+    with pytest.raises(AssertionError, match="only 2 pushes were judged"):
+        assert_quiet(watched(1.0, 2.0))
+    with pytest.raises(AssertionError, match="push 3: misfit 3.0, evidence 150"):
+        assert_quiet(watched(1.0, 20.0, 150.0))
+    assert_alarm(watched(1.0, 20.0, 150.0, 50.0))
+    with pytest.raises(AssertionError, match="no alarm"):
+        assert_alarm(watched(1.0, 20.0, 99.0))
+
+
+def test_planned_faults_begin_once_when_the_robot_gets_there():
+    ordered: list[Fault] = []
+    faults = Faults(_way=SimpleNamespace(order=ordered.append))
+    stop = Fault("status", "stop")
+    faults.when("pushing", stop, push=2)
+    for stage, done in (
+        ("push 1 of 3: pushing", 0),
+        ("push 2 of 3: looking at the object", 1),
+        ("push 2 of 3: pushing", 1),
+        ("push 2 of 3: pushing", 1),
+    ):
+        assert not ordered or stage.endswith("pushing")
+        faults.look(stage, done)
+    assert ordered == faults.happened == [stop]
+    with pytest.raises(ValueError, match="looking, choosing"):
+        faults.when("dancing", stop)
+    with pytest.raises(RuntimeError, match="nothing is running"):
+        Faults().now(stop)
