@@ -45,8 +45,9 @@ def _book(regions: Sequence[BaseGeometry]) -> list[Part]:
     return [
         (lofted(left, [(0, 0), (0, 3)]), CLOTH),
         (lofted(right, [(0, 0), (0, 3)]), CLOTH),
-        (lofted(shapely.box(5, 5, 176, 250), [(0, 3), (0, 6), (1, 7)]), ENDPAPER),
-        (lofted(shapely.box(176, 5, 359, 250), [(0, 3), (0, 28), (1, 29.5), (3, 30)]), IVORY),
+        # The pages reach almost to the cover's edge: the finger pushes them, and what it pushes must be seen.
+        (lofted(shapely.box(0.5, 0.5, 176, 254.5), [(0, 3), (0, 6), (1, 7)]), ENDPAPER),
+        (lofted(shapely.box(176, 0.5, 363.5, 254.5), [(0, 3), (0, 28.5), (0.7, 29.7), (1.5, 30)]), IVORY),
         (_slab(215, 195, 270, 202, 30, 30.3), INK),
         *((_slab(215, y, end, y + 3, 30, 30.3), INK) for y, end in lines),
     ]
@@ -88,15 +89,16 @@ def _wrench(regions: Sequence[BaseGeometry]) -> list[Part]:
 
 def _snack(regions: Sequence[BaseGeometry]) -> list[Part]:
     empty, full = regions
-    # A thin bag all round, flat where it is sealed, that swells towards what is in it.
+    # A bag that swells towards what is in it; steep at the sides, where the finger pushes it.
+    pillow = [(0, 7), (0.4, 30), (2, 37), (6, 40.5), (16, 43.5), (32, 45)]
     bag = shapely.union_all([empty, full])
-    filling = shapely.intersection(shapely.box(96, 0, 300, 300), bag.buffer(-6))
-    flap = shapely.intersection(shapely.box(10, 0, 111, 300), bag.buffer(-5))
+    filling = shapely.intersection(shapely.box(96, 0, 300, 300), bag.buffer(-0.5))
+    flap = shapely.intersection(shapely.box(10, 0, 111, 300), bag.buffer(-0.5))
     return [
         (lofted(empty, [(0, 0), (0, 6), (1, 7)]), YELLOW),
         (lofted(full, [(0, 0), (0, 6), (1, 7)]), GREEN),
         (lofted(flap, rounded(20, 45, 13, 7)), YELLOW),
-        (lofted(filling, rounded(45, 42, 38, 7)), GREEN),
+        (lofted(filling, pillow), GREEN),
     ]
 
 
