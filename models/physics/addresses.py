@@ -1,6 +1,8 @@
-"""Calls of compiled functions by their address: formulas made at run time inside kernels compiled before.
+"""Calls of compiled functions by their address, which is a number that a kernel gets as an argument.
 
-A kernel that took formulas as arguments would have to be compiled for each; an address is a number.
+Formulas made at run time are called inside kernels that were compiled before them. And a large function is
+compiled once: numba puts a copy of what is called by name into each caller, and optimises all of it again;
+a parallel loop alone holds three.
 """
 
 from __future__ import annotations
@@ -8,8 +10,46 @@ from __future__ import annotations
 from typing import Any
 
 from llvmlite import ir
-from numba import types
+from numba import typeof, types
+from numba._dispatcher import compute_fingerprint
+from numba.core.cgutils import if_unlikely
+from numba.core.errors import TypingError
 from numba.extending import intrinsic
+
+_addresses: dict[tuple[Any, bytes], int] = {}
+
+
+def address_of(function: Any, arguments: tuple[Any, ...]) -> int:
+    """Address of a compiled function for arguments of these kinds; compiles it where it is new."""
+    key = function, compute_fingerprint(arguments)
+    if key not in _addresses:
+        signature = types.void(*(typeof(argument) for argument in arguments))
+        result = function.get_compile_result(signature)
+        _addresses[key] = int(result.library.get_pointer_to_function(result.fndesc.llvm_func_name))
+    return _addresses[key]
+
+
+@intrinsic
+def call_compiled(typingctx, function, address, arguments):  # type: ignore[no-untyped-def]
+    """Call a compiled function, which returns nothing, by its address from `address_of`.
+
+    The function itself says which kinds of arguments are right, for its address does not.
+    """
+    kinds = tuple(arguments)
+    if kinds not in function.dispatcher.overloads:
+        raise TypingError(f"{function.dispatcher.py_func.__name__}: not compiled for {kinds}")
+    signature = types.void(function, address, arguments)
+
+    def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        shape = context.call_conv.get_function_type(types.none, kinds)
+        target = builder.inttoptr(args[1], shape.as_pointer())
+        values = [builder.extract_value(args[2], k) for k in range(len(kinds))]
+        status, _ = context.call_conv.call_function(builder, target, types.none, kinds, values)
+        with if_unlikely(builder, status.is_error):
+            context.call_conv.return_status_propagate(builder, status)
+        return context.get_dummy_value()
+
+    return signature, generate
 
 
 @intrinsic

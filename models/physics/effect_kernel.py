@@ -8,11 +8,12 @@ bends). What the formulas are evaluated at is in `effect_layout.py`, the Jacobia
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 from numba import prange
 
-from models.physics.addresses import call_address
+from models.physics.addresses import address_of, call_address, call_compiled
 from models.physics.around_step import (
     Applied,
     add_applied_turning,
@@ -54,7 +55,7 @@ from models.physics.step_derivative import step_derivative
 from models.physics.turns import joined, turn_by, turned
 
 
-@compiled()
+@compiled(inline="always")
 def effect_rollout(  # type: ignore[no-untyped-def]
     load, rx, ry, inertia, mu, cell_width, edges, radius, size, smoothing, h, tip, wrench, q0, v0,
     sample_time, delay, force_step, addresses, sizes, constants, parameters, memory0,
@@ -265,31 +266,53 @@ def effect_rollout(  # type: ignore[no-untyped-def]
     end_out[6] = -1.0 if failed else float(evaluations)
 
 
-@compiled(parallel=True)
-def effect_rollout_all(  # type: ignore[no-untyped-def]
-    load, rx, ry, inertia, mu, cell_width, edges, radius, size, smoothing, h, tip, tip_at,
+@compiled()
+def _effect_rollout_one(  # type: ignore[no-untyped-def]
+    job, load, rx, ry, inertia, mu, cell_width, edges, radius, size, smoothing, h, tip, tip_at,
     wrench, wrench_at, q0, v0, sample_time, sample_at, delay, force_step, force_at,
     addresses, sizes, constants, parameters, memory0,
     pose_out, rate_out, force_out, dpose_out, dforce_out, end_out,
 ):  # fmt: skip
+    pushes = h.shape[0]
+    k = job // pushes
+    b = job % pushes
+    s0, s1 = sample_at[b], sample_at[b + 1]
+    f0, f1 = force_at[b], force_at[b + 1]
+    effect_rollout(
+        load[k], rx, ry, inertia[k], mu[k], cell_width, edges, radius, size, smoothing, h[b],
+        tip[tip_at[b] : tip_at[b + 1]], wrench[wrench_at[b] : wrench_at[b + 1]], q0[k, b], v0[k, b],
+        sample_time[s0:s1], delay[k], force_step[f0:f1],
+        addresses, sizes, constants[b], parameters[k], memory0,
+        pose_out[k, s0:s1], rate_out[k, s0:s1], force_out[k, f0:f1], dpose_out[k, s0:s1],
+        dforce_out[k, f0:f1], end_out[k, b],
+    )  # fmt: skip
+
+
+@compiled(parallel=True)
+def _all_jobs(  # type: ignore[no-untyped-def]
+    address, load, rx, ry, inertia, mu, cell_width, edges, radius, size, smoothing, h, tip, tip_at,
+    wrench, wrench_at, q0, v0, sample_time, sample_at, delay, force_step, force_at,
+    addresses, sizes, constants, parameters, memory0,
+    pose_out, rate_out, force_out, dpose_out, dforce_out, end_out,
+):  # fmt: skip
+    for job in prange(load.shape[0] * h.shape[0]):
+        call_compiled(
+            _effect_rollout_one, address,
+            (
+                np.int64(job), load, rx, ry, inertia, mu, cell_width, edges, radius, size, smoothing, h,
+                tip, tip_at, wrench, wrench_at, q0, v0, sample_time, sample_at, delay, force_step, force_at,
+                addresses, sizes, constants, parameters, memory0,
+                pose_out, rate_out, force_out, dpose_out, dforce_out, end_out,
+            ),
+        )  # fmt: skip
+
+
+def effect_rollout_all(*arguments: Any) -> None:
     """All models times all pushes, on all threads; arguments as in `kernel.rollout_one` and `effect_rollout`.
 
     Shapes: delay (K,), constants (B, CONSTANTS), parameters (K, P), rate_out (K, S, 3).
     """
-    pushes = h.shape[0]
-    for job in prange(load.shape[0] * pushes):
-        k = job // pushes
-        b = job % pushes
-        s0, s1 = sample_at[b], sample_at[b + 1]
-        f0, f1 = force_at[b], force_at[b + 1]
-        effect_rollout(
-            load[k], rx, ry, inertia[k], mu[k], cell_width, edges, radius, size, smoothing, h[b],
-            tip[tip_at[b] : tip_at[b + 1]], wrench[wrench_at[b] : wrench_at[b + 1]], q0[k, b], v0[k, b],
-            sample_time[s0:s1], delay[k], force_step[f0:f1],
-            addresses, sizes, constants[b], parameters[k], memory0,
-            pose_out[k, s0:s1], rate_out[k, s0:s1], force_out[k, f0:f1], dpose_out[k, s0:s1],
-            dforce_out[k, f0:f1], end_out[k, b],
-        )  # fmt: skip
+    _all_jobs(address_of(_effect_rollout_one, (0, *arguments)), *arguments)
 
 
 __all__ = ["BODY_OUTPUTS", "CONSTANTS", "effect_rollout_all"]

@@ -6,10 +6,12 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 from numba import prange
 
+from models.physics.addresses import address_of, call_compiled
 from models.physics.around_step import (
     Applied,
     add_applied_turning,
@@ -45,7 +47,7 @@ from models.physics.step_derivative import step_derivative
 from models.physics.turns import joined, turn_by, turned
 
 
-@compiled()
+@compiled(inline="always")
 def rollout(  # type: ignore[no-untyped-def]
     load, rx, ry, inertia, mu, cell_width, edges, radius, size, smoothing, h, tip, wrench, q0, v0,
     sample_step, sample_fraction, force_step, pose_out, force_out, dpose_out, dforce_out, end_out,
@@ -62,7 +64,7 @@ def rollout(  # type: ignore[no-untyped-def]
         edges: (E, 4) outline.
         radius: finger radius, m.
         size: largest distance of an outline corner from the object frame's origin, m.
-        smoothing: (3,) slip speed ε, stick_speed, penetration.
+        smoothing: (4,) slip speed ε, stick_speed, penetration, relaxation.
         h: step, s.
         tip: (N + 1, 2) finger centre at the ends of the steps, world, m; NaN rows mean no finger.
         wrench: (N, 5) or (0, 5): force (world, N), its point (object frame, m) and a torque (N m).
@@ -222,18 +224,25 @@ def rollout_one(  # type: ignore[no-untyped-def]
 
 
 @compiled(parallel=True)
-def rollout_all(  # type: ignore[no-untyped-def]
-    load, rx, ry, inertia, mu, cell_width, edges, radius, size, smoothing, h, tip, tip_at,
+def _all_jobs(  # type: ignore[no-untyped-def]
+    address, load, rx, ry, inertia, mu, cell_width, edges, radius, size, smoothing, h, tip, tip_at,
     wrench, wrench_at, q0, v0, sample_step, sample_fraction, sample_at, force_step, force_at,
     pose_out, force_out, dpose_out, dforce_out, end_out,
 ):  # fmt: skip
-    """All models times all pushes, on all threads; arguments as in `rollout_one`."""
     for job in prange(load.shape[0] * h.shape[0]):
-        rollout_one(
-            job, load, rx, ry, inertia, mu, cell_width, edges, radius, size, smoothing, h, tip, tip_at,
-            wrench, wrench_at, q0, v0, sample_step, sample_fraction, sample_at, force_step, force_at,
-            pose_out, force_out, dpose_out, dforce_out, end_out,
+        call_compiled(
+            rollout_one, address,
+            (
+                np.int64(job), load, rx, ry, inertia, mu, cell_width, edges, radius, size, smoothing, h,
+                tip, tip_at, wrench, wrench_at, q0, v0, sample_step, sample_fraction, sample_at,
+                force_step, force_at, pose_out, force_out, dpose_out, dforce_out, end_out,
+            ),
         )  # fmt: skip
+
+
+def rollout_all(*arguments: Any) -> None:
+    """All models times all pushes, on all threads; arguments as in `rollout_one`, without the job."""
+    _all_jobs(address_of(rollout_one, (0, *arguments)), *arguments)
 
 
 __all__ = ["EXTRA_COLUMNS", "rollout_all", "rollout_one"]

@@ -152,8 +152,9 @@ class JoinedPushes:
             start_poses = _of_all_models([p.start_pose for p in pushes], K)
         if start_twists is None:
             start_twists = _of_all_models([p.start_twist for p in pushes], K)
-        self.start_poses = np.ascontiguousarray(start_poses, dtype=float)
-        self.start_twists = np.ascontiguousarray(start_twists, dtype=float)
+        # Of one kind: arrays that must not be written would have the kernels compiled once more.
+        self.start_poses = np.require(start_poses, float, ("C", "W"))
+        self.start_twists = np.require(start_twists, float, ("C", "W"))
         self.h = np.array([push.h for push in pushes])
         self.tip = np.concatenate([push.tip for push in pushes])
         self.tip_at = _offsets([len(push.tip) for push in pushes])

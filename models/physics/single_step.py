@@ -41,7 +41,7 @@ INPUTS = 9
 """Columns of what drives the step: wrench (5), finger before and after the step (4)."""
 
 
-@compiled()
+@compiled(inline="always")
 def single_step(  # type: ignore[no-untyped-def]
     load, rx, ry, inertia, mu, cell_width, edges, radius, size, smoothing, h, state, tip, wrench,
     addresses, sizes, constants, parameters, next_out, jacobian_out,

@@ -1,0 +1,55 @@
+"""What is compiled, and that a call by address is the call by name."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numba.core.errors import TypingError
+from sliding_objects import FINGER_RADIUS, coast, random_maps, rectangle
+
+from models.physics.addresses import address_of, call_compiled
+from models.physics.compiled import compiled
+from models.physics.kernel import rollout_one
+from models.physics.rollout import Slider
+
+
+@compiled()
+def add_to(values, amount):
+    if amount < 0.0:
+        raise ValueError("negative")
+    for k in range(len(values)):
+        values[k] += amount
+
+
+@compiled()
+def add_by_address(address, values, amount):
+    call_compiled(add_to, address, (values, amount))
+
+
+def test_a_function_is_called_by_its_address():
+    values = np.arange(3.0)
+    address = address_of(add_to, (values, 0.5))
+    add_by_address(address, values, 0.5)
+    assert values.tolist() == [0.5, 1.5, 2.5]
+    assert address_of(add_to, (np.zeros(7), 0.25)) == address
+    with pytest.raises(ValueError, match="negative"):
+        add_by_address(address, values, -1.0)
+
+
+def test_a_call_by_address_of_other_kinds_is_refused():
+    address = address_of(add_to, (np.zeros(2), 0.5))
+    with pytest.raises(TypingError, match="add_to: not compiled for"):
+        add_by_address(address, np.zeros(2, dtype=np.int64), 0.5)
+
+
+def test_arrays_that_must_not_be_written_do_not_compile_the_kernel_again():
+    grid = rectangle(5, 3)
+    maps = random_maps(np.random.default_rng(0), len(grid))
+    push = coast((0.1, 0.0, 0.0), 0.03, 0.01)
+    slider = Slider(grid, FINGER_RADIUS)
+    twist = np.array([[[0.2, 0.0, 1.0]]])
+    expected = slider.rollout(maps, [push], start_twists=twist)
+    before = len(rollout_one.signatures)
+    held = slider.rollout(maps, [push], start_twists=np.broadcast_to(twist, (1, 1, 3)))
+    assert held.poses.tolist() == expected.poses.tolist()
+    assert len(rollout_one.signatures) == before
