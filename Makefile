@@ -19,9 +19,10 @@ demo: $(STAMP) ## Let a simulated robot take a hammer at the table's edge; resul
 test: $(STAMP) ## Run all tests
 	@$(BIN)/python -m pytest -q -n 2 --dist loadfile
 
-lint: $(STAMP) ## Check style and formatting
+lint: $(STAMP) ## Check style, formatting, and which way imports point
 	@$(BIN)/ruff check .
 	@$(BIN)/ruff format --check .
+	@$(BIN)/lint-imports --no-cache
 
 types: $(STAMP) ## Check types
 	@$(BIN)/mypy

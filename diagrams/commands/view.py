@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from threading import Thread
 
@@ -54,6 +53,9 @@ def view(belief_file: Path, page_file: Path | None, effect_files: tuple[Path, ..
 @contextmanager
 def _served(page: str) -> Iterator[str]:
     """Serve one page on this computer while the block runs; yields its address."""
+    # A third of the time in which `slipmap --help` answers, and only this needs it.
+    from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+
     content = page.encode("utf-8")
 
     class Answer(BaseHTTPRequestHandler):

@@ -14,7 +14,9 @@ from refusals import assert_refused, files_in
 from diagrams.command_line import slipmap as group
 
 COMMANDS = ("demo", "identify", "predict", "compare", "calibrate", "blind-test", "bench")
-HEAVY = ("numpy", "scipy", "numba", "matplotlib", "pydrake", "shapely", "cv2", "rich")
+HEAVY = (
+    "numpy", "scipy", "numba", "matplotlib", "pydrake", "shapely", "cv2", "rich", "sympy", "http.server",
+)  # fmt: skip
 
 
 def hear_ctrl_c() -> None:
