@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from models.angles import angle_between
 from models.inference.push_errors import radius_of_gyration
 from models.physics.cell_grid import CellGrid, FloatArray
 
@@ -39,11 +40,6 @@ def turned_to(pose: FloatArray, angle: float) -> FloatArray:
     result = np.array(pose, dtype=float)
     result[..., 2] = angle + angle_between(result[..., 2], angle)
     return result
-
-
-def angle_between(one: FloatArray | float, other: FloatArray | float) -> FloatArray:
-    """(…) the angle one - other, wrapped to half a turn on both sides, rad."""
-    return np.remainder(np.asarray(one, dtype=float) - other + np.pi, 2 * np.pi) - np.pi
 
 
 class PoseMetric:

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from models.angles import angle_between
 from models.inference.observations import Observation
 from models.measurements import PushDataset
 from models.physics.cell_grid import FloatArray
@@ -131,7 +132,7 @@ def proposals_for(
         speed = habits.speeds[int(rng.integers(3))]
         dwell = DWELL if rng.random() < 0.25 else 0.0
         for turned in (0.0, np.pi) if rng.random() < 1 / 3 else (0.0,):
-            angle = float((yaw + turned + np.pi) % (2 * np.pi) - np.pi)
+            angle = float(angle_between(yaw, -turned))
             place = _place(habits, length * turn(angle) @ contact.direction, rng)
             proposal = Proposal.of(contact, np.array([*place, angle]), speed, length, dwell)
             if _on_table(proposal, dataset):

@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from models.angles import angle_between
 from models.inference.belief import Belief
 from models.measurements.push_dataset import Table
 from models.physics.balance import balance_margins
@@ -19,7 +20,7 @@ from models.physics.cell_grid import FloatArray
 from planners.exploration import NoReachablePush
 from planners.foresight import least_margins
 from planners.goals import Goal
-from planners.pose_metric import PoseMetric, angle_between
+from planners.pose_metric import PoseMetric
 from planners.pregrasp_settings import PregraspSettings, PushSettings
 from planners.robust_push import PlannedPush, plan_push
 from planners.table_push import TablePush

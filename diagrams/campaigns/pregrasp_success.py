@@ -10,6 +10,7 @@ import numpy as np
 from diagrams.campaigns.experiment import Experiment, Summary
 from diagrams.campaigns.methods_compared import compare_methods, specs_of_methods
 from diagrams.campaigns.paper_numbers import PREGRASP_ACTIONS, PREGRASP_SUCCESS
+from models.angles import angle_between
 from planners.campaigns.trial import TrialOutcome, TrialSpec
 
 if TYPE_CHECKING:
@@ -69,7 +70,7 @@ def trial(*, seed: int, truth: str, object_name: str, method: str, belief_seed: 
 
 def near(pose: FloatArray, goal: FloatArray) -> bool:
     """Whether a pose (3,) is the goal (3,) but for 20 mm and 15°."""
-    angle = (pose[2] - goal[2] + np.pi) % (2 * np.pi) - np.pi
+    angle = float(angle_between(pose[2], goal[2]))
     return bool(np.hypot(*(pose[:2] - goal[:2])) <= NEAR and abs(angle) <= np.radians(NEAR_ANGLE))
 
 

@@ -10,9 +10,9 @@ from pydrake.systems.framework import Context, EventStatus, LeafSystem, State
 
 from diagrams.execution.messages import ExecutionStatus
 from diagrams.systems.held import held, read, replace_held
+from models.angles import angle_between
 from models.perception.observed_pose import ObservedPose
 from models.physics.cell_grid import FloatArray
-from planners.pose_metric import angle_between
 
 PERIOD = 0.02
 """s between two looks at the inputs."""

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
+from models.angles import angle_between
 from models.perception.camera import DepthImage, View, pixel_size
 from models.perception.edge_fit import EdgeFit, fit_edges, is_far, placed
 from models.perception.object_mask import HeightPicture, Mask, object_mask, smoothed_heights
@@ -151,7 +152,7 @@ def _anywhere(
     misfits = [_misfit(picture, view, seen, start, every=3)[0] for start in starts]
     chosen: list[FloatArray] = []
     for k in np.argsort(misfits, kind="stable"):
-        if all(abs(_wrapped(starts[k][2] - other[2])) > _APART for other in chosen):
+        if all(abs(angle_between(starts[k][2], other[2])) > _APART for other in chosen):
             chosen.append(starts[k])
         if len(chosen) == _REFINED:
             break
@@ -199,7 +200,3 @@ def _hidden_share(heights: np.ndarray, view: View, seen: SeenObject, pose: Float
     """Share of the inner points, at a pose, of which the picture shows nothing."""
     inner = seen.table.lift(placed(pose, seen.inner_points), seen.inner_heights)
     return float(np.mean(np.isnan(HeightPicture(heights).at(view.project(inner)[0]))))
-
-
-def _wrapped(angle: float) -> float:
-    return float((angle + np.pi) % (2 * np.pi) - np.pi)

@@ -5,7 +5,7 @@ import pytest
 
 from models.objects.benchmark import benchmark_object
 from models.physics.paper_notation import cell_poses
-from planners.pose_metric import PoseMetric, angle_between, compose, relative, turned_to
+from planners.pose_metric import PoseMetric, compose, relative, turned_to
 
 
 def matrix(pose):
@@ -33,5 +33,4 @@ def test_the_gap_is_the_root_mean_square_distance_of_the_cells():
 
 
 def test_angles_wrap_to_half_a_turn():
-    assert angle_between(3.0, -3.0) == pytest.approx(6.0 - 2 * np.pi)
     assert turned_to(np.array([0.0, 0.0, -3.0]), 9.0)[2] == pytest.approx(4 * np.pi - 3.0)

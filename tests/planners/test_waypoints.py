@@ -3,10 +3,11 @@
 import numpy as np
 import pytest
 
+from models.angles import angle_between
 from models.objects.benchmark import benchmark_object
 from models.physics.balance import balance_margins
 from planners import waypoints
-from planners.pose_metric import PoseMetric, angle_between
+from planners.pose_metric import PoseMetric
 from planners.waypoints import NoWay, find_waypoints
 from tests.planners.cell_world import TABLE, belief_about
 
