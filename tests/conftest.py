@@ -42,6 +42,18 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     items.sort(key=lambda item: rank.get(item.path.name, len(COSTLY)))
 
 
+@pytest.fixture(scope="session")
+def renderer() -> None:
+    """A renderer of pictures; tests that need one skip where there is none, and say what is missing."""
+    # Drake takes two seconds to load, and the tests of `models` do without.
+    from diagrams.perception.renderer import RendererUnavailable, require_renderer
+
+    try:
+        require_renderer()
+    except RendererUnavailable as reason:
+        pytest.skip(str(reason))
+
+
 @pytest.fixture
 def shared_data() -> Path:
     """Folder of measured pushes that lies beside the checkout; tests that need it skip where it is absent."""

@@ -23,12 +23,13 @@ from diagrams.command_line import run
 from diagrams.exploration_loop import LoopOptions
 from diagrams.exploration_record import ExplorationRecord, resumed
 from diagrams.exploration_run import explore
-from diagrams.perception.renderer import RendererUnavailable, require_renderer
 from diagrams.station.scenario import Scenario
 from models.inference.belief import Belief
 from models.measurements import PushDataset, read_dataset, write_dataset
 from models.objects.benchmark import BENCHMARK_OBJECTS, benchmark_object
 from models.physics.paper_notation import add
+
+pytestmark = pytest.mark.usefixtures("renderer")
 
 SEED = 0
 SCENE = """(() => {
@@ -50,14 +51,6 @@ class Explored:
     folder: Path
     result: dict[str, Any]
     dataset: PushDataset
-
-
-@pytest.fixture(scope="module", autouse=True)
-def renderer() -> None:
-    try:
-        require_renderer()
-    except RendererUnavailable as reason:
-        pytest.skip(str(reason))
 
 
 @pytest.fixture(scope="module")

@@ -10,7 +10,6 @@ import pytest
 
 from diagrams.command_line import run
 from diagrams.exploration_loop import LoopOptions
-from diagrams.perception.renderer import RendererUnavailable, require_renderer
 from diagrams.pregrasp_loop import PregraspOptions, true_maps
 from diagrams.pregrasp_run import run_pregrasp
 from diagrams.station.scenario import Scenario
@@ -19,12 +18,8 @@ from planners.pose_metric import compose
 
 
 @pytest.fixture(scope="module")
-def taken():
+def taken(renderer):
     """The hammer, which lies near the edge already."""
-    try:
-        require_renderer()
-    except RendererUnavailable as reason:
-        pytest.skip(str(reason))
     scenario = Scenario()
     scenario.simulation.time_step = 0.005
     scenario.camera.rate = 6.0

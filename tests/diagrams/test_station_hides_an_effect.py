@@ -5,7 +5,6 @@ import json
 import pytest
 
 from diagrams.command_line import run
-from diagrams.perception.renderer import RendererUnavailable, require_renderer
 
 SCENARIO = """
 object: {name: box}
@@ -18,12 +17,8 @@ hidden:
 
 
 @pytest.fixture(scope="module")
-def explored(tmp_path_factory):
+def explored(renderer, tmp_path_factory):
     """Pushes that the robot recorded on a table that is not level."""
-    try:
-        require_renderer()
-    except RendererUnavailable as reason:
-        pytest.skip(str(reason))
     folder = tmp_path_factory.mktemp("tilted")
     (folder / "cell.yaml").write_text(SCENARIO)
     code = run(

@@ -13,20 +13,13 @@ from diagrams.hardware import channels
 from diagrams.hardware.interface import HardwareInterface
 from diagrams.hardware.twin import CellTwin
 from diagrams.perception.camera import CameraConfig
-from diagrams.perception.renderer import RendererUnavailable, require_renderer
 from diagrams.station.arm import HOME
 from diagrams.station.scenario import Scenario
 from diagrams.station.station import TRUTH
 
+pytestmark = pytest.mark.usefixtures("renderer")
+
 RATE = 10.0
-
-
-@pytest.fixture(scope="module", autouse=True)
-def renderer() -> None:
-    try:
-        require_renderer()
-    except RendererUnavailable as reason:
-        pytest.skip(str(reason))
 
 
 class Both:

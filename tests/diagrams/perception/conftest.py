@@ -12,7 +12,6 @@ from pydrake.systems.framework import DiagramBuilder
 from diagrams.perception.camera import CameraConfig, add_camera
 from diagrams.perception.cell_perception import CellPerception
 from diagrams.perception.depth_noise import DepthNoise
-from diagrams.perception.renderer import RendererUnavailable, require_renderer
 from models.objects.benchmark import BENCHMARK_OBJECTS, benchmark_object
 from models.perception.camera import View
 
@@ -72,9 +71,5 @@ class World:
 
 
 @pytest.fixture(scope="session")
-def world(tmp_path_factory) -> World:
-    try:
-        require_renderer()
-    except RendererUnavailable as reason:
-        pytest.skip(str(reason))
+def world(renderer, tmp_path_factory) -> World:
     return World(tmp_path_factory.mktemp("objects"))

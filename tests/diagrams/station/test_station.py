@@ -14,21 +14,14 @@ from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import Context
 
 from diagrams.perception.camera import CameraConfig
-from diagrams.perception.renderer import RendererUnavailable, require_renderer
 from diagrams.station.arm import HOME
 from diagrams.station.scenario import Scenario
 from diagrams.station.station import Station
 
+pytestmark = pytest.mark.usefixtures("renderer")
+
 RATE = 10.0  # pictures a second
 SMALL = {"width": 160, "height_pixels": 120, "rate": RATE}
-
-
-@pytest.fixture(scope="module", autouse=True)
-def renderer() -> None:
-    try:
-        require_renderer()
-    except RendererUnavailable as reason:
-        pytest.skip(str(reason))
 
 
 def cell(**sections) -> Scenario:
