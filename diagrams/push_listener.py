@@ -109,7 +109,7 @@ class PushListener:
         )
         self._simulator = Simulator(builder.Build())
         self._root = self._simulator.get_mutable_context()
-        self._begin = self._last = np.nan  # stamps of the arm; the first counts as the time 0
+        self._begin = self._last = np.nan  # stamps of the arm: of time 0, and the newest
         self._came: Counter[str] = Counter()
         self._times: dict[str, tuple[int, int]] = {}
 
@@ -134,11 +134,11 @@ class PushListener:
         except BadMessage:
             return True
         if not np.isfinite(self._last):
-            self._begin = self._last = stamp
-            return True
+            # Half a period from the blocks' looks at their inputs, so that there is one between two messages.
+            self._begin, self._last = stamp - 0.5 * PERIOD, stamp
         self._begin += max(stamp - self._last - LONGEST_SILENCE, 0.0)
         self._last = stamp
-        if stamp - self._begin < self.time + PERIOD - 1e-6:
+        if self.time > 0.0 and stamp - self._begin < self.time + PERIOD - 1e-6:
             return False
         self._simulator.AdvanceTo(stamp - self._begin)
         return True

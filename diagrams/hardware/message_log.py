@@ -71,7 +71,7 @@ class LogReader:
         count, place = 0, 0
         while header := self._file.read(_HEADER.size):
             if len(header) < _HEADER.size:
-                if count == 0 and not header.startswith(_SYNC.to_bytes(4, "big")):
+                if count == 0 and not _SYNC.to_bytes(4, "big").startswith(header[:4]):
                     raise self._foreign()
                 self.cut_off = True
                 return

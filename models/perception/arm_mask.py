@@ -57,6 +57,9 @@ def draw_hulls(hulls: Sequence[Hull], view: View, margin: float = 0.008) -> Mask
         secant = np.hypot(1.0, np.hypot(p_C[:, 0], p_C[:, 1]) / depth)
         radius = (hull.radius + margin) * focal / depth * secant
         discs = center[:, None] + radius[:, None, None] * _DISC
+        first, last = discs.min(axis=(0, 1)), discs.max(axis=(0, 1))
+        if (last < -1.0).any() or (first > [camera.width, camera.height]).any():
+            continue  # none of it is in the picture
         corners = np.clip(discs.reshape(-1, 2), -_FARTHEST_PIXEL, _FARTHEST_PIXEL)
         cv2.fillConvexPoly(picture, cv2.convexHull(np.round(corners).astype(np.int32)), 255)
     return picture > 0

@@ -20,7 +20,7 @@ from diagrams.execution.push_plan import plan_push
 from diagrams.hardware import channels
 from diagrams.hardware.message_log import Event
 from diagrams.perception.camera import CameraConfig
-from diagrams.station.arm import HOME, arm_model
+from diagrams.station.arm import arm_model
 from diagrams.station.scenario import Scenario
 from models.perception.camera import View
 from models.robots import FINGER_RADIUS
@@ -32,11 +32,13 @@ LENGTH, WIDTH, HEIGHT = 0.10, 0.06, 0.03
 TURN = 0.35
 """Of the box, and direction of the push, rad; edges along rows of pixels would be seen badly."""
 AHEAD = np.array([np.cos(TURN), np.sin(TURN)])
-PUSH = TablePush(-0.12 * AHEAD, 0.03 * AHEAD, 0.08)
+PUSH = TablePush(-0.09 * AHEAD, 0.01 * AHEAD, 0.08)
 FORCE = 3.0
 """N, of the finger on the box."""
-BEFORE, AFTER = 2.0, 2.0
+BEFORE, AFTER = 1.7, 1.0
 """s of rest before and after."""
+HOME_TIP = np.array([-0.28, -0.15, 0.12])
+"""(3,) of the finger's end between pushes, m, from where the box is seen past the arm."""
 BEGIN = 100.0
 """s of the arm's clock at the begin."""
 _ARRIVED = 1_700_000_000_000_000  # µs
@@ -62,7 +64,8 @@ class MadeUpCell:
 
     def __post_init__(self) -> None:
         self._kinematics = FingerKinematics(arm_model())
-        self.plan = plan_push(self._kinematics, self.push, HOME, HOME, ExecutionConfig())
+        home = self._kinematics.inverse(HOME_TIP)
+        self.plan = plan_push(self._kinematics, self.push, home, home, ExecutionConfig())
         self.duration = BEFORE + self.plan.duration + AFTER
         self._scene = Scene()
         camera = scenario().camera

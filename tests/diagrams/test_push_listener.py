@@ -1,0 +1,155 @@
+"""Messages of a made-up cell: the push in them is found, on the senders' stamps, whatever else comes."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from diagrams.hardware import channels
+from diagrams.hardware.message_log import Event
+from diagrams.push_listener import HEARD, PushListener
+from diagrams.push_recording import why_none
+from models.measurements import PushDataset, read_dataset
+from tests.hardware.made_up_cell import AHEAD, FORCE, MadeUpCell, gripper, scenario
+
+CELLS = 20
+LATE = 0.06
+FIRST = 1
+"""Of the arm's messages: the clock begins half a look (5 ms) before the first, and a trial a look after its
+descent."""
+
+
+@pytest.fixture(scope="module")
+def cell() -> MadeUpCell:
+    return MadeUpCell()
+
+
+@pytest.fixture(scope="module")
+def listener(cell) -> PushListener:
+    """It has heard the cell; pictures were under way for 70 ms, and there was junk on every channel."""
+    slow = [
+        replace(event, utime=event.utime + 70_000 * (event.channel == channels.CAMERA_DEPTH))
+        for event in cell.events()
+    ]
+    listener = PushListener(scenario(), "box", CELLS)
+    for number, event in enumerate(sorted(slow, key=lambda event: event.utime)):
+        listener.hear(event)
+        if number % 300 == 7:
+            for channel in (*HEARD, "ELSE"):
+                listener.hear(replace(event, channel=channel, data=b"junk"))
+    return listener
+
+
+@pytest.fixture(scope="module")
+def dataset(listener) -> PushDataset:
+    return listener.dataset()
+
+
+def test_the_push_is_found_with_where_the_box_was(cell, dataset):
+    (trial,) = dataset.trials
+    way = np.linalg.norm(trial.object_pose.values[-1, :2] - trial.object_pose.values[0, :2])
+    assert way == pytest.approx(cell.way[-1], abs=3e-4)
+    assert trial.object_pose.values[[0, -1], 2] == pytest.approx([0.0, 0.0], abs=5e-3)
+    assert dataset.name == "box" and trial.role == "fit"
+
+
+def test_rows_of_the_finger_are_what_the_arm_said_at_their_stamps(cell, listener, dataset):
+    """To the last digit: nothing is moved in time by when a message came or was looked at."""
+    (trial,) = dataset.trials
+    said = cell.tips[messages(listener, trial.tip_pose.time), :2]
+    assert np.abs(said - trial.tip_pose.values).max() < 1e-9
+    assert np.diff(trial.tip_pose.time) == pytest.approx(0.01, abs=1e-6)
+    pressing = trial.ft_wrench.values[:, :2] @ AHEAD
+    assert np.median(pressing[pressing > 0.1]) == pytest.approx(FORCE, rel=0.05)
+
+
+def test_a_picture_counts_at_its_stamp_however_late_it_comes(cell, listener, dataset):
+    """70 ms of the way would be 5.6 mm."""
+    poses = dataset.trials[0].object_pose
+    along = poses.values[:, :2] @ AHEAD
+    true = cell.way[messages(listener, poses.time)]
+    assert ((true > 0.01) & (true < 0.06)).sum() >= 5
+    assert along == pytest.approx(true, abs=7e-4)
+
+
+def messages(listener: PushListener, times: np.ndarray) -> np.ndarray:
+    """(n,) numbers of the arm's messages at times of the trial; it begins with the descent."""
+    return np.round((listener.descents[0].begin + times) / channels.ARM_PERIOD).astype(int) + FIRST
+
+
+def test_junk_is_counted(listener):
+    came = listener.heard()
+    count = came["ELSE"].count
+    assert count > 5
+    assert all(came[channel].dropped == {"cannot be decoded": count} for channel in HEARD)
+    assert came[channels.IIWA_STATUS].rate == pytest.approx(200.0, rel=0.01)
+
+
+def test_without_messages_it_is_told_what_is_missing():
+    listener = PushListener(scenario(), "box", CELLS)
+    assert "IIWA_STATUS, SCHUNK_WSG_STATUS, CAMERA_DEPTH, CAMERA_POSE" in why_none(listener)
+    listener.hear(Event(0, 1, "IIWA_COMMAND", b""))
+    assert "what came is IIWA_COMMAND" in why_none(listener)
+
+
+def test_replay_tells_of_the_lag_and_leaves_what_exploring_leaves(slipmap, tmp_path):
+    """The camera stamps its pictures 60 ms late; the log is cut off in the midst of its last message."""
+    log = tmp_path / "late.lcmlog"
+    whole = b"".join(event.encode() for event in MadeUpCell(LATE).events())
+    log.write_bytes(whole[:-3])
+    cell = tmp_path / "cell.yaml"
+    cell.write_text("camera: {width: 320, height_pixels: 240, fov_y: 0.5, rate: 10.0}\n")
+    out = tmp_path / "out"
+    said = slipmap(
+        "replay", log, "--scenario", cell, "-o", out, "--hypotheses", 2, "--json", tmp_path / "said.json"
+    )
+    assert said.code == 0
+    assert "ends in the midst of a message" in said.err
+    assert "push 1 is kept" in said.err
+    lag = json.loads((tmp_path / "said.json").read_text())["heard"]["camera_lag"]
+    assert lag["value"] == pytest.approx(LATE, abs=0.01)
+    assert lag["low"] < LATE < lag["high"] and lag["shown"]
+    assert f"{1e3 * lag['value']:.0f} ms late" in said.out
+    assert len(read_dataset(out / "pushes").trials) == 1
+    assert (out / "belief.npz").is_file() and (out / "report.html").is_file()
+
+
+@pytest.mark.parametrize(
+    ("content", "why"),
+    [
+        (b"no log at all, but long enough for a header", "is no LCM log"),
+        (b"", "holds no push: no good message came on IIWA_STATUS"),
+        (
+            Event(0, 1, "CAMERA_DEPTH", b"x" * 50).encode() + b"x" * 60,
+            "is damaged after 1 messages, at byte 90",
+        ),
+        (Event(0, 1_000, channels.GRIPPER_STATUS, gripper(0.0)).encode(), "on IIWA_STATUS, CAMERA_DEPTH"),
+    ],
+)
+def test_logs_without_pushes_are_bad_input_told_in_a_paragraph(slipmap, tmp_path, content, why):
+    log = tmp_path / "bad.lcmlog"
+    log.write_bytes(content)
+    said = slipmap("replay", log, "-o", tmp_path / "out")
+    assert said.code == 2
+    last = said.err.strip().splitlines()[-1]
+    assert last.startswith("slipmap: ") and why in last and str(log) in last
+
+
+def test_a_log_that_is_not_there(slipmap, tmp_path):
+    said = slipmap("replay", tmp_path / "none", "-o", tmp_path / "out")
+    assert said.code == 2 and "cannot be read (No such file" in said.err
+
+
+def test_recording_never_overwrites_what_was_measured(slipmap, tmp_path, dataset):
+    from models.measurements import write_dataset
+
+    folder = write_dataset(dataset, tmp_path / "box")
+    said = slipmap("record", "-o", folder)
+    assert said.code == 2 and str(folder) in said.err
+    log = tmp_path / "log"
+    log.write_text("")
+    said = slipmap("record", "-o", tmp_path / "other", "--log", log)
+    assert said.code == 2 and "is there already" in said.err
