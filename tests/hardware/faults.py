@@ -1,7 +1,7 @@
 """Faults to put between blocks: messages, pictures and arms that go wrong.
 
 Each is a small LeafSystem that passes its inputs on until a given time, and then does one thing wrong. They
-know nothing of what is to become of it.
+know nothing of what is to become of it. `diagrams.hardware.testing.faults` does the like with messages.
 
 | system | what goes wrong |
 | --- | --- |
@@ -19,6 +19,7 @@ from pydrake.common.value import AbstractValue
 from pydrake.systems.framework import LeafSystem
 from pydrake.systems.sensors import ImageDepth32F
 
+from diagrams.hardware.testing.faults import spoilt_rows
 from diagrams.systems.held import held, read, replace_held
 
 MESSAGE = 0.005
@@ -196,18 +197,7 @@ class PictureLink(LeafSystem):
     def _spoilt(self, fault, band, sent: np.ndarray, before: np.ndarray, time: float) -> np.ndarray:
         if fault == "empty":
             return sent[:0, :0]
-        come = sent.copy()
-        first, last = (round(share * len(sent)) for share in band)
-        if fault == "torn":
-            come[first:last] = before[first:last]
-        elif fault == "rubbish":
-            bits = np.random.default_rng(round(1e3 * time)).integers(
-                0, 2**32, sent[first:last].shape, np.uint32
-            )
-            come[first:last] = bits.view(np.float32)
-        else:
-            come[first:last] = {"zeros": 0.0, "nans": np.nan}[fault]
-        return come
+        return spoilt_rows(fault, sent, before, band, round(1e3 * time))
 
     def _picture(self, context, output) -> None:
         come = read(context, self._now)[2]

@@ -76,7 +76,7 @@ def test_a_quiet_monitor_must_have_had_something_to_judge():
     assert_quiet(watched(1.0, 2.0, 4.0))
     with pytest.raises(AssertionError, match="only 2 pushes were judged"):
         assert_quiet(watched(1.0, 2.0))
-    with pytest.raises(AssertionError, match="push 3: misfit 3.0, evidence 150"):
+    with pytest.raises(AssertionError, match=r"push 3: misfit .*, evidence 150"):
         assert_quiet(watched(1.0, 20.0, 150.0))
     assert_alarm(watched(1.0, 20.0, 150.0, 50.0))
     with pytest.raises(AssertionError, match="no alarm"):
