@@ -7,9 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from driven_block import DrivenBlock
-from hidden_effects import tilted_pushes
+from hidden_effects import TILT, tilted_pushes
 
 from diagrams.systems.identification import PERIOD, Identification
+from models.effects import EffectError
 from models.inference.identification import identify
 
 K, SEED = 4, 7
@@ -80,3 +81,21 @@ def test_its_belief_is_that_of_the_command(history):
     assert np.array_equal(belief.maps.mass, expected.maps.mass)
     assert np.array_equal(belief.maps.mu, expected.maps.mu)
     assert np.array_equal(belief.probability, expected.probability)
+
+
+def test_a_model_that_is_given_an_effect_learns_it_with_the_maps():
+    trials = DATASET.fit_trials[:6]
+    block = Identification(
+        lambda trials, grid: replace(DATASET, trials=tuple(trials)), effects=["table_tilt"], hypotheses=2
+    )
+    learner = DrivenBlock(block, records=trials, cell_grid=DATASET.grid)
+    learner.advance(0.5 * PERIOD)
+    belief = learner.read("belief")
+    assert [effect.name for effect in belief.effects] == ["table_tilt"]
+    downhill = belief.probability @ belief.maps.effects
+    assert downhill == pytest.approx(list(TILT.values()), abs=0.01)
+
+
+def test_an_unknown_effect_is_refused_before_anything_is_pushed():
+    with pytest.raises(EffectError, match="table_tilt"):
+        Identification(lambda trials, grid: DATASET, effects=["table_tlit"])
