@@ -160,6 +160,7 @@ class ExplorationBlocks:
             (self.perception, "object_pose", self.logger, "object_pose"),
             (self.executor, "tip_pose", self.logger, "tip_pose"),
             (self.executor, "tip_force", self.logger, "tip_force"),
+            (self.station, "iiwa.age", self.logger, "tip_age"),
             (self.executor, "status", self.logger, "execution"),
             (command, "status", self.logger, "status"),
             (self.logger, "records", self.identification, "records"),
@@ -182,9 +183,12 @@ class ExplorationBlocks:
                 (self.station, "iiwa.position_measured", self.guard, "iiwa.position_measured"),
                 (self.station, "iiwa.torque_external", self.guard, "iiwa.torque_external"),
                 (self.station, "iiwa.age", self.guard, "status_age"),
+                (self.station, "iiwa.silence", self.guard, "status_silence"),
+                (self.station, "abort", self.guard, "abort"),
                 (self.station, "camera.age", self.guard, "image_age"),
                 (self.guard, "iiwa.position", self.station, "iiwa.position"),
                 (self.guard, "health", self.executor, "health"),
+                (self.guard, "health", self.station, "health"),
             ]
         if self.visualizer is not None:
             wires += [

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass
 from typing import Any
 
@@ -14,7 +15,7 @@ from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import Context, Diagram, EventStatus
 
 from diagrams.exploration_loop import LoopOptions, exploration_loop, recorded_dataset
-from diagrams.hardware.control import real_cell
+from diagrams.hardware.control import real_cell, stopped_by_ctrl_c
 from diagrams.hardware.interface import HardwareInterface
 from diagrams.push_record import PushRecord, Recording
 from diagrams.recorded import Recorded
@@ -225,7 +226,9 @@ def run_loop(
     simulator.set_monitor(monitor)
     interrupted = False
     try:
-        simulator.AdvanceTo(longest)
+        with nullcontext(lambda: False) if simulated else stopped_by_ctrl_c(station) as pressed:
+            simulator.AdvanceTo(longest)
+            interrupted = pressed()
     except KeyboardInterrupt:
         interrupted = True
     if simulated:

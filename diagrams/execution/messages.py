@@ -73,12 +73,14 @@ class Health:
         cause: of the stop, with numbers; else empty.
         remedy: what to do about it; else empty.
         time: of the fault, s.
+        back: whether the arm goes back from something that presses against it; else it brakes on its path.
     """
 
     mode: str
     cause: str = ""
     remedy: str = ""
     time: float = 0.0
+    back: bool = False
 
     @property
     def ok(self) -> bool:

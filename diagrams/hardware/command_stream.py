@@ -18,6 +18,7 @@ from collections import deque
 import numpy as np
 from drake import lcmt_iiwa_command
 
+from diagrams.hardware.braking import braking
 from diagrams.hardware.channels import ARM_PERIOD, IIWA_COMMAND, HardwareError
 from diagrams.hardware.child import Child, be_ready, have_priority
 from diagrams.hardware.network import open_lcm
@@ -25,6 +26,9 @@ from models.physics.cell_grid import FloatArray
 
 DELAY = 0.04
 """s by which commands are sent later than the diagram makes them; by less it may be late without effect."""
+
+BRAKING = 0.05
+"""s in which the arm comes to rest on its path when it is to stop, if need be."""
 
 _TOO_MUCH = 1.5  # delays; what is more than that is played faster
 _CATCH_UP = 0.05  # of the pace
@@ -35,7 +39,8 @@ class CommandBuffer:
     """Plays joint angles back in the order and at the pace at which they were made, a little later.
 
     Where none come, the pace falls evenly to nothing: the arm slows down on its path, and waits there. Where
-    more wait than should, they are played 5 % faster, or skipped while the arm is at rest.
+    more wait than should, they are played 5 % faster, or skipped while the arm is at rest. After `stop` the
+    pace falls to nothing for good: the arm brakes on what it was told before, which lasts for the delay.
 
     Args:
         delay: s between making and playing.
@@ -46,6 +51,17 @@ class CommandBuffer:
         self._samples: deque[tuple[float, FloatArray]] = deque()
         self._clock = 0.0  # of whoever makes the angles, as far as they are played
         self._now = 0.0
+        self._pace = 0.0
+        self._braking = 0.0  # of the pace, 1/s, once it is to stop
+
+    def stop(self) -> None:
+        """Come to rest from where the path is played now; what is added is not played any more."""
+        if self._braking == 0.0:
+            speed = np.zeros(7)
+            if len(self._samples) > 1:
+                (before, q), (after, further) = self._samples[0], self._samples[1]
+                speed = self._pace * (further - q) / (after - before)
+            self._braking = max(self._pace, 1e-3) / braking(speed, BRAKING)
 
     def add(self, time: float, q: FloatArray) -> None:
         """Angles (7,), rad, that hold at a time of the maker's clock, s; not before those that were added."""
@@ -58,15 +74,21 @@ class CommandBuffer:
         if not self._samples:
             return None
         passed, self._now = max(now - self._now, 0.0) if self._now else 0.0, now
-        newest = self._samples[-1][0]
+        newest, clock = self._samples[-1][0], self._clock
         left = newest - self._clock  # still to be played; the delay, just before more of it comes
-        if left > 2 * self._delay and self._rests():
+        if self._braking > 0.0:
+            slower = max(self._pace - self._braking * passed, 0.0)
+            self._clock += min(0.5 * (self._pace + slower) * passed, left)
+            self._pace = slower
+        elif left > 2 * self._delay and self._rests():
             self._clock = newest - self._delay
         elif left > _TOO_MUCH * self._delay:
             self._clock += (1.0 + _CATCH_UP) * passed
         else:
             # The pace goes with what is left, from half the delay on.
             self._clock += min(passed * min(1.0, 2.0 * left / self._delay), left)
+        if self._braking == 0.0 and passed > 0.0:
+            self._pace = (self._clock - clock) / passed
         while len(self._samples) > 1 and self._samples[1][0] <= self._clock:
             self._samples.popleft()
         return self._between()
@@ -106,6 +128,14 @@ class CommandStream:
         """
         self._child.send(_SAMPLE.pack(time, *q))
 
+    def stop(self) -> None:
+        """Let the arm brake at once on what it was told before, and hold, for good.
+
+        Raises:
+            HardwareError: the process has ended.
+        """
+        self._child.send(_SAMPLE.pack(np.nan, *np.zeros(7)))
+
     def close(self) -> None:
         """Let the arm come to rest and end the process."""
         self._child.close()
@@ -140,7 +170,10 @@ def main(url: str) -> None:
                     ends = time.monotonic() + 5 * DELAY
         whole = len(received) // _SAMPLE.size * _SAMPLE.size
         for moment, *q in _SAMPLE.iter_unpack(received[:whole]):
-            buffer.add(moment, np.array(q))
+            if np.isnan(moment):
+                buffer.stop()
+            else:
+                buffer.add(moment, np.array(q))
         received = received[whole:]
         now = time.monotonic()
         command = buffer.at(now)

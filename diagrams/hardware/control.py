@@ -2,14 +2,40 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import signal
+import threading
+from collections.abc import Callable, Iterator
 from concurrent.futures import Executor
 from contextlib import contextmanager
 
+from diagrams.console import note
 from diagrams.hardware.interface import HardwareInterface
 from diagrams.hardware.lock import only_controller
 from diagrams.station.scenario import Scenario
 from diagrams.systems.workers import workers
+
+
+@contextmanager
+def stopped_by_ctrl_c(cell: HardwareInterface) -> Iterator[Callable[[], bool]]:
+    """In the block Ctrl-C stops the arm, which holds; the second one is Ctrl-C as ever. Yields whether it was
+    pressed."""
+    pressed: list[int] = []
+
+    def stop(number: int, frame: object) -> None:
+        if pressed:
+            raise KeyboardInterrupt
+        pressed.append(number)
+        cell.abort()
+        note("Ctrl-C: the arm stops and holds; once more ends at once")
+
+    if threading.current_thread() is not threading.main_thread():  # others hear no signals
+        yield lambda: False
+        return
+    before = signal.signal(signal.SIGINT, stop)
+    try:
+        yield lambda: bool(pressed)
+    finally:
+        signal.signal(signal.SIGINT, before)
 
 
 @contextmanager

@@ -11,6 +11,7 @@ from pydrake.systems.framework import BasicVector, Context, EventStatus, LeafSys
 
 from diagrams.execution.finger_kinematics import FingerKinematics
 from diagrams.execution.messages import Health
+from diagrams.hardware.braking import braking
 from diagrams.hardware.guard_rules import LINK, PERIOD, Guarded, GuardRules, Stop, Told, is_age
 from diagrams.hardware.guard_settings import GuardSettings
 from diagrams.systems.held import held, read, replace_held
@@ -31,6 +32,7 @@ class CommandGuard(LeafSystem):
         - iiwa.position_measured
         - iiwa.torque_external
         - status_age
+        - status_silence (optional)
         - image_age (optional)
         - abort (optional)
         output_ports:
@@ -40,6 +42,8 @@ class CommandGuard(LeafSystem):
     - `iiwa.position` (7,) wanted, rad; `iiwa.position_measured` (7,) rad; `iiwa.torque_external` (7,) N m, of
       contact on the arm.
     - `status_age`, `image_age` (1,) s, of the newest valid status and picture; infinite before the first.
+    - `status_silence` (1,) s since a status was found, by this computer's clock: it goes on where the
+      diagram's is late, and with it all ages.
     - `abort` (1,): above 0.5 stops the arm.
     - Output `iiwa.position` (7,) rad, new every `PERIOD`.
     - `health`: `Health`.
@@ -47,9 +51,9 @@ class CommandGuard(LeafSystem):
     Until the first status it waits and asks the arm to stay where it is said to be. What stops the arm:
     a late or impossible status; an arm that is not where it was told to be; a picture that is late, once
     there was one; torque of contact; a wanted position that is no number, leaps, asks a joint or the finger
-    for too much speed, or comes near a joint's limit; `abort`. The command is then brought to rest evenly
-    within `GuardSettings.stopping`, whatever is wanted, and stays there; where something presses against the
-    arm, at the measured position, so that it no longer does.
+    for too much speed, or comes near a joint's limit; `abort`. The command is then brought to rest evenly, as
+    fast as the joints' data sheet allows and within `GuardSettings.stopping`, whatever is wanted, and stays
+    there; where something presses against the arm, at the measured position, so that it no longer does.
 
     It stays stopped until the process is started anew, also when the cause is gone or `abort` goes back to
     0: an arm must not begin to move because a cable was put in or somebody let go of a button, and what was
@@ -72,6 +76,7 @@ class CommandGuard(LeafSystem):
         self._measured = self.DeclareVectorInputPort("iiwa.position_measured", 7)
         self._torque = self.DeclareVectorInputPort("iiwa.torque_external", 7)
         self._status_age = self.DeclareVectorInputPort("status_age", 1)
+        self._silence = self.DeclareVectorInputPort("status_silence", 1)
         self._image_age = self.DeclareVectorInputPort("image_age", 1)
         self._abort = self.DeclareVectorInputPort("abort", 1)
         start = Guarded(Health("waiting"), np.zeros((0, 7)), np.zeros(7))
@@ -94,6 +99,7 @@ class CommandGuard(LeafSystem):
             measured=self._measured.Eval(context).copy(),
             torque=self._torque.Eval(context).copy(),
             status_age=float(self._status_age.Eval(context)[0]),
+            silence=float(self._silence.Eval(context)[0]) if self._silence.HasValue(context) else 0.0,
             image_age=float(image_age),
             abort=bool(abort),
         )
@@ -117,7 +123,7 @@ class CommandGuard(LeafSystem):
             fault = next(self._rules.faults(now, inputs), None)
             if fault is not None:
                 stop = self._stop(now, inputs)
-                now = replace(now, health=Health("stopped", *fault, inputs.time), stop=stop)
+                now = replace(now, health=Health("stopped", *fault, inputs.time, stop.back), stop=stop)
         if len(now.commands) == 0:
             return now  # there was never a status: nothing to hold
         before = now.commands[-1]
@@ -133,13 +139,15 @@ class CommandGuard(LeafSystem):
     def _stop(self, now: Guarded, inputs: Told) -> Stop:
         """The way to rest. An arm that presses on something stops where it is, not where it was told to go:
         it would go on pressing."""
-        q, v, duration = now.commands[-1], now.speed, self._settings.stopping
+        q, v = now.commands[-1], now.speed
+        duration = braking(v, self._settings.stopping)
         rest = q + v * duration / 2.0
-        near = (np.abs(inputs.measured - q) <= self._settings.following).all()
-        if near and self._rules.presses(now, inputs):
+        near = bool((np.abs(inputs.measured - q) <= self._settings.following).all())
+        back = near and self._rules.presses(now, inputs)
+        if back:
             rest = inputs.measured
             duration = max(duration, float((_BACK * np.abs(rest - q) / SPEED_LIMITS).max()))
-        return Stop(q, v, rest, inputs.time - PERIOD, duration)
+        return Stop(q, v, rest, inputs.time - PERIOD, duration, back)
 
     def _calc_position(self, context: Context, output: BasicVector) -> None:
         commands = read(context, self._guarded).commands

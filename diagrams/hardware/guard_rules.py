@@ -24,7 +24,8 @@ _BLOW = 0.02
 """s that a torque must last: the blow when the finger meets an object at 0.3 m/s has 98 N m, but briefly."""
 
 _CLOCKS = 0.5
-"""s by which a message may seem to come from the future: this process's clock is late when it was busy."""
+"""s by which a message may seem to come from the future: this process's clock is late when it was busy. How
+long none has come is told by another clock then."""
 
 _START = "check the arm and its surroundings, then start again"
 LINK = (
@@ -41,19 +42,22 @@ class Told:
     measured: FloatArray
     torque: FloatArray
     status_age: float
+    silence: float
     image_age: float
     abort: bool
 
 
 @dataclass(frozen=True, eq=False)
 class Stop:
-    """The way to rest: from joint angles `q` (7) at speeds `v` (7) to `rest` (7), from `begin` on, s."""
+    """The way to rest: from joint angles `q` (7) at speeds `v` (7) to `rest` (7), from `begin` on, s; `back`
+    where that is not ahead, but away from what presses against the arm."""
 
     q: FloatArray
     v: FloatArray
     rest: FloatArray
     begin: float
     duration: float
+    back: bool
 
     def at(self, time: float) -> FloatArray:
         """Cubic; straight braking with an even deceleration where `rest` is half the way of no braking."""
@@ -109,8 +113,9 @@ class GuardRules:
     def _status_fault(self, now: Guarded, inputs: Told) -> Iterator[tuple[str, str]]:
         """Messages that are late or make no sense."""
         settings = self._settings
-        if not is_age(inputs.status_age, settings.status_age):
-            yield f"the arm's last status is {_late(inputs.status_age, settings.status_age)}", LINK
+        age = max(inputs.status_age, inputs.silence) if inputs.silence > 0.0 else inputs.status_age
+        if not is_age(age, settings.status_age) or not is_age(inputs.status_age, settings.status_age):
+            yield f"the arm's last status is {_late(age, settings.status_age)}", LINK
         if now.saw and not is_age(inputs.image_age, settings.image_age):
             late = _late(inputs.image_age, settings.image_age)
             yield (

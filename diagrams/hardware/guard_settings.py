@@ -18,14 +18,14 @@ class GuardSettings:
         following: by which a joint may be off all that it was told within `lag`, rad.
         lag: time that the arm has to get to where it was told to be, s.
         torque: (7) largest torque that contact may put on each joint, N m.
-        stopping: time from the last free command to rest, s.
+        stopping: longest time from the last free command to rest, s; slow motions stop sooner.
         patience: time that the arm has to send its first status, s.
 
     Raises:
         ValueError: a value out of range.
     """
 
-    status_age: float = 0.05
+    status_age: float = 0.025
     image_age: float = 1.0
     tip_speed: float = 1.7
     joint_margin: float = 0.0175

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 from drake import lcmt_drake_signal
 from pydrake.common.eigen_geometry import Quaternion
@@ -44,21 +46,27 @@ class HeardCell(Diagram):
         - camera.rgb_image
         - camera.X_WC
         - iiwa.age
+        - iiwa.silence
         - camera.age
 
-    The ports are those of `Station` of the same names. Whoever hears messages hands them to `checked`, one
-    `CheckedMessages` a channel and named like it, which checks each before anything of it is used.
+    The ports are those of `Station` of the same names; `iiwa.silence` is that of `CheckedMessages`. Whoever
+    hears messages hands them to `checked`, one `CheckedMessages` a channel and named like it, which checks
+    each before anything of it is used.
 
     Args:
         scenario: what the cell is like; of the object nothing is used.
+        clock: see `CheckedMessages`, for the arm's status.
     """
 
-    def __init__(self, scenario: Scenario) -> None:
+    def __init__(self, scenario: Scenario, clock: Callable[[], float] | None = None) -> None:
         super().__init__()
         builder = DiagramBuilder()
         rule = rules(scenario.camera.width, scenario.camera.height_pixels)
         self.checked: dict[str, CheckedMessages] = {
-            channel: builder.AddNamedSystem(channel, CheckedMessages(channel, rule[channel]))
+            channel: builder.AddNamedSystem(
+                channel,
+                CheckedMessages(channel, rule[channel], clock if channel == channels.IIWA_STATUS else None),
+            )
             for channel in (*ARM, *CAMERA)
         }
         self._export_arm(builder)
@@ -79,7 +87,8 @@ class HeardCell(Diagram):
         builder.Connect(checked.GetOutputPort("message"), status.GetInputPort("lcmt_iiwa_status"))
         for name in ("position_commanded", "position_measured", "velocity_estimated", "torque_external"):
             builder.ExportOutput(status.GetOutputPort(name), f"iiwa.{name}")
-        builder.ExportOutput(checked.GetOutputPort("age"), "iiwa.age")
+        for name in ("age", "silence"):
+            builder.ExportOutput(checked.GetOutputPort(name), f"iiwa.{name}")
         gripper = builder.AddSystem(SchunkWsgStatusReceiver())
         message = self.checked[channels.GRIPPER_STATUS].GetOutputPort("message")
         builder.Connect(message, gripper.get_status_input_port())

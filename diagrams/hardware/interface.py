@@ -5,20 +5,27 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping
 
-from drake import lcmt_iiwa_command, lcmt_schunk_wsg_command
+from drake import lcmt_drake_signal, lcmt_iiwa_command, lcmt_schunk_wsg_command
+from pydrake.common.value import Value
 from pydrake.lcm import DrakeLcmInterface
 from pydrake.manipulation import IiwaCommandSender, IiwaControlMode, SchunkWsgCommandSender
-from pydrake.systems.framework import Context, Diagram, DiagramBuilder, EventStatus, LeafSystem
+from pydrake.systems.framework import BasicVector, Context, Diagram, DiagramBuilder, EventStatus, LeafSystem
 from pydrake.systems.lcm import LcmInterfaceSystem
+from pydrake.systems.primitives import PassThrough
 
+from diagrams.execution.messages import Health
 from diagrams.hardware import channels, network
 from diagrams.hardware.command_stream import CommandStream
 from diagrams.hardware.heard_cell import ARM, CAMERA, NEEDED, HeardCell
-from diagrams.hardware.messages import Received, publish
+from diagrams.hardware.messages import CheckedMessages, Received, publish
+from diagrams.hardware.validation import ABORT_COORDINATES, rules
 from diagrams.station.scenario import Scenario
 
 PATIENCE = 10.0
 """s that the cell has for its first messages."""
+
+OWN = ("health", "iiwa.silence", "abort")
+"""Ports that only a real cell has."""
 
 
 class HardwareInterface(Diagram):
@@ -31,6 +38,7 @@ class HardwareInterface(Diagram):
         - iiwa.position
         - gripper.position
         - gripper.force_limit
+        - health (optional)
         output_ports:
         - iiwa.position_commanded
         - iiwa.position_measured
@@ -41,11 +49,16 @@ class HardwareInterface(Diagram):
         - camera.rgb_image
         - camera.X_WC
         - iiwa.age
+        - iiwa.silence
         - camera.age
+        - abort
 
-    The ports are those of `Station`, less those that only a simulation has. Every message is checked before
+    The ports are those of `Station`, less those that only a simulation has, and `OWN`: `iiwa.silence` (1,),
+    s, is that of `CheckedMessages`; `abort` (1,) is 1 once `abort` was called or a message on the channel of
+    that name said so. `health` is that of the guard that stands before it: the arm brakes at once when that
+    stops it, not only when the commands do that are still to be played. Every message is checked before
     anything of it is used (`CheckedMessages`, one a channel, named like it), and `connect` must be called
-    before the simulation begins.
+    before the simulation begins. A Simulator runs it at `realtime_rate`.
 
     Args:
         lcm: the address of a cell that runs by itself, see `network.open_lcm`. Then a thread hears messages,
@@ -67,12 +80,18 @@ class HardwareInterface(Diagram):
         self._lcm = network.open_lcm(lcm) if isinstance(lcm, str) else lcm
         builder = DiagramBuilder()
         self._bus = builder.AddSystem(LcmInterfaceSystem(self._lcm))
-        self._heard = builder.AddNamedSystem("heard", HeardCell(scenario))
+        clock = time.monotonic if alone else None
+        self._heard = builder.AddNamedSystem("heard", HeardCell(scenario, clock))
         self.arm_hulls = self._heard.arm_hulls
         self._checked = self._heard.checked
         self._listeners: list[network.Listener] = []
+        rule = rules(scenario.camera.width, scenario.camera.height_pixels)[channels.ABORT]
+        self._stop = builder.AddNamedSystem(channels.ABORT, CheckedMessages(channels.ABORT, rule))
+        abort = builder.AddSystem(_Abort())
+        builder.Connect(self._stop.GetOutputPort("received"), abort.get_input_port())
+        builder.ExportOutput(abort.get_output_port(), "abort")
         if not alone:
-            for channel, system in self._checked.items():
+            for channel, system in {**self._checked, channels.ABORT: self._stop}.items():
                 self._lcm.Subscribe(channel, system.hear)
         for index in range(self._heard.num_output_ports()):
             port = self._heard.get_output_port(index)
@@ -99,6 +118,7 @@ class HardwareInterface(Diagram):
                 network.Listener(self._url, {name: self._checked[name].hear for name in together})
                 for together in (ARM, CAMERA)
             ]
+            self._listeners.append(network.Listener(self._url, {channels.ABORT: self._stop.hear}))
             self._sender.start(self._url)  # before, since it takes a while, and messages shall be fresh
         contexts = {name: system.GetMyMutableContextFromRoot(root) for name, system in self._checked.items()}
         deadline = time.monotonic() + patience
@@ -123,6 +143,12 @@ class HardwareInterface(Diagram):
             " the same scenario"
         )
 
+    def abort(self) -> None:
+        """Stop the arm, for good, at the diagram's next step; may be called by another thread."""
+        message = lcmt_drake_signal()
+        message.dim, message.coord, message.val = 1, list(ABORT_COORDINATES), [1.0]
+        self._stop.hear(bytes(message.encode()))
+
     def close(self) -> None:
         """Let the arm come to rest, send no more commands, and hear no more messages."""
         if isinstance(self._sender, _StreamSender):
@@ -138,7 +164,10 @@ class HardwareInterface(Diagram):
         self._sender: LeafSystem
         if alone:
             self._sender = builder.AddNamedSystem(f"{channels.IIWA_COMMAND}_stream", _StreamSender())
+            builder.ExportInput(self._sender.GetInputPort("health"), "health")
         else:
+            unused = builder.AddSystem(PassThrough(Value[object](None)))  # nothing waits to be played
+            builder.ExportInput(unused.get_input_port(), "health")
             self._sender = builder.AddSystem(IiwaCommandSender(7, IiwaControlMode.kPositionOnly))
             publisher = publish(
                 builder, self._bus, channels.IIWA_COMMAND, lcmt_iiwa_command, channels.ARM_PERIOD
@@ -156,6 +185,19 @@ class HardwareInterface(Diagram):
         builder.ExportInput(sender.get_force_limit_input_port(), "gripper.force_limit")
 
 
+class _Abort(LeafSystem):
+    """Whether the newest message says that the arm is to be stopped; not before the first."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.DeclareAbstractInputPort("received", Value[object](None))
+        self.DeclareVectorOutputPort("abort", 1, self._calc)
+
+    def _calc(self, context: Context, output: BasicVector) -> None:
+        data = self.get_input_port().Eval(context).data
+        output.SetFromVector([lcmt_drake_signal.decode(data).val[0] if data else 0.0])
+
+
 class _StreamSender(LeafSystem):
     """Hands the arm's commands to the process that sends them."""
 
@@ -163,6 +205,7 @@ class _StreamSender(LeafSystem):
         super().__init__()
         self._stream: CommandStream | None = None
         self.DeclareVectorInputPort("position", 7)
+        self.DeclareAbstractInputPort("health", Value[object](None))
         self.DeclarePeriodicPublishEvent(channels.ARM_PERIOD, 0.0, self._send)
 
     def start(self, url: str) -> None:
@@ -179,5 +222,10 @@ class _StreamSender(LeafSystem):
     def _send(self, context: Context) -> EventStatus:
         if self._stream is None:
             raise channels.HardwareError("hardware: call `connect` before the simulation begins")
-        self._stream.send(context.get_time(), self.get_input_port().Eval(context))
+        port = self.GetInputPort("health")
+        health: Health | None = port.Eval(context) if port.HasValue(context) else None
+        if health is not None and health.mode == "stopped" and not health.back:
+            self._stream.stop()
+        else:
+            self._stream.send(context.get_time(), self.GetInputPort("position").Eval(context))
         return EventStatus.Succeeded()

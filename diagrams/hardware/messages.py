@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 from typing import Any
@@ -20,6 +20,10 @@ from pydrake.systems.lcm import (
 
 from diagrams.hardware.validation import BadMessage, Rule, check_stamp
 from diagrams.systems.held import held, read, replace_held
+
+STANDSTILL = 0.01
+"""s that count at most as silence between two steps: what takes longer is that this process stood still, and
+then it could not hear either."""
 
 CLOCKS = 0.5
 """s in which the difference of two clocks is followed; where one is slow, ages err by a share of this."""
@@ -37,6 +41,8 @@ class Received:
         offset: what the clock of the diagram shows more than the sender's where messages just come, s.
         good: number of good messages.
         dropped: number of bad ones by their cause.
+        silence: s of this computer's clock since a good one was found here.
+        looked: what that clock showed then, s.
     """
 
     data: bytes = b""
@@ -44,6 +50,8 @@ class Received:
     offset: float = -np.inf
     good: int = 0
     dropped: Mapping[str, int] = field(default_factory=lambda: MappingProxyType({}))
+    silence: float = 0.0
+    looked: float = np.nan
 
 
 class CheckedMessages(LeafSystem):
@@ -56,6 +64,7 @@ class CheckedMessages(LeafSystem):
         - message
         - stamp
         - age
+        - silence
         - received
 
     What comes is told it with `hear`, and is looked at in the next step.
@@ -66,6 +75,8 @@ class CheckedMessages(LeafSystem):
       diagram that was busy for a while and then reads several messages at once is not misled; how far the two
       clocks are apart, the way of a message included, is followed within `CLOCKS`. While the diagram's clock
       is late the age may be negative.
+    - `silence` (1,): s since a good message was found, by this computer's clock: also where the diagram's
+      clock is late. Time in which this process stood still does not count. 0 without a clock.
     - `received`: `Received`.
 
     A warning names channel and cause at the 1st, 10th, 100th … message that is bad in one way. Drake's own
@@ -74,10 +85,12 @@ class CheckedMessages(LeafSystem):
     Args:
         channel: whose messages these are.
         rule: what they must be.
+        clock: of this computer, s; none in a simulation, which takes the time that it takes.
     """
 
-    def __init__(self, channel: str, rule: Rule) -> None:
+    def __init__(self, channel: str, rule: Rule, clock: Callable[[], float] | None = None) -> None:
         super().__init__()
+        self._clock = clock
         # What was heard and not yet looked at belongs to the network, not to a Context.
         self._heard: deque[tuple[bytes, float] | BadMessage] = deque(maxlen=16)
         self._channel = channel
@@ -91,6 +104,7 @@ class CheckedMessages(LeafSystem):
         )
         self.DeclareVectorOutputPort("stamp", 1, self._calc_stamp, {own})
         self.DeclareVectorOutputPort("age", 1, self._calc_age, {own, self.time_ticket()})
+        self.DeclareVectorOutputPort("silence", 1, self._calc_silence, {own})
         self.DeclareAbstractOutputPort(
             "received",
             lambda: Value[object](None),
@@ -126,9 +140,13 @@ class CheckedMessages(LeafSystem):
         return now
 
     def _update(self, context: Context, state: State) -> EventStatus:
-        if not self._heard:
+        if not self._heard and self._clock is None:
             return EventStatus.DidNothing()
-        replace_held(state, self._received, self._taken(context))
+        before = self.received(context)
+        now = self._taken(context)
+        if self._clock is not None:
+            now = _listened(now, self._clock(), new=now.good > before.good)
+        replace_held(state, self._received, now)
         return EventStatus.Succeeded()
 
     def _taken(self, context: Context) -> Received:
@@ -164,9 +182,17 @@ class CheckedMessages(LeafSystem):
     def _calc_stamp(self, context: Context, output: BasicVector) -> None:
         output.SetFromVector([self.received(context).stamp])
 
+    def _calc_silence(self, context: Context, output: BasicVector) -> None:
+        output.SetFromVector([self.received(context).silence])
+
     def _calc_age(self, context: Context, output: BasicVector) -> None:
         now = self.received(context)
         output.SetFromVector([context.get_time() - now.offset - now.stamp if now.good else np.inf])
+
+
+def _listened(now: Received, clock: float, *, new: bool) -> Received:
+    passed = min(max(clock - now.looked, 0.0), STANDSTILL) if np.isfinite(now.looked) else 0.0
+    return replace(now, silence=0.0 if new else now.silence + passed, looked=clock)
 
 
 def publish(

@@ -29,6 +29,9 @@ from models.robots import POSITION_LIMITS, SPEED_LIMITS, TORQUE_LIMITS
 POSE_COORDINATES = ("x", "y", "z", "qw", "qx", "qy", "qz")
 """Names of the numbers of a `lcmt_drake_signal` that is a pose: metres, then a unit quaternion."""
 
+ABORT_COORDINATES = ("abort",)
+"""Name of the number of a `lcmt_drake_signal` that stops the arm where it is above 0.5."""
+
 LONGEST_LEAP = 600.0
 """s by which a stamp may be later than the one before; a later one would shut out all true ones after it."""
 
@@ -114,6 +117,8 @@ def rules(width: int, height: int) -> Mapping[str, Rule]:
             lcmt_image_array, lambda m: m.header.utime, lambda m: _check_picture(m, color, size)
         ),
         channels.CAMERA_POSE: Rule(lcmt_drake_signal, lambda m: m.timestamp, _check_pose),
+        # Anybody may stop the arm, by whatever clock.
+        channels.ABORT: Rule(lcmt_drake_signal, lambda m: 0, _check_abort),
     }
 
 
@@ -159,6 +164,12 @@ def _check_pose(message: lcmt_drake_signal) -> None:
     _check_vector("pose", message.val, limits)
     if abs(np.linalg.norm(message.val[3:]) - 1.0) > 1e-3:
         raise BadMessage("quaternion has not the length 1")
+
+
+def _check_abort(message: lcmt_drake_signal) -> None:
+    if tuple(message.coord) != ABORT_COORDINATES or len(message.val) != len(ABORT_COORDINATES):
+        raise BadMessage("is not one number named abort")
+    _check_number("abort", message.val[0], 0.0, 1.0)
 
 
 def _check_picture(message: lcmt_image_array, pixel_format: int, size: tuple[int, int]) -> None:

@@ -10,9 +10,9 @@ from diagrams.hardware.guard import CommandGuard
 from diagrams.hardware.guard_rules import PERIOD
 from diagrams.hardware.guard_settings import GuardSettings
 from diagrams.station.arm import HOME
-from models.robots import POSITION_LIMITS, SPEED_LIMITS
+from models.robots import ACCELERATION_LIMITS, POSITION_LIMITS, SPEED_LIMITS
 from tests.diagrams.systems.driven_block import DrivenBlock
-from tests.hardware.faults import FollowingArm, StatusLink
+from tests.hardware.faults import MESSAGE, FollowingArm, StatusLink
 from tests.hardware.guarded_arm import MODEL, NEAR, run
 
 AT = 1.1
@@ -92,12 +92,29 @@ def test_without_a_fault_the_whole_push_passes_unchanged(undisturbed):
 
 
 @pytest.mark.parametrize(("at", "home"), [(AT, NEAR), AFAR])
-def test_a_status_that_stops_is_noticed_when_it_is_too_old_and_the_arm_rests_50_ms_later(at, home):
+def test_a_status_that_stops_is_noticed_when_it_is_too_old_and_the_arm_then_rests(at, home):
     log = run(at + 0.2, home=home, link=StatusLink("stop", at))
     health = held(log, at, GuardSettings().status_age + PERIOD + REST)
-    assert "55 ms old, 50 ms are allowed" in health.cause
+    assert "30 ms old, 25 ms are allowed" in health.cause
     assert "driver" in health.remedy
     assert smooth(log, health.time)
+
+
+def test_an_arm_that_pushes_rests_50_ms_after_its_last_status():
+    """Braking takes as long as the data sheet asks for: a push is slow."""
+    log = run(AT + 0.2, link=StatusLink("stop", AT))
+    last = AT - MESSAGE
+    held(log, last, 0.05)
+    assert log.modes[int(AT / PERIOD)] == "pushing"
+    deceleration = np.abs(np.diff(log.speeds[log.times[1:] > AT], axis=0)) / PERIOD
+    assert (deceleration <= 1.01 * ACCELERATION_LIMITS).all()
+
+
+def test_a_status_that_stops_while_the_diagrams_clock_is_late_is_noticed_as_soon():
+    """Ages are told by a clock that stands nearly still; silence by another."""
+    stands = StatusLink("delay", AT, -0.4)
+    log = run(AT + 0.2, link=stands, status_silence=Signal(lambda t: max(t - AT, 0.0)))
+    assert "30 ms old, 25 ms are allowed" in held(log, AT, GuardSettings().status_age + PERIOD + REST).cause
 
 
 def test_a_status_that_is_late_stops_the_arm_though_messages_keep_coming():
@@ -106,7 +123,7 @@ def test_a_status_that_is_late_stops_the_arm_though_messages_keep_coming():
 
 
 def test_a_status_that_is_a_little_late_stops_nothing():
-    log = run(AT + 0.2, link=StatusLink("delay", AT, 0.03))
+    log = run(AT + 0.2, link=StatusLink("delay", AT, 0.02))
     assert log.health[-1].ok and log.status.mode == "pushing"
 
 

@@ -80,6 +80,10 @@ class LockstepCell(Diagram):
             self.twin.station.release_renderer(self._root)
             self._root = None
 
+    def abort(self) -> None:
+        """See `HardwareInterface.abort`."""
+        self._interface.abort()
+
     def received(self, root: Context) -> dict[str, Received]:
         """See `HardwareInterface.received`."""
         return self._interface.received(root)

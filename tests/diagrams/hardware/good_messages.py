@@ -60,6 +60,12 @@ def camera_pose() -> lcmt_drake_signal:
     return message
 
 
+def abort() -> lcmt_drake_signal:
+    message = lcmt_drake_signal()
+    message.dim, message.coord, message.val = 1, ["abort"], [1.0]
+    return message
+
+
 def depths() -> np.ndarray:
     image = np.linspace(0.5, 1.5, WIDTH * HEIGHT, dtype="<f4").reshape(HEIGHT, WIDTH)
     image[0, 0], image[0, 1] = 0.0, np.inf  # no reading, and too far
@@ -105,4 +111,5 @@ GOOD = {
     channels.CAMERA_DEPTH: depth_picture,
     channels.CAMERA_COLOR: color_picture,
     channels.CAMERA_POSE: camera_pose,
+    channels.ABORT: abort,
 }

@@ -9,7 +9,7 @@ import pytest
 from drake import lcmt_iiwa_command
 
 from diagrams.hardware.channels import ARM_PERIOD, IIWA_COMMAND, HardwareError
-from diagrams.hardware.command_stream import DELAY, CommandBuffer, CommandStream
+from diagrams.hardware.command_stream import BRAKING, DELAY, CommandBuffer, CommandStream
 from diagrams.hardware.network import open_lcm
 
 
@@ -64,6 +64,26 @@ def test_after_a_long_wait_the_arm_has_slowed_down_on_its_path_and_goes_on_witho
     assert pace[resting[1:]].max() < 0.01
     slowing = np.diff(pace)[(times[2:] > 1.9) & (times[2:] < 2.0 + wait)]
     assert slowing.min() > -0.35  # not from full speed to nothing at once
+
+
+def test_an_arm_that_is_to_stop_brakes_at_once_on_its_path():
+    """The next 40 ms of it are known, and no more is played than half the time of braking."""
+    buffer, pace, times = CommandBuffer(), [], np.arange(1.0, 1.4, ARM_PERIOD)
+    for now in times:
+        if now < 1.2:
+            buffer.add(4.0 + now, path(4.0 + now))
+        if abs(now - 1.2) < 1e-9:
+            buffer.stop()
+            buffer.add(9.0, path(9.0))  # what comes later is not played
+        q = buffer.at(now)
+        pace.append(np.arctan2(q[0], path_cosine(q[None])[0]) + 2 * np.pi)
+    speed = np.diff(pace) / ARM_PERIOD
+    stopping = times[1:] > 1.2 - 1e-9
+    assert speed[~stopping][-5:] == pytest.approx(1.0, abs=1e-3)
+    braking = BRAKING  # 1 rad/s asks for more than the 8.6 rad/s² of the data sheet otherwise
+    expected = np.maximum(1.0 - (times[1:][stopping] - 1.2 + 0.5 * ARM_PERIOD) / braking, 0.0)
+    assert speed[stopping] == pytest.approx(expected, abs=0.06)
+    assert speed[times[1:] > 1.2 + braking] == pytest.approx(0.0, abs=1e-9)
 
 
 def path_cosine(commands: np.ndarray) -> np.ndarray:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from collections.abc import Callable
 
 import numpy as np
 import pytest
@@ -22,11 +23,13 @@ from diagrams.station.arm import HOME
 class Listener:
     """A checked channel in a diagram."""
 
-    def __init__(self) -> None:
+    def __init__(self, clock: Callable[[], float] | None = None) -> None:
         self.lcm = DrakeLcm("memq://")
         builder = DiagramBuilder()
         builder.AddSystem(LcmInterfaceSystem(self.lcm))
-        self.checked = builder.AddSystem(CheckedMessages(IIWA_STATUS, rules(WIDTH, HEIGHT)[IIWA_STATUS]))
+        self.checked = builder.AddSystem(
+            CheckedMessages(IIWA_STATUS, rules(WIDTH, HEIGHT)[IIWA_STATUS], clock)
+        )
         self.lcm.Subscribe(IIWA_STATUS, self.checked.hear)
         self.receiver = builder.AddSystem(IiwaStatusReceiver())
         builder.Connect(self.checked.GetOutputPort("message"), self.receiver.get_input_port())
@@ -87,6 +90,27 @@ def test_ages_come_from_stamps_and_slowly_from_when_messages_come(listener):
         message.utime += 5000
         listener.hear(message.encode(), until=0.505 + 0.005 * (k + 1))
     assert listener.says("age")[0] == pytest.approx(0.005, abs=1e-4)
+
+
+def test_silence_is_told_by_the_computers_clock_where_the_diagrams_is_late():
+    """The diagram's clock goes at a tenth of the pace; a standstill of the process counts as 10 ms."""
+    now = [50.0]
+    listener = Listener(clock=lambda: now[0])
+    message = iiwa_status()
+    listener.hear(message.encode(), until=0.001)
+    assert listener.says("silence")[0] == 0.0
+    for k in range(8):
+        now[0] += 0.005
+        listener.hear(until=0.001 + 0.0005 * (k + 1))
+    assert listener.says("silence")[0] == pytest.approx(0.04)
+    assert listener.says("age")[0] == pytest.approx(0.004, abs=1e-3)
+    now[0] += 3.0
+    listener.hear(b"junk", until=0.006)
+    assert listener.says("silence")[0] == pytest.approx(0.05)
+    message.utime += 5000
+    now[0] += 0.005
+    listener.hear(message.encode(), until=0.007)
+    assert listener.says("silence")[0] == 0.0
 
 
 def test_a_warning_names_channel_and_cause_and_is_not_repeated_for_ever(listener, caplog):

@@ -5,12 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from drake import lcmt_iiwa_command
+from good_messages import abort
 from pydrake.lcm import DrakeLcm
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
 
 from diagrams.hardware import channels
-from diagrams.hardware.interface import HardwareInterface
+from diagrams.hardware.interface import OWN, HardwareInterface
 from diagrams.hardware.twin import CellTwin
 from diagrams.perception.camera import CameraConfig
 from diagrams.station.arm import HOME
@@ -72,9 +73,9 @@ def names(system, count: str, port: str) -> list[str]:
 def test_the_ports_are_the_stations_less_the_truth(both):
     station, interface = both.twin.station, both.interface
     inputs, outputs = ("num_input_ports", "get_input_port"), ("num_output_ports", "get_output_port")
-    assert names(interface, *inputs) == names(station, *inputs)
+    assert sorted(names(interface, *inputs)) == sorted([*names(station, *inputs), OWN[0]])
     known = [name for name in names(station, *outputs) if not name.startswith(TRUTH)]
-    assert sorted(names(interface, *outputs)) == sorted(known)
+    assert sorted(names(interface, *outputs)) == sorted([*known, *OWN[1:]])
     for name in known:
         one, other = interface.GetOutputPort(name), station.GetOutputPort(name)
         assert (one.get_data_type(), one.size()) == (other.get_data_type(), other.size()), name
@@ -136,6 +137,23 @@ def test_junk_on_every_channel_changes_nothing_and_is_counted(both):
             assert dict(came.dropped) == {"cannot be decoded": 1}, channel
     np.testing.assert_allclose(both.heard("iiwa.position_measured"), before, atol=1e-5)
     np.testing.assert_array_equal(both.heard("camera.depth_image").data, picture)
+
+
+def test_a_message_or_a_call_aborts_and_bad_ones_do_not(both):
+    assert both.heard("abort")[0] == 0.0
+    message = abort()
+    message.val = [np.nan]
+    for data in (b"junk", message.encode()):
+        both.lcm.Publish(channels.ABORT, data)
+    both.simulator.AdvanceTo(both.root.get_time() + 0.01)
+    assert both.heard("abort")[0] == 0.0
+    both.lcm.Publish(channels.ABORT, abort().encode())
+    both.simulator.AdvanceTo(both.root.get_time() + 0.01)
+    assert both.heard("abort")[0] == 1.0
+    other = Both()
+    other.interface.abort()
+    other.simulator.AdvanceTo(0.01)
+    assert other.heard("abort")[0] == 1.0
 
 
 def test_a_silent_cell_is_told_with_its_channels():

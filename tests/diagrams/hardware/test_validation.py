@@ -21,7 +21,7 @@ RULES = rules(WIDTH, HEIGHT)
 @pytest.mark.parametrize("channel", GOOD)
 def test_good_messages_come_with_their_stamp(channel):
     message, stamp = RULES[channel].read(GOOD[channel]().encode())
-    assert stamp == 1.0
+    assert stamp == (0.0 if channel == channels.ABORT else 1.0)  # anybody may abort, by whatever clock
     assert type(message) is RULES[channel].lcm_type
 
 
@@ -146,6 +146,9 @@ STATUS, COMMAND, DEPTH = channels.IIWA_STATUS, channels.IIWA_COMMAND, channels.C
         (channels.CAMERA_POSE, set_first("val", 20.0), "pose: far out"),
         (channels.CAMERA_POSE, set_field("val", [0.0] * 7), "quaternion"),
         (channels.CAMERA_POSE, set_field("coord", list("abcdefg")), "not a pose"),
+        (channels.ABORT, set_first("val", np.nan), "abort: not finite"),
+        (channels.ABORT, set_first("val", 2.0), "abort: far out"),
+        (channels.ABORT, set_field("coord", ["stop"]), "not one number named abort"),
         (DEPTH, no_pictures, "not one picture"),
         (DEPTH, set_image("width", WIDTH + 1), f"not {WIDTH} by {HEIGHT}"),
         (DEPTH, set_image("height", -HEIGHT), f"not {WIDTH} by {HEIGHT}"),
