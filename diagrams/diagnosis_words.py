@@ -113,6 +113,8 @@ def locked_rows(diagnosis: Diagnosis) -> list[tuple[str, str, str]]:
 
 def rivals_sentence(diagnosis: Diagnosis) -> str:
     """Which effects the data cannot rule out besides the first; empty where there is nothing to say."""
+    if any(len(fitted.effects) > 1 for fitted in diagnosis.rivals[1:]):
+        return ""  # The verdict's sentence lists the pairs.
     if diagnosis.verdict == "ambiguous":
         first, *others = diagnosis.effects
         return f"{first} fits best; the data cannot rule out {', '.join(others)}."

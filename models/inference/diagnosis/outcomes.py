@@ -100,11 +100,19 @@ def one_of(rivals: Sequence[Fitted]) -> Outcome:
     return Outcome("ambiguous", sentence, rivals[0], names, rivals=tuple(rivals))
 
 
-def two_at_once(pair: Fitted) -> Outcome:
-    """Two effects that are needed at the same time, the stronger first."""
-    names = tuple(effect.name for effect in pair.effects)
-    sentence = f"The data miss two effects at once: {names[0]} and {names[1]}."
-    return Outcome("effect", sentence, pair, names, together=True, rivals=(pair,))
+def two_at_once(found: Sequence[Fitted]) -> Outcome:
+    """Two effects that are needed at the same time, the stronger first; or such pairs, best first."""
+    best = found[0]
+    different = {frozenset(effect.name for effect in pair.effects): pair for pair in reversed(found)}
+    if len(different) == 1:
+        names = tuple(effect.name for effect in best.effects)
+        sentence = f"The data miss two effects at once: {names[0]} and {names[1]}."
+        return Outcome("effect", sentence, best, names, together=True, rivals=(best,))
+    rivals = [pair for pair in found if pair in different.values()]
+    listed = ", or ".join(" and ".join(effect.name for effect in pair.effects) for pair in rivals)
+    sentence = f"Two effects at once are missing; the data cannot tell which: {listed}."
+    union = dict.fromkeys(effect.name for pair in rivals for effect in pair.effects)
+    return Outcome("ambiguous", sentence, best, tuple(union), rivals=tuple(rivals))
 
 
 def unknown(base: Fitted, screening: Screening) -> Outcome:

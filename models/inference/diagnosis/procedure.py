@@ -33,6 +33,7 @@ from models.inference.diagnosis.results import CandidateResult, Diagnosis, param
 from models.inference.diagnosis.screening import Screening, screen
 from models.inference.diagnosis.verdict_rules import (
     AGREEMENT,
+    CLEARLY_WORSE_GAIN,
     FEWEST_DRAWS,
     FEWEST_PUSHES,
     LEVEL,
@@ -181,9 +182,9 @@ class _Inquiry:
             return outcomes.one_of([self.refits.fits[name] for name in self.accepted])
         if float(self.first.gain.max()) < PROBE_GAIN:
             return outcomes.too_faint(self.base)
-        pair = self._pair(rest)
-        if pair is not None:
-            return outcomes.two_at_once(pair)
+        found = self._pairs(rest)
+        if found:
+            return outcomes.two_at_once(found)
         if float(self.first.gain.max()) < UNKNOWN_GAIN:
             return outcomes.too_faint(self.base)
         return outcomes.unknown(self.base, next(iter(rest.values())))
@@ -262,15 +263,22 @@ class _Inquiry:
         self.report("asking what is left", len(asked), len(asked))
         return rest
 
-    def _pair(self, rest: dict[str, Screening]) -> Fitted | None:
-        """Two effects that together leave nothing."""
+    def _pairs(self, rest: dict[str, Screening]) -> list[Fitted]:
+        """Two effects that together leave nothing, best first; several where the first could be another."""
+        gains = self.refits.gains
+        best = max(gains.values(), default=0.0)
+        found: list[Fitted] = []
         for step, name in enumerate(list(rest)[:FIRSTS_TRIED]):
+            if found and not rivals_the_best(gains[name], best):
+                break
             self.report("trying pairs", step, FIRSTS_TRIED)
             first = self.refits.fits[name]
             for pair in pairs(self.fitter, first, rest[name], self.effects, self.scene):
                 if self.rules.completes(self._screen(pair), first.cost - pair.cost):
-                    return pair
-        return None
+                    found.append(pair)
+                    break
+        found.sort(key=lambda pair: pair.cost)
+        return [pair for pair in found if pair.cost < found[0].cost + CLEARLY_WORSE_GAIN]
 
     def candidates(self, answer: Fitted) -> list[CandidateResult]:
         """All named candidates, best first; two effects found together have the parameters of their fit."""

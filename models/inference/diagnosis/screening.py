@@ -129,7 +129,7 @@ def screen(
             jacobians[b].append(J[:, chosen])
     stacked = [np.concatenate(parts, axis=1) for parts in jacobians]
     tolerated = [i for i in candidates if i < named]
-    spare = np.concatenate([own_columns[i][0] for i in tolerated])
+    spare = np.concatenate([np.zeros(0, dtype=np.int64), *(own_columns[i][0] for i in tolerated)])
 
     small = rng.standard_normal((len(spare), draws)) * TOLERANCE
     signs = rng.choice([-1.0, 1.0], (len(residuals), draws))

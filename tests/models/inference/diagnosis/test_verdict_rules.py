@@ -8,7 +8,7 @@ import pytest
 from models.effects.library import LIBRARY
 from models.effects.probes import PROBES
 from models.inference.diagnosis import procedure
-from models.inference.diagnosis.verdict_rules import locked_pushes_stay_off
+from models.inference.diagnosis.verdict_rules import Remainder, locked_pushes_stay_off, not_outdone
 
 
 @pytest.mark.parametrize(
@@ -24,7 +24,7 @@ def test_without_locked_pushes_nothing_is_refuted():
     assert not locked_pushes_stay_off(None, None)
 
 
-def verdict(monkeypatch, gain, pair=None):
+def verdict(monkeypatch, gain, found=()):
     """Of an inquiry in which the largest gain is `gain` nats and no single effect is accepted."""
     candidates = (LIBRARY[0], PROBES[0])
     first = SimpleNamespace(candidates=candidates, gain=np.array([1.0, gain]))
@@ -36,7 +36,7 @@ def verdict(monkeypatch, gain, pair=None):
         "fitter": None, "base": None, "effects": (), "scene": None, "draws": 0, "report": print,
         "accepted": [], "_ask_every_effect": lambda: first, "_found_better_base": lambda: False,
         "_disagreement": lambda: None, "_ask_what_is_left": lambda: {"some": first},
-        "_pair": lambda rest: pair,
+        "_pairs": lambda rest: list(found),
     }.items():  # fmt: skip
         setattr(inquiry, name, value)
     return inquiry.run()
@@ -47,9 +47,46 @@ def test_only_a_clear_finding_is_called_unknown(monkeypatch, gain, said):
     assert verdict(monkeypatch, gain).verdict == said
 
 
+def pair(first, second):
+    return SimpleNamespace(effects=(LIBRARY[first], LIBRARY[second]))
+
+
+def names(*indices):
+    return tuple(LIBRARY[i].name for i in indices)
+
+
 def test_a_pair_is_named_though_neither_gains_much_alone(monkeypatch):
     """Two effects may hide each other from the first question, which asks for one."""
-    pair = SimpleNamespace(effects=LIBRARY[:2])
-    outcome = verdict(monkeypatch, 40.0, pair)
+    outcome = verdict(monkeypatch, 40.0, [pair(0, 1)])
     assert (outcome.verdict, outcome.together) == ("effect", True)
-    assert outcome.effects == tuple(effect.name for effect in LIBRARY[:2])
+    assert outcome.effects == names(0, 1)
+
+
+def test_the_same_pair_found_twice_is_one(monkeypatch):
+    assert verdict(monkeypatch, 90.0, [pair(1, 0), pair(0, 1)]).effects == names(1, 0)
+
+
+def test_pairs_that_explain_as_much_are_not_told_apart(monkeypatch):
+    outcome = verdict(monkeypatch, 90.0, [pair(0, 2), pair(1, 2)])
+    assert (outcome.verdict, outcome.together) == ("ambiguous", False)
+    assert outcome.effects == names(0, 2, 1)
+    assert len(outcome.rivals) == 2
+
+
+@pytest.mark.parametrize(
+    ("far", "near", "kept"),
+    [
+        (2192.0, 2169.0, ["far", "near"]),
+        (2192.0, 2100.0, ["far"]),
+        (100.0, 91.0, ["far"]),
+        (100.0, 93.0, ["far", "near"]),
+    ],
+)
+def test_what_leaves_nothing_beats_what_explains_clearly_less(far, near, kept):
+    left = {"far": Remainder(None, 1.0, None, True), "near": Remainder(None, 20.0, None, False)}
+    assert not_outdone(["far", "near"], left, {"far": far, "near": near}) == kept
+
+
+def test_what_explains_less_stays_where_it_leaves_nothing_either():
+    left = {name: Remainder(None, 1.0, None, True) for name in ("far", "near")}
+    assert not_outdone(["far", "near"], left, {"far": 100.0, "near": 70.0}) == ["far", "near"]
