@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from hidden_effects import tilted_pushes
+from schemas import assert_json_as_described
 
 from diagrams.command_line import run
 from models.inference.belief import Belief
@@ -28,10 +29,13 @@ class Said:
 
 @pytest.fixture
 def slipmap(capsys: pytest.CaptureFixture[str]) -> Callable[..., Said]:
-    """Runs `slipmap` with arguments in this process."""
+    """Runs `slipmap` with arguments in this process; what it writes with --json must fit its schema."""
 
     def command(*arguments: object) -> Said:
-        code = run([str(argument) for argument in arguments])
+        words = [str(argument) for argument in arguments]
+        code = run(words)
+        if code == 0:
+            assert_json_as_described(words)
         return Said(code, *capsys.readouterr())
 
     return command

@@ -18,6 +18,7 @@ import pytest
 import umsgpack
 from browser import chromium, opened
 from pydrake.geometry import Meshcat
+from schemas import assert_as_described
 
 from diagrams.command_line import run
 from diagrams.exploration_loop import LoopOptions
@@ -92,6 +93,7 @@ def keyframes(page: str, path: str) -> list[tuple[float, list[float]]]:
 def test_the_run_ends_well_and_leaves_every_file(explored):
     assert explored.code == 0
     assert explored.result["failure"] == ""
+    assert_as_described("explore", explored.result)
     files = {path.relative_to(explored.folder).as_posix() for path in explored.folder.rglob("*.*")}
     expected = {"belief.npz", "belief.maps.png", "belief.pushes.png", "report.html", "pushes/dataset.yaml"}
     expected |= {"run.json", "scenario.yaml", "first_picture.npz"}

@@ -7,9 +7,11 @@ import re
 import shlex
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
 
 import pytest
+import yaml
 
 from diagrams.command_line import slipmap
 
@@ -55,3 +57,11 @@ def test_links_lead_somewhere(page):
         assert ((ROOT / page).parent / link).exists(), link
     for folder in re.findall(r"^\| `([a-z]+)/` ", (ROOT / page).read_text(), flags=re.M):
         assert (ROOT / folder).is_dir()
+
+
+def test_the_citation_names_this_version_and_licence():
+    cited = yaml.safe_load((ROOT / "CITATION.cff").read_text(encoding="utf-8"))
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    assert [cited[key] for key in ("title", "version", "license")] == [
+        project[key] for key in ("name", "version", "license")
+    ]

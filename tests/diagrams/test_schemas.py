@@ -1,0 +1,49 @@
+"""The schemas fit what is written; `conftest.py` holds what each command writes with --json against them."""
+
+from __future__ import annotations
+
+import copy
+import json
+
+import pytest
+import yaml
+from jsonschema import Draft202012Validator
+from schemas import FOLDER, NAMES, assert_as_described, validator
+
+ROOT = FOLDER.parents[1]
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_schema_is_one(name):
+    Draft202012Validator.check_schema(validator(name).schema)
+    assert f"schemas/{name}.json" in (ROOT / "docs" / "file-formats.md").read_text(encoding="utf-8")
+
+
+def test_a_dataset_that_is_written_is_as_described(demo_folder):
+    pushes = demo_folder / "demo" / "pushes"
+    described = yaml.safe_load((pushes / "dataset.yaml").read_text(encoding="utf-8"))
+    assert_as_described("push-dataset", described)
+    for entry in described["trials"]:
+        assert_as_described("push-trial", json.loads((pushes / entry["file"]).read_text(encoding="utf-8")))
+
+
+def test_the_least_dataset_of_the_page_is_as_described():
+    page = (ROOT / "docs" / "file-formats.md").read_text(encoding="utf-8")
+    least = page.split("```yaml\n")[1].split("```")[0]
+    assert_as_described("push-dataset", yaml.safe_load(least))
+
+
+def test_what_is_missing_unknown_or_of_another_kind_is_found(demo_folder):
+    written = json.loads((demo_folder / "demo.json").read_text(encoding="utf-8"))
+    assert_as_described("demo", written)
+    for spoil in (
+        lambda document: document.pop("seed"),
+        lambda document: document.update(sead=0),
+        lambda document: document["trials"][0].update(role="judge"),
+        lambda document: document["hypotheses"][1].update(center_of_mass=[0.0]),
+        lambda document: document["truth"][0].update(inside="yes"),
+    ):
+        document = copy.deepcopy(written)
+        spoil(document)
+        with pytest.raises(pytest.fail.Exception, match="schemas/demo"):
+            assert_as_described("demo", document)
