@@ -28,10 +28,7 @@ NINETY_PERCENT = 4.605
     "--runs", type=click.IntRange(1, 1000), default=10, show_default=True, metavar="N",
     help="Runs of each object, with seeds from SEED on.",
 )  # fmt: skip
-@click.option(
-    "--pushes", type=click.IntRange(1, 100), default=5, show_default=True, metavar="N",
-    help="Pushes to learn from.",
-)  # fmt: skip
+@options.explorations_option
 @click.option(
     "--checks", type=click.IntRange(1, 100), default=10, show_default=True, metavar="N",
     help="Random pushes after these, to judge with.",

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
+from models.inference.observed_steps import ObservedPush
 from models.inference.paper_method import (
     FLOOR,
-    ObservedPush,
     algorithm_1,
     bound_schedule,
     soft_max,

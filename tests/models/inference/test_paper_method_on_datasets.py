@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from models.inference.belief import Belief
-from models.inference.paper_method import algorithm_1, identify_by_algorithm_1, observe_steps, soft_max
+from models.inference.observed_steps import observe_steps
+from models.inference.paper_method import algorithm_1, identify_by_algorithm_1, soft_max
 from models.inference.prediction import predict
 from models.measurements import Channel, DatasetError, read_dataset
 
