@@ -44,7 +44,7 @@ def record_pushes(
         BadLog, HardwareError: of the events.
         BadInput: the disk is full or the place not writable; names the file.
     """
-    seen, told, spoke, logged = False, 0, None, 0
+    seen, told, spoke, logged, expected = False, 0, None, 0, 0
     for event in events:
         if stopped():
             return
@@ -54,6 +54,10 @@ def record_pushes(
             tell(hearing(listener))
         if event.channel == TICK:
             continue
+        if event.number > expected > 0:
+            missing = event.number - expected
+            tell(f"{listener.time:.1f} s: {missing} messages were left out: this computer is too slow")
+        expected = event.number + 1
         if log is not None:
             with writing(Path(log.name)):
                 log.write(Event(logged, event.utime, event.channel, event.data).encode())
@@ -96,7 +100,7 @@ def hearing(listener: PushListener) -> str:
     else:
         pose = listener.pose
         parts.append("the object is seen" if pose.valid else f"the object is not seen ({pose.reason})")
-    return f"{listener.time:.1f} s: {'; '.join(parts)}; {listener.pushes} pushes"
+    return f"{listener.time:.1f} s: {'; '.join(parts)}; pushes: {listener.pushes}"
 
 
 def listened_json(listener: PushListener) -> dict[str, Any]:

@@ -43,10 +43,11 @@ class MessageStream:
         heard: channels.
 
     Raises:
-        HardwareError: it could not be started.
+        HardwareError: see `network.open_lcm`, or it could not be started.
     """
 
     def __init__(self, url: str, heard: Sequence[str]) -> None:
+        open_lcm(url)  # whatever is wrong with address or network is told here
         self._child = Child("the process that hears messages", __name__, url, *heard)
         self._child.wait_until_ready()
 

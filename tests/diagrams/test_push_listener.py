@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 import json
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from diagrams.hardware import channels
-from diagrams.hardware.message_log import Event
+from diagrams.hardware.message_log import Event, LogReader
+from diagrams.hardware.message_stream import TICK
 from diagrams.push_listener import HEARD, PushListener
-from diagrams.push_recording import why_none
+from diagrams.push_recording import hearing, record_pushes, why_none
 from models.measurements import PushDataset, read_dataset
+from models.measurements.recording import PushRecorder
 from tests.hardware.made_up_cell import AHEAD, FORCE, MadeUpCell, gripper, scenario
 
 CELLS = 20
@@ -27,25 +30,68 @@ def cell() -> MadeUpCell:
     return MadeUpCell()
 
 
+@dataclass
+class Recorded:
+    """What `record_pushes` made of the cell's messages."""
+
+    events: list[Event]
+    listener: PushListener
+    dataset: PushDataset
+    folder: Path
+    log: Path
+    told: list[str]
+
+
 @pytest.fixture(scope="module")
-def listener(cell) -> PushListener:
-    """It has heard the cell; pictures were under way for 70 ms, and there was junk on every channel."""
+def recorded(cell, tmp_path_factory) -> Recorded:
+    """Pictures were under way for 70 ms, there was junk on every channel, and some messages were left out."""
     slow = [
         replace(event, utime=event.utime + 70_000 * (event.channel == channels.CAMERA_DEPTH))
         for event in cell.events()
     ]
-    listener = PushListener(scenario(), "box", CELLS)
+    events = []
     for number, event in enumerate(sorted(slow, key=lambda event: event.utime)):
-        listener.hear(event)
+        events.append(event)
         if number % 300 == 7:
-            for channel in (*HEARD, "ELSE"):
-                listener.hear(replace(event, channel=channel, data=b"junk"))
-    return listener
+            events += [replace(event, channel=channel, data=b"junk") for channel in (*HEARD, "ELSE")]
+    events = [replace(event, number=number + 3 * (number > 20)) for number, event in enumerate(events)]
+    ticks = [Event(event.number, event.utime, TICK, b"") for event in events[::100]]
+    mixed = sorted([*events, *ticks], key=lambda event: event.utime)
+    place = tmp_path_factory.mktemp("recorded")
+    listener, told = PushListener(scenario(), "box", CELLS), []
+    with open(place / "log", "wb") as log:
+        record_pushes(mixed, listener, PushRecorder(place / "box"), told.append, log=log)
+    return Recorded(events, listener, listener.dataset(), place / "box", place / "log", told)
 
 
 @pytest.fixture(scope="module")
-def dataset(listener) -> PushDataset:
-    return listener.dataset()
+def listener(recorded) -> PushListener:
+    return recorded.listener
+
+
+@pytest.fixture(scope="module")
+def dataset(recorded) -> PushDataset:
+    return recorded.dataset
+
+
+def test_a_push_is_on_the_disk_and_all_messages_in_the_log(recorded):
+    (trial,) = read_dataset(recorded.folder).trials
+    assert np.array_equal(trial.tip_pose.values, recorded.dataset.trials[0].tip_pose.values)
+    with open(recorded.log, "rb") as file:
+        logged = list(LogReader(file, "log"))
+    assert [(e.utime, e.channel, e.data) for e in logged] == [
+        (e.utime, e.channel, e.data) for e in recorded.events
+    ]
+    assert [event.number for event in logged] == list(range(len(logged)))
+
+
+def test_lines_tell_what_is_heard_and_which_push_is_kept(recorded):
+    text = "\n".join(recorded.told)
+    assert "3 messages were left out" in text
+    assert "the object is seen" in text
+    assert "push 1 is kept" in text
+    assert "IIWA_STATUS 201 Hz" in hearing(recorded.listener)  # junk was heard, too
+    assert "dropped 7 of CAMERA_DEPTH" in hearing(recorded.listener)
 
 
 def test_the_push_is_found_with_where_the_box_was(cell, dataset):
@@ -153,3 +199,8 @@ def test_recording_never_overwrites_what_was_measured(slipmap, tmp_path, dataset
     log.write_text("")
     said = slipmap("record", "-o", tmp_path / "other", "--log", log)
     assert said.code == 2 and "is there already" in said.err
+
+
+def test_an_address_that_is_none_is_told_at_once(slipmap, tmp_path):
+    said = slipmap("record", "-o", tmp_path / "box", "--lcm", "udpm://10.0.0.1:7667")
+    assert said.code == 2 and "multicast" in said.err and not (tmp_path / "box").exists()
