@@ -29,7 +29,7 @@ from diagrams.systems.identification import Identification
 from diagrams.systems.measurement_logger import MeasurementLogger, dataset_of
 from diagrams.systems.model_monitor import ModelMonitor
 from diagrams.systems.multiverse_slider import MultiverseSlider
-from diagrams.systems.push_supervisor import PushSupervisor
+from diagrams.systems.push_supervisor import PATIENCE, PATIENCE_REAL, PushSupervisor
 from models.inference.belief import Belief
 from models.measurements import PushDataset, Trial
 from models.measurements.push_dataset import Noise
@@ -221,6 +221,7 @@ def add_exploration(
     checks = ArmChecks(scenario.arm.models, scenario.table.make(), scenario.execution)
 
     trials = () if before is None else before.trials
+    patience = PATIENCE if worker is None else PATIENCE_REAL
     known = None if before is None else (before.first, trials[-1].object_pose.values[-1])
 
     def add(name: str, system: Block) -> Block:
@@ -233,7 +234,7 @@ def add_exploration(
             "perception",
             CellPerception(scenario.camera, options.cells, station.arm_hulls, worker, known),
         ),
-        supervisor=add("supervisor", PushSupervisor(options.pushes, options.checks, len(trials))),
+        supervisor=add("supervisor", PushSupervisor(options.pushes, options.checks, len(trials), patience)),
         exploration=add(
             "exploration",
             Exploration(

@@ -20,6 +20,7 @@ from diagrams.station.scenario import Scenario
 from diagrams.station.station import Station
 from diagrams.systems.goal_and_push_planner import GoalAndPushPlanner
 from diagrams.systems.pregrasp_supervisor import PregraspSupervisor
+from diagrams.systems.push_supervisor import PATIENCE, PATIENCE_REAL
 from models.inference.belief import Belief
 from models.objects.true_object import TrueObject
 from models.perception.camera import View
@@ -97,7 +98,8 @@ def pregrasp_loop(
             worker=worker,
         ),
     )
-    commander = builder.AddNamedSystem("pregrasp_supervisor", PregraspSupervisor())
+    patience = PATIENCE if worker is None else PATIENCE_REAL
+    commander = builder.AddNamedSystem("pregrasp_supervisor", PregraspSupervisor(patience))
     connect(
         builder,
         [

@@ -71,10 +71,14 @@ class PregraspSupervisor(LeafSystem):
 
     The object counts as held when, a second after lifting, the pins are still about as far apart as the
     object is high between them.
+
+    Args:
+        patience: s that the object may stay out of sight.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, patience: float = PATIENCE) -> None:
         super().__init__()
+        self._patience = patience
         for name in ("exploration", "exploring_push", "object_pose", "plan", "execution", "records"):
             self.DeclareAbstractInputPort(name, Value[object](None))
         self.DeclareVectorInputPort("gripper.state_measured", 2)
@@ -125,7 +129,7 @@ class PregraspSupervisor(LeafSystem):
             return _Bringing(LoopStatus(mode, status.push, status.attempt, reason), time, grasp=now.grasp)
 
         def patient(reason: str) -> _Bringing:
-            return now if time - now.since < PATIENCE else to("failed", reason)
+            return now if time - now.since < self._patience else to("failed", reason)
 
         if execution.mode == "stopped" and status.mode not in ("held", "failed"):
             return to("failed", execution.reason)

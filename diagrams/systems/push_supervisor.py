@@ -16,6 +16,9 @@ PERIOD = 0.05
 PATIENCE = 20.0
 """s that the object may stay out of sight before the loop gives up."""
 
+PATIENCE_REAL = 100.0
+"""The same where others look at the pictures, who may be late on a busy computer, s."""
+
 
 class PushSupervisor(LeafSystem):
     """Decides what the loop does next.
@@ -44,10 +47,12 @@ class PushSupervisor(LeafSystem):
         fit: pushes to learn from.
         heldout: pushes after these, made to judge the belief and not learned from.
         made: pushes that were recorded before; it begins with learning from them.
+        patience: s that the object may stay out of sight.
     """
 
-    def __init__(self, fit: int, heldout: int = 0, made: int = 0) -> None:
+    def __init__(self, fit: int, heldout: int = 0, made: int = 0, patience: float = PATIENCE) -> None:
         super().__init__()
+        self._patience = patience
         self._fit = fit
         self._pushes = fit + heldout
         for name in ("object_pose", "cell_grid", "poke", "execution", "records", "learned"):
@@ -126,7 +131,7 @@ class PushSupervisor(LeafSystem):
 
     def _patient(self, context: Context, now: LoopStatus, reason: str) -> LoopStatus:
         waited = context.get_time() - context.get_discrete_state(0)[0]
-        return now if waited < PATIENCE else LoopStatus("failed", now.push, now.attempt, reason)
+        return now if waited < self._patience else LoopStatus("failed", now.push, now.attempt, reason)
 
     def _input(self, context: Context, name: str):  # type: ignore[no-untyped-def]
         return self.GetInputPort(name).Eval(context)

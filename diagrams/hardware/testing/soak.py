@@ -38,7 +38,7 @@ FAULTY = 0.6
 """Share of pushes with a fault."""
 
 PASSING = (
-    Fault("status", "delay", 0.03, seconds=1.0),
+    Fault("status", "delay", 0.015, seconds=1.0),
     Fault("pictures", "stop", seconds=0.6),
     Fault("pictures", "delay", 0.3, seconds=2.0),
     Fault("pictures", "freeze", seconds=2.0),

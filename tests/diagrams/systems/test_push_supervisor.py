@@ -22,9 +22,9 @@ UNSEEN = ObservedPose.unseen("occluded")
 class Loop(DrivenBlock):
     """A supervisor whose partners do what the test says."""
 
-    def __init__(self, fit: int = 1, heldout: int = 0) -> None:
+    def __init__(self, fit: int = 1, heldout: int = 0, patience: float = PATIENCE) -> None:
         super().__init__(
-            PushSupervisor(fit, heldout),
+            PushSupervisor(fit, heldout, patience=patience),
             object_pose=UNSEEN, cell_grid=None, poke=None, execution=AT_HOME, records=(), learned=0,
         )  # fmt: skip
         self.advance(0.5 * PERIOD)  # decisions fall between the steps of the test
@@ -130,10 +130,10 @@ def test_no_push_that_can_be_made_ends_the_loop_with_its_reason():
     assert (status.mode, status.reason) == ("failed", "the robot can make none of these")
 
 
-def lost(loop: Loop) -> LoopStatus:
-    """The status just before patience is over is not a failure; returns that just after."""
+def lost(loop: Loop, patience: float = PATIENCE) -> LoopStatus:
+    """The status just before patience (s) is over is not a failure; returns that just after."""
     before = loop.read("status")
-    loop.advance(PATIENCE - 2 * PERIOD)
+    loop.advance(patience - 2 * PERIOD)
     assert loop.read("status") == before
     loop.advance(3 * PERIOD)
     assert loop.read("status").mode == "failed"
@@ -147,6 +147,12 @@ def test_an_object_that_is_never_seen_ends_the_loop(pose):
     status = lost(loop)
     assert status.push == 0
     assert ("no picture" if pose is None else pose.reason) in status.reason
+
+
+def test_patience_may_be_longer():
+    loop = Loop(patience=2 * PATIENCE)
+    loop.advance(1.5 * PATIENCE)
+    assert "occluded" in lost(loop, 0.5 * PATIENCE).reason
 
 
 def test_patience_begins_anew_with_each_mode():
