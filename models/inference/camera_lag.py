@@ -15,8 +15,8 @@ HYPOTHESES = 8
 """Refits from which the spread comes; they take most of the time."""
 
 CERTAIN = 0.01
-"""s up to which a lag may be none: poses that are seen past the arm may be half a millimetre too far along, as
-if an object that is pushed at 50 mm/s were 10 ms early."""
+"""s up to which a lag may be none: poses that are seen past the arm may be half a millimetre too far along,
+as if an object that is pushed at 50 mm/s were 10 ms early."""
 
 
 @dataclass(frozen=True)
