@@ -114,11 +114,11 @@ class HardwareInterface(Diagram):
         self.close()
         if isinstance(self._sender, _StreamSender):
             # Pictures take some ms to check, for which the arm does not wait.
+            everyone = {**self._checked, channels.ABORT: self._stop}
             self._listeners = [
-                network.Listener(self._url, {name: self._checked[name].hear for name in together})
-                for together in (ARM, CAMERA)
+                network.Listener(self._url, {name: everyone[name].hear for name in together})
+                for together in ((*ARM, channels.ABORT), CAMERA)
             ]
-            self._listeners.append(network.Listener(self._url, {channels.ABORT: self._stop.hear}))
             self._sender.start(self._url)  # before, since it takes a while, and messages shall be fresh
         contexts = {name: system.GetMyMutableContextFromRoot(root) for name, system in self._checked.items()}
         deadline = time.monotonic() + patience
