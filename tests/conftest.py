@@ -14,12 +14,12 @@ if "PYTEST_XDIST_WORKER" in os.environ:
     os.environ.setdefault("NUMBA_NUM_THREADS", "1")
 
 # Which take longest, one or few tests each. Begun last, they would keep one worker while the other has
-# nothing left to do; by itself, xdist begins files with few tests last. The first one compiles what notebooks
-# and diagnoses then find in the cache.
+# nothing left to do; by itself, xdist begins files with few tests last. The first one compiles the kernels
+# with effects, the second those without; all others find them in the cache.
 COSTLY = (
     "test_missing_effect.py",
-    "test_station_hides_an_effect.py",
     "test_explore.py",
+    "test_station_hides_an_effect.py",
     "test_notebooks.py",
     "test_pregrasp_loop.py",
     "test_diagnose.py",

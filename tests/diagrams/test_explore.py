@@ -33,6 +33,7 @@ from models.physics.paper_notation import add
 pytestmark = pytest.mark.usefixtures("renderer")
 
 SEED = 0
+TIME_STEP = 0.005  # s, for speed
 SCENE = """(() => {
     const below = (node) => Object.fromEntries(
         Object.entries(node.children).map(([name, child]) => [name, below(child)]));
@@ -58,7 +59,9 @@ class Explored:
 def explored(tmp_path_factory: pytest.TempPathFactory) -> Explored:
     """The hammer, explored with two pushes and judged with one."""
     folder = tmp_path_factory.mktemp("explored")
-    arguments = ["explore", "--object", "hammer", "--pushes", 2, "--checks", 1, "--seed", SEED]
+    (folder / "cell.yaml").write_text(f"simulation: {{time_step: {TIME_STEP}}}", encoding="utf-8")
+    arguments = ["explore", "--scenario", folder / "cell.yaml"]
+    arguments += ["--object", "hammer", "--pushes", 2, "--checks", 1, "--seed", SEED]
     arguments += ["--out", folder / "out", "--json", folder / "result.json", "--record", folder / "run.html"]
     code = run([str(argument) for argument in arguments])
     result = json.loads((folder / "result.json").read_text(encoding="utf-8"))
@@ -204,7 +207,9 @@ def test_the_recording_plays_the_whole_run(explored):
 def test_the_same_seed_repeats_the_push_to_the_bit(explored):
     """How many pushes follow does not matter to the first. Both runs are watched: without Meshcat, the
     finger's place differs in the last bit."""
-    again = explore(Scenario(), LoopOptions(pushes=1, checks=0, seed=SEED), meshcat=Meshcat()).dataset
+    scenario = Scenario()
+    scenario.simulation.time_step = TIME_STEP
+    again = explore(scenario, LoopOptions(pushes=1, checks=0, seed=SEED), meshcat=Meshcat()).dataset
     first = explored.dataset.trials[0]
     assert np.array_equal(again.grid.centers, explored.dataset.grid.centers)
     (trial,) = again.trials
@@ -220,7 +225,6 @@ def test_a_run_that_was_cut_off_goes_on_from_its_pushes(explored, tmp_path):
         shutil.copy(out / name, tmp_path / name)
     write_dataset(replace(explored.dataset, trials=explored.dataset.trials[:2]), tmp_path / "pushes")
     scenario, options, before = resumed(tmp_path)
-    scenario.simulation.time_step = 0.005  # for speed
     record = ExplorationRecord(tmp_path, scenario, options, before)
     run = explore(scenario, options, record=record, before=before)
     recorded = read_dataset(tmp_path / "pushes")
