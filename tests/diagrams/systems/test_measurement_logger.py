@@ -212,6 +212,36 @@ def test_the_push_under_way_is_told_row_by_row():
     assert cell.read("under_way")["tip_pose"] == ()
 
 
+def test_a_push_that_is_given_up_leaves_nothing():
+    cell = Cell()
+    cell.look(BEFORE)
+    cell.set(status=LoopStatus("pushing", 0))
+    cell.move("pushing", 30)
+    cell.set(status=LoopStatus("looking", 0))
+    cell.move("retreating", 5)
+    assert cell.read("under_way")["tip_pose"] == ()
+    cell.set(execution=ExecutionStatus("home", 0))
+    cell.look(BEFORE)
+    cell.push(0, rows=50)
+    cell.look(AFTER)
+    (trial,) = cell.trials
+    assert len(trial.tip_pose.time) == 50
+
+
+def test_rows_of_the_finger_bear_the_time_at_which_it_was_measured():
+    """And one that was measured once is written down once, however often it is read."""
+    cell = Cell()
+    cell.look(BEFORE)
+    cell.set(status=LoopStatus("pushing", 0))
+    cell.advance(PERIOD)
+    began = cell.time
+    for row in range(10):
+        cell.set(tip_age=[cell.time + 0.5 * PERIOD - began - 0.02 * (row // 2)])
+        cell.move("pushing", 1)
+    times = [row[0] - began for row in cell.read("under_way")["tip_pose"]]
+    assert times == pytest.approx(0.02 * np.arange(5), abs=1e-9)
+
+
 def test_roles_follow_the_number_of_pushes_to_learn_from():
     cell = Cell(fit=2)
     cell.look(BEFORE)
