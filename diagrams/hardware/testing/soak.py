@@ -121,7 +121,7 @@ def soak(minutes: float, seed: int, folder: Path) -> Account:
     Args:
         minutes: of simulated time.
         seed: of objects, pushes, faults and when they happen.
-        folder: where all explorations are left.
+        folder: where all explorations are left, and `soak.json` after each session.
     """
     rng = np.random.default_rng(seed)
     account, number, kept = Account(), 0, dict[str, str]()
@@ -131,8 +131,9 @@ def soak(minutes: float, seed: int, folder: Path) -> Account:
         task = Task(OBJECTS[number % len(OBJECTS)], PUSHES, CHECKS, int(rng.integers(2**31)))
         task.faults = drawn_faults(rng, len(kept) + 1, PUSHES + CHECKS)
         said = _session(place, task)
-        kept = _checked(account, place, said, kept)
+        kept = checked(account, place, said, kept)
         _counted(account, place, said)
+        write_json(folder / "soak.json", {"seed": seed, **account.to_json()})
         end = account.sessions[-1]
         note(f"{account.minutes:.1f} min, {account.pushes} pushes, exploration {number}: {end or 'done'}")
         if not end or not _goes_on(end) or not kept:
@@ -156,7 +157,7 @@ def _session(folder: Path, task: Task) -> list[dict[str, Any]]:
     return said
 
 
-def _checked(
+def checked(
     account: Account, folder: Path, said: list[dict[str, Any]], kept: dict[str, str]
 ) -> dict[str, str]:
     """Digests of the pushes that are on the disk now, after those that must be were looked for."""
@@ -210,7 +211,6 @@ def main(minutes: float, seed: int, folder: Path) -> None:
     """Explore for N simulated minutes in a cell where things go wrong, and count what must not happen."""
     make_folder(folder)
     account = soak(minutes, seed, folder)
-    write_json(folder / "soak.json", {"seed": seed, **account.to_json()})
     table("Faults", ["what", "times"], [[k, str(n)] for k, n in sorted(account.faults.items())], numbers=(1,))
     table(
         "Ends",
