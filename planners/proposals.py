@@ -36,7 +36,8 @@ class Habits:
         high: (2,) opposite corner.
         speeds: slow, medium and fast, m/s.
         lengths: shortest and longest way to propose, m.
-        force: whether a force was measured.
+        pose_rows: rows of the tracker that an observed pose is the mean of.
+        force_rows: the same of a force; 0 where none was measured.
         pushes: their number.
     """
 
@@ -44,7 +45,8 @@ class Habits:
     high: FloatArray
     speeds: tuple[float, float, float]
     lengths: tuple[float, float]
-    force: bool
+    pose_rows: float
+    force_rows: float
     pushes: int
 
 
@@ -59,13 +61,15 @@ def habits_of(observations: Sequence[Observation], dataset: PushDataset) -> Habi
             speeds.append(float(np.median(moving)))
         ways.append(float(np.hypot(*(o.poses[-1, :2] - o.push.start_pose[:2]))))
     speeds = speeds or [0.05]
+    force_rows = np.concatenate([o.force_rows[o.sliding] for o in observations])
     longest = max(max(ways), 0.5 * float(np.ptp(dataset.grid.exterior, axis=0).max()))
     return Habits(
         poses.min(axis=0),
         poses.max(axis=0),
         (min(speeds) / FASTER, float(np.median(speeds)), max(speeds) * FASTER),
         (0.5 * longest, longest),
-        any(bool(o.sliding.any()) for o in observations),
+        float(np.median(np.concatenate([o.pose_rows for o in observations]))),
+        float(np.median(force_rows)) if len(force_rows) else 0.0,
         len(dataset.trials),
     )
 

@@ -126,7 +126,12 @@ def predict(rival: Rival, pushes: Sequence[Push]) -> Predictions:
 
 
 def separations(
-    predictions: Sequence[Predictions], pushes: Sequence[Push], error: ErrorModel, grid: CellGrid, force: bool
+    predictions: Sequence[Predictions],
+    pushes: Sequence[Push],
+    error: ErrorModel,
+    grid: CellGrid,
+    pose_rows: float,
+    force_rows: float,
 ) -> FloatArray:
     """(pairs, B) distances between the predictions of each pair of models, in standard deviations.
 
@@ -135,7 +140,8 @@ def separations(
         pushes: B pushes.
         error: error model.
         grid: the object.
-        force: whether forces are measured.
+        pose_rows: rows of the tracker that an observed pose would be the mean of.
+        force_rows: the same of a force; 0 where none is measured.
     """
     pairs = list(combinations(range(len(predictions)), 2))
     result = np.zeros((len(pairs), len(pushes)))
@@ -147,12 +153,14 @@ def separations(
         if not np.isfinite(poses).all():
             continue
         middle = np.mean(forces, axis=0)
-        counts = _steady(push, middle) if force else np.zeros(SAMPLES, dtype=bool)
+        counts = _steady(push, middle) if force_rows else np.zeros(SAMPLES, dtype=bool)
         stretch = len(push.tip) - 1
         times = push.h * stretch * (np.arange(SAMPLES) + 0.5) / SAMPLES
         imagined = Observation(
-            "", "fit", replace(push, force_times=times), np.mean(poses, axis=0), middle, counts
-        )
+            "", "fit", replace(push, force_times=times),
+            np.mean(poses, axis=0), np.full(SAMPLES, pose_rows), 1,
+            middle, np.full(SAMPLES, force_rows), counts,
+        )  # fmt: skip
         pose_factors, force_factor = error.factors(imagined, travelled(imagined, grid.centers), radius)
         c, s = np.cos(poses[..., 2]), np.sin(poses[..., 2])
         places = poses[..., :2] + np.stack(

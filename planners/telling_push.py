@@ -136,7 +136,9 @@ def _most_telling(
 
     def least(pushes: Sequence[Push]) -> FloatArray:
         predicted = [predict(rival, pushes) for rival in rivals]
-        apart = separations(predicted, pushes, error, grid, habits.force)[used].min(axis=0)
+        apart = separations(predicted, pushes, error, grid, habits.pose_rows, habits.force_rows)[used].min(
+            axis=0
+        )
         kept = [all(keeps_touch(push, p.forces[b]) for p in predicted) for b, push in enumerate(pushes)]
         return np.where(kept, apart, 0.0) if any(kept) else apart
 
@@ -206,8 +208,9 @@ def _hardly_seen(diagnosis: Diagnosis, dataset: PushDataset, habits: Habits) -> 
     seen = []
     for rival in rivals:
         apart = separations(
-            [reference, predict(rival, recorded)], recorded, base.likelihood.error, dataset.grid, habits.force
-        )
+            [reference, predict(rival, recorded)], recorded, base.likelihood.error, dataset.grid,
+            habits.pose_rows, habits.force_rows,
+        )  # fmt: skip
         seen.append(float(np.linalg.norm(apart)))
     visible = [k for k in np.argsort(seen) if seen[k] > 1e-3 or len(recorded) < 2]
     return [plain, *(rivals[k] for k in visible[: max(2, len(visible) // 3)])]

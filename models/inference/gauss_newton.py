@@ -35,7 +35,7 @@ class Linearisable(Protocol):
 
     @property
     def start_sigma(self) -> FloatArray:
-        """(3,) standard deviations of start offsets."""
+        """(3,) or (B, 3) standard deviations of start offsets."""
 
     def linearise(
         self, z: FloatArray, offsets: FloatArray, strength: FloatArray, weights: FloatArray

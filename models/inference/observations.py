@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.ndimage import uniform_filter1d
+from scipy.ndimage import binary_erosion, uniform_filter1d
 
 from models.measurements import PushDataset, Trial, finger_path, pose_times, wrench_samples
 from models.measurements.smoothing import smooth_track
@@ -16,6 +16,13 @@ from models.physics.rollout import Push, Smoothing
 
 SAMPLES = 30
 """Poses compared in a push. Residuals along a push are so correlated that more add nothing."""
+
+AVERAGED, DENSE = 5, 100
+"""Rows of the tracker that an observed pose is the mean of, in trials of more than so many rows."""
+
+_APART = 2
+"""Rows of force between one that counts and the touch or the stop: a sensor that reports means over 20 ms
+moves what happens within a few into the next row."""
 
 LONGEST_STEP = 0.01  # s
 LONGEST_STRIDE = 6e-4  # m that the finger may move in a step
@@ -35,7 +42,10 @@ class Observation:
         role: `fit` or `heldout`.
         push: what drives the object; its pose and force times are those of the rows below.
         poses: (S, 3) measured world poses, m and rad.
+        pose_rows: (S,) rows of the tracker that each is the mean of.
+        start_rows: the same of the pose that the push starts from.
         forces: (T, 2) measured force of the finger on the object, world, N; T may be 0.
+        force_rows: (T,) rows of the sensor that each is the mean of.
         sliding: (T,) whether a force counts: the finger moves and presses, and neither its first touch nor
             its stop is near, where force depends on contact stiffness rather than on friction.
     """
@@ -44,7 +54,10 @@ class Observation:
     role: str
     push: Push
     poses: FloatArray
+    pose_rows: FloatArray
+    start_rows: int
     forces: FloatArray
+    force_rows: FloatArray
     sliding: np.ndarray
 
     def travel(self, centers: FloatArray) -> FloatArray:
@@ -75,12 +88,12 @@ def observe(trial: Trial, order: int = 0) -> Observation:
     if not trial.has_finger:
         tip[:] = np.nan
 
-    start = trial.object_pose.values[0].copy()
+    start, start_rows = trial.object_pose.values[0].copy(), 1
     if not trial.ends_only and not twist.any():
-        start = _resting_pose(trial.object_pose.values)
+        start, start_rows = _resting_pose(trial.object_pose.values)
     rows = np.unique(np.linspace(0, len(times) - 1, SAMPLES + 1).astype(int))[1:]
-    poses = _averaged_rows(trial.object_pose.values, rows)
-    force_times, forces = _force_rows(trial)
+    poses, pose_rows = _averaged_rows(trial.object_pose.values, rows)
+    force_times, forces, force_rows = _force_rows(trial)
     c, s = np.cos(start[2]), np.sin(start[2])
     push = Push(
         step,
@@ -91,7 +104,9 @@ def observe(trial: Trial, order: int = 0) -> Observation:
         force_times=np.minimum(force_times, steps * step),
         order=float(order),
     )
-    return Observation(trial.name, trial.role, push, poses, forces, _sliding(push, forces))
+    return Observation(
+        trial.name, trial.role, push, poses, pose_rows, start_rows, forces, force_rows, _sliding(push, forces)
+    )
 
 
 def observe_all(dataset: PushDataset, trials: Iterable[Trial] | None = None) -> list[Observation]:
@@ -110,42 +125,43 @@ def _fast_speed(time: FloatArray, track: FloatArray) -> float:
     return float(np.percentile(np.hypot(x[5:] - x[:-5], y[5:] - y[:-5]) / 0.05, 98))
 
 
-def _resting_pose(poses: FloatArray) -> FloatArray:
-    """Mean of the rows before the object moves, so that noise of the first row does not shift the push."""
+def _resting_pose(poses: FloatArray) -> tuple[FloatArray, int]:
+    """Mean of the rows before the object moves, so that noise of the first row does not shift the push; and
+    how many they are."""
     jitter = 3.0 * float(np.median(np.abs(np.diff(poses[:, :2], axis=0)))) + 1e-4
     calm = uniform_filter1d(poses, 5, axis=0, mode="nearest")
     moved = np.hypot(*(calm[:, :2] - calm[0, :2]).T) + 0.03 * np.abs(calm[:, 2] - calm[0, 2])
     moving = np.flatnonzero(moved > max(jitter, 5e-4))
-    still = int(0.7 * (moving[0] if len(moving) else len(poses)))
-    return poses[: max(1, still)].mean(axis=0)
+    still = max(1, int(0.7 * (moving[0] if len(moving) else len(poses))))
+    return poses[:still].mean(axis=0), still
 
 
-def _averaged_rows(poses: FloatArray, rows: np.ndarray) -> FloatArray:
-    """Poses at some rows, each the mean of five where rows are dense; the mean keeps their time."""
-    half = 2 if len(poses) > 100 else 0
-    return np.array(
-        [
-            poses[row - half : row + half + 1].mean(axis=0) if half <= row < len(poses) - half else poses[row]
-            for row in rows
-        ]
-    )
+def _averaged_rows(poses: FloatArray, rows: np.ndarray) -> tuple[FloatArray, FloatArray]:
+    """Poses at some rows, each the mean of several where rows are dense, and of how many; the mean keeps
+    their time."""
+    half = AVERAGED // 2 if len(poses) > DENSE else 0
+    inner = (rows >= half) & (rows < len(poses) - half)
+    reach = np.where(inner, half, 0)
+    means = [poses[row - n : row + n + 1].mean(axis=0) for row, n in zip(rows, reach, strict=True)]
+    return np.array(means), 2.0 * reach + 1.0
 
 
-def _force_rows(trial: Trial) -> tuple[FloatArray, FloatArray]:
-    """Mean forces over `SAMPLES` equal stretches of the trial that hold any rows, and their middles."""
+def _force_rows(trial: Trial) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Middles of `SAMPLES` equal stretches of the trial that hold any rows of force, their means, and of how
+    many rows."""
     samples = wrench_samples(trial)
     if samples is None or len(samples[0]) == 0 or len(trial.object_pose.time) == 2:
-        return np.zeros(0), np.zeros((0, 2))
+        return np.zeros(0), np.zeros((0, 2)), np.zeros(0)
     time, wrench = samples
     edges = np.linspace(0.0, float(pose_times(trial)[-1]), SAMPLES + 1)
     place = np.clip(np.searchsorted(edges, time, side="right") - 1, 0, SAMPLES - 1)
-    used = np.unique(place)
+    used, count = np.unique(place, return_counts=True)
     means = np.array([wrench[place == k, :2].mean(axis=0) for k in used])
-    return 0.5 * (edges[used] + edges[used + 1]), means
+    return 0.5 * (edges[used] + edges[used + 1]), means, count.astype(float)
 
 
 def _sliding(push: Push, forces: FloatArray) -> np.ndarray:
-    """Rows of force in steady pushing: finger fast, force present, and so in both neighbours."""
+    """Rows of force in steady pushing: finger fast, force present, and so in the rows around."""
     if len(forces) == 0 or np.isnan(push.tip).any():
         return np.zeros(len(forces), dtype=bool)
     speed = np.hypot(*np.diff(push.tip, axis=0).T) / push.h
@@ -153,5 +169,4 @@ def _sliding(push: Push, forces: FloatArray) -> np.ndarray:
     at = np.clip((push.force_times / push.h).astype(int), 0, len(speed) - 1)
     size = np.hypot(*forces.T)
     steady = (speed[at] > 0.2 * speed.max()) & (size > 0.2 * np.percentile(size, 90))
-    padded = np.concatenate([[False], steady, [False]])
-    return steady & padded[:-2] & padded[2:]
+    return binary_erosion(steady, np.ones(2 * _APART + 1))

@@ -27,12 +27,15 @@ from models.physics.rollout import Push
 
 def pose_noise(position: float, angle: float) -> SensorNoise:
     """Noise of observed poses alone: standard deviations of x and y each, m, and of θ, rad."""
-    return SensorNoise(position, angle, 0.0, position, angle, 0.0, declared=True)
+    return SensorNoise(position, angle, 0.0, declared=True)
 
 
 def observed_push(push: Push, poses: FloatArray, name: str = "push") -> Observation:
     """A push with poses (S, 3) observed at its `pose_times`, without forces."""
-    return Observation(name, "heldout", push, poses, np.zeros((0, 2)), np.zeros(0, dtype=bool))
+    none = np.zeros(0)
+    return Observation(
+        name, "heldout", push, poses, np.ones(len(poses)), 1, np.zeros((0, 2)), none, none.astype(bool)
+    )
 
 
 def push_misfit(observation: Observation, predicted: FloatArray, error: ErrorModel, grid: CellGrid) -> float:

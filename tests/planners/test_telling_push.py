@@ -98,10 +98,14 @@ def apart(world: World, told: dict, one: Fitted, other: Fitted) -> float:
     until = (at[None] < way[:, None]).astype(float)
     lasting = world.error.motion**2 * until @ kernel @ until.T
     noise = world.error.noise
+    pose_rows = np.median(np.concatenate([o.pose_rows for o in world.observations]))
+    force_rows = np.median(np.concatenate([o.force_rows[o.sliding] for o in world.observations]))
     total = 0.0
     difference = (outs[0].poses - outs[1].poses)[0] * [1, 1, radius]
     for i, sigma in enumerate((noise.position, noise.position, radius * noise.angle)):
-        total += difference[:, i] @ np.linalg.solve(lasting + sigma**2 * np.eye(30), difference[:, i])
+        total += difference[:, i] @ np.linalg.solve(
+            lasting + sigma**2 / pose_rows * np.eye(30), difference[:, i]
+        )
     edges = np.linspace(0, len(push.tip) - 1, 31).astype(int)
     means = np.array([[out.forces[0, a:b].mean(axis=0) for a, b in pairwise(edges)]
                       for out in outs])  # fmt: skip
@@ -113,7 +117,7 @@ def apart(world: World, told: dict, one: Fitted, other: Fitted) -> float:
     times = (np.arange(30) + 0.5)[good] / 30 * push.h * (len(push.tip) - 1)
     typical = np.median(size[good])
     covariance = (world.error.force * typical) ** 2 * np.exp(-np.abs(times[:, None] - times) / FORCE_MEMORY)
-    covariance += noise.force**2 * np.eye(len(times))
+    covariance += noise.force**2 / force_rows * np.eye(len(times))
     for i in range(2):
         gap = (means[0] - means[1])[good, i]
         total += gap @ np.linalg.solve(covariance, gap)

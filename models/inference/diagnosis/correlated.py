@@ -14,7 +14,7 @@ import scipy.linalg
 
 from models.inference.diagnosis.error_model import ErrorModel, travelled
 from models.inference.likelihood import NormalEquations
-from models.inference.observations import SAMPLES, Observation
+from models.inference.observations import AVERAGED, SAMPLES, Observation
 from models.inference.prior import MapPrior
 from models.inference.push_errors import radius_of_gyration
 from models.physics.cell_grid import FloatArray
@@ -60,8 +60,11 @@ class CorrelatedLikelihood:
             error.factors(o, travelled(o, grid.centers), self._radius) for o in self.observations
         ]
         noise = error.noise
-        # Where the object is still, the start is a mean of many rows.
-        self.start_sigma = np.array([noise.position, noise.position, noise.angle])
+        # Where the object is still at first, the start is a mean of many rows; it may settle meanwhile.
+        start_rows = np.minimum([o.start_rows for o in self.observations], AVERAGED)
+        self.start_sigma = (
+            np.array([noise.position, noise.position, noise.angle]) / np.sqrt(start_rows)[:, None]
+        )
         dense = [_force_steps(o) for o in self.observations]
         self._stretches = [stretch for _, stretch in dense]
         self._pushes = [
@@ -169,12 +172,13 @@ class CorrelatedLikelihood:
                 rows = self.whitened(b, columns, force_columns)
                 J, r = rows[:, :-1], rows[:, -1]
                 weight, value = self._robust(float(r @ r), len(r))
-                scaled = offsets[k, b] / self.start_sigma
+                sigma = self.start_sigma[b]
+                scaled = offsets[k, b] / sigma
                 cost[k, b] = value + 0.5 * float(scaled @ scaled)
                 full = weight * (J.T @ J)
                 slope = weight * (J.T @ r)
-                start_hessian = full[d:, d:] + np.diag(self.start_sigma**-2.0)
-                start_gradient = slope[d:] + scaled / self.start_sigma
+                start_hessian = full[d:, d:] + np.diag(sigma**-2.0)
+                start_gradient = slope[d:] + scaled / sigma
                 coupling = full[:d, d:]
                 gain = np.linalg.inv(start_hessian)
                 w = weights[k, b]

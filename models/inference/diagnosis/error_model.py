@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.ndimage import uniform_filter1d
 
-from models.inference.observations import Observation
+from models.inference.observations import DENSE, Observation
 from models.measurements import PushDataset
 from models.physics.cell_grid import FloatArray
 
@@ -26,30 +26,21 @@ MEMORY = 0.03
 FORCE_MEMORY = 0.3
 """s that an error of the force lasts."""
 
-AVERAGED = 5
-"""Rows of the tracker that an observed pose is the mean of, see `models.inference.observations`."""
-
 
 @dataclass(frozen=True)
 class SensorNoise:
-    """Standard deviations, m, rad, N.
+    """Standard deviations of one row of a sensor, m, rad, N.
 
     Attributes:
-        position: of x and y of an observed pose each, which may be the mean of some rows.
-        angle: of its θ.
-        force: of each component of a mean force.
-        row_position: of x and y of one row.
-        row_angle: of θ of one row.
-        row_force: of a component of the force in one row.
+        position: of x and y each.
+        angle: of θ.
+        force: of each component of the force.
         declared: whether the dataset says so; else they were estimated from the scatter of neighbouring rows.
     """
 
     position: float
     angle: float
     force: float
-    row_position: float
-    row_angle: float
-    row_force: float
     declared: bool
 
 
@@ -85,13 +76,14 @@ class ErrorModel:
         lasting = self.motion**2 * _accumulated(travel)
         pose = np.empty((3, len(travel), len(travel)))
         for i, sigma in enumerate((n.position, n.position, radius * n.angle)):
-            pose[i] = np.linalg.cholesky(lasting + sigma**2 * np.eye(len(travel)))
+            pose[i] = np.linalg.cholesky(lasting + np.diag(sigma**2 / observation.pose_rows))
         times = np.asarray(observation.push.force_times)[observation.sliding]
         if len(times) == 0:
             return pose, np.zeros((0, 0))
         typical = float(np.median(np.hypot(*observation.forces[observation.sliding].T)))
+        fresh = n.force**2 / observation.force_rows[observation.sliding]
         apart = np.abs(times[:, None] - times[None])
-        force = (self.force * typical) ** 2 * np.exp(-apart / FORCE_MEMORY) + n.force**2 * np.eye(len(times))
+        force = (self.force * typical) ** 2 * np.exp(-apart / FORCE_MEMORY) + np.diag(fresh)
         return pose, np.linalg.cholesky(force)
 
 
@@ -112,15 +104,14 @@ def travelled(observation: Observation, centers: FloatArray) -> FloatArray:
 
 
 def sensor_noise(dataset: PushDataset) -> SensorNoise:
-    """Noise of observed poses and forces: as declared, else from the scatter of neighbouring rows.
+    """Noise of the rows of poses and forces: as declared, else from the scatter of neighbouring rows.
 
     The second difference of white noise has six times its variance; the median over rows leaves real
     acceleration out.
     """
     declared = dataset.noise
     position, angle, force = declared.position, declared.angle, declared.force
-    dense = [trial for trial in dataset.trials if len(trial.object_pose.time) > 100]
-    share = AVERAGED**-0.5 if dense else 1.0
+    dense = [trial for trial in dataset.trials if len(trial.object_pose.time) > DENSE]
     if position is None or angle is None:
         found = (
             np.array([_scatter(trial.object_pose.values) for trial in dense]) if dense else np.zeros((1, 3))
@@ -137,10 +128,8 @@ def sensor_noise(dataset: PushDataset) -> SensorNoise:
     if force is None:
         scatter = [_scatter(channel.values[:, :2]).mean() for channel in rows]
         force = max(float(np.median(scatter)), 0.02) if scatter else 0.1
-    per_mean = [max(1.0, len(channel.time) / 30.0) for channel in rows]
-    force_share = float(np.median(per_mean)) ** -0.5 if per_mean else 1.0
     known = declared.position is not None and declared.angle is not None
-    return SensorNoise(position * share, angle * share, force * force_share, position, angle, force, known)
+    return SensorNoise(position, angle, force, known)
 
 
 def _scatter(values: FloatArray) -> FloatArray:

@@ -74,9 +74,9 @@ def locked_errors(fitted: Fitted, dataset: PushDataset, observations: Sequence[O
         distance = add(predicted, measured, centers)
         path.append(float(distance.mean()))
         final.append(float(add(predicted[-1], o.poses[-1], centers)))
-        scaled = (predicted - measured) / np.array([noise.row_position, noise.row_position, noise.row_angle])
+        scaled = (predicted - measured) / np.array([noise.position, noise.position, noise.angle])
         parts = [scaled.ravel()]
         if len(rows[b].force):
-            parts.append((rows[b].force / noise.row_force).ravel())
+            parts.append((rows[b].force / noise.force).ravel())
         misfit.append(float(np.sqrt((np.concatenate(parts) ** 2).mean())))
     return LockedErrors(np.array(path), np.array(final), np.array(misfit))

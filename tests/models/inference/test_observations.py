@@ -3,9 +3,13 @@
 import numpy as np
 import pytest
 
-from models.inference.observations import SAMPLES, observe
-from models.measurements import Channel, Trial, read_dataset
+from models.inference.observations import MEASURED_CONTACT, SAMPLES, observe, observe_all
+from models.measurements import Channel, Noise, Trial, read_dataset
+from models.measurements.simulated import record_pushes
 from models.measurements.smoothing import smooth_track
+from models.objects import cells_from_polygon
+from models.physics.rollout import Maps, Slider
+from planners.exploration import candidate_pushes
 
 
 def test_smoothing_removes_jitter_and_keeps_sudden_stops():
@@ -75,3 +79,23 @@ def test_an_object_that_slides_without_a_finger_gets_its_first_velocity(shared_d
     observation = observe(dataset.trials[0])
     assert np.isnan(observation.push.tip).all()
     assert 0.2 < np.hypot(*observation.push.start_twist[:2]) < 1.0
+
+
+@pytest.mark.parametrize("rate", [25.0, 50.0, 100.0])
+def test_the_blow_of_the_first_touch_is_in_no_force_that_counts(rate):
+    """A blow of milliseconds falls into a row of the sensor, which may be stamped after it."""
+    rng = np.random.default_rng(6)
+    grid = cells_from_polygon(
+        np.array([[-0.12, -0.08], [0.12, -0.08], [0.12, 0.08], [-0.12, 0.08]]), count=24
+    )
+    slider = Slider(grid, 0.008, smoothing=MEASURED_CONTACT)
+    truth = Maps(np.full(len(grid), 0.8 / len(grid)), np.full(len(grid), 0.4), np.array([0.4]))
+    pushes = [c.push(np.zeros(3)) for c in candidate_pushes(grid, 0.008, rng, 12, speed=(0.1, 0.1))]
+    noise = Noise(position=1e-5, angle=1e-4, tip=1e-6, force=1e-3)
+    dataset = record_pushes(slider, truth, pushes, rng, rate=rate, noise=noise)
+    observations = observe_all(dataset)
+    rollouts = slider.rollout(truth, [o.push for o in observations])
+    for b, o in enumerate(observations):
+        assert o.sliding.sum() > 5
+        off = np.hypot(*(rollouts.forces_of(b)[0] - o.forces)[o.sliding].T)
+        assert off.max() < 0.2 * np.hypot(*o.forces[o.sliding].T).mean(), b

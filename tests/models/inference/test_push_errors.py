@@ -25,7 +25,17 @@ def observed(poses, start=(0.0, 0.0, 0.0), tip=None, forces=(), name="trials/000
         pose_times=np.linspace(0, duration, len(poses) + 1)[1:],
         force_times=np.linspace(0.1, 0.9, len(forces)) * duration,
     )
-    return Observation(name, "fit", push, poses, forces, np.ones(len(forces), dtype=bool))
+    return Observation(
+        name,
+        "fit",
+        push,
+        poses,
+        np.ones(len(poses)),
+        1,
+        forces,
+        np.ones(len(forces)),
+        np.ones(len(forces), dtype=bool),
+    )
 
 
 def test_a_shift_is_its_own_length():

@@ -28,7 +28,17 @@ def push_of(poses, tip=None, times=TIMES, forces=None):
     push = Push(
         fine[1], track, poses[0], pose_times=times[1:], force_times=np.linspace(0.5, 1.5, len(forces))
     )
-    return Observation("t", "fit", push, poses[1:], forces, np.ones(len(forces), dtype=bool))
+    return Observation(
+        "t",
+        "fit",
+        push,
+        poses[1:],
+        np.ones(len(poses) - 1),
+        1,
+        forces,
+        np.ones(len(forces)),
+        np.ones(len(forces), dtype=bool),
+    )
 
 
 def told(poses, forces=None):

@@ -1,5 +1,7 @@
 """Residuals, derivatives and costs under the error model."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -10,6 +12,7 @@ from models.inference.diagnosis.error_model import ErrorModel, sensor_noise
 from models.inference.diagnosis.predictive import whitened_rows
 from models.inference.observations import MEASURED_CONTACT, observe_all
 from models.inference.prior import MapPrior, PriorSettings
+from models.measurements.push_dataset import Channel
 
 
 @pytest.fixture(scope="module")
@@ -68,9 +71,14 @@ class TestRows:
         assert equations.gradient[0, column] == pytest.approx(slope, rel=0.02)
 
 
-def test_whitened_residuals_of_the_truth_are_of_size_one(recorded) -> None:
+@pytest.mark.parametrize("thinned", [1, 4])
+def test_whitened_residuals_of_the_truth_are_of_size_one(recorded, thinned) -> None:
+    """In every push: also in those of few rows, whose poses are means of none, beside others of many."""
     d = recorded.dataset
+    trials = [replace(t, object_pose=rarer(t.object_pose, thinned)) for t in d.trials[::2]]
+    d = replace(d, trials=(*trials, *d.trials[1::2]))
     observations = observe_all(d)
+    assert {o.pose_rows[0] for o in observations} == ({5.0} if thinned == 1 else {1.0, 5.0})
     noise = sensor_noise(d)
     prior = MapPrior(recorded.slider, PriorSettings(), d.mass)
     likelihood = CorrelatedLikelihood(prior, observations, ErrorModel(noise, 1e-4, 1e-3))
@@ -88,5 +96,13 @@ def test_whitened_residuals_of_the_truth_are_of_size_one(recorded) -> None:
     z[prior.plain - 1] = np.log(0.3 / s.finger_friction_mean) / s.finger_friction
     _, residuals = whitened_rows(likelihood, likelihood.rows(z, np.zeros((len(observations), 3))))
     # Poses alone: forces depend on the rattling of a finger path that is known with noise.
-    poses = np.concatenate([r[: 3 * len(o.poses)] for r, o in zip(residuals, observations, strict=True)])
-    assert np.sqrt(np.median(poses**2)) == pytest.approx(0.6745, rel=0.25)
+    for half in (slice(None, len(trials)), slice(len(trials), None)):
+        pairs = zip(residuals[half], observations[half], strict=True)
+        poses = np.concatenate([r[: 3 * len(o.poses)] for r, o in pairs])
+        assert np.sqrt(np.median(poses**2)) == pytest.approx(0.6745, rel=0.25)
+
+
+def rarer(channel: Channel, thinned: int) -> Channel:
+    """Every so many rows, and the last."""
+    rows = np.unique(np.append(np.arange(0, len(channel.time), thinned), len(channel.time) - 1))
+    return Channel(channel.time[rows], channel.values[rows])

@@ -12,7 +12,7 @@ from models.inference.diagnosis.error_model import (
 )
 from models.inference.observations import observe_all
 
-NOISE = SensorNoise(1e-4, 1e-3, 0.05, 2e-4, 2e-3, 0.1, True)
+NOISE = SensorNoise(2e-4, 2e-3, 0.1, True)
 
 
 class TestFactors:
@@ -21,7 +21,7 @@ class TestFactors:
         centers = recorded.slider.grid.centers
         travel = travelled(observation, centers)
         pose, _ = ErrorModel(NOISE, 0.05, 0.1).factors(observation, travel, 0.04)
-        covariance = pose[0] @ pose[0].T - NOISE.position**2 * np.eye(len(travel))
+        covariance = pose[0] @ pose[0].T - np.diag(NOISE.position**2 / observation.pose_rows)
         # The double integral by brute force.
         fine = np.linspace(0.0, travel[-1], 1500)
         kernel = np.exp(-np.abs(fine[:, None] - fine) / MEMORY) * (fine[1] - fine[0]) ** 2
@@ -41,7 +41,7 @@ class TestSensorNoise:
     def test_declared_noise_is_believed(self, recorded) -> None:
         noise = sensor_noise(recorded.dataset)
         assert noise.declared
-        assert noise.row_position == recorded.dataset.noise.position
+        assert noise.position == recorded.dataset.noise.position
 
     def test_noise_is_found_where_nothing_is_declared(self, recorded) -> None:
         from dataclasses import replace
@@ -51,5 +51,5 @@ class TestSensorNoise:
         silent = replace(recorded.dataset, noise=Noise())
         found, declared = sensor_noise(silent), sensor_noise(recorded.dataset)
         assert not found.declared
-        assert found.row_position == pytest.approx(declared.row_position, rel=0.25)
-        assert found.row_force == pytest.approx(declared.row_force, rel=0.5)
+        assert found.position == pytest.approx(declared.position, rel=0.25)
+        assert found.force == pytest.approx(declared.force, rel=0.5)
