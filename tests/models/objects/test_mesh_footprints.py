@@ -139,9 +139,9 @@ def test_units():
 
 def test_large_mesh_is_quick():
     mesh = trimesh.creation.torus(0.1, 0.03, major_sections=160, minor_sections=80)
-    start = time.perf_counter()
+    start = time.process_time()
     grid = cells_from_mesh(mesh, count=2000)
-    assert time.perf_counter() - start < 2.0
+    assert time.process_time() - start < 2.0
     assert len(grid.holes) == 1
     assert grid.polygon.area == pytest.approx(np.pi * (0.13**2 - 0.07**2), rel=2e-3)
 

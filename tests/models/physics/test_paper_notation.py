@@ -216,9 +216,9 @@ def test_constraint_forces_do_no_work_on_the_rigid_body():
 def test_thousands_of_cells_stay_sparse_and_quick():
     grid = cells_from_polygon(circle(0.1), count=2000)
     n = len(grid)
-    start = time.perf_counter()
+    start = time.process_time()
     Je = paper.equality_jacobian([0, 0, 0.3], grid.centers, grid.width)
-    assert time.perf_counter() - start < 1.0
+    assert time.process_time() - start < 1.0
     assert Je.nnz < 40 * n
     v = paper.cell_velocities([0.1, -0.2, 3.0], [0, 0, 0.3], grid.centers)
     assert_allclose(Je @ v, 0, atol=1e-12)
