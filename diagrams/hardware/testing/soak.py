@@ -178,12 +178,13 @@ def _counted(account: Account, folder: Path, said: list[dict[str, Any]]) -> None
     account.faults.update(last["faults"])
     if last["end"] == "killed":
         account.faults["killed"] += 1
-    # Learning from more pushes takes more memory; what grows after that is not given back.
+    # Learning from more pushes takes more memory, also from those that a session took over; what grows after
+    # that is not given back.
     held = [
         (line["time"], line["resident"])
         for line in said
         if line.get("doing") == "pushing" and line["recorded"] > PUSHES
-    ]
+    ][1:]
     if len(held) > 1:
         grown = held[-1][1] - held[0][1], (held[-1][0] - held[0][0]) / 60.0
         account.growth = max(account.growth, grown)
