@@ -86,9 +86,11 @@ def refit_candidates(
             found[effect.name] = fitted
     if not found:
         return Refits(error, {}, {})
+    favourite = first.candidates[named[0]].name
     if quick:
+        # One step does not bring every candidate near its optimum: the first-order favourite stays in.
         ahead = sorted(found, key=lambda name: found[name].cost)[:QUICK_REFITS]
-        found = {name: found[name] for name in ahead}
+        found = {name: fit for name, fit in found.items() if name in ahead or name == favourite}
     best = min(found.values(), key=lambda fitted: fitted.cost)
     progress(len(named), len(named) + 2)
     error = estimate_errors(best, fitter.noise)
@@ -96,7 +98,7 @@ def refit_candidates(
     ceiling = best.cost + WORTH_REFITTING * max(base.cost - best.cost, WORTH_REFITTING_GAIN)
     fits = {}
     for name, fitted in found.items():
-        if fitted.cost > ceiling:
+        if fitted.cost > ceiling and not (quick and name == favourite):
             continue
         again = fitter.with_effects(fitted.effects, error, fitted, fitted.values)
         if again is not None:
