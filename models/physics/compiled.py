@@ -35,10 +35,9 @@ CACHE_FOLDER = _cache_root() / f"kernels-{_source_hash()}"
 def compiled(**options: Any) -> Callable[[Callable[..., Any]], Any]:
     """Decorator: compile on first call, keep the result in `CACHE_FOLDER`; options are numba's.
 
-    What is inlined by force cannot be called from Python: its entries would take a sixth of the compiling.
+    Nothing is compiled for callers in C, which there are none of.
     """
-    if options.get("forceinline"):
-        options |= {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
+    options["no_cfunc_wrapper"] = True
 
     def decorate(function: Callable[..., Any]) -> Any:
         before = numba.config.CACHE_DIR
