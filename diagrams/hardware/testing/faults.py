@@ -37,7 +37,7 @@ _CHANNEL = {
     "arm": channels.IIWA_COMMAND,
     "gripper": channels.GRIPPER_COMMAND,
 }
-_KEPT = 400  # messages that can come again, backwards
+_STATUSES_KEPT = 400  # that can come again, backwards
 
 
 @dataclass(frozen=True)
@@ -103,12 +103,18 @@ class Link:
     """The way of one channel's messages, with at most one fault at a time.
 
     Times are of one clock that does not go back, s.
+
+    Args:
+        channel: whose messages pass.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, channel: str) -> None:
         self._fault: Fault | None = None
         self._begin = np.inf
-        self._sent: deque[bytes] = deque(maxlen=_KEPT)
+        self._sent: deque[bytes] = deque(
+            # Pictures are large; of them only the last one can come again.
+            maxlen=_STATUSES_KEPT if channel == channels.IIWA_STATUS else 1
+        )
         self._frozen: bytes | None = None
         self._late: deque[tuple[float, bytes]] = deque()
 

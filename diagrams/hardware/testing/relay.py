@@ -41,7 +41,7 @@ class Relay:
         self._links: dict[str, tuple[Link, DrakeLcmInterface]] = {}
         for heard, other, names in ((cell, driver, FROM_CELL), (driver, cell, TO_CELL)):
             for channel in names:
-                self._links[channel] = (Link(), other)
+                self._links[channel] = (Link(channel), other)
                 heard.Subscribe(channel, partial(self._pass, channel))
 
     def order(self, fault: Fault) -> None:

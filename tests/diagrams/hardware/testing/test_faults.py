@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 import zlib
 
 import good_messages
@@ -34,7 +35,7 @@ def picture(k: int) -> bytes:
 
 def come(fault: Fault, make=status, count: int = 60) -> list[tuple[float, bytes]]:
     """When what comes out of a link with a fault from `AT` on."""
-    link, result = Link(), []
+    link, result = Link(fault.channel), []
     for k in range(count):
         now = k * PERIOD
         if k == 20:
@@ -119,3 +120,15 @@ def test_unknown_faults_are_told_with_what_there_is():
     with pytest.raises(ValueError, match="before it was sent"):
         Fault("status", "delay", -0.1)
     assert all(Fault(of, kind).channel for of, kinds in KINDS.items() for kind in kinds)
+
+
+def test_few_pictures_are_kept():
+    """An hour has 18 000 of them, each of some hundred kilobytes."""
+    link = Link(Fault("pictures", "torn").channel)
+    first = picture(0)
+    held_by = sys.getrefcount(first)
+    link.through(first, 0.0)
+    assert sys.getrefcount(first) > held_by
+    for k in range(1, 4):
+        link.through(picture(k), 0.1 * k)
+    assert sys.getrefcount(first) == held_by
