@@ -124,7 +124,8 @@ def resumed(folder: Path) -> tuple[Scenario, LoopOptions, Recorded]:
             if _digest_of(folder / name) != digest:
                 raise BadInput(f"{folder / name}: is not that of the run in {folder / RUN}; begin anew")
         scenario = read_settings(folder / SCENARIO, Scenario)
-        options = LoopOptions(**run["options"])
+        told = run["options"]
+        options = LoopOptions(**{**told, "effects": tuple(told.get("effects", ()))})
         first = FirstPicture.load(folder / PICTURE)
         grid = first.seen(scenario.camera.intrinsics).grid
         dataset = read_dataset(folder / PUSHES)
