@@ -103,16 +103,18 @@ def one_of(rivals: Sequence[Fitted]) -> Outcome:
 def two_at_once(found: Sequence[Fitted]) -> Outcome:
     """Two effects that are needed at the same time, the stronger first; or such pairs, best first."""
     best = found[0]
-    different = {frozenset(effect.name for effect in pair.effects): pair for pair in reversed(found)}
-    if len(different) == 1:
+    different: dict[frozenset[str], Fitted] = {}
+    for pair in found:
+        different.setdefault(frozenset(effect.name for effect in pair.effects), pair)
+    rivals = tuple(different.values())
+    if len(rivals) == 1:
         names = tuple(effect.name for effect in best.effects)
         sentence = f"The data miss two effects at once: {names[0]} and {names[1]}."
-        return Outcome("effect", sentence, best, names, together=True, rivals=(best,))
-    rivals = [pair for pair in found if pair in different.values()]
+        return Outcome("effect", sentence, best, names, together=True, rivals=rivals)
     listed = ", or ".join(" and ".join(effect.name for effect in pair.effects) for pair in rivals)
     sentence = f"Two effects at once are missing; the data cannot tell which: {listed}."
     union = dict.fromkeys(effect.name for pair in rivals for effect in pair.effects)
-    return Outcome("ambiguous", sentence, best, tuple(union), rivals=tuple(rivals))
+    return Outcome("ambiguous", sentence, best, tuple(union), rivals=rivals)
 
 
 def unknown(base: Fitted, screening: Screening) -> Outcome:
