@@ -60,7 +60,7 @@ def test_outputs_are_checked_before_any_work(slipmap, tilted_folder, tmp_path):
     assert files_in(tmp_path) == ["file"]
 
 
-@pytest.mark.skipif(os.geteuid() == 0, reason="root may write everywhere, so nothing is refused; run it as another user")
+@pytest.mark.skipif(os.geteuid() == 0, reason="root may write everywhere; run as another user")
 def test_a_folder_without_write_permission_is_refused(slipmap, tmp_path):
     tmp_path.chmod(0o500)
     assert_refused(slipmap("identify", tmp_path / "data", "-o", tmp_path / "belief.npz"), tmp_path)
