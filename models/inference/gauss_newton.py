@@ -63,6 +63,14 @@ class Fits:
     hessian: FloatArray
     iterations: int
 
+    def best(self) -> Fits:
+        """The one of lowest cost."""
+        best = int(np.argmin(self.cost))
+        k = slice(best, best + 1)
+        return Fits(
+            self.z[k], self.offsets[k], self.cost[k], self.push_cost[k], self.hessian[k], self.iterations
+        )
+
 
 def fit(
     likelihood: Linearisable,

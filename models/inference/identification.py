@@ -4,7 +4,10 @@ A fit to one set of pushes is one answer; the belief holds many. Each hypothesis
 weighted at random (the Bayesian bootstrap of Rubin, 1981: independent exponentials)
 and pulled towards maps drawn from the prior. Refits to the weights show what the pushes disagree about, be
 it noise or what no such model knows; refits towards random maps show what the pushes leave open. Neither
-needs the errors to be independent or the model to be right, which for recorded pushes they are not.
+needs the errors to be independent or the model to be right, which for recorded pushes they are not. And the
+hypotheses take turns in how far off they hold the model to be, up to what the pushes speak for (`trust`):
+who believes every millimetre takes the model's faults for the object's, who believes few learns little, and
+their mixture predicts better than either.
 """
 
 from __future__ import annotations
@@ -23,6 +26,7 @@ from models.inference.observations import MEASURED_CONTACT, observe_all
 from models.inference.prediction import predict_observations
 from models.inference.prior import MapPrior, PriorSettings
 from models.inference.results import Identification
+from models.inference.trust import fit_with_trust
 from models.measurements import DatasetError, PushDataset
 from models.physics.cell_grid import FloatArray
 from models.physics.rollout import Slider
@@ -46,7 +50,6 @@ def identify(
     seed: int = 0,
     progress: Progress | None = None,
     prior_settings: PriorSettings | None = None,
-    likelihood_settings: LikelihoodSettings | None = None,
 ) -> Identification:
     """Learn the maps of mass and friction from a dataset's `fit` pushes; judge them on all pushes.
 
@@ -57,7 +60,6 @@ def identify(
         seed: of every random draw.
         progress: called with (stage, done, total).
         prior_settings: how strongly maps are held together before any push.
-        likelihood_settings: how far the data are trusted.
 
     Raises:
         DatasetError: there is no push to fit.
@@ -74,14 +76,18 @@ def identify(
     slider = Slider(dataset.grid, dataset.finger_radius, dataset.gravity, MEASURED_CONTACT)
     prior = MapPrior(slider, prior_settings or PriorSettings(), dataset.mass)
     fitted = [observation for observation in observations if observation.role == "fit"]
-    likelihood = Likelihood(prior, fitted, dataset.noise, likelihood_settings or LikelihoodSettings())
     if method == "paper":
         from models.inference.paper_method import identify_by_algorithm_1
 
         belief = identify_by_algorithm_1(dataset, hypotheses=hypotheses, seed=seed, progress=progress)
-        information = None
+        likelihood, information = Likelihood(prior, fitted, dataset.noise, LikelihoodSettings()), None
     else:
-        belief, information = _gauss_newton_belief(dataset, likelihood, hypotheses, seed, report)
+        starts = np.array([prior.start(friction) for friction in FINGER_STARTS])
+        ladder = fit_with_trust(
+            prior, fitted, dataset.noise, starts, lambda done, total: report("fitting", done, total)
+        )
+        likelihood, information = ladder[-1]
+        belief = _gauss_newton_belief(dataset, ladder, hypotheses, seed, report)
     predictions = predict_observations(belief, observations, progress)
     facts = quantities(belief, likelihood, information)
     return Identification(belief, predictions, facts, time.perf_counter() - started)
@@ -103,55 +109,54 @@ def check_request(dataset: PushDataset, hypotheses: int) -> None:
 
 
 def _gauss_newton_belief(
-    dataset: PushDataset, likelihood: Likelihood, hypotheses: int, seed: int, report: Progress
-) -> tuple[Belief, Fits]:
-    """Best fit from several starts, then randomised refits around it."""
-    prior = likelihood.prior
-    starts = np.array([prior.start(friction) for friction in FINGER_STARTS])
-    first = fit(likelihood, starts, progress=lambda done, total: report("fitting", done, total))
-    best = int(np.argmin(first.cost))
+    dataset: PushDataset, ladder: list[tuple[Likelihood, Fits]], hypotheses: int, seed: int, report: Progress
+) -> Belief:
+    """Randomised refits around the best fits, under each likelihood of the ladder in turn."""
+    closest, _ = ladder[0]
+    prior, B = closest.prior, len(closest.observations)
     rng = np.random.default_rng(seed)
-    B = len(likelihood.observations)
     weights = rng.exponential(size=(hypotheses, B))
     prior_mean = rng.standard_normal((hypotheses, prior.size))
     strength = np.exp(rng.uniform(np.log(STRENGTHS[0]), np.log(STRENGTHS[1]), hypotheses))
     # The first hypothesis is the plain best fit.
     weights[0], prior_mean[0], strength[0] = 1.0, 0.0, 1.0
-    refits = fit(
-        likelihood,
-        _rescaled(prior, first.z[best], strength),
-        weights=weights,
-        prior_mean=prior_mean,
-        strength=strength,
-        offsets=np.repeat(first.offsets[best : best + 1], hypotheses, axis=0),
-        iterations=15,
-        tolerance=3e-3,
-        progress=lambda done, total: report("hypotheses", done, total),
-    )
-    belief = Belief.learnt(
+    z = np.empty((hypotheses, prior.size))
+    probability = np.empty(hypotheses)
+    for rung, (likelihood, first) in enumerate(ladder[:hypotheses]):
+        who = np.arange(rung, hypotheses, len(ladder))
+        refits = fit(
+            likelihood,
+            _rescaled(prior, first.z[0], strength[who]),
+            weights=weights[who],
+            prior_mean=prior_mean[who],
+            strength=strength[who],
+            offsets=np.repeat(first.offsets, len(who), axis=0),
+            iterations=15,
+            tolerance=3e-3,
+            progress=_part(report, rung, len(ladder)),
+        )
+        z[who] = refits.z
+        probability[who] = accuracy_weights(refits.push_cost.sum(axis=1)) * len(who) / hypotheses
+    return Belief.learnt(
         dataset,
         prior.slider,
-        prior.maps(refits.z, strength),
-        accuracy_weights(refits.push_cost.sum(axis=1)),
+        prior.maps(z, strength),
+        probability,
         method="gauss-newton",
         seed=seed,
-        trials=[observation.trial for observation in likelihood.observations],
+        trials=[observation.trial for observation in closest.observations],
         settings={
             "finger_starts": list(FINGER_STARTS),
             "strengths": list(STRENGTHS),
+            "model_errors": [likelihood.settings.model_error for likelihood, _ in ladder],
             "prior": asdict(prior.settings),
-            "likelihood": asdict(likelihood.settings),
+            "likelihood": asdict(closest.settings),
         },
     )
-    plain = Fits(
-        first.z[best : best + 1],
-        first.offsets[best : best + 1],
-        first.cost[best : best + 1],
-        first.push_cost[best : best + 1],
-        first.hessian[best : best + 1],
-        first.iterations,
-    )
-    return belief, plain
+
+
+def _part(report: Progress, part: int, parts: int) -> Callable[[int, int], None]:
+    return lambda done, total: report("hypotheses", part * total + done, parts * total)
 
 
 def _rescaled(prior: MapPrior, z: FloatArray, strength: FloatArray) -> FloatArray:

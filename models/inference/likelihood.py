@@ -118,6 +118,18 @@ class Likelihood:
         typical = float(np.median(np.hypot(*observation.forces[observation.sliding].T)))
         return float(np.hypot(self.settings.force_error * typical, noise.force or 0.0))
 
+    def log_widths(self) -> float:
+        """Σ log σ of all residuals, counted as often as in the costs; its negative normalises densities."""
+        s = self.settings
+        total = 0.0
+        for observation, sigma, force in zip(
+            self.observations, self._sigmas, self._force_sigmas, strict=True
+        ):
+            total += 3.0 * min(s.independent, len(sigma)) * float(np.log(sigma).mean())
+            if observation.sliding.any():
+                total += 2.0 * min(s.independent_forces, observation.sliding.sum()) * float(np.log(force))
+        return total
+
     def residuals(self, rollouts: Rollouts, push: int) -> FloatArray:
         """(K, S, 3) predicted minus measured, (dx, dy, ρ dθ) at the cells' centroid, m."""
         measured = self.observations[push].poses

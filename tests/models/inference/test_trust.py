@@ -1,0 +1,114 @@
+"""How far off the model is held to be, against a density in closed form and pushes with a known error."""
+
+from dataclasses import dataclass, replace
+from typing import cast
+
+import numpy as np
+import pytest
+from scipy.stats import multivariate_normal
+
+from models.inference.gauss_newton import fit
+from models.inference.identification import FINGER_STARTS, identify
+from models.inference.likelihood import Likelihood, NormalEquations
+from models.inference.observations import MEASURED_CONTACT, observe_all
+from models.inference.prior import MapPrior, PriorSettings
+from models.inference.trust import MODEL_ERRORS, fit_with_trust, log_evidence
+from models.physics.rollout import Slider
+
+
+@dataclass
+class LinearPushes:
+    """Pushes whose poses depend linearly on maps and start, where Laplace's approximation is exact."""
+
+    by_maps: np.ndarray
+    by_start: np.ndarray
+    measured: np.ndarray
+    sigma: float
+    start_sigma: np.ndarray
+
+    @property
+    def observations(self):
+        return self.measured
+
+    def log_widths(self):
+        return self.measured.size * np.log(self.sigma)
+
+    def linearise(self, z, offsets, strength, weights):
+        r = (
+            np.einsum("bri,ki->kbr", self.by_maps, z)
+            + np.einsum("brj,kbj->kbr", self.by_start, offsets)
+            - self.measured
+        ) / self.sigma
+        A, C = self.by_maps / self.sigma, self.by_start / self.sigma
+        scaled = offsets / self.start_sigma
+        cost = 0.5 * (r**2).sum(axis=2) + 0.5 * (scaled**2).sum(axis=2)
+        gain = np.linalg.inv(C.transpose(0, 2, 1) @ C + np.diag(self.start_sigma**-2.0))
+        start_gradient = np.einsum("brj,kbr->bkj", C, r) + (scaled / self.start_sigma).transpose(1, 0, 2)
+        coupling = A.transpose(0, 2, 1) @ C
+        hessian = (A.transpose(0, 2, 1) @ A - coupling @ gain @ coupling.transpose(0, 2, 1)).sum(axis=0)
+        gradient = np.einsum("bri,kbr->ki", A, r) - np.einsum(
+            "bij,bjl,bkl->ki", coupling, gain, start_gradient
+        )
+        K = len(z)
+
+        def each(x):
+            return np.repeat(x[:, None], K, axis=1)
+
+        return NormalEquations(
+            cost, np.repeat(hessian[None], K, axis=0), gradient, each(gain), start_gradient, each(coupling)
+        )
+
+
+def test_evidence_is_the_density_of_the_data_where_everything_is_linear():
+    rng = np.random.default_rng(0)
+    B, R, d = 3, 8, 5
+    by_maps, by_start = rng.standard_normal((B, R, d)), rng.standard_normal((B, R, 3))
+    start_sigma = np.array([0.3, 0.5, 0.2])
+    measured = rng.standard_normal((B, R))
+    for sigma in (0.4, 1.3):
+        linear = LinearPushes(by_maps, by_start, measured, sigma, start_sigma)
+        best = fit(linear, np.zeros((1, d)), iterations=60, tolerance=1e-12)
+        maps = by_maps.reshape(B * R, d)
+        covariance = maps @ maps.T + sigma**2 * np.eye(B * R)
+        for b in range(B):
+            rows = slice(b * R, (b + 1) * R)
+            covariance[rows, rows] += by_start[b] @ np.diag(start_sigma**2) @ by_start[b].T
+        exact = multivariate_normal(np.zeros(B * R), covariance).logpdf(measured.ravel())
+        ours = log_evidence(cast(Likelihood, linear), best) - 0.5 * B * R * np.log(2.0 * np.pi)
+        assert ours == pytest.approx(exact, abs=1e-6)
+
+
+def ladder_of(dataset):
+    slider = Slider(dataset.grid, dataset.finger_radius, dataset.gravity, MEASURED_CONTACT)
+    prior = MapPrior(slider, PriorSettings(), dataset.mass)
+    starts = np.array([prior.start(friction) for friction in FINGER_STARTS])
+    observations = observe_all(dataset, dataset.fit_trials)
+    return fit_with_trust(prior, observations, dataset.noise, starts, lambda done, total: None)
+
+
+def bent(dataset, share):
+    """Every push goes astray by a share of its way, each to a side of its own."""
+    rng = np.random.default_rng(1)
+    trials = []
+    for trial in dataset.trials:
+        poses = trial.object_pose.values.copy()
+        way = np.linalg.norm(poses[:, :2] - poses[0, :2], axis=1)
+        poses[:, :2] += share * way[:, None] * rng.standard_normal(2)
+        trials.append(replace(trial, object_pose=replace(trial.object_pose, values=poses)))
+    return replace(dataset, trials=tuple(trials))
+
+
+def test_pushes_that_follow_the_model_are_trusted_and_pushes_that_do_not_are_not(recorded):
+    assert [likelihood.settings.model_error for likelihood, _ in ladder_of(recorded.dataset)] == [0.005]
+    ladder = ladder_of(bent(recorded.dataset, 0.1))
+    errors = tuple(likelihood.settings.model_error for likelihood, _ in ladder)
+    assert errors == MODEL_ERRORS[: len(errors)] and errors[-1] >= 0.04
+
+
+def test_hypotheses_take_turns_under_every_likelihood_of_the_ladder(recorded):
+    belief = identify(bent(recorded.dataset, 0.1), hypotheses=7, seed=1).belief
+    errors = belief.settings["model_errors"]
+    assert len(errors) >= 3
+    for rung in range(len(errors)):
+        turn = np.arange(rung, 7, len(errors))
+        assert belief.probability[turn].sum() == pytest.approx(len(turn) / 7)
