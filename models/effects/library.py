@@ -29,12 +29,13 @@ class StribeckFriction(Effect):
     name = "stribeck_friction"
     sentence = "Friction falls with speed from a static to a kinetic level."
     parameters = (
-        Parameter("excess", "1", "static friction above kinetic, as a share of it", -0.6, 3.0, 0.3, 0.0),
+        Parameter("excess", "1", "static friction above kinetic, as a share of it", 0.0, 3.0, 0.3, 0.0),
         Parameter("speed", "m/s", "speed by which most of it is lost", 0.002, 0.5, 0.03, start=0.04),
+        Parameter("shape", "1", "1: lost from the start on; 2: first held, then lost", 1.0, 2.0, 0.5, start=1.5),
     )
 
     def friction(self, cell: Any, p: Any) -> Any:
-        return 1 + p.excess * sp.exp(-((cell.speed / p.speed) ** 2))
+        return 1 + p.excess * sp.exp(-((cell.speed / p.speed) ** p.shape))
 
     def starts(self, scene: Scene) -> list[dict[str, float]]:
         return [{"speed": share * scene.speed} for share in (0.2, 0.5, 1.2)]

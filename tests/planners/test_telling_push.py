@@ -128,7 +128,7 @@ def test_viscous_and_stribeck_are_told_apart_by_speed(world: World) -> None:
     # At the speed of all recorded pushes, both have the friction of the plain model with 0.3.
     excess, slow, area = 0.5, 0.05, 0.1 * 0.06
     stribeck = world.model(
-        "stribeck_friction", (excess, slow), MU / (1 + excess * np.exp(-((SPEED / slow) ** 2)))
+        "stribeck_friction", (excess, slow, 2.0), MU / (1 + excess * np.exp(-((SPEED / slow) ** 2)))
     )
     drag = 0.3 * MU * MASS * 9.81 / (area * SPEED)
     viscous = world.model("viscous_friction", (drag,), 0.7 * MU)

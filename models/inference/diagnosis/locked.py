@@ -39,6 +39,11 @@ class LockedErrors:
         """Root mean square over all pushes."""
         return float(np.sqrt((self.misfit**2).mean()))
 
+    @property
+    def typical_misfit(self) -> float:
+        """Geometric mean over all pushes, which one that starts near to balance does not decide."""
+        return float(np.exp(np.log(self.misfit).mean()))
+
 
 def locked_trials(dataset: PushDataset, rng: np.random.Generator) -> list[str]:
     """Names of the trials to lock away: those held out, else a share of all, at least one where there are

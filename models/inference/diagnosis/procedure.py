@@ -180,13 +180,11 @@ class _Inquiry:
         if self.accepted:
             self.accepted = not_outdone(self.accepted, self.left, self.refits.gains)
             return outcomes.one_of([self.refits.fits[name] for name in self.accepted])
-        if float(self.first.gain.max()) < PROBE_GAIN:
+        if float(self.first.gain.max()) < UNKNOWN_GAIN:
             return outcomes.too_faint(self.base)
         found = self._pairs(rest)
         if found:
             return outcomes.two_at_once(found)
-        if float(self.first.gain.max()) < UNKNOWN_GAIN:
-            return outcomes.too_faint(self.base)
         return outcomes.unknown(self.base, next(iter(rest.values())))
 
     def _screen(self, fitted: Fitted) -> Screening:

@@ -23,6 +23,10 @@ QUICK_GAIN = 8.0
 MATERIAL = 0.03
 """What gains less than this share on top of an effect's own gain is a matter of its exact form."""
 
+MATERIAL_BY_FAR = 0.01
+"""The same where it gains more than `PROBE_GAIN`: effects that act like the hidden one and are not it left 28
+nats and more, 1 to 3 % of their own; hidden effects themselves left up to 13, or less than 0.5 %."""
+
 PROBE_GAIN = 20.0
 """Gain, in nats, below which a finding in the model without effects may come from the grid and the contact,
 which are not exact: a probe's does not count, and an effect is not named for it."""
@@ -127,7 +131,8 @@ class Rules:
         found = self.found(rest, REST_GAIN, REST_GAIN)
         top = int(np.argmax(rest.gain)) if found is None else found
         gain = float(rest.gain[top])
-        material = found is not None and gain >= MATERIAL * own_gain
+        share = MATERIAL_BY_FAR if gain > PROBE_GAIN else MATERIAL
+        material = found is not None and gain >= share * own_gain
         return Remainder(
             rest.candidates[top].name if material else None, gain, self.p_value(rest, gain), found is None
         )
@@ -192,4 +197,4 @@ def locked_pushes_stay_off(before: LockedErrors | None, after: LockedErrors | No
     """Whether pushes that were locked away, and are far off, are nearly as far off with the answer."""
     if before is None or after is None or before.total_misfit < FAR_OFF:
         return False
-    return after.total_misfit > (1 - LEAST_HELP) * before.total_misfit
+    return after.typical_misfit > (1 - LEAST_HELP) * before.typical_misfit

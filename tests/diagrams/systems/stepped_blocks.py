@@ -20,7 +20,7 @@ FloatArray = np.ndarray
 
 VALUES: dict[str, list[float]] = {
     "plain": [],
-    "stribeck_friction": [0.4, 0.05],
+    "stribeck_friction": [0.4, 0.05, 1.6],
     "table_tilt": [0.03, -0.04],
     "friction_drift": [0.05],
     "sensor_latency": [0.033],

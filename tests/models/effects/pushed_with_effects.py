@@ -20,7 +20,7 @@ EFFECTS = {effect.name: effect for effect in LIBRARY}
 
 SHOWN: dict[str, tuple[float, ...]] = {
     "viscous_friction": (300.0,),
-    "stribeck_friction": (0.4, 0.05),
+    "stribeck_friction": (0.4, 0.05, 1.6),
     "anisotropic_table": (0.15, -0.1),
     "anisotropic_object": (-0.12, 0.2),
     "table_tilt": (0.05, -0.04),

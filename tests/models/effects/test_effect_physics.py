@@ -41,12 +41,13 @@ def test_viscous_drag_brakes_a_spin_by_the_second_moment_of_area() -> None:
     assert out.end[0, 0, 5] == pytest.approx(spin * np.exp(-c * AREA / MASS * 0.3), rel=3e-3)
 
 
-def test_stopping_distance_under_stribeck_friction() -> None:
+@pytest.mark.parametrize("shape", [1.0, 2.0])
+def test_stopping_distance_under_stribeck_friction(shape: float) -> None:
     excess, slow, speed = 0.8, 0.1, 0.4
-    values = [excess, slow]
+    values = [excess, slow, shape]
     push = coast_of((speed, 0, 0), 0.4, 2e-4)
     out = slide([EFFECTS["stribeck_friction"]], values, push, grid=SQUARE, mu=MU)
-    expected, _ = quad(lambda v: v / (MU * G * (1 + excess * np.exp(-((v / slow) ** 2)))), 0, speed)
+    expected, _ = quad(lambda v: v / (MU * G * (1 + excess * np.exp(-((v / slow) ** shape)))), 0, speed)
     assert out.poses[0, -1, 0] == pytest.approx(expected, rel=2e-3)
     assert abs(out.end[0, 0, 3]) < 1e-4
     plain = speed**2 / (2 * MU * G)
