@@ -31,7 +31,7 @@ class StribeckFriction(Effect):
     parameters = (
         Parameter("excess", "1", "static friction above kinetic, as a share of it", 0.0, 3.0, 0.3, 0.0),
         Parameter("speed", "m/s", "speed by which most of it is lost", 0.002, 0.5, 0.03, start=0.04),
-        Parameter("shape", "1", "1: lost from the start on; 2: first held, then lost", 1.0, 2.0, 0.5, start=1.5),
+        Parameter("shape", "1", "1: lost from the start on; 2: held, then lost", 1.0, 2.0, 0.5, start=1.5),
     )
 
     def friction(self, cell: Any, p: Any) -> Any:

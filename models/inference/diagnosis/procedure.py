@@ -37,7 +37,6 @@ from models.inference.diagnosis.verdict_rules import (
     FEWEST_DRAWS,
     FEWEST_PUSHES,
     LEVEL,
-    PROBE_GAIN,
     ROUGH,
     UNKNOWN_GAIN,
     Remainder,
