@@ -1,12 +1,14 @@
 """The command `slipmap`: its subcommands, its exit codes, and how failures are told.
 
-Exit codes: 0 success; 1 a failure of the program itself; 2 wrong use or bad input; 130 stopped by Ctrl-C.
+Exit codes: 0 success; 1 a failure of the program itself; 2 wrong use or bad input; 130 stopped, by Ctrl-C or
+by a signal to end.
 """
 
 from __future__ import annotations
 
 import difflib
 import os
+import signal
 import sys
 import traceback
 from collections.abc import Sequence
@@ -170,6 +172,11 @@ def main() -> None:
     # The matrices are small and the rollouts have their own threads: where another program shares the
     # cores, BLAS threads that wait for each other made an identification seven times slower.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    # Ending the command from outside, or closing its terminal, is as Ctrl-C: workers end with it, and nothing
+    # half-written is left.
+    for number in (signal.SIGTERM, signal.SIGHUP):
+        if signal.getsignal(number) != signal.SIG_IGN:  # as under nohup
+            signal.signal(number, signal.default_int_handler)
     for stream in (sys.stdout, sys.stderr):
         if hasattr(stream, "reconfigure"):
             stream.reconfigure(errors="replace")

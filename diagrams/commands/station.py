@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import signal
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -37,7 +36,6 @@ def station(url: str, scenario_file: Path | None, object_name: str | None) -> No
     scenario = scenario_of(scenario_file, object_name)
     if scenario_file is None:
         scenario.simulation.time_step = TIME_STEP
-    signal.signal(signal.SIGTERM, signal.default_int_handler)
     note(f"the cell of the {scenario.object.called} comes up at {url} …")
     try:
         last = run_twin(scenario, url, tell)

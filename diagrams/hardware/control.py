@@ -17,8 +17,8 @@ from diagrams.systems.workers import workers
 
 @contextmanager
 def stopped_by_ctrl_c(cell: HardwareInterface) -> Iterator[Callable[[], bool]]:
-    """In the block Ctrl-C stops the arm, which holds; the second one is Ctrl-C as ever. Yields whether it was
-    pressed."""
+    """In the block Ctrl-C, or a signal to end, stops the arm, which holds; the second one is Ctrl-C as ever.
+    Yields whether it came."""
     pressed: list[int] = []
 
     def stop(number: int, frame: object) -> None:
@@ -26,16 +26,19 @@ def stopped_by_ctrl_c(cell: HardwareInterface) -> Iterator[Callable[[], bool]]:
             raise KeyboardInterrupt
         pressed.append(number)
         cell.abort()
-        note("Ctrl-C: the arm stops and holds; once more ends at once")
+        note(
+            f"{'Ctrl-C' if number == signal.SIGINT else 'told to end'}: the arm stops and holds; once more ends at once"
+        )
 
     if threading.current_thread() is not threading.main_thread():  # others hear no signals
         yield lambda: False
         return
-    before = signal.signal(signal.SIGINT, stop)
+    before = {number: signal.signal(number, stop) for number in (signal.SIGINT, signal.SIGTERM)}
     try:
         yield lambda: bool(pressed)
     finally:
-        signal.signal(signal.SIGINT, before)
+        for number, handler in before.items():
+            signal.signal(number, handler)
 
 
 @contextmanager

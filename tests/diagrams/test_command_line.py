@@ -157,7 +157,8 @@ def test_ctrl_c_leaves_nothing_behind(slipmap, tilted_folder, tmp_path, monkeypa
     assert files_in(tmp_path) == []
 
 
-def test_a_real_interrupt_ends_with_130(tmp_path):
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_real_interrupt_ends_with_130(tmp_path, number):
     command = [sys.executable, "-m", "diagrams.command_line", "demo", "-o", str(tmp_path / "demo")]
     with subprocess.Popen(
         command,
@@ -170,7 +171,7 @@ def test_a_real_interrupt_ends_with_130(tmp_path):
         assert process.stderr is not None
         for line in process.stderr:
             if line.startswith("fitting"):
-                process.send_signal(signal.SIGINT)
+                process.send_signal(number)
                 break
         rest = process.stderr.read()
         assert process.wait(timeout=60) == 130
