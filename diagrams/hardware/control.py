@@ -26,9 +26,8 @@ def stopped_by_ctrl_c(cell: HardwareInterface) -> Iterator[Callable[[], bool]]:
             raise KeyboardInterrupt
         pressed.append(number)
         cell.abort()
-        note(
-            f"{'Ctrl-C' if number == signal.SIGINT else 'told to end'}: the arm stops and holds; once more ends at once"
-        )
+        reason = "Ctrl-C" if number == signal.SIGINT else "told to end"
+        note(f"{reason}: the arm stops and holds; once more ends at once")
 
     if threading.current_thread() is not threading.main_thread():  # others hear no signals
         yield lambda: False

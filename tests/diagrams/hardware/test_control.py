@@ -19,13 +19,14 @@ class Cell:
         self.aborts += 1
 
 
-def test_ctrl_c_stops_the_arm_and_a_second_one_ends_the_program(capsys):
-    cell, before = Cell(), signal.getsignal(signal.SIGINT)
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_ctrl_c_stops_the_arm_and_a_second_one_ends_the_program(capsys, number):
+    cell, before = Cell(), signal.getsignal(number)
     with pytest.raises(KeyboardInterrupt), stopped_by_ctrl_c(cell) as pressed:
         assert not pressed()
-        os.kill(os.getpid(), signal.SIGINT)
+        os.kill(os.getpid(), number)
         assert pressed() and cell.aborts == 1
         assert "the arm stops and holds" in capsys.readouterr().err
-        os.kill(os.getpid(), signal.SIGINT)
+        os.kill(os.getpid(), number)
     assert cell.aborts == 1
-    assert signal.getsignal(signal.SIGINT) is before
+    assert signal.getsignal(number) is before
