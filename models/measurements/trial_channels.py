@@ -13,6 +13,7 @@ from models.physics.cell_grid import FloatArray
 COLUMNS: Mapping[str, int] = {"object_pose": 4, "tip_pose": 4, "ft_wrench": 4}
 LARGEST_VALUE = 1e6  # m, rad, N
 LARGEST_TIME = 1e11  # s; Unix time in ms or ns lies above
+LONGEST_PUSH = 1000.0  # s
 SHORTEST_STEP = 1e-9  # s
 WHOLE_TURN = 2.0 * np.pi
 
@@ -44,6 +45,12 @@ def trial_from_tables(
     warnings = _degrees(pose, where)
     pose = Channel(pose.time, np.column_stack([pose.values[:, :2], unwrapped(pose.values[:, 2])]))
     tip = _channel(tables["tip_pose"], 2, f"{where}, tip_pose")
+    lasts = float(pose.time[-1] - pose.time[0])
+    if lasts > LONGEST_PUSH:
+        raise DatasetError(
+            f"{where}, object_pose: lasts {lasts:.6g} s, the longest push may last {LONGEST_PUSH:g} s; times are in"
+            " s, were these milliseconds? Cut a long recording into its pushes"
+        )
     wrench = None
     if len(tables.get("ft_wrench", ())):
         wrench = _channel(tables["ft_wrench"], 3, f"{where}, ft_wrench")
