@@ -48,8 +48,8 @@ def trial_from_tables(
     lasts = float(pose.time[-1] - pose.time[0])
     if lasts > LONGEST_PUSH:
         raise DatasetError(
-            f"{where}, object_pose: lasts {lasts:.6g} s, the longest push may last {LONGEST_PUSH:g} s; times are in"
-            " s, were these milliseconds? Cut a long recording into its pushes"
+            f"{where}, object_pose: lasts {lasts:.6g} s, the longest push may last {LONGEST_PUSH:g} s;"
+            " times are in s, were these milliseconds? Cut a long recording into its pushes"
         )
     wrench = None
     if len(tables.get("ft_wrench", ())):

@@ -78,7 +78,8 @@ def fall_probability(margins: FloatArray, probability: FloatArray, margin: float
     Returns:
         (...) probabilities.
     """
-    return np.asarray((np.asarray(margins) < margin) @ np.asarray(probability, dtype=float))
+    falls = (np.asarray(margins) < margin) @ np.asarray(probability, dtype=float)
+    return np.asarray(np.minimum(falls, 1.0))  # a sum of probabilities may exceed 1 by a rounding
 
 
 def corners_of(table: Table) -> FloatArray:
