@@ -139,8 +139,7 @@ def test_fall_probability_adds_hypotheses_that_fall() -> None:
     probability = np.array([0.5, 0.3, 0.2])
     np.testing.assert_allclose(fall_probability(margins, probability), [0.2, 0.0, 1.0])
     np.testing.assert_allclose(fall_probability(margins, probability, margin=0.005), [0.5, 0.0, 1.0])
-    sevenths = np.array([3, 2, 1, 1]) / 7
-    assert fall_probability(np.full((1, 4), -1.0), sevenths) <= 1.0
+    assert fall_probability(np.full(5, -1.0), np.array([2, 3, 3, 6, 1]) / 15) <= 1.0
 
 
 def test_wrong_arguments_are_named(bar: CellGrid) -> None:
