@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import builtins
 import json
+from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from schemas import assert_as_described
 
 from diagrams.benchmark import bullet, format_table, growth, mujoco_engine, plain_numpy, run_benchmark
 from diagrams.benchmark.scene import make_scene
@@ -90,14 +93,24 @@ def without_engines(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.usefixtures("small_growth", "without_engines")
-def test_a_tiny_benchmark_says_what_is_missing() -> None:
-    said: list[tuple[str, int, int]] = []
-    result = run_benchmark(
-        cells=6, models=3, steps=4, repeats=1, progress=lambda *report: said.append(report)
-    )
-    assert said[0] == ("slipmap", 0, 1)
-    assert said[-1] == ("growth", 4, 4)
-    assert json.loads(json.dumps(result)) == result
+def test_a_tiny_benchmark_says_what_is_missing(
+    slipmap: Callable[..., Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    reported: list[tuple[str, int, int]] = []
+
+    def tiny(*, progress: Callable[[str, int, int], None]) -> dict[str, Any]:
+        def report(stage: str, done: int, total: int) -> None:
+            progress(stage, done, total)
+            reported.append((stage, done, total))
+
+        return run_benchmark(cells=6, models=3, steps=4, repeats=1, progress=report)
+
+    monkeypatch.setattr("diagrams.benchmark.run_benchmark", tiny)
+    said = slipmap("bench", "--json", tmp_path / "bench.json")
+    assert said.code == 0
+    result = json.loads((tmp_path / "bench.json").read_text())
+    assert reported[0] == ("slipmap", 0, 1)
+    assert reported[-1] == ("growth", 4, 4)
     names = [engine["name"] for engine in result["engines"]]
     assert names[0] == "slipmap, one core"
     assert "plain numpy" in names
@@ -111,7 +124,8 @@ def test_a_tiny_benchmark_says_what_is_missing() -> None:
         (20, 4, 3),
     ]
     assert all(row["peak_mib"] > 1 for row in result["growth"])
-    text = format_table(result)
+    text = said.out.rstrip("\n")
+    assert sorted(text.splitlines()) == sorted(format_table(result).splitlines())  # the file sorts its keys
     assert max(map(len, text.splitlines())) <= 80
     assert text.count("pip install slipmap[bench]") == 2
 
@@ -122,6 +136,7 @@ def test_a_tiny_benchmark_with_all_engines() -> None:
     pytest.importorskip("pybullet", reason="comes with pip install slipmap[bench]")
     result = run_benchmark(cells=6, models=2, steps=4, repeats=2)
     assert result["missing"] == {}
+    assert_as_described("bench", result)
     text = format_table(result)
     assert max(map(len, text.splitlines())) <= 80
     for engine in result["engines"]:

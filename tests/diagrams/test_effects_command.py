@@ -23,9 +23,11 @@ class Fan(Effect):
 """
 
 
-def test_the_list_holds_every_effect_within_80_columns(slipmap):
-    said = slipmap("effects")
+def test_the_list_holds_every_effect_within_80_columns(slipmap, tmp_path):
+    said = slipmap("effects", "--json", tmp_path / "effects.json")
     assert said.code == 0
+    told = json.loads((tmp_path / "effects.json").read_text())
+    assert [effect["name"] for effect in told["effects"]] == [effect.name for effect in LIBRARY]
     for effect in LIBRARY:
         assert effect.name in said.out
         assert effect.sentence.split()[-1] in said.out
@@ -33,8 +35,8 @@ def test_the_list_holds_every_effect_within_80_columns(slipmap):
 
 
 @pytest.mark.parametrize("effect", LIBRARY, ids=lambda effect: effect.name)
-def test_one_effect_is_explained_within_80_columns(slipmap, effect):
-    said = slipmap("effects", effect.name)
+def test_one_effect_is_explained_within_80_columns(slipmap, effect, tmp_path):
+    said = slipmap("effects", effect.name, "--json", tmp_path / "effect.json")
     assert said.code == 0
     assert max(map(len, said.out.splitlines())) <= 80
     for parameter in effect.parameters:

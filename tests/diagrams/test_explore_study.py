@@ -4,8 +4,8 @@ import json
 
 import numpy as np
 import pytest
+from schemas import assert_as_described
 
-from diagrams.command_line import run
 from diagrams.commands.explore_study import _judged
 
 
@@ -15,16 +15,17 @@ def a_row(**changes):
     return {**row, **changes}
 
 
-def test_runs_that_are_there_are_counted(tmp_path, capsys):
+def test_runs_that_are_there_are_counted(slipmap, tmp_path):
     rows = [a_row(), a_row(error=4e-3, center_of_mass_inside=False), {"failed": "the object was lost"}]
     for number, row in enumerate(rows):
         (tmp_path / f"box-{number}.json").write_text(json.dumps(row))
-    code = run(["explore-study", "--object", "box", "--runs", "3", "-o", str(tmp_path)])
-    out = capsys.readouterr().out
-    assert code == 0
-    line = next(line for line in out.splitlines() if line.startswith("box"))
+    words = ["explore-study", "--object", "box", "--runs", 3, "-o", tmp_path]
+    said = slipmap(*words, "--json", tmp_path / "study.json")
+    assert said.code == 0
+    line = next(line for line in said.out.splitlines() if line.startswith("box"))
     assert line.split() == ["box", "2", "1", "3.0", "8.0", "10", "1"]
-    assert "in 1 of 2 runs" in out
+    assert "in 1 of 2 runs" in said.out
+    assert json.loads((tmp_path / "study.json").read_text()) == {"box": rows}
 
 
 class _Run:
@@ -47,6 +48,7 @@ def test_the_region_holds_90_percent_of_a_normal_distribution(away, inside):
     angle = np.linspace(0, 2 * np.pi, 40, endpoint=False)
     centers = 0.01 * np.sqrt(2) * np.column_stack([np.cos(angle), np.sin(angle)])  # deviation 0.01 each way
     judged = _judged(_Run(centers, [0.01 * away, 0.0]))
+    assert_as_described("explore-study", {"box": [judged]})
     assert judged["center_of_mass_inside"] is inside
     assert judged["center_of_mass_off"] == pytest.approx(0.01 * away)
     assert judged["error"] == pytest.approx(2e-3)

@@ -130,15 +130,3 @@ def test_calibrate_prints_draws_and_writes_coverage(slipmap, tmp_path, monkeypat
     assert (document["objects"], document["seed"], document["coverage"][0]["inside"]) == (25, 3, 22)
     np.testing.assert_allclose(document["ranks"]["centre of mass, x"], ranks["centre of mass, x"])
     assert cv2.imread(str(picture)).std() > 5
-
-
-def test_bench_prints_the_table_and_writes_the_numbers(slipmap, tmp_path, monkeypatch):
-    def run_benchmark(*, progress):
-        progress("rollouts", 1, 1)
-        return {"ms": 0.25}
-
-    monkeypatch.setattr("diagrams.benchmark.run_benchmark", run_benchmark)
-    monkeypatch.setattr("diagrams.benchmark.format_table", lambda result: f"{result['ms']} ms a rollout")
-    said = slipmap("bench", "--json", tmp_path / "bench.json")
-    assert (said.code, said.out) == (0, "0.25 ms a rollout\n")
-    assert json.loads((tmp_path / "bench.json").read_text()) == {"ms": 0.25}

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from schemas import assert_json_as_described
 
 from diagrams.campaigns.experiments import ABOUT, experiment_of
 from diagrams.campaigns.pregrasp_success import near
@@ -58,9 +59,9 @@ def _campaign(figure: str, folder: Path, objects: Sequence[str], trials: int) ->
         write_outcome(TrialOutcome(spec, result, None, 1.0), files)
     names = [word for name in objects for word in ("--objects", name)]
     report = folder / "report.json"
-    code = run(
-        ["campaign", figure, *names, "--trials", str(trials), "-o", str(folder), "--json", str(report)]
-    )
+    words = ["campaign", figure, *names, "--trials", str(trials), "-o", str(folder), "--json", str(report)]
+    code = run(words)
+    assert_json_as_described(words)
     return code, json.loads(report.read_text())
 
 
