@@ -201,7 +201,7 @@ def open_cell(
 
     Args:
         where: `twin`, `lockstep`, or the LCM address of a cell that runs by itself.
-        folder: where recordings go.
+        folder: where recordings go; made if missing.
         scenario: what the cell is like, `small_scenario(where)` if None.
         faulty: whether faults are to happen; then messages go through one more process.
 
@@ -210,6 +210,7 @@ def open_cell(
         ValueError, RendererUnavailable: as `Station`.
     """
     scenario = scenario or small_scenario(where)
+    folder.mkdir(parents=True, exist_ok=True)
     if where == LOCKSTEP:
         yield Cell(scenario, folder, None, is_real=False, recorder=None)
         return
