@@ -75,7 +75,7 @@ def probes(default: Any, part: dict[str, Any]) -> list[Any]:
     for key in ("minimum", "maximum", "exclusiveMinimum", "exclusiveMaximum"):
         if key in part:
             numbers += [part[key], part[key] - (1 if whole else 1e-9), part[key] + (1 if whole else 1e-9)]
-    kinds = ["text", True, None, [1.0], {}, 0.5]
+    kinds = ["text", True, None, [1.0], {}, default + 0.5 if whole else 0.5]
     return [*(int(one) if whole else float(one) for one in numbers), *kinds, *part.get("enum", [])]
 
 
