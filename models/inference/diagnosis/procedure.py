@@ -37,6 +37,8 @@ from models.inference.diagnosis.verdict_rules import (
     FEWEST_DRAWS,
     FEWEST_PUSHES,
     LEVEL,
+    PAIR_GAIN,
+    PROBE_GAIN,
     ROUGH,
     UNKNOWN_GAIN,
     Remainder,
@@ -179,11 +181,13 @@ class _Inquiry:
         if self.accepted:
             self.accepted = not_outdone(self.accepted, self.left, self.refits.gains)
             return outcomes.one_of([self.refits.fits[name] for name in self.accepted])
-        if float(self.first.gain.max()) < UNKNOWN_GAIN:
+        if float(self.first.gain.max()) < PROBE_GAIN:
             return outcomes.too_faint(self.base)
         found = self._pairs(rest)
         if found:
             return outcomes.two_at_once(found)
+        if float(self.first.gain.max()) < UNKNOWN_GAIN:
+            return outcomes.too_faint(self.base)
         return outcomes.unknown(self.base, next(iter(rest.values())))
 
     def _screen(self, fitted: Fitted) -> Screening:
@@ -271,7 +275,8 @@ class _Inquiry:
             self.report("trying pairs", step, FIRSTS_TRIED)
             first = self.refits.fits[name]
             for pair in pairs(self.fitter, first, rest[name], self.effects, self.scene):
-                if self.rules.completes(self._screen(pair), first.cost - pair.cost):
+                together, second = self.base.cost - pair.cost, first.cost - pair.cost
+                if together > PAIR_GAIN and self.rules.completes(self._screen(pair), second):
                     found.append(pair)
                     break
         found.sort(key=lambda pair: pair.cost)

@@ -36,6 +36,10 @@ UNKNOWN_GAIN = 45.0
 `PROBE_GAIN` lie what really was unknown and what an independent simulator, with nothing hidden, gained by its
 own grid and contact (up to 40 nats): there the verdict is that it cannot be told."""
 
+PAIR_GAIN = 2 * UNKNOWN_GAIN
+"""Gain, in nats, that two effects have to have together when refitted. Each may hide the other from the first
+question, but a faint finding that no effect explains is not two effects."""
+
 FAR_OFF = 2.0
 """Misfit of locked pushes, in sensor noise, that calls for an explanation."""
 

@@ -8,7 +8,8 @@ import pytest
 from models.effects.library import LIBRARY
 from models.effects.probes import PROBES
 from models.inference.diagnosis import procedure
-from models.inference.diagnosis.verdict_rules import Remainder, locked_pushes_stay_off, not_outdone
+from models.inference.diagnosis.locked import LockedErrors
+from models.inference.diagnosis.verdict_rules import Remainder, Rules, locked_pushes_stay_off, not_outdone
 
 
 @pytest.mark.parametrize(
@@ -16,8 +17,16 @@ from models.inference.diagnosis.verdict_rules import Remainder, locked_pushes_st
     [(18.0, 17.7, True), (18.0, 16.0, False), (18.0, 1.5, False), (1.4, 1.4, False), (2.5, 2.6, True)],
 )
 def test_locked_pushes_that_stay_far_off_refute_an_answer(before, after, off):
-    errors = [SimpleNamespace(total_misfit=value) for value in (before, after)]
+    errors = [LockedErrors(*3 * [np.full(4, value)]) for value in (before, after)]
     assert locked_pushes_stay_off(*errors) is off
+
+
+def test_one_push_near_to_balance_does_not_refute_an_answer():
+    before, after = (
+        LockedErrors(*3 * [np.array(misfit)]) for misfit in ([2.4, 2.0, 10.2, 4.0], [1.1, 1.1, 15.1, 1.4])
+    )
+    assert after.total_misfit > before.total_misfit
+    assert not locked_pushes_stay_off(before, after)
 
 
 def test_without_locked_pushes_nothing_is_refuted():
@@ -90,3 +99,38 @@ def test_what_leaves_nothing_beats_what_explains_clearly_less(far, near, kept):
 def test_what_explains_less_stays_where_it_leaves_nothing_either():
     left = {name: Remainder(None, 1.0, None, True) for name in ("far", "near")}
     assert not_outdone(["far", "near"], left, {"far": 100.0, "near": 70.0}) == ["far", "near"]
+
+
+@pytest.mark.parametrize(
+    ("left", "own", "rejected"),
+    [
+        (31.7, 2574.0, True),  # a magnet taken for a patch of friction
+        (28.6, 976.0, True),
+        (18.2, 1699.0, False),  # the true effect, whose exact form differs
+        (107.0, 23579.0, False),
+        (11.4, 382.0, False),
+        (18.0, 382.0, True),
+        (7.9, 60.0, False),
+    ],
+)
+def test_what_is_left_rejects_by_its_share_and_by_its_size(left, own, rejected):
+    rest = SimpleNamespace(candidates=(LIBRARY[0], PROBES[0]), gain=np.array([1.0, left]))
+    said = Rules(LIBRARY, simulated=False).remainder(rest, own)
+    assert said.rejected_by == (PROBES[0].name if rejected else None)
+    assert said.gain == left
+
+
+@pytest.mark.parametrize(("together", "named"), [(60.0, 0), (120.0, 1)])
+def test_a_pair_has_to_gain_much_together(monkeypatch, together, named):
+    inquiry = object.__new__(procedure._Inquiry)
+    first, both = SimpleNamespace(cost=1000.0 - 30.0), SimpleNamespace(cost=1000.0 - together)
+    monkeypatch.setattr(procedure, "pairs", lambda *arguments: [both])
+    inquiry.base, inquiry.fitter, inquiry.effects, inquiry.scene = (
+        SimpleNamespace(cost=1000.0),
+        None,
+        (),
+        None,
+    )
+    inquiry.refits, inquiry.report = SimpleNamespace(gains={"some": 30.0}, fits={"some": first}), print
+    inquiry.rules, inquiry._screen = SimpleNamespace(completes=lambda rest, second: True), lambda pair: None
+    assert len(inquiry._pairs({"some": None})) == named
