@@ -18,6 +18,7 @@ from models.measurements import PushDataset, read_dataset
 from models.measurements.recording import PushRecorder
 from tests.hardware.made_up_cell import AHEAD, FORCE, MadeUpCell, gripper, scenario
 
+CELL = "camera: {width: 320, height_pixels: 240, fov_y: 0.5, rate: 10.0}\n"
 CELLS = 20
 LATE = 0.06
 FIRST = 1
@@ -147,7 +148,7 @@ def test_replay_tells_of_the_lag_and_leaves_what_exploring_leaves(slipmap, tmp_p
     whole = b"".join(event.encode() for event in MadeUpCell(LATE).events())
     log.write_bytes(whole[:-3])
     cell = tmp_path / "cell.yaml"
-    cell.write_text("camera: {width: 320, height_pixels: 240, fov_y: 0.5, rate: 10.0}\n")
+    cell.write_text(CELL)
     out = tmp_path / "out"
     said = slipmap(
         "replay", log, "--scenario", cell, "-o", out, "--hypotheses", 2, "--json", tmp_path / "said.json"
@@ -187,6 +188,32 @@ def test_logs_without_pushes_are_bad_input_told_in_a_paragraph(slipmap, tmp_path
 def test_a_log_that_is_not_there(slipmap, tmp_path):
     said = slipmap("replay", tmp_path / "none", "-o", tmp_path / "out")
     assert said.code == 2 and "cannot be read (No such file" in said.err
+
+
+def test_record_writes_what_it_heard(slipmap, tmp_path, monkeypatch, recorded):
+    """All of the command but the network, and what the pushes say of the camera."""
+
+    class Stream(list[Event]):
+        def __init__(self, url: str, heard: list[str]) -> None:
+            super().__init__(recorded.events)
+
+        def close(self) -> None:
+            pass
+
+    monkeypatch.setattr("diagrams.hardware.message_stream.MessageStream", Stream)
+    monkeypatch.setattr("models.inference.camera_lag.camera_lag", lambda dataset, progress: None)
+    cell = tmp_path / "cell.yaml"
+    cell.write_text(CELL)
+    words = ["record", "--scenario", cell, "-o", tmp_path / "box", "--pushes", 1]
+    said = slipmap(*words, "--json", tmp_path / "said.json")
+    assert said.code == 0
+    assert "cannot tell whether it is late" in said.out
+    heard = json.loads((tmp_path / "said.json").read_text())
+    assert heard["pushes"] == 1 and heard["camera_lag"] is None
+    (descent,) = heard["descents"]
+    assert descent["kept"] and 0.0 < descent["begin"] < descent["end"] < heard["seconds"]
+    assert heard["channels"]["ELSE"]["messages"] > 5
+    assert len(read_dataset(tmp_path / "box").trials) == 1
 
 
 def test_recording_never_overwrites_what_was_measured(slipmap, tmp_path, dataset):

@@ -10,6 +10,8 @@ import yaml
 from jsonschema import Draft202012Validator
 from schemas import FOLDER, NAMES, assert_as_described, validator
 
+from diagrams.command_line import slipmap
+
 ROOT = FOLDER.parents[1]
 
 
@@ -17,6 +19,15 @@ ROOT = FOLDER.parents[1]
 def test_a_schema_is_one(name):
     Draft202012Validator.check_schema(validator(name).schema)
     assert f"schemas/{name}.json" in (ROOT / "docs" / "file-formats.md").read_text(encoding="utf-8")
+
+
+def test_every_command_that_writes_json_has_a_schema():
+    with_json = {
+        name
+        for name, command in slipmap.commands.items()
+        if any(parameter.name == "json_file" for parameter in command.params)
+    }
+    assert len(with_json) > 10 and with_json <= set(NAMES)
 
 
 def test_a_dataset_that_is_written_is_as_described(demo_folder):

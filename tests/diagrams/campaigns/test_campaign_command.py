@@ -9,8 +9,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from schemas import assert_json_as_described
+from schemas import assert_as_described, assert_json_as_described, validator
 
+from diagrams.campaigns import pregrasp_success, whole_procedure
 from diagrams.campaigns.experiments import ABOUT, experiment_of
 from diagrams.campaigns.pregrasp_success import near
 from diagrams.command_line import run
@@ -130,6 +131,25 @@ def test_every_experiment_is_found_by_its_name() -> None:
     assert [experiment_of(name).name for name in ABOUT] == list(ABOUT)
     with pytest.raises(ValueError, match="there are fig3, fig4"):
         experiment_of("fig1")
+
+
+def test_every_fate_is_described() -> None:
+    described = {
+        branch["if"]["properties"]["experiment"]["const"]: branch["then"]["properties"].get("fates")
+        for branch in validator("campaign").schema["allOf"]
+    }
+    for figure, fates in (("fig6", pregrasp_success._FATES), ("fig7", whole_procedure._FATES)):
+        assert described[figure]["additionalProperties"]["propertyNames"]["enum"] == list(fates)
+
+
+@pytest.mark.parametrize("figure", ABOUT)
+def test_without_any_result_numbers_are_null(figure: str) -> None:
+    specs = experiment_of(figure).specs(["book"], 1, 0, "plant")
+    summary = experiment_of(figure).summary([TrialOutcome(spec, None, "lost") for spec in specs])
+    told = {"experiment": figure, "truth": "plant", "seed": 0, "objects": ["book"], "trials": len(specs)}
+    assert_as_described("campaign", summary.document | told | {"failed": {specs[0].name: "lost"}})
+    pushes = summary.document.get("pushes", {})
+    assert all(one["value"] is None for one in pushes.values())
 
 
 def test_near_is_twenty_millimetres_and_fifteen_degrees() -> None:
