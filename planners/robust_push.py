@@ -186,7 +186,7 @@ def _first_allowed(
             push=push,
             target=target,
             gap=float(scenarios.probability @ metric.gap(ends, goals[target])),
-            fall_probability=float(falls[line, length]),
+            fall_probability=min(1.0, float(falls[line, length])),
             predicted=scenarios.of_hypotheses(ends),
             pushes=float(value[line, length]),
         )

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from diagrams.commands import options
-from diagrams.console import Progress, note, paragraph, prepare_kernels, table
+from diagrams.console import BadInput, Progress, note, paragraph, prepare_kernels, table
 from diagrams.outputs import make_folder, write_json
 
 if TYPE_CHECKING:
@@ -71,7 +71,7 @@ def _row(folder: Path, name: str, seed: int, pushes: int, checks: int) -> dict[s
     """Result of one run, from its file or run now."""
     path = folder / f"{name}-{seed}.json"
     if path.exists():
-        return dict(json.loads(path.read_text(encoding="utf-8")))
+        return _row_of(path, pushes, checks)
     from diagrams.commands.explore import scenario_of
     from diagrams.exploration_loop import LoopOptions
     from diagrams.exploration_run import ExplorationFailed, explore
@@ -86,8 +86,24 @@ def _row(folder: Path, name: str, seed: int, pushes: int, checks: int) -> dict[s
     else:
         write_dataset(run.dataset, folder / f"{name}-{seed}", overwrite=True)
         row = _judged(run)
+    row |= {"pushes": pushes, "checks": checks}
     write_json(path, row)
     note(f"{name}, seed {seed}: {row.get('failed') or 'error {:.1f} mm'.format(1e3 * row['error'])}")
+    return row
+
+
+def _row_of(path: Path, pushes: int, checks: int) -> dict[str, Any]:
+    """What an earlier study left, if it asked for the same."""
+    try:
+        row = dict(json.loads(path.read_text(encoding="utf-8")))
+        asked = row["pushes"], row["checks"]
+    except (ValueError, KeyError, TypeError) as error:
+        raise BadInput(f"{path}: is no run of a study; move it away") from error
+    if asked != (pushes, checks):
+        raise BadInput(
+            f"{path}: is a run of {asked[0]} pushes and {asked[1]} checks, this study asks for {pushes} and"
+            f" {checks}; name another folder with -o"
+        )
     return row
 
 
