@@ -2,19 +2,15 @@
 
 from __future__ import annotations
 
-import math
-import re
-
 import numpy as np
 import sympy as sp
 
-from models.effects.effect import Effect, EffectError, Parameter
+from models.effects.declaration import FORMULAS, check_declaration, check_starts
+from models.effects.effect import Effect, EffectError
 from models.effects.formulas import Slots
 from models.effects.singular import singular_point
 from models.effects.symbols import FORCE_NAMES
 
-UNITS = re.compile(r"^(1|([a-zA-Z]+(\^-?\d+)?)([ /][a-zA-Z]+(\^-?\d+)?)*|1(/[a-zA-Z]+(\^\d+)?)+)$")
-KNOWN_UNITS = {"m", "s", "kg", "N", "rad", "push", "J", "W", "Hz", "Pa"}
 POINTS = 20
 VANISHES = 1e-12
 FIXED = {"m": 1.0, "J": 0.01, "gravity": 9.81, "h": 0.005, "width": 0.01, "n": 60.0}
@@ -26,60 +22,37 @@ def check_effect(effect: Effect, where: str) -> None:
 
     Args:
         effect: to check.
-        where: file and line, for the message.
+        where: file, line and class, for the message.
 
     Raises:
         EffectError: what is wrong and what to do.
     """
-
-    def refuse(problem: str) -> None:
-        raise EffectError(f"effect file {where}: {problem}")
-
-    for attribute in ("name", "sentence", "parameters"):
-        if not getattr(effect, attribute, None):
-            refuse(f"class {type(effect).__name__} has no {attribute}")
-    if not (isinstance(effect.name, str) and re.fullmatch(r"[a-z][a-z0-9_]*", effect.name)):
-        refuse(f"name {effect.name!r} must be lower case letters, digits and underscores")
-    for parameter in effect.parameters:
-        if not isinstance(parameter, Parameter):
-            refuse(f"parameters must be a tuple of Parameter, got {parameter!r}")
-        problem = _faulty(parameter)
-        if problem:
-            refuse(f"parameter {parameter.name}: {problem}")
-    if len({parameter.name for parameter in effect.parameters}) < len(effect.parameters):
-        refuse("two parameters have one name")
-    if not effect.amplitudes.any():
-        refuse("no parameter has a null; give one a value at which the effect vanishes (null=0.0)")
     try:
+        check_declaration(effect)
         slots = Slots([effect])
+        _check_values(effect, slots)
+        _check_that_it_acts(effect, slots)
+        check_starts(effect)
     except EffectError as error:
-        refuse(str(error))
-    _check_values(effect, slots, refuse)
+        raise EffectError(f"effect file {where}: {error}") from error
 
 
-def _faulty(parameter: Parameter) -> str | None:
-    """What is wrong with a parameter, or None."""
-    if not (isinstance(parameter.name, str) and parameter.name.isidentifier()):
-        return "its name must be a Python identifier"
-    numbers = (parameter.low, parameter.high, parameter.scale, parameter.center)
-    if not all(isinstance(value, (int, float)) and math.isfinite(value) for value in numbers):
-        return f"low, high, scale, null and start must be finite numbers, got {numbers}"
-    if not parameter.low < parameter.high:
-        return f"low {parameter.low} must be below high {parameter.high}"
-    if not parameter.scale > 0:
-        return f"scale must be positive, got {parameter.scale}"
-    if not parameter.low <= parameter.center <= parameter.high:
-        return f"its null or start {parameter.center} must lie within {parameter.low} and {parameter.high}"
-    unknown = set(re.findall(r"[a-zA-Z]+", parameter.unit)) - KNOWN_UNITS
-    if not UNITS.fullmatch(parameter.unit) or unknown:
-        return (
-            f"unit {parameter.unit!r} is not SI as slipmap writes it: 1, m, s, N/m, rad/s, N s/m^3 …"
-            f" from {', '.join(sorted(KNOWN_UNITS))}"
+def _check_that_it_acts(effect: Effect, slots: Slots) -> None:
+    """Refuse formulas, as those without a `return`, that are the same whatever the parameters are."""
+    outputs = [*slots.body, slots.factor, slots.drag, slots.delay, *slots.measured, *slots.renewed]
+    within = {str(symbol) for output in outputs for symbol in sp.sympify(output).free_symbols}
+    names = [p.name for p in effect.parameters if p.null is not None]
+    if not within & {f"p_{effect.name}_{name}" for name in names}:
+        written = [
+            f"{name}()" for name in FORMULAS if getattr(type(effect), name) is not getattr(Effect, name)
+        ]
+        raise EffectError(
+            f"what {' and '.join(written)} return does not depend on {' or '.join(names)}: a formula without"
+            " `return` gives nothing (None), and one without a parameter is no effect"
         )
-    return None
 
 
-def _check_values(effect: Effect, slots: Slots, refuse) -> None:  # type: ignore[no-untyped-def]
+def _check_values(effect: Effect, slots: Slots) -> None:
     """Evaluate the formulas at random states, with the effect at its null and at random parameters."""
     rng = np.random.default_rng(0)
     outputs = [*slots.body, slots.factor, slots.drag, slots.delay, *slots.measured]
@@ -108,14 +81,16 @@ def _check_values(effect: Effect, slots: Slots, refuse) -> None:  # type: ignore
         try:
             results = [float(value) for value in evaluate(*(values[symbol] for symbol in symbols))]
         except (ArithmeticError, ValueError, TypeError, NameError) as error:
-            refuse(f"the formula cannot be evaluated: {type(error).__name__}: {error}; {_told(values)}")
+            raise EffectError(
+                f"the formula cannot be evaluated: {type(error).__name__}: {error}; {_told(values)}"
+            ) from error
         if not np.isfinite(results).all():
-            refuse(f"the formula is not finite at {_told(values)}")
+            raise EffectError(f"the formula is not finite at {_told(values)}")
         if trial == 1:
             states = [symbol for symbol in symbols if str(symbol) not in {*parameters, *FIXED}]
             place = singular_point(outputs, states, values, rng)
             if place is not None:
-                refuse(
+                raise EffectError(
                     f"the formula has no value at {_told(place)}: it divides by what is 0 there; keep"
                     " that away from 0, as in sqrt(x**2 + y**2 + 0.01**2)"
                 )
@@ -128,7 +103,7 @@ def _check_values(effect: Effect, slots: Slots, refuse) -> None:  # type: ignore
         for value, wanted in zip(results, expected, strict=True):
             if wanted is not None and abs(value - wanted) > VANISHES * max(1.0, abs(wanted)):
                 nulls = [f"{p.name} = {p.null}" for p in effect.parameters if p.null is not None]
-                refuse(
+                raise EffectError(
                     f"the effect does not vanish when its parameters are at their nulls ({', '.join(nulls)}):"
                     f" it gives {value:.6g} instead of {wanted:g}"
                 )

@@ -7,18 +7,18 @@ expressions. Derivatives and machine code are made from them; nothing is differe
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from numbers import Real
 from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
+from models.effects.failures import EffectError, call_formula
+
 FloatArray = NDArray[np.float64]
-
-
-class EffectError(ValueError):
-    """An effect that cannot be used; the message names the effect, and file and line where known."""
 
 
 @dataclass(frozen=True)
@@ -152,23 +152,44 @@ class Effect:
         0."""
         return np.array([float(p.center == p.low) - float(p.center == p.high) for p in self.parameters])
 
-    def start_values(self, scene: Scene) -> FloatArray:
-        """(G, P) `starts` as arrays, amplitudes at their null.
+    def guesses(self, scene: Scene) -> list[dict[str, float]]:
+        """What `starts` says, held against the parameters.
 
         Raises:
-            EffectError: a start names an unknown parameter or leaves its range.
+            EffectError: starts() failed, or gives something else than guesses of this effect's parameters.
         """
+        given = call_formula(self, "starts", scene)
+        if not (isinstance(given, list | tuple) and given and all(isinstance(g, Mapping) for g in given)):
+            raise EffectError(
+                f"effect {self.name}: starts() must return a list of one or more guesses, each a dict from"
+                f" names of parameters to numbers, got {given!r}"
+            )
         names = [parameter.name for parameter in self.parameters]
-        rows = np.repeat(self.nulls[None], len(self.starts(scene)), axis=0)
-        for row, guess in zip(rows, self.starts(scene), strict=True):
+        for guess in given:
             for name, value in guess.items():
                 if name not in names:
                     raise EffectError(
                         f"effect {self.name}: starts() names {name!r}; its parameters are {', '.join(names)}"
                     )
+                if not (isinstance(value, Real) and math.isfinite(value)):
+                    raise EffectError(
+                        f"effect {self.name}: starts() gives {name} = {value!r}; it must be a finite number"
+                    )
+        return [dict(guess) for guess in given]
+
+    def start_values(self, scene: Scene) -> FloatArray:
+        """(G, P) `guesses` as arrays within the parameters' ranges; what they do not name at its `center`.
+
+        Raises:
+            EffectError: as `guesses`.
+        """
+        guesses = self.guesses(scene)
+        names = [parameter.name for parameter in self.parameters]
+        rows = np.repeat(self.nulls[None], len(guesses), axis=0)
+        for row, guess in zip(rows, guesses, strict=True):
+            for name, value in guess.items():
                 row[names.index(name)] = value
-        low, high = bounds([self])
-        return np.clip(rows, low, high)
+        return np.clip(rows, *bounds([self]))
 
 
 def bounds(effects: Sequence[Effect]) -> tuple[FloatArray, FloatArray]:

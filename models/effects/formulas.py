@@ -14,7 +14,7 @@ from sympy.printing.numpy import NumPyPrinter
 from sympy.printing.pycode import PythonCodePrinter
 
 from models.effects.effect import Effect, EffectError
-from models.effects.program import call_formula
+from models.effects.failures import call_formula
 from models.effects.symbols import (
     CONSTANT_NAMES,
     FORCE_NAMES,

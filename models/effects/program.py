@@ -13,17 +13,15 @@ import inspect
 import os
 import sys
 import tempfile
-import traceback
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from models.effects.effect import Effect, EffectError
+from models.effects.effect import Effect
 from models.physics.compiled import CACHE_FOLDER
 
 FloatArray = NDArray[np.float64]
@@ -118,31 +116,3 @@ def _source(effects: Sequence[Effect]) -> str:
     from models.effects.formulas import module_source
 
     return module_source(effects)
-
-
-def failing_line(error: BaseException) -> str:
-    """`file, line n` of the innermost frame of an error that is outside this package and its libraries."""
-    frames = traceback.extract_tb(error.__traceback__)
-    here = Path(__file__).parent
-    for frame in reversed(frames):
-        path = Path(frame.filename)
-        if "site-packages" not in path.parts and (path.parent != here or path.name == "library.py"):
-            return f"{path.name}, line {frame.lineno}"
-    return "unknown place"
-
-
-def call_formula(effect: Effect, method: str, *arguments: Any) -> Any:
-    """Result of one of the effect's formulas.
-
-    Raises:
-        EffectError: it raised; names the effect, the method, file and line.
-    """
-    try:
-        return getattr(effect, method)(*arguments)
-    except EffectError:
-        raise
-    except Exception as error:
-        raise EffectError(
-            f"effect {effect.name}: {method}() failed in {failing_line(error)}:"
-            f" {type(error).__name__}: {error}"
-        ) from error

@@ -11,8 +11,8 @@ from pathlib import Path
 
 from models.effects.checks import check_effect
 from models.effects.effect import Effect, EffectError
+from models.effects.failures import told
 from models.effects.library import LIBRARY
-from models.effects.program import failing_line
 
 
 def load_effects(path: str | Path) -> tuple[Effect, ...]:
@@ -23,6 +23,8 @@ def load_effects(path: str | Path) -> tuple[Effect, ...]:
             and line.
     """
     path = Path(path)
+    if path.is_dir():
+        raise EffectError(f"effect file {path}: this is a folder; name one Python file in it")
     if not path.is_file():
         raise EffectError(f"effect file {path}: there is no such file")
     # SymPy formulas are keyed by their file; a module of the same name elsewhere must not be taken for this
@@ -36,11 +38,12 @@ def load_effects(path: str | Path) -> tuple[Effect, ...]:
     try:
         spec.loader.exec_module(module)
     except SyntaxError as error:
-        raise EffectError(f"effect file {path}, line {error.lineno}: {error.msg}") from error
-    except Exception as error:
-        raise EffectError(
-            f"effect file {path}: {failing_line(error)}: {type(error).__name__}: {error}"
-        ) from error
+        line = f", line {error.lineno}" if error.lineno else ""
+        raise EffectError(f"effect file {path}{line}: {error.msg}") from error
+    except KeyboardInterrupt:
+        raise
+    except BaseException as error:  # as by sys.exit(), which would end the program without a word
+        raise EffectError(f"effect file {path}: {told(error)}") from error
     classes = [
         value
         for value in vars(module).values()
@@ -50,18 +53,27 @@ def load_effects(path: str | Path) -> tuple[Effect, ...]:
         raise EffectError(
             f"effect file {path}: it defines no effect; write a subclass of models.effects.Effect"
         )
-    effects = []
-    for kind in classes:
-        line = inspect.getsourcelines(kind)[1]
-        try:
-            effect = kind()
-        except Exception as error:
-            raise EffectError(
-                f"effect file {path}, line {line}: {kind.__name__}() failed: {error}"
-            ) from error
-        check_effect(effect, f"{path}, line {line}")
-        effects.append(effect)
-    return tuple(effects)
+    return tuple(_made(kind, path) for kind in classes)
+
+
+def _made(kind: type[Effect], path: Path) -> Effect:
+    """The effect of a class, checked."""
+    where = f"{path}{_line_of(kind)}, class {kind.__name__}"
+    try:
+        effect = kind()
+    except KeyboardInterrupt:
+        raise
+    except BaseException as error:
+        raise EffectError(f"effect file {where}: {kind.__name__}() failed in {told(error)}") from error
+    check_effect(effect, where)
+    return effect
+
+
+def _line_of(kind: type[Effect]) -> str:
+    try:
+        return f", line {inspect.getsourcelines(kind)[1]}"
+    except (OSError, TypeError):  # a class that was made without a `class` statement
+        return ""
 
 
 def known_effects(files: Iterable[str | Path] = ()) -> tuple[Effect, ...]:

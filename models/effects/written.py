@@ -16,7 +16,7 @@ from sympy.printing.latex import LatexPrinter
 from sympy.printing.str import StrPrinter
 
 from models.effects.effect import Effect, EffectError
-from models.effects.program import call_formula
+from models.effects.failures import call_formula
 from models.effects.symbols import Names, latex_name, real, writing, written_names
 
 ROUNDING = 1e-5

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from pushed_with_effects import BLOCK, RADIUS, plain_maps, sliding_push, with_values
 
-from models.effects import LIBRARY, EffectError, EffectSlider
+from models.effects import LIBRARY, EffectError, EffectSlider, Scene
+from models.effects.declaration import check_declaration, check_starts
 from models.effects.registry import effects_named, known_effects, load_effects
 from models.physics.rollout import Slider
 
@@ -73,25 +74,25 @@ def test_a_name_of_the_library_is_taken(file) -> None:  # type: ignore[no-untype
 
 
 FAULTS = {
-    "unit": ('"N", "of', '"pounds", "of', r"line 6: parameter strength: unit 'pounds' is not SI"),
-    "bounds": ("-50.0, 50.0", "50.0, -50.0", r"line 6: parameter strength: low 50.0 must be below"),
-    "null": ("0.1, 0.0),", "0.1),", r"line 6: no parameter has a null"),
-    "null outside": ("0.1, 0.0),", "0.1, 99.0),", r"line 6: .*null or start 99.0 must lie within"),
-    "scale": ("0.1, 0.0),", "0.0, 0.0),", r"line 6: .*scale must be positive"),
-    "infinite bound": ("50.0, 0.1", 'float("inf"), 0.1', r"line 6: .*must be finite"),
-    "name": ('"magnet"', '"My Magnet"', r"line 6: name 'My Magnet' must be lower case"),
+    "unit": ('"N", "of', '"pounds", "of', r"line 6.*: parameter strength: unit 'pounds' is not SI"),
+    "bounds": ("-50.0, 50.0", "50.0, -50.0", r"line 6.*: parameter strength: low 50.0 must be below"),
+    "null": ("0.1, 0.0),", "0.1),", r"line 6.*: no parameter has a null"),
+    "null outside": ("0.1, 0.0),", "0.1, 99.0),", r"line 6.*null or start 99.0 must lie within"),
+    "scale": ("0.1, 0.0),", "0.0, 0.0),", r"line 6.*scale must be positive"),
+    "infinite bound": ("50.0, 0.1", 'float("inf"), 0.1', r"line 6.*must be finite"),
+    "name": ('"magnet"', '"My Magnet"', r"line 6.*: name 'My Magnet' must be lower case"),
     "no sentence": ('    sentence = "A magnet under the table pulls."\n', "",
-                    r"line 6: class Magnet has no sentence"),
+                    r"line 6.*: it has no sentence"),
     "not at null": ("p.strength *", "(p.strength + 1) *",
-                    r"line 6: the effect does not vanish .*strength = 0"),
-    "not finite": ("p.strength *", "p.strength / (p.strength - p.strength) *", r"line 6: the formula"),
+                    r"line 6.*: the effect does not vanish .*strength = 0"),
+    "not finite": ("p.strength *", "p.strength / (p.strength - p.strength) *", r"line 6.*: the formula"),
     "no value where it pulls to": (" + 0.03**2)", ")",
-                                   r"line 6: the formula has no value at .*q_x = 0\.1, q_y = 0, v_x = 0"),
+                                   r"line 6.*: the formula has no value at .*q_x = 0\.1, q_y = 0, v_x = 0"),
     "no value at rest": ("p.strength *", "p.strength * body.vx / sp.sqrt(body.vx**2 + body.vy**2) *",
-                         r"line 6: the formula has no value at .*v_x = 0, v_y = 0"),
-    "root of a negative": ("+ 0.03**2)", "+ 0.03**2) * sp.sqrt(-1 - p.strength**2)", r"line 6: the formula"),
+                         r"line 6.*: the formula has no value at .*v_x = 0, v_y = 0"),
+    "root of a negative": ("+ 0.03**2)", "+ 0.03**2) * sp.sqrt(-1 - p.strength**2)", r"Magnet: the formula"),
     "exception": ("        distance", "        raise RuntimeError('oh')\n        distance",
-                  r"line 6: .*magnet: force\(\) failed in magnet\.py, line 12: RuntimeError: oh"),
+                  r"line 6.*magnet: force\(\) failed in magnet\.py, line 12: RuntimeError: oh"),
     "unknown symbol": ("body.x - 0.1", "body.height - 0.1",
                        r"failed in magnet\.py, line 12: AttributeError: .*body has no 'height'; it has"),
     "stranger": ("body.y**2", 'sp.Symbol("height")', r"symbols that are neither.*height"),
@@ -101,6 +102,22 @@ FAULTS = {
     "syntax": ("def force(self, body, p):", "def force(self, body, p)", r"magnet\.py, line 11: expected ':'"),
     "import": ("import sympy as sp", "import simpy_of_nowhere as sp",
                r"magnet\.py, line 1: ModuleNotFoundError"),
+    "ends the program": ("\nclass", "import sys\nsys.exit(0)\n\nclass", r"py, line 6: SystemExit: 0"),
+    "formula ends the program": ("        distance", "        raise SystemExit\n        distance",
+                                 r"Magnet: effect magnet: force\(\) failed in magnet\.py, line 12: Sys"),
+    "constructor ends": ("    def force", "    def __init__(self):\n        exit(3)\n\n    def force",
+                         r"class Magnet: Magnet\(\) failed in magnet\.py, line 12: SystemExit: 3"),
+    "misspelt": ("def force", "def forse", r"forse\(\) is no method of an effect; did you mean force\(\)\?"),
+    "misspelt beside": ("    def force", "    def stats(self, scene):\n        return [{}]\n\n    def force",
+                        r"stats\(\) is no method of an effect; did you mean starts\(\)\?"),
+    "public helper": ("    def force", "    def zzz(self):\n        return 1\n\n    def force",
+                      r"zzz\(\) is no method of an effect; there are friction, drag, .*underscore"),
+    "no formula": ("def force", "def _force", r"line 6.*: it has no formula; write one or more of"),
+    "nothing returned": ("return pull", "pull", r"what force\(\) return does not depend on strength"),
+    "no parameter in it": ("p.strength", "0", r"what force\(\) return does not depend on strength"),
+    "unit is no text": ('"N", "of', '5, "of', r"class Magnet: parameter strength: unit must be text, got 5"),
+    "null byte": ("\nclass", "\0\nclass", r"magnet\.py: source code .* null bytes$"),
+    "start outside": ("0.1, 0.0),", "0.1, 0.0, start=99.0),", r"start 99\.0 must lie within -50\.0 and 50"),
     "no class": ("class Magnet(Effect):", "class Magnet:", r"magnet\.py.*Effect"),
 }  # fmt: skip
 
@@ -112,6 +129,59 @@ def test_a_faulty_file_is_told(fault: str, file) -> None:  # type: ignore[no-unt
     with pytest.raises(EffectError, match=message) as caught:
         load_effects(file(GOOD.replace(before, after)))
     assert "magnet.py" in str(caught.value)
+
+
+STARTS = {
+    "raises": ("return [{'place': 1 / 0}]", r"starts\(\) failed in magnet\.py, line 17: ZeroDivisionError"),
+    "ends the program": ("raise SystemExit(0)", r"starts\(\) failed in magnet\.py, line 17: SystemExit: 0"),
+    "not a number": ("return [{'place': float('nan')}]", r"starts\(\) gives place = nan; .* finite"),
+    "a text": ("return [{'place': 'here'}]", r"starts\(\) gives place = 'here'"),
+    "unknown name": (
+        "return [{'where': 0.1}]",
+        r"starts\(\) names 'where'; its parameters are strength, place",
+    ),
+    "out of range": ("return [{'place': 0.1}, {'place': 5.0}]", r"place = 5; it must lie within -2 and 2"),
+    "no list": ("return {'place': 0.1}", r"starts\(\) must return a list"),
+    "no guess": ("return []", r"starts\(\) must return a list of one or more"),
+}
+PLACED = GOOD.replace("0.1, 0.0),", '0.1, 0.0), Parameter("place", "m", "its x", -2.0, 2.0, 0.1),')
+PLACED = PLACED.replace("body.x - 0.1", "body.x - p.place") + "\n    def starts(self, scene):\n        "
+
+
+@pytest.mark.parametrize("fault", STARTS)
+def test_faulty_starts_are_told(fault: str, file) -> None:  # type: ignore[no-untyped-def]
+    code, message = STARTS[fault]
+    with pytest.raises(EffectError, match=r"magnet\.py, line 6.*" + message):
+        load_effects(file(PLACED + code))
+
+
+def test_starts_are_held_into_their_range_where_the_pushes_are_elsewhere(file) -> None:  # type: ignore[no-untyped-def]
+    (magnet,) = load_effects(file(PLACED + "return [{'place': 10 * scene.center[0]}]"))
+    near, far = (Scene((x, 0.0), 0.1, 0.05, 0.05, 5, 3.0) for x in (0.1, 0.9))
+    assert magnet.start_values(near).tolist() == [[0.0, 1.0]]
+    assert magnet.start_values(far).tolist() == [[0.0, 2.0]]
+
+
+def test_starts_that_fail_with_the_recorded_pushes_are_told(file) -> None:  # type: ignore[no-untyped-def]
+    (magnet,) = load_effects(file(PLACED + "return [{'place': 1 / (scene.pushes - 7)}]"))
+    with pytest.raises(EffectError, match=r"magnet: starts\(\) failed in magnet\.py, line 17: ZeroDivision"):
+        magnet.start_values(Scene((0.0, 0.0), 0.1, 0.05, 0.05, 7, 3.0))
+
+
+def test_the_example_of_the_documentation_is_an_effect() -> None:
+    (magnet,) = load_effects(Path(__file__).parents[3] / "docs/examples/magnet.py")
+    assert magnet.name == "magnet"
+
+
+def test_every_effect_of_the_library_passes_the_checks() -> None:
+    for effect in LIBRARY:
+        check_declaration(effect)
+        check_starts(effect)
+
+
+def test_a_folder_is_no_effect_file(tmp_path: Path) -> None:
+    with pytest.raises(EffectError, match="this is a folder; name one Python file in it"):
+        load_effects(tmp_path)
 
 
 def test_a_file_that_is_missing_or_is_no_python(tmp_path: Path) -> None:
