@@ -54,8 +54,8 @@ Then let it compete with the library, and learn with it:
   treated alike. Parameters without a null only shape the effect; `starts` says where to begin looking
   for them.
 - A faulty file is refused with file and line: wrong units, an effect that does not vanish at its null,
-  formulas that are not
-  finite, names that do not exist.
+  formulas that are not finite, names that do not exist, misspelt methods. A helper method of your own
+  begins with an underscore.
 
 A class overrides what it changes and leaves the rest:
 
