@@ -22,13 +22,15 @@ def check_file(path: Path, endings: Sequence[str] = ()) -> None:
     """Refuse, before any work is done, an output that could not be written after it.
 
     Raises:
-        BadInput: another ending, a missing or unwritable folder, or a folder in the file's place.
+        BadInput: another ending, a missing or unwritable folder, or a folder or a device in the file's place.
     """
-    if endings and path.suffix.lower().lstrip(".") not in endings:
-        wanted = ", ".join(f".{ending}" for ending in endings)
-        raise BadInput(f"cannot write {path}: its name must end in one of {wanted}")
     if path.is_dir():
         raise BadInput(f"cannot write {path}: that is a folder; name a file in it")
+    if endings and path.suffix.lower().lstrip(".") not in endings:
+        wanted = " or ".join(f".{ending}" for ending in endings)
+        raise BadInput(f"cannot write {path}: its name must end in {wanted}")
+    if path.exists() and not path.is_file():
+        raise BadInput(f"cannot write {path}: that is a device or a pipe; name a file and read that")
     check_folder(path.parent, path)
 
 
@@ -62,16 +64,18 @@ def make_folder(folder: Path) -> None:
 
 @contextmanager
 def whole_file(path: Path) -> Iterator[Path]:
-    """A temporary name beside `path`, renamed to it when the block ends well and removed when it does not.
+    """A temporary name beside `path`, renamed to it when the block ends well and removed when it does not. A
+    link stays one: the file that it names is written.
 
     Raises:
         BadInput: the place cannot be written to.
     """
-    part = path.with_name(f".{os.getpid()}.{path.name}")
+    file = Path(os.path.realpath(path))
+    part = file.with_name(f".{os.getpid()}.{file.name}")
     try:
         with writing(path):
             yield part
-            os.replace(part, path)
+            os.replace(part, file)
     finally:
         part.unlink(missing_ok=True)
 

@@ -65,7 +65,7 @@ effect_file_option = click.option(
 
 
 belief_output_option = click.option(
-    "-o", "--output", type=OutputFile(), required=True, metavar="FILE",
+    "-o", "--output", type=OutputFile("npz"), required=True, metavar="FILE",
     help="Where the belief goes, such as belief.npz.",
 )  # fmt: skip
 hypotheses_option = click.option(

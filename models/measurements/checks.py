@@ -20,6 +20,7 @@ NOTABLE_MOTION = 5e-3  # m
 TOUCH_RADII = 3.0  # finger radii of air beyond which a finger never touched
 EARLY_END = 0.1  # s
 SLOW_TIP = 5e-3  # m/s
+THROUGH = 0.01  # m
 MOST_ROWS = 500  # of a track that are compared with the outline
 
 
@@ -63,6 +64,19 @@ def _faults(setup: Setup, trial: Trial, where: str) -> list[str]:
                 "a resting object begins to move, but no finger is within 1 m; is the tip given in m?"
             )
         return faults
+    if len(trial.tip_pose.time) == 1 and _moved(setup, trial) and not trial.initial_velocity().any():
+        faults.append(
+            "a resting object begins to move, but tip_pose has one row; a finger that stays pushes nothing"
+        )
+    if _stands_still(setup, trial):
+        faults.append(
+            "the object's pose never changes though the finger goes through it; was the tracker frozen?"
+        )
+    if _pulls(setup, trial):
+        faults.append(
+            "the force points against the finger's way, as if it pulled; ft_wrench is the force of the finger"
+            " on the object, is it given the other way round?"
+        )
     _refuse_foreign_clocks(trial, where)
     _refuse_finger_inside(setup, trial, where)
     if _fastest(trial.tip_pose) > LARGEST_SPEED:
@@ -81,13 +95,33 @@ def _faults(setup: Setup, trial: Trial, where: str) -> list[str]:
     return faults
 
 
+def _stands_still(setup: Setup, trial: Trial) -> bool:
+    """Whether not a digit of the pose changes, and the finger's rim goes 10 mm and more into the object."""
+    if len(trial.object_pose.time) < 3 or np.ptp(trial.object_pose.values, axis=0).any():
+        return False
+    deepest = float(np.min(_signed_distance(setup, trial.tip_pose.values, trial, trial.start)))
+    return deepest < setup.finger_radius - THROUGH
+
+
+def _pulls(setup: Setup, trial: Trial) -> bool:
+    """Whether the force that goes along with the finger works against it over most of its way."""
+    if trial.ft_wrench is None or len(trial.tip_pose.time) < 2 or not _moved(setup, trial):
+        return False
+    times, force = trial.ft_wrench.time, trial.ft_wrench.values[:, :2]
+    size = np.hypot(*force.T)
+    step = np.diff(trial.tip_pose.at(times), axis=0)
+    pushing = size[1:] > max(0.3 * float(size.max(initial=0.0)), 3.0 * (setup.noise.force or 0.0))
+    work = (force[1:] * step).sum(axis=1)[pushing]
+    return bool(work.sum() < -0.5 * (size[1:] * np.hypot(*step.T))[pushing].sum()) if len(work) else False
+
+
 def _refuse_copies(trials: Sequence[Trial], where: str) -> None:
     seen: dict[bytes, str] = {}
     for trial in trials:
         digest = hashlib.sha256()
         for channel in (trial.object_pose, trial.tip_pose, trial.ft_wrench):
             if channel is not None:
-                digest.update(channel.time.tobytes())
+                digest.update(np.round(channel.time - trial.start, 6).tobytes())
                 digest.update(channel.values.tobytes())
         first = seen.setdefault(digest.digest(), trial.name)
         if first != trial.name:

@@ -17,6 +17,8 @@ from models.measurements.push_dataset import DatasetError
 LARGEST_RECORD = 64 * 2**20  # bytes; ten minutes of three channels at 250 Hz are 30 MB
 LARGEST_YAML = 4 * 2**20  # bytes; 50,000 cells are 1.5 MB
 
+DEEPEST_YAML = 50
+
 _Loader: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 
 
@@ -82,11 +84,24 @@ def parse_yaml(content: bytes, where: str) -> Any:
         DatasetError: with the line and column of the fault.
     """
     try:
+        if _depth(content) > DEEPEST_YAML:
+            raise DatasetError(f"{where}: nested too deeply for a description of a dataset")
         return yaml.load(content, Loader=_PlainLoader)
-    except RecursionError:
-        raise DatasetError(f"{where}: nested too deeply for a description of a dataset") from None
     except (yaml.YAMLError, ValueError, TypeError, AttributeError, LookupError, OverflowError) as error:
         raise DatasetError(f"{where}: not valid YAML ({shown_error(error)})") from None
+
+
+def _depth(content: bytes) -> int:
+    """How deeply a YAML document is nested, up to one more than may be. The compiled loader would crash."""
+    depth = 0
+    for event in yaml.parse(content, Loader=_Loader):
+        if isinstance(event, yaml.CollectionStartEvent):
+            depth += 1
+            if depth > DEEPEST_YAML:
+                break
+        elif isinstance(event, yaml.CollectionEndEvent):
+            depth -= 1
+    return depth
 
 
 def shown_error(error: Exception) -> str:

@@ -19,7 +19,11 @@ STANDARD_GRAVITY = 9.81  # m/s²
 SMALLEST_EXTENT = 1e-3  # m
 LARGEST_EXTENT = 5.0  # m; no object on a table is larger, so the numbers are mm
 LARGEST_FINGER = 0.5  # m
-LARGEST_NOISE = 1e3  # m, rad, N
+NOISE_LEVELS = {"position": (1e-6, 0.1), "angle": (1e-5, 1.0), "tip": (1e-6, 0.1), "force": (1e-4, 1e3)}
+"""Least and largest standard deviations, m, rad, m, N; smaller ones, as in simulation, count as the least."""
+MASSES = (1e-6, 1e6)  # kg
+GRAVITIES = (1e-3, 1e3)  # m/s²
+MASS_PER_AREA = (0.1, 1e4)  # kg/m²; of stiff paper, and of a metre of steel
 NEAR_GRAVITY = (1.0, 30.0)  # m/s²; from the moon to a heavy planet
 
 
@@ -65,6 +69,7 @@ def parse_setup(document: dict[str, Any], where: str, default_name: str) -> Setu
             f"{where}: finger.radius is {radius:g} m; no finger is that thick, divide by 1000?"
         )
     gravity = fields.positive(document.get("gravity", STANDARD_GRAVITY), f"{where}: gravity", "m/s²")
+    _refuse_beyond(gravity, GRAVITIES, f"{where}: gravity", "m/s²")
     if not NEAR_GRAVITY[0] <= gravity <= NEAR_GRAVITY[1]:
         warnings.append(f"{where}: gravity is {gravity:g} m/s²; 9.81 was to be expected")
     return Setup(
@@ -72,13 +77,32 @@ def parse_setup(document: dict[str, Any], where: str, default_name: str) -> Setu
         description=fields.text(document.get("description", ""), f"{where}: description"),
         grid=grid,
         height=_optional(shape, "height", f"{where}: object.height", "m"),
-        mass=_optional(shape, "mass", f"{where}: object.mass", "kg"),
+        mass=_mass(shape, grid, f"{where}: object.mass", warnings),
         finger_radius=radius,
         table=_table(document.get("table"), f"{where}: table", warnings),
         gravity=gravity,
         noise=_noise(document.get("noise"), f"{where}: noise", warnings),
         warnings=tuple(warnings),
     )
+
+
+def _mass(shape: dict[str, Any], grid: CellGrid, where: str, warnings: list[str]) -> float | None:
+    mass = _optional(shape, "mass", where, "kg")
+    if mass is None:
+        return None
+    _refuse_beyond(mass, MASSES, where, "kg")
+    per_area = mass / float(grid.polygon.area)
+    if not MASS_PER_AREA[0] <= per_area <= MASS_PER_AREA[1]:
+        warnings.append(
+            f"{where} is {mass:g} kg on {1e4 * grid.polygon.area:.3g} cm², {per_area:.3g} kg/m²; is it in kg,"
+            " and the outline in m?"
+        )
+    return mass
+
+
+def _refuse_beyond(value: float, limits: tuple[float, float], where: str, unit: str) -> None:
+    if not limits[0] <= value <= limits[1]:
+        raise DatasetError(f"{where}: lies in {limits[0]:g} to {limits[1]:g} {unit}, got {value:g}")
 
 
 def _optional(values: dict[str, Any], key: str, where: str, unit: str) -> float | None:
@@ -188,8 +212,8 @@ def _noise(value: object, where: str, warnings: list[str]) -> Noise:
     warnings += fields.unknown_keys(noise, known, where)
     levels = {key: fields.number(noise[key], f"{where}.{key}") for key in known if noise.get(key) is not None}
     for key, level in levels.items():
-        if not 0 <= level <= LARGEST_NOISE:
+        if not 0 <= level <= NOISE_LEVELS[key][1]:
             raise DatasetError(
-                f"{where}.{key}: a standard deviation lies in 0 to {LARGEST_NOISE:g}, got {level}"
+                f"{where}.{key}: a standard deviation lies in 0 to {NOISE_LEVELS[key][1]:g}, got {level}"
             )
-    return Noise(**levels)
+    return Noise(**{key: max(level, NOISE_LEVELS[key][0]) for key, level in levels.items()})

@@ -43,7 +43,7 @@ MILLIMETRES = [[-50, -50], [50, -50], [50, 50], [-50, 50]]
         (set_at(["object", "outline"], [[0, 0], [1e-5, 0], [0, 1e-5]]), ["outline: is only 1e-05 m large"]),
         (set_at(["object", "cells", "centers", 3, 1], 1e200), ["object.cells: reaches 1e+200 m"]),
         (set_at(["object", "cells", "width"], 20.0), ["object.cells: reaches 20 m"]),
-        (set_at(["noise", "position"], 1e300), ["noise.position: a standard deviation lies in 0 to 1000"]),
+        (set_at(["noise", "position"], 1e300), ["noise.position: a standard deviation lies in 0 to 0.1"]),
         (set_at(["object", "outline"], [[0, 0], [1, 0]]), ["at least three corners"]),
         (set_at(["object", "outline", 2], [0.05, math.nan]), ["outline, row 2", "two finite numbers"]),
         (set_at(["object", "outline", 2], [0.05, -0.05]), ["outline, row 2", "same corner"]),
@@ -53,6 +53,8 @@ MILLIMETRES = [[-50, -50], [50, -50], [50, 50], [-50, 50]]
         (set_at(["object", "cells", "centers"], []), ["there are no cells"]),
         (set_at(["object", "cells", "centers", 4, 0], math.nan), ["cell centres: point 4 is not finite"]),
         (set_at(["object", "cells", "centers"], [[1.0, 1.0]]), ["no centre lies inside the outline"]),
+        (set_at(["object", "mass"], 1e30), ["object.mass: lies in 1e-06 to 1e+06 kg, got 1e+30"]),
+        (set_at(["gravity"], 1e300), ["gravity: lies in 0.001 to 1000 m/s²"]),
         (set_at(["object", "mass"], -1.0), ["object.mass: must be positive (kg), got -1.0"]),
         (set_at(["object", "height"], 0), ["object.height: must be positive"]),
         (without("finger"), ["`finger` is missing"]),
@@ -62,7 +64,7 @@ MILLIMETRES = [[-50, -50], [50, -50], [50, 50], [-50, 50]]
         (set_at(["finger", "radius"], 4.75), ["finger.radius is 4.75 m", "divide by 1000?"]),
         (set_at(["gravity"], -9.81), ["gravity: must be positive"]),
         (set_at(["gravity"], None), ["gravity: must be a number, got None"]),
-        (set_at(["noise", "tip"], -1e-3), ["noise.tip: a standard deviation lies in 0 to 1000, got -0.001"]),
+        (set_at(["noise", "tip"], -1e-3), ["noise.tip: a standard deviation lies in 0 to 0.1, got -0.001"]),
         (set_at(["table", "shape"], "oval"), ["table.shape: must be round or rectangle, got 'oval'"]),
         (set_at(["table", "radius"], 0), ["table.radius: must be positive"]),
         (set_at(["table", "center"], [1.0]), ["table.center: must be two numbers"]),
@@ -103,6 +105,8 @@ def test_faults_in_the_description(example, change, words):
         (set_at(["gravitation"], 9.81), "the key 'gravitation' is unknown"),
         (set_at(["finger", "diameter"], 0.01), "finger: the key 'diameter' is unknown"),
         (set_at(["table", "size"], [1, 1]), "table: the key 'size' is unknown"),
+        (set_at(["object", "mass"], 815.0), "object.mass is 815 kg on 100 cm², 8.15e+04 kg/m²; is it in kg"),
+        (set_at(["object", "mass"], 0.000815), "is it in kg"),
         (set_at(["noise", "torque"], 0.1), "noise: the key 'torque' is unknown"),
         (set_at(["trials", 0, "weight"], 2), "trials, row 0: the key 'weight' is unknown"),
         (set_at(["gravity"], 981.0), "9.81 was to be expected"),
@@ -194,3 +198,16 @@ def test_an_empty_folder_or_a_file_of_another_kind(tmp_path):
 def test_a_push_dataset_needs_no_object_name(example):
     with pytest.raises(DatasetError, match="describes its object itself"):
         read_dataset(example.write(), object_name="hex")
+
+
+def test_no_noise_counts_as_the_least_that_can_be_computed_with(example):
+    example.document["noise"] = {"position": 0, "angle": 0.0, "tip": 0, "force": 1e-300}
+    noise = read_dataset(example.write()).noise
+    assert (noise.position, noise.angle, noise.tip, noise.force) == (1e-6, 1e-5, 1e-6, 1e-4)
+
+
+@pytest.mark.parametrize("brackets", ["[" * 100_000, "- " * 50_000])
+def test_a_deeply_nested_description_is_refused(tmp_path, brackets):
+    (tmp_path / "dataset.yaml").write_text(brackets)
+    with pytest.raises(DatasetError, match="nested too deeply"):
+        read_dataset(tmp_path)

@@ -104,6 +104,14 @@ def test_the_same_push_twice(example):
     refused(example, "trials/002.json holds the same measurement as trials/000.json")
 
 
+def test_the_same_push_at_another_time(example):
+    example.records["trials/002.json"] = json.loads(json.dumps(record(example, 0)))
+    for rows in record(example, 2).values():
+        for row in rows:
+            row[0] += 100.0
+    refused(example, "trials/002.json holds the same measurement as trials/000.json")
+
+
 @pytest.mark.parametrize(("inside", "fault"), [(0.0025, False), (0.0045, True), (0.02, True), (0.08, True)])
 def test_a_finger_that_starts_inside_the_object(example, inside, fault):
     for row in record(example)["tip_pose"]:
