@@ -160,7 +160,8 @@ def scenario_of(path: Path | None, object_name: str | None) -> Scenario:
     except ScenarioError as error:
         raise BadInput(str(error)) from error
     except ValueError as error:
-        raise BadInput(f"object: {error}") from error
+        where = "" if path is None or object_name is not None else f"{path}: "
+        raise BadInput(f"{where}object: {error}") from error
     return scenario
 
 

@@ -29,6 +29,9 @@ from planners.pregrasp_settings import PushSettings
 CLEARANCE = 0.02
 """Between the finger on its way and what it passes over, m."""
 
+LONGEST_LABEL = 9
+"""Digits of a label."""
+
 
 @dataclass
 class ObjectSettings:
@@ -79,7 +82,7 @@ class ObjectSettings:
         if self.mesh is not None and (self.mass is None or self.mu is None):
             raise ValueError("object: an object from a mesh needs mass (kg) and mu")
         for name in (*self.masses, *self.frictions):
-            if not name.isdigit():
+            if not (name.isascii() and name.isdigit() and len(name) <= LONGEST_LABEL):
                 raise ValueError(f"object: masses and frictions are by label, a whole number, got {name!r}")
 
     @property

@@ -12,6 +12,7 @@ from scipy.spatial import cKDTree
 from shapely.geometry import LinearRing, Polygon
 
 from models.objects.footprints import cells_from_polygon
+from models.objects.meshes import LARGEST_EXTENT, SMALLEST_EXTENT
 from models.objects.tracing import traced_outline
 from models.physics.cell_grid import CellGrid, FloatArray
 
@@ -48,8 +49,8 @@ def cells_from_label_image(
 
     Raises:
         ValueError: a file that cannot be read, an image that is not one channel of whole numbers, a scale
-        that
-            is not positive, no object, an object in separate pieces, or wrong count or width.
+            that is not positive or makes the object wider than 5 m or narrower than 1 mm, no object, an
+            object in separate pieces, or wrong count or width.
     """
     image, source = _label_array(labels)
     if not (np.isfinite(metres_per_pixel) and metres_per_pixel > 0):
@@ -60,6 +61,12 @@ def cells_from_label_image(
     scale = np.array([metres_per_pixel, -metres_per_pixel])
 
     polygon = traced_outline(mask)
+    extent = metres_per_pixel * max(int(np.ptp(rows)), int(np.ptp(columns)), 1)
+    if not SMALLEST_EXTENT <= extent <= LARGEST_EXTENT:
+        raise ValueError(
+            f"{source}: with metres_per_pixel = {metres_per_pixel:g} the object measures {extent:.4g} m; it"
+            f" must lie between {SMALLEST_EXTENT:g} and {LARGEST_EXTENT:g} m"
+        )
     rings = [
         (np.asarray(ring.coords)[:-1] - origin) * scale
         for ring in (polygon.exterior, *(hole for hole in polygon.interiors if _counts(hole, mask)))

@@ -18,6 +18,9 @@ from models.physics.cell_grid import CellGrid, FloatArray
 LARGEST_EXTENT = 5.0
 """A footprint wider than this (m) is taken for a mesh in millimetres or inches."""
 
+SMALLEST_EXTENT = 1e-3
+"""A footprint narrower than this (m) is taken for one in a wrong unit too."""
+
 _SNAP = 1e-7  # of the silhouette's extent
 _SPECK = 1e-5  # of the silhouette's area
 
@@ -46,8 +49,8 @@ def cells_from_mesh(
 
     Raises:
         ValueError: a file that cannot be read, a mesh without triangles or with vertices that are not finite,
-            a silhouette without area, in separate parts or wider than 5 m, or a wrong up, unit, count or
-            width.
+            a silhouette without area, in separate parts, wider than 5 m or narrower than 1 mm, or a wrong up,
+            unit, count or width.
     """
     loaded, source = _loaded(mesh)
     vertices = np.asarray(loaded.vertices, dtype=float) * _unit(loaded, metres_per_unit, source)
@@ -57,6 +60,11 @@ def cells_from_mesh(
         raise ValueError(
             f"{source}: the footprint measures {extent:.4g} m, more than {LARGEST_EXTENT:.4g} m; if the mesh "
             f"is in millimetres, give metres_per_unit=0.001"
+        )
+    if extent < SMALLEST_EXTENT:
+        raise ValueError(
+            f"{source}: the footprint measures {extent:.4g} m, less than {SMALLEST_EXTENT:.4g} m; "
+            f"metres_per_unit is the length of the mesh's unit in m, 0.001 for millimetres"
         )
     polygon = _silhouette(flat[np.asarray(loaded.faces)], extent, bool(loaded.is_volume), source)
     area = polygon.area
@@ -90,13 +98,22 @@ def _loaded(mesh: trimesh.Trimesh | str | PathLike[str]) -> tuple[trimesh.Trimes
         try:
             mesh = trimesh.load_mesh(str(mesh))
         except Exception as error:  # trimesh's readers raise whatever their parsers do
-            raise ValueError(f"{source}: cannot be read as a mesh: {error}") from error
+            raise ValueError(f"{source}: cannot be read as a mesh: {_told(error, Path(mesh))}") from error
     if not isinstance(mesh, trimesh.Trimesh) or len(mesh.faces) == 0:
         raise ValueError(f"{source}: has no triangles")
     if not np.all(np.isfinite(mesh.vertices)):
         row = int(np.flatnonzero(~np.isfinite(mesh.vertices).all(axis=1))[0])
         raise ValueError(f"{source}: vertex {row} is not finite")
     return mesh, source
+
+
+def _told(error: Exception, path: Path) -> str:
+    """What a reader that failed means."""
+    if not isinstance(error, ImportError):
+        return str(error)
+    if "charset_normalizer" in str(error):  # asked for where a file is neither binary nor plain text
+        return "it is damaged or cut short, or no mesh; export it once more"
+    return f"files that end in {path.suffix} need a further library; export it as .stl, .obj or .ply"
 
 
 def _unit(mesh: trimesh.Trimesh, metres_per_unit: float | None, source: str) -> float:

@@ -135,13 +135,23 @@ def object_from_mesh(
         metres_per_unit: length of the mesh's unit; as stated in the file where missing, else 1.
 
     Raises:
-        ValueError: a file that cannot be used (see `cells_from_mesh`), or a mass or friction out of range.
+        ValueError: a file that cannot be used (see `cells_from_mesh`), a mesh that is flat, or a mass or
+            friction out of range.
     """
     source = f"mesh {Path(path)}"
     _positive(mass, f"{source}: mass", "kg")
     mesh = upright_mesh(path, up, metres_per_unit)
-    grid = cells_from_mesh(mesh, count=count)
-    height = cell_heights(mesh, grid)
+    try:
+        grid = cells_from_mesh(mesh, count=count)
+        height = cell_heights(mesh, grid)
+    except ValueError as error:
+        raise ValueError(f"{source}: {str(error).removeprefix('mesh: ')}") from error
+    thin = np.flatnonzero(height <= 0)
+    if len(thin):
+        raise ValueError(
+            f"{source}: it is flat over {len(thin)} of {len(grid)} cells; mass is shared out by height, so"
+            " the object needs a thickness everywhere"
+        )
     colors = _region_colors(1)
     if not mesh.visual.defined:
         mesh = coloured([(mesh, colors[0])])

@@ -266,7 +266,7 @@ def test_an_unknown_object_is_refused_with_the_names_there_are(slipmap, tmp_path
         ("camera: {height: high}", ["camera.height", "a number", "'high'"]),
         ("camera: {height: 50.0}", ["camera.height", "3.9", "50"]),
         ("object: {name: anvil}", ["'anvil'", "hammer"]),
-        ("object: {mesh: nowhere.obj, mass: 1.0, mu: 0.3}", ["nowhere.obj"]),
+        ("object: {mesh: nowhere.obj, mass: 1.0, mu: 0.3}", ["cell.yaml", "nowhere.obj"]),
         ("object: {labels: nowhere.png}", ["nowhere.png"]),
         ("object: {mass: -1.0, mu: 0.3, mesh: nowhere.obj}", ["object.mass", "positive"]),
         ("table: {friction: 0.05}", ["friction"]),

@@ -185,6 +185,8 @@ def test_a_value_of_another_type_is_told_by_its_full_name(read, text, where, kin
         ("object: {mesh: a.obj, mass: -1.0, mu: 0.3}", ["object.mass", "positive", "-1.0"]),
         ("object: {mass: 3.0}", ["object.mass", "hammer has its own"]),
         ("object: {masses: {head: 1.0}}", ["object", "masses", "'head'"]),
+        ("object: {frictions: {'²': 1.0}}", ["object", "frictions", "'²'"]),
+        ("object: {masses: {'1234567890': 1.0}}", ["object", "masses", "'1234567890'"]),
         ("table: {shape: oval}", ["table.shape", "round", "rectangle", "'oval'"]),
         ("table: {size: [1.0]}", ["table", "size", "[1.0]"]),
         ("table: {radius: .inf}", ["table", "radius", "inf"]),

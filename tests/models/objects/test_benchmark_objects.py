@@ -132,6 +132,16 @@ def test_mesh_that_cannot_be_used_names_its_file(tmp_path: Path) -> None:
         object_from_mesh(tmp_path / "absent.stl", 0.0, 0.3)
 
 
+def test_a_mesh_without_height_names_its_file(tmp_path: Path) -> None:
+    corners = [[0, 0, 0], [0.1, 0, 0], [0.1, 0.1, 0], [0, 0.1, 0]]
+    trimesh.Trimesh(corners, [[0, 1, 2], [0, 2, 3]]).export(tmp_path / "flat.stl")
+    with pytest.raises(ValueError, match=r"mesh .*flat\.stl: it is flat over 49 of 49 cells"):
+        object_from_mesh(tmp_path / "flat.stl", 1.0, 0.3, count=49)
+    trimesh.creation.box((100.0, 50.0, 30.0)).export(tmp_path / "box.stl")
+    with pytest.raises(ValueError, match=r"mesh .*box\.stl: .* metres_per_unit=0\.001"):
+        object_from_mesh(tmp_path / "box.stl", 1.0, 0.3)
+
+
 def test_object_from_a_picture(tmp_path: Path) -> None:
     path = tmp_path / "two.png"
     labels = np.zeros((60, 120), np.uint8)

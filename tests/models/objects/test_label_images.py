@@ -208,6 +208,12 @@ def test_ring_that_is_closed_by_a_corner():
         (np.ones((4, 4)), SCALE, "whole numbers, got float64"),
         (np.ones((4, 4), dtype=int), 0.0, "metres_per_pixel must be a positive length, got 0.0"),
         (np.ones((4, 4), dtype=int), np.nan, "metres_per_pixel"),
+        (
+            np.ones((4, 4), dtype=int),
+            1e-9,
+            "metres_per_pixel = 1e-09 the object measures 3e-09 m; .* 0.001 and 5",
+        ),
+        (np.ones((4, 4), dtype=int), 1e300, "metres_per_pixel = 1e.300 the object measures 3e.300 m"),
         (np.ones((0, 4), dtype=int), SCALE, "no object|empty"),
     ],
 )

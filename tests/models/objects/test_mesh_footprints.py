@@ -1,5 +1,6 @@
 """Silhouettes of meshes cut into cells."""
 
+import sys
 import time
 
 import numpy as np
@@ -152,6 +153,11 @@ def test_large_mesh_is_quick():
         (trimesh.Trimesh(), {}, "has no triangles"),
         (box(0.1, 0.1, 0.1), {"up": (0, 0, 0)}, "up must be a direction"),
         (box(0.1, 0.1, 0.1), {"up": (0, 1)}, "up must be a direction"),
+        (
+            box(0.1, 0.1, 0.1),
+            {"metres_per_unit": 1e-9},
+            r"footprint measures 1e-10 m, less than 0\.001 m; metres_per_unit",
+        ),
         (box(0.1, 0.1, 0.1), {"metres_per_unit": 0}, "metres_per_unit must be a positive length, got 0"),
         (
             trimesh.util.concatenate([box(0.1, 0.1, 0.1), box(0.1, 0.1, 0.1, at=(0.3, 0, 0))]),
@@ -179,3 +185,24 @@ def test_wrong_files_are_refused(tmp_path):
         path.write_text(content)
         with pytest.raises(ValueError, match=name):
             cells_from_mesh(path, count=4)
+
+
+def test_a_damaged_mesh_is_told_as_such(tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "charset_normalizer", None)  # as where it is not installed
+    box(0.1, 0.1, 0.1).export(tmp_path / "box.stl")
+    cut = tmp_path / "cut.stl"
+    cut.write_bytes((tmp_path / "box.stl").read_bytes()[:200] + b"\xff")
+    with pytest.raises(ValueError, match=r"cut\.stl: cannot be read as a mesh: it is damaged or cut short"):
+        cells_from_mesh(cut, count=4)
+
+
+def test_a_format_that_needs_another_library_is_told(tmp_path, monkeypatch):
+    path = tmp_path / "shoe.dae"
+    path.write_text("<COLLADA/>")
+
+    def reader_without_its_library(name: str) -> None:
+        raise ImportError("missing `pip install pycollada`")
+
+    monkeypatch.setattr(trimesh, "load_mesh", reader_without_its_library)
+    with pytest.raises(ValueError, match=r"shoe\.dae: .* that end in \.dae need a further library; .*\.stl"):
+        cells_from_mesh(path, count=4)
