@@ -27,6 +27,7 @@ from diagrams.commands.doctor import doctor
 from diagrams.commands.effects import effects
 from diagrams.commands.explore import explore
 from diagrams.commands.explore_study import explore_study
+from diagrams.commands.file_roles import keep_files_apart
 from diagrams.commands.fit import fit
 from diagrams.commands.identify import identify
 from diagrams.commands.predict import predict
@@ -102,6 +103,7 @@ for _command in (
     bench,
     completion,
 ):
+    keep_files_apart(_command)
     slipmap.add_command(_command)
 
 

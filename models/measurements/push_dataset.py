@@ -15,6 +15,7 @@ from models.physics.cell_grid import CellGrid, FloatArray
 
 Role = Literal["fit", "heldout"]
 FAR_AWAY = 1.0  # m
+LEAST_NOISE = {"position": 1e-6, "angle": 1e-5, "tip": 1e-6, "force": 1e-4}  # m, rad, m, N
 
 
 class DatasetError(ValueError):
@@ -128,12 +129,21 @@ class Trial:
 
 @dataclass(frozen=True)
 class Noise:
-    """One standard deviation of each channel's rows, where known: m, rad, m, N."""
+    """One standard deviation of each channel's rows, where known: m, rad, m, N.
+
+    A smaller one than `LEAST_NOISE`, as none in a simulation, counts as that: no model is as exact.
+    """
 
     position: float | None = None
     angle: float | None = None
     tip: float | None = None
     force: float | None = None
+
+    def __post_init__(self) -> None:
+        for name, least in LEAST_NOISE.items():
+            value = getattr(self, name)
+            if value is not None:
+                object.__setattr__(self, name, max(value, least))
 
 
 @dataclass(frozen=True)

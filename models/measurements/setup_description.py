@@ -19,11 +19,10 @@ STANDARD_GRAVITY = 9.81  # m/s²
 SMALLEST_EXTENT = 1e-3  # m
 LARGEST_EXTENT = 5.0  # m; no object on a table is larger, so the numbers are mm
 LARGEST_FINGER = 0.5  # m
-NOISE_LEVELS = {"position": (1e-6, 0.1), "angle": (1e-5, 1.0), "tip": (1e-6, 0.1), "force": (1e-4, 1e3)}
-"""Least and largest standard deviations, m, rad, m, N; smaller ones, as in simulation, count as the least."""
+LARGEST_NOISE = {"position": 0.1, "angle": 1.0, "tip": 0.1, "force": 1e3}  # m, rad, m, N
 MASSES = (1e-6, 1e6)  # kg
 GRAVITIES = (1e-3, 1e3)  # m/s²
-MASS_PER_AREA = (0.1, 1e4)  # kg/m²; of stiff paper, and of a metre of steel
+MASS_PER_AREA = (0.1, 2e4)  # kg/m²; of stiff paper, and of two metres of steel
 NEAR_GRAVITY = (1.0, 30.0)  # m/s²; from the moon to a heavy planet
 
 
@@ -212,8 +211,8 @@ def _noise(value: object, where: str, warnings: list[str]) -> Noise:
     warnings += fields.unknown_keys(noise, known, where)
     levels = {key: fields.number(noise[key], f"{where}.{key}") for key in known if noise.get(key) is not None}
     for key, level in levels.items():
-        if not 0 <= level <= NOISE_LEVELS[key][1]:
+        if not 0 <= level <= LARGEST_NOISE[key]:
             raise DatasetError(
-                f"{where}.{key}: a standard deviation lies in 0 to {NOISE_LEVELS[key][1]:g}, got {level}"
+                f"{where}.{key}: a standard deviation lies in 0 to {LARGEST_NOISE[key]:g}, got {level}"
             )
-    return Noise(**{key: max(level, NOISE_LEVELS[key][0]) for key, level in levels.items()})
+    return Noise(**levels)

@@ -52,13 +52,14 @@ def channels(draw, values, columns, at_least):
 
 @st.composite
 def trials(draw, index):
-    """All channels begin at a time of the trial's own, for two trials must not be equal."""
+    """Each with a place of the finger of its own, for two trials must not be equal."""
     pose = draw(channels([coordinate, coordinate, st.floats(-3.0, 3.0)], 3, 2))
     tip = draw(channels([st.floats(0.4, 0.6), coordinate], 2, 1))
     force = st.floats(-50.0, 50.0)
     wrench = draw(st.none() | channels([force, force, force], 3, 1))
     start = draw(st.floats(0.0, 0.9)) + index
     pose, tip = (Channel(start + c.time - c.time[0], c.values) for c in (pose, tip))
+    tip.values[:, 0] += 1e-3 * index
     if wrench is not None:
         wrench = Channel(start + wrench.time - wrench.time[0], wrench.values)
     pose.values[:, 2] = np.cumsum(pose.values[:, 2])  # steps below half a turn: unwrapped
