@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from matplotlib.figure import Figure
 
-from diagrams.figures.style import BELIEF, FAINT, INK, OTHER, styled
+from diagrams.figures.style import BELIEF, FAINT, INK, OTHER, PlainNumbers, styled
 from diagrams.wording import short_name
 from models.inference.comparison import Comparison
 
@@ -66,6 +66,7 @@ def error_figure(comparisons: Sequence[Comparison]) -> Figure:
             )  # fmt: skip
     axes.set_yscale("log")
     axes.yaxis.set_major_formatter("{x:g}")
+    axes.yaxis.set_minor_formatter(PlainNumbers())
     axes.set(xlim=(-0.6, len(pushes) - 0.4), ylabel="ADD at the end, mm")
     axes.set_xticks(x if len(x) <= MOST_NAMES else [])
     if len(x) <= MOST_NAMES:

@@ -186,6 +186,6 @@ def _forces(axes: Axes, push: Push, plain: Rollouts, out: Rollouts) -> None:
 def _formulas(figure: Figure, text: Written, top: float, height: float) -> None:
     for place, formula in enumerate(text.formulas):
         at = top - 0.42 * place / height
-        figure.text(0.03, at, f"${formula.latex}$", va="center", fontsize=11)
+        figure.text(0.03, at, f"${formula.latex}$", va="center", fontsize=11, parse_math=True)
         if formula.meaning:
             figure.text(0.98, at, formula.meaning, va="center", ha="right", fontsize=8.5, color=FAINT)

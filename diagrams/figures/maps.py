@@ -14,7 +14,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import PathPatch
 
 from diagrams.figures.outlines import draw_cells, outline_path, scale_bar
-from diagrams.figures.style import BELIEF, INK, MAP_COLORS, PAPER, styled
+from diagrams.figures.style import BELIEF, INK, MAP_COLORS, PAPER, PlainNumbers, styled
 from models.inference.belief import Belief
 from models.physics.cell_grid import FloatArray
 from models.physics.rollout import Maps
@@ -185,6 +185,8 @@ def _colour_bar(figure: Figure, place: tuple[float, float, float, float], row: _
     norm = row.norm
     beyond = "max" if row.values.max() > 1.02 * float(norm.vmax or 0.0) else "neither"
     bar = figure.colorbar(ScalarMappable(norm, row.colours), cax=figure.add_axes(place), extend=beyond)
+    if isinstance(norm, LogNorm):
+        bar.formatter, bar.minorformatter = PlainNumbers(), PlainNumbers()
     bar.set_label(row.unit)
     bar.outline.set_linewidth(0.5)
 

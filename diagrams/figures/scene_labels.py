@@ -78,8 +78,7 @@ def _paper(size: FloatArray, inches: float) -> Figure:
 
 
 def _write(figure: Figure, at: tuple[float, float], text: str, points: float, **how: Any) -> None:
-    # A dollar sign in a name is no formula.
-    figure.text(*at, text, fontsize=points, color=INK, va="center", parse_math=False, **how)
+    figure.text(*at, text, fontsize=points, color=INK, va="center", **how)
 
 
 def _png(figure: Figure) -> bytes:

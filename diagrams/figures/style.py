@@ -10,6 +10,7 @@ from typing import ParamSpec, TypeVar
 
 import matplotlib
 from matplotlib.figure import Figure
+from matplotlib.ticker import LogFormatter
 
 INK = "#222222"
 FAINT = "#9a9a9a"
@@ -47,7 +48,18 @@ STYLE = {
     "savefig.facecolor": "white",
     "svg.fonttype": "none",
     "svg.hashsalt": "slipmap",
+    # A dollar sign in the name of a dataset, trial or effect is no formula.
+    "text.parse_math": False,
 }
+
+
+class PlainNumbers(LogFormatter):
+    """Labels of a logarithmic axis without formulas, at the ticks where matplotlib has room for them."""
+
+    def __call__(self, x: float, pos: int | None = None) -> str:
+        """Label of the tick at `x`, empty where there is none."""
+        return f"{x:g}" if super().__call__(x, pos) else ""
+
 
 Arguments = ParamSpec("Arguments")
 Drawn = TypeVar("Drawn")

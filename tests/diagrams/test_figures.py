@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import re
+from dataclasses import replace
+from html import unescape
 from types import SimpleNamespace
 
 import matplotlib
@@ -9,15 +12,20 @@ import numpy as np
 import pytest
 from matplotlib.collections import PolyCollection
 from matplotlib.colors import LogNorm
+from matplotlib.figure import Figure
 
-from diagrams.figures import calibration_figure, maps_figure, push_figures, save
+from diagrams.figures import calibration_figure, effect_figure, maps_figure, push_figures, save
 from diagrams.figures.calibration import inside_share
+from diagrams.figures.campaigns import curves_figure
 from diagrams.figures.maps import centers_of_friction, centers_of_mass
 from diagrams.figures.outlines import outline_path, placed, round_length
+from diagrams.figures.style import PlainNumbers
+from models.effects import LIBRARY
 from models.inference.results import PushPrediction
 from models.measurements.simulated import record_pushes
 from models.physics.cell_grid import CellGrid
 from models.physics.rollout import Maps
+from planners.campaigns.tables import Estimate
 from planners.exploration import candidate_pushes
 
 
@@ -65,8 +73,6 @@ def test_each_row_has_one_scale_and_titles_give_probabilities(belief):
 
 
 def test_scales_are_logarithmic_where_totals_differ_widely(belief):
-    from dataclasses import replace
-
     wide = Maps(
         belief.maps.mass * np.array([[1.0], [10.0], [100.0], [1.0]]), belief.maps.mu, belief.maps.mu_finger
     )
@@ -184,3 +190,56 @@ def test_figures_are_saved_and_leave_the_users_style_alone(belief, tmp_path, end
         assert matplotlib.rcParams["font.size"] == 33.0 and matplotlib.rcParams["axes.spines.top"]
     start = (tmp_path / f"maps.{ending}").read_bytes()[:200]
     assert {"png": b"PNG", "pdf": b"%PDF", "svg": b"<?xml"}[ending] in start
+
+
+COSTLY = "cost $5^{$ each"
+"""A name that is no formula: matplotlib's parser of formulas refuses it."""
+
+
+def words(figure, path):
+    """What is written in a figure."""
+    save(figure, path)
+    return [unescape(text) for text in re.findall(r"<text[^>]*>([^<]*)</text>", path.read_text("utf-8"))]
+
+
+def test_names_are_shown_as_they_are(belief, tmp_path):
+    predictions, dataset = pushes_of(belief, 2)
+    trials = (replace(dataset.trials[0], name=COSTLY), dataset.trials[1])
+    dataset = replace(dataset, name=COSTLY, trials=trials)
+    predictions[0] = replace(predictions[0], trial=COSTLY)
+    (figure,) = push_figures(predictions, dataset)
+    written = words(figure, tmp_path / "pushes.svg")
+    assert f"{COSTLY}: pushes as measured and as predicted" in written
+    assert f"{COSTLY}, fit" in written
+    written = words(maps_figure(replace(belief, dataset=COSTLY)), tmp_path / "maps.svg")
+    assert any(text.startswith(f"{COSTLY}: what 4 hypotheses say") for text in written)
+    figure = curves_figure(COSTLY, {COSTLY: {COSTLY: [Estimate(0.01, 0.009, 0.011, 3)]}})
+    assert words(figure, tmp_path / "curves.svg").count(COSTLY) == 3
+
+
+def test_formulas_of_an_effect_are_set_as_formulas(tmp_path):
+    tilt = next(effect for effect in LIBRARY if effect.name == "table_tilt")
+    written = "".join(words(effect_figure(tilt), tmp_path / "tilt.svg"))
+    assert "$" not in written and "mathrm" not in written
+
+
+@pytest.mark.parametrize(("low", "high", "some"), [(2.0, 7.0, "3"), (0.01, 100.0, "0.1")])
+def test_logarithmic_axes_have_plain_numbers(tmp_path, low, high, some):
+    figure = Figure()
+    axes = figure.add_subplot()
+    axes.plot([low, high], [low, high])
+    axes.set_yscale("log")
+    axes.yaxis.set_major_formatter(PlainNumbers())
+    axes.yaxis.set_minor_formatter(PlainNumbers())
+    axes.set_xticks([])
+    written = words(figure, tmp_path / "axes.svg")
+    assert some in written
+    assert all(re.fullmatch(r"[0-9.]+", text) for text in written)
+
+
+def test_logarithmic_scales_have_plain_numbers(belief, tmp_path):
+    wide = Maps(
+        belief.maps.mass * np.array([[1.0], [10.0], [100.0], [1.0]]), belief.maps.mu, belief.maps.mu_finger
+    )
+    written = words(maps_figure(replace(belief, maps=wide)), tmp_path / "maps.svg")
+    assert {"0.01", "0.1", "1"} <= set(written) and not any("math" in text or "$" in text for text in written)
