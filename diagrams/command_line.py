@@ -7,6 +7,7 @@ by a signal to end.
 from __future__ import annotations
 
 import difflib
+import errno
 import os
 import signal
 import sys
@@ -125,6 +126,11 @@ def run(arguments: Sequence[str]) -> int:
         # Whoever read the output has closed it; what is left must not fail once more at exit.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return INTERNAL_FAILURE
+    except OSError as error:
+        # Wherever a path is first looked at, of what is read as of what is written.
+        if error.errno != errno.ENAMETOOLONG:
+            return _internal(error)
+        return _told(f"the name {error.filename} is too long for this disk; choose a shorter one", WRONG_USE)
     except Exception as error:
         return _told(_one_paragraph(error), WRONG_USE) if _is_bad_input(error) else _internal(error)
 

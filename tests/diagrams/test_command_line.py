@@ -149,6 +149,14 @@ def test_an_internal_failure_is_told_as_such(slipmap, tilted_folder, tmp_path, m
     assert files_in(tmp_path) == []
 
 
+@pytest.mark.parametrize("arguments", [("--json",), ("--effect-file",), ("tether", "--picture")])
+def test_a_name_that_is_too_long_is_no_internal_failure(slipmap, tmp_path, arguments):
+    name = 300 * "n" + {"--json": ".json", "--effect-file": ".py"}.get(arguments[-1], ".png")
+    assert_refused(slipmap("effects", *arguments, tmp_path / name), name, "is too long")
+    assert_refused(slipmap("demo", "-o", tmp_path / name), name, "is too long")
+    assert files_in(tmp_path) == []
+
+
 def test_ctrl_c_leaves_nothing_behind(slipmap, tilted_folder, tmp_path, monkeypatch):
     fail_with(monkeypatch, KeyboardInterrupt())
     said = slipmap("identify", tilted_folder, "-o", tmp_path / "b.npz", "--json", tmp_path / "b.json")
