@@ -60,5 +60,5 @@ $(STAMP): pyproject.toml
 	@touch $(STAMP)
 
 clean: ## Remove the demo's results, caches and build products; the environment stays
-	rm -rf demo notebooks/results build dist slipmap.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis
+	rm -rf demo simulated-demo notebooks/results build dist slipmap.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis
 	find . -path ./$(VENV) -prune -o -name __pycache__ -type d -exec rm -rf {} +

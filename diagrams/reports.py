@@ -7,14 +7,22 @@ from collections.abc import Sequence
 import numpy as np
 
 from diagrams.comparison_words import QUANTITIES, millimetres, p_text, size_text
-from diagrams.console import table
+from diagrams.console import paragraph, table
 from diagrams.wording import ROLES, short_name
 from models.inference.comparison import Comparison
+from models.inference.noise_floor import noise_floor
 from models.inference.push_errors import Errors
 from models.inference.results import PushPrediction, Quantity
+from models.measurements import PushDataset
 
 SENSITIVE = 10.0
 """Metres that the end moves for a metre at the start, from which a push is called near to balance."""
+
+FEWEST_JUDGES = 3
+"""Held-out pushes below which nothing is said of them together."""
+
+MUCH_FARTHER = 3.0
+HARDLY_BETTER = 0.8
 
 MOST_ROWS = 30
 FEW_PATTERNS = 5
@@ -22,8 +30,8 @@ MEASURES = ("final_add", "uniform_add", "no_motion_add")
 SHOWN_UNITS = {"m": ("mm", 1e3), "-": ("", 1.0)}
 
 
-def show_errors(pushes: Sequence[PushPrediction]) -> None:
-    """How far off predicted ends are: by role, against two baselines, and push by push."""
+def show_errors(pushes: Sequence[PushPrediction], dataset: PushDataset) -> None:
+    """How far off predicted ends are: by role, against two baselines, push by push, and what that means."""
     rows = []
     for role, name in ROLES.items():
         group = [push for push in pushes if push.role == role]
@@ -38,6 +46,34 @@ def show_errors(pushes: Sequence[PushPrediction]) -> None:
         numbers=(2, 3, 4),
     )
     _show_pushes(pushes)
+    for doubt in doubts(pushes, dataset):
+        paragraph(doubt)
+
+
+def doubts(pushes: Sequence[PushPrediction], dataset: PushDataset) -> list[str]:
+    """What held-out pushes say against a belief: errors far beyond its own spread and the sensors' noise, or
+    no smaller than those of a uniform object."""
+    held = [push for push in pushes if push.role == "heldout"]
+    if len(held) < FEWEST_JUDGES:
+        return []
+    floor = noise_floor([], dataset.noise, dataset.grid, np.random.default_rng(0))
+    expected = [np.hypot(push.spread, floor.add if floor else 0.0) for push in held]
+    errors = np.array([push.final_add for push in held])
+    excess = float(np.median(errors / np.maximum(expected, 1e-6)))
+    found = []
+    if excess > MUCH_FARTHER:
+        found.append(
+            f"Held-out pushes end {excess:.1f} times as far off (median) as the hypotheses differ and sensors"
+            " err. The intervals assume that the model is right and do not cover that; `slipmap diagnose` asks"
+            " what it misses."
+        )
+    uniform = float(np.mean([push.uniform_add for push in held]))
+    if errors.mean() > HARDLY_BETTER * uniform:
+        found.append(
+            f"An object that is alike all over predicts them about as well ({1e3 * uniform:.1f} mm, the"
+            f" belief {1e3 * errors.mean():.1f} mm): little of the maps has been put to the proof."
+        )
+    return found
 
 
 def _show_pushes(pushes: Sequence[PushPrediction]) -> None:

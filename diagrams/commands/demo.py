@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 @click.command()
 @click.option(
-    "-o", "--output", "folder", type=click.Path(path_type=Path), default="demo", show_default=True,
+    "-o", "--output", "folder", type=click.Path(path_type=Path), default="simulated-demo", show_default=True,
     metavar="DIR", help="Folder for everything that the demo makes.",
 )  # fmt: skip
 @options.seed_option

@@ -104,7 +104,7 @@ def show(result: Identification, dataset: PushDataset) -> None:
         f" {len(dataset.heldout_trials)} held out\n"
         f"{len(result.belief)} hypotheses in {result.seconds:.0f} s\n"
     )
-    show_errors(result.pushes)
+    show_errors(result.pushes, dataset)
     show_quantities(result.quantities)
 
 

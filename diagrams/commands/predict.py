@@ -62,7 +62,7 @@ def predict(
     from diagrams.reports import show_errors
 
     click.echo(f"{measured.name}, {len(pushes)} pushes; belief learnt from {belief.dataset}\n")
-    show_errors(pushes)
+    show_errors(pushes, measured)
     for path in drawn:
         note(f"picture: {path}")
 

@@ -12,8 +12,10 @@ from scipy.stats import binomtest
 from diagrams import console
 from diagrams.console import BadInput, Progress
 from diagrams.outputs import whole_file, write_json
-from diagrams.reports import named, remark, show_errors, shown
+from diagrams.reports import doubts, named, remark, show_errors, shown
 from models.inference.results import PushPrediction, Quantity
+from models.measurements import Noise
+from models.objects import cells_from_polygon
 
 
 def prediction(trial="trials/000.json", role="fit", **numbers):
@@ -26,6 +28,12 @@ def prediction(trial="trials/000.json", role="fit", **numbers):
         "start_sensitivity": 1.0,
     }
     return PushPrediction(trial, role, np.array([0.1, 0.2]), poses, poses[None], poses, **values | numbers)
+
+
+def recorded_by(noise):
+    """A dataset of a square, as far as its sensors go."""
+    square = cells_from_polygon([[0, 0], [0.1, 0], [0.1, 0.1], [0, 0.1]], count=9)
+    return SimpleNamespace(noise=noise, grid=square)
 
 
 def test_json_knows_numpy_and_has_no_nan(tmp_path):
@@ -95,15 +103,43 @@ def test_error_table_averages_by_role_against_both_baselines(capsys):
         prediction("trials/001.json", "fit", final_add=0.003, uniform_add=0.04, no_motion_add=0.09),
         prediction("trials/002.json", "heldout", final_add=0.0071, start_sensitivity=30.0),
     ]
-    show_errors(pushes)
+    show_errors(pushes, recorded_by(Noise()))
     lines = [line.split() for line in capsys.readouterr().out.splitlines()]
     assert ["2", "fit", "mean", "2.0", "30.0", "60.0"] in lines
     assert ["1", "held", "out", "median", "7.1", "50.0", "100.0"] in lines
     assert ["000", "fit", "1.0", "2.0", "20.0", "30.0"] in lines
 
 
+@pytest.mark.parametrize(
+    ("error", "noise", "said"),
+    [
+        (0.005, Noise(), False),
+        (0.007, Noise(), True),
+        (0.007, Noise(position=2e-3, angle=0.0), False),
+        (0.013, Noise(position=2e-3, angle=0.0), True),
+    ],
+)
+def test_errors_beyond_spread_and_noise_are_told(error, noise, said):
+    """2 mm of spread, and where the sensors err by 2 mm each way, 2.5 mm (Rayleigh's mean) of noise."""
+    held = [prediction(role="heldout", final_add=error) for _ in range(3)]
+    found = doubts(held, recorded_by(noise))
+    assert len(found) == said
+    if said:
+        assert "slipmap diagnose" in found[0]
+    assert doubts(held[:2], recorded_by(noise)) == []
+
+
+def test_a_belief_no_better_than_a_uniform_object_is_told():
+    held = [prediction(role="heldout", final_add=0.004, uniform_add=0.0045) for _ in range(3)]
+    (said,) = doubts(held, recorded_by(Noise()))
+    assert "4.5 mm, the belief 4.0 mm" in said
+    better = [prediction(role="heldout", final_add=0.004, uniform_add=0.0055) for _ in range(3)]
+    assert doubts(better, recorded_by(Noise())) == []
+
+
 def test_many_pushes_are_cut_to_the_worst(capsys):
-    show_errors([prediction(f"trials/{k:03d}.json", final_add=1e-3 * (k % 50)) for k in range(50)])
+    pushes = [prediction(f"trials/{k:03d}.json", final_add=1e-3 * (k % 50)) for k in range(50)]
+    show_errors(pushes, recorded_by(Noise()))
     out = capsys.readouterr().out
     assert "30 worst pushes of 50" in out
     rows = [line.split()[0] for line in out.splitlines() if " fit " in line and line[:3].isdigit()]
