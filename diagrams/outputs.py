@@ -18,6 +18,10 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
+SHARED_NAME = 40
+"""Characters that the temporary name of a file has from its own, which may be as long as a name can be."""
+
+
 def check_file(path: Path, endings: Sequence[str] = ()) -> None:
     """Refuse, before any work is done, an output that could not be written after it.
 
@@ -71,7 +75,7 @@ def whole_file(path: Path) -> Iterator[Path]:
         BadInput: the place cannot be written to.
     """
     file = Path(os.path.realpath(path))
-    part = file.with_name(f".{os.getpid()}.{file.name}")
+    part = file.with_name(f".{os.getpid()}.{file.name[-SHARED_NAME:]}")
     try:
         with writing(path):
             yield part

@@ -63,9 +63,9 @@ def doubts(pushes: Sequence[PushPrediction], dataset: PushDataset) -> list[str]:
     found = []
     if excess > MUCH_FARTHER:
         found.append(
-            f"Held-out pushes end {excess:.1f} times as far off (median) as the hypotheses differ and sensors"
-            " err. The intervals assume that the model is right and do not cover that; `slipmap diagnose` asks"
-            " what it misses."
+            f"Held-out pushes end {excess:.1f} times as far off (median) as hypotheses differ and sensors"
+            " err. The intervals assume that the model is right and do not cover that; `slipmap diagnose`"
+            " asks what it misses."
         )
     uniform = float(np.mean([push.uniform_add for push in held]))
     if errors.mean() > HARDLY_BETTER * uniform:

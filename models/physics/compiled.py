@@ -17,7 +17,8 @@ from numba import njit
 
 
 def _source_hash() -> str:
-    digest = hashlib.sha256(numba.__version__.encode())
+    # Numba keeps kernels by where their source lies: another checkout cannot use them.
+    digest = hashlib.sha256(f"{numba.__version__} {Path(__file__).parent.resolve()}".encode())
     for path in sorted(Path(__file__).parent.glob("*.py")):
         digest.update(path.name.encode() + path.read_bytes())
     return digest.hexdigest()[:16]

@@ -50,6 +50,12 @@ def test_json_knows_numpy_and_has_no_nan(tmp_path):
     assert text.startswith('{\n  "a"') and text.endswith("}\n")
 
 
+def test_the_longest_name_that_a_disk_takes_can_be_written(tmp_path):
+    name = "a" * 250 + ".json"
+    write_json(tmp_path / name, {})
+    assert [path.name for path in tmp_path.iterdir()] == [name]
+
+
 def test_a_failure_while_writing_leaves_the_old_file(tmp_path):
     target = tmp_path / "x.json"
     target.write_text("old")
