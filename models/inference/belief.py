@@ -187,7 +187,7 @@ class Belief:
             "effects": [effect.name for effect in self.effects],
             "checksum": _checksum(arrays),
         }
-        part = path.with_name(f".{path.name}.{os.getpid()}.part")
+        part = path.with_name(f".{path.name[-40:]}.{os.getpid()}.part")
         try:
             try:
                 with part.open("wb") as stream:
