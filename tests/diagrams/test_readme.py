@@ -33,6 +33,19 @@ def test_python_example_runs_on_what_the_demo_leaves(demo_folder, tmp_path):
     assert (tmp_path / "maps.png").stat().st_size > 10_000
 
 
+def test_the_slider_of_the_station_page_is_pushed(demo_folder, tmp_path):
+    code = re.findall(r"```python\n(.*?)```", (ROOT / "docs" / "station.md").read_text(), flags=re.S)[0]
+    (tmp_path / "demo").symlink_to(demo_folder / "demo")
+    result = subprocess.run(
+        [sys.executable, "-c", code], cwd=tmp_path, env={**os.environ, "PYTHONPATH": str(ROOT)},
+        capture_output=True, text=True,
+    )  # fmt: skip
+    assert result.returncode == 0, result.stderr
+    found = re.match(r"it came to x = (-?\d+) mm, y = -?\d+ mm, turned by (-?\d+)°", result.stdout)
+    # Pushed at the end of its handle, towards +x below its middle, the hammer turns counter-clockwise.
+    assert found is not None and int(found[2]) > 10, result.stdout
+
+
 @pytest.mark.parametrize("page", PAGES)
 def test_commands_and_options_exist(page):
     text = (ROOT / page).read_text()
