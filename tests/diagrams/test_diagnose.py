@@ -24,6 +24,7 @@ from models.inference.diagnosis.results import CandidateResult, ParameterEstimat
 from models.objects import cells_from_polygon
 
 ROOT = Path(__file__).resolve().parents[2]
+ENDINGS = {"predict": "out.png", "fit": "out.npz"}
 EFFECTS = effects_named(["table_tilt", "sensor_latency"])
 
 PUSH = {
@@ -267,7 +268,7 @@ def test_compare_with_an_effect_shows_before_and_after(slipmap, tilted_folder, t
 
 @pytest.mark.parametrize("command", ["fit", "compare"])
 def test_a_slip_of_the_pen_in_a_name(slipmap, tilted_folder, tmp_path, command):
-    output = tmp_path / "out.html"
+    output = tmp_path / ENDINGS.get(command, "out.html")
     said = slipmap(command, tilted_folder, "--effect", "table_titl", "-o", output)
     assert said.code == 2 and "did you mean table_tilt?" in said.err
     assert len(said.err.strip().splitlines()) == 1 and not output.exists()
@@ -285,7 +286,7 @@ def test_a_slip_of_the_pen_in_a_name(slipmap, tilted_folder, tmp_path, command):
 def test_a_faulty_effect_file_is_refused_before_any_work(
     slipmap, tilted_folder, tmp_path, command, text, problem
 ):
-    file, output = tmp_path / "own.py", tmp_path / ("out.png" if command == "predict" else "out.html")
+    file, output = tmp_path / "own.py", tmp_path / ENDINGS.get(command, "out.html")
     file.write_text(text)
     more = {"fit": ["--effect", "fan"], "predict": ["--belief", tmp_path / "b.npz"]}.get(command, [])
     said = slipmap(command, tilted_folder, "--effect-file", file, "-o", output, *more)
