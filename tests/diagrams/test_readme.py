@@ -20,30 +20,30 @@ PAGES = ("README.md", "docs/file-formats.md", "docs/diagnose.md")
 LINKED = (*PAGES, "docs/compare.md", "docs/effects.md", "docs/contributing.md", "docs/changelog.md")
 
 
-def test_python_example_runs_on_what_the_demo_leaves(demo_folder, tmp_path):
-    (code,) = re.findall(r"```python\n(.*?)```", (ROOT / "README.md").read_text(), flags=re.S)
-    (tmp_path / "demo").symlink_to(demo_folder / "demo")
+def what_an_example_says(page, demo_folder, folder):
+    """Output of a page's only example in Python, beside what the demo left."""
+    (code,) = re.findall(r"```python\n(.*?)```", (ROOT / page).read_text(), flags=re.S)
+    (folder / "demo").symlink_to(demo_folder / "demo")
     result = subprocess.run(
-        [sys.executable, "-c", code], cwd=tmp_path, env={**os.environ, "PYTHONPATH": str(ROOT)},
+        [sys.executable, "-c", code], cwd=folder, env={**os.environ, "PYTHONPATH": str(ROOT)},
         capture_output=True, text=True,
     )  # fmt: skip
     assert result.returncode == 0, result.stderr
-    assert re.match(r"pushes that were held out end \d+\.\d mm", result.stdout)
-    assert "finger friction" in result.stdout
+    return result.stdout
+
+
+def test_python_example_runs_on_what_the_demo_leaves(demo_folder, tmp_path):
+    said = what_an_example_says("README.md", demo_folder, tmp_path)
+    assert re.match(r"pushes that were held out end \d+\.\d mm", said)
+    assert "finger friction" in said
     assert (tmp_path / "maps.png").stat().st_size > 10_000
 
 
 def test_the_slider_of_the_station_page_is_pushed(demo_folder, tmp_path):
-    code = re.findall(r"```python\n(.*?)```", (ROOT / "docs" / "station.md").read_text(), flags=re.S)[0]
-    (tmp_path / "demo").symlink_to(demo_folder / "demo")
-    result = subprocess.run(
-        [sys.executable, "-c", code], cwd=tmp_path, env={**os.environ, "PYTHONPATH": str(ROOT)},
-        capture_output=True, text=True,
-    )  # fmt: skip
-    assert result.returncode == 0, result.stderr
-    found = re.match(r"it came to x = (-?\d+) mm, y = -?\d+ mm, turned by (-?\d+)°", result.stdout)
+    said = what_an_example_says("docs/station.md", demo_folder, tmp_path)
+    found = re.match(r"it came to x = (-?\d+) mm, y = -?\d+ mm, turned by (-?\d+)°", said)
     # Pushed at the end of its handle, towards +x below its middle, the hammer turns counter-clockwise.
-    assert found is not None and int(found[2]) > 10, result.stdout
+    assert found is not None and int(found[2]) > 10, said
 
 
 @pytest.mark.parametrize("page", PAGES)
