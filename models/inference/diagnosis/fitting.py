@@ -118,11 +118,10 @@ class Fitter:
         """
         prior = self.prior(())
         starts = np.array([prior.start(friction) for friction in FINGER_STARTS])
-        first = fit(self._forgiving(prior), starts)
-        best = int(np.argmin(first.cost))
-        self.forgiving_start = first.z[best], first.offsets[best]
+        first = fit(self._forgiving(prior), starts).best()
+        self.forgiving_start = first.z[0], first.offsets[0]
         likelihood = CorrelatedLikelihood(prior, self.observations, ErrorModel(self.noise, *FIRST_ERRORS))
-        fitted = Fitted((), likelihood, first.z[best], np.zeros(prior.size), first.offsets[best], np.inf)
+        fitted = Fitted((), likelihood, first.z[0], np.zeros(prior.size), first.offsets[0], np.inf)
         for _ in range(2):
             fitted = self.base(estimate_errors(fitted, self.noise), fitted)
         self.weight = self._weight_of(fitted)
