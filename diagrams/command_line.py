@@ -12,6 +12,7 @@ import os
 import signal
 import sys
 import traceback
+from collections import Counter
 from collections.abc import Sequence
 
 import click
@@ -56,7 +57,19 @@ class _Commands(click.Group):
             near = difflib.get_close_matches(name, self.commands, n=1)
             hint = f"did you mean `{near[0]}`?" if near else f"there are {', '.join(self.commands)}."
             ctx.fail(f"there is no command `{name}`; {hint}")
-        return super().resolve_command(ctx, args)
+        found, command, rest = super().resolve_command(ctx, args)
+        if command is not None and not ctx.resilient_parsing:
+            _refuse_repeats(click.Context(command, parent=ctx, info_name=found), rest)
+        return found, command, rest
+
+
+def _refuse_repeats(ctx: click.Context, args: Sequence[str]) -> None:
+    """Click would take the last of several values, and say nothing of the others."""
+    _, _, given = ctx.command.make_parser(ctx).parse_args(list(args))
+    for option, times in Counter(given).items():
+        single = isinstance(option, click.Option) and not (option.multiple or option.is_flag or option.count)
+        if single and times > 1:
+            ctx.fail(f"{'/'.join(option.opts)} is given {times} times and takes one value; which is meant?")
 
 
 @click.group(

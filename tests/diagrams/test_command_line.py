@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 from refusals import assert_refused, files_in
 
+from diagrams.__main__ import main
 from diagrams.command_line import slipmap as group
 
 COMMANDS = ("demo", "identify", "predict", "compare", "calibrate", "blind-test", "bench")
@@ -86,6 +87,8 @@ def test_an_unknown_command_lists_what_there_is(slipmap):
         (["demo", "--fit-pushes", "0"], "--fit-pushes"),
         (["calibrate", "--objects", "none"], "--objects"),
         (["bench", "--jsn", "x"], "--jsn"),
+        (["compare", "data", "--belief", "a.npz", "--belief=b.npz"], "--belief is given 2 times"),
+        (["demo", "-o", "a", "--output", "b", "-o", "a"], "-o/--output is given 3 times"),
     ],
 )
 def test_wrong_options_are_named_with_a_way_to_help(slipmap, tmp_path, monkeypatch, arguments, named):
@@ -163,6 +166,21 @@ def test_ctrl_c_leaves_nothing_behind(slipmap, tilted_folder, tmp_path, monkeypa
     assert said.code == 130
     assert said.err.splitlines()[-1].startswith("slipmap: stopped")
     assert files_in(tmp_path) == []
+
+
+def test_ctrl_c_while_the_commands_are_being_loaded(monkeypatch, capsys):
+    class Interrupted:
+        @staticmethod
+        def find_spec(name, path=None, target=None):
+            if name == "diagrams.command_line":
+                raise KeyboardInterrupt
+
+    monkeypatch.delitem(sys.modules, "diagrams.command_line")
+    monkeypatch.setattr(sys, "meta_path", [Interrupted, *sys.meta_path])
+    with pytest.raises(SystemExit) as ended:
+        main()
+    assert ended.value.code == 130
+    assert capsys.readouterr() == ("", "slipmap: stopped; nothing half-written is left behind\n")
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
