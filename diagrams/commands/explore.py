@@ -149,13 +149,11 @@ def scenario_of(path: Path | None, object_name: str | None) -> Scenario:
         BadInput: the file, or the object's name.
     """
     from diagrams.station.scenario import Scenario
-    from diagrams.station.scenario_file import ScenarioError, read_settings
+    from diagrams.station.scenario_file import ScenarioError, read_scenario
 
     try:
-        scenario = Scenario() if path is None else read_settings(path, Scenario)
-        if object_name is not None:
-            scenario.object.name = object_name
-            scenario.object.mesh = scenario.object.labels = None
+        scenario = Scenario() if path is None else read_scenario(path, object_name)
+        scenario.object.name = object_name or scenario.object.name
         scenario.object.make()
     except ScenarioError as error:
         raise BadInput(str(error)) from error

@@ -46,14 +46,13 @@ def scenario(pytestconfig: pytest.Config) -> Scenario:
     """What the cell is like: that of --cell-scenario, else a small one. A test module overrides this fixture
     to lay something else on the table."""
     from diagrams.hardware.testing.cell import small_scenario
-    from diagrams.station.scenario import Scenario
-    from diagrams.station.scenario_file import ScenarioError, read_settings
+    from diagrams.station.scenario_file import ScenarioError, read_scenario
 
     path = pytestconfig.getoption("--cell-scenario")
     if path is None:
         return small_scenario(_where(pytestconfig))
     try:
-        return read_settings(path, Scenario)
+        return read_scenario(path)
     except ScenarioError as error:
         raise pytest.UsageError(f"--cell-scenario: {error}") from error
 

@@ -5,11 +5,14 @@ import difflib
 import math
 import types
 import typing
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import yaml
 from pydrake.common.yaml import yaml_load_typed
+
+from diagrams.station.scenario import Scenario
 
 
 class ScenarioError(ValueError):
@@ -17,6 +20,38 @@ class ScenarioError(ValueError):
 
 
 T = typing.TypeVar("T")
+
+
+def read_scenario(path: str | Path, object_name: str | None = None) -> Scenario:
+    """Read the robot's cell from a YAML file.
+
+    A mesh or label image is looked for beside the file, then from the working folder.
+
+    Args:
+        path: of the file.
+        object_name: of the benchmark object that lies there instead of the file's.
+
+    Raises:
+        ScenarioError: see `read_settings`; or the object's file is in neither place.
+    """
+    scenario = read_settings(path, Scenario)
+    if object_name is not None:
+        scenario.object.name = object_name
+        scenario.object.mesh = scenario.object.labels = None
+    for field in ("mesh", "labels"):
+        name = getattr(scenario.object, field)
+        if name is not None:
+            setattr(scenario.object, field, str(_found(name, Path(path), f"object.{field}")))
+    return scenario
+
+
+def _found(name: str, scenario: Path, field: str) -> Path:
+    places = list(dict.fromkeys(place.absolute() for place in (scenario.parent / name, Path(name))))
+    for place in places:
+        if place.is_file():
+            return place
+    tried = ", nor ".join(str(place) for place in places)
+    raise ScenarioError(f"{scenario}: {field}: there is no file {tried}")
 
 
 def read_settings(path: str | Path, schema: type[T]) -> T:
@@ -33,6 +68,8 @@ def read_settings(path: str | Path, schema: type[T]) -> T:
     path = Path(path)
     try:
         text = path.read_text(encoding="utf-8")
+        for key, first, again in _repeated_keys(yaml.compose(text, Loader=yaml.SafeLoader)):
+            raise ScenarioError(f"{path}: {key} stands in line {first} and again in line {again}; keep one")
         content = yaml.safe_load(text)
     except OSError as error:
         raise ScenarioError(f"{path}: cannot be read ({error.strerror or error})") from error
@@ -47,6 +84,28 @@ def read_settings(path: str | Path, schema: type[T]) -> T:
     except ValueError as error:
         raise ScenarioError(f"{path}: {error}") from error
     return settings
+
+
+def _repeated_keys(root: yaml.Node | None) -> Iterator[tuple[str, int, int]]:
+    """Keys that stand twice in one mapping, and their lines from 1. YAML would take the last."""
+    waiting: list[tuple[str, Any]] = [("", root)]
+    seen: set[int] = set()
+    while waiting:
+        where, node = waiting.pop()
+        if not isinstance(node, yaml.CollectionNode) or id(node) in seen:
+            continue
+        seen.add(id(node))
+        if isinstance(node, yaml.SequenceNode):
+            waiting += [(where, item) for item in node.value]
+            continue
+        lines: dict[str, int] = {}
+        for key, value in node.value:
+            name, line = str(key.value), key.start_mark.line + 1
+            full = f"{where}.{name}" if where else name
+            if name in lines:
+                yield full, lines[name], line
+            lines[name] = line
+            waiting.append((full, value))
 
 
 def _refuse(settings: Any, where: str) -> None:

@@ -32,10 +32,15 @@ class _PlainLoader(_Loader):
         super().flatten_mapping(node)
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Hashable, Any]:
-        names = Counter(key.value for key, _ in node.value if isinstance(key, yaml.ScalarNode))
-        for name, uses in names.most_common(1):
-            if uses > 1:
-                raise yaml.constructor.ConstructorError(problem=f"the key {shown(name)} stands there twice")
+        names: set[str] = set()
+        for key, _ in node.value:
+            if isinstance(key, yaml.ScalarNode):
+                if key.value in names:
+                    line = key.start_mark.line + 1
+                    raise yaml.constructor.ConstructorError(
+                        problem=f"the key {shown(key.value)} stands there twice, again in line {line}"
+                    )
+                names.add(key.value)
         return super().construct_mapping(node, deep)
 
 

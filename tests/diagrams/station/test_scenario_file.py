@@ -13,7 +13,7 @@ from pydrake.common.yaml import yaml_dump_typed
 
 from diagrams.exploration_loop import recorded_dataset
 from diagrams.station.scenario import Scenario
-from diagrams.station.scenario_file import ScenarioError, read_settings
+from diagrams.station.scenario_file import ScenarioError, read_scenario, read_settings
 from models.measurements import Trial
 from models.measurements.push_dataset import Channel
 from models.objects import cells_from_polygon
@@ -224,6 +224,35 @@ def test_a_missing_file_is_named(tmp_path):
 )
 def test_what_is_no_yaml_is_named(read, text):
     assert "is not YAML" in refusal(read, text)
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        ("camera: {rate: 9}\ntable: {}\ncamera: {rate: 5}", "camera stands in line 1 and again in line 3"),
+        ("camera:\n  height: 1.0\n  height: 0.9", "camera.height stands in line 2 and again in line 3"),
+    ],
+)
+def test_a_key_that_stands_twice_is_told_with_its_lines(read, text, told):
+    assert told in refusal(read, text)
+
+
+@pytest.mark.parametrize("field", ["mesh", "labels"])
+def test_an_objects_file_is_looked_for_beside_the_scenario_first(tmp_path, monkeypatch, field):
+    beside, here = tmp_path / "cells" / "shoe.obj", tmp_path / "here" / "shoe.obj"
+    more = ", mass: 1.0, mu: 0.3" if field == "mesh" else ""
+    for folder in (beside.parent, here.parent):
+        folder.mkdir()
+    scenario = beside.parent / "cell.yaml"
+    scenario.write_text(f"object: {{{field}: shoe.obj{more}}}")
+    monkeypatch.chdir(here.parent)
+    with pytest.raises(ScenarioError) as refused:
+        read_scenario(scenario)
+    assert all(str(part) in str(refused.value) for part in ("cell.yaml", f"object.{field}", beside, here))
+    assert read_scenario(scenario, "wrench").object.called == "wrench"
+    for place in (here, beside):
+        place.touch()
+        assert getattr(read_scenario(scenario).object, field) == str(place)
 
 
 def test_recorded_pushes_bear_the_objects_name(tmp_path):

@@ -140,7 +140,7 @@ MERGED = "a: &a {x: 1, y: 2}\n" + "".join(
         ("", "must be a mapping"),
         ("- 1\n- 2\n", "must be a mapping"),
         ("{a: [1, 2", "not valid YAML"),
-        ("a: 1\na: 2\n", "'a' stands there twice"),
+        ("a: 1\na: 2\n", "'a' stands there twice, again in line 2"),
         ("? [1, 2]\n: 3\n", "not valid YAML"),
         ("1: 2\n", "keys must be text"),
         ("a: !!python/object/apply:os.system [echo hacked]\n", "not valid YAML"),
