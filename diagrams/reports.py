@@ -161,7 +161,7 @@ def _errors(errors: Errors) -> list[str]:
 def show_quantities(quantities: Sequence[Quantity]) -> None:
     """Value, 90 % interval and reason, first what the pushes show, then what they leave open."""
     for by_pushes, title in (
-        (True, "Shown by these pushes: less than half as wide as without them"),
+        (True, "Shown by these pushes (less than half as wide as without them), or given"),
         (False, "Left open by these pushes: here prior knowledge decides"),
     ):
         rows = [

@@ -3,7 +3,7 @@
 The Gauss-Newton Hessian H of the data's cost, in coordinates where the prior is N(0, 1), says how much the
 data know: a quantity with gradient c over the coordinates has prior variance cᵀc and posterior variance
 cᵀ(H + I)⁻¹c. It counts as shown where the data leave less than a quarter of the prior's variance, that is
-half its width.
+half its width, or where it was measured beforehand.
 """
 
 from __future__ import annotations
@@ -29,7 +29,8 @@ DIFFERENCE = 1e-4
 
 @dataclass(frozen=True)
 class _Measure:
-    """A quantity as a function of maps; `log` where it is compared as a ratio, `share` where it is one."""
+    """A quantity as a function of maps; `log` where it is compared as a ratio, `share` where it is one, `given`
+    where the dataset tells it, so that nothing is left open whatever the pushes add."""
 
     name: str
     unit: str
@@ -38,6 +39,7 @@ class _Measure:
     shown: str
     open: str
     share: bool = False
+    given: bool = False
 
 
 def quantities(belief: Belief, likelihood: Likelihood, information: Fits | None) -> tuple[Quantity, ...]:
@@ -59,7 +61,7 @@ def quantities(belief: Belief, likelihood: Likelihood, information: Fits | None)
         gradient = _gradient(measure, likelihood, information.z[0])
         before = float(gradient @ gradient)
         after = float(gradient @ posterior @ gradient)
-        shown = after < SHOWN_SHARE * before
+        shown = measure.given or after < SHOWN_SHARE * before
         value, low, high = interval(measure.of(belief.maps), belief.probability, log=measure.log)
         if measure.share:
             low, high = max(low, 0.0), min(high, 1.0)
@@ -152,8 +154,8 @@ def _measures(slider: Slider, has_force: bool, weighed: bool) -> list[_Measure]:
         _Measure("friction arm (mean distance from its centre)", "m", arm, True,
                  "how much the object turns", "the object hardly turns in these pushes"),
         _Measure("total mass", "kg", lambda m: m.mass.sum(axis=1), True,
-                 "acceleration against measured force",
-                 "weighed beforehand; these pushes add nothing" if weighed else slow),
+                 "weighed beforehand" if weighed else "acceleration against measured force", slow,
+                 given=weighed),
         *(
             _Measure(f"centre of mass, {axis}", "m", _column(com, i), False,
                      "friction and inertia follow the mass", slow)

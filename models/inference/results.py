@@ -54,7 +54,7 @@ class Quantity:
         value: median over the belief.
         low: lower end of the 90 % interval.
         high: upper end.
-        shown: whether the data leave less than half of the width that the prior has.
+        shown: whether the data leave less than half of the width that the prior has, or it was weighed.
         reason: why, or why not.
     """
 

@@ -58,6 +58,14 @@ def test_with_force_the_scale_of_friction_is_shown(recorded, result):
     assert friction.high < 1.2 * friction.low
 
 
+def test_a_weighed_mass_is_not_left_open(recorded, result):
+    facts = {quantity.name: quantity for quantity in result.quantities}
+    assert facts["total mass"].shown and facts["total mass"].reason == "weighed beforehand"
+    unknown = replace(recorded.dataset, mass=None, trials=recorded.dataset.fit_trials[:2])
+    (mass,) = [q for q in identify(unknown, hypotheses=2).quantities if q.name == "total mass"]
+    assert mass.reason != "weighed beforehand"
+
+
 def test_units_of_mass_do_not_matter(recorded, result):
     """The same object made a thousand times as heavy, pushed the same way, moves the same way."""
     heavy = replace(
