@@ -29,8 +29,8 @@ DIFFERENCE = 1e-4
 
 @dataclass(frozen=True)
 class _Measure:
-    """A quantity as a function of maps; `log` where it is compared as a ratio, `share` where it is one, `given`
-    where the dataset tells it, so that nothing is left open whatever the pushes add."""
+    """A quantity as a function of maps; `log` where it is compared as a ratio, `share` where it is one,
+    `given` where the dataset tells it, so that it is not left open whatever the pushes add."""
 
     name: str
     unit: str

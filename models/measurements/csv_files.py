@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from models.measurements import fields
+from models.measurements.csv_columns import OPTIONAL, REQUIRED, STANDARD, CsvColumns
 from models.measurements.files import Fingerprint, read_bytes, shown_error
 from models.measurements.push_dataset import DatasetError, Role, Trial
 from models.measurements.trial_channels import trial_from_tables
@@ -22,13 +23,12 @@ CHANNEL_COLUMNS = {
     "tip_pose": ("tip_x", "tip_y"),
     "ft_wrench": ("force_x", "force_y", "force_tau"),
 }
-REQUIRED = ("t", *CHANNEL_COLUMNS["object_pose"], *CHANNEL_COLUMNS["tip_pose"])
-OPTIONAL = CHANNEL_COLUMNS["ft_wrench"]
-EXPECTED = f"expected are {', '.join(REQUIRED)} and, where force was measured, {', '.join(OPTIONAL)}"
 
 
-def read_csv_trial(path: Path, role: Role, fingerprint: Fingerprint) -> tuple[Trial, list[str]]:
-    """One push file; s, m, rad, N and N·m, the force that of the finger on the object.
+def read_csv_trial(
+    path: Path, role: Role, fingerprint: Fingerprint, columns: CsvColumns = STANDARD
+) -> tuple[Trial, list[str]]:
+    """One push file, in s, m, rad, N and N·m unless `columns` says else, the force that on the object.
 
     Channels share the column t and need not share rates: a channel has a row where its cells are filled.
 
@@ -39,11 +39,16 @@ def read_csv_trial(path: Path, role: Role, fingerprint: Fingerprint) -> tuple[Tr
     content = read_bytes(path)
     fingerprint.add(path.name, content)
     where = str(path)
-    header, numbers = _numbers(content, where)
-    column = {name: numbers[:, index] for index, name in enumerate(header)}
-    unknown = [name for name in header if name not in REQUIRED + OPTIONAL]
+    header, numbers = _numbers(content, where, columns)
+    column = {
+        name: columns.factors[name] * numbers[:, header.index(theirs)]
+        for name, theirs in columns.names.items()
+        if theirs in header
+    }
+    unknown = [name for name in header if name not in columns.names.values()]
     warnings = [
-        f"{where}: the column {fields.shown(name)} is unknown and ignored; {EXPECTED}" for name in unknown
+        f"{where}: the column {fields.shown(name)} is unknown and ignored; {columns.expected}"
+        for name in unknown
     ]
     tables = {}
     for channel, names in CHANNEL_COLUMNS.items():
@@ -52,8 +57,9 @@ def read_csv_trial(path: Path, role: Role, fingerprint: Fingerprint) -> tuple[Tr
             tables[channel] = np.column_stack([column["t"], values])
             untimed = np.flatnonzero(np.isnan(column["t"]) & ~np.isnan(values).all(axis=1))
             if len(untimed):
+                time = columns.names["t"]
                 raise DatasetError(
-                    f"{where}, {channel}, row {untimed[0]}: has values but no time t; fill it in"
+                    f"{where}, {channel}, row {untimed[0]}: has values but no time {time}; fill it in"
                 )
     if "ft_wrench" in tables and np.isnan(tables["ft_wrench"][:, 1:]).all():
         del tables["ft_wrench"]  # the columns are there, but nothing was measured
@@ -61,25 +67,28 @@ def read_csv_trial(path: Path, role: Role, fingerprint: Fingerprint) -> tuple[Tr
     return trial, warnings + doubts
 
 
-def _numbers(content: bytes, where: str) -> tuple[list[str], FloatArray]:
+def _numbers(content: bytes, where: str, columns: CsvColumns) -> tuple[list[str], FloatArray]:
     try:
         lines = list(csv.reader(io.StringIO(content.decode("utf-8-sig"), newline="")))
     except (csv.Error, ValueError) as error:
         raise DatasetError(f"{where}: not readable as CSV ({shown_error(error)})") from None
     if not lines:
-        raise DatasetError(f"{where}: the file is empty; {EXPECTED}")
+        raise DatasetError(f"{where}: the file is empty; {columns.expected}")
     header = [name.strip() for name in lines[0]]
-    missing = [name for name in REQUIRED if name not in header]
-    if 0 < len(set(OPTIONAL) & set(header)) < len(OPTIONAL):
-        missing += [name for name in OPTIONAL if name not in header]
+    absent = {name for name, theirs in columns.names.items() if theirs not in header}
+    missing = [name for name in REQUIRED if name in absent]
+    if 0 < len(absent & set(OPTIONAL)) < len(OPTIONAL):
+        missing += [name for name in OPTIONAL if name in absent]
     if missing:
+        lacking = ", ".join(columns.names[name] for name in missing)
         raise DatasetError(
-            f"{where}: the header {fields.shown(','.join(header))} lacks {', '.join(missing)}; {EXPECTED}"
+            f"{where}: the header {fields.shown(','.join(header))} lacks {lacking}; {columns.expected}."
+            " Other names and units are told under the key csv of the YAML file of --object"
         )
     name, uses = Counter(header).most_common(1)[0]
     if uses > 1:
         raise DatasetError(
-            f"{where}: the header has the column {fields.shown(name)} {uses} times; {EXPECTED}"
+            f"{where}: the header has the column {fields.shown(name)} {uses} times; {columns.expected}"
         )
     rows = []
     for row, cells in enumerate(lines[1:]):

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 from models.measurements import fields
+from models.measurements.csv_columns import STANDARD, CsvColumns, parse_columns
 from models.measurements.csv_files import CSV_ENDINGS, read_csv_trial
 from models.measurements.files import LARGEST_YAML, Fingerprint, parse_yaml, read_bytes
 from models.measurements.mit_files import (
@@ -17,7 +20,7 @@ from models.measurements.mit_files import (
     surface_warnings,
 )
 from models.measurements.mit_shapes import FINGER_RADIUS, MIT_SHAPES, THICKNESS, mit_shape
-from models.measurements.push_dataset import DatasetError, PushDataset, Role
+from models.measurements.push_dataset import DatasetError, PushDataset, Role, Trial
 from models.measurements.push_format import DESCRIPTION_FILE, Progress, assembled, read_push_format
 from models.measurements.setup_description import SETUP_KEYS, Setup, parse_setup
 
@@ -48,7 +51,7 @@ def read_dataset(
         path: folder or file.
         object_name: what was pushed, for MIT and CSV files: a shape of the MIT dataset (rect1, hex, ...; with
             its mass and the 4.75 mm finger) or a YAML file with the keys object, finger and, if wanted, name,
-            description, table, gravity, noise of a dataset.yaml.
+            description, table, gravity, noise of a dataset.yaml, and csv, see `parse_columns`.
         progress: called after each trial with the number read and the number of all.
 
     Raises:
@@ -73,12 +76,14 @@ def _read(source: Path, object_name: str | None, progress: Progress | None) -> P
         return read_push_format(description, progress)
     files = _record_files(source) if is_folder else [source]
     fingerprint = Fingerprint()
+    read_trial: Callable[[Path, Role, Fingerprint], tuple[Trial, list[str]]]
+    warnings: list[str] = []
     if _is(files[0], CSV_ENDINGS):
-        setup = _setup(object_name, None, source, fingerprint)
-        read_trial, warnings = read_csv_trial, []
+        setup, columns = _setup(object_name, None, source, fingerprint)
+        read_trial = partial(read_csv_trial, columns=columns)
     elif _is(files[0], MIT_ENDINGS):
         _refuse_part_of_a_dataset(files[0])
-        setup = _setup(object_name, named_shape(files), source, fingerprint)
+        setup, _ = _setup(object_name, named_shape(files), source, fingerprint)
         read_trial, warnings = read_mit_trial, surface_warnings(files)
     else:
         raise DatasetError(f"{source}: a file of another kind; wanted is {KINDS}")
@@ -126,7 +131,9 @@ def _roles(count: int) -> list[Role]:
     return fit + ["heldout"] * heldout
 
 
-def _setup(object_name: str | None, named: str | None, source: Path, fingerprint: Fingerprint) -> Setup:
+def _setup(
+    object_name: str | None, named: str | None, source: Path, fingerprint: Fingerprint
+) -> tuple[Setup, CsvColumns]:
     """Setup of a named shape or of a YAML file; `named` is what the measurements' own names say."""
     chosen = object_name or named
     if chosen is None:
@@ -141,8 +148,9 @@ def _setup(object_name: str | None, named: str | None, source: Path, fingerprint
         fingerprint.add("object", content)
         document = fields.mapping(parse_yaml(content, chosen), chosen)
         setup = parse_setup(document, chosen, default_name=source.stem)
-        unknown = fields.unknown_keys(document, ("format", "trials", *SETUP_KEYS), chosen)
-        return replace(setup, warnings=(*setup.warnings, *unknown))
+        unknown = fields.unknown_keys(document, ("format", "trials", "csv", *SETUP_KEYS), chosen)
+        columns = parse_columns(document.get("csv"), f"{chosen}: csv")
+        return replace(setup, warnings=(*setup.warnings, *unknown)), columns
     shape = mit_shape(chosen, str(source))
     if named is not None and named != chosen:
         raise DatasetError(
@@ -154,4 +162,4 @@ def _setup(object_name: str | None, named: str | None, source: Path, fingerprint
         "object": {"outline": shape.outline.tolist(), "height": THICKNESS, "mass": shape.mass},
         "finger": {"radius": FINGER_RADIUS},
     }
-    return parse_setup(document, str(source), default_name=source.stem)
+    return parse_setup(document, str(source), default_name=source.stem), STANDARD

@@ -133,3 +133,59 @@ def test_kinds_are_not_mixed(tmp_path):
     (tmp_path / "pushes" / "push.json").write_text("{}")
     with pytest.raises(DatasetError, match="both CSV and MIT push files"):
         read_dataset(tmp_path / "pushes", object_name="rect1")
+
+
+OBJECT = """
+object: {outline: [[-0.05, -0.05], [0.05, -0.05], [0.05, 0.05], [-0.05, 0.05]]}
+finger: {radius: 0.005}
+csv:
+  t: {column: stamp, unit: ms}
+  object_x: {column: block x, unit: mm}
+  object_theta: {unit: deg}
+  tip_x: finger_x
+  force_tau: {unit: N mm}
+"""
+
+
+def described(folder, text=OBJECT):
+    file = folder / "block.yaml"
+    file.write_text(text)
+    return str(file)
+
+
+def test_columns_of_other_names_and_units(tmp_path):
+    header = HEADER.replace("tip_x", "finger_x").replace("object_x", "block x").replace("t,", "stamp,", 1)
+    rows = [",".join([str(1e3 * float(row.split(",")[0])), *row.split(",")[1:]]) for row in lines()]
+    trial = read_dataset(write(tmp_path, rows, header), object_name=described(tmp_path)).trials[0]
+    ours = read_dataset(write(tmp_path, lines()), object_name="rect1").trials[0]
+    for channel in ("object_pose", "tip_pose", "ft_wrench"):
+        np.testing.assert_allclose(getattr(trial, channel).time, getattr(ours, channel).time, atol=1e-12)
+    moved = ours.object_pose.values * [1e-3, 1.0, np.pi / 180.0]
+    np.testing.assert_allclose(trial.object_pose.values, moved, rtol=1e-12)
+    np.testing.assert_array_equal(trial.tip_pose.values, ours.tip_pose.values)
+    np.testing.assert_allclose(trial.ft_wrench.values, ours.ft_wrench.values * [1, 1, 1e-3], rtol=1e-12)
+
+
+def test_a_header_without_a_column_that_was_named(tmp_path):
+    with pytest.raises(
+        DatasetError, match="lacks stamp, block x, finger_x; expected are stamp, block x, obj"
+    ):
+        read_dataset(write(tmp_path, lines()), object_name=described(tmp_path))
+
+
+@pytest.mark.parametrize(
+    ("entry", "words"),
+    [
+        ("tipx: a", ["csv.tipx", "there are t, object_x"]),
+        ("t: {unit: min}", ["csv.t.unit: must be one of s, ms, us, ns, got 'min'"]),
+        ("object_x: {unit: deg}", ["csv.object_x.unit", "m, cm, mm, um"]),
+        ("object_x: {name: a}", ["csv.object_x", "'name'", "column and unit"]),
+        ("object_x: 3", ["csv.object_x", "3"]),
+        ("tip_x: object_x", ["'object_x' cannot be object_x and tip_x"]),
+    ],
+)
+def test_wrong_words_about_columns_are_answered_with_the_right_ones(tmp_path, entry, words):
+    text = OBJECT.split("csv:")[0] + f"csv: {{{entry}}}"
+    with pytest.raises(DatasetError) as caught:
+        read_dataset(write(tmp_path, lines()), object_name=described(tmp_path, text))
+    assert all(word in str(caught.value) for word in ["block.yaml", *words]), caught.value
