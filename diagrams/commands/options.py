@@ -56,7 +56,8 @@ object_option = click.option(
     "object_name",
     metavar="NAME|YAML",
     help="What was pushed, for MIT and CSV files, which do not say it: a shape of the MIT push dataset such"
-    " as rect1, or a YAML file with the keys object and finger of a dataset.yaml.",
+    " as rect1, or a YAML file with the keys object and finger of a dataset.yaml and, where columns have"
+    " other names or units, csv.",
 )
 effect_file_option = click.option(
     "--effect-file", "effect_files", type=click.Path(path_type=Path), multiple=True, metavar="FILE",

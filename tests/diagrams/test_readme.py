@@ -72,6 +72,16 @@ def test_links_lead_somewhere(page):
         assert (ROOT / folder).is_dir()
 
 
+def test_every_page_can_be_reached_from_the_readme():
+    seen, waiting = set(), [ROOT / "README.md"]
+    while waiting:
+        page = waiting.pop().resolve()
+        if page.suffix == ".md" and page not in seen:
+            seen.add(page)
+            waiting += [page.parent / link for link in re.findall(r"\]\(([^)#:]+)", page.read_text())]
+    assert set((ROOT / "docs").glob("*.md")) <= seen
+
+
 def test_the_citation_names_this_version_and_licence():
     cited = yaml.safe_load((ROOT / "CITATION.cff").read_text(encoding="utf-8"))
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
