@@ -82,7 +82,11 @@ class MethodsCompared:
         rows = [[label, *(self.pushes[method].short(digits=2) for method in METHODS)]]
         if paper is not None:
             rows.append(["  paper", *(f"{paper[method]:.2f}" for method in METHODS)])
-        rows += [[fate, *(str(self.fates[method][fate]) for method in METHODS)] for fate in fates]
+        tried = {method: bool(self.fates[method]) for method in METHODS}
+        rows += [
+            [fate, *(str(self.fates[method][fate]) if tried[method] else "–" for method in METHODS)]
+            for fate in fates
+        ]
         return TableText(title, ("", *METHODS), rows)
 
     def to_json(self, success: str) -> dict[str, Any]:

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
     from diagrams.campaigns.experiment import Summary
     from planners.campaigns.running import Backend
-    from planners.campaigns.trial import TrialOutcome
+    from planners.campaigns.trial import TrialOutcome, TrialSpec
 
 SHOWN_FAILURES = 5
 
@@ -27,6 +27,10 @@ SHOWN_FAILURES = 5
 @click.option(
     "--objects", "object_names", multiple=True, metavar="NAME",
     help="Object; may be given several times. [default: all six; fig7: hammer]",
+)  # fmt: skip
+@click.option(
+    "--methods", "methods", multiple=True, metavar="NAME",
+    help="Method of fig6 and fig7; may be given several times. [default: all four]",
 )  # fmt: skip
 @click.option(
     "--trials", type=click.IntRange(1, 100_000), metavar="N",
@@ -54,6 +58,7 @@ SHOWN_FAILURES = 5
 def campaign(
     experiment: str,
     object_names: tuple[str, ...],
+    methods: tuple[str, ...],
     trials: int | None,
     truth: str,
     backend: Backend,
@@ -78,7 +83,7 @@ def campaign(
     make_folder(files)
     prepare_kernels()
     try:
-        specs = chosen.specs(names, trials or chosen.trials, seed, truth)
+        specs = _by_methods(chosen.specs(names, trials or chosen.trials, seed, truth), methods)
         _check_truth(truth)
         with Progress() as progress:
             outcomes = run_trials(
@@ -118,6 +123,19 @@ def _checked(object_names: Sequence[str]) -> tuple[str, ...]:
         except ValueError as error:
             raise BadInput(str(error)) from error
     return tuple(dict.fromkeys(object_names)) or tuple(BENCHMARK_OBJECTS)
+
+
+def _by_methods(specs: list[TrialSpec], methods: Sequence[str]) -> list[TrialSpec]:
+    """The trials of some methods, all where none is named."""
+    if not methods:
+        return specs
+    known = list(dict.fromkeys(spec.parameters["method"] for spec in specs if "method" in spec.parameters))
+    if not known:
+        raise BadInput("--methods chooses among the methods of fig6 and fig7; this experiment has none")
+    for method in methods:
+        if method not in known:
+            raise BadInput(f"method {method!r} is unknown; choose among {', '.join(known)}")
+    return [spec for spec in specs if spec.parameters["method"] in methods]
 
 
 def _check_truth(truth: str) -> None:

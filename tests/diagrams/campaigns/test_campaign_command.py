@@ -180,3 +180,29 @@ def test_failed_trials_are_named(tmp_path: Path, capsys: pytest.CaptureFixture[s
     _show(summary, outcomes)
     told = capsys.readouterr()
     assert "1 of 1 trials failed" in told.err and "line 3: lost" in told.err
+
+
+def test_some_methods_alone(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    files = tmp_path / "fig7-plant"
+    files.mkdir()
+    for spec in experiment_of("fig7").specs(["hammer"], 2, 0, "plant"):
+        if spec.parameters["method"] == "true":
+            result = _pretend("fig7", spec.seed, dict(spec.parameters))
+            write_outcome(TrialOutcome(spec, result, None, 1.0), files)
+    words = ["campaign", "fig7", "--methods", "true", "--trials", "2", "-o", str(tmp_path)]
+    assert run(words) == 0
+    assert sorted(path.stem for path in files.glob("*.json")) == ["hammer-true-0", "hammer-true-1"]
+    shown = capsys.readouterr().out
+    told = _lines(shown, "hammer")[0].split()
+    assert told[1:4] == ["–", "–", "–"] and told[4].startswith("100")
+    assert _lines(shown, "held")[0].split() == ["held", "–", "–", "–", "2"]
+
+
+@pytest.mark.parametrize(
+    ("figure", "told"), [("fig7", "choose among probabilistic"), ("fig5", "this experiment has none")]
+)
+def test_a_method_that_is_not_there_is_told(
+    figure: str, told: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run(["campaign", figure, "--methods", "clairvoyant", "-o", str(tmp_path)]) == 2
+    assert told in capsys.readouterr().err
