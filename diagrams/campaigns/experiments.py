@@ -14,8 +14,9 @@ ABOUT = {
     "fig5": "stable goals at the table's edge",
     "fig6": "pushing to the table's edge by four methods",
     "fig7": "the whole procedure with arm and camera",
+    "tilt": "pushing over a tilted table without and with the tilt in the model",
 }
-"""Every experiment, named after the paper's figure."""
+"""Every experiment, named after the paper's figure, and what goes beyond the paper."""
 
 _PLACES = {
     "fig3": "learning_curves:FIGURE_3",
@@ -23,6 +24,7 @@ _PLACES = {
     "fig5": "stable_goals:FIGURE_5",
     "fig6": "pregrasp_success:FIGURE_6",
     "fig7": "whole_procedure:FIGURE_7",
+    "tilt": "tilted_table:TILTED_TABLE",
 }
 
 

@@ -14,7 +14,10 @@ from models.angles import angle_between
 from planners.campaigns.trial import TrialOutcome, TrialSpec
 
 if TYPE_CHECKING:
+    from diagrams.campaigns.direct_world import DirectWorld
+    from models.inference.belief import Belief
     from models.physics.cell_grid import FloatArray
+    from planners.pregrasp import Pregrasp
 
 NEAR = 0.02
 """From the goal, m; with `NEAR_ANGLE` the paper's success."""
@@ -23,25 +26,31 @@ NEAR_ANGLE = 15.0
 YAWS_A_BELIEF = 100
 """Trials with one and the same belief: the paper identifies each object once."""
 
-_FATES = ("success", "fell", "missed", "gave up")
+FATES = ("success", "fell", "missed", "gave up")
 
 
 def trial(*, seed: int, truth: str, object_name: str, method: str, belief_seed: int) -> dict[str, Any]:
     """Put the object down at the table's middle, turned at random, and let a method bring it to the edge.
 
     Returns:
-        `success`: whether it truly lies within 20 mm and 15° of the goal, flat on the table, and the method
-        knows it; `fate`: that, or `fell`, `missed` (taken for a success, but it is not) or `gave up`;
-        `reason` in the procedure's words; `pushes`; `yaw`.
+        See `result_of`.
     """
     from diagrams.campaigns.learning import identified
     from diagrams.campaigns.worlds import world_of
-    from planners.pregrasp import bring_to_edge
-    from planners.pregrasp_settings import PregraspSettings
-    from planners.world import ObjectFell
 
     belief = identified(truth, object_name, belief_seed)
     world = world_of(truth, object_name)
+    ended, yaw = brought_to_edge(world, belief, seed, method)
+    return result_of(world, ended, yaw)
+
+
+def brought_to_edge(
+    world: DirectWorld, belief: Belief, seed: int, method: str = "probabilistic"
+) -> tuple[Pregrasp, float]:
+    """How the procedure ended from the table's middle, and the yaw (rad) that it began with."""
+    from planners.pregrasp import bring_to_edge
+    from planners.pregrasp_settings import PregraspSettings
+
     thing = world.true_object
     rng = np.random.default_rng([seed, 3])
     yaw = float(rng.uniform(-np.pi, np.pi))
@@ -50,6 +59,19 @@ def trial(*, seed: int, truth: str, object_name: str, method: str, belief_seed: 
         world, belief, thing.height, PregraspSettings(), np.random.default_rng([seed, 4]),
         method=method, truth=thing.maps,
     )  # fmt: skip
+    return ended, yaw
+
+
+def result_of(world: DirectWorld, ended: Pregrasp, yaw: float) -> dict[str, Any]:
+    """A trial's result.
+
+    Returns:
+        `success`: whether the object truly lies within 20 mm and 15° of the goal, flat on the table, and the
+        method knows it; `fate`: that, or `fell`, `missed` (taken for a success, but it is not) or `gave up`;
+        `reason` in the procedure's words; `pushes`; `yaw`.
+    """
+    from planners.world import ObjectFell
+
     try:
         pose = world.true_pose
     except ObjectFell:
@@ -91,7 +113,7 @@ def _summary(outcomes: Sequence[TrialOutcome]) -> Summary:
     return Summary(
         [
             compared.success_table("Brought to the edge, %", PREGRASP_SUCCESS),
-            compared.ways_table("Pushes, and how trials ended", "pushes, mean", _FATES, PREGRASP_ACTIONS),
+            compared.ways_table("Pushes, and how trials ended", "pushes, mean", FATES, PREGRASP_ACTIONS),
         ],
         "Pushes count in all trials, failed ones too.",
         compared.to_json("success") | {"paper": {"success": PREGRASP_SUCCESS, "pushes": PREGRASP_ACTIONS}},

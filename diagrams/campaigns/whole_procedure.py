@@ -12,7 +12,7 @@ from diagrams.campaigns.methods_compared import compare_methods, specs_of_method
 from diagrams.campaigns.paper_numbers import WHOLE_PROCEDURE
 from planners.campaigns.trial import CampaignError, TrialOutcome, TrialSpec
 
-_FATES = ("held", "fell", "dropped", "gave up")
+FATES = ("held", "fell", "dropped", "gave up")
 
 
 def trial(*, seed: int, object_name: str, method: str) -> dict[str, Any]:
@@ -55,7 +55,7 @@ def _summary(outcomes: Sequence[TrialOutcome]) -> Summary:
         [
             compared.success_table(f"{title}, %", WHOLE_PROCEDURE),
             compared.ways_table(
-                "Pushes to the edge, and how trials ended", "pushes to the edge, mean", _FATES
+                "Pushes to the edge, and how trials ended", "pushes to the edge, mean", FATES
             ),
         ],
         "Pushes count in all trials, failed ones too; those that explore are not among them.",

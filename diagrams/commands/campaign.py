@@ -68,7 +68,7 @@ def campaign(
     seed: int,
     json_file: Path | None,
 ) -> None:
-    """Repeat an experiment of the paper, and show its numbers beside those of the paper.
+    """Repeat an experiment of the paper, or one beyond it, and show its numbers beside the paper's.
 
     Each trial leaves a file in DIR/EXPERIMENT-TRUTH. What is there already is not run again, so a campaign
     that was stopped goes on; what failed is tried again. The same seeds give the same table, whatever runs

@@ -66,7 +66,8 @@ def shares_figure(
             if method in paper.get(name, {}):
                 axes.plot([x, x], paper[name][method], "_", color=INK, markersize=9)
         axes.bar(0.0, 0.0, color=color, alpha=0.8, label=method)
-    axes.plot([], [], "_", color=INK, markersize=9, label="the paper")
+    if paper:
+        axes.plot([], [], "_", color=INK, markersize=9, label="the paper")
     axes.set_xticks(range(len(shares)), [name.replace("_", " ") for name in shares])
     axes.set(ylim=(0, 104), ylabel="%", title=title)
     axes.legend(ncols=len(methods) + 1, loc="upper center", bbox_to_anchor=(0.5, -0.1))

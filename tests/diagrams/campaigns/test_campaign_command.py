@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from schemas import assert_as_described, assert_json_as_described, validator
 
-from diagrams.campaigns import pregrasp_success, whole_procedure
+from diagrams.campaigns import pregrasp_success, tilted_table, whole_procedure
 from diagrams.campaigns.experiments import ABOUT, experiment_of
 from diagrams.campaigns.pregrasp_success import near
 from diagrams.command_line import run
@@ -39,6 +39,10 @@ def _pretend(figure: str, seed: int, parameters: dict[str, Any]) -> dict[str, An
         }
         return {"poses": [[0, 0, 0]] * POSES, "fell": fell, "chosen": chosen,
                 "stay_probability": [1.0, 0.96, 0.02, 0.6]}  # fmt: skip
+    if figure == "tilt":
+        good = parameters["model"] == "with the tilt" or seed == 1
+        fate, errors = ("success", [2e-3, 4e-3]) if good else ("missed", [])
+        return {"success": good, "fate": fate, "pushes": 2, "reason": "", "yaw": 0.0, "errors": errors}
     good = parameters["method"] == "true" or seed % 2 == 0
     if figure == "fig7":
         return {"fate": "held" if good else "dropped", "pushes": [{}] * (3 + seed), "reason": "", "yaw": 0.0}
@@ -138,7 +142,11 @@ def test_every_fate_is_described() -> None:
         branch["if"]["properties"]["experiment"]["const"]: branch["then"]["properties"].get("fates")
         for branch in validator("campaign").schema["allOf"]
     }
-    for figure, fates in (("fig6", pregrasp_success._FATES), ("fig7", whole_procedure._FATES)):
+    for figure, fates in (
+        ("fig6", pregrasp_success.FATES),
+        ("fig7", whole_procedure.FATES),
+        ("tilt", tilted_table.FATES),
+    ):
         assert described[figure]["additionalProperties"]["propertyNames"]["enum"] == list(fates)
 
 
@@ -206,3 +214,23 @@ def test_a_method_that_is_not_there_is_told(
 ) -> None:
     assert run(["campaign", figure, "--methods", "clairvoyant", "-o", str(tmp_path)]) == 2
     assert told in capsys.readouterr().err
+
+
+def test_what_the_missing_tilt_costs(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    code, document = _campaign("tilt", tmp_path, ["book"], 2)
+    assert code == 0
+    success = document["success"]["book"]
+    assert [success[model]["value"] for model in ("without the tilt", "with the tilt")] == [0.5, 1.0]
+    assert document["errors"]["all"]["without the tilt"] == pytest.approx(
+        {"value": 3e-3, "low": None, "high": None, "count": 1}
+    )
+    assert document["fates"] == {
+        "without the tilt": {"success": 1, "missed": 1},
+        "with the tilt": {"success": 2},
+    }
+    assert _lines(capsys.readouterr().out, "missed")[0].split() == ["missed", "1", "0"]
+
+
+def test_the_tilted_table_is_the_plants_alone(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["campaign", "tilt", "--truth", "bullet", "-o", str(tmp_path)]) == 2
+    assert "leave out --truth" in capsys.readouterr().err
