@@ -14,7 +14,16 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import PathPatch
 
 from diagrams.figures.outlines import draw_cells, outline_path, scale_bar
-from diagrams.figures.style import BELIEF, INK, MAP_COLORS, PAPER, PlainNumbers, styled
+from diagrams.figures.style import (
+    BELIEF,
+    INK,
+    MAP_COLORS,
+    PAPER,
+    SCALED_SHARE,
+    PlainNumbers,
+    styled,
+    top_of_scale,
+)
 from models.inference.belief import Belief
 from models.physics.cell_grid import FloatArray
 from models.physics.rollout import Maps
@@ -23,9 +32,6 @@ LEFT, RIGHT, TOP, BOTTOM = 1.35, 1.05, 0.86, 0.5  # inches around the panels
 GAP, WIDE_GAP = 0.12, 0.34
 LARGEST_PANEL = (1.7, 1.75)
 NARROWEST_COLUMN = 1.0  # inches; titles need them
-TOP_OF_SCALE = 0.97
-"""Share of the values on the colour scale; single heavy cells beyond it would leave all others pale."""
-
 LOG_FROM = 6.0
 """Ratio of the columns' totals from which colours are logarithmic: a linear scale would show one map only."""
 
@@ -42,11 +48,11 @@ class _Row:
     @property
     def norm(self) -> Normalize:
         """One scale for all columns; a few of the largest values may lie beyond its end."""
-        top = float(np.quantile(self.values, TOP_OF_SCALE)) or 1.0
         totals = self.values.sum(axis=1)
         if totals.max() > LOG_FROM * totals.min() > 0:
-            return LogNorm(max(float(np.quantile(self.values, 0.02)), 1e-4 * top), top)
-        return Normalize(0.0, top)
+            low, top = np.quantile(self.values, [0.02, SCALED_SHARE])
+            return LogNorm(max(float(low), 1e-4 * float(top)), float(top))
+        return Normalize(0.0, top_of_scale(self.values))
 
 
 @dataclass(frozen=True, eq=False)

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass
+
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
@@ -21,47 +24,77 @@ TABLE_BINS = 7
 OUTLINE_BINS = 14
 MOST_ARROWS = 60
 COLOURS = "PuOr_r"
+SCALED = 0.95
+"""Share of the arrows on the colour scale; a single push that turns would leave all others pale."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Field:
+    """Residuals (%) by place, their means as arrows, and the side of a bin, in which arrows are measured."""
+
+    place: FloatArray
+    values: FloatArray
+    arrows: list[tuple[FloatArray, FloatArray]]
+    low: FloatArray
+    high: FloatArray
+    bin: float
 
 
 @styled
-def table_figure(comparison: Comparison, quantity: str = "motion") -> Figure:
+def table_figure(
+    comparison: Comparison, quantity: str = "motion", beside: Sequence[Comparison] = ()
+) -> Figure:
     """Residuals over the table: an arrow is the mean of one push, or of a place where there are many pushes.
 
-    For motion the colour is the turning; for force faint arrows are the pieces of the pushes.
+    For motion the colour is the turning; for force faint arrows are the pieces of the pushes. Figures that
+    are drawn with the same models `beside` have the same scales.
 
     Raises:
         ValueError: the comparison has no such residuals.
     """
-    residuals = wanted(comparison, quantity)
-    at, values = residuals.at, 100 * residuals.relative
-    figure, axes = _field(quantity)
-    low, high = at.place.min(axis=0), at.place.max(axis=0)
-    size = max(float((high - low).max()), 1e-3)
-    cell = size / TABLE_BINS
-    column = np.floor((at.place - low) / cell).astype(int)
-    many = len(np.unique(at.push)) > MOST_ARROWS
-    key = column[:, 0] * 1000 + column[:, 1] if many else at.push
-    arrows = _arrows(key, at.place, values, at.push, residuals.weights, 2 if many else 1)
-    scale = _arrow_scale(values[:, :2], arrows, quantity)
-    _draw_pieces(axes, at.place, values, scale * cell)
-    mappable = _draw_means(axes, arrows, scale * cell, quantity)
-    margin = 0.6 * cell
-    middle = (low + high) / 2
-    half = max(size / 2 + margin, 1e-3)
-    _frame(axes, middle, half)
+    field = _on_table(comparison, quantity)
+    half = max(float((field.high - field.low).max()) / 2 + 0.6 * field.bin, 1e-3)
+    fields = [field, *(_on_table(other, quantity) for other in beside if other is not comparison)]
+    figure, axes = _drawn(fields, quantity, half)
     axes.set(xlabel="table x, m", ylabel="table y, m")
-    _finish(figure, axes, mappable, scale, cell, quantity)
     axes.set_title(f"{NAMES[quantity].capitalize()} over the table", loc="left", fontsize=9.5)
     return figure
 
 
 @styled
-def object_figure(comparison: Comparison, grid: CellGrid, quantity: str = "motion") -> Figure:
+def object_figure(
+    comparison: Comparison, grid: CellGrid, quantity: str = "motion", beside: Sequence[Comparison] = ()
+) -> Figure:
     """Residuals seen from the object, drawn where the finger touched; arrows are means of two pushes or more.
+
+    Figures that are drawn with the same models `beside` have the same scales.
 
     Raises:
         ValueError: the comparison has no such residuals, or nothing was touched.
     """
+    field = _on_object(comparison, grid, quantity)
+    half = 0.5 * float((field.high - field.low).max()) + 1.3 * field.bin
+    fields = [field, *(_on_object(other, grid, quantity) for other in beside if other is not comparison)]
+    figure, axes = _drawn(fields, quantity, half)
+    axes.add_patch(PathPatch(outline_path(grid), facecolor=PAPER, edgecolor=FAINT, linewidth=0.9, zorder=0))
+    axes.set(xlabel="object x, m", ylabel="object y, m")
+    axes.set_title(f"{NAMES[quantity].capitalize()} at the contact, object's frame", loc="left", fontsize=9.5)
+    return figure
+
+
+def _on_table(comparison: Comparison, quantity: str) -> _Field:
+    residuals = wanted(comparison, quantity)
+    at, values = residuals.at, 100 * residuals.relative
+    low, high = at.place.min(axis=0), at.place.max(axis=0)
+    side = max(float((high - low).max()), 1e-3) / TABLE_BINS
+    column = np.floor((at.place - low) / side).astype(int)
+    many = len(np.unique(at.push)) > MOST_ARROWS
+    key = column[:, 0] * 1000 + column[:, 1] if many else at.push
+    arrows = _arrows(key, at.place, values, at.push, residuals.weights, 2 if many else 1)
+    return _Field(at.place, values, arrows, low, high, side)
+
+
+def _on_object(comparison: Comparison, grid: CellGrid, quantity: str) -> _Field:
     residuals = wanted(comparison, quantity)
     touched = np.array(np.isfinite(residuals.at.contact).all(axis=1))
     if not touched.any():
@@ -72,24 +105,26 @@ def object_figure(comparison: Comparison, grid: CellGrid, quantity: str = "motio
     values[:, :2] = np.column_stack(
         [c * values[:, 0] + s * values[:, 1], c * values[:, 1] - s * values[:, 0]]
     )
-    figure, axes = _field(quantity)
-    shape = outline_path(grid)
-    axes.add_patch(PathPatch(shape, facecolor=PAPER, edgecolor=FAINT, linewidth=0.9))
     low, high = grid.exterior.min(axis=0), grid.exterior.max(axis=0)
     size = float((high - low).max())
-    cell = size / TABLE_BINS
     place = np.floor((at.contact - low + 1e-9) / (size / OUTLINE_BINS)).astype(int)
     key = place[:, 0] * 1000 + place[:, 1]
     arrows = _arrows(key, at.contact, values, at.push, residuals.weights[touched], LEAST_PUSHES)
-    scale = _arrow_scale(values[:, :2], arrows, quantity)
-    _draw_pieces(axes, at.contact, values, scale * cell)
-    mappable = _draw_means(axes, arrows, scale * cell, quantity)
-    middle, half = (low + high) / 2, 0.5 * size + 1.3 * cell
-    _frame(axes, middle, half)
-    axes.set(xlabel="object x, m", ylabel="object y, m")
-    _finish(figure, axes, mappable, scale, cell, quantity)
-    axes.set_title(f"{NAMES[quantity].capitalize()} at the contact, object's frame", loc="left", fontsize=9.5)
-    return figure
+    return _Field(at.contact, values, arrows, low, high, size / TABLE_BINS)
+
+
+def _drawn(fields: Sequence[_Field], quantity: str, half: float) -> tuple[Figure, Axes]:
+    """The first of some fields, so that all of them would have the same scales."""
+    field = fields[0]
+    figure, axes = _new_figure(quantity)
+    scale = min(_arrow_scale(other.values[:, :2], other.arrows, quantity) for other in fields)
+    turning = [abs(float(value[2])) for other in fields for _, value in other.arrows if len(value) > 2]
+    _draw_pieces(axes, field.place, field.values, scale * field.bin)
+    limit = max(float(np.quantile(turning or [0.0], SCALED)), 200 * NEGLIGIBLE[quantity])
+    mappable = _draw_means(axes, field.arrows, scale * field.bin, quantity, limit)
+    _frame(axes, (field.low + field.high) / 2, half)
+    _finish(figure, axes, mappable, scale, field.bin, quantity)
+    return figure, axes
 
 
 def _arrows(
@@ -123,7 +158,7 @@ def _draw_pieces(axes: Axes, place: FloatArray, values: FloatArray, length: floa
 
 
 def _draw_means(
-    axes: Axes, arrows: list[tuple[FloatArray, FloatArray]], length: float, quantity: str
+    axes: Axes, arrows: list[tuple[FloatArray, FloatArray]], length: float, quantity: str, limit: float
 ) -> ScalarMappable | None:
     if not arrows:
         return None
@@ -133,7 +168,6 @@ def _draw_means(
     if quantity == "force":
         axes.quiver(*place.T, *(length * values[:, :2]).T, color=INK, **style)
         return None
-    limit = max(float(np.abs(values[:, 2]).max()), 200 * NEGLIGIBLE[quantity])
     norm = Normalize(-limit, limit)
     axes.quiver(
         *place.T, *(length * values[:, :2]).T, values[:, 2], cmap=COLOURS, norm=norm, edgecolor=INK,
@@ -142,7 +176,7 @@ def _draw_means(
     return ScalarMappable(norm, COLOURS)
 
 
-def _field(quantity: str) -> tuple[Figure, Axes]:
+def _new_figure(quantity: str) -> tuple[Figure, Axes]:
     figure = Figure(figsize=FIELD)
     axes = figure.add_axes((0.15, 0.16, 0.66 if quantity == "motion" else 0.74, 0.75))
     axes.tick_params(labelsize=7.5)
@@ -175,7 +209,7 @@ def _finish(
         va="bottom",
     )
     if mappable is not None:
-        bar = figure.colorbar(mappable, cax=figure.add_axes((0.85, 0.25, 0.025, 0.55)))
+        bar = figure.colorbar(mappable, cax=figure.add_axes((0.85, 0.25, 0.025, 0.55)), extend="both")
         bar.set_label("turning, % (+ counter-clockwise)", fontsize=8)
         bar.outline.set_linewidth(0.5)
         bar.ax.tick_params(labelsize=7.5)

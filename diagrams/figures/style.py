@@ -9,8 +9,11 @@ from pathlib import Path
 from typing import ParamSpec, TypeVar
 
 import matplotlib
+import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogFormatter
+
+from models.physics.cell_grid import FloatArray
 
 INK = "#222222"
 FAINT = "#9a9a9a"
@@ -21,6 +24,9 @@ OTHER = "#2f8f6b"
 
 MAP_COLORS = ("viridis", "plasma", "cividis")
 """Of mass, friction and their product; perceptually uniform, a different one for each map."""
+
+SCALED_SHARE = 0.97
+SCALED_RATIO = 1.5
 
 DOTS_PER_INCH = 130
 FORMATS = ("png", "pdf", "svg")
@@ -59,6 +65,16 @@ class PlainNumbers(LogFormatter):
     def __call__(self, x: float, pos: int | None = None) -> str:
         """Label of the tick at `x`, empty where there is none."""
         return f"{x:g}" if super().__call__(x, pos) else ""
+
+
+def top_of_scale(values: FloatArray) -> float:
+    """End of the colour scale that maps (columns, n) share; what lies beyond it has the last colour.
+
+    Beyond lie three percent of all values, and what is half as large again as in most of the maps: neither
+    a single cell nor a single odd map should leave all others pale.
+    """
+    each = np.quantile(values, SCALED_SHARE, axis=1, method="lower")
+    return min(float(np.quantile(values, SCALED_SHARE)), SCALED_RATIO * float(np.median(each))) or 1.0
 
 
 Arguments = ParamSpec("Arguments")

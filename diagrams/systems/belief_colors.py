@@ -12,7 +12,7 @@ from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from diagrams.figures.style import FAINT, INK, MAP_COLORS, styled
+from diagrams.figures.style import FAINT, INK, MAP_COLORS, styled, top_of_scale
 from models.inference.belief import Belief
 from models.physics.cell_grid import FloatArray
 
@@ -35,7 +35,6 @@ BOARD = (0.60, 0.42)
 """Size of the legend, m."""
 
 _ROUND = np.array([1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 7.0, 10.0])
-_TOP_OF_SCALE = 0.97
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,7 +64,7 @@ def shown(belief: Belief, most: int) -> Shown:
     hypotheses = np.argsort(-p, kind="stable")[:most]
     every = np.stack([1e3 * maps.mass, maps.mu, 1e3 * maps.mass * maps.mu * belief.gravity])
     values = np.concatenate([np.einsum("k,mkn->mn", p, every)[:, None], every[:, hypotheses]], axis=1)
-    tops = np.array([_round_up(float(np.quantile(v, _TOP_OF_SCALE))) for v in values])
+    tops = np.array([_round_up(top_of_scale(v)) for v in values])
     return Shown(hypotheses, values, tops)
 
 

@@ -153,6 +153,20 @@ def test_figures_are_figures_and_refuse_what_is_not_there(both, learnt):
             draw()
 
 
+def test_two_models_have_one_scale(both, learnt):
+    """A model whose errors are ten times as large: arrows and colours tell it from the other."""
+    first, second = both
+    worse = replace(second, motion=replace(second.motion, values=10 * second.motion.values))
+    figures = residual_figures([first, worse], learnt[0])
+    for name in ("motion.table_place", "motion.contact_place"):
+        one, other = figures[name], figures[f"{name}.second"]
+        assert one.axes[1].get_ylim() == other.axes[1].get_ylim()
+        scales = [[text.get_text() for text in figure.axes[0].texts] for figure in (one, other)]
+        assert scales[0] == scales[1]
+    alone = residual_figures([first], learnt[0])["motion.table_place"]
+    assert alone.axes[1].get_ylim()[1] < figures["motion.table_place"].axes[1].get_ylim()[1]
+
+
 def test_curves_show_means_over_pushes(learnt):
     """Dots of a curve: each push once in each bin, at the mean of its pieces there."""
     result = learnt[2]

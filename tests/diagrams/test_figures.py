@@ -19,7 +19,7 @@ from diagrams.figures.calibration import inside_share
 from diagrams.figures.campaigns import curves_figure
 from diagrams.figures.maps import centers_of_friction, centers_of_mass
 from diagrams.figures.outlines import outline_path, placed, round_length
-from diagrams.figures.style import PlainNumbers
+from diagrams.figures.style import PlainNumbers, top_of_scale
 from models.effects import LIBRARY
 from models.inference.results import PushPrediction
 from models.measurements.simulated import record_pushes
@@ -70,6 +70,17 @@ def test_each_row_has_one_scale_and_titles_give_probabilities(belief):
     assert "40.0 %" in titles[1]
     labels = {axes.get_ylabel() for axes in figure.axes}
     assert {"g a cell", "N a cell"} <= labels
+
+
+def test_neither_a_cell_nor_a_map_leaves_all_others_pale():
+    values = np.linspace(0.5, 1.0, 24) * np.ones((7, 1))
+    assert 0.95 < top_of_scale(values) <= 1.0
+    one_cell, one_map = values.copy(), values.copy()
+    one_cell[:, 3] = 100.0
+    assert top_of_scale(one_cell) <= 1.5
+    one_map[2] *= 100.0
+    assert top_of_scale(one_map) <= 1.5
+    assert top_of_scale(np.zeros((3, 4))) == 1.0
 
 
 def test_scales_are_logarithmic_where_totals_differ_widely(belief):
