@@ -12,6 +12,9 @@ from models.objects import cells_from_polygon
 from models.physics.rollout import Maps
 from planners.exploration import candidate_pushes
 
+WIDTH = 0.02
+"""Of a cell, m. Large ones show the effects as well as small ones, and are soon simulated."""
+
 TILT = {"down_x": 0.03, "down_y": -0.04}
 """Slopes, rad."""
 
@@ -23,13 +26,16 @@ DRAG = 3000.0
 
 
 def tilted_pushes() -> PushDataset:
-    """Pushes on a table that is not level, of large cells."""
-    return _pushes("tilted", {"table_tilt": list(TILT.values())}, width=0.02)
+    """Pushes on a table that is not level."""
+    return _pushes("tilted", {"table_tilt": list(TILT.values())})
 
 
 def late_pushes() -> PushDataset:
-    """Pushes seen by a tracker that is late, of large cells, and faster than the others."""
-    return _pushes("late", {"sensor_latency": [LATENCY]}, width=0.02, speed=(0.05, 0.15))
+    """Pushes seen by a tracker that is late; fewer, shorter and faster than the others."""
+    return _pushes(
+        "late", {"sensor_latency": [LATENCY]},
+        speed=(0.05, 0.15), length=(0.04, 0.09), fit=8, heldout=4,
+    )  # fmt: skip
 
 
 def tilted_and_oily_pushes() -> PushDataset:
@@ -41,18 +47,20 @@ def _pushes(
     name: str,
     hidden: dict[str, list[float]],
     *,
-    width: float = 0.01,
     speed: tuple[float, float] = (0.03, 0.1),
+    length: tuple[float, float] = (0.06, 0.14),
+    fit: int = 12,
+    heldout: int = 6,
 ) -> PushDataset:
-    """12 pushes to learn from and 6 held out, all over a table of 0.6 m; cells of 200 kg/m² on average."""
-    grid = cells_from_polygon(np.array([[-3, -2], [3, -2], [3, 2], [-3, 2]]) * 0.01, width=width)
-    mass = 200.0 * width**2 * (1.0 + 0.4 * grid.centers[:, 0] / 0.03)
+    """Pushes all over a table of 0.6 m, of six large cells; 200 kg/m² on average."""
+    grid = cells_from_polygon(np.array([[-3, -2], [3, -2], [3, 2], [-3, 2]]) * 0.01, width=WIDTH)
+    mass = 200.0 * WIDTH**2 * (1.0 + 0.4 * grid.centers[:, 0] / 0.03)
     values = np.concatenate(list(hidden.values()))
     truth = Maps(mass[None], np.full((1, len(grid)), 0.3), np.array([0.3]), values[None])
     slider = EffectSlider(grid, 0.005, effects_named(list(hidden)))
     rng = np.random.default_rng(3)
     pushes = [
         candidate.push([*rng.uniform(-0.3, 0.3, 2), rng.uniform(-np.pi, np.pi)], h=2e-3)
-        for candidate in candidate_pushes(grid, 0.005, rng, 18, length=(0.06, 0.14), speed=speed)
+        for candidate in candidate_pushes(grid, 0.005, rng, fit + heldout, length=length, speed=speed)
     ]
-    return record_pushes(slider, truth, pushes, rng, heldout=6, name=name, mass=float(mass.sum()))
+    return record_pushes(slider, truth, pushes, rng, heldout=heldout, name=name, mass=float(mass.sum()))

@@ -38,7 +38,7 @@ def test_from_a_model_that_fails_to_one_that_has_the_effect(slipmap, tmp_path):
     assert "asking every effect: done" in said.err and f"report: {html}" in said.err
     page = assert_alone(html.read_text())
     assert page.text.index(found["sentence"]) < page.text.index("Locked pushes")
-    assert page.rows == 18
+    assert page.rows == 12
 
     said, fitted = numbers("fit", recorded, "--effect", "sensor_latency", "-o", belief)
     told = fitted["effects"]["sensor_latency"]["latency"]
