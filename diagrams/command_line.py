@@ -24,6 +24,7 @@ from diagrams.commands.campaign import campaign
 from diagrams.commands.compare import compare
 from diagrams.commands.completion import completion
 from diagrams.commands.demo import demo
+from diagrams.commands.describe_object import describe_object
 from diagrams.commands.diagnose import diagnose
 from diagrams.commands.doctor import doctor
 from diagrams.commands.effects import effects
@@ -103,6 +104,7 @@ for _command in (
     station,
     record,
     replay,
+    describe_object,
     identify,
     predict,
     view,

@@ -1,0 +1,60 @@
+"""`slipmap object`: a mesh or a picture becomes what --object takes."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+import trimesh
+from refusals import assert_refused, files_in
+
+from models.measurements import read_dataset
+
+ROWS = "t,object_x,object_y,object_theta,tip_x,tip_y\n0,0,0,0,-0.2,0\n1,0,0,0,-0.1,0\n"
+
+
+@pytest.fixture
+def bracket(tmp_path):
+    """Two bars of 120 by 30 and 30 by 80 mm, in millimetres, as high as 20 mm."""
+    legs = [trimesh.creation.box(bounds=[[0, 0, 0], corner]) for corner in ([120, 30, 20], [30, 80, 20])]
+    trimesh.util.concatenate(legs).export(tmp_path / "bracket.stl")
+    return tmp_path / "bracket.stl"
+
+
+def described(slipmap, tmp_path, *arguments):
+    """The dataset of a push of what the command describes, and what it said."""
+    said = slipmap("object", *arguments, "-o", tmp_path / "thing.yaml", "--finger", 0.006)
+    assert said.code == 0, said.err
+    (tmp_path / "push.csv").write_text(ROWS)
+    return read_dataset(tmp_path / "push.csv", object_name=str(tmp_path / "thing.yaml")), said
+
+
+def test_a_mesh_becomes_an_object(slipmap, tmp_path, bracket):
+    more = ("--metres-per-unit", 0.001, "--mass", 0.8, "--cells", 40)
+    dataset, said = described(slipmap, tmp_path, bracket, *more)
+    assert (dataset.name, dataset.mass, dataset.finger_radius) == ("bracket", 0.8, 0.006)
+    assert dataset.grid.polygon.area == pytest.approx(0.12 * 0.03 + 0.03 * 0.05)
+    assert dataset.grid.centers.min() > 0.0 and dataset.height == pytest.approx(0.02)
+    assert len(dataset.grid) == pytest.approx(40, rel=0.1)
+    assert said.out.startswith(f"bracket: 120 mm by 80 mm, {len(dataset.grid)} cells")
+    assert dataset.warnings == ()
+
+
+def test_a_picture_becomes_an_object(slipmap, tmp_path):
+    labels = np.zeros((60, 100), np.uint8)
+    labels[10:40, 20:80] = 1
+    labels[10:20, 20:40] = 2
+    cv2.imwrite(str(tmp_path / "photo.png"), labels)
+    dataset, _ = described(slipmap, tmp_path, tmp_path / "photo.png", "--metres-per-pixel", 0.001)
+    np.testing.assert_allclose(np.abs(dataset.grid.exterior), [[0.03, 0.015]] * 4, atol=1e-6)
+    assert dataset.mass is None and dataset.height is None
+
+
+def test_wrong_use_is_told_and_leaves_nothing(slipmap, tmp_path, bracket):
+    output = ("-o", tmp_path / "thing.yaml", "--finger", 0.006)
+    assert_refused(slipmap("object", bracket, *output), "bracket.stl", "give --metres-per-unit 0.001")
+    assert_refused(slipmap("object", bracket, "--metres-per-pixel", 1e-3, *output), "is no picture", ".png")
+    (tmp_path / "a.png").write_bytes(b"")
+    assert_refused(slipmap("object", tmp_path / "a.png", *output), "a.png", "give --metres-per-pixel")
+    assert_refused(slipmap("object", tmp_path / "no.stl", *output), "no.stl", "no such file")
+    assert files_in(tmp_path) == ["a.png", "bracket.stl"]
