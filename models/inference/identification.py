@@ -1,25 +1,13 @@
-"""From pushes to a belief: several starts, Gauss-Newton on whole trajectories, randomised refits.
-
-A fit to one set of pushes is one answer; the belief holds many. Each hypothesis is fitted anew to pushes
-weighted at random (the Bayesian bootstrap of Rubin, 1981: independent exponentials)
-and pulled towards maps drawn from the prior. Refits to the weights show what the pushes disagree about, be
-it noise or what no such model knows; refits towards random maps show what the pushes leave open. Neither
-needs the errors to be independent or the model to be right, which for recorded pushes they are not. And the
-hypotheses take turns in how far off they hold the model to be, up to what the pushes speak for (`trust`):
-who believes every millimetre takes the model's faults for the object's, who believes few learns little, and
-their mixture predicts better than either.
-"""
+"""From pushes to a belief: several starts, Gauss-Newton on whole trajectories, randomised refits."""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import asdict
 
 import numpy as np
 
-from models.inference.belief import Belief
-from models.inference.gauss_newton import Fits, fit
+from models.inference.hypotheses import refitted_belief
 from models.inference.identifiability import quantities
 from models.inference.likelihood import Likelihood, LikelihoodSettings
 from models.inference.observations import MEASURED_CONTACT, observe_all
@@ -28,16 +16,12 @@ from models.inference.prior import MapPrior, PriorSettings
 from models.inference.results import Identification
 from models.inference.trust import fit_with_trust
 from models.measurements import DatasetError, PushDataset
-from models.physics.cell_grid import FloatArray
 from models.physics.rollout import Slider
 
 METHODS = ("gauss-newton", "paper")
 
 FINGER_STARTS = (0.12, 0.35, 1.0)
 """Finger frictions to start from: contact that sticks and contact that slides are different valleys."""
-
-STRENGTHS = (0.8, 3.5)
-"""Range of the factor on the prior's map variation, drawn log-uniformly for each hypothesis."""
 
 Progress = Callable[[str, int, int], None]
 
@@ -87,7 +71,9 @@ def identify(
             prior, fitted, dataset.noise, starts, lambda done, total: report("fitting", done, total)
         )
         likelihood, information = ladder[-1]
-        belief = _gauss_newton_belief(dataset, ladder, hypotheses, seed, report)
+        belief = refitted_belief(
+            dataset, ladder, hypotheses, seed, report, settings={"finger_starts": list(FINGER_STARTS)}
+        )
     predictions = predict_observations(belief, observations, progress)
     facts = quantities(belief, likelihood, information)
     return Identification(belief, predictions, facts, time.perf_counter() - started)
@@ -106,72 +92,3 @@ def check_request(dataset: PushDataset, hypotheses: int) -> None:
         raise DatasetError(
             f"dataset {dataset.name} has no push with the role fit; give at least one that role"
         )
-
-
-def _gauss_newton_belief(
-    dataset: PushDataset, ladder: list[tuple[Likelihood, Fits]], hypotheses: int, seed: int, report: Progress
-) -> Belief:
-    """Randomised refits around the best fits, under each likelihood of the ladder in turn."""
-    closest, _ = ladder[0]
-    prior, B = closest.prior, len(closest.observations)
-    rng = np.random.default_rng(seed)
-    weights = rng.exponential(size=(hypotheses, B))
-    prior_mean = rng.standard_normal((hypotheses, prior.size))
-    strength = np.exp(rng.uniform(np.log(STRENGTHS[0]), np.log(STRENGTHS[1]), hypotheses))
-    # The first hypothesis is the plain best fit.
-    weights[0], prior_mean[0], strength[0] = 1.0, 0.0, 1.0
-    z = np.empty((hypotheses, prior.size))
-    probability = np.empty(hypotheses)
-    for rung, (likelihood, first) in enumerate(ladder[:hypotheses]):
-        who = np.arange(rung, hypotheses, len(ladder))
-        refits = fit(
-            likelihood,
-            _rescaled(prior, first.z[0], strength[who]),
-            weights=weights[who],
-            prior_mean=prior_mean[who],
-            strength=strength[who],
-            offsets=np.repeat(first.offsets, len(who), axis=0),
-            iterations=15,
-            tolerance=3e-3,
-            progress=_part(report, rung, len(ladder)),
-        )
-        z[who] = refits.z
-        probability[who] = accuracy_weights(refits.push_cost.sum(axis=1)) * len(who) / hypotheses
-    return Belief.learnt(
-        dataset,
-        prior.slider,
-        prior.maps(z, strength),
-        probability,
-        method="gauss-newton",
-        seed=seed,
-        trials=[observation.trial for observation in closest.observations],
-        settings={
-            "finger_starts": list(FINGER_STARTS),
-            "strengths": list(STRENGTHS),
-            "model_errors": [likelihood.settings.model_error for likelihood, _ in ladder],
-            "prior": asdict(prior.settings),
-            "likelihood": asdict(closest.settings),
-        },
-    )
-
-
-def _part(report: Progress, part: int, parts: int) -> Callable[[int, int], None]:
-    return lambda done, total: report("hypotheses", part * total + done, parts * total)
-
-
-def _rescaled(prior: MapPrior, z: FloatArray, strength: FloatArray) -> FloatArray:
-    """The same maps in the coordinates of hypotheses with other strengths."""
-    start = np.repeat(z[None], len(strength), axis=0)
-    start[:, : 2 * prior.basis.shape[1]] /= strength[:, None]
-    return start
-
-
-def accuracy_weights(cost: FloatArray) -> FloatArray:
-    """Probabilities of hypotheses from their costs (K,): a soft-max as in the paper's line 30.
-
-    The temperature is twice the median excess over the best, at least 2: hypotheses that the data hold
-    about equally likely keep about equal weights, and those that a refit left in a worse valley lose theirs.
-    """
-    excess = cost - cost.min()
-    weight = np.exp(-excess / (2.0 * max(1.0, float(np.median(excess)))))
-    return weight / weight.sum()

@@ -35,6 +35,7 @@ def fit_with_trust(
     noise: Noise,
     starts: FloatArray,
     progress: Callable[[int, int], None],
+    mean: FloatArray | None = None,
 ) -> list[tuple[Likelihood, Fits]]:
     """The best fit under every α up to the one of the largest evidence.
 
@@ -46,6 +47,7 @@ def fit_with_trust(
         noise: of the sensors, where declared.
         starts: (K, d) coordinates to start from.
         progress: called with (done, total) of the first fit.
+        mean: (d,) centre of the prior, zeros if None.
 
     Returns:
         For each α, ascending: the likelihood with that α in its settings, and the fit, one hypothesis.
@@ -54,7 +56,9 @@ def fit_with_trust(
     highest, offsets = -np.inf, None
     for alpha in MODEL_ERRORS:
         likelihood = Likelihood(prior, observations, noise, replace(LikelihoodSettings(), model_error=alpha))
-        best = fit(likelihood, starts, offsets=offsets, progress=None if found else progress).best()
+        center = None if mean is None else np.repeat(mean[None], len(starts), axis=0)
+        told = None if found else progress
+        best = fit(likelihood, starts, prior_mean=center, offsets=offsets, progress=told).best()
         evidence = log_evidence(likelihood, best) - float(np.log(alpha))
         if evidence < highest:
             break

@@ -10,7 +10,6 @@ from models.inference.belief import Belief
 from models.inference.diagnosis.fitting import Fitted
 from models.inference.diagnosis.results import Diagnosis
 from models.measurements import PushDataset
-from models.physics.cell_grid import FloatArray
 
 
 def fitted_belief(fitted: Fitted, dataset: PushDataset, seed: int) -> Belief:
@@ -21,28 +20,13 @@ def fitted_belief(fitted: Fitted, dataset: PushDataset, seed: int) -> Belief:
         dataset: whose pushes it was fitted to.
         seed: of what fitted it.
     """
-    return belief_around(fitted, fitted.z[None], np.ones(1), dataset, seed)
-
-
-def belief_around(
-    fitted: Fitted, z: FloatArray, probability: FloatArray, dataset: PushDataset, seed: int
-) -> Belief:
-    """A belief about the maps and effects of a fitted model.
-
-    Args:
-        fitted: the model.
-        z: (K, d) coordinates of the hypotheses.
-        probability: (K,) of them.
-        dataset: whose pushes it was fitted to.
-        seed: of what fitted it.
-    """
     likelihood = fitted.likelihood
     prior = likelihood.prior
     return Belief.learnt(
         dataset,
         prior.slider,
-        prior.maps(z),
-        probability,
+        prior.maps(fitted.z[None]),
+        np.ones(1),
         method="gauss-newton",
         seed=seed,
         trials=[observation.trial for observation in likelihood.observations],

@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 
 from models.inference.belief import BeliefError
+from models.inference.hypotheses import accuracy_weights
 from models.inference.identifiability import interval
-from models.inference.identification import accuracy_weights, identify
+from models.inference.identification import identify
 from models.inference.prediction import predict
 from models.measurements import DatasetError, read_dataset
 

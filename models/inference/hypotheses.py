@@ -1,0 +1,118 @@
+"""Many answers instead of one: the hypotheses of a belief, refitted around the best fits.
+
+A fit to one set of pushes is one answer; the belief holds many. Each hypothesis is fitted anew to pushes
+weighted at random (the Bayesian bootstrap of Rubin, 1981: independent exponentials)
+and pulled towards maps drawn from the prior. Refits to the weights show what the pushes disagree about, be
+it noise or what no such model knows; refits towards random maps show what the pushes leave open. Neither
+needs the errors to be independent or the model to be right, which for recorded pushes they are not. And the
+hypotheses take turns in how far off they hold the model to be, up to what the pushes speak for (`trust`):
+who believes every millimetre takes the model's faults for the object's, who believes few learns little, and
+their mixture predicts better than either.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import asdict
+from typing import Any
+
+import numpy as np
+
+from models.inference.belief import Belief
+from models.inference.gauss_newton import Fits, fit
+from models.inference.likelihood import Likelihood
+from models.inference.prior import MapPrior
+from models.measurements import PushDataset
+from models.physics.cell_grid import FloatArray
+
+STRENGTHS = (0.8, 3.5)
+"""Range of the factor on the prior's map variation, drawn log-uniformly for each hypothesis."""
+
+Progress = Callable[[str, int, int], None]
+
+
+def refitted_belief(
+    dataset: PushDataset,
+    ladder: list[tuple[Likelihood, Fits]],
+    hypotheses: int,
+    seed: int,
+    report: Progress,
+    *,
+    mean: FloatArray | None = None,
+    settings: Mapping[str, Any],
+) -> Belief:
+    """Randomised refits around the best fits, under each likelihood of the ladder in turn.
+
+    Args:
+        dataset: whose pushes were fitted.
+        ladder: of `trust.fit_with_trust`.
+        hypotheses: K.
+        seed: of the draws.
+        report: called with (stage, done, total).
+        mean: (d,) centre of the prior, zeros if None.
+        settings: what else the belief keeps on record.
+    """
+    closest, _ = ladder[0]
+    prior, B = closest.prior, len(closest.observations)
+    rng = np.random.default_rng(seed)
+    weights = rng.exponential(size=(hypotheses, B))
+    center = np.zeros(prior.size) if mean is None else mean
+    prior_mean = center + rng.standard_normal((hypotheses, prior.size))
+    strength = np.exp(rng.uniform(np.log(STRENGTHS[0]), np.log(STRENGTHS[1]), hypotheses))
+    # The first hypothesis is the plain best fit.
+    weights[0], prior_mean[0], strength[0] = 1.0, center, 1.0
+    z = np.empty((hypotheses, prior.size))
+    probability = np.empty(hypotheses)
+    for rung, (likelihood, first) in enumerate(ladder[:hypotheses]):
+        who = np.arange(rung, hypotheses, len(ladder))
+        refits = fit(
+            likelihood,
+            _rescaled(prior, first.z[0], strength[who]),
+            weights=weights[who],
+            prior_mean=prior_mean[who],
+            strength=strength[who],
+            offsets=np.repeat(first.offsets, len(who), axis=0),
+            iterations=15,
+            tolerance=3e-3,
+            progress=_part(report, rung, len(ladder)),
+        )
+        z[who] = refits.z
+        probability[who] = accuracy_weights(refits.push_cost.sum(axis=1)) * len(who) / hypotheses
+    return Belief.learnt(
+        dataset,
+        prior.slider,
+        prior.maps(z, strength),
+        probability,
+        method="gauss-newton",
+        seed=seed,
+        trials=[observation.trial for observation in closest.observations],
+        settings={
+            **settings,
+            "strengths": list(STRENGTHS),
+            "model_errors": [likelihood.settings.model_error for likelihood, _ in ladder],
+            "prior": asdict(prior.settings),
+            "likelihood": asdict(closest.settings),
+        },
+    )
+
+
+def _part(report: Progress, part: int, parts: int) -> Callable[[int, int], None]:
+    return lambda done, total: report("hypotheses", part * total + done, parts * total)
+
+
+def _rescaled(prior: MapPrior, z: FloatArray, strength: FloatArray) -> FloatArray:
+    """The same maps in the coordinates of hypotheses with other strengths."""
+    start = np.repeat(z[None], len(strength), axis=0)
+    start[:, : 2 * prior.basis.shape[1]] /= strength[:, None]
+    return start
+
+
+def accuracy_weights(cost: FloatArray) -> FloatArray:
+    """Probabilities of hypotheses from their costs (K,): a soft-max as in the paper's line 30.
+
+    The temperature is twice the median excess over the best, at least 2: hypotheses that the data hold
+    about equally likely keep about equal weights, and those that a refit left in a worse valley lose theirs.
+    """
+    excess = cost - cost.min()
+    weight = np.exp(-excess / (2.0 * max(1.0, float(np.median(excess)))))
+    return weight / weight.sum()
