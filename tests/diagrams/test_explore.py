@@ -34,6 +34,7 @@ pytestmark = pytest.mark.usefixtures("renderer")
 
 SEED = 0
 TIME_STEP = 0.005  # s, for speed
+RATE = 5.0  # pictures a second, for speed
 SCENE = """(() => {
     const below = (node) => Object.fromEntries(
         Object.entries(node.children).map(([name, child]) => [name, below(child)]));
@@ -59,7 +60,8 @@ class Explored:
 def explored(tmp_path_factory: pytest.TempPathFactory) -> Explored:
     """The hammer, explored with two pushes and judged with one."""
     folder = tmp_path_factory.mktemp("explored")
-    (folder / "cell.yaml").write_text(f"simulation: {{time_step: {TIME_STEP}}}", encoding="utf-8")
+    scenario = f"simulation: {{time_step: {TIME_STEP}}}\ncamera: {{rate: {RATE}}}\n"
+    (folder / "cell.yaml").write_text(scenario, encoding="utf-8")
     arguments = ["explore", "--scenario", folder / "cell.yaml"]
     arguments += ["--object", "hammer", "--pushes", 2, "--checks", 1, "--seed", SEED]
     arguments += ["--out", folder / "out", "--json", folder / "result.json", "--record", folder / "run.html"]
@@ -209,6 +211,7 @@ def test_the_same_seed_repeats_the_push_to_the_bit(explored):
     finger's place differs in the last bit."""
     scenario = Scenario()
     scenario.simulation.time_step = TIME_STEP
+    scenario.camera.rate = RATE
     again = explore(scenario, LoopOptions(pushes=1, checks=0, seed=SEED), meshcat=Meshcat()).dataset
     first = explored.dataset.trials[0]
     assert np.array_equal(again.grid.centers, explored.dataset.grid.centers)
