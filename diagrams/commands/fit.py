@@ -45,7 +45,8 @@ def fit(
     parameters and the maps at the same time from the pushes of DATASET with the role `fit`; `heldout`
     pushes only judge. `slipmap diagnose` says which effects are worth adding.
 
-    Writes a belief that `predict` and `compare` take, and the same pictures as `identify`.
+    Writes a belief that `predict` and `compare` take, and the same pictures as `identify`; prints how well it
+    predicts beside a model without the effects that was learnt alike.
     """
     from models.effects.registry import effects_named
 
@@ -58,12 +59,18 @@ def fit(
         from models.inference.diagnosis.effect_fit import fit_effects
 
         result = fit_effects(measured, effects, hypotheses=hypotheses, seed=seed, progress=progress)
+
+        def without(stage: str, done: int, total: int) -> None:
+            progress(f"{stage}, without effects", done, total)
+
+        plain = fit_effects(measured, (), hypotheses=hypotheses, seed=seed, progress=without)
         drawn = keep(result, measured, output, pictures, progress)
-    estimates = effect_estimates(result, effects)
     if json_file is not None:
-        write_json(json_file, {**result.to_json(), "effects": estimates})
+        more = {"effects": effect_estimates(result, effects), "without_effects": _errors(plain)}
+        write_json(json_file, {**result.to_json(), **more})
     show(result, measured)
     _show_effects(result, effects)
+    _show_gain(result, plain)
     tell_files(output, drawn)
 
 
@@ -80,6 +87,23 @@ def effect_estimates(result: Identification, effects: Sequence[Effect]) -> dict[
         }
         for effect in effects
     }
+
+
+def _errors(result: Identification) -> dict[str, float | None]:
+    """Mean errors at the end of the pushes of each role, m; None where there are none."""
+    errors = {role: result.errors(role) for role in ("fit", "heldout")}
+    return {f"{role}_error_mean": float(of.mean()) if len(of) else None for role, of in errors.items()}
+
+
+def _show_gain(result: Identification, plain: Identification) -> None:
+    role, pushes = ("heldout", "Held-out pushes")
+    if not len(result.errors(role)):
+        role, pushes = ("fit", "The pushes that it learned from")
+    now, before = (1e3 * learnt.errors(role).mean() for learnt in (result, plain))
+    paragraph(
+        f"{pushes} end {now:.2g} mm from where they were predicted; without effects, learnt alike,"
+        f" {before:.2g} mm."
+    )
 
 
 def _show_effects(result: Identification, effects: Sequence[Effect]) -> None:

@@ -45,6 +45,9 @@ def test_from_a_model_that_fails_to_one_that_has_the_effect(slipmap, tmp_path):
     assert told["low"] < told["value"] < told["high"] and told["shown"] and told["unit"] == "s"
     assert told["value"] == pytest.approx(LATENCY, abs=0.004)
     assert "sensor_latency: the tracker is " in said.out
+    without = fitted["without_effects"]["heldout_error_mean"]
+    assert fitted["heldout_error_mean"] < 0.2 * without
+    assert f"without effects, learnt alike, {1e3 * without:.2g} mm" in " ".join(said.out.split())
     assert (tmp_path / "belief.maps.png").exists() and (tmp_path / "belief.pushes.png").exists()
 
     _, after = numbers("compare", recorded, "--belief", belief, "-o", html)
