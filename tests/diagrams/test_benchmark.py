@@ -131,9 +131,12 @@ def test_a_tiny_benchmark_says_what_is_missing(
 
 
 @pytest.mark.usefixtures("small_growth")
-def test_a_tiny_benchmark_with_all_engines() -> None:
+def test_a_tiny_benchmark_with_all_engines(monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("mujoco", reason="comes with pip install slipmap[bench]")
     pytest.importorskip("pybullet", reason="comes with pip install slipmap[bench]")
+    # Each measurement of growth is a process of its own.
+    monkeypatch.setattr(growth, "CELLS", (6,))
+    monkeypatch.setattr(growth, "MODELS", (1,))
     result = run_benchmark(cells=6, models=2, steps=4, repeats=2)
     assert result["missing"] == {}
     assert_as_described("bench", result)

@@ -31,8 +31,8 @@ def test_a_broken_trial_is_named_and_nothing_is_written(slipmap, tilted_folder, 
 
 
 def test_more_fit_pushes_than_there_are_are_refused(slipmap, tilted_folder, tmp_path):
-    said = slipmap("identify", tilted_folder, "-o", tmp_path / "b.npz", "--fit-pushes", 13)
-    assert_refused(said, "--fit-pushes 13", "12 pushes")
+    said = slipmap("identify", tilted_folder, "-o", tmp_path / "b.npz", "--fit-pushes", 9)
+    assert_refused(said, "--fit-pushes 9", "8 pushes")
 
 
 def test_outputs_are_checked_before_any_work(slipmap, tilted_folder, tmp_path):
