@@ -22,7 +22,7 @@ def explored(renderer, tmp_path_factory):
     folder = tmp_path_factory.mktemp("tilted")
     (folder / "cell.yaml").write_text(SCENARIO)
     code = run(
-        ["explore", "--scenario", str(folder / "cell.yaml"), "--pushes", "6", "--checks", "2", "--seed", "3",
+        ["explore", "--scenario", str(folder / "cell.yaml"), "--pushes", "5", "--checks", "2", "--seed", "3",
          "--strategy", "random", "--out", str(folder)]
     )  # fmt: skip
     assert code == 0
