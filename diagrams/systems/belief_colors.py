@@ -96,7 +96,8 @@ def legend(belief: Belief, what: Shown, which: int, basis: str) -> bytes:
     figure.text(0.05, 0.76, TITLES[which], fontsize=10.5, color=INK, va="center")
     bar = figure.add_axes((0.05, 0.62, 0.90, 0.085))
     scale = ScalarMappable(Normalize(0.0, what.tops[which]), colormaps[MAP_COLORS[which]])
-    figure.colorbar(scale, cax=bar, orientation="horizontal", ticks=MaxNLocator(5))
+    beyond = "max" if what.values[which].max() > what.tops[which] else "neither"
+    figure.colorbar(scale, cax=bar, orientation="horizontal", ticks=MaxNLocator(5), extend=beyond)
     bar.tick_params(labelsize=10)
     probability = belief.probability[what.hypotheses]
     figure.text(0.05, 0.45, "probability of the hypotheses", fontsize=10.5, color=INK, va="center")
