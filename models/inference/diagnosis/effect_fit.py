@@ -1,9 +1,8 @@
 """A belief with effects: maps and the effects' parameters, learnt together from the pushes with the role
 `fit`.
 
-The strict likelihood of the diagnosis finds the effects' parameters. But it believes every force, and is
-sure of a total mass that a force model that is 2 % off moves by a third; so the hypotheses are those of an
-identification, refits under the forgiving likelihood, with the effects in the model.
+The strict likelihood of the diagnosis finds the effects. The hypotheses are those of an identification,
+refits under the forgiving likelihood with the effects in the model (`effect_size` tells why).
 """
 
 from __future__ import annotations
@@ -16,6 +15,7 @@ import numpy as np
 from models.effects.effect import Effect, Scene
 from models.effects.library import LIBRARY
 from models.inference.belief import Belief
+from models.inference.diagnosis.effect_size import forgiving_fits, forgiving_prior_mean
 from models.inference.diagnosis.error_model import sensor_noise
 from models.inference.diagnosis.fitting import Fitted, Fitter, estimate_errors
 from models.inference.diagnosis.screening import screen
@@ -26,7 +26,6 @@ from models.inference.identification import check_request
 from models.inference.observations import observe_all
 from models.inference.prediction import predict_observations
 from models.inference.results import Identification, Quantity
-from models.inference.trust import fit_with_trust
 from models.measurements import DatasetError, PushDataset
 
 Progress = Callable[[str, int, int], None]
@@ -76,14 +75,7 @@ def fit_effects(
     )
     fitted = again or fitted
     report("fitting", 3, 3)
-    ladder = fit_with_trust(
-        fitted.likelihood.prior,
-        observations,
-        dataset.noise,
-        fitted.z[None],
-        lambda done, total: None,
-        fitted.prior_mean,
-    )
+    ladder = forgiving_fits(fitted, dataset.noise)
     likelihood, information = ladder[-1]
     belief = refitted_belief(
         dataset,
@@ -91,7 +83,7 @@ def fit_effects(
         hypotheses,
         seed,
         report,
-        mean=fitted.prior_mean,
+        mean=forgiving_prior_mean(fitted),
         settings={"motion_error": error.motion, "force_error": error.force},
     )
     predictions = predict_observations(belief, every, progress)

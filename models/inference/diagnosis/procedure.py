@@ -24,6 +24,7 @@ from models.effects.effect import Effect
 from models.effects.library import LIBRARY
 from models.effects.probes import PROBES
 from models.inference.diagnosis import outcomes
+from models.inference.diagnosis.effect_size import effect_sizes
 from models.inference.diagnosis.error_model import sensor_noise
 from models.inference.diagnosis.fitting import Fitted, Fitter
 from models.inference.diagnosis.locked import locked_errors, locked_trials
@@ -284,7 +285,8 @@ class _Inquiry:
 
     def candidates(self, answer: Fitted) -> list[CandidateResult]:
         """All named candidates, best first; two effects found together have the parameters of their fit."""
-        together = parameter_estimates(answer) if len(answer.effects) > 1 else ()
+        noise = self.fitter.dataset.noise
+        together = effect_sizes(answer, noise) if len(answer.effects) > 1 else ()
         results = []
         for i, effect in enumerate(self.first.candidates):
             if effect not in self.effects:
@@ -293,7 +295,8 @@ class _Inquiry:
             fitted, left = self.refits.fits.get(name), self.left.get(name)
             own = tuple(estimate for estimate in together if estimate.effect == name)
             if not own and fitted is not None:
-                own = parameter_estimates(fitted)
+                found = name in self.accepted
+                own = effect_sizes(fitted, noise) if found else parameter_estimates(fitted)
             results.append(
                 CandidateResult(
                     name=name,

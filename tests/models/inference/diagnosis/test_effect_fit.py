@@ -10,6 +10,7 @@ import yaml
 
 from models.effects.registry import effects_named
 from models.inference.diagnosis.effect_fit import fit_effects
+from models.inference.diagnosis.procedure import diagnose
 from models.measurements import read_dataset
 
 
@@ -29,3 +30,17 @@ def test_intervals_hold_the_truth(shared_data: Path) -> None:
     }
     for quantity, value in values.items():
         assert told[quantity].low < value < told[quantity].high, quantity
+
+
+def test_sizes_hold_the_truth_where_the_strict_fit_is_too_sure(shared_data: Path) -> None:
+    """A tilt is in proportion to the mass, of which forces tell more than they know."""
+    dataset = read_dataset(shared_data / "effects" / "public-tilt")
+    few = replace(dataset, trials=dataset.trials[:16])
+    found = diagnose(few, effects=effects_named(["table_tilt"]), quick=True)
+    tilt, direction = 0.05235988, 1.178213
+    truth = {"down_x": tilt * np.cos(direction), "down_y": tilt * np.sin(direction)}
+    assert found.verdict == "effect"
+    sizes = {size.name: size for size in found.candidates[0].parameters}
+    for name, value in truth.items():
+        assert sizes[name].low < value < sizes[name].high
+        assert sizes[name].high - sizes[name].low < 0.8 * tilt
