@@ -28,7 +28,9 @@ def test_the_parameters_are_those_of_the_common_fit(found):
     estimates = {(p.effect, p.name): p for p in found.parameters}
     common = [(effect.name, p.name) for effect in found.best.effects for p in effect.parameters]
     assert list(estimates) == common
-    assert [p.value for p in found.parameters] == found.best.values.tolist()
+    # Sizes are told by another likelihood than the one that found the effects, of the same common fit.
+    for parameter, value in zip(found.parameters, found.best.values, strict=True):
+        assert parameter.low < value < parameter.high
     for name, slope in TILT.items():
         assert estimates["table_tilt", name].value == pytest.approx(slope, abs=0.003)
     assert estimates["viscous_friction", "drag_per_area"].value == pytest.approx(DRAG, rel=0.15)
