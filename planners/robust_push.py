@@ -61,7 +61,8 @@ class PlannedPush:
         target: index of the target that it serves.
         gap: expected distance of the cells from where they are in the target, after the push, m.
         fall_probability: that the object falls on the way or at the end.
-        predicted: (K, 3) pose after the push in each hypothesis, without control noise on average, world.
+        predicted: (K, 3) pose after the push in each hypothesis that is not negligible, without control noise
+            on average, world.
         pushes: expected number of pushes to the target, this one included.
     """
 

@@ -82,6 +82,7 @@ def _learned(object_name: str, seed: int) -> tuple[Belief, Belief]:
 
 def _errors(belief: Belief, ended: Pregrasp) -> list[float]:
     from models.physics.paper_notation import add
+    from planners.foresight import NEGLIGIBLE
 
     errors = []
     for made in ended.pushes:
@@ -91,7 +92,8 @@ def _errors(belief: Belief, ended: Pregrasp) -> list[float]:
         # One hypothesis may plan a turn more than another.
         angles = np.unwrap([np.full(len(predicted), made.before[2]), predicted[:, 2]], axis=0)[1]
         turned = np.column_stack([predicted[:, :2], angles])
-        weights = belief.probability / belief.probability.sum()
+        weights = belief.probability[belief.probability > NEGLIGIBLE]
+        weights = weights / weights.sum()
         errors.append(float(add(weights @ turned, made.trial.object_pose.values[-1], belief.grid.centers)))
     return errors
 
