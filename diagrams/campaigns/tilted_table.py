@@ -152,7 +152,7 @@ def _summary(outcomes: Sequence[TrialOutcome]) -> Summary:
             "pushes": {model: one.to_json() for model, one in pushes.items()},
             "fates": {model: dict(of) for model, of in fates.items()},
         },
-        lambda: _figures(title, success),
+        lambda: _figures(title, success, errors),
     )
 
 
@@ -168,10 +168,13 @@ def _json(estimates: dict[str, dict[str, Estimate]]) -> dict[str, Any]:
     return {name: {model: one.to_json() for model, one in of.items()} for name, of in estimates.items()}
 
 
-def _figures(title: str, success: dict[str, dict[str, Estimate]]) -> list[Figure]:
-    from diagrams.figures.campaigns import shares_figure
+def _figures(
+    title: str, success: dict[str, dict[str, Estimate]], errors: dict[str, dict[str, Estimate]]
+) -> list[Figure]:
+    from diagrams.figures.campaigns import means_figure, shares_figure
 
-    return [shares_figure(title, success, {})]
+    off = means_figure("Where pushes end off their prediction", errors, 1e3, "mm")
+    return [off, shares_figure(title, success, {})]
 
 
 TILTED_TABLE = Experiment("tilt", 20, _specs, _summary)

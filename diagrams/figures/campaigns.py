@@ -50,27 +50,65 @@ def shares_figure(
         shares: object, method, share.
         paper: object, method, and the paper's share from and to, in per cent, where it has one.
     """
-    figure = Figure(figsize=(max(6.4, 1.6 * len(shares) + 1.0), 3.4), layout="constrained")
+    percent = {
+        name: {label: _scaled(one, 100.0) for label, one in labels.items()} for name, labels in shares.items()
+    }
+    figure = _bars(title, percent, paper)
+    figure.axes[0].set(ylim=(0, 104), ylabel="%")
+    return figure
+
+
+@styled
+def means_figure(title: str, means: Mapping[str, Mapping[str, Estimate]], factor: float, unit: str) -> Figure:
+    """Bars of means with 95 % intervals, grouped by object.
+
+    Args:
+        title: above all.
+        means: object, label, mean.
+        factor: that turns them into the unit.
+        unit: that is shown.
+    """
+    shown = {
+        name: {label: _scaled(one, factor) for label, one in labels.items()} for name, labels in means.items()
+    }
+    figure = _bars(title, shown, {})
+    figure.axes[0].set(ylabel=unit)
+    figure.axes[0].set_ylim(bottom=0.0)
+    return figure
+
+
+def _scaled(estimate: Estimate, factor: float) -> Estimate:
+    return Estimate(factor * estimate.value, factor * estimate.low, factor * estimate.high, estimate.count)
+
+
+def _bars(
+    title: str,
+    values: Mapping[str, Mapping[str, Estimate]],
+    marks: Mapping[str, Mapping[str, tuple[float, float]]],
+) -> Figure:
+    """Bars with intervals, a group for each object and a colour for each label, and the paper's marks."""
+    figure = Figure(figsize=(max(6.4, 1.6 * len(values) + 1.0), 3.4), layout="constrained")
     axes = figure.subplots()
-    methods = list(dict.fromkeys(label for labels in shares.values() for label in labels))
-    width = 0.8 / max(1, len(methods))
-    for index, (method, color) in enumerate(zip(methods, COLORS, strict=False)):
-        for group, (name, labels) in enumerate(shares.items()):
-            if method not in labels or not np.isfinite(labels[method].value):
+    every = list(dict.fromkeys(label for labels in values.values() for label in labels))
+    width = 0.8 / max(1, len(every))
+    for index, (label, color) in enumerate(zip(every, COLORS, strict=False)):
+        for group, (name, labels) in enumerate(values.items()):
+            if label not in labels or not np.isfinite(labels[label].value):
                 continue
-            estimate = labels[method]
+            one = labels[label]
             x = group - 0.4 + (index + 0.5) * width
-            off = [[100 * (estimate.value - estimate.low)], [100 * (estimate.high - estimate.value)]]
-            axes.bar(x, 100 * estimate.value, 0.92 * width, color=color, alpha=0.8)
-            axes.errorbar(x, 100 * estimate.value, np.maximum(off, 0.0), color=INK, linewidth=0.8)
-            if method in paper.get(name, {}):
-                axes.plot([x, x], paper[name][method], "_", color=INK, markersize=9)
-        axes.bar(0.0, 0.0, color=color, alpha=0.8, label=method)
-    if paper:
+            axes.bar(x, one.value, 0.92 * width, color=color, alpha=0.8)
+            if np.isfinite(one.low + one.high):
+                off = [[max(one.value - one.low, 0.0)], [max(one.high - one.value, 0.0)]]
+                axes.errorbar(x, one.value, off, color=INK, linewidth=0.8)
+            if label in marks.get(name, {}):
+                axes.plot([x, x], marks[name][label], "_", color=INK, markersize=9)
+        axes.bar(0.0, 0.0, color=color, alpha=0.8, label=label)
+    if marks:
         axes.plot([], [], "_", color=INK, markersize=9, label="the paper")
-    axes.set_xticks(range(len(shares)), [name.replace("_", " ") for name in shares])
-    axes.set(ylim=(0, 104), ylabel="%", title=title)
-    axes.legend(ncols=len(methods) + 1, loc="upper center", bbox_to_anchor=(0.5, -0.1))
+    axes.set_xticks(range(len(values)), [name.replace("_", " ") for name in values])
+    axes.set_title(title)
+    axes.legend(ncols=len(every) + 1, loc="upper center", bbox_to_anchor=(0.5, -0.1))
     return figure
 
 
