@@ -48,14 +48,21 @@ def identified(truth: str, object_name: str, seed: int) -> Belief:
     Raises:
         ObjectFell, PushNotMade: the object could not be explored.
     """
-    world = world_of(truth, object_name)
+    return explored(world_of(truth, object_name), seed)[0]
+
+
+def explored(world: DirectWorld, seed: int) -> tuple[Belief, tuple[Trial, ...]]:
+    """What `PUSHES` pushes teach of the object at the table's middle, and the pushes.
+
+    Raises:
+        ObjectFell, PushNotMade: the object could not be explored.
+    """
     rng = np.random.default_rng([seed, 0])
     world.reset(np.array([0.0, 0.0, rng.uniform(-np.pi, np.pi)]), rng)
-    belief, _ = learn_by_pushing(
+    return learn_by_pushing(
         world,
         world.true_object.grid,
         lambda trials, grid: as_dataset(world, trials),
         PregraspSettings(explorations=PUSHES),
         np.random.default_rng([seed, 1]),
     )
-    return belief

@@ -108,6 +108,25 @@ class MethodsCompared:
         return [shares_figure(title, self.success, marks)]
 
 
+def results_of(
+    outcomes: Sequence[TrialOutcome], parameter: str, values: Sequence[str]
+) -> tuple[dict[str, dict[str, list[dict[str, Any]]]], dict[str, list[dict[str, Any]]]]:
+    """Results by object and by the value of a trial's parameter, and those of all objects together.
+
+    Args:
+        outcomes: of the trials; failed ones have no result and are left out.
+        parameter: such as `method`.
+        values: that it may have, in the order of the columns.
+    """
+    results: dict[str, dict[str, list[dict[str, Any]]]] = {}
+    for outcome in outcomes:
+        if outcome.result is not None:
+            told = outcome.spec.parameters
+            of_object = results.setdefault(told["object_name"], {value: [] for value in values})
+            of_object[told[parameter]].append(outcome.result)
+    return results, {value: [one for of in results.values() for one in of[value]] for value in values}
+
+
 def compare_methods(
     outcomes: Sequence[TrialOutcome], *, good: str, pushes: Callable[[Any], int], together: bool = False
 ) -> MethodsCompared:
@@ -119,13 +138,7 @@ def compare_methods(
         pushes: number of them, of a result.
         together: whether to add a row `ALL`.
     """
-    results: dict[str, dict[str, list[dict[str, Any]]]] = {}
-    for outcome in outcomes:
-        if outcome.result is not None:
-            told = outcome.spec.parameters
-            of_object = results.setdefault(told["object_name"], {method: [] for method in METHODS})
-            of_object[told["method"]].append(outcome.result)
-    every = {method: [one for of in results.values() for one in of[method]] for method in METHODS}
+    results, every = results_of(outcomes, "method", METHODS)
     rows = [*results.items(), (ALL, every)] if together else list(results.items())
     return MethodsCompared(
         {

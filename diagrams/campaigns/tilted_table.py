@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from diagrams.campaigns.experiment import Experiment, Summary, TableText, names_and_seeds
+from diagrams.campaigns.methods_compared import ALL, results_of
 from diagrams.campaigns.pregrasp_success import FATES, brought_to_edge, result_of
 from planners.campaigns.tables import Estimate, mean, share
 from planners.campaigns.trial import CampaignError, TrialOutcome, TrialSpec
@@ -31,7 +32,6 @@ MODELS = ("without the tilt", "with the tilt")
 """What the models can learn."""
 YAWS_A_BELIEF = 5
 """Trials with one and the same belief; learning takes longer than pushing."""
-ALL = "all"
 
 
 def trial(*, seed: int, object_name: str, model: str, belief_seed: int) -> dict[str, Any]:
@@ -60,22 +60,12 @@ def _world(object_name: str) -> PlantWorld:
 @lru_cache(maxsize=8)
 def _learned(object_name: str, seed: int) -> tuple[Belief, Belief]:
     """Beliefs of `MODELS`, from the same pushes."""
-    from diagrams.campaigns.learning import PUSHES, as_dataset
+    from diagrams.campaigns.learning import as_dataset, explored
     from models.effects.registry import effects_named
     from models.inference.diagnosis.effect_fit import fit_effects
-    from planners.learn_by_pushing import learn_by_pushing
-    from planners.pregrasp_settings import PregraspSettings
 
     world = _world(object_name)
-    rng = np.random.default_rng([seed, 0])
-    world.reset(np.array([0.0, 0.0, rng.uniform(-np.pi, np.pi)]), rng)
-    plain, trials = learn_by_pushing(
-        world,
-        world.true_object.grid,
-        lambda trials, grid: as_dataset(world, trials),
-        PregraspSettings(explorations=PUSHES),
-        np.random.default_rng([seed, 1]),
-    )
+    plain, trials = explored(world, seed)
     tilted = fit_effects(as_dataset(world, trials), effects_named(["table_tilt"]), seed=seed)
     return plain, tilted.belief
 
@@ -83,18 +73,17 @@ def _learned(object_name: str, seed: int) -> tuple[Belief, Belief]:
 def _errors(belief: Belief, ended: Pregrasp) -> list[float]:
     from models.physics.paper_notation import add
     from planners.foresight import NEGLIGIBLE
+    from planners.pose_metric import turned_to
 
     errors = []
     for made in ended.pushes:
         if made.trial.object_pose.time[-1] < made.trial.tip_pose.time[-1]:
             continue
-        predicted = made.planned.predicted
-        # One hypothesis may plan a turn more than another.
-        angles = np.unwrap([np.full(len(predicted), made.before[2]), predicted[:, 2]], axis=0)[1]
-        turned = np.column_stack([predicted[:, :2], angles])
+        # One hypothesis may count the angle a turn further than another.
+        predicted = turned_to(made.planned.predicted, made.before[2])
         weights = belief.probability[belief.probability > NEGLIGIBLE]
         weights = weights / weights.sum()
-        errors.append(float(add(weights @ turned, made.trial.object_pose.values[-1], belief.grid.centers)))
+        errors.append(float(add(weights @ predicted, made.trial.object_pose.values[-1], belief.grid.centers)))
     return errors
 
 
@@ -114,21 +103,13 @@ def _specs(objects: Sequence[str], trials: int, seed: int, truth: str) -> list[T
 
 
 def _summary(outcomes: Sequence[TrialOutcome]) -> Summary:
-    results: dict[str, dict[str, list[dict[str, Any]]]] = {}
-    for outcome in outcomes:
-        if outcome.result is not None:
-            told = outcome.spec.parameters
-            of_object = results.setdefault(told["object_name"], {model: [] for model in MODELS})
-            of_object[told["model"]].append(outcome.result)
-    every = {model: [one for of in results.values() for one in of[model]] for model in MODELS}
+    results, every = results_of(outcomes, "model", MODELS)
+    rows_of = [*results.items(), (ALL, every)]
     success = {
         name: {model: share(sum(one["success"] for one in of[model]), len(of[model])) for model in MODELS}
-        for name, of in [*results.items(), (ALL, every)]
+        for name, of in rows_of
     }
-    errors = {
-        name: {model: _mean_error(of[model]) for model in MODELS}
-        for name, of in [*results.items(), (ALL, every)]
-    }
+    errors = {name: {model: _mean_error(of[model]) for model in MODELS} for name, of in rows_of}
     pushes = {model: mean([one["pushes"] for one in every[model]]) for model in MODELS}
     fates = {model: Counter(one["fate"] for one in every[model]) for model in MODELS}
     title = f"Brought to the edge of a table tilted by {TILT:g}°"

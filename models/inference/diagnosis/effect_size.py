@@ -9,18 +9,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from models.effects.effect import bounds
 from models.inference.diagnosis.fitting import Fitted
-from models.inference.diagnosis.results import ParameterEstimate, parameter_estimates
+from models.inference.diagnosis.results import ParameterEstimate, estimates_of, parameter_estimates
 from models.inference.gauss_newton import Fits
 from models.inference.likelihood import Likelihood
 from models.inference.trust import fit_with_trust
 from models.measurements import Noise
 from models.physics.cell_grid import FloatArray
 from models.physics.rollout import RolloutError
-
-SHARE = 1.645
-"""Standard deviations on either side of the middle of a 90 % interval."""
 
 
 def forgiving_prior_mean(fitted: Fitted) -> FloatArray:
@@ -55,13 +51,6 @@ def effect_sizes(fitted: Fitted, noise: Noise) -> tuple[ParameterEstimate, ...]:
         _, found = forgiving_fits(fitted, noise)[-1]
     except (RolloutError, np.linalg.LinAlgError):
         return parameter_estimates(fitted)
-    values = prior.maps(found.z).effects[0]
     covariance = np.linalg.inv(found.hessian[0] + np.eye(prior.size))
-    half = SHARE * np.sqrt(np.diagonal(covariance)[prior.plain :]) * prior.effect_scales
-    lowest, highest = bounds(fitted.effects)
-    low, high = np.maximum(values - half, lowest), np.minimum(values + half, highest)
-    named = [(effect.name, parameter) for effect in fitted.effects for parameter in effect.parameters]
-    return tuple(
-        ParameterEstimate(name, p.name, p.unit, float(values[k]), float(low[k]), float(high[k]))
-        for k, (name, p) in enumerate(named)
-    )
+    deviations = np.sqrt(np.diagonal(covariance)[prior.plain :]) * prior.effect_scales
+    return estimates_of(fitted.effects, prior.maps(found.z).effects[0], deviations)

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 from models.effects.effect import Effect, bounds
 from models.inference.diagnosis.fitting import Fitted
 from models.inference.diagnosis.locked import LockedErrors
+from models.physics.cell_grid import FloatArray
 
 VERDICTS = ("adequate", "effect", "ambiguous", "unknown", "undecided")
 
@@ -25,9 +27,16 @@ class ParameterEstimate:
 
 def parameter_estimates(fitted: Fitted) -> tuple[ParameterEstimate, ...]:
     """Parameters of a fitted model with their 90 % intervals, cut at the allowed range."""
-    spread = 1.645 * fitted.standard_deviations
-    low, high = bounds(fitted.effects)
-    every = [(effect.name, parameter) for effect in fitted.effects for parameter in effect.parameters]
+    return estimates_of(fitted.effects, fitted.values, fitted.standard_deviations)
+
+
+def estimates_of(
+    effects: Sequence[Effect], values: FloatArray, deviations: FloatArray
+) -> tuple[ParameterEstimate, ...]:
+    """Parameters (P,) with the 90 % intervals of their standard deviations (P,), cut at the allowed range."""
+    spread = 1.645 * deviations
+    low, high = bounds(effects)
+    every = [(effect.name, parameter) for effect in effects for parameter in effect.parameters]
     return tuple(
         ParameterEstimate(
             name,
@@ -37,7 +46,7 @@ def parameter_estimates(fitted: Fitted) -> tuple[ParameterEstimate, ...]:
             float(max(value - s, lo)),
             float(min(value + s, hi)),
         )
-        for (name, parameter), value, s, lo, hi in zip(every, fitted.values, spread, low, high, strict=True)
+        for (name, parameter), value, s, lo, hi in zip(every, values, spread, low, high, strict=True)
     )
 
 
