@@ -80,8 +80,8 @@ def be_ready() -> None:
 
 
 def have_priority() -> None:
-    """In the child: where the system has this and allows it, be kept waiting by no other process, nor by the
-    parent if it has real-time priority itself."""
+    """In the child, or another process that must keep time: where the system has this and allows it, be kept
+    waiting by no other process, nor by the parent if it has real-time priority itself."""
     with suppress(OSError, AttributeError):
         priority = min(os.sched_getparam(0).sched_priority + 1, os.sched_get_priority_max(os.SCHED_RR))
         os.sched_setscheduler(0, os.SCHED_RR, os.sched_param(priority))

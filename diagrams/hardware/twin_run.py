@@ -11,6 +11,7 @@ from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import Context, EventStatus
 
 from diagrams.hardware import channels, network
+from diagrams.hardware.child import have_priority
 from diagrams.hardware.twin import CellTwin
 from diagrams.hardware.twin_camera import TwinCamera
 from diagrams.station.scenario import Scenario
@@ -50,6 +51,9 @@ def run_twin(
 ) -> TwinReport:
     """Run the twin until Ctrl-C, or for some time, and say how it fared.
 
+    It is for a process of its own, which has real-time priority from here on where the system allows it: a
+    cell does not wait for what drives it.
+
     Args:
         scenario: what the cell is like.
         url: see `network.open_lcm`.
@@ -63,6 +67,7 @@ def run_twin(
     lcm = network.open_lcm(url)
     twin = CellTwin(scenario, lcm, camera=False)
     camera = TwinCamera(scenario, url)
+    have_priority()
     try:
         return _run(twin, camera, 1.0 / scenario.camera.rate, report, until)
     finally:

@@ -28,7 +28,7 @@ from models.physics.cell_grid import FloatArray
 TWIN, LOCKSTEP = "twin", "lockstep"
 """The twin in a process of its own, and the one that steps together with what drives it."""
 
-BUSY = GuardSettings(status_age=0.5, image_age=5.0, following=0.2, lag=0.5)
+BUSY = GuardSettings(status_age=0.5, image_age=5.0, following=0.2, lag=1.0)
 """Guard for a computer that does much else beside; not for a real arm."""
 
 
