@@ -159,23 +159,48 @@ def drag_moments(drag, rx, ry, cell_width, out):  # type: ignore[no-untyped-def]
         out[3] += drag[i] * (rx[i] * rx[i] + ry[i] * ry[i] + cell_width * cell_width / 6.0)
 
 
-@compiled()
-def cell_gradients(cells, v, cell_width, by_load, by_drag, by_stretch):  # type: ignore[no-untyped-def]
-    """Derivatives of the friction's gradient by what effects may change, at the twist v.
-
-    Args:
-        cells: `EffectCells`.
-        v: twist after the step.
-        cell_width: w, m.
-        by_load: (3, n) result, by each cell's load f_i s_i.
-        by_drag: (3, n) result, by each cell's drag.
-        by_stretch: (3, 3) result, columns by q_xx, q_xy, q_yy.
-    """
+@compiled(fastmath={"contract"})
+def load_gradients(cells, v, by_load):  # type: ignore[no-untyped-def]
+    """Fill by_load (3, n): derivatives of the friction's gradient at the twist v by each cell's load f_i
+    s_i."""
     vx, vy, omega = v
     qxx, qxy, qyy = cells.qxx, cells.qxy, cells.qyy
     spin = cells.rho2 * omega
     constant = spin * omega + cells.eps2
-    by_stretch[:, :] = 0.0
+    rx, ry = cells.rx, cells.ry
+    row_x, row_y, row_w = by_load[0], by_load[1], by_load[2]
+    for i in range(row_x.shape[0]):
+        ux = vx - omega * ry[i]
+        uy = vy + omega * rx[i]
+        px = qxx * ux + qxy * uy
+        py = qxy * ux + qyy * uy
+        inverse = 1.0 / math.sqrt(ux * px + uy * py + constant)
+        row_x[i] = px * inverse
+        row_y[i] = py * inverse
+        row_w[i] = (rx[i] * py - ry[i] * px + spin) * inverse
+
+
+@compiled(fastmath={"contract"})
+def drag_gradients(rx, ry, v, cell_width, by_drag):  # type: ignore[no-untyped-def]
+    """Fill by_drag (3, n): the same by the drags of the cells, at (rx, ry) and of some width, m."""
+    vx, vy, omega = v
+    turning = cell_width * cell_width / 6.0 * omega
+    for i in range(rx.shape[0]):
+        ux = vx - omega * ry[i]
+        uy = vy + omega * rx[i]
+        by_drag[0, i] = ux
+        by_drag[1, i] = uy
+        by_drag[2, i] = rx[i] * uy - ry[i] * ux + turning
+
+
+@compiled(fastmath=_FAST)
+def stretch_gradients(cells, v, by_stretch):  # type: ignore[no-untyped-def]
+    """Fill by_stretch (3, 3): the same by q_xx, q_xy, q_yy (columns)."""
+    vx, vy, omega = v
+    qxx, qxy, qyy = cells.qxx, cells.qxy, cells.qyy
+    spin = cells.rho2 * omega
+    constant = spin * omega + cells.eps2
+    xx0 = xx1 = xx2 = xy0 = xy1 = xy2 = yy0 = yy1 = yy2 = 0.0
     for i in range(cells.load.shape[0]):
         x, y = cells.rx[i], cells.ry[i]
         ux = vx - omega * y
@@ -184,19 +209,18 @@ def cell_gradients(cells, v, cell_width, by_load, by_drag, by_stretch):  # type:
         py = qxy * ux + qyy * uy
         pw = x * py - y * px + spin
         phi2 = ux * px + uy * py + constant
-        inverse = 1.0 / math.sqrt(phi2)
-        by_load[0, i] = px * inverse
-        by_load[1, i] = py * inverse
-        by_load[2, i] = pw * inverse
-        by_drag[0, i] = ux
-        by_drag[1, i] = uy
-        by_drag[2, i] = x * uy - y * ux + cell_width * cell_width / 6.0 * omega
-        a = cells.load[i] * inverse
+        a = cells.load[i] / math.sqrt(phi2)
         b = a / phi2
-        for q in range(3):
-            dx = ux if q == 0 else (uy if q == 1 else 0.0)
-            dy = uy if q == 2 else (ux if q == 1 else 0.0)
-            less = b * (0.5 * ux * ux if q == 0 else (ux * uy if q == 1 else 0.5 * uy * uy))
-            by_stretch[0, q] += a * dx - less * px
-            by_stretch[1, q] += a * dy - less * py
-            by_stretch[2, q] += a * (x * dy - y * dx) - less * pw
+        by_xx, by_xy, by_yy = 0.5 * b * ux * ux, b * ux * uy, 0.5 * b * uy * uy
+        xx0 += a * ux - by_xx * px
+        xx1 -= by_xx * py
+        xx2 -= a * y * ux + by_xx * pw
+        xy0 += a * uy - by_xy * px
+        xy1 += a * ux - by_xy * py
+        xy2 += a * (x * ux - y * uy) - by_xy * pw
+        yy0 -= by_yy * px
+        yy1 += a * uy - by_yy * py
+        yy2 += a * x * uy - by_yy * pw
+    by_stretch[0, 0], by_stretch[0, 1], by_stretch[0, 2] = xx0, xy0, yy0
+    by_stretch[1, 0], by_stretch[1, 1], by_stretch[1, 2] = xx1, xy1, yy1
+    by_stretch[2, 0], by_stretch[2, 1], by_stretch[2, 2] = xx2, xy2, yy2

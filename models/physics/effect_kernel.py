@@ -20,27 +20,36 @@ from models.physics.around_step import (
     applied_impulse,
     bent_frame,
     finger_impulse,
-    way_by_spin,
     way_of,
 )
 from models.physics.compiled import compiled
 from models.physics.contact import CONTACT_COLUMNS, MAX_CONTACTS, cone_of
-from models.physics.effect_cells import EffectCells, cell_gradients, drag_moments
+from models.physics.effect_cells import (
+    EffectCells,
+    drag_gradients,
+    drag_moments,
+    load_gradients,
+    stretch_gradients,
+)
 from models.physics.effect_derivative import add_contact_scale, add_spring_columns, blade_slopes
 from models.physics.effect_layout import AFTER, BODY_OUTPUTS, CONSTANTS, FORCE, INERTIA, STATE
 from models.physics.effect_sensitivity import (
+    FIXED_ROWS,
     add_contact_slopes,
     advance_memory,
     advance_state,
-    fill_direct,
-    first_rows,
-    force_rows,
+    empty_blocks,
+    fill_force,
+    fill_load_slopes,
+    fill_other_slopes,
+    first_blocks,
     set_body_slopes,
-    store_pose,
+    store_rows,
     weigh_cells,
 )
-from models.physics.friction import SPIN_RADIUS
+from models.physics.friction import padded_cells
 from models.physics.prediction import best_weights, weighted
+from models.physics.sensitivity import pose_update
 from models.physics.step import (
     EXTRA_COLUMNS,
     MAX_EVALUATIONS,
@@ -84,7 +93,7 @@ def effect_rollout(  # type: ignore[no-untyped-def]
     load_sum = load.sum()
     body = (inertia[0], inertia[1], inertia[2], inertia[3])
     about_center = inertia[3] - (inertia[1] * inertia[1] + inertia[2] * inertia[2]) / inertia[0]
-    rho2, eps2 = (SPIN_RADIUS * cell_width) ** 2, smoothing[0] * smoothing[0]
+    plain = padded_cells(load, rx, ry, cell_width, smoothing[0])
     rows = np.zeros((MAX_CONTACTS, CONTACT_COLUMNS))
     forced = wrench.shape[0] > 0
 
@@ -96,9 +105,10 @@ def effect_rollout(  # type: ignore[no-untyped-def]
     out = np.zeros(BODY_OUTPUTS + 4 * blade_count)
     dout = np.zeros((BODY_OUTPUTS + 4 * blade_count, Y))
     factor = np.ones(n)
+    share_of_load = np.ones_like(plain.rx)
     drag = np.zeros(n)
     drag_sums = np.zeros(4)
-    loads = load.copy()
+    loads = plain.load
     after = np.zeros(AFTER)
     own = np.zeros(max(0, E - FORCE))
     down = np.zeros((max(0, E - FORCE), Y + AFTER))
@@ -114,9 +124,9 @@ def effect_rollout(  # type: ignore[no-untyped-def]
     spring_force = np.zeros((2, 3))
     scale_g = np.zeros((3, 2))
     scale_f = np.zeros((2, 2))
-    T = first_rows(memory_rows, n, columns)
-    new_T = np.zeros_like(T)
-    direct = np.zeros((3, T.shape[1]))
+    S = first_blocks(E, n, columns)
+    before = np.zeros_like(S)
+    F = empty_blocks(columns, 2)
 
     x, yy, theta = q0[0], q0[1], q0[2]
     cos, sin = math.cos(theta), math.sin(theta)
@@ -136,11 +146,14 @@ def effect_rollout(  # type: ignore[no-untyped-def]
         if with_cells:
             call_address(addresses[1], (y, c, rx, ry, factor, drag))
             for i in range(n):
-                loads[i] = load[i] * max(factor[i], 0.0)
+                share_of_load[i] = max(factor[i], 0.0)
+                loads[i] = load[i] * share_of_load[i]
             drag_moments(drag, rx, ry, cell_width, drag_sums)
         kappa, compliance = out[6], out[7]
         blades = out[BODY_OUTPUTS:].reshape(blade_count, 4)
-        cells = EffectCells(loads, rx, ry, rho2, eps2, out[3], out[4], out[5], drag_sums, blades)
+        cells = EffectCells(
+            loads, plain.rx, plain.ry, plain.rho2, plain.eps2, out[3], out[4], out[5], drag_sums, blades
+        )
         cone = cone_of(mu, smoothing, load_sum, compliance, h)
 
         half_cos, half_sin = joined(quarter.cos, quarter.sin, quarter.cos, quarter.sin)
@@ -194,17 +207,21 @@ def effect_rollout(  # type: ignore[no-untyped-def]
             if E > FORCE:
                 call_address(addresses[3], (y, c, after, own, down))
 
+        wants_force = force_sample < force_step.shape[0] and force_step[force_sample] == step
         if derive:
             step_derivative(
                 v, new, h, scaled, cone, frame, quarter, first, second, impulse1, impulse2, A, extra, dforce
             )  # fmt: skip
             add_applied_turning(A, applied, h)
             extra[:, :INERTIA] *= kappa
-            cell_gradients(cells, new, cell_width, by_load, by_drag, by_stretch)
+            if with_stretch:
+                stretch_gradients(cells, new, by_stretch)
             set_body_slopes(G, body, new, free, dout, h, by_stretch, with_stretch)
             if blade_count > 0:
-                blade_slopes(blades, dout[BODY_OUTPUTS:], new, eps2, h, G)
+                blade_slopes(blades, dout[BODY_OUTPUTS:], new, plain.eps2, h, G)
             if with_cells:
+                load_gradients(cells, new, by_load)
+                drag_gradients(rx, ry, new, cell_width, by_drag)
                 weigh_cells(load, factor, h, by_load, by_drag, weighted_load)
                 call_address(addresses[2], (y, c, rx, ry, weighted_load, by_drag, G))
             # By the contact's stiffness: through the sum of loads and the finger's compliance.
@@ -218,13 +235,18 @@ def effect_rollout(  # type: ignore[no-untyped-def]
                     spring_A, spring_force,
                 )  # fmt: skip
             add_contact_slopes(G, A, scale_g, spring_A, dout, E > 0)
-            fill_direct(direct, G, T, h, factor, by_load, scale_g, extra, memory_rows)
-            advance_state(T, new_T, direct, minimum, way, way_by_spin(way, h), h)
-            if E > 0:
-                force_rows(
-                    T, new_T, n, frame, h, force, dforce, spring_force, scale_f, dout, new_T, STATE
+            before[:] = S
+            scale = (scale_g[0, 0], scale_g[1, 0], scale_g[2, 0])
+            fill_load_slopes(S, cells, share_of_load, E, new, h, scale)
+            fill_other_slopes(S, G, E, n, columns, extra)
+            inverse = (minimum.xx, minimum.xy, minimum.xw, minimum.yy, minimum.yw, minimum.ww)
+            advance_state(S, G, E, inverse, pose_update(way, h), h)
+            if E > 0 or wants_force:
+                fill_force(
+                    F, S, before, E, n, columns, frame, h, force, dforce, spring_force, scale_f, dout
                 )  # fmt: skip
-                advance_memory(T, new_T, down, n, memory_rows)
+            if E > 0:
+                advance_memory(S, before, F, down, E, n, columns)
 
         while sample < sample_time.shape[0]:
             at = sample_time[sample] - delay
@@ -239,19 +261,14 @@ def effect_rollout(  # type: ignore[no-untyped-def]
             rate_out[sample, 1] = length * wy / h if within else 0.0
             rate_out[sample, 2] = new[2] if within else 0.0
             if derive:
-                store_pose(T, new_T, share, dpose_out[sample])
+                store_rows(S, before, share, FIXED_ROWS + E, dpose_out[sample])
             sample += 1
         while force_sample < force_step.shape[0] and force_step[force_sample] == step:
             force_out[force_sample, 0], force_out[force_sample, 1] = force
             if derive:
-                force_rows(
-                    T, new_T, n, frame, h, force, dforce, spring_force, scale_f, dout,
-                    dforce_out[force_sample], 0,
-                )  # fmt: skip
+                store_rows(F, F, 1.0, 2, dforce_out[force_sample])
             force_sample += 1
 
-        if derive:
-            T, new_T = new_T, T
         if E > 0:
             y[STATE], y[STATE + 1] = force
             for e in range(E - FORCE):

@@ -1,27 +1,56 @@
 """The Jacobian of a rollout with effects, carried from step to step.
 
-It is kept as rows T of the state and memory over columns of parameters: loads, m, s_x, s_y, J, finger
-friction, start (6), effects. G (3, Y) is the derivative of a step's gradient by what the formulas are
-evaluated at (`effect_layout.py`), `direct` (3, columns) that by the parameters.
+As in `sensitivity.py` it is kept in blocks of `LANES` parameters, flat in memory, with 9 + E rows each:
+
+    0 … 5   d(state)/d(parameter)
+    6 … 8   direct derivative of the step's gradient by the parameter
+    9 …     d(memory)/d(parameter), of the E entries of memory
+
+Parameters are in the order in which they are given out: loads, m, s_x, s_y, J, finger friction, start (6),
+effects. G (3, Y) is the derivative of a step's gradient by what the formulas are evaluated at
+(`effect_layout.py`).
 """
 
 from __future__ import annotations
+
+import math
 
 import numpy as np
 
 from models.physics.compiled import compiled
 from models.physics.effect_layout import AFTER, FORCE, INERTIA, STATE
+from models.physics.friction import LANES
+from models.physics.sensitivity import advance
 from models.physics.step import EXTRA_COLUMNS
+
+_DIRECT = STATE
+_MEMORY = _DIRECT + 3
+
+FIXED_ROWS = _MEMORY
+"""Rows of a block besides those of memory."""
+
+
+@compiled(forceinline=True)
+def _place(column, row, rows):  # type: ignore[no-untyped-def]
+    """Where an entry is in blocks of so many rows."""
+    return (column // LANES * rows + row) * LANES + column % LANES
 
 
 @compiled()
-def first_rows(memory_rows, n, columns):  # type: ignore[no-untyped-def]
-    """T before the first step: the state is the start's; no columns where no Jacobian is wanted."""
-    T = np.zeros((memory_rows, columns))
+def empty_blocks(columns, rows):  # type: ignore[no-untyped-def]
+    """Room for so many columns."""
+    return np.zeros((columns + LANES - 1) // LANES * rows * LANES)
+
+
+@compiled()
+def first_blocks(memory, n, columns):  # type: ignore[no-untyped-def]
+    """Blocks before the first step: the state is the start's; none where no Jacobian is wanted."""
+    rows = _MEMORY + memory
+    S = empty_blocks(columns, rows)
     if columns > 0:
         for k in range(STATE):
-            T[k, n + INERTIA + 1 + k] = 1.0
-    return T
+            S[_place(n + INERTIA + 1 + k, k, rows)] = 1.0
+    return S
 
 
 @compiled(forceinline=True)
@@ -89,117 +118,125 @@ def add_contact_slopes(G, A, scale_g, spring_A, dout, bends):  # type: ignore[no
                 G[a, k] += spring_A[a, 2] * dout[7, k]
 
 
-@compiled(forceinline=True)
-def fill_direct(direct, G, T, h, factor, by_load, scale_g, extra, memory_rows):  # type: ignore[no-untyped-def]
-    """Derivative of the step's gradient by all parameters, through the state before the step as well.
+@compiled(fastmath={"contract"})
+def fill_load_slopes(S, cells, share, memory, v, h, scale):  # type: ignore[no-untyped-def]
+    """Set the direct rows of the loads: derivative of the step's gradient by them, the state being held.
+
+    It does so for the cells that fill up as well; `fill_other_slopes` is called afterwards.
 
     Args:
-        direct: (3, columns) result.
-        G: (3, Y) by what the formulas are evaluated at.
-        T: (memory_rows, columns) Jacobian before the step.
+        S: blocks, changed in place.
+        cells: `EffectCells`, filled up to a multiple of `LANES`.
+        share: (as many,) friction factors, not below 0.
+        memory: E.
+        v: twist after the step.
         h: step, s.
-        factor: (n,) friction factors.
-        by_load: (3, n) gradient by load.
-        scale_g: (3, 2) see `add_contact_scale`.
-        extra: (3, …) gradient by inertia and finger friction.
-        memory_rows: number of state and memory entries.
+        scale: (3,) gradient by the sum of loads, through the contact's stiffness.
     """
-    n, columns = factor.shape[0], direct.shape[1]
-    for a in range(3):
-        for i in range(n):
-            direct[a, i] = h * max(factor[i], 0.0) * by_load[a, i] + scale_g[a, 0]
-        for k in range(INERTIA):
-            direct[a, n + k] = extra[a, k] + G[a, memory_rows + k]
-        direct[a, n + INERTIA] = extra[a, INERTIA]
-        direct[a, n + INERTIA + 1 : n + EXTRA_COLUMNS] = 0.0
-        for k in range(columns - n - EXTRA_COLUMNS):
-            direct[a, n + EXTRA_COLUMNS + k] = G[a, memory_rows + INERTIA + k]
-        for k in range(memory_rows):
-            slope = G[a, k]
-            if slope != 0.0:
-                for j in range(columns):
-                    direct[a, j] += slope * T[k, j]
-
-
-@compiled(forceinline=True)
-def advance_state(T, new_T, direct, minimum, way, by_spin, h):  # type: ignore[no-untyped-def]
-    """Rows of the state after a step.
-
-    Args:
-        T: Jacobian before the step.
-        new_T: result.
-        direct: (3, columns) see `fill_direct`.
-        minimum: with the inverse Hessian.
-        way: of the step.
-        by_spin: see `way_by_spin`.
-        h: step, s.
-    """
-    length, wx, wy, mid_cos, mid_sin = way.length, way.wx, way.wy, way.cos, way.sin
-    ixx, ixy, ixw = minimum.xx, minimum.xy, minimum.xw
-    iyy, iyw, iww = minimum.yy, minimum.yw, minimum.ww
-    to_x, to_y = by_spin
-    for j in range(direct.shape[1]):
-        gx, gy, gw = direct[0, j], direct[1, j], direct[2, j]
-        dvx = -(ixx * gx + ixy * gy + ixw * gw)
-        dvy = -(ixy * gx + iyy * gy + iyw * gw)
-        dw = -(ixw * gx + iyw * gy + iww * gw)
-        dtheta = T[2, j]
-        new_T[0, j] = T[0, j] + length * (-wy * dtheta + mid_cos * dvx - mid_sin * dvy) + to_x * dw
-        new_T[1, j] = T[1, j] + length * (wx * dtheta + mid_sin * dvx + mid_cos * dvy) + to_y * dw
-        new_T[2, j] = dtheta + h * dw
-        new_T[3, j] = dvx
-        new_T[4, j] = dvy
-        new_T[5, j] = dw
-
-
-@compiled(forceinline=True)
-def advance_memory(T, new_T, down, n, memory_rows):  # type: ignore[no-untyped-def]
-    """Rows of the effects' own memory after a step, from those of state and force.
-
-    Args:
-        T: Jacobian before the step.
-        new_T: Jacobian after it, result.
-        down: (E - FORCE, Y + AFTER) derivatives of the memory formulas.
-        n: number of cells.
-        memory_rows: number of state and memory entries.
-    """
-    columns = T.shape[1]
-    Y = down.shape[1] - AFTER
-    for e in range(down.shape[0]):
-        target = new_T[STATE + FORCE + e]
-        target[:] = 0.0
-        for k in range(memory_rows):
-            if down[e, k] != 0.0:
-                for j in range(columns):
-                    target[j] += down[e, k] * T[k, j]
-        for k in range(INERTIA):
-            target[n + k] += down[e, memory_rows + k]
-        for k in range(columns - n - EXTRA_COLUMNS):
-            target[n + EXTRA_COLUMNS + k] += down[e, memory_rows + INERTIA + k]
-        for k in range(AFTER):
-            if down[e, Y + k] != 0.0:
-                for j in range(columns):
-                    target[j] += down[e, Y + k] * new_T[k, j]
-
-
-@compiled(forceinline=True)
-def store_pose(T, new_T, share, out):  # type: ignore[no-untyped-def]
-    """Fill out (3, columns) with the Jacobian of the pose at a share of the step."""
-    for i in range(3):
-        for j in range(T.shape[1]):
-            out[i, j] = T[i, j] + share * (new_T[i, j] - T[i, j])
+    size = (_MEMORY + memory) * LANES
+    vx, vy, omega = v
+    qxx, qxy, qyy = cells.qxx, cells.qxy, cells.qyy
+    spin = cells.rho2 * omega
+    constant = spin * omega + cells.eps2
+    rx, ry = cells.rx, cells.ry
+    sx, sy, sw = scale
+    for b in range(rx.shape[0] // LANES):
+        at = b * size + _DIRECT * LANES
+        for lane in range(LANES):
+            x, y = rx[b * LANES + lane], ry[b * LANES + lane]
+            ux = vx - omega * y
+            uy = vy + omega * x
+            px = qxx * ux + qxy * uy
+            py = qxy * ux + qyy * uy
+            k = h * share[b * LANES + lane] / math.sqrt(ux * px + uy * py + constant)
+            S[at + lane] = px * k + sx
+            S[at + lane + LANES] = py * k + sy
+            S[at + lane + 2 * LANES] = (x * py - y * px + spin) * k + sw
 
 
 @compiled()
-def force_rows(  # type: ignore[no-untyped-def]
-    T, new_T, n, frame, h, force, dforce, spring_force, scale_f, dout, out, at
-):  # fmt: skip
-    """Write the Jacobian of the finger's force (world, N) into rows `at` and `at` + 1 of out.
+def fill_other_slopes(S, G, memory, n, columns, extra):  # type: ignore[no-untyped-def]
+    """Set the direct rows of all other parameters.
 
     Args:
-        T: Jacobian before the step.
-        new_T: Jacobian after it, as far as the state.
+        S: blocks, changed in place.
+        G: (3, Y) by what the formulas are evaluated at.
+        memory: E.
         n: number of cells.
+        columns: number of parameters.
+        extra: (3, …) gradient by inertia and finger friction.
+    """
+    rows, inertia_at = _MEMORY + memory, STATE + memory
+    for a in range(3):
+        row = _DIRECT + a
+        for k in range(INERTIA):
+            S[_place(n + k, row, rows)] = extra[a, k] + G[a, inertia_at + k]
+        S[_place(n + INERTIA, row, rows)] = extra[a, INERTIA]
+        for j in range(n + INERTIA + 1, n + EXTRA_COLUMNS):
+            S[_place(j, row, rows)] = 0.0
+        for k in range(columns - n - EXTRA_COLUMNS):
+            S[_place(n + EXTRA_COLUMNS + k, row, rows)] = G[a, inertia_at + INERTIA + k]
+
+
+@compiled(fastmath={"contract"})
+def advance_state(S, G, memory, inverse, pose, h):  # type: ignore[no-untyped-def]
+    """Carry the rows of the state over a step, in place; the direct rows are used up.
+
+    Args:
+        S: blocks.
+        G: (3, Y) derivative of the step's gradient by state and memory, and more.
+        memory: E.
+        inverse: upper triangle of the inverse Hessian.
+        pose: `PoseUpdate`.
+        h: step, s.
+    """
+    A = (
+        G[0, 0], G[0, 1], G[0, 2], G[0, 3], G[0, 4], G[0, 5],
+        G[1, 0], G[1, 1], G[1, 2], G[1, 3], G[1, 4], G[1, 5],
+        G[2, 0], G[2, 1], G[2, 2], G[2, 3], G[2, 4], G[2, 5],
+    )  # fmt: skip
+    size = (_MEMORY + memory) * LANES
+    for b in range(S.shape[0] // size):
+        block = S[b * size : (b + 1) * size]
+        for e in range(memory):
+            _add_row(block, _DIRECT, G[0, STATE + e], block, _MEMORY + e)
+            _add_row(block, _DIRECT + 1, G[1, STATE + e], block, _MEMORY + e)
+            _add_row(block, _DIRECT + 2, G[2, STATE + e], block, _MEMORY + e)
+        for lane in range(LANES):
+            gx = block[lane + _DIRECT * LANES]
+            gy = block[lane + (_DIRECT + 1) * LANES]
+            gw = block[lane + (_DIRECT + 2) * LANES]
+            advance(block, lane, A, inverse, pose, h, gx, gy, gw)
+
+
+@compiled(forceinline=True)
+def _add_row(block, row, slope, other, other_row):  # type: ignore[no-untyped-def]
+    """Add a multiple of one row of a block to a row of another, or of the same."""
+    target = block[row * LANES : (row + 1) * LANES]
+    source = other[other_row * LANES : (other_row + 1) * LANES]
+    for lane in range(LANES):
+        target[lane] += slope * source[lane]
+
+
+@compiled(forceinline=True)
+def _row_of(k):  # type: ignore[no-untyped-def]
+    """Row of a block that holds the derivatives of entry k of y, k below 6 + E."""
+    return k if k < STATE else k + _MEMORY - STATE
+
+
+@compiled()
+def fill_force(  # type: ignore[no-untyped-def]
+    F, S, before, memory, n, columns, frame, h, force, dforce, spring_force, scale_f, dout
+):  # fmt: skip
+    """Fill F, blocks of two rows, with the Jacobian of the finger's force (world, N).
+
+    Args:
+        F: result.
+        S: blocks after the step, as far as the state.
+        before: blocks before it.
+        memory: E.
+        n: number of cells.
+        columns: number of parameters.
         frame: middle frame of the step.
         h: step, s.
         force: of the finger, world, N.
@@ -207,35 +244,97 @@ def force_rows(  # type: ignore[no-untyped-def]
         spring_force: (2, 3) see `add_spring_columns`.
         scale_f: (2, 2) see `add_contact_scale`.
         dout: (BODY_OUTPUTS + …, Y) derivatives of the body formulas.
-        out: result.
-        at: row of it.
     """
-    E = T.shape[0] - STATE
-    for j in range(out.shape[1]):
-        px = py = 0.0
-        if j < n:
-            px, py = scale_f[0, 0], scale_f[1, 0]
-        elif j == n + INERTIA:
-            px, py = dforce[0, 9], dforce[1, 9]
+    size, inertia_at = (_MEMORY + memory) * LANES, STATE + memory
+    for a in range(2):
         # The compliance may depend on any of the formula's arguments.
-        through = 0.0
-        for k in range(STATE + E):
-            through += dout[7, k] * T[k, j]
-        if n <= j < n + INERTIA:
-            through += dout[7, STATE + E + j - n]
-        elif j >= n + EXTRA_COLUMNS:
-            through += dout[7, STATE + E + INERTIA + j - n - EXTRA_COLUMNS]
-        px += (scale_f[0, 1] + spring_force[0, 2]) * through
-        py += (scale_f[1, 1] + spring_force[1, 2]) * through
-        for k in range(STATE):
-            px += dforce[0, k] * T[k, j]
-            py += dforce[1, k] * T[k, j]
-        for k in range(min(E, FORCE)):
-            px += spring_force[0, k] * T[STATE + k, j]
-            py += spring_force[1, k] * T[STATE + k, j]
-        for k in range(3):
-            px += dforce[0, 6 + k] * new_T[3 + k, j]
-            py += dforce[1, 6 + k] * new_T[3 + k, j]
-        turning = T[2, j] + 0.5 * h * T[5, j]
-        out[at, j] = (frame.cos * px - frame.sin * py) / h - force[1] * turning
-        out[at + 1, j] = (frame.sin * px + frame.cos * py) / h + force[0] * turning
+        stiff = scale_f[a, 1] + spring_force[a, 2]
+        for i in range(n):
+            F[_place(i, a, 2)] = scale_f[a, 0]
+        for k in range(INERTIA):
+            F[_place(n + k, a, 2)] = stiff * dout[7, inertia_at + k]
+        F[_place(n + INERTIA, a, 2)] = dforce[a, 9]
+        for j in range(n + INERTIA + 1, n + EXTRA_COLUMNS):
+            F[_place(j, a, 2)] = 0.0
+        for k in range(columns - n - EXTRA_COLUMNS):
+            F[_place(n + EXTRA_COLUMNS + k, a, 2)] = stiff * dout[7, inertia_at + INERTIA + k]
+    for b in range(S.shape[0] // size):
+        old, new = before[b * size : (b + 1) * size], S[b * size : (b + 1) * size]
+        out = F[2 * b * LANES : 2 * (b + 1) * LANES]
+        for a in range(2):
+            for k in range(STATE):
+                _add_row(out, a, dforce[a, k], old, k)
+            for k in range(3):
+                _add_row(out, a, dforce[a, 6 + k], new, 3 + k)
+            for k in range(STATE + memory):
+                slope = (scale_f[a, 1] + spring_force[a, 2]) * dout[7, k]
+                if STATE <= k < STATE + FORCE:
+                    slope += spring_force[a, k - STATE]
+                if slope != 0.0:
+                    _add_row(out, a, slope, old, _row_of(k))
+        for lane in range(LANES):
+            px, py = out[lane], out[lane + LANES]
+            turning = old[lane + 2 * LANES] + 0.5 * h * old[lane + 5 * LANES]
+            out[lane] = (frame.cos * px - frame.sin * py) / h - force[1] * turning
+            out[lane + LANES] = (frame.sin * px + frame.cos * py) / h + force[0] * turning
+
+
+@compiled()
+def advance_memory(S, before, F, down, memory, n, columns):  # type: ignore[no-untyped-def]
+    """Rows of memory after a step, from those of state and force.
+
+    Args:
+        S: blocks, whose state has been carried over the step.
+        before: blocks before the step.
+        F: blocks of the force in the step, see `fill_force`.
+        down: (E - FORCE, Y + AFTER) derivatives of the memory formulas.
+        memory: E.
+        n: number of cells.
+        columns: number of parameters.
+    """
+    rows = _MEMORY + memory
+    size, inertia_at = rows * LANES, STATE + memory
+    Y = down.shape[1] - AFTER
+    for b in range(S.shape[0] // size):
+        old, new = before[b * size : (b + 1) * size], S[b * size : (b + 1) * size]
+        force = F[2 * b * LANES : 2 * (b + 1) * LANES]
+        new[_MEMORY * LANES :] = 0.0
+        for a in range(FORCE):
+            _add_row(new, _MEMORY + a, 1.0, force, a)
+        for e in range(down.shape[0]):
+            row = _MEMORY + FORCE + e
+            for k in range(STATE + memory):
+                if down[e, k] != 0.0:
+                    _add_row(new, row, down[e, k], old, _row_of(k))
+            for k in range(STATE):
+                if down[e, Y + k] != 0.0:
+                    _add_row(new, row, down[e, Y + k], new, k)
+            for a in range(FORCE):
+                if down[e, Y + STATE + a] != 0.0:
+                    _add_row(new, row, down[e, Y + STATE + a], force, a)
+    for e in range(down.shape[0]):
+        row = _MEMORY + FORCE + e
+        for k in range(INERTIA):
+            S[_place(n + k, row, rows)] += down[e, inertia_at + k]
+        for k in range(columns - n - EXTRA_COLUMNS):
+            S[_place(n + EXTRA_COLUMNS + k, row, rows)] += down[e, inertia_at + INERTIA + k]
+
+
+@compiled()
+def store_rows(S, before, share, rows, out):  # type: ignore[no-untyped-def]
+    """Copy the first rows of blocks into out (rows wanted, columns), at a share of the step.
+
+    Args:
+        S: blocks after the step.
+        before: blocks before it.
+        share: place in the step, 0 to 1.
+        rows: of a block.
+        out: result.
+    """
+    for i in range(out.shape[0]):
+        for b in range((out.shape[1] + LANES - 1) // LANES):
+            at = (b * rows + i) * LANES
+            target = out[i, b * LANES : min(out.shape[1], (b + 1) * LANES)]
+            for lane in range(target.shape[0]):
+                old = before[at + lane]
+                target[lane] = old + share * (S[at + lane] - old)

@@ -17,7 +17,6 @@ from models.physics.around_step import (
     add_applied_turning,
     applied_impulse,
     finger_impulse,
-    way_by_spin,
     way_of,
 )
 from models.physics.compiled import compiled
@@ -26,8 +25,8 @@ from models.physics.friction import padded_cells
 from models.physics.prediction import best_weights, weighted
 from models.physics.sensitivity import (
     EXTRA_LANES,
-    PoseUpdate,
     first_blocks,
+    pose_update,
     propagate,
     store_force,
     store_pose,
@@ -165,15 +164,10 @@ def rollout(  # type: ignore[no-untyped-def]
             if needs_before or wants_force:
                 before[:] = S
             inverse = (minimum.xx, minimum.xy, minimum.xw, minimum.yy, minimum.yw, minimum.ww)
-            x_omega, y_omega = way_by_spin(way, h)
-            pose = PoseUpdate(
-                -length * wy, length * way.cos, -length * way.sin, x_omega,
-                length * wx, length * way.sin, length * way.cos, y_omega,
-            )  # fmt: skip
             moment = first.nw * impulse1.normal - first.tw * impulse1.tangential
             moment += second.nw * impulse2.normal - second.tw * impulse2.tangential
             share_of_load = (force_x / load_sum, force_y / load_sum, -moment / load_sum)
-            propagate(S, A, extra, inverse, pose, cells, new, h, share_of_load)
+            propagate(S, A, extra, inverse, pose_update(way, h), cells, new, h, share_of_load)
             for k in range(first_sample, sample):
                 store_pose(S, before, sample_fraction[k], n, dpose_out, k)
 

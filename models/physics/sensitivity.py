@@ -18,6 +18,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from models.physics.around_step import way_by_spin
 from models.physics.compiled import compiled
 from models.physics.friction import LANES
 
@@ -40,6 +41,16 @@ class PoseUpdate(NamedTuple):
     y_omega: float
 
 
+@compiled(forceinline=True)
+def pose_update(way, h):  # type: ignore[no-untyped-def]
+    """`PoseUpdate` of the way of a step."""
+    x_omega, y_omega = way_by_spin(way, h)
+    return PoseUpdate(
+        -way.length * way.wy, way.length * way.cos, -way.length * way.sin, x_omega,
+        way.length * way.wx, way.length * way.sin, way.length * way.cos, y_omega,
+    )  # fmt: skip
+
+
 @compiled()
 def first_blocks(cells, first_start):  # type: ignore[no-untyped-def]
     """Blocks before the first step: only the start depends on parameters, those from `first_start` on."""
@@ -56,7 +67,7 @@ def first_blocks(cells, first_start):  # type: ignore[no-untyped-def]
 
 
 @compiled(forceinline=True)
-def _advance(block, lane, A, inverse, pose, h, gx, gy, gw):  # type: ignore[no-untyped-def]
+def advance(block, lane, A, inverse, pose, h, gx, gy, gw):  # type: ignore[no-untyped-def]
     """One parameter over one step; (gx, gy, gw) is the direct derivative of the step's gradient."""
     x, y, theta = block[lane], block[lane + LANES], block[lane + 2 * LANES]
     vx, vy, omega = block[lane + 3 * LANES], block[lane + 4 * LANES], block[lane + 5 * LANES]
@@ -109,7 +120,7 @@ def propagate(S, A_matrix, extra, inverse, pose, cells, v, h, wrench):  # type: 
             uy = vy + omega * x
             k = h / math.sqrt(ux * ux + uy * uy + constant)
             gw = k * (x * uy - y * ux + spin) - fw
-            _advance(block, lane, A, inverse, pose, h, k * ux - fx, k * uy - fy, gw)
+            advance(block, lane, A, inverse, pose, h, k * ux - fx, k * uy - fy, gw)
     for b in range(EXTRA_LANES // LANES):
         block = S[(blocks + b) * _BLOCK : (blocks + b + 1) * _BLOCK]
         for row in range(3):
@@ -117,7 +128,7 @@ def propagate(S, A_matrix, extra, inverse, pose, cells, v, h, wrench):  # type: 
                 block[lane + (6 + row) * LANES] = extra[row, b * LANES + lane]
         for lane in range(LANES):
             gx, gy, gw = block[lane + 6 * LANES], block[lane + 7 * LANES], block[lane + 8 * LANES]
-            _advance(block, lane, A, inverse, pose, h, gx, gy, gw)
+            advance(block, lane, A, inverse, pose, h, gx, gy, gw)
 
 
 @compiled()

@@ -20,7 +20,13 @@ import numpy as np
 from models.physics.addresses import call_address
 from models.physics.compiled import compiled
 from models.physics.contact import CONTACT_COLUMNS, MAX_CONTACTS, SEPARATE, cone_of
-from models.physics.effect_cells import EffectCells, cell_gradients, drag_moments
+from models.physics.effect_cells import (
+    EffectCells,
+    drag_gradients,
+    drag_moments,
+    load_gradients,
+    stretch_gradients,
+)
 from models.physics.effect_derivative import add_contact_scale, add_spring_columns, blade_slopes
 from models.physics.effect_kernel import AFTER, BODY_OUTPUTS, FORCE, INERTIA, STATE
 from models.physics.friction import SPIN_RADIUS
@@ -159,7 +165,9 @@ def single_step(  # type: ignore[no-untyped-def]
         A[row, 2] -= lever
         A[row, 5] -= 0.5 * h * lever
     by_load, by_drag, by_stretch = np.zeros((3, n)), np.zeros((3, n)), np.zeros((3, 3))
-    cell_gradients(cells, new, cell_width, by_load, by_drag, by_stretch)
+    load_gradients(cells, new, by_load)
+    drag_gradients(rx, ry, new, cell_width, by_drag)
+    stretch_gradients(cells, new, by_stretch)
     momentum = (
         body[0] * new[0] - body[2] * new[2] - free_x,
         body[0] * new[1] + body[1] * new[2] - free_y,
