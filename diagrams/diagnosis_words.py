@@ -14,7 +14,10 @@ from models.inference.diagnosis import Diagnosis
 from models.inference.diagnosis.results import CandidateResult
 from models.physics.cell_grid import CellGrid
 
-QUICK = "Quick: chance was not simulated, so there are no p-values; gains are judged by a fixed threshold."
+QUICK = (
+    "A quick look: at most twelve pushes, with larger steps; chance was not simulated, so there are no"
+    " p-values, and gains are judged by a fixed threshold."
+)
 
 
 def before_label(diagnosis: Diagnosis) -> str:

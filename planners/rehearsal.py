@@ -161,15 +161,16 @@ def separations(
             np.mean(poses, axis=0), np.full(SAMPLES, pose_rows), 1,
             middle, np.full(SAMPLES, force_rows), counts,
         )  # fmt: skip
-        pose_factors, force_factor = error.factors(imagined, travelled(imagined, grid.centers), radius)
+        lasting = error.pose_covariance(imagined, travelled(imagined, grid.centers), radius)
         c, s = np.cos(poses[..., 2]), np.sin(poses[..., 2])
         places = poses[..., :2] + np.stack(
             [c * centroid[0] - s * centroid[1], s * centroid[0] + c * centroid[1]], axis=-1
         )
         rows = np.concatenate([places, radius * poses[..., 2:]], axis=-1)
-        white = [_whitened(pose_factors[i], rows[..., i]) for i in range(3)]
+        white = [_whitened(lasting[i], rows[..., i]) for i in range(3)]
         if counts.any():
-            white += [_whitened(force_factor, forces[:, counts, i]) for i in range(2)]
+            of_force = error.force_covariance(imagined)
+            white += [_whitened(of_force, forces[:, counts, i]) for i in range(2)]
         every = np.concatenate(white, axis=1)
         result[:, b] = [float(np.linalg.norm(every[i] - every[j])) for i, j in pairs]
     return result
@@ -198,8 +199,9 @@ def _paces(push: Push) -> FloatArray:
     return np.add.reduceat(way, edges[:-1]) / np.diff(edges)
 
 
-def _whitened(factor: FloatArray, rows: FloatArray) -> FloatArray:
-    return scipy.linalg.solve_triangular(factor, rows.T, lower=True).T
+def _whitened(covariance: FloatArray, rows: FloatArray) -> FloatArray:
+    """Rows (k, S) in standard deviations, their entries independent."""
+    return scipy.linalg.solve_triangular(np.linalg.cholesky(covariance), rows.T, lower=True).T
 
 
 def _steady(push: Push, forces: FloatArray) -> np.ndarray:

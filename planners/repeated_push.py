@@ -23,7 +23,7 @@ def repeat_the_worst(diagnosis: Diagnosis, dataset: PushDataset, habits: Habits)
     if not any(worth):
         return None
     norms = np.array([
-        float(np.linalg.norm(likelihood.whitened(b, row.pose[..., None], row.force[..., None])))
+        float(np.linalg.norm(likelihood.whiteners[b](row.pose[..., None], row.force[..., None])))
         for b, row in enumerate(rows)
     ])  # fmt: skip
     worst = int(np.argmax(np.where(worth, norms, -1.0)))

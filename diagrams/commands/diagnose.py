@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 @options.effect_file_option
 @click.option(
     "--quick", is_flag=True,
-    help="Do not simulate what gains come about by chance: up to twice as fast, without p-values.",
+    help="A look at twelve pushes with larger steps; no p-values, and no report unless -o asks for one.",
 )  # fmt: skip
 @click.option(
     "--draws", type=click.IntRange(99, 100_000), default=199, show_default=True, metavar="N",
@@ -57,15 +57,17 @@ def diagnose(
 
         result = inquire(measured, effects=effects, draws=draws, quick=quick, seed=seed, progress=progress)
         result = _with_next_push(result, measured, progress)
-        from diagrams.diagnosis_report import diagnosis_report
+        wanted = not quick or options.asked_for("output")
+        if wanted:
+            from diagrams.diagnosis_report import diagnosis_report
 
-        write_text(output, diagnosis_report(result, measured, effects, progress))
+            write_text(output, diagnosis_report(result, measured, effects, progress))
     if json_file is not None:
         write_json(json_file, result.to_json())
     from diagrams.diagnosis_tables import show_diagnosis
 
     show_diagnosis(result, measured, effects)
-    note(f"report: {output}")
+    note(f"report: {output}" if wanted else "no report of a quick look; -o FILE asks for one")
 
 
 def _with_next_push(result: Diagnosis, dataset: PushDataset, progress: Progress) -> Diagnosis:

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
+from click.core import ParameterSource
 
 from diagrams.console import Progress, note
 from diagrams.hardware.channels import LCM_URL
@@ -93,6 +94,11 @@ def report_option(default: str) -> Callable[[Command], Command]:
         "-o", "--output", type=OutputFile("html", "htm"), default=default, show_default=True, metavar="FILE",
         help="The report, one file for any browser; it needs no network.",
     )  # fmt: skip
+
+
+def asked_for(option: str) -> bool:
+    """Whether an option of the command that runs was given, rather than left at its default."""
+    return click.get_current_context().get_parameter_source(option) is not ParameterSource.DEFAULT
 
 
 def effect_option(*, required: bool, purpose: str) -> Callable[[Command], Command]:

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 
 import numpy as np
 import sympy as sp
-from scipy.optimize import minimize
 
 STARTS = 4
 """Random states from which each zero is searched."""
@@ -78,6 +77,8 @@ def _zero(function, start: np.ndarray) -> np.ndarray | None:  # type: ignore[no-
 
     if len(start) == 0 or size(start) == 0.0:
         return start if size(start) == 0.0 else None
+    from scipy.optimize import minimize  # needed for new formulas alone, and slow to import
+
     options = {"xatol": 1e-12, "fatol": 1e-24, "maxiter": 400 * len(start)}
     best = minimize(size, start, method="Nelder-Mead", options=options)
     return best.x if best.fun < ZERO * max(1.0, size(start)) else None

@@ -65,12 +65,13 @@ class Observation:
         return add(self.poses, self.push.start_pose, centers)
 
 
-def observe(trial: Trial, order: int = 0) -> Observation:
+def observe(trial: Trial, order: int = 0, coarseness: float = 1.0) -> Observation:
     """Prepare one trial: smooth the finger's track, choose the step, average rows, mask forces.
 
     Args:
         trial: as recorded.
         order: its place in the experiment, from 0.
+        coarseness: how many times longer than usual steps may be.
     """
     times = pose_times(trial)
     duration = float(times[-1])
@@ -81,6 +82,7 @@ def observe(trial: Trial, order: int = 0) -> Observation:
     step = min(LONGEST_STEP, LONGEST_STRIDE / speed) if speed > 0 else LONGEST_STEP
     if twist.any():
         step = min(step, SLIDING_STEP)
+    step *= coarseness
     steps = max(8, int(np.ceil(duration / step)))
     step = duration / steps
     ends = step * np.arange(steps + 1)
@@ -109,11 +111,13 @@ def observe(trial: Trial, order: int = 0) -> Observation:
     )
 
 
-def observe_all(dataset: PushDataset, trials: Iterable[Trial] | None = None) -> list[Observation]:
-    """Prepare some or all trials of a dataset."""
+def observe_all(
+    dataset: PushDataset, trials: Iterable[Trial] | None = None, coarseness: float = 1.0
+) -> list[Observation]:
+    """Prepare some or all trials of a dataset, see `observe`."""
     order = {trial.name: place for place, trial in enumerate(dataset.trials)}
     chosen = dataset.trials if trials is None else trials
-    return [observe(trial, order.get(trial.name, 0)) for trial in chosen]
+    return [observe(trial, order.get(trial.name, 0), coarseness) for trial in chosen]
 
 
 def _fast_speed(time: FloatArray, track: FloatArray) -> float:

@@ -58,10 +58,9 @@ def push_misfit(observation: Observation, predicted: FloatArray, error: ErrorMod
 def _factors(predicted: Observation, error: ErrorModel, grid: CellGrid) -> FloatArray:
     """(3, S, S) Cholesky factors; the prediction's start was seen with the noise of a pose, too."""
     radius = radius_of_gyration(grid)
-    factors, _ = error.factors(predicted, travelled(predicted, grid.centers), radius)
+    covariance = error.pose_covariance(predicted, travelled(predicted, grid.centers), radius)
     noise = np.array([error.noise.position, error.noise.position, radius * error.noise.angle])
-    covariance = factors @ factors.transpose(0, 2, 1) + (noise**2)[:, None, None]
-    return np.linalg.cholesky(covariance)
+    return np.linalg.cholesky(covariance + (noise**2)[:, None, None])
 
 
 def resting_misfit(

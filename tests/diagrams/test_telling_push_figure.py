@@ -10,6 +10,7 @@ from models.effects.registry import effects_named
 from models.inference.diagnosis.correlated import CorrelatedLikelihood
 from models.inference.diagnosis.error_model import ErrorModel, sensor_noise
 from models.inference.diagnosis.fitting import Fitted, Fitter
+from models.inference.diagnosis.measured_pushes import MeasuredPushes
 from models.inference.diagnosis.results import Diagnosis
 from models.inference.observations import observe_all
 from models.measurements.simulated import record_pushes
@@ -33,7 +34,9 @@ def test_outlines_of_the_start_and_of_every_rivals_end():
         prior = fitter.prior(effects)
         z = np.zeros(prior.size)
         z[prior.plain :] = prior.effect_coordinates(np.array(values))
-        likelihood = CorrelatedLikelihood(prior, observations, ErrorModel(noise, 0.03, 0.05))
+        likelihood = CorrelatedLikelihood(
+            prior, MeasuredPushes(observations, prior.slider.grid), ErrorModel(noise, 0.03, 0.05)
+        )
         return Fitted(effects, likelihood, z, np.zeros(prior.size), np.zeros((3, 3)), 0.0)
 
     rivals = (model(["table_tilt"], [0.08, 0.0]), model(["skate"], [0.3, 0.5, 0.0, 0.0]))

@@ -15,6 +15,7 @@ from models.effects.registry import effects_named
 from models.inference.diagnosis.correlated import CorrelatedLikelihood
 from models.inference.diagnosis.error_model import FORCE_MEMORY, MEMORY, ErrorModel, sensor_noise
 from models.inference.diagnosis.fitting import Fitted, Fitter
+from models.inference.diagnosis.measured_pushes import MeasuredPushes
 from models.inference.observations import observe_all
 from models.measurements.push_dataset import Table
 from models.measurements.simulated import record_pushes
@@ -63,7 +64,9 @@ class World:
         z[prior.plain - 2] = np.log(friction / 0.3) / prior.settings.friction_scale
         if name:
             z[prior.plain :] = prior.effect_coordinates(np.array(values))
-        likelihood = CorrelatedLikelihood(prior, self.observations, self.error)
+        likelihood = CorrelatedLikelihood(
+            prior, MeasuredPushes(self.observations, prior.slider.grid), self.error
+        )
         offsets = np.zeros((len(self.observations), 3))
         return Fitted(tuple(effects), likelihood, z, np.zeros(prior.size), offsets, 0.0)
 

@@ -58,33 +58,30 @@ class ErrorModel:
     motion: float
     force: float
 
-    def factors(
-        self, observation: Observation, travel: FloatArray, radius: float
-    ) -> tuple[FloatArray, FloatArray]:
-        """Lower Cholesky factors of the covariances of one push.
+    def pose_covariance(self, observation: Observation, travel: FloatArray, radius: float) -> FloatArray:
+        """(3, S, S) of x, y and ρ θ of one push, which are independent of each other.
 
         Args:
             observation: the push.
             travel: (S,) way travelled by the cells up to each pose, m, ascending.
             radius: that angles are multiplied by, m.
-
-        Returns:
-            (3, S, S) of x, y and ρ θ, which are independent of each other, and (T, T) of a component of the
-            forces that count.
         """
         n = self.noise
         lasting = self.motion**2 * _accumulated(travel)
-        pose = np.empty((3, len(travel), len(travel)))
-        for i, sigma in enumerate((n.position, n.position, radius * n.angle)):
-            pose[i] = np.linalg.cholesky(lasting + np.diag(sigma**2 / observation.pose_rows))
+        rows = [
+            np.diag(sigma**2 / observation.pose_rows) for sigma in (n.position, n.position, radius * n.angle)
+        ]
+        return lasting + np.array(rows)
+
+    def force_covariance(self, observation: Observation) -> FloatArray:
+        """(T, T) of a component of the forces of one push that count."""
         times = np.asarray(observation.push.force_times)[observation.sliding]
         if len(times) == 0:
-            return pose, np.zeros((0, 0))
+            return np.zeros((0, 0))
         typical = float(np.median(np.hypot(*observation.forces[observation.sliding].T)))
-        fresh = n.force**2 / observation.force_rows[observation.sliding]
+        fresh = self.noise.force**2 / observation.force_rows[observation.sliding]
         apart = np.abs(times[:, None] - times[None])
-        force = (self.force * typical) ** 2 * np.exp(-apart / FORCE_MEMORY) + np.diag(fresh)
-        return pose, np.linalg.cholesky(force)
+        return (self.force * typical) ** 2 * np.exp(-apart / FORCE_MEMORY) + np.diag(fresh)
 
 
 def _accumulated(travel: FloatArray) -> FloatArray:

@@ -12,6 +12,7 @@ from models.effects.effect import Effect, Scene
 from models.effects.slider import EffectSlider
 from models.inference.diagnosis.correlated import CorrelatedLikelihood
 from models.inference.diagnosis.error_model import ErrorModel, SensorNoise
+from models.inference.diagnosis.measured_pushes import MeasuredPushes
 from models.inference.diagnosis.predictive import PushEquations, log_determinant, whitened_rows
 from models.inference.gauss_newton import fit
 from models.inference.likelihood import Likelihood, LikelihoodSettings
@@ -84,7 +85,8 @@ class Fitter:
 
     def __init__(self, dataset: PushDataset, observations: Sequence[Observation], noise: SensorNoise) -> None:
         self.dataset = dataset
-        self.observations = list(observations)
+        self.measured = MeasuredPushes(observations, dataset.grid)
+        self.observations = self.measured.observations
         self.noise = noise
         self.settings = PriorSettings(modes=MODES)
         self.weight: float | None = None
@@ -103,7 +105,7 @@ class Fitter:
     def base(self, error: ErrorModel, start: Fitted) -> Fitted:
         """Fit the model without effects, from the maps of another fit."""
         prior = self.prior(())
-        likelihood = CorrelatedLikelihood(prior, self.observations, error)
+        likelihood = CorrelatedLikelihood(prior, self.measured, error)
         # Gains are counted from here: what the search leaves undone would be taken for an effect.
         return _best(
             (), likelihood, start.z[None, : prior.size], np.zeros((1, prior.size)), start.offsets,
@@ -120,7 +122,7 @@ class Fitter:
         starts = np.array([prior.start(friction) for friction in FINGER_STARTS])
         first = fit(self._forgiving(prior), starts).best()
         self.forgiving_start = first.z[0], first.offsets[0]
-        likelihood = CorrelatedLikelihood(prior, self.observations, ErrorModel(self.noise, *FIRST_ERRORS))
+        likelihood = CorrelatedLikelihood(prior, self.measured, ErrorModel(self.noise, *FIRST_ERRORS))
         fitted = Fitted((), likelihood, first.z[0], np.zeros(prior.size), first.offsets[0], np.inf)
         for _ in range(2):
             fitted = self.base(estimate_errors(fitted, self.noise), fitted)
@@ -139,6 +141,7 @@ class Fitter:
         *,
         afresh: bool = False,
         iterations: int = 30,
+        forgiving: int = 25,
     ) -> Fitted | None:
         """Fit the model with some effects.
 
@@ -150,12 +153,13 @@ class Fitter:
             afresh: start a second time from where the forgiving likelihood leads: a model that lacks the
                 effect may have bent its maps too far to find back.
             iterations: most that each search may take.
+            forgiving: most that the search under the forgiving likelihood may take.
 
         Returns:
             The better fit, or None where none can be computed.
         """
         prior = self.prior(effects)
-        likelihood = CorrelatedLikelihood(prior, self.observations, error)
+        likelihood = CorrelatedLikelihood(prior, self.measured, error)
         plain = prior.plain
         shaping = np.concatenate([np.zeros(plain, dtype=bool), *(~effect.amplitudes for effect in effects)])
         maps, offsets = self.forgiving_start if near is None else (near.z, near.offsets)
@@ -171,7 +175,10 @@ class Fitter:
             maps, offsets = self.forgiving_start
             start = np.concatenate([maps, prior.effect_coordinates(values)])
             with suppress(RolloutError, np.linalg.LinAlgError):
-                first = fit(self._forgiving(prior), start[None], prior_mean=mean[None], offsets=offsets[None])
+                first = fit(
+                    self._forgiving(prior), start[None], prior_mean=mean[None], offsets=offsets[None],
+                    iterations=forgiving,
+                )  # fmt: skip
                 found.append(
                     _best(tuple(effects), likelihood, first.z, mean[None], first.offsets[0], iterations)
                 )
@@ -231,9 +238,7 @@ def estimate_errors(fitted: Fitted, noise: SensorNoise) -> ErrorModel:
     pull = fitted.z - fitted.prior_mean
 
     def score(motion: float, force: float) -> float:
-        likelihood = CorrelatedLikelihood(
-            prior, fitted.likelihood.observations, ErrorModel(noise, motion, force)
-        )
+        likelihood = CorrelatedLikelihood(prior, fitted.likelihood.measured, ErrorModel(noise, motion, force))
         jacobians, residuals = whitened_rows(likelihood, rows)
         # A push that the model misses badly should not set the scale for all others.
         equations = PushEquations.of(jacobians, [r[:, None] for r in residuals])

@@ -9,6 +9,7 @@ import numpy as np
 
 from models.inference.diagnosis.correlated import CorrelatedLikelihood
 from models.inference.diagnosis.fitting import Fitted
+from models.inference.diagnosis.measured_pushes import MeasuredPushes
 from models.inference.observations import Observation
 from models.measurements import PushDataset, pose_times
 from models.physics.cell_grid import FloatArray
@@ -61,7 +62,9 @@ def locked_trials(dataset: PushDataset, rng: np.random.Generator) -> list[str]:
 def locked_errors(fitted: Fitted, dataset: PushDataset, observations: Sequence[Observation]) -> LockedErrors:
     """Predict locked pushes from their first pose and compare with every row that was measured."""
     prior = fitted.likelihood.prior
-    likelihood = CorrelatedLikelihood(prior, observations, fitted.likelihood.error)
+    likelihood = CorrelatedLikelihood(
+        prior, MeasuredPushes(observations, dataset.grid), fitted.likelihood.error
+    )
     trials = {trial.name: trial for trial in dataset.trials}
     times = [pose_times(trials[o.trial]) for o in observations]
     pushes: list[Push] = []

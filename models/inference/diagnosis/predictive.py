@@ -32,7 +32,7 @@ def whitened_rows(
     for b, push in enumerate(rows):
         columns = np.concatenate([push.pose_slopes, push.pose[..., None]], axis=-1)
         forces = np.concatenate([push.force_slopes, push.force[..., None]], axis=-1)
-        white = likelihood.whitened(b, columns, forces)
+        white = likelihood.whiteners[b](columns, forces)
         start = white[:, -4:-1] * likelihood.start_sigma[b]
         factor = np.linalg.cholesky(np.eye(len(white)) + start @ start.T)
         rest = np.concatenate([white[:, :-4], white[:, -1:]], axis=1)
@@ -47,9 +47,11 @@ def log_determinant(likelihood: CorrelatedLikelihood, rows: Sequence[PushRows]) 
     models."""
     total = 0.0
     for b, push in enumerate(rows):
-        start = likelihood.whitened(b, push.pose_slopes[..., -3:], push.force_slopes[..., -3:])
+        start = likelihood.whiteners[b](push.pose_slopes[..., -3:], push.force_slopes[..., -3:])
         start = start * likelihood.start_sigma[b]
-        total += likelihood.log_determinant(b) + 0.5 * np.linalg.slogdet(np.eye(3) + start.T @ start)[1]
+        total += (
+            likelihood.whiteners[b].log_determinant + 0.5 * np.linalg.slogdet(np.eye(3) + start.T @ start)[1]
+        )
     return total
 
 

@@ -57,6 +57,10 @@ MOST_ASKED = 5
 MOST_ASKED_QUICKLY = 2
 """Candidates that are asked what they leave."""
 
+QUICK_PUSHES = 12
+QUICK_COARSENESS = 2.0
+"""Pushes that a quick look takes, spread evenly over all that are open, and how much longer its steps are."""
+
 FIRSTS_TRIED = 2
 """Candidates to which a second effect is added."""
 
@@ -78,7 +82,7 @@ def diagnose(
         dataset: measured pushes.
         effects: candidates.
         draws: simulated datasets for the p-values.
-        quick: do not simulate any; gains are judged by a fixed threshold.
+        quick: do not simulate any; gains are judged by a fixed threshold. Fewer pushes, larger steps.
         seed: of every random draw.
         progress: called with (stage, done, total).
 
@@ -94,8 +98,11 @@ def diagnose(
     rng = np.random.default_rng(seed)
     report("preparing pushes", 0, 1)
     locked = locked_trials(dataset, rng)
-    every = observe_all(dataset)
+    every = observe_all(dataset, coarseness=QUICK_COARSENESS if quick else 1.0)
     observations = [o for o in every if o.trial not in locked]
+    if quick and len(observations) > QUICK_PUSHES:
+        kept = np.linspace(0, len(observations) - 1, QUICK_PUSHES).round().astype(int)
+        observations = [observations[b] for b in kept]
     if not observations:
         raise DatasetError(f"dataset {dataset.name} has no push left to fit; give at least one the role fit")
     inquiry = _Inquiry(dataset, observations, tuple(effects), 0 if quick else draws, rng, report)

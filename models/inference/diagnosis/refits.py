@@ -12,9 +12,11 @@ from models.inference.diagnosis.error_model import ErrorModel
 from models.inference.diagnosis.fitting import Fitted, Fitter, estimate_errors
 from models.inference.diagnosis.screening import Screening
 
+QUICK_FORGIVING = 6
 QUICK_ITERATIONS = 1
 QUICK_REFITS = 3
-"""Where chance was not simulated, one step of the full fit chooses what is refitted in full."""
+"""Where chance was not simulated, a short search and one step of the full fit choose what is refitted in
+full, so many besides the favourite."""
 
 WORTH_REFITTING = 0.7
 WORTH_REFITTING_GAIN = 30.0
@@ -80,8 +82,13 @@ def refit_candidates(
         progress(step, len(named) + 2)
         effect = first.candidates[i]
         guess = effect.start_values(scene)[int(first.start[i])]
-        near, iterations = (None, QUICK_ITERATIONS) if quick else (base, 30)
-        fitted = fitter.with_effects((effect,), error, near, guess, afresh=True, iterations=iterations)
+        if quick:
+            fitted = fitter.with_effects(
+                (effect,), error, None, guess, afresh=True,
+                iterations=QUICK_ITERATIONS, forgiving=QUICK_FORGIVING,
+            )  # fmt: skip
+        else:
+            fitted = fitter.with_effects((effect,), error, base, guess, afresh=True)
         if fitted is not None:
             found[effect.name] = fitted
     if not found:

@@ -90,7 +90,7 @@ def screen(
         rng: of the draws.
     """
     prior = fitter.prior(everything)
-    likelihood = CorrelatedLikelihood(prior, fitter.observations, fitted.likelihood.error)
+    likelihood = CorrelatedLikelihood(prior, fitter.measured, fitted.likelihood.error)
     plain = prior.plain
     at = np.cumsum([0, *(len(effect.parameters) for effect in everything)])
     names = [effect.name for effect in everything]

@@ -9,6 +9,7 @@ from models.effects.library import LIBRARY
 from models.effects.slider import EffectSlider
 from models.inference.diagnosis.correlated import CorrelatedLikelihood
 from models.inference.diagnosis.error_model import ErrorModel, sensor_noise
+from models.inference.diagnosis.measured_pushes import MeasuredPushes
 from models.inference.diagnosis.predictive import whitened_rows
 from models.inference.observations import MEASURED_CONTACT, observe_all
 from models.inference.prior import MapPrior, PriorSettings
@@ -22,7 +23,9 @@ def likelihood(recorded) -> CorrelatedLikelihood:
     slider = EffectSlider(d.grid, d.finger_radius, tilt, d.gravity, MEASURED_CONTACT)
     prior = MapPrior(slider, PriorSettings(modes=6), d.mass, 8.0)
     observations = [o for o in observe_all(d) if o.role == "fit"]
-    return CorrelatedLikelihood(prior, observations, ErrorModel(sensor_noise(d), 0.02, 0.05))
+    return CorrelatedLikelihood(
+        prior, MeasuredPushes(observations, prior.slider.grid), ErrorModel(sensor_noise(d), 0.02, 0.05)
+    )
 
 
 @pytest.fixture(scope="module")
@@ -81,7 +84,9 @@ def test_whitened_residuals_of_the_truth_are_of_size_one(recorded, thinned) -> N
     assert {o.pose_rows[0] for o in observations} == ({5.0} if thinned == 1 else {1.0, 5.0})
     noise = sensor_noise(d)
     prior = MapPrior(recorded.slider, PriorSettings(), d.mass)
-    likelihood = CorrelatedLikelihood(prior, observations, ErrorModel(noise, 1e-4, 1e-3))
+    likelihood = CorrelatedLikelihood(
+        prior, MeasuredPushes(observations, prior.slider.grid), ErrorModel(noise, 1e-4, 1e-3)
+    )
     # The true maps in the prior's coordinates, with all modes kept: log of the maps is linear in them.
     basis, s = prior.basis, prior.settings
     log_mass = np.log(recorded.truth.mass[0])

@@ -15,13 +15,13 @@ from models.inference.observations import observe_all
 NOISE = SensorNoise(2e-4, 2e-3, 0.1, True)
 
 
-class TestFactors:
+class TestCovariance:
     def test_errors_of_the_motion_add_up_along_the_way(self, recorded) -> None:
         observation = observe_all(recorded.dataset)[0]
         centers = recorded.slider.grid.centers
         travel = travelled(observation, centers)
-        pose, _ = ErrorModel(NOISE, 0.05, 0.1).factors(observation, travel, 0.04)
-        covariance = pose[0] @ pose[0].T - np.diag(NOISE.position**2 / observation.pose_rows)
+        whole = ErrorModel(NOISE, 0.05, 0.1).pose_covariance(observation, travel, 0.04)[0]
+        covariance = whole - np.diag(NOISE.position**2 / observation.pose_rows)
         # The double integral by brute force.
         fine = np.linspace(0.0, travel[-1], 1500)
         kernel = np.exp(-np.abs(fine[:, None] - fine) / MEMORY) * (fine[1] - fine[0]) ** 2
