@@ -15,7 +15,7 @@ from models.inference.diagnosis.results import CandidateResult
 from models.physics.cell_grid import CellGrid
 
 QUICK = (
-    "A quick look: at most twelve pushes, with larger steps; chance was not simulated, so there are no"
+    "A quick look: at most ten pushes, with larger steps; chance was not simulated, so there are no"
     " p-values, and gains are judged by a fixed threshold."
 )
 

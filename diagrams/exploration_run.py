@@ -140,7 +140,7 @@ def explore(
         if recording is not None:
             recording.look(context)
 
-    with real_cell(scenario, hardware) as (cell, worker):
+    with real_cell(scenario, hardware, options.effects) as (cell, worker):
         loop = exploration_loop(scenario, options, cell=cell, worker=worker, meshcat=meshcat, before=before)
         recording = None if record is None else Recording(loop, record, before)
         longest = LONGEST if cell is None else LONGEST_REAL

@@ -147,7 +147,7 @@ def run_pregrasp(
         ValueError, ScenarioError, RendererUnavailable: see `exploration_loop`.
         HardwareError: the real cell cannot be reached.
     """
-    with real_cell(scenario, hardware) as (cell, worker):
+    with real_cell(scenario, hardware, options.exploration.effects) as (cell, worker):
         loop = pregrasp_loop(scenario, options, cell=cell, worker=worker, meshcat=meshcat)
         patience = LONGEST if cell is None else LONGEST_REAL
         return _run(loop, scenario, options, patience, progress, record)

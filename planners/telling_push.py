@@ -67,7 +67,7 @@ def next_push(diagnosis: Diagnosis, dataset: PushDataset, seed: int = 0) -> dict
     rivals, pairs, why = _question(diagnosis, dataset, habits)
     try:
         # Many models take as long as many pushes.
-        count = CANDIDATES if len(rivals) <= 4 else CANDIDATES // 3
+        count = CANDIDATES // 3 if diagnosis.quick or len(rivals) > 4 else CANDIDATES
         chosen = proposals_for(dataset, habits, _finger_friction(diagnosis.base), count, rng)
     except NoReachablePush:
         return None

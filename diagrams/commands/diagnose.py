@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 @options.effect_file_option
 @click.option(
     "--quick", is_flag=True,
-    help="A look at twelve pushes with larger steps; no p-values, and no report unless -o asks for one.",
+    help="A look at ten pushes with larger steps; no p-values, and no report unless -o asks for one.",
 )  # fmt: skip
 @click.option(
     "--draws", type=click.IntRange(99, 100_000), default=199, show_default=True, metavar="N",

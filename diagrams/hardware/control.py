@@ -4,15 +4,20 @@ from __future__ import annotations
 
 import signal
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor
 from contextlib import contextmanager
+
+import numpy as np
 
 from diagrams.console import note
 from diagrams.hardware.interface import HardwareInterface
 from diagrams.hardware.lock import only_controller
 from diagrams.station.scenario import Scenario
 from diagrams.systems.workers import workers
+from models.effects.registry import effects_named
+from models.effects.stepper import Stepper
+from models.objects import cells_from_centres
 
 
 @contextmanager
@@ -42,7 +47,7 @@ def stopped_by_ctrl_c(cell: HardwareInterface) -> Iterator[Callable[[], bool]]:
 
 @contextmanager
 def real_cell(
-    scenario: Scenario, where: str | HardwareInterface | None
+    scenario: Scenario, where: str | HardwareInterface | None, effects: Sequence[str] = ()
 ) -> Iterator[tuple[HardwareInterface | None, Executor | None]]:
     """The cell behind an LCM address and workers, until the block ends; neither where there is no address.
 
@@ -52,8 +57,10 @@ def real_cell(
         scenario: what the cell is like.
         where: LCM address, see `network.open_lcm`; the station is simulated if None, and waits for what takes
             long. Or what has the ports and methods of `HardwareInterface`; it waits likewise.
+        effects: that the model is given; its machine code is loaded before the arm can move.
 
     Raises:
+        EffectError: an unknown effect.
         HardwareError: a malformed address, or no network.
         BadInput: somebody else controls the cell.
     """
@@ -67,8 +74,16 @@ def real_cell(
             where.close()
         return
     with only_controller(where), workers() as worker:
+        _load_model(effects)
         cell = HardwareInterface(where, scenario)
         try:
             yield cell, worker
         finally:
             cell.close()
+
+
+def _load_model(effects: Sequence[str]) -> None:
+    """Have the code of the model's step in this process: the first step would else hold the diagram up for a
+    second, with the arm under way."""
+    grid = cells_from_centres(np.zeros((1, 2)), 0.02)
+    Stepper(grid, 0.01, 0.01, effects_named(list(effects))).load()

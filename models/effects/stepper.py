@@ -158,6 +158,12 @@ class Stepper(EffectSlider):
             raise RolloutError(f"model {model}: the step from t = {time:.6g} s was not solved")
         return after[:, :Z], self.map_columns(models.maps, jacobian) if derive else jacobian
 
+    def load(self) -> None:
+        """Load or compile the machine code of a step, so that the first one takes no longer than others."""
+        n = len(self.grid)
+        models = self.models(Maps(np.full((1, n), 1.0 / n), np.full((1, n), 0.3), np.full(1, 0.3)))
+        self.step(models, self.start(models, np.zeros(3)))
+
     def delay(self, parameters: FloatArray) -> tuple[float, FloatArray]:
         """The tracker's delay, s, and its derivative (P,) by the effects' parameters (P,)."""
         if self.program.delay is None:

@@ -74,7 +74,13 @@ class World:
         base = self.model()
         best = rivals[0] if rivals else base
         return SimpleNamespace(
-            verdict=verdict, rivals=tuple(rivals), base=base, best=best, depends_on=depends_on, candidates=()
+            verdict=verdict,
+            rivals=tuple(rivals),
+            base=base,
+            best=best,
+            depends_on=depends_on,
+            candidates=(),
+            quick=False,
         )
 
 

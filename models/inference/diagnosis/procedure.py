@@ -57,7 +57,7 @@ MOST_ASKED = 5
 MOST_ASKED_QUICKLY = 2
 """Candidates that are asked what they leave."""
 
-QUICK_PUSHES = 12
+QUICK_PUSHES = 10
 QUICK_COARSENESS = 2.0
 """Pushes that a quick look takes, spread evenly over all that are open, and how much longer its steps are."""
 

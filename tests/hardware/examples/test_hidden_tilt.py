@@ -17,7 +17,7 @@ def scenario(scenario):
 
 
 def test_a_tilted_table_is_noticed_named_and_learned(cell):
-    surprised = cell.explore(pushes=6, checks=2, strategy="random", seed=3)
+    surprised = cell.explore(pushes=9, checks=2, strategy="random", seed=3)
     assert_alarm(surprised.watch)
 
     diagnosis = diagnose(surprised.dataset, quick=True, seed=0)
