@@ -21,6 +21,7 @@ from models.effects.registry import effects_named
 from models.inference.belief import Belief
 from models.inference.diagnosis import diagnose
 from models.inference.diagnosis.results import CandidateResult, ParameterEstimate
+from models.measurements import write_dataset
 from models.objects import cells_from_polygon
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -315,6 +316,17 @@ def test_wrong_use(slipmap, tilted_folder, belief, tmp_path):
     )
     assert said.code == 2 and "twice" in said.err
     assert not (tmp_path / "o.npz").exists()
+
+
+def test_a_quick_look_leaves_a_report_only_where_asked(slipmap, tmp_path, monkeypatch):
+    few = tilted_pushes()
+    folder = write_dataset(replace(few, trials=few.trials[:3]), tmp_path / "few")
+    monkeypatch.chdir(tmp_path)
+    said = slipmap("diagnose", folder, "--quick")
+    assert said.code == 0 and "-o FILE asks for one" in said.err
+    assert not list(tmp_path.glob("*.html"))
+    said = slipmap("diagnose", folder, "--quick", "-o", "diagnosis.html")
+    assert said.code == 0 and (tmp_path / "diagnosis.html").exists()
 
 
 def test_a_belief_of_a_diagnosis_survives_its_file(tilted, tmp_path):

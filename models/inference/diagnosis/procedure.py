@@ -47,7 +47,6 @@ from models.inference.diagnosis.verdict_rules import (
     locked_pushes_object,
     locked_pushes_stay_off,
     not_outdone,
-    rivals_the_best,
     worth_asking,
 )
 from models.inference.observations import Observation, observe_all
@@ -261,7 +260,7 @@ class _Inquiry:
         rest: dict[str, Screening] = {}
         for step, name in enumerate(asked):
             self.report("asking what is left", step, len(asked))
-            rival = rivals_the_best(gains[name], best)
+            rival = self.rules.rivals_the_best(gains[name], best)
             if not (rival or self.draws):
                 continue
             rest[name] = self._screen(self.refits.fits[name])
@@ -278,7 +277,7 @@ class _Inquiry:
         best = max(gains.values(), default=0.0)
         found: list[Fitted] = []
         for step, name in enumerate(list(rest)[:FIRSTS_TRIED]):
-            if found and not rivals_the_best(gains[name], best):
+            if found and not self.rules.rivals_the_best(gains[name], best):
                 break
             self.report("trying pairs", step, FIRSTS_TRIED)
             first = self.refits.fits[name]

@@ -55,6 +55,9 @@ CLEARLY_WORSE_GAIN = 40.0
 """A candidate whose gain is smaller than the best one's by this share and by so many nats is ruled out by
 that alone."""
 
+CLEARLY_WORSE_QUICKLY = 0.1
+"""The share where chance was not simulated: searches are cut short then."""
+
 FAR_WORSE = 0.6
 FAR_WORSE_GAIN = 10.0
 """The same share and nats for one that is not even asked what it leaves."""
@@ -158,6 +161,11 @@ class Rules:
         enough = found is None or rest.gain[found] < 2 * MATERIAL * second_gain
         return second_gain > PROBE_GAIN and bool(enough)
 
+    def rivals_the_best(self, gain: float, best: float) -> bool:
+        """Whether a refitted candidate explains about as much as the best one."""
+        share = CLEARLY_WORSE if self.simulated else CLEARLY_WORSE_QUICKLY
+        return gain > best - max(CLEARLY_WORSE_GAIN, share * best)
+
     def blind(self, first: Screening) -> bool:
         """Whether the pushes could not have shown most effects of ordinary size."""
         pairs = zip(first.candidates, first.sharpness, strict=True)
@@ -168,11 +176,6 @@ class Rules:
 def worth_asking(gain: float, best: float) -> bool:
     """Whether a refitted candidate is near enough to the best one to be asked what it leaves."""
     return gain > best - max(FAR_WORSE_GAIN, FAR_WORSE * best)
-
-
-def rivals_the_best(gain: float, best: float) -> bool:
-    """Whether a refitted candidate explains about as much as the best one."""
-    return gain > best - max(CLEARLY_WORSE_GAIN, CLEARLY_WORSE * best)
 
 
 def not_outdone(
