@@ -186,7 +186,7 @@ class _Inquiry:
             return outcomes.unknown(self.base, self.first)
         rest = self._ask_what_is_left()
         if self.accepted:
-            self.accepted = not_outdone(self.accepted, self.left, self.refits.gains)
+            self.accepted = not_outdone(self.accepted, self.left, self.refits.gains, self.first.by_name)
             return outcomes.one_of([self.refits.fits[name] for name in self.accepted])
         if float(self.first.gain.max()) < PROBE_GAIN:
             return outcomes.too_faint(self.base)

@@ -53,6 +53,11 @@ class Screening:
     sharpness: FloatArray
 
     @property
+    def by_name(self) -> dict[str, float]:
+        """Gains by the candidates' names, nats."""
+        return {c.name: float(gain) for c, gain in zip(self.candidates, self.gain, strict=True)}
+
+    @property
     def largest_by_chance(self) -> FloatArray:
         """(D,) largest gain over all candidates in each simulated dataset."""
         return self.chance.max(axis=0)

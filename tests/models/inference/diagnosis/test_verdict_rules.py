@@ -11,6 +11,9 @@ from models.inference.diagnosis import procedure
 from models.inference.diagnosis.locked import LockedErrors
 from models.inference.diagnosis.verdict_rules import Remainder, Rules, locked_pushes_stay_off, not_outdone
 
+ALIKE = {"far": 50.0, "near": 50.0}
+"""Gains on pushes left out."""
+
 
 @pytest.mark.parametrize(
     ("before", "after", "off"),
@@ -93,12 +96,19 @@ def test_pairs_that_explain_as_much_are_not_told_apart(monkeypatch):
 )
 def test_what_leaves_nothing_beats_what_explains_clearly_less(far, near, kept):
     left = {"far": Remainder(None, 1.0, None, True), "near": Remainder(None, 20.0, None, False)}
-    assert not_outdone(["far", "near"], left, {"far": far, "near": near}) == kept
+    assert not_outdone(["far", "near"], left, {"far": far, "near": near}, ALIKE) == kept
 
 
 def test_what_explains_less_stays_where_it_leaves_nothing_either():
     left = {name: Remainder(None, 1.0, None, True) for name in ("far", "near")}
-    assert not_outdone(["far", "near"], left, {"far": 100.0, "near": 70.0}) == ["far", "near"]
+    assert not_outdone(["far", "near"], left, {"far": 100.0, "near": 70.0}, ALIKE) == ["far", "near"]
+
+
+def test_a_closer_fit_does_not_beat_what_predicts_better():
+    left = {"far": Remainder(None, 5.0, None, True), "near": Remainder(None, 13.0, None, False)}
+    gains = {"far": 1132.0, "near": 1107.0}
+    assert not_outdone(["far", "near"], left, gains, {"far": 20.0, "near": 51.0}) == ["far", "near"]
+    assert not_outdone(["far", "near"], left, gains, {"far": 51.0, "near": 20.0}) == ["far"]
 
 
 @pytest.mark.parametrize(
