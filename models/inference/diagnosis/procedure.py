@@ -47,6 +47,7 @@ from models.inference.diagnosis.verdict_rules import (
     locked_pushes_object,
     locked_pushes_stay_off,
     not_outdone,
+    with_better_predictors,
     worth_asking,
 )
 from models.inference.observations import Observation, observe_all
@@ -186,7 +187,9 @@ class _Inquiry:
             return outcomes.unknown(self.base, self.first)
         rest = self._ask_what_is_left()
         if self.accepted:
-            self.accepted = not_outdone(self.accepted, self.left, self.refits.gains, self.first.by_name)
+            gains, predicted = self.refits.gains, self.first.by_name
+            kept = not_outdone(self.accepted, self.left, gains, predicted)
+            self.accepted = with_better_predictors(kept, gains, predicted)
             return outcomes.one_of([self.refits.fits[name] for name in self.accepted])
         if float(self.first.gain.max()) < PROBE_GAIN:
             return outcomes.too_faint(self.base)

@@ -12,7 +12,7 @@ pytestmark = pytest.mark.twin
 def scenario(scenario):
     scenario.object.name = "box"
     scenario.pokes.taps = 0.0
-    scenario.hidden.table_tilt.down_x, scenario.hidden.table_tilt.down_y = 0.12, -0.08
+    scenario.hidden.table_tilt.down_x, scenario.hidden.table_tilt.down_y = 0.18, -0.12
     return scenario
 
 

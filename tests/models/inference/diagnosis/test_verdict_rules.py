@@ -9,7 +9,13 @@ from models.effects.library import LIBRARY
 from models.effects.probes import PROBES
 from models.inference.diagnosis import procedure
 from models.inference.diagnosis.locked import LockedErrors
-from models.inference.diagnosis.verdict_rules import Remainder, Rules, locked_pushes_stay_off, not_outdone
+from models.inference.diagnosis.verdict_rules import (
+    Remainder,
+    Rules,
+    locked_pushes_stay_off,
+    not_outdone,
+    with_better_predictors,
+)
 
 ALIKE = {"far": 50.0, "near": 50.0}
 """Gains on pushes left out."""
@@ -102,6 +108,16 @@ def test_what_leaves_nothing_beats_what_explains_clearly_less(far, near, kept):
 def test_what_explains_less_stays_where_it_leaves_nothing_either():
     left = {name: Remainder(None, 1.0, None, True) for name in ("far", "near")}
     assert not_outdone(["far", "near"], left, {"far": 100.0, "near": 70.0}, ALIKE) == ["far", "near"]
+
+
+@pytest.mark.parametrize(
+    ("gain", "predicts", "joins"), [(1519.0, 52.8, True), (1519.0, 18.0, False), (1450.0, 52.8, False)]
+)
+def test_what_leaves_a_little_joins_where_it_predicts_better(gain, predicts, joins):
+    found = with_better_predictors(
+        ["tether"], {"tether": 1562.0, "table_tilt": gain}, {"tether": 18.9, "table_tilt": predicts}
+    )
+    assert found == (["tether", "table_tilt"] if joins else ["tether"])
 
 
 def test_a_closer_fit_does_not_beat_what_predicts_better():
