@@ -16,8 +16,10 @@ from diagrams.hardware.lock import only_controller
 from diagrams.station.scenario import Scenario
 from diagrams.systems.workers import workers
 from models.effects.registry import effects_named
+from models.effects.slider import EffectSlider
 from models.effects.stepper import Stepper
 from models.objects import cells_from_centres
+from models.physics.rollout import Maps, Push, Slider
 
 
 @contextmanager
@@ -83,7 +85,10 @@ def real_cell(
 
 
 def _load_model(effects: Sequence[str]) -> None:
-    """Have the code of the model's step in this process: the first step would else hold the diagram up for a
-    second, with the arm under way."""
-    grid = cells_from_centres(np.zeros((1, 2)), 0.02)
-    Stepper(grid, 0.01, 0.01, effects_named(list(effects))).load()
+    """Have the code of the model's steps and rollouts in this process: the first would else hold the diagram
+    up for a second, with the arm under way."""
+    grid, found = cells_from_centres(np.zeros((1, 2)), 0.02), effects_named(list(effects))
+    Stepper(grid, 0.01, 0.01, found).load()
+    slider = EffectSlider(grid, 0.01, found) if found else Slider(grid, 0.01)
+    push = Push(0.01, np.full((9, 2), 0.1), np.zeros(3), force_times=np.full(1, 0.04))
+    slider.rollout(Maps(np.ones((1, 1)), np.full((1, 1), 0.3), np.full(1, 0.3)), [push])

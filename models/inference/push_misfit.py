@@ -17,6 +17,7 @@ import numpy as np
 import scipy.linalg
 from scipy.stats import chi2
 
+from models.inference.belief import Belief
 from models.inference.diagnosis.error_model import ErrorModel, SensorNoise, travelled
 from models.inference.observations import Observation
 from models.inference.push_errors import radius_of_gyration
@@ -26,7 +27,8 @@ from models.physics.rollout import Push
 
 
 def pose_noise(position: float, angle: float) -> SensorNoise:
-    """Noise of observed poses alone: standard deviations of x and y each, m, and of θ, rad."""
+    """Noise of observed poses alone: standard deviations of x and y each, m, and of θ, rad. That of a mean
+    force is small beside what a model is off by."""
     return SensorNoise(position, angle, 0.0, declared=True)
 
 
@@ -63,6 +65,24 @@ def _factors(predicted: Observation, error: ErrorModel, grid: CellGrid) -> Float
     return np.linalg.cholesky(covariance + (noise**2)[:, None, None])
 
 
+FEWEST_STEADY = 6
+"""Rows of force in steady pushing without which a push was a tap: its force is that of the blow."""
+
+
+def steady_force(observation: Observation) -> FloatArray | None:
+    """(2,) mean measured force of the finger on the object in steady pushing, world, N; None where it was not
+    measured, or the push was no more than a tap."""
+    if observation.sliding.sum() < FEWEST_STEADY:
+        return None
+    return observation.forces[observation.sliding].mean(axis=0)
+
+
+def steady_forces_told(belief: Belief, observation: Observation) -> FloatArray:
+    """(K, 2) the same mean as each hypothesis predicts it for the same push, N."""
+    rollouts = belief.slider.rollout(belief.maps, [observation.push])
+    return rollouts.forces_of(0)[:, observation.sliding].mean(axis=1)
+
+
 def resting_misfit(
     start: FloatArray,
     observed: FloatArray,
@@ -70,20 +90,23 @@ def resting_misfit(
     probability: FloatArray,
     error: ErrorModel,
     grid: CellGrid,
+    forces: tuple[FloatArray, FloatArray] | None = None,
 ) -> tuple[float, float]:
-    """Misfit of where an object came to rest, beside all that is not known of it.
+    """Misfit of where an object came to rest and of the force that it took, beside all that is not known.
 
-    The residual r against the mean of the hypotheses is whitened with the covariance Σ of the error model
-    and of the hypotheses together: 3 misfit² = rᵀ Σ⁻¹ r, which is χ² distributed with three degrees of
-    freedom if errors and hypotheses are normally distributed.
+    The n residuals r against the mean of the hypotheses are whitened with the covariance Σ of the error model
+    and of the hypotheses together: n misfit² = rᵀ Σ⁻¹ r, which is χ² distributed with n degrees of freedom if
+    errors and hypotheses are normally distributed.
 
     Args:
         start: (3,) pose before the push.
         observed: (3,) pose at rest after it.
         told: (K, 3) where the hypotheses ended.
         probability: (K,) of them.
-        error: see `push_misfit`.
+        error: see `push_misfit`; with β, by which share of it a force is off anyway.
         grid: cells.
+        forces: measured mean force (2,) and the hypotheses' (K, 2), N, see `steady_force`; None to go by the
+            pose alone.
 
     Returns:
         The misfit, about 1 where nothing is missing, and p, the probability of one as large then.
@@ -95,13 +118,19 @@ def resting_misfit(
         _, measured, expected = centroid_tracks(observed_push(push, pose[None]), mean, grid)
         return (measured - expected)[1]
 
-    spread = np.array([residual(pose) for pose in told])
-    covariance = np.einsum("k,ki,kj->ij", probability, spread, spread)
-    # One row: the factors are standard deviations.
-    covariance += np.diag(_factors(observed_push(push, mean), error, grid)[:, 0, 0] ** 2)
     r = residual(observed)
+    spread = np.array([residual(pose) for pose in told])
+    # One row: the factors are standard deviations.
+    sigma = _factors(observed_push(push, mean), error, grid)[:, 0, 0]
+    if forces is not None:
+        measured, every = forces
+        expected = probability @ every
+        r = np.concatenate([r, measured - expected])
+        spread = np.hstack([spread, every - expected])
+        sigma = np.append(sigma, 2 * [np.hypot(error.force * np.hypot(*expected), error.noise.force)])
+    covariance = np.einsum("k,ki,kj->ij", probability, spread, spread) + np.diag(sigma**2)
     square = float(r @ np.linalg.solve(covariance, r))
-    return float(np.sqrt(square / 3.0)), float(chi2.sf(square, 3))
+    return float(np.sqrt(square / len(r))), float(chi2.sf(square, len(r)))
 
 
 def bet(p: float) -> float:
@@ -112,4 +141,12 @@ def bet(p: float) -> float:
     return (1.0 - p + p * log) / (p * log * log)
 
 
-__all__ = ["bet", "observed_push", "pose_noise", "push_misfit", "resting_misfit"]
+__all__ = [
+    "bet",
+    "observed_push",
+    "pose_noise",
+    "push_misfit",
+    "resting_misfit",
+    "steady_force",
+    "steady_forces_told",
+]
