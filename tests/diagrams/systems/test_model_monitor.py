@@ -19,6 +19,7 @@ from models.inference.diagnosis.error_model import ErrorModel
 from models.inference.push_misfit import pose_noise, resting_misfit
 from models.measurements import Trial
 from models.measurements.push_dataset import Channel, Noise
+from models.measurements.simulated import record_pushes
 from models.physics.cell_grid import FloatArray
 
 NOISE = np.array([5e-4, 5e-4, 4e-3])
@@ -30,14 +31,18 @@ LASTS = 4
 
 @dataclass(frozen=True)
 class Told:
-    """One push: the hypotheses after it, None without a belief, and poses observed at its ends."""
+    """One push: the hypotheses after it, None without a belief, poses observed at its ends, and where forces
+    count all that was recorded."""
 
     universes: Universes | None
     start: FloatArray
     end: FloatArray
+    recorded: Trial | None = None
 
     @property
     def trial(self) -> Trial:
+        if self.recorded is not None:
+            return self.recorded
         poses = Channel(np.array([0.0, 1.0]), np.array([self.start, self.end]))
         return Trial("trial", "fit", poses, Channel(np.array([0.0, 1.0]), np.zeros((2, 2))), None)
 
@@ -134,6 +139,30 @@ def test_loud_on_a_tilted_table_and_calm_again(diagram: Diagram) -> None:
     released = alarms.index(False, first)
     assert all(row.evidence > 1.0 for row in rows[first:released])
     assert rows[released].evidence <= 1.0
+
+
+@lru_cache
+def pushes_felt(stronger: float) -> tuple[Told, ...]:
+    """Three pushes as believed, but for a force that is so many times as strong."""
+    belief = block_belief()
+    pushes = table_pushes(3, 7)
+    dataset = record_pushes(belief.slider, belief.maps[3:], pushes, np.random.default_rng(0), mass=1.0)
+    told = []
+    for trial, push in zip(dataset.trials, pushes, strict=True):
+        poses = belief.slider.rollout(belief.maps, [push]).poses[:, -1]
+        universes = placed(belief, H, push.start_pose)
+        universes = replace(universes, states=np.hstack([poses, universes.states[:, 3:]]))
+        assert trial.ft_wrench is not None
+        felt = Channel(trial.ft_wrench.time, stronger * trial.ft_wrench.values)
+        told.append(Told(universes, push.start_pose, poses[3], replace(trial, ft_wrench=felt)))
+    return tuple(told)
+
+
+@pytest.mark.parametrize(("stronger", "alarm"), [(1.05, False), (1.6, True)])
+def test_a_force_that_no_hypothesis_tells_counts(diagram: Diagram, stronger: float, alarm: bool) -> None:
+    rows = watched(diagram, pushes_felt(stronger))
+    assert rows[-1].alarm == alarm
+    assert (rows[-1].evidence > 1.0 / LEVEL) == alarm
 
 
 def test_outputs_are_those_of_the_last_push(diagram: Diagram) -> None:

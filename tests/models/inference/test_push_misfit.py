@@ -2,12 +2,22 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from models.inference.belief import Belief
 from models.inference.diagnosis.error_model import ErrorModel
-from models.inference.push_misfit import bet, observed_push, pose_noise, push_misfit, resting_misfit
+from models.inference.push_misfit import (
+    bet,
+    observed_push,
+    pose_noise,
+    push_misfit,
+    resting_misfit,
+    steady_force,
+    steady_forces_told,
+)
 from models.objects import cells_from_polygon
 from models.physics.paper_notation import add
 from models.physics.rollout import Maps, Push, Smoothing
@@ -88,6 +98,52 @@ def test_an_end_is_usual_beside_doubtful_hypotheses_and_not_beside_sure_ones() -
     # Doubt about the angle does not excuse another place.
     _, elsewhere = resting_misfit(start, end + np.array([0.0, 0.02, 0.0]), doubtful, half, ERROR, GRID)
     assert elsewhere < 1e-4
+
+
+def test_p_is_uniform_with_a_force_that_is_off_as_told() -> None:
+    rng = np.random.default_rng(4)
+    start = np.array([0.1, -0.05, 0.4])
+    told = np.repeat(start[None], 100, axis=0)
+    lean = rng.normal(size=100)
+    forces = np.array([2.0, 1.0]) + 0.2 * ((lean - lean.mean()) / lean.std())[:, None] * np.array([1.0, -1.0])
+    probability = np.full(100, 1 / 100)
+    error = ErrorModel(ERROR.noise, ERROR.motion, 0.1)
+    radius = np.sqrt(np.sum((GRID.centers - GRID.centers.mean(axis=0)) ** 2, axis=1).mean())
+    found = []
+    for _ in range(1000):
+        end = start + np.sqrt(2) * np.array([5e-4, 5e-4, radius * 4e-3]) * rng.normal(size=3) / [1, 1, radius]
+        force = forces[rng.integers(100)] + 0.1 * np.hypot(2.0, 1.0) * rng.normal(size=2)
+        found.append(resting_misfit(start, end, told, probability, error, GRID, (force, forces))[1])
+    # Kolmogorov's bound at 0.1 % for 1000 draws.
+    assert np.abs(np.sort(found) - np.arange(1, 1001) / 1000).max() < 0.062
+
+
+def test_a_force_that_no_hypothesis_tells_is_a_misfit_where_the_end_is_none() -> None:
+    start, end = np.zeros(3), np.array([0.05, 0.0, 0.12])
+    half, told = np.full(2, 0.5), np.array([[0.05, 0.0, 0.11], [0.05, 0.0, 0.13]])
+    error = ErrorModel(ERROR.noise, ERROR.motion, 0.1)
+    forces = np.array([[2.0, 0.0], [2.1, 0.0]])
+    _, usual = resting_misfit(start, end, told, half, error, GRID, (np.array([2.2, 0.1]), forces))
+    _, rare = resting_misfit(start, end, told, half, error, GRID, (np.array([2.9, 0.5]), forces))
+    assert usual > 0.3 and rare < 1e-3
+
+
+def test_the_steady_force_is_that_of_a_push_and_not_of_a_tap(belief: Belief, pushes: list[Push]) -> None:
+    push = pushes[0]
+    times = push.h * (np.arange(20) + 0.5) * (len(push.tip) - 1) / 20
+    timed = replace(push, force_times=times)
+    forces = belief.slider.rollout(belief.maps[1], [timed]).forces[0]
+    still = observed_push(timed, push.start_pose[None])
+    for steady in (6, 5):
+        counts = np.arange(20) < steady
+        seen = replace(still, forces=forces, force_rows=np.ones(20), sliding=counts)
+        if steady == 5:
+            assert steady_force(seen) is None
+            continue
+        found = steady_force(seen)
+        assert found is not None
+        assert found == pytest.approx(forces[:6].mean(axis=0))
+        assert steady_forces_told(belief, seen)[1] == pytest.approx(found)
 
 
 def test_bets_are_fair() -> None:
