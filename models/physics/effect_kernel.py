@@ -22,6 +22,7 @@ from models.physics.around_step import (
     finger_impulse,
     way_of,
 )
+from models.physics.arrays import copy_into
 from models.physics.compiled import compiled
 from models.physics.contact import CONTACT_COLUMNS, MAX_CONTACTS, cone_of
 from models.physics.effect_cells import (
@@ -99,9 +100,9 @@ def effect_rollout(  # type: ignore[no-untyped-def]
 
     c = constants.copy()
     y = np.zeros(Y)
-    y[STATE:memory_rows] = memory0
-    y[memory_rows : memory_rows + INERTIA] = inertia
-    y[memory_rows + INERTIA :] = parameters
+    copy_into(y[STATE:memory_rows], memory0)
+    copy_into(y[memory_rows : memory_rows + INERTIA], inertia)
+    copy_into(y[memory_rows + INERTIA :], parameters)
     out = np.zeros(BODY_OUTPUTS + 4 * blade_count)
     dout = np.zeros((BODY_OUTPUTS + 4 * blade_count, Y))
     factor = np.ones(n)
@@ -213,7 +214,9 @@ def effect_rollout(  # type: ignore[no-untyped-def]
                 v, new, h, scaled, cone, frame, quarter, first, second, impulse1, impulse2, A, extra, dforce
             )  # fmt: skip
             add_applied_turning(A, applied, h)
-            extra[:, :INERTIA] *= kappa
+            for a in range(3):
+                for k in range(INERTIA):
+                    extra[a, k] *= kappa
             if with_stretch:
                 stretch_gradients(cells, new, by_stretch)
             set_body_slopes(G, body, new, free, dout, h, by_stretch, with_stretch)
@@ -235,7 +238,7 @@ def effect_rollout(  # type: ignore[no-untyped-def]
                     spring_A, spring_force,
                 )  # fmt: skip
             add_contact_slopes(G, A, scale_g, spring_A, dout, E > 0)
-            before[:] = S
+            copy_into(before, S)
             scale = (scale_g[0, 0], scale_g[1, 0], scale_g[2, 0])
             fill_load_slopes(S, cells, share_of_load, E, new, h, scale)
             fill_other_slopes(S, G, E, n, columns, extra)

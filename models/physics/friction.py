@@ -53,9 +53,8 @@ def padded_cells(load, rx, ry, cell_width, slip_speed):  # type: ignore[no-untyp
     """`Cells` of n loads and centres, filled up with cells without load; `slip_speed` is ε."""
     n = load.shape[0]
     rows = np.zeros((3, (n + LANES - 1) // LANES * LANES))
-    rows[0, :n] = load
-    rows[1, :n] = rx
-    rows[2, :n] = ry
+    for i in range(n):
+        rows[0, i], rows[1, i], rows[2, i] = load[i], rx[i], ry[i]
     return Cells(rows[0], rows[1], rows[2], (SPIN_RADIUS * cell_width) ** 2, slip_speed * slip_speed)
 
 

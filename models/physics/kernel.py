@@ -19,6 +19,7 @@ from models.physics.around_step import (
     finger_impulse,
     way_of,
 )
+from models.physics.arrays import copy_into
 from models.physics.compiled import compiled
 from models.physics.contact import CONTACT_COLUMNS, MAX_CONTACTS, cone_of
 from models.physics.friction import padded_cells
@@ -162,7 +163,7 @@ def rollout(  # type: ignore[no-untyped-def]
             )  # fmt: skip
             add_applied_turning(A, applied, h)
             if needs_before or wants_force:
-                before[:] = S
+                copy_into(before, S)
             inverse = (minimum.xx, minimum.xy, minimum.xw, minimum.yy, minimum.yw, minimum.ww)
             moment = first.nw * impulse1.normal - first.tw * impulse1.tangential
             moment += second.nw * impulse2.normal - second.tw * impulse2.tangential

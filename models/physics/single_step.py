@@ -18,6 +18,7 @@ import math
 import numpy as np
 
 from models.physics.addresses import call_address
+from models.physics.arrays import add_columns, copy_into
 from models.physics.compiled import compiled
 from models.physics.contact import CONTACT_COLUMNS, MAX_CONTACTS, SEPARATE, cone_of
 from models.physics.effect_cells import (
@@ -69,9 +70,9 @@ def single_step(  # type: ignore[no-untyped-def]
     after_memory = STATE + E
     Y = after_memory + INERTIA + P
     y = np.zeros(Y)
-    y[:after_memory] = state[:after_memory]
-    y[after_memory : after_memory + INERTIA] = inertia
-    y[after_memory + INERTIA :] = parameters
+    copy_into(y[:after_memory], state[:after_memory])
+    copy_into(y[after_memory : after_memory + INERTIA], inertia)
+    copy_into(y[after_memory + INERTIA :], parameters)
     out = np.zeros(BODY_OUTPUTS + 4 * blade_count)
     dout = np.zeros((BODY_OUTPUTS + 4 * blade_count, Y))
     factor, drag, drag_sums = np.ones(n), np.zeros(n), np.zeros(4)
@@ -147,7 +148,7 @@ def single_step(  # type: ignore[no-untyped-def]
     if own > 0:
         remembered = np.zeros(own)
         call_address(addresses[3], (y, constants, next_out[:AFTER].copy(), remembered, down))
-        next_out[AFTER : AFTER + own] = remembered
+        copy_into(next_out[AFTER : AFTER + own], remembered)
     failed = solution.evaluations > MAX_EVALUATIONS
     next_out[AFTER + own] = -1.0 if failed else float(solution.evaluations)
     if not derive:
@@ -200,15 +201,15 @@ def single_step(  # type: ignore[no-untyped-def]
         add_spring_columns(
             v, new, h, cone, frame, first, second, impulse1, impulse2, last, compliance, spring_g, spring_f
         )
-        G[:, STATE : STATE + FORCE] += spring_g[:, :FORCE]
-        F[:, STATE : STATE + FORCE] += spring_f[:, :FORCE]
+        add_columns(G, STATE, spring_g, FORCE)
+        add_columns(F, STATE, spring_f, FORCE)
     for k in range(Y):
         for a in range(3):
             G[a, k] += (scale_g[a, 1] + spring_g[a, 2]) * dout[7, k]
         for a in range(2):
             F[a, k] += (scale_f[a, 1] + spring_f[a, 2]) * dout[7, k]
-    G[:, :STATE] += A
-    F[:, :STATE] += dforce[:, :STATE]
+    add_columns(G, 0, A, STATE)
+    add_columns(F, 0, dforce, STATE)
 
     columns = n + EXTRA_COLUMNS + P + FORCE + own + INPUTS
     at_state = n + INERTIA + 1
@@ -218,10 +219,14 @@ def single_step(  # type: ignore[no-untyped-def]
     at_tip = at_wrench + 5
     g, f = np.zeros((3, columns)), np.zeros((2, columns))
     place = np.zeros(Y, dtype=np.int64)
-    place[:STATE] = at_state + np.arange(STATE)
-    place[STATE:after_memory] = at_memory + np.arange(E)
-    place[after_memory : after_memory + INERTIA] = n + np.arange(INERTIA)
-    place[after_memory + INERTIA :] = at_effects + np.arange(P)
+    for k in range(STATE):
+        place[k] = at_state + k
+    for k in range(E):
+        place[STATE + k] = at_memory + k
+    for k in range(INERTIA):
+        place[after_memory + k] = n + k
+    for k in range(P):
+        place[after_memory + INERTIA + k] = at_effects + k
     for a in range(3):
         for i in range(n):
             g[a, i] = h * max(factor[i], 0.0) * by_load[a, i] + scale_g[a, 0]
@@ -250,8 +255,8 @@ def single_step(  # type: ignore[no-untyped-def]
                 sign = (-1.0 if end == 0 else 1.0) / h
                 add_column(2 * end, 0.5 * c, -0.5 * s, sign * c, -sign * s, 0.0, 0.0, 0.0, 0.0, common)
                 add_column(2 * end + 1, 0.5 * s, 0.5 * c, sign * s, sign * c, 0.0, 0.0, 0.0, 0.0, common)
-    g[:, at_tip:] = tip_g
-    f[:, at_tip:] = tip_f
+    add_columns(g, at_tip, tip_g, INPUTS - 5)
+    add_columns(f, at_tip, tip_f, INPUTS - 5)
 
     # Implicit function theorem: dv⁺ = -H⁻¹ dg; then the pose, the force and the memory.
     slope = 0.25 * h * h * (turn.sinc_slope * turn.cos - turn.sinc * turn.sin)
