@@ -194,17 +194,21 @@ def _function(name: str, arguments: str, lines: Sequence[str]) -> str:
     )
 
 
+def _straight(printer: Any, targets: Sequence[tuple[str, Any]]) -> list[str]:
+    """Lines that assign expressions to targets, where no loop is."""
+    before, within = _assignments(printer, targets, set())
+    return before + [line[4:] for line in within]
+
+
 def module_source(effects: Sequence[Effect]) -> str:
-    """Source of the module for some effects; its names are those that `models.effects.program` loads."""
+    """Source of the module for some effects; its names are those that `models.effects.program` loads.
+
+    Functions that the kernel, by `SIZES`, does not call are left out: each takes a tenth of a second to
+    compile.
+    """
     slots = Slots(effects)
     printer = PythonCodePrinter({"fully_qualified_modules": True})
     Y = len(slots.y)
-    nowhere: set[sp.Symbol] = set()
-
-    def straight(targets: Sequence[tuple[str, Any]]) -> list[str]:
-        before, within = _assignments(printer, targets, nowhere, 4)
-        return before + [line[4:] for line in within]
-
     targets = [(f"out[{k}] =", e) for k, e in enumerate(slots.body)]
     targets += [
         (f"dout[{k * Y + j}] =", d)
@@ -212,13 +216,27 @@ def module_source(effects: Sequence[Effect]) -> str:
         for j, symbol in enumerate(slots.y)
         if (d := _derivative(e, symbol)) != 0
     ]
-    text = _HEADER + _function("body", "y, c, out, dout", [*_arguments(slots), *straight(targets)])
+    text = _HEADER + _function("body", "y, c, out, dout", [*_arguments(slots), *_straight(printer, targets)])
 
+    cells = slots.factor != 1 or slots.drag != 0
+    if cells:
+        text += _cell_functions(slots, printer)
+    if slots.renewed:
+        text += _memory_function(slots, printer)
+    text += _measurement(slots)
+    sizes = (len(slots.memory), len(slots.parameters), slots.blades, int(cells), int(slots.stretches))
+    text += f"\n\nSIZES = {sizes}\nMEASURES = {slots.measures}\nDELAYS = {slots.delay != 0}\n"
+    return text
+
+
+def _cell_functions(slots: Slots, printer: Any) -> str:
+    """The functions `cells` and `cell_slopes`."""
+    Y = len(slots.y)
     loop = {real("r_x"), real("r_y")}
     start = ["    for i in range(int(n)):", "        r_x = rx[i]", "        r_y = ry[i]"]
     targets = [("factor[i] =", slots.factor), ("drag[i] =", slots.drag)]
     before, within = _assignments(printer, targets, loop)
-    text += _function("cells", "y, c, rx, ry, factor, drag", [*_arguments(slots), *before, *start, *within])
+    text = _function("cells", "y, c, rx, ry, factor, drag", [*_arguments(slots), *before, *start, *within])
 
     targets = []
     for j, symbol in enumerate(slots.y):
@@ -234,8 +252,12 @@ def module_source(effects: Sequence[Effect]) -> str:
     text += _function(
         "cell_slopes", "y, c, rx, ry, gl, gd, G", [*_arguments(slots), *before, *start, *rows, *within]
     )
+    return text
 
-    width = Y + 8
+
+def _memory_function(slots: Slots, printer: Any) -> str:
+    """The function `memory`."""
+    width = len(slots.y) + 8
     inputs = [*slots.y, *(real(f"after_{k}") for k in range(8))]
     targets = [(f"own[{k}] =", e) for k, e in enumerate(slots.renewed)]
     targets += [
@@ -244,12 +266,9 @@ def module_source(effects: Sequence[Effect]) -> str:
         for j, symbol in enumerate(inputs)
         if (d := _derivative(e, symbol)) != 0
     ]
-    text += _function("memory", "y, c, after, own, down", [*_arguments(slots, True), *straight(targets)])
-    text += _measurement(slots)
-    cells = int(slots.factor != 1 or slots.drag != 0)
-    sizes = (len(slots.memory), len(slots.parameters), slots.blades, cells, int(slots.stretches))
-    text += f"\n\nSIZES = {sizes}\nMEASURES = {slots.measures}\nDELAYS = {slots.delay != 0}\n"
-    return text
+    return _function(
+        "memory", "y, c, after, own, down", [*_arguments(slots, True), *_straight(printer, targets)]
+    )
 
 
 def _measurement(slots: Slots) -> str:

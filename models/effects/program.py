@@ -33,7 +33,7 @@ class Program:
 
     Attributes:
         effects: in the order of their parameters.
-        addresses: (4,) of the functions body, cells, cell slopes, memory.
+        addresses: (4,) of the functions body, cells, cell slopes, memory; 0 for those that `sizes` rules out.
         sizes: (5,) as in `effect_kernel.effect_rollout`.
         measured: x, y, θ (…,) and parameters to (…, 3) poses as the tracker reports them, and their
             derivatives by the true pose (…, 3, 3) and by the parameters (…, 3, P); None where no effect
@@ -87,10 +87,10 @@ def _program_of(effects: tuple[Effect, ...]) -> Program:
     module = importlib.util.module_from_spec(spec)
     sys.modules[spec.name] = module
     spec.loader.exec_module(module)
-    functions = (module.body, module.cells, module.cell_slopes, module.memory)
+    functions = [getattr(module, name, None) for name in ("body", "cells", "cell_slopes", "memory")]
     return Program(
         effects,
-        np.array([function.address for function in functions], dtype=np.int64),
+        np.array([function.address if function else 0 for function in functions], dtype=np.int64),
         np.array(module.SIZES, dtype=np.int64),
         module.measured if module.MEASURES else None,
         module.delay if module.DELAYS else None,
