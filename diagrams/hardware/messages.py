@@ -160,7 +160,7 @@ class CheckedMessages(LeafSystem):
             if isinstance(heard, BadMessage):
                 raise heard
             data, stamp = heard
-            check_stamp(stamp, now.stamp)
+            check_stamp(stamp, now.stamp, self._rule.anew)
         except BadMessage as error:
             cause = str(error)
             count = now.dropped.get(cause, 0) + 1
@@ -168,7 +168,7 @@ class CheckedMessages(LeafSystem):
                 _log.warning("%s: message dropped, %s (%d so far)", self._channel, cause, count)
             return replace(now, dropped=MappingProxyType({**now.dropped, cause: count}))
         offset = time - stamp
-        if now.good:
+        if now.good and stamp >= now.stamp:
             offset = now.offset + (offset - now.offset) * -np.expm1((now.stamp - stamp) / CLOCKS)
         return replace(now, data=data, stamp=stamp, offset=float(offset), good=now.good + 1)
 

@@ -35,6 +35,9 @@ ABORT_COORDINATES = ("abort",)
 LONGEST_LEAP = 600.0
 """s by which a stamp may be later than the one before; a later one would shut out all true ones after it."""
 
+RESTART = 1.0
+"""s; messages of one sender are not mixed up by as much."""
+
 _ANGLE_SLACK = float(np.deg2rad(10.0))  # over a joint's limit, for measured angles
 _COMMAND_SLACK = 1e-3  # rad, for commanded ones
 _FORCE_FACTOR = 5.0  # a blow may exceed what a motor can do
@@ -58,11 +61,14 @@ class Rule:
         lcm_type: generated class of the messages.
         stamp: the sender's clock in a message, µs.
         check: raises BadMessage; pictures are packed anew by it.
+        anew: whether a stamp that goes back by more than `RESTART` is that of a sender started anew, whose
+            clock tells how long it has been running.
     """
 
     lcm_type: Any
     stamp: Callable[[Any], int]
     check: Callable[[Any], None]
+    anew: bool = False
 
     def read(self, data: bytes) -> tuple[Any, float]:
         """A message that may be believed, but for its stamp, and the stamp, s of the sender's clock.
@@ -83,15 +89,17 @@ class Rule:
         return message, 1e-6 * self.stamp(message)
 
 
-def check_stamp(stamp: float, last: float) -> None:
+def check_stamp(stamp: float, last: float, anew: bool = False) -> None:
     """Refuse a stamp that cannot follow the last good one, both in s; the last is NaN before the first.
+
+    `anew` is that of the `Rule`.
 
     Raises:
         BadMessage: names the cause.
     """
     if stamp < 0:
         raise BadMessage("stamp is negative")
-    if stamp < last:
+    if stamp < last and not (anew and stamp < last - RESTART):
         raise BadMessage("stamp goes back")
     if stamp > last + LONGEST_LEAP:
         raise BadMessage(f"stamp leaps ahead by more than {LONGEST_LEAP:.0f} s")
@@ -109,7 +117,7 @@ def rules(width: int, height: int) -> Mapping[str, Rule]:
         channels.IIWA_STATUS: Rule(lcmt_iiwa_status, _utime, _check_iiwa_status),
         channels.IIWA_COMMAND: Rule(lcmt_iiwa_command, _utime, _check_iiwa_command),
         channels.GRIPPER_STATUS: Rule(lcmt_schunk_wsg_status, _utime, _check_gripper_status),
-        channels.GRIPPER_COMMAND: Rule(lcmt_schunk_wsg_command, _utime, _check_gripper_command),
+        channels.GRIPPER_COMMAND: Rule(lcmt_schunk_wsg_command, _utime, _check_gripper_command, anew=True),
         channels.CAMERA_DEPTH: Rule(
             lcmt_image_array, lambda m: m.header.utime, lambda m: _check_picture(m, depth, size)
         ),

@@ -182,6 +182,13 @@ def test_stamps_that_go_back_or_leap_are_refused(stamp, last, cause):
         check_stamp(stamp, last)
 
 
+def test_a_gripper_may_be_told_by_a_program_started_anew():
+    assert RULES[channels.GRIPPER_COMMAND].anew and not RULES[channels.IIWA_COMMAND].anew
+    check_stamp(0.0, 200.0, anew=True)
+    with pytest.raises(BadMessage, match="goes back"):
+        check_stamp(199.5, 200.0, anew=True)
+
+
 @pytest.mark.parametrize(("stamp", "last"), [(0.0, np.nan), (1e9, np.nan), (5.0, 5.0), (600.0, 1.0)])
 def test_other_stamps_are_taken(stamp, last):
     check_stamp(stamp, last)
