@@ -30,6 +30,7 @@ DELAY = 0.04
 BRAKING = 0.05
 """s in which the arm comes to rest on its path when it is to stop, if need be."""
 
+_PAUSE = 1.0  # s between two angles of one and the same maker, at most
 _TOO_MUCH = 1.5  # delays; what is more than that is played faster
 _CATCH_UP = 0.05  # of the pace
 _SAMPLE = struct.Struct("<8d")
@@ -64,7 +65,12 @@ class CommandBuffer:
             self._braking = max(self._pace, 1e-3) / braking(speed, BRAKING)
 
     def add(self, time: float, q: FloatArray) -> None:
-        """Angles (7,), rad, that hold at a time of the maker's clock, s; not before those that were added."""
+        """Angles (7,), rad, that hold at a time of the maker's clock, s; not before those that were added.
+
+        After a pause somebody else began where the arm rests: there is no way between to be played.
+        """
+        if self._samples and self._braking == 0.0 and time > self._samples[-1][0] + _PAUSE:
+            self._samples.clear()
         if not self._samples:
             self._clock = time - self._delay
         self._samples.append((time, np.array(q, dtype=float)))

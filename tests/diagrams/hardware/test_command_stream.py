@@ -143,3 +143,18 @@ def test_addresses_that_are_none_are_refused(url, why):
 def test_messages_stay_here_unless_a_ttl_is_written():
     assert "ttl=0" in open_lcm("udpm://239.255.76.67:7732").get_lcm_url()
     assert "ttl=1" in open_lcm("udpm://239.255.76.67:7732?ttl=1").get_lcm_url()
+
+
+def test_who_goes_on_after_a_pause_is_not_kept_waiting():
+    """The arm rests a hair off where it was told to be, and whoever comes next begins there."""
+    buffer = CommandBuffer()
+    for now in np.arange(0.0, 0.5, ARM_PERIOD):
+        buffer.add(now, np.zeros(7))
+        buffer.at(1.0 + now)
+    for now in np.arange(0.5, 40.0, ARM_PERIOD):
+        buffer.at(1.0 + now)
+    for now in np.arange(40.0, 40.5, ARM_PERIOD):
+        wanted = np.full(7, 1e-4 + 0.2 * (now - 40.0))
+        buffer.add(now, wanted)
+        played = buffer.at(1.0 + now)
+    assert np.abs(played - wanted).max() < 0.2 * 2 * DELAY
