@@ -5,13 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import lru_cache
 
-from diagrams.execution.clearance import ArmClearance
+from diagrams.execution.clearance import ArmClearance, Obstacle
 from diagrams.execution.config import ExecutionConfig
 from diagrams.execution.finger_kinematics import FingerKinematics
 from diagrams.execution.grasp_plan import can_grasp
 from diagrams.execution.messages import ActiveGrasp
 from diagrams.execution.motion import MotionRefused
 from diagrams.execution.push_plan import plan_push
+from diagrams.execution.surroundings import Surroundings
 from diagrams.station.arm import HOME, arm_model
 from models.measurements.push_dataset import Table
 from planners.table_push import TablePush
@@ -33,10 +34,11 @@ class ArmChecks:
     table: Table
     config: ExecutionConfig
 
-    def can_push(self, push: TablePush) -> bool:
-        """Whether the arm can make a push, and come home."""
+    def can_push(self, obstacle: Obstacle, push: TablePush) -> bool:
+        """Whether the arm can make a push of an object, and come home."""
+        around = Surroundings(_clearance(self.table), obstacle)
         try:
-            plan_push(_kinematics(self.models), push, HOME, HOME, self.config)
+            plan_push(_kinematics(self.models), push, HOME, HOME, self.config, around)
         except MotionRefused:
             return False
         return True

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 from pydrake.geometry import Capsule, Cylinder, Role, SceneGraph, SceneGraphInspector, Shape, Sphere
 from pydrake.math import RigidTransform
 from pydrake.multibody.plant import AddMultibodyPlantSceneGraph, MultibodyPlant
@@ -19,6 +20,8 @@ from models.physics.cell_grid import CellGrid, FloatArray
 _APART = 0.5  # of the balls along a shape, in its radii
 _FIXED = ("iiwa_link_0", "iiwa_link_1", "iiwa_link_2")  # what hand and forearm could hit of the arm itself
 _NEXT = ("iiwa_link_3", "iiwa_link_4")  # always close to those
+_FAR = 0.05  # m, from which on it does not matter how far
+_FINGER = ("left_finger", "right_finger")  # closed, they are the finger that pushes
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,6 +72,7 @@ class ArmClearance:
         self._gripper = np.isin(
             names, [plant.get_body(b).name() for b in plant.GetBodyIndices(self._arm.gripper)]
         )
+        self._finger = np.isin(names, _FINGER)
 
     def centers(self, q: FloatArray, opening: float) -> FloatArray:
         """(B, 3) centres of the balls in the world at joint angles (7,), rad, and an opening, m."""
@@ -94,34 +98,60 @@ class ArmClearance:
             obstacle: the object, if it counts.
             holding: the gripper may be at the object.
         """
-        centers = self.centers(q, opening)
         moving = ~self._fixed
-        distances = [
-            self._from_table(centers[moving]) - self._radii[moving],
-            self._from_stand(centers[moving]) - self._radii[moving],
-            np.linalg.norm(centers[self._free, None] - centers[None, self._fixed], axis=2).min(axis=1)
-            - self._radii[self._free]
-            - self._radii[self._fixed].max(),
-        ]
+        near = moving & ~self._gripper if holding else moving
+        centers = self.centers(q, opening)
+        least = self._from_surroundings(centers, moving)
         if obstacle is not None:
-            near = moving & ~self._gripper if holding else moving
-            distances.append(obstacle.distance(centers[near]) - self._radii[near])
-        return min(float(distance.min()) for distance in distances)
+            least = min(least, float((obstacle.distance(centers[near]) - self._radii[near]).min()))
+        return least
+
+    def of_pushing(
+        self, postures: FloatArray, obstacle: Obstacle | None, moved: FloatArray, *, low: bool
+    ) -> float:
+        """The same over several postures with the gripper closed.
+
+        Args:
+            postures: (n, 7) joint angles, rad.
+            obstacle: the object where it lay at first, if it counts.
+            moved: (n, 2) how far it may have been moved from there, m; it may also not have been.
+            low: the finger may be at table and object.
+        """
+        counted = ~self._fixed & ~self._finger if low else ~self._fixed
+        centers = np.array([self.centers(q, 0.0) for q in postures])
+        least = self._from_surroundings(centers, counted)
+        if obstacle is not None:
+            points, radii = centers[:, counted], self._radii[counted]
+            near = points[..., 2] - radii < obstacle.heights.max() + _FAR
+            where, ball = np.nonzero(near)
+            shift = np.column_stack([moved, np.zeros(len(moved))])[where]
+            both = np.array([points[near], points[near] - shift])
+            least = min(least, float((obstacle.distance(both) - radii[ball]).min(initial=_FAR)))
+        return least
+
+    def _from_surroundings(self, centers: FloatArray, moving: NDArray[np.bool_]) -> float:
+        """Of what moves from table, stand and the arm's own base; centres are (..., B, 3)."""
+        free = self._free & moving
+        points, radii = centers[..., moving, :], self._radii[moving]
+        apart = np.linalg.norm(centers[..., free, None, :] - centers[..., None, self._fixed, :], axis=-1)
+        return min(
+            float((self._from_table(points) - radii).min()),
+            float((self._from_stand(points) - radii).min()),
+            float((apart.min(axis=-1) - self._radii[free]).min() - self._radii[self._fixed].max()),
+        )
 
     def _from_table(self, points: FloatArray) -> FloatArray:
-        beside = points[:, :2] - np.asarray(self._table.center)
-        above = np.abs(points[:, 2] + THICKNESS / 2) - THICKNESS / 2
+        beside = points[..., :2] - np.asarray(self._table.center)
+        above = np.abs(points[..., 2:] + THICKNESS / 2) - THICKNESS / 2
         if self._table.radius is not None:
-            aside = (np.hypot(*beside.T) - self._table.radius)[:, None]
+            aside = np.linalg.norm(beside, axis=-1, keepdims=True) - self._table.radius
         else:
             aside = np.abs(beside) - np.asarray(self._table.size) / 2
-        return _box_distance(np.column_stack([aside, above]))
+        return _box_distance(np.concatenate([aside, above], axis=-1))
 
     def _from_stand(self, points: FloatArray) -> FloatArray:
-        below = np.maximum(points[:, 2] - self._head[2], 0.0)
-        return np.asarray(
-            np.sqrt(((points[:, :2] - self._head[:2]) ** 2).sum(axis=1) + below**2) - STAND_RADIUS
-        )
+        beside, below = points[..., :2] - self._head[:2], np.maximum(points[..., 2] - self._head[2], 0.0)
+        return np.asarray(np.sqrt((beside**2).sum(axis=-1) + below**2) - STAND_RADIUS)
 
 
 def _box_distance(outside: FloatArray) -> FloatArray:

@@ -78,13 +78,21 @@ class FingerKinematics:
             )
         )
 
-    def inverse(self, p_WT: FloatArray, near: FloatArray | None = None) -> FloatArray:
+    def yaw(self, q: FloatArray) -> float:
+        """Direction from the wrist to a finger that points down, at joint angles q (7,), rad."""
+        y_WT = self.pose(q).rotation().matrix()[:, 1]
+        return float(np.arctan2(y_WT[1], y_WT[0]))
+
+    def inverse(
+        self, p_WT: FloatArray, near: FloatArray | None = None, yaw: float | None = None
+    ) -> FloatArray:
         """Joint angles (7,) with the finger's end at a point and the finger pointing down.
 
         Args:
             p_WT: (3,) where the end of the finger shall be, world, m.
             near: (7,) angles of a neighbouring point to go on from, rad: the solution lies close to them. If
                 None, of all ways to reach the point the one nearest to `WORKING_POSTURE` is taken.
+            yaw: direction from the wrist to the finger, rad, kept within 8 degrees; any if None.
 
         Raises:
             OutOfReach: there are no such angles within the joints' limits and their margin.
@@ -95,6 +103,8 @@ class FingerKinematics:
         else:
             goal, starts = near + _PULL * (WORKING_POSTURE - near), np.atleast_2d(near)
         points = _pointing_down(p_WT)
+        if yaw is not None:
+            points.append(_turned(p_WT, yaw))
         found = [q for q in (self._search(points, start, goal, largest) for start in starts) if q is not None]
         if not found:
             raise OutOfReach(self._why_not(p_WT, starts[0]))
@@ -165,6 +175,12 @@ def _pointing_down(p_WT: FloatArray) -> list[_Held]:
     """The finger is vertical when a second point of its axis is above its end."""
     up = np.array([0.0, 0.0, FINGER_LENGTH])
     return [(np.zeros(3), p_WT, _EXACT), (-up, p_WT + up, np.array([_TOLERANCE, _TOLERANCE, FINGER_LENGTH]))]
+
+
+def _turned(p_WT: FloatArray, yaw: float) -> _Held:
+    """The wrist's side of the finger."""
+    behind = FINGER_LENGTH * np.array([np.cos(yaw), np.sin(yaw), 0.0])
+    return np.array([0.0, -FINGER_LENGTH, 0.0]), p_WT - behind, np.full(3, 0.1 * FINGER_LENGTH)
 
 
 def _held_level(p_WT: FloatArray, yaw: float) -> list[_Held]:

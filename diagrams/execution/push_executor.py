@@ -10,16 +10,19 @@ from pydrake.math import RigidTransform
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.systems.framework import BasicVector, Context, EventStatus, LeafSystem, State
 
-from diagrams.execution.clearance import ArmClearance
+from diagrams.execution.clearance import ArmClearance, Obstacle
 from diagrams.execution.config import ExecutionConfig
 from diagrams.execution.finger_kinematics import FingerKinematics
 from diagrams.execution.grasp_plan import plan_grasp
 from diagrams.execution.messages import ActiveGrasp, ActivePush, ExecutionStatus, Health
 from diagrams.execution.motion import MotionRefused, Phase, Plan
 from diagrams.execution.push_plan import plan_push, plan_retreat
+from diagrams.execution.surroundings import Surroundings
 from diagrams.execution.tip_force import tip_force
 from diagrams.systems.held import held, read, replace_held
 from models.measurements.push_dataset import Table
+from models.perception.observed_pose import ObservedPose
+from models.perception.seen_object import SeenObject
 from models.physics.cell_grid import FloatArray
 from models.robots import GRIP_FORCE
 
@@ -73,6 +76,8 @@ class PushExecutor(LeafSystem):
         - moved
         - health
         - gripper.state_measured
+        - object_pose
+        - seen_object
         output_ports:
         - iiwa.position
         - gripper.position
@@ -92,6 +97,8 @@ class PushExecutor(LeafSystem):
       arm and gripper are told to stay as they are, and nothing is done after it.
     - `gripper.state_measured` (2,) opening and its rate, m and m/s, need not be connected; a gripper that
       does not close for a push ends in `stopped`, too.
+    - `object_pose`: `ObservedPose`, `seen_object`: `SeenObject | None`, need not be connected: what the arm,
+      but for the finger, keeps away from while it pushes, as from the table.
     - `iiwa.position_measured` (7,) rad; `iiwa.torque_external` (7,) N m, of the contact forces on the arm.
     - `iiwa.position` (7,) rad; `gripper.position` (1,) m, closed unless a grasp is under way;
       `gripper.force_limit` (1,) N.
@@ -109,7 +116,7 @@ class PushExecutor(LeafSystem):
         model: the arm as `diagrams.station.arm.arm_model` makes it.
         home: (7,) joint angles between pushes, rad.
         config: how the arm moves.
-        table: for grasps at its edge; None if there will be none.
+        table: that the arm keeps away from; if None it heeds neither table nor object, and cannot grasp.
     """
 
     def __init__(
@@ -132,6 +139,8 @@ class PushExecutor(LeafSystem):
         self._moved = self.DeclareAbstractInputPort("moved", Value[object](""))
         self._health = self.DeclareAbstractInputPort("health", Value[object](None))
         self._gripper = self.DeclareVectorInputPort("gripper.state_measured", 2)
+        self._pose = self.DeclareAbstractInputPort("object_pose", Value[object](None))
+        self._seen = self.DeclareAbstractInputPort("seen_object", Value[object](None))
         self._execution = self.DeclareAbstractState(held(_Execution(ExecutionStatus("home"))))
         self.DeclarePeriodicUnrestrictedUpdateEvent(PERIOD, 0.0, self._update)
 
@@ -186,17 +195,29 @@ class PushExecutor(LeafSystem):
             if not opening <= CLOSED:
                 return self._not_closed(now, time, request.push_id, opening)
         try:
-            plan = self._plan(request, now.plan.at(time - now.begin)[1])
+            plan = self._plan(context, request, now.plan.at(time - now.begin)[1])
         except MotionRefused as refusal:
             return replace(now, status=ExecutionStatus("refused", request.push_id, str(refusal)))
         return _Execution(ExecutionStatus(plan.phases[0].mode, request.push_id), plan, time)
 
-    def _plan(self, request: ActivePush | ActiveGrasp, q: FloatArray) -> Plan:
+    def _plan(self, context: Context, request: ActivePush | ActiveGrasp, q: FloatArray) -> Plan:
         if isinstance(request, ActivePush):
-            return plan_push(self._kinematics, request.push, q, self._home, self._config)
+            around = None
+            if self._clearance is not None:
+                around = Surroundings(self._clearance, self._obstacle(context))
+            return plan_push(self._kinematics, request.push, q, self._home, self._config, around)
         if self._clearance is None:
             raise MotionRefused("the executor was made without a table at whose edge it could grasp")
         return plan_grasp(self._kinematics, self._clearance, request, q, self._config)
+
+    def _obstacle(self, context: Context) -> Obstacle | None:
+        if not (self._pose.HasValue(context) and self._seen.HasValue(context)):
+            return None
+        pose: ObservedPose = self._pose.Eval(context)
+        seen: SeenObject | None = self._seen.Eval(context)
+        if seen is None or not pose.valid:
+            return None
+        return Obstacle(seen.grid, seen.cell_heights, pose.pose)
 
     def _aborted(self, now: _Execution, time: float) -> _Execution:
         plan, since = now.plan, time - now.begin

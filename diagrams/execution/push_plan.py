@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
+
 import numpy as np
 from pydrake.math import RigidTransform
 from pydrake.trajectories import PiecewisePolynomial, Trajectory
@@ -9,6 +12,7 @@ from pydrake.trajectories import PiecewisePolynomial, Trajectory
 from diagrams.execution.config import ExecutionConfig
 from diagrams.execution.finger_kinematics import FingerKinematics, OutOfReach
 from diagrams.execution.motion import MotionRefused, Phase, Plan, check_joints, follow
+from diagrams.execution.surroundings import Surroundings
 from diagrams.execution.trajectories import braking, joint_path, paced, smooth
 from models.physics.cell_grid import FloatArray
 from models.robots import POSITION_LIMITS
@@ -25,19 +29,31 @@ _LOW_BALLS = np.array([[0.0, 0.0, 0.0], [0.0, 0.06, -0.16], [0.0, -0.06, -0.16],
 _LOW_RADII = np.array([0.0, 0.04, 0.04, 0.076])
 # (3, 4) in T and (4,), m: the finger's end, both ends of the hand, the wrist
 
+TURNS = np.deg2rad([-30.0, -60.0, -90.0, 30.0, 120.0, -120.0, 60.0, 90.0])
+"""Of the hand about the finger, which are tried where the arm would come too near to something, rad."""
+
+_Inverse = Callable[[FloatArray, FloatArray | None], FloatArray]
+# joint angles (7,) for the finger's end at a point (3,), near given ones if any, or OutOfReach
+
 RELEASE, RELEASE_SPEED = 0.005, 0.05
 """m and m/s by which the finger goes back before it is lifted. One that still presses on the object can drag
 it up and away: with fingers that gave way, a box by 3 to 23 mm."""
 
 
 def plan_push(
-    kinematics: FingerKinematics, push: TablePush, q: FloatArray, home: FloatArray, config: ExecutionConfig
+    kinematics: FingerKinematics,
+    push: TablePush,
+    q: FloatArray,
+    home: FloatArray,
+    config: ExecutionConfig,
+    surroundings: Surroundings | None = None,
 ) -> Plan:
     """Approach, lower, push, rest, go back a little, lift and return home.
 
     From `default_arm_base` every push between points within 0.36 m of W's origin can be made at 0.1 m/s, as
     60 random ones showed, and 57 of 60 within 0.45 m; the others are close under the shoulder. Planning
-    takes 50 ms.
+    takes 50 ms. Where the arm would come too near to what is around it, the hand is turned about the finger:
+    the forearm, whose lower side is 6 to 9 cm above the table, then leans to another side.
 
     Args:
         kinematics: of the arm.
@@ -45,21 +61,52 @@ def plan_push(
         q: (7,) where the arm rests now, rad, with the finger higher than what stands on the table.
         home: (7,) where it shall rest afterwards, rad.
         config: how it moves.
+        surroundings: what the arm keeps away from; nothing if None.
 
     Raises:
-        MotionRefused: a point out of reach, a joint limit in the way, or too fast for a joint or the finger.
+        MotionRefused: a point out of reach, a joint limit in the way, too fast for a joint or the finger, or
+            too near to the object, the table or the arm itself.
     """
     if push.speed > config.push_speed_limit:
         raise MotionRefused(
             f"{push.speed:g} m/s is faster than the finger may push, at most {config.push_speed_limit:g} m/s"
         )
+    straight = _push_held(kinematics.inverse, kinematics, push, q, home, config)
+    if surroundings is None:
+        return straight
+    try:
+        surroundings.check(straight, push)
+        return straight
+    except MotionRefused as refusal:
+        too_near = refusal
+    yaw = kinematics.yaw(straight.phases[1].trajectory.value(0.0)[:, 0])
+    for turn in TURNS:
+        turned = partial(kinematics.inverse, yaw=yaw + turn)
+        try:
+            plan = _push_held(turned, kinematics, push, q, home, config)
+            surroundings.check(plan, push)
+            return plan
+        except MotionRefused:
+            continue
+    raise too_near
+
+
+def _push_held(
+    posture: _Inverse,
+    kinematics: FingerKinematics,
+    push: TablePush,
+    q: FloatArray,
+    home: FloatArray,
+    config: ExecutionConfig,
+) -> Plan:
+    """The motion with the finger held in one way."""
     lift = np.array([0.0, 0.0, config.safe_height - config.tip_height])
     begin, end = (np.array([*point, config.tip_height]) for point in (push.begin, push.end))
-    line, pushing = _pushing(kinematics, push, begin, end, config)
-    down = follow(kinematics.inverse, begin, begin + lift, line[0])[::-1]
+    line, pushing = _pushing(posture, push, begin, end, config)
+    down = follow(posture, begin, begin + lift, line[0])[::-1]
     off = end - np.array([*(RELEASE * push.direction), 0.0])
-    back = follow(kinematics.inverse, end, off, line[-1])
-    up = follow(kinematics.inverse, off, off + lift, back[-1])
+    back = follow(posture, end, off, line[-1])
+    up = follow(posture, off, off + lift, back[-1])
     return Plan(
         (
             Phase("approaching", _way(kinematics, q, down[0], config)),
@@ -143,7 +190,7 @@ def _lowest(X_WT: RigidTransform) -> float:
 
 
 def _pushing(
-    kinematics: FingerKinematics, push: TablePush, begin: FloatArray, end: FloatArray, config: ExecutionConfig
+    posture: _Inverse, push: TablePush, begin: FloatArray, end: FloatArray, config: ExecutionConfig
 ) -> tuple[FloatArray, Trajectory]:
     """Joint angles (m, 7) along the line, and the motion along it.
 
@@ -153,10 +200,10 @@ def _pushing(
     for first, last, order in ((begin, end, 1), (end, begin, -1)):
         try:
             try:
-                start = kinematics.inverse(first)
+                start = posture(first, None)
             except OutOfReach as error:
                 raise MotionRefused(str(error)) from error
-            line = follow(kinematics.inverse, first, last, start)[::order]
+            line = follow(posture, first, last, start)[::order]
             pace = push.pace(config.speeding_up, config.slowing_down)
             motion = paced(joint_path(line), pace, config.settle)
             check_joints(motion)

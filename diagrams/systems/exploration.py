@@ -4,15 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from concurrent.futures import Executor
+from functools import partial
 from typing import Any
 
 import numpy as np
 from pydrake.common.value import Value
 from pydrake.systems.framework import Context, EventStatus, LeafSystem, State
 
+from diagrams.execution.clearance import Obstacle
 from diagrams.systems.held import held, read, replace_held
 from diagrams.systems.messages import LoopStatus, PokeRequest
 from diagrams.systems.workers import begun
+from models.perception.seen_object import SeenObject
 from planners.action_selection import Poke, select_poke
 from planners.exploration import NoReachablePush
 from planners.poke_settings import PokeSettings
@@ -30,12 +33,12 @@ class Exploration(LeafSystem):
         input_ports:
         - belief
         - object_pose
-        - cell_grid
+        - seen_object
         - status
         output_ports:
         - poke
 
-    - `belief`: `Belief | None`; `object_pose`: `ObservedPose`; `cell_grid`: `CellGrid | None`.
+    - `belief`: `Belief | None`; `object_pose`: `ObservedPose`; `seen_object`: `SeenObject | None`.
     - `status`: `LoopStatus`.
     - `poke`: `PokeRequest | None`; it stands until the loop asks for another.
 
@@ -47,7 +50,7 @@ class Exploration(LeafSystem):
         fit: pushes to learn from.
         finger_radius: m.
         settings: what pokes are like.
-        allowed: whether the arm can make a push.
+        allowed: whether the arm can make a push of an object that lies somewhere.
         seed: of every draw.
         worker: who computes; this process if None, and then the simulation waits. It must be able to take
             `allowed` along.
@@ -60,7 +63,7 @@ class Exploration(LeafSystem):
         fit: int,
         finger_radius: float,
         settings: PokeSettings,
-        allowed: Callable[[TablePush], bool],
+        allowed: Callable[[Obstacle, TablePush], bool],
         seed: int,
         worker: Executor | None = None,
         past: Sequence[Poke] = (),
@@ -73,7 +76,7 @@ class Exploration(LeafSystem):
         self._allowed = allowed
         self._seed = seed
         self._worker = worker
-        for name in ("belief", "object_pose", "cell_grid", "status"):
+        for name in ("belief", "object_pose", "seen_object", "status"):
             self.DeclareAbstractInputPort(name, Value[object](None))
         self._request = self.DeclareAbstractState(held(None))
         self._past = self.DeclareAbstractState(held(tuple(past)))
@@ -99,10 +102,11 @@ class Exploration(LeafSystem):
             if status.attempt > 0:
                 past = past[:-1]  # the arm refused it
             strategy = self._strategy if status.push < self._fit else "random"
+            seen: SeenObject = self.GetInputPort("seen_object").Eval(context)
             job = begun(
                 self._worker,
                 _selected,
-                self.GetInputPort("cell_grid").Eval(context),
+                seen.grid,
                 pose.pose,
                 self._finger_radius,
                 strategy=strategy,
@@ -110,7 +114,7 @@ class Exploration(LeafSystem):
                 past=past,
                 settings=self._settings,
                 tap=self._settings.is_tap(status.push) and status.push < self._fit,
-                allowed=self._allowed,
+                allowed=partial(self._allowed, Obstacle(seen.grid, seen.cell_heights, pose.pose)),
                 rng=np.random.default_rng([self._seed, status.push, status.attempt]),
             )
         if not job.done():

@@ -5,11 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable
 from concurrent.futures import Executor
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
 from pydrake.common.value import Value
 from pydrake.systems.framework import Context, EventStatus, LeafSystem, State
 
+from diagrams.execution.clearance import Obstacle
 from diagrams.execution.messages import ActiveGrasp
 from diagrams.systems.held import held, read, replace_held
 from diagrams.systems.messages import LoopStatus, PregraspPlan
@@ -25,7 +27,8 @@ from planners.goals import Goal, Graspable
 from planners.grasps import Grasp
 from planners.methods import planning_belief
 from planners.pregrasp_settings import PregraspSettings
-from planners.push_decisions import Allowed, Decision, Pursuit, decide, near_enough
+from planners.push_decisions import Decision, Pursuit, decide, near_enough
+from planners.table_push import TablePush
 
 PERIOD = 0.05
 
@@ -35,6 +38,7 @@ GRASPS = 12
 SAME_PLACE = 0.01
 """Grasps from one side whose ends are nearer than this count as the one that was refused, m."""
 
+CanPush = Callable[[Obstacle, TablePush], bool]
 CanGrasp = Callable[[ActiveGrasp], bool]
 CanSee = Callable[[SeenObject, FloatArray], bool]
 
@@ -82,7 +86,7 @@ class _Procedure:
     settings: PregraspSettings
     table: Table
     method: str
-    can_push: Allowed
+    can_push: CanPush
     can_grasp: CanGrasp
     can_see: CanSee
     seed: int
@@ -123,6 +127,7 @@ class _Procedure:
                 f" {1 - goals.epsilon:.0%}, is seen by the camera, and can be grasped by the arm"
             )
             return replace(now, plan=PregraspPlan(number, reason=reason))
+        obstacle = Obstacle(seen.grid, seen.cell_heights, pose)
         grasps: list[ActiveGrasp] = []
 
         def can_be_grasped(at: FloatArray) -> bool:
@@ -131,7 +136,7 @@ class _Procedure:
 
         told = decide(
             now.known, pose, now.goals, now.pursuit, self.table, self.settings, rng,
-            allowed=self.can_push, good=can_be_grasped,
+            allowed=partial(self.can_push, obstacle), good=can_be_grasped,
         )  # fmt: skip
         goal = None if told.way is None else now.goals[told.way.goal]
         plan = PregraspPlan(number, goal, reason=told.reason)
@@ -196,7 +201,7 @@ class GoalAndPushPlanner(LeafSystem):
         settings: of the procedure.
         table: that the object lies on.
         method: one of `planners.methods.METHODS`.
-        can_push: whether the arm can make a push.
+        can_push: whether the arm can make a push of an object that lies somewhere.
         can_grasp: whether it can come in and lift.
         can_see: whether the camera sees the object at a pose (3,), which a goal needs: the push that leads
             there may not be the last.
@@ -211,7 +216,7 @@ class GoalAndPushPlanner(LeafSystem):
         table: Table,
         *,
         method: str = "probabilistic",
-        can_push: Allowed = lambda push: True,
+        can_push: CanPush = lambda obstacle, push: True,
         can_grasp: CanGrasp = lambda grasp: True,
         can_see: CanSee = lambda seen, pose: True,
         seed: int = 0,

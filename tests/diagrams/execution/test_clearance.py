@@ -78,6 +78,21 @@ def test_distance_from_the_object_counts_what_is_asked_for(clearance, kinematics
     assert clearance.of(over, 0.0, obstacle, holding=True) > 0.0
 
 
+def test_while_pushing_the_object_may_be_where_it_was_or_where_it_was_moved(clearance, kinematics):
+    grid = cells_from_polygon([(-0.05, -0.05), (0.05, -0.05), (0.05, 0.05), (-0.05, 0.05)], count=25)
+    heights, pose, moved = np.full(len(grid), 0.07), np.array([0.1, -0.1, 0.5]), np.array([0.03, 0.02])
+    places = [np.array([x, y, 0.06]) for x, y in ((0.19, -0.1), (0.03, -0.12), (0.14, -0.01))]
+    postures = np.array([kinematics.inverse(place) for place in places])
+    for q in postures:
+        both = [
+            clearance.of(q, 0.0, Obstacle(grid, heights, pose + share * np.append(moved, 0.0)))
+            for share in (0.0, 1.0)
+        ]
+        assert abs(both[0] - both[1]) > 1e-3
+        found = clearance.of_pushing(q[None], Obstacle(grid, heights, pose), moved[None], low=False)
+        assert found == pytest.approx(min(both), abs=1e-12)
+
+
 def test_obstacle_is_boxes_turned_with_the_object():
     grid = cells_from_polygon([(-0.1, -0.02), (0.1, -0.02), (0.1, 0.02), (-0.1, 0.02)], count=20)
     obstacle = Obstacle(grid, np.full(len(grid), 0.05), np.array([0.2, 0.1, np.pi / 2]))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -17,15 +18,20 @@ from planners.action_selection import Poke
 from planners.poke_settings import PokeSettings
 
 GRID = cells_from_polygon(np.array([[-6, -2], [6, -2], [6, 2], [-6, 2]]) * 0.01, width=0.01)
+SEEN = SimpleNamespace(grid=GRID, cell_heights=np.full(len(GRID), 0.05))
 POSE = (0.02, -0.03, 0.4)
 RADIUS = 0.008
 
 
+def any_push(obstacle, push) -> bool:
+    return True
+
+
 class Chooser(DrivenBlock):
-    def __init__(self, strategy="random", *, fit=9, seed=3, allowed=lambda push: True, settings=None) -> None:
+    def __init__(self, strategy="random", *, fit=9, seed=3, allowed=any_push, settings=None) -> None:
         block = Exploration(strategy, fit, RADIUS, settings or PokeSettings(), allowed, seed)
         looking = LoopStatus("looking", 0)
-        super().__init__(block, belief=None, object_pose=seen_at(*POSE), cell_grid=GRID, status=looking)
+        super().__init__(block, belief=None, object_pose=seen_at(*POSE), seen_object=SEEN, status=looking)
         self.advance(0.5 * PERIOD)
 
     def step(self, **inputs) -> PokeRequest | None:
@@ -91,16 +97,19 @@ def test_another_attempt_is_another_candidate():
 def test_only_pushes_that_the_arm_can_make_are_asked_for():
     asked = []
 
-    def allowed(push):
-        asked.append(push)
+    def allowed(obstacle, push):
+        asked.append((obstacle, push))
         return len(asked) == 3
 
     poke = Chooser(allowed=allowed).choose(0)
-    assert len(asked) == 3 and poke.push is asked[-1]
+    obstacle, push = asked[-1]
+    assert len(asked) == 3 and poke.push is push
+    assert np.array_equal(obstacle.grid.centers, GRID.centers) and obstacle.pose == pytest.approx(POSE)
+    assert obstacle.heights == pytest.approx(SEEN.cell_heights)
 
 
 def test_it_says_why_there_is_no_push():
-    request = Chooser(allowed=lambda push: False).step(status=LoopStatus("choosing", 2, 1))
+    request = Chooser(allowed=lambda obstacle, push: False).step(status=LoopStatus("choosing", 2, 1))
     assert request.poke is None and request.number == LoopStatus("choosing", 2, 1).number
     assert "the robot can make none" in request.reason
 

@@ -7,6 +7,7 @@ import time
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from threading import Event
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -21,6 +22,7 @@ from diagrams.systems.workers import begun, workers
 from planners.poke_settings import PokeSettings
 
 DATASET = tilted_pushes()
+SEEN = SimpleNamespace(grid=DATASET.grid, cell_heights=np.full(len(DATASET.grid), 0.05))
 
 
 @pytest.fixture(scope="module")
@@ -52,10 +54,13 @@ def learner(worker) -> DrivenBlock:
 
 
 def chooser(worker) -> DrivenBlock:
-    block = Exploration("random", 9, 0.008, PokeSettings(), lambda push: push.begin[0] > 0.0, 3, worker)
+    def allowed(obstacle, push) -> bool:
+        return push.begin[0] > 0.0
+
+    block = Exploration("random", 9, 0.008, PokeSettings(), allowed, 3, worker)
     status = LoopStatus("choosing", 0)
     return DrivenBlock(
-        block, belief=None, object_pose=seen_at(0.02, -0.03, 0.4), cell_grid=DATASET.grid, status=status
+        block, belief=None, object_pose=seen_at(0.02, -0.03, 0.4), seen_object=SEEN, status=status
     )
 
 

@@ -1,0 +1,117 @@
+"""The arm keeps away from what it pushes, as Drake's own distances between the shapes show."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from pydrake.geometry import Box
+from pydrake.math import RigidTransform, RotationMatrix
+from pydrake.multibody.plant import AddMultibodyPlantSceneGraph, CoulombFriction
+from pydrake.systems.framework import DiagramBuilder
+
+from diagrams.execution.clearance import ArmClearance, Obstacle
+from diagrams.execution.config import ExecutionConfig
+from diagrams.execution.finger_kinematics import FingerKinematics
+from diagrams.execution.messages import ActivePush
+from diagrams.execution.motion import MotionRefused
+from diagrams.execution.push_executor import PERIOD, PushExecutor
+from diagrams.execution.push_plan import plan_push
+from diagrams.execution.surroundings import APART, Surroundings
+from diagrams.station.arm import HOME, add_arm, arm_model
+from diagrams.station.table import ROUND_TABLE
+from models.objects.footprints import cells_from_polygon
+from planners.table_push import TablePush
+from tests.diagrams.systems.driven_block import DrivenBlock, seen_at
+
+LENGTH, WIDTH, HEIGHT = 0.361, 0.129, 0.07
+GRID = cells_from_polygon(np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * [LENGTH / 2, WIDTH / 2], count=60)
+POSE = np.array([0.0623, -0.0193, np.deg2rad(-63.3)])
+ACROSS = np.array([np.sin(POSE[2]), -np.cos(POSE[2])])
+BEHIND = TablePush([0.1275, 0.0448], np.array([0.1275, 0.0448]) + 0.07 * ACROSS, 0.06)
+"""From where the forearm leans over the box."""
+
+
+def surroundings(height=HEIGHT, pose=POSE):
+    return Surroundings(ArmClearance(ROUND_TABLE), Obstacle(GRID, np.full(len(GRID), height), pose))
+
+
+@pytest.fixture(scope="module")
+def kinematics():
+    return FingerKinematics(arm_model())
+
+
+def distance_in_drake(plan, pose):
+    """Of arm and hand, but for the finger, from a box during a plan's first three phases."""
+    builder = DiagramBuilder()
+    plant, scene_graph = AddMultibodyPlantSceneGraph(builder, 1e-3)
+    arm = add_arm(plant)
+    X_WB = RigidTransform(RotationMatrix.MakeZRotation(pose[2]), [*pose[:2], HEIGHT / 2])
+    plant.RegisterCollisionGeometry(
+        plant.world_body(), X_WB, Box(LENGTH, WIDTH, HEIGHT), "box", CoulombFriction(0.5, 0.5)
+    )
+    plant.Finalize()
+    diagram = builder.Build()
+    root = diagram.CreateDefaultContext()
+    context = plant.GetMyMutableContextFromRoot(root)
+    fingers = {
+        geometry
+        for name in ("left_finger", "right_finger")
+        for geometry in plant.GetCollisionGeometriesForBody(plant.GetBodyByName(name))
+    }
+    (box,) = [g for g in plant.GetCollisionGeometriesForBody(plant.world_body())]
+    least = np.inf
+    for phase in plan.phases[:3]:
+        for time in np.linspace(0.0, phase.duration, 25):
+            plant.SetPositions(context, arm.iiwa, phase.trajectory.value(time)[:, 0])
+            query = scene_graph.get_query_output_port().Eval(scene_graph.GetMyContextFromRoot(root))
+            for pair in query.ComputeSignedDistancePairwiseClosestPoints(0.1):
+                ends = {pair.id_A, pair.id_B}
+                if box in ends and not ends & fingers:
+                    least = min(least, pair.distance)
+    return least
+
+
+def test_the_hand_is_turned_where_the_forearm_would_meet_the_object(kinematics):
+    careless = plan_push(kinematics, BEHIND, HOME, HOME, ExecutionConfig())
+    assert distance_in_drake(careless, POSE) < -0.002
+    careful = plan_push(kinematics, BEHIND, HOME, HOME, ExecutionConfig(), surroundings())
+    assert distance_in_drake(careful, POSE) > APART - 0.002
+    for plan in (careless, careful):
+        ends = [plan.phases[2].trajectory.value(time)[:, 0] for time in (0.0, plan.phases[2].duration)]
+        places = [kinematics.pose(q).translation()[:2] for q in ends]
+        np.testing.assert_allclose(places, [BEHIND.begin, BEHIND.end], atol=1e-4)
+
+
+def test_a_push_with_nothing_in_the_way_is_the_same(kinematics):
+    away = POSE + np.array([-0.3, 0.2, 0.0])
+    plans = [
+        plan_push(kinematics, BEHIND, HOME, HOME, ExecutionConfig(), around)
+        for around in (None, surroundings(pose=away))
+    ]
+    times = np.linspace(0.0, plans[0].duration, 20)
+    np.testing.assert_array_equal(*[[plan.at(time)[1] for time in times] for plan in plans])
+
+
+def test_what_is_too_high_for_the_arm_is_not_pushed(kinematics):
+    with pytest.raises(MotionRefused, match="to the object, the table or itself, of which 5 mm are kept"):
+        plan_push(kinematics, BEHIND, HOME, HOME, ExecutionConfig(), surroundings(height=0.4))
+
+
+@pytest.mark.parametrize("height, mode", [(HEIGHT, "approaching"), (0.4, "refused")])
+def test_the_executor_heeds_what_is_seen(height, mode):
+    seen = SimpleNamespace(grid=GRID, cell_heights=np.full(len(GRID), height))
+    block = DrivenBlock(
+        PushExecutor(arm_model(), HOME, table=ROUND_TABLE),
+        **{
+            "push": ActivePush(1, BEHIND),
+            "object_pose": seen_at(*POSE),
+            "seen_object": seen,
+            "gripper.state_measured": np.zeros(2),
+            "iiwa.position_measured": HOME,
+            "iiwa.torque_external": np.zeros(7),
+        },
+    )
+    for _ in range(20):
+        block.advance(PERIOD)
+    status = block.read("status")
+    assert status.mode == mode and status.push_id == 1, status
