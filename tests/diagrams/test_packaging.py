@@ -1,0 +1,36 @@
+"""What an installed package needs besides code is declared, so that a wheel has it."""
+
+from __future__ import annotations
+
+import tomllib
+from fnmatch import fnmatch
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+def test_every_file_that_is_no_code_is_declared():
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
+    declared = project["tool"]["setuptools"]["package-data"]
+    packages = [
+        pattern.rstrip("*") for pattern in project["tool"]["setuptools"]["packages"]["find"]["include"]
+    ]
+    files = [
+        path.relative_to(ROOT)
+        for package in packages
+        for path in (ROOT / package).rglob("*")
+        if path.is_file() and path.suffix not in (".py", ".pyc")
+    ]
+    assert len(files) > 5
+    for path in files:
+        patterns = declared.get(".".join(path.parent.parts), [])
+        assert any(fnmatch(path.name, pattern) for pattern in patterns), path
+
+
+def test_the_package_does_not_import_its_tests():
+    """They are not in a wheel; `slipmap blind-test`, which is of the tests, asks for a checkout."""
+    for path in (
+        path for package in ("models", "planners", "diagrams") for path in (ROOT / package).rglob("*.py")
+    ):
+        for line in path.read_text(encoding="utf-8").splitlines():
+            assert not line.strip().startswith(("from tests", "import tests")), path
