@@ -133,7 +133,7 @@ def run(arguments: Sequence[str]) -> int:
         return _told("stopped; nothing half-written is left behind", STOPPED)
     except click.UsageError as error:
         path = error.ctx.command_path if error.ctx else "slipmap"
-        said = error.format_message() + _nearest_choice(error, arguments)
+        said = _sentence(error.format_message()) + _nearest_choice(error, arguments)
         return _told(f"{said} See `{path} --help`.", WRONG_USE)
     except click.ClickException as error:
         return _told(error.format_message(), error.exit_code)
@@ -147,7 +147,7 @@ def run(arguments: Sequence[str]) -> int:
             return _internal(error)
         return _told(f"the name {error.filename} is too long for this disk; choose a shorter one", WRONG_USE)
     except Exception as error:
-        return _told(_one_paragraph(error), WRONG_USE) if _is_bad_input(error) else _internal(error)
+        return _told(_one_paragraph(str(error)), WRONG_USE) if _is_bad_input(error) else _internal(error)
 
 
 def _nearest_choice(error: click.UsageError, arguments: Sequence[str]) -> str:
@@ -169,8 +169,13 @@ def _is_bad_input(error: Exception) -> bool:
     return isinstance(error, BeliefError | DatasetError | EffectError)
 
 
-def _one_paragraph(error: Exception) -> str:
-    return " ".join(str(error).split())
+def _one_paragraph(text: str) -> str:
+    return " ".join(text.split())
+
+
+def _sentence(text: str) -> str:
+    said = _one_paragraph(text)
+    return said if said.endswith((".", "?", "!")) else f"{said}."
 
 
 def _internal(error: Exception) -> int:
@@ -179,8 +184,8 @@ def _internal(error: Exception) -> int:
         traceback.print_exception(error)
     return _told(
         f"internal failure, {type(error).__name__} in {os.path.basename(place.filename)}, line"
-        f" {place.lineno}: {_one_paragraph(error)}. This is a fault of slipmap, not of your input; please"
-        f" report it with the whole traceback, which the environment variable {TRACEBACK}=1 shows.",
+        f" {place.lineno}: {_one_paragraph(str(error))}. This is a fault of slipmap, not of your input;"
+        f" please report it with the whole traceback, which the environment variable {TRACEBACK}=1 shows.",
         INTERNAL_FAILURE,
     )
 

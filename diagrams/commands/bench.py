@@ -14,7 +14,10 @@ from diagrams.outputs import write_json
 @click.command()
 @options.json_option
 def bench(json_file: Path | None) -> None:
-    """Measure how fast pushes are simulated here, beside other engines where they are installed."""
+    """Measure how fast pushes are simulated here.
+
+    Other engines stand beside it where they are installed.
+    """
     with Progress() as progress:
         prepare_kernels()
         from diagrams import benchmark

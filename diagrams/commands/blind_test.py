@@ -40,7 +40,7 @@ RESULT, FAILURE = ".result.json", ".failure.json"
     help="Datasets at the same time, each in a process of its own.",
 )  # fmt: skip
 def blind_test(seed: int, count: int, output: Path, jobs: int) -> None:
-    """Hide effects in simulated pushes and count how often the diagnosis finds them.
+    """Hide effects in simulated pushes, and see what is found.
 
     An independent simulator, part of slipmap's tests, draws an object, 24 pushes and a hidden effect, or
     none, from each seed. Every dataset is diagnosed and compared with its truth. What is in DIR already is

@@ -68,11 +68,11 @@ def campaign(
     seed: int,
     json_file: Path | None,
 ) -> None:
-    """Repeat an experiment of the paper, or one beyond it, and show its numbers beside the paper's.
+    """Repeat an experiment of the paper, or one beyond it.
 
-    Each trial leaves a file in DIR/EXPERIMENT-TRUTH. What is there already is not run again, so a campaign
-    that was stopped goes on; what failed is tried again. The same seeds give the same table, whatever runs
-    the trials.
+    Shows the numbers beside the paper's. Each trial leaves a file in DIR/EXPERIMENT-TRUTH. What is there
+    already is not run again, so a campaign that was stopped goes on; what failed is tried again. The same
+    seeds give the same table, whatever runs the trials.
     """
     from planners.campaigns.running import run_trials
     from planners.campaigns.trial import CampaignError

@@ -40,7 +40,7 @@ def compare(
     object_name: str | None,
     json_file: Path | None,
 ) -> None:
-    """Compare a model with measured pushes, and see where it fails.
+    """Compare a model with pushes, and see where it fails.
 
     Every push of DATASET is predicted from its first pose. The report says how far off the model is beside
     two simple ones and the noise, shows every push as measured and as predicted, and tests what the rest

@@ -11,7 +11,9 @@ SHELLS = ("bash", "zsh", "fish")
 @click.argument("shell", type=click.Choice(SHELLS))
 @click.pass_context
 def completion(ctx: click.Context, shell: str) -> None:
-    """Print what lets SHELL (bash, zsh or fish) complete commands and options with the Tab key.
+    """Let a shell complete commands with the Tab key.
+
+    Prints what lets SHELL complete commands and options.
 
     Put `eval "$(slipmap completion bash)"` into ~/.bashrc, the same with zsh into ~/.zshrc, or
     `slipmap completion fish | source` into ~/.config/fish/config.fish.

@@ -42,7 +42,7 @@ def diagnose(
     object_name: str | None,
     json_file: Path | None,
 ) -> None:
-    """Find out which physical effect a model of the pushes misses.
+    """Find out which physical effect the model misses.
 
     Fits the model without effects to pushes of DATASET, asks every effect of the library, and every one of
     your own files, what it would explain, and asks those that explain most what they leave. The verdict is

@@ -31,11 +31,11 @@ if TYPE_CHECKING:
 def effects(
     name: str | None, effect_files: tuple[Path, ...], picture: Path | None, json_file: Path | None
 ) -> None:
-    """List the physical effects that slipmap knows, or explain one.
+    """List the physical effects, or explain one of them.
 
     Without NAME: all of them, with a sentence each. With NAME: its formula, made from the code that
-    runs, and its
-    parameters; --picture shows one object pushed off its centre, without the effect and with it.
+    runs, and its parameters; --picture shows one object pushed off its centre, without the effect and
+    with it.
     """
     from models.effects.registry import effects_named, known_effects
 

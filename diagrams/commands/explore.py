@@ -81,7 +81,7 @@ def explore(
     seed: int,
     json_file: Path | None,
 ) -> None:
-    """Let a robot explore an object: look, poke, learn, and poke again.
+    """Let a robot explore an object: look, poke, learn, again.
 
     A Kuka iiwa with a finger pushes the object on its table, a depth camera watches, and after each push the
     belief about mass and friction forms anew. Nothing but the camera's pictures and the arm's own sensors is

@@ -48,10 +48,11 @@ def explore_study(
     seed: int,
     json_file: Path | None,
 ) -> None:
-    """Explore each object several times and tell how well its further pushes were predicted.
+    """Explore objects several times and judge the predictions.
 
-    Each run leaves a JSON file in DIR, and its pushes as a dataset. What is there already is not run again,
-    so a study that was stopped goes on. A run of 15 pushes takes two to three minutes.
+    Tells how well each object's further pushes were predicted. Each run leaves a JSON file in DIR, and its
+    pushes as a dataset. What is there already is not run again, so a study that was stopped goes on. A run
+    of 15 pushes takes two to three minutes.
     """
     from models.objects.benchmark import BENCHMARK_OBJECTS
 

@@ -39,7 +39,7 @@ def fit(
     pictures: Path | None,
     json_file: Path | None,
 ) -> None:
-    """Learn maps of mass and friction together with physical effects.
+    """Learn maps of mass and friction together with effects.
 
     Adds the effects that you name, of the library or of your own files, to the model and learns their
     parameters and the maps at the same time from the pushes of DATASET with the role `fit`; `heldout`

@@ -60,7 +60,7 @@ def pregrasp(
     seed: int,
     json_file: Path | None,
 ) -> None:
-    """Let a robot take an object that it cannot grasp where it lies.
+    """Let a robot take what it cannot grasp where it lies.
 
     It explores the object as `slipmap explore` does, pushes it to where it sticks out over the table's edge
     and certainly stays, grasps it there and lifts it. The pushes are left as a dataset; those towards the

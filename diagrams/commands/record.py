@@ -41,7 +41,7 @@ def record(
     pushes: int | None,
     json_file: Path | None,
 ) -> None:
-    """Record the pushes that happen in a robot's cell, whoever makes them.
+    """Record the pushes in a robot's cell, whoever makes them.
 
     Listens to the messages of a running cell, real or of `slipmap station`, and sends none. Each push is
     written as soon as the object was seen at rest after it: of the finger, down beside the object, that moved

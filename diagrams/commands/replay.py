@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 def replay(
     log: Path, scenario_file: Path | None, folder: Path, hypotheses: int, seed: int, json_file: Path | None
 ) -> None:
-    """Play back an LCM log: find the pushes in it, and learn from them.
+    """Find the pushes in a log of LCM, and learn from them.
 
     LOG is what `slipmap record --log` or LCM's `lcm-logger` wrote. It is gone through as fast as it can be,
     by the senders' stamps, as if the cell were running. Leaves what `slipmap explore` leaves, and tells by

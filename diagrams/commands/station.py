@@ -23,11 +23,11 @@ TIME_STEP = 0.005
 @scenario_option
 @station_object_option
 def station(url: str, scenario_file: Path | None, object_name: str | None) -> None:
-    """Simulate a robot's cell in real time, behind the messages of a real one.
+    """Simulate a robot's cell behind the messages of a real one.
 
-    Arm, gripper and camera send and take LCM messages as the drivers of a real iiwa, a Schunk gripper and a
-    depth camera do, so that `slipmap explore --hardware` in another process cannot tell the difference. It
-    runs until Ctrl-C. Every ten seconds it tells whether it keeps up with real time.
+    Arm, gripper and camera send and take LCM messages in real time as the drivers of a real iiwa, a Schunk
+    gripper and a depth camera do, so that `slipmap explore --hardware` in another process cannot tell the
+    difference. It runs until Ctrl-C. Every ten seconds it tells whether it keeps up with real time.
     """
     from diagrams.hardware.channels import HardwareError
     from diagrams.hardware.twin_run import run_twin

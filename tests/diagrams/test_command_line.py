@@ -34,6 +34,7 @@ def test_help_lists_every_command_with_a_sentence(slipmap):
     for name in COMMANDS:
         (line,) = [line for line in said.out.splitlines() if line.strip().startswith(name + " ")]
         assert len(line.split()) >= 6
+    assert "..." not in said.out.split("Commands:")[1]  # a sentence that is too long for its line
     assert "slipmap demo" in said.out
     assert max(map(len, said.out.splitlines())) <= 80
 
@@ -89,6 +90,7 @@ def test_an_unknown_command_lists_what_there_is(slipmap):
         (["bench", "--jsn", "x"], "--jsn"),
         (["compare", "data", "--belief", "a.npz", "--belief=b.npz"], "--belief is given 2 times"),
         (["demo", "-o", "a", "--output", "b", "-o", "a"], "-o/--output is given 3 times"),
+        (["completion"], "Choose from: bash, zsh, fish."),
     ],
 )
 def test_wrong_options_are_named_with_a_way_to_help(slipmap, tmp_path, monkeypatch, arguments, named):
