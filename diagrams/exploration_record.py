@@ -162,7 +162,7 @@ def _read(path: Path) -> dict[str, Any]:
     try:
         run = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError) as error:
-        raise BadInput(f"{path}: cannot be read ({error})") from error
+        raise BadInput(f"{path}: cannot be read ({error}); begin anew") from error
     if not isinstance(run, dict) or run.get("format") != FORMAT:
         raise BadInput(f"{path}: is not the file of a run that this slipmap knows ({FORMAT})")
     return run

@@ -8,9 +8,11 @@ import math
 import os
 import tempfile
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+
+import click
 
 from diagrams.console import BadInput
 
@@ -53,17 +55,27 @@ def check_folder(folder: Path, path: Path) -> None:
 
 
 def make_folder(folder: Path) -> None:
-    """Make a folder for results, its parents included.
+    """Make a folder for results, its parents included. Those that the command leaves empty go when it ends.
 
     Raises:
         BadInput: a file is in the way, or the place cannot be written to.
     """
+    made = [place for place in (folder, *folder.parents) if not place.exists()]
     for place in (folder, *folder.parents):
         if place.exists() and not place.is_dir():
             raise BadInput(f"cannot make the folder {folder}: {place} is a file; name another folder")
     with writing(folder):
         folder.mkdir(parents=True, exist_ok=True)
+    command = click.get_current_context(silent=True)
+    if command is not None:
+        command.call_on_close(lambda: _remove_empty(made))
     check_folder(folder, folder)
+
+
+def _remove_empty(folders: Sequence[Path]) -> None:
+    with suppress(OSError):  # the first that holds something, and its parents, stay
+        for folder in folders:
+            folder.rmdir()
 
 
 @contextmanager

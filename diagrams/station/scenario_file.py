@@ -74,7 +74,7 @@ def read_settings(path: str | Path, schema: type[T]) -> T:
     except OSError as error:
         raise ScenarioError(f"{path}: cannot be read ({error.strerror or error})") from error
     except (yaml.YAMLError, UnicodeDecodeError) as error:
-        raise ScenarioError(f"{path}: is not YAML ({' '.join(str(error).split())})") from error
+        raise ScenarioError(f"{path}: is not YAML ({_told(error)})") from error
     if content is None:
         return schema()
     _check(content, schema, str(path), "")
@@ -84,6 +84,11 @@ def read_settings(path: str | Path, schema: type[T]) -> T:
     except ValueError as error:
         raise ScenarioError(f"{path}: {error}") from error
     return settings
+
+
+def _told(error: Exception) -> str:
+    """What a parser says, on one line; of the text that it names, only the line and column."""
+    return " ".join(str(error).replace('in "<unicode string>", ', "").split())
 
 
 def _repeated_keys(root: yaml.Node | None) -> Iterator[tuple[str, int, int]]:
@@ -179,6 +184,6 @@ def _check_fields(value: Any, wanted: Any, path: str, where: str) -> None:
         full = f"{where}.{name}" if where else str(name)
         if name not in known:
             near = difflib.get_close_matches(str(name), known, n=1)
-            hint = f"did you mean {near[0]}? " if near else ""
-            raise ScenarioError(f"{path}: unknown field {full}; {hint}Known here: {', '.join(known)}")
+            hint = f"did you mean {near[0]}? Known" if near else "known"
+            raise ScenarioError(f"{path}: unknown field {full}; {hint} here: {', '.join(known)}")
         _check(item, known[name], path, full)

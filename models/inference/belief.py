@@ -28,7 +28,7 @@ from models.physics.rollout import Maps, Slider, Smoothing
 FloatArray = NDArray[np.float64]
 
 FORMAT = "slipmap-belief/1"
-
+_ANEW = "`slipmap identify` or `slipmap fit` writes it anew"
 
 _DAMAGE = (
     OSError, ValueError, KeyError, TypeError, IndexError, AttributeError, EOFError, OverflowError,
@@ -233,22 +233,22 @@ class Belief:
                 f"there is no belief file {path}; `slipmap identify DATASET -o {path.name}` makes one"
             )
         if not zipfile.is_zipfile(path):
-            raise BeliefError(f"{path} is not a readable belief file: it is not an .npz archive")
+            raise BeliefError(f"{path} is not a readable belief file: it is not an .npz archive; {_ANEW}")
         try:
             with np.load(path, allow_pickle=False) as archive:
                 if "meta" not in archive.files:
-                    raise BeliefError(f"{path} is not a belief file: it has no description in it")
+                    raise BeliefError(f"{path} is not a belief file: it has no description in it; {_ANEW}")
                 meta = json.loads(str(archive["meta"]))
                 if not isinstance(meta, dict) or meta.get("format") != FORMAT:
                     found = meta.get("format") if isinstance(meta, dict) else None
-                    raise BeliefError(f"{path} has format {found!r}, this version reads {FORMAT!r}")
+                    raise BeliefError(f"{path} has format {found!r}, this version reads {FORMAT!r}; {_ANEW}")
                 names = ["centers", "exterior", "mass", "mu", "mu_finger", "probability"]
                 names += [f"hole_{i}" for i in range(int(meta["holes"]))]
                 carried = [str(name) for name in meta.get("effects", [])]
                 names += ["effects"] if carried else []
                 arrays = {name: archive[name] for name in names}
             if _checksum(arrays) != meta["checksum"]:
-                raise BeliefError(f"{path} is damaged: its numbers do not match their checksum")
+                raise BeliefError(f"{path} is damaged: its numbers do not match their checksum; {_ANEW}")
             by_name = {effect.name: effect for effect in known}
             for name in carried:
                 if name not in by_name:
@@ -277,7 +277,7 @@ class Belief:
         except BeliefError:
             raise
         except _DAMAGE as error:
-            raise BeliefError(f"{path} is not a readable belief file ({error})") from error
+            raise BeliefError(f"{path} is not a readable belief file ({error}); {_ANEW}") from error
 
 
 def _checksum(arrays: dict[str, FloatArray]) -> str:

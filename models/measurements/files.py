@@ -110,8 +110,8 @@ def _depth(content: bytes) -> int:
 
 
 def shown_error(error: Exception) -> str:
-    """The message of a library's exception on one line of bounded length."""
-    message = " ".join(str(error).split())
+    """The message of a library's exception on one line of bounded length; the file is named elsewhere."""
+    message = " ".join(str(error).replace('in "<byte string>", ', "").split())
     return message if len(message) <= 200 else message[:197] + "..."
 
 

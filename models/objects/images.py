@@ -80,10 +80,12 @@ def _label_array(labels: NDArray[np.integer] | str | PathLike[str]) -> tuple[Int
     if isinstance(labels, str | PathLike):
         source = f"label image {Path(labels)}"
         if not Path(labels).is_file():
-            raise ValueError(f"{source}: no such file")
+            raise ValueError(f"{source}: no such file; check the name")
         image = cv2.imread(str(labels), cv2.IMREAD_UNCHANGED)
         if image is None:
-            raise ValueError(f"{source}: not a picture that OpenCV can read")
+            raise ValueError(
+                f"{source}: not a picture that OpenCV can read; save it once more, as a greyscale PNG"
+            )
     else:
         source, image = "label image", np.asarray(labels)
     if image.ndim != 2:

@@ -94,13 +94,13 @@ def _loaded(mesh: trimesh.Trimesh | str | PathLike[str]) -> tuple[trimesh.Trimes
     if isinstance(mesh, str | PathLike):
         source = f"mesh {Path(mesh)}"
         if not Path(mesh).is_file():
-            raise ValueError(f"{source}: no such file")
+            raise ValueError(f"{source}: no such file; check the name")
         try:
             mesh = trimesh.load_mesh(str(mesh))
         except Exception as error:  # trimesh's readers raise whatever their parsers do
             raise ValueError(f"{source}: cannot be read as a mesh: {_told(error, Path(mesh))}") from error
     if not isinstance(mesh, trimesh.Trimesh) or len(mesh.faces) == 0:
-        raise ValueError(f"{source}: has no triangles")
+        raise ValueError(f"{source}: has no triangles; export the object's surface, as .stl, .obj or .ply")
     if not np.all(np.isfinite(mesh.vertices)):
         row = int(np.flatnonzero(~np.isfinite(mesh.vertices).all(axis=1))[0])
         raise ValueError(f"{source}: vertex {row} is not finite")
@@ -110,7 +110,7 @@ def _loaded(mesh: trimesh.Trimesh | str | PathLike[str]) -> tuple[trimesh.Trimes
 def _told(error: Exception, path: Path) -> str:
     """What a reader that failed means."""
     if not isinstance(error, ImportError):
-        return str(error)
+        return f"{error}; export it once more, as .stl, .obj or .ply"
     if "charset_normalizer" in str(error):  # asked for where a file is neither binary nor plain text
         return "it is damaged or cut short, or no mesh; export it once more"
     return f"files that end in {path.suffix} need a further library; export it as .stl, .obj or .ply"

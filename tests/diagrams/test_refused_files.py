@@ -91,3 +91,38 @@ def test_demo_does_not_overwrite_what_it_did_not_make(slipmap, tmp_path):
     (tmp_path / "pushes" / "thesis.txt").write_text("years of work")
     assert_refused(slipmap("demo", "-o", tmp_path), tmp_path / "pushes", "no push dataset")
     assert files_in(tmp_path) == ["pushes/thesis.txt"]
+
+
+@pytest.mark.parametrize("content", [None, b"", b"not a log"])
+def test_a_log_that_is_none_leaves_no_folder(slipmap, tmp_path, content):
+    log = tmp_path / "pushes.lcmlog"
+    if content is not None:
+        log.write_bytes(content)
+    said = slipmap("replay", log, "-o", tmp_path / "results" / "replay")
+    assert said.code == 2 and str(log) in said.err
+    assert not (tmp_path / "results").exists()
+
+
+def test_a_folder_that_was_there_stays_though_it_is_empty(slipmap, tmp_path):
+    (tmp_path / "replay").mkdir()
+    assert slipmap("replay", tmp_path / "no.lcmlog", "-o", tmp_path / "replay" / "new").code == 2
+    assert (tmp_path / "replay").is_dir() and not (tmp_path / "replay" / "new").exists()
+
+
+def test_measurements_without_an_object_are_told_of_the_option(slipmap, tmp_path):
+    (tmp_path / "push.csv").write_text("t,object_x\n")
+    said = slipmap("identify", tmp_path / "push.csv", "-o", tmp_path / "belief.npz")
+    assert_refused(said, "push.csv", "--object", "rect1")
+
+
+def test_a_place_in_yaml_is_told_without_the_parsers_own_names(slipmap, tilted_folder, tmp_path):
+    dataset = tmp_path / "block"
+    shutil.copytree(tilted_folder, dataset)
+    for file, arguments in (
+        (dataset / "dataset.yaml", ("identify", dataset, "-o", tmp_path / "belief.npz")),
+        (tmp_path / "cell.yaml", ("explore", "--scenario", tmp_path / "cell.yaml", "--out", tmp_path / "o")),
+    ):
+        file.write_text("object: [1\nb: }")
+        said = slipmap(*arguments)
+        assert_refused(said, file.name, "line 2, column 2")
+        assert "string>" not in said.err
