@@ -138,8 +138,8 @@ def _setup(
     chosen = object_name or named
     if chosen is None:
         raise DatasetError(
-            f"{source}: says nothing of the object that was pushed; name with --object (in Python object_name) a"
-            f" shape of the MIT dataset ({', '.join(sorted(MIT_SHAPES))}) or a YAML file with the keys object"
+            f"{source}: says nothing of the object that was pushed; name with --object (in Python object_name)"
+            f" a shape of the MIT dataset ({', '.join(sorted(MIT_SHAPES))}) or a YAML file with the keys object"
             f" and finger of a {DESCRIPTION_FILE}"
         )
     file = Path(chosen)
