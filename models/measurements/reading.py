@@ -138,9 +138,9 @@ def _setup(
     chosen = object_name or named
     if chosen is None:
         raise DatasetError(
-            f"{source}: says nothing of the object that was pushed; name with --object (in Python object_name)"
-            f" a shape of the MIT dataset ({', '.join(sorted(MIT_SHAPES))}) or a YAML file with the keys object"
-            f" and finger of a {DESCRIPTION_FILE}"
+            f"{source}: says nothing of the object that was pushed; name with --object (in Python"
+            f" object_name) a shape of the MIT dataset ({', '.join(sorted(MIT_SHAPES))}) or a YAML file with"
+            f" the keys object and finger of a {DESCRIPTION_FILE}"
         )
     file = Path(chosen)
     if chosen not in MIT_SHAPES and _is(file, YAML_ENDINGS):
