@@ -18,7 +18,8 @@ from models.physics.paper_notation import add
 from planners.rehearsal import predict
 from planners.telling_push import push_of, rivals_of
 
-COLOURS = (BELIEF, OTHER, "#a03070", "#806000", "#5050a0")
+COLOURS = (BELIEF, OTHER, "#a03070", "#806000", "#5050a0", "#40a0c0", "#909090", "#c08080")
+LEGEND_COLUMNS = 4
 
 
 @styled
@@ -35,8 +36,9 @@ def telling_push_figure(told: dict[str, Any], diagnosis: Diagnosis, dataset: Pus
     rivals = rivals_of(diagnosis, dataset)[: len(COLOURS)]
     predictions = [predict(rival, [push]) for rival in rivals]
     figure = Figure(figsize=(9.0, 4.4))
-    top = 0.97
-    axes = figure.add_axes((0.05, 0.13, 0.5, top - 0.13))
+    rows = -(-(len(rivals) + 1) // LEGEND_COLUMNS)
+    top, bottom = 0.97, 0.07 + 0.05 * rows
+    axes = figure.add_axes((0.05, bottom, 0.5, top - bottom))
     axes.add_patch(
         PathPatch(outline_path(grid, told["pose"]), facecolor=PAPER, edgecolor=FAINT, linewidth=0.8)
     )
@@ -61,16 +63,18 @@ def telling_push_figure(told: dict[str, Any], diagnosis: Diagnosis, dataset: Pus
     handles = [Line2D([], [], color=FINGER, marker="o", label="finger, filled where it stops")]
     for rival, colour in zip(rivals, COLOURS, strict=False):
         handles.append(Line2D([], [], color=colour, label=rival.name))
-    figure.legend(handles=handles, loc="lower center", ncols=min(len(handles), 3))
+    figure.legend(handles=handles, loc="lower center", ncols=min(len(handles), LEGEND_COLUMNS))
     if len(rivals) > 1:
         times = np.asarray(push.pose_times)
-        upper = figure.add_axes((0.64, 0.1 + 0.54 * (top - 0.1) + 0.05, 0.34, 0.46 * (top - 0.1) - 0.05))
-        lower = figure.add_axes((0.64, 0.18, 0.34, 0.46 * (top - 0.1) - 0.03))
+        height = (top - bottom - 0.11) / 2
+        lower = figure.add_axes((0.64, bottom + 0.06, 0.34, height))
+        upper = figure.add_axes((0.64, top - height, 0.34, height), sharex=lower)
         for predicted, colour in zip(predictions, COLOURS, strict=False):
             apart = add(predicted.poses[0], predictions[0].poses[0], grid.centers)
             upper.plot(times, 1e3 * apart, color=colour)
             lower.plot(times - times[0] / 2, np.hypot(*predicted.forces[0].T), color=colour)
-        upper.set(ylabel=f"apart from\n{rivals[0].name.split(' (')[0]}, mm", xticklabels=[], ylim=(0, None))
+        upper.set(ylabel=f"apart from\n{rivals[0].name.split(' (')[0]}, mm", ylim=(0, None))
+        upper.tick_params(labelbottom=False)
         lower.set(xlabel="time, s", ylabel="force, N", ylim=(0, None))
         upper.yaxis.label.set_fontsize(8)
     return figure

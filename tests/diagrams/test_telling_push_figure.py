@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from matplotlib.patches import PathPatch
 
@@ -52,3 +54,9 @@ def test_outlines_of_the_start_and_of_every_rivals_end():
     assert np.allclose(middles[0], told["pose"][:2], atol=1e-6)
     assert min(np.hypot(*(middle - middles[0])) for middle in middles[1:]) > 5e-3
     assert [text.get_text() for text in figure.legends[0].get_texts()][1:] == ["table_tilt", "skate"]
+
+    crowded = telling_push_figure(told, replace(diagnosis, rivals=3 * rivals), dataset)
+    crowded.draw_without_rendering()
+    legend = crowded.legends[0].get_window_extent()
+    assert len(crowded.legends[0].get_texts()) == 7
+    assert all(axes.get_tightbbox().y0 >= legend.y1 for axes in crowded.axes)
