@@ -7,8 +7,8 @@ import sympy as sp
 
 from models.effects.declaration import FORMULAS, check_declaration, check_starts
 from models.effects.effect import Effect, EffectError
-from models.effects.formulas import Slots
 from models.effects.singular import singular_point
+from models.effects.slots import Slots
 from models.effects.symbols import FORCE_NAMES
 
 POINTS = 20

@@ -10,10 +10,10 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-import sympy as sp
 
 from models.effects.effect import Effect, Parameter, Scene
 from models.effects.symbols import REST_SPEED
+from models.effects.sympy_on_use import sp
 
 
 def _amplitudes(prefix: str, count: int, scale: float, unit: str = "1") -> tuple[Parameter, ...]:

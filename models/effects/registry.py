@@ -9,7 +9,6 @@ import sys
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
-from models.effects.checks import check_effect
 from models.effects.effect import Effect, EffectError
 from models.effects.failures import told
 from models.effects.library import LIBRARY
@@ -58,6 +57,8 @@ def load_effects(path: str | Path) -> tuple[Effect, ...]:
 
 def _made(kind: type[Effect], path: Path) -> Effect:
     """The effect of a class, checked."""
+    from models.effects.checks import check_effect  # SymPy is slow to import
+
     where = f"{path}{_line_of(kind)}, class {kind.__name__}"
     try:
         effect = kind()

@@ -10,7 +10,7 @@ from contextlib import contextmanager
 from contextvars import ContextVar
 from typing import Any
 
-import sympy as sp
+from models.effects.sympy_on_use import sp
 
 STATE_NAMES = ("q_x", "q_y", "q_theta", "v_x", "v_y", "omega")
 FORCE_NAMES = ("force_x", "force_y")
@@ -175,36 +175,11 @@ def writing() -> Iterator[None]:
         _WRITING.reset(token)
 
 
-class PositivePart(sp.Function):
-    """max(value, 0), unevaluated unless the value is a number."""
-
-    @classmethod
-    def eval(cls, value: Any) -> Any:
-        """A number's positive part."""
-        return sp.Max(value, 0) if value.is_number else None
-
-    def _latex(self, printer: Any, **_: Any) -> str:
-        return rf"\left[{printer.doprint(self.args[0])}\right]_{{+}}"
-
-    def _sympystr(self, printer: Any) -> str:
-        return f"max({printer.doprint(self.args[0])}, 0)"
-
-
-class SmoothStep(sp.Function):
-    """0 below -width, 1 above width."""
-
-    def _latex(self, printer: Any, **_: Any) -> str:
-        value, width = (printer.doprint(argument) for argument in self.args)
-        return rf"\sigma\left(\frac{{{value}}}{{{width}}}\right)"
-
-    def _sympystr(self, printer: Any) -> str:
-        value, width = (printer.doprint(argument) for argument in self.args)
-        return f"step(({value})/{width})"
-
-
 def positive_part(value: Any, width: float) -> Any:
     """max(value, 0), rounded within about `width` of 0."""
     if _WRITING.get():
+        from models.effects.read_functions import PositivePart
+
         return PositivePart(sp.sympify(value))
     return (value + sp.sqrt(value**2 + width**2)) / 2
 
@@ -212,5 +187,7 @@ def positive_part(value: Any, width: float) -> Any:
 def smooth_step(value: Any, width: float) -> Any:
     """From 0 to 1 as value passes 0, mostly within ± `width`."""
     if _WRITING.get():
+        from models.effects.read_functions import SmoothStep
+
         return SmoothStep(value, width)
     return (1 + sp.tanh(2 * value / width)) / 2
