@@ -24,10 +24,9 @@ from models.physics.sensitivity import advance
 from models.physics.step import EXTRA_COLUMNS
 
 _DIRECT = STATE
-_MEMORY = _DIRECT + 3
 
-FIXED_ROWS = _MEMORY
-"""Rows of a block besides those of memory."""
+FIXED_ROWS = _DIRECT + 3
+"""Rows of a block besides those of memory, which follow them."""
 
 
 @compiled(forceinline=True)
@@ -45,7 +44,7 @@ def empty_blocks(columns, rows):  # type: ignore[no-untyped-def]
 @compiled()
 def first_blocks(memory, n, columns):  # type: ignore[no-untyped-def]
     """Blocks before the first step: the state is the start's; none where no Jacobian is wanted."""
-    rows = _MEMORY + memory
+    rows = FIXED_ROWS + memory
     S = empty_blocks(columns, rows)
     if columns > 0:
         for k in range(STATE):
@@ -133,7 +132,7 @@ def fill_load_slopes(S, cells, share, memory, v, h, scale):  # type: ignore[no-u
         h: step, s.
         scale: (3,) gradient by the sum of loads, through the contact's stiffness.
     """
-    size = (_MEMORY + memory) * LANES
+    size = (FIXED_ROWS + memory) * LANES
     vx, vy, omega = v
     qxx, qxy, qyy = cells.qxx, cells.qxy, cells.qyy
     spin = cells.rho2 * omega
@@ -166,7 +165,7 @@ def fill_other_slopes(S, G, memory, n, columns, extra):  # type: ignore[no-untyp
         columns: number of parameters.
         extra: (3, …) gradient by inertia and finger friction.
     """
-    rows, inertia_at = _MEMORY + memory, STATE + memory
+    rows, inertia_at = FIXED_ROWS + memory, STATE + memory
     for a in range(3):
         row = _DIRECT + a
         for k in range(INERTIA):
@@ -195,13 +194,13 @@ def advance_state(S, G, memory, inverse, pose, h):  # type: ignore[no-untyped-de
         G[1, 0], G[1, 1], G[1, 2], G[1, 3], G[1, 4], G[1, 5],
         G[2, 0], G[2, 1], G[2, 2], G[2, 3], G[2, 4], G[2, 5],
     )  # fmt: skip
-    size = (_MEMORY + memory) * LANES
+    size = (FIXED_ROWS + memory) * LANES
     for b in range(S.shape[0] // size):
         block = S[b * size : (b + 1) * size]
         for e in range(memory):
-            _add_row(block, _DIRECT, G[0, STATE + e], block, _MEMORY + e)
-            _add_row(block, _DIRECT + 1, G[1, STATE + e], block, _MEMORY + e)
-            _add_row(block, _DIRECT + 2, G[2, STATE + e], block, _MEMORY + e)
+            _add_row(block, _DIRECT, G[0, STATE + e], block, FIXED_ROWS + e)
+            _add_row(block, _DIRECT + 1, G[1, STATE + e], block, FIXED_ROWS + e)
+            _add_row(block, _DIRECT + 2, G[2, STATE + e], block, FIXED_ROWS + e)
         for lane in range(LANES):
             gx = block[lane + _DIRECT * LANES]
             gy = block[lane + (_DIRECT + 1) * LANES]
@@ -221,7 +220,7 @@ def _add_row(block, row, slope, other, other_row):  # type: ignore[no-untyped-de
 @compiled(forceinline=True)
 def _row_of(k):  # type: ignore[no-untyped-def]
     """Row of a block that holds the derivatives of entry k of y, k below 6 + E."""
-    return k if k < STATE else k + _MEMORY - STATE
+    return k if k < STATE else k + FIXED_ROWS - STATE
 
 
 @compiled()
@@ -245,7 +244,7 @@ def fill_force(  # type: ignore[no-untyped-def]
         scale_f: (2, 2) see `add_contact_scale`.
         dout: (BODY_OUTPUTS + …, Y) derivatives of the body formulas.
     """
-    size, inertia_at = (_MEMORY + memory) * LANES, STATE + memory
+    size, inertia_at = (FIXED_ROWS + memory) * LANES, STATE + memory
     for a in range(2):
         # The compliance may depend on any of the formula's arguments.
         stiff = scale_f[a, 1] + spring_force[a, 2]
@@ -292,17 +291,17 @@ def advance_memory(S, before, F, down, memory, n, columns):  # type: ignore[no-u
         n: number of cells.
         columns: number of parameters.
     """
-    rows = _MEMORY + memory
+    rows = FIXED_ROWS + memory
     size, inertia_at = rows * LANES, STATE + memory
     Y = down.shape[1] - AFTER
     for b in range(S.shape[0] // size):
         old, new = before[b * size : (b + 1) * size], S[b * size : (b + 1) * size]
         force = F[2 * b * LANES : 2 * (b + 1) * LANES]
-        new[_MEMORY * LANES :] = 0.0
+        new[FIXED_ROWS * LANES :] = 0.0
         for a in range(FORCE):
-            _add_row(new, _MEMORY + a, 1.0, force, a)
+            _add_row(new, FIXED_ROWS + a, 1.0, force, a)
         for e in range(down.shape[0]):
-            row = _MEMORY + FORCE + e
+            row = FIXED_ROWS + FORCE + e
             for k in range(STATE + memory):
                 if down[e, k] != 0.0:
                     _add_row(new, row, down[e, k], old, _row_of(k))
@@ -313,7 +312,7 @@ def advance_memory(S, before, F, down, memory, n, columns):  # type: ignore[no-u
                 if down[e, Y + STATE + a] != 0.0:
                     _add_row(new, row, down[e, Y + STATE + a], force, a)
     for e in range(down.shape[0]):
-        row = _MEMORY + FORCE + e
+        row = FIXED_ROWS + FORCE + e
         for k in range(INERTIA):
             S[_place(n + k, row, rows)] += down[e, inertia_at + k]
         for k in range(columns - n - EXTRA_COLUMNS):

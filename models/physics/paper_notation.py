@@ -15,13 +15,15 @@ has the order of the pose, so the mass matrix is [M_1, M_1, I_1, …].
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.sparse import csr_array
-from scipy.sparse.csgraph import connected_components
-from scipy.spatial import cKDTree
 
 from models.physics.cell_grid import FloatArray, checked_points
+
+if TYPE_CHECKING:
+    from scipy.sparse import csr_array
 
 _NEIGHBOUR = 1.2  # cell widths; diagonal neighbours are 1.41 apart
 
@@ -166,6 +168,11 @@ def joints(centers: ArrayLike, width: float) -> NDArray[np.intp]:
     All cells that share a side; where these leave the object in parts (cells that meet in a corner, or thin
     parts that no cell's centre hit), the shortest further pairs that connect them.
     """
+    # A tenth of a second to import, for what no command needs.
+    from scipy.sparse import csr_array
+    from scipy.sparse.csgraph import connected_components
+    from scipy.spatial import cKDTree
+
     r, w = checked_points(centers, "cell centres"), _checked_width(width)
     pairs = cKDTree(r).query_pairs(_NEIGHBOUR * w, output_type="ndarray")
     pairs = pairs[np.lexsort((pairs[:, 1], pairs[:, 0]))]
@@ -201,6 +208,8 @@ def equality_jacobian(q: ArrayLike, centers: ArrayLike, width: float) -> csr_arr
     Returns:
         Sparse (3e, 3n): two rows of velocity (m/s) and one of spin (rad/s) for each of the e `joints`.
     """
+    from scipy.sparse import csr_array
+
     pose, r = _one_pose(q), checked_points(centers, "cell centres")
     pairs = joints(r, width)
     e, n = len(pairs), len(r)

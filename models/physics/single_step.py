@@ -165,10 +165,10 @@ def single_step(  # type: ignore[no-untyped-def]
     for row, lever in enumerate((lever_y, -lever_x, turning)):
         A[row, 2] -= lever
         A[row, 5] -= 0.5 * h * lever
-    by_load, by_drag, by_stretch = np.zeros((3, n)), np.zeros((3, n)), np.zeros((3, 3))
+    by_load, by_stretch = np.zeros((3, n)), np.zeros((3, 3))
     load_gradients(cells, new, by_load)
-    drag_gradients(rx, ry, new, cell_width, by_drag)
-    stretch_gradients(cells, new, by_stretch)
+    if with_stretch:
+        stretch_gradients(cells, new, by_stretch)
     momentum = (
         body[0] * new[0] - body[2] * new[2] - free_x,
         body[0] * new[1] + body[1] * new[2] - free_y,
@@ -184,7 +184,8 @@ def single_step(  # type: ignore[no-untyped-def]
     if blade_count > 0:
         blade_slopes(blades, dout[BODY_OUTPUTS:], new, eps2, h, G)
     if with_cells:
-        weighted_load = np.zeros((3, n))
+        by_drag, weighted_load = np.zeros((3, n)), np.zeros((3, n))
+        drag_gradients(rx, ry, new, cell_width, by_drag)
         for i in range(n):
             share = h * load[i] if factor[i] > 0.0 else 0.0
             for a in range(3):
