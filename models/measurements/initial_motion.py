@@ -124,7 +124,9 @@ def _row_noise(time: FloatArray, pose: FloatArray) -> FloatArray:
 
 def _robust_spread(residual: FloatArray) -> FloatArray:
     """Standard deviation from the median distance to zero (1.4826 makes it right for Gaussian rows)."""
-    return 1.4826 * np.median(np.abs(residual), axis=0)
+    # As np.median, which for so few rows takes ten times as long.
+    ordered = np.sort(np.abs(residual), axis=0)
+    return 1.4826 * 0.5 * (ordered[(len(ordered) - 1) // 2] + ordered[len(ordered) // 2])
 
 
 def _huber_cost(residual: FloatArray, scale: FloatArray) -> float:

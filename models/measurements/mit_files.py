@@ -7,7 +7,6 @@ import re
 from collections.abc import Sequence
 from pathlib import Path
 
-import h5py
 import numpy as np
 
 from models.measurements import fields
@@ -76,6 +75,8 @@ def _json(content: bytes, where: str) -> dict[str, FloatArray]:
 
 
 def _hdf5(content: bytes, where: str) -> dict[str, FloatArray]:
+    import h5py
+
     tables: dict[str, FloatArray] = {}
     try:
         with h5py.File(io.BytesIO(content), "r") as file:
@@ -92,6 +93,8 @@ def _hdf5(content: bytes, where: str) -> dict[str, FloatArray]:
 
 
 def _hdf5_table(item: object, columns: int, where: str) -> FloatArray:
+    import h5py
+
     if not isinstance(item, h5py.Dataset) or item.is_virtual or item.external:
         raise DatasetError(f"{where}: must be an array inside the file")
     if item.dtype.kind not in "fiu":

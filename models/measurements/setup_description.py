@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 import shapely
-from scipy.spatial import cKDTree
 
 from models.measurements import fields
 from models.measurements.push_dataset import DatasetError, Noise, Table
@@ -173,9 +172,10 @@ def _doubtful_cells(grid: CellGrid, where: str) -> list[str]:
         warnings.append(
             f"{where}: {len(outside)} of {len(grid)} centres lie outside the outline, first row {outside[0]}"
         )
-    distinct = np.unique(grid.centers, axis=0)
-    nearest, _ = cKDTree(distinct).query(distinct, k=2)
-    if len(distinct) < len(grid) or np.min(np.asarray(nearest)[:, 1]) < 0.5 * grid.width:
+    repeated = len(np.unique(grid.centers, axis=0)) < len(grid)
+    # To the nearest that is not at the same place.
+    _, apart = shapely.STRtree(points).query_nearest(points, exclusive=True, return_distance=True)
+    if repeated or np.min(apart, initial=np.inf) < 0.5 * grid.width:
         warnings.append(f"{where}: some cells overlap by half a cell or more; each should be listed once")
     covered = len(grid) * grid.width**2 / grid.polygon.area
     if not 0.5 < covered < 1.5:

@@ -1,9 +1,27 @@
-"""Objects as cell grids: from an outline, cell centres, a label image or a mesh."""
+"""Objects as cell grids: from an outline, cell centres, a label image or a mesh.
 
-from models.objects.contour import contour_cells
-from models.objects.footprints import cells_from_centres, cells_from_polygon
-from models.objects.images import cells_from_label_image
-from models.objects.meshes import cells_from_mesh
+What is named here is imported when it is first asked for: meshes and images need libraries that take long to
+load, and pushes need neither.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from models.objects.contour import contour_cells
+    from models.objects.footprints import cells_from_centres, cells_from_polygon
+    from models.objects.images import cells_from_label_image
+    from models.objects.meshes import cells_from_mesh
+
+_PLACES = {
+    "contour_cells": "contour",
+    "cells_from_centres": "footprints",
+    "cells_from_polygon": "footprints",
+    "cells_from_label_image": "images",
+    "cells_from_mesh": "meshes",
+}
 
 __all__ = [
     "cells_from_centres",
@@ -12,3 +30,9 @@ __all__ = [
     "cells_from_polygon",
     "contour_cells",
 ]
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _PLACES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(import_module(f"{__name__}.{_PLACES[name]}"), name)
