@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 
@@ -237,6 +238,7 @@ def estimate_errors(fitted: Fitted, noise: SensorNoise) -> ErrorModel:
     columns = np.arange(prior.size)
     pull = fitted.z - fitted.prior_mean
 
+    @cache
     def score(motion: float, force: float) -> float:
         likelihood = CorrelatedLikelihood(prior, fitted.likelihood.measured, ErrorModel(noise, motion, force))
         jacobians, residuals = whitened_rows(likelihood, rows)

@@ -98,16 +98,17 @@ def diagnose(
     rng = np.random.default_rng(seed)
     report("preparing pushes", 0, 1)
     locked = locked_trials(dataset, rng)
-    every = observe_all(dataset, coarseness=QUICK_COARSENESS if quick else 1.0)
-    observations = [o for o in every if o.trial not in locked]
-    if quick and len(observations) > QUICK_PUSHES:
-        kept = np.linspace(0, len(observations) - 1, QUICK_PUSHES).round().astype(int)
-        observations = [observations[b] for b in kept]
-    if not observations:
+    open_trials = [trial for trial in dataset.trials if trial.name not in locked]
+    if quick and len(open_trials) > QUICK_PUSHES:
+        kept = np.linspace(0, len(open_trials) - 1, QUICK_PUSHES).round().astype(int)
+        open_trials = [open_trials[b] for b in kept]
+    if not open_trials:
         raise DatasetError(f"dataset {dataset.name} has no push left to fit; give at least one the role fit")
+    coarseness = QUICK_COARSENESS if quick else 1.0
+    observations = observe_all(dataset, open_trials, coarseness)
+    held = observe_all(dataset, [trial for trial in dataset.trials if trial.name in locked], coarseness)
     inquiry = _Inquiry(dataset, observations, tuple(effects), 0 if quick else draws, rng, report)
     outcome = inquiry.run()
-    held = [o for o in every if o.trial in locked]
     before = locked_errors(inquiry.base, dataset, held) if held else None
     after = locked_errors(outcome.best, dataset, held) if held and outcome.best.effects else before
     if outcome.effects and locked_pushes_object(inquiry.error.motion, before, after):
