@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from pydrake.trajectories import Trajectory
@@ -46,7 +47,7 @@ class Phase:
     opening_before: float = 0.0
     force: float = GRIP_FORCE / 2
 
-    @property
+    @cached_property
     def duration(self) -> float:
         """In s."""
         return float(self.trajectory.end_time())
@@ -63,7 +64,7 @@ class Plan:
 
     phases: tuple[Phase, ...]
 
-    @property
+    @cached_property
     def duration(self) -> float:
         """In s."""
         return sum(phase.duration for phase in self.phases)

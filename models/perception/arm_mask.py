@@ -38,28 +38,30 @@ def draw_hulls(hulls: Sequence[Hull], view: View, margin: float = 0.008) -> Mask
         view: the camera.
         margin: added around each, m; for the readings' jitter and small errors of the arm's pose.
     """
-    camera = view.camera
+    camera, picture = view.camera, np.zeros((view.camera.height, view.camera.width), np.uint8)
+    if not hulls:
+        return picture > 0
     focal = max(camera.focal_x, camera.focal_y)
-    picture = np.zeros((camera.height, camera.width), np.uint8)
-    for hull in hulls:
-        p_C = (np.asarray(hull.points, dtype=float) - view.p_WC) @ view.X_WC[:3, :3]
-        depth = p_C[:, 2]
-        if np.all(depth < _NEAREST):
-            continue
-        depth = np.maximum(depth, _NEAREST)
-        center = np.column_stack(
-            [
-                camera.focal_x * p_C[:, 0] / depth + camera.center_x,
-                camera.focal_y * p_C[:, 1] / depth + camera.center_y,
-            ]
-        )
-        # Off the axis a ball looks like an ellipse, longer by the secant of the angle: a disc that covers it.
-        secant = np.hypot(1.0, np.hypot(p_C[:, 0], p_C[:, 1]) / depth)
-        radius = (hull.radius + margin) * focal / depth * secant
-        discs = center[:, None] + radius[:, None, None] * _DISC
-        first, last = discs.min(axis=(0, 1)), discs.max(axis=(0, 1))
-        if (last < -1.0).any() or (first > [camera.width, camera.height]).any():
-            continue  # none of it is in the picture
-        corners = np.clip(discs.reshape(-1, 2), -_FARTHEST_PIXEL, _FARTHEST_PIXEL)
-        cv2.fillConvexPoly(picture, cv2.convexHull(np.round(corners).astype(np.int32)), 255)
+    sizes = [len(hull.points) for hull in hulls]
+    first = np.concatenate([[0], np.cumsum(sizes)])
+    p_C = (np.concatenate([hull.points for hull in hulls]) - view.p_WC) @ view.X_WC[:3, :3]
+    behind = np.maximum.reduceat(p_C[:, 2], first[:-1]) < _NEAREST
+    depth = np.maximum(p_C[:, 2], _NEAREST)
+    center = np.column_stack(
+        [
+            camera.focal_x * p_C[:, 0] / depth + camera.center_x,
+            camera.focal_y * p_C[:, 1] / depth + camera.center_y,
+        ]
+    )
+    # Off the axis a ball looks like an ellipse, longer by the secant of the angle: a disc that covers it.
+    secant = np.hypot(1.0, np.hypot(p_C[:, 0], p_C[:, 1]) / depth)
+    radius = np.repeat([hull.radius + margin for hull in hulls], sizes) * focal / depth * secant
+    low = np.minimum.reduceat(center - radius[:, None], first[:-1])
+    high = np.maximum.reduceat(center + radius[:, None], first[:-1])
+    beside = (high < -1.0).any(axis=1) | (low > [camera.width, camera.height]).any(axis=1)
+    discs = center[:, None] + radius[:, None, None] * _DISC
+    corners = np.round(np.clip(discs, -_FARTHEST_PIXEL, _FARTHEST_PIXEL)).astype(np.int32)
+    for hull in np.flatnonzero(~behind & ~beside):
+        around = corners[first[hull] : first[hull + 1]].reshape(-1, 2)
+        cv2.fillConvexPoly(picture, cv2.convexHull(around), 255)
     return picture > 0

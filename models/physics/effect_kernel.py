@@ -49,6 +49,7 @@ from models.physics.effect_sensitivity import (
     weigh_cells,
 )
 from models.physics.friction import padded_cells
+from models.physics.job_order import evenly_dealt
 from models.physics.prediction import best_weights, weighted
 from models.physics.sensitivity import pose_update
 from models.physics.step import (
@@ -310,16 +311,16 @@ def _effect_rollout_one(  # type: ignore[no-untyped-def]
 
 @compiled(parallel=True)
 def _all_jobs(  # type: ignore[no-untyped-def]
-    address, load, rx, ry, inertia, mu, cell_width, edges, radius, size, smoothing, h, tip, tip_at,
+    address, order, load, rx, ry, inertia, mu, cell_width, edges, radius, size, smoothing, h, tip, tip_at,
     wrench, wrench_at, q0, v0, sample_time, sample_at, delay, force_step, force_at,
     addresses, sizes, constants, parameters, memory0,
     pose_out, rate_out, force_out, dpose_out, dforce_out, end_out,
 ):  # fmt: skip
-    for job in prange(load.shape[0] * h.shape[0]):
+    for place in prange(len(order)):
         call_compiled(
             _effect_rollout_one, address,
             (
-                np.int64(job), load, rx, ry, inertia, mu, cell_width, edges, radius, size, smoothing, h,
+                order[place], load, rx, ry, inertia, mu, cell_width, edges, radius, size, smoothing, h,
                 tip, tip_at, wrench, wrench_at, q0, v0, sample_time, sample_at, delay, force_step, force_at,
                 addresses, sizes, constants, parameters, memory0,
                 pose_out, rate_out, force_out, dpose_out, dforce_out, end_out,
@@ -332,7 +333,9 @@ def effect_rollout_all(*arguments: Any) -> None:
 
     Shapes: delay (K,), constants (B, CONSTANTS), parameters (K, P), rate_out (K, S, 3).
     """
-    _all_jobs(address_of(_effect_rollout_one, (0, *arguments)), *arguments)
+    load, tip_at = arguments[0], arguments[12]
+    order = evenly_dealt(np.diff(tip_at), len(load))
+    _all_jobs(address_of(_effect_rollout_one, (0, *arguments)), order, *arguments)
 
 
 __all__ = ["BODY_OUTPUTS", "CONSTANTS", "effect_rollout_all"]

@@ -23,6 +23,7 @@ from models.physics.arrays import copy_into
 from models.physics.compiled import compiled
 from models.physics.contact import CONTACT_COLUMNS, MAX_CONTACTS, cone_of
 from models.physics.friction import padded_cells
+from models.physics.job_order import evenly_dealt
 from models.physics.prediction import best_weights, weighted
 from models.physics.sensitivity import (
     EXTRA_LANES,
@@ -220,15 +221,15 @@ def rollout_one(  # type: ignore[no-untyped-def]
 
 @compiled(parallel=True)
 def _all_jobs(  # type: ignore[no-untyped-def]
-    address, load, rx, ry, inertia, mu, cell_width, edges, radius, size, smoothing, h, tip, tip_at,
+    address, order, load, rx, ry, inertia, mu, cell_width, edges, radius, size, smoothing, h, tip, tip_at,
     wrench, wrench_at, q0, v0, sample_step, sample_fraction, sample_at, force_step, force_at,
     pose_out, force_out, dpose_out, dforce_out, end_out,
 ):  # fmt: skip
-    for job in prange(load.shape[0] * h.shape[0]):
+    for place in prange(len(order)):
         call_compiled(
             rollout_one, address,
             (
-                np.int64(job), load, rx, ry, inertia, mu, cell_width, edges, radius, size, smoothing, h,
+                order[place], load, rx, ry, inertia, mu, cell_width, edges, radius, size, smoothing, h,
                 tip, tip_at, wrench, wrench_at, q0, v0, sample_step, sample_fraction, sample_at,
                 force_step, force_at, pose_out, force_out, dpose_out, dforce_out, end_out,
             ),
@@ -237,7 +238,9 @@ def _all_jobs(  # type: ignore[no-untyped-def]
 
 def rollout_all(*arguments: Any) -> None:
     """All models times all pushes, on all threads; arguments as in `rollout_one`, without the job."""
-    _all_jobs(address_of(rollout_one, (0, *arguments)), *arguments)
+    load, tip_at = arguments[0], arguments[12]
+    order = evenly_dealt(np.diff(tip_at), len(load))
+    _all_jobs(address_of(rollout_one, (0, *arguments)), order, *arguments)
 
 
 __all__ = ["EXTRA_COLUMNS", "rollout_all", "rollout_one"]

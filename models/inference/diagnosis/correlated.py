@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from models.inference.diagnosis.error_model import ErrorModel
 from models.inference.diagnosis.measured_pushes import MeasuredPushes
@@ -38,6 +39,11 @@ class PushRows:
     pose_slopes: FloatArray
     force: FloatArray
     force_slopes: FloatArray
+
+    def by(self, columns: NDArray[np.int64]) -> PushRows:
+        """The same with derivatives by some coordinates (c,) and the start."""
+        chosen = np.append(columns, np.arange(-3, 0))
+        return PushRows(self.pose, self.pose_slopes[..., chosen], self.force, self.force_slopes[..., chosen])
 
 
 class CorrelatedLikelihood:

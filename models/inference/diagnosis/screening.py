@@ -112,13 +112,11 @@ def screen(
     residuals: list[FloatArray] = []
     jacobians: list[list[FloatArray]] = [[] for _ in fitter.observations]
     width = 0
-    for g in range(max(len(starts[i]) for i in range(len(everything)))):
+    for g in range(max(len(starts[i]) for i in candidates)):
         guess = np.concatenate([start[min(g, len(start) - 1)] for start in starts])
         z = np.concatenate([fitted.z[: fitted.likelihood.prior.plain], prior.effect_coordinates(guess)])
-        white, rest = whitened_rows(likelihood, likelihood.rows(z, fitted.offsets))
         taken = []
         if g == 0:
-            residuals = rest
             kept = [np.arange(plain), *(np.arange(plain + at[i], plain + at[i + 1]) for i in present)]
             taken.append(np.concatenate(kept))
             base_columns = np.arange(len(taken[0]))
@@ -129,9 +127,13 @@ def screen(
                 taken.append(columns)
                 own_columns[i].append(np.arange(width, width + len(columns)))
                 width += len(columns)
-        chosen = np.concatenate(taken) if taken else np.zeros(0, dtype=np.int64)
+        chosen = np.concatenate(taken)
+        rows = [push.by(chosen) for push in likelihood.rows(z, fitted.offsets)]
+        white, rest = whitened_rows(likelihood, rows)
+        if g == 0:
+            residuals = rest
         for b, J in enumerate(white):
-            jacobians[b].append(J[:, chosen])
+            jacobians[b].append(J)
     stacked = [np.concatenate(parts, axis=1) for parts in jacobians]
     tolerated = [i for i in candidates if i < named]
     spare = np.concatenate([np.zeros(0, dtype=np.int64), *(own_columns[i][0] for i in tolerated)])
