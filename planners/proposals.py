@@ -94,10 +94,12 @@ class Proposal:
         end = pose[:2] + rotation @ (push.touch + length * push.direction)
         return cls(pose, push.contact, begin, end, speed, length, dwell)
 
-    def push(self, order: float, misplaced: FloatArray | None = None) -> Push:
-        """To be simulated, if wanted with the object a little off (3,)."""
+    def push(self, order: float, misplaced: FloatArray | None = None, *, coarseness: float = 1.0) -> Push:
+        """To be simulated, if wanted with the object a little off (3,), or in longer steps."""
         pose = self.pose if misplaced is None else self.pose + misplaced
-        return straight_push(pose, self.begin, self.end, self.speed, dwell=self.dwell, order=order)
+        return straight_push(
+            pose, self.begin, self.end, self.speed, dwell=self.dwell, order=order, coarseness=coarseness
+        )
 
     def told(self) -> dict[str, Any]:
         """As plain numbers."""

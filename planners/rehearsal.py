@@ -74,6 +74,7 @@ def straight_push(
     *,
     dwell: float = 0.0,
     order: float = 0.0,
+    coarseness: float = 1.0,
 ) -> Push:
     """A push along a line with a gentle start and an abrupt stop, and, if `dwell` is positive, a stop
     half-way.
@@ -85,8 +86,9 @@ def straight_push(
         speed: m/s.
         dwell: s that the finger stands still half-way.
         order: place in the experiment.
+        coarseness: how many times longer than usual steps are.
     """
-    h = min(LONGEST_STEP, LONGEST_STRIDE / speed)
+    h = coarseness * min(LONGEST_STEP, LONGEST_STRIDE / speed)
     length = float(np.hypot(*(end - begin)))
     parts = 2 if dwell > 0 else 1
     way = length / parts

@@ -22,6 +22,7 @@ import numpy as np
 from models.effects import LIBRARY, EffectSlider, Scene
 from models.effects.effect import bounds, scales
 from models.inference.diagnosis.fitting import Fitted
+from models.inference.diagnosis.procedure import QUICK_COARSENESS
 from models.inference.diagnosis.results import Diagnosis
 from models.inference.observations import MEASURED_CONTACT, Observation
 from models.measurements import PushDataset
@@ -71,7 +72,10 @@ def next_push(diagnosis: Diagnosis, dataset: PushDataset, seed: int = 0) -> dict
         chosen = proposals_for(dataset, habits, _finger_friction(diagnosis.base), count, rng)
     except NoReachablePush:
         return None
-    best, separation, predictions = _most_telling(rivals, pairs, chosen, diagnosis.best, dataset, habits)
+    coarseness = QUICK_COARSENESS if diagnosis.quick else 1.0
+    best, separation, predictions = _most_telling(
+        rivals, pairs, chosen, diagnosis.best, dataset, habits, coarseness
+    )
     if not separation > 0:
         return None
     names = [rival.name for rival in rivals]
@@ -122,6 +126,7 @@ def _most_telling(
     judge: Fitted,
     dataset: PushDataset,
     habits: Habits,
+    coarseness: float,
 ) -> tuple[Proposal, float, list[Predictions]]:
     """The best proposal, its separation, and what the rivals predict for it.
 
@@ -142,9 +147,11 @@ def _most_telling(
         kept = [all(keeps_touch(push, p.forces[b]) for p in predicted) for b, push in enumerate(pushes)]
         return np.where(kept, apart, 0.0) if any(kept) else apart
 
-    score = least([proposal.push(order) for proposal in proposals])
+    score = least([proposal.push(order, coarseness=coarseness) for proposal in proposals])
     finalists = np.argsort(-score, kind="stable")[:FINALISTS]
-    pushes = [proposals[i].push(order, shift) for i in finalists for shift in MISPLACED]
+    pushes = [
+        proposals[i].push(order, shift, coarseness=coarseness) for i in finalists for shift in MISPLACED
+    ]
     worst = least(pushes).reshape(len(finalists), -1).min(axis=1)
     winner = int(finalists[int(np.argmax(np.minimum(worst, score[finalists])))])
     nominal = [proposals[winner].push(order)]
