@@ -19,6 +19,7 @@ WIDTH = 80
 """Columns of everything that is not shown on a terminal."""
 
 WIDEST = 100
+GAP = 3  # columns between those of a table
 HEARTBEAT = 15.0
 """Seconds after which a long stage reports again in a log file."""
 
@@ -166,12 +167,25 @@ def table(
 
     console = Console(width=None if sys.stdout.isatty() else WIDTH, highlight=False)
     console.width = min(console.width, WIDEST)
+    texts = [list(column) for column in zip(columns, *rows, strict=True)]
+    least = [
+        max(len(part) for text in column for part in ([text] if index in numbers else text.split() or [""]))
+        for index, column in enumerate(texts)
+    ]
+    crowded = sum(least) + GAP * (len(columns) - 1) > console.width
     grid = Table(box=box.SIMPLE_HEAD, show_edge=False, pad_edge=False)
     for index, name in enumerate(columns):
         is_number = index in numbers
-        grid.add_column(name, justify="right" if is_number else "left", no_wrap=is_number, overflow="fold")
+        heading = _broken(*texts[index]) if is_number and crowded else name
+        grid.add_column(heading, justify="right" if is_number else "left", no_wrap=is_number, overflow="fold")
     for row in rows:
         grid.add_row(*map(Text, row))
     console.print(Text(title, style="bold"))
     console.print(grid)
     console.print()
+
+
+def _broken(heading: str, *cells: str) -> str:
+    """The heading in several lines, none longer than it must be for its words and the cells below."""
+    width = max(len(text) for text in (*heading.split(), *cells))
+    return textwrap.fill(heading, width, break_on_hyphens=False)

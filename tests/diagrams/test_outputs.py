@@ -10,7 +10,7 @@ import pytest
 from scipy.stats import binomtest
 
 from diagrams import console
-from diagrams.console import BadInput, Progress
+from diagrams.console import BadInput, Progress, table
 from diagrams.outputs import whole_file, write_json
 from diagrams.reports import doubts, named, remark, show_errors, shown
 from models.inference.results import PushPrediction, Quantity
@@ -94,6 +94,20 @@ def test_progress_does_not_call_a_failed_stage_done(capsys):
         progress("fitting", 0, 4)
         raise RuntimeError
     assert capsys.readouterr().err.splitlines() == ["fitting …"]
+
+
+@pytest.mark.parametrize("width", [80, 60])
+def test_tables_break_no_word_on_a_narrow_terminal(capsys, monkeypatch, width):
+    monkeypatch.setenv("COLUMNS", str(width))
+    monkeypatch.setattr("sys.stdout.isatty", lambda: True)
+    columns = ["pushes", "", "this belief", "uniform object", "object does not move"]
+    table("Error", columns, [["4 held out", "median", "0.5", "64.9", "91.4"]], numbers=(2, 3, 4))
+    lines = capsys.readouterr().out.splitlines()
+    assert max(map(len, lines)) <= width
+    assert ["4", "held", "out", "median", "0.5", "64.9", "91.4"] in [line.split() for line in lines]
+    assert {word for name in columns for word in name.split()} <= {
+        word for line in lines for word in line.split()
+    }
 
 
 def test_a_push_near_to_balance_gets_a_remark():
