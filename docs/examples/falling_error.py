@@ -1,7 +1,7 @@
 """Draws how the error of predictions falls with each push that is learned from: the README's picture.
 
 slipmap demo
-python docs/examples/falling_error.py demo/pushes falling-error.png
+python docs/examples/falling_error.py simulated-demo/pushes falling-error.png
 """
 
 import sys
