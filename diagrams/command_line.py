@@ -1,7 +1,7 @@
 """The command `slipmap`: its subcommands, its exit codes, and how failures are told.
 
-Exit codes: 0 success; 1 a failure of the program itself; 2 wrong use or bad input; 130 stopped, by Ctrl-C or
-by a signal to end.
+Exit codes: 0 success; 1 a failure of the program itself, or a run that did not reach what it was for; 2 wrong
+use or bad input; 130 stopped, by Ctrl-C or by a signal to end.
 """
 
 from __future__ import annotations

@@ -59,7 +59,7 @@ def run_benchmark(
         try:
             outcomes[name] = run(scene, repeats)
         except ModuleNotFoundError as error:
-            missing[name] = f"left out, {error.name} is missing: install with pip install slipmap[bench]"
+            missing[name] = f"left out, {error.name} is missing: install with pip install 'slipmap[bench]'"
     growth = measure_growth(cells=cells, steps=steps, repeats=repeats, seed=seed, progress=report)
     first = next(iter(outcomes.values())).seconds
     return {

@@ -48,7 +48,7 @@ def effects(
         if json_file is not None:
             write_json(json_file, {"effects": [{"name": e.name, "sentence": e.sentence} for e in known]})
         table("Effects that slipmap knows", ("name", "what it is"), [(e.name, e.sentence) for e in known])
-        click.echo("`slipmap effects NAME` explains one; docs/effects.md says how to write your own.")
+        click.echo("`slipmap effects NAME` explains one; docs/effects.md of the sources, how to write your own.")
         return
     from models.effects.written import written
 
