@@ -16,25 +16,21 @@ _HEAD = """\
 # Effects
 
 What slipmap knows of beyond its plain model (an object of cells with mass and dry friction, pushed by a
-stiff finger on a
-level table, seen by perfect sensors up to noise). `slipmap effects` lists them, `slipmap effects tether`
-explains one, and
-`slipmap effects tether --picture tether.png` draws what it does to a push.
+stiff finger on a level table, seen by perfect sensors up to noise). `slipmap effects` lists them,
+`slipmap effects tether` explains one, and `slipmap effects tether --picture tether.png` draws what it
+does to a push.
 
 This page is made from the code: `python -m diagrams.effects_page` writes it anew. The formulas are those
-that run.
-Constants that only round off corners are left out, [v]₊ is the larger of v and 0, σ(v) goes smoothly
-from 0 to 1 about
-v = 0. A ⁺ marks what holds after the step. An effect is nothing at the value under *nothing at*;
-parameters with a dash there only shape it.
+that run. Constants that only round off corners are left out, [v]₊ is the larger of v and 0, σ(v) goes
+smoothly from 0 to 1 about v = 0. A ⁺ marks what holds after the step. An effect is nothing at the value
+under *nothing at*; parameters with a dash there only shape it.
 """
 
 _OWN = """\
 ## An effect of your own
 
 Write a file with a class: what it is called, a sentence, its parameters, and a formula in SymPy. This is
-a magnet under
-the table ([examples/magnet.py](examples/magnet.py)):
+a magnet under the table ([examples/magnet.py](examples/magnet.py)):
 
 ```python
 {code}```
@@ -47,12 +43,10 @@ Then let it compete with the library, and learn with it:
 
 - Derivatives and machine code are made from the formula, once; nothing is differentiated by hand.
 - A parameter has a name, a unit in SI (`1` for none), a meaning, its lowest and highest value, the size
-  it is expected to
-  have (`0.1` above), and `null`, the value at which the effect vanishes. At least one needs a null. With
-  `weight_power=1.0` the expected size is meant per newton of the object's weight, so that light and
-  heavy objects are
-  treated alike. Parameters without a null only shape the effect; `starts` says where to begin looking
-  for them.
+  it is expected to have (`0.1` above), and `null`, the value at which the effect vanishes. At least one
+  needs a null. With `weight_power=1.0` the expected size is meant per newton of the object's weight, so
+  that light and heavy objects are treated alike. Parameters without a null only shape the effect;
+  `starts` says where to begin looking for them.
 - A faulty file is refused with file and line: wrong units, an effect that does not vanish at its null,
   formulas that are not finite, names that do not exist, misspelt methods. A helper method of your own
   begins with an underscore.
@@ -65,8 +59,8 @@ A class overrides what it changes and leaves the rest:
 
 `body` knows {body}. `cell` knows all that and {cell}; its `x` and `y` are those of the cell.
 `models/effects/symbols.py` says what each is. `positive_part` and `smooth_step` there are a maximum and
-a step that can be
-differentiated. To carry numbers from step to step, name them in `memory` and renew them in `remember`.
+a step that can be differentiated. To carry numbers from step to step, name them in `memory` and renew
+them in `remember`.
 """
 
 

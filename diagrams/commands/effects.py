@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from diagrams.commands import options
-from diagrams.console import WIDTH, BadInput, note, prepare_kernels, table
+from diagrams.console import WIDTH, BadInput, note, paragraph, prepare_kernels, table
 from diagrams.outputs import write_figures, write_json
 
 if TYPE_CHECKING:
@@ -48,7 +48,9 @@ def effects(
         if json_file is not None:
             write_json(json_file, {"effects": [{"name": e.name, "sentence": e.sentence} for e in known]})
         table("Effects that slipmap knows", ("name", "what it is"), [(e.name, e.sentence) for e in known])
-        click.echo("`slipmap effects NAME` explains one; docs/effects.md of the sources, how to write your own.")
+        paragraph(
+            "`slipmap effects NAME` explains one; docs/effects.md in the sources says how to write your own."
+        )
         return
     from models.effects.written import written
 
