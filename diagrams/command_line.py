@@ -200,6 +200,8 @@ def main() -> None:
     # The matrices are small and the rollouts have their own threads: where another program shares the
     # cores, BLAS threads that wait for each other made an identification seven times slower.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    # Threads of the rollouts that have nothing to do shall not keep a core from others, or the first thread.
+    os.environ.setdefault("OMP_WAIT_POLICY", "passive")
     # Ending the command from outside, or closing its terminal, is as Ctrl-C: workers end with it, and nothing
     # half-written is left.
     for number in (signal.SIGTERM, signal.SIGHUP):

@@ -7,7 +7,7 @@ import pytest
 
 from models.effects.library import LIBRARY
 from models.effects.probes import PROBES
-from models.inference.diagnosis import procedure
+from models.inference.diagnosis import inquiry as steps
 from models.inference.diagnosis.locked import LockedErrors
 from models.inference.diagnosis.verdict_rules import (
     Remainder,
@@ -46,9 +46,9 @@ def verdict(monkeypatch, gain, found=()):
     """Of an inquiry in which the largest gain is `gain` nats and no single effect is accepted."""
     candidates = (LIBRARY[0], PROBES[0])
     first = SimpleNamespace(candidates=candidates, gain=np.array([1.0, gain]))
-    inquiry = object.__new__(procedure._Inquiry)
+    inquiry = object.__new__(steps.Inquiry)
     refits = SimpleNamespace(error=None, fits={"some": None}, gains={"some": 1000.0})
-    monkeypatch.setattr(procedure, "refit_candidates", lambda *arguments, **options: refits)
+    monkeypatch.setattr(steps, "refit_candidates", lambda *arguments, **options: refits)
     for name, value in {
         "rules": SimpleNamespace(missing=lambda screening: True),
         "fitter": None, "base": None, "effects": (), "scene": None, "draws": 0, "report": print,
@@ -148,9 +148,9 @@ def test_what_is_left_rejects_by_its_share_and_by_its_size(left, own, rejected):
 
 @pytest.mark.parametrize(("together", "named"), [(60.0, 0), (120.0, 1)])
 def test_a_pair_has_to_gain_much_together(monkeypatch, together, named):
-    inquiry = object.__new__(procedure._Inquiry)
+    inquiry = object.__new__(steps.Inquiry)
     first, both = SimpleNamespace(cost=1000.0 - 30.0), SimpleNamespace(cost=1000.0 - together)
-    monkeypatch.setattr(procedure, "pairs", lambda *arguments: [both])
+    monkeypatch.setattr(steps, "pairs", lambda *arguments: [both])
     inquiry.base, inquiry.fitter, inquiry.effects, inquiry.scene = (
         SimpleNamespace(cost=1000.0),
         None,
