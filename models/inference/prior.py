@@ -146,31 +146,39 @@ class MapPrior:
         Returns:
             (K, …, size + 3): coordinates, then start x, y, θ.
         """
-        n = len(self.slider.grid)
+        K, n, r = len(maps), len(self.slider.grid), self.basis.shape[1]
         s = self.settings
-        ones = (len(maps),) + (1,) * (derivative.ndim - 2)
-        scale = np.broadcast_to(np.asarray(strength, dtype=float), (len(maps),)).reshape((*ones, 1))
-        load = (maps.mass * maps.mu * self.slider.gravity).reshape((*ones, n))
-        by_log_mu = derivative[..., :n] * load
-        by_log_mass = by_log_mu + (
-            derivative[..., n : n + 4] @ self.slider.inertia_basis.T
-        ) * maps.mass.reshape((*ones, n))
-        by_total = by_log_mass.sum(axis=-1, keepdims=True)
+        scale = np.broadcast_to(np.asarray(strength, dtype=float), (K,))[:, None, None]
+        load = (maps.mass * maps.mu * self.slider.gravity)[..., None]
+        moved = self.slider.inertia_basis.T * maps.mass[:, None]
+        # What the columns of loads and inertia, (n + 4), contribute: by log friction, by log mass.
+        by_friction = np.concatenate([load * self.basis, np.zeros((K, 4, r))], axis=1)
+        by_mass = np.concatenate([load * self.basis, moved @ self.basis], axis=1)
+        by_total = np.concatenate([load, moved.sum(axis=-1, keepdims=True)], axis=1)
         share = maps.mass / maps.mass.sum(axis=1, keepdims=True)
-        by_mass = by_log_mass @ self.basis - by_total * (share @ self.basis).reshape((*ones, -1))
-        by_friction = by_log_mu @ self.basis
-        return np.concatenate(
+        by_mass -= by_total * (share @ self.basis)[:, None]
+        by_mean_friction = np.concatenate([load, np.zeros((K, 4, 1))], axis=1)
+        contributions = np.concatenate(
             [
                 s.load_map * scale * (s.mass_share * by_mass + (1.0 - s.mass_share) * by_friction),
                 s.split * scale * (by_mass - by_friction),
                 by_total * self.total_spread,
-                by_log_mu.sum(axis=-1, keepdims=True) * s.friction_scale,
-                derivative[..., n + 4 : n + 5] * (s.finger_friction * maps.mu_finger).reshape((*ones, 1)),
-                derivative[..., n + EXTRA_COLUMNS :] * self.effect_scales,
-                derivative[..., n + 5 : n + 8],
+                by_mean_friction * s.friction_scale,
             ],
             axis=-1,
         )
+        rows = derivative.reshape(K, -1, derivative.shape[-1])
+        finger = (s.finger_friction * maps.mu_finger)[:, None, None]
+        result = np.concatenate(
+            [
+                rows[..., : n + 4] @ contributions,
+                rows[..., n + 4 : n + 5] * finger,
+                rows[..., n + EXTRA_COLUMNS :] * self.effect_scales,
+                rows[..., n + 5 : n + 8],
+            ],
+            axis=-1,
+        )
+        return result.reshape(*derivative.shape[:-1], self.size + 3)
 
 
 def covariance_basis(grid: CellGrid, settings: PriorSettings) -> FloatArray:
