@@ -71,7 +71,9 @@ def _numbers(content: bytes, where: str, columns: CsvColumns) -> tuple[list[str]
     try:
         lines = list(csv.reader(io.StringIO(content.decode("utf-8-sig"), newline="")))
     except (csv.Error, ValueError) as error:
-        raise DatasetError(f"{where}: not readable as CSV ({shown_error(error)})") from None
+        raise DatasetError(
+            f"{where}: not readable as CSV ({shown_error(error)}); save it as text in UTF-8"
+        ) from None
     if not lines:
         raise DatasetError(f"{where}: the file is empty; {columns.expected}")
     header = [name.strip() for name in lines[0]]
@@ -81,6 +83,11 @@ def _numbers(content: bytes, where: str, columns: CsvColumns) -> tuple[list[str]
         missing += [name for name in OPTIONAL if name in absent]
     if missing:
         lacking = ", ".join(columns.names[name] for name in missing)
+        if len(header) == 1 and any(sign in header[0] for sign in ";\t"):
+            raise DatasetError(
+                f"{where}: its cells are not parted by commas; save it anew with commas between cells and points"
+                " in numbers"
+            )
         raise DatasetError(
             f"{where}: the header {fields.shown(','.join(header))} lacks {lacking}; {columns.expected}."
             " Other names and units are told under the key csv of the YAML file of --object"

@@ -189,3 +189,16 @@ def test_wrong_words_about_columns_are_answered_with_the_right_ones(tmp_path, en
     with pytest.raises(DatasetError) as caught:
         read_dataset(write(tmp_path, lines()), object_name=described(tmp_path, text))
     assert all(word in str(caught.value) for word in ["block.yaml", *words]), caught.value
+
+
+@pytest.mark.parametrize("sign", [";", "\t"])
+def test_cells_parted_by_something_else_than_commas_are_told(tmp_path, sign):
+    path = write(tmp_path, [row.replace(",", sign) for row in lines()], HEADER.replace(",", sign))
+    with pytest.raises(DatasetError, match=r"push\.csv: .* commas between cells"):
+        read_dataset(path, object_name="rect1")
+
+
+def test_another_encoding_is_told(tmp_path):
+    (tmp_path / "push.csv").write_text("\n".join([HEADER, *lines()]), encoding="utf-16")
+    with pytest.raises(DatasetError, match=r"push\.csv: not readable as CSV .* UTF-8"):
+        read_dataset(tmp_path / "push.csv", object_name="rect1")
