@@ -85,8 +85,8 @@ def _numbers(content: bytes, where: str, columns: CsvColumns) -> tuple[list[str]
         lacking = ", ".join(columns.names[name] for name in missing)
         if len(header) == 1 and any(sign in header[0] for sign in ";\t"):
             raise DatasetError(
-                f"{where}: its cells are not parted by commas; save it anew with commas between cells and points"
-                " in numbers"
+                f"{where}: its cells are not parted by commas; save it anew with commas between cells and"
+                " points in numbers"
             )
         raise DatasetError(
             f"{where}: the header {fields.shown(','.join(header))} lacks {lacking}; {columns.expected}."
