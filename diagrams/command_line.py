@@ -143,9 +143,12 @@ def run(arguments: Sequence[str]) -> int:
         return INTERNAL_FAILURE
     except OSError as error:
         # Wherever a path is first looked at, of what is read as of what is written.
-        if error.errno != errno.ENAMETOOLONG:
-            return _internal(error)
-        return _told(f"the name {error.filename} is too long for this disk; choose a shorter one", WRONG_USE)
+        if error.errno == errno.ENAMETOOLONG:
+            said = f"the name {error.filename} is too long for this disk; choose a shorter one"
+            return _told(said, WRONG_USE)
+        return _leads_nowhere(error) if error.errno == errno.ELOOP else _internal(error)
+    except RuntimeError as error:  # as Path.resolve() says it
+        return _leads_nowhere(error) if str(error).startswith("Symlink loop") else _internal(error)
     except Exception as error:
         return _told(_one_paragraph(str(error)), WRONG_USE) if _is_bad_input(error) else _internal(error)
 
@@ -176,6 +179,10 @@ def _one_paragraph(text: str) -> str:
 def _sentence(text: str) -> str:
     said = _one_paragraph(text)
     return said if said.endswith((".", "?", "!")) else f"{said}."
+
+
+def _leads_nowhere(error: Exception) -> int:
+    return _told(f"a link leads back to itself ({error}); name the file that is meant", WRONG_USE)
 
 
 def _internal(error: Exception) -> int:

@@ -19,6 +19,12 @@ def test_a_missing_dataset_is_named(slipmap, tmp_path):
     assert files_in(tmp_path) == []
 
 
+def test_a_link_that_leads_to_itself_is_no_internal_failure(slipmap, tmp_path):
+    (tmp_path / "loop.csv").symlink_to("loop.csv")
+    said = slipmap("identify", tmp_path / "loop.csv", "--object", "rect1", "-o", tmp_path / "belief.npz")
+    assert_refused(said, "loop.csv", "name the file")
+
+
 def test_a_broken_trial_is_named_and_nothing_is_written(slipmap, tilted_folder, tmp_path):
     dataset = tmp_path / "block"
     shutil.copytree(tilted_folder, dataset)
