@@ -147,9 +147,9 @@ def run(arguments: Sequence[str]) -> int:
             said = f"the name {error.filename} is too long for this disk; choose a shorter one"
             return _told(said, WRONG_USE)
         return _leads_nowhere(error) if error.errno == errno.ELOOP else _internal(error)
-    except RuntimeError as error:  # as Path.resolve() says it
-        return _leads_nowhere(error) if str(error).startswith("Symlink loop") else _internal(error)
     except Exception as error:
+        if isinstance(error, RuntimeError) and str(error).startswith("Symlink loop"):  # Path.resolve()
+            return _leads_nowhere(error)
         return _told(_one_paragraph(str(error)), WRONG_USE) if _is_bad_input(error) else _internal(error)
 
 
@@ -165,11 +165,12 @@ def _nearest_choice(error: click.UsageError, arguments: Sequence[str]) -> str:
 
 
 def _is_bad_input(error: Exception) -> bool:
+    from diagrams.perception.renderer import RendererUnavailable
     from models.effects import EffectError
     from models.inference.belief import BeliefError
     from models.measurements import DatasetError
 
-    return isinstance(error, BeliefError | DatasetError | EffectError)
+    return isinstance(error, BeliefError | DatasetError | EffectError | RendererUnavailable)
 
 
 def _one_paragraph(text: str) -> str:

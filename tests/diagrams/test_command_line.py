@@ -13,6 +13,8 @@ from refusals import assert_refused, files_in
 
 from diagrams.__main__ import main
 from diagrams.command_line import slipmap as group
+from diagrams.console import BadInput
+from diagrams.perception.renderer import RendererUnavailable
 
 COMMANDS = ("demo", "identify", "predict", "compare", "calibrate", "blind-test", "bench")
 HEAVY = (
@@ -105,6 +107,8 @@ def test_wrong_options_are_named_with_a_way_to_help(slipmap, tmp_path, monkeypat
         (["identify", "data", "-o", "b.npz", "--method", "papr"], "Did you mean 'paper'?"),
         (["explore", "--strategy=most-distinct"], "Did you mean 'most-distinctive'?"),
         (["explore", "--object", "hamer"], "did you mean hammer?"),
+        (["explore", "--effect", "table_tlt"], "did you mean table_tilt?"),
+        (["pregrasp", "--effect", "tether", "--effect", "tether"], "effect tether is given twice"),
         (["effects", "tilt"], "did you mean table_tilt?"),
         (["completion", "bsh"], "Did you mean 'bash'?"),
         (["completion", "--help-me"], "--help"),
@@ -114,6 +118,23 @@ def test_a_misspelt_word_is_recognised(slipmap, tmp_path, monkeypatch, arguments
     monkeypatch.chdir(tmp_path)
     assert_refused(slipmap(*arguments), hint)
     assert files_in(tmp_path) == []
+
+
+@pytest.mark.parametrize(
+    ("command", "loop"),
+    [
+        ("explore", "diagrams.commands.explore.run_loop"),
+        ("pregrasp", "diagrams.commands.pregrasp._run"),
+    ],
+)
+def test_the_robot_is_told_of_effects(slipmap, tmp_path, monkeypatch, command, loop):
+    def told(scenario, options, *args, **kwargs):
+        exploration = getattr(options, "exploration", options)
+        raise BadInput(f"effects are {', '.join(exploration.effects)}")
+
+    monkeypatch.setattr(loop, told)
+    effects = ["--effect", "table_tilt", "--effect", "tether"]
+    assert_refused(slipmap(command, *effects, "--out", tmp_path), "effects are table_tilt, tether")
 
 
 def test_nothing_is_proposed_where_nothing_is_near(slipmap, tmp_path):
@@ -151,6 +172,15 @@ def test_an_internal_failure_is_told_as_such(slipmap, tilted_folder, tmp_path, m
     assert "Traceback" not in said.err
     monkeypatch.setenv("SLIPMAP_TRACEBACK", "1")
     assert "Traceback" in slipmap(*arguments).err
+    assert files_in(tmp_path) == []
+
+
+def test_a_machine_that_cannot_render_is_no_internal_failure(slipmap, tmp_path, monkeypatch):
+    def cannot(*args, **kwargs):
+        raise RendererUnavailable("no EGL; install libegl1")
+
+    monkeypatch.setattr("diagrams.exploration_run.explore", cannot)
+    assert_refused(slipmap("explore-study", "--runs", 1, "-o", tmp_path / "study"), "libegl1")
     assert files_in(tmp_path) == []
 
 
