@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from diagrams.commands.options import (
+    effect_option,
+    effects_of_library,
     explorations_option,
     folder_option,
     hardware_option,
@@ -53,6 +55,7 @@ class Stopped(click.ClickException):
     "--strategy", type=click.Choice(STRATEGIES), default="most-distinctive", show_default=True,
     help="How the next push is chosen (Algorithm 2).",
 )  # fmt: skip
+@effect_option(required=False, purpose="Effect of the library to add to the model that learns")
 @hardware_option
 @lcm_option
 @meshcat_option
@@ -72,6 +75,7 @@ def explore(
     pushes: int,
     checks: int,
     strategy: str,
+    effect_names: tuple[str, ...],
     hardware: bool,
     url: str,
     open_meshcat: bool,
@@ -96,7 +100,8 @@ def explore(
     before = None
     if resume is None:
         scenario = scenario_of(scenario_file, object_name)
-        options = LoopOptions(pushes=pushes, checks=checks, strategy=strategy, seed=seed)
+        effects = effects_of_library(effect_names)
+        options = LoopOptions(pushes=pushes, checks=checks, strategy=strategy, seed=seed, effects=effects)
         make_folder(folder)
     else:
         _refuse_beside_resume(context)
@@ -135,7 +140,12 @@ def _refuse_beside_resume(context: click.Context) -> None:
     Raises:
         BadInput: names the first.
     """
-    names = {"object_name": "--object", "scenario_file": "--scenario", "folder": "--out"}
+    names = {
+        "object_name": "--object",
+        "scenario_file": "--scenario",
+        "folder": "--out",
+        "effect_names": "--effect",
+    }
     for name in (*names, "pushes", "checks", "strategy", "seed"):
         if context.get_parameter_source(name) is not click.core.ParameterSource.DEFAULT:
             option = names.get(name, f"--{name}")

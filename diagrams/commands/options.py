@@ -120,6 +120,17 @@ def find_effects(files: Sequence[Path]) -> tuple[Effect, ...]:
     return known_effects(files)
 
 
+def effects_of_library(names: Sequence[str]) -> tuple[str, ...]:
+    """Names of effects of the library, as they were given.
+
+    Raises:
+        EffectError: there is no such effect, or one is named twice.
+    """
+    from models.effects.registry import effects_named
+
+    return tuple(effect.name for effect in effects_named(names)) if names else ()
+
+
 def load_dataset(path: Path, object_name: str | None, progress: Progress) -> PushDataset:
     """Read a dataset, with progress, and tell what looks wrong about it.
 

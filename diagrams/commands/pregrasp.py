@@ -9,6 +9,8 @@ import click
 
 from diagrams.commands.explore import Stopped, leave, scenario_of, show
 from diagrams.commands.options import (
+    effect_option,
+    effects_of_library,
     explorations_option,
     folder_option,
     hardware_option,
@@ -40,6 +42,7 @@ if TYPE_CHECKING:
     "--method", type=click.Choice(METHODS), default="probabilistic", show_default=True,
     help="What is planned with: all hypotheses, one drawn from them, a uniform object, or the truth.",
 )  # fmt: skip
+@effect_option(required=False, purpose="Effect of the library to add to the model that learns and plans")
 @hardware_option
 @lcm_option
 @meshcat_option
@@ -52,6 +55,7 @@ def pregrasp(
     scenario_file: Path | None,
     pushes: int,
     method: str,
+    effect_names: tuple[str, ...],
     hardware: bool,
     url: str,
     open_meshcat: bool,
@@ -73,7 +77,8 @@ def pregrasp(
     from diagrams.push_record import PushRecord
 
     scenario = scenario_of(scenario_file, object_name)
-    options = PregraspOptions(LoopOptions(pushes=pushes, seed=seed), method=method)
+    exploration = LoopOptions(pushes=pushes, seed=seed, effects=effects_of_library(effect_names))
+    options = PregraspOptions(exploration, method=method)
     if hardware and method == "true":
         raise BadInput("--method true: the truth is known of a simulated object alone; choose another method")
     make_folder(folder)
