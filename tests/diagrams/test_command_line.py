@@ -175,13 +175,9 @@ def test_an_internal_failure_is_told_as_such(slipmap, tilted_folder, tmp_path, m
     assert files_in(tmp_path) == []
 
 
-def test_a_machine_that_cannot_render_is_no_internal_failure(slipmap, tmp_path, monkeypatch):
-    def cannot(*args, **kwargs):
-        raise RendererUnavailable("no EGL; install libegl1")
-
-    monkeypatch.setattr("diagrams.exploration_run.explore", cannot)
-    assert_refused(slipmap("explore-study", "--runs", 1, "-o", tmp_path / "study"), "libegl1")
-    assert files_in(tmp_path) == []
+def test_a_machine_that_cannot_render_is_no_internal_failure(slipmap, tilted_folder, tmp_path, monkeypatch):
+    fail_with(monkeypatch, RendererUnavailable("no EGL; install libegl1"))  # as under explore-study
+    assert_refused(slipmap("identify", tilted_folder, "-o", tmp_path / "b.npz"), "libegl1")
 
 
 @pytest.mark.parametrize("arguments", [("--json",), ("--effect-file",), ("tether", "--picture")])
