@@ -8,7 +8,6 @@ from typing import Protocol
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from scipy.stats import binom
 
 from diagrams.figures.style import BELIEF, FAINT, INK, PAPER, styled
 from models.physics.cell_grid import FloatArray
@@ -73,6 +72,8 @@ def inside_share(ranks: FloatArray, levels: FloatArray) -> FloatArray:
 
 
 def _curve(axes: Axes, name: str, ranks: FloatArray, objects: int) -> None:
+    from scipy.stats import binom  # takes half a second to load, and every picture loads this file
+
     count = len(ranks)
     draws = min(count, objects)  # several pushes of one object are one story
     low, high = (binom.ppf(q, draws, LEVELS) / draws for q in (0.05, 0.95))

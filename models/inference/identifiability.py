@@ -12,6 +12,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.special import stdtrit
 
 from models.inference.belief import Belief
 from models.inference.gauss_newton import Fits, fit
@@ -87,13 +88,11 @@ def interval(
     The interval is that of a normal distribution (of the logarithm if `log`) with the draws' weighted
     moments, widened by Student's t for their effective number: quantiles of twenty draws are too coarse.
     """
-    from scipy.stats import t
-
     x = np.log(np.maximum(values, 1e-300)) if log else values
     mean = float(probability @ x)
     effective = max(2.0, 1.0 / float((probability**2).sum()))
     variance = float(probability @ (x - mean) ** 2) * effective / (effective - 1.0)
-    width = float(t.ppf(0.5 + 0.5 * level, effective - 1.0)) * np.sqrt(variance * (1.0 + 1.0 / effective))
+    width = float(stdtrit(effective - 1.0, 0.5 + 0.5 * level)) * np.sqrt(variance * (1.0 + 1.0 / effective))
     order = np.argsort(x)
     middle = float(x[order][np.searchsorted(np.cumsum(probability[order]), 0.5)])
     low, high = mean - width, mean + width

@@ -15,7 +15,7 @@ from dataclasses import replace
 
 import numpy as np
 import scipy.linalg
-from scipy.stats import chi2
+from scipy.special import chdtrc
 
 from models.inference.belief import Belief
 from models.inference.diagnosis.error_model import ErrorModel, SensorNoise, travelled
@@ -130,7 +130,7 @@ def resting_misfit(
         sigma = np.append(sigma, 2 * [np.hypot(error.force * np.hypot(*expected), error.noise.force)])
     covariance = np.einsum("k,ki,kj->ij", probability, spread, spread) + np.diag(sigma**2)
     square = float(r @ np.linalg.solve(covariance, r))
-    return float(np.sqrt(square / len(r))), float(chi2.sf(square, len(r)))
+    return float(np.sqrt(square / len(r))), float(chdtrc(len(r), square))
 
 
 def bet(p: float) -> float:
