@@ -13,11 +13,8 @@ import shapely
 
 from models.objects import contour_cells
 from models.physics.cell_grid import CellGrid, FloatArray
-from planners.exploration import TOUCH, NoReachablePush
+from planners.exploration import DESCENT, TOUCH, NoReachablePush
 from planners.pose_metric import compose
-
-DESCENT = 0.008
-"""Room around the finger where it comes down to the table, m."""
 
 TRIES = 20
 """Draws of as many lines as are wanted, before fewer are taken."""

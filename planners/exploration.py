@@ -14,6 +14,8 @@ from models.physics.cell_grid import CellGrid, FloatArray
 from models.physics.rollout import Push
 
 TRIES_PER_CELL = 20
+DESCENT = 0.008
+"""Room around the finger where it comes down, m: as wrong as object and finger can be together."""
 TOUCH = 1e-9  # m; a path that comes nearer than the finger's radius less this touches
 
 
@@ -81,7 +83,8 @@ def candidate_pushes(
     """Random pushes on random contact points of the contour (Algorithm 2, line 1).
 
     Cells of the contour come in random order, and none a second time before every other has had its turn.
-    A cell that no drawn direction reaches is passed over.
+    A cell that no drawn direction reaches is passed over. Where the finger comes down it has room all round,
+    `DESCENT` or as much as the way before the touch allows: a prong beside it may be off by millimetres.
 
     Args:
         grid: the object.
@@ -126,11 +129,14 @@ def _aimed(
     approach: float,
 ) -> FloatArray | None:
     """A random direction about `inward` in which a disc meets the object at `touch` and not before."""
+    room = min(DESCENT, approach * np.cos(cone)) - TOUCH
     for angle in rng.uniform(-cone, cone, TRIES_PER_CELL):
         c, s = np.cos(angle), np.sin(angle)
         direction = np.array([c * inward[0] - s * inward[1], s * inward[0] + c * inward[1]])
-        path = shapely.LineString([touch - approach * direction, touch])
-        if shapely.distance(path, grid.polygon) >= radius - TOUCH:
+        begin = touch - approach * direction
+        if shapely.distance(shapely.Point(begin), grid.polygon) < radius + room:
+            continue
+        if shapely.distance(shapely.LineString([begin, touch]), grid.polygon) >= radius - TOUCH:
             return direction
     return None
 

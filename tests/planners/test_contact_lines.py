@@ -8,8 +8,8 @@ from models.objects import contour_cells
 from models.objects.benchmark import benchmark_object
 from models.physics.cell_grid import CellGrid
 from models.physics.contact import gap
-from planners.contact_lines import DESCENT, ContactContour, joined, ways_of_center
-from planners.exploration import NoReachablePush
+from planners.contact_lines import ContactContour, joined, ways_of_center
+from planners.exploration import DESCENT, NoReachablePush
 from tests.planners.cell_world import RADIUS
 
 APPROACH, CONE = 0.02, 0.4

@@ -9,7 +9,7 @@ from models.objects import cells_from_polygon, contour_cells
 from models.physics.cell_grid import CellGrid
 from models.physics.contact import gap
 from models.physics.rollout import Maps, Slider
-from planners.exploration import CandidatePush, NoReachablePush, candidate_pushes
+from planners.exploration import DESCENT, CandidatePush, NoReachablePush, candidate_pushes
 
 RADIUS = 0.006
 
@@ -18,9 +18,10 @@ def rectangle() -> CellGrid:
     return cells_from_polygon(np.array([[-3, -2], [3, -2], [3, 2], [-3, 2]]) * 0.01, width=0.01)
 
 
-def fork() -> CellGrid:
-    """Two prongs with a slot of 10 mm between them, into which a finger of 6 mm radius does not fit."""
-    corners = [(-2.5, -4), (2.5, -4), (2.5, 4), (0.5, 4), (0.5, -1), (-0.5, -1), (-0.5, 4), (-2.5, 4)]
+def fork(slot: float = 0.01) -> CellGrid:
+    """Two prongs with a slot between them; a finger of 6 mm radius does not fit into one of 10 mm."""
+    a = slot / 0.02
+    corners = [(-2.5, -4), (2.5, -4), (2.5, 4), (a, 4), (a, -1), (-a, -1), (-a, 4), (-2.5, 4)]
     return cells_from_polygon(np.array(corners) * 0.01, width=0.01)
 
 
@@ -46,8 +47,18 @@ def test_finger_does_not_go_where_it_does_not_fit():
     )
     in_slot = (np.abs(points[:, 0]) < 0.0051) & (points[:, 1] < 0.0399)
     assert not in_slot[points[:, 1] > -0.0399].any()
-    thin = candidate_pushes(grid, 0.002, np.random.default_rng(2), 80)
-    assert any(abs(c.contact[0]) < 0.0051 and abs(c.contact[1]) < 0.039 for c in thin)
+    wide = candidate_pushes(fork(slot=0.03), RADIUS, np.random.default_rng(2), 80)
+    assert any(abs(c.contact[0]) < 0.0151 and abs(c.contact[1]) < 0.039 for c in wide)
+
+
+def test_the_finger_comes_down_with_room_around_it():
+    """Beside a prong that is seen a little off it must not come down on it."""
+    grid = fork(slot=0.024)
+    pushes = candidate_pushes(grid, 0.006, np.random.default_rng(3), 200, approach=0.015)
+    begins = np.array([finger_places(candidate)[0] for candidate in pushes])
+    assert gap(begins, 0.006, grid.edges).min() > DESCENT - 1e-8
+    touches = np.array([finger_places(candidate)[-1] for candidate in pushes])
+    assert gap(touches, 0.006, grid.edges).max() < 1e-8
 
 
 def test_directions_fill_the_cone_about_the_inward_normal():
