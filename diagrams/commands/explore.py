@@ -122,8 +122,7 @@ def explore(
     written = leave(run.identification, run.dataset, folder, recording)
     record.end()
     if json_file is not None:
-        found = {"truth": run.truth(), "monitor": run.watch.to_json(), "failure": failure}
-        write_json(json_file, {**run.identification.to_json(), **found})
+        write_json(json_file, {**learned_json(run), "monitor": run.watch.to_json(), "failure": failure})
     show(run)
     for what, path in written.items():
         note(f"{what + ':':<19}{path}")
@@ -225,11 +224,21 @@ def leave(
     return written if recording is None else {**written, "recording": recording}
 
 
+def learned_json(run: ExplorationRun) -> dict[str, Any]:
+    """What was learned, effects of the model included, beside the truth that only the simulator knows."""
+    from diagrams.commands.fit import effect_estimates
+
+    learned = run.identification
+    return {**learned.to_json(), "effects": effect_estimates(learned), "truth": run.truth()}
+
+
 def show(run: ExplorationRun) -> None:
     """Print what was learned, beside the truth that only the simulator knows."""
+    from diagrams.commands.fit import show_effects
     from diagrams.commands.identify import show as show_identification
 
     show_identification(run.identification, run.dataset)
+    show_effects(run.identification)
     truth = run.truth()
     if truth is None:
         paragraph(f"It took {run.seconds:.0f} s.")

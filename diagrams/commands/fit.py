@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,7 +13,6 @@ from diagrams.console import Progress, paragraph, prepare_kernels
 from diagrams.outputs import make_folder, write_json
 
 if TYPE_CHECKING:
-    from models.effects.effect import Effect
     from models.inference.results import Identification
 
 
@@ -66,16 +64,16 @@ def fit(
         plain = fit_effects(measured, (), hypotheses=hypotheses, seed=seed, progress=without)
         drawn = keep(result, measured, output, pictures, progress)
     if json_file is not None:
-        more = {"effects": effect_estimates(result, effects), "without_effects": _errors(plain)}
+        more = {"effects": effect_estimates(result), "without_effects": _errors(plain)}
         write_json(json_file, {**result.to_json(), **more})
     show(result, measured)
-    _show_effects(result, effects)
+    show_effects(result)
     _show_gain(result, plain)
     tell_files(output, drawn)
 
 
-def effect_estimates(result: Identification, effects: Sequence[Effect]) -> dict[str, dict[str, Any]]:
-    """By effect and parameter: value (median), 90 % interval, unit, and whether the pushes show it."""
+def effect_estimates(result: Identification) -> dict[str, dict[str, Any]]:
+    """By effect of the model and parameter: value (median), 90 % interval, unit, whether pushes show it."""
     facts = {quantity.name: quantity for quantity in result.quantities}
     return {
         effect.name: {
@@ -85,7 +83,7 @@ def effect_estimates(result: Identification, effects: Sequence[Effect]) -> dict[
             }
             for p in effect.parameters
         }
-        for effect in effects
+        for effect in result.belief.effects
     }
 
 
@@ -106,12 +104,13 @@ def _show_gain(result: Identification, plain: Identification) -> None:
     )
 
 
-def _show_effects(result: Identification, effects: Sequence[Effect]) -> None:
+def show_effects(result: Identification) -> None:
+    """Print how large the effects of the model are, each in a sentence."""
     from diagrams.effect_words import effect_in_words
     from models.inference.diagnosis.results import ParameterEstimate
 
-    told = effect_estimates(result, effects)
-    for effect in effects:
+    told = effect_estimates(result)
+    for effect in result.belief.effects:
         estimates = [
             ParameterEstimate(effect.name, name, v["unit"], v["value"], v["low"], v["high"])
             for name, v in told[effect.name].items()

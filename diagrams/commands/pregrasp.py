@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from diagrams.commands.explore import Stopped, leave, scenario_of, show
+from diagrams.commands.explore import Stopped, learned_json, leave, scenario_of, show
 from diagrams.commands.options import (
     effect_option,
     effects_of_library,
@@ -90,9 +90,7 @@ def pregrasp(
     run = _run(scenario, options, url if hardware else None, open_meshcat, recording, record)
     written = leave(run.exploration.identification, run.exploration.dataset, folder, recording)
     if json_file is not None:
-        learned = run.exploration
-        document = {**learned.identification.to_json(), "truth": learned.truth(), "pregrasp": run.to_json()}
-        write_json(json_file, document)
+        write_json(json_file, {**learned_json(run.exploration), "pregrasp": run.to_json()})
     show(run.exploration)
     _show(run)
     for what, path in written.items():

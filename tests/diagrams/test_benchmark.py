@@ -127,7 +127,7 @@ def test_a_tiny_benchmark_says_what_is_missing(
     text = said.out.rstrip("\n")
     assert sorted(text.splitlines()) == sorted(format_table(result).splitlines())  # the file sorts its keys
     assert max(map(len, text.splitlines())) <= 80
-    assert text.count("pip install slipmap[bench]") == 2
+    assert text.count("pip install 'slipmap[bench]'") == 2
 
 
 @pytest.mark.usefixtures("small_growth")
