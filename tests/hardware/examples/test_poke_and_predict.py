@@ -1,4 +1,4 @@
-"""A robot pokes a wrench three times and knows then how it slides."""
+"""A robot pokes a wrench five times and knows then how it slides."""
 
 import pytest
 
@@ -17,8 +17,8 @@ def scenario(scenario):
     return scenario
 
 
-def test_three_pokes_tell_how_a_fourth_ends(cell):
-    run = cell.explore(pushes=3, checks=1)
+def test_five_pokes_tell_how_others_end(cell):
+    run = cell.explore(pushes=5, checks=2)
 
     assert_predicts(run, within=0.010)
     assert_better_than_uniform(run)
