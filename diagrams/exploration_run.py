@@ -20,7 +20,7 @@ from diagrams.hardware.interface import HardwareInterface
 from diagrams.push_record import PushRecord, Recording
 from diagrams.recorded import Recorded
 from diagrams.station.scenario import Scenario
-from diagrams.station.station import Station
+from diagrams.station.station import Station, take_fixed_steps
 from diagrams.systems.identification import learning
 from diagrams.systems.messages import LoopStatus
 from diagrams.systems.model_monitor import Watch
@@ -205,6 +205,7 @@ def run_loop(
         HardwareError: the real cell does not answer.
     """
     simulator = Simulator(loop)
+    take_fixed_steps(simulator)
     context = simulator.get_mutable_context()
     station = loop.GetSubsystemByName("station")
     simulated = isinstance(station, Station)
@@ -221,6 +222,8 @@ def run_loop(
         if simulated and not first_look and status.mode == "choosing":
             first_look.append(_frames(loop, root))
         watch(status, root)
+        if simulated:
+            station.after_step(context)
         return EventStatus.DidNothing()
 
     simulator.set_monitor(monitor)

@@ -15,6 +15,7 @@ from diagrams.hardware.child import have_priority
 from diagrams.hardware.twin import CellTwin
 from diagrams.hardware.twin_camera import TwinCamera
 from diagrams.station.scenario import Scenario
+from diagrams.station.station import take_fixed_steps
 
 LATE = 0.1
 """s by which the twin may be late before it gives up catching up: an arm that hurries would be no twin."""
@@ -78,6 +79,7 @@ def _run(
     twin: CellTwin, camera: TwinCamera, period: float, report: Callable[[TwinReport], None], until: float
 ) -> TwinReport:
     simulator = Simulator(twin)
+    take_fixed_steps(simulator)
     simulator.set_target_realtime_rate(1.0)
     simulator.Initialize()
     root = simulator.get_mutable_context()
@@ -102,6 +104,7 @@ def _run(
     def monitor(context: Context) -> EventStatus:
         nonlocal pictures, last, spoke, good, given_up
         simulated = context.get_time()
+        twin.station.after_step(root)
         if simulated >= pictures * period - 1e-9:
             pictures += 1
             camera.take(simulated, plant.GetPositions(state))

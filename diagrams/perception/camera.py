@@ -20,6 +20,7 @@ from pydrake.multibody.plant import MultibodyPlant
 from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.sensors import CameraInfo, RgbdSensor
 
+from diagrams.perception.picture_scene import add_picture_scene
 from diagrams.perception.renderer import require_renderer
 from models.perception.camera import PinholeCamera
 
@@ -110,32 +111,33 @@ def add_camera(
     rate, and sees the state at that very time.
 
     Args:
-        builder: gets the sensor.
-        plant: the world; finalized or not.
-        scene_graph: gets a renderer named `RENDERER`, unless it has it. Geometry needs a perception role,
+        builder: gets the sensor, and a scene graph of its own named `picture_scene` with a renderer named
+            `RENDERER`; see `picture_scene`.
+        plant: the world, finalized.
+        scene_graph: the one that the plant is registered with. What is to be seen needs a perception role,
             which `plant.RegisterVisualGeometry` gives.
         config: by default `CameraConfig()`.
 
     Raises:
+        ValueError: the plant is not finalized.
         RendererUnavailable: the system's libraries for rendering are missing; the text says which packages
             bring them.
     """
     config = config or CameraConfig()
     require_renderer()
-    if not scene_graph.HasRenderer(RENDERER):
-        scene_graph.AddRenderer(RENDERER, MakeRenderEngineVtk(RenderEngineVtkParams(backend="EGL")))
+    scene = add_picture_scene(builder, plant, scene_graph)
+    scene.AddRenderer(RENDERER, MakeRenderEngineVtk(RenderEngineVtkParams(backend="EGL")))
     core = RenderCameraCore(
         RENDERER, config._camera_info(), ClippingRange(0.01, 2 * _FARTHEST), RigidTransform()
     )
-    frame = plant.GetBodyFrameIdOrThrow(plant.world_body().index())
     sensor: Any = builder.AddNamedSystem(
         "camera",
         RgbdSensor(
-            frame,
+            scene.world_frame_id(),
             config.X_WC,
             ColorRenderCamera(core),
             DepthRenderCamera(core, DepthRange(_NEAREST, _FARTHEST)),
         ),
     )
-    builder.Connect(scene_graph.get_query_output_port(), sensor.query_object_input_port())
+    builder.Connect(scene.get_query_output_port(), sensor.query_object_input_port())
     return sensor

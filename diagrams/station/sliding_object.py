@@ -36,6 +36,9 @@ DISC = "disc"
 FINGER_FRICTION = 0.3
 """Friction coefficient of the finger's own geometry, as in its model file."""
 
+STICTION = 1e-4
+"""Speed below which friction lets an object creep, m/s."""
+
 FOOT_RADIUS = 5e-4  # m; lower than any finger passes over the table
 SINK = 2e-5  # m; depth to which every foot sinks in under the load of its cell
 CLEARANCE = 1e-4  # m; between the table and the blocks that finger and table's edge touch
@@ -56,7 +59,10 @@ def plant_config(time_step: float) -> MultibodyPlantConfig:
     to 5 ms; below the stiction tolerance friction falls to zero, so it must be small against a push's speed.
     """
     return MultibodyPlantConfig(
-        time_step=time_step, discrete_contact_approximation="lagged", stiction_tolerance=1e-4
+        time_step=time_step,
+        contact_model="point",
+        discrete_contact_approximation="lagged",
+        stiction_tolerance=STICTION,
     )
 
 

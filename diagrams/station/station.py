@@ -9,20 +9,24 @@ from pydrake.geometry import Meshcat, MeshcatVisualizer, MeshcatVisualizerParams
 from pydrake.math import RigidTransform
 from pydrake.multibody.plant import AddMultibodyPlant, MultibodyPlant
 from pydrake.multibody.tree import BodyIndex
+from pydrake.systems.analysis import ResetIntegratorFromFlags, Simulator
 from pydrake.systems.framework import Context, Diagram, DiagramBuilder, LeafSystem
 from pydrake.systems.primitives import ConstantValueSource, ConstantVectorSource
 
 from diagrams.perception.arm_hulls import ArmHulls
 from diagrams.perception.camera import RENDERER, add_camera
 from diagrams.perception.depth_noise import DepthNoise
-from diagrams.station.arm import add_arm, add_arm_drivers
+from diagrams.station.arm import Arm, add_arm, add_arm_drivers
 from diagrams.station.hidden_effects import add_hidden_effects
+from diagrams.station.rest import RestWatch, hold_or_free
 from diagrams.station.scenario import Scenario
 from diagrams.station.sliding_object import BODY, add_sliding_object, plant_config, resting_pose
 from diagrams.station.table import add_table
 
 TRUTH = "truth."
 """What ports begin with that only a simulation has."""
+
+_LONGEST_STEP = 0.005  # s
 
 
 class Station(Diagram):
@@ -79,6 +83,7 @@ class Station(Diagram):
         self.arm_hulls = ArmHulls(plant, scene_graph, [self.arm.iiwa, self.arm.gripper])
         add_hidden_effects(builder, plant, self.true_object, scenario.hidden)
         add_arm_drivers(builder, plant, self.arm)
+        _watch_rest(builder, plant, scene_graph, self.arm)
         _export_camera(builder, plant, scene_graph, scenario)
         _export_ages(builder)
         _export_truth(builder, plant, body.index())
@@ -86,9 +91,20 @@ class Station(Diagram):
             MeshcatVisualizer.AddToBuilder(
                 builder, scene_graph, meshcat, MeshcatVisualizerParams(role=Role.kIllustration)
             )
-        self._scene_graph = scene_graph
         builder.BuildInto(self)
         self.set_name("station")
+
+    def after_step(self, root: Context) -> None:
+        """Hold the object while it lies still and nothing is near it; see `rest`.
+
+        For whoever runs a simulator, to be called after each of its steps. Without it a simulation is slower.
+
+        Args:
+            root: of the diagram that the station is in.
+        """
+        watch = self.GetSubsystemByName("rest_watch")
+        (at_rest,) = watch.get_output_port().Eval(watch.GetMyContextFromRoot(root))
+        hold_or_free(self.plant, self.plant.GetMyMutableContextFromRoot(root), bool(at_rest))
 
     def release_renderer(self, root: Context) -> None:
         """Free what the camera draws with, of this station and of a Context; there are no pictures after it.
@@ -98,9 +114,26 @@ class Station(Diagram):
         Args:
             root: of the diagram that the station is in.
         """
-        context = self._scene_graph.GetMyMutableContextFromRoot(root)
-        self._scene_graph.RemoveRenderer(context, RENDERER)
-        self._scene_graph.RemoveRenderer(RENDERER)
+        scene = self.GetSubsystemByName("picture_scene")
+        scene.RemoveRenderer(scene.GetMyMutableContextFromRoot(root), RENDERER)
+        scene.RemoveRenderer(RENDERER)
+
+
+def take_fixed_steps(simulator: Simulator) -> None:
+    """Integrate what is continuous in a station, which is the arm's control, without error control.
+
+    It changes little between two steps of the plant, and with error control all that the arm is told is
+    computed four times a step.
+    """
+    ResetIntegratorFromFlags(simulator, "runge_kutta2", _LONGEST_STEP)
+
+
+def _watch_rest(builder: DiagramBuilder, plant: MultibodyPlant, scene_graph: SceneGraph, arm: Arm) -> None:
+    watch = builder.AddNamedSystem("rest_watch", RestWatch(plant, scene_graph, [arm.iiwa, arm.gripper]))
+    builder.Connect(plant.get_body_poses_output_port(), watch.GetInputPort("body_poses"))
+    builder.Connect(
+        plant.get_body_spatial_velocities_output_port(), watch.GetInputPort("body_spatial_velocities")
+    )
 
 
 def _export_camera(

@@ -46,7 +46,9 @@ class PictureHistory:
 
         Two pictures of a camera without noise have rows in common wherever nothing moves.
         """
-        noisy = any(not _same_rows(one, _row_sums(other)).any() for one, other in pairwise(frames))
+        noisy = any(
+            not (_row_sums(one) == _row_sums(other))[_usable(one)].any() for one, other in pairwise(frames)
+        )
         return replace(self, noisy=noisy, missing=float(np.mean([missing(f, blocked) for f in frames])))
 
     def judged(
@@ -61,14 +63,15 @@ class PictureHistory:
             oldest: age from which a picture is too old, s.
             blocked: (H, W) pixels that show the arm.
         """
-        same = [_same_rows(image, other) for other in self.recent] if self.noisy else []
+        sums, usable = _row_sums(image), _usable(image)
+        same = [(sums == other)[usable] for other in self.recent] if self.noisy else []
         new = taken > self.taken + 1e-6 or not self.recent
         if new and not any(len(rows) and rows.all() for rows in same):
             if any(rows.mean() > _TORN for rows in same if len(rows)):
                 return "torn picture", True, self
             if missing(image, blocked) > self.missing + _CORRUPT:
                 return "corrupt picture", True, self
-            return "", True, replace(self, recent=(*self.recent, _row_sums(image))[-REMEMBERED:], taken=taken)
+            return "", True, replace(self, recent=(*self.recent, sums)[-REMEMBERED:], taken=taken)
         return ("old picture" if now - self.taken > oldest else ""), False, self
 
     def spoilt(self, image: DepthImage, blocked: Mask | None) -> bool:
@@ -96,7 +99,6 @@ def _row_sums(image: DepthImage) -> NDArray[np.uint64]:
     return np.asarray(bits @ (2 * weights + 1))  # modulo 2^64
 
 
-def _same_rows(image: DepthImage, sums: NDArray[np.uint64]) -> NDArray[np.bool_]:
-    """For each row of a picture with enough readings, whether another one, of these sums, has the same."""
-    rows = (np.isfinite(image) & (image > 0)).sum(axis=1) >= _USABLE
-    return np.asarray(_row_sums(image)[rows] == sums[rows])
+def _usable(image: DepthImage) -> NDArray[np.bool_]:
+    """(H,) rows with readings enough to be worth comparing."""
+    return np.asarray((np.isfinite(image) & (image > 0)).sum(axis=1) >= _USABLE)

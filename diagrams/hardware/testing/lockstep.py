@@ -49,7 +49,7 @@ class LockstepCell(Diagram):
         self.twin: CellTwin = builder.AddSystem(CellTwin(scenario, cell))
         self._clock = builder.AddSystem(_Clock())
         self._relay = Relay(cell, driver, lambda: self._clock.now)
-        self._clock.tick = self._relay.flush
+        self._clock.tick = self._after_step
         self._interface: HardwareInterface = builder.AddSystem(HardwareInterface(driver, scenario))
         self._lcm = cell
         self.arm_hulls = self._interface.arm_hulls
@@ -110,6 +110,11 @@ class LockstepCell(Diagram):
         """True pose of the object."""
         station = self.twin.station
         return station.GetOutputPort("truth.object_pose").Eval(station.GetMyContextFromRoot(root))
+
+    def _after_step(self) -> None:
+        self._relay.flush()
+        if self._root is not None:
+            self.twin.station.after_step(self._root)
 
     def _now(self) -> FloatArray:
         plant = self.twin.station.plant

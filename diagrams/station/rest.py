@@ -1,0 +1,123 @@
+"""An object that lies still with nothing near it is held where it is, which saves simulation time.
+
+Half of what a step of the plant takes goes into the contacts of the object's feet with the table, also while
+the arm is far away. A lock on the object's body takes them out of the step. What it leaves out is that
+Drake's regularised friction lets an object creep at less than the stiction tolerance.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from pydrake.common.cpp_param import List
+from pydrake.common.value import Value
+from pydrake.geometry import Role, SceneGraph
+from pydrake.math import RigidTransform
+from pydrake.multibody.math import SpatialVelocity
+from pydrake.multibody.plant import MultibodyPlant
+from pydrake.multibody.tree import BodyIndex, ModelInstanceIndex
+from pydrake.systems.framework import BasicVector, Context, DiscreteValues, LeafSystem
+
+from diagrams.station.sliding_object import BODY, STICTION
+from models.physics.cell_grid import FloatArray
+
+PERIOD = 0.02
+"""s between two looks at the object and what is near it."""
+
+QUIET = 0.2
+"""s for which an object lies still before it is held; one that begins to tip is faster by then."""
+
+ROOM = 0.03
+"""m within which the arm wakes the object; at 1.5 m/s it could come from there between two looks."""
+
+_SAME = 1e-9  # m; a held object that was moved by more has been put somewhere by hand
+
+
+class RestWatch(LeafSystem):
+    """Tells whether the object lies still with nothing of the arm near it.
+
+    .. pydrake_system::
+
+        name: RestWatch
+        input_ports:
+        - body_poses
+        - body_spatial_velocities
+        output_ports:
+        - at_rest
+
+    `at_rest` (1,) is 1 or 0. It becomes 1 after `QUIET` in which no point of the object was faster than the
+    stiction tolerance, and 0 at the first look at which one is, at which the object is elsewhere than at the
+    look before, or the arm is within `ROOM`. Distances are between the boxes about the parts' shapes.
+    """
+
+    def __init__(self, plant: MultibodyPlant, scene_graph: SceneGraph, arm: list[ModelInstanceIndex]) -> None:
+        """Args:
+        plant: finalized, with the object in it.
+        scene_graph: the one that the plant is registered with.
+        arm: model instances that may come near.
+        """
+        super().__init__()
+        body = plant.GetBodyByName(BODY)
+        self._object = body.index()
+        corners = np.concatenate([points for _, points in _boxes(plant, scene_graph, self._object)])
+        self._low, self._high = corners.min(axis=0), corners.max(axis=0)
+        self._reach = float(np.linalg.norm(corners, axis=1).max())
+        parts = [
+            box for instance in arm for link in plant.GetBodyIndices(instance)
+            for box in _boxes(plant, scene_graph, link)
+        ]  # fmt: skip
+        self._bodies = [link for link, _ in parts]
+        self._corners = np.array([points for _, points in parts])
+        self.DeclareAbstractInputPort("body_poses", Value[List[RigidTransform]]())
+        self.DeclareAbstractInputPort("body_spatial_velocities", Value[List[SpatialVelocity]]())
+        # How long it has been still, s, and where it was at the last look, m.
+        state = self.DeclareDiscreteState(4)
+        self.DeclarePeriodicDiscreteUpdateEvent(PERIOD, 0.0, self._look)
+        self.DeclareVectorOutputPort("at_rest", 1, self._calc, {self.discrete_state_ticket(state)})
+
+    def _look(self, context: Context, values: DiscreteValues) -> None:
+        X_WB = self.GetInputPort("body_poses").Eval(context)
+        V_WO = self.GetInputPort("body_spatial_velocities").Eval(context)[self._object]
+        still_for, *before = context.get_discrete_state_vector().CopyToVector()
+        place = X_WB[self._object].translation()
+        fastest = np.linalg.norm(V_WO.translational()) + self._reach * np.linalg.norm(V_WO.rotational())
+        moved = still_for > 0 and np.abs(place - before).max() > fastest * PERIOD + _SAME
+        still = fastest < STICTION and not moved and not self._near(X_WB)
+        values.get_mutable_vector().SetFromVector([still_for + PERIOD if still else 0.0, *place])
+
+    def _near(self, X_WB: list[RigidTransform]) -> bool:
+        X_OW = X_WB[self._object].inverse()
+        pose = {link: (X_OW @ X_WB[link]).GetAsMatrix34() for link in set(self._bodies)}
+        X_OL = np.array([pose[link] for link in self._bodies])
+        points = np.einsum("pij,pkj->pki", X_OL[:, :, :3], self._corners) + X_OL[:, None, :, 3]
+        gap = np.maximum(points.min(axis=1) - self._high, self._low - points.max(axis=1)).max(axis=1)
+        return bool(gap.min() < ROOM)
+
+    def _calc(self, context: Context, output: BasicVector) -> None:
+        still_for = context.get_discrete_state_vector().GetAtIndex(0)
+        output.SetFromVector([float(still_for > QUIET)])
+
+
+def hold_or_free(plant: MultibodyPlant, state: Context, at_rest: bool) -> None:
+    """Lock the object in the plant's Context, or unlock it, unless it is that way already."""
+    body = plant.GetBodyByName(BODY)
+    if at_rest == body.is_locked(state):
+        return
+    if at_rest:
+        plant.SetVelocities(state, body.model_instance(), np.zeros(6))
+        body.Lock(state)
+    else:
+        body.Unlock(state)
+
+
+def _boxes(
+    plant: MultibodyPlant, scene_graph: SceneGraph, link: BodyIndex
+) -> list[tuple[BodyIndex, FloatArray]]:
+    """Each shape of a body that can touch, as (8, 3) corners of a box about it in the body's frame, m."""
+    inspector = scene_graph.model_inspector()
+    result = []
+    for shape in inspector.GetGeometries(plant.GetBodyFrameIdOrThrow(link), Role.kProximity):
+        box = inspector.GetObbInGeometryFrame(shape)
+        X_BX = inspector.GetPoseInFrame(shape) @ box.pose()
+        signs = np.stack(np.meshgrid(*[[-1.0, 1.0]] * 3), axis=-1).reshape(-1, 3)
+        result.append((link, (X_BX @ (signs * box.half_width()).T).T))
+    return result

@@ -1,0 +1,138 @@
+"""An object is held while it lies still and nothing is near it, and only then."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+from pydrake.math import RigidTransform, RollPitchYaw
+from pydrake.systems.analysis import Simulator
+from pydrake.systems.framework import EventStatus
+
+from diagrams.execution.finger_kinematics import FingerKinematics
+from diagrams.perception.camera import CameraConfig
+from diagrams.station.arm import HOME, arm_model
+from diagrams.station.rest import QUIET
+from diagrams.station.scenario import Scenario
+from diagrams.station.sliding_object import BODY, GRAVITY, resting_pose
+from diagrams.station.station import Station
+from models.objects.benchmark import benchmark_object
+from models.physics.balance import balance_margins
+
+pytestmark = pytest.mark.usefixtures("renderer")
+
+
+@dataclass
+class Watched:
+    """A station whose simulator calls `after_step`."""
+
+    station: Station
+    simulator: Simulator
+
+    @classmethod
+    def of(cls, **hidden) -> Watched:
+        scenario = Scenario(camera=CameraConfig(width=160, height_pixels=120))
+        scenario.object.name = "book"
+        for effect, values in hidden.items():
+            for parameter, value in values.items():
+                setattr(getattr(scenario.hidden, effect), parameter, value)
+        station = Station(scenario)
+        simulator = Simulator(station)
+        root = simulator.get_mutable_context()
+        station.GetInputPort("iiwa.position").FixValue(root, HOME)
+        station.GetInputPort("gripper.position").FixValue(root, [0.0])
+
+        def after(context) -> EventStatus:
+            station.after_step(root)
+            return EventStatus.DidNothing()
+
+        simulator.set_monitor(after)
+        return cls(station, simulator)
+
+    @property
+    def plant_state(self):
+        return self.station.plant.GetMyMutableContextFromRoot(self.simulator.get_mutable_context())
+
+    def advance(self, duration: float) -> None:
+        self.simulator.AdvanceTo(self.simulator.get_context().get_time() + duration)
+
+    def held(self) -> bool:
+        return bool(self.station.plant.GetBodyByName(BODY).is_locked(self.plant_state))
+
+    def X_WO(self) -> RigidTransform:
+        return self.station.GetOutputPort("truth.object_pose").Eval(self.simulator.get_context())
+
+    def put(self, X_WO: RigidTransform) -> None:
+        plant = self.station.plant
+        plant.SetFreeBodyPose(self.plant_state, plant.GetBodyByName(BODY), X_WO)
+
+    def reach(self, tip: np.ndarray) -> None:
+        """Have the finger's end at a place (3,)."""
+        q = FingerKinematics(arm_model()).inverse(tip)
+        self.station.GetInputPort("iiwa.position").FixValue(self.simulator.get_mutable_context(), q)
+        plant = self.station.plant
+        plant.SetPositions(self.plant_state, self.station.arm.iiwa, q)
+        plant.SetVelocities(self.plant_state, self.station.arm.iiwa, np.zeros(7))
+
+
+@pytest.fixture(scope="module")
+def book() -> Watched:
+    watched = Watched.of()
+    watched.advance(2 * QUIET)
+    return watched
+
+
+def test_it_is_held_after_a_while_and_stays_where_it_is(book: Watched):
+    assert book.held()
+    place = book.X_WO()
+    book.advance(0.5)
+    assert book.X_WO().IsExactlyEqualTo(place)
+    assert place.IsNearlyEqualTo(resting_pose(0.0, 0.0, 0.0), 2e-5)
+
+
+def test_a_finger_beside_it_frees_it_before_it_touches(book: Watched):
+    book.put(resting_pose(0.0, 0.0, 0.0))
+    edge = book.station.true_object.grid.centers[:, 1].max() + book.station.true_object.grid.width / 2
+    for gap, height, held in ((0.28, 0.15, True), (0.01, 0.01, False), (0.28, 0.15, True)):
+        book.reach(np.array([0.0, edge + 0.01 + gap, height]))
+        book.advance(2 * QUIET)
+        assert book.held() == held
+
+
+def test_one_that_was_put_elsewhere_by_hand_falls_from_there(book: Watched):
+    book.put(RigidTransform(RollPitchYaw(0.0, 0.0, 0.5), np.array([0.05, 0.0, 0.04])))
+    book.advance(3 * QUIET)
+    assert book.X_WO().translation()[2] == pytest.approx(0.0, abs=1e-3)
+    assert book.held()
+
+
+def test_one_that_begins_to_tip_over_the_edge_falls():
+    """Its centre of mass 4 mm beyond the edge; it takes a while to be seen moving."""
+    watched = Watched.of()
+    thing = benchmark_object("book")
+    table = Scenario().table.make()
+    center = thing.center_of_mass[None, :2]
+    near, far = 0.0, 0.8
+    for _ in range(40):
+        x = (near + far) / 2
+        margin = balance_margins(thing.grid, center, [[x, 0.0, 0.0]], table)[0, 0]
+        near, far = (x, far) if margin > -4e-3 else (near, x)
+    watched.put(resting_pose(near, 0.0, 0.0))
+    watched.advance(1.5)
+    assert watched.X_WO().translation()[2] < -0.1
+
+
+def test_one_on_a_slope_steeper_than_friction_slides_and_on_a_flatter_one_is_held():
+    book = benchmark_object("book")
+    friction = float((book.mass * book.mu).sum() / book.total_mass)
+    for slope, slides in ((np.arctan(0.5 * friction), False), (np.arctan(1.2 * friction), True)):
+        watched = Watched.of(table_tilt={"down_x": float(slope)})
+        watched.advance(0.6)
+        went = watched.X_WO().translation()[0]
+        assert watched.held() != slides
+        acceleration = GRAVITY * (np.sin(slope) - friction * np.cos(slope))
+        if slides:
+            assert went == pytest.approx(acceleration * 0.6**2 / 2, rel=0.1)
+        else:
+            assert abs(went) < 1e-4
