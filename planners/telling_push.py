@@ -22,7 +22,6 @@ import numpy as np
 from models.effects import LIBRARY, EffectSlider, Scene
 from models.effects.effect import bounds, scales
 from models.inference.diagnosis.fitting import Fitted
-from models.inference.diagnosis.procedure import QUICK_COARSENESS
 from models.inference.diagnosis.results import Diagnosis
 from models.inference.observations import MEASURED_CONTACT, Observation
 from models.measurements import PushDataset
@@ -72,9 +71,8 @@ def next_push(diagnosis: Diagnosis, dataset: PushDataset, seed: int = 0) -> dict
         chosen = proposals_for(dataset, habits, _finger_friction(diagnosis.base), count, rng)
     except NoReachablePush:
         return None
-    coarseness = QUICK_COARSENESS if diagnosis.quick else 1.0
     best, separation, predictions = _most_telling(
-        rivals, pairs, chosen, diagnosis.best, dataset, habits, coarseness
+        rivals, pairs, chosen, diagnosis.best, dataset, habits, diagnosis.coarseness
     )
     if not separation > 0:
         return None

@@ -32,11 +32,18 @@ class Obstacle:
         grid: cells and outline.
         heights: (n,) of the object's top over each cell, m.
         pose: (3,) of the object in the world, m and rad; it lies on the table.
+
+    Raises:
+        ValueError: a height or a pose that is no number, which would be as far away as can be.
     """
 
     grid: CellGrid
     heights: FloatArray
     pose: FloatArray
+
+    def __post_init__(self) -> None:
+        if not (np.isfinite(self.heights).all() and np.isfinite(self.pose).all()):
+            raise ValueError("obstacle: the object's heights and pose must be finite")
 
     def distance(self, points: FloatArray) -> FloatArray:
         """(...) signed distance of points (..., 3) in the world from the nearest box, m."""

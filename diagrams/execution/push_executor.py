@@ -98,7 +98,8 @@ class PushExecutor(LeafSystem):
     - `gripper.state_measured` (2,) opening and its rate, m and m/s, need not be connected; a gripper that
       does not close for a push ends in `stopped`, too.
     - `object_pose`: `ObservedPose`, `seen_object`: `SeenObject | None`, need not be connected: what the arm,
-      but for the finger, keeps away from while it pushes, as from the table.
+      but for the finger, keeps away from while it pushes, as from the table. Connected, they refuse a push of
+      what is not seen.
     - `iiwa.position_measured` (7,) rad; `iiwa.torque_external` (7,) N m, of the contact forces on the arm.
     - `iiwa.position` (7,) rad; `gripper.position` (1,) m, closed unless a grasp is under way;
       `gripper.force_limit` (1,) N.
@@ -216,7 +217,9 @@ class PushExecutor(LeafSystem):
         pose: ObservedPose = self._pose.Eval(context)
         seen: SeenObject | None = self._seen.Eval(context)
         if seen is None or not pose.valid:
-            return None
+            raise MotionRefused(
+                f"where the object lies is not known, so that the arm might hit it: {pose.reason}"
+            )
         return Obstacle(seen.grid, seen.cell_heights, pose.pose)
 
     def _aborted(self, now: _Execution, time: float) -> _Execution:

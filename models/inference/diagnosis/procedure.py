@@ -24,7 +24,7 @@ from models.effects.library import LIBRARY
 from models.inference.diagnosis import outcomes
 from models.inference.diagnosis.inquiry import Inquiry, Progress
 from models.inference.diagnosis.locked import locked_errors, locked_trials
-from models.inference.diagnosis.results import Diagnosis
+from models.inference.diagnosis.results import QUICK_COARSENESS, Diagnosis
 from models.inference.diagnosis.verdict_rules import (
     FEWEST_DRAWS,
     LEVEL,
@@ -35,8 +35,7 @@ from models.inference.observations import observe_all
 from models.measurements import DatasetError, PushDataset
 
 QUICK_PUSHES = 10
-QUICK_COARSENESS = 2.0
-"""Pushes that a quick look takes, spread evenly over all that are open, and how much longer its steps are."""
+"""Pushes that a quick look takes, spread evenly over all that are open."""
 
 
 def diagnose(

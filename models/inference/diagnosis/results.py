@@ -13,6 +13,10 @@ from models.physics.cell_grid import FloatArray
 VERDICTS = ("adequate", "effect", "ambiguous", "unknown", "undecided")
 
 
+QUICK_COARSENESS = 2.0
+"""How many times longer the steps of a quick look are."""
+
+
 @dataclass(frozen=True)
 class ParameterEstimate:
     """One parameter of an effect with its 90 % interval."""
@@ -129,6 +133,11 @@ class Diagnosis:
     seed: int
     rivals: tuple[Fitted, ...] = ()
     next_push: dict[str, object] | None = field(default=None)
+
+    @property
+    def coarseness(self) -> float:
+        """How many times longer than usual the simulation's steps were."""
+        return QUICK_COARSENESS if self.quick else 1.0
 
     @property
     def effect(self) -> str | None:

@@ -20,6 +20,7 @@ from diagrams.execution.surroundings import APART, Surroundings
 from diagrams.station.arm import HOME, add_arm, arm_model
 from diagrams.station.table import ROUND_TABLE
 from models.objects.footprints import cells_from_polygon
+from models.perception.observed_pose import ObservedPose
 from planners.table_push import TablePush
 from tests.diagrams.systems.driven_block import DrivenBlock, seen_at
 
@@ -97,14 +98,21 @@ def test_what_is_too_high_for_the_arm_is_not_pushed(kinematics):
         plan_push(kinematics, BEHIND, HOME, HOME, ExecutionConfig(), surroundings(height=0.4))
 
 
-@pytest.mark.parametrize("height, mode", [(HEIGHT, "approaching"), (0.4, "refused")])
-def test_the_executor_heeds_what_is_seen(height, mode):
+@pytest.mark.parametrize(
+    ("height", "pose", "mode", "reason"),
+    [
+        (HEIGHT, seen_at(*POSE), "approaching", ""),
+        (0.4, seen_at(*POSE), "refused", "as near as"),
+        (HEIGHT, ObservedPose.unseen("occluded"), "refused", "the arm might hit it: occluded"),
+    ],
+)
+def test_the_executor_heeds_what_is_seen(height, pose, mode, reason):
     seen = SimpleNamespace(grid=GRID, cell_heights=np.full(len(GRID), height))
     block = DrivenBlock(
         PushExecutor(arm_model(), HOME, table=ROUND_TABLE),
         **{
             "push": ActivePush(1, BEHIND),
-            "object_pose": seen_at(*POSE),
+            "object_pose": pose,
             "seen_object": seen,
             "gripper.state_measured": np.zeros(2),
             "iiwa.position_measured": HOME,
@@ -114,4 +122,11 @@ def test_the_executor_heeds_what_is_seen(height, mode):
     for _ in range(20):
         block.advance(PERIOD)
     status = block.read("status")
-    assert status.mode == mode and status.push_id == 1, status
+    assert status.mode == mode and status.push_id == 1 and reason in status.reason, status
+
+
+def test_an_obstacle_of_unknown_height_is_none():
+    heights = np.full(len(GRID), HEIGHT)
+    heights[3] = np.nan
+    with pytest.raises(ValueError, match="finite"):
+        Obstacle(GRID, heights, POSE)
