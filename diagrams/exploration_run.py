@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import time
 from collections.abc import Callable, Sequence
 from contextlib import nullcontext
@@ -204,6 +205,7 @@ def run_loop(
     Raises:
         HardwareError: the real cell does not answer.
     """
+    gc.collect()  # the loop of a run before, which is large and goes round in circles
     simulator = Simulator(loop)
     take_fixed_steps(simulator)
     context = simulator.get_mutable_context()
@@ -234,8 +236,6 @@ def run_loop(
             interrupted = pressed()
     except KeyboardInterrupt:
         interrupted = True
-    if simulated:
-        station.release_renderer(context)
     return LoopEnd(
         output_of(loop, supervisor, "status", context),
         context,

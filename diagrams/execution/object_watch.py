@@ -6,8 +6,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from pydrake.common.value import Value
-from pydrake.systems.framework import Context, EventStatus, LeafSystem, State
+from pydrake.systems.framework import Context, EventStatus, State
 
+from diagrams.collectable import PythonSystem
 from diagrams.execution.messages import ExecutionStatus
 from diagrams.systems.held import held, read, replace_held
 from models.angles import angle_between
@@ -34,7 +35,7 @@ class _Aim:
     moved: str = ""
 
 
-class ObjectWatch(LeafSystem):
+class ObjectWatch(PythonSystem):
     """Tells the executor to give up a push whose object is no longer where it was.
 
     .. pydrake_system::

@@ -8,8 +8,9 @@ import numpy as np
 from pydrake.common.value import Value
 from pydrake.math import RigidTransform
 from pydrake.multibody.plant import MultibodyPlant
-from pydrake.systems.framework import BasicVector, Context, EventStatus, LeafSystem, State
+from pydrake.systems.framework import BasicVector, Context, EventStatus, State
 
+from diagrams.collectable import PythonSystem
 from diagrams.execution.clearance import ArmClearance, Obstacle
 from diagrams.execution.config import ExecutionConfig
 from diagrams.execution.finger_kinematics import FingerKinematics
@@ -61,7 +62,7 @@ class _Execution:
         return min(time, self.stopped) - self.begin
 
 
-class PushExecutor(LeafSystem):
+class PushExecutor(PythonSystem):
     """Plans and makes pushes and grasps one at a time; tells where the finger is and what force it exerts.
 
     .. pydrake_system::

@@ -7,8 +7,9 @@ from dataclasses import replace
 import numpy as np
 from pydrake.common.value import Value
 from pydrake.multibody.plant import MultibodyPlant
-from pydrake.systems.framework import BasicVector, Context, EventStatus, LeafSystem, State
+from pydrake.systems.framework import BasicVector, Context, EventStatus, State
 
+from diagrams.collectable import PythonSystem
 from diagrams.execution.finger_kinematics import FingerKinematics
 from diagrams.execution.messages import Health
 from diagrams.hardware.braking import braking
@@ -21,7 +22,7 @@ _BACK = 2.5
 """Times the time that the fastest joint would need for the way back of an arm that presses on something."""
 
 
-class CommandGuard(LeafSystem):
+class CommandGuard(PythonSystem):
     """Passes joint angles on to the arm while all is well; else brings the arm to rest and holds it.
 
     .. pydrake_system::

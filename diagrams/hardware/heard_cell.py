@@ -11,9 +11,10 @@ from pydrake.common.value import AbstractValue, Value
 from pydrake.manipulation import IiwaStatusReceiver, SchunkWsgStatusReceiver
 from pydrake.math import RigidTransform
 from pydrake.multibody.plant import AddMultibodyPlantSceneGraph
-from pydrake.systems.framework import BasicVector, Context, Diagram, DiagramBuilder, LeafSystem
+from pydrake.systems.framework import BasicVector, Context, DiagramBuilder
 from pydrake.systems.sensors import LcmImageArrayToImages
 
+from diagrams.collectable import PythonDiagram, PythonSystem
 from diagrams.hardware import channels
 from diagrams.hardware.messages import CheckedMessages, Received
 from diagrams.hardware.validation import rules
@@ -30,7 +31,7 @@ NEEDED = (*ARM, channels.CAMERA_DEPTH, channels.CAMERA_POSE)
 """Channels without which nothing can be done."""
 
 
-class HeardCell(Diagram):
+class HeardCell(PythonDiagram):
     """What arm, gripper and camera say.
 
     .. pydrake_system::
@@ -125,7 +126,7 @@ def _arm_hulls(scenario: Scenario) -> ArmHulls:
     return ArmHulls(plant, scene_graph, [arm.iiwa, arm.gripper])
 
 
-class _PoseReceiver(LeafSystem):
+class _PoseReceiver(PythonSystem):
     """A pose from seven named numbers; the identity before they came."""
 
     def __init__(self) -> None:
@@ -142,7 +143,7 @@ class _PoseReceiver(LeafSystem):
         output.set_value(pose)
 
 
-class _PictureAge(LeafSystem):
+class _PictureAge(PythonSystem):
     """How long ago the newest picture was taken.
 
     The arm's newest status tells what the sender's clock shows now, so that neither rendering nor a large

@@ -9,10 +9,11 @@ from drake import lcmt_drake_signal, lcmt_iiwa_command, lcmt_schunk_wsg_command
 from pydrake.common.value import Value
 from pydrake.lcm import DrakeLcmInterface
 from pydrake.manipulation import IiwaCommandSender, IiwaControlMode, SchunkWsgCommandSender
-from pydrake.systems.framework import BasicVector, Context, Diagram, DiagramBuilder, EventStatus, LeafSystem
+from pydrake.systems.framework import BasicVector, Context, DiagramBuilder, EventStatus, LeafSystem
 from pydrake.systems.lcm import LcmInterfaceSystem
 from pydrake.systems.primitives import PassThrough
 
+from diagrams.collectable import PythonDiagram, PythonSystem, weakly
 from diagrams.execution.messages import Health
 from diagrams.hardware import channels, network
 from diagrams.hardware.command_stream import CommandStream
@@ -28,7 +29,7 @@ OWN = ("health", "iiwa.silence", "abort")
 """Ports that only a real cell has."""
 
 
-class HardwareInterface(Diagram):
+class HardwareInterface(PythonDiagram):
     """The cell behind an LCM address.
 
     .. pydrake_system::
@@ -79,7 +80,7 @@ class HardwareInterface(Diagram):
         self._url = lcm if isinstance(lcm, str) else lcm.get_lcm_url()
         self._lcm = network.open_lcm(lcm) if isinstance(lcm, str) else lcm
         builder = DiagramBuilder()
-        self._bus = builder.AddSystem(LcmInterfaceSystem(self._lcm))
+        builder.AddSystem(LcmInterfaceSystem(self._lcm))
         clock = time.monotonic if alone else None
         self._heard = builder.AddNamedSystem("heard", HeardCell(scenario, clock))
         self.arm_hulls = self._heard.arm_hulls
@@ -92,7 +93,7 @@ class HardwareInterface(Diagram):
         builder.ExportOutput(abort.get_output_port(), "abort")
         if not alone:
             for channel, system in {**self._checked, channels.ABORT: self._stop}.items():
-                self._lcm.Subscribe(channel, system.hear)
+                self._lcm.Subscribe(channel, weakly(system.hear))
         for index in range(self._heard.num_output_ports()):
             port = self._heard.get_output_port(index)
             builder.ExportOutput(port, port.get_name())
@@ -170,7 +171,7 @@ class HardwareInterface(Diagram):
             builder.ExportInput(unused.get_input_port(), "health")
             self._sender = builder.AddSystem(IiwaCommandSender(7, IiwaControlMode.kPositionOnly))
             publisher = publish(
-                builder, self._bus, channels.IIWA_COMMAND, lcmt_iiwa_command, channels.ARM_PERIOD
+                builder, self._lcm, channels.IIWA_COMMAND, lcmt_iiwa_command, channels.ARM_PERIOD
             )
             builder.Connect(self._sender.get_output_port(), publisher.get_input_port())
         builder.ExportInput(self._sender.GetInputPort("position"), "iiwa.position")
@@ -178,14 +179,14 @@ class HardwareInterface(Diagram):
     def _add_gripper_commands(self, builder: DiagramBuilder) -> None:
         sender = builder.AddSystem(SchunkWsgCommandSender())
         publisher = publish(
-            builder, self._bus, channels.GRIPPER_COMMAND, lcmt_schunk_wsg_command, channels.GRIPPER_PERIOD
+            builder, self._lcm, channels.GRIPPER_COMMAND, lcmt_schunk_wsg_command, channels.GRIPPER_PERIOD
         )
         builder.Connect(sender.get_output_port(), publisher.get_input_port())
         builder.ExportInput(sender.get_position_input_port(), "gripper.position")
         builder.ExportInput(sender.get_force_limit_input_port(), "gripper.force_limit")
 
 
-class _Abort(LeafSystem):
+class _Abort(PythonSystem):
     """Whether the newest message says that the arm is to be stopped; not before the first."""
 
     def __init__(self) -> None:
@@ -198,7 +199,7 @@ class _Abort(LeafSystem):
         output.SetFromVector([lcmt_drake_signal.decode(data).val[0] if data else 0.0])
 
 
-class _StreamSender(LeafSystem):
+class _StreamSender(PythonSystem):
     """Hands the arm's commands to the process that sends them."""
 
     def __init__(self) -> None:

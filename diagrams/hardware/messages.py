@@ -11,13 +11,14 @@ from typing import Any
 
 import numpy as np
 from pydrake.common.value import AbstractValue, Value
-from pydrake.systems.framework import BasicVector, Context, DiagramBuilder, EventStatus, LeafSystem, State
+from pydrake.lcm import DrakeLcmInterface
+from pydrake.systems.framework import BasicVector, Context, DiagramBuilder, EventStatus, State
 from pydrake.systems.lcm import (
-    LcmInterfaceSystem,
     LcmPublisherSystem,
     _Serializer_,  # no other name leads to messages that Drake's own receivers take
 )
 
+from diagrams.collectable import PythonSystem
 from diagrams.hardware.validation import BadMessage, Rule, check_stamp
 from diagrams.systems.held import held, read, replace_held
 
@@ -54,7 +55,7 @@ class Received:
     looked: float = np.nan
 
 
-class CheckedMessages(LeafSystem):
+class CheckedMessages(PythonSystem):
     """Lets good messages of a channel through, and warns of others.
 
     .. pydrake_system::
@@ -196,9 +197,12 @@ def _listened(now: Received, clock: float, *, new: bool) -> Received:
 
 
 def publish(
-    builder: DiagramBuilder, lcm: LcmInterfaceSystem, channel: str, lcm_type: Any, period: float
+    builder: DiagramBuilder, lcm: DrakeLcmInterface, channel: str, lcm_type: Any, period: float
 ) -> LcmPublisherSystem:
-    """Add a publisher of Drake's messages to a channel, named like the channel."""
+    """Add a publisher of Drake's messages to a channel, named like the channel.
+
+    Where it is given a system of the diagram for the connection, pydrake never frees the diagram.
+    """
     serializer = _Serializer_[lcm_type]()
     return builder.AddNamedSystem(
         f"{channel}_publisher", LcmPublisherSystem(channel, serializer, lcm, publish_period=period)

@@ -19,16 +19,15 @@ from pydrake.math import RigidTransform
 from pydrake.systems.framework import (
     BasicVector,
     Context,
-    Diagram,
     DiagramBuilder,
     EventStatus,
-    LeafSystem,
     State,
 )
 from pydrake.systems.lcm import LcmInterfaceSystem, LcmPublisherSystem
 from pydrake.systems.primitives import ConstantVectorSource
 from pydrake.systems.sensors import ImageToLcmImageArrayT, PixelType
 
+from diagrams.collectable import PythonDiagram, PythonSystem, weakly
 from diagrams.hardware import channels
 from diagrams.hardware.command_stream import CommandBuffer
 from diagrams.hardware.messages import CheckedMessages, Received, publish
@@ -41,7 +40,7 @@ from models.robots import GRIP_FORCE
 _PLAYED_LATER = 0.015  # s; messages do not come quite evenly
 
 
-class CellTwin(Diagram):
+class CellTwin(PythonDiagram):
     """The station that is told by messages what to do, and says by messages what it does.
 
     It has no ports; its subsystem `station` is the `Station`. Messages of the arm are sent at 200 Hz, of the
@@ -66,7 +65,7 @@ class CellTwin(Diagram):
         super().__init__()
         builder = DiagramBuilder()
         self.station: Station = builder.AddSystem(Station(scenario))
-        bus = builder.AddSystem(LcmInterfaceSystem(lcm))
+        builder.AddSystem(LcmInterfaceSystem(lcm))
         self._checked: dict[str, CheckedMessages] = {}
         if arm:
             rule = rules(scenario.camera.width, scenario.camera.height_pixels)
@@ -75,11 +74,11 @@ class CellTwin(Diagram):
                 for channel in (channels.IIWA_COMMAND, channels.GRIPPER_COMMAND)
             }
             for channel, system in self._checked.items():
-                lcm.Subscribe(channel, system.hear)
-            _add_arm(builder, self.station, bus, self._checked[channels.IIWA_COMMAND])
-            _add_gripper(builder, self.station, bus, self._checked[channels.GRIPPER_COMMAND])
+                lcm.Subscribe(channel, weakly(system.hear))
+            _add_arm(builder, self.station, lcm, self._checked[channels.IIWA_COMMAND])
+            _add_gripper(builder, self.station, lcm, self._checked[channels.GRIPPER_COMMAND])
         if camera:
-            self.camera_publishers = _add_camera(builder, self.station, bus, scenario)
+            self.camera_publishers = _add_camera(builder, self.station, lcm, scenario)
         builder.BuildInto(self)
         self.set_name("cell_twin")
 
@@ -91,12 +90,12 @@ class CellTwin(Diagram):
 
 
 def _add_arm(
-    builder: DiagramBuilder, station: Station, bus: LcmInterfaceSystem, commands: CheckedMessages
+    builder: DiagramBuilder, station: Station, lcm: DrakeLcmInterface, commands: CheckedMessages
 ) -> None:
     receiver = builder.AddSystem(IiwaCommandReceiver(7, IiwaControlMode.kPositionOnly))
     sender = builder.AddSystem(IiwaStatusSender())
     no_torque = builder.AddSystem(ConstantVectorSource(np.zeros(7)))
-    status = publish(builder, bus, channels.IIWA_STATUS, lcmt_iiwa_status, channels.ARM_PERIOD)
+    status = publish(builder, lcm, channels.IIWA_STATUS, lcmt_iiwa_status, channels.ARM_PERIOD)
     measured = station.GetOutputPort("iiwa.position_measured")
     builder.Connect(commands.GetOutputPort("message"), receiver.GetInputPort("lcmt_iiwa_command"))
     builder.Connect(measured, receiver.GetInputPort("position_measured"))
@@ -112,11 +111,11 @@ def _add_arm(
 
 
 def _add_gripper(
-    builder: DiagramBuilder, station: Station, bus: LcmInterfaceSystem, commands: CheckedMessages
+    builder: DiagramBuilder, station: Station, lcm: DrakeLcmInterface, commands: CheckedMessages
 ) -> None:
     receiver = builder.AddSystem(SchunkWsgCommandReceiver(initial_position=0.0, initial_force=GRIP_FORCE / 2))
     sender = builder.AddSystem(SchunkWsgStatusSender())
-    status = publish(builder, bus, channels.GRIPPER_STATUS, lcmt_schunk_wsg_status, channels.GRIPPER_PERIOD)
+    status = publish(builder, lcm, channels.GRIPPER_STATUS, lcmt_schunk_wsg_status, channels.GRIPPER_PERIOD)
     builder.Connect(commands.GetOutputPort("message"), receiver.GetInputPort("command_message"))
     for name in ("position", "force_limit"):
         builder.Connect(receiver.GetOutputPort(name), station.GetInputPort(f"gripper.{name}"))
@@ -125,7 +124,7 @@ def _add_gripper(
 
 
 def _add_camera(
-    builder: DiagramBuilder, station: Station, bus: LcmInterfaceSystem, scenario: Scenario
+    builder: DiagramBuilder, station: Station, lcm: DrakeLcmInterface, scenario: Scenario
 ) -> dict[str, LcmPublisherSystem]:
     """Returns the publishers by their channels."""
     period = 1.0 / scenario.camera.rate
@@ -137,21 +136,21 @@ def _add_camera(
         packer = ImageToLcmImageArrayT(do_compress=True)
         image = packer.DeclareImageInputPort[pixels]("camera")
         builder.AddNamedSystem(f"{channel}_packer", packer)
-        publisher = publish(builder, bus, channel, lcmt_image_array, every)
+        publisher = publish(builder, lcm, channel, lcmt_image_array, every)
         builder.Connect(station.GetOutputPort(port), image)
         builder.Connect(packer.image_array_t_msg_output_port(), publisher.get_input_port())
         result[channel] = publisher
     pose = builder.AddSystem(_PoseSender())
     publisher = builder.AddNamedSystem(
         f"{channels.CAMERA_POSE}_publisher",
-        LcmPublisherSystem.Make(channels.CAMERA_POSE, lcmt_drake_signal, bus, publish_period=period),
+        LcmPublisherSystem.Make(channels.CAMERA_POSE, lcmt_drake_signal, lcm, publish_period=period),
     )
     builder.Connect(station.GetOutputPort("camera.X_WC"), pose.get_input_port())
     builder.Connect(pose.get_output_port(), publisher.get_input_port())
     return {**result, channels.CAMERA_POSE: publisher}
 
 
-class _Paced(LeafSystem):
+class _Paced(PythonSystem):
     """Commands at the pace of their stamps; before the first, angles as they come."""
 
     def __init__(self) -> None:
@@ -178,7 +177,7 @@ class _Paced(LeafSystem):
         output.SetFromVector(self.GetInputPort("position").Eval(context) if q is None else q)
 
 
-class _PoseSender(LeafSystem):
+class _PoseSender(PythonSystem):
     """A pose as seven named numbers."""
 
     def __init__(self) -> None:

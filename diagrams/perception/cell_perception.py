@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 from pydrake.common.value import AbstractValue, Value
 from pydrake.math import RigidTransform
-from pydrake.systems.framework import LeafSystem
 from pydrake.systems.sensors import ImageDepth32F
 
+from diagrams.collectable import PythonSystem
 from diagrams.perception.camera import CameraConfig
 from diagrams.systems.held import held, read, replace_held
 from diagrams.systems.workers import begun
@@ -134,7 +134,7 @@ class _Eye:
         return _Memory(observed, history, seen=seen, first=first, last_pose=seen.first_pose)
 
 
-class CellPerception(LeafSystem):
+class CellPerception(PythonSystem):
     """Finds the object on the table, cuts it into cells, and follows its pose from picture to picture.
 
     .. pydrake_system::

@@ -8,9 +8,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 from pydrake.common.value import AbstractValue
-from pydrake.systems.framework import LeafSystem
 from pydrake.systems.sensors import ImageDepth32F
 
+from diagrams.collectable import PythonSystem
 from models.perception.camera import DepthImage
 
 _STEP = 0.01  # m; depth jumps more than this at an edge
@@ -86,7 +86,7 @@ def noisy_depth(depth: DepthImage, config: DepthNoiseConfig, generator: np.rando
     return image.astype(np.float32, copy=False)
 
 
-class DepthNoise(LeafSystem):
+class DepthNoise(PythonSystem):
     """Puts a depth camera's noise on rendered pictures.
 
     .. pydrake_system::

@@ -14,7 +14,9 @@ from pydrake.geometry import FrameId, FramePoseVector, GeometryFrame, GeometrySe
 from pydrake.math import RigidTransform
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import BodyIndex
-from pydrake.systems.framework import Context, DiagramBuilder, LeafSystem
+from pydrake.systems.framework import Context, DiagramBuilder
+
+from diagrams.collectable import PythonSystem
 
 
 def add_picture_scene(builder: DiagramBuilder, plant: MultibodyPlant, scene_graph: SceneGraph) -> SceneGraph:
@@ -52,7 +54,7 @@ def add_picture_scene(builder: DiagramBuilder, plant: MultibodyPlant, scene_grap
     return scene
 
 
-class _FramePoses(LeafSystem):
+class _FramePoses(PythonSystem):
     """The poses of some bodies as a scene graph takes them."""
 
     def __init__(self, frames: Mapping[BodyIndex, FrameId]) -> None:

@@ -15,10 +15,11 @@ from pydrake.manipulation import (
 from pydrake.math import RigidTransform, RollPitchYaw, RotationMatrix
 from pydrake.multibody.parsing import LoadModelDirectivesFromString, Parser, ProcessModelDirectives
 from pydrake.multibody.plant import MultibodyPlant
-from pydrake.multibody.tree import FixedOffsetFrame, Frame, ModelInstanceIndex
-from pydrake.systems.framework import BasicVector, Context, DiagramBuilder, LeafSystem
+from pydrake.multibody.tree import FixedOffsetFrame, FrameIndex, ModelInstanceIndex
+from pydrake.systems.framework import BasicVector, Context, DiagramBuilder
 from pydrake.systems.primitives import SharedPointerSystem
 
+from diagrams.collectable import PythonSystem
 from models.physics.cell_grid import FloatArray
 from models.robots import ARM_JOINTS, FINGER_RADIUS, FLANGE_HEIGHT, FOLDER, GRIPPER_MODEL, IIWA_MODEL
 
@@ -65,7 +66,7 @@ class Arm:
     Attributes:
         iiwa: model instance of the arm proper, 7 positions.
         gripper: model instance of its hand, 2 positions.
-        tip: frame T, its origin the centre of the finger's end, its z along the finger and out of the hand.
+        tip: of frame T at the centre of the finger's end, its z along the finger and out of the hand.
         finger_radius: of the round finger that the closed gripper is, m.
         X_WB: pose of the arm's base in the world.
         models: the set of models it came from.
@@ -73,7 +74,7 @@ class Arm:
 
     iiwa: ModelInstanceIndex
     gripper: ModelInstanceIndex
-    tip: Frame
+    tip: FrameIndex
     finger_radius: float
     X_WB: RigidTransform
     models: str
@@ -113,7 +114,7 @@ def add_arm(plant: MultibodyPlant, X_WB: RigidTransform | None = None, models: s
         plant.GetJointByName(name, iiwa).set_default_positions([angle])
     if plant.geometry_source_is_registered():
         _add_stand(plant, X_WB)
-    return Arm(iiwa, gripper, plant.GetFrameByName("tip", gripper), FINGER_RADIUS, X_WB, models)
+    return Arm(iiwa, gripper, plant.GetFrameByName("tip", gripper).index(), FINGER_RADIUS, X_WB, models)
 
 
 def arm_model(X_WB: RigidTransform | None = None, models: str = "primitives") -> MultibodyPlant:
@@ -199,7 +200,7 @@ def add_arm_drivers(builder: DiagramBuilder, plant: MultibodyPlant, arm: Arm) ->
     builder.ExportOutput(opening.get_output_port(), "gripper.state_measured")
 
 
-class _Squeeze(LeafSystem):
+class _Squeeze(PythonSystem):
     """Makes a gripper that is told to close do so with all its force.
 
     Told just to be closed, its control would give way by 3.5 mm when a push strikes one of the pins.

@@ -12,8 +12,9 @@ from pydrake.common.value import AbstractValue, Value
 from pydrake.math import RigidTransform
 from pydrake.multibody.math import SpatialForce, SpatialVelocity
 from pydrake.multibody.plant import ExternallyAppliedSpatialForce, MultibodyPlant
-from pydrake.systems.framework import Context, DiagramBuilder, LeafSystem
+from pydrake.systems.framework import Context, DiagramBuilder
 
+from diagrams.collectable import PythonSystem
 from diagrams.station.sliding_object import BODY, GRAVITY
 from models.objects.true_object import TrueObject
 from models.physics.cell_grid import FloatArray
@@ -136,7 +137,7 @@ def tilted_gravity(tilt: TableTilt, gravity: float = GRAVITY) -> FloatArray:
     return gravity * down / np.linalg.norm(down)
 
 
-class HiddenEffects(LeafSystem):
+class HiddenEffects(PythonSystem):
     """Forces of the hidden effects on the object, for the plant's `applied_spatial_force`.
 
     .. pydrake_system::

@@ -15,8 +15,9 @@ from pydrake.math import RigidTransform
 from pydrake.multibody.math import SpatialVelocity
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import BodyIndex, ModelInstanceIndex
-from pydrake.systems.framework import BasicVector, Context, DiscreteValues, LeafSystem
+from pydrake.systems.framework import BasicVector, Context, DiscreteValues
 
+from diagrams.collectable import PythonSystem
 from diagrams.station.sliding_object import BODY, STICTION
 from models.physics.cell_grid import FloatArray
 
@@ -32,7 +33,7 @@ ROOM = 0.03
 _SAME = 1e-9  # m; a held object that was moved by more has been put somewhere by hand
 
 
-class RestWatch(LeafSystem):
+class RestWatch(PythonSystem):
     """Tells whether the object lies still with nothing of the arm near it.
 
     .. pydrake_system::

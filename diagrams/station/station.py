@@ -10,11 +10,12 @@ from pydrake.math import RigidTransform
 from pydrake.multibody.plant import AddMultibodyPlant, MultibodyPlant
 from pydrake.multibody.tree import BodyIndex
 from pydrake.systems.analysis import ResetIntegratorFromFlags, Simulator
-from pydrake.systems.framework import Context, Diagram, DiagramBuilder, LeafSystem
+from pydrake.systems.framework import Context, DiagramBuilder
 from pydrake.systems.primitives import ConstantValueSource, ConstantVectorSource
 
+from diagrams.collectable import PythonDiagram, PythonSystem
 from diagrams.perception.arm_hulls import ArmHulls
-from diagrams.perception.camera import RENDERER, add_camera
+from diagrams.perception.camera import add_camera
 from diagrams.perception.depth_noise import DepthNoise
 from diagrams.station.arm import Arm, add_arm, add_arm_drivers
 from diagrams.station.hidden_effects import add_hidden_effects
@@ -29,7 +30,7 @@ TRUTH = "truth."
 _LONGEST_STEP = 0.005  # s
 
 
-class Station(Diagram):
+class Station(PythonDiagram):
     """Arm with gripper, table, object and depth camera.
 
     .. pydrake_system::
@@ -106,18 +107,6 @@ class Station(Diagram):
         (at_rest,) = watch.get_output_port().Eval(watch.GetMyContextFromRoot(root))
         hold_or_free(self.plant, self.plant.GetMyMutableContextFromRoot(root), bool(at_rest))
 
-    def release_renderer(self, root: Context) -> None:
-        """Free what the camera draws with, of this station and of a Context; there are no pictures after it.
-
-        Drake never frees a diagram with systems written in Python, and the renderer is most of it.
-
-        Args:
-            root: of the diagram that the station is in.
-        """
-        scene = self.GetSubsystemByName("picture_scene")
-        scene.RemoveRenderer(scene.GetMyMutableContextFromRoot(root), RENDERER)
-        scene.RemoveRenderer(RENDERER)
-
 
 def take_fixed_steps(simulator: Simulator) -> None:
     """Integrate what is continuous in a station, which is the arm's control, without error control.
@@ -164,7 +153,7 @@ def _export_truth(builder: DiagramBuilder, plant: MultibodyPlant, body: BodyInde
     builder.ExportOutput(plant.get_contact_results_output_port(), f"{TRUTH}contact_results")
 
 
-class _BodyPose(LeafSystem):
+class _BodyPose(PythonSystem):
     """Picks one body's pose out of all."""
 
     def __init__(self, body: BodyIndex) -> None:

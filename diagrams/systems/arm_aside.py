@@ -8,15 +8,16 @@ from functools import lru_cache
 import numpy as np
 from pydrake.common.value import Value
 from pydrake.math import RigidTransform
-from pydrake.systems.framework import Context, LeafSystem
+from pydrake.systems.framework import Context
 
+from diagrams.collectable import PythonSystem
 from diagrams.perception.sight import Sight
 from models.perception.arm_mask import Hull
 from models.perception.camera import PinholeCamera, View
 from models.physics.cell_grid import FloatArray
 
 
-class ArmAside(LeafSystem):
+class ArmAside(PythonSystem):
     """Tells whether the whole object can be seen past the arm.
 
     .. pydrake_system::

@@ -8,8 +8,9 @@ import numpy as np
 from pydrake.common.value import Value
 from pydrake.geometry import Meshcat
 from pydrake.math import RigidTransform, RollPitchYaw, RotationMatrix
-from pydrake.systems.framework import Context, LeafSystem
+from pydrake.systems.framework import Context
 
+from diagrams.collectable import PythonSystem
 from diagrams.systems.belief_colors import (
     BLACK,
     BLUE,
@@ -47,7 +48,7 @@ HYPOTHESIS = "hypothesis (0: mean)"
 MAP = "map (0: mass, 1: friction, 2: both)"
 
 
-class BeliefVisualizer(LeafSystem):
+class BeliefVisualizer(PythonSystem):
     """Draws a belief and how it fares into Meshcat.
 
     .. pydrake_system::

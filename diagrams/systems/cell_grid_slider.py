@@ -11,6 +11,7 @@ from pydrake.common.value import AbstractValue
 from pydrake.systems.framework import BasicVector_, LeafSystem_, NumericParameterIndex, ValueProducer
 from pydrake.systems.scalar_conversion import TemplateSystem
 
+from diagrams.collectable import HoldsOutputFunctions, WithoutOwnDict, weakly
 from diagrams.systems.reported_pose import history_length, pose_then, values_of, with_gradient
 from models.effects.effect import Effect
 from models.effects.stepper import NO_FINGER, NO_WRENCH, StepModels, Stepper
@@ -27,7 +28,7 @@ MASS, FRICTION, FINGER_FRICTION, EFFECTS, PUSH = range(5)
 def CellGridSlider_(T: type) -> type:
     """`CellGridSlider` for the scalar T, `float` or `AutoDiffXd`."""
 
-    class Impl(LeafSystem_[T]):
+    class Impl(HoldsOutputFunctions, LeafSystem_[T], metaclass=WithoutOwnDict):
         """The cell-grid model of one object, in steps of h; it is pushed by a finger, by a wrench, or both.
 
         .. pydrake_system::
@@ -104,7 +105,7 @@ def CellGridSlider_(T: type) -> type:
                 self.DeclareNumericParameter(vector(values))
             entry = self.DeclareCacheEntry(
                 "models as the kernel takes them",
-                ValueProducer(lambda: AbstractValue.Make(models), self._prepare),
+                ValueProducer(lambda: AbstractValue.Make(models), weakly(self._prepare)),
                 {self.numeric_parameter_ticket(NumericParameterIndex(i)) for i in range(PUSH)},
             )
             self._models_entry = entry.cache_index()

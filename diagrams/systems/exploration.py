@@ -9,8 +9,9 @@ from typing import Any
 
 import numpy as np
 from pydrake.common.value import Value
-from pydrake.systems.framework import Context, EventStatus, LeafSystem, State
+from pydrake.systems.framework import Context, EventStatus, State
 
+from diagrams.collectable import PythonSystem
 from diagrams.execution.clearance import Obstacle
 from diagrams.systems.held import held, read, replace_held
 from diagrams.systems.messages import LoopStatus, PokeRequest
@@ -24,7 +25,7 @@ from planners.table_push import TablePush
 PERIOD = 0.05
 
 
-class Exploration(LeafSystem):
+class Exploration(PythonSystem):
     """Chooses a push when the loop asks for one.
 
     .. pydrake_system::

@@ -5,10 +5,12 @@ from __future__ import annotations
 import numpy as np
 from pydrake.common.value import Value
 from pydrake.math import RigidTransform
-from pydrake.systems.framework import BasicVector, Context, EventStatus, LeafSystem, State
+from pydrake.systems.framework import BasicVector, Context, EventStatus, State
+
+from diagrams.collectable import PythonSystem
 
 
-class FingerMotion(LeafSystem):
+class FingerMotion(PythonSystem):
     """Turns the finger's measured pose into the `finger` input of `CellGridSlider`.
 
     .. pydrake_system::

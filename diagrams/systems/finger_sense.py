@@ -5,13 +5,14 @@ from __future__ import annotations
 from pydrake.common.value import Value
 from pydrake.math import RigidTransform
 from pydrake.multibody.plant import MultibodyPlant
-from pydrake.systems.framework import BasicVector, Context, LeafSystem
+from pydrake.systems.framework import BasicVector, Context
 
+from diagrams.collectable import PythonSystem
 from diagrams.execution.finger_kinematics import FingerKinematics
 from diagrams.execution.tip_force import tip_force
 
 
-class FingerSense(LeafSystem):
+class FingerSense(PythonSystem):
     """The finger's pose and force from joint angles and torques.
 
     .. pydrake_system::

@@ -9,8 +9,9 @@ from functools import partial
 
 import numpy as np
 from pydrake.common.value import Value
-from pydrake.systems.framework import Context, EventStatus, LeafSystem, State
+from pydrake.systems.framework import Context, EventStatus, State
 
+from diagrams.collectable import PythonSystem
 from diagrams.execution.clearance import Obstacle
 from diagrams.execution.messages import ActiveGrasp
 from diagrams.systems.held import held, read, replace_held
@@ -176,7 +177,7 @@ class _Procedure:
         return float(p @ good), float(margins[sure])
 
 
-class GoalAndPushPlanner(LeafSystem):
+class GoalAndPushPlanner(PythonSystem):
     """Plans a push or the grasp when the loop asks for one.
 
     .. pydrake_system::

@@ -7,8 +7,9 @@ from concurrent.futures import Executor
 from functools import partial
 
 from pydrake.common.value import Value
-from pydrake.systems.framework import Context, EventStatus, LeafSystem, State
+from pydrake.systems.framework import Context, EventStatus, State
 
+from diagrams.collectable import PythonSystem
 from diagrams.systems.held import held, read, replace_held
 from diagrams.systems.workers import begun
 from models.effects.registry import effects_named
@@ -23,7 +24,7 @@ PERIOD = 0.05
 MakeDataset = Callable[[Sequence[Trial], CellGrid], PushDataset]
 
 
-class Identification(LeafSystem):
+class Identification(PythonSystem):
     """Learns maps anew after each push that is to be learned from.
 
     .. pydrake_system::

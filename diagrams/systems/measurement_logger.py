@@ -9,8 +9,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from pydrake.common.value import Value
 from pydrake.math import RigidTransform
-from pydrake.systems.framework import Context, EventStatus, LeafSystem, State
+from pydrake.systems.framework import Context, EventStatus, State
 
+from diagrams.collectable import PythonSystem
 from diagrams.systems.held import held, read, replace_held
 from diagrams.systems.messages import LoopStatus
 from models.measurements import PushDataset, Trial
@@ -49,7 +50,7 @@ class _Recording:
     forces: tuple[Row, ...] = ()
 
 
-class MeasurementLogger(LeafSystem):
+class MeasurementLogger(PythonSystem):
     """Records pushes.
 
     .. pydrake_system::

@@ -7,8 +7,9 @@ from typing import Any
 
 import numpy as np
 from pydrake.common.value import Value
-from pydrake.systems.framework import Context, LeafSystem, State
+from pydrake.systems.framework import Context, State
 
+from diagrams.collectable import PythonSystem
 from diagrams.systems.held import held, read, replace_held
 from diagrams.systems.multiverse_slider import Universes
 from models.inference.diagnosis.error_model import ErrorModel
@@ -87,7 +88,7 @@ class Watch:
         return {"alarm": self.alarm, "evidence": self.evidence, "pushes": pushes}
 
 
-class ModelMonitor(LeafSystem):
+class ModelMonitor(PythonSystem):
     """Holds the predicted pose against the observed one.
 
     .. pydrake_system::

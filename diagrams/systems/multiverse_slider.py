@@ -7,8 +7,9 @@ from typing import Any
 
 import numpy as np
 from pydrake.common.value import Value
-from pydrake.systems.framework import Context, LeafSystem, State
+from pydrake.systems.framework import Context, State
 
+from diagrams.collectable import PythonSystem
 from diagrams.systems.held import held, read, replace_held
 from diagrams.systems.reported_pose import history_length, pose_then
 from models.effects.stepper import NO_FINGER, NO_WRENCH, StepModels, Stepper
@@ -79,7 +80,7 @@ def placed(
     return Universes(belief, stepper, models, states, history, push, begin, order)
 
 
-class MultiverseSlider(LeafSystem):
+class MultiverseSlider(PythonSystem):
     """K hypotheses of a belief under one finger, in steps of h, one call of the kernel a step.
 
     .. pydrake_system::

@@ -7,8 +7,9 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from pydrake.common.value import Value
-from pydrake.systems.framework import Context, EventStatus, LeafSystem, State
+from pydrake.systems.framework import Context, EventStatus, State
 
+from diagrams.collectable import PythonSystem
 from diagrams.execution import ActivePush, ExecutionStatus
 from diagrams.execution.messages import ActiveGrasp
 from diagrams.systems.held import held, read, replace_held
@@ -43,7 +44,7 @@ class _Bringing:
     grasp: ActiveGrasp | None = None
 
 
-class PregraspSupervisor(LeafSystem):
+class PregraspSupervisor(PythonSystem):
     """Takes over from the supervisor of exploration, and brings the object into the gripper.
 
     .. pydrake_system::

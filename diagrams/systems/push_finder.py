@@ -8,8 +8,9 @@ import numpy as np
 import shapely
 from pydrake.common.value import Value
 from pydrake.math import RigidTransform
-from pydrake.systems.framework import Context, EventStatus, LeafSystem, State
+from pydrake.systems.framework import Context, EventStatus, State
 
+from diagrams.collectable import PythonSystem
 from diagrams.execution.messages import ExecutionStatus
 from diagrams.execution.push_executor import CLOSED
 from diagrams.systems.held import held, read, replace_held
@@ -81,7 +82,7 @@ class _Found:
     descents: tuple[Descent, ...] = ()
 
 
-class PushFinder(LeafSystem):
+class PushFinder(PythonSystem):
     """Says of an arm that somebody else drives when it pushes, as executor and supervisor of a loop would.
 
     .. pydrake_system::

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from pydrake.common.value import Value
-from pydrake.systems.framework import Context, EventStatus, LeafSystem, State
+from pydrake.systems.framework import Context, EventStatus, State
 
+from diagrams.collectable import PythonSystem
 from diagrams.execution import ActivePush
 from diagrams.systems.held import held, read, replace_held
 from diagrams.systems.messages import MOST_ATTEMPTS, LoopStatus
@@ -20,7 +21,7 @@ PATIENCE_REAL = 100.0
 """The same where others look at the pictures, who may be late on a busy computer, s."""
 
 
-class PushSupervisor(LeafSystem):
+class PushSupervisor(PythonSystem):
     """Decides what the loop does next.
 
     .. pydrake_system::

@@ -16,9 +16,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from pydrake.common.value import AbstractValue
-from pydrake.systems.framework import LeafSystem
 from pydrake.systems.sensors import ImageDepth32F
 
+from diagrams.collectable import PythonSystem
 from diagrams.hardware.testing.faults import spoilt_rows
 from diagrams.systems.held import held, read, replace_held
 
@@ -37,7 +37,7 @@ class Message:
     torque: np.ndarray
 
 
-class StatusLink(LeafSystem):
+class StatusLink(PythonSystem):
     """The way of the arm's status, a message every `MESSAGE`; who receives drops what is older than it has.
 
     Ports in: `position` (7), `torque` (7). Out: `position`, `torque`, `age` (1), of the newest message, s.
@@ -108,7 +108,7 @@ class StatusLink(LeafSystem):
         output.SetFromVector([np.inf if newest is None else context.get_time() - newest.stamp])
 
 
-class FollowingArm(LeafSystem):
+class FollowingArm(PythonSystem):
     """An arm that is after `MESSAGE` where it was told to be.
 
     Port in: `command` (7). Out: `position` (7), `torque` (7).
@@ -143,7 +143,7 @@ class FollowingArm(LeafSystem):
         output.SetFromVector([0, 0, 0, self._amount if pressed else 0.0, 0, 0, 0])
 
 
-class PictureLink(LeafSystem):
+class PictureLink(PythonSystem):
     """The way of depth pictures, one every `period`.
 
     Ports in: `depth_image`. Out: `depth_image`, `age` (1) of the picture as stamped, s.

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from pydrake.systems.framework import LeafSystem
 
+from diagrams.collectable import PythonSystem
 from diagrams.hardware.guard import CommandGuard
 from diagrams.hardware.guard_rules import PERIOD
 from diagrams.hardware.guard_settings import GuardSettings
@@ -23,7 +23,7 @@ AFAR = (FASTEST, HOME)
 REST = GuardSettings().stopping
 
 
-class Wish(LeafSystem):
+class Wish(PythonSystem):
     """Changes what the executor wants from a time on: the first joint leaps, creeps on, or is no number."""
 
     def __init__(self, at: float, leap: float = 0.0, creep: float = 0.0) -> None:
@@ -40,7 +40,7 @@ class Wish(LeafSystem):
         output.SetFromVector(wanted)
 
 
-class Signal(LeafSystem):
+class Signal(PythonSystem):
     """Numbers over time."""
 
     def __init__(self, of, size: int = 1) -> None:

@@ -9,10 +9,11 @@ import numpy as np
 import pytest
 from pydrake.common.value import AbstractValue, Value
 from pydrake.systems.analysis import Simulator
-from pydrake.systems.framework import DiagramBuilder, LeafSystem
+from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import ConstantValueSource
 from pydrake.systems.sensors import ImageDepth32F
 
+from diagrams.collectable import PythonSystem
 from diagrams.perception.camera import CameraConfig
 from diagrams.perception.cell_perception import OLD, CellPerception
 from models.perception.camera import View
@@ -58,7 +59,7 @@ def taken(frame: int, noise: bool) -> np.ndarray:
     return SCENE.noisy(depth, np.random.default_rng(frame)) if noise else depth
 
 
-class Movie(LeafSystem):
+class Movie(PythonSystem):
     def __init__(self, noise: bool) -> None:
         super().__init__()
         self._noise = noise

@@ -8,8 +8,9 @@ from collections.abc import Callable
 import numpy as np
 from pydrake.lcm import DrakeLcm
 from pydrake.math import RigidTransform
-from pydrake.systems.framework import Context, Diagram, DiagramBuilder, EventStatus, LeafSystem
+from pydrake.systems.framework import Context, DiagramBuilder, EventStatus
 
+from diagrams.collectable import PythonDiagram, PythonSystem, weakly
 from diagrams.hardware import channels
 from diagrams.hardware.interface import PATIENCE, HardwareInterface
 from diagrams.hardware.messages import Received
@@ -21,7 +22,7 @@ from diagrams.station.scenario import Scenario
 from models.physics.cell_grid import FloatArray
 
 
-class LockstepCell(Diagram):
+class LockstepCell(PythonDiagram):
     """`HardwareInterface`, a relay, and the twin behind it, which step together.
 
     It stands where `HardwareInterface` would and has its ports and methods. Messages go through memory. The
@@ -44,7 +45,7 @@ class LockstepCell(Diagram):
         self._positions = positions
         self._root: Context | None = None
         self._commands = array("d")
-        driver.Subscribe(channels.IIWA_COMMAND, lambda data: self._commands.extend(row_of(data)))
+        driver.Subscribe(channels.IIWA_COMMAND, weakly(self._write_down))
         builder = DiagramBuilder()
         self.twin: CellTwin = builder.AddSystem(CellTwin(scenario, cell))
         self._clock = builder.AddSystem(_Clock())
@@ -77,7 +78,6 @@ class LockstepCell(Diagram):
         self._interface.close()
         if self._root is not None:
             self._positions = self._now()
-            self.twin.station.release_renderer(self._root)
             self._root = None
 
     def abort(self) -> None:
@@ -111,6 +111,9 @@ class LockstepCell(Diagram):
         station = self.twin.station
         return station.GetOutputPort("truth.object_pose").Eval(station.GetMyContextFromRoot(root))
 
+    def _write_down(self, command: bytes) -> None:
+        self._commands.extend(row_of(command))
+
     def _after_step(self) -> None:
         self._relay.flush()
         if self._root is not None:
@@ -121,7 +124,7 @@ class LockstepCell(Diagram):
         return np.array(plant.GetPositions(plant.GetMyContextFromRoot(self._root)))
 
 
-class _Clock(LeafSystem):
+class _Clock(PythonSystem):
     """Tells the time of the diagram to those who are no part of it."""
 
     def __init__(self) -> None:

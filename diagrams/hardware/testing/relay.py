@@ -17,6 +17,7 @@ from functools import partial
 
 from pydrake.lcm import DrakeLcmInterface
 
+from diagrams.collectable import weakly
 from diagrams.hardware.channels import HardwareError
 from diagrams.hardware.child import Child, be_ready
 from diagrams.hardware.network import open_lcm
@@ -42,7 +43,7 @@ class Relay:
         for heard, other, names in ((cell, driver, FROM_CELL), (driver, cell, TO_CELL)):
             for channel in names:
                 self._links[channel] = (Link(channel), other)
-                heard.Subscribe(channel, partial(self._pass, channel))
+                heard.Subscribe(channel, partial(weakly(self._pass), channel))
 
     def order(self, fault: Fault) -> None:
         """Let a fault begin."""

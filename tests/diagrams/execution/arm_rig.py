@@ -121,7 +121,7 @@ class Rig:
             out["status"],
             out["iiwa.position"].copy(),
             self.station.GetOutputPort("iiwa.position_measured").Eval(station).copy(),
-            self.arm.tip.CalcPoseInWorld(plant).translation(),
+            self.plant.get_frame(self.arm.tip).CalcPoseInWorld(plant).translation(),
             RigidTransform(out["tip_pose"]),  # what comes from a port changes with it
             out["tip_force"].copy(),
             self._contact_force(station),

@@ -151,7 +151,9 @@ def test_tip_is_the_same_in_plant_and_model(station):
     model.SetPositions(context, HOME)
     X_WT = model.GetFrameByName("tip").CalcPoseInWorld(context)
     np.testing.assert_allclose(
-        station.arm.tip.CalcPoseInWorld(plant_context).GetAsMatrix4(), X_WT.GetAsMatrix4(), atol=1e-12
+        station.plant.get_frame(station.arm.tip).CalcPoseInWorld(plant_context).GetAsMatrix4(),
+        X_WT.GetAsMatrix4(),
+        atol=1e-12,
     )
 
 
@@ -183,7 +185,7 @@ def test_a_force_of_15_newton_moves_the_tip_by_less_than_half_a_millimetre(stati
 
     simulator = station.simulator()
     context = station.plant_context(simulator)
-    before = station.arm.tip.CalcPoseInWorld(context).translation()
+    before = station.plant.get_frame(station.arm.tip).CalcPoseInWorld(context).translation()
     hand = station.plant.GetBodyByName("hand")
     for direction in np.eye(3):
         force = ExternallyAppliedSpatialForce()
@@ -192,7 +194,9 @@ def test_a_force_of_15_newton_moves_the_tip_by_less_than_half_a_millimetre(stati
         force.F_Bq_W = SpatialForce(np.zeros(3), 15.0 * direction)
         station.plant.get_applied_spatial_force_input_port().FixValue(context, [force])
         simulator.AdvanceTo(simulator.get_context().get_time() + 0.3)
-        moved = np.linalg.norm(station.arm.tip.CalcPoseInWorld(context).translation() - before)
+        moved = np.linalg.norm(
+            station.plant.get_frame(station.arm.tip).CalcPoseInWorld(context).translation() - before
+        )
         assert 1e-6 < moved < 0.5e-3
 
 

@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 from pydrake.common.value import Value
-from pydrake.systems.framework import LeafSystem
 
+from diagrams.collectable import PythonSystem
 from models.effects.slider import EffectSlider
 from models.inference.belief import Belief
 from models.objects import cells_from_polygon
@@ -65,7 +65,7 @@ def moved(push: Push, effects: Sequence[Any] = (), values: Sequence[float] = ())
     return slider.rollout(maps, [push]).poses[0]
 
 
-class Player(LeafSystem):
+class Player(PythonSystem):
     """Plays functions of time; `vectors` by name with their size, `values` by name."""
 
     def __init__(
