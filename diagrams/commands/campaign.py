@@ -25,7 +25,7 @@ SHOWN_FAILURES = 5
 @click.command(epilog="Experiments: " + "; ".join(f"{name}, {about}" for name, about in ABOUT.items()) + ".")
 @click.argument("experiment", type=click.Choice(list(ABOUT)), metavar="EXPERIMENT")
 @click.option(
-    "--objects", "object_names", multiple=True, metavar="NAME",
+    "--objects", "object_names", multiple=True, metavar="NAME", shell_complete=options.complete_objects,
     help="Object; may be given several times. [default: all six; fig7: hammer]",
 )  # fmt: skip
 @click.option(

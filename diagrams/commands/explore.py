@@ -155,7 +155,7 @@ def scenario_of(path: Path | None, object_name: str | None) -> Scenario:
     """The scenario of a file, if any, with another object, if any.
 
     Raises:
-        BadInput: the file, or the object's name.
+        BadInput: the file, the object's name, or an object that does not lie on the table.
     """
     from diagrams.station.scenario import Scenario
     from diagrams.station.scenario_file import ScenarioError, read_scenario
@@ -163,12 +163,16 @@ def scenario_of(path: Path | None, object_name: str | None) -> Scenario:
     try:
         scenario = Scenario() if path is None else read_scenario(path, object_name)
         scenario.object.name = object_name or scenario.object.name
-        scenario.object.make()
+        thing = scenario.object.make()
     except ScenarioError as error:
         raise BadInput(str(error)) from error
     except ValueError as error:
         where = "" if path is None or object_name is not None else f"{path}: "
         raise BadInput(f"{where}object: {error}") from error
+    try:
+        scenario.check_placement(thing)
+    except ValueError as error:
+        raise BadInput(str(error) if path is None else f"{path}: {error}") from error
     return scenario
 
 

@@ -21,7 +21,7 @@ NINETY_PERCENT = 4.605
 
 @click.command("explore-study")
 @click.option(
-    "--object", "object_names", multiple=True, metavar="NAME",
+    "--object", "object_names", multiple=True, metavar="NAME", shell_complete=options.complete_objects,
     help="Object to explore; may be given several times. [default: all six]",
 )  # fmt: skip
 @click.option(

@@ -101,10 +101,30 @@ def asked_for(option: str) -> bool:
     return click.get_current_context().get_parameter_source(option) is not ParameterSource.DEFAULT
 
 
+def _completed(names: Callable[[], Sequence[str]]) -> Callable[..., list[str]]:
+    """What a shell offers for an option whose values are names; they are asked for when it does."""
+    return lambda context, parameter, begun: [name for name in names() if name.startswith(begun)]
+
+
+def _effect_names() -> list[str]:
+    return [effect.name for effect in find_effects(())]
+
+
+def _object_names() -> Sequence[str]:
+    from models.objects.benchmark import BENCHMARK_OBJECTS
+
+    return BENCHMARK_OBJECTS
+
+
+complete_objects = _completed(_object_names)
+"""The six objects, for `shell_complete`."""
+
+
 def effect_option(*, required: bool, purpose: str) -> Callable[[Command], Command]:
     """The option `--effect NAME`, which may be given several times."""
     return click.option(
         "--effect", "effect_names", multiple=True, required=required, metavar="NAME",
+        shell_complete=_completed(_effect_names),
         help=f"{purpose}, such as table_tilt; may be given several times.",
     )  # fmt: skip
 
@@ -148,7 +168,7 @@ def load_dataset(path: Path, object_name: str | None, progress: Progress) -> Pus
 
 
 station_object_option = click.option(
-    "--object", "object_name", metavar="NAME",
+    "--object", "object_name", metavar="NAME", shell_complete=complete_objects,
     help="One of the six objects: book, box, hammer, wrench, snack, spray_gun. [default: hammer]",
 )  # fmt: skip
 scenario_option = click.option(

@@ -148,12 +148,31 @@ def test_completion_prints_a_script(slipmap, shell, part):
     assert said.code == 0 and part in said.out
 
 
-def test_the_shell_is_told_commands_that_fit():
-    asked = {"COMP_WORDS": "slipmap ident", "COMP_CWORD": "1", "_SLIPMAP_COMPLETE": "bash_complete"}
+@pytest.mark.parametrize(
+    ("words", "offered"),
+    [
+        ("ident", ["identify"]),
+        ("explore --object h", ["hammer"]),
+        ("campaign fig6 --objects s", ["snack", "spray_gun"]),
+        ("explore-study --object bo", ["book", "box"]),
+        ("fit data --effect table_t", ["table_tilt"]),
+    ],
+)
+def test_the_shell_is_told_words_that_fit(words, offered):
+    count = str(len(words.split()))
+    asked = {"COMP_WORDS": f"slipmap {words}", "COMP_CWORD": count, "_SLIPMAP_COMPLETE": "bash_complete"}
     script = "import sys; sys.argv = ['slipmap']; from diagrams.command_line import main; main()"
     command = [sys.executable, "-c", script]
     result = subprocess.run(command, env={**ENVIRONMENT, **asked}, capture_output=True, text=True)
-    assert result.stdout == "plain,identify\n"
+    assert result.stdout.split() == [f"plain,{word}" for word in offered]
+
+
+def test_an_object_off_the_table_is_told_with_the_scenario_it_stands_in(slipmap, tmp_path):
+    scenario = tmp_path / "cell.yaml"
+    scenario.write_text("object: {pose: [0.4, 0.0, 0.0]}")
+    refused = slipmap("explore", "--scenario", scenario, "--out", tmp_path / "run")
+    assert_refused(refused, f"{scenario}: object.pose", "does not lie on the table")
+    assert files_in(tmp_path) == ["cell.yaml"]
 
 
 def fail_with(monkeypatch, error):
