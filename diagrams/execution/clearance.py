@@ -8,9 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pydrake.geometry import Capsule, Cylinder, Role, SceneGraph, SceneGraphInspector, Shape, Sphere
 from pydrake.math import RigidTransform
-from pydrake.multibody.plant import AddMultibodyPlantSceneGraph, MultibodyPlant
+from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import BodyIndex
-from pydrake.systems.framework import DiagramBuilder
 
 from diagrams.station.arm import STAND_RADIUS, add_arm, default_arm_base, stand_head
 from diagrams.station.table import THICKNESS
@@ -65,7 +64,8 @@ class ArmClearance:
     def __init__(self, table: Table, X_WB: RigidTransform | None = None) -> None:
         self._table = table
         self._head = stand_head(default_arm_base() if X_WB is None else X_WB)
-        plant, scene_graph = AddMultibodyPlantSceneGraph(DiagramBuilder(), 1e-3)
+        plant, scene_graph = MultibodyPlant(1e-3), SceneGraph()
+        plant.RegisterAsSourceForSceneGraph(scene_graph)
         self._arm = add_arm(plant, X_WB)
         plant.Finalize()
         self._plant, self._context = plant, plant.CreateDefaultContext()

@@ -8,9 +8,10 @@ import numpy as np
 from drake import lcmt_drake_signal
 from pydrake.common.eigen_geometry import Quaternion
 from pydrake.common.value import AbstractValue, Value
+from pydrake.geometry import SceneGraph
 from pydrake.manipulation import IiwaStatusReceiver, SchunkWsgStatusReceiver
 from pydrake.math import RigidTransform
-from pydrake.multibody.plant import AddMultibodyPlantSceneGraph
+from pydrake.multibody.plant import MultibodyPlant
 from pydrake.systems.framework import BasicVector, Context, DiagramBuilder
 from pydrake.systems.sensors import LcmImageArrayToImages
 
@@ -120,7 +121,8 @@ class HeardCell(PythonDiagram):
 
 
 def _arm_hulls(scenario: Scenario) -> ArmHulls:
-    plant, scene_graph = AddMultibodyPlantSceneGraph(DiagramBuilder(), 1e-3)
+    plant, scene_graph = MultibodyPlant(1e-3), SceneGraph()
+    plant.RegisterAsSourceForSceneGraph(scene_graph)
     arm = add_arm(plant, models=scenario.arm.models)
     plant.Finalize()
     return ArmHulls(plant, scene_graph, [arm.iiwa, arm.gripper])

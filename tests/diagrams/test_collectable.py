@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from pydrake.multibody.plant import MultibodyPlant
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import Diagram, System
 
@@ -31,6 +32,11 @@ def subsystems(system: System) -> Iterator[System]:
     if isinstance(system, Diagram):
         for part in system.GetSystems():
             yield from subsystems(part)
+
+
+def count(kind: type) -> int:
+    gc.collect()
+    return sum(isinstance(thing, kind) for thing in gc.get_objects())
 
 
 def in_memory() -> Diagram:
@@ -60,10 +66,12 @@ def simulated(make) -> Diagram:
     ids=["explore", "pregrasp", "lockstep"],
 )
 def test_a_loop_that_was_run_is_freed(run):
+    plants = count(MultibodyPlant)
     alive = [weakref.ref(system) for system in subsystems(run())]
     assert len(alive) > 20
     gc.collect()
     assert [type(system()).__name__ for system in alive if system() is not None] == []
+    assert count(MultibodyPlant) == plants, "also those with which its systems compute"
 
 
 def test_the_model_as_a_system_is_freed():
