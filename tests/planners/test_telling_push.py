@@ -81,6 +81,7 @@ class World:
             depends_on=depends_on,
             candidates=(),
             quick=False,
+            coarseness=1.0,
         )
 
 

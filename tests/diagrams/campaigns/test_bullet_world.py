@@ -37,7 +37,8 @@ def test_each_foot_carries_the_weight_of_its_cell(world: BulletWorld) -> None:
     assert carried[n:].max() == 0.0  # prisms hang above the table
 
 
-def test_slides_like_the_model_and_pushes_back_with_its_friction(world: BulletWorld) -> None:
+def test_slides_like_the_model_and_pushes_back_with_its_friction() -> None:
+    world = BulletWorld(benchmark_object("book"), noise=EXACT)
     thing = world.true_object
     rng = np.random.default_rng(0)
     world.reset(np.zeros(3), rng)

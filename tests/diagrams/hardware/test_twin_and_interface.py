@@ -116,8 +116,10 @@ def test_pictures_and_their_place_arrive(both):
     sent = both.twin.station
     context = both.twin.station.GetMyContextFromRoot(both.root)
     assert both.heard("camera.X_WC").IsNearlyEqualTo(both.real("camera.X_WC"), 1e-12)
+    picture = (np.floor(RATE * both.root.get_time() + 1e-6) + 1) / RATE
+    both.simulator.AdvanceTo(picture - 1e-4)
     assert both.heard("camera.age")[0] == pytest.approx(1.0 / RATE, abs=0.01)
-    both.simulator.AdvanceTo(0.6001)  # right after a picture
+    both.simulator.AdvanceTo(picture + 1e-4)
     np.testing.assert_array_equal(both.heard("camera.depth_image").data, both.real("camera.depth_image").data)
     assert (
         both.heard("camera.rgb_image").data.shape

@@ -84,6 +84,8 @@ def book() -> Watched:
 
 
 def test_it_is_held_after_a_while_and_stays_where_it_is(book: Watched):
+    book.put(resting_pose(0.0, 0.0, 0.0))
+    book.advance(2 * QUIET)
     assert book.held()
     place = book.X_WO()
     book.advance(0.5)
