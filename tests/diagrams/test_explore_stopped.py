@@ -1,0 +1,43 @@
+"""Ctrl-C while the robot explores: what was pushed until then is kept, and can be gone on with."""
+
+from __future__ import annotations
+
+import json
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from test_command_line import ENVIRONMENT, hear_ctrl_c
+
+from diagrams.exploration_record import resumed
+from models.inference.belief import Belief
+from models.measurements import read_dataset
+
+pytestmark = pytest.mark.usefixtures("renderer")
+
+
+def test_ctrl_c_in_the_second_push_leaves_the_first(tmp_path: Path) -> None:
+    cell, out, result = tmp_path / "cell.yaml", tmp_path / "out", tmp_path / "result.json"
+    cell.write_text("simulation: {time_step: 0.005}\ncamera: {rate: 5.0}\n", encoding="utf-8")
+    command = [sys.executable, "-m", "diagrams", "explore", "--scenario", cell, "--pushes", "3"]
+    command += ["--checks", "0", "--out", out, "--json", result]
+    pipes = {"stdout": subprocess.DEVNULL, "stderr": subprocess.PIPE}
+    with subprocess.Popen(
+        [str(word) for word in command], env=ENVIRONMENT, text=True, preexec_fn=hear_ctrl_c, **pipes
+    ) as process:
+        assert process.stderr is not None
+        for line in process.stderr:
+            if line.startswith("push 2 of 3: pushing"):
+                process.send_signal(signal.SIGINT)
+                break
+        said = process.stderr.read()
+        code = process.wait(timeout=60)
+    assert code == 130 and "Traceback" not in said
+    assert "stopped after 1 of 3 pushes" in said and f"slipmap explore --resume {out}" in said
+    assert len(read_dataset(out / "pushes").trials) == 1
+    assert len(Belief.load(out / "belief.npz").probability) == 20
+    assert json.loads(result.read_text(encoding="utf-8"))["failure"] == "stopped after 1 of 3 pushes."
+    _, options, before = resumed(out)
+    assert options.pushes == 3 and len(before.trials) == 1
