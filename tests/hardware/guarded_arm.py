@@ -64,6 +64,7 @@ def run(
     home=NEAR,
     before_guard=None,
     gripper=None,
+    execution=None,
     **inputs,
 ):
     """Let the arm make a push for a while.
@@ -77,10 +78,11 @@ def run(
         home: joint angles at the begin, and between pushes.
         before_guard: system between executor and guard, ports 0.
         gripper: source of the gripper's state for the executor.
+        execution: `ExecutionConfig`.
         inputs: sources for `image_age` or `abort` of the guard, systems with one output.
     """
     builder = DiagramBuilder()
-    executor = builder.AddSystem(PushExecutor(MODEL, home))
+    executor = builder.AddSystem(PushExecutor(MODEL, home, execution))
     guard = builder.AddSystem(CommandGuard(MODEL, settings))
     link = builder.AddSystem(link or StatusLink())
     arm = builder.AddSystem(arm or FollowingArm(home))

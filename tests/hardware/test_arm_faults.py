@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from diagrams.collectable import PythonSystem
+from diagrams.execution.config import ExecutionConfig
 from diagrams.hardware.guard import CommandGuard
 from diagrams.hardware.guard_rules import PERIOD
 from diagrams.hardware.guard_settings import GuardSettings
@@ -108,6 +109,24 @@ def test_an_arm_that_pushes_rests_50_ms_after_its_last_status():
     assert log.modes[int(AT / PERIOD)] == "pushing"
     deceleration = np.abs(np.diff(log.speeds[log.times[1:] > AT], axis=0)) / PERIOD
     assert (deceleration <= 1.01 * ACCELERATION_LIMITS).all()
+
+
+def test_an_arm_with_slow_ways_rests_50_ms_after_its_last_status_wherever_it_is():
+    """With the settings that docs/faults.md gives for it."""
+    slow = {"execution": ExecutionConfig(transit_speed=0.4), "settings": GuardSettings(stopping=0.02)}
+    way = run(3.5, home=HOME, **slow)
+    assert "lowering" in way.modes
+    fastest = MESSAGE * round(way.times[np.abs(way.speeds / SPEED_LIMITS).max(axis=1).argmax()] / MESSAGE)
+    assert way.tip_speeds.max() > 0.35
+    log = run(fastest + 0.2, home=HOME, link=StatusLink("stop", fastest), **slow)
+    held(log, fastest - MESSAGE, 0.05)
+    # It asks no more of the joints than stopping a fast way within 50 ms does.
+    quick = run(FASTEST + 0.2, home=HOME, link=StatusLink("stop", FASTEST))
+    ask = [
+        np.abs(np.diff(each.speeds[each.times[1:] > at], axis=0)).max()
+        for each, at in ((log, fastest), (quick, FASTEST))
+    ]
+    assert ask[0] <= ask[1]
 
 
 def test_a_status_that_stops_while_the_diagrams_clock_is_late_is_noticed_as_soon():
