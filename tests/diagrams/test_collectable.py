@@ -36,7 +36,7 @@ def subsystems(system: System) -> Iterator[System]:
 
 def count(kind: type) -> int:
     gc.collect()
-    return sum(isinstance(thing, kind) for thing in gc.get_objects())
+    return sum(type(thing) is kind for thing in gc.get_objects())
 
 
 def in_memory() -> Diagram:
