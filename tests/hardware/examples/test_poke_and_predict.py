@@ -1,4 +1,4 @@
-"""A robot pokes a wrench five times and knows then how it slides."""
+"""A robot pokes a snack bag five times and knows then how it slides."""
 
 import pytest
 
@@ -13,7 +13,7 @@ pytestmark = pytest.mark.twin
 
 @pytest.fixture
 def scenario(scenario):
-    scenario.object.name = "wrench"
+    scenario.object.name = "snack"
     return scenario
 
 
