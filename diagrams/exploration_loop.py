@@ -220,7 +220,8 @@ def add_exploration(
     except ValueError as error:
         raise ScenarioError(str(error)) from error
     model = arm_model(models=scenario.arm.models)
-    checks = ArmChecks(scenario.arm.models, scenario.table.make(), scenario.execution)
+    execution = scenario.execution if cell is None else scenario.guard.held_to(scenario.execution)
+    checks = ArmChecks(scenario.arm.models, scenario.table.make(), execution)
 
     trials = () if before is None else before.trials
     patience = PATIENCE if worker is None else PATIENCE_REAL
@@ -244,7 +245,7 @@ def add_exploration(
                 checks.can_push, options.seed, worker, () if before is None else before.pokes,
             ),
         ),
-        executor=add("executor", PushExecutor(model, HOME, scenario.execution, checks.table)),
+        executor=add("executor", PushExecutor(model, HOME, execution, checks.table)),
         watch=add("object_watch", ObjectWatch()),
         logger=add("logger", MeasurementLogger(options.pushes, trials)),
         identification=add(

@@ -13,7 +13,8 @@ class ExecutionConfig:
         safe_height: of the finger's end over the table while it passes over things, m; the higher, the less
             of the table can be reached.
         push_speed_limit: of the finger while it pushes, m/s.
-        transit_speed: of the finger on its way to a push and back, m/s.
+        transit_speed: of the finger on its way to a push and back, m/s; before a real arm no more than
+            `guard.transit_speed`.
         lowering_speed: of the finger on its way down and up, m/s.
         speeding_up: the finger's acceleration at the begin of a push, m/s².
         slowing_down: at its end, m/s².

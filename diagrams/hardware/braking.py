@@ -10,14 +10,24 @@ from models.robots import ACCELERATION_LIMITS
 
 _SOONEST = 2 * ARM_PERIOD
 
+_SOON = 4 * ARM_PERIOD
+"""s; in a push the finger brakes so long by the data sheet."""
+
+_HARD = 4.5
+"""Times the acceleration that the data sheet allows for motions, in an emergency."""
+
 
 def braking(speed: FloatArray, longest: float) -> float:
-    """Time for even braking, s: at the acceleration that the robot's data sheet allows for motions, a whole
-    number of commands, but within the longest time, whatever that asks of the joints.
+    """Time for even braking, s, a whole number of commands.
+
+    At the acceleration that the robot's data sheet allows for motions where the arm then rests within 20 ms;
+    within 20 ms where that takes up to 4.5 times as much; else at 4.5 times as much, but within the longest
+    time, whatever that asks of the joints.
 
     Args:
         speed: (7,) of the joints, rad/s.
         longest: s.
     """
-    needed = float((np.abs(speed) / ACCELERATION_LIMITS).max())
+    gentle = float((np.abs(speed) / ACCELERATION_LIMITS).max())
+    needed = max(min(gentle, _SOON), gentle / _HARD)
     return min(max(ARM_PERIOD * np.ceil(needed / ARM_PERIOD - 1e-9), _SOONEST), longest)

@@ -9,6 +9,7 @@ import numpy as np
 
 from diagrams.execution.finger_kinematics import FingerKinematics
 from diagrams.execution.messages import Health
+from diagrams.hardware.braking import braking
 from diagrams.hardware.guard_settings import GuardSettings
 from models.physics.cell_grid import FloatArray
 from models.robots import ARM_JOINTS, POSITION_LIMITS, SPEED_LIMITS
@@ -186,7 +187,7 @@ class GuardRules:
                 "are allowed",
                 _START,
             )
-        rest = np.abs(wanted + speed * settings.stopping / 2.0)
+        rest = np.abs(wanted + speed * braking(speed, settings.stopping) / 2.0)
         k = _worst(rest - POSITION_LIMITS)
         if rest[k] > POSITION_LIMITS[k] - settings.joint_margin:
             limit = f"{_degrees(rest[k])} of {_degrees(POSITION_LIMITS[k])}"

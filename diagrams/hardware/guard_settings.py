@@ -1,9 +1,11 @@
 """When the guard stops the arm."""
 
 # Annotations stay objects: Drake's YAML reader looks at them.
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
+
+from diagrams.execution.config import ExecutionConfig
 
 
 @dataclass
@@ -13,6 +15,8 @@ class GuardSettings:
     Attributes:
         status_age: oldest status of the arm that is good enough to move by, s.
         image_age: oldest picture that is good enough to move by, s.
+        transit_speed: largest speed of the finger on its way to a push and back, m/s; at 0.4 the arm rests
+            50 ms after the last status wherever it is, from faster ways later.
         tip_speed: largest speed of the finger's end that a command may ask for, m/s.
         joint_margin: what must be left to a joint's limit when the arm has come to rest, rad.
         following: by which a joint may be off all that it was told within `lag`, rad.
@@ -27,6 +31,7 @@ class GuardSettings:
 
     status_age: float = 0.025
     image_age: float = 1.0
+    transit_speed: float = 0.4
     tip_speed: float = 1.7
     joint_margin: float = 0.0175
     following: float = 0.05
@@ -43,6 +48,7 @@ class GuardSettings:
         for name, low, high in (
             ("status_age", 0.01, 0.5),
             ("image_age", 0.1, 60.0),
+            ("transit_speed", 0.01, 2.0),
             ("tip_speed", 0.01, 2.5),
             ("joint_margin", 0.0, 0.3),
             ("following", 0.005, 0.5),
@@ -58,3 +64,7 @@ class GuardSettings:
             raise ValueError(
                 f"guard.torque must be seven torques above 0 and up to 320 N m, got {self.torque}"
             )
+
+    def held_to(self, execution: ExecutionConfig) -> ExecutionConfig:
+        """How the arm moves where this guard is to stop it in time."""
+        return replace(execution, transit_speed=min(execution.transit_speed, self.transit_speed))

@@ -11,10 +11,12 @@ from pydrake.systems.framework import DiagramBuilder, EventStatus
 from pydrake.systems.primitives import ConstantValueSource
 
 from diagrams.execution import ActivePush
+from diagrams.execution.config import ExecutionConfig
 from diagrams.execution.finger_kinematics import FingerKinematics
 from diagrams.execution.push_executor import PushExecutor
 from diagrams.hardware.guard import CommandGuard
 from diagrams.hardware.guard_rules import PERIOD
+from diagrams.hardware.guard_settings import GuardSettings
 from diagrams.station.arm import arm_model
 from planners.table_push import TablePush
 from tests.hardware.faults import FollowingArm, StatusLink
@@ -82,7 +84,9 @@ def run(
         inputs: sources for `image_age` or `abort` of the guard, systems with one output.
     """
     builder = DiagramBuilder()
-    executor = builder.AddSystem(PushExecutor(MODEL, home, execution))
+    settings = settings or GuardSettings()
+    held = settings.held_to(execution or ExecutionConfig())
+    executor = builder.AddSystem(PushExecutor(MODEL, home, held))
     guard = builder.AddSystem(CommandGuard(MODEL, settings))
     link = builder.AddSystem(link or StatusLink())
     arm = builder.AddSystem(arm or FollowingArm(home))

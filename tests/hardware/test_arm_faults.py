@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from diagrams.collectable import PythonSystem
-from diagrams.execution.config import ExecutionConfig
 from diagrams.hardware.guard import CommandGuard
 from diagrams.hardware.guard_rules import PERIOD
 from diagrams.hardware.guard_settings import GuardSettings
@@ -18,10 +17,11 @@ from tests.hardware.guarded_arm import MODEL, NEAR, run
 
 AT = 1.1
 """s; the finger then pushes, if the arm comes from near."""
-FASTEST = 0.7
-"""s; the arm is then in the middle of its fast way to the push, if it comes from home."""
+FASTEST = 3.66
+"""s; the finger then comes down to the push, if the arm comes from home: no joint ever turns faster."""
 AFAR = (FASTEST, HOME)
-REST = GuardSettings().stopping
+REST = 0.02
+"""s to brake, wherever the arm is."""
 
 
 class Wish(PythonSystem):
@@ -78,17 +78,19 @@ def smooth(log, stopped):
 
 @pytest.fixture(scope="module")
 def undisturbed():
-    return run(6.5, home=HOME)
+    return run(11.0, home=HOME)
 
 
 def test_without_a_fault_the_whole_push_passes_unchanged(undisturbed):
-    """The guard changes no command, and a push with its fast ways there and back stays within all limits."""
+    """The guard changes no command, and a push with its ways there and back stays within all limits."""
     log = undisturbed
     assert all(health.ok for health in log.health)
     assert (log.status.mode, log.status.push_id) == ("home", 1)
     assert limited(log)
-    assert (np.abs(log.speeds).max(axis=0) / SPEED_LIMITS).max() > 0.5
-    assert log.modes[int(FASTEST / PERIOD)] == "approaching"
+    turning = (np.abs(log.speeds) / SPEED_LIMITS).max(axis=1)
+    assert turning[int(FASTEST / PERIOD)] > 0.98 * turning.max() > 0.5
+    assert log.modes[int(FASTEST / PERIOD)] == "lowering"
+    assert 0.35 < log.tip_speeds.max() <= GuardSettings().transit_speed + 1e-3
     assert run(AT).modes[-1] == "pushing"
 
 
@@ -101,32 +103,20 @@ def test_a_status_that_stops_is_noticed_when_it_is_too_old_and_the_arm_then_rest
     assert smooth(log, health.time)
 
 
-def test_an_arm_that_pushes_rests_50_ms_after_its_last_status():
-    """Braking takes as long as the data sheet asks for: a push is slow."""
-    log = run(AT + 0.2, link=StatusLink("stop", AT))
-    last = AT - MESSAGE
-    held(log, last, 0.05)
-    assert log.modes[int(AT / PERIOD)] == "pushing"
-    deceleration = np.abs(np.diff(log.speeds[log.times[1:] > AT], axis=0)) / PERIOD
-    assert (deceleration <= 1.01 * ACCELERATION_LIMITS).all()
+@pytest.mark.parametrize(("at", "home"), [(AT, NEAR), (1.5, HOME), AFAR, (5.0, HOME), (7.0, HOME)])
+def test_wherever_the_arm_is_it_rests_50_ms_after_its_last_status(at, home):
+    log = run(at + 0.2, home=home, link=StatusLink("stop", at))
+    held(log, at - MESSAGE, 0.05)
+    deceleration = np.abs(np.diff(log.speeds[log.times[1:] > at], axis=0)) / PERIOD
+    gently = log.modes[int(at / PERIOD)] == "pushing"
+    assert (deceleration <= (1.01 if gently else 4.5) * ACCELERATION_LIMITS).all()
 
 
-def test_an_arm_with_slow_ways_rests_50_ms_after_its_last_status_wherever_it_is():
-    """With the settings that docs/faults.md gives for it."""
-    slow = {"execution": ExecutionConfig(transit_speed=0.4), "settings": GuardSettings(stopping=0.02)}
-    way = run(3.5, home=HOME, **slow)
-    assert "lowering" in way.modes
-    fastest = MESSAGE * round(way.times[np.abs(way.speeds / SPEED_LIMITS).max(axis=1).argmax()] / MESSAGE)
-    assert way.tip_speeds.max() > 0.35
-    log = run(fastest + 0.2, home=HOME, link=StatusLink("stop", fastest), **slow)
-    held(log, fastest - MESSAGE, 0.05)
-    # It asks no more of the joints than stopping a fast way within 50 ms does.
-    quick = run(FASTEST + 0.2, home=HOME, link=StatusLink("stop", FASTEST))
-    ask = [
-        np.abs(np.diff(each.speeds[each.times[1:] > at], axis=0)).max()
-        for each, at in ((log, fastest), (quick, FASTEST))
-    ]
-    assert ask[0] <= ask[1]
+def test_from_ways_faster_than_the_guards_own_the_arm_rests_a_little_later():
+    fast = GuardSettings(transit_speed=1.5)
+    log = run(0.9, home=HOME, settings=fast, link=StatusLink("stop", 0.7))
+    held(log, 0.7 - MESSAGE, 0.065)
+    assert log.tip_speeds.max() > 1.0
 
 
 def test_a_status_that_stops_while_the_diagrams_clock_is_late_is_noticed_as_soon():
@@ -179,13 +169,13 @@ def test_a_wanted_position_that_leaps_or_is_no_number_becomes_a_hold(at, home, l
 
 def test_a_wanted_position_that_creeps_to_a_joints_limit_stops_short_of_it():
     log = run(1.8, push=None, before_guard=Wish(0.1, creep=1.2))
-    assert "iiwa_joint_1 comes near its limit" in held(log, health_time(log), REST + PERIOD).cause
+    assert "iiwa_joint_1 comes near its limit" in held(log, health_time(log), 0.05).cause
     margin = POSITION_LIMITS[0] - np.abs(log.commands[:, 0]).max()
     assert GuardSettings().joint_margin - 1e-9 <= margin < GuardSettings().joint_margin + 0.01
 
 
 def test_a_finger_that_would_be_too_fast_stops_though_no_joint_is():
-    settings = GuardSettings(tip_speed=0.5)
+    settings = GuardSettings(transit_speed=1.0, tip_speed=0.5)
     log = run(1.5, home=HOME, settings=settings)
     assert "0.5 m/s are allowed" in held(log, health_time(log), REST + PERIOD).cause
     assert log.tip_speeds.max() <= 0.5
