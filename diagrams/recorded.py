@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from models.measurements import Trial
 from models.perception.first_picture import FirstPicture
@@ -32,3 +32,7 @@ class Recorded:
     def of_a_real_cell(self) -> bool:
         """Whether it was recorded there, not in a simulation."""
         return self.places[-1] is None
+
+    def all_to_learn_from(self) -> Recorded:
+        """The same, of which every push is learned from, also those that were made to judge."""
+        return replace(self, trials=tuple(replace(trial, role="fit") for trial in self.trials))

@@ -10,7 +10,6 @@ import click
 from diagrams.commands.options import (
     effect_option,
     effects_of_library,
-    explorations_option,
     folder_option,
     hardware_option,
     json_in_folder_option,
@@ -46,7 +45,10 @@ class Stopped(click.ClickException):
 @click.command()
 @station_object_option
 @scenario_option
-@explorations_option
+@click.option(
+    "--pushes", type=click.IntRange(0, 100), default=5, show_default=True, metavar="N",
+    help="Pushes to learn from; with --after besides those that are there.",
+)  # fmt: skip
 @click.option(
     "--checks", type=click.IntRange(0, 100), default=3, show_default=True, metavar="N",
     help="Random pushes after these, which only judge what was learned.",
@@ -65,6 +67,11 @@ class Stopped(click.ClickException):
     "--resume", type=click.Path(path_type=Path), metavar="DIR",
     help="Go on with the run in this folder that was cut off or gave up; what was asked for then holds.",
 )  # fmt: skip
+@click.option(
+    "--after", type=click.Path(path_type=Path), metavar="DIR",
+    help="Begin with what the run in this folder recorded: all its pushes are learned from, --pushes is how"
+    " many more, and the model has the effects that are given now. The object lies where that run left it.",
+)  # fmt: skip
 @seed_option
 @json_in_folder_option
 @click.pass_context
@@ -82,6 +89,7 @@ def explore(
     recording: Path | None,
     folder: Path,
     resume: Path | None,
+    after: Path | None,
     seed: int,
     json_file: Path | None,
 ) -> None:
@@ -90,31 +98,51 @@ def explore(
     A Kuka iiwa with a finger pushes the object on its table, a depth camera watches, and after each push the
     belief about mass and friction forms anew. Nothing but the camera's pictures and the arm's own sensors is
     used. The pushes are left as a dataset, on which every other command works. Each is written as soon as it
-    is recorded: a run that is killed is gone on with by --resume.
+    is recorded: a run that is killed is gone on with by --resume. Where pushes surprise the model and
+    `slipmap diagnose` names an effect, --after begins with the pushes that are there, and --effect adds it.
 
     The robot is simulated, unless --hardware is given.
     """
     from diagrams.exploration_loop import LoopOptions
     from diagrams.exploration_record import ExplorationRecord, resumed
+    from diagrams.push_record import PUSHES
 
     before = None
-    if resume is None:
-        scenario = scenario_of(scenario_file, object_name)
-        effects = effects_of_library(effect_names)
-        options = LoopOptions(pushes=pushes, checks=checks, strategy=strategy, seed=seed, effects=effects)
-        make_folder(folder)
-    else:
-        _refuse_beside_resume(context)
+    if resume is not None:
+        settled = ("object", "scenario", "out", "effect", "after", "pushes", "checks", "strategy", "seed")
+        _refuse_beside(context, "--resume goes on as it began", *settled)
         folder = resume
         scenario, options, before = resumed(folder)
-        if hardware is not before.of_a_real_cell:
-            was = "in simulation; leave out" if hardware else "in a real cell; add"
-            raise BadInput(f"{folder}: that run was made {was} --hardware to go on with it")
-    record = ExplorationRecord(folder, scenario, options, before)
+    else:
+        if after is None:
+            scenario = scenario_of(scenario_file, object_name)
+        else:
+            _refuse_beside(context, "--after takes the cell of the run before", "object", "scenario")
+            if after.resolve() == folder.resolve():
+                raise BadInput(f"--after {after}: is where this run would go; name another folder with --out")
+            scenario, _, recorded = resumed(after)
+            if not pushes + checks:
+                raise BadInput(
+                    f"--pushes 0 and --checks 0 make no push; `slipmap fit {after / PUSHES}` learns from"
+                    " those that are there"
+                )
+            before = recorded.all_to_learn_from()
+            pushes += len(before.trials)
+        if not pushes:
+            raise BadInput("--pushes 0 leaves nothing to learn from; give 1 or more")
+        effects = effects_of_library(effect_names)
+        options = LoopOptions(pushes=pushes, checks=checks, strategy=strategy, seed=seed, effects=effects)
+    if before is not None and hardware is not before.of_a_real_cell:
+        was = "in simulation; leave out" if hardware else "in a real cell; add"
+        raise BadInput(f"{resume or after}: that run was made {was} --hardware to go on with it")
+    make_folder(folder)
+    record = ExplorationRecord(folder, scenario, options, before if resume is not None else None)
     if recording is not None:
         check_file(recording, ("html", "htm"))
     if json_file is not None:
         check_file(json_file)
+    if before is not None and resume is None:
+        record.keep(before)
     address = url if hardware else None
     run, failure, stopped = run_loop(
         scenario, options, address, open_meshcat, recording, record=record, before=before
@@ -133,22 +161,17 @@ def explore(
         raise Stopped(kept) if stopped else click.ClickException(kept)
 
 
-def _refuse_beside_resume(context: click.Context) -> None:
-    """Refuse options that --resume takes from the folder.
+def _refuse_beside(context: click.Context, because: str, *options: str) -> None:
+    """Refuse options, by their names, beside one that settles them.
 
     Raises:
-        BadInput: names the first.
+        BadInput: names the first that was given.
     """
-    names = {
-        "object_name": "--object",
-        "scenario_file": "--scenario",
-        "folder": "--out",
-        "effect_names": "--effect",
-    }
-    for name in (*names, "pushes", "checks", "strategy", "seed"):
-        if context.get_parameter_source(name) is not click.core.ParameterSource.DEFAULT:
-            option = names.get(name, f"--{name}")
-            raise BadInput(f"--resume goes on as it began; leave out {option}")
+    for parameter in context.command.params:
+        name = parameter.opts[0].removeprefix("--")
+        given = context.get_parameter_source(parameter.name or "") is not click.core.ParameterSource.DEFAULT
+        if name in options and given:
+            raise BadInput(f"{because}; leave out --{name}")
 
 
 def scenario_of(path: Path | None, object_name: str | None) -> Scenario:
@@ -281,6 +304,7 @@ def monitor_words(watch: Watch) -> str:
         return (
             f"Monitor: ALARM from push {first + 1} on{'' if watch.alarm else ', since taken back'}:"
             f" {numbers}."
-            " The object does not move as the model says; `slipmap diagnose` may tell why."
+            " The object does not move as the model says; `slipmap diagnose` may tell why, and `slipmap explore"
+            " --after` go on with the effect that it names."
         )
     return f"Monitor: no alarm; {numbers}, evidence at most {peak:.1f} of the {1 / LEVEL:.0f} that it takes."

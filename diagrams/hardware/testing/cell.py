@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from diagrams.exploration_loop import LoopOptions
-from diagrams.exploration_record import ExplorationRecord
+from diagrams.exploration_record import ExplorationRecord, resumed
 from diagrams.exploration_run import DOING, ExplorationRun, explore
 from diagrams.hardware.guard_settings import GuardSettings
 from diagrams.hardware.interface import HardwareInterface
@@ -130,25 +130,42 @@ class Cell:
         self._positions: FloatArray | None = None
         self._logs: list[CommandLog] = []
         self._runs = 0
+        self._explored: Path | None = None
 
     @property
     def commands(self) -> list[CommandLog]:
         """All commands that the arm was sent until now, a log for each stretch of one clock."""
         return [self._recorder.log()] if self._recorder is not None else list(self._logs)
 
-    def explore(self, pushes: int = 3, checks: int = 1, **options: Any) -> ExplorationRun:
+    def explore(
+        self, pushes: int = 3, checks: int = 1, *, go_on: bool = False, **options: Any
+    ) -> ExplorationRun:
         """Have the robot explore what lies on the table, as `slipmap explore` does.
 
         Args:
             pushes, checks, options: see `LoopOptions`.
+            go_on: begin with what the exploration before recorded, as with `--after`: all its pushes are
+                learned from, besides `pushes` new ones, and the model has the effects that are given now.
 
         Raises:
             ExplorationFailed, HardwareError: see `diagrams.exploration_run.explore`.
+            ValueError: there was no exploration before.
         """
+        before = None
+        if go_on:
+            if self._explored is None:
+                raise ValueError("go_on: this cell has recorded no exploration to go on from")
+            before = resumed(self._explored)[2].all_to_learn_from()
+            pushes += len(before.trials)
         asked = LoopOptions(pushes=pushes, checks=checks, **options)
-        record = ExplorationRecord(self._next_folder("exploration"), self.scenario, asked)
+        self._explored = folder = self._next_folder("exploration")
+        record = ExplorationRecord(folder, self.scenario, asked)
+        if before is not None:
+            record.keep(before)
         with self._driven() as where:
-            run = explore(self.scenario, asked, hardware=where, progress=self._watch, record=record)
+            run = explore(
+                self.scenario, asked, hardware=where, progress=self._watch, record=record, before=before
+            )
         record.end()
         return run
 

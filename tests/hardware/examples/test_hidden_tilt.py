@@ -23,5 +23,5 @@ def test_a_tilted_table_is_noticed_named_and_learned(cell):
     diagnosis = diagnose(surprised.dataset, quick=True, seed=0)
     assert_names(diagnosis, "table_tilt")
 
-    knowing = cell.explore(pushes=3, checks=3, strategy="random", seed=4, effects=["table_tilt"])
+    knowing = cell.explore(pushes=0, checks=3, seed=4, go_on=True, effects=["table_tilt"])
     assert_quiet(knowing.watch)

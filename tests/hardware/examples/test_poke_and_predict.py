@@ -2,11 +2,13 @@
 
 import pytest
 
+from diagrams.exploration_loop import LoopOptions
 from diagrams.hardware.testing import (
     assert_better_than_uniform,
     assert_limits_kept,
     assert_predicts,
 )
+from models.inference.identification import identify
 
 pytestmark = pytest.mark.twin
 
@@ -17,9 +19,14 @@ def scenario(scenario):
     return scenario
 
 
-def test_five_pokes_tell_how_others_end(cell):
-    run = cell.explore(pushes=5, checks=2)
+@pytest.fixture
+def exploration():
+    return LoopOptions(pushes=5, checks=2)
 
-    assert_predicts(run, within=0.010)
-    assert_better_than_uniform(run)
+
+def test_five_pokes_tell_how_others_end(explored, pushes, cell):
+    assert_predicts(explored, within=0.010)
+    assert_better_than_uniform(explored)
     assert_limits_kept(cell.commands, cell.scenario.guard)
+
+    assert_predicts(identify(pushes, seed=1), within=0.010)
