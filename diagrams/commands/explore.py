@@ -304,7 +304,7 @@ def monitor_words(watch: Watch) -> str:
         return (
             f"Monitor: ALARM from push {first + 1} on{'' if watch.alarm else ', since taken back'}:"
             f" {numbers}."
-            " The object does not move as the model says; `slipmap diagnose` may tell why, and `slipmap explore"
-            " --after` go on with the effect that it names."
+            " The object does not move as the model says; `slipmap diagnose` may tell why, and"
+            " `slipmap explore --after` go on with the effect that it names."
         )
     return f"Monitor: no alarm; {numbers}, evidence at most {peak:.1f} of the {1 / LEVEL:.0f} that it takes."
