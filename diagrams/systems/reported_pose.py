@@ -23,25 +23,20 @@ def history_length(stepper: Stepper) -> int:
 def pose_then(stepper: Stepper, pose: Any, history: Any, effects: Any) -> Any:
     """The pose (3,) that the tracker reports now; floats in, floats out, and so with AutoDiffXd.
 
+    Where it reports early, nobody knows yet how the object is driven on: it is taken to keep its velocity.
+
     Args:
         stepper: the model.
         pose: (3,) true pose.
         history: (L, 3) true poses one, two, … steps ago.
         effects: (P,) parameters of the effects.
-
-    Raises:
-        ValueError: the tracker would have to report early, which takes a whole push to simulate.
     """
     derivatives = pose.dtype == object
     values = values_of(effects)
     if stepper.program.delay is not None:
         delay, slopes = stepper.delay(values)
-        if delay < 0:
-            raise ValueError(
-                f"the tracker reports {-delay:.3g} s early: such a model can be rolled out, but not stepped"
-            )
         steps: Any = delay / stepper.h
-        whole = min(int(steps), len(history) - 1)
+        whole = min(max(int(steps), 0), len(history) - 1)
         if derivatives:
             steps = with_gradient(np.array([steps]), slopes[None] / stepper.h, effects)[0]
         then = np.vstack([pose, history])[whole : whole + 2]

@@ -128,7 +128,8 @@ def test_derivatives_by_inputs_agree_with_differences(port: str, h: float) -> No
     assert (scale[[0, 1, 2, 3, 4, 5]] > 1e-4).all()
 
 
-def test_late_reports_are_differentiated_by_the_latency() -> None:
+@pytest.mark.parametrize("latency", [0.033, -0.013])
+def test_late_and_early_reports_are_differentiated_by_the_latency(latency: float) -> None:
     """The pose reported now moves back by its velocity with growing latency."""
     push = table_pushes(1, 3)[0]
     system = system_of("sensor_latency")
@@ -139,15 +140,30 @@ def test_late_reports_are_differentiated_by_the_latency() -> None:
         context.get_mutable_numeric_parameter(EFFECTS).SetFromVector(value)
         return system.GetOutputPort("object_pose").Eval(context).copy()
 
-    wanted = differences(report, np.array([0.033]), 1e-5)
-    report(np.array([0.033]))
+    wanted = differences(report, np.array([latency]), 1e-5)
+    report(np.array([latency]))
     other = autodiff_context("sensor_latency", context)
-    other.get_mutable_numeric_parameter(EFFECTS).SetFromVector(InitializeAutoDiff([0.033])[:, 0])
+    other.get_mutable_numeric_parameter(EFFECTS).SetFromVector(InitializeAutoDiff([latency])[:, 0])
     found = ExtractGradient(autodiff_system_of("sensor_latency").GetOutputPort("object_pose").Eval(other))
     assert np.allclose(found, wanted, rtol=1e-6, atol=1e-9)
     assert np.abs(wanted).max() > 0.01
-    with pytest.raises(ValueError, match=r"reports 0\.02 s early"):
-        report(np.array([-0.02]))
+
+
+def test_early_reports_are_where_the_object_will_be() -> None:
+    """While the finger pushes it steadily on, the model keeps its velocity."""
+    push = table_pushes(1, 3)[0]
+    system = system_of("sensor_latency")
+    context = system.CreateDefaultContext()
+    context.get_mutable_numeric_parameter(EFFECTS).SetFromVector([-3 * H])
+
+    def see() -> tuple[FloatArray, FloatArray]:
+        told = system.GetOutputPort("object_pose").Eval(context).copy()
+        return told, context.get_discrete_state_vector().value()[:3].copy()
+
+    seen = steps(system, context, push, 83, see)
+    (told, now), (_, then) = seen[79], seen[82]
+    assert np.abs(then - now).max() > 1e-3
+    assert told == pytest.approx(then, abs=0.05 * np.abs(then - now).max())
 
 
 def test_linearize_at_rest() -> None:
