@@ -165,6 +165,8 @@ def _tether(p: Estimates, grid: CellGrid) -> list[Reading]:
 
 
 def _latency(p: Estimates, grid: CellGrid) -> list[Reading]:
+    if p["latency"].value < 0:
+        return [_scaled("the tracker is {} ms early", p["latency"], -1e3)]
     return [_scaled("the tracker is {} ms late", p["latency"], 1e3)]
 
 

@@ -104,6 +104,9 @@ def test_sizes_in_the_units_of_a_person():
     assert words("sensor_latency", estimate("latency", 0.06, 0.058, 0.062)) == (
         "the tracker is 60.0 ms late (58.0 to 62.0)"
     )
+    assert words("sensor_latency", estimate("latency", -0.006, -0.008, 0.001)) == (
+        "the tracker is 6.0 ms early (-1.0 to 8.0)"
+    )
     # Eigenvalues of the stretch are (1 + ρ)/(1 - ρ) and its inverse: 1.5 / 0.5 at ρ = 0.5, at half the angle.
     grain = words(
         "anisotropic_table", estimate("along_x", 0.0, -0.1, 0.1), estimate("along_xy", 0.5, 0.4, 0.6)
