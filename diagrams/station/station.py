@@ -17,6 +17,7 @@ from diagrams.collectable import PythonDiagram, PythonSystem
 from diagrams.perception.arm_hulls import ArmHulls
 from diagrams.perception.camera import add_camera
 from diagrams.perception.depth_noise import DepthNoise
+from diagrams.perception.depth_picture import add_depth_picture
 from diagrams.station.arm import Arm, add_arm, add_arm_drivers
 from diagrams.station.hidden_effects import add_hidden_effects
 from diagrams.station.rest import RestWatch, hold_or_free
@@ -131,7 +132,8 @@ def _export_camera(
     """Pictures with noise, and where they were taken from."""
     camera = add_camera(builder, plant, scene_graph, scenario.camera)
     noise = builder.AddNamedSystem("depth_noise", DepthNoise(scenario.depth_noise, scenario.camera.rate))
-    builder.Connect(camera.GetOutputPort("depth_image_32f"), noise.get_input_port())
+    depth = add_depth_picture(builder, plant, scene_graph, scenario.camera, camera)
+    builder.Connect(depth, noise.get_input_port())
     builder.ExportOutput(noise.get_output_port(), "camera.depth_image")
     builder.ExportOutput(camera.GetOutputPort("color_image"), "camera.rgb_image")
     place = builder.AddNamedSystem(
