@@ -20,7 +20,7 @@ from diagrams.perception.depth_noise import DepthNoise
 from diagrams.perception.depth_picture import add_depth_picture
 from diagrams.station.arm import Arm, add_arm, add_arm_drivers
 from diagrams.station.hidden_effects import add_hidden_effects
-from diagrams.station.rest import RestWatch, hold_or_free
+from diagrams.station.rest import Hold, RestWatch
 from diagrams.station.scenario import Scenario
 from diagrams.station.sliding_object import BODY, add_sliding_object, plant_config, resting_pose
 from diagrams.station.table import add_table
@@ -86,6 +86,7 @@ class Station(PythonDiagram):
         add_hidden_effects(builder, plant, self.true_object, scenario.hidden)
         add_arm_drivers(builder, plant, self.arm)
         _watch_rest(builder, plant, scene_graph, self.arm)
+        self._hold = Hold(plant, scene_graph)
         _export_camera(builder, plant, scene_graph, scenario)
         _export_ages(builder)
         _export_truth(builder, plant, body.index())
@@ -106,7 +107,7 @@ class Station(PythonDiagram):
         """
         watch = self.GetSubsystemByName("rest_watch")
         (at_rest,) = watch.get_output_port().Eval(watch.GetMyContextFromRoot(root))
-        hold_or_free(self.plant, self.plant.GetMyMutableContextFromRoot(root), bool(at_rest))
+        self._hold.set(self.plant, self.GetSubsystemByName("scene_graph"), root, bool(at_rest))
 
 
 def take_fixed_steps(simulator: Simulator) -> None:
