@@ -26,7 +26,8 @@ from models.perception.camera import PinholeCamera
 
 RENDERER = "camera_renderer"
 
-_NEAREST, _FARTHEST = 0.2, 4.0  # of depth readings, m
+NEAREST, FARTHEST = 0.2, 4.0
+"""Of depth readings, m."""
 
 
 @dataclass
@@ -59,7 +60,7 @@ class CameraConfig:
     def check(self) -> None:
         """Raise ValueError where a field makes no sense."""
         for name, value, low, high in (
-            ("height", self.height, 0.3, _FARTHEST - 0.1),
+            ("height", self.height, 0.3, FARTHEST - 0.1),
             ("fov_y", self.fov_y, 0.05, 2.8),
             ("width", self.width, 16, 4096),
             ("height_pixels", self.height_pixels, 16, 4096),
@@ -128,7 +129,7 @@ def add_camera(
     scene = add_picture_scene(builder, plant, scene_graph)
     scene.AddRenderer(RENDERER, MakeRenderEngineVtk(RenderEngineVtkParams(backend="EGL")))
     core = RenderCameraCore(
-        RENDERER, config._camera_info(), ClippingRange(0.01, 2 * _FARTHEST), RigidTransform()
+        RENDERER, config._camera_info(), ClippingRange(0.01, 2 * FARTHEST), RigidTransform()
     )
     sensor: Any = builder.AddNamedSystem(
         "camera",
@@ -136,7 +137,7 @@ def add_camera(
             scene.world_frame_id(),
             config.X_WC,
             ColorRenderCamera(core),
-            DepthRenderCamera(core, DepthRange(_NEAREST, _FARTHEST)),
+            DepthRenderCamera(core, DepthRange(NEAREST, FARTHEST)),
         ),
     )
     builder.Connect(scene.get_query_output_port(), sensor.query_object_input_port())

@@ -4,13 +4,13 @@
 from dataclasses import dataclass, fields
 from typing import Any
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 from pydrake.common.value import AbstractValue
 from pydrake.systems.sensors import ImageDepth32F
 
 from diagrams.collectable import PythonSystem
+from diagrams.perception.picture_kernels import measure
 from models.perception.camera import DepthImage
 
 _STEP = 0.01  # m; depth jumps more than this at an edge
@@ -65,25 +65,20 @@ def noisy_depth(depth: DepthImage, config: DepthNoiseConfig, generator: np.rando
 
     Pixels without a reading are 0; those beyond the camera's range stay infinite, as in Drake.
     """
-    image: NDArray[np.floating] = depth
-    if config.lateral_jitter > 0:
-        jitter = np.float32(config.lateral_jitter)
-        rows, columns = np.indices(depth.shape, dtype=np.float32)
-        moved_columns = columns + jitter * _correlated(depth.shape, config.correlation, generator)
-        moved_rows = rows + jitter * _correlated(depth.shape, config.correlation, generator)
-        # The nearest pixel, not a mean: an edge moves, it does not smear.
-        image = cv2.remap(
-            depth, moved_columns, moved_rows, cv2.INTER_NEAREST, borderMode=cv2.BORDER_REPLICATE
-        )
-    seen = np.isfinite(image) & (image > 0)
-    deviation = config.axial_floor + config.axial_growth * np.where(seen, image, 0.0) ** 2
-    image = image + deviation * _correlated(depth.shape, config.correlation, generator)
-    if config.quantum > 0:
-        image = np.round(image / config.quantum) * config.quantum
-    chance = np.where(_beside_a_jump(depth), config.missing_at_edges, config.missing_anywhere)
-    missing = generator.random(depth.shape, dtype=np.float32) < chance
-    image[missing | (depth == 0)] = 0.0
-    return image.astype(np.float32, copy=False)
+    depth = np.ascontiguousarray(depth, dtype=np.float32)
+    seed = generator.integers(0, 2**64, dtype=np.uint64)
+    # A mean over a window of uniform numbers is close to normal; where the window is small, each is a sum.
+    terms = 1 if config.correlation >= 1 else 12
+    parameters = np.array(
+        [
+            config.lateral_jitter, config.axial_floor, config.axial_growth, config.quantum,
+            config.missing_at_edges, config.missing_anywhere, _STEP,
+        ],
+        dtype=np.float32,
+    )  # fmt: skip
+    result = np.empty_like(depth)
+    measure(depth, seed, _window(config.correlation), terms, parameters, result)
+    return result
 
 
 class DepthNoise(PythonSystem):
@@ -131,23 +126,9 @@ class DepthNoise(PythonSystem):
         output.set_value(result)
 
 
-def _correlated(
-    shape: tuple[int, ...], correlation: float, generator: np.random.Generator
-) -> NDArray[np.float32]:
-    """Normal field of mean 0 and standard deviation 1, smoothed over a window."""
-    if correlation < 1:
-        field = generator.standard_normal(shape, dtype=np.float32)
-    else:  # a mean over a dozen uniform numbers is close to normal, and four times as fast
-        field = np.sqrt(np.float32(12)) * (generator.random(shape, dtype=np.float32) - np.float32(0.5))
-    if correlation == 0:
-        return field
+def _window(correlation: float) -> NDArray[np.float32]:
+    """(2 r + 1,) weights of a mean that keeps the variance."""
     size = 2 * int(np.ceil(3 * correlation)) + 1
-    kernel = cv2.getGaussianKernel(size, correlation, cv2.CV_32F)
-    kernel /= np.linalg.norm(kernel)  # keeps the variance
-    return cv2.sepFilter2D(field, -1, kernel, kernel, borderType=cv2.BORDER_REFLECT)
-
-
-def _beside_a_jump(depth: DepthImage) -> NDArray[np.bool_]:
-    square = np.ones((3, 3), np.uint8)
-    near = np.where(np.isfinite(depth), depth, np.float32(1e3))
-    return cv2.dilate(near, square) - cv2.erode(near, square) > _STEP
+    place = np.arange(size) - size // 2
+    weights = np.exp(-0.5 * (place / correlation) ** 2) if correlation > 0 else np.ones(1)
+    return (weights / np.linalg.norm(weights)).astype(np.float32)

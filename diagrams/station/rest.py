@@ -1,8 +1,9 @@
 """An object that lies still with nothing near it is held where it is, which saves simulation time.
 
 Half of what a step of the plant takes goes into the contacts of the object's feet with the table, also while
-the arm is far away. A lock on the object's body takes them out of the step. What it leaves out is that
-Drake's regularised friction lets an object creep at less than the stiction tolerance.
+the arm is far away. A lock on the object's body takes them out of the step, and a collision filter spares
+looking for them. What is left out is that Drake's regularised friction lets an object creep at less than the
+stiction tolerance.
 """
 
 from __future__ import annotations
@@ -10,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 from pydrake.common.cpp_param import List
 from pydrake.common.value import Value
-from pydrake.geometry import Role, SceneGraph
+from pydrake.geometry import CollisionFilterDeclaration, GeometryId, GeometrySet, Role, SceneGraph
 from pydrake.math import RigidTransform
 from pydrake.multibody.math import SpatialVelocity
 from pydrake.multibody.plant import MultibodyPlant
@@ -98,16 +99,50 @@ class RestWatch(PythonSystem):
         output.SetFromVector([float(still_for > QUIET)])
 
 
-def hold_or_free(plant: MultibodyPlant, state: Context, at_rest: bool) -> None:
-    """Lock the object in the plant's Context, or unlock it, unless it is that way already."""
-    body = plant.GetBodyByName(BODY)
-    if at_rest == body.is_locked(state):
-        return
-    if at_rest:
-        plant.SetVelocities(state, body.model_instance(), np.zeros(6))
-        body.Lock(state)
-    else:
-        body.Unlock(state)
+class Hold:
+    """Locks the object in a plant's Context, and looks no more for contacts between it and what is fixed.
+
+    Args:
+        plant: finalized, with the object in it.
+        scene_graph: the one that the plant is registered with, its collision filters as they shall be.
+    """
+
+    def __init__(self, plant: MultibodyPlant, scene_graph: SceneGraph) -> None:
+        inspector = scene_graph.model_inspector()
+        own = plant.GetCollisionGeometriesForBody(plant.GetBodyByName(BODY))
+        fixed = [
+            shape for other in plant.GetBodiesWeldedTo(plant.world_body())
+            for shape in plant.GetCollisionGeometriesForBody(other)
+        ]  # fmt: skip
+        partners: dict[tuple[GeometryId, ...], list[GeometryId]] = {}
+        for shape in own:
+            touched = tuple(other for other in fixed if not inspector.CollisionFiltered(shape, other))
+            partners.setdefault(touched, []).append(shape)
+        self._apart, self._together = CollisionFilterDeclaration(), CollisionFilterDeclaration()
+        for touched, shapes in partners.items():
+            if touched:
+                self._apart.ExcludeBetween(GeometrySet(shapes), GeometrySet(list(touched)))
+                self._together.AllowBetween(GeometrySet(shapes), GeometrySet(list(touched)))
+
+    def set(self, plant: MultibodyPlant, scene_graph: SceneGraph, root: Context, held: bool) -> None:
+        """Lock the object, or unlock it, unless it is that way already.
+
+        Args:
+            plant, scene_graph: the same, which are not kept here so that Python can free them.
+            root: of the diagram that they are in.
+            held: whether it shall be locked.
+        """
+        body, state = plant.GetBodyByName(BODY), plant.GetMyMutableContextFromRoot(root)
+        if held == body.is_locked(state):
+            return
+        contacts = scene_graph.collision_filter_manager(scene_graph.GetMyMutableContextFromRoot(root))
+        if held:
+            plant.SetVelocities(state, body.model_instance(), np.zeros(6))
+            body.Lock(state)
+            contacts.Apply(self._apart)
+        else:
+            body.Unlock(state)
+            contacts.Apply(self._together)
 
 
 def _boxes(

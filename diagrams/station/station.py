@@ -17,9 +17,10 @@ from diagrams.collectable import PythonDiagram, PythonSystem
 from diagrams.perception.arm_hulls import ArmHulls
 from diagrams.perception.camera import add_camera
 from diagrams.perception.depth_noise import DepthNoise
+from diagrams.perception.depth_picture import add_depth_picture
 from diagrams.station.arm import Arm, add_arm, add_arm_drivers
 from diagrams.station.hidden_effects import add_hidden_effects
-from diagrams.station.rest import RestWatch, hold_or_free
+from diagrams.station.rest import Hold, RestWatch
 from diagrams.station.scenario import Scenario
 from diagrams.station.sliding_object import BODY, add_sliding_object, plant_config, resting_pose
 from diagrams.station.table import add_table
@@ -85,6 +86,7 @@ class Station(PythonDiagram):
         add_hidden_effects(builder, plant, self.true_object, scenario.hidden)
         add_arm_drivers(builder, plant, self.arm)
         _watch_rest(builder, plant, scene_graph, self.arm)
+        self._hold = Hold(plant, scene_graph)
         _export_camera(builder, plant, scene_graph, scenario)
         _export_ages(builder)
         _export_truth(builder, plant, body.index())
@@ -105,7 +107,7 @@ class Station(PythonDiagram):
         """
         watch = self.GetSubsystemByName("rest_watch")
         (at_rest,) = watch.get_output_port().Eval(watch.GetMyContextFromRoot(root))
-        hold_or_free(self.plant, self.plant.GetMyMutableContextFromRoot(root), bool(at_rest))
+        self._hold.set(self.plant, self.GetSubsystemByName("scene_graph"), root, bool(at_rest))
 
 
 def take_fixed_steps(simulator: Simulator) -> None:
@@ -131,7 +133,8 @@ def _export_camera(
     """Pictures with noise, and where they were taken from."""
     camera = add_camera(builder, plant, scene_graph, scenario.camera)
     noise = builder.AddNamedSystem("depth_noise", DepthNoise(scenario.depth_noise, scenario.camera.rate))
-    builder.Connect(camera.GetOutputPort("depth_image_32f"), noise.get_input_port())
+    depth = add_depth_picture(builder, plant, scene_graph, scenario.camera, camera)
+    builder.Connect(depth, noise.get_input_port())
     builder.ExportOutput(noise.get_output_port(), "camera.depth_image")
     builder.ExportOutput(camera.GetOutputPort("color_image"), "camera.rgb_image")
     place = builder.AddNamedSystem(

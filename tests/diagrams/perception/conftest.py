@@ -12,6 +12,7 @@ from pydrake.systems.framework import DiagramBuilder
 from diagrams.perception.camera import CameraConfig, add_camera
 from diagrams.perception.cell_perception import CellPerception
 from diagrams.perception.depth_noise import DepthNoise
+from diagrams.perception.depth_picture import add_depth_picture
 from models.objects.benchmark import BENCHMARK_OBJECTS, benchmark_object
 from models.perception.camera import View
 
@@ -39,7 +40,8 @@ class World:
         self.camera = add_camera(builder, self.plant, scene_graph, self.config)
         self.noise = builder.AddSystem(DepthNoise())
         self.perception = builder.AddSystem(CellPerception(cells=40))
-        builder.Connect(self.camera.depth_image_32F_output_port(), self.noise.get_input_port())
+        self.picture = add_depth_picture(builder, self.plant, scene_graph, self.config, self.camera)
+        builder.Connect(self.picture, self.noise.get_input_port())
         builder.Connect(self.noise.get_output_port(), self.perception.GetInputPort("depth_image"))
         builder.Connect(self.camera.body_pose_in_world_output_port(), self.perception.GetInputPort("X_WC"))
         self.diagram = builder.Build()
@@ -63,8 +65,8 @@ class World:
             self.plant.SetFreeBodyPose(state, self.plant.GetBodyByName(other), X_WO)
 
     def depth(self, context) -> np.ndarray:
-        port = self.camera.depth_image_32F_output_port()
-        return port.Eval(self.camera.GetMyContextFromRoot(context)).data[:, :, 0].copy()
+        system = self.picture.get_system()
+        return self.picture.Eval(system.GetMyContextFromRoot(context)).data[:, :, 0].copy()
 
     def output(self, context, name):
         return self.perception.GetOutputPort(name).Eval(self.perception.GetMyContextFromRoot(context))

@@ -93,6 +93,21 @@ def test_it_is_held_after_a_while_and_stays_where_it_is(book: Watched):
     assert place.IsNearlyEqualTo(resting_pose(0.0, 0.0, 0.0), 2e-5)
 
 
+def test_contacts_are_looked_for_again_as_soon_as_it_is_free(book: Watched):
+    scene_graph = book.station.GetSubsystemByName("scene_graph")
+
+    def touching() -> int:
+        context = scene_graph.GetMyContextFromRoot(book.simulator.get_context())
+        return len(scene_graph.get_query_output_port().Eval(context).ComputePointPairPenetration())
+
+    for x in (0.01, 0.0):
+        book.put(resting_pose(x, 0.0, 0.0))
+        book.advance(0.1)
+        assert not book.held() and touching() == 4 * len(book.station.true_object.grid)
+        book.advance(2 * QUIET)
+        assert book.held() and touching() == 0
+
+
 def test_a_finger_beside_it_frees_it_before_it_touches(book: Watched):
     book.put(resting_pose(0.0, 0.0, 0.0))
     edge = book.station.true_object.grid.centers[:, 1].max() + book.station.true_object.grid.width / 2
