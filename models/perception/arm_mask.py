@@ -14,6 +14,7 @@ from models.physics.cell_grid import FloatArray
 
 _NEAREST = 0.05  # m; what is closer to the camera's plane is drawn as if at this depth, far outside
 _FARTHEST_PIXEL = 10_000
+_MANY = 8  # balls; of more, only those at the border are drawn
 _CIRCLE = np.linspace(0, 2 * np.pi, 24, endpoint=False)
 _DISC = np.column_stack([np.cos(_CIRCLE), np.sin(_CIRCLE)])
 
@@ -59,9 +60,11 @@ def draw_hulls(hulls: Sequence[Hull], view: View, margin: float = 0.008) -> Mask
     low = np.minimum.reduceat(center - radius[:, None], first[:-1])
     high = np.maximum.reduceat(center + radius[:, None], first[:-1])
     beside = (high < -1.0).any(axis=1) | (low > [camera.width, camera.height]).any(axis=1)
-    discs = center[:, None] + radius[:, None, None] * _DISC
-    corners = np.round(np.clip(discs, -_FARTHEST_PIXEL, _FARTHEST_PIXEL)).astype(np.int32)
     for hull in np.flatnonzero(~behind & ~beside):
-        around = corners[first[hull] : first[hull + 1]].reshape(-1, 2)
-        cv2.fillConvexPoly(picture, cv2.convexHull(around), 255)
+        balls = np.arange(first[hull], first[hull + 1])
+        if sizes[hull] > _MANY:  # those in the middle of the others are not at the border
+            balls = balls[cv2.convexHull(center[balls].astype(np.float32), returnPoints=False).ravel()]
+        discs = center[balls, None] + radius[balls, None, None] * _DISC
+        corners = np.round(np.clip(discs, -_FARTHEST_PIXEL, _FARTHEST_PIXEL)).astype(np.int32)
+        cv2.fillConvexPoly(picture, cv2.convexHull(corners.reshape(-1, 2)), 255)
     return picture > 0

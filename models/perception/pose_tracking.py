@@ -32,6 +32,7 @@ _LEAST_SEEN = 0.4  # of the inner points
 # Where the last pose is no guide, a part of the object may fit another part: half a handle fits either way.
 _LEAST_FOUND_ANYWHERE = 0.75
 _LEAST_SEEN_ANYWHERE = 0.9
+_LEAST_AREA_ANYWHERE = 0.5  # of the footprint; of an object with fewer pixels, too little is seen for that
 _SURE = np.array([2e-3, 2e-3, np.deg2rad(2.0)])  # standard deviations beyond which a pose is not known
 # What remains however many edges are averaged: the outline itself was measured.
 _FLOOR = np.diag(np.array([3e-4, 3e-4, np.deg2rad(0.06)]) ** 2)
@@ -96,7 +97,9 @@ def track(
     mask = object_mask(heights, view)
     if mask is None:
         return ObservedPose.unseen("occluded" if hidden > 1 - _LEAST_SEEN else "left the table", time)
-    best = _anywhere(HeightPicture(heights), mask, heights, view, seen, previous)
+    best = None
+    if mask.sum() * pixel_size(view) ** 2 > _LEAST_AREA_ANYWHERE * seen.grid.polygon.area:
+        best = _anywhere(HeightPicture(heights), mask, heights, view, seen, previous)
     if best is not None and best.unmistakable:
         return _observed(best, time)
     around = cv2.dilate(mask.astype(np.uint8), np.ones((15, 15), np.uint8)) > 0
