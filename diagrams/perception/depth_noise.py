@@ -107,6 +107,8 @@ class DepthNoise(PythonSystem):
             raise ValueError(f"depth noise: the rate must be positive, got {rate} Hz")
         self._config = config or DepthNoiseConfig()
         self._rate = rate
+        # What has to be compiled is so now, and no picture of a twin comes late.
+        noisy_depth(np.ones((32, 32), dtype=np.float32), self._config, np.random.default_rng(0))
         image = AbstractValue.Make(ImageDepth32F())
         self._input = self.DeclareAbstractInputPort("depth_image", image)
         self.DeclareAbstractOutputPort(

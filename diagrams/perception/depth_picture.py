@@ -145,8 +145,12 @@ class DepthPicture(PythonSystem):
         background, self._moving = _Scene(standing), _Scene(moving)
         self._background = np.full((camera.height, camera.width), np.inf, dtype=np.float32)
         rest = plant.CreateDefaultContext()
-        X_WB = [plant.EvalBodyPoseInWorld(rest, plant.get_body(body)) for body in background.bodies]
-        background.draw(self._background, self._camera, [self._X_CW @ X for X in X_WB])
+        everything = self._background.copy()
+        for scene, image in ((background, self._background), (self._moving, everything)):
+            X_WB = [plant.EvalBodyPoseInWorld(rest, plant.get_body(body)) for body in scene.bodies]
+            scene.draw(image, self._camera, [self._X_CW @ X for X in X_WB])
+        # Nobody sees this one; but what has to be compiled is so now, and no picture of a twin comes late.
+        keep_range(everything, NEAREST, FARTHEST)
         poses = self.DeclareAbstractInputPort("body_poses", Value[List[RigidTransform]]())
         self.DeclareAbstractOutputPort(
             "depth_image", lambda: AbstractValue.Make(ImageDepth32F()), self._calc, {poses.ticket()}
