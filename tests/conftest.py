@@ -1,6 +1,7 @@
 """Threads of the workers, the order of files, and fixtures shared by all tests."""
 
 import os
+import random
 from pathlib import Path
 
 import pytest
@@ -30,14 +31,27 @@ COSTLY = (
 SHARED_DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 
 
+def pytest_addoption(parser: pytest.Parser) -> None:
+    """An order of the tests that nobody chose, to find those that need another one before them."""
+    parser.addoption(
+        "--shuffle", type=int, metavar="SEED", help="run files, and tests within each, in random order"
+    )
+
+
 def pytest_configure(config: pytest.Config) -> None:
     """Let xdist keep the order below."""
     if hasattr(config.option, "loadscopereorder"):
         config.option.loadscopereorder = False
 
 
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Costly files first, the others as collected."""
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Costly files first, the others as collected; or all at random, file by file."""
+    seed = config.getoption("--shuffle")
+    if seed is not None:
+        draw = random.Random(seed)
+        files = {path: draw.random() for path in sorted({item.path for item in items})}
+        items.sort(key=lambda item: (files[item.path], draw.random()))
+        return
     rank = {name: place for place, name in enumerate(COSTLY)}
     items.sort(key=lambda item: rank.get(item.path.name, len(COSTLY)))
 
