@@ -10,31 +10,51 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[2]
 SCRIPT = """
 import hashlib
+import json
 import numba
+import numpy as np
 from diagrams.demonstration import simulated_hammer
+from models.effects.registry import effects_named
+from models.inference.diagnosis import diagnose
 from models.inference.identification import identify
+from models.measurements.push_dataset import Table
+from planners.pregrasp_settings import PushSettings
+from planners.robust_push import plan_push
+
+def digest(*arrays):
+    return hashlib.sha256(b"".join(np.asarray(array).tobytes() for array in arrays)).hexdigest()
 
 dataset, _ = simulated_hammer(seed=1)
 belief = identify(dataset.with_fit_pushes(2), hypotheses=4, seed=0).belief
-numbers = (belief.maps.mass, belief.maps.mu, belief.maps.mu_finger, belief.probability)
-print(numba.get_num_threads(), hashlib.sha256(b"".join(array.tobytes() for array in numbers)).hexdigest())
+print(numba.get_num_threads())
+print(digest(belief.maps.mass, belief.maps.mu, belief.maps.mu_finger, belief.probability))
+table = Table("round", (0.0, 0.0), radius=0.5)
+push = plan_push(
+    belief, np.zeros(3), np.array([0.1, 0.05, 0.3]), table, PushSettings(), np.random.default_rng(2)
+)
+print(digest(push.predicted, push.gap, push.pushes))
+effects = effects_named(["table_tilt", "viscous_friction"])
+found = diagnose(dataset, effects=effects, quick=True, seed=0).to_json()
+found.pop("seconds", None)
+print(digest(json.dumps(found, sort_keys=True)))
 """
-"""The fits, and the predictions that weigh them, are many pushes of many models in one parallel call."""
+"""Fits and the predictions that weigh them, candidates of a push, and a diagnosis: many pushes of many models
+in one parallel call."""
 
 
-def learned_with(threads: int) -> tuple[str, str]:
-    """Threads that there were, and a digest of the belief."""
+def learned_with(threads: int) -> list[str]:
+    """Threads that there were, and digests of the belief, the planned push and the diagnosis."""
     result = subprocess.run(
         [sys.executable, "-c", SCRIPT],
         env={**os.environ, "PYTHONPATH": str(ROOT), "NUMBA_NUM_THREADS": str(threads)},
         capture_output=True, text=True, timeout=300,
     )  # fmt: skip
     assert result.returncode == 0, result.stderr
-    count, digest = result.stdout.split()
-    return count, digest
+    return result.stdout.split()
 
 
-def test_one_thread_and_two_learn_the_same_to_the_bit():
-    (one, alone), (two, together) = learned_with(1), learned_with(2)
+def test_one_thread_and_two_learn_plan_and_diagnose_the_same_to_the_bit():
+    (one, *alone), (two, *together) = learned_with(1), learned_with(2)
     assert (one, two) == ("1", "2")
+    assert len(alone) == 3
     assert alone == together
