@@ -39,9 +39,11 @@ def replay(
     from diagrams.commands.identify import show
     from diagrams.push_listener import PushListener
     from diagrams.push_recording import listened_json, why_none
+    from diagrams.run_folder import refuse_robots_pushes
 
     scenario = scenario_of(scenario_file, None)
     make_folder(folder)
+    refuse_robots_pushes(folder, "--out")
     if json_file is not None:
         check_file(json_file)
     listener = PushListener(scenario, log.stem)
@@ -66,8 +68,8 @@ def replay(
 
 def _listen(log: Path, listener: PushListener, folder: Path) -> None:
     from diagrams.hardware.message_log import BadLog, LogReader
-    from diagrams.push_record import PUSHES
     from diagrams.push_recording import hearing, record_pushes
+    from diagrams.run_folder import PUSHES
     from models.measurements.recording import PushRecorder
 
     try:
