@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, BinaryIO, cast
+from zipfile import BadZipFile
 
 import numpy as np
 from pydrake.common.yaml import yaml_dump_typed
@@ -146,7 +147,7 @@ def resumed(folder: Path) -> tuple[Scenario, LoopOptions, Recorded]:
         places = tuple(push["place"] for push in pushes)
     except (ScenarioError, DatasetError) as error:
         raise BadInput(str(error)) from error
-    except (OSError, ValueError, KeyError, TypeError) as error:
+    except (OSError, ValueError, KeyError, TypeError, BadZipFile) as error:
         raise BadInput(f"{folder}: the run in it cannot be gone on with ({error}); begin anew") from error
     if digests != [digest_of(folder / PUSHES / trial.name) for trial in dataset.trials]:
         raise BadInput(f"{folder / PUSHES}: holds pushes that are not those of {folder / RUN}; begin anew")
