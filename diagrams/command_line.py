@@ -33,6 +33,7 @@ from diagrams.commands.explore_study import explore_study
 from diagrams.commands.file_roles import keep_files_apart
 from diagrams.commands.fit import fit
 from diagrams.commands.identify import identify
+from diagrams.commands.options import OutputFile
 from diagrams.commands.predict import predict
 from diagrams.commands.pregrasp import pregrasp
 from diagrams.commands.record import record
@@ -60,13 +61,21 @@ class _Commands(click.Group):
             ctx.fail(f"there is no command `{name}`; {hint}")
         found, command, rest = super().resolve_command(ctx, args)
         if command is not None and not ctx.resilient_parsing:
-            _refuse_repeats(click.Context(command, parent=ctx, info_name=found), rest)
+            _refuse_slips(click.Context(command, parent=ctx, info_name=found), rest)
         return found, command, rest
 
 
-def _refuse_repeats(ctx: click.Context, args: Sequence[str]) -> None:
-    """Click would take the last of several values, and say nothing of the others."""
-    _, _, given = ctx.command.make_parser(ctx).parse_args(list(args))
+def _refuse_slips(ctx: click.Context, args: Sequence[str]) -> None:
+    """Click would take the last of several values, and say nothing of the others; and the working folder for
+    an empty path, which a shell makes of a variable that is not set.
+    """
+    values, _, given = ctx.command.make_parser(ctx).parse_args(list(args))
+    for param in ctx.command.params:
+        if isinstance(param.type, click.Path | OutputFile):
+            value = values.get(param.name or "")
+            if value == "" or (isinstance(value, list | tuple) and "" in value):
+                name = "/".join(param.opts) if isinstance(param, click.Option) else param.human_readable_name
+                ctx.fail(f"{name} is given an empty name; name a file or a folder.")
     for option, times in Counter(given).items():
         single = isinstance(option, click.Option) and not (option.multiple or option.is_flag or option.count)
         if single and times > 1:

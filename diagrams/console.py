@@ -41,6 +41,11 @@ def paragraph(text: str) -> None:
         click.echo(textwrap.fill(text, WIDTH))
 
 
+def status(text: str) -> None:
+    """A remark on stderr, broken into lines of 80 columns of which those after the first are indented."""
+    note(textwrap.fill(text, WIDTH, subsequent_indent="    ", break_long_words=False, break_on_hyphens=False))
+
+
 def wait_for_enter() -> None:
     """Wait until Enter is pressed or the input ends."""
     sys.stdin.readline()

@@ -3,31 +3,38 @@
 from __future__ import annotations
 
 import dataclasses
-import hashlib
-import json
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, BinaryIO, cast
+from zipfile import BadZipFile
 
 import numpy as np
 from pydrake.common.yaml import yaml_dump_typed
 
 from diagrams.console import BadInput
 from diagrams.exploration_loop import LoopOptions
-from diagrams.outputs import whole_file, write_json, write_text
-from diagrams.push_record import PUSHES, PushRecord
+from diagrams.outputs import whole_file, write_text
+from diagrams.push_record import PushRecord
 from diagrams.recorded import Recorded
+from diagrams.run_folder import (
+    PUSHES,
+    RUN,
+    digest_of,
+    digests_of,
+    read_run,
+    refuse_others_files,
+    write_run,
+)
 from diagrams.station.scenario import ObjectSettings, Scenario
 from diagrams.station.scenario_file import ScenarioError, read_settings
 from models.measurements import DatasetError, read_dataset
-from models.measurements.writing import trial_text
 from models.perception.first_picture import FirstPicture
 from planners.action_selection import Poke
 from planners.table_push import TablePush
 
 FORMAT = "slipmap-exploration/1"
-RUN, SCENARIO, PICTURE = "run.json", "scenario.yaml", "first_picture.npz"
+SCENARIO, PICTURE = "scenario.yaml", "first_picture.npz"
 
 
 class ExplorationRecord(PushRecord):
@@ -43,7 +50,8 @@ class ExplorationRecord(PushRecord):
         before: what is in the folder already, of a run that is gone on with.
 
     Raises:
-        BadInput: a run that was cut off is there, or files that are no part of one.
+        BadInput: a run that was cut off is there, files that are no part of one, or pushes that no earlier
+            run of the command left.
     """
 
     def __init__(
@@ -52,8 +60,10 @@ class ExplorationRecord(PushRecord):
         if before is None:
             _refuse_cut_off(folder)
         super().__init__(folder, scenario, 0 if before is None else len(before.trials))
+        if before is None:
+            refuse_others_files(folder, FORMAT, "slipmap explore", SCENARIO)
         self._options = options
-        self._run: dict[str, Any] | None = None if before is None else _read(folder / RUN)
+        self._run: dict[str, Any] | None = None if before is None else read_run(folder, FORMAT)
 
     def keep(self, recorded: Recorded) -> None:
         """Write what is not there yet.
@@ -64,11 +74,13 @@ class ExplorationRecord(PushRecord):
         if self._run is None:
             self._run = self._begin(recorded)
         self._run["pushes"] = [
-            {"digest": _digest(trial_text(trial).encode()), "poke": _poke(poke), "place": place}
-            for trial, poke, place in zip(recorded.trials, recorded.pokes, recorded.places, strict=True)
+            {"digest": digest, "poke": _poke(poke), "place": place}
+            for digest, poke, place in zip(
+                digests_of(recorded.trials), recorded.pokes, recorded.places, strict=True
+            )
         ]
         with self._going_on(len(recorded.trials) - 1):
-            write_json(self._folder / RUN, self._run)
+            write_run(self._folder, self._run)
             super().keep(recorded)
 
     def note(self, push: int, rows: dict[str, Any]) -> None:
@@ -80,7 +92,7 @@ class ExplorationRecord(PushRecord):
         """Say that the run came to its end, for better or worse: it may be replaced by another."""
         if self._run is not None:
             self._run["ended"] = True
-            write_json(self._folder / RUN, self._run)
+            write_run(self._folder, self._run)
 
     def _begin(self, recorded: Recorded) -> dict[str, Any]:
         scenario = dataclasses.replace(self._scenario, object=_found_from_anywhere(self._scenario.object))
@@ -91,7 +103,7 @@ class ExplorationRecord(PushRecord):
             "format": FORMAT,
             "ended": False,
             "options": dataclasses.asdict(self._options),
-            "digests": {name: _digest_of(self._folder / name) for name in (SCENARIO, PICTURE)},
+            "digests": {name: digest_of(self._folder / name) for name in (SCENARIO, PICTURE)},
         }
 
     @contextmanager
@@ -118,10 +130,10 @@ def resumed(folder: Path) -> tuple[Scenario, LoopOptions, Recorded]:
         raise BadInput(
             f"{folder}: holds no run of `slipmap explore` that recorded a push; begin one with --out {folder}"
         )
-    run = _read(folder / RUN)
+    run = read_run(folder, FORMAT)
     try:
         for name, digest in run["digests"].items():
-            if _digest_of(folder / name) != digest:
+            if digest_of(folder / name) != digest:
                 raise BadInput(f"{folder / name}: is not that of the run in {folder / RUN}; begin anew")
         scenario = read_settings(folder / SCENARIO, Scenario)
         told = run["options"]
@@ -135,9 +147,9 @@ def resumed(folder: Path) -> tuple[Scenario, LoopOptions, Recorded]:
         places = tuple(push["place"] for push in pushes)
     except (ScenarioError, DatasetError) as error:
         raise BadInput(str(error)) from error
-    except (OSError, ValueError, KeyError, TypeError) as error:
+    except (OSError, ValueError, KeyError, TypeError, BadZipFile) as error:
         raise BadInput(f"{folder}: the run in it cannot be gone on with ({error}); begin anew") from error
-    if digests != [_digest_of(folder / PUSHES / trial.name) for trial in dataset.trials]:
+    if digests != [digest_of(folder / PUSHES / trial.name) for trial in dataset.trials]:
         raise BadInput(f"{folder / PUSHES}: holds pushes that are not those of {folder / RUN}; begin anew")
     if not np.array_equal(grid.centers, dataset.grid.centers):
         raise BadInput(f"{folder}: this slipmap cuts the object into other cells than were recorded")
@@ -148,7 +160,7 @@ def resumed(folder: Path) -> tuple[Scenario, LoopOptions, Recorded]:
 
 def _refuse_cut_off(folder: Path) -> None:
     try:
-        run = _read(folder / RUN)
+        run = read_run(folder, FORMAT)
     except BadInput:
         return  # none, or none that could be gone on with
     if not run.get("ended") and run.get("pushes"):
@@ -156,16 +168,6 @@ def _refuse_cut_off(folder: Path) -> None:
             f"{folder}: holds a run that was cut off, with pushes recorded: {len(run['pushes'])}; go on with"
             f" `slipmap explore --resume {folder}`, or choose another folder with --out"
         )
-
-
-def _read(path: Path) -> dict[str, Any]:
-    try:
-        run = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
-        raise BadInput(f"{path}: cannot be read ({error}); begin anew") from error
-    if not isinstance(run, dict) or run.get("format") != FORMAT:
-        raise BadInput(f"{path}: is not the file of a run that this slipmap knows ({FORMAT})")
-    return run
 
 
 def _found_from_anywhere(thing: ObjectSettings) -> ObjectSettings:
@@ -189,11 +191,3 @@ def _poke(poke: Poke) -> dict[str, Any]:
 
 def _poke_of(told: dict[str, Any]) -> Poke:
     return Poke(TablePush(**told["push"]), np.array(told["contact"]), np.array(told["direction"]))
-
-
-def _digest(content: bytes) -> str:
-    return hashlib.sha256(content).hexdigest()
-
-
-def _digest_of(path: Path) -> str:
-    return _digest(path.read_bytes())

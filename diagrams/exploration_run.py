@@ -113,6 +113,7 @@ def explore(
     progress: Progress | None = None,
     record: PushRecord | None = None,
     before: Recorded | None = None,
+    learn_when_stopped: bool = True,
 ) -> ExplorationRun:
     """Explore the object of a scenario.
 
@@ -125,10 +126,12 @@ def explore(
         progress: called with (stage, done, total) pushes.
         record: where pushes go as soon as they are recorded; what it raises ends the run.
         before: what an earlier process recorded, to go on from.
+        learn_when_stopped: whether Ctrl-C leaves what can be learned from the pushes until then, for which
+            it takes its time, or ends the run at once.
 
     Raises:
         ExplorationFailed: the object was lost, or the arm cannot make any push.
-        ExplorationStopped: Ctrl-C; it has what was recorded until then.
+        ExplorationStopped: Ctrl-C; it has what was recorded until then, where that is learned from.
         ValueError, RendererUnavailable: see `exploration_loop`.
         HardwareError: the real cell cannot be reached.
     """
@@ -146,6 +149,8 @@ def explore(
         recording = None if record is None else Recording(loop, record, before)
         longest = LONGEST if cell is None else LONGEST_REAL
         ended = run_loop(loop, "supervisor", ("finished", "failed"), longest * pushes, watch)
+        if ended.interrupted and not learn_when_stopped:
+            raise ExplorationStopped(f"stopped at push {ended.status.push + 1} of {pushes}")
         run = explored(loop, ended, scenario, options, report)
     if ended.status.mode != "finished" or run is None:
         recorded = 0 if run is None else len(run.dataset.trials)

@@ -12,11 +12,15 @@ from diagrams.console import BadInput
 from diagrams.exploration_loop import recorded_dataset
 from diagrams.outputs import write_json, writing
 from diagrams.recorded import Recorded
+from diagrams.run_folder import PUSHES, digests_of, refuse_others_files, write_run
 from diagrams.station.scenario import Scenario
 from models.measurements import DatasetError
 from models.measurements.recording import PushRecorder
 
-PUSHES, UNDER_WAY = "pushes", "under_way.json"
+UNDER_WAY = "under_way.json"
+
+PREGRASP = "slipmap-pregrasp/1"
+"""Format of the `run.json` of `slipmap pregrasp`."""
 
 NOTED = 20
 """Rows of a push under way after which it is written down, at 100 a second."""
@@ -68,6 +72,35 @@ class PushRecord:
             BadInput: as `keep`.
         """
         write_json(self._folder / UNDER_WAY, {"push": push, **rows})
+
+
+class PregraspRecord(PushRecord):
+    """Keeps a folder of `slipmap pregrasp` in step with the run, which cannot be gone on with.
+
+    Args:
+        folder, scenario: as in `PushRecord`.
+
+    Raises:
+        BadInput: pushes are there that no earlier run of the command left, or of one that was cut off.
+    """
+
+    def __init__(self, folder: Path, scenario: Scenario) -> None:
+        super().__init__(folder, scenario)
+        refuse_others_files(folder, PREGRASP, "slipmap pregrasp")
+        self._run: dict[str, Any] | None = None
+
+    def keep(self, recorded: Recorded) -> None:
+        """See `PushRecord.keep`."""
+        pushes = [{"digest": digest} for digest in digests_of(recorded.trials)]
+        self._run = {"format": PREGRASP, "ended": False, "pushes": pushes}
+        write_run(self._folder, self._run)
+        super().keep(recorded)
+
+    def end(self) -> None:
+        """Say that the run came to its end, for better or worse: it may be replaced by another."""
+        if self._run is not None:
+            self._run["ended"] = True
+            write_run(self._folder, self._run)
 
 
 class Recording:

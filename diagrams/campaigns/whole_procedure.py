@@ -22,9 +22,12 @@ def trial(*, seed: int, object_name: str, method: str) -> dict[str, Any]:
 
     Returns:
         What `PregraspRun.to_json` tells, and `yaw`. A run in which nothing could be learned gave up.
+
+    Raises:
+        KeyboardInterrupt: Ctrl-C, which says nothing of the object.
     """
     from diagrams.exploration_loop import LoopOptions
-    from diagrams.exploration_run import ExplorationFailed
+    from diagrams.exploration_run import ExplorationFailed, ExplorationStopped
     from diagrams.pregrasp_loop import PregraspOptions
     from diagrams.pregrasp_run import run_pregrasp
     from diagrams.station.scenario import Scenario
@@ -35,7 +38,12 @@ def trial(*, seed: int, object_name: str, method: str) -> dict[str, Any]:
     scenario.object.pose = [0.0, 0.0, yaw]
     options = PregraspOptions(LoopOptions(seed=seed), method=method)
     try:
-        told = run_pregrasp(scenario, options).to_json()
+        run = run_pregrasp(scenario, options)
+        if run.interrupted:
+            raise KeyboardInterrupt
+        told = run.to_json()
+    except ExplorationStopped as error:
+        raise KeyboardInterrupt from error
     except ExplorationFailed as error:
         told = {"fate": "gave up", "reason": str(error), "pushes": []}
     # What the clock says depends on the machine, and the same seeds shall give the same result.

@@ -46,7 +46,10 @@ def demo(folder: Path, seed: int, fit_pushes: int, heldout_pushes: int, json_fil
     Pushes a hammer with a steel head and a wooden handle at random, records it with sensor noise as a push
     dataset, identifies its maps from that alone, and holds what it believes against the truth.
     """
+    from diagrams.run_folder import refuse_robots_pushes
+
     make_folder(folder)
+    refuse_robots_pushes(folder, "--output")
     place, belief = folder / "pushes", folder / "belief.npz"
     with Progress() as progress:
         prepare_kernels()

@@ -105,7 +105,7 @@ def explore(
     """
     from diagrams.exploration_loop import LoopOptions
     from diagrams.exploration_record import ExplorationRecord, resumed
-    from diagrams.push_record import PUSHES
+    from diagrams.run_folder import PUSHES
 
     before = None
     if resume is not None:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from diagrams.commands import options
+from diagrams.commands.explore import Stopped
 from diagrams.console import BadInput, Progress, note, paragraph, prepare_kernels, table
 from diagrams.outputs import make_folder, write_json
 
@@ -54,6 +55,7 @@ def explore_study(
     pushes as a dataset. What is there already is not run again, so a study that was stopped goes on. A run
     of 15 pushes takes two to three minutes.
     """
+    from diagrams.exploration_run import ExplorationStopped
     from models.objects.benchmark import BENCHMARK_OBJECTS
 
     names = object_names or tuple(BENCHMARK_OBJECTS)
@@ -62,26 +64,39 @@ def explore_study(
     rows: dict[str, list[dict[str, Any]]] = {name: [] for name in names}
     for name in names:
         for number in range(seed, seed + runs):
-            rows[name].append(_row(folder, name, number, pushes, checks))
+            try:
+                rows[name].append(_row(folder, name, number, pushes, checks))
+            except (ExplorationStopped, KeyboardInterrupt) as error:
+                raise Stopped(
+                    f"stopped at {name}, seed {number}, of which nothing is kept. The runs before are in"
+                    f" {folder}; called again, the study goes on where it was."
+                ) from error
     _show(rows)
     if json_file is not None:
         write_json(json_file, rows)
 
 
 def _row(folder: Path, name: str, seed: int, pushes: int, checks: int) -> dict[str, Any]:
-    """Result of one run, from its file or run now."""
+    """Result of one run, from its file or run now.
+
+    Raises:
+        ExplorationStopped: Ctrl-C; nothing of this run is kept.
+    """
     path = folder / f"{name}-{seed}.json"
     if path.exists():
         return _row_of(path, pushes, checks)
     from diagrams.commands.explore import scenario_of
     from diagrams.exploration_loop import LoopOptions
-    from diagrams.exploration_run import ExplorationFailed, explore
+    from diagrams.exploration_run import ExplorationFailed, ExplorationStopped, explore
     from models.measurements import write_dataset
 
     options_of_run = LoopOptions(pushes=pushes, checks=checks, seed=seed)
     try:
         with Progress() as progress:
-            run = explore(scenario_of(None, name), options_of_run, progress=progress)
+            scenario = scenario_of(None, name)
+            run = explore(scenario, options_of_run, progress=progress, learn_when_stopped=False)
+    except ExplorationStopped:
+        raise
     except ExplorationFailed as error:
         row: dict[str, Any] = {"failed": str(error)}
     else:
@@ -131,13 +146,12 @@ def _show(rows: dict[str, list[dict[str, Any]]]) -> None:
     for name, results in rows.items():
         good = [row for row in results if "failed" not in row]
         done += len(good)
-        mean = {
-            key: 1e3 * sum(row[key] for row in good) / len(good) if good else float("nan")
-            for key in ("error", "uniform", "center_of_mass_off")
-        }
         count = sum(row["center_of_mass_inside"] for row in good)
         failed = len(results) - len(good)
-        means = [f"{mean['error']:.1f}", f"{mean['uniform']:.1f}", f"{mean['center_of_mass_off']:.0f}"]
+        means = [
+            f"{1e3 * sum(row[key] for row in good) / len(good):.{digits}f}" if good else "–"
+            for key, digits in (("error", 1), ("uniform", 1), ("center_of_mass_off", 0))
+        ]
         cells.append([name, str(len(good)), str(failed), *means, str(count)])
         inside += count
     table(

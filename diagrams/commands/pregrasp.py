@@ -74,7 +74,7 @@ def pregrasp(
     """
     from diagrams.exploration_loop import LoopOptions
     from diagrams.pregrasp_loop import PregraspOptions
-    from diagrams.push_record import PushRecord
+    from diagrams.push_record import PregraspRecord
 
     scenario = scenario_of(scenario_file, object_name)
     exploration = LoopOptions(pushes=pushes, seed=seed, effects=effects_of_library(effect_names))
@@ -82,13 +82,14 @@ def pregrasp(
     if hardware and method == "true":
         raise BadInput("--method true: the truth is known of a simulated object alone; choose another method")
     make_folder(folder)
+    record = PregraspRecord(folder, scenario)
     if recording is not None:
         check_file(recording, ("html", "htm"))
     if json_file is not None:
         check_file(json_file)
-    record = PushRecord(folder, scenario)
     run = _run(scenario, options, url if hardware else None, open_meshcat, recording, record)
     written = leave(run.exploration.identification, run.exploration.dataset, folder, recording)
+    record.end()
     if json_file is not None:
         write_json(json_file, {**learned_json(run.exploration), "pregrasp": run.to_json()})
     show(run.exploration)

@@ -12,7 +12,7 @@ import click
 
 from diagrams.commands.explore import scenario_of
 from diagrams.commands.options import json_option, lcm_option, scenario_option
-from diagrams.console import BadInput, Progress, note, paragraph, prepare_kernels
+from diagrams.console import BadInput, Progress, note, paragraph, prepare_kernels, status
 from diagrams.outputs import check_file, check_folder, write_json, writing
 
 if TYPE_CHECKING:
@@ -68,11 +68,11 @@ def record(
             note(f"listening at {url}; Ctrl-C ends it")
             with _until_stopped() as stopped:
                 record_pushes(
-                    stream, listener, PushRecorder(output), note, log=log, most=pushes, stopped=stopped
+                    stream, listener, PushRecorder(output), status, log=log, most=pushes, stopped=stopped
                 )
         except HardwareError as error:
             raise BadInput(str(error)) from error
-    note(hearing(listener))
+    status(hearing(listener))
     lag = None
     if listener.pushes:
         dataset = listener.dataset()

@@ -10,7 +10,7 @@ import click
 from diagrams.commands.explore import leave, scenario_of
 from diagrams.commands.options import hypotheses_option, json_in_folder_option, scenario_option, seed_option
 from diagrams.commands.record import told_lag
-from diagrams.console import BadInput, Progress, note, prepare_kernels
+from diagrams.console import BadInput, Progress, note, prepare_kernels, status
 from diagrams.outputs import check_file, make_folder, write_json
 
 if TYPE_CHECKING:
@@ -39,9 +39,11 @@ def replay(
     from diagrams.commands.identify import show
     from diagrams.push_listener import PushListener
     from diagrams.push_recording import listened_json, why_none
+    from diagrams.run_folder import refuse_robots_pushes
 
     scenario = scenario_of(scenario_file, None)
     make_folder(folder)
+    refuse_robots_pushes(folder, "--out")
     if json_file is not None:
         check_file(json_file)
     listener = PushListener(scenario, log.stem)
@@ -66,18 +68,18 @@ def replay(
 
 def _listen(log: Path, listener: PushListener, folder: Path) -> None:
     from diagrams.hardware.message_log import BadLog, LogReader
-    from diagrams.push_record import PUSHES
     from diagrams.push_recording import hearing, record_pushes
+    from diagrams.run_folder import PUSHES
     from models.measurements.recording import PushRecorder
 
     try:
         with open(log, "rb") as file:
             reader = LogReader(file, str(log))
-            record_pushes(reader, listener, PushRecorder(folder / PUSHES), note)
+            record_pushes(reader, listener, PushRecorder(folder / PUSHES), status)
     except OSError as error:
         raise BadInput(f"{log}: cannot be read ({error.strerror})") from error
     except BadLog as error:
         raise BadInput(str(error)) from error
-    note(hearing(listener))
+    status(hearing(listener))
     if reader.cut_off:
         note(f"warning: {log} ends in the midst of a message; what comes before is used")

@@ -30,14 +30,16 @@ def station(url: str, scenario_file: Path | None, object_name: str | None) -> No
     difference. It runs until Ctrl-C. Every ten seconds it tells whether it keeps up with real time.
     """
     from diagrams.hardware.channels import HardwareError
+    from diagrams.hardware.network import address_settings
     from diagrams.hardware.twin_run import run_twin
     from diagrams.perception.renderer import RendererUnavailable
 
     scenario = scenario_of(scenario_file, object_name)
     if scenario_file is None:
         scenario.simulation.time_step = TIME_STEP
-    note(f"the cell of the {scenario.object.called} comes up at {url} …")
     try:
+        address_settings(url)
+        note(f"the cell of the {scenario.object.called} comes up at {url} …")
         last = run_twin(scenario, url, tell)
     except (HardwareError, RendererUnavailable, ValueError) as error:
         raise BadInput(str(error)) from error

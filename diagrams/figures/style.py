@@ -29,7 +29,6 @@ SCALED_SHARE = 0.97
 SCALED_RATIO = 1.5
 
 DOTS_PER_INCH = 130
-FORMATS = ("png", "pdf", "svg")
 
 STYLE = {
     "font.family": "DejaVu Sans",

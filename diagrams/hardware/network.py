@@ -16,19 +16,12 @@ _LOOK_EVERY = 1e-3  # s
 _BUFFER = 4_194_304  # bytes that the socket holds; a picture comes in several packets at once
 
 
-def open_lcm(url: str = LCM_URL, *, listens: bool = True) -> DrakeLcm:
-    """A connection to an address.
-
-    Args:
-        listens: whether messages will be heard, and not only sent; the network is tried out then.
-        url: `udpm://GROUP:PORT`, with `?ttl=N` for N > 0 where messages shall leave this computer, or `memq://`
-            for one that exists in this object alone.
+def address_settings(url: str) -> dict[str, str]:
+    """What stands after the ? of an address.
 
     Raises:
-        HardwareError: a malformed address, or a network that does not carry messages.
+        HardwareError: a malformed address, or none of multicast.
     """
-    if url == "memq://":
-        return DrakeLcm(url)
     match = _ADDRESS.fullmatch(url)
     if match is None:
         raise HardwareError(f"--lcm: the address must look like {LCM_URL}, got {url}")
@@ -45,7 +38,23 @@ def open_lcm(url: str = LCM_URL, *, listens: bool = True) -> DrakeLcm:
         raise HardwareError(
             f"--lcm: the address must be one of multicast, 224.0.0.0 to 239.255.255.255, got {url}"
         )
-    settings = {"ttl": "0", "recv_buf_size": str(_BUFFER), **settings}
+    return settings
+
+
+def open_lcm(url: str = LCM_URL, *, listens: bool = True) -> DrakeLcm:
+    """A connection to an address.
+
+    Args:
+        listens: whether messages will be heard, and not only sent; the network is tried out then.
+        url: `udpm://GROUP:PORT`, with `?ttl=N` for N > 0 where messages shall leave this computer, or `memq://`
+            for one that exists in this object alone.
+
+    Raises:
+        HardwareError: a malformed address, or a network that does not carry messages.
+    """
+    if url == "memq://":
+        return DrakeLcm(url)
+    settings = {"ttl": "0", "recv_buf_size": str(_BUFFER), **address_settings(url)}
     address = url.partition("?")[0]
     lcm = DrakeLcm(f"{address}?{'&'.join('='.join(item) for item in settings.items())}")
     if not listens:

@@ -13,6 +13,10 @@ import yaml
 from pydrake.common.yaml import yaml_load_typed
 
 from diagrams.station.scenario import Scenario
+from models.bounded_files import UnreadableFile, read_bounded
+
+LARGEST = 2**20
+"""Bytes of a scenario file; one with all that can be set has 5 kB."""
 
 
 class ScenarioError(ValueError):
@@ -67,12 +71,12 @@ def read_settings(path: str | Path, schema: type[T]) -> T:
     """
     path = Path(path)
     try:
-        text = path.read_text(encoding="utf-8")
+        text = read_bounded(path, LARGEST).decode("utf-8")
         for key, first, again in _repeated_keys(yaml.compose(text, Loader=yaml.SafeLoader)):
             raise ScenarioError(f"{path}: {key} stands in line {first} and again in line {again}; keep one")
         content = yaml.safe_load(text)
-    except OSError as error:
-        raise ScenarioError(f"{path}: cannot be read ({error.strerror or error})") from error
+    except UnreadableFile as error:
+        raise ScenarioError(f"{path}: {error}") from error
     except (yaml.YAMLError, UnicodeDecodeError) as error:
         raise ScenarioError(f"{path}: is not YAML ({_told(error)})") from error
     if content is None:

@@ -61,7 +61,7 @@ class PushSupervisor(PythonSystem):
         start = LoopStatus("learning", made - 1) if made else LoopStatus("looking", 0)
         self._status = self.DeclareAbstractState(held(start))
         self._active = self.DeclareAbstractState(held(None))
-        self._waiting = self.DeclareDiscreteState(1)
+        self.DeclareDiscreteState(1)  # since when it waits, s
         self.DeclarePeriodicUnrestrictedUpdateEvent(PERIOD, 0.0, self._decide)
         for name, index in (("status", self._status), ("active_push", self._active)):
             self.DeclareAbstractOutputPort(

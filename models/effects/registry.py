@@ -9,9 +9,13 @@ import sys
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
+from models.bounded_files import UnreadableFile, check_file
 from models.effects.effect import Effect, EffectError
 from models.effects.failures import told
 from models.effects.library import LIBRARY
+
+LARGEST = 2**20
+"""Bytes of a file with effects."""
 
 
 def load_effects(path: str | Path) -> tuple[Effect, ...]:
@@ -22,10 +26,10 @@ def load_effects(path: str | Path) -> tuple[Effect, ...]:
             and line.
     """
     path = Path(path)
-    if path.is_dir():
-        raise EffectError(f"effect file {path}: this is a folder; name one Python file in it")
-    if not path.is_file():
-        raise EffectError(f"effect file {path}: there is no such file")
+    try:
+        check_file(path, LARGEST)
+    except UnreadableFile as error:
+        raise EffectError(f"effect file {path}: {error}") from error
     # SymPy formulas are keyed by their file; a module of the same name elsewhere must not be taken for this
     # one.
     name = f"slipmap_effect_file_{abs(hash(path.resolve()))}"
@@ -42,7 +46,9 @@ def load_effects(path: str | Path) -> tuple[Effect, ...]:
     except KeyboardInterrupt:
         raise
     except BaseException as error:  # as by sys.exit(), which would end the program without a word
-        raise EffectError(f"effect file {path}: {told(error)}") from error
+        said = told(error)
+        place = said.removeprefix(path.name) if said.startswith(f"{path.name}, line") else f": {said}"
+        raise EffectError(f"effect file {path}{place}") from error
     classes = [
         value
         for value in vars(module).values()

@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from models.bounded_files import UnreadableFile, check_archive
 from models.effects.effect import Effect
 from models.effects.library import LIBRARY
 from models.effects.slider import EffectSlider
@@ -28,6 +29,9 @@ from models.physics.rollout import Maps, Slider, Smoothing
 FloatArray = NDArray[np.float64]
 
 FORMAT = "slipmap-belief/1"
+LARGEST_FILE = 2**29
+"""Bytes of a belief, unpacked; 1000 hypotheses about 5000 cells have 80 MB."""
+
 _ANEW = "`slipmap identify` or `slipmap fit` writes it anew"
 
 _DAMAGE = (
@@ -235,6 +239,7 @@ class Belief:
         if not zipfile.is_zipfile(path):
             raise BeliefError(f"{path} is not a readable belief file: it is not an .npz archive; {_ANEW}")
         try:
+            check_archive(path, LARGEST_FILE)
             with np.load(path, allow_pickle=False) as archive:
                 if "meta" not in archive.files:
                     raise BeliefError(f"{path} is not a belief file: it has no description in it; {_ANEW}")
@@ -276,6 +281,8 @@ class Belief:
             )
         except BeliefError:
             raise
+        except UnreadableFile as error:
+            raise BeliefError(f"{path}: {error}") from error
         except _DAMAGE as error:
             raise BeliefError(f"{path} is not a readable belief file ({error}); {_ANEW}") from error
 

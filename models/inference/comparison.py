@@ -42,7 +42,6 @@ class ComparedPush:
     Attributes:
         observation: what was measured.
         predicted: (S, 3) mean prediction at the observation's pose times, m and rad.
-        predicted_force: (T, 2) mean prediction at its force times, N.
         errors: of the prediction.
         uniform: errors of a uniform object with the belief's mass, friction and finger.
         resting: errors of an object that does not move.
@@ -51,7 +50,6 @@ class ComparedPush:
 
     observation: Observation
     predicted: FloatArray
-    predicted_force: FloatArray
     errors: Errors
     uniform: Errors
     resting: Errors
@@ -278,7 +276,6 @@ def _pushes(
         ComparedPush(
             observation=observation,
             predicted=motion.mean_poses,
-            predicted_force=motion.mean_forces,
             errors=ours[b],
             uniform=theirs[b],
             resting=resting_errors(observation, grid),

@@ -11,6 +11,7 @@ from typing import Any
 
 import yaml
 
+from models.bounded_files import UnreadableFile, read_bounded
 from models.measurements.fields import shown
 from models.measurements.push_dataset import DatasetError
 
@@ -18,6 +19,7 @@ LARGEST_RECORD = 64 * 2**20  # bytes; ten minutes of three channels at 250 Hz ar
 LARGEST_YAML = 4 * 2**20  # bytes; 50,000 cells are 1.5 MB
 
 DEEPEST_YAML = 50
+LONGEST_NAME = 250  # characters of a path that an error text has in full
 
 _Loader: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 
@@ -51,19 +53,12 @@ def read_bytes(path: Path, largest: int = LARGEST_RECORD) -> bytes:
         DatasetError: missing, not a file, unreadable, or larger than `largest` bytes.
     """
     try:
-        if not path.is_file():
-            what = "is a folder" if path.is_dir() else "there is no such file"
-            raise DatasetError(f"{path}: {what}; check the name")
-        size = path.stat().st_size
-        if size > largest:
-            raise DatasetError(
-                f"{path}: {size / 2**20:.0f} MiB, more than the {largest / 2**20:.0f} MiB one file may have"
-            )
-        return path.read_bytes()
-    except (OSError, ValueError) as error:
-        if isinstance(error, DatasetError):
-            raise
-        raise DatasetError(f"{shown(str(path))}: cannot be read ({error})") from None
+        return read_bounded(path, largest)
+    except UnreadableFile as error:
+        where = str(path)
+        raise DatasetError(
+            f"{where if where.isprintable() and len(where) < LONGEST_NAME else shown(where)}: {error}"
+        ) from None
 
 
 def parse_json(content: bytes, where: str) -> Any:

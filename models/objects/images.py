@@ -11,8 +11,10 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 from shapely.geometry import LinearRing, Polygon
 
+from models.bounded_files import UnreadableFile
 from models.objects.footprints import cells_from_polygon
 from models.objects.meshes import LARGEST_EXTENT, SMALLEST_EXTENT
+from models.objects.picture_files import read_picture
 from models.objects.tracing import traced_outline
 from models.physics.cell_grid import CellGrid, FloatArray
 
@@ -79,13 +81,10 @@ def cells_from_label_image(
 def _label_array(labels: NDArray[np.integer] | str | PathLike[str]) -> tuple[IntArray, str]:
     if isinstance(labels, str | PathLike):
         source = f"label image {Path(labels)}"
-        if not Path(labels).is_file():
-            raise ValueError(f"{source}: no such file; check the name")
-        image = cv2.imread(str(labels), cv2.IMREAD_UNCHANGED)
-        if image is None:
-            raise ValueError(
-                f"{source}: not a picture that OpenCV can read; save it once more, as a greyscale PNG"
-            )
+        try:
+            image = read_picture(Path(labels))
+        except UnreadableFile as error:
+            raise ValueError(f"{source}: {error}") from error
     else:
         source, image = "label image", np.asarray(labels)
     if image.ndim != 2:

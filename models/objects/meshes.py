@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 from shapely.geometry import Polygon
 
+from models.bounded_files import UnreadableFile, check_file
 from models.objects.footprints import cells_from_polygon
 from models.physics.cell_grid import CellGrid, FloatArray
 
@@ -20,6 +21,9 @@ LARGEST_EXTENT = 5.0
 
 SMALLEST_EXTENT = 1e-3
 """A footprint narrower than this (m) is taken for one in a wrong unit too."""
+
+LARGEST_FILE = 256 * 2**20
+"""Bytes of a mesh's file; five million triangles as STL."""
 
 _SNAP = 1e-7  # of the silhouette's extent
 _SPECK = 1e-5  # of the silhouette's area
@@ -93,10 +97,11 @@ def _loaded(mesh: trimesh.Trimesh | str | PathLike[str]) -> tuple[trimesh.Trimes
     source = "mesh"
     if isinstance(mesh, str | PathLike):
         source = f"mesh {Path(mesh)}"
-        if not Path(mesh).is_file():
-            raise ValueError(f"{source}: no such file; check the name")
         try:
+            check_file(Path(mesh), LARGEST_FILE)
             mesh = trimesh.load_mesh(str(mesh))
+        except UnreadableFile as error:
+            raise ValueError(f"{source}: {error}") from error
         except Exception as error:  # trimesh's readers raise whatever their parsers do
             raise ValueError(f"{source}: cannot be read as a mesh: {_told(error, Path(mesh))}") from error
     if not isinstance(mesh, trimesh.Trimesh) or len(mesh.faces) == 0:

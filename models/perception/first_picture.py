@@ -8,11 +8,15 @@ from typing import IO
 
 import numpy as np
 
+from models.bounded_files import check_archive
 from models.perception.camera import DepthImage, PinholeCamera, View
 from models.perception.first_look import first_look
 from models.perception.object_mask import Mask
 from models.perception.seen_object import SeenObject
 from models.physics.cell_grid import FloatArray
+
+LARGEST_FILE = 2**29
+"""Bytes, unpacked; pictures are at most 4096 by 4096."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,8 +55,9 @@ class FirstPicture:
         """Read what `save` wrote.
 
         Raises:
-            OSError, ValueError, KeyError: the file cannot be read, or is another.
+            OSError, ValueError, KeyError, BadZipFile: the file cannot be read, or is another.
         """
+        check_archive(path, LARGEST_FILE)
         with np.load(path, allow_pickle=False) as file:
             return FirstPicture(
                 file["depth"],

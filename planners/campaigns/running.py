@@ -13,7 +13,6 @@ from typing import Literal
 from planners.campaigns.trial import CampaignError, TrialOutcome, TrialSpec, read_outcome, write_outcome
 
 Backend = Literal["processes", "dask"]
-BACKENDS: tuple[Backend, ...] = ("processes", "dask")
 CRASHED = "the process that made the trial died"
 
 Progress = Callable[[int, int], None]

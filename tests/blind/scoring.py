@@ -12,8 +12,8 @@ import numpy as np
 from scipy.stats import beta
 
 from blind.generator import Truth
+from models.inference.diagnosis.results import VERDICTS
 
-VERDICTS = ("adequate", "effect", "ambiguous", "unknown", "undecided")
 COLUMNS = {
     "adequate": "adequate",
     "right": "effect: the true one",

@@ -14,11 +14,12 @@ import pytest
 from diagrams import outputs
 from diagrams.console import BadInput
 from diagrams.exploration_loop import LoopOptions
-from diagrams.exploration_record import PICTURE, RUN, SCENARIO, ExplorationRecord, resumed
-from diagrams.push_record import PUSHES, UNDER_WAY
+from diagrams.exploration_record import PICTURE, SCENARIO, ExplorationRecord, resumed
+from diagrams.push_record import UNDER_WAY, PregraspRecord
 from diagrams.recorded import Recorded
+from diagrams.run_folder import PUSHES, RUN
 from diagrams.station.scenario import Scenario
-from models.measurements import Channel, Trial, read_dataset, recording
+from models.measurements import Channel, Trial, read_dataset, recording, write_dataset
 from models.perception.camera import View
 from models.perception.first_picture import FirstPicture
 from planners.action_selection import Poke
@@ -255,3 +256,76 @@ def test_a_run_that_was_cut_off_is_told_by_the_command(slipmap, whole, tmp_path)
     recorded(tmp_path, whole, 2)
     told = slipmap("explore", "--out", tmp_path)
     assert told.code == 2 and f"slipmap explore --resume {tmp_path}" in " ".join(told.err.split())
+
+
+def contents(folder):
+    return {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+
+
+def made_by_hand(whole, folder, count=2):
+    """A dataset that no run left."""
+    recorded(folder / "elsewhere", whole, count)
+    return write_dataset(read_dataset(folder / "elsewhere" / PUSHES), folder / PUSHES)
+
+
+@pytest.mark.parametrize("command", ["explore", "pregrasp"])
+@pytest.mark.parametrize("mark", [None, "[", "{}", "other", "cut off", "other pushes"])
+def test_pushes_that_no_earlier_run_left_are_not_replaced(slipmap, whole, tmp_path, command, mark):
+    (tmp_path / "elsewhere").mkdir()
+    made_by_hand(whole, tmp_path)
+    ours = {"format": f"slipmap-{'exploration' if command == 'explore' else command}/1", "ended": True}
+    marks = {
+        "other": {"format": "slipmap-something/1", "ended": True, "pushes": []},
+        "cut off": {**ours, "ended": False, "pushes": []},
+        "other pushes": {**ours, "pushes": [{"digest": "0"}, {"digest": "1"}]},
+    }
+    if mark is not None:
+        (tmp_path / RUN).write_text(json.dumps(marks[mark]) if mark in marks else mark)
+    before = contents(tmp_path)
+    told = slipmap(command, "--out", tmp_path, "--pushes", 1)
+    assert (told.code, told.out) == (2, "") and "Traceback" not in told.err
+    assert f"{tmp_path / PUSHES}: is not of an earlier run of `slipmap {command}`" in told.err
+    assert "choose another folder with --out" in told.err
+    assert contents(tmp_path) == before
+
+
+def test_a_scenario_of_ones_own_is_not_replaced(slipmap, tmp_path):
+    cell = tmp_path / SCENARIO
+    cell.write_text("camera: {rate: 5}")
+    told = slipmap("explore", "--scenario", cell, "--out", tmp_path)
+    assert told.code == 2 and str(cell) in told.err and "--out" in told.err
+    assert cell.read_text() == "camera: {rate: 5}"
+
+
+def test_a_run_of_one_command_does_not_give_way_to_another(whole, tmp_path):
+    (tmp_path / "explored").mkdir(), (tmp_path / "taken").mkdir()
+    recorded(tmp_path / "explored", whole, 2).end()
+    record = PregraspRecord(tmp_path / "taken", scenario())
+    record.keep(part(whole, 2))
+    record.end()
+    for kind, folder in (
+        (PregraspRecord, "explored"),
+        (lambda f, s: ExplorationRecord(f, s, OPTIONS), "taken"),
+    ):
+        with pytest.raises(BadInput, match="is not of an earlier run"):
+            kind(tmp_path / folder, scenario())
+
+
+def test_a_pregrasp_that_ended_gives_way_to_the_next_and_one_that_was_cut_off_does_not(whole, tmp_path):
+    record = PregraspRecord(tmp_path, scenario())
+    for number in (1, 2):
+        record.keep(part(whole, number))
+    with pytest.raises(BadInput, match="pregrasp` that ended"):
+        PregraspRecord(tmp_path, scenario())
+    record.end()
+    PregraspRecord(tmp_path, scenario()).keep(part(whole, 1))
+    assert len(read_dataset(tmp_path / PUSHES).trials) == 1
+
+
+@pytest.mark.parametrize("command", [("demo", "-o"), ("replay", "nothing.lcmlog", "--out")])
+def test_pushes_of_the_robot_are_lost_to_no_other_command(slipmap, whole, tmp_path, command):
+    recorded(tmp_path, whole, 2).end()
+    before = contents(tmp_path)
+    told = slipmap(*command, tmp_path)
+    assert told.code == 2 and f"{tmp_path}: holds a run of the robot's cell" in told.err
+    assert contents(tmp_path) == before

@@ -11,7 +11,12 @@ from pathlib import Path
 import pytest
 from test_command_line import ENVIRONMENT, hear_ctrl_c
 
+from diagrams import exploration_run
+from diagrams.exploration_loop import LoopOptions
 from diagrams.exploration_record import resumed
+from diagrams.exploration_run import ExplorationStopped, LoopEnd, explore
+from diagrams.station.scenario import Scenario
+from diagrams.systems.messages import LoopStatus
 from models.inference.belief import Belief
 from models.measurements import read_dataset
 
@@ -41,3 +46,15 @@ def test_ctrl_c_in_the_second_push_leaves_the_first(tmp_path: Path) -> None:
     assert json.loads(result.read_text(encoding="utf-8"))["failure"] == "stopped after 1 of 3 pushes."
     _, options, before = resumed(out)
     assert options.pushes == 3 and len(before.trials) == 1
+
+
+def test_who_does_not_want_to_learn_when_stopped_does_not_wait_for_it(monkeypatch) -> None:
+    def fails(*arguments: object) -> None:
+        raise AssertionError("it learns")
+
+    end = LoopEnd(LoopStatus("pushing", 1), None, None, True, 1.0)  # type: ignore[arg-type]
+    monkeypatch.setattr(exploration_run, "run_loop", lambda *arguments: end)
+    monkeypatch.setattr(exploration_run, "explored", fails)
+    with pytest.raises(ExplorationStopped, match="stopped at push 2 of 3") as stopped:
+        explore(Scenario(), LoopOptions(pushes=2, checks=1), learn_when_stopped=False)
+    assert stopped.value.run is None

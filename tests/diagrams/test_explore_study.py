@@ -1,12 +1,18 @@
 """`slipmap explore-study` counts what its runs left, and does not run again what is there."""
 
 import json
+import signal
+import subprocess
+import sys
 
 import numpy as np
 import pytest
 from schemas import assert_as_described
+from test_command_line import ENVIRONMENT, hear_ctrl_c
 
+from diagrams import exploration_run
 from diagrams.commands.explore_study import _judged
+from diagrams.exploration_run import ExplorationStopped
 
 
 def a_row(**changes):
@@ -40,6 +46,49 @@ def test_runs_of_another_study_are_refused(slipmap, tmp_path):
     file.write_text("{}")
     said = slipmap("explore-study", "--object", "box", "--runs", 1, "-o", tmp_path)
     assert said.code == 2 and "is no run of a study" in " ".join(said.err.split())
+
+
+def test_without_a_good_run_there_are_no_means(slipmap, tmp_path):
+    for name, row in (("box", {"failed": "lost", "pushes": 5, "checks": 10}), ("book", a_row())):
+        (tmp_path / f"{name}-0.json").write_text(json.dumps(row))
+    said = slipmap("explore-study", "--object", "box", "--object", "book", "--runs", 1, "-o", tmp_path)
+    line = next(line for line in said.out.splitlines() if line.startswith("box"))
+    assert line.split() == ["box", "0", "1", "–", "–", "–", "0"]
+    assert "nan" not in said.out
+
+
+@pytest.mark.parametrize("error", [ExplorationStopped("stopped at push 2 of 15"), KeyboardInterrupt()])
+def test_ctrl_c_ends_the_study_and_is_no_result(slipmap, tmp_path, monkeypatch, error):
+    def stopped(*arguments, learn_when_stopped, **options):
+        assert not learn_when_stopped
+        raise error
+
+    (tmp_path / "box-0.json").write_text(json.dumps(a_row()))
+    monkeypatch.setattr(exploration_run, "explore", stopped)
+    words = ["explore-study", "--object", "box", "--runs", 3, "-o", tmp_path]
+    said = slipmap(*words, "--json", tmp_path / "study.json")
+    assert (said.code, said.out) == (130, "")
+    told = " ".join(said.err.split())
+    assert "box, seed 1" in told and "called again, the study goes on where it was" in told
+    assert [path.name for path in tmp_path.iterdir()] == ["box-0.json"]
+
+
+@pytest.mark.usefixtures("renderer")
+def test_a_real_ctrl_c_leaves_nothing_of_the_run(tmp_path):
+    command = [sys.executable, "-m", "diagrams", "explore-study", "--object", "book"]
+    command += ["--runs", "2", "-o", str(tmp_path / "study")]
+    with subprocess.Popen(
+        command, env=ENVIRONMENT, text=True, stderr=subprocess.PIPE, preexec_fn=hear_ctrl_c
+    ) as process:
+        assert process.stderr is not None
+        for line in process.stderr:
+            if line.startswith("push 1 of 15"):
+                process.send_signal(signal.SIGINT)
+                break
+        said = process.stderr.read()
+        assert process.wait(timeout=60) == 130
+    assert "Traceback" not in said and "goes on where it was" in said
+    assert not (tmp_path / "study").exists()
 
 
 class _Run:

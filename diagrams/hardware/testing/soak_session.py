@@ -65,10 +65,11 @@ def resident() -> float:
 def main(folder: Path, task: Task) -> None:
     """Explore, or go on exploring, in a folder."""
     from diagrams.exploration_loop import LoopOptions
-    from diagrams.exploration_record import RUN, ExplorationRecord, resumed
+    from diagrams.exploration_record import ExplorationRecord, resumed
     from diagrams.exploration_run import DOING, ExplorationFailed, explore
     from diagrams.hardware.testing.cell import LOCKSTEP, Faults, small_scenario
     from diagrams.hardware.testing.lockstep import LockstepCell
+    from diagrams.run_folder import RUN
 
     # Few and large cells: what is soaked is the cell and what drives it, not how well it learns.
     options = LoopOptions(

@@ -2,7 +2,14 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
+import pytest
+
+from diagrams import pregrasp_run
+from diagrams.campaigns import whole_procedure
 from diagrams.campaigns.experiments import experiment_of
+from diagrams.exploration_run import ExplorationFailed, ExplorationStopped
 from planners.campaigns.trial import TrialOutcome
 from planners.methods import METHODS
 
@@ -41,3 +48,24 @@ def test_figure_7_counts_what_is_held_and_shows_the_paper() -> None:
     assert table["  paper"] == ["100", "80", "30", "–"]
     ways = {row[0]: row[1:] for row in summary.tables[1].rows}
     assert ways["dropped"] == ["1"] * len(METHODS)
+
+
+@pytest.mark.parametrize("late", [False, True])
+def test_ctrl_c_is_no_result_of_the_whole_procedure(monkeypatch, late: bool) -> None:
+    def stopped(scenario, options):  # type: ignore[no-untyped-def]
+        if late:
+            return SimpleNamespace(interrupted=True, to_json=lambda: {"fate": "gave up"})
+        raise ExplorationStopped("stopped before anything was recorded")
+
+    monkeypatch.setattr(pregrasp_run, "run_pregrasp", stopped)
+    with pytest.raises(KeyboardInterrupt):
+        whole_procedure.trial(seed=0, object_name="hammer", method="true")
+
+
+def test_a_run_that_fails_gave_up(monkeypatch) -> None:
+    def fails(scenario, options):  # type: ignore[no-untyped-def]
+        raise ExplorationFailed("nothing was recorded: lost")
+
+    monkeypatch.setattr(pregrasp_run, "run_pregrasp", fails)
+    told = whole_procedure.trial(seed=0, object_name="hammer", method="true")
+    assert (told["fate"], told["reason"]) == ("gave up", "nothing was recorded: lost")

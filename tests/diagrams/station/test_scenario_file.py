@@ -213,9 +213,9 @@ def test_fields_that_belong_together_are_checked_together(read):
 
 
 def test_a_missing_file_is_named(tmp_path):
-    with pytest.raises(ScenarioError, match=r"nowhere\.yaml: cannot be read \(No such file"):
+    with pytest.raises(ScenarioError, match=r"nowhere\.yaml: there is no such file"):
         read_settings(tmp_path / "nowhere.yaml", Scenario)
-    with pytest.raises(ScenarioError, match="cannot be read"):
+    with pytest.raises(ScenarioError, match="is a folder"):
         read_settings(tmp_path, Scenario)
 
 

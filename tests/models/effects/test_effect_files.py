@@ -180,7 +180,7 @@ def test_every_effect_of_the_library_passes_the_checks() -> None:
 
 
 def test_a_folder_is_no_effect_file(tmp_path: Path) -> None:
-    with pytest.raises(EffectError, match="this is a folder; name one Python file in it"):
+    with pytest.raises(EffectError, match="is a folder; name a file in it"):
         load_effects(tmp_path)
 
 

@@ -223,7 +223,7 @@ def test_wrong_input_is_refused(labels, scale, message):
 
 
 def test_wrong_files_are_refused(tmp_path):
-    with pytest.raises(ValueError, match=r"missing\.png: no such file"):
+    with pytest.raises(ValueError, match=r"missing\.png: there is no such file"):
         cells_from_label_image(tmp_path / "missing.png", SCALE, count=4)
     text = tmp_path / "text.png"
     text.write_text("not a picture")

@@ -178,7 +178,7 @@ def test_wrong_meshes_are_refused(mesh, options, message):
 
 
 def test_wrong_files_are_refused(tmp_path):
-    with pytest.raises(ValueError, match=r"missing\.stl: no such file"):
+    with pytest.raises(ValueError, match=r"missing\.stl: there is no such file"):
         cells_from_mesh(tmp_path / "missing.stl", count=4)
     for name, content in [("text.stl", "hello"), ("empty.obj", ""), ("what.xyzzy", "1 2 3")]:
         path = tmp_path / name
