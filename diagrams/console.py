@@ -12,8 +12,7 @@ from typing import TYPE_CHECKING
 import click
 
 if TYPE_CHECKING:
-    from rich.progress import Progress as Bars
-    from rich.progress import TaskID
+    from diagrams.progress_bars import Bars
 
 WIDTH = 80
 """Columns of everything that is not shown on a terminal."""
@@ -70,40 +69,53 @@ def prepare_kernels() -> None:
         note("Compiling the kernels for this machine, once (about half a minute)…")
 
 
+class Pace:
+    """How fast a stage goes: the time left, at the mean pace of the parts that were seen to be done.
+
+    Args:
+        done: parts that were done before it began, and took no time.
+    """
+
+    def __init__(self, done: int) -> None:
+        self._first = self._done = done
+        self._began = self._last = time.monotonic()
+
+    def note(self, done: int) -> bool:
+        """Note how many parts are done; returns whether these are more than before."""
+        more = done > self._done
+        if more:
+            self._done, self._last = done, time.monotonic()
+        return more
+
+    def left(self, total: int) -> float | None:
+        """Seconds until all parts are done; None until one is. It runs down while a part is at work."""
+        made = self._done - self._first
+        if made <= 0:
+            return None
+        each = (self._last - self._began) / made
+        at_work = min(time.monotonic() - self._last, each)
+        return max(each * (total - self._done) - at_work, 0.0)
+
+
 class Progress:
     """Shows progress and the time left on stderr: bars on a terminal, elsewhere a line now and then.
 
-    Use as a context manager, and call with (stage, done, total).
+    Use as a context manager, and call with (stage, done, total). What follows a colon in a stage is what is
+    being done at present: it is shown beside the bar, and does not begin a new one. A stage of one part, or
+    of 0 where nobody knows how many there are, has no count and no time left, only the time that it takes.
     """
 
     def __init__(self) -> None:
-        self._stage = ""
+        self._stage = self._doing = ""
         self._began = self._spoke = time.monotonic()
-        self._first = 0
+        self._pace = Pace(0)
         self._bars: Bars | None = None
-        self._task: TaskID | None = None
 
     def __enter__(self) -> Progress:
         if sys.stderr.isatty():
-            from rich.console import Console
-            from rich.progress import (
-                BarColumn,
-                MofNCompleteColumn,
-                TextColumn,
-                TimeElapsedColumn,
-                TimeRemainingColumn,
-            )
-            from rich.progress import Progress as Bars
+            from diagrams.progress_bars import Bars  # rich takes a while to load
 
-            self._bars = Bars(
-                TextColumn("{task.description:<24}"),
-                BarColumn(),
-                MofNCompleteColumn(),
-                TimeElapsedColumn(),
-                TextColumn("left"),
-                TimeRemainingColumn(),
-                console=Console(stderr=True),
-            )
+            self._bars = Bars()
             self._bars.start()
         return self
 
@@ -116,42 +128,52 @@ class Progress:
 
     def __call__(self, stage: str, done: int, total: int) -> None:
         """Report that `done` of `total` parts of a stage are done."""
+        stage, _, doing = stage.partition(": ")
         if stage != self._stage:
             self._finish(complete=True)
-            self._stage, self._began, self._first = stage, time.monotonic(), done
-            self._spoke = self._began
+            self._stage, self._pace = stage, Pace(done)
+            self._began = self._spoke = time.monotonic()
             if self._bars is not None:
-                self._task = self._bars.add_task(stage, total=total)
+                self._bars.begin(stage, self._pace)
             else:
                 note(f"{stage} …")
-        if self._bars is not None and self._task is not None:
-            self._bars.update(self._task, completed=done, total=total)
-        elif done < total and time.monotonic() - self._spoke > HEARTBEAT:
-            self._spoke = time.monotonic()
-            note(f"{stage}: {done} of {total}{self._left(done, total)}")
+        self._doing = doing
+        more = self._pace.note(done)
+        if self._bars is not None:
+            self._bars.show(f"{stage}: {doing}" if doing else stage, done, total)
+        elif time.monotonic() - self._spoke > HEARTBEAT or (more and doing):
+            self._speak(done, total)
 
-    def _left(self, done: int, total: int) -> str:
-        """Time left at the pace of this stage; what was done before it began took no time."""
-        made = done - self._first
-        if made <= 0:
-            return ""
-        seconds = (time.monotonic() - self._began) / made * (total - done)
-        for unit, length in (("h", 3600.0), ("min", 60.0)):
-            if seconds > 2 * length:
-                return f", about {seconds / length:.0f} {unit} left"
-        return f", about {seconds:.0f} s left"
+    def _speak(self, done: int, total: int) -> None:
+        """Say in a log file how far the stage is."""
+        if total and done >= total:
+            return  # its end is told when it ends
+        self._spoke = time.monotonic()
+        if total > 1:
+            text = f"{done} of {total}{_about(self._pace.left(total))}"
+        else:
+            text = f"{time.monotonic() - self._began:.0f} s so far"
+        note("; ".join(filter(None, (f"{self._stage}: {text}", self._doing))))
 
     def _finish(self, *, complete: bool) -> None:
         """Close the present stage; a stage may end before its total, when it has converged."""
         if not self._stage or not complete:
             return
-        if self._bars is not None and self._task is not None:
-            whole = self._bars.tasks[self._task].total
-            self._bars.update(self._task, completed=whole)
-            self._bars.stop_task(self._task)
+        if self._bars is not None:
+            self._bars.end(self._stage)
         else:
             note(f"{self._stage}: done in {time.monotonic() - self._began:.1f} s")
         self._stage = ""
+
+
+def _about(seconds: float | None) -> str:
+    """The time left in words, after a comma; nothing where it is not known."""
+    if seconds is None:
+        return ""
+    for unit, length in (("h", 3600.0), ("min", 60.0)):
+        if seconds > 2 * length:
+            return f", about {seconds / length:.0f} {unit} left"
+    return f", about {seconds:.0f} s left"
 
 
 def table(

@@ -139,8 +139,7 @@ def explore(
     pushes = options.pushes + options.checks
 
     def watch(status: LoopStatus, context: Context) -> None:
-        number = min(status.push + 1, pushes)
-        report(f"push {number} of {pushes}: {DOING[status.mode]}", status.push, pushes)
+        report(f"exploring: {DOING[status.mode]}", status.push, pushes)
         if recording is not None:
             recording.look(context)
 

@@ -139,7 +139,7 @@ def run_pregrasp(
         options: what to do.
         hardware: LCM address of a real cell, or see `control.real_cell`; simulated if None.
         meshcat: where to show it, if anywhere.
-        progress: called with (stage, done, total) pushes.
+        progress: called with (stage, done, total) pushes; the total is 0 where it is not known.
         record: where pushes go as soon as they are recorded; what it raises ends the run.
 
     Raises:
@@ -171,13 +171,13 @@ def _run(
         if recording is not None:
             recording.look(context)
         if status.push < first and status.mode in DOING:
-            report(f"push {status.push + 1} of {first}: {DOING[status.mode]}", status.push, first)
+            report(f"exploring: {DOING[status.mode]}", status.push, first)
         if status.push < first or status.mode not in BRINGS:
             return
-        stage = BRINGS[status.mode]
-        if status.mode in ("planning", "pushing", "recording"):
-            stage = f"to the edge, push {status.push - first + 1}: {stage}"
-        report(stage, status.push - first, options.pushes)
+        doing = BRINGS[status.mode]
+        if status.mode in ("pushing", "recording"):
+            doing = f"push {status.push - first + 1}, {doing}"
+        report(f"to the edge: {doing}", status.push - first, 0)  # nobody knows how many it takes
         if status.mode in ("pushing", "grasping"):
             plans[status.push] = output_of(loop, "planner", "plan", context)
 

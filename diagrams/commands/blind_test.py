@@ -54,6 +54,8 @@ def blind_test(seed: int, count: int, output: Path, jobs: int) -> None:
     waiting = [number for number in seeds if not _file(output, number, RESULT).exists()]
     if len(waiting) < count:
         note(f"{count - len(waiting)} of {count} datasets have their diagnosis in {output} already")
+    if waiting:
+        note(_announcement(len(waiting), jobs))
     started = time.monotonic()
     for done, (number, outcome) in enumerate(_run_all(output, waiting, jobs), start=1):
         left = (time.monotonic() - started) / done * (len(waiting) - done)
@@ -63,6 +65,12 @@ def blind_test(seed: int, count: int, output: Path, jobs: int) -> None:
     write_text(output / "score.md", score.markdown())
     click.echo(score.text(), nl=False)
     note(f"score: {output / 'score.md'}")
+
+
+def _announcement(count: int, jobs: int) -> str:
+    """What the first lines of outcomes are waited for."""
+    at_once = f", {jobs} at a time" if jobs > 1 and count > 1 else ""
+    return f"{count} dataset{'s' * (count > 1)} to simulate and diagnose{at_once}; about a minute each …"
 
 
 def _blind(module: str) -> Any:

@@ -44,6 +44,7 @@ def test_it_writes_datasets_truths_diagnoses_and_the_score(slipmap, tmp_path, di
     assert diagnosed.asked == [7, 8]
     assert "false alarms where nothing is hidden  1 of 1" in said.out
     assert "ambiguous sets that hold the truth    1 of 1" in said.out
+    assert said.err.startswith("2 datasets to simulate and diagnose; about a minute each …\n")
     assert "1 of 2, " in said.err
     assert "left: blind-00007, table_tilt (clear) → ambiguous tether, table_tilt" in said.err
     for name in ("blind-00007", "blind-00008"):
@@ -69,7 +70,7 @@ def test_a_stopped_run_goes_on_and_a_failure_loses_nothing_else(slipmap, tmp_pat
     said = slipmap("blind-test", "--seed", "7", "--count", "4", "-o", tmp_path)
     assert said.code == 0
     assert diagnosed.asked == [8, 10]
-    assert "2 of 4 datasets have their diagnosis" in said.err
+    assert "2 of 4 datasets have their diagnosis" in said.err and "\n2 datasets to simulate" in said.err
     assert (tmp_path / "blind-00007.result.json").stat().st_mtime_ns == kept
     assert (tmp_path / "blind-00008" / "dataset.yaml").stat().st_mtime_ns == dataset
     assert not (tmp_path / "blind-00008.failure.json").exists()

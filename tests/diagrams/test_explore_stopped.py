@@ -34,7 +34,7 @@ def test_ctrl_c_in_the_second_push_leaves_the_first(tmp_path: Path) -> None:
     ) as process:
         assert process.stderr is not None
         for line in process.stderr:
-            if line.startswith("push 2 of 3: pushing"):
+            if line.startswith("exploring: 1 of 3"):
                 process.send_signal(signal.SIGINT)
                 break
         said = process.stderr.read()

@@ -2,7 +2,15 @@
 
 from __future__ import annotations
 
+import fcntl
 import json
+import os
+import re
+import struct
+import subprocess
+import sys
+import termios
+from contextlib import suppress
 from types import SimpleNamespace
 
 import click
@@ -88,6 +96,77 @@ def test_progress_in_a_log_file_is_a_line_a_stage(capsys, monkeypatch):
         "drawing …",
         "drawing: done in 1.0 s",
     ]
+
+
+def test_progress_of_a_run_says_in_a_log_file_what_is_being_done_now_and_then(capsys, monkeypatch):
+    now = [0.0]
+    monkeypatch.setattr(console.time, "monotonic", lambda: now[0])
+    with Progress() as progress:
+        for push in range(3):
+            for _ in range(100):
+                for doing in ("looking", "pushing"):
+                    progress(f"exploring: {doing}", push, 3)
+                    now[0] += 0.1
+        progress("to the edge: planning", 0, 0)
+        now[0] += 20.0
+        progress("to the edge: push 1, pushing", 0, 0)
+    assert capsys.readouterr().err.splitlines() == [
+        "exploring …",
+        "exploring: 0 of 3; pushing",
+        "exploring: 1 of 3, about 40 s left; looking",
+        "exploring: 1 of 3, about 25 s left; looking",
+        "exploring: 2 of 3, about 20 s left; looking",
+        "exploring: 2 of 3, about 5 s left; looking",
+        "exploring: done in 60.0 s",
+        "to the edge …",
+        "to the edge: 20 s so far; push 1, pushing",
+        "to the edge: done in 20.0 s",
+    ]
+
+
+def on_a_terminal(code: str, columns: int) -> list[str]:
+    """Lines that code draws on a terminal, the last state of each."""
+    ours, its = os.openpty()
+    fcntl.ioctl(its, termios.TIOCSWINSZ, struct.pack("HHHH", 24, columns, 0, 0))
+    environment = {k: v for k, v in os.environ.items() if k not in ("COLUMNS", "NO_COLOR")}
+    command = [sys.executable, "-c", code]
+    with subprocess.Popen(command, stderr=its, env={**environment, "TERM": "xterm"}) as process:
+        os.close(its)
+        drawn = b""
+        with suppress(OSError):  # the terminal is gone when the process has ended
+            while part := os.read(ours, 4096):
+                drawn += part
+    os.close(ours)
+    assert process.returncode == 0
+    return [line.rstrip() for line in re.split(r"[\r\n]+", re.sub(r"\x1b\[[\d;?]*\w", "", drawn.decode()))]
+
+
+@pytest.mark.parametrize("columns", [80, 60])
+def test_bars_on_a_terminal_have_one_line_each_and_tell_the_time_left(columns):
+    lines = on_a_terminal(
+        """if True:
+        import time
+        from diagrams.console import Progress
+        with Progress() as progress:
+            for push in range(3):
+                for doing in ("looking at the object", "pushing"):
+                    progress(f"exploring: {doing}", push, 3)
+                    time.sleep(0.15)
+            progress("looking for patterns, with anisotropic_table and more", 999, 1000)
+            progress("drawing", 0, 1)
+            time.sleep(0.15)
+        """,
+        columns,
+    )
+    assert max(map(len, lines)) <= columns
+    told = [" ".join(re.sub("[━╸╺]+", "", line).split()) for line in lines]
+    assert "exploring: looking at the object 1/3 0:00:00 0:00:01 left" in told
+    assert "exploring: pushing 0/3 0:00:00" in told  # nothing is known of the time yet
+    assert told.count("exploring 3/3 0:00:00") > 0
+    assert any(
+        re.fullmatch("looking for patterns, with aniso[a-z_]*… 1000/1000 0:00:00", line) for line in told
+    )
+    assert "drawing 0:00:00" in told and not any(line.startswith("drawing 0/1") for line in told)
 
 
 def test_progress_does_not_call_a_failed_stage_done(capsys):

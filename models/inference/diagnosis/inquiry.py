@@ -109,17 +109,16 @@ class Inquiry:
             return outcomes.too_faint(self.base)
         return outcomes.unknown(self.base, next(iter(rest.values())))
 
-    def _screen(self, fitted: Fitted) -> Screening:
+    def _screen(self, fitted: Fitted, progress: Callable[[int, int], None] | None = None) -> Screening:
         everything = (*self.effects, *PROBES)
         return screen(
-            self.fitter, fitted, everything, len(self.effects), self.scene, max(self.draws, 1), self.rng
-        )
+            self.fitter, fitted, everything, len(self.effects), self.scene, max(self.draws, 1), self.rng,
+            progress,
+        )  # fmt: skip
 
     def _ask_every_effect(self) -> Screening:
         """Gains on top of the model without effects."""
-        self.report("asking every effect", 0, 1)
-        first = self._screen(self.base)
-        self.report("asking every effect", 1, 1)
+        first = self._screen(self.base, partial(self.report, "asking every effect"))
         named = [effect in self.effects for effect in first.candidates]
         self.p_value = self.rules.p_value(first, float(first.gain[named].max()))
         return first

@@ -11,7 +11,7 @@ that a table that is level to a tenth of a degree counts as level.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -82,6 +82,7 @@ def screen(
     scene: Scene,
     draws: int,
     rng: np.random.Generator,
+    progress: Callable[[int, int], None] | None = None,
 ) -> Screening:
     """Gains of all effects on top of a fitted model.
 
@@ -93,6 +94,7 @@ def screen(
         scene: for the candidates' starts.
         draws: D, simulated datasets.
         rng: of the draws.
+        progress: called with the number of parts done and that of all.
     """
     prior = fitter.prior(everything)
     likelihood = CorrelatedLikelihood(prior, fitter.measured, fitted.likelihood.error)
@@ -112,7 +114,10 @@ def screen(
     residuals: list[FloatArray] = []
     jacobians: list[list[FloatArray]] = [[] for _ in fitter.observations]
     width = 0
-    for g in range(max(len(starts[i]) for i in candidates)):
+    guesses = max(len(starts[i]) for i in candidates)
+    report = progress or (lambda done, total: None)
+    for g in range(guesses):
+        report(g, guesses + 1)  # the last part, all scores, takes about as long as a few of the others
         guess = np.concatenate([start[min(g, len(start) - 1)] for start in starts])
         z = np.concatenate([fitted.z[: fitted.likelihood.prior.plain], prior.effect_coordinates(guess)])
         taken = []
@@ -134,6 +139,7 @@ def screen(
             residuals = rest
         for b, J in enumerate(white):
             jacobians[b].append(J)
+    report(guesses, guesses + 1)
     stacked = [np.concatenate(parts, axis=1) for parts in jacobians]
     tolerated = [i for i in candidates if i < named]
     spare = np.concatenate([np.zeros(0, dtype=np.int64), *(own_columns[i][0] for i in tolerated)])
@@ -187,6 +193,7 @@ def screen(
         precision = np.concatenate([np.ones(width), np.full(len(both) - width, FREE**-2.0)])
         covariance = np.linalg.inv(total[both[:, None], both] + np.diag(precision))
         sharpness.append(float(np.sqrt(np.diagonal(covariance)[width:].min())))
+    report(guesses + 1, guesses + 1)
     return Screening(
         tuple(everything[i] for i in candidates),
         np.array(gain),

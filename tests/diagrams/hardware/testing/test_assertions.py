@@ -89,10 +89,10 @@ def test_planned_faults_begin_once_when_the_robot_gets_there():
     stop = Fault("status", "stop")
     faults.when("pushing", stop, push=2)
     for stage, done in (
-        ("push 1 of 3: pushing", 0),
-        ("push 2 of 3: looking at the object", 1),
-        ("push 2 of 3: pushing", 1),
-        ("push 2 of 3: pushing", 1),
+        ("exploring: pushing", 0),
+        ("exploring: looking at the object", 1),
+        ("exploring: pushing", 1),
+        ("exploring: pushing", 1),
     ):
         assert not ordered or stage.endswith("pushing")
         faults.look(stage, done)
