@@ -99,7 +99,8 @@ def read_settings(path: str | Path, schema: type[T]) -> T:
         settings = yaml_load_typed(schema=schema, data=text, defaults=schema())
         _refuse(settings, "")
     except ValueError as error:
-        raise ScenarioError(f"{path}: {error}") from error
+        said = str(error)
+        raise ScenarioError(f"{path}: {said if len(said) <= 1000 else f'{said[:997]}...'}") from error
     return settings
 
 

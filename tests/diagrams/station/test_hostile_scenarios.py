@@ -89,6 +89,7 @@ LAUGHS = b"a0: &a0 [x, x]\n" + b"".join(
         (b"object: {mesh: 'a\\0b', mass: 1.0, mu: 0.3}", "object.mesh"),
         (b'object: {mesh: "a\\0b", mass: 1.0, mu: 0.3}', "object.mesh"),
         (b"object: {labels: " + b"x" * 5000 + b"}", "object.labels"),
+        (b"table: {shape: " + b"x" * 50_000 + b"}", "table.shape must be round or rectangle"),
         (b"camera: {rate: [" + b"1, " * 20_000 + b"]}", "camera.rate"),
     ],
 )
