@@ -6,8 +6,6 @@ import errno
 import zipfile
 from pathlib import Path
 
-MIB = 2**20
-
 
 class UnreadableFile(ValueError):
     """A file that cannot be read. The text says why and what to do; who asked names the file."""
@@ -73,4 +71,5 @@ def _unreadable(error: OSError | ValueError) -> UnreadableFile:
 
 
 def _too_large(size: int, largest: int) -> UnreadableFile:
-    return UnreadableFile(f"{size / MIB:.0f} MiB, more than the {largest / MIB:.0f} MiB it may have")
+    unit, name = (2**20, "MiB") if largest >= 2**20 else (2**10, "KiB")
+    return UnreadableFile(f"{size / unit:.0f} {name}, more than the {largest / unit:.0f} {name} it may have")

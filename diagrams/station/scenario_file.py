@@ -3,9 +3,11 @@
 import dataclasses
 import difflib
 import math
+import reprlib
 import types
 import typing
 from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -15,8 +17,11 @@ from pydrake.common.yaml import yaml_load_typed
 from diagrams.station.scenario import Scenario
 from models.bounded_files import UnreadableFile, read_bounded
 
-LARGEST = 2**20
+LARGEST = 2**16
 """Bytes of a scenario file; one with all that can be set has 5 kB."""
+
+LONGEST = 60
+"""Characters of a name or value in an error text."""
 
 
 class ScenarioError(ValueError):
@@ -52,8 +57,11 @@ def read_scenario(path: str | Path, object_name: str | None = None) -> Scenario:
 def _found(name: str, scenario: Path, field: str) -> Path:
     places = list(dict.fromkeys(place.absolute() for place in (scenario.parent / name, Path(name))))
     for place in places:
-        if place.is_file():
-            return place
+        with suppress(OSError, ValueError):  # a name that no disk can hold
+            if place.is_file():
+                return place
+    if len(name) > LONGEST or not name.isprintable():
+        raise ScenarioError(f"{scenario}: {field}: there is no file {_shown(name)}")
     tried = ", nor ".join(str(place) for place in places)
     raise ScenarioError(f"{scenario}: {field}: there is no file {tried}")
 
@@ -77,7 +85,12 @@ def read_settings(path: str | Path, schema: type[T]) -> T:
         content = yaml.safe_load(text)
     except UnreadableFile as error:
         raise ScenarioError(f"{path}: {error}") from error
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
+    except ScenarioError:
+        raise
+    except RecursionError as error:
+        raise ScenarioError(f"{path}: is nested too deeply to be a scenario") from error
+    # Beside its own errors, the parser lets those of the types pass: a month 99, an integer of 5000 digits.
+    except (yaml.YAMLError, ValueError, TypeError, AttributeError, LookupError, OverflowError) as error:
         raise ScenarioError(f"{path}: is not YAML ({_told(error)})") from error
     if content is None:
         return schema()
@@ -86,13 +99,29 @@ def read_settings(path: str | Path, schema: type[T]) -> T:
         settings = yaml_load_typed(schema=schema, data=text, defaults=schema())
         _refuse(settings, "")
     except ValueError as error:
-        raise ScenarioError(f"{path}: {error}") from error
+        said = str(error)
+        raise ScenarioError(f"{path}: {said if len(said) <= 1000 else f'{said[:997]}...'}") from error
     return settings
 
 
 def _told(error: Exception) -> str:
     """What a parser says, on one line; of the text that it names, only the line and column."""
-    return " ".join(str(error).replace('in "<unicode string>", ', "").split())
+    said = " ".join(str(error).replace('in "<unicode string>", ', "").split())
+    return said if len(said) <= 200 else f"{said[:197]}..."
+
+
+def _shown(value: Any) -> str:
+    """A value as it stands in Python, of bounded length; a few lines of YAML can mean billions of items."""
+    brief = reprlib.Repr()
+    brief.maxlist = brief.maxdict = 8
+    brief.maxlevel = 3
+    brief.maxstring = brief.maxother = brief.maxlong = LONGEST
+    return brief.repr(value)
+
+
+def _name(key: Any) -> str:
+    name = key if isinstance(key, str) else _shown(key)
+    return name if len(name) <= LONGEST else f"{name[: LONGEST - 1]}…"
 
 
 def _repeated_keys(root: yaml.Node | None) -> Iterator[tuple[str, int, int]]:
@@ -109,7 +138,9 @@ def _repeated_keys(root: yaml.Node | None) -> Iterator[tuple[str, int, int]]:
             continue
         lines: dict[str, int] = {}
         for key, value in node.value:
-            name, line = str(key.value), key.start_mark.line + 1
+            if not isinstance(key, yaml.ScalarNode):
+                continue
+            name, line = _name(key.value), key.start_mark.line + 1
             full = f"{where}.{name}" if where else name
             if name in lines:
                 yield full, lines[name], line
@@ -147,22 +178,31 @@ def _check(value: Any, wanted: Any, path: str, where: str) -> None:
         return
     if origin in (list, tuple):
         if not isinstance(value, list):
-            raise ScenarioError(f"{path}: {where} must be a list, got {value!r}")
+            raise ScenarioError(f"{path}: {where} must be a list, got {_shown(value)}")
         for index, item in enumerate(value):
             _check(item, options[0], path, f"{where}[{index}]")
         return
     if origin is dict:
         if not isinstance(value, dict):
-            raise ScenarioError(f"{path}: {where} must hold names and values, got {value!r}")
+            raise ScenarioError(f"{path}: {where} must hold names and values, got {_shown(value)}")
         for name, item in value.items():
-            _check(name, options[0], path, f"{where}, the name {name!r}")
-            _check(item, options[1], path, f"{where}.{name}")
+            _check(name, options[0], path, f"{where}, the name {_shown(name)}")
+            _check(item, options[1], path, f"{where}.{_name(name)}")
         return
     kinds = {float: (int, float), int: (int,), str: (str,), bool: (bool,)}[wanted]
     if not isinstance(value, kinds) or (isinstance(value, bool) and wanted is not bool):
         names = {float: "a number", int: "a whole number", str: "a text", bool: "true or false"}
         hint = _exponent(value) if wanted is not str else ""
-        raise ScenarioError(f"{path}: {where} must be {names[wanted]}, got {value!r}{hint}")
+        raise ScenarioError(f"{path}: {where} must be {names[wanted]}, got {_shown(value)}{hint}")
+    if wanted is float and not _is_float(value):
+        raise ScenarioError(f"{path}: {where} must be a number that a computer holds, got {_shown(value)}")
+
+
+def _is_float(value: Any) -> bool:
+    try:
+        return isinstance(float(value), float)
+    except OverflowError:
+        return False
 
 
 def _exponent(value: Any) -> str:
@@ -182,12 +222,14 @@ def _exponent(value: Any) -> str:
 def _check_fields(value: Any, wanted: Any, path: str, where: str) -> None:
     known = {field.name: field.type for field in dataclasses.fields(wanted)}
     if not isinstance(value, dict):
-        hint = f"; write {where}: {{name: {value}}}" if isinstance(value, str) and "name" in known else ""
-        raise ScenarioError(f"{path}: {where or 'the file'} must hold fields and values, got {value!r}{hint}")
+        is_name = isinstance(value, str) and len(value) <= LONGEST and "name" in known
+        hint = f"; write {where}: {{name: {value}}}" if is_name else ""
+        wrong = f"{where or 'the file'} must hold fields and values, got {_shown(value)}{hint}"
+        raise ScenarioError(f"{path}: {wrong}")
     for name, item in value.items():
-        full = f"{where}.{name}" if where else str(name)
+        full = f"{where}.{_name(name)}" if where else _name(name)
         if name not in known:
-            near = difflib.get_close_matches(str(name), known, n=1)
+            near = difflib.get_close_matches(_name(name), known, n=1)
             hint = f"did you mean {near[0]}? Known" if near else "known"
             raise ScenarioError(f"{path}: unknown field {full}; {hint} here: {', '.join(known)}")
         _check(item, known[name], path, full)

@@ -9,6 +9,9 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from models.effects.effect import Effect
 
+LONGEST = 400
+"""Characters of what an error in an effect's code may say."""
+
 
 class EffectError(ValueError):
     """An effect that cannot be used; the message names the effect, and file and line where known."""
@@ -29,7 +32,12 @@ def failing_line(error: BaseException) -> str:
 
 def told(error: BaseException) -> str:
     """Where and with what an effect's code failed."""
-    return f"{failing_line(error)}: {type(error).__name__}: {error}"
+    try:
+        said = " ".join(str(error).split())
+    except Exception:  # an error of the user's own may fail to tell itself
+        said = "no text"
+    said = said if len(said) <= LONGEST else f"{said[: LONGEST - 3]}..."
+    return f"{failing_line(error)}: {type(error).__name__}: {said}"
 
 
 def call_formula(effect: Effect, method: str, *arguments: Any) -> Any:

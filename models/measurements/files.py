@@ -56,9 +56,8 @@ def read_bytes(path: Path, largest: int = LARGEST_RECORD) -> bytes:
         return read_bounded(path, largest)
     except UnreadableFile as error:
         where = str(path)
-        raise DatasetError(
-            f"{where if where.isprintable() and len(where) < LONGEST_NAME else shown(where)}: {error}"
-        ) from None
+        whole = where.isprintable() and len(where) < LONGEST_NAME
+        raise DatasetError(f"{where if whole else shown(where)}: {error}") from None
 
 
 def parse_json(content: bytes, where: str) -> Any:

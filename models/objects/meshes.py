@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from os import PathLike
 from pathlib import Path
 
@@ -99,6 +100,7 @@ def _loaded(mesh: trimesh.Trimesh | str | PathLike[str]) -> tuple[trimesh.Trimes
         source = f"mesh {Path(mesh)}"
         try:
             check_file(Path(mesh), LARGEST_FILE)
+            logging.getLogger("trimesh").setLevel(logging.CRITICAL)  # what is wrong is told below
             mesh = trimesh.load_mesh(str(mesh))
         except UnreadableFile as error:
             raise ValueError(f"{source}: {error}") from error
@@ -115,7 +117,9 @@ def _loaded(mesh: trimesh.Trimesh | str | PathLike[str]) -> tuple[trimesh.Trimes
 def _told(error: Exception, path: Path) -> str:
     """What a reader that failed means."""
     if not isinstance(error, ImportError):
-        return f"{error}; export it once more, as .stl, .obj or .ply"
+        said = " ".join(str(error).split())
+        said = said if len(said) <= 200 else f"{said[:197]}..."
+        return f"{said}; export it once more, as .stl, .obj or .ply"
     if "charset_normalizer" in str(error):  # asked for where a file is neither binary nor plain text
         return "it is damaged or cut short, or no mesh; export it once more"
     return f"files that end in {path.suffix} need a further library; export it as .stl, .obj or .ply"

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from diagrams.console import status
 from diagrams.hardware import channels
 from diagrams.hardware.message_log import Event, LogReader
 from diagrams.hardware.message_stream import TICK
@@ -208,6 +209,8 @@ def test_record_writes_what_it_heard(slipmap, tmp_path, monkeypatch, recorded):
     said = slipmap(*words, "--json", tmp_path / "said.json")
     assert said.code == 0
     assert "cannot tell whether it is late" in said.out
+    assert "ELSE" not in said.err and "IIWA_STATUS" in said.err
+    assert max(len(line) for line in said.err.splitlines() if str(tmp_path) not in line) <= 80
     heard = json.loads((tmp_path / "said.json").read_text())
     assert heard["pushes"] == 1 and heard["camera_lag"] is None
     (descent,) = heard["descents"]
@@ -231,3 +234,13 @@ def test_recording_never_overwrites_what_was_measured(slipmap, tmp_path, dataset
 def test_an_address_that_is_none_is_told_at_once(slipmap, tmp_path):
     said = slipmap("record", "-o", tmp_path / "box", "--lcm", "udpm://10.0.0.1:7667")
     assert said.code == 2 and "multicast" in said.err and not (tmp_path / "box").exists()
+
+
+def test_lines_about_what_is_heard_fit_80_columns(capsys, recorded):
+    for line in (*recorded.told, hearing(recorded.listener)):
+        status(line)
+        said = capsys.readouterr().err.splitlines()
+        assert all(len(part) <= 80 for part in said)
+        assert " ".join(part.strip() for part in said) == line
+        assert all(part.startswith("    ") for part in said[1:])
+    assert len(hearing(recorded.listener)) > 80

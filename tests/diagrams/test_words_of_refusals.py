@@ -56,7 +56,7 @@ def test_a_device_is_told_as_such(slipmap, tmp_path, monkeypatch, arguments):
 def test_a_scenario_file_has_a_bound(slipmap, tmp_path):
     (tmp_path / "cell.yaml").write_text("# " + 2**21 * "x")
     said = slipmap("explore", "--scenario", tmp_path / "cell.yaml", "--out", tmp_path / "out")
-    assert_refused(said, "cell.yaml: 2 MiB, more than the 1 MiB it may have")
+    assert_refused(said, "cell.yaml: 2048 KiB, more than the 64 KiB it may have")
 
 
 def test_an_effect_file_is_named_once(slipmap, tmp_path):

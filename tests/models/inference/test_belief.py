@@ -5,6 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from models.inference import belief
 from models.inference.belief import Belief, BeliefError
 from models.objects import cells_from_polygon
 from models.physics.rollout import Maps, Smoothing
@@ -90,10 +91,18 @@ def test_any_damage_is_a_belief_error_or_harmless(saved, tmp_path_factory, place
     path = tmp_path_factory.mktemp("broken") / "belief.npz"
     path.write_bytes(broken)
     try:
-        belief = Belief.load(path)
+        loaded = Belief.load(path)
     except BeliefError:
         return
-    assert np.array_equal(belief.maps.mass, example().maps.mass)
+    assert np.array_equal(loaded.maps.mass, example().maps.mass)
+
+
+def test_an_archive_that_unpacks_to_more_than_fits_is_not_unpacked(tmp_path, monkeypatch):
+    np.savez_compressed(tmp_path / "bomb.npz", meta=np.zeros(1_000_000))
+    assert (tmp_path / "bomb.npz").stat().st_size < 100_000
+    monkeypatch.setattr(belief, "LARGEST_FILE", 2**20)
+    with pytest.raises(BeliefError, match=r"bomb\.npz: 8 MiB, more than the 1 MiB it may have"):
+        Belief.load(tmp_path / "bomb.npz")
 
 
 def test_a_failed_write_leaves_nothing(tmp_path):
