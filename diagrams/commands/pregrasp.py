@@ -87,7 +87,12 @@ def pregrasp(
         check_file(recording, ("html", "htm"))
     if json_file is not None:
         check_file(json_file)
-    run = _run(scenario, options, url if hardware else None, open_meshcat, recording, record)
+    try:
+        run = _run(scenario, options, url if hardware else None, open_meshcat, recording, record)
+    except BaseException:
+        if not hardware:
+            record.end()  # a simulation can be made again: the same command may replace what it left
+        raise
     written = leave(run.exploration.identification, run.exploration.dataset, folder, recording)
     record.end()
     if json_file is not None:
