@@ -41,7 +41,11 @@ def read_picture(path: Path) -> NDArray[Any]:
         width, height = _declared_size(content)
     except UnreadableFile:
         raise
-    except (struct.error, ValueError, IndexError) as error:
+    except struct.error as error:
+        raise UnreadableFile(
+            f"is damaged or cut short: a part goes on beyond its end; {_SAVE_ANEW}"
+        ) from error
+    except ValueError as error:
         raise UnreadableFile(f"is damaged or cut short ({error}); {_SAVE_ANEW}") from error
     if not 0 < width * height <= MOST_PIXELS:
         raise UnreadableFile(
@@ -77,7 +81,7 @@ def _declared_size(content: bytes) -> tuple[int, int]:
 
     Raises:
         UnreadableFile: of another kind.
-        ValueError, struct.error, IndexError: damaged.
+        ValueError, struct.error: damaged.
     """
     if content.startswith(_PNG):
         return _png_size(content)
