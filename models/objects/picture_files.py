@@ -5,6 +5,8 @@ from __future__ import annotations
 import re
 import struct
 import zlib
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -39,19 +41,39 @@ def read_picture(path: Path) -> NDArray[Any]:
         width, height = _declared_size(content)
     except UnreadableFile:
         raise
-    except (struct.error, ValueError, IndexError) as error:
+    except struct.error as error:
+        raise UnreadableFile(
+            f"is damaged or cut short: a part goes on beyond its end; {_SAVE_ANEW}"
+        ) from error
+    except ValueError as error:
         raise UnreadableFile(f"is damaged or cut short ({error}); {_SAVE_ANEW}") from error
     if not 0 < width * height <= MOST_PIXELS:
         raise UnreadableFile(
             f"declares {width} by {height} pixels; a picture may have up to {MOST_PIXELS / 1e6:.0f} million"
         )
-    try:
-        image = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_UNCHANGED)
-    except cv2.error:
-        image = None
+    with _opencv_silent():  # what is wrong is told below
+        try:
+            image = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_UNCHANGED)
+        except cv2.error:
+            image = None
     if image is None:
         raise UnreadableFile(f"is damaged, or not a picture that OpenCV can read; {_SAVE_ANEW}")
     return np.asarray(image)
+
+
+@contextmanager
+def _opencv_silent() -> Iterator[None]:
+    """OpenCV writes nothing to stderr; versions that cannot be silenced do."""
+    log = getattr(cv2.utils, "logging", None)
+    if log is None:
+        yield
+        return
+    loud = log.getLogLevel()
+    log.setLogLevel(log.LOG_LEVEL_SILENT)
+    try:
+        yield
+    finally:
+        log.setLogLevel(loud)
 
 
 def _declared_size(content: bytes) -> tuple[int, int]:
@@ -59,7 +81,7 @@ def _declared_size(content: bytes) -> tuple[int, int]:
 
     Raises:
         UnreadableFile: of another kind.
-        ValueError, struct.error, IndexError: damaged.
+        ValueError, struct.error: damaged.
     """
     if content.startswith(_PNG):
         return _png_size(content)

@@ -74,6 +74,17 @@ def test_spoilt_label_images(tmp_path, kind):
     assert refused > 30
 
 
+@pytest.mark.parametrize("kind", PICTURES)
+def test_opencv_says_nothing_of_a_damaged_picture(tmp_path, capfd, kind):
+    whole, loud = PICTURES[kind], cv2.utils.logging.getLogLevel()
+    read = read_labels(tmp_path / f"labels.{kind}")
+    cuts = [whole[: len(whole) * share // 10] for share in range(1, 10)]
+    changed = [whole[:place] + b"\x55" + whole[place + 1 :] for place in range(20, len(whole), 5)]
+    refusals(iter(cuts + changed), read, ValueError)
+    assert capfd.readouterr() == ("", "")
+    assert cv2.utils.logging.getLogLevel() == loud
+
+
 def parts(content: bytes) -> list[tuple[bytes, bytes]]:
     """Names and contents of the chunks of a PNG file."""
     found, place = [], 8
