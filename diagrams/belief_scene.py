@@ -129,7 +129,7 @@ class _Layout:
     @property
     def label(self) -> FloatArray:
         """(2,) size of a hypothesis's label."""
-        return self.unit * np.array([1.1, 0.42])
+        return self.unit * (np.array([1.5, 0.57]) if self.maps_across else np.array([1.1, 0.42]))
 
     @property
     def _margin(self) -> FloatArray:

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from browser import assert_legible
 from hidden_effects import tilted_pushes
 from report_page import Page, assert_alone
 
@@ -176,6 +177,13 @@ def test_report_and_tables_of_one_effect(tilted, capsys):
         assert "Push the object along +y & wait." in text
         assert f"{1e3 * found.before.path.mean():.1f}" in text
         assert f"{found.after.total_misfit:.2f}" in text
+
+
+def test_the_report_is_legible_in_a_browser(tilted, browser, tmp_path):
+    dataset, found = tilted
+    page = tmp_path / "report.html"
+    page.write_text(diagnosis_report(replace(found, next_push=PUSH), dataset, EFFECTS), encoding="utf-8")
+    assert_legible(browser.opened(page), page)
 
 
 def test_both_models_of_the_report_are_those_of_the_diagnosis(tilted):
