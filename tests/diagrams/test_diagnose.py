@@ -337,6 +337,20 @@ def test_a_quick_look_leaves_a_report_only_where_asked(slipmap, tmp_path, monkey
     assert said.code == 0 and (tmp_path / "diagnosis.html").exists()
 
 
+def test_it_is_counted_how_far_asking_every_effect_is():
+    few = tilted_pushes()
+    told: list[tuple[str, int, int]] = []
+    diagnose(
+        replace(few, trials=few.trials[:3]),
+        effects=EFFECTS,
+        quick=True,
+        progress=lambda *now: told.append(now),
+    )
+    asked = [(done, total) for stage, done, total in told if stage == "asking every effect"]
+    parts = asked[0][1]
+    assert parts > 5 and asked == [(done, parts) for done in range(parts + 1)]
+
+
 def test_a_belief_of_a_diagnosis_survives_its_file(tilted, tmp_path):
     from models.inference.diagnosis.fitted_belief import fitted_belief
 
