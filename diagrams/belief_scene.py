@@ -25,7 +25,7 @@ MOST = 5
 _PAPER = (0.965, 0.96, 0.945)
 _OPENING = 32.0  # deg, the camera's field of view from bottom to top: little perspective
 _ELEVATION = np.radians(52.0)
-_SCREEN = 1.5  # its width to its height
+_SCREEN = 4 / 3  # its width to its height; wider ones have room at the sides
 _CAMERA = "/Cameras/default/rotated/<object>"
 
 
@@ -129,7 +129,7 @@ class _Layout:
     @property
     def label(self) -> FloatArray:
         """(2,) size of a hypothesis's label."""
-        return self.unit * np.array([1.1, 0.42])
+        return self.unit * (np.array([1.5, 0.57]) if self.maps_across else np.array([1.1, 0.42]))
 
     @property
     def _margin(self) -> FloatArray:
@@ -188,9 +188,11 @@ def _furnish(scene: meshcat.Visualizer, whole: FloatArray) -> None:
         scene["/Background"].set_property(edge, list(_PAPER))
     half = 0.94 * np.tan(np.radians(0.5 * _OPENING))
     forward, up = np.array([np.cos(_ELEVATION), np.sin(_ELEVATION)])
-    y = 0.5 * whole[1] * np.array([-1.0, 1.0])
-    seen = np.maximum(0.5 * whole[0] / (_SCREEN * half), np.abs(y) * up / half)
-    distance = float(np.max(seen - y * forward))
+    # The camera looks at the origin. Moved back, the near edge is as far below it as the far one above.
+    each = np.array([1.0 / (up + half * forward), 1.0 / (up - half * forward)])
+    near, far = whole[1] * each / each.sum()
+    scene.set_transform(_shifted(np.array([0.0, 0.5 * (far - near), 0.0])))
+    distance = max(near / (half * each[0]), 0.5 * whole[0] / (_SCREEN * half) + near * forward)
     # The camera's own frame has y upwards.
     scene[_CAMERA].set_property("fov", _OPENING)
     scene[_CAMERA].set_property("position", [0.0, distance * float(up), distance * float(forward)])

@@ -134,7 +134,7 @@ def push_facts(push: Mapping[str, object]) -> list[tuple[str, str]]:
 
     x, y, angle = pair("pose")
     facts = [
-        ("put the object at", f"x {1e3 * x:.0f} mm, y {1e3 * y:.0f} mm, turned by {np.degrees(angle):.0f}°"),
+        ("put the object at", f"{_millimetre_pair((x, y))}, turned by {round(np.degrees(angle))}°"),
         ("touch it at", f"{_millimetre_pair(pair('contact'))} of the object"),
         ("direction", f"{float(push['direction_deg']):.0f}°"),  # type: ignore[arg-type]
         ("speed", f"{1e3 * float(push['speed']):.0f} mm/s"),  # type: ignore[arg-type]
@@ -150,7 +150,7 @@ def push_facts(push: Mapping[str, object]) -> list[tuple[str, str]]:
 
 
 def _millimetre_pair(place: Sequence[float]) -> str:
-    return f"x {1e3 * place[0]:.0f} mm, y {1e3 * place[1]:.0f} mm"
+    return f"x {round(1e3 * place[0])} mm, y {round(1e3 * place[1])} mm"
 
 
 def nats(gain: float) -> str:

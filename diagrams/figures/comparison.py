@@ -12,7 +12,8 @@ from diagrams.wording import short_name
 from models.inference.comparison import Comparison
 
 MODEL_COLOURS = (BELIEF, OTHER)
-WIDTH = 9.6  # inches
+WIDTH = 8.0  # inches
+LEGEND_COLUMNS, LEGEND_ROW = 3, 0.2  # columns where one row does not hold it; inches
 MOST_NAMES = 40
 
 
@@ -29,8 +30,12 @@ def error_figure(comparisons: Sequence[Comparison]) -> Figure:
         key=lambda b: (first.pushes[b].role == "heldout", first.pushes[b].errors.final_add),
     )
     pushes = [first.pushes[b] for b in order]
-    figure = Figure(figsize=(WIDTH, 3.1))
-    axes = figure.add_axes((0.07, 0.13, 0.92, 0.73))
+    entries = 2 + len(comparisons) + (first.floor is not None)
+    columns = entries if entries <= LEGEND_COLUMNS + 1 else LEGEND_COLUMNS
+    height = 2.9 + LEGEND_ROW * -(-entries // columns)
+    top = 0.23 + LEGEND_ROW * -(-entries // columns)
+    figure = Figure(figsize=(WIDTH, height))
+    axes = figure.add_axes((0.085, 0.4 / height, 0.905, 1 - (0.4 + top) / height))
     x = np.arange(len(pushes))
     for name, marker, colour, size in (("resting", "_", FAINT, 8.0), ("uniform", "D", FAINT, 3.6)):
         label = {"resting": "object does not move", "uniform": "uniform object"}[name]
@@ -71,8 +76,8 @@ def error_figure(comparisons: Sequence[Comparison]) -> Figure:
     axes.set_xticks(x if len(x) <= MOST_NAMES else [])
     if len(x) <= MOST_NAMES:
         rotation = 90 if len(x) > 30 or max(len(short_name(push.trial)) for push in pushes) > 4 else 0
-        axes.set_xticklabels([short_name(push.trial) for push in pushes], rotation=rotation, fontsize=7.5)
+        axes.set_xticklabels([short_name(push.trial) for push in pushes], rotation=rotation)
     axes.grid(axis="y", color="#e7e4dd", linewidth=0.6)
     axes.set_axisbelow(True)
-    figure.legend(loc="upper right", ncols=5, bbox_to_anchor=(0.995, 1.01), handletextpad=0.3)
+    figure.legend(loc="upper right", ncols=columns, bbox_to_anchor=(0.995, 1.01), handletextpad=0.3)
     return figure

@@ -30,9 +30,9 @@ def correlation_figure(comparisons: Sequence[Comparison]) -> Figure:
     """
     if comparisons[0].correlations is None:
         raise ValueError(f"{comparisons[0].label}: too few pushes show their course for correlations")
-    figure = Figure(figsize=(9.6, 2.7))
+    figure = Figure(figsize=(8.0, 2.7))
     panels = figure.subplots(1, 3, sharey=True)
-    figure.subplots_adjust(left=0.07, right=0.99, top=0.88, bottom=0.2, wspace=0.1)
+    figure.subplots_adjust(left=0.085, right=0.99, top=0.88, bottom=0.2, wspace=0.1)
     for axes, (name, (title, label)) in zip(panels, TITLES.items(), strict=True):
         for k, comparison in enumerate(comparisons):
             if comparison.correlations is None:

@@ -16,7 +16,8 @@ from diagrams.wording import short_name
 from models.inference.diagnosis import Diagnosis
 from models.physics.cell_grid import FloatArray
 
-NAMES, PANEL, ROW = 1.68, 2.64, 0.235  # inches
+NAMES, PANEL, ROW = 1.68, 2.1, 0.235  # inches
+LOCKED, LETTER = 3.8, 0.075  # inches
 ALARM = "#a3341f"
 PALE = "#c9c5bb"
 
@@ -75,7 +76,7 @@ def _bars(axes: Axes, values: Sequence[float | None], colours: Sequence[str]) ->
     for row, value, length in zip(rows, known, drawn, strict=True):
         text = "–" if np.isnan(value) else nats(value)
         axes.annotate(
-            text, (length, row), (3, 0), textcoords="offset points", va="center", fontsize=7.5,
+            text, (length, row), (3, 0), textcoords="offset points", va="center", fontsize=8,
             color=FAINT if np.isnan(value) else INK,
         )  # fmt: skip
     axes.set(xlim=(0, 1.22 * largest), ylim=(len(values) - 0.45, -0.55), xticks=[], yticks=[])
@@ -95,8 +96,10 @@ def locked_figure(diagnosis: Diagnosis) -> Figure:
     before, after = 1e3 * diagnosis.before.path, 1e3 * diagnosis.after.path
     order = np.argsort(before)
     height = 0.85 + 0.21 * len(order)
-    figure = Figure(figsize=(5.0, height))
-    axes = figure.add_axes((0.13, 0.45 / height, 0.84, 1 - 0.85 / height))
+    names = [short_name(diagnosis.locked[b]) for b in order]
+    left = 0.25 + LETTER * max(map(len, names))
+    figure = Figure(figsize=(LOCKED, height))
+    axes = figure.add_axes((left / LOCKED, 0.45 / height, 1 - (left + 0.15) / LOCKED, 1 - 0.85 / height))
     rows = np.arange(float(len(order)))
     changed = bool(diagnosis.effect_objects)
     if changed:
@@ -109,7 +112,7 @@ def locked_figure(diagnosis: Diagnosis) -> Figure:
         axes.xaxis.set_major_formatter("{x:g}")
         axes.xaxis.set_minor_formatter("")
     axes.set_xlabel("ADD over the course, mm")
-    axes.set_yticks(rows, [short_name(diagnosis.locked[b]) for b in order], fontsize=7.5)
+    axes.set_yticks(rows, names)
     axes.set_ylim(-0.7, len(order) - 0.3)
     axes.grid(axis="x", color="#e7e4dd", linewidth=0.6)
     axes.set_axisbelow(True)

@@ -18,7 +18,7 @@ from models.inference.residual_structure import NEGLIGIBLE
 from models.inference.residuals import Residuals
 from models.physics.cell_grid import FloatArray
 
-PANEL = (4.5, 3.1)  # inches
+PANEL = (3.65, 2.8)  # inches
 
 CONDITIONS: dict[str, tuple[str, Callable[[Conditions], FloatArray]]] = {
     "speed": ("speed, mm/s", lambda at: np.array(1e3 * at.speed)),
@@ -57,7 +57,7 @@ def factor_figure(comparisons: Sequence[Comparison], factor: str, quantity: str 
     component = pattern.strongest.split(", ")[0]
     label, condition = CONDITIONS[factor]
     figure = Figure(figsize=PANEL)
-    axes = figure.add_axes((0.14, 0.18, 0.83, 0.68))
+    axes = figure.add_axes((0.16, 0.21, 0.82, 0.68))
     axes.axhline(0.0, color=INK, linewidth=0.8)
     small = 100 * NEGLIGIBLE[quantity]
     axes.axhspan(-small, small, color=PAPER, linewidth=0, zorder=0)
@@ -122,8 +122,8 @@ def _bins(
 
 def _ticks(axes: Axes, factor: str) -> None:
     if factor == "phase":
-        names = [name.replace("pushing, contact", "contact") for name in PHASE_NAMES.values()]
-        axes.set_xticks(range(len(names)), names, fontsize=8)
+        names = [name.removeprefix("pushing, ").replace(" ", "\n") for name in PHASE_NAMES.values()]
+        axes.set_xticks(range(len(names)), names)
         axes.set_xlim(-0.5, len(names) - 0.5)
     elif factor.endswith("direction"):
         name = factor.split("_")[0]

@@ -11,6 +11,7 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from matplotlib.patches import PathPatch
+from matplotlib.ticker import MaxNLocator
 
 from diagrams.figures.outlines import outline_path, round_length
 from diagrams.figures.residual_means import LEAST_PUSHES, NAMES, UNITS, push_means, wanted
@@ -19,7 +20,7 @@ from models.inference.comparison import Comparison
 from models.inference.residual_structure import NEGLIGIBLE
 from models.physics.cell_grid import CellGrid, FloatArray
 
-FIELD = (4.5, 4.1)  # inches
+FIELD = (3.65, 3.4)  # inches
 TABLE_BINS = 7
 OUTLINE_BINS = 14
 MOST_ARROWS = 60
@@ -78,7 +79,7 @@ def object_figure(
     figure, axes = _drawn(fields, quantity, half)
     axes.add_patch(PathPatch(outline_path(grid), facecolor=PAPER, edgecolor=FAINT, linewidth=0.9, zorder=0))
     axes.set(xlabel="object x, m", ylabel="object y, m")
-    axes.set_title(f"{NAMES[quantity].capitalize()} at the contact, object's frame", loc="left", fontsize=9.5)
+    axes.set_title(f"{NAMES[quantity].capitalize()} at the contact", loc="left", fontsize=9.5)
     return figure
 
 
@@ -178,8 +179,9 @@ def _draw_means(
 
 def _new_figure(quantity: str) -> tuple[Figure, Axes]:
     figure = Figure(figsize=FIELD)
-    axes = figure.add_axes((0.15, 0.16, 0.66 if quantity == "motion" else 0.74, 0.75))
-    axes.tick_params(labelsize=7.5)
+    axes = figure.add_axes((0.17, 0.16, 0.55 if quantity == "motion" else 0.74, 0.75))
+    axes.tick_params(labelsize=8)
+    axes.xaxis.set_major_locator(MaxNLocator(4, steps=[1, 2, 5, 10]))
     return figure, axes
 
 
@@ -209,7 +211,9 @@ def _finish(
         va="bottom",
     )
     if mappable is not None:
-        bar = figure.colorbar(mappable, cax=figure.add_axes((0.85, 0.25, 0.025, 0.55)), extend="both")
+        bar = figure.colorbar(mappable, cax=figure.add_axes((0.755, 0.25, 0.03, 0.55)), extend="both")
+        bar.locator = MaxNLocator(5, steps=[1, 2, 5, 10])
+        bar.update_ticks()
         bar.set_label("turning, % (+ counter-clockwise)", fontsize=8)
         bar.outline.set_linewidth(0.5)
-        bar.ax.tick_params(labelsize=7.5)
+        bar.ax.tick_params(labelsize=8)

@@ -53,8 +53,8 @@ def label(belief: Belief, what: Shown, hypothesis: int, size: FloatArray) -> byt
     if hypothesis > 0:
         name = f"hypothesis {hypothesis}"
         remark = f"probability {100 * belief.probability[what.hypotheses[hypothesis - 1]]:.1f} %"
-    _write(figure, (0.5, 0.72), name, 17, weight="bold", ha="center")
-    _write(figure, (0.5, 0.26), remark, 13.5, ha="center")
+    _write(figure, (0.5, 0.72), name, 19, weight="bold", ha="center")
+    _write(figure, (0.5, 0.24), remark, 15.5, ha="center")
     return _png(figure)
 
 

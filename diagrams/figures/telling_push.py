@@ -35,7 +35,7 @@ def telling_push_figure(told: dict[str, Any], diagnosis: Diagnosis, dataset: Pus
     push = push_of(told, float(len(dataset.trials)))
     rivals = rivals_of(diagnosis, dataset)[: len(COLOURS)]
     predictions = [predict(rival, [push]) for rival in rivals]
-    figure = Figure(figsize=(9.0, 4.4))
+    figure = Figure(figsize=(8.0, 4.2))
     rows = -(-(len(rivals) + 1) // LEGEND_COLUMNS)
     top, bottom = 0.97, 0.07 + 0.05 * rows
     axes = figure.add_axes((0.05, bottom, 0.5, top - bottom))
@@ -57,7 +57,7 @@ def telling_push_figure(told: dict[str, Any], diagnosis: Diagnosis, dataset: Pus
     low, high = points.min(axis=0) - 0.015, points.max(axis=0) + 0.015
     low[1] -= 0.02
     axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal")
-    axes.tick_params(labelsize=7.5)
+    axes.tick_params(labelsize=8)
     _table_edge(axes, dataset)
     scale_bar(axes, low + np.array([0.008, 0.014]), float((high - low).max()))
     handles = [Line2D([], [], color=FINGER, marker="o", label="finger, filled where it stops")]

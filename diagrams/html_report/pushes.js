@@ -147,7 +147,8 @@
       element("text", { x: px, y: py, "font-size": 12, fill: "#6a6a68", "text-anchor": anchor }, course).textContent = words;
     };
     element("path", { d: `M${left},4V${high - foot}H${wide - 8}`, fill: "none", stroke: "#9a9a9a" }, course);
-    text((1000 * top / 1.08).toPrecision(2) + " mm", left - 5, y(top / 1.08) + 4, "end");
+    const most = 1000 * top / 1.08;
+    text((most < 10 ? most.toPrecision(2) : most.toFixed(0)) + " mm", left - 5, y(top / 1.08) + 4, "end");
     text("0", left - 5, y(0) + 4, "end");
     text("ADD", left + 6, 14, "start");
     text(end.toFixed(1) + " s", wide - 8, high - 4, "end");
@@ -236,4 +237,9 @@
 
   drawMap();
   choose(data.first);
+  // Its letters would be scaled with the window.
+  new ResizeObserver(() => {
+    moving.cursor = drawCourse(data.pushes[chosen]);
+    moving.cursor(data.pushes[chosen].times[sample]);
+  }).observe(course);
 })();

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import base64
+import io
 import json
 import shutil
 import subprocess
@@ -13,16 +14,48 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import matplotlib.image
+import numpy as np
 from tornado.websocket import WebSocketClientConnection, websocket_connect
 
 NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
 FLAGS = (
     "--headless", "--no-sandbox", "--disable-gpu", "--enable-unsafe-swiftshader", "--disable-quic",
     "--no-first-run", "--disable-background-networking", "--disable-component-update", "--disable-sync",
-    "--disable-dev-shm-usage", "--hide-scrollbars", "--window-size=1000,750", "--remote-debugging-port=0",
+    "--disable-dev-shm-usage", "--hide-scrollbars", "--remote-debugging-port=0",
 )  # fmt: skip
 PATIENCE = 90.0
 """s for the browser to start, and for a page to load and be as wanted."""
+
+WINDOWS = {1280: 800, 800: 600}
+"""Width and height of windows in which pages are to be legible, px."""
+
+LOADED = 'document.readyState === "complete" ? true : null'
+"""Script that waits until a page and its pictures are there."""
+
+LEGIBLE = Path(__file__).with_name("legible.js").read_text(encoding="utf-8")
+"""Script that measures what a window shows, see `Measured`."""
+
+
+@dataclass(frozen=True)
+class Measured:
+    """What a window shows of a page.
+
+    Attributes:
+        wide: px of the page; no more than the window has, or one would have to scroll sideways.
+        cut: what sticks out of the window beside what can be scrolled by itself, in words.
+        letters: size (px) and beginning of the smallest text that can be seen.
+        unloaded: pictures that did not load, by their alternative texts.
+        shrunk: share of its own width to which the most shrunken picture is scaled, 1 where there is none.
+        canvas: (width, height) of the largest canvas, px; zeros where there is none.
+    """
+
+    wide: float
+    cut: list[str]
+    letters: tuple[float, str]
+    unloaded: list[str]
+    shrunk: float
+    canvas: tuple[float, float]
 
 
 @dataclass
@@ -32,14 +65,22 @@ class Opened:
     Attributes:
         errors: on its console, and exceptions that nothing caught.
         addresses: it asked for, other than `data:` and `blob:`.
-        answer: of the script that was evaluated in it, see `opened`.
-        picture: PNG of it.
+        answer: of the script that was waited for.
+        shown: by the width of the window.
+        pictures: PNG of it, by the width of the window.
     """
 
     errors: list[str] = field(default_factory=list)
     addresses: list[str] = field(default_factory=list)
     answer: Any = None
-    picture: bytes = b""
+    shown: dict[int, Measured] = field(default_factory=dict)
+    pictures: dict[int, bytes] = field(default_factory=dict)
+
+
+def colours(picture: bytes) -> int:
+    """Number of colours in a PNG, those that nearly agree counted once: how much is drawn in it."""
+    levels = (matplotlib.image.imread(io.BytesIO(picture))[:, :, :3] * 31).astype(int)
+    return len(np.unique(levels.reshape(-1, 3), axis=0))
 
 
 def chromium() -> str | None:
@@ -47,26 +88,60 @@ def chromium() -> str | None:
     return next((path for name in NAMES if (path := shutil.which(name))), None)
 
 
-def opened(address: str, script: str) -> Opened:
-    """Open a page, wait until a script in it has an answer, and take a picture.
+class Browser:
+    """A browser that is started once and opens one page after another. Use as a context manager."""
+
+    def __enter__(self) -> Browser:
+        program = chromium()
+        assert program is not None
+        self._profile = tempfile.TemporaryDirectory(ignore_cleanup_errors=True)
+        arguments = [program, *FLAGS, f"--user-data-dir={self._profile.name}", "about:blank"]
+        self._process = subprocess.Popen(arguments, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+        self._debugger = ""
+        return self
+
+    def __exit__(self, *raised: object) -> None:
+        self._process.terminate()
+        self._process.wait(timeout=PATIENCE)
+        self._profile.cleanup()
+
+    def opened(self, page: Path, script: str = LOADED) -> Opened:
+        """Open a page, wait until a script in it has an answer, and look at it in all `WINDOWS`.
+
+        Args:
+            page: file.
+            script: JavaScript expression; evaluated until it is neither null nor an error.
+
+        Raises:
+            TimeoutError: it has none in time; the text has what was on the console.
+        """
+        self._debugger = self._debugger or _debugger(Path(self._profile.name))
+        return asyncio.run(_visit(self._debugger, page.as_uri(), script))
+
+
+LETTERS = 11.0
+"""Least size of text, px."""
+
+PICTURES = 0.97
+"""Least share of its own width that a picture keeps; letters in it have 8 points, 10.7 px, and more."""
+
+
+def assert_legible(seen: Opened, page: Path) -> None:
+    """The page says no error, asks for nothing but itself, and can be read in every window.
 
     Args:
-        address: of the page.
-        script: JavaScript expression; evaluated until it is neither null nor an error.
-
-    Raises:
-        TimeoutError: it has none in time; the text has what was on the console.
+        seen: the page, opened.
+        page: its file.
     """
-    program = chromium()
-    assert program is not None
-    with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as profile:
-        arguments = [program, *FLAGS, f"--user-data-dir={profile}", "about:blank"]
-        browser = subprocess.Popen(arguments, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-        try:
-            return asyncio.run(_visit(_debugger(Path(profile)), address, script))
-        finally:
-            browser.terminate()
-            browser.wait(timeout=PATIENCE)
+    assert seen.errors == []
+    assert seen.addresses == [page.as_uri()]
+    assert set(seen.shown) == set(WINDOWS)
+    for width, shown in seen.shown.items():
+        assert shown.wide <= width, f"{page.name} is {shown.wide} px wide in a window of {width} px"
+        assert shown.cut == [], f"in a window of {width} px"
+        assert shown.letters[0] >= LETTERS, f"{page.name}: {shown.letters} in a window of {width} px"
+        assert shown.unloaded == []
+        assert shown.shrunk >= PICTURES, f"in a window of {width} px"
 
 
 def _debugger(profile: Path) -> str:
@@ -91,11 +166,19 @@ class _Tab:
         self.noted = Opened()
 
     async def begin(self) -> None:
-        target = await self.ask("Target.createTarget", url="about:blank")
-        session = await self.ask("Target.attachToTarget", targetId=target["targetId"], flatten=True)
+        self._target = (await self.ask("Target.createTarget", url="about:blank"))["targetId"]
+        session = await self.ask("Target.attachToTarget", targetId=self._target, flatten=True)
         self._session = session["sessionId"]
         for domain in ("Runtime", "Log", "Network", "Page"):
             await self.ask(f"{domain}.enable")
+
+    async def resize(self, width: int) -> None:
+        size = {"width": width, "height": WINDOWS[width], "deviceScaleFactor": 1, "mobile": False}
+        await self.ask("Emulation.setDeviceMetricsOverride", **size)
+
+    async def close(self) -> None:
+        self._session = None
+        await self.ask("Target.closeTarget", targetId=self._target)
 
     async def ask(self, method: str, **parameters: Any) -> dict[str, Any]:
         self._number += 1
@@ -132,6 +215,7 @@ async def _visit(debugger: str, address: str, script: str) -> Opened:
     socket = await websocket_connect(debugger, max_message_size=2**28)
     tab = _Tab(socket)
     await tab.begin()
+    await tab.resize(next(iter(WINDOWS)))
     await tab.ask("Page.navigate", url=address)
     until = time.monotonic() + PATIENCE
     while True:
@@ -141,9 +225,14 @@ async def _visit(debugger: str, address: str, script: str) -> Opened:
             break
         if time.monotonic() > until:
             raise TimeoutError(f"{address}: no answer to the script; {said}; console: {tab.noted.errors}")
-        await asyncio.sleep(0.2)
-    await asyncio.sleep(0.5)  # what was drawn last is to be in the picture
-    picture = await tab.ask("Page.captureScreenshot", format="png")
-    tab.noted.picture = base64.b64decode(picture["data"])
+        await asyncio.sleep(0.1)
+    for width in WINDOWS:
+        await tab.resize(width)
+        await asyncio.sleep(0.3)  # what was drawn last is to be in the picture
+        told = await tab.ask("Runtime.evaluate", expression=LEGIBLE, returnByValue=True)
+        tab.noted.shown[width] = Measured(**told["result"]["value"])
+        picture = await tab.ask("Page.captureScreenshot", format="png")
+        tab.noted.pictures[width] = base64.b64decode(picture["data"])
+    await tab.close()
     socket.close()
     return tab.noted

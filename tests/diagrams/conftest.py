@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import pytest
+from browser import Browser, chromium
 from hidden_effects import tilted_pushes
 from schemas import assert_json_as_described
 
@@ -64,6 +65,15 @@ def demo_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def tilted_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The pushes on a tilted table as a folder."""
     return write_dataset(tilted_pushes(), tmp_path_factory.mktemp("tilted") / "tilted")
+
+
+@pytest.fixture(scope="session")
+def browser() -> Iterator[Browser]:
+    """A browser for all pages; tests that need one skip where there is none, and say what is missing."""
+    if chromium() is None:
+        pytest.skip("no chromium to open pages in; on Debian: apt-get install chromium")
+    with Browser() as started:
+        yield started
 
 
 @pytest.fixture

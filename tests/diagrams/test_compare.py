@@ -9,6 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from browser import assert_legible
 from matplotlib.figure import Figure
 from report_page import Page, assert_alone
 
@@ -70,6 +71,15 @@ def test_the_page_holds_every_push_with_its_course(single, learnt):
         assert shown["add"][0][-1] == pytest.approx(push.errors.final_add, abs=1e-5)
         assert len(shown["times"]) == len(shown["finger"]) == len(shown["measured"])
     assert result.pushes[data["first"]].role == "heldout"
+
+
+def test_the_page_is_legible_in_a_browser(single, both, learnt, browser, tmp_path):
+    for name, text in (("one", single[1]), ("two", report(both, learnt[0]))):
+        page = tmp_path / f"{name}.html"
+        page.write_text(text, encoding="utf-8")
+        seen = browser.opened(page, 'document.querySelector(".course path") ? document.images.length : null')
+        assert_legible(seen, page)
+        assert seen.answer > 10
 
 
 def test_two_models_stand_side_by_side(both, learnt):

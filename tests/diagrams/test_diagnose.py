@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from browser import assert_legible
 from hidden_effects import tilted_pushes
 from report_page import Page, assert_alone
 
@@ -181,6 +182,13 @@ def test_report_and_tables_of_one_effect(tilted, capsys):
         assert f"{found.after.total_misfit:.2f}" in text
 
 
+def test_the_report_is_legible_in_a_browser(tilted, browser, tmp_path):
+    dataset, found = tilted
+    page = tmp_path / "report.html"
+    page.write_text(diagnosis_report(replace(found, next_push=PUSH), dataset, EFFECTS), encoding="utf-8")
+    assert_legible(browser.opened(page), page)
+
+
 def test_both_models_of_the_report_are_those_of_the_diagnosis(tilted):
     dataset, found = tilted
     before, after = compared(found, dataset)
@@ -330,6 +338,20 @@ def test_a_quick_look_leaves_a_report_only_where_asked(slipmap, tmp_path, monkey
     assert not list(tmp_path.glob("*.html"))
     said = slipmap("diagnose", folder, "--quick", "-o", "diagnosis.html")
     assert said.code == 0 and (tmp_path / "diagnosis.html").exists()
+
+
+def test_it_is_counted_how_far_asking_every_effect_is():
+    few = tilted_pushes()
+    told: list[tuple[str, int, int]] = []
+    diagnose(
+        replace(few, trials=few.trials[:3]),
+        effects=EFFECTS,
+        quick=True,
+        progress=lambda *now: told.append(now),
+    )
+    asked = [(done, total) for stage, done, total in told if stage == "asking every effect"]
+    parts = asked[0][1]
+    assert parts > 5 and asked == [(done, parts) for done in range(parts + 1)]
 
 
 def test_a_belief_of_a_diagnosis_survives_its_file(tilted, tmp_path):

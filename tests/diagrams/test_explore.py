@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import base64
-import io
 import json
 import re
 import shutil
@@ -12,11 +11,10 @@ from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
 
-import matplotlib.image
 import numpy as np
 import pytest
 import umsgpack
-from browser import chromium, opened
+from browser import WINDOWS, assert_legible, colours
 from pydrake.geometry import Meshcat
 from schemas import assert_as_described
 
@@ -161,31 +159,23 @@ def test_pages_need_no_network(explored, name):
     assert not re.search(r"@import|url\(\s*[\"']?(?:https?:)?//", text)
 
 
-@pytest.fixture
-def browser() -> None:
-    if chromium() is None:
-        pytest.skip("no chromium to open pages in; on Debian: apt-get install chromium")
-
-
 def test_the_recording_opens_in_a_browser(explored, browser):
     page = explored.folder / "run.html"
-    seen = opened(page.as_uri(), SCENE)
-    assert seen.errors == []
-    assert seen.addresses == [page.as_uri()]
+    seen = browser.opened(page, SCENE)
+    assert_legible(seen, page)
     shown = seen.answer["drake"]["visualizer"]
     assert {f"iiwa_link_{number}" for number in range(8)} <= set(shown["iiwa"])
     assert {"table", "object", "gripper"} <= set(shown)
     assert set(seen.answer["belief"]["observed"]["maps"]["2"]) == {"mass", "friction", "mass x friction"}
-    picture = matplotlib.image.imread(io.BytesIO(seen.picture))
-    # The object's tiles and the table are drawn: the picture has many colours.
-    assert len(np.unique((picture[:, :, :3] * 31).astype(int).reshape(-1, 3), axis=0)) > 200
+    for width, height in WINDOWS.items():
+        assert seen.shown[width].canvas == [width, height]
+        assert colours(seen.pictures[width]) > 200, "the object's tiles and the table are drawn"
 
 
 def test_the_report_opens_in_a_browser(explored, browser):
     page = explored.folder / "out" / "report.html"
-    seen = opened(page.as_uri(), 'document.readyState === "complete" ? document.title : null')
-    assert seen.errors == []
-    assert seen.addresses == [page.as_uri()]
+    seen = browser.opened(page, 'document.readyState === "complete" ? document.title : null')
+    assert_legible(seen, page)
     assert "model against measurement" in seen.answer
 
 

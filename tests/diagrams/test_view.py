@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 import pytest
 import umsgpack
+from browser import WINDOWS, assert_legible, colours
 from meshcat.servers.tree import find_node
 from test_command_line import ENVIRONMENT, assert_refused, files_in, hear_ctrl_c
 
@@ -23,6 +24,9 @@ from diagrams.systems.belief_colors import MAPS
 from models.physics.rollout import Maps
 
 PACKED = {0x16: "<u4", 0x17: "<f4"}
+SCENE = """(({labels, ...maps}) => labels.children.title ? Object.keys(maps) : null)(
+    viewer.scene_tree.children.meshcat.children)"""
+"""Names of what a page shows, once that is there."""
 NAMESPACE = "http://www.w3.org/"
 
 
@@ -115,6 +119,17 @@ def test_a_page_is_written_that_needs_no_network(slipmap, belief, tmp_path, monk
     assert not re.findall(r"<(?:script|link|img|iframe)[^>]*\b(?:src|href)=", page)
     assert {url for url in re.findall(r"(?:https?|wss?)://[\w.-]+/?", page)} <= {NAMESPACE}
     assert "viewer.connect()" not in page
+
+
+def test_the_page_shows_the_scene_in_a_browser(belief, browser, tmp_path):
+    page = tmp_path / "block.html"
+    page.write_text(belief_scene(belief).static_html(), encoding="utf-8")
+    seen = browser.opened(page, SCENE)
+    assert_legible(seen, page)
+    assert sorted(seen.answer) == sorted(MAPS)
+    for width, height in WINDOWS.items():
+        assert seen.shown[width].canvas == [width, height]
+        assert colours(seen.pictures[width]) > 200, "prisms and scales are drawn"
 
 
 def test_bad_input_is_refused_and_nothing_is_written(slipmap, belief, tmp_path):
