@@ -13,6 +13,7 @@ from models.inference.comparison import Comparison
 
 MODEL_COLOURS = (BELIEF, OTHER)
 WIDTH = 9.6  # inches
+LETTER = 0.07  # inches, of a push's name
 MOST_NAMES = 40
 
 
@@ -29,8 +30,12 @@ def error_figure(comparisons: Sequence[Comparison]) -> Figure:
         key=lambda b: (first.pushes[b].role == "heldout", first.pushes[b].errors.final_add),
     )
     pushes = [first.pushes[b] for b in order]
-    figure = Figure(figsize=(WIDTH, 3.1))
-    axes = figure.add_axes((0.07, 0.13, 0.92, 0.73))
+    names = [short_name(push.trial) for push in pushes] if len(pushes) <= MOST_NAMES else []
+    longest = max(map(len, names), default=0)
+    upright = len(names) > 30 or longest > 4
+    below = 0.2 + LETTER * longest if upright else 0.4
+    figure = Figure(figsize=(WIDTH, 2.7 + below))
+    axes = figure.add_axes((0.07, below / (2.7 + below), 0.92, 2.26 / (2.7 + below)))
     x = np.arange(len(pushes))
     for name, marker, colour, size in (("resting", "_", FAINT, 8.0), ("uniform", "D", FAINT, 3.6)):
         label = {"resting": "object does not move", "uniform": "uniform object"}[name]
@@ -68,10 +73,7 @@ def error_figure(comparisons: Sequence[Comparison]) -> Figure:
     axes.yaxis.set_major_formatter("{x:g}")
     axes.yaxis.set_minor_formatter(PlainNumbers())
     axes.set(xlim=(-0.6, len(pushes) - 0.4), ylabel="ADD at the end, mm")
-    axes.set_xticks(x if len(x) <= MOST_NAMES else [])
-    if len(x) <= MOST_NAMES:
-        rotation = 90 if len(x) > 30 or max(len(short_name(push.trial)) for push in pushes) > 4 else 0
-        axes.set_xticklabels([short_name(push.trial) for push in pushes], rotation=rotation, fontsize=7.5)
+    axes.set_xticks(x[: len(names)], names, rotation=90 if upright else 0, fontsize=7.5)
     axes.grid(axis="y", color="#e7e4dd", linewidth=0.6)
     axes.set_axisbelow(True)
     figure.legend(loc="upper right", ncols=5, bbox_to_anchor=(0.995, 1.01), handletextpad=0.3)
