@@ -117,6 +117,8 @@ def _kept(shown: Any) -> list[dict[str, Any]]:
         outputs.append({"name": "stdout", "output_type": "stream", "text": _lines(shown.stdout)})
     for output in shown.outputs:
         kind = next(kind for kind in SHOWN if kind in output.data)
+        if "<iframe" in str(output.data[kind]):
+            continue  # shows a file that is there only where the notebook has run
         data = {kind: _packed(output.data[kind]) if kind == "image/png" else _lines(output.data[kind])}
         outputs.append({"data": data, "metadata": {}, "output_type": "display_data"})
     return outputs

@@ -14,6 +14,7 @@ from models.inference.comparison import Comparison
 MODEL_COLOURS = (BELIEF, OTHER)
 WIDTH = 8.0  # inches
 LEGEND_COLUMNS, LEGEND_ROW = 3, 0.2  # columns where one row does not hold it; inches
+LETTER = 0.07  # inches, of a push's name
 MOST_NAMES = 40
 
 
@@ -32,10 +33,14 @@ def error_figure(comparisons: Sequence[Comparison]) -> Figure:
     pushes = [first.pushes[b] for b in order]
     entries = 2 + len(comparisons) + (first.floor is not None)
     columns = entries if entries <= LEGEND_COLUMNS + 1 else LEGEND_COLUMNS
-    height = 2.9 + LEGEND_ROW * -(-entries // columns)
+    names = [short_name(push.trial) for push in pushes] if len(pushes) <= MOST_NAMES else []
+    longest = max(map(len, names), default=0)
+    upright = len(names) > 30 or longest > 4
+    below = 0.2 + LETTER * longest if upright else 0.4
     top = 0.23 + LEGEND_ROW * -(-entries // columns)
+    height = 2.27 + below + top
     figure = Figure(figsize=(WIDTH, height))
-    axes = figure.add_axes((0.085, 0.4 / height, 0.905, 1 - (0.4 + top) / height))
+    axes = figure.add_axes((0.085, below / height, 0.905, 2.27 / height))
     x = np.arange(len(pushes))
     for name, marker, colour, size in (("resting", "_", FAINT, 8.0), ("uniform", "D", FAINT, 3.6)):
         label = {"resting": "object does not move", "uniform": "uniform object"}[name]
@@ -73,10 +78,7 @@ def error_figure(comparisons: Sequence[Comparison]) -> Figure:
     axes.yaxis.set_major_formatter("{x:g}")
     axes.yaxis.set_minor_formatter(PlainNumbers())
     axes.set(xlim=(-0.6, len(pushes) - 0.4), ylabel="ADD at the end, mm")
-    axes.set_xticks(x if len(x) <= MOST_NAMES else [])
-    if len(x) <= MOST_NAMES:
-        rotation = 90 if len(x) > 30 or max(len(short_name(push.trial)) for push in pushes) > 4 else 0
-        axes.set_xticklabels([short_name(push.trial) for push in pushes], rotation=rotation)
+    axes.set_xticks(x[: len(names)], names, rotation=90 if upright else 0, fontsize=7.5)
     axes.grid(axis="y", color="#e7e4dd", linewidth=0.6)
     axes.set_axisbelow(True)
     figure.legend(loc="upper right", ncols=columns, bbox_to_anchor=(0.995, 1.01), handletextpad=0.3)

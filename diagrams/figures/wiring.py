@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import re
 from typing import TYPE_CHECKING
 
+import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
@@ -12,7 +14,12 @@ from diagrams.figures.style import BELIEF, FAINT, INK, PAPER, styled
 if TYPE_CHECKING:
     from pydrake.systems.framework import Diagram
 
-WIDE, HIGH = 1.12, 0.62  # inches, a cell
+LONGEST = 14
+"""Letters of a port's name in one line; longer ones are broken at a dot or an underscore."""
+
+LETTER, LINE = 0.067, 0.135  # inches, of a port's name
+BOLD = 0.075  # inches, a letter of a system's name
+GAP = 0.12  # inches between two columns or rows
 
 
 @styled
@@ -30,24 +37,44 @@ def wiring_figure(diagram: Diagram) -> Figure:
     told: dict[tuple[int, int], list[str]] = {}
     for (target, _), (source, port) in diagram.connection_map().items():
         names = told.setdefault((place[source.get_name()], place[target.get_name()]), [])
-        name = source.get_output_port(port).get_name()
+        name = broken(source.get_output_port(port).get_name())
         if name not in names:
             names.append(name)
-    n = len(systems)
-    figure = Figure(figsize=(n * WIDE, n * HIGH))
+    titles = [name.replace("_", "\n") for name in place]
+    wide = np.array([BOLD * max(map(len, title.split("\n"))) + 0.15 for title in titles])
+    high = np.array([0.2 * (1 + title.count("\n")) + 0.12 for title in titles])
+    for (source, target), names in told.items():
+        lines = "\n".join(names).split("\n")
+        wide[target] = max(wide[target], LETTER * max(map(len, lines)))
+        high[source] = max(high[source], LINE * len(lines))
+    x, y = (np.cumsum(size + GAP) - (size + GAP) / 2 for size in (wide, high))
+    width, height = wide.sum() + GAP * len(wide), high.sum() + GAP * len(high)
+    figure = Figure(figsize=(width, height))
     axes = figure.add_axes((0.0, 0.0, 1.0, 1.0))
-    axes.set(xlim=(0, n), ylim=(n, 0))
+    axes.set(xlim=(0, width), ylim=(height, 0))
     axes.axis("off")
     for (source, target), names in told.items():
-        x, y = target + 0.5, source + 0.5
-        for points in (([source + 0.5, x], [y, y]), ([x, x], [y, target + 0.5])):
-            axes.plot(*points, color=FAINT, linewidth=0.6, zorder=1)
+        for points in (([x[source], x[target]], [y[source]] * 2), ([x[target]] * 2, [y[source], y[target]])):
+            axes.plot(*points, color=FAINT, linewidth=0.8, zorder=1)
         box = {"facecolor": "white", "edgecolor": "none", "pad": 1.0}
-        axes.text(x, y, "\n".join(names), fontsize=6, color=INK, ha="center", va="center", bbox=box, zorder=3)
-    for name, k in place.items():
-        axes.add_patch(Rectangle((k + 0.06, k + 0.2), 0.88, 0.6, facecolor=PAPER, edgecolor=BELIEF, zorder=2))
         axes.text(
-            k + 0.5, k + 0.5, name.replace("_", "\n"), fontsize=8, ha="center", va="center", zorder=4,
-            weight="bold",
+            x[target], y[source], "\n".join(names), fontsize=8, color=INK, ha="center", va="center", bbox=box,
+            multialignment="left", linespacing=1.1, zorder=3,
         )  # fmt: skip
+    for k, title in enumerate(titles):
+        w, h = BOLD * max(map(len, title.split("\n"))) + 0.15, 0.17 * (1 + title.count("\n")) + 0.14
+        corner = (x[k] - w / 2, y[k] - h / 2)
+        axes.add_patch(Rectangle(corner, w, h, facecolor=PAPER, edgecolor=BELIEF, zorder=2))
+        axes.text(x[k], y[k], title, fontsize=9, ha="center", va="center", zorder=4, weight="bold")
     return figure
+
+
+def broken(name: str) -> str:
+    """A port's name in lines of up to `LONGEST` letters, where its dots and underscores allow it; those after
+    the first are indented."""
+    lines = [""]
+    for part in re.findall(r"[^._]+[._]?", name):
+        if lines[-1].strip() and len(lines[-1] + part) > LONGEST:
+            lines.append("  ")
+        lines[-1] += part
+    return "\n".join(lines)

@@ -140,6 +140,20 @@ def test_patterns_in_words(learnt):
     assert found == f"What is left has a pattern: {sentence_part(down)}; and {sentence_part(late)}."
 
 
+def test_long_names_of_pushes_stand_whole_below_their_errors(learnt):
+    result = learnt[2]
+    long = [
+        replace(push, observation=replace(push.observation, trial=f"a_push_of_a_long_name_{k}.csv"))
+        for k, push in enumerate(result.pushes)
+    ]
+    for pushes in (result.pushes, tuple(long)):
+        figure = error_figure([replace(result, pushes=pushes)])
+        figure.draw_without_rendering()
+        labels = figure.axes[0].get_xticklabels()
+        assert [label.get_text() for label in labels] != []
+        assert min(label.get_window_extent().y0 for label in labels) >= 0
+
+
 def test_figures_are_figures_and_refuse_what_is_not_there(both, learnt):
     dataset, _, result = learnt
     figures = residual_figures(both, dataset)

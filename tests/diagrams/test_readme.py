@@ -1,60 +1,126 @@
-"""What the README shows works: its example, its commands, its links."""
+"""What the README and the pages of docs show works: their examples, their commands, their links."""
 
 from __future__ import annotations
 
-import os
+import inspect
+import json
 import re
 import shlex
-import subprocess
-import sys
 import tomllib
+from dataclasses import replace
 from pathlib import Path
 
+import click
 import pytest
 import yaml
+from page_examples import Example, examples_of, read_closely
 
 from diagrams.command_line import slipmap
+from diagrams.hardware.channels import LCM_URL
+from diagrams.hardware.testing import Cell, Faults
+from models.effects import Effect
+from models.effects.checks import check_effect
+from models.inference.belief import Belief
+from models.measurements import PushDataset, read_dataset
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGES = ("README.md", *sorted(path.relative_to(ROOT).as_posix() for path in (ROOT / "docs").glob("*.md")))
+NOTEBOOKS = tuple(sorted(path.relative_to(ROOT).as_posix() for path in (ROOT / "notebooks").glob("*.ipynb")))
+GIVEN = {"cell": Cell, "faults": Faults, "dataset": PushDataset}
+EXAMPLES = [example for page in PAGES for example in examples_of(ROOT, page)]
 
 
-def what_an_example_says(page, demo_folder, folder):
-    """Output of a page's only example in Python, beside what the demo left."""
-    (code,) = re.findall(r"```python\n(.*?)```", (ROOT / page).read_text(), flags=re.S)
-    (folder / "demo").symlink_to(demo_folder / "demo")
-    result = subprocess.run(
-        [sys.executable, "-c", code], cwd=folder, env={**os.environ, "PYTHONPATH": str(ROOT)},
-        capture_output=True, text=True,
-    )  # fmt: skip
-    assert result.returncode == 0, result.stderr
-    return result.stdout
+@pytest.fixture
+def beside_the_demo(demo_folder, tmp_path, monkeypatch):
+    """A folder to be in, with what the demo left."""
+    (tmp_path / "demo").symlink_to(demo_folder / "demo")
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
 
 
-def test_python_example_runs_on_what_the_demo_leaves(demo_folder, tmp_path):
-    said = what_an_example_says("README.md", demo_folder, tmp_path)
-    assert re.match(r"pushes that were held out end \d+\.\d mm", said)
-    assert "finger friction" in said
-    assert (tmp_path / "maps.png").stat().st_size > 10_000
+def run_example(example):
+    """Run an example where pushes and a belief are at hand, as its page says."""
+    if f'DrakeLcm("{LCM_URL}")' in example.code:  # a real arm would stop
+        example = replace(example, code=example.code.replace(LCM_URL, "memq://"))
+    given = {"dataset": read_dataset("demo/pushes"), "belief": Belief.load("demo/belief.npz")}
+    exec(example.compiled(), given)
+    return given
 
 
-def test_the_slider_of_the_station_page_is_pushed(demo_folder, tmp_path):
-    said = what_an_example_says("docs/station.md", demo_folder, tmp_path)
-    found = re.match(r"it came to x = (-?\d+) mm, y = -?\d+ mm, turned by (-?\d+)°", said)
-    # Pushed at the end of its handle, towards +x below its middle, the hammer turns counter-clockwise.
-    assert found is not None and int(found[2]) > 10, said
+@pytest.mark.parametrize("example", [example for example in EXAMPLES if example.runs], ids=str)
+def test_an_example_runs(example, beside_the_demo, capsys):
+    given = run_example(example)
+    said = capsys.readouterr().out
+    if "maps_figure" in example.code:
+        assert re.match(r"pushes that were held out end \d+\.\d mm", said)
+        assert "finger friction" in said
+        assert (beside_the_demo / "maps.png").stat().st_size > 10_000
+    elif "slider_of_hypothesis" in example.code:
+        found = re.match(r"it came to x = (-?\d+) mm, y = -?\d+ mm, turned by (-?\d+)°", said)
+        # Pushed at the end of its handle, towards +x below its middle, the hammer turns counter-clockwise.
+        assert found is not None and int(found[2]) > 10, said
+    elif "select_poke" in example.code:
+        assert re.match(r"push from \[.*\] to \[.*\] at \d\.\d\d m/s", said)
+        assert given["poke"].push.end[0] < 0.4
+    elif "(Effect)" in example.code:
+        (effect,) = [kind for kind in given.values() if inspect.isclass(kind) and kind.__base__ is Effect]
+        check_effect(effect(), str(example))
 
 
-@pytest.mark.parametrize("page", PAGES)
+@pytest.mark.parametrize("example", [example for example in EXAMPLES if not example.runs], ids=str)
+def test_an_example_that_takes_too_long_names_what_there_is(example):
+    example.compiled()
+    read_closely(example, GIVEN)
+
+
+def test_most_examples_run():
+    assert sum(not example.runs for example in EXAMPLES) <= 4 < sum(example.runs for example in EXAMPLES)
+
+
+def test_a_wrong_example_is_noticed():
+    for code in (
+        "from models.inference.diagnosis import diagnosed",
+        "from models.inference.diagnosis import diagnose\ndiagnose(dataset, speed=0)",
+        "from models.inference.diagnosis import diagnose\nresult = diagnose(dataset)\nresult.culprit",
+        "faults.when('pushing')",
+        "cells.explore(pushes=3)",
+    ):
+        with pytest.raises((AssertionError, AttributeError)):
+            read_closely(
+                Example("page", 1, code, False), {"cell": Cell, "faults": Faults, "dataset": PushDataset}
+            )
+
+
+def shown_on(page):
+    """Text of a page, or of a notebook's cells that are no code."""
+    text = (ROOT / page).read_text(encoding="utf-8")
+    if not page.endswith(".ipynb"):
+        return text
+    cells = [cell for cell in json.loads(text)["cells"] if cell["cell_type"] == "markdown"]
+    return "\n\n".join("".join(cell["source"]) for cell in cells)
+
+
+@pytest.mark.parametrize("page", (*PAGES, *NOTEBOOKS))
 def test_commands_and_options_exist(page):
-    text = (ROOT / page).read_text()
+    text = shown_on(page)
     shown = re.findall(r"`slipmap ([a-z][^`]+)`", text)
-    shown += re.findall(r"^    (?:slipmap|python -m diagrams.command_line) (.+)$", text, flags=re.M)
+    shown += re.findall(
+        r"^    (?:slipmap|python -m diagrams.command_line) ([a-z-]+(?: .+)?)$", text, flags=re.M
+    )
     assert len(shown) > 3 or page != "README.md"
     for line in shown:
         name, *rest = shlex.split(line, comments=True)
-        options = {option for parameter in slipmap.commands[name].params for option in parameter.opts}
-        assert {word for word in rest if word.startswith("-")} <= {"--help", *options}
+        command = slipmap.commands[name]
+        options = {option: parameter for parameter in command.params for option in parameter.opts}
+        if rest and rest[-1] in options:
+            rest.pop()  # named without its value
+        with command.make_context(name, [], resilient_parsing=True) as context:
+            values, left, _ = command.make_parser(context).parse_args(rest)
+        assert not left, f"{line}: {left} is too much"
+        for parameter in command.params:
+            given = values.get(parameter.name)
+            if isinstance(parameter.type, click.Choice) and isinstance(given, str | list):
+                assert set([given] if isinstance(given, str) else given) <= set(parameter.type.choices), line
 
 
 def test_make_targets_exist():
