@@ -11,7 +11,7 @@ from schemas import assert_as_described
 from test_command_line import ENVIRONMENT, hear_ctrl_c
 
 from diagrams import exploration_run
-from diagrams.commands.explore_study import _judged
+from diagrams.commands.explore_study import _judged, in_ninety_percent
 from diagrams.exploration_run import ExplorationStopped
 
 
@@ -107,9 +107,19 @@ class _Run:
         self.simulated = self.seconds = 1.0
 
 
-@pytest.mark.parametrize("away, inside", [(2.0, True), (2.3, False)])
-def test_the_region_holds_90_percent_of_a_normal_distribution(away, inside):
-    """In a plane, 90 % of a normal distribution lie within 2.146 standard deviations."""
+@pytest.mark.parametrize("count", [8, 20])
+def test_the_region_holds_nine_in_ten_of_what_is_drawn_as_the_hypotheses_are(count):
+    """However few they are; the ellipse of a normal distribution that is known would hold 72 and 85 %."""
+    rng = np.random.default_rng(5)
+    mixed = np.array([[1.0, 0.0], [0.7, 0.3]])
+    drawn = rng.standard_normal((4000, count + 1, 2)) @ mixed
+    equal = np.full(count, 1 / count)
+    inside = np.mean([in_ninety_percent(points[0], points[1:], equal) for points in drawn])
+    assert inside == pytest.approx(0.9, abs=0.02)
+
+
+@pytest.mark.parametrize("away, inside", [(2.0, True), (2.5, False)])
+def test_a_run_is_judged_by_where_the_centre_of_mass_is(away, inside):
     angle = np.linspace(0, 2 * np.pi, 40, endpoint=False)
     centers = 0.01 * np.sqrt(2) * np.column_stack([np.cos(angle), np.sin(angle)])  # deviation 0.01 each way
     judged = _judged(_Run(centers, [0.01 * away, 0.0]))
