@@ -120,6 +120,14 @@ def test_runner_keeps_text_expressions_and_figures_and_leaves_noise_out(tmp_path
     assert path.read_text() == before
 
 
+def test_runner_keeps_no_frame_of_a_file_that_is_not_kept(tmp_path):
+    frame = "from IPython.display import IFrame, display\ndisplay(IFrame('results/run.html', 9, 9))\n1"
+    path = small_notebook(tmp_path / "some.ipynb", frame)
+    assert run([path], tmp_path).returncode == 0
+    (cell,) = json.loads(path.read_text())["cells"]
+    assert [output["data"] for output in cell["outputs"]] == [{"text/plain": ["1"]}]
+
+
 def test_a_notebook_knows_nothing_of_the_one_before(tmp_path):
     one, other = (
         small_notebook(tmp_path / "one.ipynb", "x = 1"),
