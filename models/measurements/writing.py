@@ -109,9 +109,21 @@ def trial_text(trial: Trial) -> str:
 
 def description_text(dataset: PushDataset, names: list[str]) -> str:
     """The file that describes a dataset whose trials have these names."""
-    return yaml.safe_dump(
-        _description(dataset, names), sort_keys=False, allow_unicode=True, default_flow_style=None, width=110
-    )
+    return yaml.dump(
+        _description(dataset, names), Dumper=_Dumper,
+        sort_keys=False, allow_unicode=True, default_flow_style=None, width=110,
+    )  # fmt: skip
+
+
+class _Dumper(yaml.SafeDumper):
+    """Escapes the breaks of lines that YAML knows beside those of ASCII: in quotes they read as blanks."""
+
+    def represent_text(self, text: str) -> yaml.ScalarNode:
+        style = '"' if any(sign in text for sign in "\x85\u2028\u2029") else None
+        return self.represent_scalar("tag:yaml.org,2002:str", text, style=style)
+
+
+_Dumper.add_representer(str, _Dumper.represent_text)
 
 
 def _file_names(trials: tuple[Trial, ...]) -> list[str]:

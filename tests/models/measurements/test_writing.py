@@ -102,6 +102,13 @@ def test_what_is_written_is_read_to_the_last_bit(tmp_path_factory, dataset):
     assert_equal(read_dataset(folder), dataset)
 
 
+@pytest.mark.parametrize("sign", ["\x85", "\u2028", "\u2029", "\ufeff", "\x0b", "\xa0", "\r\n"])
+def test_unusual_breaks_and_blanks_in_a_description_stay(example, tmp_path, sign):
+    dataset = replace(read_dataset(example.write()), description=f"before{sign}after{sign}")
+    written = write_dataset(dataset, tmp_path / "strange")
+    assert read_dataset(written).description == dataset.description
+
+
 @pytest.mark.parametrize("name", ["bullet/book_p9", "effects/public-none", "real/mit_abs_rect1"])
 def test_shipped_datasets_make_the_round_trip(shared_data, tmp_path, name):
     dataset = read_dataset(shared_data / name)
