@@ -2,8 +2,8 @@
 
 A fit to one set of pushes is one answer; the belief holds many. Each hypothesis is fitted anew to pushes
 weighted at random (the Bayesian bootstrap of Rubin, 1981, but with gamma distributed weights that vary a
-little more than his exponentials: those make the variance of a mean of B pushes too small by
-(B - 1) / (B + 1), which with five pushes is a third)
+little more than his exponentials: with those the variance of a mean of B pushes comes out as
+(B - 1) / (B + 1) of what it should be, two thirds with five pushes)
 and pulled towards maps drawn from the prior. Refits to the weights show what the pushes disagree about, be
 it noise or what no such model knows; refits towards random maps show what the pushes leave open. Neither
 needs the errors to be independent or the model to be right, which for recorded pushes they are not. And the
