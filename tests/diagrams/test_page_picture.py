@@ -9,7 +9,9 @@ from PIL import Image
 from diagrams.page_picture import page_picture
 
 
-@pytest.mark.skipif(chromium() is None, reason="no Chromium here")
+@pytest.mark.skipif(
+    chromium() is None, reason="no chromium to open pages in; on Debian: apt-get install chromium"
+)
 def test_a_page_is_shown_as_it_is_after_its_script(tmp_path):
     page = tmp_path / "red page.html"
     page.write_text("<body><script>document.body.style.background = 'rgb(200, 10, 20)'</script>")
