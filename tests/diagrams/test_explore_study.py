@@ -109,7 +109,7 @@ class _Run:
 
 @pytest.mark.parametrize("count", [8, 20])
 def test_the_region_holds_nine_in_ten_of_what_is_drawn_as_the_hypotheses_are(count):
-    """However few they are; the ellipse of a normal distribution that is known would hold 72 and 85 %."""
+    """However few they are; the ellipse of a normal distribution that is known would hold 72 and 83 %."""
     rng = np.random.default_rng(5)
     mixed = np.array([[1.0, 0.0], [0.7, 0.3]])
     drawn = rng.standard_normal((4000, count + 1, 2)) @ mixed
