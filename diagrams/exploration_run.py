@@ -234,12 +234,15 @@ def run_loop(
 
     simulator.set_monitor(monitor)
     interrupted = False
+    gc.freeze()  # what there is until now lives longer than this run: the collector need not look at it
     try:
         with nullcontext(lambda: False) if simulated else stopped_by_ctrl_c(station) as pressed:
             simulator.AdvanceTo(longest)
             interrupted = pressed()
     except KeyboardInterrupt:
         interrupted = True
+    finally:
+        gc.unfreeze()
     return LoopEnd(
         output_of(loop, supervisor, "status", context),
         context,

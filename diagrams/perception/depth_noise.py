@@ -10,7 +10,7 @@ from pydrake.common.value import AbstractValue
 from pydrake.systems.sensors import ImageDepth32F
 
 from diagrams.collectable import PythonSystem
-from diagrams.perception.picture_kernels import measure
+from diagrams.perception.noise_kernels import measure
 from models.perception.camera import DepthImage
 
 _STEP = 0.01  # m; depth jumps more than this at an edge

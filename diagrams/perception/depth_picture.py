@@ -37,7 +37,7 @@ from pydrake.systems.sensors import ImageDepth32F, RgbdSensor
 
 from diagrams.collectable import PythonSystem
 from diagrams.perception.camera import FARTHEST, NEAREST, CameraConfig
-from diagrams.perception.picture_kernels import (
+from diagrams.perception.drawing_kernels import (
     BOX,
     CAPSULE,
     CYLINDER,

@@ -12,6 +12,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from models.perception.edge_kernels import Lens
 from models.physics.cell_grid import FloatArray
 
 DepthImage = NDArray[np.float32]
@@ -71,6 +72,13 @@ class View:
     def p_WC(self) -> FloatArray:
         """(3,) position of the camera in W, m."""
         return self.X_WC[:3, 3]
+
+    @cached_property
+    def lens(self) -> Lens:
+        """The same for kernels."""
+        camera, R_WC = self.camera, np.array(self.X_WC[:3, :3], order="C")
+        focal, center = (camera.focal_x, camera.focal_y), (camera.center_x, camera.center_y)
+        return Lens(*focal, *center, R_WC, np.array(self.p_WC))
 
     @cached_property
     def rays(self) -> NDArray[np.float32]:

@@ -14,21 +14,20 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
-from scipy.ndimage import gaussian_filter1d
 
 from models.perception.camera import View, pixel_size
-from models.perception.footprint import Outline
-from models.perception.object_mask import SMOOTHING, HeightPicture
+from models.perception.edge_kernels import (
+    edges_expected,
+    edges_found,
+    heights_off,
+    lines_across,
+    mean_misfit,
+)
+from models.perception.object_mask import HeightPicture
 from models.perception.seen_object import SeenObject
 from models.physics.cell_grid import FloatArray
 
-_STEP = 0.5  # pixels between readings along a normal
-_PREDICTED = 5.0  # pixels from an outline point within which its edge is expected in the picture
 _HUBER = 1.0  # pixels
-_TINY = 1e-4  # m
-_HEIGHT_ERROR = 1.5e-3  # m; a height off by this, where the top is level, counts like an edge a pixel off
-_LEAST_SLOPE = 0.05
 _SETTLED = 0.02  # pixels
 _UNCHANGED = 0.3  # pixels; after a smaller move, edges are expected where they were on their lines
 # Neighbouring points read the same pixels: a point every pixel, pixels smoothed over three.
@@ -78,19 +77,21 @@ def fit_edges(
     """
     pose = np.array(start, dtype=float)
     fit = EdgeFit(pose, np.full((3, 3), np.inf), 0.0, np.inf)
+    heights, lens, shape, pixel = picture.for_kernels, view.lens, seen.shape, pixel_size(view)
     expected: FloatArray | None = None
     moved = 0.0  # pixels, since the edges' places were predicted
     for k, reach in enumerate(reaches):
-        lines = _Lines.at(view, seen, pose)
+        lines = lines_across(lens, shape, pose)
         if expected is None or moved > _UNCHANGED:
-            expected, moved = lines.expected_edges(view, seen, pose), 0.0
-        distance = lines.edges(picture, seen, reach) - expected
+            expected, moved = edges_expected(lens, shape, pose, lines), 0.0
+        distance = edges_found(heights, shape, lines, reach) - expected
         found = np.isfinite(distance)
         if found.sum() < 6:
             return fit
-        height, slope = _height_residuals(picture, view, seen, pose)
-        d = np.concatenate([distance[found], height])
-        J = np.concatenate([lines.jacobian[found], slope])
+        off = heights_off(heights, lens, shape, pose, pixel)
+        off = off[np.isfinite(off[:, 0])]
+        d = np.concatenate([distance[found], off[:, 0]])
+        J = np.concatenate([lines[found, 4:], off[:, 1:]])
         weight = np.minimum(1.0, max(_HUBER, reach / 4) / np.maximum(np.abs(d), 1e-9))
         information = J.T @ (weight[:, None] * J)
         if np.linalg.cond(information * _scale(seen)) > 1e8:
@@ -111,94 +112,25 @@ def fit_edges(
     return fit
 
 
+def misfit(
+    picture: HeightPicture, view: View, seen: SeenObject, pose: FloatArray, every: int = 1
+) -> tuple[float, float]:
+    """How badly heights inside, and the table outside, agree with a picture.
+
+    Args:
+        picture, view, seen: as of `fit_edges`.
+        pose: (3,) of O in W.
+        every: which points are looked at: each, each second, …
+
+    Returns:
+        0 is perfect, 1 fits nowhere; and the share of the points inside that are seen.
+    """
+    pose = np.array(pose, dtype=float)
+    off, visible = mean_misfit(picture.for_kernels, view.lens, seen.shape, pose, pixel_size(view), every)
+    return float(off), float(visible)
+
+
 def _scale(seen: SeenObject) -> FloatArray:
     """Makes the angle's part of the information comparable with that of the position."""
     size = np.array([1.0, 1.0, 1.0 / np.sqrt(np.mean(np.sum(seen.outline.points**2, axis=1)))])
     return np.outer(size, size)
-
-
-@dataclass(frozen=True, eq=False)
-class _Lines:
-    """Lines in the picture across the outline, on which edges are searched.
-
-    Attributes:
-        pixels: (m, 2) where the outline's points are projected to.
-        normals: (m, 2) unit vectors in the picture, out of the object.
-        jacobian: (m, 3) how far the points move along the normals for a change of pose.
-    """
-
-    pixels: FloatArray
-    normals: FloatArray
-    jacobian: FloatArray
-
-    @staticmethod
-    def at(view: View, seen: SeenObject, pose: FloatArray) -> _Lines:
-        outline, table = seen.outline, seen.table
-        arm_W = turned(pose, outline.points)
-        points, normals = arm_W + pose[:2], turned(pose, outline.normals)
-        height = np.where(is_far(pose, outline, view), seen.rim_heights, outline.heights / 2)
-        pixels, du_dx, du_dy = (
-            view.project(table.lift(points + aside, height))[0] for aside in ([0, 0], [_TINY, 0], [0, _TINY])
-        )
-        du_dx, du_dy = (du_dx - pixels) / _TINY, (du_dy - pixels) / _TINY
-        # The normal in the picture is at right angles to the outline's tangent there.
-        tangent = du_dx * -normals[:, 1:] + du_dy * normals[:, :1]
-        across = np.column_stack([tangent[:, 1], -tangent[:, 0]])
-        outward = np.sum(across * (du_dx * normals[:, :1] + du_dy * normals[:, 1:]), axis=1)
-        across *= (np.sign(outward) / np.linalg.norm(across, axis=1))[:, None]
-        along_x, along_y = np.sum(across * du_dx, axis=1), np.sum(across * du_dy, axis=1)
-        spin = along_y * arm_W[:, 0] - along_x * arm_W[:, 1]
-        return _Lines(pixels, across, np.column_stack([along_x, along_y, spin]))
-
-    def edges(self, picture: HeightPicture, seen: SeenObject, reach: float) -> FloatArray:
-        """(m,) where on each line the edge in the picture lies, pixels; NaN if not within reach."""
-        offsets = np.arange(-reach, reach + _STEP / 2, _STEP)
-        return _falls_through(picture.at(self._points(offsets)), seen.outline.heights / 2, offsets)
-
-    def expected_edges(self, view: View, seen: SeenObject, pose: FloatArray) -> FloatArray:
-        """(m,) where on each line the edge should be if the object is at a pose, pixels."""
-        offsets = np.arange(-_PREDICTED, _PREDICTED + _STEP / 2, _STEP)
-        heights = seen.relief.seen_at(self._points(offsets), pose, seen.table, view)
-        smoothed = gaussian_filter1d(heights, SMOOTHING / _STEP, axis=1, mode="nearest")
-        return _falls_through(smoothed, seen.outline.heights / 2, offsets)
-
-    def _points(self, offsets: FloatArray) -> FloatArray:
-        return self.pixels[:, None, :] + offsets[:, None] * self.normals[:, None, :]
-
-
-def is_far(pose: FloatArray, outline: Outline, view: View) -> NDArray[np.bool_]:
-    """(m,) which points of an outline in O lie on edges that face away from the camera.
-
-    There the top hides the foot, and the edge in the picture is the rim's; elsewhere the flank is seen.
-    """
-    away = placed(pose, outline.points) - view.p_WC[:2]
-    return np.sum(away * turned(pose, outline.normals), axis=1) > 0
-
-
-def _height_residuals(
-    picture: HeightPicture, view: View, seen: SeenObject, pose: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    """Heights read at sloping points inside less those expected, and their change with the pose.
-
-    Both are scaled such that 1 is as unlikely as an edge one pixel off.
-    """
-    steep = np.hypot(*seen.inner_slopes.T)
-    arm_W, slope = turned(pose, seen.inner_points), turned(pose, seen.inner_slopes)
-    pixels = view.project(seen.table.lift(arm_W + pose[:2], seen.inner_heights))[0]
-    residual = picture.at(pixels) - seen.inner_heights
-    # An object that moves uphill leaves lower places behind.
-    change = -np.column_stack([slope, slope[:, 1] * arm_W[:, 0] - slope[:, 0] * arm_W[:, 1]])
-    scale = 1 / np.hypot(_HEIGHT_ERROR, steep * pixel_size(view) / 2)
-    used = np.isfinite(residual) & (steep > _LEAST_SLOPE)
-    return (residual * scale)[used], (change * scale[:, None])[used]
-
-
-def _falls_through(profile: FloatArray, level: FloatArray, offsets: FloatArray) -> FloatArray:
-    """(m,) offset nearest to 0 at which a profile (m, k) falls through its level (m,), NaN if nowhere."""
-    over = profile - level[:, None]
-    falls = (over[:, :-1] >= 0) & (over[:, 1:] < 0)  # comparisons with NaN are false
-    with np.errstate(invalid="ignore", divide="ignore"):
-        where = offsets[:-1] + _STEP * over[:, :-1] / (over[:, :-1] - over[:, 1:])
-    where = np.where(falls, where, np.inf)
-    nearest = where[np.arange(len(where)), np.argmin(np.abs(where), axis=1)]
-    return np.where(np.isfinite(nearest), nearest, np.nan)

@@ -7,13 +7,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from models.perception.camera import View, pixel_size
+from models.perception.edge_kernels import SMOOTHING
+from models.perception.edge_kernels import Heights as KernelHeights
+from models.perception.mask_kernels import between
 from models.physics.cell_grid import FloatArray
 
 Heights = NDArray[np.float32]
 Mask = NDArray[np.bool_]
 
 LOWEST = -0.005  # m; lower readings, beside the table, count as this: how deep the floor is does not matter
-SMOOTHING = 1.0  # pixels
 HIGHEST = 0.3  # m; nothing that stands on the table is higher
 
 
@@ -63,7 +65,7 @@ def object_mask(heights: Heights, view: View) -> Mask | None:
     noise = table_noise(heights)
     faint = heights > max(_FAINTEST, _FAINT * noise)
     faint = cv2.medianBlur(faint.astype(np.uint8), 3) > 0
-    faint |= _between(faint, np.isnan(heights))
+    faint |= between(faint, np.isnan(heights))
     found = _largest_piece(faint, heights > max(_CLEAREST, _CLEAR * noise), view)
     if found is None:
         return None
@@ -83,21 +85,6 @@ def _largest_piece(mask: Mask, seeds: Mask, view: View) -> Mask | None:
     return pieces == largest
 
 
-def _between(mask: Mask, missing: Mask) -> Mask:
-    """Missing pixels in runs, along rows or columns, that end at the mask on both sides."""
-    return _between_in_rows(mask, missing) | _between_in_rows(mask.T, missing.T).T
-
-
-def _between_in_rows(mask: Mask, missing: Mask) -> Mask:
-    known = np.where(missing, -1, np.arange(mask.shape[1]))
-    before = np.maximum.accumulate(known, axis=1)
-    known = np.where(missing, mask.shape[1], np.arange(mask.shape[1]))
-    after = np.minimum.accumulate(known[:, ::-1], axis=1)[:, ::-1]
-    rows = np.arange(len(mask))[:, None]
-    padded = np.pad(mask, ((0, 0), (0, 1)))  # index -1 and width: outside the picture, no object
-    return missing & padded[rows, before] & padded[rows, after]
-
-
 def _without_rim(mask: Mask, heights: Heights) -> Mask:
     """The mask less the pixels by its border that are lower than half the height beside them."""
     filled = np.where(mask & np.isfinite(heights), heights, np.float32(0))
@@ -114,6 +101,11 @@ class HeightPicture:
     def __init__(self, heights: Heights, first_column: int = 0, first_row: int = 0) -> None:
         self._heights = heights
         self._origin = np.array([first_column, first_row], dtype=float)
+
+    @property
+    def for_kernels(self) -> KernelHeights:
+        """The same for kernels."""
+        return KernelHeights(self._heights, *map(float, self._origin))
 
     def at(self, pixels: FloatArray) -> FloatArray:
         """Heights (a, b) or (a,) at pixel coordinates (a, b, 2) or (a, 2), m; NaN beside missing readings."""

@@ -9,7 +9,7 @@ import numpy as np
 
 from models.angles import angle_between
 from models.perception.camera import DepthImage, View, pixel_size
-from models.perception.edge_fit import EdgeFit, fit_edges, is_far, placed
+from models.perception.edge_fit import EdgeFit, fit_edges, misfit, placed
 from models.perception.object_mask import HeightPicture, Mask, object_mask, smoothed_heights
 from models.perception.observed_pose import ObservedPose
 from models.perception.seen_object import SeenObject
@@ -21,8 +21,6 @@ _MARGIN = 28  # pixels around the object that are looked at when it has hardly m
 _DIRECTIONS = 72  # tried when it has
 _REFINED = 6  # of these
 _APART = np.deg2rad(12.0)
-_UNLIKE = 0.005  # m; a point whose height is off by more does not fit at all
-_OUTSIDE = 3.0  # pixels beyond the outline
 # Mean misfit up to which a pose is accepted: 0 is perfect, 1 fits nowhere. True poses have 0.03 to 0.065; a
 # handle taken for itself 35 mm farther along, its head under the arm, has 0.1.
 _GOOD = 0.08
@@ -135,7 +133,7 @@ def _near(
     part = None if blocked is None else blocked[rows, columns]
     picture = HeightPicture(smoothed_heights(heights, part), first[0], first[1])
     fit = fit_edges(picture, view, seen, previous, _NEAR_REACHES)
-    return _Candidate(fit, *_misfit(picture, view, seen, fit.pose))
+    return _Candidate(fit, *misfit(picture, view, seen, fit.pose))
 
 
 def _anywhere(
@@ -152,7 +150,7 @@ def _anywhere(
     middle = seen.table.meet(pixels, heights[rows, columns].astype(float), view).mean(axis=0)
     angles = previous[2] + np.pi * (2 * np.arange(_DIRECTIONS) / _DIRECTIONS - 1)
     starts = [np.array([*middle, angle]) for angle in angles]
-    misfits = [_misfit(picture, view, seen, start, every=3)[0] for start in starts]
+    misfits = [misfit(picture, view, seen, start, every=3)[0] for start in starts]
     chosen: list[FloatArray] = []
     for k in np.argsort(misfits, kind="stable"):
         if all(abs(angle_between(starts[k][2], other[2])) > _APART for other in chosen):
@@ -162,7 +160,7 @@ def _anywhere(
     candidates = []
     for start in chosen:
         fit = fit_edges(picture, view, seen, start, _FAR_REACHES)
-        candidate = _Candidate(fit, *_misfit(picture, view, seen, fit.pose))
+        candidate = _Candidate(fit, *misfit(picture, view, seen, fit.pose))
         if np.all(np.isfinite(fit.covariance)):
             candidates.append(candidate)
     if not candidates:
@@ -171,32 +169,7 @@ def _anywhere(
     alike = [candidate for candidate in candidates if candidate.misfit <= least + _AS_GOOD]
     best = min(alike, key=lambda candidate: abs(candidate.fit.pose[2] - previous[2]))
     fit = fit_edges(picture, view, seen, best.fit.pose, _NEAR_REACHES)  # from afar it may not have settled
-    return _Candidate(fit, *_misfit(picture, view, seen, fit.pose))
-
-
-def _misfit(
-    picture: HeightPicture, view: View, seen: SeenObject, pose: FloatArray, every: int = 1
-) -> tuple[float, float]:
-    """How badly heights inside, and the table outside, agree with the picture (0 to 1), and the share of the
-    inner points that are seen."""
-    inner = placed(pose, seen.inner_points[::every])
-    expected = seen.inner_heights[::every]
-    read = picture.at(view.project(seen.table.lift(inner, expected))[0])
-    visible = np.isfinite(read)
-    inside = np.minimum(np.abs(read[visible] - expected[visible]) / _UNLIKE, 1.0) ** 2
-
-    outline = seen.outline
-    beyond = placed(pose, (outline.points + _OUTSIDE * pixel_size(view) * outline.normals)[::every])
-    # Past the top of the far side, and before the foot of the near side, lies the table.
-    height = np.where(is_far(pose, outline, view), seen.rim_heights, 0.0)[::every]
-    pixels = view.project(seen.table.lift(beyond, height))[0]
-    expected_out = seen.relief.seen_at(pixels[:, None], pose, seen.table, view)[:, 0]
-    read_out = picture.at(pixels)
-    table = np.isfinite(read_out)
-    outside = np.clip((read_out[table] - expected_out[table]) / _UNLIKE, 0.0, 1.0) ** 2
-    number = len(inside) + len(outside)
-    misfit = (inside.sum() + outside.sum()) / number if number else 1.0
-    return float(misfit), float(visible.mean())
+    return _Candidate(fit, *misfit(picture, view, seen, fit.pose))
 
 
 def _hidden_share(heights: np.ndarray, view: View, seen: SeenObject, pose: FloatArray) -> float:

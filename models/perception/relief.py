@@ -12,15 +12,13 @@ from scipy.spatial import cKDTree
 from shapely.geometry import Polygon
 
 from models.perception.camera import View
+from models.perception.edge_kernels import SPACING, Land, heights_seen
 from models.perception.table_plane import TablePlane
 from models.physics.cell_grid import FloatArray
 
-_SPACING = 1e-3  # m
 _NEIGHBOURS = 4  # readings whose median is a height
 _FOR_PLANE = 12  # readings through which a plane is laid at the rim
 _WALL, _STEEP = 2.0, 6.0  # a reading that is lower than one beside it by more (pixels, slope) is no top
-_ROW = 1024
-_LEVEL = 2e-3  # m between the heights at which a ray is compared with the map
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,15 +48,15 @@ class Relief:
         tree = cKDTree(points)
         x0, y0, x1, y1 = polygon.bounds
         # A margin of one point, so that the distance to the outside is known everywhere.
-        x = np.arange(x0 - _SPACING, x1 + 2 * _SPACING, _SPACING)
-        y = np.arange(y0 - _SPACING, y1 + 2 * _SPACING, _SPACING)
+        x = np.arange(x0 - SPACING, x1 + 2 * SPACING, SPACING)
+        y = np.arange(y0 - SPACING, y1 + 2 * SPACING, SPACING)
         grid = np.stack(np.meshgrid(x, y), axis=-1)
         inside = shapely.contains_xy(polygon, grid[..., 0], grid[..., 1])
         heights = np.zeros(inside.shape, np.float32)
         _, index = tree.query(grid[inside], k=min(_NEIGHBOURS, len(points)))
         heights[inside] = np.median(tops[np.asarray(index).reshape(inside.sum(), -1)], axis=1)
         # No reading lies on the rim itself; a rounded top goes on falling up to there.
-        to_rim = cv2.distanceTransform(inside.astype(np.uint8), cv2.DIST_L2, 5) * _SPACING
+        to_rim = cv2.distanceTransform(inside.astype(np.uint8), cv2.DIST_L2, 5) * SPACING
         rim = inside & (to_rim < pixel)
         if len(points) >= _FOR_PLANE and np.any(rim):
             index = np.asarray(tree.query(grid[rim], k=_FOR_PLANE)[1])
@@ -67,7 +65,11 @@ class Relief:
 
     def at(self, points: FloatArray) -> FloatArray:
         """Heights (...) of the grid points nearest to points (..., 2) in O, m; 0 beside the object."""
-        return self._read(self._on_grid(points, np.zeros(3))).astype(float)
+        nearest = np.rint((points - self.corner) / SPACING).astype(int)
+        size = np.array(self.heights.shape[::-1])
+        columns, rows = np.moveaxis(np.clip(nearest, 0, size - 1), -1, 0)
+        beside = np.any((nearest < 0) | (nearest >= size), axis=-1)
+        return np.where(beside, 0.0, self.heights[rows, columns].astype(float))
 
     def smooth(self, points: FloatArray, window: float) -> tuple[FloatArray, FloatArray]:
         """Heights (k,) at points (k, 2) in O, m, and their slopes (k, 2), averaged over a window.
@@ -76,55 +78,29 @@ class Relief:
             points: inside the footprint, further from its edge than the window.
             window: standard deviation of a Gaussian, m.
         """
-        smooth = cv2.GaussianBlur(self.heights, (0, 0), window / _SPACING)
-        slopes = [cv2.Sobel(smooth, cv2.CV_32F, *axis, scale=1 / (8 * _SPACING)) for axis in ((1, 0), (0, 1))]
+        smooth = cv2.GaussianBlur(self.heights, (0, 0), window / SPACING)
+        slopes = [cv2.Sobel(smooth, cv2.CV_32F, *axis, scale=1 / (8 * SPACING)) for axis in ((1, 0), (0, 1))]
         read = [Relief(self.corner, field).at(points) for field in (smooth, *slopes)]
         return read[0], np.stack(read[1:], axis=-1)
 
     def seen_at(self, pixels: FloatArray, pose: FloatArray, table: TablePlane, view: View) -> FloatArray:
-        """Heights (a, b) that a camera without noise sees at pixel coordinates (a, b, 2), m.
-
-        Each ray is followed from the object's highest level down until the map is as high as it.
+        """Heights (...) that a camera without noise sees at pixel coordinates (..., 2), m.
 
         Args:
-            pixels: (a, b, 2).
+            pixels: (..., 2).
             pose: (3,) of O in W.
             table: the table's plane.
             view: the camera.
         """
-        highest = float(self.heights.max())
-        levels = np.linspace(highest, 0.0, max(2, int(np.ceil(highest / _LEVEL)) + 1)).astype(np.float32)
-        top, foot = (self._on_grid(table.meet(pixels, h, view), pose).reshape(-1, 2) for h in (highest, 0.0))
-        share = (levels / np.float32(highest))[:, None, None]
-        over = self._read(foot + share * (top - foot)) - levels[:, None]
-        # The first level at which the map reaches the ray; between it and the one before, the ray enters.
-        first = np.argmax(over >= 0, axis=0)
-        here = np.take_along_axis(over, first[None], axis=0)[0]
-        before = np.take_along_axis(over, np.maximum(first - 1, 0)[None], axis=0)[0]
-        step = levels[0] - levels[1]
-        with np.errstate(invalid="ignore", divide="ignore"):
-            part = np.where(first > 0, here / (here - before), 0.0)
-        # A map that rises by more than the levels' distance is a flank: halfway is the best guess.
-        part = np.where(here > step, 0.5, np.clip(part, 0.0, 1.0))
-        seen = levels[first] + np.where(first > 0, part * step, 0.0)
-        return seen.reshape(pixels.shape[:-1]).astype(float)
+        flat = np.array(pixels, dtype=float).reshape(-1, 2)
+        seen = heights_seen(view.lens, self.land(table), np.array(pose, dtype=float), flat)
+        return np.asarray(seen).reshape(pixels.shape[:-1])
 
-    def _on_grid(self, points_W: FloatArray, pose: FloatArray) -> NDArray[np.float32]:
-        """Points (..., 2) in W as columns and rows of the grid."""
-        c, s = np.cos(pose[2]), np.sin(pose[2])
-        points = (points_W - pose[:2]) @ np.array([[c, -s], [s, c]])
-        return ((points - self.corner) / _SPACING).astype(np.float32)
-
-    def _read(self, where: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Heights (...) of the grid points nearest to columns and rows (..., 2)."""
-        flat = where.reshape(-1, 2)
-        # OpenCV reads at most 32,767 points in a row.
-        rows = -(-len(flat) // _ROW)
-        padded = np.pad(flat, ((0, rows * _ROW - len(flat)), (0, 0))).reshape(rows, _ROW, 2)
-        read = cv2.remap(
-            self.heights, padded, None, cv2.INTER_NEAREST, borderMode=cv2.BORDER_CONSTANT, borderValue=0.0
-        )
-        return read.reshape(-1)[: len(flat)].reshape(where.shape[:-1])
+    def land(self, table: TablePlane) -> Land:
+        """The same, on a table, for kernels."""
+        plane = np.array([table.slope_x, table.slope_y, table.height])
+        heights = np.array(self.heights, np.float32, order="C")
+        return Land(plane, np.array(self.corner, dtype=float), heights, float(heights.max()))
 
 
 def _on_flank(points: FloatArray, tops: FloatArray, pixel: float) -> NDArray[np.bool_]:

@@ -3,7 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
+import numpy as np
+
+from models.perception.edge_kernels import Shape
 from models.perception.footprint import Outline
 from models.perception.relief import Relief
 from models.perception.table_plane import TablePlane
@@ -41,3 +45,12 @@ class SeenObject:
     inner_slopes: FloatArray
     relief: Relief
     table: TablePlane
+
+    @cached_property
+    def shape(self) -> Shape:
+        """The same for kernels."""
+        parts = (
+            self.outline.points, self.outline.normals, self.outline.heights, self.rim_heights,
+            self.inner_points, self.inner_heights, self.inner_slopes,
+        )  # fmt: skip
+        return Shape(self.relief.land(self.table), *(np.array(part, float, order="C") for part in parts))

@@ -33,16 +33,23 @@ CACHE_FOLDER = _cache_root() / f"kernels-{_source_hash()}"
 """Where compiled kernels are kept; under SLIPMAP_CACHE or XDG_CACHE_HOME if set, else under ~/.cache."""
 
 
-def compiled(**options: Any) -> Callable[[Callable[..., Any]], Any]:
-    """Decorator: compile on first call, keep the result in `CACHE_FOLDER`; options are numba's.
+LONE_FOLDER = CACHE_FOLDER.parent / "lone-kernels"
+"""Where those of other folders are kept; each file of them stands alone, calling nothing of another."""
+
+
+def compiled(folder: Path = CACHE_FOLDER, **options: Any) -> Callable[[Callable[..., Any]], Any]:
+    """Decorator: compile on first call and keep the result; options are numba's.
 
     Nothing is compiled for callers in C, which there are none of.
+
+    Args:
+        folder: where it is kept. In `LONE_FOLDER` only a change of a function's own file is noticed.
     """
     options["no_cfunc_wrapper"] = True
 
     def decorate(function: Callable[..., Any]) -> Any:
         before = numba.config.CACHE_DIR
-        numba.config.CACHE_DIR = str(CACHE_FOLDER)
+        numba.config.CACHE_DIR = str(folder)
         try:
             return njit(cache=True, error_model="numpy", **options)(function)
         finally:
