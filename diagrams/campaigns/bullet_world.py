@@ -29,6 +29,8 @@ _THICKNESS = 0.1  # m, of the table top
 _FLOOR = -0.72  # m
 _AWAY = np.array([20.0, 20.0])
 _ITERATIONS = 50
+_CONTACTS = 4  # that Bullet keeps between two bodies
+_APART = 0.03  # m; contacts closer than 20 mm to each other it takes for one
 _TABLE, _FEET, _BLOCKS, _FINGER = 1, 2, 4, 8  # collision groups
 _AT_REST = 5e-3  # m/s and rad/s
 _TILTED = np.cos(np.radians(10.0))
@@ -149,24 +151,27 @@ class BulletWorld(DirectWorld):
             p.setCollisionFilterGroupMask(body, -1, _TABLE, _FEET | _BLOCKS, **where)
 
     def _add_object(self) -> int:
-        """A body with all the mass; each foot and each prism is a link without weight."""
+        """A body with all the mass; feet and prisms are links without weight.
+
+        Some feet of equal cells are one link: what Bullet computes for each contact grows with the links.
+        """
         p, where, thing = self._p, self._where, self.true_object
         inertia, self._X_OI = self._principal()
         self._X_IO = p.invertTransform(*self._X_OI)
-        foot = p.createCollisionShape(p.GEOM_SPHERE, radius=_FOOT_RADIUS, **where)
+        groups = _groups(thing)
+        feet = [self._feet(thing.grid.centers[group]) for group in groups]
         blocks = [
             p.createCollisionShape(p.GEOM_MESH, vertices=corners.tolist(), **where)
             for corners in self._prisms()
         ]
-        n, count = len(thing.grid), len(thing.grid) + len(blocks)
+        n, count = len(feet), len(feet) + len(blocks)
         level, here = [0, 0, 0, 1], [0, 0, 0]
-        feet = [p.multiplyTransforms(*self._X_IO, [x, y, _FOOT_RADIUS], level) for x, y in thing.grid.centers]
-        links = [*feet, *[self._X_IO] * len(blocks)]
+        place, turn = self._X_IO
         body = p.createMultiBody(
             thing.total_mass, -1, -1, here, level,
-            linkMasses=[_LINK_MASS] * count, linkCollisionShapeIndices=[foot] * n + blocks,
-            linkVisualShapeIndices=[-1] * count, linkPositions=[place for place, _ in links],
-            linkOrientations=[turn for _, turn in links],
+            linkMasses=[_LINK_MASS] * count, linkCollisionShapeIndices=feet + blocks,
+            linkVisualShapeIndices=[-1] * count, linkPositions=[place] * count,
+            linkOrientations=[turn] * count,
             linkInertialFramePositions=[here] * count, linkInertialFrameOrientations=[level] * count,
             linkParentIndices=[0] * count, linkJointTypes=[p.JOINT_FIXED] * count,
             linkJointAxis=[[0, 0, 1]] * count, **where,
@@ -174,17 +179,32 @@ class BulletWorld(DirectWorld):
         p.changeDynamics(
             body, -1, linearDamping=0, angularDamping=0, localInertiaDiagonal=inertia.tolist(), **where
         )
-        for cell in range(n):
-            stiffness = thing.mass[cell] * GRAVITY / _SINK
+        for link, (first, *_) in enumerate(groups):
+            mass = thing.mass[first]
+            stiffness = mass * GRAVITY / _SINK
             p.changeDynamics(
-                body, cell, lateralFriction=thing.mu[cell], contactStiffness=stiffness,
-                contactDamping=2 * np.sqrt(stiffness * thing.mass[cell]), **where,
+                body, link, lateralFriction=thing.mu[first], contactStiffness=stiffness,
+                contactDamping=2 * np.sqrt(stiffness * mass), **where,
             )  # fmt: skip
-            p.setCollisionFilterGroupMask(body, cell, _FEET, _TABLE, **where)
-        for block in range(n, count):
-            p.changeDynamics(body, block, lateralFriction=thing.mu_finger, **where)
+            p.setCollisionFilterGroupMask(body, link, _FEET, _TABLE, **where)
+        for block in range(
+            n, count
+        ):  # of the prisms, which hang just above the table, only what touches counts
+            p.changeDynamics(
+                body, block, lateralFriction=thing.mu_finger, contactProcessingThreshold=0.0, **where
+            )
             p.setCollisionFilterGroupMask(body, block, _BLOCKS, _FINGER | _TABLE, **where)
         return int(body)
+
+    def _feet(self, centers: FloatArray) -> int:
+        """A shape of spheres under cells (k, 2)."""
+        p, count = self._p, len(centers)
+        return int(
+            p.createCollisionShapeArray(
+                shapeTypes=[p.GEOM_SPHERE] * count, radii=[_FOOT_RADIUS] * count,
+                collisionFramePositions=[[x, y, _FOOT_RADIUS] for x, y in centers], **self._where,
+            )
+        )  # fmt: skip
 
     def _principal(self) -> tuple[FloatArray, Pose]:
         """(3,) principal moments about the centre of mass, and the pose of its principal frame I."""
@@ -222,3 +242,18 @@ class BulletWorld(DirectWorld):
         for link in (-1, 0, 1):
             p.setCollisionFilterGroupMask(finger, link, _FINGER if link == 1 else 0, _BLOCKS, **where)
         return int(finger)
+
+
+def _groups(thing: TrueObject) -> list[list[int]]:
+    """Cells of equal weight and friction, so few and so far apart that Bullet keeps a contact for each."""
+    groups: list[list[int]] = []
+    for cell, center in enumerate(thing.grid.centers):
+        for group in groups:
+            like = thing.mass[cell] == thing.mass[group[0]] and thing.mu[cell] == thing.mu[group[0]]
+            away = np.hypot(*(thing.grid.centers[group] - center).T).min() > _APART
+            if like and away and len(group) < _CONTACTS:
+                group.append(cell)
+                break
+        else:
+            groups.append([cell])
+    return groups
