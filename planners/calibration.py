@@ -13,8 +13,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from models.inference.identifiability import interval
 from models.inference.identification import identify
+from models.inference.intervals import interval
 from models.inference.results import Identification
 from models.measurements.simulated import record_pushes
 from models.objects import cells_from_polygon

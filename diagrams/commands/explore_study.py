@@ -15,7 +15,6 @@ from diagrams.outputs import make_folder, write_json
 
 if TYPE_CHECKING:
     from diagrams.exploration_run import ExplorationRun
-    from models.physics.cell_grid import FloatArray
 
 
 @click.command("explore-study")
@@ -124,6 +123,8 @@ def _row_of(path: Path, pushes: int, checks: int) -> dict[str, Any]:
 def _judged(run: ExplorationRun) -> dict[str, Any]:
     import numpy as np
 
+    from models.inference.intervals import in_region
+
     found = run.identification
     centers, p = found.belief.centers_of_mass, found.belief.probability
     mean = p @ centers
@@ -132,29 +133,10 @@ def _judged(run: ExplorationRun) -> dict[str, Any]:
         "error": float(found.errors("heldout").mean()),
         "uniform": float(found.errors("heldout", "uniform_add").mean()),
         "center_of_mass_off": float(np.hypot(*off)),
-        "center_of_mass_inside": in_ninety_percent(run.true_center_of_mass, centers, p),
+        "center_of_mass_inside": in_region(run.true_center_of_mass, centers, p),
         "simulated": run.simulated,
         "seconds": run.seconds,
     }
-
-
-def in_ninety_percent(point: FloatArray, centers: FloatArray, probability: FloatArray) -> bool:
-    """Whether a point (2,) is where another draw from the belief would be in nine cases of ten.
-
-    The ellipse is Hotelling's, which is wider than that of a normal distribution that is known: mean and
-    spread are those of as many hypotheses (K, 2) as the belief's probabilities (K,) leave, 1 / Σ p².
-    """
-    import numpy as np
-    from scipy.stats import f
-
-    count = 1.0 / (probability @ probability)
-    if count <= 3.0:
-        return True  # so few say nothing of their spread
-    off = point - probability @ centers
-    around = centers - probability @ centers
-    spread = around.T @ (around * probability[:, None]) * count / (count - 1.0)
-    limit = 2.0 * (count**2 - 1.0) / (count * (count - 2.0)) * f.ppf(0.9, 2, count - 2.0)
-    return bool(off @ np.linalg.solve(spread, off) < limit)
 
 
 def _show(rows: dict[str, list[dict[str, Any]]]) -> None:

@@ -12,10 +12,10 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import stdtrit
 
 from models.inference.belief import Belief
 from models.inference.gauss_newton import Fits, fit
+from models.inference.intervals import interval
 from models.inference.likelihood import Likelihood
 from models.inference.results import Quantity
 from models.physics.cell_grid import FloatArray
@@ -78,25 +78,6 @@ def quantities(belief: Belief, likelihood: Likelihood, information: Fits | None)
             )
         )
     return tuple(results)
-
-
-def interval(
-    values: FloatArray, probability: FloatArray, *, level: float = 0.9, log: bool = False
-) -> tuple[float, float, float]:
-    """Weighted median and central interval of K draws.
-
-    The interval is that of a normal distribution (of the logarithm if `log`) with the draws' weighted
-    moments, widened by Student's t for their effective number: quantiles of twenty draws are too coarse.
-    """
-    x = np.log(np.maximum(values, 1e-300)) if log else values
-    mean = float(probability @ x)
-    effective = max(2.0, 1.0 / float((probability**2).sum()))
-    variance = float(probability @ (x - mean) ** 2) * effective / (effective - 1.0)
-    width = float(stdtrit(effective - 1.0, 0.5 + 0.5 * level)) * np.sqrt(variance * (1.0 + 1.0 / effective))
-    order = np.argsort(x)
-    middle = float(x[order][np.searchsorted(np.cumsum(probability[order]), 0.5)])
-    low, high = mean - width, mean + width
-    return (float(np.exp(middle)), float(np.exp(low)), float(np.exp(high))) if log else (middle, low, high)
 
 
 def _gradient(measure: _Measure, likelihood: Likelihood, z: FloatArray) -> FloatArray:

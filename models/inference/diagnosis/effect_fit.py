@@ -21,8 +21,9 @@ from models.inference.diagnosis.fitting import Fitted, Fitter, estimate_errors
 from models.inference.diagnosis.screening import screen
 from models.inference.gauss_newton import Fits
 from models.inference.hypotheses import refitted_belief
-from models.inference.identifiability import SHOWN_SHARE, interval, quantities
+from models.inference.identifiability import SHOWN_SHARE, quantities
 from models.inference.identification import check_request
+from models.inference.intervals import interval
 from models.inference.observations import observe_all
 from models.inference.prediction import predict_observations
 from models.inference.results import Identification, Quantity

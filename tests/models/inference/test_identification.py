@@ -8,7 +8,6 @@ import pytest
 
 from models.inference.belief import BeliefError
 from models.inference.hypotheses import accuracy_weights
-from models.inference.identifiability import interval
 from models.inference.identification import identify
 from models.inference.prediction import predict
 from models.measurements import DatasetError, read_dataset
@@ -124,13 +123,6 @@ def test_accuracy_weights_punish_the_misfit_alone():
     assert weights.sum() == pytest.approx(1.0)
     assert weights[0] > weights[1] > weights[2] > 100 * weights[3]
     assert weights[2] > 0.2
-
-
-def test_interval_of_many_draws_is_the_normal_one():
-    draws = np.random.default_rng(0).normal(3.0, 2.0, 20000)
-    value, low, high = interval(draws, np.full(20000, 1 / 20000))
-    assert value == pytest.approx(3.0, abs=0.05)
-    assert (low, high) == pytest.approx((3.0 - 1.645 * 2.0, 3.0 + 1.645 * 2.0), abs=0.06)
 
 
 @pytest.mark.parametrize(
