@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -18,12 +19,24 @@ from models.physics.cell_grid import FloatArray
 _NEAR_REACHES = (8.0, 5.0, *(3.0,) * 8)  # pixels
 _FAR_REACHES = (20.0, 14.0, 9.0, 6.0, 4.0, *(3.0,) * 8)
 _MARGIN = 28  # pixels around the object that are looked at when it has hardly moved
-_DIRECTIONS = 72  # tried when it has
+# Where it is looked for first when it is not there: as far as it may have gone between two pictures.
+_BESIDE = np.stack(
+    np.meshgrid(np.arange(-60, 61, 30) * 1e-3, np.arange(-60, 61, 30) * 1e-3, np.deg2rad([-8.0, 0.0, 8.0])),
+    axis=-1,
+).reshape(-1, 3)
+_MARGIN_BESIDE = 60  # pixels
+_REFINED_BESIDE = 2
+_BESIDE_REACHES = (20.0, 14.0, 9.0, 6.0, 4.0, 3.0, 3.0)
+_DIRECTIONS = 72  # tried where it is looked for on the whole table
 _REFINED = 6  # of these
 _APART = np.deg2rad(12.0)
-# Mean misfit up to which a pose is accepted: 0 is perfect, 1 fits nowhere. True poses have 0.03 to 0.065; a
-# handle taken for itself 35 mm farther along, its head under the arm, has 0.1.
+# Mean misfit up to which a pose is accepted: 0 is perfect, 1 fits nowhere. True poses have 0.03 to 0.08; a
+# handle taken for itself 40 mm farther along, its head under the arm, has 0.08 to 0.1, one 10 mm off 0.06.
 _GOOD = 0.08
+# No other pose is tried where nearly all of the inner points are seen, or most and misfit and standard
+# deviations are small.
+_SEEN_CLEARLY, _MOSTLY_SEEN = 0.95, 0.6
+_FITS_CLEARLY, _KNOWN_CLEARLY = 0.053, 1.2e-3
 _AS_GOOD = 0.02  # difference of misfit that says nothing
 _LEAST_FOUND = 0.35  # of the outline
 _LEAST_SEEN = 0.4  # of the inner points
@@ -53,6 +66,12 @@ class _Candidate:
         )
 
     @property
+    def clear(self) -> bool:
+        deviation = float(np.sqrt(np.diag(self.fit.covariance)[:2].max()))
+        sure = self.misfit < _FITS_CLEARLY and deviation < _KNOWN_CLEARLY
+        return self.good and (self.seen > _SEEN_CLEARLY or (self.seen > _MOSTLY_SEEN and sure))
+
+    @property
     def unmistakable(self) -> bool:
         return self.good and self.seen > _LEAST_SEEN_ANYWHERE and self.fit.found > _LEAST_FOUND_ANYWHERE
 
@@ -67,8 +86,9 @@ def track(
 ) -> ObservedPose:
     """Pose of an object in a new picture.
 
-    The outline is fitted to the picture's edges from the previous pose. If it, and the heights within, do
-    not agree with the picture there, the object is looked for on the whole table, in all directions,
+    The outline is fitted to the picture's edges from the previous pose. Unless it, and the heights within,
+    clearly agree with the picture there, it is fitted from places around, too, and the best is taken. If no
+    pose agrees, the object is looked for on the whole table, in all directions,
     and must be seen nearly whole; of poses that fit equally well, as those of a symmetric object do, the one
     turned least from the previous is taken.
 
@@ -88,18 +108,22 @@ def track(
         raise ValueError(f"tracking: the previous pose must be finite, got {previous}")
     previous = np.asarray(previous, dtype=float)
     near = _near(image, view, seen, previous, blocked)
-    if near is not None and near.good:
+    if near is not None and near.clear:
         return _observed(near, time)
+    tried = [found for found in (near, _beside(image, view, seen, previous, blocked)) if found is not None]
+    best = min(tried, key=lambda candidate: candidate.misfit, default=None)
+    if best is not None and best.good:
+        return _observed(best, time)
     heights = smoothed_heights(seen.table.heights(image, view), blocked)
     hidden = _hidden_share(heights, view, seen, previous)
     mask = object_mask(heights, view)
     if mask is None:
         return ObservedPose.unseen("occluded" if hidden > 1 - _LEAST_SEEN else "left the table", time)
-    best = None
+    anywhere = None
     if mask.sum() * pixel_size(view) ** 2 > _LEAST_AREA_ANYWHERE * seen.grid.polygon.area:
-        best = _anywhere(HeightPicture(heights), mask, heights, view, seen, previous)
-    if best is not None and best.unmistakable:
-        return _observed(best, time)
+        anywhere = _anywhere(HeightPicture(heights), mask, heights, view, seen, previous)
+    if anywhere is not None and anywhere.unmistakable:
+        return _observed(anywhere, time)
     around = cv2.dilate(mask.astype(np.uint8), np.ones((15, 15), np.uint8)) > 0
     if hidden > 1 - _LEAST_SEEN or (blocked is not None and np.any(around & blocked)):
         return ObservedPose.unseen("occluded", time)
@@ -116,24 +140,52 @@ def _observed(candidate: _Candidate, time: float) -> ObservedPose:
 def _near(
     image: DepthImage, view: View, seen: SeenObject, previous: FloatArray, blocked: Mask | None
 ) -> _Candidate | None:
-    """The pose near the previous one, from the part of the picture around it."""
-    outline_W = placed(previous, seen.outline.points)
+    """The pose near the previous one."""
+    picture = _around(image, view, seen, previous, blocked, _MARGIN)
+    return None if picture is None else _fitted(picture, view, seen, previous, _NEAR_REACHES)
+
+
+def _beside(
+    image: DepthImage, view: View, seen: SeenObject, previous: FloatArray, blocked: Mask | None
+) -> _Candidate | None:
+    """The best pose from starts around the previous one; a fast object may be far from it."""
+    picture = _around(image, view, seen, previous, blocked, _MARGIN_BESIDE)
+    if picture is None:
+        return None
+    starts = previous + _BESIDE
+    misfits = [misfit(picture, view, seen, start, every=3) for start in starts]
+    likely = np.argsort([off if share > _LEAST_SEEN else np.inf for off, share in misfits], kind="stable")
+    candidates = [_fitted(picture, view, seen, starts[k], _BESIDE_REACHES) for k in likely[:_REFINED_BESIDE]]
+    best = min(candidates, key=lambda candidate: candidate.misfit)
+    return _fitted(picture, view, seen, best.fit.pose, _NEAR_REACHES)
+
+
+def _fitted(
+    picture: HeightPicture, view: View, seen: SeenObject, start: FloatArray, reaches: Sequence[float]
+) -> _Candidate:
+    fit = fit_edges(picture, view, seen, start, reaches)
+    return _Candidate(fit, *misfit(picture, view, seen, fit.pose))
+
+
+def _around(
+    image: DepthImage, view: View, seen: SeenObject, pose: FloatArray, blocked: Mask | None, margin: int
+) -> HeightPicture | None:
+    """The part of the picture around the object at a pose, and as many pixels on each side."""
+    outline_W = placed(pose, seen.outline.points)
     corners = [
         view.project(seen.table.lift(outline_W, h))[0] for h in (0.0, float(seen.outline.heights.max()))
     ]
     pixels = np.concatenate(corners)
     if not np.all(np.isfinite(pixels)):
         return None
-    first = np.maximum(np.floor(pixels.min(axis=0)).astype(int) - _MARGIN, 0)
-    last = np.minimum(np.ceil(pixels.max(axis=0)).astype(int) + _MARGIN, [image.shape[1], image.shape[0]])
+    first = np.maximum(np.floor(pixels.min(axis=0)).astype(int) - margin, 0)
+    last = np.minimum(np.ceil(pixels.max(axis=0)).astype(int) + margin, [image.shape[1], image.shape[0]])
     if np.any(last - first < 2):
         return None
     rows, columns = slice(first[1], last[1]), slice(first[0], last[0])
     heights = seen.table.heights(image, view, rows, columns)
     part = None if blocked is None else blocked[rows, columns]
-    picture = HeightPicture(smoothed_heights(heights, part), first[0], first[1])
-    fit = fit_edges(picture, view, seen, previous, _NEAR_REACHES)
-    return _Candidate(fit, *misfit(picture, view, seen, fit.pose))
+    return HeightPicture(smoothed_heights(heights, part), first[0], first[1])
 
 
 def _anywhere(
@@ -159,17 +211,15 @@ def _anywhere(
             break
     candidates = []
     for start in chosen:
-        fit = fit_edges(picture, view, seen, start, _FAR_REACHES)
-        candidate = _Candidate(fit, *misfit(picture, view, seen, fit.pose))
-        if np.all(np.isfinite(fit.covariance)):
+        candidate = _fitted(picture, view, seen, start, _FAR_REACHES)
+        if np.all(np.isfinite(candidate.fit.covariance)):
             candidates.append(candidate)
     if not candidates:
         return None
     least = min(candidate.misfit for candidate in candidates)
     alike = [candidate for candidate in candidates if candidate.misfit <= least + _AS_GOOD]
     best = min(alike, key=lambda candidate: abs(candidate.fit.pose[2] - previous[2]))
-    fit = fit_edges(picture, view, seen, best.fit.pose, _NEAR_REACHES)  # from afar it may not have settled
-    return _Candidate(fit, *misfit(picture, view, seen, fit.pose))
+    return _fitted(picture, view, seen, best.fit.pose, _NEAR_REACHES)  # from afar it may not have settled
 
 
 def _hidden_share(heights: np.ndarray, view: View, seen: SeenObject, pose: FloatArray) -> float:

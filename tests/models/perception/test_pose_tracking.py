@@ -6,6 +6,7 @@ from models.perception.pose_tracking import track
 ELL = ((-0.1, -0.06, 0.1, 0.0, 0.03), (-0.1, 0.0, -0.03, 0.08, 0.09))
 WRENCH = ((-0.12, -0.008, 0.12, 0.008, 0.008), (0.09, -0.02, 0.13, 0.02, 0.008))
 TWO_LEVELS = ((-0.1, -0.05, 0.0, 0.05, 0.03), (0.0, -0.05, 0.1, 0.05, 0.04))
+HAMMER = ((-0.16, -0.014, 0.1, 0.014, 0.025), (0.1, -0.05, 0.14, 0.05, 0.03))
 BLOCK = ((-0.1, -0.05, 0.1, 0.05, 0.04),)
 
 
@@ -84,6 +85,30 @@ def test_an_arm_over_part_of_the_object_does_not_move_it(scene, look):
     assert np.hypot(*(observed.pose - truth)[:2]) < 1e-3
     unmasked = track(depth, scene.view, seen, truth)
     assert not unmasked.valid or np.hypot(*(unmasked.pose - truth)[:2]) < 1e-3
+
+
+def test_a_handle_is_not_taken_for_itself_farther_along(scene, look):
+    """An object that a tap has carried on by some centimetres, its head under the arm."""
+    first = (0.0, 0.0, 0.2)
+    seen = look(HAMMER, first)
+    rng = np.random.default_rng(11)
+    rows, columns = np.indices((480, 640))
+    valid, off = 0, []
+    for _ in range(40):
+        pose = np.array([*rng.uniform(-0.15, 0.15, 2), rng.uniform(-np.pi, np.pi)])
+        c, s = np.cos(pose[2]), np.sin(pose[2])
+        (u, v), _ = scene.view.project(np.array([pose[0] + 0.11 * c, pose[1] + 0.11 * s, 0.03]))
+        arm = np.hypot(columns - u, rows - v) < rng.uniform(30, 45)
+        image = scene.noisy(scene.depth(HAMMER, pose), rng)
+        image[arm] = 0.6
+        truth = pose_of_frame(seen, np.array(first), pose)
+        along = rng.choice([-1, 1]) * rng.uniform(0.02, 0.05)
+        observed = track(image, scene.view, seen, truth + np.array([along * c, along * s, 0.0]), arm)
+        valid += observed.valid
+        if observed.valid:
+            off.append(np.hypot(*(observed.pose - truth)[:2]))
+    assert np.max(off) < 3e-3
+    assert valid >= 30
 
 
 def test_what_cannot_be_seen_is_said(scene, look):
