@@ -12,7 +12,7 @@ TOUCH_SPEED = 0.05
 """m/s, at which a tap meets the object: fast enough to be brief, too slow for a blow."""
 TAP_SPEEDING_UP, TAP_SLOWING_DOWN = 3.0, 5.0
 """m/s², of the finger in a tap. It stops faster than friction stops an object, which slides on alone; the arm
-can brake so in nearly all places, by 8 m/s² only in one of ten."""
+can brake so in nearly all places, by 8 m/s² in few."""
 
 
 @dataclass(frozen=True, eq=False)

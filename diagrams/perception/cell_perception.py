@@ -19,6 +19,7 @@ from diagrams.systems.held import held, read, replace_held
 from diagrams.systems.workers import begun
 from models.perception.arm_mask import Hull, draw_hulls
 from models.perception.camera import DepthImage, PinholeCamera, View
+from models.perception.edge_fit import load_kernels
 from models.perception.first_look import ObjectNotSeen, first_look, median_depth, object_center
 from models.perception.first_picture import FirstPicture
 from models.perception.object_mask import Mask
@@ -196,6 +197,7 @@ class CellPerception(PythonSystem):
         super().__init__()
         if cells < 1:
             raise ValueError(f"perception: the number of cells must be at least 1, got {cells}")
+        load_kernels()
         config = camera or CameraConfig()
         self._eye = _Eye(config.intrinsics, cells, OLD / config.rate)
         self._worker = worker

@@ -78,7 +78,9 @@ class View:
         """The same for kernels."""
         camera, R_WC = self.camera, np.array(self.X_WC[:3, :3], order="C")
         focal, center = (camera.focal_x, camera.focal_y), (camera.center_x, camera.center_y)
-        return Lens(*focal, *center, R_WC, np.array(self.p_WC))
+        # Whole numbers would have kernels compiled once more.
+        fx, fy, cx, cy = (float(value) for value in (*focal, *center))
+        return Lens(fx, fy, cx, cy, R_WC, np.array(self.p_WC))
 
     @cached_property
     def rays(self) -> NDArray[np.float32]:

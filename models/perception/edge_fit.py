@@ -17,6 +17,10 @@ import numpy as np
 
 from models.perception.camera import View, pixel_size
 from models.perception.edge_kernels import (
+    Heights,
+    Land,
+    Lens,
+    Shape,
     edges_expected,
     edges_found,
     heights_off,
@@ -50,6 +54,20 @@ class EdgeFit:
     covariance: FloatArray
     found: float
     scatter: float
+
+
+def load_kernels() -> None:
+    """Compile what a fit calls, or load it: before the first picture, which should not have to wait."""
+    points, numbers, map_of_nothing = np.zeros((1, 2)), np.zeros(1), np.zeros((2, 2), np.float32)
+    lens = Lens(1.0, 1.0, 0.0, 0.0, np.diag([1.0, -1.0, -1.0]), np.array([0.0, 0.0, 1.0]))
+    land = Land(np.zeros(3), np.zeros(2), map_of_nothing, 0.0)
+    shape = Shape(land, points, points, numbers, numbers, points, numbers, points)
+    picture, pose = Heights(map_of_nothing, 0.0, 0.0), np.zeros(3)
+    lines = lines_across(lens, shape, pose)
+    edges_expected(lens, shape, pose, lines)
+    edges_found(picture, shape, lines, 1.0)
+    heights_off(picture, lens, shape, pose, 1.0)
+    mean_misfit(picture, lens, shape, pose, 1.0, 1)
 
 
 def placed(pose: FloatArray, points: FloatArray) -> FloatArray:

@@ -1,6 +1,8 @@
 import numpy as np
 import pytest
 
+from models.perception import edge_kernels
+from models.perception.edge_fit import load_kernels
 from models.perception.pose_tracking import track
 
 ELL = ((-0.1, -0.06, 0.1, 0.0, 0.03), (-0.1, 0.0, -0.03, 0.08, 0.09))
@@ -109,6 +111,14 @@ def test_a_handle_is_not_taken_for_itself_farther_along(scene, look):
             off.append(np.hypot(*(observed.pose - truth)[:2]))
     assert np.max(off) < 3e-3
     assert valid >= 30
+
+
+def test_nothing_is_compiled_once_the_kernels_are_loaded(scene, look):
+    load_kernels()
+    seen = look(BLOCK, (0.0, 0.0, 0.0))
+    assert track(scene.depth(BLOCK, (0.01, 0.0, 0.1)), scene.view, seen, seen.first_pose).valid
+    for name in ("lines_across", "edges_expected", "edges_found", "heights_off", "mean_misfit"):
+        assert len(getattr(edge_kernels, name).signatures) == 1, name
 
 
 def test_what_cannot_be_seen_is_said(scene, look):
