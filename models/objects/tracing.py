@@ -29,6 +29,30 @@ def traced_outline(mask: NDArray[np.bool_]) -> Polygon:
     Returns:
         Polygon in pixel coordinates (column, row), in which whole numbers are the centres of pixels.
     """
+    rings, borders = border_middles(mask)
+    stairs = Polygon(rings[0], rings[1:])
+    coarse = stairs.simplify(_STRIP)
+    assert isinstance(coarse, Polygon)
+    kept = (coarse.exterior, *coarse.interiors)
+    straight = [straightened(points, corners) for points, corners in zip(rings, kept, strict=True)]
+    polygon = Polygon(straight[0], straight[1:])
+    # Lines that fit keep the area; otherwise edges are off by a tenth of a pixel on average.
+    if polygon.is_valid and abs(polygon.area - mask.sum()) < 0.1 * stairs.length:
+        return polygon
+    exact = borders.simplify(0.0)
+    assert isinstance(exact, Polygon)
+    return exact
+
+
+def border_middles(mask: NDArray[np.bool_]) -> tuple[list[FloatArray], Polygon]:
+    """Middles of the borders between object and background, one pixel apart, and the borders themselves.
+
+    Args:
+        mask: (H, W) one connected piece of pixels.
+
+    Returns:
+        Rings of points (m, 2), the exterior first, (column, row); and the exact outline of the pixels.
+    """
     step = np.diff(np.pad(mask, ((0, 0), (1, 1))).astype(np.int8), axis=1)
     row, first = np.nonzero(step == 1)
     last = np.nonzero(step == -1)[1]
@@ -40,22 +64,11 @@ def traced_outline(mask: NDArray[np.bool_]) -> Polygon:
     for ring in (borders.exterior, *borders.interiors):
         corners = np.asarray(ring.coords)
         rings.append((corners[:-1] + corners[1:]) / 2)
-    stairs = Polygon(rings[0], rings[1:])
-    coarse = stairs.simplify(_STRIP)
-    assert isinstance(coarse, Polygon)
-    kept = (coarse.exterior, *coarse.interiors)
-    straight = [_straightened(points, corners) for points, corners in zip(rings, kept, strict=True)]
-    polygon = Polygon(straight[0], straight[1:])
-    # Lines that fit keep the area; otherwise edges are off by a tenth of a pixel on average.
-    if polygon.is_valid and abs(polygon.area - mask.sum()) < 0.1 * stairs.length:
-        return polygon
-    exact = borders.simplify(0.0)
-    assert isinstance(exact, Polygon)
-    return exact
+    return rings, borders
 
 
-def _straightened(points: FloatArray, kept: LinearRing) -> FloatArray:
-    """Corners of the best-fitting lines through the stretches of a ring between the points that were kept."""
+def straightened(points: FloatArray, kept: LinearRing) -> FloatArray:
+    """Corners (k, 2) of the lines that best fit the stretches of a ring (m, 2) between points kept of it."""
     where = {tuple(point): k for k, point in enumerate(points)}
     corners = np.asarray(kept.coords)[:-1]
     index = [where[tuple(corner)] for corner in corners]

@@ -70,15 +70,15 @@ def first_look(
         raise ValueError("first look: needs at least one depth image")
     depth = median_depth([view.checked_depth(frame) for frame in frames])
     table, raw, heights, mask = _standing_object(depth, view, blocked)
-    polygon_W, outline_W = footprint(mask, heights, raw, table, view)
-    origin = np.asarray(polygon_W.centroid.coords[0])
-    polygon = shapely.transform(polygon_W, lambda xy: xy - origin)
+    seen_W = footprint(mask, heights, raw, table, view)
+    origin = np.asarray(seen_W.polygon.centroid.coords[0])
+    polygon, edge = (shapely.transform(part, lambda xy: xy - origin) for part in seen_W[:2])
     rings = [np.asarray(ring.coords)[:-1] for ring in (polygon.exterior, *polygon.interiors)]
     grid = cells_from_polygon(rings[0], rings[1:], count=cells)
     points, tops = _cloud(mask, raw, depth, view)
     points = points - origin
-    relief = Relief.from_cloud(polygon, points, tops, pixel_size(view))
-    inner, outline = _inner_points(polygon), _outline(polygon, outline_W, origin)
+    relief = Relief.from_cloud(edge, points, tops, pixel_size(view))
+    inner, outline = _inner_points(edge), _outline(edge, seen_W.outline, origin)
     inner_heights, inner_slopes = relief.smooth(inner, SMOOTHING * pixel_size(view))
     seen = SeenObject(
         grid=grid,

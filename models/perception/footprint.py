@@ -3,22 +3,21 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import shapely
-from scipy.ndimage import gaussian_filter1d, median_filter
+from scipy.ndimage import gaussian_filter1d
 from shapely.geometry import LinearRing, Polygon
 
-from models.objects.tracing import traced_outline
 from models.perception.camera import View, pixel_size
+from models.perception.edge_contour import along_ring, contour, edge_heights
 from models.perception.object_mask import HeightPicture, Heights, Mask
 from models.perception.table_plane import TablePlane
 from models.physics.cell_grid import FloatArray
 
-_INSETS = np.array([1.0, 2.0, 3.0])  # pixels; the highest of the heights this far inside is that of the edge
 _RIM = 0.75  # pixels inside the outline, where the edge's own height is read
 
-_SPECK = 0.01  # of the object's area; smaller holes are noise
 _RIPPLE = 4.0  # points of the outline over which its direction is averaged
 _SPACING = 1.5  # pixels between points of the outline
 _STRAIGHT = 0.15  # pixels; corners that leave the outline by less are dropped
@@ -39,12 +38,24 @@ class Outline:
     heights: FloatArray
 
 
-def footprint(
-    mask: Mask, heights: Heights, raw: Heights, plane: TablePlane, view: View
-) -> tuple[Polygon, Outline]:
+class Footprint(NamedTuple):
+    """What an object covers of the table, in W, m.
+
+    Attributes:
+        polygon: where the object ends.
+        edge: where the picture shows its edge, which is farther inside where that is rounded.
+        outline: points along the rings of `edge`.
+    """
+
+    polygon: Polygon
+    edge: Polygon
+    outline: Outline
+
+
+def footprint(mask: Mask, heights: Heights, raw: Heights, plane: TablePlane, view: View) -> Footprint:
     """Outline of the object in W and the height of its edges.
 
-    The pixels' outline is that of `traced_outline`. Each of its points is carried to the world at the height
+    The outline in the picture is that of `contour`. Each of its points is carried to the world at the height
     at which the object is seen there, not at the table's: a top 100 mm high seen 0.4 m off the axis would
     otherwise seem moved by 40 mm.
 
@@ -54,25 +65,37 @@ def footprint(
         raw: (H, W) heights before smoothing, m, with sharp edges.
         plane: the table.
         view: the camera.
-
-    Returns:
-        Polygon in W, m, holes below 1 % of the area left out, and points along its rings.
     """
-    polygon = traced_outline(mask)
     pictures = HeightPicture(heights), HeightPicture(raw)
-    rings = [polygon.exterior, *(h for h in polygon.interiors if Polygon(h).area > _SPECK * mask.sum())]
-    traced = []
-    for k, ring in enumerate(rings):
-        pixels, normals = _points_along(ring, outer=k == 0)
-        # Which side an edge faces must not change with every ripple of the traced outline.
-        normals = gaussian_filter1d(normals, min(_RIPPLE, len(normals) / 8), axis=0, mode="wrap")
-        normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-9)
-        traced.append(_carried(pixels, normals, *pictures, plane, view))
-    outline = Outline(
-        *(np.concatenate([getattr(t, n) for t in traced]) for n in ("points", "normals", "heights"))
+    rings = contour(mask, pictures[0], plane, view)
+    feet, edges = (
+        [_in_world(ring, k == 0, *pictures, plane, view) for k, ring in enumerate(side)]
+        for side in ([ring.foot for ring in rings], [ring.edge for ring in rings])
     )
-    shape = _simple(Polygon(traced[0].points, [t.points for t in traced[1:]]))
-    return _simple(shape.simplify(_STRAIGHT * pixel_size(view))), outline
+    outline = Outline(
+        *(np.concatenate([getattr(e, n) for e in edges]) for n in ("points", "normals", "heights"))
+    )
+    return Footprint(_polygon(feet, view), _polygon(edges, view), outline)
+
+
+def _polygon(rings: list[Outline], view: View) -> Polygon:
+    shape = _simple(Polygon(rings[0].points, [ring.points for ring in rings[1:]]))
+    return _simple(shape.simplify(_STRAIGHT * pixel_size(view)))
+
+
+def _in_world(
+    ring: LinearRing,
+    outer: bool,
+    smoothed: HeightPicture,
+    sharp: HeightPicture,
+    plane: TablePlane,
+    view: View,
+) -> Outline:
+    pixels, normals = _points_along(ring, outer=outer, begin=0.0)
+    # Which side an edge faces must not change with every ripple of the traced outline.
+    normals = gaussian_filter1d(normals, min(_RIPPLE, len(normals) / 8), axis=0, mode="wrap")
+    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-9)
+    return _carried(pixels, normals, smoothed, sharp, plane, view)
 
 
 def outline_of(polygon: Polygon, spacing: float) -> tuple[FloatArray, FloatArray]:
@@ -84,8 +107,9 @@ def outline_of(polygon: Polygon, spacing: float) -> tuple[FloatArray, FloatArray
 
 
 def _points_along(
-    ring: LinearRing, *, outer: bool, spacing: float = _SPACING
+    ring: LinearRing, *, outer: bool, spacing: float = _SPACING, begin: float = 0.5
 ) -> tuple[FloatArray, FloatArray]:
+    """Points and their outward normals, on each side the first one `begin` spacings from its corner."""
     corners = np.asarray(ring.coords)[:-1, :2]
     if ring.is_ccw != outer:
         corners = corners[::-1]  # the object lies to the left
@@ -95,7 +119,7 @@ def _points_along(
         if length == 0:
             continue
         number = max(1, round(length / spacing))
-        share = (np.arange(number) + 0.5) / number
+        share = (np.arange(number) + begin) / number
         points.append(a + share[:, None] * (b - a))
         normals.append(np.tile(np.array([b[1] - a[1], a[0] - b[0]]) / length, (number, 1)))
     return np.concatenate(points), np.concatenate(normals)
@@ -110,9 +134,9 @@ def _carried(
     view: View,
 ) -> Outline:
     """Points of one ring in pixels, with their normals, as an outline in W."""
-    edge = _filtered(smoothed.at(pixels[:, None, :] - _INSETS[:, None] * normals[:, None, :]))
+    edge = edge_heights(pixels, normals, smoothed)
     rim = sharp.at(pixels - _RIM * normals)
-    rim = _filtered(np.where(np.isfinite(rim), rim, edge)[:, None])  # upright, unless seen to be rounded
+    rim = along_ring(np.where(np.isfinite(rim), rim, edge)[:, None])  # upright, unless seen to be rounded
     foot = plane.meet(pixels, 0.0, view)
     beyond = plane.meet(pixels + normals, 0.0, view) - foot
     outward = beyond / np.linalg.norm(beyond, axis=1, keepdims=True)
@@ -121,12 +145,6 @@ def _carried(
     far = np.sum((foot - view.p_WC[:2]) * outward, axis=1) > 0
     seen_at = np.where(far, np.maximum(rim, edge / 2), edge / 2)
     return Outline(plane.meet(pixels, seen_at, view), outward, edge)
-
-
-def _filtered(heights: FloatArray) -> FloatArray:
-    """(m,) highest of heights (m, k) at each point of a ring, smoothed along it; missing ones count as 0."""
-    highest = np.nanmax(np.column_stack([heights, np.zeros(len(heights))]), axis=1)
-    return median_filter(highest, size=min(9, len(highest)), mode="wrap")
 
 
 def _simple(shape: shapely.Geometry) -> Polygon:

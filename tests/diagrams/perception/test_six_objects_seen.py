@@ -27,7 +27,8 @@ def test_poses_on_the_table(world, name):
     seen = first_look([noisy_depth(still, noise, rng) for _ in range(FRAMES)], world.view)
     truth = benchmark_object(name)
     seen_too_wide = (seen.grid.polygon.area - truth.grid.polygon.area) / truth.grid.polygon.exterior.length
-    assert abs(seen_too_wide) < 1.5e-3
+    print(name, "seen too wide by", 1e3 * seen_too_wide, "mm")
+    assert abs(seen_too_wide) < 0.8e-3
     c, s = np.cos(first[2]), np.sin(first[2])
     origin = np.array([[c, s], [-s, c]]) @ (seen.first_pose[:2] - first[:2])
     errors = []

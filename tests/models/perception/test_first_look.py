@@ -31,6 +31,24 @@ def test_footprint_heights_and_frame_of_a_tall_object_also_off_the_axis(look, po
             assert seen.cell_heights[k] == pytest.approx(expected, abs=1.5e-3)
 
 
+@pytest.mark.parametrize("turn", np.deg2rad([0.0, 20.0, 45.0, 115.0, 250.0]))
+def test_the_face_of_a_short_step_is_seen_upright(look, turn):
+    """A finger that hooks behind it pulls the object along; from a slanted one it would slip off."""
+    face = np.array([[-0.07, 0.02], [-0.07, 0.034]])
+    pose = (0.03, -0.05, turn)
+    seen = look(((-0.1, -0.02, 0.1, 0.02, 0.03), (-0.1, 0.02, -0.07, 0.034, 0.03)), pose)
+    c, s = np.cos(turn), np.sin(turn)
+    R_WO = np.array([[c, -s], [s, c]])
+    exterior = seen.grid.polygon.exterior
+    for share in (0.35, 0.5, 0.65):
+        point = shapely.Point(R_WO @ (face[0] + share * (face[1] - face[0])) + pose[:2] - seen.first_pose[:2])
+        assert exterior.distance(point) < 2.2e-3  # a pixel
+        at = exterior.project(point)
+        before, after = (np.array(exterior.interpolate(at + d).coords[0]) for d in (-2e-3, 2e-3))
+        along = (after - before) / np.linalg.norm(after - before)
+        assert abs(along @ R_WO @ [1.0, 0.0]) < np.sin(np.deg2rad(14.0))
+
+
 def test_an_opening_is_seen(look):
     frame = ((-0.1, -0.1, 0.1, -0.05, 0.04), (-0.1, 0.05, 0.1, 0.1, 0.04))
     frame += ((-0.1, -0.1, -0.05, 0.1, 0.04), (0.05, -0.1, 0.1, 0.1, 0.04))

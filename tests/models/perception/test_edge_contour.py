@@ -1,0 +1,60 @@
+"""Contours in made-up height pictures: where an edge is, where a corner, and where a rounded edge ends."""
+
+import cv2
+import numpy as np
+import pytest
+from shapely.geometry import Polygon
+
+from models.perception.edge_contour import contour
+from models.perception.object_mask import HeightPicture
+from models.perception.table_plane import TablePlane
+
+HEIGHT = 0.03
+FINE = 8  # pictures are made of so many times smaller pixels
+
+
+def seen(scene, inside, roundness=0.0, middle=(322.3, 241.6)):
+    """Rings of a shape whose `inside` (pixels from its foot) makes its heights, as a quarter of a circle of
+    radius `roundness` pixels; blurred by half a pixel of jitter and by the smoothing that is always done."""
+    size = (
+        np.arange(640 * FINE) / FINE + (0.5 / FINE - 0.5),
+        np.arange(480 * FINE) / FINE + (0.5 / FINE - 0.5),
+    )
+    x, y = np.meshgrid(size[0][: 200 * FINE] + 220, size[1][: 200 * FINE] + 140)
+    depth = inside(x - middle[0], y - middle[1])
+    rise = np.clip(depth / roundness, 0, 1) if roundness else (depth > 0).astype(float)
+    fine = HEIGHT * np.sqrt(np.maximum(0, 1 - (1 - rise) ** 2)) * (depth > 0)
+    picture = np.zeros((480, 640), np.float32)
+    picture[140:340, 220:420] = fine.reshape(200, FINE, 200, FINE).mean(axis=(1, 3))
+    picture = cv2.GaussianBlur(picture, (0, 0), np.hypot(1.0, 0.35))
+    rings = contour(picture > HEIGHT / 2, HeightPicture(picture), TablePlane(), scene.view)
+    assert len(rings) == 1
+    return rings[0]
+
+
+@pytest.mark.parametrize("roundness", [0.0, 3.0, 5.0])
+def test_a_disc_ends_where_its_foot_is(scene, roundness):
+    ring = seen(scene, lambda x, y: 60 - np.hypot(x, y), roundness)
+    edge, foot = (np.sqrt(Polygon(side).area / np.pi) for side in ring)
+    assert foot == pytest.approx(60.0, abs=0.4)
+    # Half the height is reached within 13.4 % of the radius, without blur.
+    assert edge < foot + 1e-9
+    assert edge < 60.0 - 0.11 * roundness + 0.05
+
+
+@pytest.mark.parametrize("turn", [0.0, 0.2, 0.6, 1.1])
+def test_a_square_keeps_its_four_corners(scene, turn):
+    c, s = np.cos(turn), np.sin(turn)
+    ring = seen(scene, lambda x, y: 40 - np.maximum(abs(c * x + s * y), abs(c * y - s * x)))
+    true = Polygon([(322.3 + c * a - s * b, 241.6 + s * a + c * b) for a, b in
+                    ((-40, -40), (40, -40), (40, 40), (-40, 40))])  # fmt: skip
+    found = Polygon(ring.edge)
+    assert found.area == pytest.approx(true.area, rel=2e-3)
+    for corner in true.exterior.coords:
+        assert np.linalg.norm(np.array(ring.edge.coords) - corner, axis=1).min() < 0.4
+
+
+def test_an_object_of_a_few_pixels_keeps_its_area(scene):
+    ring = seen(scene, lambda x, y: np.minimum(3.2 - abs(x), 2.3 - abs(y)))
+    assert Polygon(ring.edge).is_valid
+    assert Polygon(ring.edge).area == pytest.approx(6.4 * 4.6, rel=0.2)
