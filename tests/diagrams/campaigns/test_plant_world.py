@@ -75,6 +75,21 @@ def test_finger_is_where_it_was_told_to_be(exact: PlantWorld) -> None:
     assert off.max() < 2e-5
 
 
+def test_what_falls_during_a_push_has_fallen_when_it_ends() -> None:
+    """It tumbles on for half a second until the finger stops; far down Drake's contact solver gave up."""
+    world = PlantWorld(benchmark_object("spray_gun"), noise=EXACT)
+    world.reset(
+        np.array([-0.07295889960750243, 0.26808969659214615, 2.1049276755271262]), np.random.default_rng(0)
+    )
+    begin, end = [-0.0032859946320854204, 0.27992098145418337], [-0.26290387389692166, 0.3836445906702613]
+    trial = world.push(TablePush(np.array(begin), np.array(end), 0.08))
+    assert trial.tip_pose.values[-1] == pytest.approx(end, abs=1e-4)
+    assert np.isfinite(trial.tip_pose.values).all() and np.isfinite(trial.object_pose.values).all()
+    assert trial.object_pose.time[-1] < trial.tip_pose.time[-1] - 0.3
+    with pytest.raises(ObjectFell):
+        _ = world.true_pose
+
+
 def test_a_trial_repeats_itself_whatever_was_before(noisy: PlantWorld) -> None:
     results = []
     for _ in range(2):
