@@ -79,16 +79,11 @@ def contour(mask: Mask, heights: HeightPicture, plane: TablePlane, view: View) -
         normals = _normals(points, outer=k == 0)
         inside = _INSIDE * np.sqrt(np.clip(_roundness(points, normals, heights, plane, view), 0, _MOST_ROUND))
         rings.append(Ring(_cornered(points), _cornered(points + inside[:, None] * normals)))
-    traced = traced_outline(mask)
-    for side in zip(*rings, strict=True):
-        # Too small for lines, a few pixels wide.
-        if not Polygon(side[0], side[1:]).is_valid:
-            return [
-                Ring(ring, ring)
-                for ring in (traced.exterior, *traced.interiors)
-                if ring is traced.exterior or Polygon(ring).area > _SPECK * mask.sum()
-            ]
-    return rings
+    if all(Polygon(side[0], side[1:]).is_valid for side in zip(*rings, strict=True)):
+        return rings
+    traced = traced_outline(mask)  # too small for lines, a few pixels wide
+    large = [hole for hole in traced.interiors if Polygon(hole).area > _SPECK * mask.sum()]
+    return [Ring(ring, ring) for ring in (traced.exterior, *large)]
 
 
 def edge_heights(points: FloatArray, normals: FloatArray, heights: HeightPicture) -> FloatArray:

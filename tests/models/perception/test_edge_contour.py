@@ -6,7 +6,7 @@ import pytest
 from shapely.geometry import Polygon
 
 from models.perception.edge_contour import contour
-from models.perception.object_mask import HeightPicture
+from models.perception.object_mask import HeightPicture, object_mask, smoothed_heights
 from models.perception.table_plane import TablePlane
 
 HEIGHT = 0.03
@@ -58,3 +58,30 @@ def test_an_object_of_a_few_pixels_keeps_its_area(scene):
     ring = seen(scene, lambda x, y: np.minimum(3.2 - abs(x), 2.3 - abs(y)))
     assert Polygon(ring.edge).is_valid
     assert Polygon(ring.edge).area == pytest.approx(6.4 * 4.6, rel=0.2)
+
+
+def test_rings_of_any_shape_are_polygons_of_about_its_area(scene):
+    """Thin bars, blots, rings and stars, with noise and with pixels that have no reading."""
+    for seed in range(60):
+        rng = np.random.default_rng(seed)
+        top = float(rng.uniform(0.006, 0.08))
+        heights = np.zeros((480, 640), np.float32)
+        if seed % 3 == 0:
+            size, turn = (rng.uniform(15, 80), rng.uniform(1, 5)), float(rng.uniform(0, 180))
+            cv2.fillPoly(heights, [np.rint(cv2.boxPoints(((320, 240), size, turn))).astype(np.int32)], top)
+        elif seed % 3 == 1:
+            cv2.circle(heights, (320, 240), 30, top, -1)
+            cv2.circle(heights, (320 + int(rng.integers(-8, 8)), 240), int(rng.integers(2, 24)), 0.0, -1)
+        else:
+            cv2.fillPoly(heights, [(rng.normal(size=(9, 2)) * 30 + [320, 240]).astype(np.int32)], top)
+        heights += rng.normal(size=heights.shape).astype(np.float32) * rng.choice([0, 5e-4, 1.5e-3])
+        heights[rng.random(heights.shape) < rng.choice([0, 0.02, 0.2])] = np.nan
+        smooth = smoothed_heights(heights)
+        mask = object_mask(smooth, scene.view)
+        if mask is None:
+            continue
+        rings = contour(mask, HeightPicture(smooth), TablePlane(), scene.view)
+        for side in zip(*rings, strict=True):
+            assert Polygon(side[0], side[1:]).is_valid, seed
+        edge = Polygon(rings[0].edge, [ring.edge for ring in rings[1:]])
+        assert abs(edge.area - mask.sum()) < 0.7 * edge.length, seed
