@@ -37,11 +37,11 @@ TIME_STEP = 2e-3
 
 _FINGER_HEIGHT = 2e-3  # m, of its end above the table
 _AWAY = np.array([50.0, 50.0])
-_WATCHED = 0.1  # s between two looks whether the object rests
+_LOOK = 0.02  # s between two looks whether the object rests or is lost
+_LEAST_SETTLING = 0.25  # s
 _AT_REST = 5e-3  # m/s and rad/s
 _TILTED = np.cos(np.radians(10.0))
 _SUNK = 5e-3  # m
-_GONE = 0.02  # m below where it lay
 
 
 class PlantWorld(DirectWorld):
@@ -119,9 +119,9 @@ class PlantWorld(DirectWorld):
         for sink in (self._states, self._contact):
             sink.FindMutableLog(self._root).Clear()
         self._simulator.Initialize()  # logs the first row
-        # Far below the table an object that tumbles makes the contact solver fail: what fell is left there.
-        for end in (*times[1 : -1 : round(_WATCHED / h)], times[-1]):
-            if self._gone():
+        # Drake's contact solver fails at times with an object that tumbles over the rim: it is left there.
+        for end in (*times[1 : -1 : round(_LOOK / h)], times[-1]):
+            if self._lost():
                 break
             self._simulator.AdvanceTo(end)
         stride = round(PERIOD / h)
@@ -136,18 +136,15 @@ class PlantWorld(DirectWorld):
             np.vstack([forces, np.zeros((lost, 2))]),
         )
 
-    def _gone(self) -> bool:
-        return bool(
-            self._plant.GetPositions(self._context)[self._body.floating_positions_start() + 6] < -_GONE
-        )
+    def _lost(self) -> bool:
+        return bool(np.isnan(self._pose()).any())
 
     def _settle(self) -> None:
         begin = self._root.get_time()
-        while self._root.get_time() < begin + LONGEST_SETTLING:
-            self._simulator.AdvanceTo(self._root.get_time() + _WATCHED)
-            velocity = self._plant.GetVelocities(self._context, self._plant.GetModelInstanceByName(BODY))
-            long_enough = self._root.get_time() > begin + 2.5 * _WATCHED
-            if (long_enough and np.abs(velocity).max() < _AT_REST) or np.isnan(self._pose()).any():
+        while self._root.get_time() < begin + LONGEST_SETTLING and not self._lost():
+            self._simulator.AdvanceTo(self._root.get_time() + _LOOK)
+            velocity = np.abs(self._plant.GetVelocities(self._context, self._body.model_instance())).max()
+            if self._root.get_time() > begin + _LEAST_SETTLING and velocity < _AT_REST:
                 return
 
     def _pose(self) -> FloatArray:
