@@ -36,7 +36,7 @@ from models.measurements.push_dataset import Noise
 from models.physics.cell_grid import CellGrid
 from models.robots import FINGER_RADIUS
 
-STEP = 0.005
+LONGEST_STEP = 0.005
 """s, of the hypotheses that run beside the real object; with twice that, taps end 1 mm elsewhere."""
 
 SENSORS = Noise(position=0.4e-3, angle=float(np.radians(0.2)), tip=0.1e-3, force=0.3)
@@ -226,6 +226,7 @@ def add_exploration(
     trials = () if before is None else before.trials
     patience = PATIENCE if worker is None else PATIENCE_REAL
     known = None if before is None else (before.first, trials[-1].object_pose.values[-1])
+    step = hypothesis_step(scenario.simulation.time_step)
 
     def add(name: str, system: Block) -> Block:
         return builder.AddNamedSystem(name, system)
@@ -256,8 +257,8 @@ def add_exploration(
                 learned=learned, worker=worker,
             ),
         ),
-        finger=add("finger", FingerMotion(STEP)),
-        multiverse=add("multiverse", MultiverseSlider(STEP)),
+        finger=add("finger", FingerMotion(step)),
+        multiverse=add("multiverse", MultiverseSlider(step)),
         monitor=add("model_monitor", ModelMonitor(SENSORS)),
         visualizer=None if meshcat is None else builder.AddSystem(BeliefVisualizer(meshcat)),
     )  # fmt: skip
@@ -267,6 +268,11 @@ def connect(builder: DiagramBuilder, wires: Sequence[Wire]) -> None:
     """Connect ports by their names."""
     for source, output, target, target_input in wires:
         builder.Connect(source.GetOutputPort(output), target.GetInputPort(target_input))
+
+
+def hypothesis_step(time_step: float) -> float:
+    """s: whole steps of the plant, as events between two of them would cut a step in two."""
+    return min(time_step * max(1, int(LONGEST_STEP / time_step + 1e-9)), LONGEST_STEP)
 
 
 def recorded_dataset(trials: Sequence[Trial], grid: CellGrid, scenario: Scenario) -> PushDataset:

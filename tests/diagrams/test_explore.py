@@ -19,7 +19,7 @@ from pydrake.geometry import Meshcat
 from schemas import assert_as_described
 
 from diagrams.command_line import run
-from diagrams.exploration_loop import LoopOptions
+from diagrams.exploration_loop import LoopOptions, hypothesis_step
 from diagrams.exploration_record import ExplorationRecord, resumed
 from diagrams.exploration_run import explore
 from diagrams.station.scenario import Scenario
@@ -141,6 +141,11 @@ def test_friction_comes_near_the_truth(explored):
     assert explored.result["truth"]["total_mass"] == pytest.approx(true.total_mass)
     believed = sum(h["probability"] * h["friction_force"] for h in explored.result["hypotheses"])
     assert believed == pytest.approx(force, rel=0.2)
+
+
+@pytest.mark.parametrize("plant, step", [(0.001, 0.005), (0.002, 0.004), (0.003, 0.003), (0.01, 0.005)])
+def test_hypotheses_take_whole_steps_of_the_plant(plant, step):
+    assert hypothesis_step(plant) == pytest.approx(step, abs=1e-12)
 
 
 def test_the_true_centre_of_mass_is_told_in_the_frame_of_the_cells(explored):
