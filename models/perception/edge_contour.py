@@ -1,4 +1,4 @@
-"""Where an object ends in a height picture, to a tenth of a pixel.
+"""Where an object ends in a height picture, to a fraction of a pixel.
 
 The border of the object's pixels is a staircase. The heights know more: along a line across an edge they
 fall from the object's to the table's, and cross half of it where the edge is. Points found so are replaced
