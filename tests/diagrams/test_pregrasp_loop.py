@@ -27,7 +27,8 @@ def taken(renderer):
     scenario.pokes.center = [-0.27, 0.13]
     scenario.pokes.longest = 0.05
     scenario.pushes.candidates = 24
-    exploration = LoopOptions(pushes=1, cells=40, hypotheses=8)
+    # From one push the centre of mass stays open: with seed 0 the hammer is held, too, but hangs 35 mm lower.
+    exploration = LoopOptions(pushes=1, cells=40, hypotheses=8, seed=1)
     return run_pregrasp(scenario, PregraspOptions(exploration, pushes=6))
 
 
