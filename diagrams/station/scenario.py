@@ -174,7 +174,7 @@ class SimulationSettings:
             record jitters by what it moves in a step, and a tap seems 20 % faster or slower.
     """
 
-    time_step: float = 0.002
+    time_step: float = 0.0025
 
     def check(self) -> None:
         """Raise ValueError where a field makes no sense."""

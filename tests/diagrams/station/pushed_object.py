@@ -38,7 +38,7 @@ class TestBed:
         self,
         true_object: TrueObject,
         *,
-        time_step: float = 2e-3,
+        time_step: float = 2.5e-3,
         table: Table = ROUND_TABLE,
         finger: bool = False,
         hidden: HiddenEffectsConfig | None = None,

@@ -61,7 +61,7 @@ def test_pushed_object_follows_the_model_with_the_effect(name: str) -> None:
     # A low object: a force at the height of the centre of mass also shifts load, which the model leaves out.
     thing, effect = benchmark_object("hammer"), SHOWN[name]
     candidate = candidate_pushes(thing.grid, FINGER_RADIUS, np.random.default_rng(3), 1)[0]
-    push = replace(candidate, length=0.06, speed=0.06).push([-0.05, 0.02, 0.3], h=2e-3, rest=0.05)
+    push = replace(candidate, length=0.06, speed=0.06).push([-0.05, 0.02, 0.3], h=2.5e-3, rest=0.05)
     maps = Maps(thing.mass, thing.mu, thing.maps.mu_finger, np.array([astuple(effect)]))
     slider = EffectSlider(thing.grid, FINGER_RADIUS, effects_named([name]))
     expected = slider.rollout(maps, [push]).poses_of(0)[0]

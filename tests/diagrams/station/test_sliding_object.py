@@ -39,7 +39,7 @@ def _telling_push(thing: TrueObject, seed: int) -> tuple[Push, np.ndarray]:
     """
     slider = Slider(thing.grid, FINGER_RADIUS)
     for candidate in candidate_pushes(thing.grid, FINGER_RADIUS, np.random.default_rng(seed), 20):
-        push = replace(candidate, length=0.1, speed=0.05).push(START, h=2e-3, rest=0.1)
+        push = replace(candidate, length=0.1, speed=0.05).push(START, h=2.5e-3, rest=0.1)
         moving = 1.0 / push.h * np.linalg.norm(np.diff(push.tip, axis=0), axis=1) > 0.02
         last = float(push.h * np.flatnonzero(moving)[-1])
         result = slider.rollout(thing.maps, [replace(push, force_times=np.array([last]))])
