@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from concurrent.futures import Executor
+from concurrent.futures import Executor, ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from typing import Any
@@ -16,7 +16,6 @@ from pydrake.systems.sensors import ImageDepth32F
 from diagrams.collectable import PythonSystem
 from diagrams.perception.camera import CameraConfig
 from diagrams.systems.held import held, read, replace_held
-from diagrams.systems.workers import begun
 from models.perception.arm_mask import Hull, draw_hulls
 from models.perception.camera import DepthImage, PinholeCamera, View
 from models.perception.edge_fit import load_kernels
@@ -33,9 +32,13 @@ from models.physics.cell_grid import FloatArray
 FRAMES = 15
 """Pictures of the object at rest that make up the first look; an odd number keeps its edges sharp."""
 
+KNOWN_AFTER = 0.5
+"""Share of the time between two pictures for which one is looked at, while the world moves on."""
+
 OLD = 3
 """Pictures that may fail to come before the last one is too old."""
 
+_NO_JOB: tuple[Any, tuple[DepthImage, ...]] = (None, ())  # and pictures that were not sent along
 _STILL = np.array([1e-3, 1e-3, np.deg2rad(0.5)])  # m, m, rad between two pictures of an object at rest
 _TRIED_EVERY = 5  # pictures; also as many of the first and of the last are compared
 _AT_REST = 1.0  # pixels that the object may seem to move between them
@@ -158,7 +161,8 @@ class CellPerception(PythonSystem):
     `CellGrid` or None before the first look is over; `seen_object`, a `SeenObject` with heights, or None;
     `first_picture`, the `FirstPicture` from which it comes, or None.
 
-    The inputs are read at the camera's rate. The first look takes `FRAMES` pictures between which the object
+    The inputs are read at the camera's rate, and what they show is known `KNOWN_AFTER` of a picture's period
+    later, with the time at which it was seen. The first look takes `FRAMES` pictures between which the object
     does not move; it goes on until there are such, with the arm not near the object. It defines the object
     frame: origin at the centroid of the footprint's area, axes parallel to the world's. Until then the pose
     is not valid, and "no object" or "occluded" its reason.
@@ -186,8 +190,8 @@ class CellPerception(PythonSystem):
             cells: wanted number of cells.
             arm_hulls: hulls around the arm for joint angles (7,), rad, such as `ArmHulls`; None if the arm
                 is never in the picture.
-            worker: who looks at pictures; this process if None. With one, what is seen is known a picture
-                later, with the time at which it was seen, and pictures that come meanwhile are left out.
+            worker: who looks at pictures; pictures that come meanwhile are left out. If None, a thread of
+                this process, for which the simulation waits when it is not done in time.
             known: what an earlier process saw first, and the (3,) pose at which it saw the object last; there
                 is no first look then.
 
@@ -200,7 +204,8 @@ class CellPerception(PythonSystem):
         load_kernels()
         config = camera or CameraConfig()
         self._eye = _Eye(config.intrinsics, cells, OLD / config.rate)
-        self._worker = worker
+        self._waits = worker is None
+        self._worker = worker or ThreadPoolExecutor(1, "pictures")
         self._arm_hulls = arm_hulls
         self._image = self.DeclareAbstractInputPort("depth_image", AbstractValue.Make(ImageDepth32F()))
         self._X_WC = self.DeclareAbstractInputPort("X_WC", AbstractValue.Make(RigidTransform()))
@@ -214,11 +219,11 @@ class CellPerception(PythonSystem):
             start = replace(start, history=history, seen=seen, first=first, last_pose=last_pose)
         memory = self.DeclareAbstractState(held(start))
         self._memory = memory
-        self._job = self.DeclareAbstractState(held(None))
+        self._job = self.DeclareAbstractState(held(_NO_JOB))
         ticket = {self.abstract_state_ticket(memory)}
 
         def write(part: Callable[[_Memory], object]) -> Any:
-            return lambda context, output: output.set_value(part(self._memory_in(context)))
+            return lambda context, output: output.set_value(part(read(context, memory)))
 
         def port(name: str, part: Callable[[_Memory], object]) -> None:
             self.DeclareAbstractOutputPort(
@@ -232,27 +237,35 @@ class CellPerception(PythonSystem):
         port("cell_grid", lambda memory: None if memory.seen is None else memory.seen.grid)
         port("seen_object", lambda memory: memory.seen)
         port("first_picture", lambda memory: memory.first)
-        self.DeclarePeriodicUnrestrictedUpdateEvent(1.0 / config.rate, 0.0, self._look)
-
-    def _memory_in(self, context: Any) -> _Memory:
-        return read(context, self._memory)
+        period = 1.0 / config.rate
+        self.DeclarePeriodicUnrestrictedUpdateEvent(period, 0.0, self._look)
+        self.DeclarePeriodicUnrestrictedUpdateEvent(period, KNOWN_AFTER * period, self._known)
 
     def _look(self, context: Any, state: Any) -> None:
-        job, kept = read(context, self._job) or (None, ())
-        memory = before = self._memory_in(context)
-        if job is not None and job.done():
-            memory, job = _with_frames(job.result(), kept), None
+        if not self._take(context, state):
+            return
+        memory: _Memory = read(state, self._memory)
+        # Pictures gathered for the first look are large; a worker gets them when there are enough.
+        few = memory.seen is None and len(memory.frames) + 1 < FRAMES
+        kept = memory.frames if few else ()
+        sent = replace(memory, frames=()) if few else memory
+        job = self._worker.submit(self._eye.looked, sent, self._glance(context))
+        replace_held(state, self._job, (job, kept))
+
+    def _known(self, context: Any, state: Any) -> None:
+        self._take(context, state)
+
+    def _take(self, context: Any, state: Any) -> bool:
+        """Remember what has been seen, if it is known by now; whether nobody looks at a picture any more."""
+        job, kept = read(context, self._job)
         if job is None:
-            # Pictures gathered for the first look are large; a worker gets them when there are enough.
-            few = memory.seen is None and len(memory.frames) + 1 < FRAMES
-            kept = memory.frames if few else ()
-            sent = replace(memory, frames=()) if few else memory
-            job = begun(self._worker, self._eye.looked, sent, self._glance(context))
-            if job.done():
-                memory, job = _with_frames(job.result(), kept), None
-        if memory is not before:
-            replace_held(state, self._memory, memory)
-        replace_held(state, self._job, None if job is None else (job, kept))
+            return True
+        if not (self._waits or job.done()):
+            return False
+        memory: _Memory = job.result()
+        replace_held(state, self._memory, replace(memory, frames=(*kept, *memory.frames)) if kept else memory)
+        replace_held(state, self._job, _NO_JOB)
+        return True
 
     def _glance(self, context: Any) -> _Glance:
         picture: Any = self._image.Eval(context)
@@ -267,10 +280,6 @@ class CellPerception(PythonSystem):
             float(self._age.Eval(context)[0]) if self._age.HasValue(context) else 0.0,
             context.get_time(),
         )
-
-
-def _with_frames(memory: _Memory, earlier: tuple[DepthImage, ...]) -> _Memory:
-    return replace(memory, frames=(*earlier, *memory.frames)) if earlier else memory
 
 
 @lru_cache(maxsize=4)

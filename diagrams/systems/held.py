@@ -36,7 +36,7 @@ def held(value: Any) -> AbstractValue:
     return Value[object](Held(value))
 
 
-def read(context: Context, index: AbstractStateIndex) -> Any:
+def read(context: Context | State, index: AbstractStateIndex) -> Any:
     """What an abstract state made by `held` holds."""
     return context.get_abstract_state(int(index)).get_value().value
 

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 from pydrake.common.value import Value
-from pydrake.systems.framework import Context, State
+from pydrake.systems.framework import Context, InputPort, State
 
 from diagrams.collectable import PythonSystem
 from diagrams.systems.held import held, read, replace_held
@@ -178,14 +178,16 @@ class MultiverseSlider(PythonSystem):
 
     def _restarted(self, context: Context) -> Universes | None:
         """The hypotheses placed anew if a new push has begun and the object is seen."""
-        ports = (self._push, self._belief, self._object_pose)
-        values: list[Any] = [port.Eval(context) if port.HasValue(context) else None for port in ports]
-        push, belief, seen = values
         before = self.universes(context)
-        belief = belief if belief is not None or before is None else before.belief
-        if push is None or belief is None or seen is None or not seen.valid:
+        push = _told(self._push, context)
+        if push is None or (before is not None and before.push == push.push_id):
             return None
-        if before is not None and before.push == push.push_id:
+        belief = _told(self._belief, context)
+        belief = belief if belief is not None or before is None else before.belief
+        if belief is None:
+            return None
+        seen = _told(self._object_pose, context)  # last, as it may have to be waited for
+        if seen is None or not seen.valid:
             return None
         order = 0.0 if before is None or before.push is None else before.order + 1.0
         return placed(belief, self._h, seen.pose, push=push.push_id, begin=context.get_time(), order=order)
@@ -201,3 +203,8 @@ class MultiverseSlider(PythonSystem):
     def _output_spread(self, context: Context, output: Any) -> None:
         universes = self.universes(context)
         output.SetFromVector([np.nan if universes is None else universes.spread])
+
+
+def _told(port: InputPort, context: Context) -> Any:
+    """What comes in, if anything is connected."""
+    return port.Eval(context) if port.HasValue(context) else None

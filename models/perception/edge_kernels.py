@@ -88,7 +88,7 @@ class Heights(NamedTuple):
     first_row: float
 
 
-_compiled = compiled(LONE_FOLDER)
+_compiled = compiled(LONE_FOLDER, nogil=True)
 
 
 @_compiled

@@ -8,7 +8,7 @@ import numpy as np
 from models.physics.compiled import LONE_FOLDER, compiled
 
 
-@compiled(LONE_FOLDER)
+@compiled(LONE_FOLDER, nogil=True)
 def between(mask, missing):  # type: ignore[no-untyped-def]
     """Missing pixels in runs, along rows or columns, that end at the mask on both sides.
 

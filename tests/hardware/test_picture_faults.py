@@ -91,7 +91,7 @@ class Watched:
         self.late = 0.0 if stamped else PERIOD  # a picture is seen one period after it was taken
         self.diagram = builder.Build()
         self.before = self.diagram.CreateDefaultContext()
-        Simulator(self.diagram, self.before).AdvanceTo(FAULT - PERIOD / 2)
+        Simulator(self.diagram, self.before).AdvanceTo(FAULT - PERIOD / 4)
         self.seen = self.read(self.before, "seen_object")
         assert self.seen is not None
 
@@ -105,7 +105,7 @@ class Watched:
         simulator = Simulator(self.diagram, context)
         said = []
         for k in range(last):
-            simulator.AdvanceTo(FAULT + (k + 0.5) * PERIOD)
+            simulator.AdvanceTo(FAULT + (k + 0.75) * PERIOD)
             said.append(self.read(context, "object_pose"))
         return said
 
@@ -191,7 +191,7 @@ def test_after_a_torn_picture_poses_go_on_once_the_object_rests(watched):
     said = []
     for k in range(14):
         watched.link.spoil(context, None if k else "torn", band=(0.4, 0.9))
-        simulator.AdvanceTo(FAULT + (k + 0.5) * PERIOD)
+        simulator.AdvanceTo(FAULT + (k + 0.75) * PERIOD)
         said.append(watched.read(context, "object_pose"))
     stops = round((STOPS - FAULT) / PERIOD)
     assert reasons(said[1 : stops + 1]) == {"torn picture"}

@@ -17,29 +17,40 @@ PERIOD = 1 / 15
 def test_from_an_empty_table_to_a_pose_and_back(world):
     context = world.context()
     simulator = world.simulator(context)
-    simulator.AdvanceTo(0.5 * PERIOD)
+    simulator.AdvanceTo(0.75 * PERIOD)
     assert world.output(context, "object_pose").reason == "no object"
     world.place(context, "hammer", (0.05, -0.02, 0.6))
-    simulator.AdvanceTo(8.5 * PERIOD)
+    simulator.AdvanceTo(8.75 * PERIOD)
     world.place(context, "hammer", (0.08, -0.02, 0.6))  # moved during the first look: it takes longer
-    simulator.AdvanceTo((FRAMES + 0.5) * PERIOD)
+    simulator.AdvanceTo((FRAMES + 0.75) * PERIOD)
     assert world.output(context, "cell_grid") is None
     assert not world.output(context, "object_pose").valid
-    simulator.AdvanceTo((FRAMES + 10.5) * PERIOD)
+    simulator.AdvanceTo((FRAMES + 10.75) * PERIOD)
     grid = world.output(context, "cell_grid")
     assert len(grid) == pytest.approx(40, abs=3)
     first = world.output(context, "object_pose")
     assert first.valid
     assert first.time == pytest.approx((FRAMES + 10) * PERIOD)
     world.place(context, "hammer", (0.09, 0.0, 0.65))
-    simulator.AdvanceTo((FRAMES + 11.5) * PERIOD)
+    simulator.AdvanceTo((FRAMES + 11.75) * PERIOD)
     moved = world.output(context, "object_pose")
     assert moved.pose[2] - first.pose[2] == pytest.approx(0.05, abs=np.deg2rad(0.5))
     assert np.array_equal(world.output(context, "cell_grid").centers, grid.centers)
     assert np.array_equal(world.output(context, "seen_object").grid.centers, grid.centers)
     world.place(context, None, (0, 0, 0))
-    simulator.AdvanceTo((FRAMES + 12.5) * PERIOD)
+    simulator.AdvanceTo((FRAMES + 12.75) * PERIOD)
     assert world.output(context, "object_pose").reason == "left the table"
+
+
+def test_a_pose_is_known_half_a_picture_after_the_picture(world):
+    context = world.context()
+    world.place(context, "hammer", (0.05, -0.02, 0.6))
+    simulator = world.simulator(context)
+    for after, newest in ((1.4, 0.0), (1.6, 1.0), (2.4, 1.0), (2.6, 2.0)):
+        simulator.AdvanceTo((FRAMES + after) * PERIOD)
+        said = world.output(context, "object_pose")
+        assert said.valid
+        assert said.time == pytest.approx((FRAMES + newest) * PERIOD)
 
 
 def test_the_same_run_twice_is_the_same_to_the_bit(world):
@@ -47,7 +58,7 @@ def test_the_same_run_twice_is_the_same_to_the_bit(world):
     for _ in range(2):
         context = world.context()
         world.place(context, "wrench", (0.05, -0.02, 0.6))
-        world.simulator(context).AdvanceTo((FRAMES + 1.5) * PERIOD)
+        world.simulator(context).AdvanceTo((FRAMES + 1.75) * PERIOD)
         poses.append(world.output(context, "object_pose").pose)
     assert np.all(np.isfinite(poses[0]))
     assert np.array_equal(*poses)
