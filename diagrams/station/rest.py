@@ -23,13 +23,14 @@ from diagrams.station.sliding_object import BODY, STICTION
 from models.physics.cell_grid import FloatArray
 
 PERIOD = 0.02
-"""s between two looks at the object and what is near it."""
+"""s between two looks at the object and the arm."""
 
 QUIET = 0.2
 """s for which an object lies still before it is held; one that begins to tip is faster by then."""
 
-ROOM = 0.03
-"""m within which the arm wakes the object; at 1.5 m/s it could come from there between two looks."""
+ROOM = 0.005
+"""m within which the arm wakes the object, and a little farther off if it comes nearer: where it would be
+within `ROOM` two looks later. One that speeds up by less than 12 m/s² cannot touch it before."""
 
 _SAME = 1e-9  # m; a held object that was moved by more has been put somewhere by hand
 
@@ -48,7 +49,8 @@ class RestWatch(PythonSystem):
 
     `at_rest` (1,) is 1 or 0. It becomes 1 after `QUIET` in which no point of the object was faster than the
     stiction tolerance, and 0 at the first look at which one is, at which the object is elsewhere than at the
-    look before, or the arm is within `ROOM`. Distances are between the boxes about the parts' shapes.
+    look before, or the arm is near; see `ROOM`. Distances are between the boxes about single shapes, which
+    are never larger than those between the shapes.
     """
 
     def __init__(self, plant: MultibodyPlant, scene_graph: SceneGraph, arm: list[ModelInstanceIndex]) -> None:
@@ -60,9 +62,9 @@ class RestWatch(PythonSystem):
         super().__init__()
         body = plant.GetBodyByName(BODY)
         self._object = body.index()
-        corners = np.concatenate([points for _, points in _boxes(plant, scene_graph, self._object)])
-        self._low, self._high = corners.min(axis=0), corners.max(axis=0)
-        self._reach = float(np.linalg.norm(corners, axis=1).max())
+        corners = np.array([points for _, points in _boxes(plant, scene_graph, self._object)])
+        self._reach = float(np.linalg.norm(corners, axis=-1).max())
+        self._low, self._high = corners.min(axis=1), corners.max(axis=1)
         parts = [
             box for instance in arm for link in plant.GetBodyIndices(instance)
             for box in _boxes(plant, scene_graph, link)
@@ -71,28 +73,31 @@ class RestWatch(PythonSystem):
         self._corners = np.array([points for _, points in parts])
         self.DeclareAbstractInputPort("body_poses", Value[List[RigidTransform]]())
         self.DeclareAbstractInputPort("body_spatial_velocities", Value[List[SpatialVelocity]]())
-        # How long it has been still, s, and where it was at the last look, m.
-        state = self.DeclareDiscreteState(4)
+        # How long it has been still, s; how far off the arm was at the last look, m, and where it was itself.
+        state = self.DeclareDiscreteState(5)
         self.DeclarePeriodicDiscreteUpdateEvent(PERIOD, 0.0, self._look)
         self.DeclareVectorOutputPort("at_rest", 1, self._calc, {self.discrete_state_ticket(state)})
 
     def _look(self, context: Context, values: DiscreteValues) -> None:
         X_WB = self.GetInputPort("body_poses").Eval(context)
         V_WO = self.GetInputPort("body_spatial_velocities").Eval(context)[self._object]
-        still_for, *before = context.get_discrete_state_vector().CopyToVector()
+        still_for, gap_before, *before = context.get_discrete_state_vector().CopyToVector()
         place = X_WB[self._object].translation()
         fastest = np.linalg.norm(V_WO.translational()) + self._reach * np.linalg.norm(V_WO.rotational())
         moved = still_for > 0 and np.abs(place - before).max() > fastest * PERIOD + _SAME
-        still = fastest < STICTION and not moved and not self._near(X_WB)
-        values.get_mutable_vector().SetFromVector([still_for + PERIOD if still else 0.0, *place])
+        gap = self._gap(X_WB)
+        near = gap - 2 * max(gap_before - gap, 0.0) < ROOM
+        still = fastest < STICTION and not moved and not near
+        values.get_mutable_vector().SetFromVector([still_for + PERIOD if still else 0.0, gap, *place])
 
-    def _near(self, X_WB: list[RigidTransform]) -> bool:
+    def _gap(self, X_WB: list[RigidTransform]) -> float:
+        """m between arm and object."""
         X_OW = X_WB[self._object].inverse()
         pose = {link: (X_OW @ X_WB[link]).GetAsMatrix34() for link in set(self._bodies)}
         X_OL = np.array([pose[link] for link in self._bodies])
         points = np.einsum("pij,pkj->pki", X_OL[:, :, :3], self._corners) + X_OL[:, None, :, 3]
-        gap = np.maximum(points.min(axis=1) - self._high, self._low - points.max(axis=1)).max(axis=1)
-        return bool(gap.min() < ROOM)
+        low, high = points.min(axis=1)[:, None], points.max(axis=1)[:, None]
+        return float(np.maximum(low - self._high, self._low - high).max(axis=-1).min())
 
     def _calc(self, context: Context, output: BasicVector) -> None:
         still_for = context.get_discrete_state_vector().GetAtIndex(0)
@@ -148,10 +153,12 @@ class Hold:
 def _boxes(
     plant: MultibodyPlant, scene_graph: SceneGraph, link: BodyIndex
 ) -> list[tuple[BodyIndex, FloatArray]]:
-    """Each shape of a body that can touch, as (8, 3) corners of a box about it in the body's frame, m."""
+    """Each shape that a body can touch the arm with, as (8, 3) corners of a box about it in its frame, m."""
     inspector = scene_graph.model_inspector()
     result = []
     for shape in inspector.GetGeometries(plant.GetBodyFrameIdOrThrow(link), Role.kProximity):
+        if "_foot_" in inspector.GetName(shape):
+            continue  # within the object's blocks
         box = inspector.GetObbInGeometryFrame(shape)
         X_BX = inspector.GetPoseInFrame(shape) @ box.pose()
         signs = np.stack(np.meshgrid(*[[-1.0, 1.0]] * 3), axis=-1).reshape(-1, 3)

@@ -19,6 +19,7 @@ from diagrams.station.sliding_object import BODY, GRAVITY, resting_pose
 from diagrams.station.station import Station
 from models.objects.benchmark import benchmark_object
 from models.physics.balance import balance_margins
+from models.robots import FINGER_RADIUS
 
 pytestmark = pytest.mark.usefixtures("renderer")
 
@@ -108,13 +109,44 @@ def test_contacts_are_looked_for_again_as_soon_as_it_is_free(book: Watched):
         assert book.held() and touching() == 0
 
 
-def test_a_finger_beside_it_frees_it_before_it_touches(book: Watched):
+def test_a_finger_close_beside_it_frees_it(book: Watched):
     book.put(resting_pose(0.0, 0.0, 0.0))
-    edge = book.station.true_object.grid.centers[:, 1].max() + book.station.true_object.grid.width / 2
-    for gap, height, held in ((0.28, 0.15, True), (0.01, 0.01, False), (0.28, 0.15, True)):
-        book.reach(np.array([0.0, edge + 0.01 + gap, height]))
+    for gap, height, held in ((0.28, 0.15, True), (0.003, 0.01, False), (0.28, 0.15, True)):
+        book.reach(np.array([0.0, _side(book) + FINGER_RADIUS + gap, height]))
         book.advance(2 * QUIET)
         assert book.held() == held
+
+
+@pytest.mark.parametrize(("speed", "away"), [(0.05, 0.03), (0.3, 0.03), (1.0, 0.065), (1.0, 0.073)])
+def test_a_push_of_one_that_was_held_ends_as_that_of_one_that_was_not(speed: float, away: float):
+    ends = []
+    for held in (True, False):
+        book = Watched.of()
+        if not held:
+            book.simulator.clear_monitor()
+        start = np.array([0.0, _side(book) + FINGER_RADIUS + away, 0.01])
+        book.reach(start)
+        book.advance(2 * QUIET)
+        assert book.held() == held
+        motion = FingerKinematics(arm_model())
+        went, now = 0.0, 0.0
+        while went < away + 0.015:
+            now = min(now + 10.0 * 0.005, speed)
+            went += 0.005 * now
+            q = motion.inverse(start - [0.0, went, 0.0])
+            book.station.GetInputPort("iiwa.position").FixValue(book.simulator.get_mutable_context(), q)
+            book.advance(0.005)
+        book.advance(0.02)
+        assert not book.held()
+        ends.append(book.X_WO())
+    assert ends[0].translation()[1] < -0.005  # pushed
+    assert ends[0].IsNearlyEqualTo(ends[1], 1e-6)
+
+
+def _side(book: Watched) -> float:
+    """y of the book's side while it lies at the origin, m."""
+    grid = book.station.true_object.grid
+    return float(grid.centers[:, 1].max() + grid.width / 2)
 
 
 def test_one_that_was_put_elsewhere_by_hand_falls_from_there(book: Watched):
