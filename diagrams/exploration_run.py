@@ -221,8 +221,11 @@ def run_loop(
     started = time.perf_counter()
     first_look: list[FloatArray] = []
 
+    told = loop.GetSubsystemByName(supervisor).GetOutputPort("status")
+    tells = told.get_system().GetMyContextFromRoot(context)
+
     def monitor(root: Context) -> EventStatus:
-        status: LoopStatus = output_of(loop, supervisor, "status", root)
+        status: LoopStatus = told.Eval(tells)
         if status.mode in last:
             return EventStatus.ReachedTermination(loop.GetSubsystemByName(supervisor), status.mode)
         if simulated and not first_look and status.mode == "choosing":

@@ -85,7 +85,7 @@ class Station(PythonDiagram):
         self.arm_hulls = ArmHulls(plant, scene_graph, [self.arm.iiwa, self.arm.gripper])
         add_hidden_effects(builder, plant, self.true_object, scenario.hidden)
         add_arm_drivers(builder, plant, self.arm)
-        _watch_rest(builder, plant, scene_graph, self.arm)
+        self._rest_watch, self._scene_graph = _watch_rest(builder, plant, scene_graph, self.arm), scene_graph
         self._hold = Hold(plant, scene_graph)
         _export_camera(builder, plant, scene_graph, scenario)
         _export_ages(builder)
@@ -105,26 +105,28 @@ class Station(PythonDiagram):
         Args:
             root: of the diagram that the station is in.
         """
-        watch = self.GetSubsystemByName("rest_watch")
-        (at_rest,) = watch.get_output_port().Eval(watch.GetMyContextFromRoot(root))
-        self._hold.set(self.plant, self.GetSubsystemByName("scene_graph"), root, bool(at_rest))
+        (at_rest,) = self._rest_watch.get_output_port().Eval(self._rest_watch.GetMyContextFromRoot(root))
+        self._hold.set(self.plant, self._scene_graph, root, bool(at_rest))
 
 
 def take_fixed_steps(simulator: Simulator) -> None:
     """Integrate what is continuous in a station, which is the arm's control, without error control.
 
-    It changes little between two steps of the plant, and with error control all that the arm is told is
-    computed four times a step.
+    It is the integral of an error that changes little between two steps of the plant; whatever looks at it
+    more often computes each time all that the arm is told.
     """
-    ResetIntegratorFromFlags(simulator, "runge_kutta2", _LONGEST_STEP)
+    ResetIntegratorFromFlags(simulator, "explicit_euler", _LONGEST_STEP)
 
 
-def _watch_rest(builder: DiagramBuilder, plant: MultibodyPlant, scene_graph: SceneGraph, arm: Arm) -> None:
+def _watch_rest(
+    builder: DiagramBuilder, plant: MultibodyPlant, scene_graph: SceneGraph, arm: Arm
+) -> RestWatch:
     watch = builder.AddNamedSystem("rest_watch", RestWatch(plant, scene_graph, [arm.iiwa, arm.gripper]))
     builder.Connect(plant.get_body_poses_output_port(), watch.GetInputPort("body_poses"))
     builder.Connect(
         plant.get_body_spatial_velocities_output_port(), watch.GetInputPort("body_spatial_velocities")
     )
+    return watch
 
 
 def _export_camera(

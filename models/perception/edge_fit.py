@@ -25,7 +25,7 @@ from models.perception.edge_kernels import (
     edges_found,
     heights_off,
     lines_across,
-    mean_misfit,
+    mean_misfits,
 )
 from models.perception.object_mask import HeightPicture
 from models.perception.seen_object import SeenObject
@@ -67,7 +67,7 @@ def load_kernels() -> None:
     edges_expected(lens, shape, pose, lines)
     edges_found(picture, shape, lines, 1.0)
     heights_off(picture, lens, shape, pose, 1.0)
-    mean_misfit(picture, lens, shape, pose, 1.0, 1)
+    mean_misfits(picture, lens, shape, pose[None], 1.0, 1)
 
 
 def placed(pose: FloatArray, points: FloatArray) -> FloatArray:
@@ -130,22 +130,21 @@ def fit_edges(
     return fit
 
 
-def misfit(
-    picture: HeightPicture, view: View, seen: SeenObject, pose: FloatArray, every: int = 1
-) -> tuple[float, float]:
+def misfits(
+    picture: HeightPicture, view: View, seen: SeenObject, poses: FloatArray, every: int = 1
+) -> FloatArray:
     """How badly heights inside, and the table outside, agree with a picture.
 
     Args:
         picture, view, seen: as of `fit_edges`.
-        pose: (3,) of O in W.
+        poses: (k, 3) of O in W.
         every: which points are looked at: each, each second, …
 
     Returns:
-        0 is perfect, 1 fits nowhere; and the share of the points inside that are seen.
+        (k, 2): 0 is perfect, 1 fits nowhere; and the share of the points inside that are seen.
     """
-    pose = np.array(pose, dtype=float)
-    off, visible = mean_misfit(picture.for_kernels, view.lens, seen.shape, pose, pixel_size(view), every)
-    return float(off), float(visible)
+    poses = np.array(poses, dtype=float)
+    return mean_misfits(picture.for_kernels, view.lens, seen.shape, poses, pixel_size(view), every)
 
 
 def _scale(seen: SeenObject) -> FloatArray:

@@ -314,16 +314,8 @@ def heights_off(picture, lens, shape, pose, pixel):  # type: ignore[no-untyped-d
 
 
 @_compiled
-def mean_misfit(picture, lens, shape, pose, pixel, every):  # type: ignore[no-untyped-def]
-    """How badly heights inside, and the table outside, agree with a picture.
-
-    Args:
-        pixel: side of a pixel on the table, m.
-        every: which points are looked at: each, each second, …
-
-    Returns:
-        from 0 to 1, and the share of the inner points that are seen.
-    """
+def _mean_misfit(picture, lens, shape, pose, pixel, every):  # type: ignore[no-untyped-def]
+    """See `mean_misfits`."""
     c, s = np.cos(pose[2]), np.sin(pose[2])
     total, number, visible, looked = 0.0, 0, 0, 0
     for i in range(0, len(shape.inner), every):
@@ -349,3 +341,20 @@ def mean_misfit(picture, lens, shape, pose, pixel, every):  # type: ignore[no-un
             expected = _seen(lens, shape.land, c, s, pose, u, v)
             total += min(max((read - expected) / _UNLIKE, 0.0), 1.0) ** 2
     return (total / number if number else 1.0), (visible / looked if looked else np.nan)
+
+
+@_compiled
+def mean_misfits(picture, lens, shape, poses, pixel, every):  # type: ignore[no-untyped-def]
+    """How badly heights inside, and the table outside, agree with a picture at each of the poses (k, 3).
+
+    Args:
+        pixel: side of a pixel on the table, m.
+        every: which points are looked at: each, each second, …
+
+    Returns:
+        (k, 2): from 0 to 1, and the share of the inner points that are seen.
+    """
+    result = np.empty((len(poses), 2))
+    for k in range(len(poses)):
+        result[k, 0], result[k, 1] = _mean_misfit(picture, lens, shape, poses[k], pixel, every)
+    return result

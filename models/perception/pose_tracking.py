@@ -10,7 +10,7 @@ import numpy as np
 
 from models.angles import angle_between
 from models.perception.camera import DepthImage, View, pixel_size
-from models.perception.edge_fit import EdgeFit, fit_edges, misfit, placed
+from models.perception.edge_fit import EdgeFit, fit_edges, misfits, placed
 from models.perception.object_mask import HeightPicture, Mask, object_mask, smoothed_heights
 from models.perception.observed_pose import ObservedPose
 from models.perception.seen_object import SeenObject
@@ -153,8 +153,8 @@ def _beside(
     if picture is None:
         return None
     starts = previous + _BESIDE
-    misfits = [misfit(picture, view, seen, start, every=3) for start in starts]
-    likely = np.argsort([off if share > _LEAST_SEEN else np.inf for off, share in misfits], kind="stable")
+    off, share = misfits(picture, view, seen, starts, every=3).T
+    likely = np.argsort(np.where(share > _LEAST_SEEN, off, np.inf), kind="stable")
     candidates = [_fitted(picture, view, seen, starts[k], _BESIDE_REACHES) for k in likely[:_REFINED_BESIDE]]
     best = min(candidates, key=lambda candidate: candidate.misfit)
     return _fitted(picture, view, seen, best.fit.pose, _NEAR_REACHES)
@@ -164,7 +164,8 @@ def _fitted(
     picture: HeightPicture, view: View, seen: SeenObject, start: FloatArray, reaches: Sequence[float]
 ) -> _Candidate:
     fit = fit_edges(picture, view, seen, start, reaches)
-    return _Candidate(fit, *misfit(picture, view, seen, fit.pose))
+    ((off, share),) = misfits(picture, view, seen, fit.pose[None])
+    return _Candidate(fit, float(off), float(share))
 
 
 def _around(
@@ -202,9 +203,9 @@ def _anywhere(
     middle = seen.table.meet(pixels, heights[rows, columns].astype(float), view).mean(axis=0)
     angles = previous[2] + np.pi * (2 * np.arange(_DIRECTIONS) / _DIRECTIONS - 1)
     starts = [np.array([*middle, angle]) for angle in angles]
-    misfits = [misfit(picture, view, seen, start, every=3)[0] for start in starts]
+    off, _ = misfits(picture, view, seen, np.array(starts), every=3).T
     chosen: list[FloatArray] = []
-    for k in np.argsort(misfits, kind="stable"):
+    for k in np.argsort(off, kind="stable"):
         if all(abs(angle_between(starts[k][2], other[2])) > _APART for other in chosen):
             chosen.append(starts[k])
         if len(chosen) == _REFINED:

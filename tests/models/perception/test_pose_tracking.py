@@ -117,7 +117,7 @@ def test_nothing_is_compiled_once_the_kernels_are_loaded(scene, look):
     load_kernels()
     seen = look(BLOCK, (0.0, 0.0, 0.0))
     assert track(scene.depth(BLOCK, (0.01, 0.0, 0.1)), scene.view, seen, seen.first_pose).valid
-    for name in ("lines_across", "edges_expected", "edges_found", "heights_off", "mean_misfit"):
+    for name in ("lines_across", "edges_expected", "edges_found", "heights_off", "mean_misfits"):
         assert len(getattr(edge_kernels, name).signatures) == 1, name
 
 
