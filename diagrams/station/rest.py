@@ -79,15 +79,18 @@ class RestWatch(PythonSystem):
         self.DeclareVectorOutputPort("at_rest", 1, self._calc, {self.discrete_state_ticket(state)})
 
     def _look(self, context: Context, values: DiscreteValues) -> None:
-        X_WB = self.GetInputPort("body_poses").Eval(context)
         V_WO = self.GetInputPort("body_spatial_velocities").Eval(context)[self._object]
+        fastest = np.linalg.norm(V_WO.translational()) + self._reach * np.linalg.norm(V_WO.rotational())
+        if fastest >= STICTION:
+            values.get_mutable_vector().SetFromVector(np.zeros(5))
+            return
+        X_WB = self.GetInputPort("body_poses").Eval(context)
         still_for, gap_before, *before = context.get_discrete_state_vector().CopyToVector()
         place = X_WB[self._object].translation()
-        fastest = np.linalg.norm(V_WO.translational()) + self._reach * np.linalg.norm(V_WO.rotational())
         moved = still_for > 0 and np.abs(place - before).max() > fastest * PERIOD + _SAME
         gap = self._gap(X_WB)
         near = gap - 2 * max(gap_before - gap, 0.0) < ROOM
-        still = fastest < STICTION and not moved and not near
+        still = not moved and not near
         values.get_mutable_vector().SetFromVector([still_for + PERIOD if still else 0.0, gap, *place])
 
     def _gap(self, X_WB: list[RigidTransform]) -> float:

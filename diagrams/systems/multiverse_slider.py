@@ -161,8 +161,7 @@ class MultiverseSlider(PythonSystem):
         tip = NO_FINGER
         if self._finger.HasValue(context):
             finger: Any = self._finger.Eval(context)
-            center, velocity = np.split(finger, 2)
-            tip = np.vstack([center, center + self._h * velocity])
+            tip = np.array([finger[:2], finger[:2] + self._h * finger[2:]])
         states, _ = universes.stepper.step(
             universes.models,
             universes.states,
