@@ -19,6 +19,8 @@ GRAVITY = 9.81  # m/s²
 _DIRECTIONS = 48
 _APART = 5e-3  # m, of neighbouring lines
 _STEP = 2.5e-3  # m, of the pins' ends along a line
+# m from the pins' axes to the outline beside them: edges are rounded, and a pin slips off that is half beside.
+_BESIDE = 5e-3
 _ENOUGH = 0.02  # m, of room; more is not better
 _AT_ONCE = 32  # poses
 
@@ -31,7 +33,8 @@ class GraspLines:
 
     - The open pins have `clearance` above everything that they pass on their way in, and below it.
     - The hand, swept along the line, stays off the outline by `clearance`, whatever the height there.
-    - The middle of the lower pin lies under the outline over `least_contact` or more.
+    - The middle of the lower pin lies under the outline over `least_contact` or more. There and where the
+      upper pin holds, the outline reaches 5 mm farther to either side.
     - The upper pin comes down on heights that are known: between cells of different height they may be any
       between these. `least_contact` or more lies between the outermost place that is certainly as high as
       all the pin passes (less `tolerance`) and the inner end of the lower contact.
@@ -172,7 +175,11 @@ def grasp_lines(
     normal = _left_of(direction)
     points = direction[:, None] * along[..., None] + (normal * offset[:, None])[:, None]
 
-    inside = field.sampled(field.lowest, points) > 0
+    lowest = field.sampled(field.lowest, points)
+    inside = lowest > 0
+    firm = inside.copy()
+    for side in (-_BESIDE, _BESIDE):
+        firm &= field.sampled(field.lowest, points + side * normal[:, None]) > 0
     entered = np.argmax(inside, axis=1)
     met = inside[np.arange(len(inside)), entered]
     window = entered[:, None] + np.arange(int(gripper.finger_length / _STEP) + 1)
@@ -181,10 +188,8 @@ def grasp_lines(
         return np.take_along_axis(values, window, axis=1)
 
     height = at_tip(np.maximum.accumulate(field.sampled(passed, points), axis=1))
-    lower = at_tip(np.maximum.accumulate(np.where(inside, along, -np.inf), axis=1))
-    upper = _outer_contact(
-        at_tip(field.sampled(field.lowest, points)), at_tip(along), height - settings.tolerance
-    )
+    lower = at_tip(np.maximum.accumulate(np.where(firm, along, -np.inf), axis=1))
+    upper = _outer_contact(at_tip(np.where(firm, lowest, 0.0)), at_tip(along), height - settings.tolerance)
     behind = window - int(gripper.hand_distance / _STEP)
     touched = np.maximum.accumulate(field.sampled(hand, points) > 0, axis=1)
     hand_free = (behind < 0) | ~np.take_along_axis(touched, np.maximum(behind, 0), axis=1)

@@ -43,6 +43,10 @@ _LEAST_SEEN = 0.4  # of the inner points
 # Where the last pose is no guide, a part of the object may fit another part: half a handle fits either way.
 _LEAST_FOUND_ANYWHERE = 0.75
 _LEAST_SEEN_ANYWHERE = 0.9
+# Unless all that is seen of an object on the table lies within it at that pose: a part that is taken for
+# another one farther along leaves its own end uncovered.
+_LEAST_SEEN_COVERING, _MOST_UNCOVERED = 0.7, 0.03
+_AROUND = np.ones((7, 7), np.uint8)  # pixels; edges are blurred
 _LEAST_AREA_ANYWHERE = 0.5  # of the footprint; of an object with fewer pixels, too little is seen for that
 _SURE = np.array([2e-3, 2e-3, np.deg2rad(2.0)])  # standard deviations beyond which a pose is not known
 # What remains however many edges are averaged: the outline itself was measured.
@@ -89,7 +93,7 @@ def track(
     The outline is fitted to the picture's edges from the previous pose. Unless it, and the heights within,
     clearly agree with the picture there, it is fitted from places around, too, and the best is taken. If no
     pose agrees, the object is looked for on the whole table, in all directions,
-    and must be seen nearly whole; of poses that fit equally well, as those of a symmetric object do, the one
+    and must be seen nearly whole, or for the most part with nothing seen beside it; of poses that fit equally well, as those of a symmetric object do, the one
     turned least from the previous is taken.
 
     Args:
@@ -122,7 +126,7 @@ def track(
     anywhere = None
     if mask.sum() * pixel_size(view) ** 2 > _LEAST_AREA_ANYWHERE * seen.grid.polygon.area:
         anywhere = _anywhere(HeightPicture(heights), mask, heights, view, seen, previous)
-    if anywhere is not None and anywhere.unmistakable:
+    if anywhere is not None and (anywhere.unmistakable or _covers(anywhere, mask, view, seen)):
         return _observed(anywhere, time)
     around = cv2.dilate(mask.astype(np.uint8), np.ones((15, 15), np.uint8)) > 0
     if hidden > 1 - _LEAST_SEEN or (blocked is not None and np.any(around & blocked)):
@@ -221,6 +225,20 @@ def _anywhere(
     alike = [candidate for candidate in candidates if candidate.misfit <= least + _AS_GOOD]
     best = min(alike, key=lambda candidate: abs(candidate.fit.pose[2] - previous[2]))
     return _fitted(picture, view, seen, best.fit.pose, _NEAR_REACHES)  # from afar it may not have settled
+
+
+def _covers(candidate: _Candidate, mask: Mask, view: View, seen: SeenObject) -> bool:
+    """Whether the object, most of which is seen, covers at a pose all the pixels that show an object."""
+    outline = seen.outline
+    found = candidate.fit.found > _LEAST_FOUND_ANYWHERE
+    if not (candidate.good and candidate.seen > _LEAST_SEEN_COVERING and found):
+        return False
+    inside = np.zeros(mask.shape, np.uint8)
+    for heights in (np.zeros(len(outline.points)), outline.heights):
+        pixels, _ = view.project(seen.table.lift(placed(candidate.fit.pose, outline.points), heights))
+        cv2.fillPoly(inside, [np.round(pixels).astype(np.int32)], 1)
+    uncovered = mask & (cv2.dilate(inside, _AROUND) == 0)
+    return bool(uncovered.sum() < _MOST_UNCOVERED * mask.sum())
 
 
 def _hidden_share(heights: np.ndarray, view: View, seen: SeenObject, pose: FloatArray) -> float:

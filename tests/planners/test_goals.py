@@ -256,6 +256,18 @@ def test_upper_pin_passes_beside_a_wall_with_clearance(slab: dict) -> None:
     assert 5e-3 - ROUNDING <= nearest < 12e-3
 
 
+def test_pins_do_not_lie_along_an_edge(slab: dict) -> None:
+    """They would slip off where it is rounded."""
+    graspable = Graspable.of(
+        slab["grid"], slab["heights"], slab["centers_of_mass"], slab["probability"], slab["settings"],
+        slab["masses"],
+    )  # fmt: skip
+    grasps = graspable.grasps_at(np.array([0.5, 0.0, 0.0]), ROUND)
+    along = [grasp.tip[1] for grasp in grasps if abs(abs(grasp.approach) - np.pi) < 1e-9]
+    assert len(along) > 10
+    assert np.abs(along).max() < 0.05 - 5e-3 + ROUNDING
+
+
 def test_same_seed_same_goals_and_only_allowed_ones(slab: dict) -> None:
     thing = Graspable.of(**slab)
     first, second = (thing.sample_goals(ROUND, np.random.default_rng(3)) for _ in range(2))

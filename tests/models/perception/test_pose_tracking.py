@@ -113,6 +113,32 @@ def test_a_handle_is_not_taken_for_itself_farther_along(scene, look):
     assert valid >= 30
 
 
+def test_an_object_that_went_far_is_found_where_a_part_is_not_seen(scene, look):
+    """Over the table's rim its end is beyond the picture; or a part lies under the arm."""
+    first = (0.0, 0.0, 0.2)
+    seen = look(HAMMER, first)
+    rng = np.random.default_rng(5)
+    rows, columns = np.indices((480, 640))
+    valid, off = 0, []
+    for number in range(40):
+        arm = np.zeros((480, 640), bool)
+        if number % 2:
+            pose = np.array([rng.uniform(-0.15, 0.15), -0.42, rng.uniform(-1.8, -1.3)])
+        else:
+            pose = np.array([*rng.uniform(-0.2, 0.2, 2), rng.uniform(-np.pi, np.pi)])
+            u, v = scene.view.project(np.array([*pose[:2], 0.03]))[0] + rng.uniform(-60, 60, 2)
+            arm = np.hypot(columns - u, rows - v) < rng.uniform(15, 40)
+        image = scene.noisy(scene.depth(HAMMER, pose), rng)
+        image[arm] = 0.6
+        truth = pose_of_frame(seen, np.array(first), pose)
+        observed = track(image, scene.view, seen, np.array([0.0, 0.3, 2.0]), arm)
+        valid += observed.valid
+        if observed.valid:
+            off.append(np.hypot(*(observed.pose - truth)[:2]))
+    assert np.max(off) < 2e-3
+    assert valid > 20
+
+
 def test_nothing_is_compiled_once_the_kernels_are_loaded(scene, look):
     load_kernels()
     seen = look(BLOCK, (0.0, 0.0, 0.0))
