@@ -19,7 +19,7 @@ GRAVITY = 9.81  # m/s²
 _DIRECTIONS = 48
 _APART = 5e-3  # m, of neighbouring lines
 _STEP = 2.5e-3  # m, of the pins' ends along a line
-# m from the pins' axes to the outline beside them: edges are rounded, and a pin slips off that is half beside.
+# m from the pins' axes to the outline beside them: a pin slips off a rounded edge.
 _BESIDE = 5e-3
 _ENOUGH = 0.02  # m, of room; more is not better
 _AT_ONCE = 32  # poses

@@ -92,9 +92,9 @@ def track(
 
     The outline is fitted to the picture's edges from the previous pose. Unless it, and the heights within,
     clearly agree with the picture there, it is fitted from places around, too, and the best is taken. If no
-    pose agrees, the object is looked for on the whole table, in all directions,
-    and must be seen nearly whole, or for the most part with nothing seen beside it; of poses that fit equally well, as those of a symmetric object do, the one
-    turned least from the previous is taken.
+    pose agrees, the object is looked for on the whole table, in all directions, and must be seen nearly
+    whole, or for the most part with nothing seen beside it; of poses that fit equally well, as those of a
+    symmetric object do, the one turned least from the previous is taken.
 
     Args:
         depth: (H, W) m; 0 or NaN where there is no reading, inf beyond the range.
