@@ -148,7 +148,7 @@ class PushExecutor(PythonSystem):
 
         motion = {self.time_ticket(), self.abstract_state_ticket(self._execution)}
         measured, torque = self._measured.ticket(), self._torque.ticket()
-        # Where the arm is counts in the first moment alone; to depend on it would double each step's work.
+        # Before the first plan it is where the arm is; to depend on that would double each step's work.
         self.DeclareVectorOutputPort("iiwa.position", 7, self._calc_position, motion)
         self.DeclareVectorOutputPort("gripper.position", 1, self._calc_opening, motion)
         self.DeclareVectorOutputPort("gripper.force_limit", 1, self._calc_force, motion)

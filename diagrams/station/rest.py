@@ -1,4 +1,4 @@
-"""An object that lies still with nothing near it is held where it is, which saves simulation time.
+"""An object that lies still is held where it is until the arm is about to touch it, which saves time.
 
 Half of what a step of the plant takes goes into the contacts of the object's feet with the table, also while
 the arm is far away. A lock on the object's body takes them out of the step, and a collision filter spares
@@ -29,14 +29,15 @@ QUIET = 0.2
 """s for which an object lies still before it is held; one that begins to tip is faster by then."""
 
 ROOM = 0.005
-"""m within which the arm wakes the object, and a little farther off if it comes nearer: where it would be
+"""m within which a part of the arm wakes the object, and farther off if it comes nearer: where it would be
 within `ROOM` two looks later. One that speeds up by less than 12 m/s² cannot touch it before."""
 
+_PLACE = 12  # numbers that tell where the object is: its origin, and its axes as long as it reaches, m
 _SAME = 1e-9  # m; a held object that was moved by more has been put somewhere by hand
 
 
 class RestWatch(PythonSystem):
-    """Tells whether the object lies still with nothing of the arm near it.
+    """Tells whether the object lies still and no part of the arm is about to touch it.
 
     .. pydrake_system::
 
@@ -73,34 +74,39 @@ class RestWatch(PythonSystem):
         self._corners = np.array([points for _, points in parts])
         self.DeclareAbstractInputPort("body_poses", Value[List[RigidTransform]]())
         self.DeclareAbstractInputPort("body_spatial_velocities", Value[List[SpatialVelocity]]())
-        # How long it has been still, s; how far off the arm was at the last look, m, and where it was itself.
-        state = self.DeclareDiscreteState(5)
+        # How long it has been still, s; where it was at the last look, m; how far off each part of
+        # the arm was from each of its own, m. One number for all would hide one that comes behind another.
+        state = self.DeclareDiscreteState(1 + _PLACE + len(self._corners) * len(self._low))
         self.DeclarePeriodicDiscreteUpdateEvent(PERIOD, 0.0, self._look)
         self.DeclareVectorOutputPort("at_rest", 1, self._calc, {self.discrete_state_ticket(state)})
 
     def _look(self, context: Context, values: DiscreteValues) -> None:
         V_WO = self.GetInputPort("body_spatial_velocities").Eval(context)[self._object]
         fastest = np.linalg.norm(V_WO.translational()) + self._reach * np.linalg.norm(V_WO.rotational())
+        result = values.get_mutable_vector()
         if fastest >= STICTION:
-            values.get_mutable_vector().SetFromVector(np.zeros(5))
+            result.SetFromVector(np.zeros(result.size()))
             return
         X_WB = self.GetInputPort("body_poses").Eval(context)
-        still_for, gap_before, *before = context.get_discrete_state_vector().CopyToVector()
-        place = X_WB[self._object].translation()
-        moved = still_for > 0 and np.abs(place - before).max() > fastest * PERIOD + _SAME
-        gap = self._gap(X_WB)
-        near = gap - 2 * max(gap_before - gap, 0.0) < ROOM
+        still_for, *rest = context.get_discrete_state_vector().CopyToVector()
+        place_before, gap_before = np.split(rest, [_PLACE])
+        X_WO = X_WB[self._object]
+        axes = self._reach * X_WO.rotation().matrix()
+        place = np.column_stack([X_WO.translation(), axes]).ravel()
+        moved = still_for > 0 and np.abs(place - place_before).max() > fastest * PERIOD + _SAME
+        gap = self._gaps(X_WB)
+        near = (gap - 2 * np.maximum(gap_before - gap, 0.0)).min() < ROOM
         still = not moved and not near
-        values.get_mutable_vector().SetFromVector([still_for + PERIOD if still else 0.0, gap, *place])
+        result.SetFromVector([still_for + PERIOD if still else 0.0, *place, *gap])
 
-    def _gap(self, X_WB: list[RigidTransform]) -> float:
-        """m between arm and object."""
+    def _gaps(self, X_WB: list[RigidTransform]) -> FloatArray:
+        """m between each part of the arm and each of the object."""
         X_OW = X_WB[self._object].inverse()
         pose = {link: (X_OW @ X_WB[link]).GetAsMatrix34() for link in set(self._bodies)}
         X_OL = np.array([pose[link] for link in self._bodies])
         points = np.einsum("pij,pkj->pki", X_OL[:, :, :3], self._corners) + X_OL[:, None, :, 3]
         low, high = points.min(axis=1)[:, None], points.max(axis=1)[:, None]
-        return float(np.maximum(low - self._high, self._low - high).max(axis=-1).min())
+        return np.maximum(low - self._high, self._low - high).max(axis=-1).ravel()
 
     def _calc(self, context: Context, output: BasicVector) -> None:
         still_for = context.get_discrete_state_vector().GetAtIndex(0)

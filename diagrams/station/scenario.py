@@ -171,7 +171,8 @@ class SimulationSettings:
 
     Attributes:
         time_step: of the plant, s; best a divisor of 10 ms, at which the finger is recorded: with 3 ms its
-            record jitters by what it moves in a step, and a tap seems 20 % faster or slower.
+            record jitters by what it moves in a step, and a tap seems 20 % faster or slower. A path that is
+            commanded in rows wants rows as long as steps, or a multiple: else the finger jerks.
     """
 
     time_step: float = 0.0025
