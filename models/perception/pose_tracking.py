@@ -30,6 +30,8 @@ _BESIDE_REACHES = (20.0, 14.0, 9.0, 6.0, 4.0, 3.0, 3.0)
 _DIRECTIONS = 72  # tried where it is looked for on the whole table
 _REFINED = 6  # of these
 _APART = np.deg2rad(12.0)
+# Where so little is seen of the object that its middle is elsewhere, it is looked for along what is seen.
+_WHOLE, _SHIFTS = 0.85, np.arange(-80, 81, 20) * 1e-3  # m
 # Mean misfit up to which a pose is accepted: 0 is perfect, 1 fits nowhere. True poses have 0.03 to 0.08; a
 # handle taken for itself 40 mm farther along, its head under the arm, has 0.08 to 0.1, one 10 mm off 0.06.
 _GOOD = 0.08
@@ -45,7 +47,7 @@ _LEAST_FOUND_ANYWHERE = 0.75
 _LEAST_SEEN_ANYWHERE = 0.9
 # Unless all that is seen of an object on the table lies within it at that pose: a part that is taken for
 # another one farther along leaves its own end uncovered.
-_LEAST_SEEN_COVERING, _MOST_UNCOVERED = 0.7, 0.03
+_LEAST_SEEN_COVERING, _LEAST_FOUND_COVERING, _MOST_UNCOVERED = 0.6, 0.6, 0.03
 _AROUND = np.ones((7, 7), np.uint8)  # pixels; edges are blurred
 _LEAST_AREA_ANYWHERE = 0.5  # of the footprint; of an object with fewer pixels, too little is seen for that
 _SURE = np.array([2e-3, 2e-3, np.deg2rad(2.0)])  # standard deviations beyond which a pose is not known
@@ -204,10 +206,15 @@ def _anywhere(
     """The best pose on the table, or None if the object's pixels suggest none."""
     rows, columns = np.nonzero(mask & np.isfinite(heights))
     pixels = np.column_stack([columns, rows]).astype(float)
-    middle = seen.table.meet(pixels, heights[rows, columns].astype(float), view).mean(axis=0)
+    shown = seen.table.meet(pixels, heights[rows, columns].astype(float), view)
+    middle = shown.mean(axis=0)
     angles = previous[2] + np.pi * (2 * np.arange(_DIRECTIONS) / _DIRECTIONS - 1)
-    starts = [np.array([*middle, angle]) for angle in angles]
-    off, _ = misfits(picture, view, seen, np.array(starts), every=3).T
+    if mask.sum() * pixel_size(view) ** 2 < _WHOLE * seen.grid.polygon.area:
+        middles = middle + _SHIFTS[:, None] * _longest_axis(shown)
+    else:
+        middles = middle[None]
+    starts = np.array([[*place, angle] for place in middles for angle in angles])
+    off, _ = misfits(picture, view, seen, starts, every=3).T
     chosen: list[FloatArray] = []
     for k in np.argsort(off, kind="stable"):
         if all(abs(angle_between(starts[k][2], other[2])) > _APART for other in chosen):
@@ -227,10 +234,16 @@ def _anywhere(
     return _fitted(picture, view, seen, best.fit.pose, _NEAR_REACHES)  # from afar it may not have settled
 
 
+def _longest_axis(points: FloatArray) -> FloatArray:
+    """(2,) unit vector along which points (k, 2) spread most."""
+    _, axes = np.linalg.eigh(np.cov(points.T))
+    return np.asarray(axes[:, -1])
+
+
 def _covers(candidate: _Candidate, mask: Mask, view: View, seen: SeenObject) -> bool:
     """Whether the object, most of which is seen, covers at a pose all the pixels that show an object."""
     outline = seen.outline
-    found = candidate.fit.found > _LEAST_FOUND_ANYWHERE
+    found = candidate.fit.found > _LEAST_FOUND_COVERING
     if not (candidate.good and candidate.seen > _LEAST_SEEN_COVERING and found):
         return False
     inside = np.zeros(mask.shape, np.uint8)
