@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 from collections.abc import Callable, Sequence
 from concurrent.futures import Executor, ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
@@ -110,6 +111,20 @@ class _Eye:
         if doubtful:
             observed = ObservedPose.unseen("torn picture", time)
         return replace(memory, observed=observed, last_pose=last, doubtful=doubtful)
+
+    def looked_in_thread(self, memory: _Memory, glance: _Glance) -> _Memory:
+        """As `looked`, without Python's garbage collector.
+
+        It would free in this thread whatever is found, such as the diagram of a run before, whose renderer
+        must not be freed in another thread than the one that made it.
+        """
+        enabled = gc.isenabled()
+        gc.disable()
+        try:
+            return self.looked(memory, glance)
+        finally:
+            if enabled:
+                gc.enable()
 
     def _first_look(
         self, memory: _Memory, image: DepthImage, view: View, blocked: Mask | None, time: float
@@ -249,7 +264,8 @@ class CellPerception(PythonSystem):
         few = memory.seen is None and len(memory.frames) + 1 < FRAMES
         kept = memory.frames if few else ()
         sent = replace(memory, frames=()) if few else memory
-        job = self._worker.submit(self._eye.looked, sent, self._glance(context))
+        look = self._eye.looked_in_thread if self._waits else self._eye.looked
+        job = self._worker.submit(look, sent, self._glance(context))
         replace_held(state, self._job, (job, kept))
 
     def _known(self, context: Any, state: Any) -> None:
