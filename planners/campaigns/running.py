@@ -119,14 +119,20 @@ def _on_dask(specs: Sequence[TrialSpec], scheduler: str | None) -> Iterator[Tria
     except (OSError, TimeoutError, ValueError) as error:
         raise CampaignError(f"no Dask scheduler answers at {scheduler} ({error})") from error
     with client:
+        killed: list[TrialSpec] = []
         futures = {
-            # The key keeps two campaigns apart that run on one cluster.
+            # Not pure, so that two campaigns that run on one cluster keep apart.
             client.submit(TrialSpec.run, spec, pure=False): spec
             for spec in specs
         }
         for future in as_completed(futures):
-            spec = futures[future]
             try:
                 yield future.result()
+            except KilledWorker:
+                killed.append(futures[future])
+        # Dask suspects all that waited on a worker that died; alone, a trial answers for itself.
+        for spec in killed:
+            try:
+                yield client.submit(TrialSpec.run, spec, pure=False).result()
             except KilledWorker:
                 yield TrialOutcome(spec, None, CRASHED)

@@ -31,5 +31,11 @@ def die(*, seed: int, scale: float) -> dict[str, Any]:
     return draw(seed=seed, scale=scale)
 
 
+def die_beside_another(*, seed: int, scale: float) -> dict[str, Any]:
+    """Seed 2 dies while the other ones are under way."""
+    time.sleep(0.1 if seed == 2 else 1.0)
+    return die(seed=seed, scale=scale)
+
+
 def not_plain(*, seed: int, scale: float) -> object:
     return float("nan")
