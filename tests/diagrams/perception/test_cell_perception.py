@@ -1,3 +1,6 @@
+import gc
+import threading
+
 import numpy as np
 import pytest
 from pydrake.geometry import Box, Capsule, Cylinder, Ellipsoid
@@ -10,6 +13,7 @@ from diagrams.perception.arm_hulls import ArmHulls
 from diagrams.perception.camera import add_camera
 from diagrams.perception.cell_perception import FRAMES, CellPerception
 from models.perception.arm_mask import draw_hulls
+from models.perception.pose_tracking import track
 
 PERIOD = 1 / 15
 
@@ -62,6 +66,22 @@ def test_the_same_run_twice_is_the_same_to_the_bit(world):
         poses.append(world.output(context, "object_pose").pose)
     assert np.all(np.isfinite(poses[0]))
     assert np.array_equal(*poses)
+
+
+def test_no_garbage_is_collected_in_the_thread_that_looks(world, monkeypatch):
+    """What it would free there may be a renderer, which only the thread that made it may free."""
+    seen = []
+
+    def spied(*args):
+        seen.append((threading.current_thread() is threading.main_thread(), gc.isenabled()))
+        return track(*args)
+
+    monkeypatch.setattr("diagrams.perception.cell_perception.track", spied)
+    context = world.context()
+    world.place(context, "hammer", (0.05, -0.02, 0.6))
+    world.simulator(context).AdvanceTo((FRAMES + 2.75) * PERIOD)
+    assert seen == [(False, False)] * 4
+    assert gc.isenabled()
 
 
 def test_hulls_cover_what_the_camera_sees_of_an_arm(world):
