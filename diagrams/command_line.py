@@ -43,6 +43,7 @@ from diagrams.commands.view import view
 
 SUCCESS, INTERNAL_FAILURE, WRONG_USE, STOPPED = 0, 1, 2, 130
 TRACEBACK = "SLIPMAP_TRACEBACK"
+_STOPPED = "stopped; nothing half-written is left behind"
 
 
 class _Commands(click.Group):
@@ -139,7 +140,7 @@ def run(arguments: Sequence[str]) -> int:
         sys.stdout.flush()
         return result if isinstance(result, int) else SUCCESS
     except (click.Abort, KeyboardInterrupt):
-        return _told("stopped; nothing half-written is left behind", STOPPED)
+        return _told(_STOPPED, STOPPED)
     except click.UsageError as error:
         path = error.ctx.command_path if error.ctx else "slipmap"
         said = _sentence(error.format_message()) + _nearest_choice(error, arguments)
@@ -159,7 +160,16 @@ def run(arguments: Sequence[str]) -> int:
     except Exception as error:
         if isinstance(error, RuntimeError) and str(error).startswith("Symlink loop"):  # Path.resolve()
             return _leads_nowhere(error)
+        if _comes_of_ctrl_c(error):
+            return _told(_STOPPED, STOPPED)
         return _told(_one_paragraph(str(error)), WRONG_USE) if _is_bad_input(error) else _internal(error)
+
+
+def _comes_of_ctrl_c(error: BaseException | None) -> bool:
+    """Whether an error was caused by Ctrl-C, as an ImportError is where a C++ module is stopped loading."""
+    while error is not None and not isinstance(error, KeyboardInterrupt):
+        error = error.__cause__ or error.__context__
+    return error is not None
 
 
 def _nearest_choice(error: click.UsageError, arguments: Sequence[str]) -> str:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from concurrent.futures import Executor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TypeVar
 
 import numpy as np
@@ -216,7 +216,10 @@ def add_exploration(
 ) -> ExplorationBlocks:
     """Add everything that explores, not yet connected; arguments and errors as of `exploration_loop`."""
     try:
-        station = builder.AddSystem(Station(scenario, meshcat) if cell is None else cell)
+        # Two runs of one scenario see other noise; the run of seed 0 sees the scenario's own.
+        noise = replace(scenario.depth_noise, seed=scenario.depth_noise.seed + options.seed)
+        simulated = replace(scenario, depth_noise=noise)
+        station = builder.AddSystem(Station(simulated, meshcat) if cell is None else cell)
     except ValueError as error:
         raise ScenarioError(str(error)) from error
     model = arm_model(models=scenario.arm.models)

@@ -33,7 +33,7 @@ class DepthNoiseConfig:
         missing_at_edges: share of the pixels beside a jump of depth that have no reading.
         missing_anywhere: share of all other pixels that have no reading.
         quantum: depth is a multiple of this, m; 0 for none.
-        seed: of all random draws.
+        seed: of all random draws; the seed of a run is added to it.
 
     Raises:
         ValueError: a negative value, or a share above 1.

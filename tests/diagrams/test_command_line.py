@@ -182,6 +182,17 @@ def fail_with(monkeypatch, error):
     monkeypatch.setattr("models.inference.identification.identify", failing)
 
 
+def test_an_import_that_ctrl_c_broke_off_is_no_internal_failure(
+    slipmap, tilted_folder, tmp_path, monkeypatch
+):
+    error = ImportError("initialization failed")
+    error.__cause__ = KeyboardInterrupt()
+    fail_with(monkeypatch, error)
+    said = slipmap("identify", tilted_folder, "-o", tmp_path / "b.npz")
+    assert said.code == 130
+    assert "stopped" in said.err and "internal" not in said.err
+
+
 def test_an_internal_failure_is_told_as_such(slipmap, tilted_folder, tmp_path, monkeypatch):
     fail_with(monkeypatch, ArithmeticError("a step did not\nconverge"))
     arguments = ["identify", tilted_folder, "-o", tmp_path / "b.npz"]

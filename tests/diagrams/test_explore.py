@@ -19,7 +19,7 @@ from pydrake.geometry import Meshcat
 from schemas import assert_as_described
 
 from diagrams.command_line import run
-from diagrams.exploration_loop import LoopOptions, hypothesis_step
+from diagrams.exploration_loop import LoopOptions, exploration_loop, hypothesis_step
 from diagrams.exploration_record import ExplorationRecord, resumed
 from diagrams.exploration_run import explore
 from diagrams.station.scenario import Scenario
@@ -280,3 +280,18 @@ def test_a_scenario_that_cannot_be_used_is_refused_by_the_fields_name(slipmap, t
 
 def test_a_scenario_that_is_not_there_is_named(slipmap, tmp_path):
     assert "nowhere.yaml" in refused(slipmap, tmp_path, "--scenario", tmp_path / "nowhere.yaml")
+
+
+def test_runs_of_other_seeds_see_other_noise():
+    def pictures(scenario_seed: int, run_seed: int) -> np.ndarray:
+        scenario = Scenario()
+        scenario.depth_noise = replace(scenario.depth_noise, seed=scenario_seed)
+        station = exploration_loop(scenario, LoopOptions(seed=run_seed)).GetSubsystemByName("station")
+        context = station.CreateDefaultContext()
+        return station.GetOutputPort("camera.depth_image").Eval(context).data.copy()
+
+    first, again, other, in_scenario = pictures(0, 3), pictures(0, 3), pictures(0, 4), pictures(3, 0)
+    assert np.array_equal(first, again)
+    assert np.array_equal(first, in_scenario)
+    on_the_table = np.isfinite(first) & np.isfinite(other) & (first > 0) & (other > 0)
+    assert np.std((first - other)[on_the_table]) > 1e-3

@@ -88,7 +88,7 @@ def test_a_real_ctrl_c_leaves_nothing_of_the_run(tmp_path):
         else:
             pytest.fail("it ended without a word of exploring")
         said = process.stderr.read()
-        assert process.wait(timeout=60) == 130
+        assert process.wait(timeout=60) == 130, said
     assert "Traceback" not in said and "goes on where it was" in said
     assert not (tmp_path / "study").exists()
 
