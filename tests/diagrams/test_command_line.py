@@ -182,7 +182,7 @@ def fail_with(monkeypatch, error):
     monkeypatch.setattr("models.inference.identification.identify", failing)
 
 
-def test_an_import_that_ctrl_c_broke_off_is_no_internal_failure(
+def test_an_import_broken_off_by_ctrl_c_is_no_failure(
     slipmap, tilted_folder, tmp_path, monkeypatch
 ):
     error = ImportError("initialization failed")
