@@ -182,9 +182,7 @@ def fail_with(monkeypatch, error):
     monkeypatch.setattr("models.inference.identification.identify", failing)
 
 
-def test_an_import_broken_off_by_ctrl_c_is_no_failure(
-    slipmap, tilted_folder, tmp_path, monkeypatch
-):
+def test_an_import_broken_off_by_ctrl_c_is_no_failure(slipmap, tilted_folder, tmp_path, monkeypatch):
     error = ImportError("initialization failed")
     error.__cause__ = KeyboardInterrupt()
     fail_with(monkeypatch, error)
