@@ -22,6 +22,7 @@ from diagrams.command_line import run
 from diagrams.exploration_loop import LoopOptions, exploration_loop, hypothesis_step
 from diagrams.exploration_record import ExplorationRecord, resumed
 from diagrams.exploration_run import explore
+from diagrams.hardware.testing.cell import small_scenario
 from diagrams.station.scenario import Scenario
 from models.inference.belief import Belief
 from models.measurements import PushDataset, read_dataset, write_dataset
@@ -284,14 +285,13 @@ def test_a_scenario_that_is_not_there_is_named(slipmap, tmp_path):
 
 def test_runs_of_other_seeds_see_other_noise():
     def pictures(scenario_seed: int, run_seed: int) -> np.ndarray:
-        scenario = Scenario()
+        scenario = small_scenario("noise")
         scenario.depth_noise = replace(scenario.depth_noise, seed=scenario_seed)
         station = exploration_loop(scenario, LoopOptions(seed=run_seed)).GetSubsystemByName("station")
         context = station.CreateDefaultContext()
         return station.GetOutputPort("camera.depth_image").Eval(context).data.copy()
 
-    first, again, other, in_scenario = pictures(0, 3), pictures(0, 3), pictures(0, 4), pictures(3, 0)
-    assert np.array_equal(first, again)
+    first, in_scenario, other = pictures(0, 3), pictures(3, 0), pictures(0, 4)
     assert np.array_equal(first, in_scenario)
     on_the_table = np.isfinite(first) & np.isfinite(other) & (first > 0) & (other > 0)
     assert np.std((first - other)[on_the_table]) > 1e-3
