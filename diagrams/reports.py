@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -10,6 +10,7 @@ from diagrams.comparison_words import QUANTITIES, millimetres, p_text, size_text
 from diagrams.console import paragraph, table
 from diagrams.wording import ROLES, short_name
 from models.inference.comparison import Comparison
+from models.inference.friction_laws import PLAIN
 from models.inference.noise_floor import noise_floor
 from models.inference.push_errors import Errors
 from models.inference.results import PushPrediction, Quantity
@@ -30,6 +31,15 @@ MEASURES = ("final_add", "uniform_add", "no_motion_add")
 SHOWN_UNITS = {"m": ("mm", 1e3), "-": ("", 1.0)}
 
 
+LAW_WORDS = {
+    PLAIN: "plain (each cell carries its own weight)",
+    "load_transfer": "load_transfer (pushing loads the front)",
+    "impulse_friction": "impulse_friction (friction leans as in a simulator's impulses)",
+    "load_transfer + impulse_friction": "load_transfer and impulse_friction together",
+}
+"""Laws of `models.inference.friction_laws`, for a person."""
+
+
 def show_errors(pushes: Sequence[PushPrediction], dataset: PushDataset) -> None:
     """How far off predicted ends are: by role, against two baselines, push by push, and what that means."""
     rows = []
@@ -48,6 +58,17 @@ def show_errors(pushes: Sequence[PushPrediction], dataset: PushDataset) -> None:
     _show_pushes(pushes)
     for doubt in doubts(pushes, dataset):
         paragraph(doubt)
+
+
+def show_friction_laws(shares: Mapping[str, float]) -> None:
+    """Which laws of friction the hypotheses follow, where it is not the plain one alone."""
+    if not set(shares) - {PLAIN}:
+        return
+    words = [f"{100 * share:.0f} % {LAW_WORDS.get(name, name)}" for name, share in shares.items()]
+    paragraph(
+        f"Laws of friction, by what these pushes speak for: {'; '.join(words)}. `slipmap effects NAME`"
+        " explains an effect."
+    )
 
 
 def doubts(pushes: Sequence[PushPrediction], dataset: PushDataset) -> list[str]:

@@ -65,7 +65,12 @@ def identify(
         from models.inference import identification
 
         result = identification.identify(
-            measured, method=method, hypotheses=hypotheses, seed=seed, progress=progress
+            measured,
+            method=method,
+            hypotheses=hypotheses,
+            seed=seed,
+            progress=progress,
+            friction_laws=True,
         )
         drawn = keep(result, measured, output, pictures, progress)
     if json_file is not None:
@@ -97,7 +102,7 @@ def keep(
 
 def show(result: Identification, dataset: PushDataset) -> None:
     """Print what was found."""
-    from diagrams.reports import show_errors, show_quantities
+    from diagrams.reports import show_errors, show_friction_laws, show_quantities
 
     click.echo(
         f"{dataset.name}: {len(dataset.grid)} cells, {len(dataset.fit_trials)} pushes to learn from,"
@@ -105,6 +110,7 @@ def show(result: Identification, dataset: PushDataset) -> None:
         f"{len(result.belief)} hypotheses in {result.seconds:.0f} s\n"
     )
     show_errors(result.pushes, dataset)
+    show_friction_laws(result.friction_laws)
     show_quantities(result.quantities)
 
 

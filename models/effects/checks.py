@@ -10,6 +10,7 @@ from models.effects.effect import Effect, EffectError
 from models.effects.singular import singular_point
 from models.effects.slots import Slots
 from models.effects.symbols import FORCE_NAMES
+from models.physics.effect_layout import BODY_OUTPUTS
 
 POINTS = 20
 VANISHES = 1e-12
@@ -39,7 +40,7 @@ def check_effect(effect: Effect, where: str) -> None:
 
 def _check_that_it_acts(effect: Effect, slots: Slots) -> None:
     """Refuse formulas, as those without a `return`, that are the same whatever the parameters are."""
-    outputs = [*slots.body, slots.factor, slots.drag, slots.delay, *slots.measured, *slots.renewed]
+    outputs = [*slots.body, *slots.cell, slots.delay, *slots.measured, *slots.renewed]
     within = {str(symbol) for output in outputs for symbol in sp.sympify(output).free_symbols}
     names = [p.name for p in effect.parameters if p.null is not None]
     if not within & {f"p_{effect.name}_{name}" for name in names}:
@@ -55,12 +56,12 @@ def _check_that_it_acts(effect: Effect, slots: Slots) -> None:
 def _check_values(effect: Effect, slots: Slots) -> None:
     """Evaluate the formulas at random states, with the effect at its null and at random parameters."""
     rng = np.random.default_rng(0)
-    outputs = [*slots.body, slots.factor, slots.drag, slots.delay, *slots.measured]
+    outputs = [*slots.body, *slots.cell, slots.delay, *slots.measured]
     outputs = [sp.sympify(entry) for entry in outputs]
-    plain = [0, 0, 0, 1, 0, 1, 1, 0, *[None] * (4 * slots.blades), 1, 0, 0, None, None, None]
+    plain = [0, 0, 0, 1, 0, *[None] * (4 * slots.blades), 1, 0, 1, 0, 1, 0, None, None, None]
     # A blade is nothing where its force is nothing, wherever it stands.
     for blade in range(slots.blades):
-        plain[8 + 4 * blade] = 0
+        plain[BODY_OUTPUTS + 4 * blade] = 0
     symbols = sorted({s for entry in outputs for s in entry.free_symbols}, key=str)
     evaluate = sp.lambdify(symbols, outputs, modules="math")
     parameters = {f"p_{effect.name}_{p.name}": p for p in effect.parameters}

@@ -99,8 +99,8 @@ class Effect:
         """Force on a cell per speed, against its motion, N s/m; 0 without the effect."""
         return None
 
-    def stretch(self, body: Any, p: Any) -> Any:
-        """(xx, xy, yy) of Q in the friction norm sqrt(uᵀ Q u) in the object frame; (1, 0, 1) without."""
+    def stretch(self, cell: Any, p: Any) -> Any:
+        """(xx, xy, yy) of a cell's Q in the friction norm sqrt(uᵀ Q u), object frame; (1, 0, 1) without."""
         return None
 
     def force(self, body: Any, p: Any) -> Any:

@@ -98,7 +98,7 @@ def module_source(effects: Sequence[Effect]) -> str:
     ]
     text = _HEADER + _function("body", "y, c, out, dout", [*_arguments(slots), *_straight(printer, targets)])
 
-    cells = slots.factor != 1 or slots.drag != 0
+    cells = slots.factor != 1 or slots.drag != 0 or slots.stretches
     if cells:
         text += _cell_functions(slots, printer)
     if slots.renewed:
@@ -115,22 +115,32 @@ def _cell_functions(slots: Slots, printer: Any) -> str:
     loop = {real("r_x"), real("r_y")}
     start = ["    for i in range(int(n)):", "        r_x = rx[i]", "        r_y = ry[i]"]
     targets = [("factor[i] =", slots.factor), ("drag[i] =", slots.drag)]
+    if slots.stretches:
+        targets += [(f"{name}[i] =", e) for name, e in zip(("qxx", "qxy", "qyy"), slots.stretch, strict=True)]
     before, within = _assignments(printer, targets, loop)
-    text = _function("cells", "y, c, rx, ry, factor, drag", [*_arguments(slots), *before, *start, *within])
+    text = _function(
+        "cells", "y, c, rx, ry, factor, drag, qxx, qxy, qyy", [*_arguments(slots), *before, *start, *within]
+    )
 
+    # What a cell has that changes: the array of the gradient's derivatives by it, its place there.
+    changed = [("gl", 0, slots.factor), ("gd", 0, slots.drag)]
+    changed += [("gq", q, e) for q, e in enumerate(slots.stretch) if slots.stretches]
+    slopes = [[sp.Symbol(f"{name}{place}{a}") for a in range(3)] for name, place, _ in changed]
     targets = []
     for j, symbol in enumerate(slots.y):
-        by_factor, by_drag = _derivative(slots.factor, symbol), _derivative(slots.drag, symbol)
+        by_y = [_derivative(expression, symbol) for _, _, expression in changed]
         for a in range(3):
-            value = sp.Symbol(f"gl{a}") * by_factor + sp.Symbol(f"gd{a}") * by_drag
+            value = sum(slope[a] * by for slope, by in zip(slopes, by_y, strict=True))
             if value != 0:
                 targets.append((f"G[{a * Y + j}] +=", value))
-    before, within = _assignments(
-        printer, targets, loop | {sp.Symbol(f"g{k}{a}") for k in "ld" for a in range(3)}
-    )
-    rows = [f"        g{k}{a} = g{k}[{a} * int(n) + i]" for k in "ld" for a in range(3)]
+    before, within = _assignments(printer, targets, loop | {g for slope in slopes for g in slope})
+    rows = [
+        f"        {name}{place}{a} = {name}[{3 * place + a} * int(n) + i]"
+        for name, place, _ in changed
+        for a in range(3)
+    ]
     text += _function(
-        "cell_slopes", "y, c, rx, ry, gl, gd, G", [*_arguments(slots), *before, *start, *rows, *within]
+        "cell_slopes", "y, c, rx, ry, gl, gd, gq, G", [*_arguments(slots), *before, *start, *rows, *within]
     )
     return text
 

@@ -32,6 +32,7 @@ class Slots:
         body: the first entries of `effect_layout.BODY_OUTPUTS`, then four for each blade.
         factor: of a cell's friction.
         drag: of a cell.
+        stretch: q_xx, q_xy, q_yy of a cell.
         renewed: the effects' own memory after the step.
         measured: x, y, theta as reported, or None.
         delay: s, or None.
@@ -61,7 +62,7 @@ class Slots:
             self.factor = self.factor * (factor[0] if factor else one)
             drag = self._ask(e, "drag", 1, cell, p)
             self.drag = self.drag + (drag[0] if drag else zero)
-            shape = self._ask(e, "stretch", 3, body, p)
+            shape = self._ask(e, "stretch", 3, cell, p)
             if shape:
                 stretch = [
                     total + value - base for total, value, base in zip(stretch, shape, (1, 0, 1), strict=True)
@@ -93,12 +94,11 @@ class Slots:
             late = self._ask(e, "delay", 1, p)
             self.delay = self.delay + (late[0] if late else zero)
         self.blades = len(blades) // 4
-        self.body = [*wrench, *stretch, inertia, compliance, *blades]
+        self.body = [*wrench, inertia, compliance, *blades]
+        self.stretch = [sp.sympify(entry) for entry in stretch]
         self.measures = self.measured != pose
-        self.stretches = stretch != [one, zero, one]
-        asked = {
-            s for e in [*self.body, self.factor, self.drag, *self.renewed] for s in sp.sympify(e).free_symbols
-        }
+        self.stretches = self.stretch != [one, zero, one]
+        asked = {s for e in [*self.body, *self.cell, *self.renewed] for s in sp.sympify(e).free_symbols}
         needed = bool(self.renewed) or compliance != zero or bool(asked & set(force))
         self.memory = [*force, *own] if needed else []
         state = [real(name) for name in STATE_NAMES]
@@ -112,6 +112,11 @@ class Slots:
                 f"effects {names}: the formula holds symbols that are neither its parameters nor given to"
                 f" it: {', '.join(sorted(map(str, strangers)))}"
             )
+
+    @property
+    def cell(self) -> list[Any]:
+        """Everything that is changed of a cell: factor, drag, stretch."""
+        return [self.factor, self.drag, *self.stretch]
 
     @staticmethod
     def _ask(effect: Effect, method: str, length: int, *arguments: Any) -> list[Any] | None:

@@ -142,7 +142,7 @@ def _equations(effect: Effect, p: Any) -> Iterator[tuple[str, tuple[str, ...], S
     after = Names(f"effect {effect.name}: after", written_names("after"))
     pose = Names("pose", written_names("pose"))
     arguments: dict[str, tuple[Any, ...]] = {
-        "friction": (cell, p), "drag": (cell, p), "measured": (pose, p), "delay": (p,),
+        "friction": (cell, p), "drag": (cell, p), "stretch": (cell, p), "measured": (pose, p), "delay": (p,),
     }  # fmt: skip
     for method, (names, _) in QUANTITIES.items():
         value = call_formula(effect, method, *arguments.get(method, (body, p)))

@@ -21,11 +21,12 @@ from typing import Any
 import numpy as np
 
 from models.inference.belief import Belief
-from models.inference.gauss_newton import Fits, fit
-from models.inference.likelihood import Likelihood
+from models.inference.gauss_newton import fit
 from models.inference.prior import MapPrior
+from models.inference.trust import Ladder
 from models.measurements import PushDataset
 from models.physics.cell_grid import FloatArray
+from models.physics.rollout import Maps, Slider
 
 STRENGTHS = (0.8, 3.5)
 """Range of the factor on the prior's map variation, drawn log-uniformly for each hypothesis."""
@@ -35,7 +36,7 @@ Progress = Callable[[str, int, int], None]
 
 def refitted_belief(
     dataset: PushDataset,
-    ladder: list[tuple[Likelihood, Fits]],
+    ladder: Ladder,
     hypotheses: int,
     seed: int,
     report: Progress,
@@ -54,9 +55,58 @@ def refitted_belief(
         mean: (d,) centre of the prior, zeros if None.
         settings: what else the belief keeps on record.
     """
+
+    def progress(done: int, total: int) -> None:
+        report("hypotheses", done, total)
+
+    maps, probability = refits(ladder, hypotheses, np.random.default_rng(seed), progress, mean)
+    slider = ladder[0][0].prior.slider
+    return gathered_belief(dataset, slider, maps, probability, ladder, seed, {**settings, **trusted(ladder)})
+
+
+def gathered_belief(
+    dataset: PushDataset,
+    slider: Slider,
+    maps: Maps,
+    probability: FloatArray,
+    ladder: Ladder,
+    seed: int,
+    settings: Mapping[str, Any],
+) -> Belief:
+    """A belief of hypotheses, with the pushes of a ladder as those that taught."""
+    return Belief.learnt(
+        dataset,
+        slider,
+        maps,
+        probability,
+        method="gauss-newton",
+        seed=seed,
+        trials=[observation.trial for observation in ladder[0][0].observations],
+        settings=settings,
+    )
+
+
+def trusted(ladder: Ladder) -> dict[str, Any]:
+    """Settings of the fits, for the record."""
+    closest, _ = ladder[0]
+    return {
+        "strengths": list(STRENGTHS),
+        "model_errors": [likelihood.settings.model_error for likelihood, _ in ladder],
+        "prior": asdict(closest.prior.settings),
+        "likelihood": asdict(closest.settings),
+    }
+
+
+def refits(
+    ladder: Ladder,
+    hypotheses: int,
+    rng: np.random.Generator,
+    report: Callable[[int, int], None],
+    mean: FloatArray | None,
+) -> tuple[Maps, FloatArray]:
+    """Maps of K hypotheses and their probabilities (K,), see `refitted_belief`."""
     closest, _ = ladder[0]
     prior, B = closest.prior, len(closest.observations)
-    rng = np.random.default_rng(seed)
     shape = max(B - 1, 1) / (B + 1)
     weights = rng.gamma(shape, 1.0 / shape, (hypotheses, B))
     center = np.zeros(prior.size) if mean is None else mean
@@ -68,7 +118,7 @@ def refitted_belief(
     probability = np.empty(hypotheses)
     for rung, (likelihood, first) in enumerate(ladder[:hypotheses]):
         who = np.arange(rung, hypotheses, len(ladder))
-        refits = fit(
+        found = fit(
             likelihood,
             _rescaled(prior, first.z[0], strength[who]),
             weights=weights[who],
@@ -79,28 +129,13 @@ def refitted_belief(
             tolerance=3e-3,
             progress=_part(report, rung, len(ladder)),
         )
-        z[who] = refits.z
-        probability[who] = accuracy_weights(refits.push_cost.sum(axis=1)) * len(who) / hypotheses
-    return Belief.learnt(
-        dataset,
-        prior.slider,
-        prior.maps(z, strength),
-        probability,
-        method="gauss-newton",
-        seed=seed,
-        trials=[observation.trial for observation in closest.observations],
-        settings={
-            **settings,
-            "strengths": list(STRENGTHS),
-            "model_errors": [likelihood.settings.model_error for likelihood, _ in ladder],
-            "prior": asdict(prior.settings),
-            "likelihood": asdict(closest.settings),
-        },
-    )
+        z[who] = found.z
+        probability[who] = accuracy_weights(found.push_cost.sum(axis=1)) * len(who) / hypotheses
+    return prior.maps(z, strength), probability
 
 
-def _part(report: Progress, part: int, parts: int) -> Callable[[int, int], None]:
-    return lambda done, total: report("hypotheses", part * total + done, parts * total)
+def _part(report: Callable[[int, int], None], part: int, parts: int) -> Callable[[int, int], None]:
+    return lambda done, total: report(part * total + done, parts * total)
 
 
 def _rescaled(prior: MapPrior, z: FloatArray, strength: FloatArray) -> FloatArray:

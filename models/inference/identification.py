@@ -7,14 +7,14 @@ from collections.abc import Callable
 
 import numpy as np
 
-from models.inference.hypotheses import refitted_belief
+from models.inference.friction_laws import Law, fit_laws
 from models.inference.identifiability import quantities
 from models.inference.likelihood import Likelihood, LikelihoodSettings
+from models.inference.mixed_belief import mixed_belief
 from models.inference.observations import MEASURED_CONTACT, observe_all
 from models.inference.prediction import predict_observations
 from models.inference.prior import MapPrior, PriorSettings
 from models.inference.results import Identification
-from models.inference.trust import fit_with_trust
 from models.measurements import DatasetError, PushDataset
 from models.physics.rollout import Slider
 
@@ -34,6 +34,7 @@ def identify(
     seed: int = 0,
     progress: Progress | None = None,
     prior_settings: PriorSettings | None = None,
+    friction_laws: bool = False,
 ) -> Identification:
     """Learn the maps of mass and friction from a dataset's `fit` pushes; judge them on all pushes.
 
@@ -44,6 +45,9 @@ def identify(
         seed: of every random draw.
         progress: called with (stage, done, total).
         prior_settings: how strongly maps are held together before any push.
+        friction_laws: whether other laws of friction than the plain one take part, each as much as the
+            pushes speak for it (`models.inference.friction_laws`); takes about five times as long. The
+            method `paper` knows the plain one alone.
 
     Raises:
         DatasetError: there is no push to fit.
@@ -59,6 +63,7 @@ def identify(
     report("preparing pushes", 1, 1)
     slider = Slider(dataset.grid, dataset.finger_radius, dataset.gravity, MEASURED_CONTACT)
     prior = MapPrior(slider, prior_settings or PriorSettings(), dataset.mass)
+    laws: list[Law] = []
     fitted = [observation for observation in observations if observation.role == "fit"]
     if method == "paper":
         from models.inference.paper_method import identify_by_algorithm_1
@@ -67,16 +72,22 @@ def identify(
         likelihood, information = Likelihood(prior, fitted, dataset.noise, LikelihoodSettings()), None
     else:
         starts = np.array([prior.start(friction) for friction in FINGER_STARTS])
-        ladder = fit_with_trust(
-            prior, fitted, dataset.noise, starts, lambda done, total: report("fitting", done, total)
+        laws = fit_laws(
+            dataset,
+            fitted,
+            prior.settings,
+            starts,
+            lambda done, total: report("fitting", done, total),
+            plain_only=not friction_laws,
         )
-        likelihood, information = ladder[-1]
-        belief = refitted_belief(
-            dataset, ladder, hypotheses, seed, report, settings={"finger_starts": list(FINGER_STARTS)}
+        likelihood, information = laws[0].ladder[-1]
+        belief = mixed_belief(
+            dataset, laws, hypotheses, seed, report, settings={"finger_starts": list(FINGER_STARTS)}
         )
     predictions = predict_observations(belief, observations, progress)
     facts = quantities(belief, likelihood, information)
-    return Identification(belief, predictions, facts, time.perf_counter() - started)
+    shares = {law.name: law.share for law in laws}
+    return Identification(belief, predictions, facts, time.perf_counter() - started, shares)
 
 
 def check_request(dataset: PushDataset, hypotheses: int) -> None:

@@ -72,10 +72,17 @@ class MapPrior:
         settings: strength.
         mass: total mass if it was weighed, kg.
         weight: of the object as far as known, N, for the scale of effects that are forces.
+        effect_prior: means and standard deviations (P,) of the effects' parameters, where more is known of
+            them than their nulls and scales tell.
     """
 
     def __init__(
-        self, slider: Slider, settings: PriorSettings, mass: float | None, weight: float | None = None
+        self,
+        slider: Slider,
+        settings: PriorSettings,
+        mass: float | None,
+        weight: float | None = None,
+        effect_prior: tuple[FloatArray, FloatArray] | None = None,
     ) -> None:
         self.slider = slider
         self.settings = settings
@@ -84,6 +91,8 @@ class MapPrior:
         effects = slider.effects if isinstance(slider, EffectSlider) else ()
         self.effect_centers = np.concatenate([np.zeros(0), *(effect.nulls for effect in effects)])
         self.effect_scales = scales(effects, weight or self.total_mass * slider.gravity)
+        if effect_prior is not None:
+            self.effect_centers, self.effect_scales = effect_prior
         self.effect_bounds = bounds(effects)
 
     @cached_property

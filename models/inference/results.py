@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -69,12 +70,22 @@ class Quantity:
 
 @dataclass(frozen=True, eq=False)
 class Identification:
-    """Result of `identify`."""
+    """Result of `identify`.
+
+    Attributes:
+        belief: what was learnt.
+        pushes: as measured and as predicted, those that taught and those that judge.
+        quantities: what the pushes show, and what not.
+        seconds: that it took.
+        friction_laws: share of the belief by law of friction, the largest first, see `friction_laws.py`;
+            empty where the law was given.
+    """
 
     belief: Belief
     pushes: tuple[PushPrediction, ...]
     quantities: tuple[Quantity, ...]
     seconds: float
+    friction_laws: Mapping[str, float] = field(default_factory=dict)
 
     def errors(self, role: str, of: str = "final_add") -> FloatArray:
         """Final ADD (m) of all pushes with a role; `of` may also be `no_motion_add` or `uniform_add`."""
@@ -115,6 +126,7 @@ class Identification:
                 }
                 for k in range(len(self.belief))
             ],
+            "friction_laws": dict(self.friction_laws),
             "identifiable": [vars(quantity) for quantity in self.quantities],
             "seconds": self.seconds,
             "seed": self.belief.seed,

@@ -25,6 +25,9 @@ from models.inference.prior import MapPrior
 from models.measurements import Noise
 from models.physics.cell_grid import FloatArray
 
+Ladder = list[tuple[Likelihood, Fits]]
+"""Fits under likelihoods that trust the data ever less."""
+
 MODEL_ERRORS = (0.005, 0.015, 0.04, 0.1)
 """α to choose from, ascending."""
 
@@ -36,7 +39,7 @@ def fit_with_trust(
     starts: FloatArray,
     progress: Callable[[int, int], None],
     mean: FloatArray | None = None,
-) -> list[tuple[Likelihood, Fits]]:
+) -> Ladder:
     """The best fit under every α up to the one of the largest evidence.
 
     α is raised from the smallest as long as that helps, each fit beginning where the last one ended.
@@ -52,7 +55,7 @@ def fit_with_trust(
     Returns:
         For each α, ascending: the likelihood with that α in its settings, and the fit, one hypothesis.
     """
-    found: list[tuple[Likelihood, Fits]] = []
+    found: Ladder = []
     highest, offsets = -np.inf, None
     for alpha in MODEL_ERRORS:
         likelihood = Likelihood(prior, observations, noise, replace(LikelihoodSettings(), model_error=alpha))

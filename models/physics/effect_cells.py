@@ -3,9 +3,9 @@ motion.
 
 A cell of load f_i under a friction factor s_i dissipates f_i s_i φ_i with
 
-    φ_i = sqrt(uᵀ Q u + (ρ omega)² + ε²),
+    φ_i = sqrt(uᵀ Q_i u + (ρ omega)² + ε²),
 
-Q being symmetric, positive and the same for all cells; Q = 1 is Coulomb's law of `friction.py`. Drag adds ½
+Q_i being symmetric and positive; Q = 1 is Coulomb's law of `friction.py`. Drag adds ½
 D_i (|u_i|² + w²/6 omega²), and a blade F sqrt((b·v)² + ε²) with b = (n_x, n_y, r × n), where it resists
 with F along n. All of them are convex in the twist v, so the step stays what it is.
 """
@@ -33,9 +33,10 @@ class EffectCells(NamedTuple):
         ry: the same, y.
         rho2: ρ², m².
         eps2: ε², m²/s².
-        qxx: Q, object frame.
-        qxy: the same.
-        qyy: the same.
+        qxx: (n,) q_xx of each cell's Q, object frame.
+        qxy: (n,) the same, q_xy.
+        qyy: (n,) the same, q_yy.
+        longest: no eigenvalue of a Q is larger; at least 1.
         drag: (4,) Σ D, Σ D r_x, Σ D r_y, Σ D (|r|² + w²/6).
         blades: (k, 4) F, b.
     """
@@ -45,53 +46,52 @@ class EffectCells(NamedTuple):
     ry: NDArray[np.float64]
     rho2: float
     eps2: float
-    qxx: float
-    qxy: float
-    qyy: float
+    qxx: NDArray[np.float64]
+    qxy: NDArray[np.float64]
+    qyy: NDArray[np.float64]
+    longest: float
     drag: NDArray[np.float64]
     blades: NDArray[np.float64]
 
 
 @compiled(fastmath=_FAST)
 def _moments(cells, vx, vy, omega):  # type: ignore[no-untyped-def]
-    """Sums over cells: Σ a g (3), the six of Σ a JᵀQJ by powers of r (a, ax, ay, axx, axy, ayy), Σ b g gᵀ
-    (6), and Σ f/φ², with a = f/φ, b = f/φ³ and g = Jᵀ Q u + (0, 0, ρ² omega)."""
+    """Sums over cells: gradient Σ a g (3), Hessian Σ a (JᵀQJ + ρ²) - Σ b g gᵀ (6: xx, xy, yy, xω, yω, ωω),
+    and Σ f/φ², with a = f/φ, b = f/φ³ and g = Jᵀ Q u + (0, 0, ρ² omega)."""
     load, rx, ry = cells.load, cells.rx, cells.ry
     qxx, qxy, qyy = cells.qxx, cells.qxy, cells.qyy
     spin = cells.rho2 * omega
     constant = spin * omega + cells.eps2
-    gx = gy = gw = 0.0
-    a_sum = ax = ay = axx = axy = ayy = 0.0
-    bxx = bxy = byy = bxw = byw = bww = bend = 0.0
+    gx = gy = gw = a_sum = 0.0
+    hxx = hxy = hyy = hxw = hyw = hww = bend = 0.0
     for i in range(load.shape[0]):
         x = rx[i]
         y = ry[i]
+        xx, xy, yy = qxx[i], qxy[i], qyy[i]
         ux = vx - omega * y
         uy = vy + omega * x
-        px = qxx * ux + qxy * uy
-        py = qxy * ux + qyy * uy
+        px = xx * ux + xy * uy
+        py = xy * ux + yy * uy
         inverse = 1.0 / math.sqrt(ux * px + uy * py + constant)
         a = load[i] * inverse
         flat = a * inverse
         b = flat * inverse
         pw = x * py - y * px + spin
+        # Q times the last column of J.
+        tx = x * xy - y * xx
+        ty = x * yy - y * xy
         bend += flat
+        a_sum += a
         gx += a * px
         gy += a * py
         gw += a * pw
-        a_sum += a
-        ax += a * x
-        ay += a * y
-        axx += a * x * x
-        axy += a * x * y
-        ayy += a * y * y
-        bxx += b * px * px
-        bxy += b * px * py
-        byy += b * py * py
-        bxw += b * px * pw
-        byw += b * py * pw
-        bww += b * pw * pw
-    return gx, gy, gw, a_sum, ax, ay, axx, axy, ayy, bxx, bxy, byy, bxw, byw, bww, bend
+        hxx += a * xx - b * px * px
+        hxy += a * xy - b * px * py
+        hyy += a * yy - b * py * py
+        hxw += a * tx - b * px * pw
+        hyw += a * ty - b * py * pw
+        hww += a * (x * ty - y * tx) - b * pw * pw
+    return gx, gy, gw, hxx, hxy, hyy, hxw, hyw, hww + cells.rho2 * a_sum, bend
 
 
 @compiled()
@@ -99,21 +99,18 @@ def _effect_model(cells, inertia, star, h, v):  # type: ignore[no-untyped-def]
     """`smooth_model` of `EffectCells`."""
     m, sx, sy, J = inertia
     vx, vy, omega = v
-    gx, gy, gw, a, ax, ay, axx, axy, ayy, bxx, bxy, byy, bxw, byw, bww, bend = _moments(cells, vx, vy, omega)
-    qxx, qxy, qyy = cells.qxx, cells.qxy, cells.qyy
+    gx, gy, gw, hxx, hxy, hyy, hxw, hyw, hww, bend = _moments(cells, vx, vy, omega)
     drag, drag_x, drag_y, drag_w = cells.drag[0], cells.drag[1], cells.drag[2], cells.drag[3]
-    hxx = a * qxx - bxx + drag
-    hxy = a * qxy - bxy
-    hyy = a * qyy - byy + drag
-    hxw = ax * qxy - ay * qxx - bxw - drag_y
-    hyw = ax * qyy - ay * qxy - byw + drag_x
-    hww = ayy * qxx - 2.0 * axy * qxy + axx * qyy + cells.rho2 * a - bww + drag_w
+    hxx += drag
+    hyy += drag
+    hxw -= drag_y
+    hyw += drag_x
+    hww += drag_w
     gx += drag * vx - drag_y * omega
     gy += drag * vy + drag_x * omega
     gw += drag_x * vy - drag_y * vx + drag_w * omega
     # The bound on the third derivative grows with the ellipse's long axis.
-    half = 0.5 * (qxx + qyy)
-    bend *= max(1.0, half + math.hypot(0.5 * (qxx - qyy), qxy)) ** 1.5
+    bend *= cells.longest**1.5
     for k in range(cells.blades.shape[0]):
         force, nx, ny, nw = cells.blades[k, 0], cells.blades[k, 1], cells.blades[k, 2], cells.blades[k, 3]
         along = nx * vx + ny * vy + nw * omega
@@ -149,6 +146,15 @@ register_cells(EffectCells, _effect_model)
 
 
 @compiled()
+def longest_axis(qxx, qxy, qyy):  # type: ignore[no-untyped-def]
+    """`EffectCells.longest` of some Q."""
+    longest = 1.0
+    for i in range(qxx.shape[0]):
+        longest = max(longest, 0.5 * (qxx[i] + qyy[i]) + math.hypot(0.5 * (qxx[i] - qyy[i]), qxy[i]))
+    return longest
+
+
+@compiled()
 def drag_moments(drag, rx, ry, cell_width, out):  # type: ignore[no-untyped-def]
     """Fill `EffectCells.drag` from the cells' drags (n,), N s/m."""
     out[:] = 0.0
@@ -172,8 +178,8 @@ def load_gradients(cells, v, by_load):  # type: ignore[no-untyped-def]
     for i in range(row_x.shape[0]):
         ux = vx - omega * ry[i]
         uy = vy + omega * rx[i]
-        px = qxx * ux + qxy * uy
-        py = qxy * ux + qyy * uy
+        px = qxx[i] * ux + qxy[i] * uy
+        py = qxy[i] * ux + qyy[i] * uy
         inverse = 1.0 / math.sqrt(ux * px + uy * py + constant)
         row_x[i] = px * inverse
         row_y[i] = py * inverse
@@ -195,32 +201,28 @@ def drag_gradients(rx, ry, v, cell_width, by_drag):  # type: ignore[no-untyped-d
 
 @compiled(fastmath=_FAST)
 def stretch_gradients(cells, v, by_stretch):  # type: ignore[no-untyped-def]
-    """Fill by_stretch (3, 3): the same by q_xx, q_xy, q_yy (columns)."""
+    """Fill by_stretch (3, 3, n): the same by the q_xx, q_xy, q_yy (first axis) of each cell."""
     vx, vy, omega = v
     qxx, qxy, qyy = cells.qxx, cells.qxy, cells.qyy
     spin = cells.rho2 * omega
     constant = spin * omega + cells.eps2
-    xx0 = xx1 = xx2 = xy0 = xy1 = xy2 = yy0 = yy1 = yy2 = 0.0
-    for i in range(cells.load.shape[0]):
+    for i in range(by_stretch.shape[2]):
         x, y = cells.rx[i], cells.ry[i]
         ux = vx - omega * y
         uy = vy + omega * x
-        px = qxx * ux + qxy * uy
-        py = qxy * ux + qyy * uy
+        px = qxx[i] * ux + qxy[i] * uy
+        py = qxy[i] * ux + qyy[i] * uy
         pw = x * py - y * px + spin
         phi2 = ux * px + uy * py + constant
         a = cells.load[i] / math.sqrt(phi2)
         b = a / phi2
         by_xx, by_xy, by_yy = 0.5 * b * ux * ux, b * ux * uy, 0.5 * b * uy * uy
-        xx0 += a * ux - by_xx * px
-        xx1 -= by_xx * py
-        xx2 -= a * y * ux + by_xx * pw
-        xy0 += a * uy - by_xy * px
-        xy1 += a * ux - by_xy * py
-        xy2 += a * (x * ux - y * uy) - by_xy * pw
-        yy0 -= by_yy * px
-        yy1 += a * uy - by_yy * py
-        yy2 += a * x * uy - by_yy * pw
-    by_stretch[0, 0], by_stretch[0, 1], by_stretch[0, 2] = xx0, xy0, yy0
-    by_stretch[1, 0], by_stretch[1, 1], by_stretch[1, 2] = xx1, xy1, yy1
-    by_stretch[2, 0], by_stretch[2, 1], by_stretch[2, 2] = xx2, xy2, yy2
+        by_stretch[0, 0, i] = a * ux - by_xx * px
+        by_stretch[0, 1, i] = -by_xx * py
+        by_stretch[0, 2, i] = -a * y * ux - by_xx * pw
+        by_stretch[1, 0, i] = a * uy - by_xy * px
+        by_stretch[1, 1, i] = a * ux - by_xy * py
+        by_stretch[1, 2, i] = a * (x * ux - y * uy) - by_xy * pw
+        by_stretch[2, 0, i] = -by_yy * px
+        by_stretch[2, 1, i] = a * uy - by_yy * py
+        by_stretch[2, 2, i] = a * x * uy - by_yy * pw

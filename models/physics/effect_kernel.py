@@ -30,10 +30,21 @@ from models.physics.effect_cells import (
     drag_gradients,
     drag_moments,
     load_gradients,
+    longest_axis,
     stretch_gradients,
 )
 from models.physics.effect_derivative import add_contact_scale, add_spring_columns, blade_slopes
-from models.physics.effect_layout import AFTER, BODY_OUTPUTS, CONSTANTS, FORCE, INERTIA, STATE
+from models.physics.effect_layout import (
+    AFTER,
+    BODY_OUTPUTS,
+    COMPLIANCE,
+    CONSTANTS,
+    FORCE,
+    INERTIA,
+    INERTIA_FACTOR,
+    STATE,
+    STRETCH,
+)
 from models.physics.effect_sensitivity import (
     FIXED_ROWS,
     add_contact_slopes,
@@ -116,7 +127,9 @@ def effect_rollout(  # type: ignore[no-untyped-def]
     down = np.zeros((max(0, E - FORCE), Y + AFTER))
     by_load = np.zeros((3, n))
     by_drag = np.zeros((3, n))
-    by_stretch = np.zeros((3, 3))
+    by_stretch = np.zeros((STRETCH, 3, n if with_stretch else 0))
+    qxx, qxy, qyy = np.ones_like(plain.rx), np.zeros_like(plain.rx), np.ones_like(plain.rx)
+    longest = 1.0
     weighted_load = np.zeros((3, n))
     G = np.zeros((3, Y))
     A = np.zeros((3, 6))
@@ -146,15 +159,17 @@ def effect_rollout(  # type: ignore[no-untyped-def]
         y[3], y[4], y[5] = v
         call_address(addresses[0], (y, c, out, dout))
         if with_cells:
-            call_address(addresses[1], (y, c, rx, ry, factor, drag))
+            call_address(addresses[1], (y, c, rx, ry, factor, drag, qxx, qxy, qyy))
             for i in range(n):
                 share_of_load[i] = max(factor[i], 0.0)
                 loads[i] = load[i] * share_of_load[i]
             drag_moments(drag, rx, ry, cell_width, drag_sums)
-        kappa, compliance = out[6], out[7]
+            if with_stretch:
+                longest = longest_axis(qxx, qxy, qyy)
+        kappa, compliance = out[INERTIA_FACTOR], out[COMPLIANCE]
         blades = out[BODY_OUTPUTS:].reshape(blade_count, 4)
         cells = EffectCells(
-            loads, plain.rx, plain.ry, plain.rho2, plain.eps2, out[3], out[4], out[5], drag_sums, blades
+            loads, plain.rx, plain.ry, plain.rho2, plain.eps2, qxx, qxy, qyy, longest, drag_sums, blades
         )
         cone = cone_of(mu, smoothing, load_sum, compliance, h)
 
@@ -218,16 +233,15 @@ def effect_rollout(  # type: ignore[no-untyped-def]
             for a in range(3):
                 for k in range(INERTIA):
                     extra[a, k] *= kappa
-            if with_stretch:
-                stretch_gradients(cells, new, by_stretch)
-            set_body_slopes(G, body, new, free, dout, h, by_stretch, with_stretch)
+            set_body_slopes(G, body, new, free, dout, h)
             if blade_count > 0:
                 blade_slopes(blades, dout[BODY_OUTPUTS:], new, plain.eps2, h, G)
             if with_cells:
                 load_gradients(cells, new, by_load)
                 drag_gradients(rx, ry, new, cell_width, by_drag)
-                weigh_cells(load, factor, h, by_load, by_drag, weighted_load)
-                call_address(addresses[2], (y, c, rx, ry, weighted_load, by_drag, G))
+                stretch_gradients(cells, new, by_stretch)
+                weigh_cells(load, factor, h, by_load, by_drag, by_stretch, weighted_load)
+                call_address(addresses[2], (y, c, rx, ry, weighted_load, by_drag, by_stretch, G))
             # By the contact's stiffness: through the sum of loads and the finger's compliance.
             add_contact_scale(
                 first, second, impulse1, impulse2, cone, new, h, smoothing[1], load_sum, scale_g, scale_f

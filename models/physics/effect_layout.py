@@ -13,9 +13,15 @@ STATE = 6
 FORCE = 2
 INERTIA = 4
 
-BODY_OUTPUTS = 8
-"""Wrench (middle frame: 2 forces, torque about the origin), q_xx, q_xy, q_yy, inertia factor, compliance of
-the finger (m/N); each blade adds F, b_x, b_y, b_omega."""
+BODY_OUTPUTS = 5
+"""Wrench (middle frame: 2 forces, torque about the origin), inertia factor, compliance of the finger (m/N);
+each blade adds F, b_x, b_y, b_omega."""
+
+INERTIA_FACTOR = 3
+COMPLIANCE = 4
+
+STRETCH = 3
+"""Entries of a cell's Q: q_xx, q_xy, q_yy."""
 
 CONSTANTS = 11
 """Time in the middle of the step, h, order of the push in the experiment, gravity, cell width, the cells'

@@ -18,7 +18,7 @@ import math
 import numpy as np
 
 from models.physics.compiled import compiled
-from models.physics.effect_layout import AFTER, FORCE, INERTIA, STATE
+from models.physics.effect_layout import AFTER, COMPLIANCE, FORCE, INERTIA, INERTIA_FACTOR, STATE, STRETCH
 from models.physics.friction import LANES
 from models.physics.sensitivity import advance
 from models.physics.step import EXTRA_COLUMNS
@@ -53,8 +53,8 @@ def first_blocks(memory, n, columns):  # type: ignore[no-untyped-def]
 
 
 @compiled(forceinline=True)
-def set_body_slopes(G, body, new, free, dout, h, by_stretch, with_stretch):  # type: ignore[no-untyped-def]
-    """Set G to what the wrench, the inertia factor and Q do to the gradient.
+def set_body_slopes(G, body, new, free, dout, h):  # type: ignore[no-untyped-def]
+    """Set G to what the wrench and the inertia factor do to the gradient.
 
     Args:
         G: (3, Y) result.
@@ -63,8 +63,6 @@ def set_body_slopes(G, body, new, free, dout, h, by_stretch, with_stretch):  # t
         free: momentum of the free motion.
         dout: (BODY_OUTPUTS + …, Y) derivatives of the body formulas.
         h: step, s.
-        by_stretch: (3, 3) gradient by q_xx, q_xy, q_yy.
-        with_stretch: whether Q changes.
     """
     momentum = (
         body[0] * new[0] - body[2] * new[2] - free[0],
@@ -73,22 +71,22 @@ def set_body_slopes(G, body, new, free, dout, h, by_stretch, with_stretch):  # t
     )
     for a in range(3):
         for k in range(G.shape[1]):
-            G[a, k] = momentum[a] * dout[6, k] - h * dout[a, k]
-        if with_stretch:
-            for q in range(3):
-                for k in range(G.shape[1]):
-                    G[a, k] += h * by_stretch[a, q] * dout[3 + q, k]
+            G[a, k] = momentum[a] * dout[INERTIA_FACTOR, k] - h * dout[a, k]
 
 
 @compiled(forceinline=True)
-def weigh_cells(load, factor, h, by_load, by_drag, weighted_load):  # type: ignore[no-untyped-def]
-    """What friction factors and drags of the cells do to the gradient: by_drag (3, n) in place, weighted_load
-    (3, n) from by_load, zero where a factor was cut at 0."""
+def weigh_cells(load, factor, h, by_load, by_drag, by_stretch, weighted_load):  # type: ignore[no-untyped-def]
+    """What friction factors, drags and Q of the cells do to the gradient: by_drag (3, n) and by_stretch (3,
+    3, n or none) in place, weighted_load (3, n) from by_load, zero where a factor was cut at 0."""
     for i in range(load.shape[0]):
         share = h * load[i] if factor[i] > 0.0 else 0.0
         for a in range(3):
             weighted_load[a, i] = share * by_load[a, i]
             by_drag[a, i] *= h
+    for q in range(STRETCH):
+        for a in range(3):
+            for i in range(by_stretch.shape[2]):
+                by_stretch[q, a, i] *= h
 
 
 @compiled(forceinline=True)
@@ -108,13 +106,13 @@ def add_contact_slopes(G, A, scale_g, spring_A, dout, bends):  # type: ignore[no
             G[a, k] += A[a, k]
     for a in range(3):
         for k in range(G.shape[1]):
-            G[a, k] += scale_g[a, 1] * dout[7, k]
+            G[a, k] += scale_g[a, 1] * dout[COMPLIANCE, k]
     if bends:
         for a in range(3):
             G[a, STATE] += spring_A[a, 0]
             G[a, STATE + 1] += spring_A[a, 1]
             for k in range(G.shape[1]):
-                G[a, k] += spring_A[a, 2] * dout[7, k]
+                G[a, k] += spring_A[a, 2] * dout[COMPLIANCE, k]
 
 
 @compiled(fastmath={"contract"})
@@ -145,8 +143,8 @@ def fill_load_slopes(S, cells, share, memory, v, h, scale):  # type: ignore[no-u
             x, y = rx[b * LANES + lane], ry[b * LANES + lane]
             ux = vx - omega * y
             uy = vy + omega * x
-            px = qxx * ux + qxy * uy
-            py = qxy * ux + qyy * uy
+            px = qxx[b * LANES + lane] * ux + qxy[b * LANES + lane] * uy
+            py = qxy[b * LANES + lane] * ux + qyy[b * LANES + lane] * uy
             k = h * share[b * LANES + lane] / math.sqrt(ux * px + uy * py + constant)
             S[at + lane] = px * k + sx
             S[at + lane + LANES] = py * k + sy
@@ -251,12 +249,12 @@ def fill_force(  # type: ignore[no-untyped-def]
         for i in range(n):
             F[_place(i, a, 2)] = scale_f[a, 0]
         for k in range(INERTIA):
-            F[_place(n + k, a, 2)] = stiff * dout[7, inertia_at + k]
+            F[_place(n + k, a, 2)] = stiff * dout[COMPLIANCE, inertia_at + k]
         F[_place(n + INERTIA, a, 2)] = dforce[a, 9]
         for j in range(n + INERTIA + 1, n + EXTRA_COLUMNS):
             F[_place(j, a, 2)] = 0.0
         for k in range(columns - n - EXTRA_COLUMNS):
-            F[_place(n + EXTRA_COLUMNS + k, a, 2)] = stiff * dout[7, inertia_at + INERTIA + k]
+            F[_place(n + EXTRA_COLUMNS + k, a, 2)] = stiff * dout[COMPLIANCE, inertia_at + INERTIA + k]
     for b in range(S.shape[0] // size):
         old, new = before[b * size : (b + 1) * size], S[b * size : (b + 1) * size]
         out = F[2 * b * LANES : 2 * (b + 1) * LANES]
@@ -266,7 +264,7 @@ def fill_force(  # type: ignore[no-untyped-def]
             for k in range(3):
                 _add_row(out, a, dforce[a, 6 + k], new, 3 + k)
             for k in range(STATE + memory):
-                slope = (scale_f[a, 1] + spring_force[a, 2]) * dout[7, k]
+                slope = (scale_f[a, 1] + spring_force[a, 2]) * dout[COMPLIANCE, k]
                 if STATE <= k < STATE + FORCE:
                     slope += spring_force[a, k - STATE]
                 if slope != 0.0:

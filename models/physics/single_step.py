@@ -26,10 +26,21 @@ from models.physics.effect_cells import (
     drag_gradients,
     drag_moments,
     load_gradients,
+    longest_axis,
     stretch_gradients,
 )
 from models.physics.effect_derivative import add_contact_scale, add_spring_columns, blade_slopes
-from models.physics.effect_kernel import AFTER, BODY_OUTPUTS, FORCE, INERTIA, STATE
+from models.physics.effect_layout import (
+    AFTER,
+    BODY_OUTPUTS,
+    COMPLIANCE,
+    FORCE,
+    INERTIA,
+    INERTIA_FACTOR,
+    STATE,
+    STRETCH,
+)
+from models.physics.effect_sensitivity import set_body_slopes, weigh_cells
 from models.physics.friction import SPIN_RADIUS
 from models.physics.step import (
     EXTRA_COLUMNS,
@@ -77,17 +88,20 @@ def single_step(  # type: ignore[no-untyped-def]
     dout = np.zeros((BODY_OUTPUTS + 4 * blade_count, Y))
     factor, drag, drag_sums = np.ones(n), np.zeros(n), np.zeros(4)
     loads = load.copy()
+    qxx, qxy, qyy, longest = np.ones(n), np.zeros(n), np.ones(n), 1.0
     call_address(addresses[0], (y, constants, out, dout))
     if with_cells:
-        call_address(addresses[1], (y, constants, rx, ry, factor, drag))
+        call_address(addresses[1], (y, constants, rx, ry, factor, drag, qxx, qxy, qyy))
         for i in range(n):
             loads[i] = load[i] * max(factor[i], 0.0)
         drag_moments(drag, rx, ry, cell_width, drag_sums)
-    kappa, compliance = out[6], out[7]
+        if with_stretch:
+            longest = longest_axis(qxx, qxy, qyy)
+    kappa, compliance = out[INERTIA_FACTOR], out[COMPLIANCE]
     blades = out[BODY_OUTPUTS:].reshape(blade_count, 4)
     eps2 = smoothing[0] * smoothing[0]
     rho2 = (SPIN_RADIUS * cell_width) ** 2
-    cells = EffectCells(loads, rx, ry, rho2, eps2, out[3], out[4], out[5], drag_sums, blades)
+    cells = EffectCells(loads, rx, ry, rho2, eps2, qxx, qxy, qyy, longest, drag_sums, blades)
     load_sum = load.sum()
     cone = cone_of(mu, smoothing, load_sum, compliance, h)
     body = (inertia[0], inertia[1], inertia[2], inertia[3])
@@ -165,33 +179,19 @@ def single_step(  # type: ignore[no-untyped-def]
     for row, lever in enumerate((lever_y, -lever_x, turning)):
         A[row, 2] -= lever
         A[row, 5] -= 0.5 * h * lever
-    by_load, by_stretch = np.zeros((3, n)), np.zeros((3, 3))
+    by_load = np.zeros((3, n))
     load_gradients(cells, new, by_load)
-    if with_stretch:
-        stretch_gradients(cells, new, by_stretch)
-    momentum = (
-        body[0] * new[0] - body[2] * new[2] - free_x,
-        body[0] * new[1] + body[1] * new[2] - free_y,
-        body[1] * new[1] - body[2] * new[0] + body[3] * new[2] - free_w,
-    )
     G, F = np.zeros((3, Y)), np.zeros((2, Y))
-    for a in range(3):
-        for k in range(Y):
-            G[a, k] = momentum[a] * dout[6, k] - h * dout[a, k]
-            if with_stretch:
-                for q in range(3):
-                    G[a, k] += h * by_stretch[a, q] * dout[3 + q, k]
+    set_body_slopes(G, body, new, (free_x, free_y, free_w), dout, h)
     if blade_count > 0:
         blade_slopes(blades, dout[BODY_OUTPUTS:], new, eps2, h, G)
     if with_cells:
         by_drag, weighted_load = np.zeros((3, n)), np.zeros((3, n))
         drag_gradients(rx, ry, new, cell_width, by_drag)
-        for i in range(n):
-            share = h * load[i] if factor[i] > 0.0 else 0.0
-            for a in range(3):
-                weighted_load[a, i] = share * by_load[a, i]
-                by_drag[a, i] *= h
-        call_address(addresses[2], (y, constants, rx, ry, weighted_load, by_drag, G))
+        by_stretch = np.zeros((STRETCH, 3, n if with_stretch else 0))
+        stretch_gradients(cells, new, by_stretch)
+        weigh_cells(load, factor, h, by_load, by_drag, by_stretch, weighted_load)
+        call_address(addresses[2], (y, constants, rx, ry, weighted_load, by_drag, by_stretch, G))
     scale_g, scale_f = np.zeros((3, 2)), np.zeros((2, 2))
     add_contact_scale(
         first, second, impulse1, impulse2, cone, new, h, smoothing[1], load_sum, scale_g, scale_f
@@ -206,9 +206,9 @@ def single_step(  # type: ignore[no-untyped-def]
         add_columns(F, STATE, spring_f, FORCE)
     for k in range(Y):
         for a in range(3):
-            G[a, k] += (scale_g[a, 1] + spring_g[a, 2]) * dout[7, k]
+            G[a, k] += (scale_g[a, 1] + spring_g[a, 2]) * dout[COMPLIANCE, k]
         for a in range(2):
-            F[a, k] += (scale_f[a, 1] + spring_f[a, 2]) * dout[7, k]
+            F[a, k] += (scale_f[a, 1] + spring_f[a, 2]) * dout[COMPLIANCE, k]
     add_columns(G, 0, A, STATE)
     add_columns(F, 0, dforce, STATE)
 

@@ -32,6 +32,7 @@ SHOWN: dict[str, tuple[float, ...]] = {
     "loose_mass": (0.3, 15.0, 0.2),
     "load_transfer": (0.02, 0.03),
     "skate": (0.2, 0.4, 0.01, -0.015),
+    "impulse_friction": (0.7,),
     "tracker_offset": (0.004, -0.003, 0.05),
     "tracker_scale": (0.02,),
 }

@@ -1,0 +1,160 @@
+"""What friction may follow besides the plain law, and how much the pushes speak for it.
+
+The plain model lets each cell carry the weight of its mass, whoever pushes it, and slide against Coulomb's
+friction. Two things are left out that hold for some recorded pushes and not for others:
+
+- who pushes an object above the table loads its front, by about the height of the finger times friction. How
+  high the finger was is seldom recorded; half the object's height is the guess;
+- a simulator that solves for friction impulse by impulse makes it lean to the axis of the world along which
+  an impulse meets more mass, as Bullet's solver for articulated bodies does.
+
+All combinations are fitted, each from where the plain law led, and hypotheses of a belief are shared out
+among them in proportion to
+
+    evidence^(1/TEMPERATURE)
+
+with the evidence of `trust`. It is tempered because it holds errors along a push for as independent as
+the likelihood does, and the likelihood's model for the right one; neither is so.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from models.effects.effect import Effect
+from models.effects.library import LIBRARY
+from models.effects.slider import EffectSlider
+from models.inference.observations import MEASURED_CONTACT, Observation
+from models.inference.prior import MapPrior, PriorSettings
+from models.inference.trust import Ladder, fit_with_trust, log_evidence
+from models.measurements import PushDataset
+from models.physics.cell_grid import FloatArray
+from models.physics.rollout import RolloutError, Slider
+
+PLAIN = "plain"
+
+TEMPERATURE = 4.0
+
+LEAST_SHARE = 0.05
+"""A law with less than this is left out."""
+
+EXPECTED = {
+    "push_height": (0.5, 0.15),
+    "mass_height": (0.5, 0.05),
+    "share": (1.0, 0.01),
+}
+"""Prior mean and standard deviation of the laws' parameters; heights in those of the object. Friction leans
+as in Bullet, or not at all."""
+
+
+@dataclass(frozen=True, eq=False)
+class Law:
+    """A law of friction, fitted.
+
+    Attributes:
+        name: `plain`, or the names of its effects joined by ` + `.
+        ladder: of `fit_with_trust`.
+        log_evidence: of the best fit in it, α's prior included.
+        share: of the belief.
+    """
+
+    name: str
+    ladder: Ladder
+    log_evidence: float
+    share: float
+
+
+def effect_prior(effects: Sequence[Effect], height: float | None) -> tuple[FloatArray, FloatArray]:
+    """Prior means and standard deviations (P,) of the laws' parameters, for an object of some height, m."""
+    rows = []
+    for parameter in (parameter for effect in effects for parameter in effect.parameters):
+        unit = 1.0
+        if parameter.unit == "m":
+            assert height is not None
+            unit = height
+        rows.append(unit * np.array(EXPECTED[parameter.name]))
+    means, deviations = np.array(rows).T
+    return means, deviations
+
+
+def fit_laws(
+    dataset: PushDataset,
+    observations: Sequence[Observation],
+    settings: PriorSettings,
+    starts: FloatArray,
+    progress: Callable[[int, int], None],
+    *,
+    plain_only: bool,
+) -> list[Law]:
+    """Fit the plain law from several starts, the others from where it led, and share the belief out.
+
+    Args:
+        dataset: the pushes, the object and its height.
+        observations: pushes to learn from.
+        settings: strength of the prior of the maps.
+        starts: (K, d) coordinates for the plain law to start from.
+        progress: called with (done, total).
+        plain_only: whether to leave the other laws alone.
+
+    Returns:
+        The laws that have a share, the largest first; shares sum to one.
+    """
+
+    def prior_of(effects: tuple[Effect, ...]) -> MapPrior:
+        common = (dataset.grid, dataset.finger_radius)
+        if not effects:
+            return MapPrior(Slider(*common, dataset.gravity, MEASURED_CONTACT), settings, dataset.mass)
+        slider = EffectSlider(*common, effects, dataset.gravity, MEASURED_CONTACT)
+        return MapPrior(slider, settings, dataset.mass, effect_prior=effect_prior(effects, dataset.height))
+
+    combinations: list[tuple[Effect, ...]] = [()] if plain_only else _combinations(dataset)
+    total = len(combinations)
+    laws: list[Law] = []
+    for place, effects in enumerate(combinations):
+        prior = prior_of(effects)
+        begin = starts
+        if effects:
+            best = laws[0].ladder[-1][1]
+            begin = np.concatenate([best.z, np.zeros((1, prior.size - prior.plain))], axis=1)
+
+        def report(done: int, of: int, place: int = place) -> None:
+            progress(place * of + done, total * of)
+
+        try:
+            ladder = fit_with_trust(prior, observations, dataset.noise, begin, report)
+        except (RolloutError, np.linalg.LinAlgError):
+            if not effects:
+                raise
+            continue
+        likelihood, found = ladder[-1]
+        evidence = log_evidence(likelihood, found) - float(np.log(likelihood.settings.model_error))
+        laws.append(Law(" + ".join(effect.name for effect in effects) or PLAIN, ladder, evidence, 1.0))
+    progress(1, 1)
+    return shared_out(laws)
+
+
+def shared_out(laws: Sequence[Law]) -> list[Law]:
+    """The laws with their shares, the largest first, without those below `LEAST_SHARE`."""
+    evidence = np.array([law.log_evidence for law in laws])
+    shares = np.exp((evidence - evidence.max()) / TEMPERATURE)
+    shares /= shares.sum()
+    shares = np.where(shares < LEAST_SHARE, 0.0, shares)
+    shares /= shares.sum()
+    kept = [
+        Law(law.name, law.ladder, law.log_evidence, float(share))
+        for law, share in zip(laws, shares, strict=True)
+        if share > 0
+    ]
+    return sorted(kept, key=lambda law: -law.share)
+
+
+def _combinations(dataset: PushDataset) -> list[tuple[Effect, ...]]:
+    """Effects of each law that the dataset can be asked about, the plain one first."""
+    known = {effect.name: effect for effect in LIBRARY}
+    transfer, lean = known["load_transfer"], known["impulse_friction"]
+    if dataset.height is None:
+        return [(), (lean,)]
+    return [(), (lean,), (transfer,), (transfer, lean)]
