@@ -98,7 +98,13 @@ def own() -> str:
     rows = []
     for name in methods:
         told = " ".join((getattr(Effect, name).__doc__ or "").split())
-        arguments = {"friction": "cell, p", "drag": "cell, p", "measured": "pose, p", "delay": "p"}
+        arguments = {
+            "friction": "cell, p",
+            "drag": "cell, p",
+            "stretch": "cell, p",
+            "measured": "pose, p",
+            "delay": "p",
+        }
         rows.append(f"| `{name}({arguments.get(name, 'body, p')})` | {told.replace('|', '/')} |")
     code = MAGNET.read_text(encoding="utf-8")
     names = [*body, "force_x", "force_y"]

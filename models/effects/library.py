@@ -264,25 +264,25 @@ class ImpulseFriction(Effect):
         ),
     )
 
-    def _lean(self, cell: Any, p: Any) -> tuple[Any, Any, Any]:
-        """Q = 1 + d T: an impulse at an arm a from the centre of mass, radius of gyration ρ, meets masses in
-        the ratio (1 + d) / (1 - d) along the world's x and y; T turns these axes to the object's."""
+    def _lean(self, cell: Any, p: Any) -> Any:
+        """d: an impulse at an arm a from the centre of mass, radius of gyration ρ, meets masses in the ratio
+        (1 + d) / (1 - d) along the world's x and y."""
         arm_x = cell.cos * cell.rx - cell.sin * cell.ry - cell.com_x
         arm_y = cell.sin * cell.rx + cell.cos * cell.ry - cell.com_y
         radius2 = cell.moment / cell.mass - cell.com_x**2 - cell.com_y**2
-        d = p.share * (arm_x**2 - arm_y**2) / (2 * radius2 + arm_x**2 + arm_y**2)
-        along, across = d * (cell.cos**2 - cell.sin**2), -d * 2 * cell.cos * cell.sin
-        return 1 + along, across, 1 - along
+        return p.share * (arm_x**2 - arm_y**2) / (2 * radius2 + arm_x**2 + arm_y**2)
 
     def stretch(self, cell: Any, p: Any) -> Any:
-        return self._lean(cell, p)
+        d = self._lean(cell, p)
+        along = d * sp.cos(2 * cell.theta)
+        return 1 + along, -d * sp.sin(2 * cell.theta), 1 - along
 
     def friction(self, cell: Any, p: Any) -> Any:
         # The force leans but is no larger: μN Q u / |Q u|, with the direction of u as it was last.
-        xx, xy, yy = self._lean(cell, p)
-        px, py = xx * cell.along_x + xy * cell.along_y, xy * cell.along_x + yy * cell.along_y
-        square = cell.along_x * px + cell.along_y * py
-        return sp.sqrt((square + REST_SPEED**2) / (px**2 + py**2 + REST_SPEED**2))
+        d = self._lean(cell, p)
+        norm2 = (1 + d) * cell.ux**2 + (1 - d) * cell.uy**2
+        force2 = (1 + d) ** 2 * cell.ux**2 + (1 - d) ** 2 * cell.uy**2
+        return sp.sqrt((norm2 + REST_SPEED**2) / (force2 + REST_SPEED**2))
 
 
 LIBRARY: tuple[Effect, ...] = (

@@ -25,6 +25,9 @@ ROUNDING = 1e-5
 LONG = 14
 """Operations beyond which repeated parts of formulas get names of their own."""
 
+SIMPLIFIED = 100
+"""Operations up to which squares of sines and cosines are brought together."""
+
 QUANTITIES = {
     "friction": ((r"s",), "factor on the friction of a cell"),
     "drag": ((r"D",), "drag of a cell: the force on it is -D u"),
@@ -172,8 +175,9 @@ def _read(expression: Any) -> Any:
         lambda e: sp.Add(*(term for term in e.args if not _tiny(term))),
     )
     expression = expression.replace(lambda e: e.is_Float, _short)
-    # Takes seconds on long expressions, and only squares have something to gain.
-    if any(power.base.func in (sp.cos, sp.sin) for power in expression.atoms(sp.Pow)):
+    # Takes minutes on long expressions, and only squares have something to gain.
+    short = sp.count_ops(expression) <= SIMPLIFIED
+    if short and any(power.base.func in (sp.cos, sp.sin) for power in expression.atoms(sp.Pow)):
         expression = sp.trigsimp(expression)
     return sp.factor_terms(expression)
 

@@ -74,9 +74,9 @@ def degrees_off(
     center = to_world @ first / mass
     rx, ry = to_world.T @ (arm + center)
     cell = SimpleNamespace(
-        cos=c, sin=s, rx=rx, ry=ry, com_x=center[0], com_y=center[1], mass=mass, moment=moment
+        theta=angle, cos=c, sin=s, rx=rx, ry=ry, com_x=center[0], com_y=center[1], mass=mass, moment=moment
     )
-    xx, xy, yy = LEAN.stretch(cell, SimpleNamespace(share=share))
+    xx, xy, yy = (float(entry) for entry in LEAN.stretch(cell, SimpleNamespace(share=share)))
     lean = to_world @ np.array([[xx, xy], [xy, yy]]) @ to_world.T @ velocity
     cross, dot = lean[0] * friction[1] - lean[1] * friction[0], lean @ friction
     return float(np.degrees(np.arctan2(cross, dot)))

@@ -24,10 +24,12 @@ from models.effects.written import QUANTITIES, plain_text, written
 LETTERS = {
     "x": "x", "y": "y", "theta": "θ", "com_x": "com_x", "com_y": "com_y", "com_vx": "com_vx",
     "com_vy": "com_vy", "width": "w",
-    "mass": "m", "gravity": "g", "step": "h", "order": "k", "centroid_x": "c_x", "centroid_y": "c_y",
+    "mass": "m", "moment": "J", "gravity": "g", "step": "h", "order": "k", "centroid_x": "c_x", "centroid_y": "c_y",
     "spread_xx": "G_xx", "spread_xy": "G_xy", "spread_yy": "G_yy", "force_x": "F_x", "force_y": "F_y",
 }  # fmt: skip
-CELL = {"x": "X", "y": "Y", "rx": "r_x", "ry": "r_y", "speed": "u", "area": "a"}
+CELL = {
+    "x": "X", "y": "Y", "rx": "r_x", "ry": "r_y", "ux": "u_x", "uy": "u_y", "speed": "u", "area": "a",
+}  # fmt: skip
 TRANSFORMATIONS = (*standard_transformations, convert_xor, implicit_multiplication)
 
 
@@ -49,7 +51,7 @@ def numbers(
     place = {"x": 0.37, "y": -0.21}
     later = {name: float(rng.uniform(0.1, 0.9)) for name in after_names()}
     printed = {LETTERS[name]: value[name] for name in LETTERS} | {"X": place["x"], "Y": place["y"]}
-    printed |= {CELL[name]: value[name] for name in ("rx", "ry", "speed", "area")}
+    printed |= {CELL[name]: value[name] for name in ("rx", "ry", "ux", "uy", "speed", "area")}
     printed |= {name: value[name] for name in ("gain_x", "gain_y", "lag_x", "lag_y", "rush_x", "rush_y")}
     printed |= {f"{LETTERS[name]}_new": later[name] for name in ("com_vx", "com_vy")}
     return printed, SimpleNamespace(**value), SimpleNamespace(**value | place), SimpleNamespace(**later)
@@ -76,7 +78,8 @@ def test_the_text_computes_what_the_code_does(name: str) -> None:
                 solved[f"result {left}"] = result
     compared = 0
     for method, (letters, _) in QUANTITIES.items():
-        arguments = {"friction": (cell, p), "drag": (cell, p), "measured": (body, p), "delay": (p,)}
+        arguments = {method: (cell, p) for method in ("friction", "drag", "stretch")}
+        arguments |= {"measured": (body, p), "delay": (p,)}
         value = getattr(effect, method)(*arguments.get(method, (body, p)))
         if value is None:
             continue
