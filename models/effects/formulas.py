@@ -27,6 +27,9 @@ from numba import cfunc, types
 _P = types.CPointer(types.float64)
 '''
 
+_FAST = ("arcp", "contract", "nsz", "reassoc")
+"""What the compiler may do to sums and quotients, so that several cells are computed at once."""
+
 
 def _derivative(expression: Any, symbol: sp.Symbol) -> Any:
     result = sp.diff(expression, symbol)
@@ -69,9 +72,8 @@ def _arguments(slots: Slots, after: bool = False) -> list[str]:
 def _function(name: str, arguments: str, lines: Sequence[str]) -> str:
     count = arguments.count(",") + 1
     kinds = ", ".join(["_P"] * count)
-    return "\n".join(
-        ["", "", f"@cfunc(types.void({kinds}), cache=True)", f"def {name}({arguments}):", *lines, ""]
-    )
+    decorator = f"@cfunc(types.void({kinds}), cache=True, fastmath={{{', '.join(map(repr, _FAST))}}})"
+    return "\n".join(["", "", decorator, f"def {name}({arguments}):", *lines, ""])
 
 
 def _straight(printer: Any, targets: Sequence[tuple[str, Any]]) -> list[str]:
@@ -126,21 +128,27 @@ def _cell_functions(slots: Slots, printer: Any) -> str:
     changed = [("gl", 0, slots.factor), ("gd", 0, slots.drag)]
     changed += [("gq", q, e) for q, e in enumerate(slots.stretch) if slots.stretches]
     slopes = [[sp.Symbol(f"{name}{place}{a}") for a in range(3)] for name, place, _ in changed]
-    targets = []
+    targets, sums = [], []
     for j, symbol in enumerate(slots.y):
         by_y = [_derivative(expression, symbol) for _, _, expression in changed]
         for a in range(3):
             value = sum(slope[a] * by for slope, by in zip(slopes, by_y, strict=True))
             if value != 0:
-                targets.append((f"G[{a * Y + j}] +=", value))
+                targets.append((f"sum_{a * Y + j} +=", value))
+                sums.append(a * Y + j)
     before, within = _assignments(printer, targets, loop | {g for slope in slopes for g in slope})
     rows = [
         f"        {name}{place}{a} = {name}[{3 * place + a} * int(n) + i]"
         for name, place, _ in changed
         for a in range(3)
     ]
+    # Summed up in numbers of their own: what is stored within a loop, the compiler does not compute at once.
+    zeros = [f"    sum_{place} = 0.0" for place in sums]
+    stored = [f"    G[{place}] += sum_{place}" for place in sums]
     text += _function(
-        "cell_slopes", "y, c, rx, ry, gl, gd, gq, G", [*_arguments(slots), *before, *start, *rows, *within]
+        "cell_slopes",
+        "y, c, rx, ry, gl, gd, gq, G",
+        [*_arguments(slots), *before, *zeros, *start, *rows, *within, *stored],
     )
     return text
 

@@ -24,7 +24,8 @@ from models.effects.written import QUANTITIES, plain_text, written
 LETTERS = {
     "x": "x", "y": "y", "theta": "θ", "com_x": "com_x", "com_y": "com_y", "com_vx": "com_vx",
     "com_vy": "com_vy", "width": "w",
-    "mass": "m", "moment": "J", "gravity": "g", "step": "h", "order": "k", "centroid_x": "c_x", "centroid_y": "c_y",
+    "mass": "m", "moment": "J", "gravity": "g", "step": "h", "order": "k",
+    "centroid_x": "c_x", "centroid_y": "c_y",
     "spread_xx": "G_xx", "spread_xy": "G_xy", "spread_yy": "G_yy", "force_x": "F_x", "force_y": "F_y",
 }  # fmt: skip
 CELL = {

@@ -117,5 +117,15 @@ def test_the_authors_simulator_leans_and_loads_the_front(shared_data) -> None:  
     errors = []
     for name in ("book_p9", "box_p0", "hammer_p0"):
         dataset = read_dataset(shared_data / "bullet" / name).with_fit_pushes(5)
-        errors.append(identify(dataset, friction_laws=True).errors("heldout").mean())
+        result = identify(dataset, friction_laws=True)
+        assert result.friction_laws.get("plain", 0.0) < 0.25
+        held = result.errors("heldout")
+        assert held.mean() < 0.5 * result.errors("heldout", "uniform_add").mean()
+        assert held.mean() < 0.2 * result.errors("heldout", "no_motion_add").mean()
+        errors.append(held.mean())
     assert np.mean(errors) < 14e-3
+
+
+def test_real_pushes_are_predicted_with_all_laws(shared_data) -> None:  # type: ignore[no-untyped-def]
+    result = identify(read_dataset(shared_data / "real/cpush_square"), friction_laws=True)
+    assert result.errors("heldout").mean() < 8e-3
