@@ -214,6 +214,10 @@ def _scale(p: Estimates, grid: CellGrid) -> list[Reading]:
     return [_scaled("reported lengths are {} % above true ones", p["excess"], 100.0)]
 
 
+def _lean(p: Estimates, grid: CellGrid) -> list[Reading]:
+    return [_scaled("friction leans {} % as far as in Bullet", p["share"], 100.0)]
+
+
 READERS: dict[str, Callable[[Estimates, CellGrid], list[Reading]]] = {
     "table_tilt": _tilt,
     "anisotropic_table": _grain("the table"),
@@ -227,6 +231,7 @@ READERS: dict[str, Callable[[Estimates, CellGrid], list[Reading]]] = {
     "finger_compliance": _compliance,
     "loose_mass": _loose,
     "load_transfer": _load,
+    "impulse_friction": _lean,
     "skate": _skate,
     "tracker_offset": _offset,
     "tracker_scale": _scale,
