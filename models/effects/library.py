@@ -278,7 +278,8 @@ class ImpulseFriction(Effect):
         return 1 + along, -d * sp.sin(2 * cell.theta), 1 - along
 
     def friction(self, cell: Any, p: Any) -> Any:
-        # The force leans but is no larger: μN Q u / |Q u|, with the direction of u as it was last.
+        # The force leans but is no larger: μN Q u / |Q u|, with the direction of u as it was last. For a step
+        # from rest, or in which a cell turns, it is up to μN sqrt(1 + |d|), or down to μN sqrt(1 - |d|).
         d = self._lean(cell, p)
         norm2 = (1 + d) * cell.ux**2 + (1 - d) * cell.uy**2
         force2 = (1 + d) ** 2 * cell.ux**2 + (1 - d) ** 2 * cell.uy**2

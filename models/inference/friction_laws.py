@@ -8,8 +8,8 @@ friction. Two things are left out that hold for some recorded pushes and not for
 - a simulator that solves for friction impulse by impulse makes it lean to the axis of the world along which
   an impulse meets more mass, as Bullet's solver for articulated bodies does.
 
-All combinations are fitted, each from where the plain law led, and hypotheses of a belief are shared out
-among them in proportion to
+All combinations that the dataset allows (load transfer needs the object's height) are fitted, each from where
+the plain law led, and hypotheses of a belief are shared out among them in proportion to
 
     evidence^(1/TEMPERATURE)
 
@@ -20,11 +20,11 @@ the likelihood does, and the likelihood's model for the right one; neither is so
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from models.effects.effect import Effect
+from models.effects.effect import Effect, bounds
 from models.effects.library import LIBRARY
 from models.effects.slider import EffectSlider
 from models.inference.observations import MEASURED_CONTACT, Observation
@@ -77,7 +77,7 @@ def effect_prior(effects: Sequence[Effect], height: float | None) -> tuple[Float
             unit = height
         rows.append(unit * np.array(EXPECTED[parameter.name]))
     means, deviations = np.array(rows).T
-    return means, deviations
+    return np.clip(means, *bounds(effects)), deviations
 
 
 def fit_laws(
@@ -137,17 +137,17 @@ def fit_laws(
 
 
 def shared_out(laws: Sequence[Law]) -> list[Law]:
-    """The laws with their shares, the largest first, without those below `LEAST_SHARE`."""
+    """The laws with their shares, the largest first, without those below `LEAST_SHARE`, and without those
+    whose evidence is no number."""
+    laws = [law for law in laws if np.isfinite(law.log_evidence)] or list(laws[:1])
+    if len(laws) == 1:
+        return [replace(laws[0], share=1.0)]
     evidence = np.array([law.log_evidence for law in laws])
     shares = np.exp((evidence - evidence.max()) / TEMPERATURE)
     shares /= shares.sum()
     shares = np.where(shares < LEAST_SHARE, 0.0, shares)
     shares /= shares.sum()
-    kept = [
-        Law(law.name, law.ladder, law.log_evidence, float(share))
-        for law, share in zip(laws, shares, strict=True)
-        if share > 0
-    ]
+    kept = [replace(law, share=float(share)) for law, share in zip(laws, shares, strict=True) if share > 0]
     return sorted(kept, key=lambda law: -law.share)
 
 

@@ -116,8 +116,10 @@ def refits(
     weights[0], prior_mean[0], strength[0] = 1.0, center, 1.0
     z = np.empty((hypotheses, prior.size))
     probability = np.empty(hypotheses)
-    for rung, (likelihood, first) in enumerate(ladder[:hypotheses]):
-        who = np.arange(rung, hypotheses, len(ladder))
+    # Where they are fewer than likelihoods, those of the larger evidence count.
+    rungs = ladder[-hypotheses:]
+    for rung, (likelihood, first) in enumerate(rungs):
+        who = np.arange(rung, hypotheses, len(rungs))
         found = fit(
             likelihood,
             _rescaled(prior, first.z[0], strength[who]),
@@ -127,7 +129,7 @@ def refits(
             offsets=np.repeat(first.offsets, len(who), axis=0),
             iterations=15,
             tolerance=3e-3,
-            progress=_part(report, rung, len(ladder)),
+            progress=_part(report, rung, len(rungs)),
         )
         z[who] = found.z
         probability[who] = accuracy_weights(found.push_cost.sum(axis=1)) * len(who) / hypotheses

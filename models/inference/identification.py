@@ -46,7 +46,7 @@ def identify(
         progress: called with (stage, done, total).
         prior_settings: how strongly maps are held together before any push.
         friction_laws: whether other laws of friction than the plain one take part, each as much as the
-            pushes speak for it (`models.inference.friction_laws`); takes about five times as long. The
+            pushes speak for it (`models.inference.friction_laws`); takes about four times as long. The
             method `paper` knows the plain one alone.
 
     Raises:
@@ -86,7 +86,7 @@ def identify(
         )
     predictions = predict_observations(belief, observations, progress)
     facts = quantities(belief, likelihood, information)
-    shares = {law.name: law.share for law in laws}
+    shares = belief.settings.get("friction_laws", {})
     return Identification(belief, predictions, facts, time.perf_counter() - started, shares)
 
 

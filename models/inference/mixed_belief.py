@@ -15,7 +15,7 @@ from models.inference.friction_laws import Law
 from models.inference.hypotheses import Progress, gathered_belief, refits, trusted
 from models.measurements import PushDataset
 from models.physics.cell_grid import FloatArray
-from models.physics.rollout import Maps
+from models.physics.rollout import Maps, RolloutError
 
 
 def mixed_belief(
@@ -40,16 +40,27 @@ def mixed_belief(
     used = tuple(effect for effect in LIBRARY if any(effect in effects for effects in of_law))
     parts: list[Maps] = []
     probability: list[FloatArray] = []
+    kept: dict[str, float] = {}
     done = 0
     for law, effects, count, share in zip(laws, of_law, counts, shares, strict=True):
 
         def progress(made: int, total: int, done: int = done, count: int = count) -> None:
             report("hypotheses", total * done + count * made, total * hypotheses)
 
-        maps, weights = refits(law.ladder, count, rng, progress, None)
+        done += count
+        try:
+            maps, weights = refits(law.ladder, count, rng, progress, None)
+        except (RolloutError, np.linalg.LinAlgError):
+            # Refits lead to wilder maps than fits do; the other laws can do without this one.
+            if not effects:
+                raise
+            continue
         parts.append(_with_parameters(maps, effects, used))
         probability.append(share * weights)
-        done += count
+        kept[law.name] = float(share)
+    if not kept:
+        raise RolloutError("no law of friction could be fitted to the pushes weighted at random")
+    total = sum(kept.values())
     heaviest = laws[0].ladder
     slider = heaviest[0][0].prior.slider
     if used and not (isinstance(slider, EffectSlider) and slider.effects == used):
@@ -63,13 +74,13 @@ def mixed_belief(
                 for name in ("mass", "mu", "mu_finger", "effects")
             )
         ),
-        np.concatenate(probability),
+        np.concatenate(probability) / total,
         heaviest,
         seed,
         {
             **settings,
             **trusted(heaviest),
-            "friction_laws": {law.name: float(share) for law, share in zip(laws, shares, strict=True)},
+            "friction_laws": {name: share / total for name, share in kept.items()},
         },
     )
 

@@ -98,13 +98,15 @@ def predict_observations(
 
 
 def uniform_maps(belief: Belief) -> Maps:
-    """The baseline: the belief's total mass and finger friction, spread evenly, with one friction."""
+    """The baseline: the belief's total mass and finger friction, spread evenly, with one friction; effects as
+    the belief has them on average."""
     n = len(belief.grid)
     p = belief.probability
     mass = p @ belief.maps.mass.sum(axis=1)
     load = p @ (belief.maps.mass * belief.maps.mu).sum(axis=1)
     finger = p @ belief.maps.mu_finger
-    return Maps(np.full((1, n), mass / n), np.full((1, n), load / mass), np.array([finger]))
+    effects = p @ belief.maps.effects
+    return Maps(np.full((1, n), mass / n), np.full((1, n), load / mass), np.array([finger]), effects[None])
 
 
 def _shifted(pushes: Sequence[Push], sign: float) -> list[Push]:

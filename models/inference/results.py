@@ -78,7 +78,7 @@ class Identification:
         quantities: what the pushes show, and what not.
         seconds: that it took.
         friction_laws: share of the belief by law of friction, the largest first, see `friction_laws.py`;
-            empty where the law was given.
+            `plain` alone where no other was tried, empty where none was chosen among.
     """
 
     belief: Belief

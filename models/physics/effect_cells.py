@@ -36,7 +36,7 @@ class EffectCells(NamedTuple):
         qxx: (n,) q_xx of each cell's Q, object frame.
         qxy: (n,) the same, q_xy.
         qyy: (n,) the same, q_yy.
-        longest: no eigenvalue of a Q is larger; at least 1.
+        longest: largest eigenvalue of all Q, or 1 if that is larger.
         drag: (4,) Σ D, Σ D r_x, Σ D r_y, Σ D (|r|² + w²/6).
         blades: (k, 4) F, b.
     """

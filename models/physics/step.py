@@ -51,7 +51,7 @@ VELOCITY_TOLERANCE = 1e-14
 """Newton stops when the error left is below this speed (m/s, rotation counted at the object's radius)."""
 
 REST = 1e-60
-"""Speeds below this are zero: numbers too small to be normal ones cost a processor a hundred times more."""
+"""Speeds below this are zero (m/s): subnormal numbers slow a processor down a hundredfold."""
 
 HESSIAN_TOLERANCE = 1e-8
 """Relative error of the Hessian that the derivatives may inherit."""

@@ -28,6 +28,7 @@ PUSHES = {"finger": sliding_push(), "coasting": coasting()}
 GROUPS = {"mass": slice(0, N), "mu": slice(N, 2 * N), "mu_finger": slice(2 * N, 2 * N + 1),
           "start_pose": slice(2 * N + 1, 2 * N + 4), "start_twist": slice(2 * N + 4, 2 * N + 7)}  # fmt: skip
 STEPS = {"mass": 3e-6, "mu": 1e-4, "mu_finger": 1e-5, "start_pose": 3e-7, "start_twist": 6e-6}
+# Twists: well below the speed by which effects are smoothed at rest, well above rounding.
 
 
 def test_every_effect_of_the_library_has_values_here() -> None:

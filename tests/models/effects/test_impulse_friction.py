@@ -11,8 +11,6 @@ from pushed_with_effects import block
 from models.effects import LIBRARY, EffectSlider
 from models.physics.rollout import Maps, Push
 
-pybullet = pytest.importorskip("pybullet", reason="Bullet comes with the extra `bench`")
-
 GRID = block(8, 4)
 MASS = np.where(GRID.centers[:, 0] < 0.0, 4.0, 1.0)
 LEAN = {effect.name: effect for effect in LIBRARY}["impulse_friction"]
@@ -22,6 +20,7 @@ STEP = 1 / 240
 def contacts(speed: tuple[float, float], omega: float, angle: float) -> list[tuple[np.ndarray, ...]]:
     """Arm from the centre of mass, velocity, friction (world) and load of each contact of an object of
     cells, one articulated body with fixed joints, that slides on a table in Bullet."""
+    pybullet = pytest.importorskip("pybullet", reason="Bullet comes with the extra `bench`")
     client = pybullet.connect(pybullet.DIRECT)
     try:
         world = {"physicsClientId": client}

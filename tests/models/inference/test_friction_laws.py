@@ -14,7 +14,7 @@ from models.inference.identification import identify
 from models.inference.mixed_belief import _counts
 from models.measurements import PushDataset, read_dataset
 from models.measurements.simulated import record_pushes
-from models.physics.rollout import Maps
+from models.physics.rollout import Maps, RolloutError
 from planners.exploration import candidate_pushes
 
 EFFECTS = {effect.name: effect for effect in LIBRARY}
@@ -82,6 +82,34 @@ def test_without_a_height_nothing_is_said_of_load_transfer(recorded) -> None:  #
     assert not any("load_transfer" in name for name in found.friction_laws)
 
 
+def test_two_hypotheses_follow_two_laws(recorded) -> None:  # type: ignore[no-untyped-def]
+    dataset = made_by(recorded).with_fit_pushes(1)
+    found = identify(dataset, hypotheses=2, friction_laws=True)
+    assert len(found.belief) == len(found.friction_laws) == 2
+    assert sum(found.friction_laws.values()) == pytest.approx(1.0)
+
+
+def test_a_law_that_cannot_be_refitted_is_left_out(recorded, monkeypatch) -> None:  # type: ignore[no-untyped-def]
+    from models.inference import mixed_belief
+
+    refits = mixed_belief.refits
+
+    def failing(ladder, *rest):  # type: ignore[no-untyped-def]
+        if isinstance(ladder[0][0].prior.slider, EffectSlider):
+            raise RolloutError("model 0, push 0: not solved")
+        return refits(ladder, *rest)
+
+    monkeypatch.setattr(mixed_belief, "refits", failing)
+    found = identify(recorded.dataset.with_fit_pushes(1), hypotheses=6, friction_laws=True)
+    assert found.friction_laws == {"plain": pytest.approx(1.0)}
+    assert found.belief.probability.sum() == pytest.approx(1.0)
+
+
+def test_a_law_without_evidence_has_no_share() -> None:
+    laws = shared_out([Law("plain", [], 10.0, 1.0), Law("a", [], float("nan"), 1.0)])
+    assert [(law.name, law.share) for law in laws] == [("plain", 1.0)]
+
+
 def test_shares_follow_the_tempered_evidence() -> None:
     laws = shared_out(
         [Law("plain", [], 10.0, 1.0), Law("a", [], 14.0, 1.0), Law("b", [], 14.0 - 4 * TEMPERATURE, 1.0)]
@@ -113,7 +141,7 @@ def test_heights_are_expected_at_half_the_object() -> None:
 
 
 def test_the_authors_simulator_leans_and_loads_the_front(shared_data) -> None:  # type: ignore[no-untyped-def]
-    """Over its datasets the plain law leaves 17 to 19 mm; the true masses replayed there, 9.3."""
+    """Over its datasets the plain law leaves 17 to 19 mm."""
     errors = []
     for name in ("book_p9", "box_p0", "hammer_p0"):
         dataset = read_dataset(shared_data / "bullet" / name).with_fit_pushes(5)
