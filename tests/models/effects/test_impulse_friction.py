@@ -14,7 +14,6 @@ from models.physics.rollout import Maps, Push
 GRID = block(8, 4)
 MASS = np.where(GRID.centers[:, 0] < 0.0, 4.0, 1.0)
 LEAN = {effect.name: effect for effect in LIBRARY}["impulse_friction"]
-STEP = 1 / 240
 
 
 def contacts(speed: tuple[float, float], omega: float, angle: float) -> list[tuple[np.ndarray, ...]]:

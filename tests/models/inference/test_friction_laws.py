@@ -59,7 +59,7 @@ def test_pushes_speak_for_the_law_that_made_them(recorded, names) -> None:  # ty
         assert held < 0.7 * held_plain
 
 
-def test_a_belief_of_several_laws_is_kept_and_predicts_the_same(recorded, tmp_path) -> None:  # type: ignore[no-untyped-def]
+def test_a_belief_of_several_laws_is_kept(recorded, tmp_path) -> None:  # type: ignore[no-untyped-def]
     """A single push leaves the law open."""
     belief = identify(recorded.dataset.with_fit_pushes(1), hypotheses=9, friction_laws=True).belief
     assert len(belief) == 9 and belief.probability.sum() == pytest.approx(1.0)
