@@ -15,7 +15,7 @@ from models.inference.friction_laws import Law
 from models.inference.hypotheses import Progress, gathered_belief, refits, trusted
 from models.measurements import PushDataset
 from models.physics.cell_grid import FloatArray
-from models.physics.rollout import Maps, RolloutError
+from models.physics.rollout import Maps, RolloutError, Slider
 
 
 def mixed_belief(
@@ -37,8 +37,7 @@ def mixed_belief(
     counts = _counts(shares, hypotheses)
     rng = np.random.default_rng(seed)
     of_law = [_effects_of(law) for law in laws]
-    used = tuple(effect for effect in LIBRARY if any(effect in effects for effects in of_law))
-    parts: list[Maps] = []
+    parts: list[tuple[Maps, tuple[Effect, ...]]] = []
     probability: list[FloatArray] = []
     kept: dict[str, float] = {}
     done = 0
@@ -55,22 +54,27 @@ def mixed_belief(
             if not effects:
                 raise
             continue
-        parts.append(_with_parameters(maps, effects, used))
+        parts.append((maps, effects))
         probability.append(share * weights)
         kept[law.name] = float(share)
     if not kept:
         raise RolloutError("no law of friction could be fitted to the pushes weighted at random")
     total = sum(kept.values())
+    used = tuple(effect for effect in LIBRARY if any(effect in effects for _, effects in parts))
+    carried = [_with_parameters(maps, effects, used) for maps, effects in parts]
     heaviest = laws[0].ladder
-    slider = heaviest[0][0].prior.slider
-    if used and not (isinstance(slider, EffectSlider) and slider.effects == used):
-        slider = EffectSlider(slider.grid, slider.finger_radius, used, slider.gravity, slider.smoothing)
+    slider: Slider = heaviest[0][0].prior.slider
+    common = (slider.gravity, slider.smoothing)
+    if used:
+        slider = EffectSlider(slider.grid, slider.finger_radius, used, *common)
+    else:
+        slider = Slider(slider.grid, slider.finger_radius, *common)
     return gathered_belief(
         dataset,
         slider,
         Maps(
             *(
-                np.concatenate([getattr(maps, name) for maps in parts])
+                np.concatenate([getattr(maps, name) for maps in carried])
                 for name in ("mass", "mu", "mu_finger", "effects")
             )
         ),

@@ -102,6 +102,7 @@ def test_a_law_that_cannot_be_refitted_is_left_out(recorded, monkeypatch) -> Non
     monkeypatch.setattr(mixed_belief, "refits", failing)
     found = identify(recorded.dataset.with_fit_pushes(1), hypotheses=6, friction_laws=True)
     assert found.friction_laws == {"plain": pytest.approx(1.0)}
+    assert found.belief.effects == ()
     assert found.belief.probability.sum() == pytest.approx(1.0)
 
 
