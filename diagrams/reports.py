@@ -10,7 +10,7 @@ from diagrams.comparison_words import QUANTITIES, millimetres, p_text, size_text
 from diagrams.console import paragraph, table
 from diagrams.wording import ROLES, short_name
 from models.inference.comparison import Comparison
-from models.inference.friction_laws import PLAIN
+from models.inference.friction_laws import PLAIN, TOGETHER
 from models.inference.noise_floor import noise_floor
 from models.inference.push_errors import Errors
 from models.inference.results import PushPrediction, Quantity
@@ -35,9 +35,8 @@ LAW_WORDS = {
     PLAIN: "plain (each cell carries its own weight)",
     "load_transfer": "load_transfer (pushing loads the front)",
     "impulse_friction": "impulse_friction (friction leans as in a simulator's impulses)",
-    "load_transfer + impulse_friction": "load_transfer and impulse_friction together",
 }
-"""Laws of `models.inference.friction_laws`, for a person."""
+"""Laws of `models.inference.friction_laws` with at most one effect, for a person."""
 
 
 def show_errors(pushes: Sequence[PushPrediction], dataset: PushDataset) -> None:
@@ -64,11 +63,16 @@ def show_friction_laws(shares: Mapping[str, float]) -> None:
     """Which laws of friction the hypotheses follow, where it is not the plain one alone."""
     if not set(shares) - {PLAIN}:
         return
-    words = [f"{100 * share:.0f} % {LAW_WORDS.get(name, name)}" for name, share in shares.items()]
+    words = [f"{100 * share:.0f} % {_law_in_words(name)}" for name, share in shares.items()]
     paragraph(
         f"Laws of friction, by what these pushes speak for: {'; '.join(words)}. `slipmap effects NAME`"
         " explains an effect."
     )
+
+
+def _law_in_words(name: str) -> str:
+    effects = name.split(TOGETHER)
+    return LAW_WORDS[name] if len(effects) == 1 else f"{' and '.join(effects)} together"
 
 
 def doubts(pushes: Sequence[PushPrediction], dataset: PushDataset) -> list[str]:

@@ -31,6 +31,18 @@ _FAST = ("arcp", "contract", "nsz", "reassoc")
 """What the compiler may do to sums and quotients, so that several cells are computed at once."""
 
 
+class _Printer(PythonCodePrinter):
+    """Writes fourth and eighth roots as square roots of square roots, which the compiler can vectorise."""
+
+    def _print_Pow(self, expr: Any, rational: bool = False) -> str:
+        if expr.exp.is_Rational and expr.exp.q in (4, 8):
+            root = self._print(expr.base)
+            for _ in range(expr.exp.q.bit_length() - 1):
+                root = f"math.sqrt({root})"
+            return f"({root})**({expr.exp.p})"
+        return str(super()._print_Pow(expr, rational))
+
+
 def _derivative(expression: Any, symbol: sp.Symbol) -> Any:
     result = sp.diff(expression, symbol)
     return (
@@ -89,7 +101,7 @@ def module_source(effects: Sequence[Effect]) -> str:
     compile.
     """
     slots = Slots(effects)
-    printer = PythonCodePrinter({"fully_qualified_modules": True})
+    printer = _Printer({"fully_qualified_modules": True})
     Y = len(slots.y)
     targets = [(f"out[{k}] =", e) for k, e in enumerate(slots.body)]
     targets += [

@@ -225,8 +225,8 @@ class LoadTransfer(Effect):
         ky = cell.spread_xy * bx + cell.spread_yy * by
         shift = kx * (cell.rx - cell.centroid_x) + ky * (cell.ry - cell.centroid_y)
         # Cells that lift off carry nothing, and as much more is on those in front: the whole carries the
-        # weight.
-        return 1 + shift / (1 + shift**6) ** sp.Rational(1, 6)
+        # weight. An eighth root is three square roots, which are taken of several cells at once.
+        return 1 + shift / (1 + shift**8) ** sp.Rational(1, 8)
 
     def remember(self, before: Any, after: Any, p: Any) -> Any:
         return (

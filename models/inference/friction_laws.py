@@ -36,6 +36,9 @@ from models.physics.rollout import RolloutError, Slider
 
 PLAIN = "plain"
 
+TOGETHER = " + "
+"""Between the effects in a law's name."""
+
 TEMPERATURE = 4.0
 
 LEAST_SHARE = 0.05
@@ -55,7 +58,7 @@ class Law:
     """A law of friction, fitted.
 
     Attributes:
-        name: `plain`, or the names of its effects joined by ` + `.
+        name: `plain`, or the names of its effects joined by `TOGETHER`.
         ladder: of `fit_with_trust`.
         log_evidence: of the best fit in it, α's prior included.
         share: of the belief.
@@ -131,7 +134,7 @@ def fit_laws(
             continue
         likelihood, found = ladder[-1]
         evidence = log_evidence(likelihood, found) - float(np.log(likelihood.settings.model_error))
-        laws.append(Law(" + ".join(effect.name for effect in effects) or PLAIN, ladder, evidence, 1.0))
+        laws.append(Law(TOGETHER.join(effect.name for effect in effects) or PLAIN, ladder, evidence, 1.0))
     progress(1, 1)
     return shared_out(laws)
 

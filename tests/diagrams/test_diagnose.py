@@ -1,47 +1,20 @@
-"""What `slipmap diagnose` and `slipmap fit` say, draw and refuse."""
+"""What `slipmap diagnose` and `slipmap fit` do with effects, and refuse."""
 
 from __future__ import annotations
 
 import json
 from dataclasses import replace
-from pathlib import Path
 
-import numpy as np
 import pytest
-from browser import assert_legible
 from hidden_effects import tilted_pushes
-from report_page import Page, assert_alone
+from report_page import Page
 
-from diagrams.diagnosis_report import compared, diagnosis_report
-from diagrams.diagnosis_tables import show_diagnosis
-from diagrams.diagnosis_words import push_facts, standing
-from diagrams.effect_words import READERS, effect_in_words
-from diagrams.figures import gain_figure, locked_figure
-from models.effects import LIBRARY
 from models.effects.registry import effects_named
-from models.inference.belief import Belief
 from models.inference.diagnosis import diagnose
-from models.inference.diagnosis.results import CandidateResult, ParameterEstimate
 from models.measurements import write_dataset
-from models.objects import cells_from_polygon
 
-ROOT = Path(__file__).resolve().parents[2]
 ENDINGS = {"predict": "out.png", "fit": "out.npz"}
 EFFECTS = effects_named(["table_tilt", "sensor_latency"])
-
-PUSH = {
-    "pose": [0.1, -0.05, np.pi / 2],
-    "contact": [-0.03, 0.0],
-    "direction_deg": 90.0,
-    "speed": 0.05,
-    "length": 0.1,
-    "dwell": 0.5,
-    "tip_start": [0.1, -0.095],
-    "tip_end": [0.1, 0.005],
-    "separates": ["table_tilt", "sensor_latency"],
-    "separation": 7.26,
-    "sentence": "Push the object along +y & wait.",
-}
 
 OWN_EFFECT = """
 from models.effects import Effect, Parameter
@@ -61,189 +34,11 @@ class Fan(Effect):
 """
 
 
-@pytest.fixture(scope="module")
-def tilted():
-    """The pushes on the tilted table, and a quick diagnosis with three candidates."""
-    dataset = tilted_pushes()
-    return dataset, diagnose(dataset, effects=EFFECTS, quick=True)
-
-
 @pytest.fixture
 def own_effect(tmp_path):
     file = tmp_path / "fan.py"
     file.write_text(OWN_EFFECT)
     return file
-
-
-def estimate(name, value, low, high, unit="1", effect="e"):
-    return ParameterEstimate(effect, name, unit, value, low, high)
-
-
-def words(effect, *estimates):
-    grid = cells_from_polygon(np.array([[0, 0], [6, 0], [6, 4], [0, 4]]) * 0.01, width=0.01)
-    return effect_in_words(effect, estimates, grid)
-
-
-def test_every_effect_of_the_library_has_words_for_its_size():
-    assert set(READERS) == {effect.name for effect in LIBRARY}
-    for effect in LIBRARY:
-        estimates = [
-            estimate(p.name, p.center + p.scale, p.center + 0.9 * p.scale, p.center + 1.1 * p.scale)
-            for p in effect.parameters
-        ]
-        assert "{" not in words(effect.name, *estimates)
-
-
-def test_sizes_in_the_units_of_a_person():
-    slope = np.sin(np.radians(3.0))
-    tilt = words(
-        "table_tilt",
-        estimate("down_x", 0.0, -0.001, 0.001),
-        estimate("down_y", slope, slope - 0.01, slope + 0.01),
-    )
-    assert tilt.startswith("tilt 3.0° (2.4 to 3.6), downhill towards 90.0°")
-    assert words("sensor_latency", estimate("latency", 0.06, 0.058, 0.062)) == (
-        "the tracker is 60.0 ms late (58.0 to 62.0)"
-    )
-    assert words("sensor_latency", estimate("latency", -0.006, -0.008, 0.001)) == (
-        "the tracker is 6.0 ms early (-1.0 to 8.0)"
-    )
-    # Eigenvalues of the stretch are (1 + ρ)/(1 - ρ) and its inverse: 1.5 / 0.5 at ρ = 0.5, at half the angle.
-    grain = words(
-        "anisotropic_table", estimate("along_x", 0.0, -0.1, 0.1), estimate("along_xy", 0.5, 0.4, 0.6)
-    )
-    assert grain.startswith("friction 3.0 times as high (2.3 to 4.0), along 45° of the table")
-    patch = [estimate("patch", np.log(2.0), np.log(1.5), np.log(3.0))]
-    patch += [estimate(name, 0.1, 0.09, 0.11) for name in ("patch_x", "patch_y", "patch_radius")]
-    level = [estimate(name, 0.01, -0.1, 0.1) for name in ("gradient_x", "gradient_y")]
-    field = words("table_friction_field", *level, *patch)
-    assert "2.0 times as high on a round patch (1.5 to 3.0)" in field and "x 100 mm (90 to 110)" in field
-    assert "towards" not in field  # a slope that may be none has no direction
-    none = [estimate("patch", 0.0, -0.1, 0.1), *patch[1:]]
-    assert "middle" not in words("table_friction_field", *level, *none)
-    # 24 cells of 1 cm² and 100 N s/m³ give 0.24 N s/m, at 100 mm/s 0.024 N.
-    assert "0.0240 N for each 100 mm/s" in words("viscous_friction", estimate("drag_per_area", 100, 90, 110))
-    assert words("fan", estimate("blow", 0.5, 0.4, 0.6, "N")) == "blow 0.50 N (0.40 to 0.60)"
-
-
-def test_standing_tells_why_each_is_ruled_out(tilted):
-    _, found = tilted
-    ambiguous = replace(found, verdict="ambiguous", effects=("table_tilt", "tether"))
-    pair = replace(found, effects=("table_tilt", "skate"), together=True)
-
-    def of(diagnosis, name, **more):
-        return standing(CandidateResult(name, 1.0, 0.5, **more), diagnosis)
-
-    assert of(ambiguous, "tether") == "not ruled out"
-    assert of(pair, "skate") == "needed, together with table_tilt"
-    assert (
-        of(found, "tether", rejected_by="table_tilt", remaining_gain=859.3)
-        == "table_tilt on top gains 859 more"
-    )
-    probed = of(found, "tether", rejected_by="force_by_time", remaining_gain=12.34)
-    assert probed == "“a force on the object that comes and goes with time” on top gains 12.3 more"
-    assert of(found, "tether") == "far from the best"
-    assert of(found, "tether", fitted_gain=1.0) == "less than the best"
-    assert of(replace(found, verdict="adequate", effects=()), "tether") == "gains no more than chance"
-
-
-def test_every_key_of_the_json_is_documented(tilted):
-    _, found = tilted
-    section = (ROOT / "docs" / "diagnose.md").read_text().split("## JSON")[1].split("## Limits")[0]
-    document = found.to_json()
-    for key in (*document, *document["candidates"][0], *PUSH):
-        shown = f"`{key}`" if not key.endswith("_after") else key.replace("after", "before")
-        assert shown in section, key
-
-
-def test_report_and_tables_of_one_effect(tilted, capsys):
-    dataset, found = tilted
-    assert found.effects == ("table_tilt",)
-    told = replace(found, next_push=PUSH)
-    page = assert_alone(diagnosis_report(told, dataset, EFFECTS))
-    assert {"answer", "ranking", "locked", "next", "errors", "pushes", "where", "reading"} <= set(page.ids)
-    data = json.loads(page.scripts[0][1])["pushes"]
-    assert data["labels"] == ["without effects", "with table_tilt"]
-    for fact in (
-        "x 100 mm, y -50 mm, turned by 90°",
-        "table_tilt, sensor_latency",
-        "7.3 standard deviations",
-    ):
-        assert fact in page.text
-    assert dict(push_facts(PUSH))["rest half-way"] == "0.5 s"
-    assert "rest half-way" not in dict(push_facts({**PUSH, "dwell": 0.0}))
-    show_diagnosis(told, dataset, EFFECTS)
-    out = capsys.readouterr().out
-    assert max(map(len, out.splitlines())) <= 80
-    for text in (out, page.text):
-        assert found.sentence in text and "chance was not simulated" in " ".join(text.split())
-        assert "Push the object along +y & wait." in text
-        assert f"{1e3 * found.before.path.mean():.1f}" in text
-        assert f"{found.after.total_misfit:.2f}" in text
-
-
-def test_the_report_is_legible_in_a_browser(tilted, browser, tmp_path):
-    dataset, found = tilted
-    page = tmp_path / "report.html"
-    page.write_text(diagnosis_report(replace(found, next_push=PUSH), dataset, EFFECTS), encoding="utf-8")
-    assert_legible(browser.opened(page), page)
-
-
-def test_both_models_of_the_report_are_those_of_the_diagnosis(tilted):
-    dataset, found = tilted
-    before, after = compared(found, dataset)
-    locked = [push for push in after.pushes if push.role == "heldout"]
-    assert [push.trial for push in locked] == list(found.locked)
-    np.testing.assert_allclose([p.errors.final_add for p in locked], found.after.final, rtol=0.02, atol=2e-5)
-    assert before.totals["heldout"].model.final_add > 3 * after.totals["heldout"].model.final_add
-
-
-def test_pushes_locked_by_lot_are_shown_as_held_out(tilted):
-    """Roles of the report are those of the diagnosis, also where the dataset holds nothing out."""
-    dataset, found = tilted
-    lot = replace(found, locked=found.open_trials[:2], open_trials=found.open_trials[2:])
-    (before, _) = compared(lot, dataset)
-    assert {p.trial for p in before.pushes if p.role == "heldout"} == set(lot.locked)
-
-
-def test_reports_of_the_other_verdicts(tilted, capsys):
-    dataset, found = tilted
-    plain = dict(effects=(), best=found.base, effect_objects=(), after=found.before, rivals=())
-    unknown = replace(
-        found, verdict="unknown", depends_on="friction_by_speed: Friction that depends on speed.", **plain
-    )
-    page = assert_alone(diagnosis_report(unknown, dataset, EFFECTS))
-    assert "Friction that depends on speed." in page.text and "--effect-file" in page.text
-    assert json.loads(page.scripts[0][1])["pushes"]["labels"] == ["the model"]
-    nothing = replace(found, verdict="adequate", before=None, locked=(), **{**plain, "after": None})
-    page = assert_alone(diagnosis_report(nothing, dataset, EFFECTS))
-    assert "locked" not in page.ids
-    show_diagnosis(nothing, dataset, EFFECTS)
-    assert "No push was locked away" in capsys.readouterr().out
-    with pytest.raises(ValueError, match="locked away"):
-        locked_figure(nothing)
-
-
-def test_a_set_is_named_and_names_cannot_break_the_report(tilted):
-    dataset, found = tilted
-    odd = replace(
-        found,
-        verdict="ambiguous",
-        sentence="<script>alert(1)</script>",
-        effects=("table_tilt", "sensor_latency"),
-        next_push={**PUSH, "sentence": "<b>"},
-    )
-    page = assert_alone(diagnosis_report(odd, replace(dataset, name="<i>"), EFFECTS))
-    assert "the data cannot rule out sensor_latency" in page.text
-    assert "<script>alert(1)</script>" in page.text and "<b>" in page.text
-
-
-def test_pictures_show_the_numbers(tilted):
-    _, found = tilted
-    bars = gain_figure(found).axes[0].patches
-    assert [bar.get_width() for bar in bars] == pytest.approx([max(c.gain, 0.0) for c in found.candidates])
-    dots = {line.get_label(): line for line in locked_figure(found).axes[0].get_lines()}
-    assert sorted(dots["with the answer"].get_xdata()) == pytest.approx(sorted(1e3 * found.after.path))
 
 
 def test_fit_and_predict_with_an_effect_of_ones_own(slipmap, tilted_folder, own_effect, tmp_path):
@@ -352,14 +147,3 @@ def test_it_is_counted_how_far_asking_every_effect_is():
     asked = [(done, total) for stage, done, total in told if stage == "asking every effect"]
     parts = asked[0][1]
     assert parts > 5 and asked == [(done, parts) for done in range(parts + 1)]
-
-
-def test_a_belief_of_a_diagnosis_survives_its_file(tilted, tmp_path):
-    from models.inference.diagnosis.fitted_belief import fitted_belief
-
-    dataset, found = tilted
-    belief = fitted_belief(found.best, dataset, found.seed)
-    belief.save(tmp_path / "b.npz")
-    again = Belief.load(tmp_path / "b.npz")
-    assert [effect.name for effect in again.effects] == ["table_tilt"]
-    np.testing.assert_array_equal(again.maps.effects, found.best.values[None])
