@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
+import click
 import numpy as np
 
 from diagrams.comparison_words import QUANTITIES, millimetres, p_text, size_text
@@ -68,6 +69,7 @@ def show_friction_laws(shares: Mapping[str, float]) -> None:
         f"Laws of friction, by what these pushes speak for: {'; '.join(words)}. `slipmap effects NAME`"
         " explains an effect."
     )
+    click.echo()
 
 
 def _law_in_words(name: str) -> str:

@@ -21,6 +21,7 @@ LARGEST_FINGER = 0.5  # m
 LARGEST_NOISE = {"position": 0.1, "angle": 1.0, "tip": 0.1, "force": 1e3}  # m, rad, m, N
 MASSES = (1e-6, 1e6)  # kg
 GRAVITIES = (1e-3, 1e3)  # m/s²
+HEIGHT_PER_SIZE = (1e-3, 10.0)  # of a sheet of card, and of a tall bottle
 MASS_PER_AREA = (0.1, 2e4)  # kg/m²; of stiff paper, and of two metres of steel
 NEAR_GRAVITY = (1.0, 30.0)  # m/s²; from the moon to a heavy planet
 
@@ -74,7 +75,7 @@ def parse_setup(document: dict[str, Any], where: str, default_name: str) -> Setu
         name=fields.text(document.get("name", default_name), f"{where}: name"),
         description=fields.text(document.get("description", ""), f"{where}: description"),
         grid=grid,
-        height=_optional(shape, "height", f"{where}: object.height", "m"),
+        height=_height(shape, grid, f"{where}: object.height", warnings),
         mass=_mass(shape, grid, f"{where}: object.mass", warnings),
         finger_radius=radius,
         table=_table(document.get("table"), f"{where}: table", warnings),
@@ -82,6 +83,16 @@ def parse_setup(document: dict[str, Any], where: str, default_name: str) -> Setu
         noise=_noise(document.get("noise"), f"{where}: noise", warnings),
         warnings=tuple(warnings),
     )
+
+
+def _height(shape: dict[str, Any], grid: CellGrid, where: str, warnings: list[str]) -> float | None:
+    height = _optional(shape, "height", where, "m")
+    if height is None:
+        return None
+    size = float(np.ptp(grid.exterior, axis=0).max())
+    if not HEIGHT_PER_SIZE[0] <= height / size <= HEIGHT_PER_SIZE[1]:
+        warnings.append(f"{where} is {height:g} m over a footprint of {size:.3g} m; are both in m?")
+    return height
 
 
 def _mass(shape: dict[str, Any], grid: CellGrid, where: str, warnings: list[str]) -> float | None:

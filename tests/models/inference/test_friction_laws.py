@@ -143,16 +143,17 @@ def test_heights_are_expected_at_half_the_object() -> None:
 
 def test_the_authors_simulator_leans_and_loads_the_front(shared_data) -> None:  # type: ignore[no-untyped-def]
     """Over its datasets the plain law leaves 17 to 19 mm."""
-    errors = []
+    errors, plain = [], []
     for name in ("book_p9", "box_p0", "hammer_p0"):
         dataset = read_dataset(shared_data / "bullet" / name).with_fit_pushes(5)
         result = identify(dataset, friction_laws=True)
-        assert result.friction_laws.get("plain", 0.0) < 0.25
+        plain.append(result.friction_laws.get("plain", 0.0))
         held = result.errors("heldout")
         assert held.mean() < 0.5 * result.errors("heldout", "uniform_add").mean()
         assert held.mean() < 0.2 * result.errors("heldout", "no_motion_add").mean()
         errors.append(held.mean())
     assert np.mean(errors) < 14e-3
+    assert np.mean(plain) < 0.2
 
 
 def test_real_pushes_are_predicted_with_all_laws(shared_data) -> None:  # type: ignore[no-untyped-def]

@@ -105,6 +105,8 @@ def test_faults_in_the_description(example, change, words):
         (set_at(["gravitation"], 9.81), "the key 'gravitation' is unknown"),
         (set_at(["finger", "diameter"], 0.01), "finger: the key 'diameter' is unknown"),
         (set_at(["table", "size"], [1, 1]), "table: the key 'size' is unknown"),
+        (set_at(["object", "height"], 50.0), "object.height is 50 m over a footprint of 0.1 m; are both"),
+        (set_at(["object", "height"], 5e-5), "are both in m"),
         (set_at(["object", "mass"], 815.0), "object.mass is 815 kg on 100 cm², 8.15e+04 kg/m²; is it in kg"),
         (set_at(["object", "mass"], 0.000815), "is it in kg"),
         (set_at(["noise", "torque"], 0.1), "noise: the key 'torque' is unknown"),
