@@ -1,7 +1,7 @@
 """Does a 90 % interval hold the truth nine times in ten? Identify many simulated objects and count.
 
 Objects, maps and pushes are drawn at random: two materials with a sharp border on top of smooth variation,
-whose masses differ up to ten-fold, as in the objects of the paper; frictions and total masses over an order
+whose masses differ up to ten-fold, as in most objects of the paper; frictions and total masses over an order
 of magnitude. Rows carry sensor noise. The truth is then looked up in the intervals of a belief that is learnt
 as `slipmap identify` does, with several laws of friction.
 """
