@@ -22,14 +22,14 @@ import numpy as np
 
 from models.inference.belief import Belief
 from models.inference.gauss_newton import fit
-from models.inference.prior import MapPrior
 from models.inference.trust import Ladder
 from models.measurements import PushDataset
 from models.physics.cell_grid import FloatArray
 from models.physics.rollout import Maps, Slider
 
 STRENGTHS = (0.8, 3.5)
-"""Range of the factor on the prior's map variation, drawn log-uniformly for each hypothesis."""
+"""Range of the factor on the prior's map variation, drawn log-uniformly for each hypothesis, see
+`MapPrior.spreads`."""
 
 Progress = Callable[[str, int, int], None]
 
@@ -122,7 +122,7 @@ def refits(
         who = np.arange(rung, hypotheses, len(rungs))
         found = fit(
             likelihood,
-            _rescaled(prior, first.z[0], strength[who]),
+            prior.rescaled(first.z[0], strength[who]),
             weights=weights[who],
             prior_mean=prior_mean[who],
             strength=strength[who],
@@ -138,13 +138,6 @@ def refits(
 
 def _part(report: Callable[[int, int], None], part: int, parts: int) -> Callable[[int, int], None]:
     return lambda done, total: report(part * total + done, parts * total)
-
-
-def _rescaled(prior: MapPrior, z: FloatArray, strength: FloatArray) -> FloatArray:
-    """The same maps in the coordinates of hypotheses with other strengths."""
-    start = np.repeat(z[None], len(strength), axis=0)
-    start[:, : 2 * prior.basis.shape[1]] /= strength[:, None]
-    return start
 
 
 def accuracy_weights(cost: FloatArray) -> FloatArray:

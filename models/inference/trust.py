@@ -31,6 +31,10 @@ Ladder = list[tuple[Likelihood, Fits]]
 MODEL_ERRORS = (0.005, 0.015, 0.04, 0.1)
 """α to choose from, ascending."""
 
+FORCE_ERROR = 10.0
+LARGEST_FORCE_ERROR = 0.4
+"""Error of the best model's force, as a share of the force: by α, and at most."""
+
 
 def fit_with_trust(
     prior: MapPrior,
@@ -58,7 +62,7 @@ def fit_with_trust(
     found: Ladder = []
     highest, offsets = -np.inf, None
     for alpha in MODEL_ERRORS:
-        likelihood = Likelihood(prior, observations, noise, replace(LikelihoodSettings(), model_error=alpha))
+        likelihood = Likelihood(prior, observations, noise, trusting(alpha))
         center = None if mean is None else np.repeat(mean[None], len(starts), axis=0)
         told = None if found else progress
         best = fit(likelihood, starts, prior_mean=center, offsets=offsets, progress=told).best()
@@ -68,6 +72,16 @@ def fit_with_trust(
         found.append((likelihood, best))
         highest, starts, offsets = evidence, best.z, best.offsets
     return found
+
+
+def trusting(alpha: float) -> LikelihoodSettings:
+    """What data are trusted with if the best model is off by a share α of the way travelled.
+
+    Its force is held to be off by ten times that share, 40 % at most.
+    """
+    return replace(
+        LikelihoodSettings(), model_error=alpha, force_error=min(FORCE_ERROR * alpha, LARGEST_FORCE_ERROR)
+    )
 
 
 def log_evidence(likelihood: Likelihood, found: Fits) -> float:

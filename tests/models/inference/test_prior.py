@@ -54,6 +54,33 @@ def test_basis_reproduces_its_covariance():
     assert covariance[0, 7] == pytest.approx(0.95 * np.exp(-0.5 * (d / (0.35 * diameter)) ** 2))
 
 
+def test_maps_of_four_times_the_strength_vary_four_times_in_load_and_twice_in_how_it_is_split():
+    settings = PriorSettings(load_map=0.1, mass_share=0.8, split=0.05)
+    prior = MapPrior(Slider(SQUARE, 0.005), settings, mass=None)
+    r = prior.basis.shape[1]
+    z = np.random.default_rng(3).standard_normal((1, prior.size))
+    z[:, 2 * r :] = 0.0
+
+    def contrasts(part, strength):
+        chosen = np.zeros_like(z)
+        chosen[:, part] = z[:, part]
+        maps = prior.maps(chosen, strength)
+        return np.log(maps.mu / maps.mu[:, :1]), np.log(maps.mass / maps.mass[:, :1])
+
+    for part, factor in ((slice(r), 4.0), (slice(r, 2 * r), 2.0)):
+        for more, usual in zip(contrasts(part, 4.0), contrasts(part, 1.0), strict=True):
+            assert more == pytest.approx(factor * usual, abs=1e-12)
+            assert np.ptp(usual) > 0.01
+
+
+def test_rescaled_coordinates_give_the_same_maps_at_other_strengths(prior):
+    z = np.random.default_rng(4).standard_normal(prior.size)
+    strength = np.array([0.8, 1.0, 3.5])
+    maps, usual = prior.maps(prior.rescaled(z, strength), strength), prior.maps(z[None])
+    assert maps.mass == pytest.approx(np.repeat(usual.mass, 3, axis=0), rel=1e-9)
+    assert maps.mu == pytest.approx(np.repeat(usual.mu, 3, axis=0), rel=1e-9)
+
+
 @pytest.mark.parametrize("strength", [1.0, 2.5])
 def test_chain_rule_agrees_with_differences(prior, strength):
     rng = np.random.default_rng(2)

@@ -105,6 +105,13 @@ def test_pushes_that_follow_the_model_are_trusted_and_pushes_that_do_not_are_not
     assert errors == MODEL_ERRORS[: len(errors)] and errors[-1] >= 0.04
 
 
+def test_the_less_poses_are_trusted_the_less_are_forces(recorded):
+    ladder = ladder_of(bent(recorded.dataset, 0.1))
+    shares = [likelihood.settings.force_error for likelihood, _ in ladder]
+    assert shares[:3] == pytest.approx([0.05, 0.15, 0.4])
+    assert max(shares) == pytest.approx(0.4)
+
+
 def test_hypotheses_take_turns_under_every_likelihood_of_the_ladder(recorded):
     belief = identify(bent(recorded.dataset, 0.1), hypotheses=7, seed=1).belief
     errors = belief.settings["model_errors"]
