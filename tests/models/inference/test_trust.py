@@ -12,7 +12,7 @@ from models.inference.identification import FINGER_STARTS, identify
 from models.inference.likelihood import Likelihood, NormalEquations
 from models.inference.observations import MEASURED_CONTACT, observe_all
 from models.inference.prior import MapPrior, PriorSettings
-from models.inference.trust import MODEL_ERRORS, fit_with_trust, log_evidence
+from models.inference.trust import MODEL_ERRORS, fit_with_trust, log_evidence, trusting
 from models.physics.rollout import Slider
 
 
@@ -107,9 +107,8 @@ def test_pushes_that_follow_the_model_are_trusted_and_pushes_that_do_not_are_not
 
 def test_the_less_poses_are_trusted_the_less_are_forces(recorded):
     ladder = ladder_of(bent(recorded.dataset, 0.1))
-    shares = [likelihood.settings.force_error for likelihood, _ in ladder]
-    assert shares[:3] == pytest.approx([0.05, 0.15, 0.4])
-    assert max(shares) == pytest.approx(0.4)
+    assert [likelihood.settings.force_error for likelihood, _ in ladder][:2] == pytest.approx([0.05, 0.15])
+    assert [trusting(alpha).force_error for alpha in (0.04, 0.1)] == pytest.approx([0.4, 0.4])
 
 
 def test_hypotheses_take_turns_under_every_likelihood_of_the_ladder(recorded):
