@@ -116,7 +116,7 @@ FAULTS = {
     "nothing returned": ("return pull", "pull", r"what force\(\) return does not depend on strength"),
     "no parameter in it": ("p.strength", "0", r"what force\(\) return does not depend on strength"),
     "unit is no text": ('"N", "of', '5, "of', r"class Magnet: parameter strength: unit must be text, got 5"),
-    "null byte": ("\nclass", "\0\nclass", r"magnet\.py: source code .* null bytes$"),
+    "null byte": ("\nclass", "\0\nclass", r"magnet\.py, line 5: it holds a null byte"),
     "start outside": ("0.1, 0.0),", "0.1, 0.0, start=99.0),", r"start 99\.0 must lie within -50\.0 and 50"),
     "no class": ("class Magnet(Effect):", "class Magnet:", r"magnet\.py.*Effect"),
 }  # fmt: skip
