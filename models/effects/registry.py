@@ -32,8 +32,8 @@ def load_effects(path: str | Path) -> tuple[Effect, ...]:
         raise EffectError(f"effect file {path}: {error}") from error
     before, null, _ = path.read_bytes().partition(b"\0")
     if null:  # Pythons before 3.11.4 name no line
-        line = before.count(b"\n") + 1
-        raise EffectError(f"effect file {path}, line {line}: it holds a null byte; save it as UTF-8 text")
+        row = before.count(b"\n") + 1
+        raise EffectError(f"effect file {path}, line {row}: it holds a null byte; save it as UTF-8 text")
     # SymPy formulas are keyed by their file; a module of the same name elsewhere must not be taken for this
     # one.
     name = f"slipmap_effect_file_{abs(hash(path.resolve()))}"
