@@ -93,13 +93,19 @@ def parse_yaml(content: bytes, where: str) -> Any:
 def _depth(content: bytes) -> int:
     """How deeply a YAML document is nested, up to one more than may be. The compiled loader would crash."""
     depth = 0
-    for event in yaml.parse(content, Loader=_Loader):
-        if isinstance(event, yaml.CollectionStartEvent):
-            depth += 1
-            if depth > DEEPEST_YAML:
-                break
-        elif isinstance(event, yaml.CollectionEndEvent):
-            depth -= 1
+    try:
+        for event in yaml.parse(content, Loader=_Loader):
+            if isinstance(event, yaml.CollectionStartEvent):
+                depth += 1
+                if depth > DEEPEST_YAML:
+                    break
+            elif isinstance(event, yaml.CollectionEndEvent):
+                depth -= 1
+    except yaml.MarkedYAMLError as error:
+        # libyaml from 0.2.6 on has a limit of its own, far above ours, and meets it while it looks ahead.
+        if "nesting depth" in (error.problem or ""):
+            return DEEPEST_YAML + 1
+        raise
     return depth
 
 
