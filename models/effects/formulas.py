@@ -13,6 +13,7 @@ import sympy as sp
 from sympy.printing.numpy import NumPyPrinter
 from sympy.printing.pycode import PythonCodePrinter
 
+from models.effects.backwards import backward_loop
 from models.effects.effect import Effect
 from models.effects.slots import Slots
 from models.effects.symbols import CONSTANT_NAMES, real
@@ -32,14 +33,18 @@ _FAST = ("arcp", "contract", "nsz", "reassoc")
 
 
 class _Printer(PythonCodePrinter):
-    """Writes fourth and eighth roots as square roots of square roots, which the compiler can vectorise."""
+    """Writes powers so that the compiler computes those of several cells at once: fourth and eighth roots as
+    square roots of square roots, negative powers as quotients."""
 
     def _print_Pow(self, expr: Any, rational: bool = False) -> str:
-        if expr.exp.is_Rational and expr.exp.q in (4, 8):
+        exponent = expr.exp
+        if exponent.is_Rational and exponent.is_negative and exponent != sp.Rational(-1, 2):
+            return f"(1.0/({self._print(sp.Pow(expr.base, -exponent))}))"
+        if exponent.is_Rational and exponent.q in (4, 8):
             root = self._print(expr.base)
-            for _ in range(expr.exp.q.bit_length() - 1):
+            for _ in range(exponent.q.bit_length() - 1):
                 root = f"math.sqrt({root})"
-            return f"({root})**({expr.exp.p})"
+            return f"({root})**{exponent.p}"
         return str(super()._print_Pow(expr, rational))
 
 
@@ -84,7 +89,9 @@ def _arguments(slots: Slots, after: bool = False) -> list[str]:
 def _function(name: str, arguments: str, lines: Sequence[str]) -> str:
     count = arguments.count(",") + 1
     kinds = ", ".join(["_P"] * count)
-    decorator = f"@cfunc(types.void({kinds}), cache=True, fastmath={{{', '.join(map(repr, _FAST))}}})"
+    fast = ", ".join(map(repr, _FAST))
+    # Division by zero gives infinity, which the kernel notices; checks would be branches in the loop.
+    decorator = f'@cfunc(types.void({kinds}), cache=True, error_model="numpy", fastmath={{{fast}}})'
     return "\n".join(["", "", decorator, f"def {name}({arguments}):", *lines, ""])
 
 
@@ -125,7 +132,6 @@ def module_source(effects: Sequence[Effect]) -> str:
 
 def _cell_functions(slots: Slots, printer: Any) -> str:
     """The functions `cells` and `cell_slopes`."""
-    Y = len(slots.y)
     loop = {real("r_x"), real("r_y")}
     start = ["    for i in range(int(n)):", "        r_x = rx[i]", "        r_y = ry[i]"]
     targets = [("factor[i] =", slots.factor), ("drag[i] =", slots.drag)]
@@ -139,28 +145,31 @@ def _cell_functions(slots: Slots, printer: Any) -> str:
     # What a cell has that changes: the array of the gradient's derivatives by it, its place there.
     changed = [("gl", 0, slots.factor), ("gd", 0, slots.drag)]
     changed += [("gq", q, e) for q, e in enumerate(slots.stretch) if slots.stretches]
-    slopes = [[sp.Symbol(f"{name}{place}{a}") for a in range(3)] for name, place, _ in changed]
-    targets, sums = [], []
-    for j, symbol in enumerate(slots.y):
-        by_y = [_derivative(expression, symbol) for _, _, expression in changed]
-        for a in range(3):
-            value = sum(slope[a] * by for slope, by in zip(slopes, by_y, strict=True))
-            if value != 0:
-                targets.append((f"sum_{a * Y + j} +=", value))
-                sums.append(a * Y + j)
-    before, within = _assignments(printer, targets, loop | {g for slope in slopes for g in slope})
+    changed = [entry for entry in changed if entry[2].free_symbols & {*slots.y}]
+    code = backward_loop(
+        [(f"{name}{place}", e) for name, place, e in changed],
+        slots.y,
+        (real("r_x"), real("r_y")),
+        _derivative,
+        printer.doprint,
+    )
     rows = [
-        f"        {name}{place}{a} = {name}[{3 * place + a} * int(n) + i]"
+        f"{name}{place}{a} = {name}[{3 * place + a} * int(n) + i]"
         for name, place, _ in changed
         for a in range(3)
     ]
     # Summed up in numbers of their own: what is stored within a loop, the compiler does not compute at once.
-    zeros = [f"    sum_{place} = 0.0" for place in sums]
-    stored = [f"    G[{place}] += sum_{place}" for place in sums]
+    around = [*code.before, *(f"{name} = 0.0" for name in code.sums)]
     text += _function(
         "cell_slopes",
         "y, c, rx, ry, gl, gd, gq, G",
-        [*_arguments(slots), *before, *zeros, *start, *rows, *within, *stored],
+        [
+            *_arguments(slots),
+            *(f"    {line}" for line in around),
+            *start,
+            *(f"        {line}" for line in [*rows, *code.within]),
+            *(f"    {line}" for line in code.after),
+        ],
     )
     return text
 

@@ -100,7 +100,7 @@ def _program_of(effects: tuple[Effect, ...]) -> Program:
 def _key(effects: Sequence[Effect]) -> str | None:
     """Hash of all that the code is made from, or None where an effect has no file."""
     digest = hashlib.sha256()
-    for name in ("effect.py", "symbols.py", "program.py", "slots.py", "formulas.py"):
+    for name in ("effect.py", "symbols.py", "program.py", "slots.py", "formulas.py", "backwards.py"):
         digest.update((Path(__file__).parent / name).read_bytes())
     for effect in effects:
         try:

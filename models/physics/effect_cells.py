@@ -145,13 +145,14 @@ def _effect_model(cells, inertia, star, h, v):  # type: ignore[no-untyped-def]
 register_cells(EffectCells, _effect_model)
 
 
-@compiled()
+@compiled(fastmath={*_FAST, "nnan"})
 def longest_axis(qxx, qxy, qyy):  # type: ignore[no-untyped-def]
     """`EffectCells.longest` of some Q."""
-    longest = 1.0
+    longest = 2.0
     for i in range(qxx.shape[0]):
-        longest = max(longest, 0.5 * (qxx[i] + qyy[i]) + math.hypot(0.5 * (qxx[i] - qyy[i]), qxy[i]))
-    return longest
+        apart = qxx[i] - qyy[i]
+        longest = max(longest, qxx[i] + qyy[i] + math.sqrt(apart * apart + 4.0 * qxy[i] * qxy[i]))
+    return 0.5 * longest
 
 
 @compiled()

@@ -125,7 +125,7 @@ def effect_rollout(  # type: ignore[no-untyped-def]
     after = np.zeros(AFTER)
     own = np.zeros(max(0, E - FORCE))
     down = np.zeros((max(0, E - FORCE), Y + AFTER))
-    by_load = np.zeros((3, n))
+    by_load = np.zeros((3, plain.rx.shape[0]))
     by_drag = np.zeros((3, n))
     by_stretch = np.zeros((STRETCH, 3, n if with_stretch else 0))
     qxx, qxy, qyy = np.ones_like(plain.rx), np.zeros_like(plain.rx), np.ones_like(plain.rx)
@@ -139,6 +139,7 @@ def effect_rollout(  # type: ignore[no-untyped-def]
     spring_force = np.zeros((2, 3))
     scale_g = np.zeros((3, 2))
     scale_f = np.zeros((2, 2))
+    slopes = np.zeros((2, memory_rows))
     S = first_blocks(E, n, columns)
     before = np.zeros_like(S)
     F = empty_blocks(columns, 2)
@@ -236,8 +237,8 @@ def effect_rollout(  # type: ignore[no-untyped-def]
             set_body_slopes(G, body, new, free, dout, h)
             if blade_count > 0:
                 blade_slopes(blades, dout[BODY_OUTPUTS:], new, plain.eps2, h, G)
+            load_gradients(cells, new, by_load)
             if with_cells:
-                load_gradients(cells, new, by_load)
                 drag_gradients(rx, ry, new, cell_width, by_drag)
                 stretch_gradients(cells, new, by_stretch)
                 weigh_cells(load, factor, h, by_load, by_drag, by_stretch, weighted_load)
@@ -255,13 +256,13 @@ def effect_rollout(  # type: ignore[no-untyped-def]
             add_contact_slopes(G, A, scale_g, spring_A, dout, E > 0)
             copy_into(before, S)
             scale = (scale_g[0, 0], scale_g[1, 0], scale_g[2, 0])
-            fill_load_slopes(S, cells, share_of_load, E, new, h, scale)
+            fill_load_slopes(S, by_load, share_of_load, E, h, scale)
             fill_other_slopes(S, G, E, n, columns, extra)
             inverse = (minimum.xx, minimum.xy, minimum.xw, minimum.yy, minimum.yw, minimum.ww)
             advance_state(S, G, E, inverse, pose_update(way, h), h)
             if E > 0 or wants_force:
                 fill_force(
-                    F, S, before, E, n, columns, frame, h, force, dforce, spring_force, scale_f, dout
+                    F, S, before, E, n, columns, frame, h, force, dforce, spring_force, scale_f, dout, slopes
                 )  # fmt: skip
             if E > 0:
                 advance_memory(S, before, F, down, E, n, columns)

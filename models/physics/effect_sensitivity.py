@@ -13,8 +13,6 @@ effects. G (3, Y) is the derivative of a step's gradient by what the formulas ar
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
 from models.physics.compiled import compiled
@@ -116,39 +114,28 @@ def add_contact_slopes(G, A, scale_g, spring_A, dout, bends):  # type: ignore[no
 
 
 @compiled(fastmath={"contract"})
-def fill_load_slopes(S, cells, share, memory, v, h, scale):  # type: ignore[no-untyped-def]
+def fill_load_slopes(S, by_load, share, memory, h, scale):  # type: ignore[no-untyped-def]
     """Set the direct rows of the loads: derivative of the step's gradient by them, the state being held.
 
     It does so for the cells that fill up as well; `fill_other_slopes` is called afterwards.
 
     Args:
         S: blocks, changed in place.
-        cells: `EffectCells`, filled up to a multiple of `LANES`.
-        share: (as many,) friction factors, not below 0.
+        by_load: (3, …) see `load_gradients`, of cells filled up to a multiple of `LANES`.
+        share: (…,) friction factors, not below 0.
         memory: E.
-        v: twist after the step.
         h: step, s.
         scale: (3,) gradient by the sum of loads, through the contact's stiffness.
     """
     size = (FIXED_ROWS + memory) * LANES
-    vx, vy, omega = v
-    qxx, qxy, qyy = cells.qxx, cells.qxy, cells.qyy
-    spin = cells.rho2 * omega
-    constant = spin * omega + cells.eps2
-    rx, ry = cells.rx, cells.ry
-    sx, sy, sw = scale
-    for b in range(rx.shape[0] // LANES):
-        at = b * size + _DIRECT * LANES
-        for lane in range(LANES):
-            x, y = rx[b * LANES + lane], ry[b * LANES + lane]
-            ux = vx - omega * y
-            uy = vy + omega * x
-            px = qxx[b * LANES + lane] * ux + qxy[b * LANES + lane] * uy
-            py = qxy[b * LANES + lane] * ux + qyy[b * LANES + lane] * uy
-            k = h * share[b * LANES + lane] / math.sqrt(ux * px + uy * py + constant)
-            S[at + lane] = px * k + sx
-            S[at + lane + LANES] = py * k + sy
-            S[at + lane + 2 * LANES] = (x * py - y * px + spin) * k + sw
+    for b in range(share.shape[0] // LANES):
+        here = slice(b * LANES, (b + 1) * LANES)
+        shares = share[here]
+        for a in range(3):
+            row = b * size + (_DIRECT + a) * LANES
+            direct, slope = S[row : row + LANES], by_load[a, here]
+            for lane in range(LANES):
+                direct[lane] = h * shares[lane] * slope[lane] + scale[a]
 
 
 @compiled()
@@ -195,10 +182,9 @@ def advance_state(S, G, memory, inverse, pose, h):  # type: ignore[no-untyped-de
     size = (FIXED_ROWS + memory) * LANES
     for b in range(S.shape[0] // size):
         block = S[b * size : (b + 1) * size]
-        for e in range(memory):
-            _add_row(block, _DIRECT, G[0, STATE + e], block, FIXED_ROWS + e)
-            _add_row(block, _DIRECT + 1, G[1, STATE + e], block, FIXED_ROWS + e)
-            _add_row(block, _DIRECT + 2, G[2, STATE + e], block, FIXED_ROWS + e)
+        if memory > 0:
+            for a in range(3):
+                _add_rows(block, _DIRECT + a, G[a], STATE, memory, block, FIXED_ROWS)
         for lane in range(LANES):
             gx = block[lane + _DIRECT * LANES]
             gy = block[lane + (_DIRECT + 1) * LANES]
@@ -207,23 +193,38 @@ def advance_state(S, G, memory, inverse, pose, h):  # type: ignore[no-untyped-de
 
 
 @compiled(forceinline=True)
-def _add_row(block, row, slope, other, other_row):  # type: ignore[no-untyped-def]
-    """Add a multiple of one row of a block to a row of another, or of the same."""
-    target = block[row * LANES : (row + 1) * LANES]
-    source = other[other_row * LANES : (other_row + 1) * LANES]
-    for lane in range(LANES):
-        target[lane] += slope * source[lane]
+def _add_rows(target, row, slopes, first, count, source, begin):  # type: ignore[no-untyped-def]
+    """Add to a row of a block the `count` rows of another, or of the same, from `begin` on, times the slopes
+    from `first` on.
+
+    The lanes have names of their own, or the compiler would write and read the row for each slope.
+    """
+    a = b = c = d = e = f = g = h = 0.0
+    for k in range(count):
+        slope = slopes[first + k]
+        at = (begin + k) * LANES
+        a += slope * source[at]
+        b += slope * source[at + 1]
+        c += slope * source[at + 2]
+        d += slope * source[at + 3]
+        e += slope * source[at + 4]
+        f += slope * source[at + 5]
+        g += slope * source[at + 6]
+        h += slope * source[at + 7]
+    at = row * LANES
+    target[at] += a
+    target[at + 1] += b
+    target[at + 2] += c
+    target[at + 3] += d
+    target[at + 4] += e
+    target[at + 5] += f
+    target[at + 6] += g
+    target[at + 7] += h
 
 
-@compiled(forceinline=True)
-def _row_of(k):  # type: ignore[no-untyped-def]
-    """Row of a block that holds the derivatives of entry k of y, k below 6 + E."""
-    return k if k < STATE else k + FIXED_ROWS - STATE
-
-
-@compiled()
+@compiled(fastmath={"contract"})
 def fill_force(  # type: ignore[no-untyped-def]
-    F, S, before, memory, n, columns, frame, h, force, dforce, spring_force, scale_f, dout
+    F, S, before, memory, n, columns, frame, h, force, dforce, spring_force, scale_f, dout, slopes
 ):  # fmt: skip
     """Fill F, blocks of two rows, with the Jacobian of the finger's force (world, N).
 
@@ -241,11 +242,18 @@ def fill_force(  # type: ignore[no-untyped-def]
         spring_force: (2, 3) see `add_spring_columns`.
         scale_f: (2, 2) see `add_contact_scale`.
         dout: (BODY_OUTPUTS + …, Y) derivatives of the body formulas.
+        slopes: (2, 6 + E) room for numbers.
     """
     size, inertia_at = (FIXED_ROWS + memory) * LANES, STATE + memory
+    bends = False
     for a in range(2):
         # The compliance may depend on any of the formula's arguments.
         stiff = scale_f[a, 1] + spring_force[a, 2]
+        for k in range(STATE + memory):
+            slopes[a, k] = stiff * dout[COMPLIANCE, k]
+            if STATE <= k < STATE + FORCE:
+                slopes[a, k] += spring_force[a, k - STATE]
+            bends = bends or slopes[a, k] != 0.0
         for i in range(n):
             F[_place(i, a, 2)] = scale_f[a, 0]
         for k in range(INERTIA):
@@ -259,16 +267,11 @@ def fill_force(  # type: ignore[no-untyped-def]
         old, new = before[b * size : (b + 1) * size], S[b * size : (b + 1) * size]
         out = F[2 * b * LANES : 2 * (b + 1) * LANES]
         for a in range(2):
-            for k in range(STATE):
-                _add_row(out, a, dforce[a, k], old, k)
-            for k in range(3):
-                _add_row(out, a, dforce[a, 6 + k], new, 3 + k)
-            for k in range(STATE + memory):
-                slope = (scale_f[a, 1] + spring_force[a, 2]) * dout[COMPLIANCE, k]
-                if STATE <= k < STATE + FORCE:
-                    slope += spring_force[a, k - STATE]
-                if slope != 0.0:
-                    _add_row(out, a, slope, old, _row_of(k))
+            _add_rows(out, a, dforce[a], 0, STATE, old, 0)
+            _add_rows(out, a, dforce[a], STATE, 3, new, 3)
+            if bends:
+                _add_rows(out, a, slopes[a], 0, STATE, old, 0)
+                _add_rows(out, a, slopes[a], STATE, memory, old, FIXED_ROWS)
         for lane in range(LANES):
             px, py = out[lane], out[lane + LANES]
             turning = old[lane + 2 * LANES] + 0.5 * h * old[lane + 5 * LANES]
@@ -276,7 +279,7 @@ def fill_force(  # type: ignore[no-untyped-def]
             out[lane + LANES] = (frame.sin * px + frame.cos * py) / h + force[0] * turning
 
 
-@compiled()
+@compiled(fastmath={"contract"})
 def advance_memory(S, before, F, down, memory, n, columns):  # type: ignore[no-untyped-def]
     """Rows of memory after a step, from those of state and force.
 
@@ -296,19 +299,14 @@ def advance_memory(S, before, F, down, memory, n, columns):  # type: ignore[no-u
         old, new = before[b * size : (b + 1) * size], S[b * size : (b + 1) * size]
         force = F[2 * b * LANES : 2 * (b + 1) * LANES]
         new[FIXED_ROWS * LANES :] = 0.0
-        for a in range(FORCE):
-            _add_row(new, FIXED_ROWS + a, 1.0, force, a)
+        for lane in range(FORCE * LANES):
+            new[FIXED_ROWS * LANES + lane] = force[lane]
         for e in range(down.shape[0]):
             row = FIXED_ROWS + FORCE + e
-            for k in range(STATE + memory):
-                if down[e, k] != 0.0:
-                    _add_row(new, row, down[e, k], old, _row_of(k))
-            for k in range(STATE):
-                if down[e, Y + k] != 0.0:
-                    _add_row(new, row, down[e, Y + k], new, k)
-            for a in range(FORCE):
-                if down[e, Y + STATE + a] != 0.0:
-                    _add_row(new, row, down[e, Y + STATE + a], force, a)
+            _add_rows(new, row, down[e], 0, STATE, old, 0)
+            _add_rows(new, row, down[e], STATE, memory, old, FIXED_ROWS)
+            _add_rows(new, row, down[e], Y, STATE, new, 0)
+            _add_rows(new, row, down[e], Y + STATE, FORCE, force, 0)
     for e in range(down.shape[0]):
         row = FIXED_ROWS + FORCE + e
         for k in range(INERTIA):

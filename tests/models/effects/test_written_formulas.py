@@ -38,7 +38,9 @@ def numbers(
     rng: np.random.Generator,
 ) -> tuple[dict[str, float], SimpleNamespace, SimpleNamespace, SimpleNamespace]:
     """Values of the printed letters, and the same as body, cell and after."""
-    value = {name: float(rng.uniform(0.1, 0.9)) for name in {*body_names({}), *cell_names(body_names({}))}}
+    # In an order of their own: that of a set is another in each process.
+    names = sorted({*body_names({}), *cell_names(body_names({}))})
+    value = {name: float(rng.uniform(0.1, 0.9)) for name in names}
     value |= {
         name: float(rng.uniform(0.1, 0.9))
         for name in ("gain_x", "gain_y", "lag_x", "lag_y", "rush_x", "rush_y")
