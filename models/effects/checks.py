@@ -32,6 +32,7 @@ def check_effect(effect: Effect, where: str) -> None:
         check_declaration(effect)
         slots = Slots([effect])
         _check_values(effect, slots)
+        _check_slopes(effect, slots)
         _check_that_it_acts(effect, slots)
         check_starts(effect)
     except EffectError as error:
@@ -108,6 +109,37 @@ def _check_values(effect: Effect, slots: Slots) -> None:
                     f"the effect does not vanish when its parameters are at their nulls ({', '.join(nulls)}):"
                     f" it gives {value:.6g} instead of {wanted:g}"
                 )
+
+
+def _check_slopes(effect: Effect, slots: Slots) -> None:
+    """Refuse formulas without a finite derivative where an object lies still, as every push begins."""
+    from models.effects.formulas import derivative
+
+    rng = np.random.default_rng(1)
+    parameters = {f"p_{effect.name}_{p.name}": p for p in effect.parameters}
+    still = {"v_x", "v_y", "omega", *FORCE_NAMES, *(f"mem_{effect.name}_{name}" for name in effect.memory)}
+    outputs = [sp.sympify(entry) for entry in (*slots.body, *slots.cell, *slots.renewed)]
+    values = {}
+    for symbol in sorted({s for entry in outputs for s in entry.free_symbols} | {*slots.y}, key=str):
+        drawn = rng.normal(scale=0.1)
+        if (parameter := parameters.get(str(symbol))) is not None:
+            low, high = parameter.low, parameter.high
+            drawn = float(np.clip(parameter.center + parameter.scale * (0.5 + abs(drawn)), low, high))
+        values[symbol] = 0.0 if str(symbol) in still else FIXED.get(str(symbol), drawn)
+    symbols = list(values)
+    at_rest = {symbol: 0.0 for symbol in symbols if str(symbol) in still}
+    for symbol in slots.y:
+        slopes = [derivative(entry, symbol) for entry in outputs]
+        try:
+            found = sp.lambdify(symbols, slopes, modules="math")(*values.values())
+            finite = bool(np.isfinite([float(value) for value in found]).all())
+        except (ArithmeticError, ValueError):
+            finite = False
+        if not finite:
+            raise EffectError(
+                f"the formula has no derivative where the object lies still ({_told(at_rest)}): keep what"
+                " stands under a root away from 0, as in sqrt(vx**2 + vy**2 + 1e-4**2)"
+            )
 
 
 def _told(values: dict[sp.Symbol, float]) -> str:

@@ -48,7 +48,8 @@ class _Printer(PythonCodePrinter):
         return str(super()._print_Pow(expr, rational))
 
 
-def _derivative(expression: Any, symbol: sp.Symbol) -> Any:
+def derivative(expression: Any, symbol: sp.Symbol) -> Any:
+    """Derivative of a formula, jumps of absolute values and cases left out."""
     result = sp.diff(expression, symbol)
     return (
         result.rewrite(sp.Piecewise) if result.has(sp.Heaviside, sp.sign, sp.Abs, sp.DiracDelta) else result
@@ -115,7 +116,7 @@ def module_source(effects: Sequence[Effect]) -> str:
         (f"dout[{k * Y + j}] =", d)
         for k, e in enumerate(slots.body)
         for j, symbol in enumerate(slots.y)
-        if (d := _derivative(e, symbol)) != 0
+        if (d := derivative(e, symbol)) != 0
     ]
     text = _HEADER + _function("body", "y, c, out, dout", [*_arguments(slots), *_straight(printer, targets)])
 
@@ -150,7 +151,7 @@ def _cell_functions(slots: Slots, printer: Any) -> str:
         [(f"{name}{place}", e) for name, place, e in changed],
         slots.y,
         (real("r_x"), real("r_y")),
-        _derivative,
+        derivative,
         printer.doprint,
     )
     rows = [
@@ -183,7 +184,7 @@ def _memory_function(slots: Slots, printer: Any) -> str:
         (f"down[{k * width + j}] =", d)
         for k, e in enumerate(slots.renewed)
         for j, symbol in enumerate(inputs)
-        if (d := _derivative(e, symbol)) != 0
+        if (d := derivative(e, symbol)) != 0
     ]
     return _function(
         "memory", "y, c, after, own, down", [*_arguments(slots, True), *_straight(printer, targets)]
@@ -205,7 +206,7 @@ def _measurement(slots: Slots) -> str:
     ]
     targets = [(f"out[..., {k}] =", e) for k, e in enumerate(slots.measured)]
     targets += [
-        (f"by_pose[..., {k}, {j}] =", _derivative(e, s))
+        (f"by_pose[..., {k}, {j}] =", derivative(e, s))
         for k, e in enumerate(slots.measured)
         for j, s in enumerate(pose)
     ]
@@ -213,13 +214,13 @@ def _measurement(slots: Slots) -> str:
         (f"by_p[..., {k}, {j}] =", d)
         for k, e in enumerate(slots.measured)
         for j, s in enumerate(slots.parameters)
-        if (d := _derivative(e, s)) != 0
+        if (d := derivative(e, s)) != 0
     ]
     before, within = _assignments(printer, targets, set())
     lines += [*before, *(line[4:] for line in within), "    return out, by_pose, by_p"]
     lines += ["", "", "def delay(p):", *read, f"    slopes = numpy.zeros({P})"]
     for j, symbol in enumerate(slots.parameters):
-        slope = _derivative(slots.delay, symbol)
+        slope = derivative(slots.delay, symbol)
         if slope != 0:
             lines.append(f"    slopes[{j}] = {printer.doprint(slope)}")
     lines.append(f"    return float({printer.doprint(slots.delay)}), slopes")

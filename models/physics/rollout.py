@@ -205,11 +205,13 @@ def finished(
     """What a kernel filled in, as `Rollouts`.
 
     Raises:
-        RolloutError: a step was not solved; names the model and the push.
+        RolloutError: a step was not solved; names the model and the push. Or a derivative is not finite.
     """
     if not (np.isfinite(end).all() and end[..., 6].min() >= 0):
         model, push = np.argwhere((end[..., 6] < 0) | ~np.isfinite(end).all(axis=-1))[0]
         raise RolloutError(f"model {model}, push {push}: a step did not converge")
+    if not (np.isfinite(d_poses).all() and np.isfinite(d_forces).all()):
+        raise RolloutError("a derivative is not finite, as where an effect's formula has none")
     return Rollouts(
         poses,
         forces,

@@ -16,11 +16,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from models.effects.effect import Effect, Scene
+from models.effects.effect import Effect, EffectError, Scene
+from models.effects.library import LIBRARY
+from models.effects.probes import PROBES
 from models.inference.diagnosis.correlated import CorrelatedLikelihood
 from models.inference.diagnosis.fitting import Fitted, Fitter
 from models.inference.diagnosis.predictive import PushEquations, whitened_rows
 from models.physics.cell_grid import FloatArray
+from models.physics.rollout import RolloutError
 
 TOLERANCE = 1.0 / 30.0
 """Negligible amount of an effect, in scales of its amplitudes."""
@@ -133,7 +136,12 @@ def screen(
                 own_columns[i].append(np.arange(width, width + len(columns)))
                 width += len(columns)
         chosen = np.concatenate(taken)
-        rows = [push.by(chosen) for push in likelihood.rows(z, fitted.offsets)]
+        try:
+            rows = [push.by(chosen) for push in likelihood.rows(z, fitted.offsets)]
+        except RolloutError as error:
+            own = [e.name for e in everything if e not in LIBRARY and e not in PROBES]
+            model = f"the model with {', '.join(own) or 'all effects'}"
+            raise EffectError(f"{model} cannot be computed on these pushes: {error}") from error
         white, rest = whitened_rows(likelihood, rows)
         if g == 0:
             residuals = rest

@@ -10,7 +10,7 @@ import pytest
 import sympy as sp
 
 from models.effects.backwards import backward_loop
-from models.effects.formulas import _derivative, _Printer
+from models.effects.formulas import _Printer, derivative
 
 RX, RY = sp.symbols("r_x r_y", real=True)
 Y = sp.symbols("y0:5", real=True)
@@ -42,7 +42,7 @@ def test_sums_over_cells_are_those_of_forward_derivatives(name: str) -> None:
         list(zip(stems, formulas, strict=True)),
         Y,
         (RX, RY),
-        _derivative,
+        derivative,
         _Printer({"fully_qualified_modules": True}).doprint,
     )
     space: dict[str, Any] = {"math": math, "G": np.zeros(3 * len(Y))}
@@ -53,7 +53,7 @@ def test_sums_over_cells_are_those_of_forward_derivatives(name: str) -> None:
         exec("\n".join(code.within), space)
     exec("\n".join(code.after), space)
 
-    slopes = sp.lambdify([Y, RX, RY], [[_derivative(e, s) for s in Y] for e in formulas], modules="math")
+    slopes = sp.lambdify([Y, RX, RY], [[derivative(e, s) for s in Y] for e in formulas], modules="math")
     by_cell = np.array([slopes(values, x, y) for x, y in cells], dtype=float)
     np.testing.assert_allclose(
         space["G"].reshape(3, -1), np.einsum("cai,icj->aj", g, by_cell), rtol=1e-12, atol=1e-13
@@ -63,7 +63,7 @@ def test_sums_over_cells_are_those_of_forward_derivatives(name: str) -> None:
 def test_a_form_in_many_states_costs_few_sums() -> None:
     """Three rows for each of the two numbers in front of r_x and r_y, however many states make them up."""
     shift = (A * B - C) * RX + (D / E + A * C) * RY
-    code = backward_loop([("g", shift / sp.sqrt(1 + shift**2))], Y, (RX, RY), _derivative, str)
+    code = backward_loop([("g", shift / sp.sqrt(1 + shift**2))], Y, (RX, RY), derivative, str)
     assert len(code.sums) == 6
 
 

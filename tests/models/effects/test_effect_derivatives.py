@@ -7,8 +7,11 @@ is no finger; and no pose is asked for at the end of a step where the tracker is
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
+import sympy as sp
 from pushed_with_effects import (
     BLOCK,
     EFFECTS,
@@ -20,8 +23,8 @@ from pushed_with_effects import (
     with_values,
 )
 
-from models.effects import LIBRARY, EffectSlider
-from models.physics.rollout import Maps, Push, Slider
+from models.effects import LIBRARY, Effect, EffectSlider, Parameter
+from models.physics.rollout import Maps, Push, RolloutError, Slider
 
 N = len(BLOCK)
 PUSHES = {"finger": sliding_push(), "coasting": coasting()}
@@ -36,6 +39,24 @@ def test_every_effect_of_the_library_has_values_here() -> None:
     for effect in LIBRARY:
         assert len(SHOWN[effect.name]) == len(effect.parameters)
         assert np.all((np.array(SHOWN[effect.name]) != effect.nulls)[effect.amplitudes])
+
+
+class RootOfSpeed(Effect):
+    """Has no derivative at rest; a file that defines it is refused."""
+
+    name = "root_of_speed"
+    sentence = "Drag that grows with the root of the speed."
+    parameters = (Parameter("size", "N", "drag at 1 m/s", 0.0, 1.0, 0.1, 0.0),)
+
+    def force(self, body: Any, p: Any) -> Any:
+        return -p.size * sp.sqrt(sp.sqrt(body.vx**2 + body.vy**2)) * body.vx, 0, 0
+
+
+def test_a_derivative_that_is_not_finite_is_told() -> None:
+    slider, maps = EffectSlider(BLOCK, RADIUS, [RootOfSpeed()]), with_values(plain_maps(), [0.5])
+    assert np.isfinite(slider.rollout(maps, [sliding_push()]).poses).all()
+    with pytest.raises(RolloutError, match="a derivative is not finite"):
+        slider.rollout(maps, [sliding_push()], sensitivities=True)
 
 
 @pytest.mark.parametrize("push", PUSHES.values(), ids=PUSHES.keys())
