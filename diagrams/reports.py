@@ -23,7 +23,10 @@ SENSITIVE = 10.0
 FEWEST_JUDGES = 3
 """Held-out pushes below which nothing is said of them together."""
 
-MUCH_FARTHER = 3.0
+MUCH_FARTHER = 2.0
+"""Errors over spreads, the median of held-out pushes: 0.6 to 1.7 where the model has what made the pushes, in
+nine recorded sets; 2.2 to 3.2 with hidden effects, and on real pushes that the maps do not explain."""
+
 HARDLY_BETTER = 0.8
 
 MOST_ROWS = 30
@@ -60,6 +63,19 @@ def show_errors(pushes: Sequence[PushPrediction], dataset: PushDataset) -> None:
         paragraph(doubt)
 
 
+def is_doubted(pushes: Sequence[PushPrediction], dataset: PushDataset) -> bool:
+    """Whether held-out pushes end much farther off than a belief allows for, see `doubts`."""
+    held = [push for push in pushes if push.role == "heldout"]
+    return len(held) >= FEWEST_JUDGES and _excess(held, dataset) > MUCH_FARTHER
+
+
+def _excess(held: Sequence[PushPrediction], dataset: PushDataset) -> float:
+    """Median of the errors over what hypotheses differ by and sensors err."""
+    floor = noise_floor([], dataset.noise, dataset.grid, np.random.default_rng(0))
+    expected = [np.hypot(push.spread, floor.add if floor else 0.0) for push in held]
+    return float(np.median([push.final_add for push in held] / np.maximum(expected, 1e-6)))
+
+
 def show_friction_laws(shares: Mapping[str, float]) -> None:
     """Which laws of friction the hypotheses follow, where it is not the plain one alone."""
     if not set(shares) - {PLAIN}:
@@ -83,16 +99,13 @@ def doubts(pushes: Sequence[PushPrediction], dataset: PushDataset) -> list[str]:
     held = [push for push in pushes if push.role == "heldout"]
     if len(held) < FEWEST_JUDGES:
         return []
-    floor = noise_floor([], dataset.noise, dataset.grid, np.random.default_rng(0))
-    expected = [np.hypot(push.spread, floor.add if floor else 0.0) for push in held]
     errors = np.array([push.final_add for push in held])
-    excess = float(np.median(errors / np.maximum(expected, 1e-6)))
     found = []
-    if excess > MUCH_FARTHER:
+    if is_doubted(pushes, dataset):
         found.append(
-            f"Held-out pushes end {excess:.1f} times as far off (median) as hypotheses differ and sensors"
-            " err. The intervals assume that the model is right and do not cover that; `slipmap diagnose`"
-            " asks what it misses."
+            f"Held-out pushes end {_excess(held, dataset):.1f} times as far off (median) as hypotheses differ"
+            " and sensors err. The intervals assume that the model is right and do not cover that; `slipmap"
+            " diagnose` asks what it misses."
         )
     uniform = float(np.mean([push.uniform_add for push in held]))
     if errors.mean() > HARDLY_BETTER * uniform:
@@ -185,10 +198,16 @@ def _errors(errors: Errors) -> list[str]:
     return numbers + [f"{value:.1f}" if np.isfinite(value) else "–" for value in others]
 
 
-def show_quantities(quantities: Sequence[Quantity]) -> None:
-    """Value, 90 % interval and reason, first what the pushes show, then what they leave open."""
+def show_quantities(quantities: Sequence[Quantity], *, doubted: bool) -> None:
+    """Value, 90 % interval and reason, first what the pushes show, then what they leave open.
+
+    Args:
+        quantities: of a belief.
+        doubted: whether its predictions do not hold, see `is_doubted`.
+    """
+    condition = "IF THE MODEL WERE RIGHT, shown" if doubted else "Shown"
     for by_pushes, title in (
-        (True, "Shown by these pushes (less than half as wide as without them), or given"),
+        (True, f"{condition} by these pushes (less than half as wide as without them), or given"),
         (False, "Left open by these pushes: here prior knowledge decides"),
     ):
         rows = [

@@ -102,7 +102,7 @@ def keep(
 
 def show(result: Identification, dataset: PushDataset) -> None:
     """Print what was found."""
-    from diagrams.reports import show_errors, show_friction_laws, show_quantities
+    from diagrams.reports import is_doubted, show_errors, show_friction_laws, show_quantities
 
     click.echo(
         f"{dataset.name}: {len(dataset.grid)} cells, {len(dataset.fit_trials)} pushes to learn from,"
@@ -111,7 +111,7 @@ def show(result: Identification, dataset: PushDataset) -> None:
     )
     show_errors(result.pushes, dataset)
     show_friction_laws(result.friction_laws)
-    show_quantities(result.quantities)
+    show_quantities(result.quantities, doubted=is_doubted(result.pushes, dataset))
 
 
 def tell_files(belief: Path, pictures: Sequence[Path]) -> None:

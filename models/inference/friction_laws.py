@@ -8,8 +8,8 @@ friction. Two things are left out that hold for some recorded pushes and not for
 - a simulator that solves for friction impulse by impulse makes it lean to the axis of the world along which
   an impulse meets more mass, as Bullet's solver for articulated bodies does.
 
-All combinations that the dataset allows (load transfer needs the object's height) are fitted, each from where
-the plain law led, and hypotheses of a belief are shared out among them in proportion to
+All combinations that the dataset allows (load transfer needs the object's height and mass) are fitted, each
+from where the plain law led, and hypotheses of a belief are shared out among them in proportion to
 
     evidence^(1/TEMPERATURE)
 
@@ -158,6 +158,8 @@ def _combinations(dataset: PushDataset) -> list[tuple[Effect, ...]]:
     """Effects of each law that the dataset can be asked about, the plain one first."""
     known = {effect.name: effect for effect in LIBRARY}
     transfer, lean = known["load_transfer"], known["impulse_friction"]
-    if dataset.height is None:
+    # The load shifts by height times force over weight: of an object that nobody weighed, other faults of the
+    # model would be taken for a small weight.
+    if dataset.height is None or dataset.mass is None:
         return [(), (lean,)]
     return [(), (lean,), (transfer,), (transfer, lean)]

@@ -27,6 +27,11 @@ SHOWN_SHARE = 0.25
 REGIONS = 3
 DIFFERENCE = 1e-4
 
+HARDLY_TURNED = np.radians(10.0)
+
+POOR_MODEL = 0.04
+"""α, error of the model as a share of the way, from which it is the model that leaves quantities open."""
+
 
 @dataclass(frozen=True)
 class _Measure:
@@ -43,6 +48,44 @@ class _Measure:
     given: bool = False
 
 
+@dataclass(frozen=True)
+class _Seen:
+    """What the pushes that taught were like, for the reasons.
+
+    Attributes:
+        turned: largest angle between begin and end, rad.
+        coasted: whether an object slid on its own from the begin.
+        touched: whether there was a finger.
+        forces: whether there are forces that count.
+        missed: α by which the model is off.
+    """
+
+    turned: float
+    coasted: bool
+    touched: bool
+    forces: bool
+    missed: float
+
+    @classmethod
+    def of(cls, likelihood: Likelihood) -> _Seen:
+        observations = likelihood.observations
+        pushes = [observation.push for observation in observations]
+        turns = [abs(o.poses[-1, 2] - o.push.start_pose[2]) for o in observations]
+        return cls(
+            max(turns),
+            any(push.start_twist.any() for push in pushes),
+            any(np.isfinite(push.tip).any() for push in pushes),
+            any(observation.sliding.any() for observation in observations),
+            likelihood.settings.model_error,
+        )
+
+    def unless_missed(self, reason: str) -> str:
+        """A reason why pushes leave something open, unless it is that the model explains them badly."""
+        if self.missed < POOR_MODEL:
+            return reason
+        return f"the model itself is off by {100 * self.missed:.0f} % of the way"
+
+
 def quantities(belief: Belief, likelihood: Likelihood, information: Fits | None) -> tuple[Quantity, ...]:
     """Value, 90 % interval and verdict for each quantity.
 
@@ -55,10 +98,9 @@ def quantities(belief: Belief, likelihood: Likelihood, information: Fits | None)
     if information is None:
         information = fit(likelihood, np.array([prior.start(0.35)]))
     posterior = np.linalg.inv(information.hessian[0] + np.eye(prior.size))
-    has_force = any(observation.sliding.any() for observation in likelihood.observations)
     weighed = prior.total_spread == prior.settings.known_mass
     results = []
-    for measure in _measures(prior.slider, has_force, weighed):
+    for measure in _measures(prior.slider, _Seen.of(likelihood), weighed):
         gradient = _gradient(measure, likelihood, information.z[0])
         before = float(gradient @ gradient)
         after = float(gradient @ posterior @ gradient)
@@ -90,7 +132,7 @@ def _gradient(measure: _Measure, likelihood: Likelihood, z: FloatArray) -> Float
     return (values[: prior.size] - values[prior.size :]) / (2.0 * DIFFERENCE)
 
 
-def _measures(slider: Slider, has_force: bool, weighed: bool) -> list[_Measure]:
+def _measures(slider: Slider, seen: _Seen, weighed: bool) -> list[_Measure]:
     centers = slider.grid.centers
     g = slider.gravity
 
@@ -121,18 +163,28 @@ def _measures(slider: Slider, has_force: bool, weighed: bool) -> list[_Measure]:
         "every pose unchanged"
     )
     weak_force = "the forces that count (steady pushing) are too few"
-    slow = "motion is so slow that friction outweighs inertia; what coasts or starts fast would tell"
+    slow = seen.unless_missed(
+        "what slid on its own did so too short or too much alike"
+        if seen.coasted
+        else "motion is so slow that friction outweighs inertia; what coasts or starts fast would tell"
+    )
+    hardly_turned = "the object hardly turns in these pushes"
+    no_turn = hardly_turned if seen.turned < HARDLY_TURNED else "it turns in these pushes too much alike"
+    no_axis = "no push turns the object about this direction"
+    no_contact = (
+        "the contact sticks in all pushes, or slides in all alike" if seen.touched else "no finger touches it"
+    )
     measures = [
         _Measure("total friction", "N", lambda m: load(m).sum(axis=1), True,
-                 "force in steady sliding" if has_force else "stopping distances",
-                 weak_force if has_force else no_force),
+                 "force in steady sliding" if seen.forces else "stopping distances",
+                 weak_force if seen.forces else no_force),
         *(
             _Measure(f"centre of friction, {axis}", "m", _column(middle, i), False,
-                     "the way the object turns when pushed", "no push turns the object about this direction")
+                     "the way the object turns when pushed", seen.unless_missed(no_axis))
             for i, axis in enumerate("xy")
         ),
         _Measure("friction arm (mean distance from its centre)", "m", arm, True,
-                 "how much the object turns", "the object hardly turns in these pushes"),
+                 "how much the object turns", seen.unless_missed(no_turn)),
         _Measure("total mass", "kg", lambda m: m.mass.sum(axis=1), True,
                  "weighed beforehand" if weighed else "acceleration against measured force", slow,
                  given=weighed),
@@ -144,8 +196,7 @@ def _measures(slider: Slider, has_force: bool, weighed: bool) -> list[_Measure]:
         _Measure("moment of inertia about the centre of mass", "kg m²", inertia, True,
                  "turning motion that speeds up or coasts", slow),
         _Measure("finger friction", "-", lambda m: m.mu_finger, True,
-                 "the contact slides in some pushes",
-                 "the contact sticks in all pushes, or slides in all alike"),
+                 "the contact slides in some pushes", no_contact),
     ]  # fmt: skip
     for name, cells in _regions(slider):
         measures.append(

@@ -76,9 +76,10 @@ def test_a_belief_of_several_laws_is_kept(recorded, tmp_path) -> None:  # type: 
     assert [effect.name for effect in again.effects] == ["impulse_friction"]
 
 
-def test_without_a_height_nothing_is_said_of_load_transfer(recorded) -> None:  # type: ignore[no-untyped-def]
+@pytest.mark.parametrize("missing", ["height", "mass"])
+def test_without_height_or_mass_nothing_is_said_of_load_transfer(recorded, missing) -> None:  # type: ignore[no-untyped-def]
     dataset = made_by(recorded, "load_transfer")
-    found = identify(replace(dataset, height=None), hypotheses=4, friction_laws=True)
+    found = identify(replace(dataset, **{missing: None}), hypotheses=4, friction_laws=True)
     assert not any("load_transfer" in name for name in found.friction_laws)
 
 
