@@ -70,7 +70,7 @@ def shown(belief: Belief, most: int) -> Shown:
 
 def rests_on(belief: Belief) -> str:
     """What a belief rests on, a few words for a heading."""
-    pushes = len(belief.settings.get("fit_trials", ()))
+    pushes = belief.taught
     return f"after {pushes} push{'es' * (pushes > 1)}" if pushes else f"of {len(belief)} hypotheses"
 
 

@@ -176,6 +176,7 @@ class ModelMonitor(PythonSystem):
         misfit, p = resting_misfit(
             start, end, universes.poses, belief.probability, self._error, belief.grid,
             None if force is None else (force, steady_forces_told(belief, observation)),
+            taught=belief.taught,
         )  # fmt: skip
         evidence = max(watch.evidence, 1.0) * bet(max(p, LEAST_P))
         alarm = evidence >= 1.0 / LEVEL or (watch.alarm and evidence > 1.0)

@@ -101,6 +101,11 @@ class Belief:
             )
         object.__setattr__(self, "probability", p)
 
+    @property
+    def taught(self) -> int:
+        """From how many pushes it was learnt; 0 where it does not say."""
+        return len(self.settings.get("fit_trials", ()))
+
     @classmethod
     def learnt(
         cls,

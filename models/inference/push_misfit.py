@@ -15,7 +15,7 @@ from dataclasses import replace
 
 import numpy as np
 import scipy.linalg
-from scipy.special import chdtrc
+from scipy.special import chdtrc, fdtrc
 
 from models.inference.belief import Belief
 from models.inference.diagnosis.error_model import ErrorModel, SensorNoise, travelled
@@ -83,6 +83,11 @@ def steady_forces_told(belief: Belief, observation: Observation) -> FloatArray:
     return rollouts.forces_of(0)[:, observation.sliding].mean(axis=1)
 
 
+KNOWN_BY_A_PUSH = 2
+"""Degrees of freedom of the hypotheses' spread for each push that taught. With them 2 % of 84 pushes of
+explorations without hidden effects had p < 0.01; with a spread held to be exact, 11 %."""
+
+
 def resting_misfit(
     start: FloatArray,
     observed: FloatArray,
@@ -91,12 +96,15 @@ def resting_misfit(
     error: ErrorModel,
     grid: CellGrid,
     forces: tuple[FloatArray, FloatArray] | None = None,
+    *,
+    taught: int = 0,
 ) -> tuple[float, float]:
     """Misfit of where an object came to rest and of the force that it took, beside all that is not known.
 
     The n residuals r against the mean of the hypotheses are whitened with the covariance Σ of the error model
     and of the hypotheses together: n misfit² = rᵀ Σ⁻¹ r, which is χ² distributed with n degrees of freedom if
-    errors and hypotheses are normally distributed.
+    errors and hypotheses are normally distributed. A belief of few pushes knows its own spread badly; that of
+    ν degrees of freedom gives an F distribution instead.
 
     Args:
         start: (3,) pose before the push.
@@ -107,6 +115,7 @@ def resting_misfit(
         grid: cells.
         forces: measured mean force (2,) and the hypotheses' (K, 2), N, see `steady_force`; None to go by the
             pose alone.
+        taught: from how many pushes the hypotheses were learnt; 0 where their spread is known.
 
     Returns:
         The misfit, about 1 where nothing is missing, and p, the probability of one as large then.
@@ -130,7 +139,9 @@ def resting_misfit(
         sigma = np.append(sigma, 2 * [np.hypot(error.force * np.hypot(*expected), error.noise.force)])
     covariance = np.einsum("k,ki,kj->ij", probability, spread, spread) + np.diag(sigma**2)
     square = float(r @ np.linalg.solve(covariance, r))
-    return float(np.sqrt(square / len(r))), float(chdtrc(len(r), square))
+    n = len(r)
+    p = fdtrc(n, KNOWN_BY_A_PUSH * taught, square / n) if taught else chdtrc(n, square)
+    return float(np.sqrt(square / n)), float(p)
 
 
 def bet(p: float) -> float:

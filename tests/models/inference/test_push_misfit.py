@@ -100,6 +100,23 @@ def test_an_end_is_usual_beside_doubtful_hypotheses_and_not_beside_sure_ones() -
     assert elsewhere < 1e-4
 
 
+def test_a_belief_of_few_pushes_is_surprised_less() -> None:
+    """Hypotheses differ each time by as much as three pushes tell of their true spread: held to be exact, it
+    gives small p far too often."""
+    rng = np.random.default_rng(6)
+    start, half = np.zeros(3), np.full(40, 1 / 40)
+    exact, told = [], []
+    for _ in range(400):
+        spread = 0.01 * np.sqrt(rng.chisquare(6, size=3) / 6)
+        drawn = rng.normal(size=(40, 3))
+        poses = spread * (drawn - drawn.mean(axis=0)) / drawn.std(axis=0) / [1, 1, 0.05]
+        end = 0.01 * rng.normal(size=3) / [1, 1, 0.05]
+        exact.append(resting_misfit(start, end, poses, half, ERROR, GRID)[1])
+        told.append(resting_misfit(start, end, poses, half, ERROR, GRID, taught=3)[1])
+    assert np.mean(np.array(exact) < 0.01) > 0.04
+    assert np.mean(np.array(told) < 0.01) < 0.02
+
+
 def test_p_is_uniform_with_a_force_that_is_off_as_told() -> None:
     rng = np.random.default_rng(4)
     start = np.array([0.1, -0.05, 0.4])
