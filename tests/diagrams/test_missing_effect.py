@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import json
+from types import SimpleNamespace
+from typing import Any
 
+import numpy as np
 import pytest
 from hidden_effects import LATENCY, late_pushes
 from report_page import assert_alone
 
+from diagrams.commands.fit import _show_gain
 from models.measurements import write_dataset
 
 
@@ -49,8 +53,21 @@ def test_from_a_model_that_fails_to_one_that_has_the_effect(slipmap, tmp_path):
     # Where pushes end the object rests, and a late tracker shows little.
     assert fitted["heldout_error_mean"] < 0.8 * without
     assert f"without effects, learnt alike, {1e3 * without:.2g} mm" in " ".join(said.out.split())
+    assert "DO NOT SPEAK" not in said.out
     assert (tmp_path / "belief.maps.png").exists() and (tmp_path / "belief.pushes.png").exists()
 
     _, after = numbers("compare", recorded, "--belief", belief, "-o", html)
     assert after["totals"]["heldout"]["model"]["mean_add"] < 0.2 * error
     assert after["totals"]["heldout"]["model"]["final_add"] == pytest.approx(fitted["heldout_error_mean"])
+
+
+@pytest.mark.parametrize(
+    ("after", "doubted"), [(0.5e-3, False), (0.7e-3, False), (0.9e-3, True), (4e-3, True)]
+)
+def test_an_effect_that_predicts_no_better_is_not_spoken_for(capsys, after, doubted) -> None:  # type: ignore[no-untyped-def]
+    def learnt(error: float) -> Any:
+        belief = SimpleNamespace(effects=[SimpleNamespace(name="table_tilt")])
+        return SimpleNamespace(errors=lambda role: np.full(4, error), belief=belief)
+
+    _show_gain(learnt(after), learnt(1e-3))
+    assert ("DO NOT SPEAK FOR table_tilt" in " ".join(capsys.readouterr().out.split())) == doubted

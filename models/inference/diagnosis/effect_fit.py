@@ -128,7 +128,9 @@ def _effect_facts(belief: Belief, effects: Sequence[Effect], information: Fits) 
                 max(low, parameter.low),
                 min(high, parameter.high),
                 shown,
-                "the pushes pin it down" if shown else "left open by these pushes; the prior decides",
+                "the pushes pin it down, if it is there"
+                if shown
+                else "left open by these pushes; the prior decides",
             )
         )
     return facts
