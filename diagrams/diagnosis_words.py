@@ -12,6 +12,7 @@ from models.effects.effect import Effect
 from models.effects.probes import PROBES
 from models.inference.diagnosis import Diagnosis
 from models.inference.diagnosis.results import CandidateResult
+from models.inference.diagnosis.verdict_rules import LEVEL
 from models.physics.cell_grid import CellGrid
 
 QUICK = (
@@ -43,7 +44,8 @@ def standing(candidate: CandidateResult, diagnosis: Diagnosis) -> str:
         named = f"“{probe_sentence(found)}”" if probe_sentence(found) else found
         return f"{named} on top{gain}"
     if diagnosis.verdict in ("adequate", "undecided"):
-        return "gains no more than chance"
+        beyond = candidate.p_value is not None and candidate.p_value <= LEVEL
+        return "the pushes do not agree on it" if beyond else "gains no more than chance"
     if candidate.fitted_gain is not None:
         return "less than the best"
     return "far from the best"

@@ -120,6 +120,10 @@ def test_standing_tells_why_each_is_ruled_out(tilted):
     assert of(found, "tether") == "far from the best"
     assert of(found, "tether", fitted_gain=1.0) == "less than the best"
     assert of(replace(found, verdict="adequate", effects=()), "tether") == "gains no more than chance"
+    undecided = replace(found, verdict="undecided", effects=())
+    assert of(undecided, "tether") == "gains no more than chance"
+    rare = CandidateResult("tether", 20.0, 0.005)
+    assert standing(rare, undecided) == "the pushes do not agree on it"
 
 
 def test_every_key_of_the_json_is_documented(tilted):

@@ -158,7 +158,6 @@ class Inquiry:
         p = self.first.p_of_agreement()
         if p <= AGREEMENT:
             return None
-        self.p_value = p
         return outcomes.disagreement(self.base, len(self.fitter.observations), p)
 
     def _ask_what_is_left(self) -> dict[str, Screening]:
