@@ -150,7 +150,7 @@ def _learnt(dataset: PushDataset, seed: int, progress: Progress) -> Belief:
     from models.inference import identification
 
     _check_fit_pushes(dataset)
-    return identification.identify(dataset, seed=seed, progress=progress).belief
+    return identification.identify(dataset, seed=seed, progress=progress, friction_laws=True).belief
 
 
 def _check_fit_pushes(dataset: PushDataset) -> None:
