@@ -28,6 +28,11 @@ if TYPE_CHECKING:
     show_default=True,
     help="How maps are found; `paper` is Algorithm 1 of Song and Boularias (2020) as printed.",
 )
+@click.option(
+    "--plain",
+    is_flag=True,
+    help="Know no other law of friction than the plain one, which takes a third of the time.",
+)
 @options.hypotheses_option
 @options.seed_option
 @click.option(
@@ -40,6 +45,7 @@ def identify(
     dataset: Path,
     output: Path,
     method: str,
+    plain: bool,
     hypotheses: int,
     seed: int,
     fit_pushes: int | None,
@@ -70,7 +76,7 @@ def identify(
             hypotheses=hypotheses,
             seed=seed,
             progress=progress,
-            friction_laws=True,
+            friction_laws=not plain,
         )
         drawn = keep(result, measured, output, pictures, progress)
     if json_file is not None:

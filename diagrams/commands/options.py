@@ -200,6 +200,6 @@ record_option = click.option(
 def folder_option(default: str) -> Callable[[Command], Command]:
     """The option `--out DIR` of what a run in the robot's cell leaves."""
     return click.option(
-        "--out", "folder", type=click.Path(path_type=Path), default=default, show_default=True,
+        "-o", "--out", "folder", type=click.Path(path_type=Path), default=default, show_default=True,
         metavar="DIR", help="Folder for pushes, belief, pictures and report.",
     )  # fmt: skip

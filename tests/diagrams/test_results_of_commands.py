@@ -111,6 +111,18 @@ def test_identify_then_predict(slipmap, demo_folder, tmp_path):
             assert trial["final_add"] == pytest.approx(by_name[trial["trial"]]["final_add"])
 
 
+def test_identify_with_the_plain_law_alone(slipmap, demo_folder, tmp_path):
+    hammer, laws = demo_folder / "demo" / "pushes", []
+    for more in ([], ["--plain"]):
+        said = slipmap(
+            "identify", hammer, "-o", tmp_path / "b.npz", "--fit-pushes", 1, "--hypotheses", 4,
+            "--json", tmp_path / "b.json", *more,
+        )  # fmt: skip
+        assert said.code == 0
+        laws.append(json.loads((tmp_path / "b.json").read_text())["friction_laws"])
+    assert len(laws[0]) > 1 and laws[1] == {"plain": 1.0}
+
+
 def test_calibrate_prints_draws_and_writes_coverage(slipmap, tmp_path, monkeypatch):
     rng = np.random.default_rng(0)
     ranks = {"centre of mass, x": rng.uniform(size=25), "total friction": np.full(25, 0.99)}
