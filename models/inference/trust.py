@@ -53,7 +53,7 @@ def fit_with_trust(
         observations: pushes to learn from.
         noise: of the sensors, where declared.
         starts: (K, d) coordinates to start from.
-        progress: called with (done, total) of the first fit.
+        progress: called with (done, total); often it ends before all is done.
         mean: (d,) centre of the prior, zeros if None.
 
     Returns:
@@ -61,10 +61,13 @@ def fit_with_trust(
     """
     found: Ladder = []
     highest, offsets = -np.inf, None
-    for alpha in MODEL_ERRORS:
+    for rung, alpha in enumerate(MODEL_ERRORS):
         likelihood = Likelihood(prior, observations, noise, trusting(alpha))
         center = None if mean is None else np.repeat(mean[None], len(starts), axis=0)
-        told = None if found else progress
+
+        def told(done: int, total: int, rung: int = rung) -> None:
+            progress(rung * total + done, len(MODEL_ERRORS) * total)
+
         best = fit(likelihood, starts, prior_mean=center, offsets=offsets, progress=told).best()
         evidence = log_evidence(likelihood, best) - float(np.log(alpha))
         if evidence < highest:

@@ -64,7 +64,7 @@ def fit_effects(
     report("fitting", 0, 3)
     noise = sensor_noise(dataset)
     fitter = Fitter(dataset, observations, noise)
-    fitted = fitter.from_scratch()
+    fitted = fitter.from_scratch(lambda done, total: report("fitting", done, 3 * total))
     report("fitting", 1, 3)
     scene = fitter.scene(fitted)
     if effects:

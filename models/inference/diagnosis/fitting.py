@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import cache
@@ -35,6 +35,9 @@ MOTION_ERRORS = (0.006, 0.01, 0.016, 0.025, 0.04, 0.06, 0.1, 0.16, 0.25)
 
 FORCE_ERRORS = (0.02, 0.04, 0.08, 0.16, 0.32)
 """β to choose from."""
+
+Progress = Callable[[int, int], None]
+"""Called with (done, total)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,30 +106,37 @@ class Fitter:
         )
         return MapPrior(slider, self.settings, d.mass, self.weight)
 
-    def base(self, error: ErrorModel, start: Fitted) -> Fitted:
+    def base(self, error: ErrorModel, start: Fitted, progress: Progress | None = None) -> Fitted:
         """Fit the model without effects, from the maps of another fit."""
         prior = self.prior(())
         likelihood = CorrelatedLikelihood(prior, self.measured, error)
         # Gains are counted from here: what the search leaves undone would be taken for an effect.
         return _best(
             (), likelihood, start.z[None, : prior.size], np.zeros((1, prior.size)), start.offsets,
-            iterations=80, tolerance=1e-5,
+            iterations=80, tolerance=1e-5, progress=progress,
         )  # fmt: skip
 
-    def from_scratch(self) -> Fitted:
+    def from_scratch(self, progress: Progress | None = None) -> Fitted:
         """Fit the model without effects, and the error model with it; tells what the object weighs.
+
+        `progress` is called with (done, total).
 
         The forgiving likelihood of the identification comes first: it finds the valley, where the strict one,
         with its many correlated rows, gets stuck on the way. What it leaves sets the first error model.
         """
         prior = self.prior(())
         starts = np.array([prior.start(friction) for friction in FINGER_STARTS])
-        first = fit(self._forgiving(prior), starts).best()
+        report = progress or (lambda done, total: None)
+
+        def part(number: int) -> Progress:
+            return lambda done, total: report(number * total + done, 3 * total)
+
+        first = fit(self._forgiving(prior), starts, progress=part(0)).best()
         self.forgiving_start = first.z[0], first.offsets[0]
         likelihood = CorrelatedLikelihood(prior, self.measured, ErrorModel(self.noise, *FIRST_ERRORS))
         fitted = Fitted((), likelihood, first.z[0], np.zeros(prior.size), first.offsets[0], np.inf)
-        for _ in range(2):
-            fitted = self.base(estimate_errors(fitted, self.noise), fitted)
+        for number in (1, 2):
+            fitted = self.base(estimate_errors(fitted, self.noise), fitted, part(number))
         self.weight = self._weight_of(fitted)
         return fitted
 
@@ -222,11 +232,13 @@ def _best(
     offsets: FloatArray | None,
     iterations: int = 30,
     tolerance: float = 2e-4,
+    progress: Progress | None = None,
 ) -> Fitted:
     shifts = None if offsets is None else np.repeat(offsets[None], len(starts), axis=0)
     fits = fit(
-        likelihood, starts, prior_mean=mean, offsets=shifts, iterations=iterations, tolerance=tolerance
-    )
+        likelihood, starts, prior_mean=mean, offsets=shifts, iterations=iterations, tolerance=tolerance,
+        progress=progress,
+    )  # fmt: skip
     k = int(np.argmin(fits.cost))
     return Fitted(effects, likelihood, fits.z[k], mean[k], fits.offsets[k], float(fits.cost[k]))
 

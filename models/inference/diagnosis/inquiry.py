@@ -66,7 +66,7 @@ class Inquiry:
         self.rules = Rules(effects, simulated=draws > 0)
         self.fitter = Fitter(dataset, observations, sensor_noise(dataset))
         report("fitting without effects", 0, 1)
-        self.base = self.fitter.from_scratch()
+        self.base = self.fitter.from_scratch(partial(report, "fitting without effects"))
         self.scene = self.fitter.scene(self.base)
         report("fitting without effects", 1, 1)
         self.error = self.base.likelihood.error
