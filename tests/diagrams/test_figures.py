@@ -83,6 +83,17 @@ def test_neither_a_cell_nor_a_map_leaves_all_others_pale():
     assert top_of_scale(np.zeros((3, 4))) == 1.0
 
 
+def test_marks_hide_no_centre_and_squares_no_outline(belief):
+    """Nothing white lies over the dots of a footprint, and its outline is drawn after its squares."""
+    (panel, *_) = maps_figure(belief).axes
+    assert len(panel.lines[0].get_xdata()) == len(belief)
+    assert all(line.get_color() != "white" for line in panel.lines)
+    (squares,) = panel.collections
+    outlines = [patch for patch in panel.patches if patch.get_edgecolor()[3] > 0]
+    children = panel.get_children()
+    assert [children.index(outline) > children.index(squares) for outline in outlines] == [True]
+
+
 def test_scales_are_logarithmic_where_totals_differ_widely(belief):
     wide = Maps(
         belief.maps.mass * np.array([[1.0], [10.0], [100.0], [1.0]]), belief.maps.mu, belief.maps.mu_finger
