@@ -22,6 +22,7 @@ from diagrams.figures.style import (
     PAPER,
     SCALED_SHARE,
     PlainNumbers,
+    beyond,
     styled,
     top_of_scale,
 )
@@ -205,8 +206,8 @@ def _marks(
 
 def _colour_bar(figure: Figure, place: tuple[float, float, float, float], row: _Row) -> None:
     norm = row.norm
-    beyond = "max" if row.values.max() > 1.02 * float(norm.vmax or 0.0) else "neither"
-    bar = figure.colorbar(ScalarMappable(norm, row.colours), cax=figure.add_axes(place), extend=beyond)
+    arrow = beyond(row.values, float(norm.vmax or 0.0))
+    bar = figure.colorbar(ScalarMappable(norm, row.colours), cax=figure.add_axes(place), extend=arrow)
     if isinstance(norm, LogNorm):
         bar.formatter, bar.minorformatter = PlainNumbers(), PlainNumbers()
     bar.set_label(row.unit)

@@ -169,7 +169,7 @@ class BeliefVisualizer(PythonSystem):
         """Make all objects of a belief, invisible."""
         self._drawn_belief = belief
         self._beliefs += 1
-        what = shown(belief, MOST)
+        what = shown(belief, MOST, round_tops=True)
         self._shown_hypotheses = len(what.hypotheses)
         if belief.grid is not self._outlined:
             self._add_outlines(belief.grid)
