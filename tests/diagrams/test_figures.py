@@ -245,6 +245,26 @@ def test_formulas_of_an_effect_are_set_as_formulas(tmp_path):
     assert "$" not in written and "mathrm" not in written
 
 
+def test_an_effect_is_drawn_with_its_size_and_its_places():
+    """The tether's anchor stands where the caption says, and formulas stand below what they are."""
+    tether = next(effect for effect in LIBRARY if effect.name == "tether")
+    figure = effect_figure(tether)
+    (size,) = (text.get_text() for text in figure.texts if text.get_text().startswith("Full size: "))
+    told = dict(re.findall(r"(\w+) (-?[\d.]+)(?: [\w/]+)?[,.]", size.removeprefix("Full size: ")))
+    assert set(told) == {parameter.name for parameter in tether.parameters} and float(told["stiffness"]) > 0
+    table = figure.axes[0]
+    crosses = {tuple(line.get_xydata()[0]) for line in table.lines if line.get_marker() == "X"}
+    names = {text.get_text(): text.xy for text in table.texts}
+    assert names["anchor"] == pytest.approx((float(told["anchor_x"]), float(told["anchor_y"])), abs=1e-3)
+    assert {names["anchor"], names["point"]} == crosses
+    inside = table.get_xlim()[0] < names["anchor"][0] < table.get_xlim()[1]
+    assert inside and table.get_ylim()[0] < names["anchor"][1] < table.get_ylim()[1]
+    heights = {text.get_text(): text.get_position()[1] for text in figure.texts}
+    meaning = heights["Force on the object, and torque about its origin:"]
+    formulas = [y for text, y in heights.items() if text.startswith("$")]
+    assert meaning > max(formulas) > min(formulas) > 0.0
+
+
 @pytest.mark.parametrize(("low", "high", "some"), [(2.0, 7.0, "3"), (0.01, 100.0, "0.1")])
 def test_logarithmic_axes_have_plain_numbers(tmp_path, low, high, some):
     figure = Figure()
