@@ -19,11 +19,11 @@ from diagrams.systems.belief_colors import MAPS, RED, Shown, shown
 from models.inference.belief import Belief
 from models.physics.cell_grid import CellGrid, FloatArray
 
-MOST = 5
+MOST = 6
 """Hypotheses beside the mean; the others are in the mean."""
 
 _PAPER = (0.965, 0.96, 0.945)
-_OPENING = 32.0  # deg, the camera's field of view from bottom to top: little perspective
+_OPENING = 8.0  # deg, the camera's field of view from bottom to top: hardly any perspective
 _ELEVATION = np.radians(52.0)
 _SCREEN = 4 / 3  # its width to its height; wider ones have room at the sides
 _CAMERA = "/Cameras/default/rotated/<object>"
@@ -196,6 +196,9 @@ def _furnish(scene: meshcat.Visualizer, whole: FloatArray) -> None:
     # The camera's own frame has y upwards.
     scene[_CAMERA].set_property("fov", _OPENING)
     scene[_CAMERA].set_property("position", [0.0, distance * float(up), distance * float(forward)])
+    # What is drawn lies between these; meshcat's own 0.01 m and 100 m are too far apart for that distance.
+    scene[_CAMERA].set_property("near", 0.02 * distance)
+    scene[_CAMERA].set_property("far", 5.0 * distance)
 
 
 def _add_relief(

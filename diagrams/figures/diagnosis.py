@@ -24,27 +24,33 @@ PALE = "#c9c5bb"
 
 @styled
 def gain_figure(diagnosis: Diagnosis) -> Figure:
-    """Bars for every candidate: gain to first order, gain when refitted, and what another still gains."""
+    """Bars for every candidate: gain to first order, gain when refitted, and what another still gains.
+
+    What another still gains is to first order too, and drawn on the scale of the first panel: short beside
+    the candidate's own gain, it says that little is left. Refitted gains are of another size.
+    """
     candidates = diagnosis.candidates
     height = 0.62 + ROW * len(candidates) + 0.12
     bottom, top = 0.12 / height, 1 - 0.62 / height
     answered = [c.in_set or c.name in diagnosis.effects for c in candidates]
     told_of = list(zip(candidates, answered, strict=True))
-    panels: tuple[tuple[str, list[float | None], list[str]], ...] = (
-        ("gain to first order", [c.gain for c in candidates], [OTHER if a else PALE for a in answered]),
-        ("gain when refitted", [c.fitted_gain for c in candidates], [OTHER if a else PALE for a in answered]),
-        (
-            "left to gain on top of it",
-            [c.remaining_gain for c in candidates],
-            [ALARM if c.rejected_by is not None else OTHER if a else PALE for c, a in told_of],
-        ),
+    gains: list[float | None] = [c.gain for c in candidates]
+    fitted = [c.fitted_gain for c in candidates]
+    left = [c.remaining_gain for c in candidates]
+    plain = [OTHER if a else PALE for a in answered]
+    judged = [ALARM if c.rejected_by is not None else OTHER if a else PALE for c, a in told_of]
+    first_order = _longest(gains + left)
+    panels = (
+        ("gain to first order", gains, plain, first_order),
+        ("gain when refitted", fitted, plain, _longest(fitted)),
+        ("left to gain on top of it", left, judged, first_order),
     )
     shown = [panel for panel in panels if any(value is not None for value in panel[1])]
     width = NAMES + PANEL * len(shown)
     figure = Figure(figsize=(width, height))
-    for k, (title, values, colours) in enumerate(shown):
+    for k, (title, values, colours, longest) in enumerate(shown):
         axes = figure.add_axes(((NAMES + PANEL * k) / width, bottom, 0.85 * PANEL / width, top - bottom))
-        _bars(axes, values, colours)
+        _bars(axes, values, colours, longest)
         axes.set_title(f"{title}, nats", loc="left", fontsize=9)
         if k == 0:
             axes.set_yticks(range(len(candidates)), [c.name for c in candidates])
@@ -57,7 +63,7 @@ def gain_figure(diagnosis: Diagnosis) -> Figure:
             (PALE, "ruled out, or no more than chance"),
             (ALARM, "another gains on top, so it is ruled out"),
         )
-        if any(colour in colours for _, _, colours in shown)
+        if any(colour in colours for _, _, colours, _ in shown)
     ]
     if len(handles) > 1:
         figure.legend(
@@ -66,20 +72,24 @@ def gain_figure(diagnosis: Diagnosis) -> Figure:
     return figure
 
 
-def _bars(axes: Axes, values: Sequence[float | None], colours: Sequence[str]) -> None:
-    """Bars from zero; a negative gain has none, only its number."""
+def _longest(values: Sequence[float | None]) -> float:
+    """The largest gain, and more than zero."""
+    return max([1e-9, *(value for value in values if value is not None)])
+
+
+def _bars(axes: Axes, values: Sequence[float | None], colours: Sequence[str], longest: float) -> None:
+    """Bars from zero on a scale that `longest` nearly fills; a negative gain has none, only its number."""
     rows = np.arange(len(values))
     known = np.array([np.nan if value is None else value for value in values])
     drawn = np.clip(np.nan_to_num(known), 0.0, None)
     axes.barh(rows, drawn, color=list(colours), height=0.62)
-    largest = max(float(drawn.max(initial=0.0)), 1e-9)
     for row, value, length in zip(rows, known, drawn, strict=True):
         text = "–" if np.isnan(value) else nats(value)
         axes.annotate(
             text, (length, row), (3, 0), textcoords="offset points", va="center", fontsize=8,
             color=FAINT if np.isnan(value) else INK,
         )  # fmt: skip
-    axes.set(xlim=(0, 1.22 * largest), ylim=(len(values) - 0.45, -0.55), xticks=[], yticks=[])
+    axes.set(xlim=(0, 1.22 * longest), ylim=(len(values) - 0.45, -0.55), xticks=[], yticks=[])
     axes.spines["bottom"].set_visible(False)
     axes.tick_params(axis="y", length=0)
 

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import textwrap
+from collections.abc import Sequence
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle, PathPatch
 
+from diagrams.effect_words import unit_text
 from diagrams.figures.outlines import outline_path, placed, scale_bar
-from diagrams.figures.style import BELIEF, FAINT, FINGER, INK, PAPER, styled
+from diagrams.figures.style import BELIEF, FAINT, FINGER, INK, OTHER, PAPER, styled
 from models.effects import Effect, EffectSlider, Scene
 from models.effects.effect import bounds, scales
 from models.effects.written import Written, written
@@ -30,10 +32,15 @@ START = np.array([-0.06, -0.03, 0.3])
 ORDER = 10
 TINTS = (0.35, 0.6, 1.0)
 
+SIZE_LINE, MEANING, FORMULA = 0.18, 0.28, 0.42  # inches
+FARTHEST = 0.4
+"""m from the middle of the push up to which places of an effect are drawn; farther ones make it small."""
+
 
 @styled
 def effect_figure(effect: Effect) -> Figure:
-    """One object pushed off-centre, without the effect and with it at three sizes; its formula beside it.
+    """One object pushed off-centre, without the effect and with it at three sizes; below, what full size is,
+    and the formulas. Crosses are places that the effect has, on the table or on the object at full size.
 
     Raises:
         EffectError: the formula cannot be used.
@@ -49,20 +56,51 @@ def effect_figure(effect: Effect) -> Figure:
     out = EffectSlider(grid, RADIUS, [effect], smoothing=smoothing).rollout(_with(maps, rows), [push])
 
     text = written(effect)
-    figure = Figure(figsize=(9.0, 4.6 + 0.42 * len(text.formulas)))
+    size = textwrap.wrap(f"Full size: {_numbers(effect, text, values)}.", 125, break_on_hyphens=False)
+    below = 0.55 + SIZE_LINE * len(size) + sum(_heights(text))
+    figure = Figure(figsize=(9.0, 4.1 + below))
     height = figure.get_size_inches()[1]
     figure.text(0.02, 1 - 0.13 / height, effect.name, va="top", fontsize=12, fontweight="bold")
     sentence = "\n".join(textwrap.wrap(effect.sentence, 110))
     figure.text(0.02, 1 - 0.4 / height, sentence, va="top", fontsize=9.5)
-    bottom = (0.42 * len(text.formulas) + 0.55) / height
-    top = 1 - 0.8 / height
-    _pushes(figure.add_axes((0.02, bottom, 0.52, top - bottom)), grid, push, plain, out)
+    bottom, top = below / height, 1 - 0.8 / height
+    table = figure.add_axes((0.02, bottom, 0.52, top - bottom))
+    _pushes(table, grid, push, plain, out, _places(effect, values, out.poses[-1, -1]))
     middle = bottom + 0.5 * (top - bottom)
     gap = 0.3 / height
     _distances(figure.add_axes((0.63, middle + gap, 0.35, top - middle - gap)), grid, push, plain, out)
     _forces(figure.add_axes((0.63, bottom + gap / 2, 0.35, middle - bottom - gap)), push, plain, out)
-    _formulas(figure, text, bottom - 0.42 / height, height)
+    begin = below - 0.42
+    figure.text(0.02, begin / height, "\n".join(size), va="top", fontsize=9, linespacing=1.35)
+    _formulas(figure, text, begin - SIZE_LINE * len(size), height)
     return figure
+
+
+def _numbers(effect: Effect, text: Written, values: FloatArray) -> str:
+    """Parameters (P,) in words, by the names that they have in the formulas."""
+    return ", ".join(
+        f"{text.symbols[q.name]} {value + 0.0:.3g}{unit_text(q.unit).replace(' 1/', '/')}"
+        for q, value in zip(effect.parameters, values, strict=True)
+    )
+
+
+def _places(effect: Effect, values: FloatArray, pose: FloatArray) -> list[tuple[str, FloatArray]]:
+    """Names and places (2,) on the table, m, that parameters (P,) of an effect give.
+
+    A place is a pair of lengths, …x and …y, that only shape the effect. It moves with the object, which is at
+    `pose` (3,), where its meaning says that it is in the object frame.
+    """
+    shaping = {
+        q.name: (q, value) for q, value in zip(effect.parameters, values, strict=True) if q.null is None
+    }
+    places = []
+    for name, (x, value) in shaping.items():
+        other = f"{name[:-1]}y"
+        if x.unit == "m" and name.endswith("x") and other in shaping:
+            point = np.array([value, shaping[other][1]])
+            carried = "object frame" in x.meaning
+            places.append((name[:-1].rstrip("_") or effect.name, placed(point, pose) if carried else point))
+    return places
 
 
 def _brick() -> CellGrid:
@@ -130,7 +168,14 @@ def _shown_values(effect: Effect, grid: CellGrid, push: Push, plain: Rollouts) -
     return best
 
 
-def _pushes(axes: Axes, grid: CellGrid, push: Push, plain: Rollouts, out: Rollouts) -> None:
+def _pushes(
+    axes: Axes,
+    grid: CellGrid,
+    push: Push,
+    plain: Rollouts,
+    out: Rollouts,
+    places: Sequence[tuple[str, FloatArray]],
+) -> None:
     def outline(pose: FloatArray, colour: str, width: float, alpha: float = 1.0, fill: str = "none") -> None:
         shape = outline_path(grid, pose)
         axes.add_patch(PathPatch(shape, facecolor=fill, edgecolor=colour, linewidth=width, alpha=alpha))
@@ -146,6 +191,19 @@ def _pushes(axes: Axes, grid: CellGrid, push: Push, plain: Rollouts, out: Rollou
     axes.plot(*plain.poses[0, :, :2].T, color=INK, linewidth=1.0, linestyle="--")
     drawn = [push.start_pose, plain.poses[0, -1], *out.poses[:, -1]]
     points = np.vstack([push.tip, *(placed(grid.exterior, pose) for pose in drawn)])
+    near = [(name, place) for name, place in places if np.linalg.norm(place - points.mean(axis=0)) < FARTHEST]
+    for name, place in near:
+        axes.plot(*place, "X", color=OTHER, markersize=8, markeredgecolor="white", zorder=4)
+        axes.annotate(
+            name,
+            (place[0], place[1]),
+            (7, 4),
+            textcoords="offset points",
+            fontsize=8.5,
+            color=OTHER,
+            zorder=4,
+        )
+    points = np.vstack([points, *(place for _, place in near)])
     low, high = points.min(axis=0) - 0.015, points.max(axis=0) + 0.015
     axes.set(xlim=(low[0], high[0]), ylim=(low[1] - 0.012, high[1]), aspect="equal", xticks=[], yticks=[])
     axes.spines[:].set_visible(False)
@@ -183,9 +241,17 @@ def _forces(axes: Axes, push: Push, plain: Rollouts, out: Rollouts) -> None:
     )
 
 
+def _heights(text: Written) -> list[float]:
+    """Inches that each formula needs, with the line before it that says what it is."""
+    return [FORMULA + (MEANING if formula.meaning else 0.0) for formula in text.formulas]
+
+
 def _formulas(figure: Figure, text: Written, top: float, height: float) -> None:
-    for place, formula in enumerate(text.formulas):
-        at = top - 0.42 * place / height
-        figure.text(0.03, at, f"${formula.latex}$", va="center", fontsize=11, parse_math=True)
+    """From `top` inches above the lower edge of the figure, which is `height` inches high, downwards."""
+    for formula, needed in zip(text.formulas, _heights(text), strict=True):
         if formula.meaning:
-            figure.text(0.98, at, formula.meaning, va="center", ha="right", fontsize=8.5, color=FAINT)
+            meaning = f"{formula.meaning[0].upper()}{formula.meaning[1:]}:"
+            figure.text(0.02, (top - 0.5 * MEANING) / height, meaning, va="center", fontsize=9)
+        top -= needed
+        middle = (top + 0.5 * FORMULA) / height
+        figure.text(0.03, middle, f"${formula.latex}$", va="center", fontsize=11, parse_math=True)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -13,7 +14,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import PathPatch
 
-from diagrams.figures.outlines import draw_cells, outline_path, scale_bar
+from diagrams.figures.outlines import draw_cells, draw_outline, outline_path, scale_bar
 from diagrams.figures.style import (
     BELIEF,
     INK,
@@ -21,6 +22,7 @@ from diagrams.figures.style import (
     PAPER,
     SCALED_SHARE,
     PlainNumbers,
+    beyond,
     styled,
     top_of_scale,
 )
@@ -34,6 +36,16 @@ LARGEST_PANEL = (1.7, 1.75)
 NARROWEST_COLUMN = 1.0  # inches; titles need them
 LOG_FROM = 6.0
 """Ratio of the columns' totals from which colours are logarithmic: a linear scale would show one map only."""
+
+
+_MARK = {"linestyle": "none", "markerfacecolor": "none"}
+CROSS: dict[str, Any] = _MARK | {"marker": "x", "color": INK, "markersize": 6, "markeredgewidth": 1.4}
+RING: dict[str, Any] = _MARK | {"marker": "o", "color": INK, "markersize": 7.5, "markeredgewidth": 1.2}
+DOT: dict[str, Any] = {
+    "linestyle": "none", "marker": "o", "color": BELIEF, "markersize": 2.6, "markeredgewidth": 0
+}  # fmt: skip
+SEAM = 2.0
+"""How centres of mass and of friction are drawn, and the centres of mass of all hypotheses; points."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -159,13 +171,15 @@ def _drawn(belief: Belief, columns: list[_Column], rows: list[_Row]) -> Figure:
 
 
 def _footprint(axes: Axes, belief: Belief, maps: Maps) -> None:
-    axes.add_patch(PathPatch(outline_path(belief.grid), facecolor=PAPER, edgecolor=INK, linewidth=0.9))
+    axes.add_patch(PathPatch(outline_path(belief.grid), facecolor=PAPER, edgecolor="none"))
     squares = PolyCollection(_squares(belief), facecolors="none", edgecolors="#d5d0c6", linewidths=0.4)
     squares.set_clip_path(outline_path(belief.grid), axes.transData)
     axes.add_collection(squares, autolim=False)
+    draw_outline(axes, belief.grid)  # last, or the pale squares cut it up
     cloud = centers_of_mass(belief, belief.maps)
-    axes.plot(*cloud.T, ".", color=BELIEF, markersize=4, alpha=0.6, markeredgewidth=0)
-    _marks(axes, belief, maps)
+    axes.plot(*cloud.T, **DOT)
+    # The ground is pale, and a seam around the marks would hide the dots.
+    _marks(axes, belief, maps, seam=0.0)
 
 
 def _squares(belief: Belief) -> list[FloatArray]:
@@ -174,23 +188,26 @@ def _squares(belief: Belief) -> list[FloatArray]:
     return [center + corners for center in belief.grid.centers]
 
 
-def _marks(axes: Axes, belief: Belief, maps: Maps, *, mass: bool = True, friction: bool = True) -> None:
+def _marks(
+    axes: Axes, belief: Belief, maps: Maps, *, mass: bool = True, friction: bool = True, seam: float = SEAM
+) -> None:
+    """Ring and cross, with a white seam (points) that lifts them off a coloured ground."""
+    marks = []
     if friction:
-        (place,) = centers_of_friction(belief, maps)
-        for colour, thickness in (("white", 3.2), (INK, 1.3)):
-            axes.plot(
-                *place, "o", markersize=7.5, markerfacecolor="none", color=colour, markeredgewidth=thickness
-            )
+        marks.append((centers_of_friction(belief, maps)[0], RING))
     if mass:
-        (place,) = centers_of_mass(belief, maps)
-        for colour, thickness in (("white", 3.6), (INK, 1.6)):
-            axes.plot(*place, "x", markersize=6, color=colour, markeredgewidth=thickness)
+        marks.append((centers_of_mass(belief, maps)[0], CROSS))
+    for place, how in marks:
+        if seam:
+            wider = how["markeredgewidth"] + seam
+            axes.plot(*place, **{**how, "color": "white", "markeredgewidth": wider})
+        axes.plot(*place, **how)
 
 
 def _colour_bar(figure: Figure, place: tuple[float, float, float, float], row: _Row) -> None:
     norm = row.norm
-    beyond = "max" if row.values.max() > 1.02 * float(norm.vmax or 0.0) else "neither"
-    bar = figure.colorbar(ScalarMappable(norm, row.colours), cax=figure.add_axes(place), extend=beyond)
+    arrow = beyond(row.values, float(norm.vmax or 0.0))
+    bar = figure.colorbar(ScalarMappable(norm, row.colours), cax=figure.add_axes(place), extend=arrow)
     if isinstance(norm, LogNorm):
         bar.formatter, bar.minorformatter = PlainNumbers(), PlainNumbers()
     bar.set_label(row.unit)
@@ -199,13 +216,10 @@ def _colour_bar(figure: Figure, place: tuple[float, float, float, float], row: _
 
 def _legend(figure: Figure, belief: Belief) -> None:
     handles = [
-        Line2D([], [], marker="x", linestyle="none", color=INK, markersize=6, markeredgewidth=1.6,
-               label="centre of mass"),
-        Line2D([], [], marker="o", linestyle="none", color=INK, markersize=7.5, markerfacecolor="none",
-               markeredgewidth=1.3, label="centre of friction"),
-        Line2D([], [], marker=".", linestyle="none", color=BELIEF, markersize=6, alpha=0.6,
-               label="centres of mass of all hypotheses"),
-    ]  # fmt: skip
+        Line2D([], [], label="centre of mass", **CROSS),
+        Line2D([], [], label="centre of friction", **RING),
+        Line2D([], [], label="centres of mass of all hypotheses", **DOT),
+    ]
     figure.legend(handles=handles, loc="lower center", ncols=3, bbox_to_anchor=(0.5, 0.0))
     title = f"{belief.dataset}: what {len(belief)} hypotheses say (each row has one colour scale)"
     figure.text(

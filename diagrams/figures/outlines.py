@@ -47,9 +47,10 @@ def draw_cells(
     Limits of the axes are left alone. Returns the squares, of which `Figure.colorbar` makes a scale.
     """
     corners = grid.width / 2 * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
+    # Edges as wide as a pixel cover the seams between squares, through which the ground would shine.
     squares = PolyCollection(
         [placed(center + corners, pose) for center in grid.centers],
-        array=np.asarray(values, dtype=float), cmap=colors, norm=norm, edgecolors="face", linewidths=0.3,
+        array=np.asarray(values, dtype=float), cmap=colors, norm=norm, edgecolors="face", linewidths=0.8,
     )  # fmt: skip
     squares.set_clip_path(outline_path(grid, pose), axes.transData)
     axes.add_collection(squares, autolim=False)

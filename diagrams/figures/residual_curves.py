@@ -19,6 +19,8 @@ from models.inference.residuals import Residuals
 from models.physics.cell_grid import FloatArray
 
 PANEL = (3.65, 2.8)  # inches
+PUSHES_TOGETHER, MOST_BINS = 3, 8
+"""Pushes in a row that share a bin at least, and bins of the whole experiment at most."""
 
 CONDITIONS: dict[str, tuple[str, Callable[[Conditions], FloatArray]]] = {
     "speed": ("speed, mm/s", lambda at: np.array(1e3 * at.speed)),
@@ -38,8 +40,8 @@ CONDITIONS: dict[str, tuple[str, Callable[[Conditions], FloatArray]]] = {
 def factor_figure(comparisons: Sequence[Comparison], factor: str, quantity: str = "motion") -> Figure:
     """Residuals against one condition: that component of them that deviates most in the first comparison.
 
-    Dots are pushes (a push counts once in a bin), bars the mean over pushes with its 95 % interval. The band
-    is what counts as negligible.
+    Pale dots are pushes (a push counts once in a bin, at its own condition), bars the mean over pushes with
+    its 95 % interval, where a bin has several pushes. The band is what counts as negligible.
 
     Args:
         comparisons: one model, or two over the same pushes.
@@ -91,7 +93,8 @@ def _edges(factor: str, x: FloatArray) -> FloatArray:
     if factor.endswith("direction"):
         return np.linspace(-180, 180, 9)
     if factor == "order":
-        return np.linspace(x.min() - 0.5, x.max() + 0.5, min(9, int(np.ptp(x)) + 2))
+        bins = int(np.clip(len(np.unique(x)) // PUSHES_TOGETHER, 1, MOST_BINS))
+        return np.linspace(x.min() - 0.5, x.max() + 0.5, bins + 1)
     return np.unique(np.quantile(x, np.linspace(0, 1, 7)))
 
 
@@ -104,16 +107,24 @@ def _bins(
     place = np.clip(np.searchsorted(edges, x, side="right") - 1, 0, len(edges) - 2)
     for k in range(len(edges) - 1):
         here = place == k
-        means = push_means(values[here][:, None], residuals.at.push[here], residuals.weights[here])[:, 0]
+        pairs = np.column_stack([x, values])[here]
+        at, means = push_means(pairs, residuals.at.push[here], residuals.weights[here]).T
         if len(means) == 0:
             continue
-        middle = 0.5 * (edges[k] + edges[k + 1]) + shift * (edges[k + 1] - edges[k])
-        axes.plot(np.full(len(means), middle), means, ".", color=colour, alpha=0.3, markersize=5, mew=0)
+        at = at + shift * (edges[k + 1] - edges[k])
+        axes.plot(at, means, ".", color=colour, alpha=0.45, markersize=8, mew=0)
         if len(means) < LEAST_PUSHES:
             continue
         half = 1.96 * means.std(ddof=1) / np.sqrt(len(means))
         axes.errorbar(
-            [middle], [means.mean()], [half], fmt="o", color=colour, markersize=5, elinewidth=1.8, capsize=0
+            [at.mean()],
+            [means.mean()],
+            [half],
+            fmt="o",
+            color=colour,
+            markersize=5,
+            elinewidth=1.8,
+            capsize=0,
         )
     reach = float(np.quantile(np.abs(values), 0.97)) if len(values) else 1.0
     low, high = axes.get_ylim()

@@ -22,7 +22,7 @@ from models.physics.cell_grid import CellGrid, FloatArray
 
 FIELD = (3.65, 3.4)  # inches
 TABLE_BINS = 7
-OUTLINE_BINS = 14
+OUTLINE_BINS = 10
 MOST_ARROWS = 60
 COLOURS = "PuOr_r"
 SCALED = 0.95
@@ -111,7 +111,7 @@ def _on_object(comparison: Comparison, grid: CellGrid, quantity: str) -> _Field:
     place = np.floor((at.contact - low + 1e-9) / (size / OUTLINE_BINS)).astype(int)
     key = place[:, 0] * 1000 + place[:, 1]
     arrows = _arrows(key, at.contact, values, at.push, residuals.weights[touched], LEAST_PUSHES)
-    return _Field(at.contact, values, arrows, low, high, size / TABLE_BINS)
+    return _Field(at.contact, values, arrows, low, high, size / OUTLINE_BINS)
 
 
 def _drawn(fields: Sequence[_Field], quantity: str, half: float) -> tuple[Figure, Axes]:
@@ -123,7 +123,12 @@ def _drawn(fields: Sequence[_Field], quantity: str, half: float) -> tuple[Figure
     _draw_pieces(axes, field.place, field.values, scale * field.bin)
     limit = max(float(np.quantile(turning or [0.0], SCALED)), 200 * NEGLIGIBLE[quantity])
     mappable = _draw_means(axes, field.arrows, scale * field.bin, quantity, limit)
-    _frame(axes, (field.low + field.high) / 2, half)
+    middle = (field.low + field.high) / 2
+    # One large residual gives a long arrow, and its point is what it says.
+    reach = [
+        float(np.abs(place + scale * field.bin * value[:2] - middle).max()) for place, value in field.arrows
+    ]
+    _frame(axes, middle, max([half, *(1.05 * far for far in reach)]))
     _finish(figure, axes, mappable, scale, field.bin, quantity)
     return figure, axes
 

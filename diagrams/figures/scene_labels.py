@@ -63,11 +63,14 @@ def scale(what: Shown, which: int, size: FloatArray) -> bytes:
     """Name, unit and colours of a map."""
     figure = _paper(size, 2.9)
     name, unit = _NAMES[which]
-    _write(figure, (0.06, 0.86), name, 17, weight="bold")
-    _write(figure, (0.06, 0.66), unit, 14)
-    bar = figure.add_axes((0.06, 0.34, 0.84, 0.17))
+    _write(figure, (0.1, 0.86), name, 17, weight="bold")
+    _write(figure, (0.1, 0.66), unit, 14)
+    # With room at both ends for half a number, and on the right for the arrow.
+    bar = figure.add_axes((0.1, 0.34, 0.78, 0.17))
     colors = ScalarMappable(Normalize(0.0, what.tops[which]), colormaps[MAP_COLORS[which]])
-    figure.colorbar(colors, cax=bar, orientation="horizontal", ticks=MaxNLocator(4))
+    figure.colorbar(
+        colors, cax=bar, orientation="horizontal", ticks=MaxNLocator(4), extend=what.beyond(which)
+    )
     bar.tick_params(labelsize=14)
     return _png(figure)
 

@@ -76,6 +76,11 @@ def top_of_scale(values: FloatArray) -> float:
     return min(float(np.quantile(values, SCALED_SHARE)), SCALED_RATIO * float(np.median(each))) or 1.0
 
 
+def beyond(values: FloatArray, top: float) -> str:
+    """Whether a scale that ends at `top` needs an arrow for values beyond, as `Figure.colorbar` takes it."""
+    return "max" if float(values.max()) > 1.02 * top else "neither"
+
+
 Arguments = ParamSpec("Arguments")
 Drawn = TypeVar("Drawn")
 

@@ -12,7 +12,7 @@ from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from diagrams.figures.style import FAINT, INK, MAP_COLORS, styled, top_of_scale
+from diagrams.figures.style import FAINT, INK, MAP_COLORS, beyond, styled, top_of_scale
 from models.inference.belief import Belief
 from models.physics.cell_grid import FloatArray
 
@@ -52,20 +52,31 @@ class Shown:
     values: FloatArray
     tops: FloatArray
 
+    def beyond(self, which: int) -> str:
+        """Whether values of map `which` lie beyond the end of its scale, as `Figure.colorbar` takes it."""
+        return beyond(self.values[which], float(self.tops[which]))
+
     def colors(self, which: int, hypothesis: int) -> FloatArray:
         """(n, 3) sRGB of the cells on map `which`; hypothesis 0 is the mean."""
         share = np.clip(self.values[which, hypothesis] / self.tops[which], 0.0, 1.0)
         return colormaps[MAP_COLORS[which]](share)[:, :3]
 
 
-def shown(belief: Belief, most: int) -> Shown:
-    """The mean of a belief and at most so many of its hypotheses."""
+def shown(belief: Belief, most: int, *, round_tops: bool = False) -> Shown:
+    """The mean of a belief and at most so many of its hypotheses.
+
+    Args:
+        belief: to be shown.
+        most: hypotheses.
+        round_tops: whether scales end at round numbers, so that they seldom change with the belief; otherwise
+            they end where those of `maps_figure` do for as many hypotheses.
+    """
     maps, p = belief.maps, belief.probability
     hypotheses = np.argsort(-p, kind="stable")[:most]
     every = np.stack([1e3 * maps.mass, maps.mu, 1e3 * maps.mass * maps.mu * belief.gravity])
     values = np.concatenate([np.einsum("k,mkn->mn", p, every)[:, None], every[:, hypotheses]], axis=1)
-    tops = np.array([_round_up(top_of_scale(v)) for v in values])
-    return Shown(hypotheses, values, tops)
+    tops = [top_of_scale(v) for v in values]
+    return Shown(hypotheses, values, np.array([_round_up(top) for top in tops] if round_tops else tops))
 
 
 def rests_on(belief: Belief) -> str:
@@ -75,7 +86,7 @@ def rests_on(belief: Belief) -> str:
 
 
 def _round_up(value: float) -> float:
-    """The next round number, so that scales seldom change."""
+    """The next round number."""
     if value <= 0:
         return 1.0
     power = 10.0 ** np.floor(np.log10(value))
@@ -96,8 +107,7 @@ def legend(belief: Belief, what: Shown, which: int, basis: str) -> bytes:
     figure.text(0.05, 0.76, TITLES[which], fontsize=10.5, color=INK, va="center")
     bar = figure.add_axes((0.05, 0.62, 0.90, 0.085))
     scale = ScalarMappable(Normalize(0.0, what.tops[which]), colormaps[MAP_COLORS[which]])
-    beyond = "max" if what.values[which].max() > what.tops[which] else "neither"
-    figure.colorbar(scale, cax=bar, orientation="horizontal", ticks=MaxNLocator(5), extend=beyond)
+    figure.colorbar(scale, cax=bar, orientation="horizontal", ticks=MaxNLocator(5), extend=what.beyond(which))
     bar.tick_params(labelsize=10)
     probability = belief.probability[what.hypotheses]
     figure.text(0.05, 0.45, "probability of the hypotheses", fontsize=10.5, color=INK, va="center")

@@ -41,8 +41,11 @@ LEAST_RESIDUAL = 3e-4
 CLEARANCE = 2e-3
 """Between the object's highest cell and the tiles, m."""
 
-VIEW = ((0.85, -0.85, 0.75), (0.0, 0.0, 0.25))
-"""Where a camera stands, and the point it looks at, that sees table, arm and board, m."""
+VIEW = ((0.56, -0.56, 0.56), (0.07, 0.07, 0.12))
+"""Where a camera stands, and the point it looks at, that sees table and board whole and near, m."""
+
+BOARD_PLACE = (0.34, 0.55, 0.41)
+"""Middle of the board, beside the table and behind it as seen from `VIEW`, m."""
 
 HYPOTHESIS = "hypothesis (0: mean)"
 MAP = "map (0: mass, 1: friction, 2: both)"
@@ -107,9 +110,7 @@ class BeliefVisualizer(PythonSystem):
         self._meshcat = meshcat
         self._path = path
         self._height = height
-        self._board = X_WB or RigidTransform(
-            RollPitchYaw(-0.3, 0.0, np.pi / 4), _shifted(0.64, 0.21, 0.46).translation()
-        )
+        self._board = X_WB or RigidTransform(RollPitchYaw(-0.3, 0.0, np.pi / 4), BOARD_PLACE)
         self._belief = self.DeclareAbstractInputPort("belief", Value[object](None))
         self._object_pose = self.DeclareAbstractInputPort("object_pose", Value[object](None))
         self._predicted = self.DeclareVectorInputPort("predicted_pose", 3)
@@ -169,7 +170,7 @@ class BeliefVisualizer(PythonSystem):
         """Make all objects of a belief, invisible."""
         self._drawn_belief = belief
         self._beliefs += 1
-        what = shown(belief, MOST)
+        what = shown(belief, MOST, round_tops=True)
         self._shown_hypotheses = len(what.hypotheses)
         if belief.grid is not self._outlined:
             self._add_outlines(belief.grid)

@@ -119,10 +119,10 @@ def written(effect: Effect) -> Written:
         expressions = [_read(sp.sympify(value)) for value in values]
         if method == "force" and expressions[2] == _torque(effect, expressions):
             names, expressions = names[:2], expressions[:2]
-            meaning = "force on the object at its centre of mass"
+            meaning = "force on the object at its centre of mass, which gives its torque about the origin"
         elif method == "force" and expressions[2] == 0:
             names, expressions = names[:2], expressions[:2]
-            meaning = "force on the object at its frame's origin"
+            meaning = "force on the object at its frame's origin, with no torque about it"
         else:
             meaning = QUANTITIES[method][1] if method in QUANTITIES else "what it remembers from step to step"
         helpers, reduced = _split(expressions, len(formulas))

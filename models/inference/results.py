@@ -51,7 +51,7 @@ class Quantity:
 
     Attributes:
         name: for a person, such as `centre of mass, x`.
-        unit: SI.
+        unit: SI; `-` where it has none.
         value: median over the belief.
         low: lower end of the 90 % interval.
         high: upper end.
@@ -66,6 +66,11 @@ class Quantity:
     high: float
     shown: bool
     reason: str
+
+    def __str__(self) -> str:
+        """Name and interval: `total friction: 1.746 to 1.776 N`."""
+        unit = "" if self.unit == "-" else f" {self.unit}"
+        return f"{self.name}: {self.low:.4g} to {self.high:.4g}{unit}"
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from browser import assert_legible
 from matplotlib.figure import Figure
+from matplotlib.quiver import Quiver
 from report_page import Page, assert_alone
 
 from diagrams.commands.compare import report
@@ -201,6 +202,29 @@ def test_curves_show_means_over_pushes(learnt):
     dots = np.concatenate([line.get_xdata() for line in axes.get_lines() if line.get_marker() == "."])
     assert len(dots) == len(np.unique(motion.at.push))
     assert set(CONDITIONS) == {"speed", "table_direction", "object_direction", "phase", "time", "order"}
+
+
+def test_a_few_pushes_still_have_means_over_their_order(learnt):
+    """Pushes stand where they were made; those in a row share a bin, which so has a mean and an interval."""
+    result = learnt[2]
+    pushes = np.unique(result.motion.at.push)
+    axes = factor_figure([result], "order").axes[0]
+    places = np.concatenate([line.get_xdata() for line in axes.get_lines() if line.get_marker() == "."])
+    np.testing.assert_allclose(places, 1.0 + pushes)
+    assert len(axes.containers) == max(1, len(pushes) // 3)
+
+
+def test_no_arrow_leaves_its_picture(learnt):
+    """Short pushes at the corners of a square, whose residuals all point outwards."""
+    motion = learnt[2].motion
+    place = 0.2 * np.array([[1.0, 1.0], [-1.0, 1.0], [-1.0, -1.0], [1.0, -1.0]])[motion.at.push]
+    values = np.column_stack([motion.scale[motion.at.push][:, None] * place, np.zeros(len(place))])
+    outwards = replace(motion, at=replace(motion.at, place=place), values=values)
+    axes = table_figure(replace(learnt[2], motion=outwards)).axes[0]
+    arrows = next(drawn for drawn in axes.collections if isinstance(drawn, Quiver))
+    tips = arrows.XY + np.column_stack([arrows.U, arrows.V])
+    (x0, x1), (y0, y1) = axes.get_xlim(), axes.get_ylim()
+    assert len(tips) == 4 and (tips > [x0, y0]).all() and (tips < [x1, y1]).all()
 
 
 def test_compare_with_a_belief_writes_report_and_numbers(slipmap, demo_folder, tmp_path):

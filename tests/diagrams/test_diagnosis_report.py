@@ -225,6 +225,20 @@ def test_pictures_show_the_numbers(tilted):
     assert sorted(dots["with the answer"].get_xdata()) == pytest.approx(sorted(1e3 * found.after.path))
 
 
+def test_what_is_left_is_drawn_on_the_scale_of_the_gain(tilted):
+    _, found = tilted
+    candidates = [CandidateResult("right", 104.0, 0.01, fitted_gain=6918.0, remaining_gain=1.0)]
+    gain, fitted, left = gain_figure(replace(found, candidates=candidates)).axes
+    assert gain.get_xlim() == left.get_xlim() and fitted.get_xlim()[1] > 6918.0
+    candidates += [
+        CandidateResult("wrong", 37.0, 0.01, fitted_gain=9.0, remaining_gain=859.0, rejected_by="right")
+    ]
+    gain, _, left = gain_figure(replace(found, candidates=candidates)).axes
+    assert gain.get_xlim() == left.get_xlim() and left.get_xlim()[1] > 859.0
+    (alone,) = gain_figure(replace(found, candidates=[CandidateResult("none", -2.0, 0.9)])).axes
+    assert alone.get_xlim()[1] > 0.0
+
+
 def test_a_belief_of_a_diagnosis_survives_its_file(tilted, tmp_path):
     dataset, found = tilted
     belief = fitted_belief(found.best, dataset, found.seed)

@@ -51,6 +51,7 @@ def test_an_effect_of_ones_own_is_explained_and_drawn(slipmap, tmp_path):
     said = slipmap("effects", "fan", "--effect-file", file, "--picture", picture, "--json", document)
     assert said.code == 0, said.err
     assert "F_x = thrust" in said.out
+    assert "at its centre of mass, which gives its torque about the origin:" in " ".join(said.out.split())
     image = imread(picture)
     assert image.shape[1] > 1000
     assert image[..., :3].std() > 0.05

@@ -83,6 +83,17 @@ def test_neither_a_cell_nor_a_map_leaves_all_others_pale():
     assert top_of_scale(np.zeros((3, 4))) == 1.0
 
 
+def test_marks_hide_no_centre_and_squares_no_outline(belief):
+    """Nothing white lies over the dots of a footprint, and its outline is drawn after its squares."""
+    (panel, *_) = maps_figure(belief).axes
+    assert len(panel.lines[0].get_xdata()) == len(belief)
+    assert all(line.get_color() != "white" for line in panel.lines)
+    (squares,) = panel.collections
+    outlines = [patch for patch in panel.patches if patch.get_edgecolor()[3] > 0]
+    children = panel.get_children()
+    assert [children.index(outline) > children.index(squares) for outline in outlines] == [True]
+
+
 def test_scales_are_logarithmic_where_totals_differ_widely(belief):
     wide = Maps(
         belief.maps.mass * np.array([[1.0], [10.0], [100.0], [1.0]]), belief.maps.mu, belief.maps.mu_finger
@@ -232,6 +243,26 @@ def test_formulas_of_an_effect_are_set_as_formulas(tmp_path):
     tilt = next(effect for effect in LIBRARY if effect.name == "table_tilt")
     written = "".join(words(effect_figure(tilt), tmp_path / "tilt.svg"))
     assert "$" not in written and "mathrm" not in written
+
+
+def test_an_effect_is_drawn_with_its_size_and_its_places():
+    """The tether's anchor stands where the caption says, and formulas stand below what they are."""
+    tether = next(effect for effect in LIBRARY if effect.name == "tether")
+    figure = effect_figure(tether)
+    (size,) = (text.get_text() for text in figure.texts if text.get_text().startswith("Full size: "))
+    told = dict(re.findall(r"(\w+) (-?[\d.]+)(?: [\w/]+)?[,.]", size.removeprefix("Full size: ")))
+    assert set(told) == {parameter.name for parameter in tether.parameters} and float(told["stiffness"]) > 0
+    table = figure.axes[0]
+    crosses = {tuple(line.get_xydata()[0]) for line in table.lines if line.get_marker() == "X"}
+    names = {text.get_text(): text.xy for text in table.texts}
+    assert names["anchor"] == pytest.approx((float(told["anchor_x"]), float(told["anchor_y"])), abs=1e-3)
+    assert {names["anchor"], names["point"]} == crosses
+    inside = table.get_xlim()[0] < names["anchor"][0] < table.get_xlim()[1]
+    assert inside and table.get_ylim()[0] < names["anchor"][1] < table.get_ylim()[1]
+    heights = {text.get_text(): text.get_position()[1] for text in figure.texts}
+    meaning = heights["Force on the object, and torque about its origin:"]
+    formulas = [y for text, y in heights.items() if text.startswith("$")]
+    assert meaning > max(formulas) > min(formulas) > 0.0
 
 
 @pytest.mark.parametrize(("low", "high", "some"), [(2.0, 7.0, "3"), (0.01, 100.0, "0.1")])

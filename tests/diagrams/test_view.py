@@ -9,6 +9,7 @@ import subprocess
 import sys
 import urllib.request
 from dataclasses import replace
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 
@@ -16,11 +17,14 @@ import numpy as np
 import pytest
 import umsgpack
 from browser import WINDOWS, assert_legible, colours
+from matplotlib import image
 from meshcat.servers.tree import find_node
 from test_command_line import ENVIRONMENT, assert_refused, files_in, hear_ctrl_c
 
 from diagrams.belief_scene import MOST, belief_scene
-from diagrams.systems.belief_colors import MAPS
+from diagrams.figures import maps_figure
+from diagrams.figures.scene_labels import scale
+from diagrams.systems.belief_colors import MAPS, shown
 from models.physics.rollout import Maps
 
 PACKED = {0x16: "<u4", 0x17: "<f4"}
@@ -79,6 +83,41 @@ def test_the_pin_stands_on_the_centre_of_mass(belief):
         _, mean = drawn(scene, f"{name}/mean/center of mass/stem")
         total = belief.probability @ belief.maps.mass
         assert np.allclose(mean[:2, 3], total @ belief.grid.centers / total.sum(), atol=1e-9)
+
+
+def test_scales_are_those_of_the_picture(belief):
+    """Of friction alike, of mass and force but for the unit."""
+    picture = maps_figure(belief, hypotheses=MOST)
+    norms = [c.norm for axes in picture.axes for c in axes.collections if c.get_array() is not None][:3]
+    ends = [norm.vmax * factor for norm, factor in zip(norms, (1.0, 1.0, 1e3), strict=True)]
+    np.testing.assert_allclose(shown(belief, MOST).tops, ends)
+
+
+@pytest.mark.parametrize("which", range(len(MAPS)))
+def test_the_numbers_of_a_scale_end_inside_its_panel(belief, which):
+    wide = replace(shown(belief, MOST), tops=np.array([0.5, 0.5, 0.5]))  # the first number is 0.00
+    ink = image.imread(BytesIO(scale(wide, which, np.array([2.0, 1.0]))))[:, :, 3]
+    assert ink[:, :4].max() == ink[:, -4:].max() == 0.0
+
+
+def test_the_last_row_is_hardly_smaller_than_the_first(belief):
+    scene = belief_scene(belief)
+    camera = find_node(scene.window.tree, ["Cameras", "default", "rotated", "<object>"])
+    (eye, near, far) = (
+        next(
+            umsgpack.unpackb(p)["value"] for p in camera.properties if umsgpack.unpackb(p)["property"] == name
+        )
+        for name in ("position", "near", "far")
+    )
+    _, whole = drawn(scene, "")
+    away = []
+    for which in MAPS:
+        for name in ("mean", "hypothesis 4"):
+            _, place = drawn(scene, f"{which}/{name}")
+            x, y, z = place[:3, 3] + whole[:3, 3]
+            away.append(np.linalg.norm(np.array([x, z, -y]) - eye))
+    assert max(away) < 1.12 * min(away)
+    assert near < 0.1 * min(away) and far > 1.5 * max(away)
 
 
 def test_objects_do_not_overlap(belief):

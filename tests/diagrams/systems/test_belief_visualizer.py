@@ -21,7 +21,7 @@ from pydrake.systems.framework import Diagram, DiagramBuilder
 
 from diagrams.figures.style import MAP_COLORS
 from diagrams.systems.belief_colors import BOARD, MAPS, legend, shown
-from diagrams.systems.belief_visualizer import HYPOTHESIS, MAP, BeliefVisualizer
+from diagrams.systems.belief_visualizer import HYPOTHESIS, MAP, VIEW, BeliefVisualizer
 from diagrams.systems.unlit_meshes import tiles
 from models.inference.belief import Belief
 from models.physics.rollout import Maps
@@ -235,6 +235,29 @@ def test_tiles_have_the_colours_of_their_values() -> None:
     place = np.frombuffer(data, "<f4", tree["bufferViews"][0]["byteLength"] // 4).reshape(-1, 12, 3)
     # glTF has y upwards.
     assert np.allclose(place[:, :4, [0, 2]].mean(axis=1) * [1, -1], block().centers, atol=1e-7)
+
+
+def on_screen(points: np.ndarray) -> np.ndarray:
+    """(n, 2) of points (n, 3), as a camera at `VIEW` sees them; the window is 75° high, from -1 to 1."""
+    eye, target = map(np.array, VIEW)
+    forward = (target - eye) / np.linalg.norm(target - eye)
+    right = np.cross(forward, [0.0, 0.0, 1.0])
+    right /= np.linalg.norm(right)
+    seen_from = (points - eye) @ np.column_stack([right, np.cross(right, forward), forward])
+    return seen_from[:, :2] / seen_from[:, 2:] / np.tan(np.radians(37.5))
+
+
+def test_the_view_holds_table_and_board_and_is_near(played: tuple[Recorder, Simulator]) -> None:
+    recorder, simulator = played
+    simulator.AdvanceTo(0.2)
+    X_WB = next(pose for path, pose, _ in recorder.transforms if path == "/belief/board")
+    corners = 0.5 * np.array([[x * BOARD[0], 0.0, z * BOARD[1]] for x in (-1, 1) for z in (-1, 1)])
+    board = on_screen(np.array([X_WB.multiply(corner) for corner in corners]))
+    around = np.linspace(0.0, 2.0 * np.pi, 60)
+    table = on_screen(0.5 * np.column_stack([np.cos(around), np.sin(around), np.zeros(60)]))
+    for points in (table, board):
+        assert (np.abs(points) < [4 / 3, 1.0]).all(), "a window of 4:3 holds both"
+    assert np.ptp(table[:, 0]) > 1.4 and np.ptp(board[:, 0]) > 0.6
 
 
 @pytest.mark.parametrize("which", range(len(MAPS)))

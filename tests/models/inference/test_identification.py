@@ -10,6 +10,7 @@ from models.inference.belief import BeliefError
 from models.inference.hypotheses import accuracy_weights
 from models.inference.identification import identify
 from models.inference.prediction import predict
+from models.inference.results import Quantity
 from models.measurements import DatasetError, read_dataset
 
 
@@ -138,3 +139,9 @@ def test_measured_pushes(shared_data, name, limit, measure):
     document = identify(read_dataset(shared_data / name)).to_json()
     assert document[measure] < limit
     assert document["heldout_error_mean"] < document["uniform_error_mean"]
+
+
+def test_a_quantity_is_printed_with_its_unit_if_it_has_one():
+    friction = Quantity("finger friction", "-", 0.298, 0.2931, 0.30391, True, "")
+    assert str(friction) == "finger friction: 0.2931 to 0.3039"
+    assert str(replace(friction, name="total mass", unit="kg")) == "total mass: 0.2931 to 0.3039 kg"
