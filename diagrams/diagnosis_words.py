@@ -45,7 +45,10 @@ def standing(candidate: CandidateResult, diagnosis: Diagnosis) -> str:
         return f"{named} on top{gain}"
     if diagnosis.verdict in ("adequate", "undecided"):
         beyond = candidate.p_value is not None and candidate.p_value <= LEVEL
-        return "the pushes do not agree on it" if beyond else "gains no more than chance"
+        if beyond:
+            alone = len(diagnosis.open_trials) == 1
+            return "no other push to agree with" if alone else "the pushes do not agree on it"
+        return "gains no more than chance"
     if candidate.fitted_gain is not None:
         return "less than the best"
     return "far from the best"

@@ -94,17 +94,18 @@ def _errors(result: Identification) -> dict[str, float | None]:
 
 
 def _show_gain(result: Identification, plain: Identification) -> None:
+    from diagrams.comparison_words import millimetres
     from diagrams.reports import HARDLY_BETTER
 
     role, pushes = ("heldout", "Held-out pushes")
     if not len(result.errors(role)):
         role, pushes = ("fit", "The pushes that it learned from")
-    now, before = (1e3 * learnt.errors(role).mean() for learnt in (result, plain))
+    now, before = (float(learnt.errors(role).mean()) for learnt in (result, plain))
     effects = " and ".join(effect.name for effect in result.belief.effects)
     doubt = f" SO THEY DO NOT SPEAK FOR {effects}: its size holds only if it is there at all."
     paragraph(
-        f"{pushes} end {now:.2g} mm from where they were predicted; without effects, learnt alike,"
-        f" {before:.2g} mm.{doubt if now > HARDLY_BETTER * before else ''}"
+        f"{pushes} end {millimetres(now)} mm from where they were predicted; without effects, learnt alike,"
+        f" {millimetres(before)} mm.{doubt if now > HARDLY_BETTER * before else ''}"
     )
 
 

@@ -124,6 +124,8 @@ def test_standing_tells_why_each_is_ruled_out(tilted):
     assert of(undecided, "tether") == "gains no more than chance"
     rare = CandidateResult("tether", 20.0, 0.005)
     assert standing(rare, undecided) == "the pushes do not agree on it"
+    one = replace(undecided, open_trials=undecided.open_trials[:1])
+    assert standing(rare, one) == "no other push to agree with"
 
 
 def test_every_key_of_the_json_is_documented(tilted):

@@ -12,6 +12,7 @@ from hidden_effects import LATENCY, late_pushes
 from report_page import assert_alone
 
 from diagrams.commands.fit import _show_gain
+from diagrams.comparison_words import millimetres
 from models.measurements import write_dataset
 
 
@@ -52,7 +53,7 @@ def test_from_a_model_that_fails_to_one_that_has_the_effect(slipmap, tmp_path):
     without = fitted["without_effects"]["heldout_error_mean"]
     # Where pushes end the object rests, and a late tracker shows little.
     assert fitted["heldout_error_mean"] < 0.8 * without
-    assert f"without effects, learnt alike, {1e3 * without:.2g} mm" in " ".join(said.out.split())
+    assert f"without effects, learnt alike, {millimetres(without)} mm" in " ".join(said.out.split())
     assert "DO NOT SPEAK" not in said.out
     assert (tmp_path / "belief.maps.png").exists() and (tmp_path / "belief.pushes.png").exists()
 

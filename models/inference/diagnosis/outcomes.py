@@ -60,6 +60,11 @@ def disagreement(base: Fitted, pushes: int, p: float) -> Outcome:
         f"Much is left that the model does not explain, but the {pushes} pushes do not agree on what it"
         f" is: turned round at random, they would show as much in {100 * p:.0f} % of cases."
     )
+    if pushes == 1:
+        sentence = (
+            "Much is left that the model does not explain, but a single push cannot show whether others would"
+            " agree on what it is."
+        )
     return Outcome("undecided", sentence, base)
 
 
