@@ -55,6 +55,10 @@ def test_an_example_runs(example, beside_the_demo, capsys):
         assert re.match(r"pushes that were held out end \d+\.\d mm", said)
         assert "finger friction" in said
         assert (beside_the_demo / "maps.png").stat().st_size > 10_000
+    elif "start_pose=np.zeros(3)" in example.code:
+        turned, differ = map(float, re.findall(r"([-\d.]+)°", said))
+        # Pushed near the end of its handle along +x, the hammer turns counter-clockwise.
+        assert 10 < turned < 90 and 0 < differ < 30
     elif "slider_of_hypothesis" in example.code:
         found = re.match(r"it came to x = (-?\d+) mm, y = -?\d+ mm, turned by (-?\d+)°", said)
         # Pushed at the end of its handle, towards +x below its middle, the hammer turns counter-clockwise.
