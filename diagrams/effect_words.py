@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from models.effects.effect import Effect
+from models.effects.effect import Effect, Parameter
 from models.inference.diagnosis.results import ParameterEstimate
 from models.physics.cell_grid import CellGrid
 
@@ -56,14 +56,25 @@ def parameter_rows(
     effects: Sequence[Effect], estimates: Sequence[ParameterEstimate]
 ) -> list[tuple[str, str, str, str]]:
     """Name with unit (and effect, if there are several), value, 90 % interval, meaning of each parameter."""
-    meanings = {(effect.name, p.name): p.meaning for effect in effects for p in effect.parameters}
+    known = {(effect.name, p.name): p for effect in effects for p in effect.parameters}
     several = len({e.effect for e in estimates}) > 1
     rows = []
     for e in estimates:
         value, low, high = shown_numbers(e.value, e.low, e.high)
         name = (f"{e.effect}: " if several else "") + e.name + ("" if e.unit == "1" else f", {e.unit}")
-        rows.append((name, value, f"{low} to {high}", meanings.get((e.effect, e.name), "")))
+        parameter = known.get((e.effect, e.name))
+        meaning = "" if parameter is None else parameter.meaning
+        if parameter is not None and _at_an_end(e.value, parameter):
+            meaning += "; at the end of its range"
+        rows.append((name, value, f"{low} to {high}", meaning))
     return rows
+
+
+def _at_an_end(value: float, parameter: Parameter) -> bool:
+    """Whether a value lies at an end of its range that only keeps the search within reason, as 0 does not."""
+    near = 0.01 * (parameter.high - parameter.low)
+    ends = [end for end in (parameter.low, parameter.high) if end != 0.0]
+    return any(abs(value - end) < near for end in ends)
 
 
 def unit_text(unit: str) -> str:

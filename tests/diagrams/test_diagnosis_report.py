@@ -15,7 +15,7 @@ from report_page import assert_alone
 from diagrams.diagnosis_report import compared, diagnosis_report
 from diagrams.diagnosis_tables import show_diagnosis
 from diagrams.diagnosis_words import push_facts, standing
-from diagrams.effect_words import READERS, effect_in_words
+from diagrams.effect_words import READERS, effect_in_words, parameter_rows
 from diagrams.figures import gain_figure, locked_figure
 from models.effects import LIBRARY
 from models.effects.registry import effects_named
@@ -67,6 +67,21 @@ def test_every_effect_of_the_library_has_words_for_its_size():
             for p in effect.parameters
         ]
         assert "{" not in words(effect.name, *estimates)
+
+
+def test_a_parameter_that_a_bound_holds_is_told():
+    tether = {effect.name: effect for effect in LIBRARY}["tether"]
+    values = {
+        "stiffness": 0.3,
+        "anchor_x": 0.8,
+        "anchor_y": 2.0,
+        "slack": 0.0,
+        "point_x": 0.0,
+        "point_y": 0.0,
+    }
+    estimates = [replace(estimate(n, v, v - 0.1, v + 0.1), effect="tether") for n, v in values.items()]
+    held = [row[0] for row in parameter_rows([tether], estimates) if "at the end of its range" in row[3]]
+    assert held == ["anchor_y"]
 
 
 def test_sizes_in_the_units_of_a_person():
