@@ -14,7 +14,7 @@ import numpy as np
 from models.effects.effect import Effect
 from models.effects.slider import EffectSlider
 from models.physics.cell_grid import CellGrid, FloatArray
-from models.physics.effect_kernel import AFTER, CONSTANTS, FORCE
+from models.physics.effect_layout import AFTER, CONSTANTS, FORCE
 from models.physics.maps import Maps
 from models.physics.pushes import JoinedPushes, Push
 from models.physics.rollout import RolloutError, Smoothing
