@@ -55,8 +55,14 @@ def backward_loop(
         derivative: of an expression by a symbol.
         printed: code of an expression.
     """
-    steps, ends = sp.cse([e for _, e in formulas], symbols=sp.numbered_symbols("t", real=True), order="none")
+    # What stands in a case may have no value outside of it, and is computed there alone.
+    cases = {c: sp.Dummy(real=True) for _, e in formulas for c in _outermost_cases(e)}
+    steps, ends = sp.cse(
+        [e.xreplace(cases) for _, e in formulas], symbols=sp.numbered_symbols("t", real=True), order="none"
+    )
     parts = _Parts(set(place))
+    for case, symbol in cases.items():
+        parts.define(symbol, case)
     for symbol, expression in steps:
         parts.define(symbol, expression)
     last = [(sp.Symbol(stem), parts.small(e)) for (stem, _), e in zip(formulas, ends, strict=True)]
@@ -93,6 +99,13 @@ def backward_loop(
         after=_straight(columns, "z", printed),
         sums=[str(symbol) for symbol in totals],
     )
+
+
+def _outermost_cases(expression: Any) -> list[Any]:
+    """Piecewise parts of an expression that are not inside of another."""
+    if isinstance(expression, sp.Piecewise):
+        return [expression]
+    return [case for argument in expression.args for case in _outermost_cases(argument)]
 
 
 def _forwards(

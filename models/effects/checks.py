@@ -9,13 +9,16 @@ from models.effects.declaration import FORMULAS, check_declaration, check_starts
 from models.effects.effect import Effect, EffectError
 from models.effects.singular import singular_point
 from models.effects.slots import Slots
-from models.effects.symbols import FORCE_NAMES
+from models.effects.symbols import FORCE_NAMES, memory_name, parameter_name
 from models.physics.effect_layout import BODY_OUTPUTS
 
 POINTS = 20
 VANISHES = 1e-12
-FIXED = {"m": 1.0, "J": 0.01, "gravity": 9.81, "h": 0.005, "width": 0.01, "n": 60.0}
-"""Of an object and its cells, as in SI."""
+FIXED = {
+    "m": 1.0, "J": 0.02, "s_x": 0.03, "s_y": -0.02, "gravity": 9.81, "h": 0.005, "width": 0.01, "n": 60.0,
+    "c_x": 0.02, "c_y": -0.01, "g_xx": 300.0, "g_xy": 40.0, "g_yy": 500.0, "time": 0.4, "order": 2.0,
+}  # fmt: skip
+"""Of an object that could be, its cells and its push, as in SI."""
 
 
 def check_effect(effect: Effect, where: str) -> None:
@@ -44,7 +47,7 @@ def _check_that_it_acts(effect: Effect, slots: Slots) -> None:
     outputs = [*slots.body, *slots.cell, slots.delay, *slots.measured, *slots.renewed]
     within = {str(symbol) for output in outputs for symbol in sp.sympify(output).free_symbols}
     names = [p.name for p in effect.parameters if p.null is not None]
-    if not within & {f"p_{effect.name}_{name}" for name in names}:
+    if not within & {parameter_name(effect.name, name) for name in names}:
         written = [
             f"{name}()" for name in FORMULAS if getattr(type(effect), name) is not getattr(Effect, name)
         ]
@@ -65,8 +68,8 @@ def _check_values(effect: Effect, slots: Slots) -> None:
         plain[BODY_OUTPUTS + 4 * blade] = 0
     symbols = sorted({s for entry in outputs for s in entry.free_symbols}, key=str)
     evaluate = sp.lambdify(symbols, outputs, modules="math")
-    parameters = {f"p_{effect.name}_{p.name}": p for p in effect.parameters}
-    own = {f"mem_{effect.name}_{name}" for name in effect.memory} | set(FORCE_NAMES)
+    parameters = {parameter_name(effect.name, p.name): p for p in effect.parameters}
+    own = {memory_name(effect.name, name) for name in effect.memory} | set(FORCE_NAMES)
     for trial in range(POINTS):
         null = trial % 2 == 0
         values = {}
@@ -116,8 +119,9 @@ def _check_slopes(effect: Effect, slots: Slots) -> None:
     from models.effects.formulas import derivative
 
     rng = np.random.default_rng(1)
-    parameters = {f"p_{effect.name}_{p.name}": p for p in effect.parameters}
-    still = {"v_x", "v_y", "omega", *FORCE_NAMES, *(f"mem_{effect.name}_{name}" for name in effect.memory)}
+    parameters = {parameter_name(effect.name, p.name): p for p in effect.parameters}
+    remembered = (memory_name(effect.name, name) for name in effect.memory)
+    still = {"v_x", "v_y", "omega", *FORCE_NAMES, *remembered}
     outputs = [sp.sympify(entry) for entry in (*slots.body, *slots.cell, *slots.renewed)]
     values = {}
     for symbol in sorted({s for entry in outputs for s in entry.free_symbols} | {*slots.y}, key=str):
@@ -135,6 +139,11 @@ def _check_slopes(effect: Effect, slots: Slots) -> None:
             finite = bool(np.isfinite([float(value) for value in found]).all())
         except (ArithmeticError, ValueError):
             finite = False
+        except Exception as error:  # of SymPy, which cannot write every function as code
+            raise EffectError(
+                f"the formula's derivative by {symbol} cannot be computed: {type(error).__name__}:"
+                f" {' '.join(str(error).split())[:200]}"
+            ) from error
         if not finite:
             raise EffectError(
                 f"the formula has no derivative where the object lies still ({_told(at_rest)}): keep what"
@@ -143,4 +152,5 @@ def _check_slopes(effect: Effect, slots: Slots) -> None:
 
 
 def _told(values: dict[sp.Symbol, float]) -> str:
-    return ", ".join(f"{symbol} = {value:.3g}" for symbol, value in values.items())
+    names = (str(symbol).removeprefix("p_").replace("_P_", ".") for symbol in values)
+    return ", ".join(f"{name} = {value:.3g}" for name, value in zip(names, values.values(), strict=True))

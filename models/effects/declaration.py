@@ -9,6 +9,7 @@ import re
 from numbers import Real
 
 from models.effects.effect import Effect, EffectError, Parameter, Scene
+from models.effects.symbols import FORCE_NAMES, body_names, cell_names
 from models.effects.written import QUANTITIES
 
 UNITS = re.compile(r"^(1|([a-zA-Z]+(\^-?\d+)?)([ /][a-zA-Z]+(\^-?\d+)?)*|1(/[a-zA-Z]+(\^\d+)?)+)$")
@@ -38,6 +39,11 @@ def check_declaration(effect: Effect) -> None:
     if not isinstance(effect.sentence, str):
         raise EffectError(f"sentence must be text, got {effect.sentence!r}")
     _check_names("memory", effect.memory)
+    taken = [name for name in effect.memory if name in cell_names(body_names({})) or name in FORCE_NAMES]
+    if taken or len(set(effect.memory)) < len(effect.memory):
+        raise EffectError(
+            f"memory {effect.memory}: every name must be given once, and not be one that body or cell have"
+        )
     if not isinstance(effect.parameters, tuple | list):
         raise EffectError(f"parameters must be a tuple of Parameter, got {effect.parameters!r}")
     for parameter in effect.parameters:

@@ -20,6 +20,7 @@ from models.effects.symbols import CONSTANT_NAMES, real
 
 _HEADER = '''"""Formulas of effects, made by slipmap; safe to delete."""
 
+import functools
 import math
 
 import numpy
@@ -50,10 +51,8 @@ class _Printer(PythonCodePrinter):
 
 def derivative(expression: Any, symbol: sp.Symbol) -> Any:
     """Derivative of a formula, jumps of absolute values and cases left out."""
-    result = sp.diff(expression, symbol)
-    return (
-        result.rewrite(sp.Piecewise) if result.has(sp.Heaviside, sp.sign, sp.Abs, sp.DiracDelta) else result
-    )
+    result = sp.diff(expression, symbol).replace(sp.DiracDelta, lambda *_: sp.Integer(0))
+    return result.rewrite(sp.Piecewise) if result.has(sp.Heaviside, sp.sign, sp.Abs) else result
 
 
 def _assignments(

@@ -98,15 +98,23 @@ def _program_of(effects: tuple[Effect, ...]) -> Program:
 
 
 def _key(effects: Sequence[Effect]) -> str | None:
-    """Hash of all that the code is made from, or None where an effect has no file."""
+    """Hash of all that the code is made from, or None where an effect is not slipmap's own.
+
+    What others' files give may hang on more than their text: on modules that they import, or on the arguments
+    of a function that makes classes. There the written code itself tells.
+    """
+    here = Path(__file__).parent
     digest = hashlib.sha256()
     for name in ("effect.py", "symbols.py", "program.py", "slots.py", "formulas.py", "backwards.py"):
-        digest.update((Path(__file__).parent / name).read_bytes())
+        digest.update((here / name).read_bytes())
     for effect in effects:
         try:
-            digest.update(Path(inspect.getfile(type(effect))).read_bytes())
+            path = Path(inspect.getfile(type(effect)))
         except (TypeError, OSError):
             return None
+        if path.parent != here:
+            return None
+        digest.update(path.read_bytes())
         digest.update(type(effect).__qualname__.encode())
     return digest.hexdigest()[:16]
 

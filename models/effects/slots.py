@@ -18,6 +18,8 @@ from models.effects.symbols import (
     after_names,
     body_names,
     cell_names,
+    memory_name,
+    parameter_name,
     real,
 )
 
@@ -39,8 +41,8 @@ class Slots:
     """
 
     def __init__(self, effects: Sequence[Effect]) -> None:
-        self.parameters = [real(f"p_{e.name}_{p.name}") for e in effects for p in e.parameters]
-        own = [real(f"mem_{e.name}_{name}") for e in effects for name in e.memory]
+        self.parameters = [real(parameter_name(e.name, p.name)) for e in effects for p in e.parameters]
+        own = [real(memory_name(e.name, name)) for e in effects for name in e.memory]
         force = [real(name) for name in FORCE_NAMES]
         one, zero = sp.Integer(1), sp.Integer(0)
         wrench = [zero, zero, zero]
@@ -53,8 +55,9 @@ class Slots:
         self.measured = list(pose)
         blades: list[Any] = []
         for e in effects:
-            p = Names(f"effect {e.name}: p", {q.name: real(f"p_{e.name}_{q.name}") for q in e.parameters})
-            memory = {name: real(f"mem_{e.name}_{name}") for name in e.memory}
+            own_parameters = {q.name: real(parameter_name(e.name, q.name)) for q in e.parameters}
+            p = Names(f"effect {e.name}: p", own_parameters)
+            memory = {name: real(memory_name(e.name, name)) for name in e.memory}
             known = body_names(memory | dict(zip(FORCE_NAMES, force, strict=True)))
             body = Names(f"effect {e.name}: body", known)
             cell = Names(f"effect {e.name}: cell", cell_names(known))
@@ -98,7 +101,11 @@ class Slots:
         self.stretch = [sp.sympify(entry) for entry in stretch]
         self.measures = self.measured != pose
         self.stretches = self.stretch != [one, zero, one]
-        asked = {s for e in [*self.body, *self.cell, *self.renewed] for s in sp.sympify(e).free_symbols}
+        asked = {
+            s
+            for e in [*self.body, *self.cell, *self.renewed, *self.measured]
+            for s in sp.sympify(e).free_symbols
+        }
         needed = bool(self.renewed) or compliance != zero or bool(asked & set(force))
         self.memory = [*force, *own] if needed else []
         state = [real(name) for name in STATE_NAMES]

@@ -40,6 +40,16 @@ def real(name: str) -> sp.Symbol:
     return sp.Symbol(name, real=True)
 
 
+def parameter_name(effect: str, name: str) -> str:
+    """Name of the symbol of a parameter; names of effects have no capitals, so that no two can be one."""
+    return f"p_{effect}_P_{name}"
+
+
+def memory_name(effect: str, name: str) -> str:
+    """The same for what an effect remembers."""
+    return f"mem_{effect}_M_{name}"
+
+
 def body_names(memory: Mapping[str, sp.Symbol]) -> dict[str, Any]:
     """What formulas may use of the object as a whole, as expressions of the kernel's arguments.
 

@@ -27,6 +27,9 @@ FORMULAS = {
     ],
     "powers": [(2 + A * RX) ** -3 + (3 + B * RY) ** sp.Rational(-3, 4), 1 / (4 + C * RX) ** 2],
     "by cases": [sp.Piecewise((A * RX, RX * B > 0), (C * RY**2, True)), sp.Max(A * RX, B)],
+    "a case that guards": [
+        sp.Piecewise((sp.exp(-1 / (A * RX)) * (1 + 1 / (A * RX)), A * RX > 0), (0, True)) * B + C * RY,
+    ],
     "without y": [RX * RY, A * RX],
 }
 

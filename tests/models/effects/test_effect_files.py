@@ -73,6 +73,57 @@ def test_a_name_of_the_library_is_taken(file) -> None:  # type: ignore[no-untype
         known_effects([file(GOOD), file(GOOD, "again.py")])
 
 
+TWINS = """\
+from models.effects import Effect, Parameter
+
+
+def wind(label, along_x):
+    class Wind(Effect):
+        name = f"wind_{label}"
+        sentence = "Wind."
+        parameters = (Parameter("thrust", "N", "force", -5.0, 5.0, 0.2, null=0.0),)
+
+        def force(self, body, p):
+            return (p.thrust, 0, 0) if along_x else (0, p.thrust, 0)
+
+    return Wind
+
+
+WindX, WindY = wind("x", True), wind("y", False)
+"""
+
+
+def test_classes_of_one_function_are_different_effects(file) -> None:  # type: ignore[no-untyped-def]
+    ends = []
+    for effect in load_effects(file(TWINS, "twins.py")):
+        out = EffectSlider(BLOCK, RADIUS, [effect]).rollout(
+            with_values(plain_maps(), [2.0]), [sliding_push()]
+        )
+        ends.append(out.end[0, 0])
+    assert abs(ends[0][1] - ends[1][1]) > 1e-3
+
+
+def test_parameters_of_names_that_join_alike_are_two(file) -> None:  # type: ignore[no-untyped-def]
+    first = TWINS.replace("thrust", "b_c").replace('f"wind_{label}"', '"a"').replace('"x", True', '"x", True')
+    second = TWINS.replace("thrust", "c").replace('f"wind_{label}"', '"a_b"')
+    a, b = load_effects(file(first, "first.py"))[0], load_effects(file(second, "second.py"))[1]
+    push = sliding_push()
+    both = EffectSlider(BLOCK, RADIUS, [a, b]).rollout(with_values(plain_maps(), [2.0, 0.0]), [push])
+    one = EffectSlider(BLOCK, RADIUS, [a]).rollout(with_values(plain_maps(), [2.0]), [push])
+    assert both.end == pytest.approx(one.end, abs=1e-12)
+    none = EffectSlider(BLOCK, RADIUS, [a]).rollout(with_values(plain_maps(), [0.0]), [push])
+    assert np.abs(one.end - none.end).max() > 1e-3
+
+
+@pytest.mark.parametrize(
+    "formula", ["sp.sqrt(body.time)", "sp.log(1 + body.order)", "sp.sqrt(body.spread_xx)", "sp.sign(body.x)"]
+)
+def test_formulas_of_what_cannot_be_negative_are_accepted(file, formula) -> None:  # type: ignore[no-untyped-def]
+    text = GOOD.replace("return pull * (0.1 - body.x)", f"return pull * {formula}")
+    (effect,) = load_effects(file(text))
+    EffectSlider(BLOCK, RADIUS, [effect]).rollout(with_values(plain_maps(), [0.5]), [sliding_push()])
+
+
 FAULTS = {
     "unit": ('"N", "of', '"pounds", "of', r"line 6.*: parameter strength: unit 'pounds' is not SI"),
     "bounds": ("-50.0, 50.0", "50.0, -50.0", r"line 6.*: parameter strength: low 50.0 must be below"),
@@ -93,6 +144,8 @@ FAULTS = {
     "no derivative at rest": ("return pull * (0.1 - body.x), -pull * body.y, 0",
                               "return -p.strength * sp.sqrt(body.vx**2 + body.vy**2) * body.vx, 0, 0",
                               r"line 6.*: the formula has no derivative where the object lies still"),
+    "memory that has a name already": ("    def force", '    memory = ("mass",)\n\n    def force',
+                                       r"line 6.*: memory .*not be one that body or cell have"),
     "root of a negative": ("+ 0.03**2)", "+ 0.03**2) * sp.sqrt(-1 - p.strength**2)", r"Magnet: the formula"),
     "exception": ("        distance", "        raise RuntimeError('oh')\n        distance",
                   r"line 6.*magnet: force\(\) failed in magnet\.py, line 12: RuntimeError: oh"),
