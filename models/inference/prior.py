@@ -49,7 +49,7 @@ class PriorSettings:
         modes: most coordinates a map may have; finer variation cannot be seen from pushes.
     """
 
-    load_map: float = 0.40
+    load_map: float = 0.35
     mass_share: float = 0.8
     split: float = 0.27
     friction_scale: float = 0.7
@@ -58,8 +58,8 @@ class PriorSettings:
     finger_friction_mean: float = 0.35
     known_mass: float = 0.02
     unknown_mass: float = 2.0
-    length: float = 0.35
-    white: float = 0.05
+    length: float = 0.20
+    white: float = 0.30
     largest_friction: float = 3.0
     modes: int = 40
 
