@@ -51,7 +51,7 @@ def test_basis_reproduces_its_covariance():
     assert np.diag(covariance) == pytest.approx(1.0)
     d = np.hypot(*(SQUARE.centers[0] - SQUARE.centers[7]))
     diameter = np.hypot(*(np.ptp(SQUARE.centers, axis=0) + SQUARE.width))
-    assert covariance[0, 7] == pytest.approx(0.7 * np.exp(-0.5 * (d / (0.2 * diameter)) ** 2))
+    assert covariance[0, 7] == pytest.approx(0.95 * np.exp(-0.5 * (d / (0.2 * diameter)) ** 2))
 
 
 def test_maps_of_four_times_the_strength_vary_four_times_in_load_and_twice_in_how_it_is_split():
