@@ -27,7 +27,7 @@ from models.measurements import PushDataset
 from models.physics.cell_grid import FloatArray
 from models.physics.rollout import Maps, Slider
 
-STRENGTHS = (0.8, 3.5)
+STRENGTHS = (0.8, 2.5)
 """Range of the factor on the prior's map variation, drawn log-uniformly for each hypothesis, see
 `MapPrior.spreads`."""
 

@@ -51,7 +51,7 @@ class PriorSettings:
 
     load_map: float = 0.35
     mass_share: float = 0.8
-    split: float = 0.27
+    split: float = 0.30
     friction_scale: float = 0.7
     friction_mean: float = 0.3
     finger_friction: float = 0.8
