@@ -48,8 +48,9 @@ Then let it compete with the library, and learn with it:
   that light and heavy objects are treated alike. Parameters without a null only shape the effect;
   `starts` says where to begin looking for them.
 - A faulty file is refused with file and line: wrong units, an effect that does not vanish at its null,
-  formulas that are not finite, names that do not exist, misspelt methods. A helper method of your own
-  begins with an underscore.
+  formulas that are not finite or have no derivative where the object lies still (write
+  `sqrt(vx**2 + vy**2 + 1e-4**2)`, not `sqrt(vx**2 + vy**2)`), names that do not exist, misspelt methods.
+  A helper method of your own begins with an underscore.
 
 A class overrides what it changes and leaves the rest:
 

@@ -87,7 +87,7 @@ def coverage_rows(result: CalibrationResult) -> list[dict[str, Any]]:
         low = float(beta.ppf(0.025, hits, draws - hits + 1)) if inside else 0.0
         high = float(beta.ppf(0.975, hits + 1, draws - hits)) if inside < count else 1.0
         verdict = "too narrow" if high < LEVEL else "too wide" if low > LEVEL else "as it should be"
-        if high - low > TELLS_NOTHING:
+        if verdict == "as it should be" and high - low > TELLS_NOTHING:
             verdict = "too few objects to tell"
         rows.append(
             {

@@ -168,7 +168,7 @@ def _refuse_beside(context: click.Context, because: str, *options: str) -> None:
         BadInput: names the first that was given.
     """
     for parameter in context.command.params:
-        name = parameter.opts[0].removeprefix("--")
+        name = parameter.opts[-1].removeprefix("--")
         given = context.get_parameter_source(parameter.name or "") is not click.core.ParameterSource.DEFAULT
         if name in options and given:
             raise BadInput(f"{because}; leave out --{name}")

@@ -17,6 +17,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
+from types import ModuleType
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,6 +40,7 @@ class Program:
             derivatives by the true pose (…, 3, 3) and by the parameters (…, 3, P); None where no effect
             changes them.
         delay: parameters to the tracker's delay and its derivative (P,); None where there is none.
+        module: what holds the machine code; without it the addresses would lead nowhere.
     """
 
     effects: tuple[Effect, ...]
@@ -46,6 +48,7 @@ class Program:
     sizes: NDArray[np.int64]
     measured: Callable[..., tuple[FloatArray, FloatArray, FloatArray]] | None
     delay: Callable[[FloatArray], tuple[float, FloatArray]] | None
+    module: ModuleType
 
     @property
     def parameters(self) -> int:
@@ -94,6 +97,7 @@ def _program_of(effects: tuple[Effect, ...]) -> Program:
         np.array(module.SIZES, dtype=np.int64),
         module.measured if module.MEASURES else None,
         module.delay if module.DELAYS else None,
+        module,
     )
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 from pathlib import Path
 
 import numpy as np
@@ -101,6 +102,18 @@ def test_classes_of_one_function_are_different_effects(file) -> None:  # type: i
         )
         ends.append(out.end[0, 0])
     assert abs(ends[0][1] - ends[1][1]) > 1e-3
+
+
+def test_a_file_that_is_read_twice_leaves_the_first_as_it_was(file) -> None:  # type: ignore[no-untyped-def]
+    """Machine code is freed with the module that holds it; a second reading of the file makes another."""
+    path, maps, push = file(GOOD), with_values(plain_maps(), [2.0]), sliding_push()
+    first = EffectSlider(BLOCK, RADIUS, list(load_effects(path)))
+    before = first.rollout(maps, [push]).end
+    for _ in range(3):
+        EffectSlider(BLOCK, RADIUS, list(load_effects(path)))
+        gc.collect()
+    assert np.array_equal(first.rollout(maps, [push]).end, before)
+    assert first.program.module.body.address == first.program.addresses[0]
 
 
 def test_parameters_of_names_that_join_alike_are_two(file) -> None:  # type: ignore[no-untyped-def]
