@@ -61,9 +61,10 @@ def test_there_are_notebooks():
     assert len(NOTEBOOKS) >= 7
 
 
-def test_notebooks_run_from_top_to_bottom(tmp_path):
-    # In one process: each of its own would take three seconds to load everything.
-    ended = run(NOTEBOOKS, tmp_path, "--check")
+@each_notebook
+def test_a_notebook_runs_from_top_to_bottom(path, tmp_path):
+    """Each in a process of its own, as Jupyter has it."""
+    ended = run([path], tmp_path, "--check")
     assert ended.returncode == 0, ended.stderr
 
 
