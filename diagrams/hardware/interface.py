@@ -10,7 +10,6 @@ from pydrake.common.value import Value
 from pydrake.lcm import DrakeLcmInterface
 from pydrake.manipulation import IiwaCommandSender, IiwaControlMode, SchunkWsgCommandSender
 from pydrake.systems.framework import BasicVector, Context, DiagramBuilder, EventStatus, LeafSystem
-from pydrake.systems.lcm import LcmInterfaceSystem
 from pydrake.systems.primitives import PassThrough
 
 from diagrams.collectable import PythonDiagram, PythonSystem, weakly
@@ -18,6 +17,7 @@ from diagrams.execution.messages import Health
 from diagrams.hardware import channels, network
 from diagrams.hardware.command_stream import CommandStream
 from diagrams.hardware.heard_cell import ARM, CAMERA, NEEDED, HeardCell
+from diagrams.hardware.message_pump import MessagePump
 from diagrams.hardware.messages import CheckedMessages, Received, publish
 from diagrams.hardware.validation import ABORT_COORDINATES, rules
 from diagrams.station.scenario import Scenario
@@ -80,7 +80,8 @@ class HardwareInterface(PythonDiagram):
         self._url = lcm if isinstance(lcm, str) else lcm.get_lcm_url()
         self._lcm = network.open_lcm(lcm) if isinstance(lcm, str) else lcm
         builder = DiagramBuilder()
-        builder.AddSystem(LcmInterfaceSystem(self._lcm))
+        if not alone:
+            builder.AddSystem(MessagePump(self._lcm))
         clock = time.monotonic if alone else None
         self._heard = builder.AddNamedSystem("heard", HeardCell(scenario, clock))
         self.arm_hulls = self._heard.arm_hulls

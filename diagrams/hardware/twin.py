@@ -23,13 +23,14 @@ from pydrake.systems.framework import (
     EventStatus,
     State,
 )
-from pydrake.systems.lcm import LcmInterfaceSystem, LcmPublisherSystem
+from pydrake.systems.lcm import LcmPublisherSystem
 from pydrake.systems.primitives import ConstantVectorSource
 from pydrake.systems.sensors import ImageToLcmImageArrayT, PixelType
 
 from diagrams.collectable import PythonDiagram, PythonSystem, weakly
 from diagrams.hardware import channels
 from diagrams.hardware.command_stream import CommandBuffer
+from diagrams.hardware.message_pump import MessagePump
 from diagrams.hardware.messages import CheckedMessages, Received, publish
 from diagrams.hardware.validation import POSE_COORDINATES, rules
 from diagrams.station.scenario import Scenario
@@ -65,9 +66,9 @@ class CellTwin(PythonDiagram):
         super().__init__()
         builder = DiagramBuilder()
         self.station: Station = builder.AddSystem(Station(scenario))
-        builder.AddSystem(LcmInterfaceSystem(lcm))
         self._checked: dict[str, CheckedMessages] = {}
         if arm:
+            builder.AddSystem(MessagePump(lcm))
             rule = rules(scenario.camera.width, scenario.camera.height_pixels)
             self._checked = {
                 channel: builder.AddNamedSystem(channel, CheckedMessages(channel, rule[channel]))

@@ -116,7 +116,8 @@ class _Eye:
         """As `looked`, without Python's garbage collector.
 
         It would free in this thread whatever is found, such as the diagram of a run before, whose renderer
-        must not be freed in another thread than the one that made it.
+        must not be freed in another thread than the one that made it. What is newest is collected here at
+        the end: else the collector, which counted meanwhile, would begin with everything as soon as it may.
         """
         enabled = gc.isenabled()
         gc.disable()
@@ -124,6 +125,7 @@ class _Eye:
             return self.looked(memory, glance)
         finally:
             if enabled:
+                gc.collect(0)
                 gc.enable()
 
     def _first_look(

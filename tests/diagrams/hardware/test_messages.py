@@ -12,9 +12,9 @@ from pydrake.lcm import DrakeLcm
 from pydrake.manipulation import IiwaStatusReceiver
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
-from pydrake.systems.lcm import LcmInterfaceSystem
 
 from diagrams.hardware.channels import IIWA_STATUS
+from diagrams.hardware.message_pump import MessagePump
 from diagrams.hardware.messages import CheckedMessages
 from diagrams.hardware.validation import rules
 from diagrams.station.arm import HOME
@@ -26,7 +26,7 @@ class Listener:
     def __init__(self, clock: Callable[[], float] | None = None) -> None:
         self.lcm = DrakeLcm("memq://")
         builder = DiagramBuilder()
-        builder.AddSystem(LcmInterfaceSystem(self.lcm))
+        builder.AddSystem(MessagePump(self.lcm))
         self.checked = builder.AddSystem(
             CheckedMessages(IIWA_STATUS, rules(WIDTH, HEIGHT)[IIWA_STATUS], clock)
         )

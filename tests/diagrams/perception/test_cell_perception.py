@@ -84,6 +84,27 @@ def test_no_garbage_is_collected_in_the_thread_that_looks(world, monkeypatch):
     assert gc.isenabled()
 
 
+def test_nor_is_any_but_the_newest_once_a_picture_was_looked_at(world):
+    elsewhere = []
+
+    def note(phase: str, details: dict[str, int]) -> None:
+        if phase == "start" and threading.current_thread() is not threading.main_thread():
+            elsewhere.append(details["generation"])
+
+    context = world.context()
+    world.place(context, "hammer", (0.05, -0.02, 0.6))
+    simulator = world.simulator(context)
+    threshold = gc.get_threshold()
+    gc.callbacks.append(note)
+    gc.set_threshold(100, 0, 0)  # each collection is of all generations, but for those asked for
+    try:
+        simulator.AdvanceTo((FRAMES + 2.75) * PERIOD)
+    finally:
+        gc.set_threshold(*threshold)
+        gc.callbacks.remove(note)
+    assert set(elsewhere) <= {0}
+
+
 def test_hulls_cover_what_the_camera_sees_of_an_arm(world):
     builder = DiagramBuilder()
     plant, scene_graph = AddMultibodyPlantSceneGraph(builder, 0.01)
