@@ -14,8 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from models.inference.belief import Belief
+from models.inference.centroid import radius_of_gyration
 from models.inference.observations import LONGEST_STEP, LONGEST_STRIDE
-from models.inference.push_errors import radius_of_gyration
 from models.physics.cell_grid import CellGrid, FloatArray
 from models.physics.paper_notation import add
 from models.physics.rollout import Push, RolloutError

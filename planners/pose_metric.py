@@ -15,7 +15,7 @@ from __future__ import annotations
 import numpy as np
 
 from models.angles import angle_between
-from models.inference.push_errors import radius_of_gyration
+from models.inference.centroid import radius_of_gyration
 from models.physics.cell_grid import CellGrid, FloatArray
 
 

@@ -14,10 +14,10 @@ from itertools import combinations
 import numpy as np
 import scipy.linalg
 
+from models.inference.centroid import radius_of_gyration
 from models.inference.diagnosis.error_model import ErrorModel, travelled
 from models.inference.diagnosis.fitting import Fitted
 from models.inference.observations import LONGEST_STEP, LONGEST_STRIDE, SAMPLES, Observation
-from models.inference.push_errors import radius_of_gyration
 from models.physics.cell_grid import CellGrid, FloatArray
 from models.physics.rollout import Maps, Push, RolloutError, Slider
 

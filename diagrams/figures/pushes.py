@@ -15,7 +15,7 @@ from matplotlib.patheffects import withStroke
 from diagrams.figures.outlines import outline_path, placed, scale_bar
 from diagrams.figures.style import BELIEF, FAINT, FINGER, INK, PAPER, styled
 from diagrams.wording import ROLES, short_name
-from models.inference.push_errors import radius_of_gyration
+from models.inference.centroid import radius_of_gyration
 from models.inference.results import PushPrediction
 from models.measurements import PushDataset, Trial, finger_path
 from models.physics.cell_grid import CellGrid, FloatArray

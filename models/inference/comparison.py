@@ -41,11 +41,11 @@ class ComparedPush:
 
     Attributes:
         observation: what was measured.
-        predicted: (S, 3) mean prediction at the observation's pose times, m and rad.
+        predicted: (S, 3) middle of the hypotheses at the observation's pose times, m and rad.
         errors: of the prediction.
         uniform: errors of a uniform object with the belief's mass, friction and finger.
         resting: errors of an object that does not move.
-        spread: probability-weighted mean ADD of the hypotheses from their mean at the end, m.
+        spread: probability-weighted mean ADD of the hypotheses from their middle at the end, m.
     """
 
     observation: Observation
@@ -272,14 +272,15 @@ def _pushes(
 ) -> tuple[ComparedPush, ...]:
     grid = belief.grid
     ours, theirs = (motion_errors(observations, told, grid) for told in (motions, uniform))
+    middles = [motion.middle_poses(grid) for motion in motions]
     return tuple(
         ComparedPush(
             observation=observation,
-            predicted=motion.mean_poses,
+            predicted=middles[b],
             errors=ours[b],
             uniform=theirs[b],
             resting=resting_errors(observation, grid),
-            spread=float(motion.probability @ add(motion.poses[:, -1], motion.mean_poses[-1], grid.centers)),
+            spread=float(motion.probability @ add(motion.poses[:, -1], middles[b][-1], grid.centers)),
         )
         for b, (observation, motion) in enumerate(zip(observations, motions, strict=True))
     )

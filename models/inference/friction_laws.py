@@ -11,10 +11,11 @@ friction. Two things are left out that hold for some recorded pushes and not for
 All combinations that the dataset allows (load transfer needs the object's height and mass) are fitted, each
 from where the plain law led, and hypotheses of a belief are shared out among them in proportion to
 
-    evidence^(1/TEMPERATURE)
+    evidence^(1/T),    T = TEMPERATURE α / 0.5 %
 
 with the evidence of `trust`. It is tempered because it holds errors along a push for as independent as
-the likelihood does, and the likelihood's model for the right one; neither is so.
+the likelihood does, and the likelihood's model for the right one; neither is so, the less the further the
+best law is off, by a share α of the way.
 """
 
 from __future__ import annotations
@@ -29,7 +30,7 @@ from models.effects.library import LIBRARY
 from models.effects.slider import EffectSlider
 from models.inference.observations import MEASURED_CONTACT, Observation
 from models.inference.prior import MapPrior, PriorSettings
-from models.inference.trust import Ladder, fit_with_trust, log_evidence
+from models.inference.trust import MODEL_ERRORS, Ladder, fit_with_trust, log_evidence
 from models.measurements import PushDataset
 from models.physics.cell_grid import FloatArray
 from models.physics.rollout import RolloutError, Slider
@@ -69,6 +70,11 @@ class Law:
     log_evidence: float
     share: float
 
+    @property
+    def model_error(self) -> float:
+        """α of the best fit."""
+        return self.ladder[-1][0].settings.model_error
+
 
 def effect_prior(effects: Sequence[Effect], height: float | None) -> tuple[FloatArray, FloatArray]:
     """Prior means and standard deviations (P,) of the laws' parameters, for an object of some height, m."""
@@ -87,7 +93,7 @@ def fit_laws(
     dataset: PushDataset,
     observations: Sequence[Observation],
     settings: PriorSettings,
-    starts: FloatArray,
+    finger_frictions: Sequence[float],
     progress: Callable[[int, int], None],
     *,
     plain_only: bool,
@@ -98,7 +104,7 @@ def fit_laws(
         dataset: the pushes, the object and its height.
         observations: pushes to learn from.
         settings: strength of the prior of the maps.
-        starts: (K, d) coordinates for the plain law to start from.
+        finger_frictions: of the uniform objects for the plain law to start from.
         progress: called with (done, total).
         plain_only: whether to leave the other laws alone.
 
@@ -118,7 +124,7 @@ def fit_laws(
     laws: list[Law] = []
     for place, effects in enumerate(combinations):
         prior = prior_of(effects)
-        begin = starts
+        begin = np.array([prior.start(friction) for friction in finger_frictions])
         if effects:
             best = laws[0].ladder[-1][1]
             begin = np.concatenate([best.z, np.zeros((1, prior.size - prior.plain))], axis=1)
@@ -136,17 +142,23 @@ def fit_laws(
         evidence = log_evidence(likelihood, found) - float(np.log(likelihood.settings.model_error))
         laws.append(Law(TOGETHER.join(effect.name for effect in effects) or PLAIN, ladder, evidence, 1.0))
     progress(1, 1)
-    return shared_out(laws)
+    return shared_out(laws, _temperature(laws))
 
 
-def shared_out(laws: Sequence[Law]) -> list[Law]:
+def _temperature(laws: Sequence[Law]) -> float:
+    """By which evidence is tempered: `TEMPERATURE`, the more the law of most evidence is held to be off."""
+    likeliest = max(laws, key=lambda law: np.nan_to_num(law.log_evidence, nan=-np.inf))
+    return TEMPERATURE * likeliest.model_error / MODEL_ERRORS[0]
+
+
+def shared_out(laws: Sequence[Law], temperature: float = TEMPERATURE) -> list[Law]:
     """The laws with their shares, the largest first, without those below `LEAST_SHARE`, and without those
     whose evidence is no number."""
     laws = [law for law in laws if np.isfinite(law.log_evidence)] or list(laws[:1])
     if len(laws) == 1:
         return [replace(laws[0], share=1.0)]
     evidence = np.array([law.log_evidence for law in laws])
-    shares = np.exp((evidence - evidence.max()) / TEMPERATURE)
+    shares = np.exp((evidence - evidence.max()) / temperature)
     shares /= shares.sum()
     shares = np.where(shares < LEAST_SHARE, 0.0, shares)
     shares /= shares.sum()

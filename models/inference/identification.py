@@ -5,16 +5,15 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 
-import numpy as np
-
 from models.inference.friction_laws import Law, fit_laws
 from models.inference.identifiability import quantities
 from models.inference.likelihood import Likelihood, LikelihoodSettings
 from models.inference.mixed_belief import mixed_belief
 from models.inference.observations import MEASURED_CONTACT, observe_all
 from models.inference.prediction import predict_observations
-from models.inference.prior import MapPrior, PriorSettings
+from models.inference.prior import SINGLE_CELLS, MapPrior, PriorSettings
 from models.inference.results import Identification
+from models.inference.trust import MODEL_ERRORS
 from models.measurements import DatasetError, PushDataset
 from models.physics.rollout import Slider
 
@@ -44,7 +43,8 @@ def identify(
         hypotheses: K, at least 2.
         seed: of every random draw.
         progress: called with (stage, done, total).
-        prior_settings: how strongly maps are held together before any push.
+        prior_settings: how strongly maps are held together before any push; if None, as in `PriorSettings`,
+            or as in `SINGLE_CELLS` where the best law is off by more than the smallest of `MODEL_ERRORS`.
         friction_laws: whether other laws of friction than the plain one take part, each as much as the
             pushes speak for it (`models.inference.friction_laws`); takes about four times as long. The
             method `paper` knows the plain one alone.
@@ -61,25 +61,29 @@ def identify(
     report("preparing pushes", 0, 1)
     observations = observe_all(dataset)
     report("preparing pushes", 1, 1)
-    slider = Slider(dataset.grid, dataset.finger_radius, dataset.gravity, MEASURED_CONTACT)
-    prior = MapPrior(slider, prior_settings or PriorSettings(), dataset.mass)
-    laws: list[Law] = []
     fitted = [observation for observation in observations if observation.role == "fit"]
+
+    def laws_with(settings: PriorSettings) -> list[Law]:
+        return fit_laws(
+            dataset,
+            fitted,
+            settings,
+            FINGER_STARTS,
+            lambda done, total: report("fitting", done, total),
+            plain_only=not friction_laws,
+        )
+
     if method == "paper":
         from models.inference.paper_method import identify_by_algorithm_1
 
         belief = identify_by_algorithm_1(dataset, hypotheses=hypotheses, seed=seed, progress=progress)
+        slider = Slider(dataset.grid, dataset.finger_radius, dataset.gravity, MEASURED_CONTACT)
+        prior = MapPrior(slider, prior_settings or PriorSettings(), dataset.mass)
         likelihood, information = Likelihood(prior, fitted, dataset.noise, LikelihoodSettings()), None
     else:
-        starts = np.array([prior.start(friction) for friction in FINGER_STARTS])
-        laws = fit_laws(
-            dataset,
-            fitted,
-            prior.settings,
-            starts,
-            lambda done, total: report("fitting", done, total),
-            plain_only=not friction_laws,
-        )
+        laws = laws_with(prior_settings or SINGLE_CELLS)
+        if prior_settings is None and laws[0].model_error == MODEL_ERRORS[0]:
+            laws = laws_with(PriorSettings())
         likelihood, information = laws[0].ladder[-1]
         belief = mixed_belief(
             dataset, laws, hypotheses, seed, report, settings={"finger_starts": list(FINGER_STARTS)}

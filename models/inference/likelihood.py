@@ -19,9 +19,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from models.inference.centroid import radius_of_gyration
 from models.inference.observations import Observation
 from models.inference.prior import MapPrior
-from models.inference.push_errors import radius_of_gyration
 from models.measurements import Noise
 from models.physics.cell_grid import FloatArray
 from models.physics.rollout import Rollouts
@@ -181,10 +181,11 @@ class Likelihood:
         scaled_offsets = offsets / self.start_sigma
         cost = 0.5 * (scaled_offsets**2).sum(axis=-1)
         if weights is not None:
-            by_pose = prior.chain(maps, rollouts.d_poses, strength)
-            by_force = prior.chain(maps, rollouts.d_forces, strength) if rollouts.d_forces.shape[1] else None
-            hessian = np.zeros((K, d, d))
-            gradient = np.zeros((K, d))
+            # Normal equations by the rollout's own columns, which are fewer than the coordinates.
+            columns, start = prior.columns(maps, strength), prior.start_columns
+            by_column = columns.transpose(0, 2, 1)
+            P = columns.shape[1]
+            reduced_hessian, reduced_gradient = np.zeros((K, P, P)), np.zeros((K, P))
             gains = np.empty((B, K, 3, 3))
             start_gradients = np.empty((B, K, 3))
             couplings = np.empty((B, K, d, 3))
@@ -204,32 +205,33 @@ class Likelihood:
             if weights is None:
                 continue
             root = np.sqrt(share * weight) / self._sigmas[b]
-            J = by_pose[:, rollouts.pose_at[b] : rollouts.pose_at[b + 1]].copy()
+            J = rollouts.d_poses[:, rollouts.pose_at[b] : rollouts.pose_at[b + 1]].copy()
             arm = self._arm(rollouts.poses_of(b))
             J[:, :, 0] -= arm[..., 1:] * J[:, :, 2]
             J[:, :, 1] += arm[..., :1] * J[:, :, 2]
             J[:, :, 2] *= self._radius
-            J = (J * root[..., None, None]).reshape(K, -1, d + 3)
+            J = (J * root[..., None, None]).reshape(K, -1, J.shape[-1])
             r = (error * root[..., None]).reshape(K, -1)
             if sliding.any():
-                assert by_force is not None
                 root = np.sqrt(force_share * force_weight) / self._force_sigmas[b]
-                JF = by_force[:, rollouts.force_at[b] : rollouts.force_at[b + 1]][:, sliding]
-                J = np.concatenate([J, (JF * root[..., None, None]).reshape(K, -1, d + 3)], axis=1)
+                JF = rollouts.d_forces[:, rollouts.force_at[b] : rollouts.force_at[b + 1]][:, sliding]
+                J = np.concatenate([J, (JF * root[..., None, None]).reshape(K, -1, J.shape[-1])], axis=1)
                 r = np.concatenate([r, (force_error * root[..., None]).reshape(K, -1)], axis=1)
             transposed = J.transpose(0, 2, 1)
             full = transposed @ J
             slope = (transposed @ r[..., None])[..., 0]
-            start_hessian = full[:, d:, d:] + np.diag(self.start_sigma**-2.0)
-            start_gradient = slope[:, d:] + scaled_offsets[:, b] / self.start_sigma
-            coupling = full[:, :d, d:]
+            start_hessian = full[:, start, start] + np.diag(self.start_sigma**-2.0)
+            start_gradient = slope[:, start] + scaled_offsets[:, b] / self.start_sigma
+            coupling = full[:, :, start]
             gain = np.linalg.inv(start_hessian)
             w = weights[:, b]
-            hessian += w[:, None, None] * (full[:, :d, :d] - coupling @ gain @ coupling.transpose(0, 2, 1))
-            gradient += w[:, None] * (slope[:, :d] - (coupling @ gain @ start_gradient[..., None])[..., 0])
-            gains[b], start_gradients[b], couplings[b] = gain, start_gradient, coupling
+            reduced_hessian += w[:, None, None] * (full - coupling @ gain @ coupling.transpose(0, 2, 1))
+            reduced_gradient += w[:, None] * (slope - (coupling @ gain @ start_gradient[..., None])[..., 0])
+            gains[b], start_gradients[b], couplings[b] = gain, start_gradient, by_column @ coupling
         if weights is None:
             return cost, None
+        hessian = by_column @ reduced_hessian @ columns
+        gradient = (by_column @ reduced_gradient[..., None])[..., 0]
         return cost, (hessian, gradient, gains, start_gradients, couplings)
 
     def _robust(self, scaled: FloatArray) -> tuple[FloatArray, FloatArray]:

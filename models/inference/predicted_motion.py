@@ -11,9 +11,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from models.inference.belief import Belief
+from models.inference.middle_pose import middle_poses
 from models.inference.observations import Observation
 from models.inference.prediction import uniform_maps
-from models.physics.cell_grid import FloatArray
+from models.physics.cell_grid import CellGrid, FloatArray
 from models.physics.rollout import Maps
 
 
@@ -31,10 +32,9 @@ class PredictedMotion:
     forces: FloatArray
     probability: FloatArray
 
-    @property
-    def mean_poses(self) -> FloatArray:
-        """(S, 3) probability-weighted mean: the prediction that is judged."""
-        return np.einsum("k,ksc->sc", self.probability, self.poses)
+    def middle_poses(self, grid: CellGrid) -> FloatArray:
+        """(S, 3) in the middle of the hypotheses: the prediction that is judged, see `middle_pose`."""
+        return middle_poses(self.poses, self.probability, grid)
 
     @property
     def mean_forces(self) -> FloatArray:

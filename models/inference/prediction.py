@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from models.inference.belief import Belief, BeliefError
+from models.inference.middle_pose import middle_poses
 from models.inference.observations import Observation, observe_all
 from models.inference.results import PushPrediction
 from models.measurements import PushDataset
@@ -75,7 +76,7 @@ def predict_observations(
     results = []
     for b, observation in enumerate(observations):
         hypotheses = rollouts.poses_of(b)
-        mean = np.einsum("k,ksc->sc", belief.probability, hypotheses)
+        middle = middle_poses(hypotheses, belief.probability, belief.grid)
         last = observation.poses[-1]
         results.append(
             PushPrediction(
@@ -84,9 +85,9 @@ def predict_observations(
                 times=np.asarray(observation.push.pose_times),
                 measured=observation.poses,
                 hypotheses=hypotheses,
-                predicted=mean,
-                final_add=float(add(mean[-1], last, centers)),
-                spread=float(belief.probability @ add(hypotheses[:, -1], mean[-1], centers)),
+                predicted=middle,
+                final_add=float(add(middle[-1], last, centers)),
+                spread=float(belief.probability @ add(hypotheses[:, -1], middle[-1], centers)),
                 no_motion_add=float(add(observation.push.start_pose, last, centers)),
                 uniform_add=float(add(uniform.poses_of(b)[0, -1], last, centers)),
                 start_sensitivity=float(

@@ -26,7 +26,7 @@ from models.effects.effect import bounds, scales
 from models.effects.slider import EffectSlider
 from models.physics.cell_grid import CellGrid, FloatArray
 from models.physics.rollout import Maps, Slider
-from models.physics.step import EXTRA_COLUMNS
+from models.physics.step import EXTRA_COLUMNS, INERTIA_COLUMNS
 
 
 @dataclass(frozen=True)
@@ -62,6 +62,10 @@ class PriorSettings:
     white: float = 0.30
     largest_friction: float = 3.0
     modes: int = 40
+
+
+SINGLE_CELLS = PriorSettings(load_map=0.40, split=0.50, white=0.80, modes=100)
+"""For pushes that no law explains: its faults are then taken up by single cells, and bend no whole region."""
 
 
 class MapPrior:
@@ -167,11 +171,25 @@ class MapPrior:
     def chain(self, maps: Maps, derivative: FloatArray, strength: FloatArray | float = 1.0) -> FloatArray:
         """Turn derivatives by a rollout's reduced columns (K, …, P) into derivatives by z and start pose.
 
-        Where a friction is at its bound the derivative is that of the unbounded formula, so that a step can
-        lead back inside.
-
         Returns:
             (K, …, size + 3): coordinates, then start x, y, θ.
+        """
+        rows = derivative.reshape(len(maps), -1, derivative.shape[-1])
+        by_start = rows[..., self.start_columns]
+        result = np.concatenate([rows @ self.columns(maps, strength), by_start], axis=-1)
+        return result.reshape(*derivative.shape[:-1], self.size + 3)
+
+    @property
+    def start_columns(self) -> slice:
+        """Where x, y, θ of the start stand among a rollout's reduced columns."""
+        first = len(self.slider.grid) + INERTIA_COLUMNS + 1
+        return slice(first, first + 3)
+
+    def columns(self, maps: Maps, strength: FloatArray | float = 1.0) -> FloatArray:
+        """(K, P, size) derivatives of what a rollout's reduced columns stand for by the coordinates.
+
+        Where a friction is at its bound the derivative is that of the unbounded formula, so that a step can
+        lead back inside.
         """
         K, n, r = len(maps), len(self.slider.grid), self.basis.shape[1]
         s = self.settings
@@ -181,13 +199,14 @@ class MapPrior:
         load = (maps.mass * maps.mu * self.slider.gravity)[..., None]
         moved = self.slider.inertia_basis.T * maps.mass[:, None]
         # What the columns of loads and inertia, (n + 4), contribute: by log friction, by log mass.
-        by_friction = np.concatenate([load * self.basis, np.zeros((K, 4, r))], axis=1)
+        by_friction = np.concatenate([load * self.basis, np.zeros((K, INERTIA_COLUMNS, r))], axis=1)
         by_mass = np.concatenate([load * self.basis, moved @ self.basis], axis=1)
         by_total = np.concatenate([load, moved.sum(axis=-1, keepdims=True)], axis=1)
         share = maps.mass / maps.mass.sum(axis=1, keepdims=True)
         by_mass -= by_total * (share @ self.basis)[:, None]
-        by_mean_friction = np.concatenate([load, np.zeros((K, 4, 1))], axis=1)
-        contributions = np.concatenate(
+        by_mean_friction = np.concatenate([load, np.zeros((K, INERTIA_COLUMNS, 1))], axis=1)
+        result = np.zeros((K, n + EXTRA_COLUMNS + len(self.effect_scales), self.size))
+        result[:, : n + INERTIA_COLUMNS, : self.plain - 1] = np.concatenate(
             [
                 of_load * (s.mass_share * by_mass + (1.0 - s.mass_share) * by_friction),
                 of_split * (by_mass - by_friction),
@@ -196,18 +215,9 @@ class MapPrior:
             ],
             axis=-1,
         )
-        rows = derivative.reshape(K, -1, derivative.shape[-1])
-        finger = (s.finger_friction * maps.mu_finger)[:, None, None]
-        result = np.concatenate(
-            [
-                rows[..., : n + 4] @ contributions,
-                rows[..., n + 4 : n + 5] * finger,
-                rows[..., n + EXTRA_COLUMNS :] * self.effect_scales,
-                rows[..., n + 5 : n + 8],
-            ],
-            axis=-1,
-        )
-        return result.reshape(*derivative.shape[:-1], self.size + 3)
+        result[:, n + INERTIA_COLUMNS, self.plain - 1] = s.finger_friction * maps.mu_finger
+        result[:, n + EXTRA_COLUMNS :, self.plain :] = np.diag(self.effect_scales)
+        return result
 
 
 def covariance_basis(grid: CellGrid, settings: PriorSettings) -> FloatArray:

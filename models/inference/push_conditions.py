@@ -13,8 +13,8 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
+from models.inference.centroid import at_centroid, radius_of_gyration
 from models.inference.observations import Observation
-from models.inference.push_errors import at_centroid, radius_of_gyration
 from models.physics.cell_grid import CellGrid, FloatArray
 
 TOUCHING = 5e-4

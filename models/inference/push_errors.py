@@ -7,6 +7,7 @@ from dataclasses import asdict, dataclass
 
 import numpy as np
 
+from models.inference.centroid import at_centroid, radius_of_gyration
 from models.inference.observations import Observation
 from models.inference.predicted_motion import PredictedMotion
 from models.physics.cell_grid import CellGrid, FloatArray
@@ -81,9 +82,9 @@ def resting_errors(observation: Observation, grid: CellGrid) -> Errors:
 def motion_errors(
     observations: Sequence[Observation], motions: Sequence[PredictedMotion], grid: CellGrid
 ) -> list[Errors]:
-    """Errors of the mean prediction of each push."""
+    """Errors of the judged prediction of each push."""
     return [
-        errors(observation, motion.mean_poses, motion.mean_forces, grid)
+        errors(observation, motion.middle_poses(grid), motion.mean_forces, grid)
         for observation, motion in zip(observations, motions, strict=True)
     ]
 
@@ -94,18 +95,6 @@ def nrmse_fit(measured: FloatArray, predicted: FloatArray) -> float:
     if spread == 0.0:
         return float("nan")
     return 100.0 * (1.0 - float(np.linalg.norm(measured - predicted)) / spread)
-
-
-def at_centroid(poses: FloatArray, grid: CellGrid) -> FloatArray:
-    """Poses (…, 3) of the object frame as positions of the cells' centroid, with the angle."""
-    x, y = grid.centers.mean(axis=0)
-    c, s = np.cos(poses[..., 2]), np.sin(poses[..., 2])
-    return np.stack([poses[..., 0] + c * x - s * y, poses[..., 1] + s * x + c * y, poses[..., 2]], axis=-1)
-
-
-def radius_of_gyration(grid: CellGrid) -> float:
-    """Of the cells about their centroid, m; an angle times it is about as far as the cells move."""
-    return float(np.sqrt(((grid.centers - grid.centers.mean(axis=0)) ** 2).sum(axis=1).mean()))
 
 
 def _rms(vectors: FloatArray) -> float:

@@ -18,9 +18,9 @@ import scipy.linalg
 from scipy.special import chdtrc, fdtrc
 
 from models.inference.belief import Belief
+from models.inference.centroid import radius_of_gyration
 from models.inference.diagnosis.error_model import ErrorModel, SensorNoise, travelled
 from models.inference.observations import Observation
-from models.inference.push_errors import radius_of_gyration
 from models.inference.residuals import centroid_tracks
 from models.physics.cell_grid import CellGrid, FloatArray
 from models.physics.rollout import Push

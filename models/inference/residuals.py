@@ -13,10 +13,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from models.inference.centroid import at_centroid, radius_of_gyration
 from models.inference.observations import SAMPLES, Observation
 from models.inference.predicted_motion import PredictedMotion
 from models.inference.push_conditions import Conditions, conditions
-from models.inference.push_errors import at_centroid, radius_of_gyration
 from models.physics.cell_grid import CellGrid, FloatArray
 
 STRIDE = 2
@@ -66,7 +66,7 @@ def motion_residuals(
     parts, values, weights = [], [], []
     scale = np.ones(len(observations))
     for b, (observation, motion) in enumerate(zip(observations, motions, strict=True)):
-        times, measured, predicted = centroid_tracks(observation, motion.mean_poses, grid)
+        times, measured, predicted = centroid_tracks(observation, motion.middle_poses(grid), grid)
         edges = np.unique([*range(0, len(times), STRIDE), len(times) - 1])
         steps = [np.diff(track[edges], axis=0) for track in (measured, predicted)]
         duration = np.diff(times[edges])

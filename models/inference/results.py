@@ -23,7 +23,7 @@ class PushPrediction:
         times: (S,) s after the first pose.
         measured: (S, 3) poses of the object.
         hypotheses: (K, S, 3) predicted poses.
-        predicted: (S, 3) probability-weighted mean of the hypotheses.
+        predicted: (S, 3) in the middle of the hypotheses, see `middle_pose`.
         final_add: mean distance of the cells at the end between `predicted` and measured, m.
         spread: probability-weighted mean ADD of the hypotheses from `predicted` at the end, m.
         no_motion_add: final ADD of an object that does not move, m.

@@ -8,9 +8,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 import scipy.linalg
 
+from models.inference.centroid import radius_of_gyration
 from models.inference.diagnosis.error_model import ErrorModel, SensorNoise, travelled
 from models.inference.observations import SAMPLES, Observation
-from models.inference.push_errors import radius_of_gyration
 from models.physics.cell_grid import CellGrid, FloatArray
 from models.physics.rollout import Push
 

@@ -3,9 +3,10 @@
 import numpy as np
 import pytest
 
+from models.inference.centroid import radius_of_gyration
 from models.inference.noise_floor import noise_floor, repeated_pushes
 from models.inference.observations import Observation
-from models.inference.push_errors import errors, nrmse_fit, radius_of_gyration, resting_errors
+from models.inference.push_errors import errors, nrmse_fit, resting_errors
 from models.measurements import Noise
 from models.objects import cells_from_polygon
 from models.physics.rollout import Push

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
+from models.inference.centroid import at_centroid, radius_of_gyration
 from models.inference.observations import Observation
 from models.inference.predicted_motion import PredictedMotion
 from models.inference.push_conditions import Phase, conditions
-from models.inference.push_errors import at_centroid, radius_of_gyration
 from models.inference.residual_correlations import correlations, delay_pattern
 from models.inference.residuals import force_residuals, motion_residuals
 from models.objects import cells_from_polygon
