@@ -13,18 +13,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from models.inference.belief import Belief
-from models.inference.centroid import radius_of_gyration
-from models.inference.observations import LONGEST_STEP, LONGEST_STRIDE
-from models.physics.cell_grid import CellGrid, FloatArray
-from models.physics.paper_notation import add
-from models.physics.rollout import Push, RolloutError
-from planners.exploration import CandidatePush, NoReachablePush, candidate_pushes
-from planners.poke_settings import PokeSettings
-from planners.proposals import turn
-from planners.rehearsal import AFTERWARDS, RAMP
-from planners.strategies import STRATEGIES
-from planners.table_push import TablePush
+from slipmap.models.geometry import radius_of_gyration
+from slipmap.models.inference.belief import Belief
+from slipmap.models.inference.observations import LONGEST_STEP, LONGEST_STRIDE
+from slipmap.models.physics.cell_grid import CellGrid, FloatArray
+from slipmap.models.physics.paper_notation import add
+from slipmap.models.physics.rollout import Push, RolloutError
+from slipmap.planners.exploration import CandidatePush, NoReachablePush, candidate_pushes, turn
+from slipmap.planners.rehearsal import AFTERWARDS, RAMP
+from slipmap.planners.settings import STRATEGIES, PokeSettings
+from slipmap.planners.table_push import TablePush
 
 TOUCH_WAY = 0.004
 """m that a tap's finger may go on slowly after it should have touched: no one knows exactly where it will."""

@@ -14,14 +14,14 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from models.inference.identification import identify
-from models.inference.intervals import interval
-from models.inference.results import Identification
-from models.measurements.simulated import record_pushes
-from models.objects import cells_from_polygon
-from models.physics.cell_grid import CellGrid, FloatArray
-from models.physics.rollout import Maps, Slider
-from planners.exploration import candidate_pushes
+from slipmap.models.inference.identification import identify
+from slipmap.models.inference.prediction import interval
+from slipmap.models.inference.results import Identification
+from slipmap.models.measurements.simulated import record_pushes
+from slipmap.models.objects import cells_from_polygon
+from slipmap.models.physics.cell_grid import CellGrid, FloatArray
+from slipmap.models.physics.rollout import Maps, Slider
+from slipmap.planners.exploration import candidate_pushes
 
 LEVEL = 0.9
 CELLS = 40

@@ -11,13 +11,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from models.inference.belief import Belief
-from models.measurements.push_dataset import Table
-from models.physics.balance import balance_margins, corners_of, fall_probability
-from models.physics.cell_grid import CellGrid, FloatArray
-from planners.goal_settings import GoalSettings
-from planners.grasp_lines import GraspLines, grasp_lines
-from planners.grasps import Grasp, Gripper
+from slipmap.models.inference.belief import Belief
+from slipmap.models.measurements.push_dataset import Table
+from slipmap.models.physics.balance import balance_margins, corners_of, fall_probability
+from slipmap.models.physics.cell_grid import CellGrid, FloatArray
+from slipmap.planners.grasps import Grasp, GraspLines, Gripper, grasp_lines
+from slipmap.planners.settings import GoalSettings
 
 _ENOUGH_MARGIN = 0.02  # m; more is not better
 

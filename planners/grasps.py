@@ -4,10 +4,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
+import shapely
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
-from models.physics.cell_grid import FloatArray
-from models.robots import (
+from slipmap.models.measurements.push_dataset import Table
+from slipmap.models.physics.cell_grid import CellGrid, FloatArray
+from slipmap.models.robots import (
     FINGER_LENGTH,
     FINGER_RADIUS,
     GRIP_FORCE,
@@ -15,6 +20,8 @@ from models.robots import (
     HAND_DISTANCE,
     HAND_RADIUS,
 )
+from slipmap.planners.settings import GoalSettings
+from slipmap.planners.table_push import first_on_table, towards_table
 
 
 @dataclass(frozen=True)
@@ -75,3 +82,358 @@ class Grasp:
         return np.array(
             [pose[0] + c * x - s * y, pose[1] + s * x + c * y, self.height / 2, pose[2] + self.approach]
         )
+
+
+# What is known of an object's height over a raster of points, from one height for each cell.
+
+
+PITCH = 2e-3
+"""Side of a raster's pixel, m."""
+
+Raster = NDArray[np.float32]
+
+
+@dataclass(frozen=True, eq=False)
+class HeightMap:
+    """Least and largest height at points of the object frame; 0 outside the outline.
+
+    A height is known where cells are alike: between the centres of cells it may be any between theirs.
+
+    Attributes:
+        corner: (2,) the raster's first point, m; its rows go along y, its columns along x.
+        lowest: least height, m.
+        highest: largest height, m.
+    """
+
+    corner: FloatArray
+    lowest: Raster
+    highest: Raster
+
+    @staticmethod
+    def of(grid: CellGrid, heights: FloatArray) -> HeightMap:
+        """Heights between the cells of a grid.
+
+        Args:
+            grid: n cells and the outline.
+            heights: (n,) m, positive.
+
+        Raises:
+            ValueError: not one height for each cell, or one that is not positive.
+        """
+        heights = np.asarray(heights, dtype=float)
+        if heights.shape != (len(grid),):
+            raise ValueError(f"heights: {len(grid)} cells need as many heights, got shape {heights.shape}")
+        if not (np.isfinite(heights) & (heights > 0)).all():
+            cell = int(np.flatnonzero(~(np.isfinite(heights) & (heights > 0)))[0])
+            raise ValueError(f"heights: cell {cell} must have a positive height, has {heights[cell]} m")
+        x0, y0, x1, y1 = grid.polygon.bounds
+        x, y = np.arange(x0, x1 + PITCH, PITCH), np.arange(y0, y1 + PITCH, PITCH)
+        points = np.stack(np.meshgrid(x, y), axis=-1)
+        inside = shapely.contains_xy(grid.polygon, points[..., 0], points[..., 1])
+        low, high = _between_cells(grid, heights, points[inside])
+        lowest, highest = (np.zeros(inside.shape, dtype=np.float32) for _ in range(2))
+        lowest[inside], highest[inside] = low, high
+        return HeightMap(np.array([x0, y0]), lowest, highest)
+
+    def highest_within(self, distance: float) -> Raster:
+        """Largest height within a distance (m) of each point; a larger raster, as `sampled` takes it."""
+        reach = int(np.ceil(distance / PITCH))
+        offset = np.arange(-reach, reach + 1) * PITCH
+        disc = (np.hypot(*np.meshgrid(offset, offset)) <= distance + PITCH / 2).astype(np.uint8)
+        padded = np.pad(self.highest, reach)
+        return np.asarray(cv2.dilate(padded, disc), dtype=np.float32)
+
+    def sampled(self, raster: Raster, points: FloatArray) -> Raster:
+        """Values (...) of one of this map's rasters at points (..., 2); 0 beyond it.
+
+        Args:
+            raster: `lowest`, `highest` or one of `highest_within`, centred on the same points.
+            points: object frame, m.
+        """
+        more = (np.array(raster.shape) - self.lowest.shape) // 2
+        column = np.rint((points[..., 0] - self.corner[0]) / PITCH).astype(np.intp) + more[1]
+        row = np.rint((points[..., 1] - self.corner[1]) / PITCH).astype(np.intp) + more[0]
+        within = (row >= 0) & (row < raster.shape[0]) & (column >= 0) & (column < raster.shape[1])
+        values = raster[np.where(within, row, 0), np.where(within, column, 0)]
+        return np.asarray(np.where(within, values, 0), dtype=np.float32)
+
+
+def _between_cells(grid: CellGrid, heights: FloatArray, points: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Least and largest height of the cells around each point, mostly four, at the rim fewer."""
+    tree = cKDTree(grid.centers)
+    _, around = tree.query(points, k=9, p=np.inf, distance_upper_bound=0.999 * grid.width)
+    nearest = heights[tree.query(points)[1]]
+    low = np.append(heights, np.inf)[around].min(axis=1)
+    high = np.append(heights, -np.inf)[around].max(axis=1)
+    return np.where(np.isfinite(low), low, nearest), np.where(np.isfinite(high), high, nearest)
+
+
+# All grasps of one object: straight lines by which the pins can come, and how far in they may go.
+
+
+GRAVITY = 9.81  # m/s²
+
+_DIRECTIONS = 48
+_APART = 5e-3  # m, of neighbouring lines
+_STEP = 2.5e-3  # m, of the pins' ends along a line
+# m from the pins' axes to the outline beside them: a pin slips off a rounded edge.
+_BESIDE = 5e-3
+_ENOUGH = 0.02  # m, of room; more is not better
+_AT_ONCE = 32  # poses
+
+
+@dataclass(frozen=True, eq=False)
+class GraspLines:
+    """L lines over the object frame, each with S places for the pins' ends, `_STEP` apart.
+
+    What is checked of a grasp, in the object frame:
+
+    - The open pins have `clearance` above everything that they pass on their way in, and below it.
+    - The hand, swept along the line, stays off the outline by `clearance`, whatever the height there.
+    - The middle of the lower pin lies under the outline over `least_contact` or more. There and where the
+      upper pin holds, the outline reaches 5 mm farther to either side.
+    - The upper pin comes down on heights that are known: between cells of different height they may be any
+      between these. `least_contact` or more lies between the outermost place that is certainly as high as
+      all the pin passes (less `tolerance`) and the inner end of the lower contact.
+    - In hypotheses of probability 1 - epsilon or more a force at either end carries the moment of the weight
+      about the pins' cross axis, friction that about their own axis, and the lower pin the weight beside:
+      together no more than the gripper's force. So the object stays level. Both moments are added as if they
+      asked for the same force.
+
+    and at a pose (`reach`): lower pin and hand, swept along the line, stay off the table by `clearance`.
+
+    Attributes:
+        direction: (L, 2) in which the hand moves.
+        offset: (L,) of the line to the left of the origin, m.
+        start: (L,) coordinate along the line of the first place, where the outline begins, m.
+        force: (L, S) that the grasp needs, N; inf where the grasp fails the check.
+        height: (L, S) of what the pins pass, m.
+        lower: (L, S) inner end of the lower contact, coordinate along the line, m.
+        upper: (L, S) outer end of the upper contact, likewise.
+        gripper: whose grasps they are.
+        clearance: m.
+    """
+
+    direction: FloatArray
+    offset: FloatArray
+    start: FloatArray
+    force: FloatArray
+    height: FloatArray
+    lower: FloatArray
+    upper: FloatArray
+    gripper: Gripper
+    clearance: float
+
+    def reach(self, poses: FloatArray, table: Table) -> FloatArray:
+        """(P, L) farthest coordinate of the pins' ends at which the table is clear of pins and hand, m.
+
+        Args:
+            poses: (P, 3) of the object in the world.
+            table: top at the height of the object's underside.
+        """
+        hand = self.gripper.hand_radius + self.clearance
+        pin = self.gripper.finger_radius + self.clearance
+        behind = self.gripper.hand_distance - self.gripper.hand_radius
+        pins_free = first_on_table(self.direction, self.offset, poses, table, pin)
+        hand_free = first_on_table(self.direction, self.offset, poses, table, hand)
+        return np.minimum(pins_free, hand_free + behind) - self.clearance
+
+    def ranked(self, poses: FloatArray, table: Table) -> tuple[FloatArray, FloatArray, NDArray[np.intp]]:
+        """The best grasp on each line at each pose.
+
+        Best is the place that needs the least force. Lines compare by their value: room, up to 20 mm, less
+        20 mm times the share of the gripper's force that is needed. Room is about how much farther over the
+        table the object could lie with some grasp on the line left.
+
+        Args:
+            poses: (P, 3) of the object in the world.
+            table: the table.
+
+        Returns:
+            value: (P, L) m, -inf where the line has no grasp.
+            room: (P, L) m.
+            place: (P, L) index of the best place.
+        """
+        best = _running_argmin(self.force)
+        least = np.minimum.accumulate(self.force, axis=1)
+        first = self.start + _STEP * np.argmax(np.isfinite(self.force), axis=1)
+        reach = self.reach(poses, table)
+        last = np.floor((reach - self.start) / _STEP)
+        index = np.clip(last, 0, self.force.shape[1] - 1).astype(np.intp)
+        line = np.arange(len(self.start))
+        force = np.where(last >= 0, least[line, index], np.inf)
+        spare = np.minimum(reach - first, self.gripper.finger_length)
+        facing = towards_table(self.direction, self.offset, first, poses, table)
+        room = spare * np.maximum(facing, 0.0)
+        value = np.minimum(room, _ENOUGH) - _ENOUGH * force / self.gripper.force
+        return value, room, best[line, index]
+
+    def best(
+        self, poses: FloatArray, table: Table
+    ) -> tuple[FloatArray, FloatArray, NDArray[np.intp], NDArray[np.intp]]:
+        """The line of the largest value at each pose: value (P,), room (P,), line (P,) and place (P,).
+
+        As `ranked`, which it asks for few poses at a time, so that they fit into the processor's cache.
+        """
+        parts = []
+        for begin in range(0, len(poses), _AT_ONCE):
+            value, room, place = self.ranked(poses[begin : begin + _AT_ONCE], table)
+            line = np.argmax(value, axis=1)
+            row = np.arange(len(line))
+            parts.append((value[row, line], room[row, line], line, place[row, line]))
+        value, room, line, place = (np.concatenate(part) for part in zip(*parts, strict=True))
+        return value, room, line, place
+
+    def grasp(self, line: int, place: int) -> Grasp:
+        """The grasp at one place of a line."""
+        along, offset = self.direction[line], self.offset[line]
+        base = offset * _left_of(along)
+        lower, upper = self.lower[line, place], self.upper[line, place]
+        return Grasp(
+            patch=base + (self.start[line] + lower) / 2 * along,
+            approach=float(np.arctan2(along[1], along[0])),
+            opening=self.gripper.opening,
+            tip=base + (self.start[line] + place * _STEP) * along,
+            height=float(self.height[line, place]),
+            length=float(lower - upper),
+            force=float(self.force[line, place]),
+        )
+
+
+def grasp_lines(
+    grid: CellGrid,
+    heights: FloatArray,
+    centers_of_mass: FloatArray,
+    masses: FloatArray,
+    probability: FloatArray,
+    settings: GoalSettings,
+    gripper: Gripper,
+) -> GraspLines:
+    """Grasps from 48 directions on lines 5 mm apart; `GraspLines` says what is checked.
+
+    Args:
+        grid: cells and outline.
+        heights: (n,) of the object's top over each cell, m.
+        centers_of_mass: (K, 2) of the hypotheses, object frame, m.
+        masses: (K,) of the whole object, kg.
+        probability: (K,) of the hypotheses.
+        settings: see there.
+        gripper: see there.
+
+    Returns:
+        Lines on which some grasp passes the check; perhaps none.
+    """
+    field = HeightMap.of(grid, heights)
+    hand = field.highest_within(gripper.hand_radius + settings.clearance)
+    passed = field.highest_within(gripper.finger_radius + settings.clearance)
+    direction, offset, first = _all_lines(grid, hand_margin=gripper.hand_radius + settings.clearance)
+    extent = float(np.ptp(grid.exterior, axis=0).sum()) + gripper.hand_radius + settings.clearance
+    along = first[:, None] + _STEP * np.arange(int((extent + gripper.finger_length) / _STEP) + 2)
+    normal = _left_of(direction)
+    points = direction[:, None] * along[..., None] + (normal * offset[:, None])[:, None]
+
+    lowest = field.sampled(field.lowest, points)
+    inside = lowest > 0
+    firm = inside.copy()
+    for side in (-_BESIDE, _BESIDE):
+        firm &= field.sampled(field.lowest, points + side * normal[:, None]) > 0
+    entered = np.argmax(inside, axis=1)
+    met = inside[np.arange(len(inside)), entered]
+    window = entered[:, None] + np.arange(int(gripper.finger_length / _STEP) + 1)
+
+    def at_tip(values: NDArray) -> NDArray:
+        return np.take_along_axis(values, window, axis=1)
+
+    height = at_tip(np.maximum.accumulate(field.sampled(passed, points), axis=1))
+    lower = at_tip(np.maximum.accumulate(np.where(firm, along, -np.inf), axis=1))
+    upper = _outer_contact(at_tip(np.where(firm, lowest, 0.0)), at_tip(along), height - settings.tolerance)
+    behind = window - int(gripper.hand_distance / _STEP)
+    touched = np.maximum.accumulate(field.sampled(hand, points) > 0, axis=1)
+    hand_free = (behind < 0) | ~np.take_along_axis(touched, np.maximum(behind, 0), axis=1)
+
+    start = along[np.arange(len(along)), entered]
+    arm = lower - upper
+    good = met[:, None] & hand_free & (arm >= settings.least_contact)
+    good &= lower - start[:, None] >= settings.least_contact
+    good &= gripper.opening - 2 * gripper.finger_radius - height >= 2 * settings.clearance
+    kept = good.any(axis=1)
+    needed = _needed_force(
+        arm[kept], lower[kept], start[kept], height[kept], direction[kept], offset[kept],
+        centers_of_mass, masses, probability, settings,
+    )  # fmt: skip
+    force = np.where(good[kept] & (needed <= gripper.force), needed, np.inf)
+    holds = np.isfinite(force).any(axis=1)
+    kept[kept] = holds
+    return GraspLines(
+        direction[kept], offset[kept], start[kept], force[holds], height[kept], lower[kept], upper[kept],
+        gripper, settings.clearance,
+    )  # fmt: skip
+
+
+def _all_lines(grid: CellGrid, hand_margin: float) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Direction (L, 2), offset (L,) and a coordinate (L,) before object and hand meet."""
+    parts = []
+    for angle in 2 * np.pi * np.arange(_DIRECTIONS) / _DIRECTIONS:
+        along = np.array([np.cos(angle), np.sin(angle)])
+        across = grid.exterior @ np.array([-along[1], along[0]])
+        count = max(1, int(np.ptp(across) / _APART))
+        offset = across.min() + np.ptp(across) * (np.arange(count) + 0.5) / count
+        first = (grid.exterior @ along).min() - hand_margin
+        parts.append((np.tile(along, (count, 1)), offset, np.full(count, first)))
+    direction, offset, first = (np.concatenate(part) for part in zip(*parts, strict=True))
+    return direction, offset, first
+
+
+def _outer_contact(heights: FloatArray, along: FloatArray, wanted: FloatArray) -> FloatArray:
+    """(L, S) coordinate of the first place as high as wanted (L, S) for this end; inf where none is."""
+    rising = np.maximum.accumulate(heights, axis=1)
+    first = np.zeros(wanted.shape, dtype=np.intp)
+    for column in rising.T:
+        first += column[:, None] < wanted
+    reached = first <= np.arange(wanted.shape[1])
+    index = np.minimum(first, wanted.shape[1] - 1)
+    return np.where(reached, np.take_along_axis(along, index, axis=1), np.inf)
+
+
+def _needed_force(
+    arm: FloatArray,
+    lower: FloatArray,
+    start: FloatArray,
+    height: FloatArray,
+    direction: FloatArray,
+    offset: FloatArray,
+    centers_of_mass: FloatArray,
+    masses: FloatArray,
+    probability: FloatArray,
+    settings: GoalSettings,
+) -> FloatArray:
+    """(L, S) force of the lower pin, N, that is enough in hypotheses of probability 1 - epsilon or more.
+
+    A weight W at a lever l beyond the contact's inner end is held by W l / arm at its outer end from above;
+    one at a distance d beside the line by friction at both pins, W d = friction · force · height.
+    """
+    normal = _left_of(direction)
+    needed = np.empty((len(masses), *arm.shape))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        for k, (center, mass) in enumerate(zip(centers_of_mass, masses, strict=True)):
+            at = (direction @ center)[:, None]
+            beside = np.abs(normal @ center - offset)[:, None]
+            lever = np.maximum(np.maximum(at - lower, start[:, None] - at), 0.0)
+            force = GRAVITY * mass * (1.0 + lever / arm + beside / (settings.friction * height))
+            needed[k] = np.where(arm > 0, force, np.inf)
+    order = np.argsort(-needed, axis=0)
+    weaker = np.cumsum(probability[order], axis=0) > settings.epsilon
+    enough = np.take_along_axis(order, np.argmax(weaker, axis=0)[None], axis=0)
+    return np.take_along_axis(needed, enough, axis=0)[0]
+
+
+def _running_argmin(values: FloatArray) -> NDArray[np.intp]:
+    """(L, S) index of the least value up to each column, the first of equal ones."""
+    least = np.minimum.accumulate(values, axis=1)
+    new = np.hstack([np.ones((len(values), 1), dtype=bool), least[:, 1:] < least[:, :-1]])
+    return np.maximum.accumulate(np.where(new, np.arange(values.shape[1]), 0), axis=1)
+
+
+def _left_of(direction: FloatArray) -> FloatArray:
+    """(..., 2) unit vectors turned by 90 degrees to the left."""
+    return np.stack([-direction[..., 1], direction[..., 0]], axis=-1)

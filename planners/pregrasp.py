@@ -2,25 +2,163 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from models.inference.belief import Belief
-from models.measurements import Trial
-from models.physics.cell_grid import CellGrid, FloatArray
-from models.physics.maps import Maps
-from planners.exploration import NoReachablePush
-from planners.goal_pushing import MadePush, push_to_goal
-from planners.goals import Goal, Graspable
-from planners.grasps import Grasp
-from planners.learn_by_pushing import MakeDataset, learn_by_pushing
-from planners.methods import planning_belief
-from planners.pregrasp_settings import PregraspSettings
-from planners.push_decisions import Allowed
-from planners.world import ObjectFell, PushNotMade, World
+from slipmap.models.inference.belief import Belief
+from slipmap.models.inference.identification import identify
+from slipmap.models.inference.prediction import uniform_maps
+from slipmap.models.measurements import PushDataset, Trial
+from slipmap.models.physics.cell_grid import CellGrid, FloatArray
+from slipmap.models.physics.maps import Maps
+from slipmap.planners.action_selection import Poke, select_poke
+from slipmap.planners.exploration import NoReachablePush
+from slipmap.planners.goals import Goal, Graspable
+from slipmap.planners.grasps import Grasp
+from slipmap.planners.push_decisions import Allowed, MadePush, ObjectFell, PushNotMade, World, push_to_goal
+from slipmap.planners.settings import METHODS, PregraspSettings
+from slipmap.planners.table_push import TablePush
+
+# The compared methods of the paper (section VI.B): all plan alike, each with another belief.
+
+
+__all__ = ["METHODS", "planning_belief"]
+
+
+def planning_belief(
+    method: str, belief: Belief, rng: np.random.Generator, truth: Maps | None = None
+) -> Belief:
+    """The belief with which a method plans; the planner itself knows nothing of methods.
+
+    Args:
+        method: one of `METHODS`.
+        belief: what was identified.
+        rng: source of the draw of `deterministic`.
+        truth: the true maps, one hypothesis; only `true` looks at them.
+
+    Raises:
+        ValueError: an unknown method, or `true` without one true map.
+    """
+    if method == "probabilistic":
+        return belief
+    if method == "deterministic":
+        k = int(rng.choice(len(belief), p=belief.probability / belief.probability.sum()))
+        return _alone(belief, belief.maps[k : k + 1], method)
+    if method == "uniform":
+        even = uniform_maps(belief)
+        effects = (belief.probability @ belief.maps.effects)[None]
+        return _alone(belief, Maps(even.mass, even.mu, even.mu_finger, effects), method)
+    if method == "true":
+        if truth is None or len(truth) != 1:
+            raise ValueError("method 'true' needs the true maps, exactly one hypothesis")
+        known = belief if truth.effects.shape[1] else replace(belief, maps=_plain(belief.maps), effects=())
+        return _alone(known, truth, method)
+    raise ValueError(f"unknown method {method!r}; choose one of {', '.join(METHODS)}")
+
+
+def _alone(belief: Belief, maps: Maps, method: str) -> Belief:
+    settings = {**belief.settings, "planning": method}
+    return replace(belief, maps=maps, probability=np.ones(1), settings=settings)
+
+
+def _plain(maps: Maps) -> Maps:
+    return Maps(maps.mass, maps.mu, maps.mu_finger)
+
+
+# Pushing an object in a world to learn what it is like: Algorithms 1 and 2 together.
+
+
+MakeDataset = Callable[[Sequence[Trial], CellGrid], PushDataset]
+
+
+def learn_by_pushing(
+    world: World,
+    grid: CellGrid,
+    make_dataset: MakeDataset,
+    settings: PregraspSettings,
+    rng: np.random.Generator,
+    *,
+    allowed: Callable[[TablePush], bool] = lambda push: True,
+) -> tuple[Belief, tuple[Trial, ...]]:
+    """Choose a push, make it, identify; as often as the settings say. The belief comes from all pushes.
+
+    Args:
+        world: where pushes are made.
+        grid: the object as it was seen.
+        make_dataset: puts trials and grid together with what else is known of the cell.
+        settings: of the procedure.
+        rng: source of every draw.
+        allowed: whether the robot can make a push.
+
+    Raises:
+        ObjectFell: it is not on the table any more.
+        PushNotMade: the robot refused `settings.refusals` pushes in a row.
+        NoReachablePush: no candidate is allowed.
+    """
+    seed = int(rng.integers(2**31))
+
+    def learn(trials: Sequence[Trial]) -> Belief:
+        return identify(make_dataset(trials, grid), hypotheses=settings.hypotheses, seed=seed).belief
+
+    trials = explore(world, grid, settings, rng, learn=learn, allowed=allowed)
+    return learn(trials), trials
+
+
+def explore(
+    world: World,
+    grid: CellGrid,
+    settings: PregraspSettings,
+    rng: np.random.Generator,
+    *,
+    learn: Callable[[Sequence[Trial]], Belief],
+    allowed: Callable[[TablePush], bool] = lambda push: True,
+) -> tuple[Trial, ...]:
+    """Choose and make pushes one after the other (Algorithm 2), and record them.
+
+    Args:
+        world: where pushes are made.
+        grid: the object as it was seen.
+        settings: of the procedure.
+        rng: source of every draw.
+        learn: the belief after some pushes; asked before each push whose choice depends on it.
+        allowed: whether the robot can make a push.
+
+    Raises:
+        ObjectFell, PushNotMade, NoReachablePush: see `learn_by_pushing`.
+    """
+    belief: Belief | None = None
+    pokes: list[Poke] = []
+    trials: list[Trial] = []
+    refusals = 0
+    while len(trials) < settings.explorations:
+        if settings.strategy == "most-distinctive" and trials and refusals == 0:
+            belief = learn(trials)
+        poke = select_poke(
+            grid,
+            world.look(),
+            world.finger_radius,
+            strategy=settings.strategy,
+            belief=belief,
+            past=pokes,
+            settings=settings.poke,
+            allowed=allowed,
+            rng=rng,
+        )
+        try:
+            trial = world.push(poke.push)
+        except PushNotMade:
+            refusals += 1
+            if refusals == settings.refusals:
+                raise
+            continue
+        refusals = 0
+        pokes.append(poke)
+        trials.append(replace(trial, name=f"trials/{len(trials):03d}.json", role="fit"))
+    world.look()
+    return tuple(trials)
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,7 +214,7 @@ def pregrasp(
         make_dataset: puts trials and grid together with what else is known of the cell.
         settings: of the procedure.
         rng: source of every draw.
-        method: one of `planners.methods.METHODS`.
+        method: one of `slipmap.planners.pregrasp.METHODS`.
         truth: the true maps, for the method `true`.
         allowed: whether the robot can make a push.
         goal_allowed: whether the robot can grasp at a goal.

@@ -9,22 +9,21 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import Protocol
 
 import numpy as np
 
-from models.angles import angle_between
-from models.inference.belief import Belief
-from models.measurements.push_dataset import Table
-from models.physics.balance import balance_margins
-from models.physics.cell_grid import FloatArray
-from planners.exploration import NoReachablePush
-from planners.foresight import least_margins
-from planners.goals import Goal
-from planners.pose_metric import PoseMetric
-from planners.pregrasp_settings import PregraspSettings, PushSettings
-from planners.robust_push import PlannedPush, plan_push
-from planners.table_push import TablePush
-from planners.waypoints import NoWay, find_waypoints
+from slipmap.models.geometry import angle_between
+from slipmap.models.inference.belief import Belief
+from slipmap.models.measurements.push_dataset import Table, Trial
+from slipmap.models.physics.balance import balance_margins
+from slipmap.models.physics.cell_grid import FloatArray
+from slipmap.planners.exploration import NoReachablePush
+from slipmap.planners.goals import Goal
+from slipmap.planners.robust_push import PlannedPush, least_margins, plan_push
+from slipmap.planners.settings import PregraspSettings, PushSettings
+from slipmap.planners.table_push import TablePush
+from slipmap.planners.waypoints import NoWay, PoseMetric, find_waypoints
 
 WAYPOINT_REACHED = 0.05
 """ε of Algorithm 3, line 22: gap of the cells at which a waypoint counts as passed, m."""
@@ -259,3 +258,129 @@ def _towards_nearest(
 def _alike(one: TablePush, other: TablePush) -> bool:
     apart = np.hypot(*(one.begin - other.begin)), np.hypot(*(one.end - other.end))
     return bool(max(apart) < SAME_PUSH)
+
+
+# What planning needs of the place where pushes are made: a simulation or a robot.
+
+
+class ObjectFell(Exception):
+    """The object is not on the table any more. The text says where it was seen last."""
+
+
+class PushNotMade(Exception):
+    """The robot cannot or will not make this push. The text says why; nothing has moved."""
+
+
+class World(Protocol):
+    """A table with one object on it, and a finger that pushes.
+
+    Attributes:
+        table: its top.
+        finger_radius: m.
+    """
+
+    table: Table
+    finger_radius: float
+
+    def look(self) -> FloatArray:
+        """(3,) pose of the object as it is seen now, world, m and rad.
+
+        Raises:
+            ObjectFell: it is not on the table.
+        """
+        ...
+
+    def push(self, push: TablePush) -> Trial:
+        """Make a push and return what was recorded; an object that falls is noticed by the next look.
+
+        Raises:
+            PushNotMade: the robot refuses.
+        """
+        ...
+
+
+# Pushing an object to a goal in a world that does not do what was planned: Algorithm 3 as a whole.
+
+
+@dataclass(frozen=True, eq=False)
+class MadePush:
+    """A push towards a goal.
+
+    Attributes:
+        before: (3,) pose as seen before, world.
+        goal: that it served.
+        planned: push and prediction.
+        trial: what was recorded.
+    """
+
+    before: FloatArray
+    goal: Goal
+    planned: PlannedPush
+    trial: Trial
+
+
+@dataclass(frozen=True, eq=False)
+class Pushing:
+    """How pushing to a goal ended.
+
+    Attributes:
+        reached: whether the object lies within the tolerances of `goal`, as seen.
+        goal: the last that was aimed at; None where there was no push.
+        pose: (3,) as seen last, world.
+        pushes: that were made.
+        reason: in words.
+    """
+
+    reached: bool
+    goal: Goal | None
+    pose: FloatArray
+    pushes: tuple[MadePush, ...]
+    reason: str
+
+
+def push_to_goal(
+    world: World,
+    belief: Belief,
+    goals: Sequence[Goal],
+    settings: PregraspSettings,
+    rng: np.random.Generator,
+    *,
+    allowed: Allowed = lambda push: True,
+    good: Callable[[FloatArray], bool] = lambda pose: True,
+) -> Pushing:
+    """Push the object to one of the goals (Algorithm 3).
+
+    Ends when the object lies within the tolerances of the goal last aimed at; or it fell; or the budget of
+    pushes is spent; or no push is left, because goals are left out after `settings.patience` pushes, pushes
+    that the robot refused are not asked for again, and too many refusals in a row end it too.
+
+    Args:
+        world: where pushes are made.
+        belief: hypotheses, one or many.
+        goals: at least one, best first.
+        settings: of the procedure.
+        rng: source of every draw.
+        allowed: whether the robot can make a push.
+        good: whether a pose (3,) within the tolerances will do.
+
+    Raises:
+        ValueError: there is no goal.
+    """
+    pose, pursuit = world.look(), Pursuit()
+    made: list[MadePush] = []
+    while True:
+        told = decide(belief, pose, goals, pursuit, world.table, settings, rng, allowed=allowed, good=good)
+        goal = goals[told.way.goal] if told.way else None
+        if told.planned is None or told.way is None or goal is None:
+            return Pushing(told.reached, goal, pose, tuple(made), told.reason)
+        try:
+            trial = world.push(told.planned.push)
+        except PushNotMade as error:
+            pursuit = pursuit.not_made(told.way, told.planned.push, str(error))
+            continue
+        pursuit = pursuit.made(told.way)
+        made.append(MadePush(pose, goal, told.planned, trial))
+        try:
+            pose = world.look()
+        except ObjectFell as error:
+            return Pushing(False, goal, pose, tuple(made), str(error))

@@ -14,12 +14,12 @@ from itertools import combinations
 import numpy as np
 import scipy.linalg
 
-from models.inference.centroid import radius_of_gyration
-from models.inference.diagnosis.error_model import ErrorModel, travelled
-from models.inference.diagnosis.fitting import Fitted
-from models.inference.observations import LONGEST_STEP, LONGEST_STRIDE, SAMPLES, Observation
-from models.physics.cell_grid import CellGrid, FloatArray
-from models.physics.rollout import Maps, Push, RolloutError, Slider
+from slipmap.models.geometry import radius_of_gyration
+from slipmap.models.inference.diagnosis.correlated import ErrorModel, travelled
+from slipmap.models.inference.diagnosis.fitting import Fitted
+from slipmap.models.inference.observations import LONGEST_STEP, LONGEST_STRIDE, SAMPLES, Observation
+from slipmap.models.physics.cell_grid import CellGrid, FloatArray
+from slipmap.models.physics.rollout import Maps, Push, RolloutError, Slider
 
 REST = 0.1
 """s that the finger waits before it starts."""

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-pytest_plugins = ["diagrams.hardware.pytest_plugin"]
+pytest_plugins = ["slipmap.diagrams.hardware.pytest_plugin"]
 
 # Before numpy and numba are loaded: two workers have two cores. With BLAS threads that wait for each other,
 # a diagnosis took 19 times as long on a machine that had something else to do.
@@ -60,7 +60,7 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
 def renderer() -> None:
     """A renderer of pictures; tests that need one skip where there is none, and say what is missing."""
     # Drake takes two seconds to load, and the tests of `models` do without.
-    from diagrams.perception.renderer import RendererUnavailable, require_renderer
+    from slipmap.diagrams.perception.renderer import RendererUnavailable, require_renderer
 
     try:
         require_renderer()

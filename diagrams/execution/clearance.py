@@ -11,10 +11,12 @@ from pydrake.math import RigidTransform
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import BodyIndex
 
-from diagrams.station.arm import STAND_RADIUS, add_arm, default_arm_base, stand_head
-from diagrams.station.table import THICKNESS
-from models.measurements.push_dataset import Table
-from models.physics.cell_grid import CellGrid, FloatArray
+from slipmap.diagrams.execution.motion import MotionRefused, Plan
+from slipmap.diagrams.station.arm import STAND_RADIUS, add_arm, default_arm_base, stand_head
+from slipmap.diagrams.station.table import THICKNESS
+from slipmap.models.measurements.push_dataset import Table
+from slipmap.models.physics.cell_grid import CellGrid, FloatArray
+from slipmap.planners.table_push import TablePush
 
 _APART = 0.5  # of the balls along a shape, in its radii
 _FIXED = ("iiwa_link_0", "iiwa_link_1", "iiwa_link_2")  # what hand and forearm could hit of the arm itself
@@ -200,3 +202,49 @@ def _along(shape: Shape) -> FloatArray:
     else:
         raise ValueError(f"arm clearance: a {type(shape).__name__} among the arm's collision shapes")
     return np.linspace(-half, half, max(int(np.ceil(2 * half / (_APART * shape.radius()))) + 1, 1))
+
+
+# What the arm keeps away from while it pushes.
+
+
+APART = 0.005
+"""Distance that the arm keeps from table and object, but for the finger while it is low, m."""
+
+_EVERY = 0.08  # s between the postures that are looked at
+
+
+@dataclass(frozen=True, eq=False)
+class Surroundings:
+    """Table, the arm's own stand and base, and the object.
+
+    Attributes:
+        clearance: of the arm at its table.
+        obstacle: the object where it lies before the push; None if there is none.
+    """
+
+    clearance: ArmClearance
+    obstacle: Obstacle | None = None
+
+    def check(self, plan: Plan, push: TablePush) -> None:
+        """Refuse a push during which the arm comes too near to something.
+
+        While it is pushed the object is taken to lie where it lay, and as far from there as the finger came.
+
+        Raises:
+            MotionRefused: how near, and when.
+        """
+        pushing = [phase.mode for phase in plan.phases].index("pushing")
+        for number, phase in enumerate(plan.phases):
+            times = np.linspace(0.0, phase.duration, max(int(np.ceil(phase.duration / _EVERY)), 4) + 1)
+            share = times / phase.duration if number == pushing else np.full_like(times, number > pushing)
+            distance = self.clearance.of_pushing(
+                phase.trajectory.vector_values(times).T,
+                self.obstacle,
+                np.outer(share, push.end - push.begin),
+                low=0 < number < len(plan.phases) - 1,
+            )
+            if distance < APART:
+                raise MotionRefused(
+                    f"while {phase.mode} the arm would come as near as {1e3 * distance:.0f} mm to the object,"
+                    f" the table or itself, of which {1e3 * APART:.0f} mm are kept"
+                )

@@ -9,8 +9,8 @@ from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import Frame, JacobianWrtVariable
 from pydrake.solvers import Solve
 
-from models.physics.cell_grid import FloatArray
-from models.robots import ARM_JOINTS, FINGER_LENGTH, POSITION_LIMITS
+from slipmap.models.physics.cell_grid import FloatArray
+from slipmap.models.robots import ARM_JOINTS, FINGER_LENGTH, POSITION_LIMITS
 
 WORKING_POSTURE = np.array([1.4, -0.8, -1.07, -1.38, 0.0, 1.41, -0.93])
 """(7,) rad; the finger points about down in the middle of what the arm reaches from `default_arm_base`. The
@@ -43,7 +43,7 @@ class FingerKinematics:
     """Forward and inverse kinematics of the finger's end T.
 
     Args:
-        model: the arm as `diagrams.station.arm.arm_model` makes it. Finalized, 7 positions, frame `tip`.
+        model: the arm as `slipmap.diagrams.station.arm.arm_model` makes it. Finalized, 7 positions, frame `tip`.
     """
 
     def __init__(self, model: MultibodyPlant) -> None:
@@ -190,3 +190,32 @@ def _held_level(p_WT: FloatArray, yaw: float) -> list[_Held]:
         (np.array([0.0, 0.0, -FINGER_LENGTH]), p_WT - FINGER_LENGTH * ahead, _EXACT),
         (np.array([0.0, FINGER_LENGTH, 0.0]), p_WT + FINGER_LENGTH * down, _EXACT),
     ]
+
+
+# The force at the finger, from the torques it causes in the joints.
+
+
+TORQUE_NOISE = 0.1
+"""Standard deviation of a joint's external torque, N m."""
+MOMENT_SPREAD = 0.5
+"""Standard deviation of the contact force's moment about the finger's end, N m: 15 N act some cm above it."""
+
+
+def tip_force(jacobian: FloatArray, torque_external: FloatArray) -> FloatArray:
+    """Force (3,) of the finger on the object, world, N.
+
+    The torques are Jᵀ times the wrench on the finger. How high the object touches the finger is not known, so
+    a moment about its end is estimated along with the force, under a Gaussian prior of mean zero.
+
+    In simulated pushes of a 1 kg box (5 N) at 0.1 m/s the estimate is the plant's contact force within 0.1 N
+    on average and 0.3 to 0.6 N (rms) in each sample, at steps of 1 to 5 ms: the driver smooths the torques
+    over 10 ms. The blow of first touch, up to 80 N for a step or two, comes out smoothed likewise.
+
+    Args:
+        jacobian: (6, 7) angular, then linear velocity of the finger's end per joint speed, world.
+        torque_external: (7,) joint torques caused by contact, N m.
+    """
+    rows = np.vstack([jacobian.T / TORQUE_NOISE, np.eye(3, 6) / MOMENT_SPREAD])
+    sides = np.concatenate([torque_external / TORQUE_NOISE, np.zeros(3)])
+    wrench = np.linalg.lstsq(rows, sides, rcond=None)[0]
+    return -wrench[3:]

@@ -7,12 +7,96 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from pydrake.trajectories import Trajectory
+from ompl import base, geometric, util
+from pydrake.polynomial import Polynomial
+from pydrake.trajectories import PathParameterizedTrajectory, PiecewisePolynomial, Trajectory
 
-from diagrams.execution.finger_kinematics import OutOfReach
-from diagrams.execution.trajectories import SPEED_SHARE
-from models.physics.cell_grid import FloatArray
-from models.robots import ACCELERATION_LIMITS, ARM_JOINTS, GRIP_FORCE, POSITION_LIMITS, SPEED_LIMITS
+from slipmap.diagrams.execution.finger_kinematics import FingerKinematics, OutOfReach
+from slipmap.models.physics.cell_grid import FloatArray
+from slipmap.models.robots import ACCELERATION_LIMITS, ARM_JOINTS, GRIP_FORCE, POSITION_LIMITS, SPEED_LIMITS
+from slipmap.planners.table_push import Pace
+
+# Joint angles over time: paths through given angles, and how fast to go along them.
+
+
+SPEED_SHARE = 0.9
+"""Share of the joints' speed limits that motions use."""
+ACCELERATION_SHARE = 0.6
+"""Share of the joints' acceleration limits that motions use."""
+
+_MINIMUM_JERK = Polynomial([0.0, 0.0, 0.0, 10.0, -15.0, 6.0])  # Flash and Hogan 1985
+
+
+def joint_path(knots: FloatArray) -> PiecewisePolynomial:
+    """Smooth path over [0, 1] through joint angles.
+
+    Args:
+        knots: (m, 7) angles, evenly spaced along the path, rad; m >= 2. Two are joined by a straight line.
+    """
+    breaks = np.linspace(0.0, 1.0, len(knots))
+    if len(knots) < 4:
+        return PiecewisePolynomial.FirstOrderHold(breaks, knots.T)
+    return PiecewisePolynomial.CubicWithContinuousSecondDerivatives(
+        breaks, knots.T, periodic_end_condition=False
+    )
+
+
+def smooth(path: Trajectory, kinematics: FingerKinematics, tip_speed: float) -> Trajectory:
+    """Along a path from rest to rest with the minimum-jerk profile, as fast as joints and finger may.
+
+    With s(t) = σ(t/T), speeds are q'σ'/T and accelerations (q''σ'² + q'σ'')/T²: this gives the shortest T.
+
+    Args:
+        path: of 7 joint angles over [0, 1], rad.
+        kinematics: of the arm.
+        tip_speed: largest speed of the finger's end, m/s.
+    """
+    shares = np.linspace(0.0, 1.0, 101)
+    unit = PiecewisePolynomial([_MINIMUM_JERK], [0.0, 1.0])
+    sigma, d_sigma, dd_sigma = (unit.MakeDerivative(order).vector_values(shares)[0] for order in range(3))
+    q, dq, ddq = (path.MakeDerivative(order).vector_values(sigma) for order in range(3))
+    speeds, accelerations = dq * d_sigma, ddq * d_sigma**2 + dq * dd_sigma
+    tip_speeds = [np.linalg.norm(kinematics.jacobian(q[:, k])[3:] @ speeds[:, k]) for k in range(len(shares))]
+    duration = max(
+        (np.abs(speeds).max(axis=1) / (SPEED_SHARE * SPEED_LIMITS)).max(),
+        np.sqrt((np.abs(accelerations).max(axis=1) / (ACCELERATION_SHARE * ACCELERATION_LIMITS)).max()),
+        max(tip_speeds) / tip_speed,
+    )
+    unit.ScaleTime(duration)
+    return PathParameterizedTrajectory(path, unit)
+
+
+def paced(path: Trajectory, pace: Pace, rest: float) -> Trajectory:
+    """Along a path over [0, 1] at a given pace, then a rest.
+
+    Args:
+        path: of 7 joint angles, rad; equal steps of its parameter are equal ways of the finger.
+        pace: of the finger.
+        rest: time at the end, s.
+    """
+    times, ways, speeds = (list(values) for values in (pace.times, pace.ways, pace.speeds))
+    if rest > 1e-9:
+        times, ways, speeds = [*times, times[-1] + rest], [*ways, ways[-1]], [*speeds, 0.0]
+    share = PiecewisePolynomial.CubicHermite(
+        times, np.array([ways]) / ways[-1], np.array([speeds]) / ways[-1]
+    )
+    return PathParameterizedTrajectory(path, share)
+
+
+def braking(q: FloatArray, speed: FloatArray) -> Trajectory:
+    """From motion to rest with constant accelerations of the joints, within their limits.
+
+    Args:
+        q: (7,) joint angles at the begin, rad.
+        speed: (7,) joint speeds at the begin, rad/s.
+    """
+    duration = max(float((np.abs(speed) / (ACCELERATION_SHARE * ACCELERATION_LIMITS)).max()), 0.01)
+    return PiecewisePolynomial.CubicHermite(
+        [0.0, duration],
+        np.column_stack([q, q + speed * duration / 2.0]),
+        np.column_stack([speed, np.zeros(7)]),
+    )
+
 
 KNOT_DISTANCES = (0.01, 0.0025)
 """Of the points of a line at which the joint angles are computed, m; a spline joins them. The finer is tried
@@ -153,3 +237,68 @@ def check_joints(motion: Trajectory) -> None:
                 f"{ARM_JOINTS[k]} would have to {what} {np.rad2deg(largest[k]):.0f} {unit}, "
                 f"of which {np.rad2deg(limits[k]):.0f} are allowed"
             )
+
+
+# Ways between two postures around what stands between them.
+
+
+RESOLUTION = 0.06
+"""Between the postures of a way that are looked at, rad (norm over all joints)."""
+ITERATIONS = 500
+_SHORTCUTS = 60
+_SEED = 7
+
+
+def find_way(
+    start: FloatArray, goal: FloatArray, is_clear: Callable[[FloatArray], bool], what: str
+) -> FloatArray:
+    """Corners (m, 7) of a polygon of joint angles from start to goal, both included, by RRT-Connect.
+
+    Args:
+        start, goal: (7,) rad.
+        is_clear: whether the arm may be at a posture (7,), rad.
+        what: the way, for the message.
+
+    Raises:
+        MotionRefused: none is found, or an end is not clear.
+    """
+    for q in (start, goal):
+        if not is_clear(q):
+            raise MotionRefused(f"no way {what}: the arm would be too close to something at its end")
+    space = base.RealVectorStateSpace(7)
+    bounds = base.RealVectorBounds(7)
+    for k, limit in enumerate(POSITION_LIMITS):
+        bounds.setLow(k, -float(limit))
+        bounds.setHigh(k, float(limit))
+    space.setBounds(bounds)
+    util.setLogLevel(util.LOG_NONE)
+    util.RNG.setSeed(_SEED)
+    information = base.SpaceInformation(space)
+    information.setStateValidityChecker(lambda state: is_clear(_posture(state)))
+    information.setStateValidityCheckingResolution(RESOLUTION / space.getMaximumExtent())
+    information.setup()
+    ends = [space.allocState() for _ in range(2)]
+    for state, q in zip(ends, (start, goal), strict=True):
+        for k in range(7):
+            state[k] = float(q[k])
+    if information.checkMotion(*ends):
+        return np.array([start, goal])
+    setup = geometric.SimpleSetup(information)
+    setup.setStartAndGoalStates(*ends)
+    planner = geometric.RRTConnect(information)
+    planner.setRange(0.6)
+    setup.setPlanner(planner)
+    left = iter(range(ITERATIONS))
+    setup.solve(base.PlannerTerminationCondition(lambda: next(left, None) is None))
+    if not setup.haveExactSolutionPath():
+        raise MotionRefused(f"no way {what} was found around table, stand and object")
+    path = setup.getSolutionPath()
+    simplifier = geometric.PathSimplifier(information)
+    simplifier.reduceVertices(path)
+    simplifier.partialShortcutPath(path, _SHORTCUTS)
+    simplifier.reduceVertices(path)
+    return np.array([_posture(state) for state in path.getStates()])
+
+
+def _posture(state: base.State) -> FloatArray:
+    return np.array([state[k] for k in range(7)])

@@ -10,22 +10,18 @@ from pydrake.math import RigidTransform
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.systems.framework import BasicVector, Context, EventStatus, State
 
-from diagrams.collectable import PythonSystem
-from diagrams.execution.clearance import ArmClearance, Obstacle
-from diagrams.execution.config import ExecutionConfig
-from diagrams.execution.finger_kinematics import FingerKinematics
-from diagrams.execution.grasp_plan import plan_grasp
-from diagrams.execution.messages import ActiveGrasp, ActivePush, ExecutionStatus, Health
-from diagrams.execution.motion import MotionRefused, Phase, Plan
-from diagrams.execution.push_plan import plan_push, plan_retreat
-from diagrams.execution.surroundings import Surroundings
-from diagrams.execution.tip_force import tip_force
-from diagrams.systems.held import held, read, replace_held
-from models.measurements.push_dataset import Table
-from models.perception.observed_pose import ObservedPose
-from models.perception.seen_object import SeenObject
-from models.physics.cell_grid import FloatArray
-from models.robots import GRIP_FORCE
+from slipmap.diagrams.execution.clearance import ArmClearance, Obstacle, Surroundings
+from slipmap.diagrams.execution.finger_kinematics import FingerKinematics, tip_force
+from slipmap.diagrams.execution.motion import MotionRefused, Phase, Plan
+from slipmap.diagrams.execution.plans import plan_grasp, plan_push, plan_retreat
+from slipmap.diagrams.execution.requests import ActiveGrasp, ActivePush, ExecutionStatus, Health
+from slipmap.diagrams.execution.settings import ExecutionConfig
+from slipmap.diagrams.systems.python_system import PythonSystem, held, read, replace_held
+from slipmap.models.geometry import angle_between
+from slipmap.models.measurements.push_dataset import Table
+from slipmap.models.perception.seen_object import ObservedPose, SeenObject
+from slipmap.models.physics.cell_grid import FloatArray
+from slipmap.models.robots import GRIP_FORCE
 
 PERIOD = 0.02
 """s between two looks at the inputs."""
@@ -115,7 +111,7 @@ class PushExecutor(PythonSystem):
     start the arm goes home from wherever it is.
 
     Args:
-        model: the arm as `diagrams.station.arm.arm_model` makes it.
+        model: the arm as `slipmap.diagrams.station.arm.arm_model` makes it.
         home: (7,) joint angles between pushes, rad.
         config: how the arm moves.
         table: that the arm keeps away from; if None it heeds neither table nor object, and cannot grasp.
@@ -282,3 +278,85 @@ class PushExecutor(PythonSystem):
                 mode = now.last
             status = replace(status, mode=mode)
         output.set_value(status)
+
+
+# Notices that an object was moved by something else while the arm was on its way to push it.
+
+
+WATCH_PERIOD = 0.02
+"""s between two looks at the inputs."""
+
+MOVED, TURNED = 0.01, 0.15
+"""m and rad beyond which it is not the tracker that errs."""
+
+TIMES = 3
+"""Pictures in a row that have to say so."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Aim:
+    """State: where the object lay when the arm set out, and what was seen since."""
+
+    pose: FloatArray | None = None
+    strayed: int = 0
+    last: float = -np.inf
+    moved: str = ""
+
+
+class ObjectWatch(PythonSystem):
+    """Tells the executor to give up a push whose object is no longer where it was.
+
+    .. pydrake_system::
+
+        name: ObjectWatch
+        input_ports:
+        - object_pose
+        - execution
+        output_ports:
+        - moved
+
+    - `object_pose`: `ObservedPose`; `execution`: `ExecutionStatus`.
+    - `moved`: str, how far, from when `TIMES` pictures in a row show the object elsewhere than before the arm
+      set out, until the arm is home; else empty. Only the way to the push counts: then the finger pushes.
+    """
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._pose = self.DeclareAbstractInputPort("object_pose", Value[object](None))
+        self._execution = self.DeclareAbstractInputPort("execution", Value[object](None))
+        self._aim = self.DeclareAbstractState(held(_Aim()))
+        self.DeclarePeriodicUnrestrictedUpdateEvent(WATCH_PERIOD, 0.0, self._update)
+        self.DeclareAbstractOutputPort(
+            "moved",
+            lambda: Value[object](""),
+            lambda context, output: output.set_value(read(context, self._aim).moved),
+            {self.abstract_state_ticket(self._aim)},
+        )
+
+    def _update(self, context: Context, state: State) -> EventStatus:
+        aim: _Aim = read(context, self._aim)
+        execution: ExecutionStatus = self._execution.Eval(context)
+        observed: ObservedPose | None = self._pose.Eval(context)
+        following = aim
+        if observed is not None and observed.valid:
+            if execution.mode in ("home", "refused"):
+                following = _Aim(observed.pose, last=observed.time)
+            elif execution.mode in ("approaching", "lowering") and observed.time > aim.last:
+                following = _with(aim, observed)
+        if following is not aim:
+            replace_held(state, self._aim, following)
+        return EventStatus.Succeeded()
+
+
+def _with(aim: _Aim, observed: ObservedPose) -> _Aim:
+    """What another picture adds."""
+    if aim.pose is None or aim.moved:
+        return aim
+    way = float(np.hypot(*(observed.pose - aim.pose)[:2]))
+    turned = abs(float(angle_between(observed.pose[2], aim.pose[2])))
+    strayed = aim.strayed + 1 if way > MOVED or turned > TURNED else 0
+    moved = ""
+    if strayed == TIMES:
+        far = f"{1e3 * way:.0f} mm and {np.rad2deg(turned):.0f}°"
+        moved = f"something else moved the object by {far} while the arm was on its way"
+    return replace(aim, strayed=strayed, last=observed.time, moved=moved)

@@ -8,7 +8,7 @@ import sys
 from contextlib import suppress
 from typing import IO
 
-from diagrams.hardware.channels import HardwareError
+from slipmap.diagrams.hardware.channels import HardwareError
 
 _READY = b"ready\n"
 

@@ -2,7 +2,7 @@
 
 The diagram that makes them also looks at pictures and learns, and is late at times. It tells this process
 joint angles and the time on its own clock at which they hold; they are sent a little later, evenly. It is
-started as `python -m diagrams.hardware.command_stream URL`.
+started as `python -m slipmap.diagrams.hardware.command_stream URL`.
 """
 
 from __future__ import annotations
@@ -18,11 +18,11 @@ from collections import deque
 import numpy as np
 from drake import lcmt_iiwa_command
 
-from diagrams.hardware.braking import braking
-from diagrams.hardware.channels import ARM_PERIOD, IIWA_COMMAND, HardwareError
-from diagrams.hardware.child import Child, be_ready, have_priority
-from diagrams.hardware.network import open_lcm
-from models.physics.cell_grid import FloatArray
+from slipmap.diagrams.hardware.channels import ARM_PERIOD, IIWA_COMMAND, HardwareError
+from slipmap.diagrams.hardware.child import Child, be_ready, have_priority
+from slipmap.diagrams.hardware.guard_rules import braking
+from slipmap.diagrams.hardware.network import open_lcm
+from slipmap.models.physics.cell_grid import FloatArray
 
 DELAY = 0.04
 """s by which commands are sent later than the diagram makes them; by less it may be late without effect."""

@@ -9,14 +9,21 @@ from pydrake.common.value import Value
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.systems.framework import BasicVector, Context, EventStatus, State
 
-from diagrams.collectable import PythonSystem
-from diagrams.execution.finger_kinematics import FingerKinematics
-from diagrams.execution.messages import Health
-from diagrams.hardware.braking import braking
-from diagrams.hardware.guard_rules import LINK, PERIOD, Guarded, GuardRules, Stop, Told, is_age
-from diagrams.hardware.guard_settings import GuardSettings
-from diagrams.systems.held import held, read, replace_held
-from models.robots import SPEED_LIMITS
+from slipmap.diagrams.execution.finger_kinematics import FingerKinematics
+from slipmap.diagrams.execution.requests import Health
+from slipmap.diagrams.hardware.guard_rules import (
+    LINK,
+    PERIOD,
+    Guarded,
+    GuardRules,
+    GuardSettings,
+    Stop,
+    Told,
+    braking,
+    is_age,
+)
+from slipmap.diagrams.systems.python_system import PythonSystem, held, read, replace_held
+from slipmap.models.robots import SPEED_LIMITS
 
 _BACK = 2.5
 """Times the time that the fastest joint would need for the way back of an arm that presses on something."""
@@ -61,7 +68,7 @@ class CommandGuard(PythonSystem):
     planned before the fault need no longer fit. `slipmap explore --resume` goes on from what was recorded.
 
     Args:
-        model: the arm as `diagrams.station.arm.arm_model` makes it.
+        model: the arm as `slipmap.diagrams.station.arm.arm_model` makes it.
         settings: when to stop.
 
     Raises:

@@ -3,16 +3,112 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from diagrams.execution.finger_kinematics import FingerKinematics
-from diagrams.execution.messages import Health
-from diagrams.hardware.braking import braking
-from diagrams.hardware.guard_settings import GuardSettings
-from models.physics.cell_grid import FloatArray
-from models.robots import ARM_JOINTS, POSITION_LIMITS, SPEED_LIMITS
+from slipmap.diagrams.execution.finger_kinematics import FingerKinematics
+from slipmap.diagrams.execution.requests import Health
+from slipmap.diagrams.execution.settings import ExecutionConfig
+from slipmap.diagrams.hardware.channels import ARM_PERIOD
+from slipmap.models.physics.cell_grid import FloatArray
+from slipmap.models.robots import ACCELERATION_LIMITS, ARM_JOINTS, POSITION_LIMITS, SPEED_LIMITS
+
+# When the guard stops the arm.
+
+
+# Annotations stay objects: Drake's YAML reader looks at them.
+
+
+@dataclass
+class GuardSettings:
+    """When the guard stops the arm; the defaults let everything pass that the executor plans.
+
+    Attributes:
+        status_age: oldest status of the arm that is good enough to move by, s.
+        image_age: oldest picture that is good enough to move by, s.
+        transit_speed: largest speed of the finger on its way to a push and back, m/s; at 0.4 the arm rests
+            50 ms after the last status wherever it is, from faster ways later.
+        tip_speed: largest speed of the finger's end that a command may ask for, m/s.
+        joint_margin: what must be left to a joint's limit when the arm has come to rest, rad.
+        following: by which a joint may be off all that it was told within `lag`, rad.
+        lag: time that the arm has to get to where it was told to be, s.
+        torque: (7) largest torque that contact may put on each joint, N m.
+        stopping: longest time from the last free command to rest, s; slow motions stop sooner.
+        patience: time that the arm has to send its first status, s.
+
+    Raises:
+        ValueError: a value out of range.
+    """
+
+    status_age: float = 0.025
+    image_age: float = 1.0
+    transit_speed: float = 0.4
+    tip_speed: float = 1.7
+    joint_margin: float = 0.0175
+    following: float = 0.05
+    lag: float = 0.1
+    torque: list[float] = field(default_factory=lambda: [40.0, 40.0, 30.0, 30.0, 20.0, 15.0, 15.0])
+    stopping: float = 0.05
+    patience: float = 10.0
+
+    def __post_init__(self) -> None:
+        self.check()
+
+    def check(self) -> None:
+        """Raise ValueError where a field makes no sense."""
+        for name, low, high in (
+            ("status_age", 0.01, 0.5),
+            ("image_age", 0.1, 60.0),
+            ("transit_speed", 0.01, 2.0),
+            ("tip_speed", 0.01, 2.5),
+            ("joint_margin", 0.0, 0.3),
+            ("following", 0.005, 0.5),
+            ("lag", 0.02, 1.0),
+            ("stopping", 0.02, 0.2),
+            ("patience", 0.1, 600.0),
+        ):
+            value = getattr(self, name)
+            if not low <= value <= high:
+                raise ValueError(f"guard.{name} must lie between {low} and {high}, got {value}")
+        torque = np.array(self.torque, dtype=float)
+        if torque.shape != (7,) or not ((torque > 0) & (torque <= 320.0)).all():
+            raise ValueError(
+                f"guard.torque must be seven torques above 0 and up to 320 N m, got {self.torque}"
+            )
+
+    def held_to(self, execution: ExecutionConfig) -> ExecutionConfig:
+        """How the arm moves where this guard is to stop it in time."""
+        return replace(execution, transit_speed=min(execution.transit_speed, self.transit_speed))
+
+
+# How fast the arm is brought to rest when something is wrong.
+
+
+_SOONEST = 2 * ARM_PERIOD
+
+_SOON = 4 * ARM_PERIOD
+"""s; in a push the finger brakes so long by the data sheet."""
+
+_HARD = 4.5
+"""Times the acceleration that the data sheet allows for motions, in an emergency."""
+
+
+def braking(speed: FloatArray, longest: float) -> float:
+    """Time for even braking, s, a whole number of commands.
+
+    At the acceleration that the robot's data sheet allows for motions where the arm then rests within 20 ms;
+    within 20 ms where that takes up to 4.5 times as much; else at 4.5 times as much, but within the longest
+    time, whatever that asks of the joints.
+
+    Args:
+        speed: (7,) of the joints, rad/s.
+        longest: s.
+    """
+    gentle = float((np.abs(speed) / ACCELERATION_LIMITS).max())
+    needed = max(min(gentle, _SOON), gentle / _HARD)
+    return min(max(ARM_PERIOD * np.ceil(needed / ARM_PERIOD - 1e-9), _SOONEST), longest)
+
 
 PERIOD = 0.005
 """s between two commands."""

@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping
 
 from pydrake.lcm import DrakeLcm
 
-from diagrams.hardware.channels import LCM_URL, HardwareError
+from slipmap.diagrams.hardware.channels import LCM_URL, HardwareError
 
 _ADDRESS = re.compile(r"udpm://\d{1,3}(\.\d{1,3}){3}:\d{1,5}(\?(?P<options>[\w=&.]*))?")
 _LOOK_EVERY = 1e-3  # s

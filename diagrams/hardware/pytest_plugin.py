@@ -13,11 +13,11 @@ from typing import TYPE_CHECKING
 import pytest
 
 if TYPE_CHECKING:
-    from diagrams.exploration_loop import LoopOptions
-    from diagrams.exploration_run import ExplorationRun
-    from diagrams.hardware.testing.cell import Cell, Faults
-    from diagrams.station.scenario import Scenario
-    from models.measurements import PushDataset
+    from slipmap.diagrams.hardware.testing.cell import Cell, Faults
+    from slipmap.diagrams.loops.exploration_loop import LoopOptions
+    from slipmap.diagrams.loops.exploration_run import ExplorationRun
+    from slipmap.diagrams.station.scenario import Scenario
+    from slipmap.models.measurements import PushDataset
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
@@ -45,8 +45,8 @@ def pytest_configure(config: pytest.Config) -> None:
 def scenario(pytestconfig: pytest.Config) -> Scenario:
     """What the cell is like: that of --cell-scenario, else a small one. A test module overrides this fixture
     to lay something else on the table."""
-    from diagrams.hardware.testing.cell import small_scenario
-    from diagrams.station.scenario_file import ScenarioError, read_scenario
+    from slipmap.diagrams.hardware.testing.cell import small_scenario
+    from slipmap.diagrams.station.scenario import ScenarioError, read_scenario
 
     path = pytestconfig.getoption("--cell-scenario")
     if path is None:
@@ -60,8 +60,8 @@ def scenario(pytestconfig: pytest.Config) -> Scenario:
 @pytest.fixture
 def cell(request: pytest.FixtureRequest, scenario: Scenario, tmp_path: Path) -> Iterator[Cell]:
     """The cell, with an object on its table; on a real one somebody is asked to lay it there."""
-    from diagrams.hardware.testing.cell import LOCKSTEP, TWIN, open_cell
-    from diagrams.perception.renderer import RendererUnavailable, require_renderer
+    from slipmap.diagrams.hardware.testing.cell import LOCKSTEP, TWIN, open_cell
+    from slipmap.diagrams.perception.renderer import RendererUnavailable, require_renderer
 
     where = _where(request.config)
     if where in (TWIN, LOCKSTEP):
@@ -86,7 +86,7 @@ def faults(cell: Cell) -> Faults:
 @pytest.fixture
 def exploration() -> LoopOptions:
     """How `explored` explores; override it for other numbers of pushes."""
-    from diagrams.exploration_loop import LoopOptions
+    from slipmap.diagrams.loops.exploration_loop import LoopOptions
 
     return LoopOptions(pushes=3, checks=1)
 

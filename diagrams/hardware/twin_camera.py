@@ -1,6 +1,6 @@
 """The twin's camera in a process of its own, so that rendering does not keep the arm waiting.
 
-It is started as `python -m diagrams.hardware.twin_camera URL`, is told the scenario and then, picture by
+It is started as `python -m slipmap.diagrams.hardware.twin_camera URL`, is told the scenario and then, picture by
 picture, the time and the positions of all that moves.
 """
 
@@ -14,12 +14,12 @@ import sys
 
 import numpy as np
 
-from diagrams.hardware import channels
-from diagrams.hardware.channels import HardwareError
-from diagrams.hardware.child import Child, be_ready
-from diagrams.hardware.network import open_lcm
-from diagrams.station.scenario import Scenario
-from models.physics.cell_grid import FloatArray
+from slipmap.diagrams.hardware import channels
+from slipmap.diagrams.hardware.channels import HardwareError
+from slipmap.diagrams.hardware.child import Child, be_ready
+from slipmap.diagrams.hardware.network import open_lcm
+from slipmap.diagrams.station.scenario import Scenario
+from slipmap.models.physics.cell_grid import FloatArray
 
 _LENGTH = struct.Struct("<Q")
 
@@ -60,7 +60,7 @@ def main(url: str) -> None:
     """Take pictures of what comes in on the standard input until it ends."""
     from pydrake.systems.analysis import Simulator
 
-    from diagrams.hardware.twin import CellTwin
+    from slipmap.diagrams.hardware.twin import CellTwin
 
     source = sys.stdin.fileno()
     scenario: Scenario = pickle.loads(_read(source, _LENGTH.unpack(_read(source, _LENGTH.size))[0]))

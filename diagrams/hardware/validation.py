@@ -21,10 +21,10 @@ from drake import (
     lcmt_schunk_wsg_status,
 )
 
-from diagrams.hardware import channels
-from diagrams.hardware.message_log import LARGEST
-from models.physics.cell_grid import FloatArray
-from models.robots import POSITION_LIMITS, SPEED_LIMITS, TORQUE_LIMITS
+from slipmap.diagrams.hardware import channels
+from slipmap.diagrams.hardware.message_stream import LARGEST
+from slipmap.models.physics.cell_grid import FloatArray
+from slipmap.models.robots import POSITION_LIMITS, SPEED_LIMITS, TORQUE_LIMITS
 
 POSE_COORDINATES = ("x", "y", "z", "qw", "qx", "qy", "qz")
 """Names of the numbers of a `lcmt_drake_signal` that is a pose: metres, then a unit quaternion."""

@@ -20,9 +20,8 @@ from pydrake.multibody.plant import MultibodyPlant
 from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.sensors import CameraInfo, RgbdSensor
 
-from diagrams.perception.picture_scene import add_picture_scene
-from diagrams.perception.renderer import require_renderer
-from models.perception.camera import PinholeCamera
+from slipmap.diagrams.perception.renderer import add_picture_scene, require_renderer
+from slipmap.models.perception.pinhole_camera import PinholeCamera
 
 RENDERER = "camera_renderer"
 

@@ -11,24 +11,28 @@ from typing import Any
 
 import numpy as np
 from pydrake.common.value import AbstractValue, Value
+from pydrake.geometry import Capsule, Cylinder, Ellipsoid, Role, SceneGraph, Sphere
 from pydrake.math import RigidTransform
+from pydrake.multibody.plant import MultibodyPlant
+from pydrake.multibody.tree import BodyIndex, ModelInstanceIndex
 from pydrake.systems.sensors import ImageDepth32F
 
-from diagrams.collectable import PythonSystem
-from diagrams.perception.camera import CameraConfig
-from diagrams.systems.held import held, read, replace_held
-from models.perception.arm_mask import Hull, draw_hulls
-from models.perception.camera import DepthImage, PinholeCamera, View
-from models.perception.edge_fit import load_kernels
-from models.perception.first_look import ObjectNotSeen, first_look, median_depth, object_center
-from models.perception.first_picture import FirstPicture
-from models.perception.object_mask import Mask
-from models.perception.observed_pose import ObservedPose, Reason
-from models.perception.picture_check import PictureHistory, readings
-from models.perception.pose_tracking import track
-from models.perception.seen_object import SeenObject
-from models.perception.table_plane import NoTable
-from models.physics.cell_grid import FloatArray
+from slipmap.diagrams.perception.camera import CameraConfig
+from slipmap.diagrams.systems.python_system import PythonSystem, held, read, replace_held
+from slipmap.models.perception.first_look import (
+    FirstPicture,
+    ObjectNotSeen,
+    first_look,
+    median_depth,
+    object_center,
+)
+from slipmap.models.perception.object_mask import Hull, Mask, draw_hulls
+from slipmap.models.perception.picture_check import PictureHistory, readings
+from slipmap.models.perception.pinhole_camera import DepthImage, PinholeCamera, View
+from slipmap.models.perception.pose_tracking import load_kernels, track
+from slipmap.models.perception.seen_object import ObservedPose, Reason, SeenObject
+from slipmap.models.perception.table_plane import NoTable
+from slipmap.models.physics.cell_grid import FloatArray
 
 FRAMES = 15
 """Pictures of the object at rest that make up the first look; an odd number keeps its edges sharp."""
@@ -304,3 +308,91 @@ class CellPerception(PythonSystem):
 def _view(camera: PinholeCamera, X_WC: bytes) -> View:
     """The view, whose rays take a while to compute, kept for a camera that does not move."""
     return View(camera, np.frombuffer(X_WC).reshape(4, 4))
+
+
+# Where the arm is, as hulls for masking it in depth pictures, from its joint angles.
+
+
+_CORNERS = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], dtype=float)
+_LONGITUDE, _LATITUDE = np.meshgrid(np.linspace(0, 2 * np.pi, 24, endpoint=False), np.linspace(-1.5, 1.5, 13))
+_SPHERE = np.column_stack(
+    [
+        (np.cos(_LONGITUDE) * np.cos(_LATITUDE)).ravel(),
+        (np.sin(_LONGITUDE) * np.cos(_LATITUDE)).ravel(),
+        np.sin(_LATITUDE).ravel(),
+    ]
+)
+
+
+class ArmHulls:
+    """Hulls around everything of some model instances that a camera sees, at given joint angles.
+
+    Called with the positions (7,) of the first instance, rad, it returns a list of `Hull`. The other
+    instances, such as a gripper, keep their default positions.
+    """
+
+    def __init__(
+        self, plant: MultibodyPlant, scene_graph: SceneGraph, instances: Sequence[ModelInstanceIndex]
+    ) -> None:
+        """Collect the shapes with a perception role.
+
+        Args:
+            plant: finalized.
+            scene_graph: the one that the plant is registered with.
+            instances: the arm, then what it carries.
+
+        Raises:
+            ValueError: the plant is not finalized, or there are no instances.
+        """
+        if not plant.is_finalized():
+            raise ValueError("arm hulls: finalize the plant first")
+        if len(instances) == 0:
+            raise ValueError("arm hulls: name at least the model instance of the arm")
+        self._plant = plant
+        self._context = plant.CreateDefaultContext()  # scratch: every call sets the positions
+        self._arm = instances[0]
+        inspector = scene_graph.model_inspector()
+        self._shapes: list[tuple[BodyIndex, FloatArray, float]] = []
+        for instance in instances:
+            for body in plant.GetBodyIndices(instance):
+                frame = plant.GetBodyFrameIdOrThrow(body)
+                for geometry in inspector.GetGeometries(frame, Role.kPerception):
+                    X_BG = inspector.GetPoseInFrame(geometry)
+                    points, radius = _hull_in_frame(inspector, geometry)
+                    self._shapes.append((body, _moved(X_BG, points), radius))
+
+    def __call__(self, q: Any) -> list[Hull]:
+        """Hulls in W at joint angles q (7,), rad."""
+        context = self._context
+        self._plant.SetPositions(context, self._arm, q)
+        poses: dict[BodyIndex, RigidTransform] = {}
+        hulls = []
+        for body, points, radius in self._shapes:
+            if body not in poses:
+                poses[body] = self._plant.EvalBodyPoseInWorld(context, self._plant.get_body(body))
+            hulls.append(Hull(_moved(poses[body], points), radius))
+        return hulls
+
+
+def _hull_in_frame(inspector: Any, geometry: Any) -> tuple[FloatArray, float]:
+    """Centres (k, 3) of a shape's balls in the geometry's frame and their radius, m."""
+    shape = inspector.GetShape(geometry)
+    if isinstance(shape, Sphere):
+        return np.zeros((1, 3)), shape.radius()
+    if isinstance(shape, Capsule):
+        return np.array([[0, 0, -0.5], [0, 0, 0.5]]) * shape.length(), shape.radius()
+    if isinstance(shape, Cylinder):
+        turn = np.linspace(0, 2 * np.pi, 16, endpoint=False)
+        rim = np.column_stack([np.cos(turn), np.sin(turn), np.zeros(16)]) * shape.radius()
+        half = np.array([0, 0, shape.length() / 2])
+        return np.concatenate([rim - half, rim + half]), 0.0
+    if isinstance(shape, Ellipsoid):
+        return _SPHERE * [shape.a(), shape.b(), shape.c()], 0.0
+    box = inspector.GetObbInGeometryFrame(geometry)
+    if box is None:
+        raise ValueError("arm hulls: the arm has a shape without bounds, such as a half space")
+    return _moved(box.pose(), _CORNERS * box.half_width()), 0.0
+
+
+def _moved(X: RigidTransform, points: FloatArray) -> FloatArray:
+    return points @ X.rotation().matrix().T + X.translation()

@@ -3,6 +3,8 @@
 The arm, the table and what stands around are boxes, balls, cylinders and capsules, whose depth along a ray is
 a formula; objects are meshes. That takes a tenth of the time in which a renderer in software draws them as
 100 000 triangles. What does not move is drawn once.
+
+All of it stands in one file, so that numba compiles it anew whenever something in it changes.
 """
 
 from __future__ import annotations
@@ -35,19 +37,239 @@ from pydrake.multibody.tree import BodyIndex
 from pydrake.systems.framework import Context, DiagramBuilder, OutputPort
 from pydrake.systems.sensors import ImageDepth32F, RgbdSensor
 
-from diagrams.collectable import PythonSystem
-from diagrams.perception.camera import FARTHEST, NEAREST, CameraConfig
-from diagrams.perception.drawing_kernels import (
-    BOX,
-    CAPSULE,
-    CYLINDER,
-    ELLIPSOID,
-    draw_solids,
-    draw_triangles,
-    keep_range,
-)
-from models.perception.camera import DepthImage
-from models.physics.cell_grid import FloatArray
+from slipmap.diagrams.perception.camera import FARTHEST, NEAREST, CameraConfig
+from slipmap.diagrams.systems.python_system import PythonSystem
+from slipmap.models.perception.pinhole_camera import DepthImage
+from slipmap.models.physics.cell_grid import FloatArray
+from slipmap.models.physics.compiled import LONE_FOLDER, compiled
+
+# Drawing shapes into a depth picture, in machine code.
+
+
+BOX, ELLIPSOID, CYLINDER, CAPSULE = range(4)
+"""Kinds of shapes; see `draw_solids` for their measures."""
+
+_NEAR = 0.01  # m; nothing is drawn closer than this to the camera's plane
+
+_compiled = compiled(LONE_FOLDER)
+
+
+@_compiled
+def _through_slab(origin, ray, half):  # type: ignore[no-untyped-def]
+    """Where a ray enters and leaves |x| < half; enters later than it leaves where it passes by."""
+    if ray == 0.0:
+        if abs(origin) < half:
+            return -np.inf, np.inf
+        return np.inf, -np.inf
+    one, other = (-half - origin) / ray, (half - origin) / ray
+    return min(one, other), max(one, other)
+
+
+@_compiled
+def _through_quadric(a, b, c):  # type: ignore[no-untyped-def]
+    """Between which t a t² + 2 b t + c is negative, for a ≥ 0."""
+    if a == 0.0:
+        if c < 0.0:
+            return -np.inf, np.inf
+        return np.inf, -np.inf
+    root = b * b - a * c
+    if root < 0.0:
+        return np.inf, -np.inf
+    root = np.sqrt(root)
+    return (-b - root) / a, (-b + root) / a
+
+
+@_compiled
+def _seen(first, last):  # type: ignore[no-untyped-def]
+    """Depth at which a shape is seen along a ray within it from `first` to `last`; inf where it is not."""
+    if first > last:
+        return np.inf
+    if first > _NEAR:
+        return first
+    return last if last > _NEAR else np.inf
+
+
+@_compiled
+def _depth_of_shape(kind, s0, s1, s2, ox, oy, oz, x, y, z):  # type: ignore[no-untyped-def]
+    """Depth at which a ray from (ox, oy, oz) along (x, y, z), in the shape's frame, meets it; or inf."""
+    if kind == BOX:
+        first, last = _through_slab(ox, x, s0)
+        one, other = _through_slab(oy, y, s1)
+        first, last = max(first, one), min(last, other)
+        one, other = _through_slab(oz, z, s2)
+        return _seen(max(first, one), min(last, other))
+    a, b, c = x * x + y * y, ox * x + oy * y, ox * ox + oy * oy
+    if kind == ELLIPSOID:  # in units of its half axes
+        first, last = _through_quadric(a + z * z, b + oz * z, c + oz * oz - 1.0)
+        return _seen(first, last)
+    first, last = _through_quadric(a, b, c - s0 * s0)
+    if first > last:
+        return np.inf  # beside the cylinder is beside a capsule's caps, too
+    one, other = _through_slab(oz, z, s2)
+    first, last = max(first, one), min(last, other)
+    if kind == CYLINDER:
+        return _seen(first, last)
+    if first > last:
+        first, last = np.inf, -np.inf
+    for end in (-s2, s2):
+        up = oz - end
+        one, other = _through_quadric(a + z * z, b + up * z, c + up * up - s0 * s0)
+        if one <= other:
+            first, last = min(first, one), max(last, other)
+    return _seen(first, last)
+
+
+@_compiled
+def _window(image, camera, half, X):  # type: ignore[no-untyped-def]
+    """First and last row and column within which a box with pose X is seen, and its least depth; rows are
+    empty where it is not."""
+    height, width = image.shape
+    fx, fy, cx, cy = camera[0], camera[1], camera[2], camera[3]
+    left, top, right, bottom = np.inf, np.inf, -np.inf, -np.inf
+    nearest, farthest = np.inf, -np.inf
+    for corner in range(8):
+        sx = half[0] if corner & 1 else -half[0]
+        sy = half[1] if corner & 2 else -half[1]
+        sz = half[2] if corner & 4 else -half[2]
+        x = X[0, 0] * sx + X[0, 1] * sy + X[0, 2] * sz + X[0, 3]
+        y = X[1, 0] * sx + X[1, 1] * sy + X[1, 2] * sz + X[1, 3]
+        z = X[2, 0] * sx + X[2, 1] * sy + X[2, 2] * sz + X[2, 3]
+        nearest, farthest = min(nearest, z), max(farthest, z)
+        if z > _NEAR:
+            u, v = fx * x / z + cx, fy * y / z + cy
+            left, right, top, bottom = min(left, u), max(right, u), min(top, v), max(bottom, v)
+    if nearest <= _NEAR:
+        left, top, right, bottom = 0.0, 0.0, width - 1.0, height - 1.0
+    if farthest <= _NEAR or right < 0.0 or bottom < 0.0 or left > width - 1.0 or top > height - 1.0:
+        return 0, -1, 0, -1, nearest
+    return (
+        int(np.ceil(max(top, 0.0))),
+        int(np.floor(min(bottom, height - 1.0))),
+        int(np.ceil(max(left, 0.0))),
+        int(np.floor(min(right, width - 1.0))),
+        nearest,
+    )
+
+
+@_compiled
+def _draw_solid(image, camera, kind, size, X, window, nearest):  # type: ignore[no-untyped-def]
+    fx, fy, cx, cy = camera[0], camera[1], camera[2], camera[3]
+    # The camera, where all rays begin, and its axes in the shape's frame.
+    origin = np.empty(3)
+    axes = np.empty((3, 3))
+    for k in range(3):
+        unit = size[k] if kind == ELLIPSOID else 1.0
+        origin[k] = -(X[0, k] * X[0, 3] + X[1, k] * X[1, 3] + X[2, k] * X[2, 3]) / unit
+        for i in range(3):
+            axes[i, k] = X[i, k] / unit
+    for row in range(window[0], window[1] + 1):
+        b = (row - cy) / fy
+        x = b * axes[1, 0] + axes[2, 0]
+        y = b * axes[1, 1] + axes[2, 1]
+        z = b * axes[1, 2] + axes[2, 2]
+        met = False
+        for column in range(window[2], window[3] + 1):
+            if image[row, column] <= nearest:
+                continue
+            a = (column - cx) / fx
+            depth = _depth_of_shape(
+                kind, size[0], size[1], size[2], origin[0], origin[1], origin[2],
+                a * axes[0, 0] + x, a * axes[0, 1] + y, a * axes[0, 2] + z,
+            )  # fmt: skip
+            if depth < np.inf:
+                met = True
+                if depth < image[row, column]:
+                    image[row, column] = depth
+            elif met:
+                break  # it is convex
+
+
+@_compiled
+def draw_solids(image, camera, kinds, sizes, halves, X_BG, bodies, X_CB):  # type: ignore[no-untyped-def]
+    """Draw solids into a picture, each where it is nearer than what is there.
+
+    Args:
+        image: (H, W) depth, m.
+        camera: (4,) focal lengths and centre, pixels.
+        kinds: (n,) see below.
+        sizes: (n, 3) half the sides of a BOX, half the axes of an ELLIPSOID; of a CYLINDER or a CAPSULE its
+            radius twice and half its length along z, which for a capsule is that between its caps' centres.
+        halves: (n, 3) half the sides of a box about each.
+        X_BG: (n, 3, 4) their poses in the frames of their bodies.
+        bodies: (n,) rows of X_CB.
+        X_CB: (b, 3, 4) poses of the bodies in the camera's frame.
+    """
+    number = len(kinds)
+    windows = np.empty((number, 4), np.int64)
+    nearest = np.empty(number)
+    X_CG = np.empty((number, 3, 4))
+    for k in range(number):
+        X = X_CB[bodies[k]]
+        for i in range(3):
+            for j in range(4):
+                X_CG[k, i, j] = X[i, 0] * X_BG[k, 0, j] + X[i, 1] * X_BG[k, 1, j] + X[i, 2] * X_BG[k, 2, j]
+            X_CG[k, i, 3] += X[i, 3]
+        windows[k, 0], windows[k, 1], windows[k, 2], windows[k, 3], nearest[k] = _window(
+            image, camera, halves[k], X_CG[k]
+        )
+    # What is in front hides most of what is behind before its depth need be known.
+    for k in np.argsort(nearest):
+        _draw_solid(image, camera, kinds[k], sizes[k], X_CG[k], windows[k], nearest[k])
+
+
+@_compiled
+def draw_triangles(image, camera, corners, triangles, X_CG):  # type: ignore[no-untyped-def]
+    """Draw triangles, seen from either side, where they are nearer than what is there.
+
+    Args:
+        image, camera: as of `draw_solids`.
+        X_CG: (3, 4) pose of the corners' frame in the camera's.
+        corners: (n, 3) m.
+        triangles: (m, 3) numbers of corners. One that reaches behind the camera is left out.
+    """
+    height, width = image.shape
+    fx, fy, cx, cy = camera[0], camera[1], camera[2], camera[3]
+    u, v, w = np.empty(len(corners)), np.empty(len(corners)), np.empty(len(corners))
+    for k in range(len(corners)):
+        px, py, pz = corners[k, 0], corners[k, 1], corners[k, 2]
+        x = X_CG[0, 0] * px + X_CG[0, 1] * py + X_CG[0, 2] * pz + X_CG[0, 3]
+        y = X_CG[1, 0] * px + X_CG[1, 1] * py + X_CG[1, 2] * pz + X_CG[1, 3]
+        z = X_CG[2, 0] * px + X_CG[2, 1] * py + X_CG[2, 2] * pz + X_CG[2, 3]
+        w[k] = 1.0 / z if z > _NEAR else -1.0
+        u[k], v[k] = fx * x * w[k] + cx, fy * y * w[k] + cy
+    for t in range(len(triangles)):
+        i, j, k = triangles[t, 0], triangles[t, 1], triangles[t, 2]
+        if w[i] < 0.0 or w[j] < 0.0 or w[k] < 0.0:
+            continue
+        area = (u[j] - u[i]) * (v[k] - v[i]) - (v[j] - v[i]) * (u[k] - u[i])
+        if area == 0.0:
+            continue
+        first_column = int(np.ceil(max(min(u[i], u[j], u[k]), 0.0)))
+        last_column = int(np.floor(min(max(u[i], u[j], u[k]), width - 1.0)))
+        first_row = int(np.ceil(max(min(v[i], v[j], v[k]), 0.0)))
+        last_row = int(np.floor(min(max(v[i], v[j], v[k]), height - 1.0)))
+        for row in range(first_row, last_row + 1):
+            for column in range(first_column, last_column + 1):
+                # Shares of the corners; 1 / depth is linear in the picture.
+                one = ((u[j] - column) * (v[k] - row) - (v[j] - row) * (u[k] - column)) / area
+                two = ((u[k] - column) * (v[i] - row) - (v[k] - row) * (u[i] - column)) / area
+                three = 1.0 - one - two
+                if one >= 0.0 and two >= 0.0 and three >= 0.0:
+                    depth = 1.0 / (one * w[i] + two * w[j] + three * w[k])
+                    if depth < image[row, column]:
+                        image[row, column] = depth
+
+
+@_compiled
+def keep_range(image, nearest, farthest):  # type: ignore[no-untyped-def]
+    """Depth (H, W) as a camera gives it: 0 for what is nearer than its range, inf for what is farther."""
+    for row in range(image.shape[0]):
+        for column in range(image.shape[1]):
+            depth = image[row, column]
+            if depth < nearest:
+                image[row, column] = 0.0
+            elif depth > farthest:
+                image[row, column] = np.inf
 
 
 class NotDrawable(ValueError):

@@ -19,9 +19,16 @@ from pydrake.multibody.tree import FixedOffsetFrame, FrameIndex, ModelInstanceIn
 from pydrake.systems.framework import BasicVector, Context, DiagramBuilder
 from pydrake.systems.primitives import SharedPointerSystem
 
-from diagrams.collectable import PythonSystem
-from models.physics.cell_grid import FloatArray
-from models.robots import ARM_JOINTS, FINGER_RADIUS, FLANGE_HEIGHT, FOLDER, GRIPPER_MODEL, IIWA_MODEL
+from slipmap.diagrams.systems.python_system import PythonSystem
+from slipmap.models.physics.cell_grid import FloatArray
+from slipmap.models.robots import (
+    ARM_JOINTS,
+    FINGER_RADIUS,
+    FLANGE_HEIGHT,
+    FOLDER,
+    GRIPPER_MODEL,
+    IIWA_MODEL,
+)
 
 ARM_MODELS = {
     "primitives": f"package://slipmap_robots/{IIWA_MODEL.name}",

@@ -1,6 +1,6 @@
 """Effects in the true world that the object's model does not know of, to be found out from the pushes.
 
-Parameters mean what those of the same name in `models.effects.library` mean; the defaults are no effect.
+Parameters mean what those of the same name in `slipmap.models.effects.library` mean; the defaults are no effect.
 """
 
 # Annotations stay objects: Drake's YAML reader looks at them.
@@ -14,10 +14,10 @@ from pydrake.multibody.math import SpatialForce, SpatialVelocity
 from pydrake.multibody.plant import ExternallyAppliedSpatialForce, MultibodyPlant
 from pydrake.systems.framework import Context, DiagramBuilder
 
-from diagrams.collectable import PythonSystem
-from diagrams.station.sliding_object import BODY, GRAVITY
-from models.objects.true_object import TrueObject
-from models.physics.cell_grid import FloatArray
+from slipmap.diagrams.station.sliding_object import BODY, GRAVITY
+from slipmap.diagrams.systems.python_system import PythonSystem
+from slipmap.models.objects.true_object import TrueObject
+from slipmap.models.physics.cell_grid import FloatArray
 
 _TOUCH = 2e-3  # m; cells that are farther from the table's height do not slide on it
 _SLOWEST = 1e-3  # m/s; below about this slip an extra friction fades out

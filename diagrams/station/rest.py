@@ -18,9 +18,9 @@ from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import BodyIndex, ModelInstanceIndex
 from pydrake.systems.framework import BasicVector, Context, DiscreteValues
 
-from diagrams.collectable import PythonSystem
-from diagrams.station.sliding_object import BODY, STICTION
-from models.physics.cell_grid import FloatArray
+from slipmap.diagrams.station.sliding_object import BODY, STICTION
+from slipmap.diagrams.systems.python_system import PythonSystem
+from slipmap.models.physics.cell_grid import FloatArray
 
 PERIOD = 0.02
 """s between two looks at the object and the arm."""

@@ -22,10 +22,9 @@ from pydrake.multibody.parsing import Parser
 from pydrake.multibody.plant import CoulombFriction, MultibodyPlant, MultibodyPlantConfig
 from pydrake.multibody.tree import ModelInstanceIndex, SpatialInertia, UnitInertia
 
-from models.objects.convex_pieces import convex_pieces
-from models.objects.shaded_mesh import shaded_obj
-from models.objects.true_object import TrueObject
-from models.physics.cell_grid import FloatArray
+from slipmap.models.objects.meshes import convex_pieces, shaded_obj
+from slipmap.models.objects.true_object import TrueObject
+from slipmap.models.physics.cell_grid import FloatArray
 
 GRAVITY = 9.81
 """m/s²; sets how stiff the feet are."""

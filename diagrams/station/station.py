@@ -13,17 +13,17 @@ from pydrake.systems.analysis import ResetIntegratorFromFlags, Simulator
 from pydrake.systems.framework import Context, DiagramBuilder
 from pydrake.systems.primitives import ConstantValueSource, ConstantVectorSource
 
-from diagrams.collectable import PythonDiagram, PythonSystem
-from diagrams.perception.arm_hulls import ArmHulls
-from diagrams.perception.camera import add_camera
-from diagrams.perception.depth_noise import DepthNoise
-from diagrams.perception.depth_picture import add_depth_picture
-from diagrams.station.arm import Arm, add_arm, add_arm_drivers
-from diagrams.station.hidden_effects import add_hidden_effects
-from diagrams.station.rest import Hold, RestWatch
-from diagrams.station.scenario import Scenario
-from diagrams.station.sliding_object import BODY, add_sliding_object, plant_config, resting_pose
-from diagrams.station.table import add_table
+from slipmap.diagrams.perception.camera import add_camera
+from slipmap.diagrams.perception.cell_perception import ArmHulls
+from slipmap.diagrams.perception.depth_noise import DepthNoise
+from slipmap.diagrams.perception.depth_picture import add_depth_picture
+from slipmap.diagrams.station.arm import Arm, add_arm, add_arm_drivers
+from slipmap.diagrams.station.hidden_effects import add_hidden_effects
+from slipmap.diagrams.station.rest import Hold, RestWatch
+from slipmap.diagrams.station.scenario import Scenario
+from slipmap.diagrams.station.sliding_object import BODY, add_sliding_object, plant_config, resting_pose
+from slipmap.diagrams.station.table import add_table
+from slipmap.diagrams.systems.python_system import PythonDiagram, PythonSystem
 
 TRUTH = "truth."
 """What ports begin with that only a simulation has."""

@@ -8,8 +8,8 @@ from pydrake.math import RigidTransform
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import ModelInstanceIndex, RigidBody, SpatialInertia
 
-from diagrams.station.sliding_object import DISC, table_contact
-from models.measurements.push_dataset import Table
+from slipmap.diagrams.station.sliding_object import DISC, table_contact
+from slipmap.models.measurements.push_dataset import Table
 
 HEIGHT = 0.72
 """Of the table top above the floor, m."""

@@ -6,19 +6,73 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from pydrake.autodiffutils import AutoDiffXd
+from pydrake.autodiffutils import AutoDiffXd, ExtractGradient, ExtractValue, InitializeAutoDiff
 from pydrake.common.value import AbstractValue
 from pydrake.systems.framework import BasicVector_, LeafSystem_, NumericParameterIndex, ValueProducer
 from pydrake.systems.scalar_conversion import TemplateSystem
 
-from diagrams.collectable import HoldsOutputFunctions, WithoutOwnDict, weakly
-from diagrams.systems.reported_pose import history_length, pose_then, values_of, with_gradient
-from models.effects.effect import Effect
-from models.effects.stepper import NO_FINGER, NO_WRENCH, StepModels, Stepper
-from models.inference.belief import Belief
-from models.physics.cell_grid import CellGrid, FloatArray
-from models.physics.maps import Maps
-from models.physics.rollout import Smoothing
+from slipmap.diagrams.systems.python_system import HoldsOutputFunctions, WithoutOwnDict, weakly
+from slipmap.models.effects.effect import Effect
+from slipmap.models.effects.stepper import NO_FINGER, NO_WRENCH, StepModels, Stepper
+from slipmap.models.inference.belief import Belief
+from slipmap.models.physics.cell_grid import CellGrid, FloatArray
+from slipmap.models.physics.maps import Maps
+from slipmap.models.physics.rollout import Smoothing
+
+# What a tracker reports of a model that is stepped: late, off or out of scale, where an effect says so.
+
+
+def history_length(stepper: Stepper) -> int:
+    """Number of past poses that a report may need: as far back as the latency may reach."""
+    if stepper.program.delay is None:
+        return 0
+    # The delay is the sum of its parameters, so that their largest values give its largest.
+    latest, _ = stepper.delay(np.concatenate([[p.high for p in e.parameters] for e in stepper.effects]))
+    return int(np.ceil(latest / stepper.h)) + 1
+
+
+def pose_then(stepper: Stepper, pose: Any, history: Any, effects: Any) -> Any:
+    """The pose (3,) that the tracker reports now; floats in, floats out, and so with AutoDiffXd.
+
+    Where it reports early, nobody knows yet how the object is driven on: it is taken to keep its velocity.
+
+    Args:
+        stepper: the model.
+        pose: (3,) true pose.
+        history: (L, 3) true poses one, two, … steps ago.
+        effects: (P,) parameters of the effects.
+    """
+    derivatives = pose.dtype == object
+    values = values_of(effects)
+    if stepper.program.delay is not None:
+        delay, slopes = stepper.delay(values)
+        steps: Any = delay / stepper.h
+        whole = min(max(int(steps), 0), len(history) - 1)
+        if derivatives:
+            steps = with_gradient(np.array([steps]), slopes[None] / stepper.h, effects)[0]
+        then = np.vstack([pose, history])[whole : whole + 2]
+        pose = then[0] + (steps - whole) * (then[1] - then[0])
+    if stepper.program.measured is None:
+        return pose
+    if not derivatives:
+        return stepper.reported(pose, values)[0]
+    reported, by_pose, by_effects = stepper.reported(values_of(pose), values)
+    return with_gradient(reported, np.hstack([by_pose, by_effects]), np.concatenate([pose, effects]))
+
+
+def values_of(numbers: Any) -> FloatArray:
+    """Values (N,) of numbers (N,) that may have derivatives."""
+    if numbers.dtype == object:
+        return ExtractValue(numbers)[:, 0]
+    return numbers
+
+
+def with_gradient(values: FloatArray, jacobian: FloatArray, arguments: Any) -> Any:
+    """AutoDiffXd (M,) of values whose derivatives by the arguments (N,) are `jacobian` (M, N): the chain
+    rule."""
+    value: Any = values
+    return InitializeAutoDiff(value, jacobian @ ExtractGradient(arguments))[:, 0]
+
 
 MASS, FRICTION, FINGER_FRICTION, EFFECTS, PUSH = range(5)
 """Indices of the numeric parameters in the Context."""

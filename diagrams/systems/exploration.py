@@ -11,16 +11,15 @@ import numpy as np
 from pydrake.common.value import Value
 from pydrake.systems.framework import Context, EventStatus, State
 
-from diagrams.collectable import PythonSystem
-from diagrams.execution.clearance import Obstacle
-from diagrams.systems.held import held, read, replace_held
-from diagrams.systems.messages import LoopStatus, PokeRequest
-from diagrams.systems.workers import begun
-from models.perception.seen_object import SeenObject
-from planners.action_selection import Poke, select_poke
-from planners.exploration import NoReachablePush
-from planners.poke_settings import PokeSettings
-from planners.table_push import TablePush
+from slipmap.diagrams.execution.clearance import Obstacle
+from slipmap.diagrams.systems.loop_messages import LoopStatus, PokeRequest
+from slipmap.diagrams.systems.python_system import PythonSystem, held, read, replace_held
+from slipmap.diagrams.systems.workers import begun
+from slipmap.models.perception.seen_object import SeenObject
+from slipmap.planners.action_selection import Poke, select_poke
+from slipmap.planners.exploration import NoReachablePush
+from slipmap.planners.settings import PokeSettings
+from slipmap.planners.table_push import TablePush
 
 PERIOD = 0.05
 
@@ -46,7 +45,7 @@ class Exploration(PythonSystem):
     The draws of a push depend on the seed and the push's number alone.
 
     Args:
-        strategy: one of `planners.strategies.STRATEGIES`; pushes made to judge the belief are
+        strategy: one of `slipmap.planners.settings.STRATEGIES`; pushes made to judge the belief are
             random and none of them is a tap.
         fit: pushes to learn from.
         finger_radius: m.

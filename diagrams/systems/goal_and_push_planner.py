@@ -11,25 +11,24 @@ import numpy as np
 from pydrake.common.value import Value
 from pydrake.systems.framework import Context, EventStatus, State
 
-from diagrams.collectable import PythonSystem
-from diagrams.execution.clearance import Obstacle
-from diagrams.execution.messages import ActiveGrasp
-from diagrams.systems.held import held, read, replace_held
-from diagrams.systems.messages import LoopStatus, PregraspPlan
-from diagrams.systems.workers import begun
-from models.inference.belief import Belief
-from models.measurements.push_dataset import Table
-from models.perception.seen_object import SeenObject
-from models.physics.balance import own_balance_margins
-from models.physics.cell_grid import FloatArray
-from models.physics.maps import Maps
-from planners.foresight import NEGLIGIBLE
-from planners.goals import Goal, Graspable
-from planners.grasps import Grasp
-from planners.methods import planning_belief
-from planners.pregrasp_settings import PregraspSettings
-from planners.push_decisions import Decision, Pursuit, decide, near_enough
-from planners.table_push import TablePush
+from slipmap.diagrams.execution.clearance import Obstacle
+from slipmap.diagrams.execution.requests import ActiveGrasp
+from slipmap.diagrams.systems.loop_messages import LoopStatus, PregraspPlan
+from slipmap.diagrams.systems.python_system import PythonSystem, held, read, replace_held
+from slipmap.diagrams.systems.workers import begun
+from slipmap.models.inference.belief import Belief
+from slipmap.models.measurements.push_dataset import Table
+from slipmap.models.perception.seen_object import SeenObject
+from slipmap.models.physics.balance import own_balance_margins
+from slipmap.models.physics.cell_grid import FloatArray
+from slipmap.models.physics.maps import Maps
+from slipmap.planners.goals import Goal, Graspable
+from slipmap.planners.grasps import Grasp
+from slipmap.planners.pregrasp import planning_belief
+from slipmap.planners.push_decisions import Decision, Pursuit, decide, near_enough
+from slipmap.planners.robust_push import NEGLIGIBLE
+from slipmap.planners.settings import PregraspSettings
+from slipmap.planners.table_push import TablePush
 
 PERIOD = 0.05
 
@@ -201,7 +200,7 @@ class GoalAndPushPlanner(PythonSystem):
     Args:
         settings: of the procedure.
         table: that the object lies on.
-        method: one of `planners.methods.METHODS`.
+        method: one of `slipmap.planners.pregrasp.METHODS`.
         can_push: whether the arm can make a push of an object that lies somewhere.
         can_grasp: whether it can come in and lift.
         can_see: whether the camera sees the object at a pose (3,), which a goal needs: the push that leads

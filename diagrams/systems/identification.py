@@ -9,15 +9,14 @@ from functools import partial
 from pydrake.common.value import Value
 from pydrake.systems.framework import Context, EventStatus, State
 
-from diagrams.collectable import PythonSystem
-from diagrams.systems.held import held, read, replace_held
-from diagrams.systems.workers import begun
-from models.effects.registry import effects_named
-from models.inference.belief import Belief
-from models.inference.identification import identify
-from models.inference.results import Identification as Learned
-from models.measurements import PushDataset, Trial
-from models.physics.cell_grid import CellGrid
+from slipmap.diagrams.systems.python_system import PythonSystem, held, read, replace_held
+from slipmap.diagrams.systems.workers import begun
+from slipmap.models.effects.registry import effects_named
+from slipmap.models.inference.belief import Belief
+from slipmap.models.inference.identification import identify
+from slipmap.models.inference.results import Identification as Learned
+from slipmap.models.measurements import PushDataset, Trial
+from slipmap.models.physics.cell_grid import CellGrid
 
 PERIOD = 0.05
 
@@ -115,6 +114,6 @@ def learning(effects: Sequence[str] = (), method: str = "gauss-newton") -> Calla
     """
     if not effects:
         return partial(identify, method=method)
-    from models.inference.diagnosis.effect_fit import fit_effects
+    from slipmap.models.inference.diagnosis.effect_fit import fit_effects
 
     return partial(fit_effects, effects=effects_named(list(effects)))

@@ -11,12 +11,11 @@ from pydrake.common.value import Value
 from pydrake.math import RigidTransform
 from pydrake.systems.framework import Context, EventStatus, State
 
-from diagrams.collectable import PythonSystem
-from diagrams.systems.held import held, read, replace_held
-from diagrams.systems.messages import LoopStatus
-from models.measurements import PushDataset, Trial
-from models.measurements.push_dataset import Channel, Noise, Role, Table
-from models.physics.cell_grid import CellGrid
+from slipmap.diagrams.systems.loop_messages import LoopStatus
+from slipmap.diagrams.systems.python_system import PythonSystem, held, read, replace_held
+from slipmap.models.measurements import PushDataset, Trial
+from slipmap.models.measurements.push_dataset import Channel, Noise, Role, Table
+from slipmap.models.physics.cell_grid import CellGrid
 
 PERIOD = 0.01
 """s between two rows of tip and force."""

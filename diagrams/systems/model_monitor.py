@@ -9,21 +9,20 @@ import numpy as np
 from pydrake.common.value import Value
 from pydrake.systems.framework import Context, State
 
-from diagrams.collectable import PythonSystem
-from diagrams.systems.held import held, read, replace_held
-from diagrams.systems.multiverse_slider import Universes
-from models.inference.diagnosis.error_model import ErrorModel
-from models.inference.observations import observe
-from models.inference.push_misfit import (
+from slipmap.diagrams.systems.multiverse_slider import Universes
+from slipmap.diagrams.systems.python_system import PythonSystem, held, read, replace_held
+from slipmap.models.inference.diagnosis.correlated import ErrorModel
+from slipmap.models.inference.observations import observe
+from slipmap.models.inference.push_misfit import (
     bet,
     pose_noise,
     resting_misfit,
     steady_force,
     steady_forces_told,
 )
-from models.measurements import Trial
-from models.measurements.push_dataset import Noise
-from models.physics.cell_grid import FloatArray
+from slipmap.models.measurements import Trial
+from slipmap.models.measurements.push_dataset import Noise
+from slipmap.models.physics.cell_grid import FloatArray
 
 LEVEL = 0.01
 """At least 1/LEVEL pushes pass on average before a false alarm."""
@@ -32,7 +31,7 @@ LEAST_P = 0.005
 """One push is not believed to be rarer: nobody knows errors that well. An alarm takes three such pushes."""
 
 MODEL_ERROR = 0.03
-"""α, by which share of the way the model is off anyway; see `models.inference.diagnosis.error_model`."""
+"""α, by which share of the way the model is off anyway; see `slipmap.models.inference.diagnosis.correlated`."""
 
 FORCE_ERROR = 0.1
 """β, the same for the mean force of a push: in the simulated station without any hidden effect it was 2 to 5
@@ -45,7 +44,7 @@ class Judged:
 
     Attributes:
         trial: number of the push in the recording, from 0.
-        misfit: see `models.inference.push_misfit`.
+        misfit: see `slipmap.models.inference.push_misfit`.
         p: probability of a misfit as large if nothing is missing.
         evidence: E after this push.
         alarm: whether it is given after this push.
@@ -112,8 +111,8 @@ class ModelMonitor(PythonSystem):
 
     Outputs:
         residual: (3,) observed minus predicted pose (m, m, rad) when the object was last seen; NaN before.
-        misfit: (1,) of the last push that was judged (`models.inference.push_misfit`); NaN before.
-        evidence: (1,) E of `models.inference.push_misfit`.
+        misfit: (1,) of the last push that was judged (`slipmap.models.inference.push_misfit`); NaN before.
+        evidence: (1,) E of `slipmap.models.inference.push_misfit`.
         alarm: abstract bool. It is given when the evidence reaches 1/LEVEL, and taken back only when the
             evidence is down at 1 again, that is when pushes have been predicted as well as usual for a while.
         watch: abstract, `Watch`, all of it.

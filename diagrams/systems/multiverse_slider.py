@@ -9,13 +9,12 @@ import numpy as np
 from pydrake.common.value import Value
 from pydrake.systems.framework import Context, InputPort, State
 
-from diagrams.collectable import PythonSystem
-from diagrams.systems.held import held, read, replace_held
-from diagrams.systems.reported_pose import history_length, pose_then
-from models.effects.stepper import NO_FINGER, NO_WRENCH, StepModels, Stepper
-from models.inference.belief import Belief
-from models.physics.cell_grid import FloatArray
-from models.physics.paper_notation import add
+from slipmap.diagrams.systems.cell_grid_slider import history_length, pose_then
+from slipmap.diagrams.systems.python_system import PythonSystem, held, read, replace_held
+from slipmap.models.effects.stepper import NO_FINGER, NO_WRENCH, StepModels, Stepper
+from slipmap.models.inference.belief import Belief
+from slipmap.models.physics.cell_grid import FloatArray
+from slipmap.models.physics.paper_notation import add
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,15 +10,13 @@ from pydrake.common.value import Value
 from pydrake.math import RigidTransform
 from pydrake.systems.framework import Context, EventStatus, State
 
-from diagrams.collectable import PythonSystem
-from diagrams.execution.messages import ExecutionStatus
-from diagrams.execution.push_executor import CLOSED
-from diagrams.systems.held import held, read, replace_held
-from diagrams.systems.measurement_logger import PERIOD
-from diagrams.systems.messages import LoopStatus
-from models.perception.observed_pose import ObservedPose
-from models.perception.seen_object import SeenObject
-from models.physics.cell_grid import FloatArray
+from slipmap.diagrams.execution.push_executor import CLOSED
+from slipmap.diagrams.execution.requests import ExecutionStatus
+from slipmap.diagrams.systems.loop_messages import LoopStatus
+from slipmap.diagrams.systems.measurement_logger import PERIOD
+from slipmap.diagrams.systems.python_system import PythonSystem, held, read, replace_held
+from slipmap.models.perception.seen_object import ObservedPose, SeenObject
+from slipmap.models.physics.cell_grid import FloatArray
 
 TOUCH = 0.005
 """m between finger and outline up to which they may have touched: outline and pose are not that exact."""

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from pydrake.common import MemoryFile
 from pydrake.geometry import InMemoryMesh, Mesh
 
-from models.physics.cell_grid import CellGrid, FloatArray
+from slipmap.models.physics.cell_grid import CellGrid, FloatArray
 
 _FLOAT, _INDEX = 5126, 5125
 _VERTICES, _INDICES = 34962, 34963

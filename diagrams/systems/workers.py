@@ -67,9 +67,9 @@ def workers() -> Iterator[Executor]:
 def _load() -> None:
     """Load what tasks need, and take so long that the other process has to start, too."""
     for name in (
-        "diagrams.perception.cell_perception",
-        "diagrams.systems.goal_and_push_planner",
-        "models.inference.identification",
+        "slipmap.diagrams.perception.cell_perception",
+        "slipmap.diagrams.systems.goal_and_push_planner",
+        "slipmap.models.inference.identification",
     ):
         import_module(name)
     time.sleep(0.1)

@@ -10,10 +10,10 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
-from diagrams.figures import save
-from diagrams.figures.style import BELIEF, FAINT, styled
-from models.inference.identification import identify
-from models.measurements import read_dataset
+from slipmap.diagrams.application.figures import save
+from slipmap.diagrams.application.figures.style import BELIEF, FAINT, styled
+from slipmap.models.inference.identification import identify
+from slipmap.models.measurements import read_dataset
 
 
 @styled

@@ -2,7 +2,7 @@
 
 import sympy as sp
 
-from models.effects import Effect, Parameter
+from slipmap.models.effects import Effect, Parameter
 
 
 class Magnet(Effect):

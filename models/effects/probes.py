@@ -11,9 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from models.effects.effect import Effect, Parameter, Scene
-from models.effects.symbols import REST_SPEED
-from models.effects.sympy_on_use import sp
+from slipmap.models.effects.effect import Effect, Parameter, Scene
+from slipmap.models.effects.symbols import REST_SPEED, sp
 
 
 def _amplitudes(prefix: str, count: int, scale: float, unit: str = "1") -> tuple[Parameter, ...]:

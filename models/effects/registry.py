@@ -9,10 +9,9 @@ import sys
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
-from models.bounded_files import UnreadableFile, check_file
-from models.effects.effect import Effect, EffectError
-from models.effects.failures import told
-from models.effects.library import LIBRARY
+from slipmap.models.effects.effect import Effect, EffectError, told
+from slipmap.models.effects.library import LIBRARY
+from slipmap.models.files import UnreadableFile, check_file
 
 LARGEST = 2**20
 """Bytes of a file with effects."""
@@ -60,14 +59,14 @@ def load_effects(path: str | Path) -> tuple[Effect, ...]:
     ]
     if not classes:
         raise EffectError(
-            f"effect file {path}: it defines no effect; write a subclass of models.effects.Effect"
+            f"effect file {path}: it defines no effect; write a subclass of slipmap.models.effects.Effect"
         )
     return tuple(_made(kind, path) for kind in classes)
 
 
 def _made(kind: type[Effect], path: Path) -> Effect:
     """The effect of a class, checked."""
-    from models.effects.checks import check_effect  # SymPy is slow to import
+    from slipmap.models.effects.effect_checks import check_effect
 
     where = f"{path}{_line_of(kind)}, class {kind.__name__}"
     try:

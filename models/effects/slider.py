@@ -6,13 +6,13 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from models.effects.effect import Effect
-from models.effects.program import program_of
-from models.physics.cell_grid import CellGrid, FloatArray
-from models.physics.effect_jobs import effect_rollout_all
-from models.physics.maps import Maps
-from models.physics.pushes import JoinedPushes, Push
-from models.physics.rollout import Rollouts, Slider, Smoothing, finished
+from slipmap.models.effects.effect import Effect
+from slipmap.models.effects.program import program_of
+from slipmap.models.physics.cell_grid import CellGrid, FloatArray
+from slipmap.models.physics.effect_kernel import effect_rollout_all
+from slipmap.models.physics.maps import Maps
+from slipmap.models.physics.pushes import JoinedPushes, Push
+from slipmap.models.physics.rollout import Rollouts, Slider, Smoothing, finished
 
 
 class EffectSlider(Slider):

@@ -11,15 +11,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from models.effects.effect import Effect
-from models.effects.slider import EffectSlider
-from models.physics.cell_grid import CellGrid, FloatArray
-from models.physics.effect_layout import AFTER, CONSTANTS, FORCE
-from models.physics.maps import Maps
-from models.physics.pushes import JoinedPushes, Push
-from models.physics.rollout import RolloutError, Smoothing
-from models.physics.single_step import INPUTS, single_steps
-from models.physics.step import EXTRA_COLUMNS
+from slipmap.models.effects.effect import Effect
+from slipmap.models.effects.slider import EffectSlider
+from slipmap.models.physics.cell_grid import CellGrid, FloatArray
+from slipmap.models.physics.effect_cells import AFTER, CONSTANTS, FORCE
+from slipmap.models.physics.maps import Maps
+from slipmap.models.physics.pushes import JoinedPushes, Push
+from slipmap.models.physics.rollout import RolloutError, Smoothing
+from slipmap.models.physics.single_step import INPUTS, single_steps
+from slipmap.models.physics.step import EXTRA_COLUMNS
 
 NO_FINGER = np.full((2, 2), np.nan)
 NO_WRENCH = np.zeros(5)

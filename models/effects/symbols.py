@@ -8,9 +8,26 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from contextvars import ContextVar
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from models.effects.sympy_on_use import sp
+# SymPy, imported when a formula is first looked at: that takes half a second, and where all formulas are
+# compiled already nothing of it is needed.
+
+
+if TYPE_CHECKING:
+    import sympy as sp
+else:
+
+    class _SympyOnUse:
+        def __getattr__(self, name: str) -> Any:
+            import sympy
+
+            return getattr(sympy, name)
+
+    sp = _SympyOnUse()
+
+__all__ = ["sp"]
+
 
 STATE_NAMES = ("q_x", "q_y", "q_theta", "v_x", "v_y", "omega")
 FORCE_NAMES = ("force_x", "force_y")
@@ -188,7 +205,7 @@ def writing() -> Iterator[None]:
 def positive_part(value: Any, width: float) -> Any:
     """max(value, 0), rounded within about `width` of 0."""
     if _WRITING.get():
-        from models.effects.read_functions import PositivePart
+        from slipmap.models.effects.written import PositivePart
 
         return PositivePart(sp.sympify(value))
     return (value + sp.sqrt(value**2 + width**2)) / 2
@@ -197,7 +214,7 @@ def positive_part(value: Any, width: float) -> Any:
 def smooth_step(value: Any, width: float) -> Any:
     """From 0 to 1 as value passes 0, mostly within ± `width`."""
     if _WRITING.get():
-        from models.effects.read_functions import SmoothStep
+        from slipmap.models.effects.written import SmoothStep
 
         return SmoothStep(value, width)
     return (1 + sp.tanh(2 * value / width)) / 2

@@ -18,13 +18,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from models.bounded_files import UnreadableFile, check_archive
-from models.effects.effect import Effect
-from models.effects.library import LIBRARY
-from models.effects.slider import EffectSlider
-from models.measurements import PushDataset
-from models.physics.cell_grid import CellGrid
-from models.physics.rollout import Maps, Slider, Smoothing
+from slipmap.models.effects.effect import Effect
+from slipmap.models.effects.library import LIBRARY
+from slipmap.models.effects.slider import EffectSlider
+from slipmap.models.files import UnreadableFile, check_archive
+from slipmap.models.measurements import PushDataset
+from slipmap.models.physics.cell_grid import CellGrid
+from slipmap.models.physics.rollout import Maps, Slider, Smoothing
 
 FloatArray = NDArray[np.float64]
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
-from models.effects.library import SensorLatency
-from models.inference.diagnosis.effect_fit import fit_effects
-from models.measurements import DatasetError, PushDataset
+from slipmap.models.effects.library import SensorLatency
+from slipmap.models.inference.diagnosis.effect_fit import fit_effects
+from slipmap.models.measurements import DatasetError, PushDataset
 
 Progress = Callable[[str, int, int], None]
 

@@ -11,24 +11,28 @@ from dataclasses import asdict, dataclass
 
 import numpy as np
 
-from models.inference.belief import Belief
-from models.inference.noise_floor import NoiseFloor, noise_floor
-from models.inference.observations import Observation, observe_all
-from models.inference.predicted_motion import (
+from slipmap.models.inference.belief import Belief
+from slipmap.models.inference.observations import Observation, observe_all
+from slipmap.models.inference.prediction import (
     PredictedMotion,
     PredictMotion,
+    check_same_object,
     predicted_motion,
     uniform_motion,
 )
-from models.inference.prediction import check_same_object
-from models.inference.push_errors import Errors, motion_errors, resting_errors
-from models.inference.push_tests import smallest_p
-from models.inference.residual_correlations import Correlations, correlations, delay_pattern
-from models.inference.residual_structure import LEVEL, Pattern, corrected, factor_patterns
-from models.inference.residuals import Residuals, force_residuals, motion_residuals
-from models.measurements import PushDataset
-from models.physics.cell_grid import FloatArray
-from models.physics.paper_notation import add
+from slipmap.models.inference.push_errors import (
+    Errors,
+    NoiseFloor,
+    motion_errors,
+    noise_floor,
+    resting_errors,
+)
+from slipmap.models.inference.residual_correlations import Correlations, correlations, delay_pattern
+from slipmap.models.inference.residual_structure import LEVEL, Pattern, corrected, factor_patterns, smallest_p
+from slipmap.models.inference.residuals import Residuals, force_residuals, motion_residuals
+from slipmap.models.measurements import PushDataset
+from slipmap.models.physics.cell_grid import FloatArray
+from slipmap.models.physics.paper_notation import add
 
 Progress = Callable[[str, int, int], None]
 

@@ -14,9 +14,9 @@ from typing import Protocol
 import numpy as np
 import scipy.linalg
 
-from models.inference.likelihood import NormalEquations
-from models.inference.observations import Observation
-from models.physics.cell_grid import FloatArray
+from slipmap.models.inference.likelihood import NormalEquations
+from slipmap.models.inference.observations import Observation
+from slipmap.models.physics.cell_grid import FloatArray
 
 LONGEST_STEP = 1.5
 """Largest change of a coordinate in one iteration, in standard deviations of the prior."""

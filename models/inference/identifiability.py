@@ -13,13 +13,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from models.inference.belief import Belief
-from models.inference.gauss_newton import Fits, fit
-from models.inference.intervals import interval
-from models.inference.likelihood import Likelihood
-from models.inference.results import Quantity
-from models.physics.cell_grid import FloatArray
-from models.physics.rollout import Maps, Slider
+from slipmap.models.inference.belief import Belief
+from slipmap.models.inference.gauss_newton import Fits, fit
+from slipmap.models.inference.likelihood import Likelihood
+from slipmap.models.inference.prediction import interval
+from slipmap.models.inference.results import Quantity
+from slipmap.models.physics.cell_grid import FloatArray
+from slipmap.models.physics.rollout import Maps, Slider
 
 SHOWN_SHARE = 0.25
 """Largest share of the prior's variance that a quantity keeps that counts as shown."""

@@ -5,17 +5,16 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 
-from models.inference.friction_laws import Law, fit_laws
-from models.inference.identifiability import quantities
-from models.inference.likelihood import Likelihood, LikelihoodSettings
-from models.inference.mixed_belief import mixed_belief
-from models.inference.observations import MEASURED_CONTACT, observe_all
-from models.inference.prediction import predict_observations
-from models.inference.prior import SINGLE_CELLS, MapPrior, PriorSettings
-from models.inference.results import Identification
-from models.inference.trust import MODEL_ERRORS
-from models.measurements import DatasetError, PushDataset
-from models.physics.rollout import Slider
+from slipmap.models.inference.friction_laws import Law, fit_laws, mixed_belief
+from slipmap.models.inference.hypotheses import MODEL_ERRORS
+from slipmap.models.inference.identifiability import quantities
+from slipmap.models.inference.likelihood import Likelihood, LikelihoodSettings
+from slipmap.models.inference.observations import MEASURED_CONTACT, observe_all
+from slipmap.models.inference.prediction import predict_observations
+from slipmap.models.inference.prior import SINGLE_CELLS, MapPrior, PriorSettings
+from slipmap.models.inference.results import Identification
+from slipmap.models.measurements import DatasetError, PushDataset
+from slipmap.models.physics.rollout import Slider
 
 METHODS = ("gauss-newton", "paper")
 
@@ -46,7 +45,7 @@ def identify(
         prior_settings: how strongly maps are held together before any push; if None, as in `PriorSettings`,
             or as in `SINGLE_CELLS` where the best law is off by more than the smallest of `MODEL_ERRORS`.
         friction_laws: whether other laws of friction than the plain one take part, each as much as the
-            pushes speak for it (`models.inference.friction_laws`); takes about four times as long. The
+            pushes speak for it (`slipmap.models.inference.friction_laws`); takes about four times as long. The
             method `paper` knows the plain one alone.
 
     Raises:
@@ -74,7 +73,7 @@ def identify(
         )
 
     if method == "paper":
-        from models.inference.paper_method import identify_by_algorithm_1
+        from slipmap.models.inference.paper_method import identify_by_algorithm_1
 
         belief = identify_by_algorithm_1(dataset, hypotheses=hypotheses, seed=seed, progress=progress)
         slider = Slider(dataset.grid, dataset.finger_radius, dataset.gravity, MEASURED_CONTACT)

@@ -19,12 +19,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from models.inference.centroid import radius_of_gyration
-from models.inference.observations import Observation
-from models.inference.prior import MapPrior
-from models.measurements import Noise
-from models.physics.cell_grid import FloatArray
-from models.physics.rollout import Rollouts
+from slipmap.models.geometry import radius_of_gyration
+from slipmap.models.inference.observations import Observation
+from slipmap.models.inference.prior import MapPrior
+from slipmap.models.measurements import Noise
+from slipmap.models.physics.cell_grid import FloatArray
+from slipmap.models.physics.rollout import Rollouts
 
 
 @dataclass(frozen=True)

@@ -8,11 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.ndimage import binary_erosion, uniform_filter1d
 
-from models.measurements import PushDataset, Trial, finger_path, pose_times, wrench_samples
-from models.measurements.smoothing import smooth_track
-from models.physics.cell_grid import FloatArray
-from models.physics.paper_notation import add
-from models.physics.rollout import Push, Smoothing
+from slipmap.models.measurements import PushDataset, Trial, finger_path, pose_times, wrench_samples
+from slipmap.models.measurements.motion import smooth_track
+from slipmap.models.physics.cell_grid import FloatArray
+from slipmap.models.physics.paper_notation import add
+from slipmap.models.physics.rollout import Push, Smoothing
 
 SAMPLES = 30
 """Poses compared in a push. Residuals along a push are so correlated that more add nothing."""

@@ -22,11 +22,11 @@ from functools import cached_property
 
 import numpy as np
 
-from models.effects.effect import bounds, scales
-from models.effects.slider import EffectSlider
-from models.physics.cell_grid import CellGrid, FloatArray
-from models.physics.rollout import Maps, Slider
-from models.physics.step import EXTRA_COLUMNS, INERTIA_COLUMNS
+from slipmap.models.effects.effect import bounds, scales
+from slipmap.models.effects.slider import EffectSlider
+from slipmap.models.physics.cell_grid import CellGrid, FloatArray
+from slipmap.models.physics.rollout import Maps, Slider
+from slipmap.models.physics.step import EXTRA_COLUMNS, INERTIA_COLUMNS
 
 
 @dataclass(frozen=True)

@@ -7,11 +7,12 @@ from dataclasses import asdict, dataclass
 
 import numpy as np
 
-from models.inference.centroid import at_centroid, radius_of_gyration
-from models.inference.observations import Observation
-from models.inference.predicted_motion import PredictedMotion
-from models.physics.cell_grid import CellGrid, FloatArray
-from models.physics.paper_notation import add
+from slipmap.models.geometry import at_centroid, radius_of_gyration
+from slipmap.models.inference.observations import Observation
+from slipmap.models.inference.prediction import PredictedMotion
+from slipmap.models.measurements import Noise
+from slipmap.models.physics.cell_grid import CellGrid, FloatArray
+from slipmap.models.physics.paper_notation import add
 
 
 @dataclass(frozen=True)
@@ -99,3 +100,111 @@ def nrmse_fit(measured: FloatArray, predicted: FloatArray) -> float:
 
 def _rms(vectors: FloatArray) -> float:
     return float(np.sqrt((vectors**2).sum(axis=-1).mean()))
+
+
+# How well any model could do: the ADD that sensors alone, or repeated pushes among themselves, leave.
+
+
+SAME_PATH = 1.5e-3
+"""Two pushes are repeats where the fingers' tracks, seen from the objects' start, never part by more, m."""
+
+SAME_DURATION = 0.05
+"""…and where their durations differ by no more than this share."""
+
+POINTS = 21
+DRAWS = 2000
+
+
+@dataclass(frozen=True)
+class NoiseFloor:
+    """An error below which nobody can tell two models apart.
+
+    Attributes:
+        add: ADD at the end of a push, m.
+        source: `repeats` or `declared noise`.
+        repeats: number of pushes that have a repeat.
+        groups: names of the pushes that repeat each other.
+    """
+
+    add: float
+    source: str
+    repeats: int
+    groups: tuple[tuple[str, ...], ...]
+
+    def to_json(self) -> dict[str, object]:
+        """All fields."""
+        return asdict(self)
+
+
+def noise_floor(
+    observations: Sequence[Observation], noise: Noise, grid: CellGrid, rng: np.random.Generator
+) -> NoiseFloor | None:
+    """Scatter of repeated pushes where there are any, else the declared noise of a pose; None without both.
+
+    Repeats also hold what differs from push to push though nobody wanted it to, so they come first.
+    """
+    groups = repeated_pushes(observations)
+    if groups:
+        scatter = [value for group in groups for value in _scatter([observations[b] for b in group], grid)]
+        names = tuple(tuple(observations[b].trial for b in group) for group in groups)
+        return NoiseFloor(float(np.mean(scatter)), "repeats", len(scatter), names)
+    if noise.position is None and noise.angle is None:
+        return None
+    errors = rng.normal(size=(DRAWS, 3)) * [noise.position or 0.0, noise.position or 0.0, noise.angle or 0.0]
+    return NoiseFloor(float(add(errors, np.zeros(3), grid.centers).mean()), "declared noise", 0, ())
+
+
+def repeated_pushes(observations: Sequence[Observation]) -> list[list[int]]:
+    """Groups of pushes (two or more) that do the same to the object: same start and same finger path.
+
+    Each push joins the first group whose first push it repeats.
+    """
+    groups: list[list[int]] = []
+    tracks = [_track(observation) for observation in observations]
+    for b, track in enumerate(tracks):
+        if track is None:
+            continue
+        for group in groups:
+            if _same(observations[group[0]], tracks[group[0]], observations[b], track):
+                group.append(b)
+                break
+        else:
+            groups.append([b])
+    return [group for group in groups if len(group) > 1]
+
+
+def _same(first: Observation, track: FloatArray | None, other: Observation, repeat: FloatArray) -> bool:
+    assert track is not None
+    long, short = max(_duration(first), _duration(other)), min(_duration(first), _duration(other))
+    if long > (1 + SAME_DURATION) * short:
+        return False
+    return bool(np.hypot(*(track - repeat).T).max() < SAME_PATH)
+
+
+def _duration(observation: Observation) -> float:
+    return observation.push.h * (len(observation.push.tip) - 1)
+
+
+def _track(observation: Observation) -> FloatArray | None:
+    """(POINTS, 2) finger as seen from the object's start pose, evenly in time; None without a finger."""
+    push = observation.push
+    if np.isnan(push.tip).any() or push.start_twist.any():
+        return None
+    rows = np.linspace(0, len(push.tip) - 1, POINTS)
+    tip = np.column_stack([np.interp(rows, np.arange(len(push.tip)), column) for column in push.tip.T])
+    return _seen_from(push.start_pose, tip)
+
+
+def _seen_from(pose: FloatArray, points: FloatArray) -> FloatArray:
+    c, s = np.cos(pose[2]), np.sin(pose[2])
+    return (points - pose[:2]) @ np.array([[c, -s], [s, c]])
+
+
+def _scatter(group: list[Observation], grid: CellGrid) -> FloatArray:
+    """(n,) ADD of each end pose, seen from its start, from the group's mean; unbiased for small groups."""
+    ends = []
+    for observation in group:
+        start, end = observation.push.start_pose, observation.poses[-1]
+        ends.append([*_seen_from(start, end[:2]), end[2] - start[2]])
+    poses = np.array(ends)
+    return add(poses, poses.mean(axis=0), grid.centers) * np.sqrt(len(group) / (len(group) - 1))

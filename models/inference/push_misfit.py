@@ -17,13 +17,13 @@ import numpy as np
 import scipy.linalg
 from scipy.special import chdtrc, fdtrc
 
-from models.inference.belief import Belief
-from models.inference.centroid import radius_of_gyration
-from models.inference.diagnosis.error_model import ErrorModel, SensorNoise, travelled
-from models.inference.observations import Observation
-from models.inference.residuals import centroid_tracks
-from models.physics.cell_grid import CellGrid, FloatArray
-from models.physics.rollout import Push
+from slipmap.models.geometry import radius_of_gyration
+from slipmap.models.inference.belief import Belief
+from slipmap.models.inference.diagnosis.correlated import ErrorModel, SensorNoise, travelled
+from slipmap.models.inference.observations import Observation
+from slipmap.models.inference.residuals import centroid_tracks
+from slipmap.models.physics.cell_grid import CellGrid, FloatArray
+from slipmap.models.physics.rollout import Push
 
 
 def pose_noise(position: float, angle: float) -> SensorNoise:

@@ -14,12 +14,19 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from models.inference.observations import Observation
-from models.inference.predicted_motion import PredictedMotion
-from models.inference.push_tests import random_signs, sign_flip_test
-from models.inference.residual_structure import NEGLIGIBLE, OUTLYING, Pattern, beyond, described
-from models.inference.residuals import centroid_tracks
-from models.physics.cell_grid import CellGrid, FloatArray
+from slipmap.models.inference.observations import Observation
+from slipmap.models.inference.prediction import PredictedMotion
+from slipmap.models.inference.residual_structure import (
+    NEGLIGIBLE,
+    OUTLYING,
+    Pattern,
+    beyond,
+    described,
+    random_signs,
+    sign_flip_test,
+)
+from slipmap.models.inference.residuals import centroid_tracks
+from slipmap.models.physics.cell_grid import CellGrid, FloatArray
 
 LAG_STEP = 0.05
 """Step between lags, s."""

@@ -4,20 +4,204 @@ The residual is measured minus predicted. A pose that is off stays off, so its r
 moment; the rate at which it grows says when and where the model fails. It is taken from the increments of
 the residual between every second sample (about a fifteenth of a push), where the object moves. Increments
 telescope: summed over a push, the sensor's noise enters once and not with every sample.
+
+Conditions come from the predicted motion and the finger's recorded path, never from the measured pose: the
+noise of a measured pose is in the residual too, and would make the two look related.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
+from enum import IntEnum
+from typing import Self
 
 import numpy as np
+from numpy.typing import NDArray
 
-from models.inference.centroid import at_centroid, radius_of_gyration
-from models.inference.observations import SAMPLES, Observation
-from models.inference.predicted_motion import PredictedMotion
-from models.inference.push_conditions import Conditions, conditions
-from models.physics.cell_grid import CellGrid, FloatArray
+from slipmap.models.geometry import at_centroid, radius_of_gyration
+from slipmap.models.inference.observations import SAMPLES, Observation
+from slipmap.models.inference.prediction import PredictedMotion
+from slipmap.models.physics.cell_grid import CellGrid, FloatArray
+
+# Under which conditions a piece of a push happened: where, which way, how fast, touching how.
+
+
+TOUCHING = 5e-4
+"""The finger touches where it is nearer to the outline than this, m."""
+
+CREEP = 0.15
+"""Contact slides where it moves along the outline by more than this share of the finger's way."""
+
+FIRST_WAY = 1.5e-3
+"""First touch lasts until the object has moved so far, m."""
+
+
+class Phase(IntEnum):
+    """What finger and object are doing."""
+
+    FIRST_TOUCH = 0
+    STICKING = 1
+    SLIDING = 2
+    COASTING = 3
+
+
+PHASE_NAMES = {
+    Phase.FIRST_TOUCH: "first touch",
+    Phase.STICKING: "pushing, contact sticks",
+    Phase.SLIDING: "pushing, contact slides",
+    Phase.COASTING: "coasting",
+}
+
+
+@dataclass(frozen=True, eq=False)
+class Conditions:
+    """N pieces of pushes.
+
+    Attributes:
+        push: (N,) index of the push.
+        time: (N,) middle, s after the first pose.
+        share: (N,) the same as a share of the push's duration.
+        place: (N, 2) cells' centroid on the table, m.
+        angle: (N,) of the object frame, rad.
+        velocity: (N, 3) of the centroid in the world, m/s, and turning times the cells' radius of gyration.
+        contact: (N, 2) contact in the object frame, m; NaN where nothing touches.
+        phase: (N,) see `Phase`.
+    """
+
+    push: NDArray[np.int64]
+    time: FloatArray
+    share: FloatArray
+    place: FloatArray
+    angle: FloatArray
+    velocity: FloatArray
+    contact: FloatArray
+    phase: NDArray[np.int64]
+
+    def __len__(self) -> int:
+        return len(self.push)
+
+    @property
+    def speed(self) -> FloatArray:
+        """(N,) m/s."""
+        return np.linalg.norm(self.velocity, axis=1)
+
+    @property
+    def table_direction(self) -> FloatArray:
+        """(N,) direction of the centroid's motion on the table, rad."""
+        return np.arctan2(self.velocity[:, 1], self.velocity[:, 0])
+
+    @property
+    def object_direction(self) -> FloatArray:
+        """(N,) the same seen from the object, -π to π."""
+        return np.angle(np.exp(1j * (self.table_direction - self.angle)))
+
+    @property
+    def translating(self) -> FloatArray:
+        """(N,) share of translation in the motion, 0 to 1; its direction means nothing near 0."""
+        return np.hypot(*self.velocity[:, :2].T) / np.maximum(self.speed, 1e-12)
+
+    def rows(self, chosen: NDArray[np.bool_]) -> Self:
+        """Some of the pieces."""
+        return type(self)(**{f.name: getattr(self, f.name)[chosen] for f in fields(self)})
+
+    @classmethod
+    def joined(cls, parts: list[Self]) -> Self:
+        """Pieces of several pushes in one."""
+        return cls(**{f.name: np.concatenate([getattr(part, f.name) for part in parts]) for f in fields(cls)})
+
+
+def conditions(
+    push: int, observation: Observation, poses: FloatArray, begin: FloatArray, end: FloatArray,
+    grid: CellGrid, finger_radius: float,
+) -> Conditions:  # fmt: skip
+    """Conditions of the pieces from `begin` to `end` (N,) s of one push.
+
+    Args:
+        push: its index.
+        observation: the push.
+        poses: (S, 3) predicted poses at the observation's pose times.
+        begin: (N,) s after the first pose.
+        end: (N,) s after the first pose, later than `begin`.
+        grid: cells and outline.
+        finger_radius: m.
+    """
+    assert observation.push.pose_times is not None
+    times = np.concatenate([[0.0], observation.push.pose_times])
+    track = np.vstack([observation.push.start_pose, poses])
+    first, last = _at(times, track, begin), _at(times, track, end)
+    radius = radius_of_gyration(grid)
+    before, after = at_centroid(first, grid), at_centroid(last, grid)
+    velocity = (after - before) * [1, 1, radius] / (end - begin)[:, None]
+    contact, phase = _touch(observation, first, last, begin, end, grid, finger_radius)
+    way = np.linalg.norm((at_centroid(first, grid) - at_centroid(track[0], grid)) * [1, 1, radius], axis=1)
+    pressing = (phase == Phase.STICKING) | (phase == Phase.SLIDING)
+    phase[pressing & (way < FIRST_WAY)] = Phase.FIRST_TOUCH
+    return Conditions(
+        push=np.full(len(begin), push, dtype=np.int64),
+        time=0.5 * (begin + end),
+        share=0.5 * (begin + end) / times[-1],
+        place=0.5 * (before + after)[:, :2],
+        angle=0.5 * (first + last)[:, 2],
+        velocity=velocity,
+        contact=contact,
+        phase=phase,
+    )
+
+
+def _touch(
+    observation: Observation, first: FloatArray, last: FloatArray, begin: FloatArray, end: FloatArray,
+    grid: CellGrid, radius: float,
+) -> tuple[FloatArray, NDArray[np.int64]]:  # fmt: skip
+    """Contact place (N, 2) and phase (N,), first touch told only where the finger arrives."""
+    N = len(begin)
+    push = observation.push
+    phase = np.full(N, Phase.COASTING, dtype=np.int64)
+    contact = np.full((N, 2), np.nan)
+    if np.isnan(push.tip).any():
+        return contact, phase
+    steps = np.array(push.h * np.arange(len(push.tip)))
+    path = [_at(steps, push.tip, time) for time in (begin, end)]
+    tips = [_seen(pose, tip) for pose, tip in zip((first, last), path, strict=True)]
+    gaps, feet = zip(*(_nearest(tip, grid) for tip in tips), strict=True)
+    touching = [gap < radius + TOUCHING for gap in gaps]
+    for there, foot in zip(touching, feet, strict=True):
+        contact[there] = np.where(np.isnan(contact[there]), foot[there], 0.5 * (contact[there] + foot[there]))
+    # Contact slides by the way of the finger's surface relative to the object's, along the outline. The
+    # finger does not turn, so seen from the object its surface turns back about its centre.
+    turn = (last - first)[:, 2:]
+    arm = feet[1] - tips[1]
+    normal = arm / np.maximum(np.linalg.norm(arm, axis=1, keepdims=True), 1e-12)
+    tangent = np.column_stack([-normal[:, 1], normal[:, 0]])
+    slip = (tangent * (tips[1] - tips[0])).sum(axis=1) - turn[:, 0] * np.linalg.norm(arm, axis=1)
+    way = np.linalg.norm(path[1] - path[0], axis=1)
+    sliding = np.abs(slip) > CREEP * np.maximum(way, 1e-9)
+    phase[touching[1]] = np.where(sliding, Phase.SLIDING, Phase.STICKING)[touching[1]]
+    phase[touching[1] & ~touching[0]] = Phase.FIRST_TOUCH
+    return contact, phase
+
+
+def _at(times: FloatArray, values: FloatArray, wanted: FloatArray) -> FloatArray:
+    return np.column_stack([np.interp(wanted, times, column) for column in values.T])
+
+
+def _seen(poses: FloatArray, points: FloatArray) -> FloatArray:
+    """World points (N, 2) in the object frames at poses (N, 3)."""
+    c, s = np.cos(poses[:, 2]), np.sin(poses[:, 2])
+    x, y = (points - poses[:, :2]).T
+    return np.column_stack([c * x + s * y, c * y - s * x])
+
+
+def _nearest(points: FloatArray, grid: CellGrid) -> tuple[FloatArray, FloatArray]:
+    """Distance (N,) of points to the outline and (N, 2) the nearest points on it, object frame."""
+    start, way = grid.edges[:, :2], grid.edges[:, 2:] - grid.edges[:, :2]
+    along = ((points[:, None] - start) * way).sum(axis=2) / (way**2).sum(axis=1)
+    feet = start + np.clip(along, 0.0, 1.0)[..., None] * way
+    distance = np.linalg.norm(points[:, None] - feet, axis=2)
+    edge = distance.argmin(axis=1)
+    rows = np.arange(len(points))
+    return distance[rows, edge], feet[rows, edge]
+
 
 STRIDE = 2
 """Samples from one increment to the next."""

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from models.inference.belief import Belief
+from slipmap.models.inference.belief import Belief
 
 FloatArray = NDArray[np.float64]
 

@@ -1,9 +1,18 @@
 """Push measurements: reading, checking, writing and aligning them."""
 
-from models.measurements.alignment import finger_path, pose_times, wrench_samples
-from models.measurements.push_dataset import Channel, DatasetError, Noise, PushDataset, Table, Trial
-from models.measurements.reading import read_dataset
-from models.measurements.writing import write_dataset
+from slipmap.models.measurements.push_dataset import (
+    Channel,
+    DatasetError,
+    Noise,
+    PushDataset,
+    Table,
+    Trial,
+    finger_path,
+    pose_times,
+    wrench_samples,
+)
+from slipmap.models.measurements.reading import read_dataset
+from slipmap.models.measurements.writing import write_dataset
 
 __all__ = [
     "Channel",

@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from models.measurements.push_dataset import DatasetError
-from models.physics.cell_grid import FloatArray
+from slipmap.models.measurements.push_dataset import DatasetError
+from slipmap.models.physics.cell_grid import FloatArray
 
 
 class _Short(reprlib.Repr):

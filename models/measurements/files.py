@@ -11,9 +11,9 @@ from typing import Any
 
 import yaml
 
-from models.bounded_files import UnreadableFile, read_bounded
-from models.measurements.fields import shown
-from models.measurements.push_dataset import DatasetError
+from slipmap.models.files import UnreadableFile, read_bounded
+from slipmap.models.measurements.fields import shown
+from slipmap.models.measurements.push_dataset import DatasetError
 
 LARGEST_RECORD = 64 * 2**20  # bytes; ten minutes of three channels at 250 Hz are 30 MB
 LARGEST_YAML = 4 * 2**20  # bytes; 50,000 cells are 1.5 MB

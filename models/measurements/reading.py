@@ -8,21 +8,29 @@ from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
-from models.measurements import fields
-from models.measurements.csv_columns import STANDARD, CsvColumns, parse_columns
-from models.measurements.csv_files import CSV_ENDINGS, read_csv_trial
-from models.measurements.files import LARGEST_YAML, Fingerprint, parse_yaml, read_bytes
-from models.measurements.mit_files import (
+from slipmap.models.measurements import fields
+from slipmap.models.measurements.csv_files import (
+    CSV_ENDINGS,
+    STANDARD,
+    CsvColumns,
+    parse_columns,
+    read_csv_trial,
+)
+from slipmap.models.measurements.files import LARGEST_YAML, Fingerprint, parse_yaml, read_bytes
+from slipmap.models.measurements.mit_files import (
+    FINGER_RADIUS,
     HDF5_ENDINGS,
     JSON_ENDINGS,
+    MIT_SHAPES,
+    THICKNESS,
+    mit_shape,
     named_shape,
     read_mit_trial,
     surface_warnings,
 )
-from models.measurements.mit_shapes import FINGER_RADIUS, MIT_SHAPES, THICKNESS, mit_shape
-from models.measurements.push_dataset import DatasetError, PushDataset, Role, Trial
-from models.measurements.push_format import DESCRIPTION_FILE, Progress, assembled, read_push_format
-from models.measurements.setup_description import SETUP_KEYS, Setup, parse_setup
+from slipmap.models.measurements.push_dataset import DatasetError, PushDataset, Role, Trial
+from slipmap.models.measurements.push_format import DESCRIPTION_FILE, Progress, assembled, read_push_format
+from slipmap.models.measurements.setup_description import SETUP_KEYS, Setup, parse_setup
 
 YAML_ENDINGS = (".yaml", ".yml")
 MIT_ENDINGS = JSON_ENDINGS + HDF5_ENDINGS

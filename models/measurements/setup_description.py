@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 import shapely
 
-from models.measurements import fields
-from models.measurements.push_dataset import DatasetError, Noise, Table
-from models.physics.cell_grid import CellGrid, FloatArray
+from slipmap.models.measurements import fields
+from slipmap.models.measurements.push_dataset import DatasetError, Noise, Table
+from slipmap.models.physics.cell_grid import CellGrid, FloatArray
 
 SETUP_KEYS = ("name", "description", "object", "finger", "table", "gravity", "noise")
 DEFAULT_CELLS = 60
@@ -124,7 +124,7 @@ def _grid(shape: dict[str, Any], where: str, warnings: list[str]) -> CellGrid:
     cells = shape.get("cells")
     try:
         if cells is None:
-            from models.objects.footprints import cells_from_polygon
+            from slipmap.models.objects.footprints import cells_from_polygon
 
             return cells_from_polygon(outline, count=DEFAULT_CELLS)
         cells = fields.mapping(cells, f"{where}.cells")

@@ -10,10 +10,9 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from models.objects.contour import contour_cells
-    from models.objects.footprints import cells_from_centres, cells_from_polygon
-    from models.objects.images import cells_from_label_image
-    from models.objects.meshes import cells_from_mesh
+    from slipmap.models.objects.footprints import cells_from_centres, cells_from_polygon, contour_cells
+    from slipmap.models.objects.images import cells_from_label_image
+    from slipmap.models.objects.meshes import cells_from_mesh
 
 _PLACES = {
     "contour_cells": "contour",

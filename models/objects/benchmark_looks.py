@@ -9,7 +9,7 @@ import trimesh
 from shapely.geometry import Point
 from shapely.geometry.base import BaseGeometry
 
-from models.objects.lofts import lofted, rounded
+from slipmap.models.objects.meshes import lofted, rounded
 
 Color = tuple[float, float, float, float]
 Part = tuple[trimesh.Trimesh, Color]

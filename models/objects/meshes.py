@@ -3,19 +3,23 @@
 from __future__ import annotations
 
 import logging
+from collections.abc import Sequence
+from itertools import pairwise
 from os import PathLike
 from pathlib import Path
 
 import numpy as np
 import shapely
 import trimesh
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
+from scipy.sparse import csr_array
 from scipy.spatial.transform import Rotation
 from shapely.geometry import Polygon
+from shapely.geometry.base import BaseGeometry
 
-from models.bounded_files import UnreadableFile, check_file
-from models.objects.footprints import cells_from_polygon
-from models.physics.cell_grid import CellGrid, FloatArray
+from slipmap.models.files import UnreadableFile, check_file
+from slipmap.models.objects.footprints import cells_from_polygon
+from slipmap.models.physics.cell_grid import CellGrid, FloatArray
 
 LARGEST_EXTENT = 5.0
 """A footprint wider than this (m) is taken for a mesh in millimetres or inches."""
@@ -164,3 +168,188 @@ def _silhouette(triangles: FloatArray, extent: float, closed: bool, source: str)
     outline = parts[0].simplify(_SNAP * extent)
     assert isinstance(outline, Polygon)
     return outline
+
+
+# A polygon cut into convex pieces, which is what collision engines understand.
+
+
+BULGE = 1e-4  # m; by how much a piece may stand out of the polygon
+
+
+def convex_pieces(polygon: Polygon) -> list[Polygon]:
+    """Convex polygons that cover a polygon with corners and holes, and stand out by no more than `BULGE`.
+
+    Triangles that share a side are joined, the longest common side first, as long as the result stays convex
+    (the algorithm of Hertel and Mehlhorn, which finds at most four times as many pieces as needed).
+    """
+    allowed = polygon.buffer(BULGE)
+    pieces = list(shapely.get_parts(shapely.constrained_delaunay_triangles(polygon)))
+    joined = True
+    while joined:
+        joined = False
+        for _, first, second in sorted(_neighbours(pieces), reverse=True):
+            hull = shapely.union(pieces[first], pieces[second]).convex_hull
+            if allowed.covers(hull):
+                pieces[first] = hull
+                del pieces[second]
+                joined = True
+                break
+    return pieces
+
+
+def _neighbours(pieces: list[Polygon]) -> list[tuple[float, int, int]]:
+    """Pairs of pieces with a common side: its length, first, second."""
+    found = []
+    for first, piece in enumerate(pieces):
+        for second in range(first + 1, len(pieces)):
+            length = shapely.length(shapely.intersection(piece.boundary, pieces[second].boundary))
+            if length > 0:
+                found.append((float(length), first, second))
+    return found
+
+
+# Meshes as Wavefront OBJ text with the normals that renderers want: smooth on curves, sharp at edges.
+
+
+CREASE = np.deg2rad(35.0)
+"""Faces that meet at a larger angle than this show an edge."""
+
+
+def shaded_obj(mesh: trimesh.Trimesh) -> str:
+    """OBJ text of a mesh with a normal at every corner of a face."""
+    normals, index = np.unique(np.round(corner_normals(mesh), 4), axis=0, return_inverse=True)
+    corners = np.stack([mesh.faces, index.reshape(-1, 3)], axis=2) + 1
+    lines = [f"v {x:.7g} {y:.7g} {z:.7g}" for x, y, z in mesh.vertices]
+    lines += [f"vn {x:.4g} {y:.4g} {z:.4g}" for x, y, z in normals]
+    lines += ["f " + " ".join(f"{vertex}//{normal}" for vertex, normal in face) for face in corners]
+    return "\n".join(lines) + "\n"
+
+
+def corner_normals(mesh: trimesh.Trimesh) -> FloatArray:
+    """(3 f, 3) unit normals: the mean, by area, over the faces around a corner that meet its own face in no
+    more than `CREASE`."""
+    corners = mesh.faces.reshape(-1)
+    count = len(corners)
+    at_vertex = csr_array((np.ones(count), (np.arange(count), corners)), shape=(count, len(mesh.vertices)))
+    first, second = (at_vertex @ at_vertex.T).nonzero()
+    face_normals = np.repeat(mesh.face_normals, 3, axis=0)
+    smooth = np.sum(face_normals[first] * face_normals[second], axis=1) > np.cos(CREASE)
+    first, second = first[smooth], second[smooth]
+    total = np.zeros((count, 3))
+    np.add.at(total, first, face_normals[second] * np.repeat(mesh.area_faces, 3)[second, None])
+    return total / np.maximum(np.linalg.norm(total, axis=1), 1e-300)[:, None]
+
+
+# Solids over an outline whose edges are rounded, for pictures and cameras.
+
+
+_ROUND_STEPS = 6
+
+
+def lofted(outline: BaseGeometry, profile: Sequence[tuple[float, float]]) -> trimesh.Trimesh:
+    """Solid that stands on an outline and draws in with height.
+
+    Args:
+        outline: footprint of one or more polygons, concave or with holes too, m.
+        profile: rows (inset, z) from below to the top, neither falling: at height z the cross-section is the
+            outline less a rim of the width `inset`. Rows at which nothing is left are passed over.
+    """
+    sections = [(_inset(outline, inset), inset, z) for inset, z in profile]
+    sections = [section for section in sections if not section[0].is_empty]
+    triangles = [_cap(sections[0][0], sections[0][2])[:, ::-1]]
+    for (lower, a, z0), (upper, b, z1) in pairwise(sections):
+        triangles.append(_wall(lower, z0, z1) if a == b else _slope(lower, upper, z0, z1))
+    triangles.append(_cap(sections[-1][0], sections[-1][2]))
+    soup = np.concatenate(triangles)
+    mesh = trimesh.Trimesh(soup.reshape(-1, 3), np.arange(3 * len(soup)).reshape(-1, 3), process=False)
+    mesh.merge_vertices()
+    return mesh
+
+
+def rounded(
+    height: float, edge: float, rise: float | None = None, base: float = 0.0
+) -> list[tuple[float, float]]:
+    """Profile of a slab from `base` to `height` whose upper edge is a quarter of an ellipse.
+
+    Args:
+        height: of the top, m.
+        edge: width of the rounding, m.
+        rise: its height, m; as wide where missing.
+        base: height of the underside, m.
+    """
+    rise = min(edge if rise is None else rise, height - base)
+    angles = np.linspace(0.0, np.pi / 2, _ROUND_STEPS + 1)
+    arc = [(float(edge * (1 - np.cos(a))), float(height - rise * (1 - np.sin(a)))) for a in angles]
+    return [(0.0, base), *arc] if rise < height - base else arc
+
+
+def coloured(parts: Sequence[tuple[trimesh.Trimesh, ArrayLike]]) -> trimesh.Trimesh:
+    """One mesh of several, each with one colour (r, g, b, a from 0 to 1) on its faces."""
+    vertices = np.concatenate([part.vertices for part, _ in parts])
+    starts = np.cumsum([0, *(len(part.vertices) for part, _ in parts)])
+    faces = np.concatenate([part.faces + start for (part, _), start in zip(parts, starts, strict=False)])
+    colours = np.concatenate([np.tile(_bytes(colour), (len(part.faces), 1)) for part, colour in parts])
+    return trimesh.Trimesh(vertices, faces, face_colors=colours, process=False)
+
+
+def height_over(mesh: trimesh.Trimesh, points: FloatArray) -> FloatArray:
+    """(k,) greatest z of a mesh on the vertical through each point (k, 2), m; NaN where there is no mesh."""
+    corners = np.asarray(mesh.triangles)
+    a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
+    e, f = b - a, c - a
+    area = e[:, 0] * f[:, 1] - e[:, 1] * f[:, 0]
+    flat = np.abs(area) > 1e-14
+    a, e, f, area = a[flat], e[flat], f[flat], area[flat]
+    offset = points[:, None, :] - a[None, :, :2]
+    u = (offset[..., 0] * f[:, 1] - offset[..., 1] * f[:, 0]) / area
+    v = (e[:, 0] * offset[..., 1] - e[:, 1] * offset[..., 0]) / area
+    inside = (u >= -1e-9) & (v >= -1e-9) & (u + v <= 1 + 1e-9)
+    z = np.where(inside, a[:, 2] + u * e[:, 2] + v * f[:, 2], -np.inf).max(axis=1)
+    return np.where(np.isfinite(z), z, np.nan)
+
+
+def _inset(outline: BaseGeometry, inset: float) -> BaseGeometry:
+    # Rounded at re-entrant corners, so that a rim of one width stays free everywhere.
+    return outline if inset == 0 else outline.buffer(-inset, quad_segs=4)
+
+
+def _cap(section: BaseGeometry, z: float) -> FloatArray:
+    flat = _triangles(section)
+    return np.concatenate([flat, np.full((*flat.shape[:2], 1), z)], axis=2)
+
+
+def _wall(section: BaseGeometry, z0: float, z1: float) -> FloatArray:
+    quads = []
+    for polygon in _polygons(section):
+        oriented = shapely.orient_polygons(polygon)
+        for ring in (oriented.exterior, *oriented.interiors):
+            points = np.asarray(ring.coords)
+            low, high = (np.column_stack([points, np.full(len(points), z)]) for z in (z0, z1))
+            quads.append(np.stack([low[:-1], low[1:], high[1:]], axis=1))
+            quads.append(np.stack([low[:-1], high[1:], high[:-1]], axis=1))
+    return np.concatenate(quads)
+
+
+def _slope(lower: BaseGeometry, upper: BaseGeometry, z0: float, z1: float) -> FloatArray:
+    flat = _triangles(shapely.difference(lower, upper))
+    above = {tuple(point) for point in np.round(shapely.get_coordinates(upper), 9)}
+    z = [z1 if tuple(point) in above else z0 for point in np.round(flat.reshape(-1, 2), 9)]
+    return np.concatenate([flat, np.reshape(z, (*flat.shape[:2], 1))], axis=2)
+
+
+def _triangles(section: BaseGeometry) -> FloatArray:
+    """(t, 3, 2) triangles between a section's corners, counter-clockwise."""
+    found = [shapely.constrained_delaunay_triangles(polygon) for polygon in _polygons(section)]
+    corners = shapely.get_coordinates(shapely.get_parts(found)).reshape(-1, 4, 2)[:, :3]
+    e, f = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    clockwise = e[:, 0] * f[:, 1] - e[:, 1] * f[:, 0] < 0
+    corners[clockwise] = corners[clockwise][:, ::-1]
+    return corners
+
+
+def _polygons(section: BaseGeometry) -> list[Polygon]:
+    return [p for p in shapely.get_parts(section) if isinstance(p, Polygon) and not p.is_empty]
+
+
+def _bytes(colour: ArrayLike) -> NDArray[np.uint8]:
+    return np.round(255 * np.asarray(colour, dtype=float)).astype(np.uint8)

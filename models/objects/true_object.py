@@ -13,11 +13,17 @@ import trimesh
 from numpy.typing import ArrayLike, NDArray
 from shapely.geometry import Polygon
 
-from models.objects.images import cells_from_label_image
-from models.objects.lofts import coloured, height_over, lofted, rounded
-from models.objects.meshes import cells_from_mesh, upright_mesh
-from models.physics.cell_grid import CellGrid, FloatArray
-from models.physics.rollout import Maps
+from slipmap.models.objects.images import cells_from_label_image
+from slipmap.models.objects.meshes import (
+    cells_from_mesh,
+    coloured,
+    height_over,
+    lofted,
+    rounded,
+    upright_mesh,
+)
+from slipmap.models.physics.cell_grid import CellGrid, FloatArray
+from slipmap.models.physics.rollout import Maps
 
 DEFAULT_CELLS = 60
 DEFAULT_MU_FINGER = 0.3

@@ -10,8 +10,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from models.physics.cell_grid import FloatArray
-from models.physics.compiled import LONE_FOLDER, compiled
+from slipmap.models.physics.cell_grid import FloatArray
+from slipmap.models.physics.compiled import LONE_FOLDER, compiled
 
 SPACING = 1e-3
 """m between the points of a relief."""

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import IO
 
 import cv2
 import numpy as np
@@ -11,11 +13,9 @@ import shapely
 from scipy.spatial import cKDTree
 from shapely.geometry import Polygon
 
-from models.objects.footprints import cells_from_polygon
-from models.perception.camera import DepthImage, View, pixel_size
-from models.perception.edge_fit import fit_edges
-from models.perception.footprint import Outline, footprint, outline_of
-from models.perception.object_mask import (
+from slipmap.models.files import check_archive
+from slipmap.models.objects.footprints import cells_from_polygon
+from slipmap.models.perception.object_mask import (
     SMOOTHING,
     HeightPicture,
     Heights,
@@ -23,11 +23,12 @@ from models.perception.object_mask import (
     object_mask,
     smoothed_heights,
 )
-from models.perception.observed_pose import Reason
-from models.perception.relief import Relief
-from models.perception.seen_object import SeenObject
-from models.perception.table_plane import TablePlane, fit_table
-from models.physics.cell_grid import CellGrid, FloatArray
+from slipmap.models.perception.pinhole_camera import DepthImage, PinholeCamera, View, pixel_size
+from slipmap.models.perception.pose_tracking import fit_edges
+from slipmap.models.perception.relief import Relief
+from slipmap.models.perception.seen_object import Outline, Reason, SeenObject, footprint, outline_of
+from slipmap.models.perception.table_plane import TablePlane, fit_table
+from slipmap.models.physics.cell_grid import CellGrid, FloatArray
 
 _OUTLINE_POINTS = 300
 _INNER_POINTS = 400
@@ -174,3 +175,60 @@ def _outline(polygon: Polygon, traced: Outline, origin: FloatArray) -> Outline:
     points, normals = outline_of(polygon, polygon.length / _OUTLINE_POINTS)
     nearest = np.asarray(cKDTree(traced.points - origin).query(points)[1])
     return Outline(points, normals, traced.heights[nearest])
+
+
+# What the first look saw, kept so that a later process sees the same object in the same frame.
+
+
+LARGEST_FILE = 2**29
+"""Bytes, unpacked; pictures are at most 4096 by 4096."""
+
+
+@dataclass(frozen=True, eq=False)
+class FirstPicture:
+    """The picture from which an object was cut into cells.
+
+    Attributes:
+        depth: (H, W) median of the pictures of the first look, m.
+        X_WC: (4, 4) pose of the camera in W.
+        blocked: (H, W) pixels that showed the arm.
+        cells: wanted number of them.
+        noisy, missing: see `PictureHistory`.
+    """
+
+    depth: DepthImage
+    X_WC: FloatArray
+    blocked: Mask
+    cells: int
+    noisy: bool
+    missing: float
+
+    def seen(self, camera: PinholeCamera) -> SeenObject:
+        """What the first look found.
+
+        Raises:
+            NoTable, ObjectNotSeen, ValueError: see `first_look`.
+        """
+        return first_look([self.depth], View(camera, self.X_WC), self.cells, self.blocked)
+
+    def save(self, file: IO[bytes]) -> None:
+        """Write it, compressed, to a binary file."""
+        np.savez_compressed(file, **vars(self))
+
+    @staticmethod
+    def load(path: Path) -> FirstPicture:
+        """Read what `save` wrote.
+
+        Raises:
+            OSError, ValueError, KeyError, BadZipFile: the file cannot be read, or is another.
+        """
+        check_archive(path, LARGEST_FILE)
+        with np.load(path, allow_pickle=False) as file:
+            return FirstPicture(
+                file["depth"],
+                file["X_WC"],
+                file["blocked"],
+                int(file["cells"]),
+                bool(file["noisy"]),
+                float(file["missing"]),
+            )

@@ -10,8 +10,8 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from models.perception.camera import DepthImage
-from models.perception.object_mask import Mask
+from slipmap.models.perception.object_mask import Mask
+from slipmap.models.perception.pinhole_camera import DepthImage
 
 Fault = Literal["", "no picture", "old picture", "torn picture", "corrupt picture"]
 

@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 from shapely.geometry import Polygon
 
-from models.perception.camera import View
-from models.perception.edge_kernels import SPACING, Land, heights_seen
-from models.perception.table_plane import TablePlane
-from models.physics.cell_grid import FloatArray
+from slipmap.models.perception.edge_kernels import SPACING, Land, heights_seen
+from slipmap.models.perception.pinhole_camera import View
+from slipmap.models.perception.table_plane import TablePlane
+from slipmap.models.physics.cell_grid import FloatArray
 
 _NEIGHBOURS = 4  # readings whose median is a height
 _FOR_PLANE = 12  # readings through which a plane is laid at the rim

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from models.perception.camera import DepthImage, View
-from models.physics.cell_grid import FloatArray
+from slipmap.models.perception.pinhole_camera import DepthImage, View
+from slipmap.models.physics.cell_grid import FloatArray
 
 SEARCHED = 0.04  # m; the table is looked for this far above and below W's z = 0
 

@@ -11,9 +11,9 @@ import math
 import numpy as np
 from numpy.typing import ArrayLike
 
-from models.measurements.push_dataset import Table
-from models.physics.cell_grid import CellGrid, FloatArray
-from models.physics.compiled import compiled
+from slipmap.models.measurements.push_dataset import Table
+from slipmap.models.physics.cell_grid import CellGrid, FloatArray
+from slipmap.models.physics.compiled import compiled
 
 _SAGITTA = 1e-5  # m; by how much the rim of a round table is cut short between its points
 

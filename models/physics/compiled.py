@@ -2,6 +2,10 @@
 
 Numba's own cache looks at the file of the outermost function alone and would go on using stale code after a
 change in a file that this one calls. Here the cache's folder carries a hash of all kernel files instead.
+
+Formulas made at run time are called inside kernels that were compiled before them. And a large function is
+compiled once: numba puts a copy of what is called by name into each caller, and optimises all of it again;
+a parallel loop alone holds three.
 """
 
 from __future__ import annotations
@@ -13,7 +17,12 @@ from pathlib import Path
 from typing import Any
 
 import numba
-from numba import njit
+from llvmlite import ir
+from numba import njit, typeof, types
+from numba._dispatcher import compute_fingerprint
+from numba.core.cgutils import if_unlikely
+from numba.core.errors import TypingError
+from numba.extending import intrinsic
 
 
 def _source_hash() -> str:
@@ -61,3 +70,64 @@ def compiled(folder: Path = CACHE_FOLDER, **options: Any) -> Callable[[Callable[
 def needs_compiling() -> bool:
     """Whether the next call of a kernel will compile it first, which takes about half a minute."""
     return not any(CACHE_FOLDER.glob("**/*.nbc"))
+
+
+# Calls of compiled functions by their address, which is a number that a kernel gets as an argument.
+
+
+_addresses: dict[tuple[Any, bytes], int] = {}
+
+
+def address_of(function: Any, arguments: tuple[Any, ...]) -> int:
+    """Address of a compiled function for arguments of these kinds; compiles it where it is new."""
+    key = function, compute_fingerprint(arguments)
+    if key not in _addresses:
+        signature = types.void(*(typeof(argument) for argument in arguments))
+        result = function.get_compile_result(signature)
+        _addresses[key] = int(result.library.get_pointer_to_function(result.fndesc.llvm_func_name))
+    return _addresses[key]
+
+
+@intrinsic
+def call_compiled(typingctx, function, address, arguments):  # type: ignore[no-untyped-def]
+    """Call a compiled function, which returns nothing, by its address from `address_of`.
+
+    The function itself says which kinds of arguments are right, for its address does not.
+    """
+    kinds = tuple(arguments)
+    if kinds not in function.dispatcher.overloads:
+        raise TypingError(f"{function.dispatcher.py_func.__name__}: not compiled for {kinds}")
+    signature = types.void(function, address, arguments)
+
+    def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        shape = context.call_conv.get_function_type(types.none, kinds)
+        target = builder.inttoptr(args[1], shape.as_pointer())
+        values = [builder.extract_value(args[2], k) for k in range(len(kinds))]
+        status, _ = context.call_conv.call_function(builder, target, types.none, kinds, values)
+        with if_unlikely(builder, status.is_error):
+            context.call_conv.return_status_propagate(builder, status)
+        return context.get_dummy_value()
+
+    return signature, generate
+
+
+@intrinsic
+def call_address(typingctx, address, arrays):  # type: ignore[no-untyped-def]
+    """Call the C function `void f(double*, double*, …)` at an integer address with a tuple of arrays.
+
+    Nothing is checked: the arrays must be contiguous, of floats and as long as the function expects.
+    """
+    signature = types.void(address, arrays)
+
+    def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        pointer = ir.DoubleType().as_pointer()
+        target = ir.FunctionType(ir.VoidType(), [pointer] * len(signature.args[1]))
+        function = builder.inttoptr(args[0], target.as_pointer())
+        data = []
+        for k, kind in enumerate(signature.args[1]):
+            array = builder.extract_value(args[1], k)
+            data.append(context.make_array(kind)(context, builder, array).data)
+        builder.call(function, data)
+        return context.get_dummy_value()
+
+    return signature, generate

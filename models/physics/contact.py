@@ -29,7 +29,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from models.physics.compiled import compiled
+from slipmap.models.physics.compiled import compiled
 
 MAX_CONTACTS = 2
 """A round finger in a concave corner touches two edges."""

@@ -8,6 +8,14 @@ A cell of load f_i under a friction factor s_i dissipates f_i s_i φ_i with
 Q_i being symmetric and positive; Q = 1 is Coulomb's law of `friction.py`. Drag adds ½
 D_i (|u_i|² + w²/6 omega²), and a blade F sqrt((b·v)² + ε²) with b = (n_x, n_y, r × n), where it resists
 with F along n. All of them are convex in the twist v, so the step stays what it is.
+
+What they are evaluated at, y, joins
+
+    the state before the step: x, y, θ (world), v_x, v_y, omega (object frame);
+    memory: nothing, or the last force of the finger on the object (world, N) and the effects' own numbers;
+    m, s_x, s_y, J;  and the effects' parameters.
+
+`slipmap.models.effects.program` writes functions that keep to it, `effect_kernel.py` calls them.
 """
 
 from __future__ import annotations
@@ -18,8 +26,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from models.physics.compiled import compiled
-from models.physics.newton import Quadratic, register_cells
+from slipmap.models.physics.compiled import compiled
+from slipmap.models.physics.newton import Quadratic, register_cells
 
 _FAST = {"reassoc", "contract", "arcp", "nsz"}
 
@@ -227,3 +235,28 @@ def stretch_gradients(cells, v, by_stretch):  # type: ignore[no-untyped-def]
         by_stretch[2, 0, i] = -by_yy * px
         by_stretch[2, 1, i] = a * uy - by_yy * py
         by_stretch[2, 2, i] = a * x * uy - by_yy * pw
+
+
+# What the formulas of effects are evaluated at and what they fill in: the order of the numbers.
+
+
+STATE = 6
+FORCE = 2
+INERTIA = 4
+
+BODY_OUTPUTS = 5
+"""Wrench (middle frame: 2 forces, torque about the origin), inertia factor, compliance of the finger (m/N);
+each blade adds F, b_x, b_y, b_omega."""
+
+INERTIA_FACTOR = 3
+COMPLIANCE = 4
+
+STRETCH = 3
+"""Entries of a cell's Q: q_xx, q_xy, q_yy."""
+
+CONSTANTS = 11
+"""Time in the middle of the step, h, order of the push in the experiment, gravity, cell width, the cells'
+centroid (2), the inverse of their second moments about it (xx, xy, yy; 1/m²), and their number."""
+
+AFTER = 8
+"""What memory is renewed from besides y: x, y, θ, v_x, v_y, omega after the step and the force in it."""

@@ -2,37 +2,30 @@
 
 The step is that of `kernel.py` with more terms (`EffectCells`, a wrench, scaled inertia, a finger that
 bends). What the formulas are evaluated at is in `effect_layout.py`, the Jacobian in `effect_sensitivity.py`.
-`models.effects.program` writes the formulas, `effect_jobs.py` calls this file for many models and pushes.
+`slipmap.models.effects.program` writes the formulas, `effect_jobs.py` calls this file for many models and pushes.
 """
 
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
+from numba import prange
 
-from models.physics.addresses import call_address
-from models.physics.around_step import (
+from slipmap.models.physics.around_step import (
     Applied,
     add_applied_turning,
     applied_impulse,
     bent_frame,
+    best_weights,
     finger_impulse,
     way_of,
+    weighted,
 )
-from models.physics.arrays import copy_into
-from models.physics.compiled import compiled
-from models.physics.contact import CONTACT_COLUMNS, MAX_CONTACTS, cone_of
-from models.physics.effect_cells import (
-    EffectCells,
-    drag_gradients,
-    drag_moments,
-    load_gradients,
-    longest_axis,
-    stretch_gradients,
-)
-from models.physics.effect_derivative import add_contact_scale, add_spring_columns, blade_slopes
-from models.physics.effect_layout import (
+from slipmap.models.physics.compiled import address_of, call_address, call_compiled, compiled
+from slipmap.models.physics.contact import CONTACT_COLUMNS, MAX_CONTACTS, cone_of
+from slipmap.models.physics.effect_cells import (
     AFTER,
     BODY_OUTPUTS,
     COMPLIANCE,
@@ -41,12 +34,21 @@ from models.physics.effect_layout import (
     INERTIA_FACTOR,
     STATE,
     STRETCH,
+    EffectCells,
+    drag_gradients,
+    drag_moments,
+    load_gradients,
+    longest_axis,
+    stretch_gradients,
 )
-from models.physics.effect_sensitivity import (
+from slipmap.models.physics.effect_sensitivity import (
     FIXED_ROWS,
+    add_contact_scale,
     add_contact_slopes,
+    add_spring_columns,
     advance_memory,
     advance_state,
+    blade_slopes,
     empty_blocks,
     fill_force,
     fill_load_slopes,
@@ -56,10 +58,10 @@ from models.physics.effect_sensitivity import (
     store_rows,
     weigh_cells,
 )
-from models.physics.friction import padded_cells
-from models.physics.prediction import best_weights, weighted
-from models.physics.sensitivity import pose_update
-from models.physics.step import (
+from slipmap.models.physics.kernel import pose_update
+from slipmap.models.physics.kernel_tools import copy_into, evenly_dealt, joined, turn_by, turned
+from slipmap.models.physics.newton import padded_cells
+from slipmap.models.physics.step import (
     EXTRA_COLUMNS,
     MAX_EVALUATIONS,
     Frame,
@@ -67,10 +69,9 @@ from models.physics.step import (
     free_momentum,
     middle_frame,
     solve_step,
+    step_derivative,
     touching,
 )
-from models.physics.step_derivative import step_derivative
-from models.physics.turns import joined, turn_by, turned
 
 
 @compiled(inline="always")
@@ -296,3 +297,57 @@ def effect_rollout(  # type: ignore[no-untyped-def]
     end_out[0], end_out[1], end_out[2] = x, yy, theta
     end_out[3], end_out[4], end_out[5] = v
     end_out[6] = -1.0 if failed else float(evaluations)
+
+
+# Rollouts with effects for all models and all pushes, on all threads; `effect_kernel.py` makes one.
+
+
+@compiled()
+def _effect_rollout_one(  # type: ignore[no-untyped-def]
+    job, load, rx, ry, inertia, mu, cell_width, edges, radius, size, smoothing, h, tip, tip_at,
+    wrench, wrench_at, q0, v0, sample_time, sample_at, delay, force_step, force_at,
+    addresses, sizes, constants, parameters, memory0,
+    pose_out, rate_out, force_out, dpose_out, dforce_out, end_out,
+):  # fmt: skip
+    pushes = h.shape[0]
+    k = job // pushes
+    b = job % pushes
+    s0, s1 = sample_at[b], sample_at[b + 1]
+    f0, f1 = force_at[b], force_at[b + 1]
+    effect_rollout(
+        load[k], rx, ry, inertia[k], mu[k], cell_width, edges, radius, size, smoothing, h[b],
+        tip[tip_at[b] : tip_at[b + 1]], wrench[wrench_at[b] : wrench_at[b + 1]], q0[k, b], v0[k, b],
+        sample_time[s0:s1], delay[k], force_step[f0:f1],
+        addresses, sizes, constants[b], parameters[k], memory0,
+        pose_out[k, s0:s1], rate_out[k, s0:s1], force_out[k, f0:f1], dpose_out[k, s0:s1],
+        dforce_out[k, f0:f1], end_out[k, b],
+    )  # fmt: skip
+
+
+@compiled(parallel=True)
+def _all_jobs(  # type: ignore[no-untyped-def]
+    address, order, load, rx, ry, inertia, mu, cell_width, edges, radius, size, smoothing, h, tip, tip_at,
+    wrench, wrench_at, q0, v0, sample_time, sample_at, delay, force_step, force_at,
+    addresses, sizes, constants, parameters, memory0,
+    pose_out, rate_out, force_out, dpose_out, dforce_out, end_out,
+):  # fmt: skip
+    for place in prange(len(order)):
+        call_compiled(
+            _effect_rollout_one, address,
+            (
+                order[place], load, rx, ry, inertia, mu, cell_width, edges, radius, size, smoothing, h,
+                tip, tip_at, wrench, wrench_at, q0, v0, sample_time, sample_at, delay, force_step, force_at,
+                addresses, sizes, constants, parameters, memory0,
+                pose_out, rate_out, force_out, dpose_out, dforce_out, end_out,
+            ),
+        )  # fmt: skip
+
+
+def effect_rollout_all(*arguments: Any) -> None:
+    """All models times all pushes, on all threads; arguments as in `kernel.rollout_one` and `effect_rollout`.
+
+    Shapes: delay (K,), constants (B, CONSTANTS), parameters (K, P), rate_out (K, S, 3).
+    """
+    load, tip_at = arguments[0], arguments[12]
+    order = evenly_dealt(np.diff(tip_at), len(load))
+    _all_jobs(address_of(_effect_rollout_one, (0, *arguments)), order, *arguments)

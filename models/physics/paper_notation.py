@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from models.physics.cell_grid import FloatArray, checked_points
+from slipmap.models.physics.cell_grid import FloatArray, checked_points
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array

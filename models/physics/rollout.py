@@ -9,11 +9,11 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from models.physics.cell_grid import CellGrid
-from models.physics.kernel import rollout_all, rollout_one
-from models.physics.maps import Maps
-from models.physics.pushes import JoinedPushes, Push
-from models.physics.step import EXTRA_COLUMNS
+from slipmap.models.physics.cell_grid import CellGrid
+from slipmap.models.physics.kernel import rollout_all, rollout_one
+from slipmap.models.physics.maps import Maps
+from slipmap.models.physics.pushes import JoinedPushes, Push
+from slipmap.models.physics.step import EXTRA_COLUMNS
 
 FloatArray = NDArray[np.float64]
 

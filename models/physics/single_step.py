@@ -17,20 +17,9 @@ import math
 
 import numpy as np
 
-from models.physics.addresses import call_address
-from models.physics.arrays import add_columns, copy_into
-from models.physics.compiled import compiled
-from models.physics.contact import CONTACT_COLUMNS, MAX_CONTACTS, SEPARATE, cone_of
-from models.physics.effect_cells import (
-    EffectCells,
-    drag_gradients,
-    drag_moments,
-    load_gradients,
-    longest_axis,
-    stretch_gradients,
-)
-from models.physics.effect_derivative import add_contact_scale, add_spring_columns, blade_slopes
-from models.physics.effect_layout import (
+from slipmap.models.physics.compiled import call_address, compiled
+from slipmap.models.physics.contact import CONTACT_COLUMNS, MAX_CONTACTS, SEPARATE, cone_of
+from slipmap.models.physics.effect_cells import (
     AFTER,
     BODY_OUTPUTS,
     COMPLIANCE,
@@ -39,21 +28,34 @@ from models.physics.effect_layout import (
     INERTIA_FACTOR,
     STATE,
     STRETCH,
+    EffectCells,
+    drag_gradients,
+    drag_moments,
+    load_gradients,
+    longest_axis,
+    stretch_gradients,
 )
-from models.physics.effect_sensitivity import set_body_slopes, weigh_cells
-from models.physics.friction import SPIN_RADIUS
-from models.physics.step import (
+from slipmap.models.physics.effect_sensitivity import (
+    add_contact_scale,
+    add_spring_columns,
+    blade_slopes,
+    set_body_slopes,
+    weigh_cells,
+)
+from slipmap.models.physics.kernel_tools import add_columns, copy_into, joined, turn_by, turned
+from slipmap.models.physics.newton import SPIN_RADIUS
+from slipmap.models.physics.step import (
     EXTRA_COLUMNS,
     MAX_EVALUATIONS,
     Frame,
+    add_column,
     contact_of,
     free_momentum,
     middle_frame,
     solve_step,
+    step_derivative,
     touching,
 )
-from models.physics.step_derivative import add_column, step_derivative
-from models.physics.turns import joined, turn_by, turned
 
 INPUTS = 9
 """Columns of what drives the step: wrench (5), finger before and after the step (4)."""

@@ -12,7 +12,7 @@ import numpy as np
 from scipy.stats import beta
 
 from blind.generator import Truth
-from models.inference.diagnosis.results import VERDICTS
+from slipmap.models.inference.diagnosis.results import VERDICTS
 
 COLUMNS = {
     "adequate": "adequate",

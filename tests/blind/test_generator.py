@@ -20,7 +20,7 @@ from blind.generator import (
 )
 from blind.objects import random_object
 from blind.world import World
-from models.measurements import read_dataset
+from slipmap.models.measurements import read_dataset
 
 EVERY = LIBRARY + OUTSIDE
 

@@ -12,11 +12,11 @@ from browser import Browser, chromium
 from hidden_effects import tilted_pushes
 from schemas import assert_json_as_described
 
-from diagrams.command_line import run
-from models.inference.belief import Belief
-from models.measurements import write_dataset
-from models.objects import cells_from_polygon
-from models.physics.rollout import Maps, Smoothing
+from slipmap.diagrams.application.command_line import run
+from slipmap.models.inference.belief import Belief
+from slipmap.models.measurements import write_dataset
+from slipmap.models.objects import cells_from_polygon
+from slipmap.models.physics.rollout import Maps, Smoothing
 
 
 @dataclass(frozen=True)

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from models.effects.registry import effects_named
-from models.effects.slider import EffectSlider
-from models.measurements import PushDataset
-from models.measurements.simulated import record_pushes
-from models.objects import cells_from_polygon
-from models.physics.rollout import Maps
-from planners.exploration import candidate_pushes
+from slipmap.models.effects.registry import effects_named
+from slipmap.models.effects.slider import EffectSlider
+from slipmap.models.measurements import PushDataset
+from slipmap.models.measurements.simulated import record_pushes
+from slipmap.models.objects import cells_from_polygon
+from slipmap.models.physics.rollout import Maps
+from slipmap.planners.exploration import candidate_pushes
 
 WIDTH = 0.02
 """Of a cell, m. Large ones show the effects as well as small ones, and are soon simulated."""

@@ -12,10 +12,17 @@ import numpy as np
 import pytest
 from schemas import assert_as_described
 
-from diagrams.benchmark import bullet, format_table, growth, mujoco_engine, plain_numpy, run_benchmark
-from diagrams.benchmark.scene import make_scene
-from models.objects import cells_from_polygon
-from models.physics.rollout import Maps, Push, Slider
+from slipmap.diagrams.application.benchmark import (
+    bullet,
+    format_table,
+    growth,
+    mujoco_engine,
+    plain_numpy,
+    run_benchmark,
+)
+from slipmap.diagrams.application.benchmark.scene import make_scene
+from slipmap.models.objects import cells_from_polygon
+from slipmap.models.physics.rollout import Maps, Push, Slider
 
 TRIANGLE = np.array([[-0.05, -0.04], [0.06, -0.03], [-0.01, 0.06]])
 
@@ -105,7 +112,7 @@ def test_a_tiny_benchmark_says_what_is_missing(
 
         return run_benchmark(cells=6, models=3, steps=4, repeats=1, progress=report)
 
-    monkeypatch.setattr("diagrams.benchmark.run_benchmark", tiny)
+    monkeypatch.setattr("slipmap.diagrams.application.benchmark.run_benchmark", tiny)
     said = slipmap("bench", "--json", tmp_path / "bench.json")
     assert said.code == 0
     result = json.loads((tmp_path / "bench.json").read_text())

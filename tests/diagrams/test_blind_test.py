@@ -6,8 +6,8 @@ from types import SimpleNamespace
 
 import pytest
 
-from diagrams.commands import blind_test
-from models.measurements import PushDataset
+from slipmap.diagrams.application.commands import blind_test
+from slipmap.models.measurements import PushDataset
 
 
 @pytest.fixture
@@ -34,7 +34,7 @@ def diagnosed(monkeypatch):
         return {"verdict": "ambiguous", "effect": None, "effects": ["tether", "table_tilt"], "seconds": 2.0}
 
     broken: set[int] = set()
-    monkeypatch.setitem(sys.modules, "models.inference.diagnosis", SimpleNamespace(diagnose=diagnose))
+    monkeypatch.setitem(sys.modules, "slipmap.models.inference.diagnosis", SimpleNamespace(diagnose=diagnose))
     return SimpleNamespace(asked=asked, broken=broken)
 
 
@@ -81,7 +81,7 @@ def test_a_diagnosis_with_an_unheard_of_verdict_is_a_failure_and_not_the_end(
     slipmap, tmp_path, diagnosed, monkeypatch
 ):
     monkeypatch.setattr(
-        sys.modules["models.inference.diagnosis"],
+        sys.modules["slipmap.models.inference.diagnosis"],
         "diagnose",
         lambda dataset, seed: SimpleNamespace(to_json=lambda: {"verdict": "maybe"}),
     )

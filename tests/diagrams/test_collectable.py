@@ -14,15 +14,15 @@ from pydrake.multibody.plant import MultibodyPlant
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import Diagram, System
 
-import diagrams
-from diagrams.collectable import PythonSystem, weakly
-from diagrams.exploration_loop import LoopOptions, exploration_loop
-from diagrams.hardware.testing.cell import small_scenario
-from diagrams.hardware.testing.lockstep import LockstepCell
-from diagrams.pregrasp_loop import PregraspOptions, pregrasp_loop
-from diagrams.systems.cell_grid_slider import CellGridSlider
-from models.objects.benchmark import benchmark_object
-from models.physics.rollout import Maps
+from slipmap import diagrams
+from slipmap.diagrams.hardware.testing.cell import small_scenario
+from slipmap.diagrams.hardware.testing.lockstep import LockstepCell
+from slipmap.diagrams.loops.exploration_loop import LoopOptions, exploration_loop
+from slipmap.diagrams.loops.pregrasp_loop import PregraspOptions, pregrasp_loop
+from slipmap.diagrams.systems.cell_grid_slider import CellGridSlider
+from slipmap.diagrams.systems.python_system import PythonSystem, weakly
+from slipmap.models.objects.benchmark_objects import benchmark_object
+from slipmap.models.physics.rollout import Maps
 
 OPTIONS = LoopOptions(pushes=1, cells=20, hypotheses=4)
 

@@ -11,10 +11,10 @@ from pathlib import Path
 import pytest
 from refusals import assert_refused, files_in
 
-from diagrams.__main__ import main
-from diagrams.command_line import slipmap as group
-from diagrams.console import BadInput
-from diagrams.perception.renderer import RendererUnavailable
+from slipmap.__main__ import main
+from slipmap.diagrams.application.command_line import slipmap as group
+from slipmap.diagrams.application.terminal import BadInput
+from slipmap.diagrams.perception.renderer import RendererUnavailable
 
 COMMANDS = ("demo", "identify", "predict", "compare", "calibrate", "blind-test", "bench")
 HEAVY = (
@@ -53,7 +53,7 @@ def test_help_of_a_command_explains_every_option(slipmap, name):
 
 def test_help_loads_nothing_heavy():
     script = (
-        "import sys; from diagrams.command_line import run; code = run(['--help']);"
+        "import sys; from slipmap.diagrams.application.command_line import run; code = run(['--help']);"
         f"print('loaded:', *[name for name in {HEAVY!r} if name in sys.modules]); sys.exit(code)"
     )
     result = subprocess.run([sys.executable, "-c", script], env=ENVIRONMENT, capture_output=True, text=True)
@@ -123,8 +123,8 @@ def test_a_misspelt_word_is_recognised(slipmap, tmp_path, monkeypatch, arguments
 @pytest.mark.parametrize(
     ("command", "loop"),
     [
-        ("explore", "diagrams.commands.explore.run_loop"),
-        ("pregrasp", "diagrams.commands.pregrasp._run"),
+        ("explore", "slipmap.diagrams.application.commands.explore.run_loop"),
+        ("pregrasp", "slipmap.diagrams.application.commands.pregrasp._run"),
     ],
 )
 def test_the_robot_is_told_of_effects(slipmap, tmp_path, monkeypatch, command, loop):
@@ -161,7 +161,7 @@ def test_completion_prints_a_script(slipmap, shell, part):
 def test_the_shell_is_told_words_that_fit(words, offered):
     count = str(len(words.split()))
     asked = {"COMP_WORDS": f"slipmap {words}", "COMP_CWORD": count, "_SLIPMAP_COMPLETE": "bash_complete"}
-    script = "import sys; sys.argv = ['slipmap']; from diagrams.command_line import main; main()"
+    script = "import sys; sys.argv = ['slipmap']; from slipmap.diagrams.application.command_line import main; main()"
     command = [sys.executable, "-c", script]
     result = subprocess.run(command, env={**ENVIRONMENT, **asked}, capture_output=True, text=True)
     assert result.stdout.split() == [f"plain,{word}" for word in offered]
@@ -179,7 +179,7 @@ def fail_with(monkeypatch, error):
     def failing(*args, **kwargs):
         raise error
 
-    monkeypatch.setattr("models.inference.identification.identify", failing)
+    monkeypatch.setattr("slipmap.models.inference.identification.identify", failing)
 
 
 def test_an_import_broken_off_by_ctrl_c_is_no_failure(slipmap, tilted_folder, tmp_path, monkeypatch):
@@ -228,10 +228,10 @@ def test_ctrl_c_while_the_commands_are_being_loaded(monkeypatch, capsys):
     class Interrupted:
         @staticmethod
         def find_spec(name, path=None, target=None):
-            if name == "diagrams.command_line":
+            if name == "slipmap.diagrams.application.command_line":
                 raise KeyboardInterrupt
 
-    monkeypatch.delitem(sys.modules, "diagrams.command_line")
+    monkeypatch.delitem(sys.modules, "slipmap.diagrams.application.command_line")
     monkeypatch.setattr(sys, "meta_path", [Interrupted, *sys.meta_path])
     with pytest.raises(SystemExit) as ended:
         main()
@@ -241,7 +241,7 @@ def test_ctrl_c_while_the_commands_are_being_loaded(monkeypatch, capsys):
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_a_real_interrupt_ends_with_130(tmp_path, number):
-    command = [sys.executable, "-m", "diagrams.command_line", "demo", "-o", str(tmp_path / "demo")]
+    command = [sys.executable, "-m", "slipmap", "demo", "-o", str(tmp_path / "demo")]
     with subprocess.Popen(
         command,
         env=ENVIRONMENT,

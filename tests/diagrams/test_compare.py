@@ -14,16 +14,26 @@ from matplotlib.figure import Figure
 from matplotlib.quiver import Quiver
 from report_page import Page, assert_alone
 
-from diagrams.commands.compare import report
-from diagrams.comparison_words import finding, pushes_needed, sentence_part, summary, summary_of_two
-from diagrams.figures import correlation_figure, error_figure, factor_figure, object_figure, table_figure
-from diagrams.figures.residual_curves import CONDITIONS
-from diagrams.figures.residuals import residual_figures
-from diagrams.html_report import Section, page
-from diagrams.html_report.page import part, table
-from models.inference.belief import Belief
-from models.inference.comparison import compare
-from models.measurements import read_dataset
+from slipmap.diagrams.application.commands.compare import report
+from slipmap.diagrams.application.figures import (
+    correlation_figure,
+    error_figure,
+    factor_figure,
+    object_figure,
+    table_figure,
+)
+from slipmap.diagrams.application.figures.residual_figures import CONDITIONS, residual_figures
+from slipmap.diagrams.application.reports.comparison_words import (
+    finding,
+    pushes_needed,
+    sentence_part,
+    summary,
+    summary_of_two,
+)
+from slipmap.diagrams.application.reports.html_page import Section, page, part, table
+from slipmap.models.inference.belief import Belief
+from slipmap.models.inference.comparison import compare
+from slipmap.models.measurements import read_dataset
 
 
 @pytest.fixture(scope="module")

@@ -9,15 +9,15 @@ import pytest
 from hidden_effects import tilted_pushes
 from report_page import Page
 
-from models.effects.registry import effects_named
-from models.inference.diagnosis import diagnose
-from models.measurements import write_dataset
+from slipmap.models.effects.registry import effects_named
+from slipmap.models.inference.diagnosis import diagnose
+from slipmap.models.measurements import write_dataset
 
 ENDINGS = {"predict": "out.png", "fit": "out.npz"}
 EFFECTS = effects_named(["table_tilt", "sensor_latency"])
 
 OWN_EFFECT = """
-from models.effects import Effect, Parameter
+from slipmap.models.effects import Effect, Parameter
 
 
 class Fan(Effect):

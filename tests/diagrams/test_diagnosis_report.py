@@ -12,18 +12,17 @@ from browser import assert_legible
 from hidden_effects import tilted_pushes
 from report_page import assert_alone
 
-from diagrams.diagnosis_report import compared, diagnosis_report
-from diagrams.diagnosis_tables import show_diagnosis
-from diagrams.diagnosis_words import push_facts, standing
-from diagrams.effect_words import READERS, effect_in_words, parameter_rows
-from diagrams.figures import gain_figure, locked_figure
-from models.effects import LIBRARY
-from models.effects.registry import effects_named
-from models.inference.belief import Belief
-from models.inference.diagnosis import diagnose
-from models.inference.diagnosis.fitted_belief import fitted_belief
-from models.inference.diagnosis.results import CandidateResult, ParameterEstimate
-from models.objects import cells_from_polygon
+from slipmap.diagrams.application.figures import gain_figure, locked_figure
+from slipmap.diagrams.application.reports.diagnosis_sections import compared, diagnosis_report
+from slipmap.diagrams.application.reports.diagnosis_words import push_facts, show_diagnosis, standing
+from slipmap.diagrams.application.reports.effect_words import READERS, effect_in_words, parameter_rows
+from slipmap.models.effects import LIBRARY
+from slipmap.models.effects.registry import effects_named
+from slipmap.models.inference.belief import Belief
+from slipmap.models.inference.diagnosis import diagnose
+from slipmap.models.inference.diagnosis.effect_fit import fitted_belief
+from slipmap.models.inference.diagnosis.results import CandidateResult, ParameterEstimate
+from slipmap.models.objects import cells_from_polygon
 
 ROOT = Path(__file__).resolve().parents[2]
 EFFECTS = effects_named(["table_tilt", "sensor_latency"])

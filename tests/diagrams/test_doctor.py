@@ -7,9 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from diagrams import health
-from diagrams.health import LCM_URL, examine
-from diagrams.system_libraries import RENDER
+from slipmap.diagrams.application import health
+from slipmap.diagrams.application.health import LCM_URL, examine
+from slipmap.diagrams.perception.system_libraries import RENDER
 
 GLIB = "ImportError: libglib-2.0.so.0: cannot open shared object file: No such file or directory"
 
@@ -56,7 +56,7 @@ def test_packages_of_wrong_version_or_none(monkeypatch):
 
 
 def test_a_cache_that_cannot_be_written(monkeypatch, tmp_path):
-    from models.physics import compiled
+    from slipmap.models.physics import compiled
 
     (tmp_path / "file").touch()
     monkeypatch.setattr(compiled, "CACHE_FOLDER", tmp_path / "file" / "kernels")
@@ -65,10 +65,10 @@ def test_a_cache_that_cannot_be_written(monkeypatch, tmp_path):
 
 
 def test_a_machine_on_which_nothing_loads_is_told_too(monkeypatch):
-    monkeypatch.setitem(sys.modules, "models.physics.compiled", None)
+    monkeypatch.setitem(sys.modules, "slipmap.models.physics.compiled", None)
     found = findings({"import": "ModuleNotFoundError: No module named 'numba'"})
     cache = found["cache of compiled kernels"]
-    assert not cache.ok and "models.physics.compiled" in cache.found
+    assert not cache.ok and "slipmap.models.physics.compiled" in cache.found
     assert not found["compiler (numba)"].ok
 
 

@@ -7,10 +7,10 @@ import json
 import pytest
 from matplotlib.image import imread
 
-from models.effects import LIBRARY
+from slipmap.models.effects import LIBRARY
 
 OWN = """\
-from models.effects import Effect, Parameter
+from slipmap.models.effects import Effect, Parameter
 
 
 class Fan(Effect):

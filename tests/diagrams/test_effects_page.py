@@ -7,20 +7,22 @@ import re
 import numpy as np
 import pytest
 
-from diagrams.effects_page import MAGNET, PAGE, page
-from models.effects import LIBRARY, EffectSlider
-from models.effects.registry import load_effects
-from models.inference.diagnosis.effect_fit import fit_effects
-from models.measurements.simulated import record_pushes
-from models.objects import cells_from_polygon
-from models.physics.rollout import Maps
-from planners.exploration import candidate_pushes
+from slipmap.diagrams.application.reports.effects_page import MAGNET, PAGE, page
+from slipmap.models.effects import LIBRARY, EffectSlider
+from slipmap.models.effects.registry import load_effects
+from slipmap.models.inference.diagnosis.effect_fit import fit_effects
+from slipmap.models.measurements.simulated import record_pushes
+from slipmap.models.objects import cells_from_polygon
+from slipmap.models.physics.rollout import Maps
+from slipmap.planners.exploration import candidate_pushes
 
 TRUE = (0.6, 0.06, -0.04)
 
 
 def test_the_page_is_up_to_date():
-    assert PAGE.read_text(encoding="utf-8") == page(), "run python -m diagrams.effects_page"
+    assert PAGE.read_text(encoding="utf-8") == page(), (
+        "run python -m slipmap.diagrams.application.reports.effects_page"
+    )
 
 
 def test_the_page_holds_every_effect_and_parameter():
@@ -62,6 +64,6 @@ def test_the_fan_of_the_readme_is_an_effect(tmp_path):
         r"```py\n(.*?)```", (PAGE.parents[1] / "README.md").read_text(encoding="utf-8"), flags=re.S
     )
     file = tmp_path / "fan.py"
-    file.write_text("from models.effects import Effect, Parameter\n\n\n" + code)
+    file.write_text("from slipmap.models.effects import Effect, Parameter\n\n\n" + code)
     (fan,) = load_effects(file)
     assert fan.name == "fan"

@@ -11,19 +11,26 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from diagrams import outputs
-from diagrams.console import BadInput
-from diagrams.exploration_loop import LoopOptions
-from diagrams.exploration_record import PICTURE, SCENARIO, ExplorationRecord, resumed
-from diagrams.push_record import UNDER_WAY, PregraspRecord
-from diagrams.recorded import Recorded
-from diagrams.run_folder import PUSHES, RUN
-from diagrams.station.scenario import Scenario
-from models.measurements import Channel, Trial, read_dataset, recording, write_dataset
-from models.perception.camera import View
-from models.perception.first_picture import FirstPicture
-from planners.action_selection import Poke
-from planners.table_push import TablePush
+from slipmap.diagrams.application import outputs
+from slipmap.diagrams.application.terminal import BadInput
+from slipmap.diagrams.loops.exploration_loop import LoopOptions, Recorded
+from slipmap.diagrams.loops.run_folder import (
+    PICTURE,
+    PUSHES,
+    RUN,
+    SCENARIO,
+    UNDER_WAY,
+    ExplorationRecord,
+    PregraspRecord,
+    resumed,
+)
+from slipmap.diagrams.station.scenario import Scenario
+from slipmap.models.measurements import Channel, Trial, read_dataset, write_dataset
+from slipmap.models.measurements import writing as recording
+from slipmap.models.perception.first_look import FirstPicture
+from slipmap.models.perception.pinhole_camera import View
+from slipmap.planners.action_selection import Poke
+from slipmap.planners.table_push import TablePush
 from tests.models.perception.conftest import Scene
 
 OPTIONS = LoopOptions(pushes=3, checks=1, cells=20, seed=4)

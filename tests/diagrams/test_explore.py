@@ -18,16 +18,16 @@ from browser import WINDOWS, assert_legible, colours
 from pydrake.geometry import Meshcat
 from schemas import assert_as_described
 
-from diagrams.command_line import run
-from diagrams.exploration_loop import LoopOptions, exploration_loop, hypothesis_step
-from diagrams.exploration_record import ExplorationRecord, resumed
-from diagrams.exploration_run import explore
-from diagrams.hardware.testing.cell import small_scenario
-from diagrams.station.scenario import Scenario
-from models.inference.belief import Belief
-from models.measurements import PushDataset, read_dataset, write_dataset
-from models.objects.benchmark import BENCHMARK_OBJECTS, benchmark_object
-from models.physics.paper_notation import add
+from slipmap.diagrams.application.command_line import run
+from slipmap.diagrams.hardware.testing.cell import small_scenario
+from slipmap.diagrams.loops.exploration_loop import LoopOptions, exploration_loop, hypothesis_step
+from slipmap.diagrams.loops.exploration_run import explore
+from slipmap.diagrams.loops.run_folder import ExplorationRecord, resumed
+from slipmap.diagrams.station.scenario import Scenario
+from slipmap.models.inference.belief import Belief
+from slipmap.models.measurements import PushDataset, read_dataset, write_dataset
+from slipmap.models.objects.benchmark_objects import BENCHMARK_OBJECTS, benchmark_object
+from slipmap.models.physics.paper_notation import add
 
 pytestmark = pytest.mark.usefixtures("renderer")
 

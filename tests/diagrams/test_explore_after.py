@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from diagrams.command_line import run
-from models.inference.belief import Belief
-from models.measurements import read_dataset
+from slipmap.diagrams.application.command_line import run
+from slipmap.models.inference.belief import Belief
+from slipmap.models.measurements import read_dataset
 
 pytestmark = pytest.mark.usefixtures("renderer")
 

@@ -11,14 +11,14 @@ from pathlib import Path
 import pytest
 from test_command_line import ENVIRONMENT, hear_ctrl_c
 
-from diagrams import exploration_run
-from diagrams.exploration_loop import LoopOptions
-from diagrams.exploration_record import resumed
-from diagrams.exploration_run import ExplorationStopped, LoopEnd, explore
-from diagrams.station.scenario import Scenario
-from diagrams.systems.messages import LoopStatus
-from models.inference.belief import Belief
-from models.measurements import read_dataset
+from slipmap.diagrams.loops import exploration_run
+from slipmap.diagrams.loops.exploration_loop import LoopOptions
+from slipmap.diagrams.loops.exploration_run import ExplorationStopped, LoopEnd, explore
+from slipmap.diagrams.loops.run_folder import resumed
+from slipmap.diagrams.station.scenario import Scenario
+from slipmap.diagrams.systems.loop_messages import LoopStatus
+from slipmap.models.inference.belief import Belief
+from slipmap.models.measurements import read_dataset
 
 pytestmark = pytest.mark.usefixtures("renderer")
 
@@ -26,7 +26,7 @@ pytestmark = pytest.mark.usefixtures("renderer")
 def test_ctrl_c_in_the_second_push_leaves_the_first(tmp_path: Path) -> None:
     cell, out, result = tmp_path / "cell.yaml", tmp_path / "out", tmp_path / "result.json"
     cell.write_text("simulation: {time_step: 0.005}\ncamera: {rate: 5.0}\n", encoding="utf-8")
-    command = [sys.executable, "-m", "diagrams", "explore", "--scenario", cell, "--pushes", "3"]
+    command = [sys.executable, "-m", "slipmap", "explore", "--scenario", cell, "--pushes", "3"]
     command += ["--checks", "0", "--out", out, "--json", result]
     pipes = {"stdout": subprocess.DEVNULL, "stderr": subprocess.PIPE}
     with subprocess.Popen(

@@ -10,9 +10,9 @@ import pytest
 from schemas import assert_as_described
 from test_command_line import ENVIRONMENT, hear_ctrl_c
 
-from diagrams import exploration_run
-from diagrams.commands.explore_study import _judged
-from diagrams.exploration_run import ExplorationStopped
+from slipmap.diagrams.application.commands.explore_study import _judged
+from slipmap.diagrams.loops import exploration_run
+from slipmap.diagrams.loops.exploration_run import ExplorationStopped
 
 
 def a_row(**changes):
@@ -75,7 +75,7 @@ def test_ctrl_c_ends_the_study_and_is_no_result(slipmap, tmp_path, monkeypatch, 
 
 @pytest.mark.usefixtures("renderer")
 def test_a_real_ctrl_c_leaves_nothing_of_the_run(tmp_path):
-    command = [sys.executable, "-m", "diagrams", "explore-study", "--object", "book"]
+    command = [sys.executable, "-m", "slipmap", "explore-study", "--object", "book"]
     command += ["--runs", "2", "-o", str(tmp_path / "study")]
     with subprocess.Popen(
         command, env=ENVIRONMENT, text=True, stderr=subprocess.PIPE, preexec_fn=hear_ctrl_c

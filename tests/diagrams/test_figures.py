@@ -14,19 +14,29 @@ from matplotlib.collections import PolyCollection
 from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 
-from diagrams.figures import calibration_figure, effect_figure, maps_figure, push_figures, save
-from diagrams.figures.calibration import inside_share
-from diagrams.figures.campaigns import curves_figure
-from diagrams.figures.maps import centers_of_friction, centers_of_mass
-from diagrams.figures.outlines import outline_path, placed, round_length
-from diagrams.figures.style import PlainNumbers, top_of_scale
-from models.effects import LIBRARY
-from models.inference.results import PushPrediction
-from models.measurements.simulated import record_pushes
-from models.physics.cell_grid import CellGrid
-from models.physics.rollout import Maps
-from planners.campaigns.tables import Estimate
-from planners.exploration import candidate_pushes
+from slipmap.diagrams.application.figures import (
+    calibration_figure,
+    effect_figure,
+    maps_figure,
+    push_figures,
+    save,
+)
+from slipmap.diagrams.application.figures.campaign_figures import curves_figure, inside_share
+from slipmap.diagrams.application.figures.maps import centers_of_friction, centers_of_mass
+from slipmap.diagrams.application.figures.style import (
+    PlainNumbers,
+    outline_path,
+    placed,
+    round_length,
+    top_of_scale,
+)
+from slipmap.models.effects import LIBRARY
+from slipmap.models.inference.results import PushPrediction
+from slipmap.models.measurements.simulated import record_pushes
+from slipmap.models.physics.cell_grid import CellGrid
+from slipmap.models.physics.rollout import Maps
+from slipmap.planners.exploration import candidate_pushes
+from slipmap.planners.trials import Estimate
 
 
 def coloured(figure):

@@ -11,9 +11,9 @@ import pytest
 from hidden_effects import LATENCY, late_pushes
 from report_page import assert_alone
 
-from diagrams.commands.fit import _show_gain
-from diagrams.comparison_words import millimetres
-from models.measurements import write_dataset
+from slipmap.diagrams.application.commands.fit import _show_gain
+from slipmap.diagrams.application.reports.comparison_words import millimetres
+from slipmap.models.measurements import write_dataset
 
 
 def test_from_a_model_that_fails_to_one_that_has_the_effect(slipmap, tmp_path):

@@ -8,7 +8,7 @@ import pytest
 import trimesh
 from refusals import assert_refused, files_in
 
-from models.measurements import read_dataset
+from slipmap.models.measurements import read_dataset
 
 ROWS = "t,object_x,object_y,object_theta,tip_x,tip_y\n0,0,0,0,-0.2,0\n1,0,0,0,-0.1,0\n"
 

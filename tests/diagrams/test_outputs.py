@@ -18,13 +18,20 @@ import numpy as np
 import pytest
 from scipy.stats import binomtest
 
-from diagrams import console
-from diagrams.console import BadInput, Progress, table
-from diagrams.outputs import whole_file, write_json
-from diagrams.reports import doubts, is_doubted, named, remark, show_errors, shown
-from models.inference.results import PushPrediction, Quantity
-from models.measurements import Noise
-from models.objects import cells_from_polygon
+from slipmap.diagrams.application import terminal as console
+from slipmap.diagrams.application.outputs import whole_file, write_json
+from slipmap.diagrams.application.reports.tables import (
+    doubts,
+    is_doubted,
+    named,
+    remark,
+    show_errors,
+    shown,
+)
+from slipmap.diagrams.application.terminal import BadInput, Progress, table
+from slipmap.models.inference.results import PushPrediction, Quantity
+from slipmap.models.measurements import Noise
+from slipmap.models.objects import cells_from_polygon
 
 
 def prediction(trial="trials/000.json", role="fit", **numbers):
@@ -146,7 +153,7 @@ def test_bars_on_a_terminal_have_one_line_each_and_tell_the_time_left(columns):
     lines = on_a_terminal(
         """if True:
         import time
-        from diagrams.console import Progress
+        from slipmap.diagrams.application.terminal import Progress
         with Progress() as progress:
             for push in range(3):
                 for doing in ("looking at the object", "pushing"):
@@ -262,7 +269,7 @@ def test_numbers_have_the_digits_that_the_interval_supports(unit, value, low, hi
 
 
 def test_compiling_is_announced_once_where_kernels_are_new(tmp_path, capsys, monkeypatch):
-    import models.physics.compiled as compiled
+    from slipmap.models.physics import compiled
 
     monkeypatch.setattr(compiled, "CACHE_FOLDER", tmp_path / "kernels")
     console.prepare_kernels()
@@ -277,7 +284,7 @@ def test_compiling_is_announced_once_where_kernels_are_new(tmp_path, capsys, mon
 
 
 def test_coverage_comes_with_its_range_and_verdict():
-    from diagrams.commands.calibrate import coverage_rows
+    from slipmap.diagrams.application.commands.calibrate import coverage_rows
 
     ranks = {"a": np.full(40, 0.5), "b": np.r_[np.full(20, 0.5), np.full(20, 0.999)], "c": np.full(400, 0.5)}
     result = SimpleNamespace(objects=40, ranks=ranks, coverage={"a": 1.0, "b": 0.5, "c": 1.0})

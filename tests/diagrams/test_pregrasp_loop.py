@@ -8,13 +8,12 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from diagrams.command_line import run
-from diagrams.exploration_loop import LoopOptions
-from diagrams.pregrasp_loop import PregraspOptions, true_maps
-from diagrams.pregrasp_run import run_pregrasp
-from diagrams.station.scenario import Scenario
-from models.objects.benchmark import benchmark_object
-from planners.pose_metric import compose
+from slipmap.diagrams.application.command_line import run
+from slipmap.diagrams.loops.exploration_loop import LoopOptions
+from slipmap.diagrams.loops.pregrasp_loop import PregraspOptions, run_pregrasp, true_maps
+from slipmap.diagrams.station.scenario import Scenario
+from slipmap.models.objects.benchmark_objects import benchmark_object
+from slipmap.planners.waypoints import compose
 
 
 @pytest.fixture(scope="module")

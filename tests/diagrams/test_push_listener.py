@@ -9,14 +9,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from diagrams.console import status
-from diagrams.hardware import channels
-from diagrams.hardware.message_log import Event, LogReader
-from diagrams.hardware.message_stream import TICK
-from diagrams.push_listener import HEARD, PushListener
-from diagrams.push_recording import hearing, record_pushes, why_none
-from models.measurements import PushDataset, read_dataset
-from models.measurements.recording import PushRecorder
+from slipmap.diagrams.application.terminal import status
+from slipmap.diagrams.hardware import channels
+from slipmap.diagrams.hardware.message_stream import TICK, Event, LogReader
+from slipmap.diagrams.loops.push_listener import HEARD, PushListener, hearing, record_pushes, why_none
+from slipmap.models.measurements import PushDataset, read_dataset
+from slipmap.models.measurements.writing import PushRecorder
 from tests.hardware.made_up_cell import AHEAD, FORCE, MadeUpCell, gripper, scenario
 
 CELL = "camera: {width: 320, height_pixels: 240, fov_y: 0.5, rate: 10.0}\n"
@@ -201,8 +199,8 @@ def test_record_writes_what_it_heard(slipmap, tmp_path, monkeypatch, recorded):
         def close(self) -> None:
             pass
 
-    monkeypatch.setattr("diagrams.hardware.message_stream.MessageStream", Stream)
-    monkeypatch.setattr("models.inference.camera_lag.camera_lag", lambda dataset, progress: None)
+    monkeypatch.setattr("slipmap.diagrams.hardware.message_stream.MessageStream", Stream)
+    monkeypatch.setattr("slipmap.models.inference.camera_lag.camera_lag", lambda dataset, progress: None)
     cell = tmp_path / "cell.yaml"
     cell.write_text(CELL)
     words = ["record", "--scenario", cell, "-o", tmp_path / "box", "--pushes", 1]
@@ -220,7 +218,7 @@ def test_record_writes_what_it_heard(slipmap, tmp_path, monkeypatch, recorded):
 
 
 def test_recording_never_overwrites_what_was_measured(slipmap, tmp_path, dataset):
-    from models.measurements import write_dataset
+    from slipmap.models.measurements import write_dataset
 
     folder = write_dataset(dataset, tmp_path / "box")
     said = slipmap("record", "-o", folder)

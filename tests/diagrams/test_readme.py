@@ -15,13 +15,13 @@ import pytest
 import yaml
 from page_examples import Example, examples_of, read_closely
 
-from diagrams.command_line import slipmap
-from diagrams.hardware.channels import LCM_URL
-from diagrams.hardware.testing import Cell, Faults
-from models.effects import Effect
-from models.effects.checks import check_effect
-from models.inference.belief import Belief
-from models.measurements import PushDataset, read_dataset
+from slipmap.diagrams.application.command_line import slipmap
+from slipmap.diagrams.hardware.channels import LCM_URL
+from slipmap.diagrams.hardware.testing import Cell, Faults
+from slipmap.models.effects import Effect
+from slipmap.models.effects.effect_checks import check_effect
+from slipmap.models.inference.belief import Belief
+from slipmap.models.measurements import PushDataset, read_dataset
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGES = ("README.md", *sorted(path.relative_to(ROOT).as_posix() for path in (ROOT / "docs").glob("*.md")))
@@ -83,9 +83,9 @@ def test_most_examples_run():
 
 def test_a_wrong_example_is_noticed():
     for code in (
-        "from models.inference.diagnosis import diagnosed",
-        "from models.inference.diagnosis import diagnose\ndiagnose(dataset, speed=0)",
-        "from models.inference.diagnosis import diagnose\nresult = diagnose(dataset)\nresult.culprit",
+        "from slipmap.models.inference.diagnosis import diagnosed",
+        "from slipmap.models.inference.diagnosis import diagnose\ndiagnose(dataset, speed=0)",
+        "from slipmap.models.inference.diagnosis import diagnose\nresult = diagnose(dataset)\nresult.culprit",
         "faults.when('pushing')",
         "cells.explore(pushes=3)",
     ):
@@ -108,9 +108,7 @@ def shown_on(page):
 def test_commands_and_options_exist(page):
     text = shown_on(page)
     shown = re.findall(r"`slipmap ([a-z][^`]+)`", text)
-    shown += re.findall(
-        r"^    (?:slipmap|python -m diagrams.command_line) ([a-z-]+(?: .+)?)$", text, flags=re.M
-    )
+    shown += re.findall(r"^    (?:slipmap|python -m slipmap) ([a-z-]+(?: .+)?)$", text, flags=re.M)
     assert len(shown) > 3 or page != "README.md"
     for line in shown:
         name, *rest = shlex.split(line, comments=True)

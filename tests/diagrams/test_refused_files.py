@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from refusals import assert_refused, files_in
 
-from models.physics.cell_grid import CellGrid
+from slipmap.models.physics.cell_grid import CellGrid
 
 
 def test_a_missing_dataset_is_named(slipmap, tmp_path):

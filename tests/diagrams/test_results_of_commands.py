@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 from refusals import files_in
 
-import planners
-from models.inference.belief import Belief
-from models.inference.middle_pose import middle_poses
-from models.measurements import read_dataset
+from slipmap import planners
+from slipmap.models.inference.belief import Belief
+from slipmap.models.inference.prediction import middle_poses
+from slipmap.models.measurements import read_dataset
 
 
 def test_demo_leaves_a_dataset_a_belief_pictures_and_json(demo_folder):

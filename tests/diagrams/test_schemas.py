@@ -10,7 +10,7 @@ import yaml
 from jsonschema import Draft202012Validator
 from schemas import FOLDER, NAMES, assert_as_described, validator
 
-from diagrams.command_line import slipmap
+from slipmap.diagrams.application.command_line import slipmap
 
 ROOT = FOLDER.parents[1]
 

@@ -4,7 +4,7 @@ import json
 
 import pytest
 
-from diagrams.command_line import run
+from slipmap.diagrams.application.command_line import run
 
 SCENARIO = """
 object: {name: box}

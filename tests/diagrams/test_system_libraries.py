@@ -6,8 +6,8 @@ import subprocess
 
 import pytest
 
-from diagrams import system_libraries
-from diagrams.system_libraries import (
+from slipmap.diagrams.perception import system_libraries
+from slipmap.diagrams.perception.system_libraries import (
     RENDER,
     RENDERING_PACKAGES,
     MissingLibrary,

@@ -7,19 +7,22 @@ from dataclasses import replace
 import numpy as np
 from matplotlib.patches import PathPatch
 
-from diagrams.figures import telling_push_figure
-from models.effects.registry import effects_named
-from models.inference.diagnosis.correlated import CorrelatedLikelihood
-from models.inference.diagnosis.error_model import ErrorModel, sensor_noise
-from models.inference.diagnosis.fitting import Fitted, Fitter
-from models.inference.diagnosis.measured_pushes import MeasuredPushes
-from models.inference.diagnosis.results import Diagnosis
-from models.inference.observations import observe_all
-from models.measurements.simulated import record_pushes
-from models.objects import cells_from_polygon
-from models.physics.rollout import Maps, Slider
-from planners.exploration import candidate_pushes
-from planners.telling_push import next_push
+from slipmap.diagrams.application.figures import telling_push_figure
+from slipmap.models.effects.registry import effects_named
+from slipmap.models.inference.diagnosis.correlated import (
+    CorrelatedLikelihood,
+    ErrorModel,
+    MeasuredPushes,
+    sensor_noise,
+)
+from slipmap.models.inference.diagnosis.fitting import Fitted, Fitter
+from slipmap.models.inference.diagnosis.results import Diagnosis
+from slipmap.models.inference.observations import observe_all
+from slipmap.models.measurements.simulated import record_pushes
+from slipmap.models.objects import cells_from_polygon
+from slipmap.models.physics.rollout import Maps, Slider
+from slipmap.planners.exploration import candidate_pushes
+from slipmap.planners.telling_push import next_push
 
 
 def test_outlines_of_the_start_and_of_every_rivals_end():

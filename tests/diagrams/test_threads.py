@@ -13,13 +13,13 @@ import hashlib
 import json
 import numba
 import numpy as np
-from diagrams.demonstration import simulated_hammer
-from models.effects.registry import effects_named
-from models.inference.diagnosis import diagnose
-from models.inference.identification import identify
-from models.measurements.push_dataset import Table
-from planners.pregrasp_settings import PushSettings
-from planners.robust_push import plan_push
+from slipmap.models.measurements.simulated import simulated_hammer
+from slipmap.models.effects.registry import effects_named
+from slipmap.models.inference.diagnosis import diagnose
+from slipmap.models.inference.identification import identify
+from slipmap.models.measurements.push_dataset import Table
+from slipmap.planners.settings import PushSettings
+from slipmap.planners.robust_push import plan_push
 
 def digest(*arrays):
     return hashlib.sha256(b"".join(np.asarray(array).tobytes() for array in arrays)).hexdigest()

@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 from hidden_effects import DRAG, TILT, tilted_and_oily_pushes
 
-from models.inference.diagnosis import diagnose
-from models.inference.diagnosis.results import Diagnosis
+from slipmap.models.inference.diagnosis import diagnose
+from slipmap.models.inference.diagnosis.results import Diagnosis
 
 
 @pytest.fixture(scope="module")

@@ -21,11 +21,10 @@ from matplotlib import image
 from meshcat.servers.tree import find_node
 from test_command_line import ENVIRONMENT, assert_refused, files_in, hear_ctrl_c
 
-from diagrams.belief_scene import MOST, belief_scene
-from diagrams.figures import maps_figure
-from diagrams.figures.scene_labels import scale
-from diagrams.systems.belief_colors import MAPS, shown
-from models.physics.rollout import Maps
+from slipmap.diagrams.application.figures import maps_figure
+from slipmap.diagrams.application.figures.belief_scene import MOST, belief_scene, scale
+from slipmap.diagrams.systems.belief_visualizer import MAPS, shown
+from slipmap.models.physics.rollout import Maps
 
 PACKED = {0x16: "<u4", 0x17: "<f4"}
 SCENE = """(({labels, ...maps}) => labels.children.title ? Object.keys(maps) : null)(
@@ -188,7 +187,7 @@ def test_bad_input_is_refused_and_nothing_is_written(slipmap, belief, tmp_path):
 @pytest.mark.parametrize(("end", "code"), [("enter", 0), ("interrupt", 130)])
 def test_the_page_is_served_until_it_is_ended(belief, tmp_path: Path, end: str, code: int):
     belief.save(tmp_path / "block.npz")
-    command = [sys.executable, "-m", "diagrams.command_line", "view", str(tmp_path / "block.npz")]
+    command = [sys.executable, "-m", "slipmap", "view", str(tmp_path / "block.npz")]
     pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
     with subprocess.Popen(
         command, env=ENVIRONMENT, text=True, start_new_session=True, preexec_fn=hear_ctrl_c, **pipes

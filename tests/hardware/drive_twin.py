@@ -28,7 +28,7 @@ guard: {status_age: 0.4, image_age: 5.0, following: 0.2, lag: 0.5}
 
 
 def main() -> int:
-    slipmap = [sys.executable, "-m", "diagrams.command_line"]
+    slipmap = [sys.executable, "-m", "slipmap"]
     with tempfile.TemporaryDirectory() as folder:
         scenario = Path(folder) / "cell.yaml"
         scenario.write_text(CELL)

@@ -10,15 +10,14 @@ from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder, EventStatus
 from pydrake.systems.primitives import ConstantValueSource
 
-from diagrams.execution import ActivePush
-from diagrams.execution.config import ExecutionConfig
-from diagrams.execution.finger_kinematics import FingerKinematics
-from diagrams.execution.push_executor import PushExecutor
-from diagrams.hardware.guard import CommandGuard
-from diagrams.hardware.guard_rules import PERIOD
-from diagrams.hardware.guard_settings import GuardSettings
-from diagrams.station.arm import arm_model
-from planners.table_push import TablePush
+from slipmap.diagrams.execution import ActivePush
+from slipmap.diagrams.execution.finger_kinematics import FingerKinematics
+from slipmap.diagrams.execution.push_executor import PushExecutor
+from slipmap.diagrams.execution.settings import ExecutionConfig
+from slipmap.diagrams.hardware.guard import CommandGuard
+from slipmap.diagrams.hardware.guard_rules import PERIOD, GuardSettings
+from slipmap.diagrams.station.arm import arm_model
+from slipmap.planners.table_push import TablePush
 from tests.hardware.faults import FollowingArm, StatusLink
 
 PUSH = TablePush(np.array([-0.12, 0.02]), np.array([0.06, 0.02]), 0.1)

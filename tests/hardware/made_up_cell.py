@@ -14,17 +14,17 @@ from drake import (
     lcmt_schunk_wsg_status,
 )
 
-from diagrams.execution.config import ExecutionConfig
-from diagrams.execution.finger_kinematics import FingerKinematics
-from diagrams.execution.push_plan import plan_push
-from diagrams.hardware import channels
-from diagrams.hardware.message_log import Event
-from diagrams.perception.camera import CameraConfig
-from diagrams.station.arm import arm_model
-from diagrams.station.scenario import Scenario
-from models.perception.camera import View
-from models.robots import FINGER_RADIUS
-from planners.table_push import TablePush
+from slipmap.diagrams.execution.finger_kinematics import FingerKinematics
+from slipmap.diagrams.execution.plans import plan_push
+from slipmap.diagrams.execution.settings import ExecutionConfig
+from slipmap.diagrams.hardware import channels
+from slipmap.diagrams.hardware.message_stream import Event
+from slipmap.diagrams.perception.camera import CameraConfig
+from slipmap.diagrams.station.arm import arm_model
+from slipmap.diagrams.station.scenario import Scenario
+from slipmap.models.perception.pinhole_camera import View
+from slipmap.models.robots import FINGER_RADIUS
+from slipmap.planners.table_push import TablePush
 from tests.models.perception.conftest import Scene
 
 LENGTH, WIDTH, HEIGHT = 0.10, 0.06, 0.03

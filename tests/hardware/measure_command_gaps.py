@@ -28,13 +28,13 @@ from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import ConstantValueSource, ConstantVectorSource
 
-from diagrams.demonstration import simulated_hammer
-from diagrams.hardware.channels import ARM_PERIOD, IIWA_COMMAND
-from diagrams.hardware.interface import HardwareInterface
-from diagrams.station.arm import HOME
-from diagrams.station.scenario import Scenario
-from diagrams.systems.identification import Identification
-from diagrams.systems.workers import workers
+from slipmap.diagrams.hardware.channels import ARM_PERIOD, IIWA_COMMAND
+from slipmap.diagrams.hardware.interface import HardwareInterface
+from slipmap.diagrams.station.arm import HOME
+from slipmap.diagrams.station.scenario import Scenario
+from slipmap.diagrams.systems.identification import Identification
+from slipmap.diagrams.systems.workers import workers
+from slipmap.models.measurements.simulated import simulated_hammer
 
 GROUP, PORT = "239.255.76.67", 7790
 URL = f"udpm://{GROUP}:{PORT}?ttl=0"
@@ -122,7 +122,7 @@ def main() -> None:
     arguments.add_argument("--seconds", type=float, default=10.0)
     arguments.add_argument("--inside", action="store_true")
     chosen = arguments.parse_args()
-    twin = subprocess.Popen([sys.executable, "-m", "diagrams.command_line", "station", "--lcm", URL])
+    twin = subprocess.Popen([sys.executable, "-m", "slipmap", "station", "--lcm", URL])
     try:
         time.sleep(5.0)
         stamps, standstill, count = measured(chosen.seconds, chosen.inside)

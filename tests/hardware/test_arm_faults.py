@@ -5,12 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from diagrams.collectable import PythonSystem
-from diagrams.hardware.guard import CommandGuard
-from diagrams.hardware.guard_rules import PERIOD
-from diagrams.hardware.guard_settings import GuardSettings
-from diagrams.station.arm import HOME
-from models.robots import ACCELERATION_LIMITS, POSITION_LIMITS, SPEED_LIMITS
+from slipmap.diagrams.hardware.guard import CommandGuard
+from slipmap.diagrams.hardware.guard_rules import PERIOD, GuardSettings
+from slipmap.diagrams.station.arm import HOME
+from slipmap.diagrams.systems.python_system import PythonSystem
+from slipmap.models.robots import ACCELERATION_LIMITS, POSITION_LIMITS, SPEED_LIMITS
 from tests.diagrams.systems.driven_block import DrivenBlock
 from tests.hardware.faults import MESSAGE, FollowingArm, StatusLink
 from tests.hardware.guarded_arm import MODEL, NEAR, run

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from pydrake.systems.primitives import ConstantVectorSource
 
-from diagrams.hardware.guard import CommandGuard
-from diagrams.station.arm import arm_model
-from planners.table_push import TablePush
+from slipmap.diagrams.hardware.guard import CommandGuard
+from slipmap.diagrams.station.arm import arm_model
+from slipmap.planners.table_push import TablePush
 from tests.diagrams.execution import arm_rig
 
 

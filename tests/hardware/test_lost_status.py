@@ -2,9 +2,9 @@
 
 import pytest
 
-from diagrams.exploration_run import ExplorationFailed
-from diagrams.hardware.guard_settings import GuardSettings
-from diagrams.hardware.testing import Fault, assert_limits_kept
+from slipmap.diagrams.hardware.guard_rules import GuardSettings
+from slipmap.diagrams.hardware.testing import Fault, assert_limits_kept
+from slipmap.diagrams.loops.exploration_run import ExplorationFailed
 
 
 @pytest.fixture

@@ -5,11 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from diagrams.execution.messages import ActivePush, ExecutionStatus
-from diagrams.execution.object_watch import MOVED, TIMES, TURNED, ObjectWatch
-from diagrams.execution.push_executor import PushExecutor
-from diagrams.station.arm import HOME
-from models.perception.observed_pose import ObservedPose
+from slipmap.diagrams.execution.push_executor import MOVED, TIMES, TURNED, ObjectWatch, PushExecutor
+from slipmap.diagrams.execution.requests import ActivePush, ExecutionStatus
+from slipmap.diagrams.station.arm import HOME
+from slipmap.models.perception.seen_object import ObservedPose
 from tests.diagrams.systems.driven_block import DrivenBlock, seen_at
 from tests.hardware.guarded_arm import KINEMATICS, MODEL, PUSH
 

@@ -13,10 +13,10 @@ from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import ConstantValueSource
 from pydrake.systems.sensors import ImageDepth32F
 
-from diagrams.collectable import PythonSystem
-from diagrams.perception.camera import CameraConfig
-from diagrams.perception.cell_perception import OLD, CellPerception
-from models.perception.camera import View
+from slipmap.diagrams.perception.camera import CameraConfig
+from slipmap.diagrams.perception.cell_perception import OLD, CellPerception
+from slipmap.diagrams.systems.python_system import PythonSystem
+from slipmap.models.perception.pinhole_camera import View
 from tests.hardware.faults import PictureLink
 from tests.models.perception.conftest import Scene
 

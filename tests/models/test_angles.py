@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from models.angles import angle_between
+from slipmap.models.geometry import angle_between
 
 
 def test_angles_wrap_to_half_a_turn():

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 
-from models.inference.belief import Belief
-from models.measurements.push_dataset import Channel, Table, Trial
-from models.objects.benchmark import benchmark_object
-from models.objects.true_object import TrueObject
-from models.physics.balance import balance_margins
-from models.physics.maps import Maps
-from models.physics.rollout import Push, Slider, Smoothing
-from planners.table_push import TablePush
-from planners.world import ObjectFell
+from slipmap.models.inference.belief import Belief
+from slipmap.models.measurements.push_dataset import Channel, Table, Trial
+from slipmap.models.objects.benchmark_objects import benchmark_object
+from slipmap.models.objects.true_object import TrueObject
+from slipmap.models.physics.balance import balance_margins
+from slipmap.models.physics.maps import Maps
+from slipmap.models.physics.rollout import Push, Slider, Smoothing
+from slipmap.planners.push_decisions import ObjectFell
+from slipmap.planners.table_push import TablePush
 
 RADIUS = 0.008
 TABLE = Table("round", (0.0, 0.0), radius=0.5)

@@ -6,13 +6,12 @@ import numpy as np
 import pytest
 import shapely
 
-from models.inference.belief import Belief
-from models.objects.hammer import hammer
-from models.physics.rollout import Maps, Smoothing
-from planners.action_selection import select_poke
-from planners.exploration import NoReachablePush
-from planners.poke_settings import PokeSettings
-from planners.strategies import STRATEGIES
+from slipmap.models.inference.belief import Belief
+from slipmap.models.objects.benchmark_objects import hammer
+from slipmap.models.physics.rollout import Maps, Smoothing
+from slipmap.planners.action_selection import select_poke
+from slipmap.planners.exploration import NoReachablePush
+from slipmap.planners.settings import STRATEGIES, PokeSettings
 
 RADIUS = 0.008
 POSE = np.array([0.02, -0.03, 0.7])
@@ -81,7 +80,7 @@ def test_the_most_distinctive_push_is_where_hypotheses_disagree():
     belief = a_belief([truth.mass[0], uniform])
 
     def gap(poke):
-        from planners.rehearsal import straight_push
+        from slipmap.planners.rehearsal import straight_push
 
         out = belief.slider.rollout(
             belief.maps, [straight_push(POSE, poke.push.begin, poke.push.end, poke.push.speed)]

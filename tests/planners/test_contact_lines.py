@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 import shapely
 
-from models.objects import contour_cells
-from models.objects.benchmark import benchmark_object
-from models.physics.cell_grid import CellGrid
-from models.physics.contact import gap
-from planners.contact_lines import ContactContour, joined, ways_of_center
-from planners.exploration import DESCENT, NoReachablePush
+from slipmap.models.objects import contour_cells
+from slipmap.models.objects.benchmark_objects import benchmark_object
+from slipmap.models.physics.cell_grid import CellGrid
+from slipmap.models.physics.contact import gap
+from slipmap.planners.contact_lines import ContactContour, joined, ways_of_center
+from slipmap.planners.exploration import DESCENT, NoReachablePush
 from tests.planners.cell_world import RADIUS
 
 APPROACH, CONE = 0.02, 0.4

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from models.objects import cells_from_polygon, contour_cells
-from models.physics.cell_grid import CellGrid
-from models.physics.contact import gap
-from models.physics.rollout import Maps, Slider
-from planners.exploration import DESCENT, CandidatePush, NoReachablePush, candidate_pushes
+from slipmap.models.objects import cells_from_polygon, contour_cells
+from slipmap.models.physics.cell_grid import CellGrid
+from slipmap.models.physics.contact import gap
+from slipmap.models.physics.rollout import Maps, Slider
+from slipmap.planners.exploration import DESCENT, CandidatePush, NoReachablePush, candidate_pushes
 
 RADIUS = 0.006
 

@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 
-from models.measurements.push_dataset import Table
-from models.objects.benchmark import benchmark_object
-from models.physics.balance import balance_margins
-from models.physics.rollout import Push
-from planners.contact_lines import ContactContour
-from planners.foresight import Scenarios, foresee, least_margins
-from planners.pregrasp_settings import PushSettings
+from slipmap.models.measurements.push_dataset import Table
+from slipmap.models.objects.benchmark_objects import benchmark_object
+from slipmap.models.physics.balance import balance_margins
+from slipmap.models.physics.rollout import Push
+from slipmap.planners.contact_lines import ContactContour
+from slipmap.planners.robust_push import Scenarios, foresee, least_margins
+from slipmap.planners.settings import PushSettings
 from tests.planners.cell_world import RADIUS, TABLE, belief_about
 
 THING = benchmark_object("hammer")

@@ -10,13 +10,13 @@ import shapely
 from scipy.optimize import linprog
 from shapely import affinity
 
-from models.measurements.push_dataset import Table
-from models.objects.benchmark import BENCHMARK_OBJECTS, benchmark_object
-from models.objects.footprints import cells_from_polygon
-from models.objects.true_object import TrueObject
-from planners.goal_settings import GoalSettings
-from planners.goals import Goal, Graspable, sample_goals
-from planners.grasps import Gripper
+from slipmap.models.measurements.push_dataset import Table
+from slipmap.models.objects.benchmark_objects import BENCHMARK_OBJECTS, benchmark_object
+from slipmap.models.objects.footprints import cells_from_polygon
+from slipmap.models.objects.true_object import TrueObject
+from slipmap.planners.goals import Goal, Graspable, sample_goals
+from slipmap.planners.grasps import Gripper
+from slipmap.planners.settings import GoalSettings
 
 GRAVITY = 9.81
 ROUND = Table("round", (0.0, 0.0), radius=0.5)

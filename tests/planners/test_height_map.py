@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from models.objects.footprints import cells_from_polygon
-from models.physics.cell_grid import CellGrid
-from planners.height_map import HeightMap
+from slipmap.models.objects.footprints import cells_from_polygon
+from slipmap.models.physics.cell_grid import CellGrid
+from slipmap.planners.grasps import HeightMap
 
 
 @pytest.fixture(scope="module")

@@ -3,12 +3,11 @@
 import numpy as np
 import pytest
 
-from models.objects.benchmark import benchmark_object
-from planners.contact_lines import ContactContour
-from planners.foresight import Scenarios, foresee
-from planners.lookahead import Lookahead, further_pushes
-from planners.pose_metric import PoseMetric, compose, relative
-from planners.pregrasp_settings import PushSettings
+from slipmap.models.objects.benchmark_objects import benchmark_object
+from slipmap.planners.contact_lines import ContactContour
+from slipmap.planners.robust_push import Lookahead, Scenarios, foresee, further_pushes
+from slipmap.planners.settings import PushSettings
+from slipmap.planners.waypoints import PoseMetric, compose, relative
 from tests.planners.cell_world import RADIUS, TABLE, belief_about
 
 SETTINGS = PushSettings(candidates=16, lengths=10)

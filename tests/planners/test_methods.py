@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from models.objects.benchmark import benchmark_object
-from planners.methods import METHODS, planning_belief
+from slipmap.models.objects.benchmark_objects import benchmark_object
+from slipmap.planners.pregrasp import METHODS, planning_belief
 from tests.planners.cell_world import belief_about
 
 THING = benchmark_object("book")

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from models.objects.benchmark import benchmark_object
-from models.physics.paper_notation import cell_poses
-from planners.pose_metric import PoseMetric, compose, relative, turned_to
+from slipmap.models.objects.benchmark_objects import benchmark_object
+from slipmap.models.physics.paper_notation import cell_poses
+from slipmap.planners.waypoints import PoseMetric, compose, relative, turned_to
 
 
 def matrix(pose):

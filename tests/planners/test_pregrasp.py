@@ -6,17 +6,14 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from models.measurements.push_dataset import Noise, PushDataset, Table
-from planners import push_decisions
-from planners.goal_pushing import push_to_goal
-from planners.goal_settings import GoalSettings
-from planners.goals import sample_goals
-from planners.pregrasp import bring_to_edge, pregrasp
-from planners.pregrasp_settings import PregraspSettings, PushSettings
-from planners.push_decisions import NoPushLeft, Way, near_enough, next_push
-from planners.robust_push import plan_push
-from planners.table_push import TablePush
-from planners.world import PushNotMade
+from slipmap.models.measurements.push_dataset import Noise, PushDataset, Table
+from slipmap.planners import push_decisions
+from slipmap.planners.goals import sample_goals
+from slipmap.planners.pregrasp import bring_to_edge, pregrasp
+from slipmap.planners.push_decisions import NoPushLeft, PushNotMade, Way, near_enough, next_push, push_to_goal
+from slipmap.planners.robust_push import plan_push
+from slipmap.planners.settings import GoalSettings, PregraspSettings, PushSettings
+from slipmap.planners.table_push import TablePush
 from tests.planners.cell_world import RADIUS, TABLE, CellWorld, belief_about
 
 GOALS = GoalSettings(samples=500, count=50)

@@ -6,16 +6,16 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from models.objects.benchmark import benchmark_object
-from models.physics.balance import balance_margins
-from models.physics.maps import Maps
-from models.physics.pushes import Push
-from planners.contact_lines import ContactContour
-from planners.exploration import NoReachablePush
-from planners.pose_metric import PoseMetric
-from planners.pregrasp_settings import PushSettings
-from planners.robust_push import plan_push
-from planners.table_push import TablePush
+from slipmap.models.objects.benchmark_objects import benchmark_object
+from slipmap.models.physics.balance import balance_margins
+from slipmap.models.physics.maps import Maps
+from slipmap.models.physics.pushes import Push
+from slipmap.planners.contact_lines import ContactContour
+from slipmap.planners.exploration import NoReachablePush
+from slipmap.planners.robust_push import plan_push
+from slipmap.planners.settings import PushSettings
+from slipmap.planners.table_push import TablePush
+from slipmap.planners.waypoints import PoseMetric
 from tests.planners.cell_world import RADIUS, TABLE, CellWorld, belief_about
 
 SETTINGS = PushSettings(candidates=40, refinements=20, lengths=20)

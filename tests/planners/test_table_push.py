@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from planners.table_push import TAP_SLOWING_DOWN, TAP_SPEEDING_UP, TOUCH_SPEED, TablePush
+from slipmap.planners.table_push import TAP_SLOWING_DOWN, TAP_SPEEDING_UP, TOUCH_SPEED, TablePush
 
 BEGIN = np.array([0.1, -0.2])
 

@@ -11,19 +11,24 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from models.effects.registry import effects_named
-from models.inference.diagnosis.correlated import CorrelatedLikelihood
-from models.inference.diagnosis.error_model import FORCE_MEMORY, MEMORY, ErrorModel, sensor_noise
-from models.inference.diagnosis.fitting import Fitted, Fitter
-from models.inference.diagnosis.measured_pushes import MeasuredPushes
-from models.inference.observations import observe_all
-from models.measurements.push_dataset import Table
-from models.measurements.simulated import record_pushes
-from models.objects import cells_from_polygon
-from models.physics.paper_notation import add
-from models.physics.rollout import Maps, Slider
-from planners.exploration import candidate_pushes
-from planners.telling_push import next_push, push_of
+from slipmap.models.effects.registry import effects_named
+from slipmap.models.inference.diagnosis.correlated import (
+    FORCE_MEMORY,
+    MEMORY,
+    CorrelatedLikelihood,
+    ErrorModel,
+    MeasuredPushes,
+    sensor_noise,
+)
+from slipmap.models.inference.diagnosis.fitting import Fitted, Fitter
+from slipmap.models.inference.observations import observe_all
+from slipmap.models.measurements.push_dataset import Table
+from slipmap.models.measurements.simulated import record_pushes
+from slipmap.models.objects import cells_from_polygon
+from slipmap.models.physics.paper_notation import add
+from slipmap.models.physics.rollout import Maps, Slider
+from slipmap.planners.exploration import candidate_pushes
+from slipmap.planners.telling_push import next_push, push_of
 
 RADIUS, MASS, MU = 0.006, 0.6, 0.3
 SPEED = 0.05

@@ -3,12 +3,11 @@
 import numpy as np
 import pytest
 
-from models.angles import angle_between
-from models.objects.benchmark import benchmark_object
-from models.physics.balance import balance_margins
-from planners import waypoints
-from planners.pose_metric import PoseMetric
-from planners.waypoints import NoWay, find_waypoints
+from slipmap.models.geometry import angle_between
+from slipmap.models.objects.benchmark_objects import benchmark_object
+from slipmap.models.physics.balance import balance_margins
+from slipmap.planners import waypoints
+from slipmap.planners.waypoints import NoWay, PoseMetric, find_waypoints
 from tests.planners.cell_world import TABLE, belief_about
 
 BELIEF = belief_about(benchmark_object("hammer"))

@@ -6,14 +6,14 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from diagrams.exploration_run import ExplorationRun
-from diagrams.hardware.guard_settings import GuardSettings
-from diagrams.hardware.testing.command_log import CommandLog
-from diagrams.pregrasp_run import PregraspRun
-from diagrams.systems.model_monitor import LEVEL, Watch
-from models.inference.diagnosis import Diagnosis
-from models.inference.results import Identification
-from models.robots import ARM_JOINTS, SPEED_LIMITS
+from slipmap.diagrams.hardware.guard_rules import GuardSettings
+from slipmap.diagrams.hardware.testing.command_log import CommandLog
+from slipmap.diagrams.loops.exploration_run import ExplorationRun
+from slipmap.diagrams.loops.pregrasp_loop import PregraspRun
+from slipmap.diagrams.systems.model_monitor import LEVEL, Watch
+from slipmap.models.inference.diagnosis import Diagnosis
+from slipmap.models.inference.results import Identification
+from slipmap.models.robots import ARM_JOINTS, SPEED_LIMITS
 
 _ROUNDING = 1e-3  # stamps have microseconds, of which 5 ms are 5000
 

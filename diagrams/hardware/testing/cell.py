@@ -8,22 +8,20 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Protocol
 
-from diagrams.exploration_loop import LoopOptions
-from diagrams.exploration_record import ExplorationRecord, resumed
-from diagrams.exploration_run import DOING, ExplorationRun, explore
-from diagrams.hardware.guard_settings import GuardSettings
-from diagrams.hardware.interface import HardwareInterface
-from diagrams.hardware.network import open_lcm
-from diagrams.hardware.testing.command_log import CommandLog, CommandRecorder
-from diagrams.hardware.testing.faults import Fault
-from diagrams.hardware.testing.lockstep import LockstepCell
-from diagrams.hardware.testing.relay import RelayProcess
-from diagrams.hardware.testing.twin_process import TwinProcess, free_url
-from diagrams.pregrasp_loop import PregraspOptions
-from diagrams.pregrasp_run import BRINGS, PregraspRun, run_pregrasp
-from diagrams.push_record import PushRecord
-from diagrams.station.scenario import Scenario
-from models.physics.cell_grid import FloatArray
+from slipmap.diagrams.hardware.guard_rules import GuardSettings
+from slipmap.diagrams.hardware.interface import HardwareInterface
+from slipmap.diagrams.hardware.network import open_lcm
+from slipmap.diagrams.hardware.testing.command_log import CommandLog, CommandRecorder
+from slipmap.diagrams.hardware.testing.faults import Fault
+from slipmap.diagrams.hardware.testing.lockstep import LockstepCell
+from slipmap.diagrams.hardware.testing.relay import RelayProcess
+from slipmap.diagrams.hardware.testing.twin_process import TwinProcess, free_url
+from slipmap.diagrams.loops.exploration_loop import LoopOptions
+from slipmap.diagrams.loops.exploration_run import DOING, ExplorationRun, explore
+from slipmap.diagrams.loops.pregrasp_loop import BRINGS, PregraspOptions, PregraspRun, run_pregrasp
+from slipmap.diagrams.loops.run_folder import ExplorationRecord, PushRecord, resumed
+from slipmap.diagrams.station.scenario import Scenario
+from slipmap.models.physics.cell_grid import FloatArray
 
 TWIN, LOCKSTEP = "twin", "lockstep"
 """The twin in a process of its own, and the one that steps together with what drives it."""
@@ -148,7 +146,7 @@ class Cell:
                 learned from, besides `pushes` new ones, and the model has the effects that are given now.
 
         Raises:
-            ExplorationFailed, HardwareError: see `diagrams.exploration_run.explore`.
+            ExplorationFailed, HardwareError: see `slipmap.diagrams.loops.exploration_run.explore`.
             ValueError: there was no exploration before.
         """
         before = None
@@ -180,7 +178,7 @@ class Cell:
             method: see `PregraspOptions`.
 
         Raises:
-            ExplorationFailed, HardwareError: see `diagrams.pregrasp_run.run_pregrasp`.
+            ExplorationFailed, HardwareError: see `slipmap.diagrams.loops.pregrasp_loop.run_pregrasp`.
         """
         asked = PregraspOptions(LoopOptions(pushes=pushes, **options), method, most)
         record = PushRecord(self._next_folder("pregrasp"), self.scenario)

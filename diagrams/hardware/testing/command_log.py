@@ -1,6 +1,6 @@
 """All commands that the arm was sent, and how fast they asked it to move.
 
-As a process it is started as `python -m diagrams.hardware.testing.command_log URL FILE`, and writes commands
+As a process it is started as `python -m slipmap.diagrams.hardware.testing.command_log URL FILE`, and writes commands
 to a file until its standard input ends.
 """
 
@@ -17,12 +17,12 @@ from pathlib import Path
 import numpy as np
 from drake import lcmt_iiwa_command
 
-from diagrams.execution.finger_kinematics import FingerKinematics
-from diagrams.hardware.channels import IIWA_COMMAND, HardwareError
-from diagrams.hardware.child import Child, be_ready
-from diagrams.hardware.network import open_lcm
-from diagrams.station.arm import arm_model
-from models.physics.cell_grid import FloatArray
+from slipmap.diagrams.execution.finger_kinematics import FingerKinematics
+from slipmap.diagrams.hardware.channels import IIWA_COMMAND, HardwareError
+from slipmap.diagrams.hardware.child import Child, be_ready
+from slipmap.diagrams.hardware.network import open_lcm
+from slipmap.diagrams.station.arm import arm_model
+from slipmap.models.physics.cell_grid import FloatArray
 
 _LOOK_EVERY = 1e-3  # s
 

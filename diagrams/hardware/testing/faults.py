@@ -11,7 +11,7 @@ import numpy as np
 from drake import lcmt_iiwa_status, lcmt_image, lcmt_image_array
 from numpy.typing import NDArray
 
-from diagrams.hardware import channels
+from slipmap.diagrams.hardware import channels
 
 Rows = NDArray[np.float32]
 KINDS: dict[str, tuple[str, ...]] = {

@@ -10,16 +10,16 @@ from pydrake.lcm import DrakeLcm
 from pydrake.math import RigidTransform
 from pydrake.systems.framework import Context, DiagramBuilder, EventStatus
 
-from diagrams.collectable import PythonDiagram, PythonSystem, weakly
-from diagrams.hardware import channels
-from diagrams.hardware.interface import PATIENCE, HardwareInterface
-from diagrams.hardware.messages import Received
-from diagrams.hardware.testing.command_log import CommandLog, row_of
-from diagrams.hardware.testing.faults import Fault
-from diagrams.hardware.testing.relay import Relay
-from diagrams.hardware.twin import CellTwin
-from diagrams.station.scenario import Scenario
-from models.physics.cell_grid import FloatArray
+from slipmap.diagrams.hardware import channels
+from slipmap.diagrams.hardware.checked_messages import Received
+from slipmap.diagrams.hardware.interface import PATIENCE, HardwareInterface
+from slipmap.diagrams.hardware.testing.command_log import CommandLog, row_of
+from slipmap.diagrams.hardware.testing.faults import Fault
+from slipmap.diagrams.hardware.testing.relay import Relay
+from slipmap.diagrams.hardware.twin import CellTwin
+from slipmap.diagrams.station.scenario import Scenario
+from slipmap.diagrams.systems.python_system import PythonDiagram, PythonSystem, weakly
+from slipmap.models.physics.cell_grid import FloatArray
 
 
 class LockstepCell(PythonDiagram):

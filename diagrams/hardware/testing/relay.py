@@ -1,6 +1,6 @@
 """Passes messages between a cell and what drives it, and lets faults happen on the way.
 
-As a process it is started as `python -m diagrams.hardware.testing.relay CELL_URL DRIVER_URL`, and is told
+As a process it is started as `python -m slipmap.diagrams.hardware.testing.relay CELL_URL DRIVER_URL`, and is told
 faults on its standard input until that ends.
 """
 
@@ -17,11 +17,11 @@ from functools import partial
 
 from pydrake.lcm import DrakeLcmInterface
 
-from diagrams.collectable import weakly
-from diagrams.hardware.channels import HardwareError
-from diagrams.hardware.child import Child, be_ready
-from diagrams.hardware.network import open_lcm
-from diagrams.hardware.testing.faults import FROM_CELL, TO_CELL, Fault, Link
+from slipmap.diagrams.hardware.channels import HardwareError
+from slipmap.diagrams.hardware.child import Child, be_ready
+from slipmap.diagrams.hardware.network import open_lcm
+from slipmap.diagrams.hardware.testing.faults import FROM_CELL, TO_CELL, Fault, Link
+from slipmap.diagrams.systems.python_system import weakly
 
 _LOOK_EVERY = 1e-3  # s
 

@@ -1,6 +1,6 @@
 """A soak: the robot explores for a long time in a cell where things go wrong.
 
-    python -m diagrams.hardware.testing.soak --minutes 60 --seed 0 -o soak
+    python -m slipmap.diagrams.hardware.testing.soak --minutes 60 --seed 0 -o soak
 
 The cell is the twin in lockstep (`lockstep.py`), behind all messages and checks, with the guard's own limits:
 minutes are those of the simulation. Each session is a process that explores until it is done, a fault stops
@@ -22,13 +22,13 @@ from typing import Any
 import click
 import numpy as np
 
-from diagrams.console import note, paragraph, table
-from diagrams.hardware.testing.faults import Fault
-from diagrams.hardware.testing.soak_session import COMMANDS, Task, commands_of
-from diagrams.outputs import make_folder, write_json
-from diagrams.station.scenario import Scenario
-from models.measurements import read_dataset
-from models.robots import SPEED_LIMITS
+from slipmap.diagrams.application.outputs import make_folder, write_json
+from slipmap.diagrams.application.terminal import note, paragraph, table
+from slipmap.diagrams.hardware.testing.faults import Fault
+from slipmap.diagrams.hardware.testing.soak_session import COMMANDS, Task, commands_of
+from slipmap.diagrams.station.scenario import Scenario
+from slipmap.models.measurements import read_dataset
+from slipmap.models.robots import SPEED_LIMITS
 
 OBJECTS = ("hammer", "wrench", "snack")
 PUSHES, CHECKS = 3, 12
@@ -146,7 +146,7 @@ def _session(folder: Path, task: Task) -> list[dict[str, Any]]:
     (folder / COMMANDS).unlink(missing_ok=True)
     with open(folder / "said.log", "a", encoding="utf-8") as log:
         done = subprocess.run(
-            [sys.executable, "-m", "diagrams.hardware.testing.soak_session", str(folder)],
+            [sys.executable, "-m", "slipmap.diagrams.hardware.testing.soak_session", str(folder)],
             input=task.to_json() + "\n", stdout=subprocess.PIPE, stderr=log, text=True, check=False,
         )  # fmt: skip
     said = [json.loads(line) for line in done.stdout.splitlines() if line.startswith("{")]

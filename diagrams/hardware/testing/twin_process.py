@@ -1,6 +1,6 @@
 """A twin of a cell in a process of its own, for as long as a test needs it.
 
-It is started as `python -m diagrams.hardware.testing.twin_process URL SCENARIO`, and ends when its standard
+It is started as `python -m slipmap.diagrams.hardware.testing.twin_process URL SCENARIO`, and ends when its standard
 input does.
 """
 
@@ -15,9 +15,9 @@ from pathlib import Path
 
 from pydrake.common.yaml import yaml_dump_typed
 
-from diagrams.hardware.channels import HardwareError
-from diagrams.hardware.child import Child, be_ready
-from diagrams.station.scenario import Scenario
+from slipmap.diagrams.hardware.channels import HardwareError
+from slipmap.diagrams.hardware.child import Child, be_ready
+from slipmap.diagrams.station.scenario import Scenario
 
 
 class TwinProcess:
@@ -53,9 +53,9 @@ def free_url() -> str:
 
 def main(url: str, path: str) -> None:
     """Run the twin until the standard input ends."""
-    from diagrams.commands.station import tell
-    from diagrams.hardware.twin_run import TwinReport, run_twin
-    from diagrams.station.scenario_file import read_settings
+    from slipmap.diagrams.application.commands.station import tell
+    from slipmap.diagrams.hardware.twin import TwinReport, run_twin
+    from slipmap.diagrams.station.scenario import read_settings
 
     def report(now: TwinReport) -> None:
         if now.simulated == 0.0:
@@ -73,7 +73,7 @@ def main(url: str, path: str) -> None:
 
 
 if __name__ == "__main__":
-    from diagrams.perception.renderer import RendererUnavailable
+    from slipmap.diagrams.perception.renderer import RendererUnavailable
 
     try:
         main(*sys.argv[1:])

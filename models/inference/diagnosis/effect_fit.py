@@ -3,31 +3,83 @@
 
 The strict likelihood of the diagnosis finds the effects. The hypotheses are those of an identification,
 refits under the forgiving likelihood with the effects in the model (`effect_size` tells why).
+
+The strict likelihood that finds effects believes every row of every force, and holds a total mass for sure
+that a force model 2 % off moves by a third; what is in proportion to mass, as a tilt is, goes with it. So
+sizes are told by the forgiving likelihood of the identification, from where the strict one led.
 """
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
+from dataclasses import asdict, replace
 
 import numpy as np
 
-from models.effects.effect import Effect, Scene
-from models.effects.library import LIBRARY
-from models.inference.belief import Belief
-from models.inference.diagnosis.effect_size import forgiving_fits, forgiving_prior_mean
-from models.inference.diagnosis.error_model import sensor_noise
-from models.inference.diagnosis.fitting import Fitted, Fitter, estimate_errors
-from models.inference.diagnosis.screening import screen
-from models.inference.gauss_newton import Fits
-from models.inference.hypotheses import refitted_belief
-from models.inference.identifiability import SHOWN_SHARE, quantities
-from models.inference.identification import check_request
-from models.inference.intervals import interval
-from models.inference.observations import observe_all
-from models.inference.prediction import predict_observations
-from models.inference.results import Identification, Quantity
-from models.measurements import DatasetError, PushDataset
+from slipmap.models.effects.effect import Effect, Scene
+from slipmap.models.effects.library import LIBRARY
+from slipmap.models.inference.belief import Belief
+from slipmap.models.inference.diagnosis.correlated import sensor_noise
+from slipmap.models.inference.diagnosis.fitting import Fitted, Fitter, estimate_errors
+from slipmap.models.inference.diagnosis.results import (
+    Diagnosis,
+    ParameterEstimate,
+    estimates_of,
+    parameter_estimates,
+)
+from slipmap.models.inference.diagnosis.screening import screen
+from slipmap.models.inference.gauss_newton import Fits
+from slipmap.models.inference.hypotheses import fit_with_trust, refitted_belief
+from slipmap.models.inference.identifiability import SHOWN_SHARE, quantities
+from slipmap.models.inference.identification import check_request
+from slipmap.models.inference.likelihood import Likelihood
+from slipmap.models.inference.observations import observe_all
+from slipmap.models.inference.prediction import interval, predict_observations
+from slipmap.models.inference.results import Identification, Quantity
+from slipmap.models.measurements import DatasetError, Noise, PushDataset
+from slipmap.models.physics.cell_grid import FloatArray
+from slipmap.models.physics.rollout import RolloutError
+
+# How large an effect is, once it was found: its parameters, no surer than the model is right.
+
+
+def forgiving_prior_mean(fitted: Fitted) -> FloatArray:
+    """(d,) where the prior of forgiving refits is centred: as the fit's, but effects at what was found.
+
+    They were found, so nothing pulls them to their nulls any more where the forgiving likelihood sees little
+    of them.
+    """
+    plain = fitted.likelihood.prior.plain
+    return np.concatenate([fitted.prior_mean[:plain], fitted.z[plain:]])
+
+
+def forgiving_fits(fitted: Fitted, noise: Noise) -> list[tuple[Likelihood, Fits]]:
+    """The model fitted again under the likelihoods of `fit_with_trust`, from where it is."""
+    return fit_with_trust(
+        fitted.likelihood.prior,
+        fitted.likelihood.observations,
+        noise,
+        fitted.z[None],
+        lambda done, total: None,
+        forgiving_prior_mean(fitted),
+    )
+
+
+def effect_sizes(fitted: Fitted, noise: Noise) -> tuple[ParameterEstimate, ...]:
+    """Parameters of a model's effects with their 90 % intervals, cut at the allowed range.
+
+    Where the forgiving fit leads to a model that cannot be rolled out, they are the strict fit's.
+    """
+    prior = fitted.likelihood.prior
+    try:
+        _, found = forgiving_fits(fitted, noise)[-1]
+    except (RolloutError, np.linalg.LinAlgError):
+        return parameter_estimates(fitted)
+    covariance = np.linalg.inv(found.hessian[0] + np.eye(prior.size))
+    deviations = np.sqrt(np.diagonal(covariance)[prior.plain :]) * prior.effect_scales
+    return estimates_of(fitted.effects, prior.maps(found.z).effects[0], deviations)
+
 
 Progress = Callable[[str, int, int], None]
 
@@ -134,3 +186,41 @@ def _effect_facts(belief: Belief, effects: Sequence[Effect], information: Fits) 
             )
         )
     return facts
+
+
+# Fitted models as beliefs, so that whatever compares and predicts can use them.
+
+
+def fitted_belief(fitted: Fitted, dataset: PushDataset, seed: int) -> Belief:
+    """A fitted model as a belief that is certain of it.
+
+    Args:
+        fitted: the model.
+        dataset: whose pushes it was fitted to.
+        seed: of what fitted it.
+    """
+    likelihood = fitted.likelihood
+    prior = likelihood.prior
+    return Belief.learnt(
+        dataset,
+        prior.slider,
+        prior.maps(fitted.z[None]),
+        np.ones(1),
+        method="gauss-newton",
+        seed=seed,
+        trials=[observation.trial for observation in likelihood.observations],
+        settings={
+            "prior": asdict(prior.settings),
+            "motion_error": likelihood.error.motion,
+            "force_error": likelihood.error.force,
+        },
+    )
+
+
+def as_diagnosed(dataset: PushDataset, diagnosis: Diagnosis) -> PushDataset:
+    """The dataset with the roles of the diagnosis: pushes that were locked away are held out."""
+    locked = set(diagnosis.locked)
+    trials = tuple(
+        replace(trial, role="heldout" if trial.name in locked else "fit") for trial in dataset.trials
+    )
+    return replace(dataset, trials=trials)

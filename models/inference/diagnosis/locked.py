@@ -7,14 +7,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from models.inference.diagnosis.correlated import CorrelatedLikelihood
-from models.inference.diagnosis.fitting import Fitted
-from models.inference.diagnosis.measured_pushes import MeasuredPushes
-from models.inference.observations import Observation
-from models.measurements import PushDataset, pose_times
-from models.physics.cell_grid import FloatArray
-from models.physics.paper_notation import add
-from models.physics.pushes import Push
+from slipmap.models.inference.diagnosis.correlated import CorrelatedLikelihood, MeasuredPushes
+from slipmap.models.inference.diagnosis.fitting import Fitted
+from slipmap.models.inference.observations import Observation
+from slipmap.models.measurements import PushDataset, pose_times
+from slipmap.models.physics.cell_grid import FloatArray
+from slipmap.models.physics.paper_notation import add
+from slipmap.models.physics.pushes import Push
 
 LOCKED_SHARE = 0.3
 """Share of the pushes that is locked away where the dataset has no held-out ones."""

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from models.effects.probes import PROBES
-from models.inference.diagnosis.fitting import Fitted
-from models.inference.diagnosis.screening import Screening
+from slipmap.models.effects.probes import PROBES
+from slipmap.models.inference.diagnosis.fitting import Fitted
+from slipmap.models.inference.diagnosis.screening import Screening
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,29 +10,252 @@
 5. Where none passes, pairs are tried; where no pair passes, the effect is unknown to the library.
 
 The steps from the second on are those of `inquiry`.
+
+What counts is said in `verdict_rules`, what it comes to in `outcomes`.
 """
 
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
 
 import numpy as np
 
-from models.effects.effect import Effect
-from models.effects.library import LIBRARY
-from models.inference.diagnosis import outcomes
-from models.inference.diagnosis.inquiry import Inquiry, Progress
-from models.inference.diagnosis.locked import locked_errors, locked_trials
-from models.inference.diagnosis.results import QUICK_COARSENESS, Diagnosis
-from models.inference.diagnosis.verdict_rules import (
+from slipmap.models.effects.effect import Effect
+from slipmap.models.effects.library import LIBRARY
+from slipmap.models.effects.probes import PROBES
+from slipmap.models.inference.diagnosis import outcomes
+from slipmap.models.inference.diagnosis.correlated import sensor_noise
+from slipmap.models.inference.diagnosis.effect_fit import effect_sizes
+from slipmap.models.inference.diagnosis.fitting import Fitted, Fitter
+from slipmap.models.inference.diagnosis.locked import locked_errors, locked_trials
+from slipmap.models.inference.diagnosis.outcomes import Outcome
+from slipmap.models.inference.diagnosis.refits import Refits, better_base, pairs, refit_candidates
+from slipmap.models.inference.diagnosis.results import (
+    QUICK_COARSENESS,
+    CandidateResult,
+    Diagnosis,
+    parameter_estimates,
+)
+from slipmap.models.inference.diagnosis.screening import Screening, screen
+from slipmap.models.inference.diagnosis.verdict_rules import (
+    AGREEMENT,
+    CLEARLY_WORSE_GAIN,
     FEWEST_DRAWS,
+    FEWEST_PUSHES,
     LEVEL,
+    PAIR_GAIN,
+    PROBE_GAIN,
+    ROUGH,
+    UNKNOWN_GAIN,
+    Remainder,
+    Rules,
     locked_pushes_object,
     locked_pushes_stay_off,
+    not_outdone,
+    with_better_predictors,
+    worth_asking,
 )
-from models.inference.observations import observe_all
-from models.measurements import DatasetError, PushDataset
+from slipmap.models.inference.observations import Observation, observe_all
+from slipmap.models.measurements import DatasetError, PushDataset
+
+# What open pushes miss: the steps of `procedure` that go from them to an answer, and what they find.
+
+
+MOST_ASKED = 5
+MOST_ASKED_QUICKLY = 2
+"""Candidates that are asked what they leave."""
+
+FIRSTS_TRIED = 2
+"""Candidates to which a second effect is added."""
+
+Progress = Callable[[str, int, int], None]
+
+
+class Inquiry:
+    """The steps of one diagnosis and what they found on the way."""
+
+    def __init__(
+        self,
+        dataset: PushDataset,
+        observations: Sequence[Observation],
+        effects: tuple[Effect, ...],
+        draws: int,
+        rng: np.random.Generator,
+        report: Progress,
+    ) -> None:
+        self.effects = effects
+        self.draws = draws
+        self.rng = rng
+        self.report = report
+        self.rules = Rules(effects, simulated=draws > 0)
+        self.fitter = Fitter(dataset, observations, sensor_noise(dataset))
+        report("fitting without effects", 0, 1)
+        self.base = self.fitter.from_scratch(partial(report, "fitting without effects"))
+        self.scene = self.fitter.scene(self.base)
+        report("fitting without effects", 1, 1)
+        self.error = self.base.likelihood.error
+        self.second_look = False
+        self.refits = Refits(self.error, {}, {})
+        self.left: dict[str, Remainder] = {}
+        self.accepted: list[str] = []
+        self.first: Screening
+        self.p_value: float | None = None
+
+    def run(self) -> Outcome:
+        """Go through the steps."""
+        self.first = self._ask_every_effect()
+        if not self.rules.missing(self.first):
+            return self._nothing_found()
+        self.refits = refit_candidates(
+            self.fitter, self.base, self.first, self.effects, self.scene,
+            quick=not self.draws, progress=partial(self.report, "refitting with effects"),
+        )  # fmt: skip
+        self.error = self.refits.error
+        if self._found_better_base():
+            return self.run()
+        disagreement = self._disagreement()
+        if disagreement is not None:
+            return disagreement
+        if not self.refits.fits:
+            return outcomes.unknown(self.base, self.first)
+        rest = self._ask_what_is_left()
+        if self.accepted:
+            gains, predicted = self.refits.gains, self.first.by_name
+            kept = not_outdone(self.accepted, self.left, gains, predicted)
+            self.accepted = with_better_predictors(kept, gains, predicted)
+            return outcomes.one_of([self.refits.fits[name] for name in self.accepted])
+        if float(self.first.gain.max()) < PROBE_GAIN:
+            return outcomes.too_faint(self.base)
+        found = self._pairs(rest)
+        if found:
+            return outcomes.two_at_once(found)
+        if float(self.first.gain.max()) < UNKNOWN_GAIN:
+            return outcomes.too_faint(self.base)
+        return outcomes.unknown(self.base, next(iter(rest.values())))
+
+    def _screen(self, fitted: Fitted, progress: Callable[[int, int], None] | None = None) -> Screening:
+        everything = (*self.effects, *PROBES)
+        return screen(
+            self.fitter, fitted, everything, len(self.effects), self.scene, max(self.draws, 1), self.rng,
+            progress,
+        )  # fmt: skip
+
+    def _ask_every_effect(self) -> Screening:
+        """Gains on top of the model without effects."""
+        first = self._screen(self.base, partial(self.report, "asking every effect"))
+        named = [effect in self.effects for effect in first.candidates]
+        self.p_value = self.rules.p_value(first, float(first.gain[named].max()))
+        return first
+
+    def _nothing_found(self) -> Outcome:
+        """Adequate, unless the pushes could not have shown an effect of ordinary size."""
+        pushes = len(self.fitter.observations)
+        if pushes < FEWEST_PUSHES:
+            return outcomes.nothing_visible(self.base, f"{pushes} pushes")
+        if self.rules.blind(self.first):
+            return outcomes.nothing_visible(self.base, "these pushes")
+        if self.error.motion > ROUGH:
+            return outcomes.scatter(self.base)
+        return outcomes.nothing_missing(self.base)
+
+    def _found_better_base(self) -> bool:
+        """Whether a refit leads to a better model without effects, which is then asked anew. Asked once."""
+        if self.second_look or not self.draws:
+            return False
+        self.second_look = True
+        better = better_base(self.fitter, self.base, self.refits)
+        if better is None:
+            return False
+        self.base, self.error = better, better.likelihood.error
+        self.refits = Refits(self.error, {}, {})
+        return True
+
+    def _disagreement(self) -> Outcome | None:
+        """`undecided` where much is left even with the best effect, and pushes do not agree on what gains.
+
+        Then the error model is no more than a description, and chance has to be judged by the pushes alone:
+        by turning round the residuals of whole pushes at random. Where the noise was declared, what is left
+        beyond it is the model's, however few pushes show it.
+        """
+        if self.error.motion <= ROUGH or not self.draws or self.fitter.noise.declared:
+            return None
+        p = self.first.p_of_agreement()
+        if p <= AGREEMENT:
+            return None
+        return outcomes.disagreement(self.base, len(self.fitter.observations), p)
+
+    def _ask_what_is_left(self) -> dict[str, Screening]:
+        """Gains on top of each candidate that is near the best; accepts those that explain the data."""
+        gains = self.refits.gains
+        order = self.refits.order
+        best = gains[order[0]]
+        asked = [name for name in order if worth_asking(gains[name], best)]
+        asked = asked[: MOST_ASKED if self.draws else MOST_ASKED_QUICKLY]
+        rest: dict[str, Screening] = {}
+        for step, name in enumerate(asked):
+            self.report("asking what is left", step, len(asked))
+            rival = self.rules.rivals_the_best(gains[name], best)
+            if not (rival or self.draws):
+                continue
+            rest[name] = self._screen(self.refits.fits[name])
+            self.left[name] = self.rules.remainder(rest[name], gains[name])
+            explains = self.left[name].rejected_by is None
+            if explains and rival and self.rules.stands(self.first, name, gains[name]):
+                self.accepted.append(name)
+        self.report("asking what is left", len(asked), len(asked))
+        return rest
+
+    def _pairs(self, rest: dict[str, Screening]) -> list[Fitted]:
+        """Two effects that together leave nothing, best first; several where the first could be another."""
+        gains = self.refits.gains
+        best = max(gains.values(), default=0.0)
+        found: list[Fitted] = []
+        for step, name in enumerate(list(rest)[:FIRSTS_TRIED]):
+            if found and not self.rules.rivals_the_best(gains[name], best):
+                break
+            self.report("trying pairs", step, FIRSTS_TRIED)
+            first = self.refits.fits[name]
+            for pair in pairs(self.fitter, first, rest[name], self.effects, self.scene):
+                together, second = self.base.cost - pair.cost, first.cost - pair.cost
+                if together > PAIR_GAIN and self.rules.completes(self._screen(pair), second):
+                    found.append(pair)
+                    break
+        found.sort(key=lambda pair: pair.cost)
+        return [pair for pair in found if pair.cost < found[0].cost + CLEARLY_WORSE_GAIN]
+
+    def candidates(self, answer: Fitted) -> list[CandidateResult]:
+        """All named candidates, best first; two effects found together have the parameters of their fit."""
+        noise = self.fitter.dataset.noise
+        together = effect_sizes(answer, noise) if len(answer.effects) > 1 else ()
+        results = []
+        for i, effect in enumerate(self.first.candidates):
+            if effect not in self.effects:
+                continue
+            name, gain = effect.name, float(self.first.gain[i])
+            fitted, left = self.refits.fits.get(name), self.left.get(name)
+            own = tuple(estimate for estimate in together if estimate.effect == name)
+            if not own and fitted is not None:
+                found = name in self.accepted
+                own = effect_sizes(fitted, noise) if found else parameter_estimates(fitted)
+            results.append(
+                CandidateResult(
+                    name=name,
+                    gain=gain,
+                    p_value=self.rules.p_value(self.first, gain),
+                    fitted_gain=self.refits.gains.get(name),
+                    rejected_by=left.rejected_by if left else None,
+                    remaining_gain=left.gain if left else None,
+                    remaining_p=left.p_value if left else None,
+                    in_set=name in self.accepted,
+                    parameters=own,
+                )
+            )
+        return sorted(
+            results, key=lambda c: (-(c.fitted_gain if c.fitted_gain is not None else -np.inf), -c.gain)
+        )
+
 
 QUICK_PUSHES = 10
 """Pushes that a quick look takes, spread evenly over all that are open."""

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from models.effects.effect import Effect, Scene
-from models.inference.diagnosis.error_model import ErrorModel
-from models.inference.diagnosis.fitting import Fitted, Fitter, estimate_errors
-from models.inference.diagnosis.screening import Screening
+from slipmap.models.effects.effect import Effect, Scene
+from slipmap.models.inference.diagnosis.correlated import ErrorModel
+from slipmap.models.inference.diagnosis.fitting import Fitted, Fitter, estimate_errors
+from slipmap.models.inference.diagnosis.screening import Screening
 
 QUICK_FORGIVING = 6
 QUICK_ITERATIONS = 1

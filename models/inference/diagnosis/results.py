@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
-from models.effects.effect import Effect, bounds
-from models.inference.diagnosis.fitting import Fitted
-from models.inference.diagnosis.locked import LockedErrors
-from models.physics.cell_grid import FloatArray
+from slipmap.models.effects.effect import Effect, bounds
+from slipmap.models.inference.diagnosis.fitting import Fitted
+from slipmap.models.inference.diagnosis.locked import LockedErrors
+from slipmap.models.physics.cell_grid import FloatArray
 
 VERDICTS = ("adequate", "effect", "ambiguous", "unknown", "undecided")
 

@@ -16,14 +16,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from models.effects.effect import Effect, EffectError, Scene
-from models.effects.library import LIBRARY
-from models.effects.probes import PROBES
-from models.inference.diagnosis.correlated import CorrelatedLikelihood
-from models.inference.diagnosis.fitting import Fitted, Fitter
-from models.inference.diagnosis.predictive import PushEquations, whitened_rows
-from models.physics.cell_grid import FloatArray
-from models.physics.rollout import RolloutError
+from slipmap.models.effects.effect import Effect, EffectError, Scene
+from slipmap.models.effects.library import LIBRARY
+from slipmap.models.effects.probes import PROBES
+from slipmap.models.inference.diagnosis.correlated import CorrelatedLikelihood
+from slipmap.models.inference.diagnosis.fitting import Fitted, Fitter, PushEquations, whitened_rows
+from slipmap.models.physics.cell_grid import FloatArray
+from slipmap.models.physics.rollout import RolloutError
 
 TOLERANCE = 1.0 / 30.0
 """Negligible amount of an effect, in scales of its amplitudes."""

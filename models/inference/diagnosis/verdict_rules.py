@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from models.effects.effect import Effect
-from models.inference.diagnosis.locked import LockedErrors
-from models.inference.diagnosis.screening import Screening
+from slipmap.models.effects.effect import Effect
+from slipmap.models.inference.diagnosis.locked import LockedErrors
+from slipmap.models.inference.diagnosis.screening import Screening
 
 LEVEL = 0.01
 """Gains that come about by chance more seldom than this count."""

@@ -5,17 +5,17 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from diagrams.campaigns.direct_world import WorldNoise
-from models.measurements.push_dataset import Noise, Table
-from models.objects.benchmark import benchmark_object
-from models.physics.rollout import Push, Slider
-from planners.proposals import turn
-from planners.table_push import TablePush
-from planners.world import ObjectFell
+from slipmap.diagrams.application.campaigns.direct_world import WorldNoise
+from slipmap.models.measurements.push_dataset import Noise, Table
+from slipmap.models.objects.benchmark_objects import benchmark_object
+from slipmap.models.physics.rollout import Push, Slider
+from slipmap.planners.exploration import turn
+from slipmap.planners.push_decisions import ObjectFell
+from slipmap.planners.table_push import TablePush
 
 pytest.importorskip("pybullet", reason="Bullet comes with the extra `bench`")
 
-from diagrams.campaigns.bullet_world import BulletWorld
+from slipmap.diagrams.application.campaigns.bullet_world import BulletWorld
 
 EXACT = WorldNoise(control=0.0, sensors=Noise(), camera=100.0)
 

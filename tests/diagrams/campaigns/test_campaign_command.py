@@ -11,13 +11,13 @@ import numpy as np
 import pytest
 from schemas import assert_as_described, assert_json_as_described, validator
 
-from diagrams.campaigns import pregrasp_success, tilted_table, whole_procedure
-from diagrams.campaigns.experiments import ABOUT, experiment_of
-from diagrams.campaigns.pregrasp_success import near
-from diagrams.command_line import run
-from planners.campaigns.trial import TrialOutcome, write_outcome
-from planners.methods import METHODS
-from planners.strategies import STRATEGIES
+from slipmap.diagrams.application.campaigns import pregrasp_success, tilted_table, whole_procedure
+from slipmap.diagrams.application.campaigns.experiments import ABOUT, experiment_of
+from slipmap.diagrams.application.campaigns.pregrasp_success import near
+from slipmap.diagrams.application.command_line import run
+from slipmap.planners.pregrasp import METHODS
+from slipmap.planners.settings import STRATEGIES
+from slipmap.planners.trials import TrialOutcome, write_outcome
 
 POSES = 4
 
@@ -183,7 +183,7 @@ def test_failed_trials_are_named(tmp_path: Path, capsys: pytest.CaptureFixture[s
     summary = experiment_of("fig4").summary(outcomes)
     assert summary.tables == []
     assert len(summary.figures()) == 1
-    from diagrams.commands.campaign import _show
+    from slipmap.diagrams.application.commands.campaign import _show
 
     _show(summary, outcomes)
     told = capsys.readouterr()

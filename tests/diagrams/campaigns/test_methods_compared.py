@@ -6,12 +6,12 @@ from types import SimpleNamespace
 
 import pytest
 
-from diagrams import pregrasp_run
-from diagrams.campaigns import whole_procedure
-from diagrams.campaigns.experiments import experiment_of
-from diagrams.exploration_run import ExplorationFailed, ExplorationStopped
-from planners.campaigns.trial import TrialOutcome
-from planners.methods import METHODS
+from slipmap.diagrams.application.campaigns import whole_procedure
+from slipmap.diagrams.application.campaigns.experiments import experiment_of
+from slipmap.diagrams.loops import pregrasp_loop as pregrasp_run
+from slipmap.diagrams.loops.exploration_run import ExplorationFailed, ExplorationStopped
+from slipmap.planners.pregrasp import METHODS
+from slipmap.planners.trials import TrialOutcome
 
 
 def outcomes(figure: str, fates: dict[str, list[str | None]]) -> list[TrialOutcome]:

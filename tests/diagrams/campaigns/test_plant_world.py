@@ -5,16 +5,15 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from diagrams.campaigns.direct_world import DirectWorld, WorldNoise, finger_path
-from diagrams.campaigns.plant_world import PlantWorld
-from diagrams.station.hidden_effects import HiddenEffectsConfig, TableTilt
-from models.measurements.push_dataset import Noise
-from models.objects.benchmark import benchmark_object
-from models.physics.rollout import Push, Slider
-from planners.exploration import candidate_pushes
-from planners.proposals import turn
-from planners.table_push import TablePush
-from planners.world import ObjectFell, PushNotMade
+from slipmap.diagrams.application.campaigns.direct_world import DirectWorld, WorldNoise, finger_path
+from slipmap.diagrams.application.campaigns.plant_world import PlantWorld
+from slipmap.diagrams.station.hidden_effects import HiddenEffectsConfig, TableTilt
+from slipmap.models.measurements.push_dataset import Noise
+from slipmap.models.objects.benchmark_objects import benchmark_object
+from slipmap.models.physics.rollout import Push, Slider
+from slipmap.planners.exploration import candidate_pushes, turn
+from slipmap.planners.push_decisions import ObjectFell, PushNotMade
+from slipmap.planners.table_push import TablePush
 
 EXACT = WorldNoise(control=0.0, sensors=Noise(), camera=100.0)
 POSE = np.array([-0.05, 0.02, 2.9])

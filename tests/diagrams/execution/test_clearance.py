@@ -5,12 +5,12 @@ import pytest
 from pydrake.multibody.plant import AddMultibodyPlantSceneGraph
 from pydrake.systems.framework import DiagramBuilder
 
-from diagrams.execution.clearance import ArmClearance, Obstacle
-from diagrams.execution.finger_kinematics import FingerKinematics
-from diagrams.station.arm import HOME, add_arm, arm_model
-from diagrams.station.table import ROUND_TABLE, add_table
-from models.objects.footprints import cells_from_polygon
-from models.robots import GRIPPER_OPENING, POSITION_LIMITS
+from slipmap.diagrams.execution.clearance import ArmClearance, Obstacle
+from slipmap.diagrams.execution.finger_kinematics import FingerKinematics
+from slipmap.diagrams.station.arm import HOME, add_arm, arm_model
+from slipmap.diagrams.station.table import ROUND_TABLE, add_table
+from slipmap.models.objects.footprints import cells_from_polygon
+from slipmap.models.robots import GRIPPER_OPENING, POSITION_LIMITS
 
 
 @pytest.fixture(scope="module")

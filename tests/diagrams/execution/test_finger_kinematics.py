@@ -3,9 +3,14 @@
 import numpy as np
 import pytest
 
-from diagrams.execution.finger_kinematics import LIMIT_MARGIN, WORKING_POSTURE, FingerKinematics, OutOfReach
-from diagrams.station.arm import arm_model
-from models.robots import POSITION_LIMITS
+from slipmap.diagrams.execution.finger_kinematics import (
+    LIMIT_MARGIN,
+    WORKING_POSTURE,
+    FingerKinematics,
+    OutOfReach,
+)
+from slipmap.diagrams.station.arm import arm_model
+from slipmap.models.robots import POSITION_LIMITS
 
 
 @pytest.fixture(scope="module")

@@ -8,17 +8,17 @@ from pydrake.multibody.plant import AddMultibodyPlant
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
 
-from diagrams.execution import ActivePush
-from diagrams.execution.messages import ActiveGrasp
-from diagrams.execution.push_executor import PushExecutor
-from diagrams.station.arm import HOME, add_arm, add_arm_drivers, arm_model
-from diagrams.station.sliding_object import BODY, add_sliding_object, plant_config, resting_pose
-from diagrams.station.table import ROUND_TABLE, TABLE_FRICTION, add_table
-from models.objects.benchmark import benchmark_object
-from models.robots import FINGER_RADIUS, GRIPPER_OPENING
-from planners.goal_settings import GoalSettings
-from planners.goals import sample_goals
-from planners.table_push import TablePush
+from slipmap.diagrams.execution import ActivePush
+from slipmap.diagrams.execution.push_executor import PushExecutor
+from slipmap.diagrams.execution.requests import ActiveGrasp
+from slipmap.diagrams.station.arm import HOME, add_arm, add_arm_drivers, arm_model
+from slipmap.diagrams.station.sliding_object import BODY, add_sliding_object, plant_config, resting_pose
+from slipmap.diagrams.station.table import ROUND_TABLE, TABLE_FRICTION, add_table
+from slipmap.models.objects.benchmark_objects import benchmark_object
+from slipmap.models.robots import FINGER_RADIUS, GRIPPER_OPENING
+from slipmap.planners.goals import sample_goals
+from slipmap.planners.settings import GoalSettings
+from slipmap.planners.table_push import TablePush
 
 
 class Cell:

@@ -6,17 +6,23 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from diagrams.execution.clearance import ArmClearance, Obstacle
-from diagrams.execution.config import ExecutionConfig
-from diagrams.execution.finger_kinematics import FingerKinematics
-from diagrams.execution.grasp_plan import CLEAR, CLOSE, LIFT, plan_grasp
-from diagrams.execution.messages import ActiveGrasp
-from diagrams.execution.motion import MotionRefused
-from diagrams.station.arm import HOME, arm_model
-from diagrams.station.table import ROUND_TABLE
-from models.objects.footprints import cells_from_polygon
-from models.robots import ACCELERATION_LIMITS, GRIP_FORCE, GRIPPER_OPENING, POSITION_LIMITS, SPEED_LIMITS
-from planners.grasps import Grasp
+from slipmap.diagrams.execution.clearance import ArmClearance, Obstacle
+from slipmap.diagrams.execution.finger_kinematics import FingerKinematics
+from slipmap.diagrams.execution.motion import MotionRefused
+from slipmap.diagrams.execution.plans import CLEAR, CLOSE, LIFT, plan_grasp
+from slipmap.diagrams.execution.requests import ActiveGrasp
+from slipmap.diagrams.execution.settings import ExecutionConfig
+from slipmap.diagrams.station.arm import HOME, arm_model
+from slipmap.diagrams.station.table import ROUND_TABLE
+from slipmap.models.objects.footprints import cells_from_polygon
+from slipmap.models.robots import (
+    ACCELERATION_LIMITS,
+    GRIP_FORCE,
+    GRIPPER_OPENING,
+    POSITION_LIMITS,
+    SPEED_LIMITS,
+)
+from slipmap.planners.grasps import Grasp
 
 GRID = cells_from_polygon([(-0.15, -0.04), (0.15, -0.04), (0.15, 0.04), (-0.15, 0.04)], count=40)
 HEIGHT = 0.03

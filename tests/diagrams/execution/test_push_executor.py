@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from arm_rig import BOX_MASS, SAMPLE, done
 
-from diagrams.execution.config import ExecutionConfig
-from diagrams.station.arm import HOME
-from models.robots import POSITION_LIMITS, SPEED_LIMITS
-from planners.table_push import TablePush
+from slipmap.diagrams.execution.settings import ExecutionConfig
+from slipmap.diagrams.station.arm import HOME
+from slipmap.models.robots import POSITION_LIMITS, SPEED_LIMITS
+from slipmap.planners.table_push import TablePush
 
 HEIGHT = ExecutionConfig().tip_height
 SPEEDS = (0.05, 0.1)

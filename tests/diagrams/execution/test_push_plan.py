@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 
-from diagrams.execution.config import ExecutionConfig
-from diagrams.execution.finger_kinematics import FingerKinematics
-from diagrams.execution.motion import MotionRefused
-from diagrams.execution.push_plan import plan_push, plan_retreat
-from diagrams.station.arm import HOME, arm_model
-from models.robots import ACCELERATION_LIMITS, POSITION_LIMITS, SPEED_LIMITS
-from planners.table_push import TablePush
+from slipmap.diagrams.execution.finger_kinematics import FingerKinematics
+from slipmap.diagrams.execution.motion import MotionRefused
+from slipmap.diagrams.execution.plans import plan_push, plan_retreat
+from slipmap.diagrams.execution.settings import ExecutionConfig
+from slipmap.diagrams.station.arm import HOME, arm_model
+from slipmap.models.robots import ACCELERATION_LIMITS, POSITION_LIMITS, SPEED_LIMITS
+from slipmap.planners.table_push import TablePush
 
 CONFIG = ExecutionConfig()
 

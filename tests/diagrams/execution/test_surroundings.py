@@ -9,19 +9,18 @@ from pydrake.math import RigidTransform, RotationMatrix
 from pydrake.multibody.plant import AddMultibodyPlantSceneGraph, CoulombFriction
 from pydrake.systems.framework import DiagramBuilder
 
-from diagrams.execution.clearance import ArmClearance, Obstacle
-from diagrams.execution.config import ExecutionConfig
-from diagrams.execution.finger_kinematics import FingerKinematics
-from diagrams.execution.messages import ActivePush
-from diagrams.execution.motion import MotionRefused
-from diagrams.execution.push_executor import PERIOD, PushExecutor
-from diagrams.execution.push_plan import plan_push
-from diagrams.execution.surroundings import APART, Surroundings
-from diagrams.station.arm import HOME, add_arm, arm_model
-from diagrams.station.table import ROUND_TABLE
-from models.objects.footprints import cells_from_polygon
-from models.perception.observed_pose import ObservedPose
-from planners.table_push import TablePush
+from slipmap.diagrams.execution.clearance import APART, ArmClearance, Obstacle, Surroundings
+from slipmap.diagrams.execution.finger_kinematics import FingerKinematics
+from slipmap.diagrams.execution.motion import MotionRefused
+from slipmap.diagrams.execution.plans import plan_push
+from slipmap.diagrams.execution.push_executor import PERIOD, PushExecutor
+from slipmap.diagrams.execution.requests import ActivePush
+from slipmap.diagrams.execution.settings import ExecutionConfig
+from slipmap.diagrams.station.arm import HOME, add_arm, arm_model
+from slipmap.diagrams.station.table import ROUND_TABLE
+from slipmap.models.objects.footprints import cells_from_polygon
+from slipmap.models.perception.seen_object import ObservedPose
+from slipmap.planners.table_push import TablePush
 from tests.diagrams.systems.driven_block import DrivenBlock, seen_at
 
 LENGTH, WIDTH, HEIGHT = 0.361, 0.129, 0.07

@@ -3,9 +3,8 @@
 import numpy as np
 import pytest
 
-from diagrams.execution.finger_kinematics import FingerKinematics
-from diagrams.execution.tip_force import tip_force
-from diagrams.station.arm import arm_model
+from slipmap.diagrams.execution.finger_kinematics import FingerKinematics, tip_force
+from slipmap.diagrams.station.arm import arm_model
 
 
 @pytest.fixture(scope="module")

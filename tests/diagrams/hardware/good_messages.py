@@ -15,8 +15,8 @@ from drake import (
     lcmt_schunk_wsg_status,
 )
 
-from diagrams.hardware import channels
-from diagrams.station.arm import HOME
+from slipmap.diagrams.hardware import channels
+from slipmap.diagrams.station.arm import HOME
 
 WIDTH, HEIGHT = 20, 12
 

@@ -7,7 +7,7 @@ import signal
 
 import pytest
 
-from diagrams.hardware.control import stopped_by_ctrl_c
+from slipmap.diagrams.hardware.control import stopped_by_ctrl_c
 
 
 class Cell:

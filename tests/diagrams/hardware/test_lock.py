@@ -10,13 +10,13 @@ import time
 
 import pytest
 
-from diagrams.console import BadInput
-from diagrams.hardware.lock import only_controller
+from slipmap.diagrams.application.terminal import BadInput
+from slipmap.diagrams.hardware.control import only_controller
 
 URL, OTHER = "udpm://239.255.76.67:7667?ttl=0", "udpm://239.255.76.67:7668?ttl=0"
 HOLDS = """
 import sys, time
-from diagrams.hardware.lock import only_controller
+from slipmap.diagrams.hardware.control import only_controller
 with only_controller(sys.argv[1]):
     print("held", flush=True)
     time.sleep(60)

@@ -7,7 +7,7 @@ import io
 import numpy as np
 import pytest
 
-from diagrams.hardware.message_log import BadLog, Event, LogReader
+from slipmap.diagrams.hardware.message_stream import BadLog, Event, LogReader
 
 EVENTS = [
     Event(0, 1_700_000_000_000_000, "IIWA_STATUS", b"abc"),

@@ -7,7 +7,7 @@ from pydrake.lcm import DrakeLcm
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder, LeafSystem
 
-from diagrams.hardware.message_pump import MessagePump
+from slipmap.diagrams.hardware.checked_messages import MessagePump
 
 CHANNELS = [f"CHANNEL_{number}" for number in range(20)]
 STEP = 1e-3  # s

@@ -5,8 +5,8 @@ from __future__ import annotations
 import os
 import time
 
-from diagrams.hardware.message_stream import TICK, MessageStream
-from diagrams.hardware.network import open_lcm
+from slipmap.diagrams.hardware.message_stream import TICK, MessageStream
+from slipmap.diagrams.hardware.network import open_lcm
 
 URL = f"udpm://239.255.76.67:{7740 + os.getpid() % 20}?ttl=0"
 

@@ -13,11 +13,10 @@ from pydrake.manipulation import IiwaStatusReceiver
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
 
-from diagrams.hardware.channels import IIWA_STATUS
-from diagrams.hardware.message_pump import MessagePump
-from diagrams.hardware.messages import CheckedMessages
-from diagrams.hardware.validation import rules
-from diagrams.station.arm import HOME
+from slipmap.diagrams.hardware.channels import IIWA_STATUS
+from slipmap.diagrams.hardware.checked_messages import CheckedMessages, MessagePump
+from slipmap.diagrams.hardware.validation import rules
+from slipmap.diagrams.station.arm import HOME
 
 
 class Listener:

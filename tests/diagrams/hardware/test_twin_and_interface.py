@@ -10,13 +10,13 @@ from pydrake.lcm import DrakeLcm
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
 
-from diagrams.hardware import channels
-from diagrams.hardware.interface import OWN, HardwareInterface
-from diagrams.hardware.twin import CellTwin
-from diagrams.perception.camera import CameraConfig
-from diagrams.station.arm import HOME
-from diagrams.station.scenario import Scenario
-from diagrams.station.station import TRUTH
+from slipmap.diagrams.hardware import channels
+from slipmap.diagrams.hardware.interface import OWN, HardwareInterface
+from slipmap.diagrams.hardware.twin import CellTwin
+from slipmap.diagrams.perception.camera import CameraConfig
+from slipmap.diagrams.station.arm import HOME
+from slipmap.diagrams.station.scenario import Scenario
+from slipmap.diagrams.station.station import TRUTH
 
 pytestmark = pytest.mark.usefixtures("renderer")
 

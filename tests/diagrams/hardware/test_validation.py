@@ -12,8 +12,8 @@ from good_messages import GOOD, HEIGHT, WIDTH, depth_picture, depths, pack
 from pydrake.systems.lcm import _Serializer_
 from pydrake.systems.sensors import LcmImageArrayToImages
 
-from diagrams.hardware import channels
-from diagrams.hardware.validation import BadMessage, check_stamp, rules
+from slipmap.diagrams.hardware import channels
+from slipmap.diagrams.hardware.validation import BadMessage, check_stamp, rules
 
 RULES = rules(WIDTH, HEIGHT)
 

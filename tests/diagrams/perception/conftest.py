@@ -9,12 +9,12 @@ from pydrake.multibody.tree import SpatialInertia
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
 
-from diagrams.perception.camera import CameraConfig, add_camera
-from diagrams.perception.cell_perception import CellPerception
-from diagrams.perception.depth_noise import DepthNoise
-from diagrams.perception.depth_picture import add_depth_picture
-from models.objects.benchmark import BENCHMARK_OBJECTS, benchmark_object
-from models.perception.camera import View
+from slipmap.diagrams.perception.camera import CameraConfig, add_camera
+from slipmap.diagrams.perception.cell_perception import CellPerception
+from slipmap.diagrams.perception.depth_noise import DepthNoise
+from slipmap.diagrams.perception.depth_picture import add_depth_picture
+from slipmap.models.objects.benchmark_objects import BENCHMARK_OBJECTS, benchmark_object
+from slipmap.models.perception.pinhole_camera import View
 
 FAR_AWAY = RigidTransform([0.0, 0.0, -20.0])
 

@@ -9,11 +9,10 @@ from pydrake.multibody.plant import AddMultibodyPlantSceneGraph
 from pydrake.multibody.tree import FixedOffsetFrame, RevoluteJoint, SpatialInertia
 from pydrake.systems.framework import DiagramBuilder
 
-from diagrams.perception.arm_hulls import ArmHulls
-from diagrams.perception.camera import add_camera
-from diagrams.perception.cell_perception import FRAMES, CellPerception
-from models.perception.arm_mask import draw_hulls
-from models.perception.pose_tracking import track
+from slipmap.diagrams.perception.camera import add_camera
+from slipmap.diagrams.perception.cell_perception import FRAMES, ArmHulls, CellPerception
+from slipmap.models.perception.object_mask import draw_hulls
+from slipmap.models.perception.pose_tracking import track
 
 PERIOD = 1 / 15
 
@@ -76,7 +75,7 @@ def test_no_garbage_is_collected_in_the_thread_that_looks(world, monkeypatch):
         seen.append((threading.current_thread() is threading.main_thread(), gc.isenabled()))
         return track(*args)
 
-    monkeypatch.setattr("diagrams.perception.cell_perception.track", spied)
+    monkeypatch.setattr("slipmap.diagrams.perception.cell_perception.track", spied)
     context = world.context()
     world.place(context, "hammer", (0.05, -0.02, 0.6))
     world.simulator(context).AdvanceTo((FRAMES + 2.75) * PERIOD)

@@ -4,10 +4,10 @@ import sys
 import numpy as np
 import pytest
 
-from diagrams.perception.camera import CameraConfig
+from slipmap.diagrams.perception.camera import CameraConfig
 
 TRIAL = """
-from diagrams.perception.renderer import RendererUnavailable, require_renderer
+from slipmap.diagrams.perception.renderer import RendererUnavailable, require_renderer
 try:
     require_renderer()
 except RendererUnavailable as error:

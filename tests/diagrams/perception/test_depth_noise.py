@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from diagrams.perception.depth_noise import DepthNoise, DepthNoiseConfig, noisy_depth
+from slipmap.diagrams.perception.depth_noise import DepthNoise, DepthNoiseConfig, noisy_depth
 
 
 def step(near=1.0, far=1.1):

@@ -8,10 +8,10 @@ from pydrake.multibody.plant import AddMultibodyPlantSceneGraph
 from pydrake.multibody.tree import SpatialInertia
 from pydrake.systems.framework import DiagramBuilder
 
-from diagrams.perception.camera import CameraConfig, add_camera
-from diagrams.perception.depth_picture import DepthPicture, add_depth_picture
-from diagrams.perception.renderer import require_renderer
-from models.objects.benchmark import BENCHMARK_OBJECTS
+from slipmap.diagrams.perception.camera import CameraConfig, add_camera
+from slipmap.diagrams.perception.depth_picture import DepthPicture, add_depth_picture
+from slipmap.diagrams.perception.renderer import require_renderer
+from slipmap.models.objects.benchmark_objects import BENCHMARK_OBJECTS
 
 SHAPES = {
     "box": Box(0.2, 0.1, 0.3),

@@ -5,11 +5,11 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from diagrams.perception.camera import CameraConfig
-from diagrams.perception.sight import Sight
-from models.objects import cells_from_polygon
-from models.perception.arm_mask import Hull
-from models.perception.camera import View
+from slipmap.diagrams.perception.camera import CameraConfig
+from slipmap.diagrams.perception.sight import Sight
+from slipmap.models.objects import cells_from_polygon
+from slipmap.models.perception.object_mask import Hull
+from slipmap.models.perception.pinhole_camera import View
 
 GRID = cells_from_polygon(np.array([[-10, -2], [10, -2], [10, 2], [-10, 2]]) * 0.01, width=0.01)
 SEEN = SimpleNamespace(grid=GRID, cell_heights=np.full(len(GRID), 0.02))

@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from diagrams.perception.cell_perception import FRAMES
-from diagrams.perception.depth_noise import DepthNoiseConfig, noisy_depth
-from models.objects.benchmark import BENCHMARK_OBJECTS, benchmark_object
-from models.perception.first_look import first_look
-from models.perception.pose_tracking import track
+from slipmap.diagrams.perception.cell_perception import FRAMES
+from slipmap.diagrams.perception.depth_noise import DepthNoiseConfig, noisy_depth
+from slipmap.models.objects.benchmark_objects import BENCHMARK_OBJECTS, benchmark_object
+from slipmap.models.perception.first_look import first_look
+from slipmap.models.perception.pose_tracking import track
 
 POSES = 24
 

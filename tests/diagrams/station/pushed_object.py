@@ -12,17 +12,17 @@ from pydrake.multibody.tree import PdControllerGains, PrismaticJoint, SpatialIne
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
 
-from diagrams.station.hidden_effects import HiddenEffectsConfig, add_hidden_effects
-from diagrams.station.sliding_object import (
+from slipmap.diagrams.station.hidden_effects import HiddenEffectsConfig, add_hidden_effects
+from slipmap.diagrams.station.sliding_object import (
     BODY,
     FINGER_FRICTION,
     add_sliding_object,
     plant_config,
     resting_pose,
 )
-from diagrams.station.table import ROUND_TABLE, TABLE_FRICTION, add_table
-from models.measurements.push_dataset import Table
-from models.objects.true_object import TrueObject
+from slipmap.diagrams.station.table import ROUND_TABLE, TABLE_FRICTION, add_table
+from slipmap.models.measurements.push_dataset import Table
+from slipmap.models.objects.true_object import TrueObject
 
 FINGER_RADIUS = 0.008
 FINGER_HEIGHT = 0.002

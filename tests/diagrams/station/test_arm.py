@@ -7,8 +7,8 @@ from pydrake.multibody.plant import MultibodyPlant
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
 
-from diagrams.station.arm import HOME, add_arm, add_arm_drivers, arm_model, default_arm_base
-from models.robots import FINGER_RADIUS, GRIPPER_OPENING, POSITION_LIMITS, TORQUE_LIMITS
+from slipmap.diagrams.station.arm import HOME, add_arm, add_arm_drivers, arm_model, default_arm_base
+from slipmap.models.robots import FINGER_RADIUS, GRIPPER_OPENING, POSITION_LIMITS, TORQUE_LIMITS
 
 HAND_TO_TIP = 0.2
 

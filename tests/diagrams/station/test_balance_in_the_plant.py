@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from pushed_object import TestBed
 
-from diagrams.station.table import ROUND_TABLE
-from models.objects.benchmark import benchmark_object
-from models.physics.balance import balance_margins
+from slipmap.diagrams.station.table import ROUND_TABLE
+from slipmap.models.objects.benchmark_objects import benchmark_object
+from slipmap.models.physics.balance import balance_margins
 
 BESIDE = 4e-3
 """m: nearer to balance the plant's soft contacts decide."""

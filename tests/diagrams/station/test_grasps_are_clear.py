@@ -9,12 +9,12 @@ from pydrake.multibody.parsing import Parser
 from pydrake.multibody.plant import AddMultibodyPlant
 from pydrake.systems.framework import DiagramBuilder
 
-from diagrams.station.sliding_object import BODY, add_sliding_object, plant_config, resting_pose
-from diagrams.station.table import ROUND_TABLE, TABLE_FRICTION, add_table
-from models.objects.benchmark import benchmark_object
-from models.robots import GRIPPER_MODEL
-from planners.goal_settings import GoalSettings
-from planners.goals import sample_goals
+from slipmap.diagrams.station.sliding_object import BODY, add_sliding_object, plant_config, resting_pose
+from slipmap.diagrams.station.table import ROUND_TABLE, TABLE_FRICTION, add_table
+from slipmap.models.objects.benchmark_objects import benchmark_object
+from slipmap.models.robots import GRIPPER_MODEL
+from slipmap.planners.goals import sample_goals
+from slipmap.planners.settings import GoalSettings
 
 NEAR = 0.05  # m, beyond which distances do not matter
 

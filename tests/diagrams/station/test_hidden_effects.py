@@ -13,7 +13,7 @@ from pydrake.math import RigidTransform, RollPitchYaw
 from pydrake.multibody.math import SpatialVelocity
 from pydrake.multibody.plant import MultibodyPlant
 
-from diagrams.station.hidden_effects import (
+from slipmap.diagrams.station.hidden_effects import (
     HiddenEffects,
     HiddenEffectsConfig,
     TableFrictionField,
@@ -23,13 +23,13 @@ from diagrams.station.hidden_effects import (
     add_hidden_effects,
     tilted_gravity,
 )
-from diagrams.station.sliding_object import add_sliding_object
-from models.effects import LIBRARY, EffectSlider
-from models.effects.registry import effects_named
-from models.objects.benchmark import benchmark_object
-from models.objects.true_object import TrueObject
-from models.physics.rollout import Maps, Slider
-from planners.exploration import candidate_pushes
+from slipmap.diagrams.station.sliding_object import add_sliding_object
+from slipmap.models.effects import LIBRARY, EffectSlider
+from slipmap.models.effects.registry import effects_named
+from slipmap.models.objects.benchmark_objects import benchmark_object
+from slipmap.models.objects.true_object import TrueObject
+from slipmap.models.physics.rollout import Maps, Slider
+from slipmap.planners.exploration import candidate_pushes
 
 SHOWN = {
     "table_tilt": TableTilt(0.06, -0.05),

@@ -5,10 +5,9 @@ from __future__ import annotations
 import pytest
 from pydrake.common.yaml import yaml_dump_typed
 
-from diagrams.commands.explore import scenario_of
-from diagrams.console import BadInput
-from diagrams.station.scenario import Scenario
-from diagrams.station.scenario_file import ScenarioError, read_scenario
+from slipmap.diagrams.application.commands.explore import scenario_of
+from slipmap.diagrams.application.terminal import BadInput
+from slipmap.diagrams.station.scenario import Scenario, ScenarioError, read_scenario
 from tests.mutations import refusals, spoilt
 
 WHOLE = yaml_dump_typed(Scenario()).encode()

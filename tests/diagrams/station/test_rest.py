@@ -10,16 +10,16 @@ from pydrake.math import RigidTransform, RollPitchYaw
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import EventStatus
 
-from diagrams.execution.finger_kinematics import FingerKinematics
-from diagrams.perception.camera import CameraConfig
-from diagrams.station.arm import HOME, arm_model
-from diagrams.station.rest import QUIET
-from diagrams.station.scenario import Scenario
-from diagrams.station.sliding_object import BODY, GRAVITY, resting_pose
-from diagrams.station.station import Station
-from models.objects.benchmark import benchmark_object
-from models.physics.balance import balance_margins
-from models.robots import FINGER_RADIUS
+from slipmap.diagrams.execution.finger_kinematics import FingerKinematics
+from slipmap.diagrams.perception.camera import CameraConfig
+from slipmap.diagrams.station.arm import HOME, arm_model
+from slipmap.diagrams.station.rest import QUIET
+from slipmap.diagrams.station.scenario import Scenario
+from slipmap.diagrams.station.sliding_object import BODY, GRAVITY, resting_pose
+from slipmap.diagrams.station.station import Station
+from slipmap.models.objects.benchmark_objects import benchmark_object
+from slipmap.models.physics.balance import balance_margins
+from slipmap.models.robots import FINGER_RADIUS
 
 pytestmark = pytest.mark.usefixtures("renderer")
 

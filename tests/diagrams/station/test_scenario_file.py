@@ -11,12 +11,11 @@ import trimesh
 import yaml
 from pydrake.common.yaml import yaml_dump_typed
 
-from diagrams.exploration_loop import recorded_dataset
-from diagrams.station.scenario import Scenario
-from diagrams.station.scenario_file import ScenarioError, read_scenario, read_settings
-from models.measurements import Trial
-from models.measurements.push_dataset import Channel
-from models.objects import cells_from_polygon
+from slipmap.diagrams.loops.exploration_loop import recorded_dataset
+from slipmap.diagrams.station.scenario import Scenario, ScenarioError, read_scenario, read_settings
+from slipmap.models.measurements import Trial
+from slipmap.models.measurements.push_dataset import Channel
+from slipmap.models.objects import cells_from_polygon
 
 
 @pytest.fixture

@@ -12,8 +12,7 @@ import yaml
 from pydrake.common.yaml import yaml_dump_typed
 from schemas import FOLDER, assert_as_described, validator
 
-from diagrams.station.scenario import Scenario
-from diagrams.station.scenario_file import ScenarioError, read_settings
+from slipmap.diagrams.station.scenario import Scenario, ScenarioError, read_settings
 
 ROOT = FOLDER.parents[1]
 SCHEMA = validator("scenario").schema

@@ -12,20 +12,20 @@ from pushed_object import FINGER_RADIUS, TestBed
 from pydrake.geometry import Role
 from pydrake.multibody.plant import MultibodyPlant
 
-from diagrams.station.sliding_object import (
+from slipmap.diagrams.station.sliding_object import (
     SINK,
     add_sliding_object,
     partner_friction,
     spatial_inertia,
 )
-from diagrams.station.table import ROUND_TABLE, add_table
-from models.measurements.push_dataset import Table
-from models.objects.benchmark import BENCHMARK_OBJECTS, benchmark_object
-from models.objects.footprints import cells_from_polygon
-from models.objects.lofts import coloured
-from models.objects.true_object import Block, TrueObject
-from models.physics.rollout import Push, Slider
-from planners.exploration import candidate_pushes
+from slipmap.diagrams.station.table import ROUND_TABLE, add_table
+from slipmap.models.measurements.push_dataset import Table
+from slipmap.models.objects.benchmark_objects import BENCHMARK_OBJECTS, benchmark_object
+from slipmap.models.objects.footprints import cells_from_polygon
+from slipmap.models.objects.meshes import coloured
+from slipmap.models.objects.true_object import Block, TrueObject
+from slipmap.models.physics.rollout import Push, Slider
+from slipmap.planners.exploration import candidate_pushes
 
 START = np.array([-0.05, 0.02, 0.3])
 SQUARE_TABLE = Table("rectangle", (0.1, 0.0), size=(0.8, 0.6))

@@ -13,10 +13,10 @@ from pydrake.math import RollPitchYaw
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import Context
 
-from diagrams.perception.camera import CameraConfig
-from diagrams.station.arm import HOME
-from diagrams.station.scenario import Scenario
-from diagrams.station.station import Station
+from slipmap.diagrams.perception.camera import CameraConfig
+from slipmap.diagrams.station.arm import HOME
+from slipmap.diagrams.station.scenario import Scenario
+from slipmap.diagrams.station.station import Station
 
 pytestmark = pytest.mark.usefixtures("renderer")
 

@@ -10,7 +10,7 @@ from pydrake.math import RigidTransform
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import LeafSystem, PortDataType
 
-from models.perception.observed_pose import ObservedPose
+from slipmap.models.perception.seen_object import ObservedPose
 
 
 class DrivenBlock:

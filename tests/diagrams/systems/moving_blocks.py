@@ -9,13 +9,13 @@ from typing import Any
 import numpy as np
 from pydrake.common.value import Value
 
-from diagrams.collectable import PythonSystem
-from models.effects.slider import EffectSlider
-from models.inference.belief import Belief
-from models.objects import cells_from_polygon
-from models.physics.cell_grid import CellGrid, FloatArray
-from models.physics.rollout import Maps, Push, Slider, Smoothing
-from planners.exploration import candidate_pushes
+from slipmap.diagrams.systems.python_system import PythonSystem
+from slipmap.models.effects.slider import EffectSlider
+from slipmap.models.inference.belief import Belief
+from slipmap.models.objects import cells_from_polygon
+from slipmap.models.physics.cell_grid import CellGrid, FloatArray
+from slipmap.models.physics.rollout import Maps, Push, Slider, Smoothing
+from slipmap.planners.exploration import candidate_pushes
 
 RADIUS = 0.005
 H = 0.01

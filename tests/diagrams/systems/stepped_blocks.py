@@ -9,12 +9,10 @@ from typing import Any
 import numpy as np
 from moving_blocks import RADIUS, H, block, block_belief
 
-from diagrams.systems.cell_grid_slider import (
-    CellGridSlider,
-)
-from models.effects.registry import effects_named
-from models.effects.slider import EffectSlider
-from models.physics.rollout import Maps, Push, Slider
+from slipmap.diagrams.systems.cell_grid_slider import CellGridSlider
+from slipmap.models.effects.registry import effects_named
+from slipmap.models.effects.slider import EffectSlider
+from slipmap.models.physics.rollout import Maps, Push, Slider
 
 FloatArray = np.ndarray
 

@@ -19,13 +19,21 @@ from pydrake.geometry import Meshcat
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import Diagram, DiagramBuilder
 
-from diagrams.figures.style import MAP_COLORS
-from diagrams.systems.belief_colors import BOARD, MAPS, legend, shown
-from diagrams.systems.belief_visualizer import HYPOTHESIS, MAP, VIEW, BeliefVisualizer
-from diagrams.systems.unlit_meshes import tiles
-from models.inference.belief import Belief
-from models.physics.rollout import Maps
-from planners.table_push import TablePush
+from slipmap.diagrams.application.figures.style import MAP_COLORS
+from slipmap.diagrams.systems.belief_visualizer import (
+    BOARD,
+    HYPOTHESIS,
+    MAP,
+    MAPS,
+    VIEW,
+    BeliefVisualizer,
+    legend,
+    shown,
+)
+from slipmap.diagrams.systems.unlit_meshes import tiles
+from slipmap.models.inference.belief import Belief
+from slipmap.models.physics.rollout import Maps
+from slipmap.planners.table_push import TablePush
 
 FIRST = block_belief(4)
 SECOND = replace(FIRST, maps=Maps(FIRST.maps.mass[:, ::-1], FIRST.maps.mu, FIRST.maps.mu_finger))

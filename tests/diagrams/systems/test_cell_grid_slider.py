@@ -19,17 +19,17 @@ from stepped_blocks import (
     system_of,
 )
 
-from diagrams.systems.cell_grid_slider import (
+from slipmap.diagrams.systems.cell_grid_slider import (
     EFFECTS,
     MASS,
     CellGridSlider,
     CellGridSlider_,
     slider_of_hypothesis,
 )
-from models.effects.effect import Effect, Parameter
-from models.effects.slider import EffectSlider
-from models.physics.paper_notation import cell_poses
-from models.physics.rollout import Maps, Push, Slider
+from slipmap.models.effects.effect import Effect, Parameter
+from slipmap.models.effects.slider import EffectSlider
+from slipmap.models.physics.paper_notation import cell_poses
+from slipmap.models.physics.rollout import Maps, Push, Slider
 
 
 @pytest.mark.parametrize("name", VALUES)

@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 from driven_block import DrivenBlock, seen_at
 
-from diagrams.systems import exploration
-from diagrams.systems.exploration import PERIOD, Exploration
-from diagrams.systems.messages import LoopStatus, PokeRequest
-from models.objects import cells_from_polygon
-from models.perception.observed_pose import ObservedPose
-from planners.action_selection import Poke
-from planners.poke_settings import PokeSettings
+from slipmap.diagrams.systems import exploration
+from slipmap.diagrams.systems.exploration import PERIOD, Exploration
+from slipmap.diagrams.systems.loop_messages import LoopStatus, PokeRequest
+from slipmap.models.objects import cells_from_polygon
+from slipmap.models.perception.seen_object import ObservedPose
+from slipmap.planners.action_selection import Poke
+from slipmap.planners.settings import PokeSettings
 
 GRID = cells_from_polygon(np.array([[-6, -2], [6, -2], [6, 2], [-6, 2]]) * 0.01, width=0.01)
 SEEN = SimpleNamespace(grid=GRID, cell_heights=np.full(len(GRID), 0.05))

@@ -7,9 +7,9 @@ import pytest
 from driven_block import DrivenBlock
 from pydrake.math import RigidTransform
 
-from diagrams.execution import ExecutionStatus
-from diagrams.execution.messages import MODES
-from diagrams.systems.finger_motion import FingerMotion
+from slipmap.diagrams.execution import ExecutionStatus
+from slipmap.diagrams.execution.requests import MODES
+from slipmap.diagrams.systems.finger import FingerMotion
 
 PERIOD = 0.01
 VELOCITY = np.array([0.06, -0.08])

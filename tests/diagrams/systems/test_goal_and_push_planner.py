@@ -8,12 +8,11 @@ import numpy as np
 import pytest
 from driven_block import DrivenBlock, seen_at
 
-from diagrams.systems.goal_and_push_planner import PERIOD, GoalAndPushPlanner
-from diagrams.systems.messages import LoopStatus, PregraspPlan
-from models.objects.benchmark import benchmark_object
-from models.perception.observed_pose import ObservedPose
-from planners.goal_settings import GoalSettings
-from planners.pregrasp_settings import PregraspSettings, PushSettings
+from slipmap.diagrams.systems.goal_and_push_planner import PERIOD, GoalAndPushPlanner
+from slipmap.diagrams.systems.loop_messages import LoopStatus, PregraspPlan
+from slipmap.models.objects.benchmark_objects import benchmark_object
+from slipmap.models.perception.seen_object import ObservedPose
+from slipmap.planners.settings import GoalSettings, PregraspSettings, PushSettings
 from tests.planners.cell_world import TABLE, belief_about
 
 HAMMER = benchmark_object("hammer")

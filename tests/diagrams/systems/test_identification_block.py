@@ -9,9 +9,9 @@ import pytest
 from driven_block import DrivenBlock
 from hidden_effects import TILT, tilted_pushes
 
-from diagrams.systems.identification import PERIOD, Identification
-from models.effects import EffectError
-from models.inference.identification import identify
+from slipmap.diagrams.systems.identification import PERIOD, Identification
+from slipmap.models.effects import EffectError
+from slipmap.models.inference.identification import identify
 
 K, SEED = 4, 7
 

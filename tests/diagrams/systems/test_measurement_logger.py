@@ -9,13 +9,13 @@ import pytest
 from driven_block import DrivenBlock, seen_at
 from pydrake.math import RigidTransform
 
-from diagrams.execution import ExecutionStatus
-from diagrams.systems.measurement_logger import LOOKS, PERIOD, MeasurementLogger, dataset_of
-from diagrams.systems.messages import LoopStatus
-from models.measurements import PushDataset, Trial, read_dataset, write_dataset
-from models.measurements.push_dataset import Channel, DatasetError, Noise
-from models.objects import cells_from_polygon
-from models.perception.observed_pose import ObservedPose
+from slipmap.diagrams.execution import ExecutionStatus
+from slipmap.diagrams.systems.loop_messages import LoopStatus
+from slipmap.diagrams.systems.measurement_logger import LOOKS, PERIOD, MeasurementLogger, dataset_of
+from slipmap.models.measurements import PushDataset, Trial, read_dataset, write_dataset
+from slipmap.models.measurements.push_dataset import Channel, DatasetError, Noise
+from slipmap.models.objects import cells_from_polygon
+from slipmap.models.perception.seen_object import ObservedPose
 
 PICTURE = 0.1  # s between pictures, ten times that between rows
 SPEED, FORCE = 0.05, (3.0, -1.0, 0.5)

@@ -12,15 +12,15 @@ from moving_blocks import H, Player, block, block_belief, moved, seen, table_pus
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import Context, Diagram, DiagramBuilder
 
-from diagrams.systems.model_monitor import LEVEL, ModelMonitor
-from diagrams.systems.multiverse_slider import Universes, placed
-from models.effects.registry import effects_named
-from models.inference.diagnosis.error_model import ErrorModel
-from models.inference.push_misfit import pose_noise, resting_misfit
-from models.measurements import Trial
-from models.measurements.push_dataset import Channel, Noise
-from models.measurements.simulated import record_pushes
-from models.physics.cell_grid import FloatArray
+from slipmap.diagrams.systems.model_monitor import LEVEL, ModelMonitor
+from slipmap.diagrams.systems.multiverse_slider import Universes, placed
+from slipmap.models.effects.registry import effects_named
+from slipmap.models.inference.diagnosis.correlated import ErrorModel
+from slipmap.models.inference.push_misfit import pose_noise, resting_misfit
+from slipmap.models.measurements import Trial
+from slipmap.models.measurements.push_dataset import Channel, Noise
+from slipmap.models.measurements.simulated import record_pushes
+from slipmap.models.physics.cell_grid import FloatArray
 
 NOISE = np.array([5e-4, 5e-4, 4e-3])
 SENSORS = Noise(position=5e-4, angle=4e-3, tip=None, force=None)

@@ -12,11 +12,11 @@ from moving_blocks import H, Player, block_belief, seen, table_pushes
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import Diagram, DiagramBuilder
 
-from diagrams.systems.multiverse_slider import MultiverseSlider
-from models.effects.registry import effects_named
-from models.inference.belief import Belief
-from models.physics.paper_notation import add
-from models.physics.rollout import Maps, Push
+from slipmap.diagrams.systems.multiverse_slider import MultiverseSlider
+from slipmap.models.effects.registry import effects_named
+from slipmap.models.inference.belief import Belief
+from slipmap.models.physics.paper_notation import add
+from slipmap.models.physics.rollout import Maps, Push
 
 FIRST, SECOND = table_pushes(2, 3)
 PAUSE = 5 * H

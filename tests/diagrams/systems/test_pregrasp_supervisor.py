@@ -7,13 +7,12 @@ from types import SimpleNamespace
 import pytest
 from driven_block import DrivenBlock, seen_at
 
-from diagrams.execution import ActivePush, ExecutionStatus
-from diagrams.systems.messages import MOST_ATTEMPTS, LoopStatus, PregraspPlan
-from diagrams.systems.pregrasp_supervisor import HOLD, PregraspSupervisor
-from diagrams.systems.push_supervisor import PATIENCE, PERIOD
-from models.perception.observed_pose import ObservedPose
-from models.robots import FINGER_RADIUS
-from planners.table_push import TablePush
+from slipmap.diagrams.execution import ActivePush, ExecutionStatus
+from slipmap.diagrams.systems.loop_messages import MOST_ATTEMPTS, LoopStatus, PregraspPlan
+from slipmap.diagrams.systems.supervisors import HOLD, PATIENCE, PERIOD, PregraspSupervisor
+from slipmap.models.perception.seen_object import ObservedPose
+from slipmap.models.robots import FINGER_RADIUS
+from slipmap.planners.table_push import TablePush
 
 PUSH = TablePush([0.0, 0.0], [0.1, 0.0], 0.05)
 PLANNED = SimpleNamespace(push=PUSH)

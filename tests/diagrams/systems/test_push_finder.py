@@ -9,10 +9,10 @@ import pytest
 from driven_block import DrivenBlock, seen_at
 from pydrake.math import RigidTransform
 
-from diagrams.systems.measurement_logger import PERIOD
-from diagrams.systems.push_finder import GAP, LONGEST, PushFinder
-from models.objects import cells_from_polygon
-from models.perception.observed_pose import ObservedPose
+from slipmap.diagrams.systems.measurement_logger import PERIOD
+from slipmap.diagrams.systems.push_finder import GAP, LONGEST, PushFinder
+from slipmap.models.objects import cells_from_polygon
+from slipmap.models.perception.seen_object import ObservedPose
 
 PICTURE = 0.1
 RADIUS = 0.008

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from driven_block import DrivenBlock, seen_at
 
-from diagrams.execution import ExecutionStatus
-from diagrams.systems.messages import MOST_ATTEMPTS, LoopStatus, PokeRequest
-from diagrams.systems.push_supervisor import PATIENCE, PERIOD, PushSupervisor
-from models.perception.observed_pose import ObservedPose
-from planners.action_selection import Poke
-from planners.table_push import TablePush
+from slipmap.diagrams.execution import ExecutionStatus
+from slipmap.diagrams.systems.loop_messages import MOST_ATTEMPTS, LoopStatus, PokeRequest
+from slipmap.diagrams.systems.supervisors import PATIENCE, PERIOD, PushSupervisor
+from slipmap.models.perception.seen_object import ObservedPose
+from slipmap.planners.action_selection import Poke
+from slipmap.planners.table_push import TablePush
 
 GRID = object()  # the supervisor only asks whether there is one
 POKE = Poke(TablePush(np.zeros(2), np.array([0.1, 0.0]), 0.05), np.zeros(2), np.array([1.0, 0.0]))

@@ -23,14 +23,8 @@ from stepped_blocks import (
     system_of,
 )
 
-from diagrams.systems.cell_grid_slider import (
-    EFFECTS,
-    FINGER_FRICTION,
-    FRICTION,
-    MASS,
-    PUSH,
-)
-from models.physics.rollout import Push
+from slipmap.diagrams.systems.cell_grid_slider import EFFECTS, FINGER_FRICTION, FRICTION, MASS, PUSH
+from slipmap.models.physics.rollout import Push
 
 
 def autodiff_context(name: str, context: Any) -> Any:

@@ -14,12 +14,12 @@ import pytest
 from driven_block import DrivenBlock, seen_at
 from hidden_effects import tilted_pushes
 
-from diagrams.systems import identification
-from diagrams.systems.exploration import Exploration
-from diagrams.systems.identification import PERIOD, Identification
-from diagrams.systems.messages import LoopStatus
-from diagrams.systems.workers import begun, workers
-from planners.poke_settings import PokeSettings
+from slipmap.diagrams.systems import identification
+from slipmap.diagrams.systems.exploration import Exploration
+from slipmap.diagrams.systems.identification import PERIOD, Identification
+from slipmap.diagrams.systems.loop_messages import LoopStatus
+from slipmap.diagrams.systems.workers import begun, workers
+from slipmap.planners.settings import PokeSettings
 
 DATASET = tilted_pushes()
 SEEN = SimpleNamespace(grid=DATASET.grid, cell_heights=np.full(len(DATASET.grid), 0.05))

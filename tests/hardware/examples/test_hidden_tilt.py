@@ -2,8 +2,8 @@
 
 import pytest
 
-from diagrams.hardware.testing import assert_alarm, assert_names, assert_quiet
-from models.inference.diagnosis import diagnose
+from slipmap.diagrams.hardware.testing import assert_alarm, assert_names, assert_quiet
+from slipmap.models.inference.diagnosis import diagnose
 
 pytestmark = pytest.mark.twin
 

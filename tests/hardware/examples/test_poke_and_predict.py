@@ -2,13 +2,13 @@
 
 import pytest
 
-from diagrams.exploration_loop import LoopOptions
-from diagrams.hardware.testing import (
+from slipmap.diagrams.hardware.testing import (
     assert_better_than_uniform,
     assert_limits_kept,
     assert_predicts,
 )
-from models.inference.identification import identify
+from slipmap.diagrams.loops.exploration_loop import LoopOptions
+from slipmap.models.inference.identification import identify
 
 pytestmark = pytest.mark.twin
 

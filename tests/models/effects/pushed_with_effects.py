@@ -8,9 +8,9 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from models.effects import LIBRARY, Effect, EffectSlider
-from models.physics.cell_grid import CellGrid
-from models.physics.rollout import Maps, Push, Rollouts, Slider
+from slipmap.models.effects import LIBRARY, Effect, EffectSlider
+from slipmap.models.physics.cell_grid import CellGrid
+from slipmap.models.physics.rollout import Maps, Push, Rollouts, Slider
 
 FloatArray = NDArray[np.float64]
 

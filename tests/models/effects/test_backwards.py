@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 import sympy as sp
 
-from models.effects.backwards import backward_loop
-from models.effects.formulas import _Printer, derivative
+from slipmap.models.effects.formulas import _Printer, backward_loop, derivative
 
 RX, RY = sp.symbols("r_x r_y", real=True)
 Y = sp.symbols("y0:5", real=True)

@@ -23,8 +23,8 @@ from pushed_with_effects import (
     with_values,
 )
 
-from models.effects import LIBRARY, Effect, EffectSlider, Parameter
-from models.physics.rollout import Maps, Push, RolloutError, Slider
+from slipmap.models.effects import LIBRARY, Effect, EffectSlider, Parameter
+from slipmap.models.physics.rollout import Maps, Push, RolloutError, Slider
 
 N = len(BLOCK)
 PUSHES = {"finger": sliding_push(), "coasting": coasting()}

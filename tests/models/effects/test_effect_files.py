@@ -9,15 +9,15 @@ import numpy as np
 import pytest
 from pushed_with_effects import BLOCK, RADIUS, plain_maps, sliding_push, with_values
 
-from models.effects import LIBRARY, EffectError, EffectSlider, Scene
-from models.effects.declaration import check_declaration, check_starts
-from models.effects.registry import effects_named, known_effects, load_effects
-from models.physics.rollout import Slider
+from slipmap.models.effects import LIBRARY, EffectError, EffectSlider, Scene
+from slipmap.models.effects.effect_checks import check_declaration, check_starts
+from slipmap.models.effects.registry import effects_named, known_effects, load_effects
+from slipmap.models.physics.rollout import Slider
 
 GOOD = """\
 import sympy as sp
 
-from models.effects import Effect, Parameter
+from slipmap.models.effects import Effect, Parameter
 
 
 class Magnet(Effect):
@@ -75,7 +75,7 @@ def test_a_name_of_the_library_is_taken(file) -> None:  # type: ignore[no-untype
 
 
 TWINS = """\
-from models.effects import Effect, Parameter
+from slipmap.models.effects import Effect, Parameter
 
 
 def wind(label, along_x):

@@ -9,7 +9,7 @@ import pytest
 from pushed_with_effects import EFFECTS, block, coast_of, slide, steady_push
 from scipy.integrate import quad
 
-from models.physics.rollout import Push
+from slipmap.models.physics.rollout import Push
 
 G = 9.81
 MU, MASS = 0.3, 0.5

@@ -18,9 +18,9 @@ from pushed_with_effects import (
     with_values,
 )
 
-from models.effects import Effect, EffectSlider, Parameter
-from models.effects import program as programs
-from models.physics.rollout import Slider
+from slipmap.models.effects import Effect, EffectSlider, Parameter
+from slipmap.models.effects import program as programs
+from slipmap.models.physics.rollout import Slider
 
 PAIRS = [
     ("table_tilt", "viscous_friction"),
@@ -106,7 +106,7 @@ def test_the_kernels_of_the_plain_model_do_not_change_with_effects() -> None:
     EffectSlider(BLOCK, RADIUS, [EFFECTS["skate"]]).rollout(with_values(maps, SHOWN["skate"]), [push])
     after = slider.rollout(maps, [push])
     assert np.array_equal(before.poses, after.poses)
-    from models.physics import kernel
+    from slipmap.models.physics import kernel
 
     assert "effect" not in " ".join(vars(kernel))
 

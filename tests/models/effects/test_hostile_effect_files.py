@@ -8,8 +8,8 @@ import warnings
 import pytest
 from test_effect_files import GOOD
 
-from models.effects import EffectError
-from models.effects.registry import load_effects
+from slipmap.models.effects import EffectError
+from slipmap.models.effects.registry import load_effects
 from tests.mutations import refusals, spoilt
 
 WORDS = tuple(

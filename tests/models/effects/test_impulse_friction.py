@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from pushed_with_effects import block
 
-from models.effects import LIBRARY, EffectSlider
-from models.physics.rollout import Maps, Push
+from slipmap.models.effects import LIBRARY, EffectSlider
+from slipmap.models.physics.rollout import Maps, Push
 
 GRID = block(8, 4)
 MASS = np.where(GRID.centers[:, 0] < 0.0, 4.0, 1.0)

@@ -17,9 +17,9 @@ from sympy.parsing.sympy_parser import (
     standard_transformations,
 )
 
-from models.effects import LIBRARY
-from models.effects.symbols import after_names, body_names, cell_names
-from models.effects.written import QUANTITIES, plain_text, written
+from slipmap.models.effects import LIBRARY
+from slipmap.models.effects.symbols import after_names, body_names, cell_names
+from slipmap.models.effects.written import QUANTITIES, plain_text, written
 
 LETTERS = {
     "x": "x", "y": "y", "theta": "θ", "com_x": "com_x", "com_y": "com_y", "com_vx": "com_vx",

@@ -5,11 +5,11 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from models.measurements import PushDataset
-from models.measurements.simulated import record_pushes
-from models.objects import cells_from_polygon
-from models.physics.rollout import Maps, Slider
-from planners.exploration import candidate_pushes
+from slipmap.models.measurements import PushDataset
+from slipmap.models.measurements.simulated import record_pushes
+from slipmap.models.objects import cells_from_polygon
+from slipmap.models.physics.rollout import Maps, Slider
+from slipmap.planners.exploration import candidate_pushes
 
 
 @dataclass(frozen=True)

@@ -5,10 +5,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from models.inference import belief
-from models.inference.belief import Belief, BeliefError
-from models.objects import cells_from_polygon
-from models.physics.rollout import Maps, Smoothing
+from slipmap.models.inference import belief
+from slipmap.models.inference.belief import Belief, BeliefError
+from slipmap.models.objects import cells_from_polygon
+from slipmap.models.physics.rollout import Maps, Smoothing
 
 
 def example() -> Belief:

@@ -6,14 +6,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from diagrams.outputs import plain
-from models.inference.belief import Belief, BeliefError
-from models.inference.comparison import compare
-from models.inference.identification import identify
-from models.inference.observations import MEASURED_CONTACT
-from models.inference.predicted_motion import PredictedMotion, predicted_motion
-from models.measurements import Channel, read_dataset
-from models.physics.rollout import Maps
+from slipmap.diagrams.application.outputs import plain
+from slipmap.models.inference.belief import Belief, BeliefError
+from slipmap.models.inference.comparison import compare
+from slipmap.models.inference.identification import identify
+from slipmap.models.inference.observations import MEASURED_CONTACT
+from slipmap.models.inference.prediction import PredictedMotion, predicted_motion
+from slipmap.models.measurements import Channel, read_dataset
+from slipmap.models.physics.rollout import Maps
 
 
 @pytest.fixture(scope="module")

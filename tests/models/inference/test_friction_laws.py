@@ -7,15 +7,21 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from models.effects import LIBRARY, EffectSlider
-from models.inference.belief import Belief
-from models.inference.friction_laws import LEAST_SHARE, TEMPERATURE, Law, effect_prior, shared_out
-from models.inference.identification import identify
-from models.inference.mixed_belief import _counts
-from models.measurements import PushDataset, read_dataset
-from models.measurements.simulated import record_pushes
-from models.physics.rollout import Maps, RolloutError
-from planners.exploration import candidate_pushes
+from slipmap.models.effects import LIBRARY, EffectSlider
+from slipmap.models.inference.belief import Belief
+from slipmap.models.inference.friction_laws import (
+    LEAST_SHARE,
+    TEMPERATURE,
+    Law,
+    _counts,
+    effect_prior,
+    shared_out,
+)
+from slipmap.models.inference.identification import identify
+from slipmap.models.measurements import PushDataset, read_dataset
+from slipmap.models.measurements.simulated import record_pushes
+from slipmap.models.physics.rollout import Maps, RolloutError
+from slipmap.planners.exploration import candidate_pushes
 
 EFFECTS = {effect.name: effect for effect in LIBRARY}
 HEIGHT = 0.05
@@ -91,7 +97,7 @@ def test_two_hypotheses_follow_two_laws(recorded) -> None:  # type: ignore[no-un
 
 
 def test_a_law_that_cannot_be_refitted_is_left_out(recorded, monkeypatch) -> None:  # type: ignore[no-untyped-def]
-    from models.inference import mixed_belief
+    from slipmap.models.inference import friction_laws as mixed_belief
 
     refits = mixed_belief.refits
 

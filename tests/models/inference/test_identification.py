@@ -6,12 +6,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from models.inference.belief import BeliefError
-from models.inference.hypotheses import accuracy_weights
-from models.inference.identification import identify
-from models.inference.prediction import predict
-from models.inference.results import Quantity
-from models.measurements import DatasetError, read_dataset
+from slipmap.models.inference.belief import BeliefError
+from slipmap.models.inference.hypotheses import accuracy_weights
+from slipmap.models.inference.identification import identify
+from slipmap.models.inference.prediction import predict
+from slipmap.models.inference.results import Quantity
+from slipmap.models.measurements import DatasetError, read_dataset
 
 
 @pytest.fixture(scope="module")
@@ -112,7 +112,7 @@ def test_wrong_use_is_named(recorded):
 def test_prediction_refuses_another_object_or_finger(recorded, result):
     with pytest.raises(BeliefError, match="finger"):
         predict(result.belief, replace(recorded.dataset, finger_radius=0.01))
-    from models.objects import cells_from_polygon
+    from slipmap.models.objects import cells_from_polygon
 
     other = cells_from_polygon([[0, 0], [0.1, 0], [0.1, 0.1], [0, 0.1]], count=20)
     with pytest.raises(BeliefError, match="outlines"):

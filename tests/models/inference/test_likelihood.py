@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from models.inference.gauss_newton import fit
-from models.inference.likelihood import Likelihood, LikelihoodSettings
-from models.inference.observations import MEASURED_CONTACT, observe_all
-from models.inference.prior import MapPrior, PriorSettings
-from models.measurements.simulated import GOOD_SENSORS
-from models.physics.rollout import Slider
+from slipmap.models.inference.gauss_newton import fit
+from slipmap.models.inference.likelihood import Likelihood, LikelihoodSettings
+from slipmap.models.inference.observations import MEASURED_CONTACT, observe_all
+from slipmap.models.inference.prior import MapPrior, PriorSettings
+from slipmap.models.measurements.simulated import GOOD_SENSORS
+from slipmap.models.physics.rollout import Slider
 
 
 @pytest.fixture(scope="module")

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize
 
-from models.inference.middle_pose import middle_poses
-from models.objects import cells_from_polygon
-from models.physics.paper_notation import add
+from slipmap.models.inference.prediction import middle_poses
+from slipmap.models.objects import cells_from_polygon
+from slipmap.models.physics.paper_notation import add
 
 GRID = cells_from_polygon(np.array([(-0.02, 0.01), (0.2, 0.01), (0.2, 0.06), (-0.02, 0.06)]), count=60)
 

@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 
-from models.inference.observations import MEASURED_CONTACT, SAMPLES, observe, observe_all
-from models.measurements import Channel, Noise, Trial, read_dataset
-from models.measurements.simulated import record_pushes
-from models.measurements.smoothing import smooth_track
-from models.objects import cells_from_polygon
-from models.physics.rollout import Maps, Slider
-from planners.exploration import candidate_pushes
+from slipmap.models.inference.observations import MEASURED_CONTACT, SAMPLES, observe, observe_all
+from slipmap.models.measurements import Channel, Noise, Trial, read_dataset
+from slipmap.models.measurements.motion import smooth_track
+from slipmap.models.measurements.simulated import record_pushes
+from slipmap.models.objects import cells_from_polygon
+from slipmap.models.physics.rollout import Maps, Slider
+from slipmap.planners.exploration import candidate_pushes
 
 
 def test_smoothing_removes_jitter_and_keeps_sudden_stops():

@@ -3,16 +3,10 @@
 import numpy as np
 import pytest
 
-from models.inference.observed_steps import ObservedPush
-from models.inference.paper_method import (
-    FLOOR,
-    algorithm_1,
-    bound_schedule,
-    soft_max,
-)
-from models.physics.cell_grid import CellGrid
-from models.physics.friction import SPIN_RADIUS
-from models.physics.rollout import Maps, Push, Slider
+from slipmap.models.inference.paper_method import FLOOR, ObservedPush, algorithm_1, bound_schedule, soft_max
+from slipmap.models.physics.cell_grid import CellGrid
+from slipmap.models.physics.newton import SPIN_RADIUS
+from slipmap.models.physics.rollout import Maps, Push, Slider
 
 G = 9.81
 DT = 0.01

@@ -6,11 +6,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from models.inference.belief import Belief
-from models.inference.observed_steps import observe_steps
-from models.inference.paper_method import algorithm_1, identify_by_algorithm_1, soft_max
-from models.inference.prediction import predict
-from models.measurements import Channel, DatasetError, read_dataset
+from slipmap.models.inference.belief import Belief
+from slipmap.models.inference.paper_method import (
+    algorithm_1,
+    identify_by_algorithm_1,
+    observe_steps,
+    soft_max,
+)
+from slipmap.models.inference.prediction import predict
+from slipmap.models.measurements import Channel, DatasetError, read_dataset
 
 
 @pytest.fixture(scope="module")

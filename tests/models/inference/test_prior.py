@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from models.inference.prior import MapPrior, PriorSettings, covariance_basis
-from models.objects import cells_from_polygon
-from models.physics.rollout import Push, Slider
+from slipmap.models.inference.prior import MapPrior, PriorSettings, covariance_basis
+from slipmap.models.objects import cells_from_polygon
+from slipmap.models.physics.rollout import Push, Slider
 
 SQUARE = cells_from_polygon([[-0.05, -0.04], [0.05, -0.04], [0.05, 0.04], [-0.05, 0.04]], count=30)
 

@@ -3,13 +3,18 @@
 import numpy as np
 import pytest
 
-from models.inference.centroid import radius_of_gyration
-from models.inference.noise_floor import noise_floor, repeated_pushes
-from models.inference.observations import Observation
-from models.inference.push_errors import errors, nrmse_fit, resting_errors
-from models.measurements import Noise
-from models.objects import cells_from_polygon
-from models.physics.rollout import Push
+from slipmap.models.geometry import radius_of_gyration
+from slipmap.models.inference.observations import Observation
+from slipmap.models.inference.push_errors import (
+    errors,
+    noise_floor,
+    nrmse_fit,
+    repeated_pushes,
+    resting_errors,
+)
+from slipmap.models.measurements import Noise
+from slipmap.models.objects import cells_from_polygon
+from slipmap.models.physics.rollout import Push
 
 GRID = cells_from_polygon(np.array([[-3, -2], [3, -2], [3, 2], [-3, 2]]) * 0.01, width=0.01)
 

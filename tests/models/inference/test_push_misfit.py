@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from models.inference.belief import Belief
-from models.inference.diagnosis.error_model import ErrorModel
-from models.inference.push_misfit import (
+from slipmap.models.inference.belief import Belief
+from slipmap.models.inference.diagnosis.correlated import ErrorModel
+from slipmap.models.inference.push_misfit import (
     bet,
     observed_push,
     pose_noise,
@@ -18,10 +18,10 @@ from models.inference.push_misfit import (
     steady_force,
     steady_forces_told,
 )
-from models.objects import cells_from_polygon
-from models.physics.paper_notation import add
-from models.physics.rollout import Maps, Push, Smoothing
-from planners.exploration import candidate_pushes
+from slipmap.models.objects import cells_from_polygon
+from slipmap.models.physics.paper_notation import add
+from slipmap.models.physics.rollout import Maps, Push, Smoothing
+from slipmap.planners.exploration import candidate_pushes
 
 GRID = cells_from_polygon(np.array([[-3, -2], [3, -2], [3, 2], [-3, 2]]) * 0.01, width=0.01)
 ERROR = ErrorModel(pose_noise(5e-4, 4e-3), 0.02, 0.0)

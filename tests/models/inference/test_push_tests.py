@@ -4,7 +4,13 @@ import numpy as np
 import pytest
 from scipy.stats import binom, ttest_1samp
 
-from models.inference.push_tests import all_signs, holm, push_sums, sign_flip_test, smallest_p
+from slipmap.models.inference.residual_structure import (
+    all_signs,
+    holm,
+    push_sums,
+    sign_flip_test,
+    smallest_p,
+)
 
 
 def wandering(rng, pushes, samples):

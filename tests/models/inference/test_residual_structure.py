@@ -3,9 +3,8 @@
 import numpy as np
 import pytest
 
-from models.inference.push_conditions import Conditions
-from models.inference.residual_structure import NEGLIGIBLE, corrected, factor_patterns, push_weights
-from models.inference.residuals import Residuals
+from slipmap.models.inference.residual_structure import NEGLIGIBLE, corrected, factor_patterns, push_weights
+from slipmap.models.inference.residuals import Conditions, Residuals
 
 PUSHES, PIECES = 20, 10
 

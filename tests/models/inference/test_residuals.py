@@ -3,14 +3,13 @@
 import numpy as np
 import pytest
 
-from models.inference.centroid import at_centroid, radius_of_gyration
-from models.inference.observations import Observation
-from models.inference.predicted_motion import PredictedMotion
-from models.inference.push_conditions import Phase, conditions
-from models.inference.residual_correlations import correlations, delay_pattern
-from models.inference.residuals import force_residuals, motion_residuals
-from models.objects import cells_from_polygon
-from models.physics.rollout import Push
+from slipmap.models.geometry import at_centroid, radius_of_gyration
+from slipmap.models.inference.observations import Observation
+from slipmap.models.inference.prediction import PredictedMotion
+from slipmap.models.inference.residual_correlations import correlations, delay_pattern
+from slipmap.models.inference.residuals import Phase, conditions, force_residuals, motion_residuals
+from slipmap.models.objects import cells_from_polygon
+from slipmap.models.physics.rollout import Push
 
 RADIUS = 0.005
 # Its centroid is not the origin, so that the two cannot be mixed up.

@@ -2,11 +2,11 @@
 
 import numpy as np
 
-from models.inference.identification import identify
-from models.measurements.simulated import record_pushes
-from models.objects import cells_from_polygon
-from models.physics.rollout import Maps, Push, Slider
-from planners.table_push import TablePush
+from slipmap.models.inference.identification import identify
+from slipmap.models.measurements.simulated import record_pushes
+from slipmap.models.objects import cells_from_polygon
+from slipmap.models.physics.rollout import Maps, Push, Slider
+from slipmap.planners.table_push import TablePush
 
 RADIUS = 0.008
 

@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 from scipy.stats import multivariate_normal
 
-from models.inference.gauss_newton import fit
-from models.inference.identification import FINGER_STARTS, identify
-from models.inference.likelihood import Likelihood, NormalEquations
-from models.inference.observations import MEASURED_CONTACT, observe_all
-from models.inference.prior import MapPrior, PriorSettings
-from models.inference.trust import MODEL_ERRORS, fit_with_trust, log_evidence, trusting
-from models.physics.rollout import Slider
+from slipmap.models.inference.gauss_newton import fit
+from slipmap.models.inference.hypotheses import MODEL_ERRORS, fit_with_trust, log_evidence, trusting
+from slipmap.models.inference.identification import FINGER_STARTS, identify
+from slipmap.models.inference.likelihood import Likelihood, NormalEquations
+from slipmap.models.inference.observations import MEASURED_CONTACT, observe_all
+from slipmap.models.inference.prior import MapPrior, PriorSettings
+from slipmap.models.physics.rollout import Slider
 
 
 @dataclass

@@ -2,7 +2,7 @@
 
 import pytest
 
-from models.measurements import DatasetError, read_dataset
+from slipmap.models.measurements import DatasetError, read_dataset
 
 
 def refused(example, *words):

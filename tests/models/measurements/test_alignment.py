@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from models.measurements import Channel, Trial, finger_path, pose_times, wrench_samples
+from slipmap.models.measurements import Channel, Trial, finger_path, pose_times, wrench_samples
 
 
 def trial(tip_time, wrench_time=None, start=1000.0, rows=11):

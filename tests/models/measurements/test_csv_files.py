@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from models.measurements import DatasetError, read_dataset
+from slipmap.models.measurements import DatasetError, read_dataset
 
 HEADER = "t,object_x,object_y,object_theta,tip_x,tip_y,force_x,force_y,force_tau"
 

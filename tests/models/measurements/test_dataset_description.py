@@ -4,7 +4,7 @@ import os
 import pytest
 from shapely.geometry import LinearRing
 
-from models.measurements import DatasetError, read_dataset
+from slipmap.models.measurements import DatasetError, read_dataset
 
 
 def set_at(path, value):

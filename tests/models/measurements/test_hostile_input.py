@@ -15,8 +15,8 @@ from example_dataset import example_in
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from models.measurements import DatasetError, read_dataset
-from models.measurements.trial_channels import unwrapped
+from slipmap.models.measurements import DatasetError, read_dataset
+from slipmap.models.measurements.push_format import unwrapped
 
 SETTINGS = settings(
     max_examples=100, derandomize=True, deadline=None, suppress_health_check=list(HealthCheck)

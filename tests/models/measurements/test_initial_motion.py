@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
 
-from models.measurements import read_dataset
-from models.measurements.initial_motion import initial_twist
+from slipmap.models.measurements import read_dataset
+from slipmap.models.measurements.motion import initial_twist
 
 LEVEL = np.array([0.25e-3, 0.25e-3, 2.6e-3])  # m, m, rad
 

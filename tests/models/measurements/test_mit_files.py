@@ -8,8 +8,8 @@ import yaml
 from example_dataset import push_record
 from shapely.geometry import Polygon
 
-from models.measurements import DatasetError, read_dataset
-from models.measurements.mit_shapes import MIT_SHAPES, THICKNESS
+from slipmap.models.measurements import DatasetError, read_dataset
+from slipmap.models.measurements.mit_files import MIT_SHAPES, THICKNESS
 
 NAME = "motion_surface=plywood_shape=rect1_a=0_v=50_i=1.000_s=0.{:03d}_t=-0.349"
 

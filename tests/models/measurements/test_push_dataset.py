@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from models.measurements import Channel, DatasetError, Trial, read_dataset
+from slipmap.models.measurements import Channel, DatasetError, Trial, read_dataset
 
 
 def channel(rows: int, columns: int, first: float = 0.0) -> Channel:

@@ -6,7 +6,7 @@ import math
 import pytest
 from spoilt_datasets import record, refused
 
-from models.measurements import DatasetError, read_dataset
+from slipmap.models.measurements import DatasetError, read_dataset
 
 
 def spoil(key, row, column, value):

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from spoilt_datasets import record
 
-from models.measurements import Noise, Table, read_dataset
+from slipmap.models.measurements import Noise, Table, read_dataset
 
 
 def test_everything_arrives(example):

@@ -5,7 +5,7 @@ import math
 import pytest
 from spoilt_datasets import record, warned
 
-from models.measurements import read_dataset
+from slipmap.models.measurements import read_dataset
 
 
 def test_degrees_are_noticed(example):

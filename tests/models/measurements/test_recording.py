@@ -15,8 +15,9 @@ import numpy as np
 import pytest
 from example_dataset import example_in
 
-from models.measurements import DatasetError, read_dataset, recording, write_dataset
-from models.measurements.recording import PushRecorder
+from slipmap.models.measurements import DatasetError, read_dataset, write_dataset
+from slipmap.models.measurements import writing as recording
+from slipmap.models.measurements.writing import PushRecorder
 
 
 @lru_cache(maxsize=1)

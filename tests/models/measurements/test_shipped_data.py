@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import yaml
 
-from models.measurements import finger_path, pose_times, read_dataset
+from slipmap.models.measurements import finger_path, pose_times, read_dataset
 
 DATASETS = [
     "bullet/book_p9", "bullet/box_p0", "bullet/hammer_p0",

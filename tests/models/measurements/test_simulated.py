@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from models.measurements import Noise, read_dataset, write_dataset
-from models.measurements.simulated import GOOD_SENSORS, record_pushes
-from models.objects import cells_from_polygon
-from models.physics.rollout import Maps, Push, Slider
+from slipmap.models.measurements import Noise, read_dataset, write_dataset
+from slipmap.models.measurements.simulated import GOOD_SENSORS, record_pushes
+from slipmap.models.objects import cells_from_polygon
+from slipmap.models.physics.rollout import Maps, Push, Slider
 
 RADIUS = 0.01
 MASS, MU = 0.6, 0.25

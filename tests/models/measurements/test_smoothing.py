@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.signal import savgol_filter
 
-from models.measurements.smoothing import _local_quadratics
+from slipmap.models.measurements.motion import _local_quadratics
 
 
 @pytest.mark.parametrize("rows", [5, 21, 81])

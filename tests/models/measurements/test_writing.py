@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from models.measurements import (
+from slipmap.models.measurements import (
     Channel,
     DatasetError,
     Noise,
@@ -18,7 +18,7 @@ from models.measurements import (
     read_dataset,
     write_dataset,
 )
-from models.physics.cell_grid import CellGrid
+from slipmap.models.physics.cell_grid import CellGrid
 
 
 def assert_equal(one: PushDataset, other: PushDataset) -> None:

@@ -12,10 +12,9 @@ import shapely
 import trimesh
 from scipy.spatial import cKDTree
 
-from models.objects.benchmark import BENCHMARK_OBJECTS, benchmark_object
-from models.objects.convex_pieces import convex_pieces
-from models.objects.lofts import height_over, lofted, rounded
-from models.objects.true_object import TrueObject, object_from_labels, object_from_mesh
+from slipmap.models.objects.benchmark_objects import BENCHMARK_OBJECTS, benchmark_object
+from slipmap.models.objects.meshes import convex_pieces, height_over, lofted, rounded
+from slipmap.models.objects.true_object import TrueObject, object_from_labels, object_from_mesh
 
 METRES_PER_PIXEL = 0.53 / 640
 # kg a cell in the authors' simulation

@@ -8,8 +8,13 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 from shapely.geometry import Polygon
 
-from models.objects import cells_from_centres, cells_from_label_image, cells_from_polygon, contour_cells
-from models.physics.cell_grid import CellGrid
+from slipmap.models.objects import (
+    cells_from_centres,
+    cells_from_label_image,
+    cells_from_polygon,
+    contour_cells,
+)
+from slipmap.models.physics.cell_grid import CellGrid
 
 
 def circle(radius, corners=720):

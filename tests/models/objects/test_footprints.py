@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 from shapely.geometry import Point, Polygon
 
-from models.objects import cells_from_centres, cells_from_polygon
-from models.objects.footprints import polygon_moments
+from slipmap.models.objects import cells_from_centres, cells_from_polygon
+from slipmap.models.objects.footprints import polygon_moments
 
 SQUARE = np.array([[0.0, 0.0], [0.1, 0.0], [0.1, 0.1], [0.0, 0.1]])
 L_SHAPE = 0.01 * np.array([[0, 0], [12, 0], [12, 5], [5, 5], [5, 12], [0, 12]], dtype=float)

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 import trimesh
 
-from models.objects import cells_from_label_image, cells_from_mesh
-from models.objects.meshes import upright_mesh
+from slipmap.models.objects import cells_from_label_image, cells_from_mesh
+from slipmap.models.objects.meshes import upright_mesh
 from tests.mutations import refusals, spoilt
 
 OBJECT = trimesh.creation.box(bounds=[[0, 0, 0], [0.12, 0.03, 0.02]])

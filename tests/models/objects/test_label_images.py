@@ -7,9 +7,9 @@ import shapely
 from numpy.testing import assert_allclose
 from shapely.geometry import Polygon
 
-from models.objects import cells_from_label_image, contour_cells
-from models.objects.footprints import polygon_moments
-from models.objects.tracing import traced_outline
+from slipmap.models.objects import cells_from_label_image, contour_cells
+from slipmap.models.objects.footprints import polygon_moments
+from slipmap.models.objects.images import traced_outline
 
 SCALE = 0.001
 

@@ -8,7 +8,7 @@ import pytest
 import trimesh
 from numpy.testing import assert_allclose
 
-from models.objects import cells_from_mesh
+from slipmap.models.objects import cells_from_mesh
 
 
 def box(*size, at=(0, 0, 0)):

@@ -5,7 +5,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 import pytest
 
-from models.perception.camera import PinholeCamera, View
+from slipmap.models.perception.pinhole_camera import PinholeCamera, View
 
 Box = tuple[float, float, float, float, float]  # x0, y0, x1, y1, height, object frame, m
 
@@ -50,7 +50,7 @@ def scene() -> Scene:
 @pytest.fixture(scope="session")
 def look(scene: Scene) -> Callable[..., object]:
     """First look at an object of boxes at a pose, with noise."""
-    from models.perception.first_look import first_look
+    from slipmap.models.perception.first_look import first_look
 
     def seen(boxes: Sequence[Box], pose: Sequence[float], seed: int = 0, **options: object) -> object:
         rng = np.random.default_rng(seed)

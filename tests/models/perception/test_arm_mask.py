@@ -1,6 +1,6 @@
 import numpy as np
 
-from models.perception.arm_mask import Hull, draw_hulls
+from slipmap.models.perception.object_mask import Hull, draw_hulls
 
 
 def test_a_capsule_covers_what_the_camera_sees_of_it(scene):

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 import shapely
 
-from models.perception.first_look import ObjectNotSeen, first_look
+from slipmap.models.perception.first_look import ObjectNotSeen, first_look
 
 ELL = ((-0.1, -0.06, 0.1, 0.0, 0.03), (-0.1, 0.0, -0.03, 0.08, 0.09))
 

@@ -1,6 +1,6 @@
 import numpy as np
 
-from models.perception.mask_kernels import between
+from slipmap.models.perception.object_mask import between
 
 
 def closed_in(mask, missing, row, column):

@@ -4,8 +4,8 @@ import cv2
 import numpy as np
 import pytest
 
-from models.perception.camera import PinholeCamera, View
-from models.perception.first_look import first_look
+from slipmap.models.perception.first_look import first_look
+from slipmap.models.perception.pinhole_camera import PinholeCamera, View
 
 LEAST = {"book": 0.85, "box": 0.85, "snack": 0.85, "hammer": 0.75, "spray_gun": 0.75, "wrench": 0.5}
 DISTANCE = 0.52  # m

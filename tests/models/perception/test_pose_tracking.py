@@ -1,9 +1,8 @@
 import numpy as np
 import pytest
 
-from models.perception import edge_kernels
-from models.perception.edge_fit import load_kernels
-from models.perception.pose_tracking import track
+from slipmap.models.perception import edge_kernels
+from slipmap.models.perception.pose_tracking import load_kernels, track
 
 ELL = ((-0.1, -0.06, 0.1, 0.0, 0.03), (-0.1, 0.0, -0.03, 0.08, 0.09))
 WRENCH = ((-0.12, -0.008, 0.12, 0.008, 0.008), (0.09, -0.02, 0.13, 0.02, 0.008))

@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
 
-from models.perception.relief import Relief
-from models.perception.table_plane import TablePlane
+from slipmap.models.perception.relief import Relief
+from slipmap.models.perception.table_plane import TablePlane
 
 ELL = ((-0.1, -0.06, 0.1, 0.0, 0.03), (-0.1, 0.0, -0.03, 0.08, 0.09))
 LEVEL = 2e-3  # m between the heights at which a ray is compared with the map

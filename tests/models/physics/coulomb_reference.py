@@ -16,7 +16,7 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import minimize, minimize_scalar
 from sliding_objects import GRAVITY, rotation, to_object, touched_point
 
-from models.physics.cell_grid import CellGrid
+from slipmap.models.physics.cell_grid import CellGrid
 
 FloatArray = NDArray[np.float64]
 

@@ -8,8 +8,8 @@ import numpy as np
 import shapely
 from numpy.typing import ArrayLike, NDArray
 
-from models.physics.cell_grid import CellGrid
-from models.physics.rollout import Maps, Push, Rollouts, Slider
+from slipmap.models.physics.cell_grid import CellGrid
+from slipmap.models.physics.rollout import Maps, Push, Rollouts, Slider
 
 FloatArray = NDArray[np.float64]
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from models.physics.arrays import add_columns, copy_into
+from slipmap.models.physics.kernel_tools import add_columns, copy_into
 
 
 def test_a_copy_is_whole_and_stays_in_its_slice():

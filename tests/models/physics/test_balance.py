@@ -7,11 +7,11 @@ import pytest
 import shapely
 from scipy.spatial import ConvexHull
 
-from models.measurements.push_dataset import Table
-from models.objects.benchmark import BENCHMARK_OBJECTS, benchmark_object
-from models.objects.footprints import cells_from_polygon
-from models.physics.balance import balance_margins, fall_probability, own_balance_margins
-from models.physics.cell_grid import CellGrid
+from slipmap.models.measurements.push_dataset import Table
+from slipmap.models.objects.benchmark_objects import BENCHMARK_OBJECTS, benchmark_object
+from slipmap.models.objects.footprints import cells_from_polygon
+from slipmap.models.physics.balance import balance_margins, fall_probability, own_balance_margins
+from slipmap.models.physics.cell_grid import CellGrid
 
 ROUND = Table("round", (0.1, -0.05), radius=0.5)
 RECTANGLE = Table("rectangle", (0.1, 0.05), size=(0.8, 0.6))

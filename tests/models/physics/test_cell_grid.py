@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from models.physics.cell_grid import CellGrid, checked_points, checked_polygon
+from slipmap.models.physics.cell_grid import CellGrid, checked_points, checked_polygon
 
 SQUARE = np.array([[0.0, 0.0], [0.1, 0.0], [0.1, 0.1], [0.0, 0.1]])
 HOLE = np.array([[0.02, 0.02], [0.05, 0.02], [0.05, 0.04]])

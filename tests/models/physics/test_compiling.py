@@ -7,10 +7,9 @@ import pytest
 from numba.core.errors import TypingError
 from sliding_objects import FINGER_RADIUS, coast, random_maps, rectangle
 
-from models.physics.addresses import address_of, call_compiled
-from models.physics.compiled import compiled
-from models.physics.kernel import rollout_one
-from models.physics.rollout import Slider
+from slipmap.models.physics.compiled import address_of, call_compiled, compiled
+from slipmap.models.physics.kernel import rollout_one
+from slipmap.models.physics.rollout import Slider
 
 
 @compiled()

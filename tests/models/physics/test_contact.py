@@ -23,9 +23,9 @@ from sliding_objects import (
     with_start,
 )
 
-from models.physics.cell_grid import CellGrid
-from models.physics.contact import gap
-from models.physics.rollout import Maps, Push, Slider, Smoothing
+from slipmap.models.physics.cell_grid import CellGrid
+from slipmap.models.physics.contact import gap
+from slipmap.models.physics.rollout import Maps, Push, Slider, Smoothing
 
 ONE_CELL = np.zeros((1, 2))
 

@@ -19,8 +19,8 @@ from sliding_objects import (
     to_world,
 )
 
-from models.physics.cell_grid import CellGrid
-from models.physics.rollout import Maps, Push, Slider
+from slipmap.models.physics.cell_grid import CellGrid
+from slipmap.models.physics.rollout import Maps, Push, Slider
 
 H = 5e-3
 GRID = l_shape()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from models.physics.job_order import evenly_dealt
+from slipmap.models.physics.kernel_tools import evenly_dealt
 
 
 def test_every_job_is_dealt_once_and_all_threads_get_about_as_much() -> None:

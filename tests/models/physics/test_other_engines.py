@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from sliding_objects import finger_push, line, rectangle
 
-from models.physics.cell_grid import CellGrid, FloatArray
-from models.physics.rollout import Maps, Slider
+from slipmap.models.physics.cell_grid import CellGrid, FloatArray
+from slipmap.models.physics.rollout import Maps, Slider
 
 pytest.importorskip("pydrake", reason="the comparison runs in Drake")
 

@@ -8,8 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
-from models.objects import cells_from_polygon
-from models.physics import paper_notation as paper
+from slipmap.models.objects import cells_from_polygon
+from slipmap.models.physics import paper_notation as paper
 
 W = 0.02
 L_CELLS = W * np.array([[0, 0], [1, 0], [2, 0], [0, 1], [0, 2], [1, 2], [0, 3]], dtype=float) + [0.013, -0.04]

@@ -20,9 +20,9 @@ from sliding_objects import (
     with_start,
 )
 
-from models.objects.footprints import cells_from_polygon
-from models.physics.cell_grid import CellGrid
-from models.physics.rollout import Maps, Push, Slider, Smoothing
+from slipmap.models.objects.footprints import cells_from_polygon
+from slipmap.models.physics.cell_grid import CellGrid
+from slipmap.models.physics.rollout import Maps, Push, Slider, Smoothing
 
 
 @dataclass(frozen=True)

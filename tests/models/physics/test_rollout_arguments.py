@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from sliding_objects import FINGER_RADIUS, drive, finger_push, line, random_maps, rectangle
 
-from models.physics.rollout import Maps, Push, Slider, Smoothing
+from slipmap.models.physics.rollout import Maps, Push, Slider, Smoothing
 
 H = 0.01
 STEPS = 20

@@ -26,8 +26,8 @@ from sliding_objects import (
     with_start,
 )
 
-from models.physics.cell_grid import CellGrid
-from models.physics.rollout import Maps, Push, Slider
+from slipmap.models.physics.cell_grid import CellGrid
+from slipmap.models.physics.rollout import Maps, Push, Slider
 
 H = 0.01
 

@@ -6,7 +6,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from models import robots
+from slipmap.models import robots
 
 DRAKE = "{http://drake.mit.edu}"
 

@@ -11,8 +11,7 @@ from pathlib import Path
 import pytest
 import trial_functions
 
-from planners.campaigns.running import CRASHED, run_trials
-from planners.campaigns.trial import CampaignError, TrialSpec, read_outcome
+from slipmap.planners.trials import CRASHED, CampaignError, TrialSpec, read_outcome, run_trials
 
 HERE = str(Path(__file__).parent)
 

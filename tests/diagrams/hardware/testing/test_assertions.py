@@ -7,8 +7,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from diagrams.hardware.guard_settings import GuardSettings
-from diagrams.hardware.testing import (
+from slipmap.diagrams.hardware.guard_rules import GuardSettings
+from slipmap.diagrams.hardware.testing import (
     CommandLog,
     Fault,
     Faults,
@@ -17,11 +17,11 @@ from diagrams.hardware.testing import (
     assert_predicts,
     assert_quiet,
 )
-from diagrams.station.arm import HOME
-from diagrams.systems.model_monitor import Judged, Watch
-from models.inference.belief import Belief
-from models.inference.results import Identification, PushPrediction
-from models.robots import SPEED_LIMITS
+from slipmap.diagrams.station.arm import HOME
+from slipmap.diagrams.systems.model_monitor import Judged, Watch
+from slipmap.models.inference.belief import Belief
+from slipmap.models.inference.results import Identification, PushPrediction
+from slipmap.models.robots import SPEED_LIMITS
 
 
 def log(share: float, joint: int = 6, n: int = 50) -> CommandLog:

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 from hidden_effects import tilted_pushes
 
-from diagrams.hardware.testing.soak import PASSING, STOPPING, Account, checked, drawn_faults
-from diagrams.hardware.testing.soak_session import Task
-from models.measurements import write_dataset
+from slipmap.diagrams.hardware.testing.soak import PASSING, STOPPING, Account, checked, drawn_faults
+from slipmap.diagrams.hardware.testing.soak_session import Task
+from slipmap.models.measurements import write_dataset
 
 
 def test_faults_are_drawn_by_the_seed_and_none_comes_after_one_that_stops():

@@ -5,15 +5,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from models.effects.library import LIBRARY
-from models.effects.slider import EffectSlider
-from models.inference.diagnosis.correlated import CorrelatedLikelihood
-from models.inference.diagnosis.error_model import ErrorModel, sensor_noise
-from models.inference.diagnosis.measured_pushes import MeasuredPushes
-from models.inference.diagnosis.predictive import whitened_rows
-from models.inference.observations import MEASURED_CONTACT, observe_all
-from models.inference.prior import MapPrior, PriorSettings
-from models.measurements.push_dataset import Channel
+from slipmap.models.effects.library import LIBRARY
+from slipmap.models.effects.slider import EffectSlider
+from slipmap.models.inference.diagnosis.correlated import (
+    CorrelatedLikelihood,
+    ErrorModel,
+    MeasuredPushes,
+    sensor_noise,
+)
+from slipmap.models.inference.diagnosis.fitting import whitened_rows
+from slipmap.models.inference.observations import MEASURED_CONTACT, observe_all
+from slipmap.models.inference.prior import MapPrior, PriorSettings
+from slipmap.models.measurements.push_dataset import Channel
 
 
 @pytest.fixture(scope="module")

@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 import yaml
 
-from models.effects.registry import effects_named
-from models.inference.diagnosis.effect_fit import fit_effects
-from models.inference.diagnosis.procedure import diagnose
-from models.measurements import read_dataset
+from slipmap.models.effects.registry import effects_named
+from slipmap.models.inference.diagnosis.effect_fit import fit_effects
+from slipmap.models.inference.diagnosis.procedure import diagnose
+from slipmap.models.measurements import read_dataset
 
 
 def test_intervals_hold_the_truth(shared_data: Path) -> None:

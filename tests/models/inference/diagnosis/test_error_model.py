@@ -3,14 +3,14 @@
 import numpy as np
 import pytest
 
-from models.inference.diagnosis.error_model import (
+from slipmap.models.inference.diagnosis.correlated import (
     MEMORY,
     ErrorModel,
     SensorNoise,
     sensor_noise,
     travelled,
 )
-from models.inference.observations import observe_all
+from slipmap.models.inference.observations import observe_all
 
 NOISE = SensorNoise(2e-4, 2e-3, 0.1, True)
 
@@ -46,7 +46,7 @@ class TestSensorNoise:
     def test_noise_is_found_where_nothing_is_declared(self, recorded) -> None:
         from dataclasses import replace
 
-        from models.measurements import Noise
+        from slipmap.models.measurements import Noise
 
         silent = replace(recorded.dataset, noise=Noise())
         found, declared = sensor_noise(silent), sensor_noise(recorded.dataset)

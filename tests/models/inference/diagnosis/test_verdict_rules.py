@@ -5,11 +5,11 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from models.effects.library import LIBRARY
-from models.effects.probes import PROBES
-from models.inference.diagnosis import inquiry as steps
-from models.inference.diagnosis.locked import LockedErrors
-from models.inference.diagnosis.verdict_rules import (
+from slipmap.models.effects.library import LIBRARY
+from slipmap.models.effects.probes import PROBES
+from slipmap.models.inference.diagnosis import procedure as steps
+from slipmap.models.inference.diagnosis.locked import LockedErrors
+from slipmap.models.inference.diagnosis.verdict_rules import (
     Remainder,
     Rules,
     locked_pushes_stay_off,

@@ -1,0 +1,18 @@
+"""Where the console script begins: a Ctrl-C while the commands are being loaded ends it quietly."""
+
+import sys
+
+
+def main() -> None:
+    """Run `slipmap` with the arguments of this process, and exit."""
+    try:
+        from slipmap.diagrams.application.command_line import main as run_command
+
+        run_command()
+    except KeyboardInterrupt:
+        sys.stderr.write("slipmap: stopped; nothing half-written is left behind\n")
+        sys.exit(130)
+
+
+if __name__ == "__main__":
+    main()

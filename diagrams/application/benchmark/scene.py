@@ -1,0 +1,97 @@
+"""The push that every engine of the benchmark simulates, and how the engines are timed."""
+
+from __future__ import annotations
+
+import statistics
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from slipmap.models.objects import cells_from_polygon
+from slipmap.models.physics.cell_grid import FloatArray
+from slipmap.models.physics.rollout import Maps, Push, Slider
+
+WIDTH, DEPTH = 0.20, 0.12
+"""Sides of the object, a rectangle, m."""
+
+MASS = 1.5
+MU_FINGER = 0.3
+GRAVITY = 9.81
+FINGER_RADIUS = 0.008
+SPEED = 0.06
+STEP = 0.005
+FINGER_START = (0.03, -DEPTH / 2 - FINGER_RADIUS - 2e-4)
+
+
+@dataclass(frozen=True)
+class Scene:
+    """One object, K maps of it, and one push: a finger goes straight in +y against the long side, off centre.
+
+    All cells have the same mass, so that in an engine with rigid bodies, too, each carries its own weight.
+    The friction coefficients are random.
+
+    Attributes:
+        slider: the cell-grid model of the object.
+        maps: K models.
+        push: the finger's motion and the times at which poses are wanted, all ends of steps.
+    """
+
+    slider: Slider
+    maps: Maps
+    push: Push
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What one engine did.
+
+    Attributes:
+        seconds: median time of one rollout, s.
+        final_pose: (3,) x, y, θ of the object after the push, with the first of the maps.
+        remark: how the engine represents the object.
+    """
+
+    seconds: float
+    final_pose: FloatArray
+    remark: str
+
+
+def make_scene(*, cells: int, models: int, steps: int, seed: int) -> Scene:
+    """The benchmark's push; `cells` is met as nearly as a grid over the rectangle can.
+
+    Raises:
+        ValueError: cells, models or steps below 1.
+    """
+    for name, value in (("cells", cells), ("models", models), ("steps", steps)):
+        if value < 1:
+            raise ValueError(f"benchmark: {name} must be at least 1, got {value}")
+    corners = np.array([[-WIDTH, -DEPTH], [WIDTH, -DEPTH], [WIDTH, DEPTH], [-WIDTH, DEPTH]]) / 2
+    grid = cells_from_polygon(corners, count=cells)
+    n = len(grid)
+    mu = np.random.default_rng(seed).uniform(0.2, 0.6, (models, n))
+    maps = Maps(np.full((models, n), MASS / n), mu, np.full(models, MU_FINGER))
+    tip = np.array(FINGER_START) + np.outer(STEP * SPEED * np.arange(steps + 1), (0.0, 1.0))
+    return Scene(Slider(grid, FINGER_RADIUS, GRAVITY), maps, Push(STEP, tip, np.zeros(3)))
+
+
+def median_time(
+    work: Callable[[], object], repeats: int, clock: Callable[[], float] = time.process_time
+) -> float:
+    """Median duration of some work, s; processor time suffers less from other programs."""
+    durations = []
+    for _ in range(repeats):
+        start = clock()
+        work()
+        durations.append(clock() - start)
+    return statistics.median(durations)
+
+
+def median_of_runs(run: Callable[[], tuple[float, FloatArray]], repeats: int) -> tuple[float, FloatArray]:
+    """Median of the durations that some runs report, s, and what the last one returned."""
+    durations = []
+    for _ in range(repeats):
+        seconds, result = run()
+        durations.append(seconds)
+    return statistics.median(durations), result

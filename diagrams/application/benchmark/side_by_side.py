@@ -1,0 +1,148 @@
+"""All engines on the same push in one run."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import asdict
+from typing import Any
+
+import numpy as np
+
+from slipmap.diagrams.application.benchmark import bullet, mujoco_engine, ours, plain_numpy
+from slipmap.diagrams.application.benchmark.growth import measure_growth
+from slipmap.diagrams.application.benchmark.scene import STEP, Outcome, Scene, make_scene, median_time
+
+_ENGINES = {"MuJoCo": mujoco_engine.run, "Bullet": bullet.run}
+
+
+def run_benchmark(
+    *,
+    cells: int = 60,
+    models: int = 64,
+    steps: int = 200,
+    repeats: int = 5,
+    seed: int = 0,
+    progress: Callable[[str, int, int], None] | None = None,
+) -> dict[str, Any]:
+    """Compare the compiled rollout with plain numpy, MuJoCo and Bullet, and see how it grows.
+
+    Engines whose package is missing are left out with a note.
+
+    Args:
+        cells: wanted cells of the object.
+        models: maps that one call rolls out.
+        steps: steps of the push, of 5 ms.
+        repeats: runs of which the median is taken.
+        seed: of the friction maps.
+        progress: called with (stage, done, total).
+
+    Returns:
+        A dict that JSON can hold: `scene`; `engines`, a list with name, seconds per rollout, ratio to the
+        first, final_pose (m, m, rad) and remark; `missing`, notes by name; `kernel`, see `KernelCost`;
+        `numpy_difference`, the largest difference of a pose from plain numpy (m, rad); `growth`, a list of
+        what `growth.measure` returns.
+
+    Raises:
+        ValueError: a number below 1.
+    """
+    if repeats < 1:
+        raise ValueError(f"benchmark: repeats must be at least 1, got {repeats}")
+    report = progress or (lambda stage, done, total: None)
+    scene = make_scene(cells=cells, models=models, steps=steps, seed=seed)
+    report("slipmap", 0, 1)
+    outcomes, kernel = ours.time_rollouts(scene, repeats)
+    report("plain numpy", 0, 1)
+    outcomes["plain numpy"], difference = _plain_numpy(scene, repeats)
+    missing = {}
+    for name, run in _ENGINES.items():
+        report(name, 0, 1)
+        try:
+            outcomes[name] = run(scene, repeats)
+        except ModuleNotFoundError as error:
+            missing[name] = f"left out, {error.name} is missing: install with pip install 'slipmap[bench]'"
+    growth = measure_growth(cells=cells, steps=steps, repeats=repeats, seed=seed, progress=report)
+    first = next(iter(outcomes.values())).seconds
+    return {
+        "scene": {
+            "cells": len(scene.slider.grid),
+            "models": models,
+            "steps": steps,
+            "step": STEP,
+            "repeats": repeats,
+            "seed": seed,
+        },
+        "engines": [
+            {
+                "name": name,
+                "seconds": outcome.seconds,
+                "ratio": outcome.seconds / first,
+                "final_pose": outcome.final_pose.tolist(),
+                "remark": outcome.remark,
+            }
+            for name, outcome in outcomes.items()
+        ],
+        "missing": missing,
+        "kernel": asdict(kernel),
+        "numpy_difference": difference,
+        "growth": growth,
+    }
+
+
+def _plain_numpy(scene: Scene, repeats: int) -> tuple[Outcome, float]:
+    """Outcome of plain numpy, and the largest difference of one of its poses from ours."""
+    poses = plain_numpy.rollout(scene.slider, scene.maps, scene.push)
+    difference = float(np.abs(poses[1:] - ours.poses(scene)).max())
+    seconds = median_time(lambda: plain_numpy.rollout(scene.slider, scene.maps, scene.push), repeats)
+    return Outcome(seconds, poses[-1], "the same convex step, one model"), difference
+
+
+# The benchmark's result as text.
+
+
+def format_table(result: dict[str, Any]) -> str:
+    """Plain text, at most 80 columns wide, of a result of `run_benchmark`."""
+    return "\n".join([*_engines(result), "", *_kernel(result), "", *_growth(result)])
+
+
+def _engines(result: dict[str, Any]) -> list[str]:
+    scene = result["scene"]
+    lines = [
+        "One finger push: {cells} cells, {steps} steps of {ms:g} ms; medians of {repeats}".format(
+            ms=1e3 * scene["step"], **scene
+        ),
+        "",
+        f"{'':24}{'ms a rollout':>13}{'ratio':>9}   final x, y (mm), angle (deg)",
+    ]
+    for engine in result["engines"]:
+        x, y, angle = engine["final_pose"]
+        lines.append(
+            f"{engine['name']:24}{1e3 * engine['seconds']:13.4g}{engine['ratio']:9.3g}"
+            f"   {1e3 * x:8.2f}{1e3 * y:8.2f}{57.29577951308232 * angle:9.2f}"
+        )
+        lines.append(f"  {engine['remark']}")
+    lines += [f"{name}: {note}" for name, note in result["missing"].items()]
+    lines.append("Processor time of one core, except where wall time is said.")
+    return lines
+
+
+def _kernel(result: dict[str, Any]) -> list[str]:
+    kernel = result["kernel"]
+    return [
+        "Per cell and energy evaluation    {ns_per_cell_evaluation:.3g} ns".format(**kernel),
+        "Evaluations a step                {evaluations_per_step:.3g}".format(**kernel),
+        "All poses by {columns} parameters      {jacobian_rollouts:.3g} rollouts".format(**kernel),
+        f"Largest difference from numpy     {result['numpy_difference']:.1e} (m, rad)",
+    ]
+
+
+def _growth(result: dict[str, Any]) -> list[str]:
+    lines = [
+        "Growth, on one core",
+        f"{'cells':>8}{'steps':>8}{'models':>8}{'ms a rollout':>15}{'ns/cell/eval.':>15}{'peak MiB':>10}",
+    ]
+    for row in result["growth"]:
+        lines.append(
+            f"{row['cells']:8}{row['steps']:8}{row['models']:8}{1e3 * row['seconds']:15.4g}"
+            f"{row['ns_per_cell_evaluation']:15.3g}{row['peak_mib']:10.0f}"
+        )
+    return lines

@@ -1,0 +1,265 @@
+"""A second truth beside Drake's: the object in Bullet, one rigid body on a foot a cell."""
+
+from __future__ import annotations
+
+import numpy as np
+import shapely
+from scipy.spatial.transform import Rotation
+
+from slipmap.diagrams.application.campaigns.direct_world import (
+    LONGEST_SETTLING,
+    PERIOD,
+    DirectWorld,
+    Motion,
+    WorldNoise,
+)
+from slipmap.diagrams.station.sliding_object import GRAVITY, spatial_inertia
+from slipmap.diagrams.station.table import ROUND_TABLE
+from slipmap.models.measurements.push_dataset import Table
+from slipmap.models.objects.meshes import convex_pieces
+from slipmap.models.objects.true_object import TrueObject
+from slipmap.models.physics.cell_grid import FloatArray
+from slipmap.models.robots import FINGER_LENGTH, FINGER_RADIUS
+
+STEP = 2e-3
+"""s"""
+
+_SINK = 2e-4  # m; of every foot under the weight of its cell
+_CLEARANCE = 4e-4  # m; of the prisms above the feet
+_FOOT_RADIUS = 2e-3  # m
+_MARGIN = 1e-3  # m; by which Bullet blows up convex hulls
+_LINK_MASS = 1e-6  # kg
+_FINGER_MASS = 1e-2  # kg
+_FINGER_HEIGHT = 2e-3  # m, of its end above the table
+_THICKNESS = 0.1  # m, of the table top
+_FLOOR = -0.72  # m
+_AWAY = np.array([20.0, 20.0])
+_ITERATIONS = 50
+_CONTACTS = 4  # that Bullet keeps between two bodies
+_APART = 0.03  # m; contacts closer than 20 mm to each other it takes for one
+_TABLE, _FEET, _BLOCKS, _FINGER = 1, 2, 4, 8  # collision groups
+_AT_REST = 5e-3  # m/s and rad/s
+_TILTED = np.cos(np.radians(10.0))
+_SUNK = 5e-3  # m
+
+Pose = tuple[list[float], list[float]]
+"""Place, and quaternion with the real part last."""
+
+
+class BulletWorld(DirectWorld):
+    """The object on one round foot a cell, each with its own friction and as stiff as its cell is heavy.
+
+    Finger and table's edge touch upright prisms of the object's outline. Friction coefficients are those of
+    the true object: Bullet multiplies the two of a pair, the other is 1.
+
+    Args:
+        true_object: what lies on the table.
+        table: its top.
+        noise: of control and sensors.
+
+    Raises:
+        ModuleNotFoundError: pybullet is not installed.
+    """
+
+    def __init__(
+        self, true_object: TrueObject, table: Table = ROUND_TABLE, noise: WorldNoise | None = None
+    ) -> None:
+        try:
+            import pybullet
+        except ModuleNotFoundError as error:
+            raise ModuleNotFoundError(
+                "Bullet is not installed; `pip install 'slipmap[bench]'` brings it"
+            ) from error
+        super().__init__(true_object, table, noise)
+        self._p = pybullet
+        self._where = {"physicsClientId": pybullet.connect(pybullet.DIRECT)}
+        pybullet.setGravity(0, 0, -GRAVITY, **self._where)
+        pybullet.setTimeStep(STEP, **self._where)
+        pybullet.setPhysicsEngineParameter(
+            enableConeFriction=1, numSolverIterations=_ITERATIONS, **self._where
+        )
+        self._add_table()
+        self._body = self._add_object()
+        self._finger = self._add_finger()
+
+    @property
+    def _step(self) -> float:
+        return STEP
+
+    def _place(self, pose: FloatArray) -> None:
+        p, where = self._p, self._where
+        turn = p.getQuaternionFromEuler([0, 0, float(pose[2])])
+        # Bullet's pose of a body is that of its principal frame.
+        X_WI = p.multiplyTransforms([pose[0], pose[1], -_SINK], turn, *self._X_OI)
+        p.resetBasePositionAndOrientation(self._body, *X_WI, **where)
+        p.resetBaseVelocity(self._body, [0, 0, 0], [0, 0, 0], **where)
+        self._move_finger(_AWAY)
+
+    def _drive(self, tip: FloatArray) -> Motion:
+        p, where = self._p, self._where
+        self._move_finger(tip[0])
+        stride = round(PERIOD / STEP)
+        poses, tips, forces = [self._pose()], [tip[0]], [np.zeros(2)]
+        total, now = np.zeros(2), tip[0]
+        for step, wanted in enumerate(tip[1:], start=1):
+            p.setJointMotorControlArray(
+                self._finger, [0, 1], p.VELOCITY_CONTROL,
+                targetVelocities=((wanted - now) / STEP).tolist(), forces=[1e4, 1e4], **where,
+            )  # fmt: skip
+            p.stepSimulation(**where)
+            states = p.getJointStates(self._finger, [0, 1], **where)
+            now = np.array([state[0] for state in states])
+            # The finger is so light that its drive does nothing but push.
+            total = total + [state[3] for state in states]
+            if step % stride == 0:
+                poses.append(self._pose())
+                tips.append(now)
+                forces.append(total / stride)
+                total = np.zeros(2)
+        self._move_finger(_AWAY)
+        return Motion(np.array(poses), np.array(tips), np.array(forces))
+
+    def _settle(self) -> None:
+        for step in range(1, round(LONGEST_SETTLING / STEP) + 1):
+            self._p.stepSimulation(**self._where)
+            if step % 50 == 0:
+                velocity = np.array(self._p.getBaseVelocity(self._body, **self._where))
+                if (step >= 250 and np.abs(velocity).max() < _AT_REST) or np.isnan(self._pose()).any():
+                    return
+
+    def _pose(self) -> FloatArray:
+        p = self._p
+        X_WI = p.getBasePositionAndOrientation(self._body, **self._where)
+        (x, y, z), (qx, qy, qz, qw) = p.multiplyTransforms(*X_WI, *self._X_IO)
+        if 1 - 2 * (qx**2 + qy**2) < _TILTED or z < -_SUNK:
+            return np.full(3, np.nan)
+        return np.array([x, y, np.arctan2(2 * (qw * qz + qx * qy), 1 - 2 * (qy**2 + qz**2))])
+
+    def _move_finger(self, place: FloatArray) -> None:
+        for joint in (0, 1):
+            self._p.resetJointState(self._finger, joint, float(place[joint]), 0.0, **self._where)
+
+    def _add_table(self) -> None:
+        p, where, table = self._p, self._where, self.table
+        if table.radius is not None:
+            shape = p.createCollisionShape(p.GEOM_CYLINDER, radius=table.radius, height=_THICKNESS, **where)
+        else:
+            assert table.size is not None
+            half = [table.size[0] / 2, table.size[1] / 2, _THICKNESS / 2]
+            shape = p.createCollisionShape(p.GEOM_BOX, halfExtents=half, **where)
+        top = p.createMultiBody(0, shape, basePosition=[*table.center, -_THICKNESS / 2], **where)
+        floor = p.createMultiBody(
+            0, p.createCollisionShape(p.GEOM_BOX, halfExtents=[4, 4, 0.1], **where),
+            basePosition=[0, 0, _FLOOR - 0.1], **where,
+        )  # fmt: skip
+        for body in (top, floor):
+            p.changeDynamics(body, -1, lateralFriction=1.0, **where)
+            p.setCollisionFilterGroupMask(body, -1, _TABLE, _FEET | _BLOCKS, **where)
+
+    def _add_object(self) -> int:
+        """A body with all the mass; feet and prisms are links without weight.
+
+        Some feet of equal cells are one link: what Bullet computes for each contact grows with the links.
+        """
+        p, where, thing = self._p, self._where, self.true_object
+        inertia, self._X_OI = self._principal()
+        self._X_IO = p.invertTransform(*self._X_OI)
+        groups = _groups(thing)
+        feet = [self._feet(thing.grid.centers[group]) for group in groups]
+        blocks = [
+            p.createCollisionShape(p.GEOM_MESH, vertices=corners.tolist(), **where)
+            for corners in self._prisms()
+        ]
+        n, count = len(feet), len(feet) + len(blocks)
+        level, here = [0, 0, 0, 1], [0, 0, 0]
+        place, turn = self._X_IO
+        body = p.createMultiBody(
+            thing.total_mass, -1, -1, here, level,
+            linkMasses=[_LINK_MASS] * count, linkCollisionShapeIndices=feet + blocks,
+            linkVisualShapeIndices=[-1] * count, linkPositions=[place] * count,
+            linkOrientations=[turn] * count,
+            linkInertialFramePositions=[here] * count, linkInertialFrameOrientations=[level] * count,
+            linkParentIndices=[0] * count, linkJointTypes=[p.JOINT_FIXED] * count,
+            linkJointAxis=[[0, 0, 1]] * count, **where,
+        )  # fmt: skip
+        p.changeDynamics(
+            body, -1, linearDamping=0, angularDamping=0, localInertiaDiagonal=inertia.tolist(), **where
+        )
+        for link, (first, *_) in enumerate(groups):
+            mass = thing.mass[first]
+            stiffness = mass * GRAVITY / _SINK
+            p.changeDynamics(
+                body, link, lateralFriction=thing.mu[first], contactStiffness=stiffness,
+                contactDamping=2 * np.sqrt(stiffness * mass), **where,
+            )  # fmt: skip
+            p.setCollisionFilterGroupMask(body, link, _FEET, _TABLE, **where)
+        for block in range(
+            n, count
+        ):  # of the prisms, which hang just above the table, only what touches counts
+            p.changeDynamics(
+                body, block, lateralFriction=thing.mu_finger, contactProcessingThreshold=0.0, **where
+            )
+            p.setCollisionFilterGroupMask(body, block, _BLOCKS, _FINGER | _TABLE, **where)
+        return int(body)
+
+    def _feet(self, centers: FloatArray) -> int:
+        """A shape of spheres under cells (k, 2)."""
+        p, count = self._p, len(centers)
+        return int(
+            p.createCollisionShapeArray(
+                shapeTypes=[p.GEOM_SPHERE] * count, radii=[_FOOT_RADIUS] * count,
+                collisionFramePositions=[[x, y, _FOOT_RADIUS] for x, y in centers], **self._where,
+            )
+        )  # fmt: skip
+
+    def _principal(self) -> tuple[FloatArray, Pose]:
+        """(3,) principal moments about the centre of mass, and the pose of its principal frame I."""
+        thing = self.true_object
+        middle = thing.center_of_mass
+        about = spatial_inertia(thing).Shift(middle).CalcRotationalInertia().CopyToFullMatrix3()
+        moments, axes = np.linalg.eigh(about)
+        axes[:, 0] *= np.linalg.det(axes)
+        x, y, z, w = Rotation.from_matrix(axes).as_quat()
+        return moments, (middle.tolist(), [x, y, z, w])
+
+    def _prisms(self) -> list[FloatArray]:
+        """(k, 3) corners of convex prisms, smaller by what Bullet adds, object frame."""
+        result = []
+        for block in self.true_object.blocks:
+            ends = (_CLEARANCE + _MARGIN, block.height - _MARGIN)
+            for part in shapely.get_parts(block.outline.buffer(-_MARGIN, join_style="mitre")):
+                for piece in convex_pieces(part):
+                    ring = np.asarray(piece.exterior.coords)[:-1]
+                    result.append(np.vstack([np.column_stack([ring, np.full(len(ring), z)]) for z in ends]))
+        return result
+
+    def _add_finger(self) -> int:
+        p, where = self._p, self._where
+        shape = p.createCollisionShape(p.GEOM_CYLINDER, radius=FINGER_RADIUS, height=FINGER_LENGTH, **where)
+        level, here = [[0, 0, 0, 1]] * 2, [[0, 0, 0]] * 2
+        finger = p.createMultiBody(
+            0, -1, basePosition=[0, 0, _FINGER_HEIGHT + FINGER_LENGTH / 2], linkMasses=[_FINGER_MASS] * 2,
+            linkCollisionShapeIndices=[-1, shape], linkVisualShapeIndices=[-1, -1], linkPositions=here,
+            linkOrientations=level, linkInertialFramePositions=here, linkInertialFrameOrientations=level,
+            linkParentIndices=[0, 1], linkJointTypes=[p.JOINT_PRISMATIC] * 2,
+            linkJointAxis=[[1, 0, 0], [0, 1, 0]], **where,
+        )  # fmt: skip
+        p.changeDynamics(finger, 1, lateralFriction=1.0, **where)
+        for link in (-1, 0, 1):
+            p.setCollisionFilterGroupMask(finger, link, _FINGER if link == 1 else 0, _BLOCKS, **where)
+        return int(finger)
+
+
+def _groups(thing: TrueObject) -> list[list[int]]:
+    """Cells of equal weight and friction, so few and so far apart that Bullet keeps a contact for each."""
+    groups: list[list[int]] = []
+    for cell, center in enumerate(thing.grid.centers):
+        for group in groups:
+            like = thing.mass[cell] == thing.mass[group[0]] and thing.mu[cell] == thing.mu[group[0]]
+            away = np.hypot(*(thing.grid.centers[group] - center).T).min() > _APART
+            if like and away and len(group) < _CONTACTS:
+                group.append(cell)
+                break
+        else:
+            groups.append([cell])
+    return groups

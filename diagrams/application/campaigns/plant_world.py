@@ -1,0 +1,209 @@
+"""The true world of the campaigns: Drake's MultibodyPlant, a finger on a prescribed path, and no arm."""
+
+from __future__ import annotations
+
+import numpy as np
+from pydrake.geometry import AddContactMaterial, Cylinder, ProximityProperties
+from pydrake.math import RigidTransform
+from pydrake.multibody.plant import AddMultibodyPlant, CoulombFriction, MultibodyPlant
+from pydrake.multibody.tree import (
+    ModelInstanceIndex,
+    PdControllerGains,
+    PrismaticJoint,
+    SpatialInertia,
+)
+from pydrake.systems.analysis import Simulator
+from pydrake.systems.framework import DiagramBuilder
+from pydrake.systems.primitives import TrajectorySource, VectorLogSink
+from pydrake.trajectories import PiecewisePolynomial
+
+from slipmap.diagrams.application.campaigns.direct_world import (
+    LONGEST_SETTLING,
+    PERIOD,
+    DirectWorld,
+    Motion,
+    WorldNoise,
+)
+from slipmap.diagrams.station.hidden_effects import HiddenEffectsConfig, add_hidden_effects
+from slipmap.diagrams.station.sliding_object import (
+    BODY,
+    FINGER_FRICTION,
+    add_sliding_object,
+    plant_config,
+    resting_pose,
+)
+from slipmap.diagrams.station.table import ROUND_TABLE, TABLE_FRICTION, add_table
+from slipmap.models.measurements.push_dataset import Table
+from slipmap.models.objects.true_object import TrueObject
+from slipmap.models.physics.cell_grid import FloatArray
+from slipmap.models.robots import FINGER_LENGTH, FINGER_RADIUS
+
+TIME_STEP = 2e-3
+"""s"""
+
+_FINGER_HEIGHT = 2e-3  # m, of its end above the table
+_AWAY = np.array([50.0, 50.0])
+_LOOK = 0.02  # s between two looks whether the object rests or is lost
+_LEAST_SETTLING = 0.25  # s
+_AT_REST = 5e-3  # m/s and rad/s
+_TILTED = np.cos(np.radians(10.0))
+_SUNK = 5e-3  # m
+
+
+class PlantWorld(DirectWorld):
+    """The object of the station on the station's table, pushed by a finger that nothing can stop.
+
+    Args:
+        true_object: what lies on the table.
+        table: its top.
+        noise: of control and sensors.
+        hidden: effects that the object's model does not know.
+        time_step: of the plant, s; a whole fraction of 0.01 s.
+
+    Raises:
+        ValueError: a friction out of reach of Drake's rule, or a time step that does not fit.
+    """
+
+    def __init__(
+        self,
+        true_object: TrueObject,
+        table: Table = ROUND_TABLE,
+        noise: WorldNoise | None = None,
+        *,
+        hidden: HiddenEffectsConfig | None = None,
+        time_step: float = TIME_STEP,
+    ) -> None:
+        super().__init__(true_object, table, noise)
+        ratio = PERIOD / time_step
+        if abs(ratio - round(ratio)) > 1e-9:
+            raise ValueError(
+                f"plant world: the time step must be a whole fraction of {PERIOD} s, got {time_step}"
+            )
+        self._time_step = time_step
+        builder = DiagramBuilder()
+        plant, _ = AddMultibodyPlant(plant_config(time_step), builder)
+        add_table(plant, table)
+        add_sliding_object(plant, true_object, TABLE_FRICTION, single_feet=True)
+        self._finger = _add_finger(plant)
+        plant.Finalize()
+        if hidden is not None:
+            add_hidden_effects(builder, plant, true_object, hidden)
+        self._path = builder.AddSystem(TrajectorySource(_standing(_AWAY), 1))
+        builder.Connect(self._path.get_output_port(), plant.get_desired_state_input_port(self._finger))
+        # All rows are logged in the engine: nothing of a push runs in Python.
+        self._states = builder.AddSystem(VectorLogSink(plant.num_multibody_states()))
+        builder.Connect(plant.get_state_output_port(), self._states.get_input_port())
+        self._contact = builder.AddSystem(VectorLogSink(2))
+        builder.Connect(
+            plant.get_generalized_contact_forces_output_port(self._finger), self._contact.get_input_port()
+        )
+        self._plant = plant
+        self._body = plant.GetBodyByName(BODY)
+        self._simulator = Simulator(builder.Build())
+        self._root = self._simulator.get_mutable_context()
+        self._context = plant.GetMyMutableContextFromRoot(self._root)
+
+    @property
+    def _step(self) -> float:
+        return self._time_step
+
+    def _place(self, pose: FloatArray) -> None:
+        diagram = self._simulator.get_system()
+        self._root.SetTime(0.0)
+        diagram.SetDefaultContext(self._root)
+        self._plant.SetFreeBodyPose(self._context, self._body, resting_pose(*pose))
+        self._take_finger_away()
+
+    def _drive(self, tip: FloatArray) -> Motion:
+        h = self._time_step
+        times = h * np.arange(len(tip))
+        # The drive holds at the end of a step what is wanted at its beginning.
+        path = PiecewisePolynomial.CubicHermite(times - h, tip.T, np.gradient(tip, h, axis=0).T)
+        self._path.UpdateTrajectory(path)
+        self._root.SetTime(0.0)
+        self._plant.SetPositions(self._context, self._finger, tip[0])
+        for sink in (self._states, self._contact):
+            sink.FindMutableLog(self._root).Clear()
+        self._simulator.Initialize()  # logs the first row
+        # Drake's contact solver fails at times with an object that tumbles over the rim: it is left there.
+        for end in (*times[1 : -1 : round(_LOOK / h)], times[-1]):
+            if self._lost():
+                break
+            self._simulator.AdvanceTo(end)
+        stride = round(PERIOD / h)
+        states = np.asarray(self._states.FindLog(self._root).data()).T[::stride]
+        # What the object does to the finger, with the other sign.
+        forces = _means(-np.asarray(self._contact.FindLog(self._root).data()).T, stride)
+        self._take_finger_away()
+        lost = 1 + (len(tip) - 1) // stride - len(states)
+        return Motion(
+            np.vstack([self._poses(states), np.full((lost, 3), np.nan)]),
+            np.vstack([self._tips(states), tip[::stride][len(states) :]]),
+            np.vstack([forces, np.zeros((lost, 2))]),
+        )
+
+    def _lost(self) -> bool:
+        return bool(np.isnan(self._pose()).any())
+
+    def _settle(self) -> None:
+        begin = self._root.get_time()
+        while self._root.get_time() < begin + LONGEST_SETTLING and not self._lost():
+            self._simulator.AdvanceTo(self._root.get_time() + _LOOK)
+            velocity = np.abs(self._plant.GetVelocities(self._context, self._body.model_instance())).max()
+            if self._root.get_time() > begin + _LEAST_SETTLING and velocity < _AT_REST:
+                return
+
+    def _pose(self) -> FloatArray:
+        return self._poses(self._plant.GetPositionsAndVelocities(self._context)[None])[0]
+
+    def _take_finger_away(self) -> None:
+        self._root.SetTime(0.0)
+        self._path.UpdateTrajectory(_standing(_AWAY))
+        self._plant.SetPositions(self._context, self._finger, _AWAY)
+        self._plant.SetVelocities(self._context, self._finger, np.zeros(2))
+        self._simulator.Initialize()
+
+    def _poses(self, states: FloatArray) -> FloatArray:
+        """(T, 3) from rows of the plant's state; NaN where the object is not flat on the table."""
+        start = self._body.floating_positions_start()
+        w, x, y, z, px, py, pz = states[:, start : start + 7].T
+        angle = np.arctan2(2 * (w * z + x * y), 1 - 2 * (y**2 + z**2))
+        upright = 1 - 2 * (x**2 + y**2)
+        poses = np.column_stack([px, py, angle])
+        poses[(upright < _TILTED) | (pz < -_SUNK)] = np.nan
+        return poses
+
+    def _tips(self, states: FloatArray) -> FloatArray:
+        names = ("finger_x", "finger_y")
+        return states[:, [self._plant.GetJointByName(name).position_start() for name in names]]
+
+
+def _add_finger(plant: MultibodyPlant) -> ModelInstanceIndex:
+    """An upright round finger on two prismatic joints with a drive too stiff to give way."""
+    instance = plant.AddModelInstance("finger")
+    inertia = SpatialInertia.SolidSphereWithMass(1.0, 0.02)
+    carriage = plant.AddRigidBody("carriage", instance, inertia)
+    finger = plant.AddRigidBody("finger", instance, inertia)
+    for name, parent, child, axis in (
+        ("finger_x", plant.world_frame(), carriage.body_frame(), [1.0, 0.0, 0.0]),
+        ("finger_y", carriage.body_frame(), finger.body_frame(), [0.0, 1.0, 0.0]),
+    ):
+        joint = plant.AddJoint(PrismaticJoint(name, parent, child, np.array(axis)))
+        plant.AddJointActuator(name, joint).set_controller_gains(PdControllerGains(p=1e7, d=1e5))
+    contact = ProximityProperties()
+    friction = CoulombFriction(FINGER_FRICTION, FINGER_FRICTION)
+    AddContactMaterial(dissipation=20.0, point_stiffness=1e8, friction=friction, properties=contact)
+    X_FG = RigidTransform(np.array([0.0, 0.0, _FINGER_HEIGHT + FINGER_LENGTH / 2]))
+    plant.RegisterCollisionGeometry(finger, X_FG, Cylinder(FINGER_RADIUS, FINGER_LENGTH), "finger", contact)
+    return instance
+
+
+def _standing(place: FloatArray) -> PiecewisePolynomial:
+    return PiecewisePolynomial(place[:, None])
+
+
+def _means(values: FloatArray, stride: int) -> FloatArray:
+    """(T, 2) mean of each `stride` rows up to every row; the first row stands for itself."""
+    count = (len(values) - 1) // stride
+    means = values[1 : 1 + count * stride].reshape(count, stride, -1).mean(axis=1)
+    return np.vstack([values[:1], means])

@@ -1,0 +1,73 @@
+"""Figure 7 of the paper: how often an unknown object ends in the gripper, with arm and camera in the loop."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from slipmap.diagrams.application.campaigns.experiments import WHOLE_PROCEDURE, Experiment, Summary
+from slipmap.diagrams.application.campaigns.methods_compared import compare_methods, specs_of_methods
+from slipmap.planners.trials import CampaignError, TrialOutcome, TrialSpec
+
+FATES = ("held", "fell", "dropped", "gave up")
+
+
+def trial(*, seed: int, object_name: str, method: str) -> dict[str, Any]:
+    """Put the object down at the table's middle, turned at random, and let the robot take it.
+
+    All of Algorithm 4 is done anew in each trial, exploring too.
+
+    Returns:
+        What `PregraspRun.to_json` tells, and `yaw`. A run in which nothing could be learned gave up.
+
+    Raises:
+        KeyboardInterrupt: Ctrl-C, which says nothing of the object.
+    """
+    from slipmap.diagrams.loops.exploration_loop import LoopOptions
+    from slipmap.diagrams.loops.exploration_run import ExplorationFailed, ExplorationStopped
+    from slipmap.diagrams.loops.pregrasp_loop import PregraspOptions, run_pregrasp
+    from slipmap.diagrams.station.scenario import Scenario
+
+    scenario = Scenario()
+    scenario.object.name = object_name
+    yaw = float(np.random.default_rng([seed, 3]).uniform(-180.0, 180.0))
+    scenario.object.pose = [0.0, 0.0, yaw]
+    options = PregraspOptions(LoopOptions(seed=seed), method=method)
+    try:
+        run = run_pregrasp(scenario, options)
+        if run.interrupted:
+            raise KeyboardInterrupt
+        told = run.to_json()
+    except ExplorationStopped as error:
+        raise KeyboardInterrupt from error
+    except ExplorationFailed as error:
+        told = {"fate": "gave up", "reason": str(error), "pushes": []}
+    # What the clock says depends on the machine, and the same seeds shall give the same result.
+    return {key: value for key, value in told.items() if key != "seconds"} | {"yaw": yaw}
+
+
+def _specs(objects: Sequence[str], trials: int, seed: int, truth: str) -> list[TrialSpec]:
+    if truth != "plant":
+        raise CampaignError("fig7: the robot's cell is simulated by plant alone; leave out --truth")
+    return specs_of_methods(f"{__name__}:trial", objects, trials, seed)
+
+
+def _summary(outcomes: Sequence[TrialOutcome]) -> Summary:
+    compared = compare_methods(outcomes, good="held", pushes=lambda result: len(result["pushes"]))
+    title = "Explored, brought to the edge, grasped and lifted"
+    return Summary(
+        [
+            compared.success_table(f"{title}, %", WHOLE_PROCEDURE),
+            compared.ways_table(
+                "Pushes to the edge, and how trials ended", "pushes to the edge, mean", FATES
+            ),
+        ],
+        "Pushes count in all trials, failed ones too; those that explore are not among them.",
+        compared.to_json("held") | {"paper": WHOLE_PROCEDURE},
+        lambda: compared.figures(title, WHOLE_PROCEDURE),
+    )
+
+
+FIGURE_7 = Experiment("fig7", 10, _specs, _summary, ("hammer",))

@@ -1,0 +1,241 @@
+"""The command `slipmap`: its subcommands, its exit codes, and how failures are told.
+
+Exit codes: 0 success; 1 a failure of the program itself, or a run that did not reach what it was for; 2 wrong
+use or bad input; 130 stopped, by Ctrl-C or by a signal to end.
+"""
+
+from __future__ import annotations
+
+import difflib
+import errno
+import os
+import signal
+import sys
+import traceback
+from collections import Counter
+from collections.abc import Sequence
+
+import click
+
+from slipmap.diagrams.application.commands.blind_test import blind_test
+from slipmap.diagrams.application.commands.calibrate import calibrate
+from slipmap.diagrams.application.commands.campaign import campaign
+from slipmap.diagrams.application.commands.compare import compare
+from slipmap.diagrams.application.commands.demo import demo
+from slipmap.diagrams.application.commands.describe_object import describe_object
+from slipmap.diagrams.application.commands.diagnose import diagnose
+from slipmap.diagrams.application.commands.effects import effects
+from slipmap.diagrams.application.commands.explore import explore
+from slipmap.diagrams.application.commands.explore_study import explore_study
+from slipmap.diagrams.application.commands.fit import fit
+from slipmap.diagrams.application.commands.identify import identify
+from slipmap.diagrams.application.commands.machine import bench, completion, doctor
+from slipmap.diagrams.application.commands.options import OutputFile, keep_files_apart
+from slipmap.diagrams.application.commands.predict import predict
+from slipmap.diagrams.application.commands.pregrasp import pregrasp
+from slipmap.diagrams.application.commands.record import record
+from slipmap.diagrams.application.commands.replay import replay
+from slipmap.diagrams.application.commands.station import station
+from slipmap.diagrams.application.commands.view import view
+
+SUCCESS, INTERNAL_FAILURE, WRONG_USE, STOPPED = 0, 1, 2, 130
+TRACEBACK = "SLIPMAP_TRACEBACK"
+_STOPPED = "stopped; nothing half-written is left behind"
+
+
+class _Commands(click.Group):
+    """A group that lists its commands in the order a newcomer meets them, and knows a slip of the pen."""
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        return list(self.commands)
+
+    def resolve_command(
+        self, ctx: click.Context, args: list[str]
+    ) -> tuple[str | None, click.Command | None, list[str]]:
+        name = args[0]
+        if name not in self.commands and not name.startswith("-"):
+            near = difflib.get_close_matches(name, self.commands, n=1)
+            hint = f"did you mean `{near[0]}`?" if near else f"there are {', '.join(self.commands)}."
+            ctx.fail(f"there is no command `{name}`; {hint}")
+        found, command, rest = super().resolve_command(ctx, args)
+        if command is not None and not ctx.resilient_parsing:
+            _refuse_slips(click.Context(command, parent=ctx, info_name=found), rest)
+        return found, command, rest
+
+
+def _refuse_slips(ctx: click.Context, args: Sequence[str]) -> None:
+    """Click would take the last of several values, and say nothing of the others; and the working folder for
+    an empty path, which a shell makes of a variable that is not set.
+    """
+    values, _, given = ctx.command.make_parser(ctx).parse_args(list(args))
+    for param in ctx.command.params:
+        if isinstance(param.type, click.Path | OutputFile):
+            value = values.get(param.name or "")
+            if value == "" or (isinstance(value, list | tuple) and "" in value):
+                name = "/".join(param.opts) if isinstance(param, click.Option) else param.human_readable_name
+                ctx.fail(f"{name} is given an empty name; name a file or a folder.")
+    for option, times in Counter(given).items():
+        single = isinstance(option, click.Option) and not (option.multiple or option.is_flag or option.count)
+        if single and times > 1:
+            ctx.fail(f"{'/'.join(option.opts)} is given {times} times and takes one value; which is meant?")
+
+
+@click.group(
+    cls=_Commands,
+    invoke_without_command=True,
+    context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
+    epilog="`slipmap COMMAND --help` explains a command. Results go to standard output, progress and remarks"
+    " to standard error; --json FILE writes results for programs.",
+)
+@click.version_option(package_name="slipmap", message="slipmap %(version)s")
+@click.pass_context
+def slipmap(ctx: click.Context) -> None:
+    """Find out how an unknown object slides.
+
+    From a few recorded pushes, slipmap learns how mass and friction are spread over an object, says how
+    sure it is, predicts further pushes, and names the physical effect that its model misses.
+
+    New here? `slipmap demo` shows everything in half a minute and needs no data; `slipmap doctor` says
+    whether this machine has all that is needed.
+    """
+    if ctx.invoked_subcommand is None:
+        click.echo(ctx.get_help(), err=True)
+        ctx.exit(WRONG_USE)
+
+
+for _command in (
+    doctor,
+    demo,
+    explore,
+    pregrasp,
+    station,
+    record,
+    replay,
+    describe_object,
+    identify,
+    predict,
+    view,
+    compare,
+    diagnose,
+    fit,
+    effects,
+    calibrate,
+    explore_study,
+    campaign,
+    blind_test,
+    bench,
+    completion,
+):
+    keep_files_apart(_command)
+    slipmap.add_command(_command)
+
+
+def run(arguments: Sequence[str]) -> int:
+    """Run one command, tell of its failure on stderr, and return its exit code."""
+    try:
+        result = slipmap.main(list(arguments), prog_name="slipmap", standalone_mode=False)
+        sys.stdout.flush()
+        return result if isinstance(result, int) else SUCCESS
+    except (click.Abort, KeyboardInterrupt):
+        return _told(_STOPPED, STOPPED)
+    except click.UsageError as error:
+        path = error.ctx.command_path if error.ctx else "slipmap"
+        said = _sentence(error.format_message()) + _nearest_choice(error, arguments)
+        return _told(f"{said} See `{path} --help`.", WRONG_USE)
+    except click.ClickException as error:
+        return _told(error.format_message(), error.exit_code)
+    except BrokenPipeError:
+        # Whoever read the output has closed it; what is left must not fail once more at exit.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return INTERNAL_FAILURE
+    except OSError as error:
+        # Wherever a path is first looked at, of what is read as of what is written.
+        if error.errno == errno.ENAMETOOLONG:
+            said = f"the name {error.filename} is too long for this disk; choose a shorter one"
+            return _told(said, WRONG_USE)
+        return _leads_nowhere(error) if error.errno == errno.ELOOP else _internal(error)
+    except Exception as error:
+        if isinstance(error, RuntimeError) and str(error).startswith("Symlink loop"):  # Path.resolve()
+            return _leads_nowhere(error)
+        if _comes_of_ctrl_c(error):
+            return _told(_STOPPED, STOPPED)
+        return _told(_one_paragraph(str(error)), WRONG_USE) if _is_bad_input(error) else _internal(error)
+
+
+def _comes_of_ctrl_c(error: BaseException | None) -> bool:
+    """Whether an error was caused by Ctrl-C, as an ImportError is where a C++ module is stopped loading."""
+    while error is not None and not isinstance(error, KeyboardInterrupt):
+        error = error.__cause__ or error.__context__
+    return error is not None
+
+
+def _nearest_choice(error: click.UsageError, arguments: Sequence[str]) -> str:
+    """What was meant, where one of a few words was wanted and another was given."""
+    kind = error.param.type if isinstance(error, click.BadParameter) and error.param else None
+    if isinstance(kind, click.Choice):
+        for word in (argument.rpartition("=")[2] for argument in arguments):
+            near = difflib.get_close_matches(word, kind.choices, n=1)
+            if near and repr(word) in error.message:
+                return f" Did you mean {near[0]!r}?"
+    return ""
+
+
+def _is_bad_input(error: Exception) -> bool:
+    from slipmap.diagrams.perception.renderer import RendererUnavailable
+    from slipmap.models.effects import EffectError
+    from slipmap.models.inference.belief import BeliefError
+    from slipmap.models.measurements import DatasetError
+
+    return isinstance(error, BeliefError | DatasetError | EffectError | RendererUnavailable)
+
+
+def _one_paragraph(text: str) -> str:
+    return " ".join(text.split())
+
+
+def _sentence(text: str) -> str:
+    said = _one_paragraph(text)
+    return said if said.endswith((".", "?", "!")) else f"{said}."
+
+
+def _leads_nowhere(error: Exception) -> int:
+    return _told(f"a link leads back to itself ({error}); name the file that is meant", WRONG_USE)
+
+
+def _internal(error: Exception) -> int:
+    place = traceback.extract_tb(error.__traceback__)[-1]
+    if os.environ.get(TRACEBACK):
+        traceback.print_exception(error)
+    return _told(
+        f"internal failure, {type(error).__name__} in {os.path.basename(place.filename)}, line"
+        f" {place.lineno}: {_one_paragraph(str(error))}. This is a fault of slipmap, not of your input;"
+        f" please report it with the whole traceback, which the environment variable {TRACEBACK}=1 shows.",
+        INTERNAL_FAILURE,
+    )
+
+
+def _told(message: str, code: int) -> int:
+    click.echo(f"slipmap: {message}", err=True)
+    return code
+
+
+def main() -> None:
+    """Entry point of the console script."""
+    # The matrices are small and the rollouts have their own threads: where another program shares the
+    # cores, BLAS threads that wait for each other made an identification seven times slower.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    # Threads of the rollouts that have nothing to do shall not keep a core from others, or the first thread.
+    os.environ.setdefault("OMP_WAIT_POLICY", "passive")
+    # Ending the command from outside, or closing its terminal, is as Ctrl-C: workers end with it, and nothing
+    # half-written is left.
+    for number in (signal.SIGTERM, signal.SIGHUP):
+        if signal.getsignal(number) != signal.SIG_IGN:  # as under nohup
+            signal.signal(number, signal.default_int_handler)
+    for stream in (sys.stdout, sys.stderr):
+        if hasattr(stream, "reconfigure"):
+            stream.reconfigure(errors="replace")
+    sys.exit(run(sys.argv[1:]))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,170 @@
+"""`slipmap campaign`: the paper's experiments, many trials each, beside the paper's own numbers."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from slipmap.diagrams.application.campaigns.experiments import ABOUT, experiment_of
+from slipmap.diagrams.application.commands import options
+from slipmap.diagrams.application.outputs import make_folder, write_figures, write_json
+from slipmap.diagrams.application.terminal import (
+    BadInput,
+    Progress,
+    note,
+    paragraph,
+    prepare_kernels,
+    table,
+)
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from slipmap.diagrams.application.campaigns.experiments import Summary
+    from slipmap.planners.trials import Backend, TrialOutcome, TrialSpec
+
+SHOWN_FAILURES = 5
+
+
+@click.command(epilog="Experiments: " + "; ".join(f"{name}, {about}" for name, about in ABOUT.items()) + ".")
+@click.argument("experiment", type=click.Choice(list(ABOUT)), metavar="EXPERIMENT")
+@click.option(
+    "--objects", "object_names", multiple=True, metavar="NAME", shell_complete=options.complete_objects,
+    help="Object; may be given several times. [default: all six; fig7: hammer]",
+)  # fmt: skip
+@click.option(
+    "--methods", "methods", multiple=True, metavar="NAME",
+    help="Method of fig6 and fig7; may be given several times. [default: all four]",
+)  # fmt: skip
+@click.option(
+    "--trials", type=click.IntRange(1, 100_000), metavar="N",
+    help="Trials of each object, with seeds from SEED on. [default: as the experiment needs]",
+)  # fmt: skip
+@click.option(
+    "--truth", type=click.Choice(["plant", "bullet"]), default="plant", show_default=True,
+    help="What plays the real world: Drake's MultibodyPlant, or Bullet (extra `bench`).",
+)  # fmt: skip
+@click.option(
+    "--backend", type=click.Choice(["processes", "dask"]), default="processes", show_default=True,
+    help="Where trials run: on this machine, or on a Dask cluster (extra `cluster`).",
+)  # fmt: skip
+@click.option("--scheduler", metavar="ADDRESS", help="Dask's scheduler, such as tcp://10.0.0.1:8786.")
+@click.option(
+    "--workers", type=click.IntRange(1, 1024), metavar="N",
+    help="Processes on this machine. [default: one a core]",
+)  # fmt: skip
+@click.option(
+    "-o", "--output", "folder", type=click.Path(file_okay=False, path_type=Path),
+    default=Path("campaign"), show_default=True, metavar="DIR", help="Folder of the results.",
+)  # fmt: skip
+@options.seed_option
+@options.json_option
+def campaign(
+    experiment: str,
+    object_names: tuple[str, ...],
+    methods: tuple[str, ...],
+    trials: int | None,
+    truth: str,
+    backend: Backend,
+    scheduler: str | None,
+    workers: int | None,
+    folder: Path,
+    seed: int,
+    json_file: Path | None,
+) -> None:
+    """Repeat an experiment of the paper, or one beyond it.
+
+    Shows the numbers beside the paper's. Each trial leaves a file in DIR/EXPERIMENT-TRUTH. What is there
+    already is not run again, so a campaign that was stopped goes on; what failed is tried again. The same
+    seeds give the same table, whatever runs the trials.
+    """
+    from slipmap.planners.trials import CampaignError, run_trials
+
+    chosen = experiment_of(experiment)
+    names = _checked(object_names or chosen.objects)
+    files = folder / f"{experiment}-{truth}"
+    make_folder(files)
+    prepare_kernels()
+    try:
+        specs = _by_methods(chosen.specs(names, trials or chosen.trials, seed, truth), methods)
+        _check_truth(truth)
+        with Progress() as progress:
+            outcomes = run_trials(
+                specs,
+                files,
+                backend=backend,
+                workers=workers or _cores(),
+                scheduler=scheduler,
+                progress=lambda done, total: progress(f"{experiment}, trials", done, total),
+            )
+    except CampaignError as error:
+        raise BadInput(str(error)) from error
+    summary = chosen.summary(outcomes)
+    picture = folder / f"{experiment}-{truth}.png"
+    _show(summary, outcomes)
+    write_figures(picture, summary.figures())
+    document = summary.document | {
+        "experiment": experiment,
+        "truth": truth,
+        "seed": seed,
+        "objects": list(names),
+        "trials": len(outcomes),
+        "failed": {o.spec.name: o.failure for o in outcomes if o.failure is not None},
+    }
+    write_json(folder / f"{experiment}-{truth}.json", document)
+    if json_file is not None:
+        write_json(json_file, document)
+    note(f"trials are in {files}, the picture is {picture}")
+
+
+def _checked(object_names: Sequence[str]) -> tuple[str, ...]:
+    from slipmap.models.objects.benchmark_objects import BENCHMARK_OBJECTS, benchmark_object
+
+    for name in object_names:
+        try:
+            benchmark_object(name)
+        except ValueError as error:
+            raise BadInput(str(error)) from error
+    return tuple(dict.fromkeys(object_names)) or tuple(BENCHMARK_OBJECTS)
+
+
+def _by_methods(specs: list[TrialSpec], methods: Sequence[str]) -> list[TrialSpec]:
+    """The trials of some methods, all where none is named."""
+    if not methods:
+        return specs
+    known = list(dict.fromkeys(spec.parameters["method"] for spec in specs if "method" in spec.parameters))
+    if not known:
+        raise BadInput("--methods chooses among the methods of fig6 and fig7; this experiment has none")
+    for method in methods:
+        if method not in known:
+            raise BadInput(f"method {method!r} is unknown; choose among {', '.join(known)}")
+    return [spec for spec in specs if spec.parameters["method"] in methods]
+
+
+def _check_truth(truth: str) -> None:
+    from importlib.util import find_spec
+
+    if truth == "bullet" and find_spec("pybullet") is None:
+        raise BadInput("Bullet is not installed; `pip install 'slipmap[bench]'` brings it")
+
+
+def _cores() -> int:
+    from joblib import cpu_count
+
+    return int(cpu_count())
+
+
+def _show(summary: Summary, outcomes: Sequence[TrialOutcome]) -> None:
+    for shown in summary.tables:
+        numbers = range(1, len(shown.columns))
+        table(shown.title, shown.columns, shown.rows, numbers=list(numbers))
+    paragraph("Intervals hold 95 %. " + summary.remark)
+    failed = [outcome for outcome in outcomes if outcome.failure is not None]
+    if failed:
+        note(f"{len(failed)} of {len(outcomes)} trials failed; the table leaves them out:")
+        for outcome in failed[:SHOWN_FAILURES]:
+            note(f"  {outcome.spec.name}: {outcome.failure}")
+        if len(failed) > SHOWN_FAILURES:
+            note("  …")

@@ -1,0 +1,165 @@
+"""`slipmap compare`: how far a model is from measured pushes, and where it fails."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from slipmap.diagrams.application.commands import options
+from slipmap.diagrams.application.outputs import write_json, write_text
+from slipmap.diagrams.application.terminal import BadInput, Progress, note, paragraph, prepare_kernels
+
+if TYPE_CHECKING:
+    from slipmap.models.effects.effect import Effect
+    from slipmap.models.inference.belief import Belief
+    from slipmap.models.inference.comparison import Comparison
+    from slipmap.models.measurements import PushDataset
+
+
+@click.command()
+@options.dataset_argument
+@options.belief_option(required=False, more="; without it the fit pushes are learnt from first")
+@options.effect_option(
+    required=False, purpose="Compare the model without effects, and with this one, both learnt alike"
+)
+@options.effect_file_option
+@options.report_option("comparison.html")
+@options.seed_option
+@options.object_option
+@options.json_option
+def compare(
+    dataset: Path,
+    belief_file: Path | None,
+    effect_names: tuple[str, ...],
+    effect_files: tuple[Path, ...],
+    output: Path,
+    seed: int,
+    object_name: str | None,
+    json_file: Path | None,
+) -> None:
+    """Compare a model with pushes, and see where it fails.
+
+    Every push of DATASET is predicted from its first pose. The report says how far off the model is beside
+    two simple ones and the noise, shows every push as measured and as predicted, and tests what the rest
+    hangs together with: place, direction, speed, phase, time and order. With --effect two models are
+    learnt from the fit pushes, without and with the effects, and shown side by side.
+    """
+    from slipmap.models.effects.registry import effects_named
+    from slipmap.models.inference.belief import Belief
+
+    if belief_file is not None and effect_names:
+        raise BadInput(
+            "--belief and --effect exclude each other: a belief brings its effects along (`slipmap fit` adds"
+            " them), and --effect learns two new models"
+        )
+    known = options.find_effects(effect_files)
+    effects = effects_named(effect_names, known)
+    belief = Belief.load(belief_file, known) if belief_file is not None else None
+    with Progress() as progress:
+        measured = options.load_dataset(dataset, object_name, progress)
+        prepare_kernels()
+        if belief is not None:
+            models = {"model": belief}
+        elif effects:
+            models = _learnt_twice(measured, effects, seed, progress)
+        else:
+            models = {"model": _learnt(measured, seed, progress)}
+        from slipmap.models.inference import comparison
+
+        results = [
+            comparison.compare(measured, model, seed=seed, label=label, progress=progress)
+            for label, model in models.items()
+        ]
+        progress("drawing", 0, 1)
+        write_text(output, report(results, measured))
+        progress("drawing", 1, 1)
+    if json_file is not None:
+        write_json(json_file, _document(results, effect_names))
+    show(results)
+    note(f"report: {output}")
+
+
+def report(comparisons: list[Comparison], dataset: PushDataset) -> str:
+    """The HTML of one model, or of two over the same pushes."""
+    from slipmap.diagrams.application.reports.comparison_sections import (
+        check_same_pushes,
+        comparison_sections,
+    )
+    from slipmap.diagrams.application.reports.html_page import page
+
+    first = comparisons[0]
+    learnt = "" if first.learnt_from == first.dataset else f", model learnt from {first.learnt_from}"
+    subtitle = f"{len(first.pushes)} measured pushes of {len(dataset.grid)} cells{learnt}; seed {first.seed}"
+    check_same_pushes(comparisons)
+    title = f"{dataset.name}: model against measurement"
+    return page(title, subtitle, _told(comparisons), comparison_sections(comparisons, dataset))
+
+
+def show(results: Sequence[Comparison]) -> None:
+    """Print what was found of one model, or of two over the same pushes."""
+    from slipmap.diagrams.application.reports.tables import show_comparison
+
+    first = results[0]
+    click.echo(f"{first.dataset}, {len(first.pushes)} pushes; model learnt from {first.learnt_from}\n")
+    show_comparison(results)
+    for text in _told(results):
+        paragraph(text)
+
+
+def _told(results: Sequence[Comparison]) -> list[str]:
+    """What was found, in words."""
+    from slipmap.diagrams.application.reports.comparison_words import finding, summary, summary_of_two
+
+    if len(results) == 1:
+        return [summary(results[0]), finding(results[0])]
+    learnt = (
+        "Both models were learnt as by `slipmap fit`, which takes the errors of one push as hanging together;"
+        " `slipmap identify`, and compare without --effect, count every measured pose for itself, so that"
+        " their model differs a little from the one without effects here."
+    )
+    findings = [f"{result.label}: {finding(result)}" for result in results]
+    return [summary_of_two(*results), *findings, learnt]
+
+
+def _document(results: Sequence[Comparison], effect_names: Sequence[str]) -> dict[str, Any]:
+    """One comparison as it is; two as `before` and `after`, with the names of the effects."""
+    if len(results) == 1:
+        return results[0].to_json()
+    before, after = (result.to_json() for result in results)
+    return {"before": before, "after": after, "effects": list(effect_names)}
+
+
+def _learnt_twice(
+    dataset: PushDataset, effects: Sequence[Effect], seed: int, progress: Progress
+) -> dict[str, Belief]:
+    """Beliefs without and with the effects, learnt alike, by the names that the report gives them."""
+    from slipmap.models.inference.diagnosis.effect_fit import fit_effects
+
+    _check_fit_pushes(dataset)
+    labels = ["without effects", "with " + " and ".join(effect.name for effect in effects)]
+    beliefs = {}
+    for label, added in zip(labels, ((), tuple(effects)), strict=True):
+
+        def report(stage: str, done: int, total: int, label: str = label) -> None:
+            progress(f"{stage}, {label}", done, total)
+
+        beliefs[label] = fit_effects(dataset, added, seed=seed, progress=report).belief
+    return beliefs
+
+
+def _learnt(dataset: PushDataset, seed: int, progress: Progress) -> Belief:
+    from slipmap.models.inference import identification
+
+    _check_fit_pushes(dataset)
+    return identification.identify(dataset, seed=seed, progress=progress, friction_laws=True).belief
+
+
+def _check_fit_pushes(dataset: PushDataset) -> None:
+    if not dataset.fit_trials:
+        raise BadInput(
+            f"dataset {dataset.name} has no push with the role fit to learn from; name a belief with"
+            " --belief, or give at least one push that role"
+        )

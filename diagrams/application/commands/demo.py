@@ -1,0 +1,116 @@
+"""`slipmap demo`: the whole way, on pushes that it simulates itself."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from slipmap.diagrams.application.commands import options
+from slipmap.diagrams.application.commands.identify import keep, show, tell_files
+from slipmap.diagrams.application.outputs import make_folder, write_json, writing
+from slipmap.diagrams.application.terminal import Progress, note, prepare_kernels, table
+
+if TYPE_CHECKING:
+    from slipmap.models.inference.results import Identification
+    from slipmap.models.physics.rollout import Maps
+
+
+@click.command()
+@click.option(
+    "-o", "--output", "folder", type=click.Path(path_type=Path), default="simulated-demo", show_default=True,
+    metavar="DIR", help="Folder for everything that the demo makes.",
+)  # fmt: skip
+@options.seed_option
+@click.option(
+    "--fit-pushes",
+    type=click.IntRange(1, 100),
+    default=6,
+    show_default=True,
+    metavar="N",
+    help="Pushes to learn from.",
+)
+@click.option(
+    "--heldout-pushes",
+    type=click.IntRange(0, 100),
+    default=4,
+    show_default=True,
+    metavar="N",
+    help="Pushes to judge with.",
+)
+@options.json_option
+def demo(folder: Path, seed: int, fit_pushes: int, heldout_pushes: int, json_file: Path | None) -> None:
+    """Show the whole way on a simulated hammer; needs no data.
+
+    Pushes a hammer with a steel head and a wooden handle at random, records it with sensor noise as a push
+    dataset, identifies its maps from that alone, and holds what it believes against the truth.
+    """
+    from slipmap.diagrams.loops.run_folder import refuse_robots_pushes
+
+    make_folder(folder)
+    refuse_robots_pushes(folder, "--output")
+    place, belief = folder / "pushes", folder / "belief.npz"
+    with Progress() as progress:
+        prepare_kernels()
+        progress("pushing the hammer", 0, 1)
+        from slipmap.models.inference import identification
+        from slipmap.models.measurements import write_dataset
+        from slipmap.models.measurements.simulated import simulated_hammer
+
+        recorded, truth = simulated_hammer(seed, fit=fit_pushes, heldout=heldout_pushes)
+        with writing(place):
+            write_dataset(recorded, place, overwrite=True)
+        progress("pushing the hammer", 1, 1)
+        dataset = options.load_dataset(place, None, progress)
+        result = identification.identify(dataset, seed=seed, progress=progress)
+        drawn = keep(result, dataset, belief, None, progress, truth)
+    comparison = _against_truth(result, truth)
+    if json_file is not None:
+        write_json(json_file, {**result.to_json(), "truth": comparison})
+    show(result, dataset)
+    _show_comparison(result, comparison)
+    note(f"pushes: {place}")
+    tell_files(belief, drawn)
+    note(
+        f"Next: look at the pictures, or learn from fewer pushes with"
+        f" `slipmap identify {place} -o {folder / 'fewer.npz'} --fit-pushes 2`."
+    )
+
+
+def _against_truth(result: Identification, truth: Maps) -> list[dict[str, Any]]:
+    from slipmap.models.measurements.simulated import true_values
+
+    known = true_values(result.belief, truth)
+    return [
+        {
+            "name": quantity.name,
+            "unit": quantity.unit,
+            "truth": known[quantity.name],
+            "value": quantity.value,
+            "low": quantity.low,
+            "high": quantity.high,
+            "inside": bool(quantity.low <= known[quantity.name] <= quantity.high),
+        }
+        for quantity in result.quantities
+        if quantity.name in known
+    ]
+
+
+def _show_comparison(result: Identification, comparison: list[dict[str, Any]]) -> None:
+    from slipmap.diagrams.application.reports.tables import named, shown
+
+    by_name = {quantity.name: quantity for quantity in result.quantities}
+    rows = []
+    for entry in comparison:
+        quantity = by_name[entry["name"]]
+        numbers = shown(quantity, entry["truth"], quantity.value)
+        rows.append([named(quantity), *numbers, "yes" if entry["inside"] else "no"])
+    table(
+        "The belief against the truth",
+        ["quantity", "truth", "belief", "90 % interval", "truth inside"],
+        rows,
+        numbers=(1, 2, 3),
+    )
+    inside = sum(entry["inside"] for entry in comparison)
+    click.echo(f"{inside} of {len(comparison)} truths lie inside their 90 % intervals.")

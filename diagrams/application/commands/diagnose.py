@@ -1,0 +1,80 @@
+"""`slipmap diagnose`: which physical effect do the pushes show that the model does not have?"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from slipmap.diagrams.application.commands import options
+from slipmap.diagrams.application.outputs import write_json, write_text
+from slipmap.diagrams.application.terminal import Progress, note, prepare_kernels
+
+if TYPE_CHECKING:
+    from slipmap.models.inference.diagnosis import Diagnosis
+    from slipmap.models.measurements import PushDataset
+
+
+@click.command()
+@options.dataset_argument
+@options.effect_file_option
+@click.option(
+    "--quick", is_flag=True,
+    help="A look at ten pushes with larger steps; no p-values, and no report unless -o asks for one.",
+)  # fmt: skip
+@click.option(
+    "--draws", type=click.IntRange(99, 100_000), default=199, show_default=True, metavar="N",
+    help="Datasets to simulate for the p-values; the smallest p is 1 / (N + 1).",
+)  # fmt: skip
+@options.seed_option
+@options.report_option("diagnosis.html")
+@options.object_option
+@options.json_option
+def diagnose(
+    dataset: Path,
+    effect_files: tuple[Path, ...],
+    quick: bool,
+    draws: int,
+    seed: int,
+    output: Path,
+    object_name: str | None,
+    json_file: Path | None,
+) -> None:
+    """Find out which physical effect the model misses.
+
+    Fits the model without effects to pushes of DATASET, asks every effect of the library, and every one of
+    your own files, what it would explain, and asks those that explain most what they leave. The verdict is
+    one effect, a set that the data cannot tell apart, none, something unknown, or too little data. A share
+    of the pushes is locked away before and judges the answer.
+    """
+    effects = options.find_effects(effect_files)
+    with Progress() as progress:
+        measured = options.load_dataset(dataset, object_name, progress)
+        prepare_kernels()
+        from slipmap.models.inference.diagnosis import diagnose as inquire
+
+        result = inquire(measured, effects=effects, draws=draws, quick=quick, seed=seed, progress=progress)
+        result = _with_next_push(result, measured, progress)
+        wanted = not quick or options.asked_for("output")
+        if wanted:
+            from slipmap.diagrams.application.reports.diagnosis_sections import diagnosis_report
+
+            write_text(output, diagnosis_report(result, measured, effects, progress))
+    if json_file is not None:
+        write_json(json_file, result.to_json())
+    from slipmap.diagrams.application.reports.diagnosis_words import show_diagnosis
+
+    show_diagnosis(result, measured, effects)
+    note(f"report: {output}" if wanted else "no report of a quick look; -o FILE asks for one")
+
+
+def _with_next_push(result: Diagnosis, dataset: PushDataset, progress: Progress) -> Diagnosis:
+    """The diagnosis with the push that would tell most; it says None where there is nothing to find out."""
+    from slipmap.planners.telling_push import next_push
+
+    progress("planning the next push", 0, 1)
+    push = next_push(result, dataset, result.seed)
+    progress("planning the next push", 1, 1)
+    return replace(result, next_push=push)

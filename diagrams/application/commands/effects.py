@@ -1,0 +1,129 @@
+"""`slipmap effects`: the physical effects that slipmap knows, and what each of them is."""
+
+from __future__ import annotations
+
+import textwrap
+from collections.abc import Iterable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from slipmap.diagrams.application.commands import options
+from slipmap.diagrams.application.outputs import write_figures, write_json
+from slipmap.diagrams.application.terminal import WIDTH, BadInput, note, paragraph, prepare_kernels, table
+
+if TYPE_CHECKING:
+    from slipmap.models.effects import Effect, Parameter
+    from slipmap.models.effects.written import Written
+
+
+@click.command()
+@click.argument("name", required=False)
+@options.effect_file_option
+@click.option(
+    "--picture",
+    type=options.OutputFile(*options.PICTURES),
+    metavar="FILE",
+    help="Draw what the effect does to one push (.png, .pdf or .svg).",
+)
+@options.json_option
+def effects(
+    name: str | None, effect_files: tuple[Path, ...], picture: Path | None, json_file: Path | None
+) -> None:
+    """List the physical effects, or explain one of them.
+
+    Without NAME: all of them, with a sentence each. With NAME: its formula, made from the code that
+    runs, and its parameters; --picture shows one object pushed off its centre, without the effect and
+    with it.
+    """
+    from slipmap.models.effects.registry import effects_named, known_effects
+
+    known = known_effects(effect_files)
+    if name is None:
+        if picture is not None:
+            raise BadInput(
+                "--picture draws one effect; name it, as in `slipmap effects tether --picture tether.png`"
+            )
+        if json_file is not None:
+            write_json(json_file, {"effects": [{"name": e.name, "sentence": e.sentence} for e in known]})
+        table("Effects that slipmap knows", ("name", "what it is"), [(e.name, e.sentence) for e in known])
+        paragraph(
+            "`slipmap effects NAME` explains one; docs/effects.md in the sources says how to write your own."
+        )
+        return
+    from slipmap.models.effects.written import written
+
+    (effect,) = effects_named([name], known)
+    text = written(effect)
+    if picture is not None:
+        prepare_kernels()
+        from slipmap.diagrams.application.figures import effect_figure
+
+        for path in write_figures(picture, [effect_figure(effect)]):
+            note(f"picture: {path}")
+    if json_file is not None:
+        write_json(json_file, document(effect, text))
+    explain(effect, text)
+
+
+def explain(effect: Effect, text: Written) -> None:
+    """Print sentence, formula and parameters of an effect."""
+    click.echo(_wrapped(f"{effect.name}: {effect.sentence}", "") + "\n")
+    for formula in text.formulas:
+        if formula.meaning:
+            click.echo(_wrapped(f"  {formula.meaning}:", "  "))
+        click.echo(_wrapped(f"    {formula.text}", "        "))
+    if text.letters:
+        click.echo("\nwhere")
+        for letters, meaning in grouped((plain, meaning) for plain, _, meaning in text.letters):
+            click.echo(_wrapped(f"  {letters}: {meaning}", "      "))
+    if effect.memory:
+        click.echo("  a prime marks what holds after the step")
+    click.echo()
+    rows = [
+        (text.symbols[q.name], q.unit, f"{q.low:g} to {q.high:g}", null_of(q), q.meaning)
+        for q in effect.parameters
+    ]
+    table("Parameters", ("name", "unit", "range", "nothing at", "meaning"), rows, numbers=(0, 2, 3))
+
+
+def null_of(parameter: Parameter) -> str:
+    """Value at which the effect vanishes, a dash for a parameter that only shapes it."""
+    return "-" if parameter.null is None else f"{parameter.null:g}"
+
+
+def grouped(letters: Iterable[tuple[str, str]]) -> list[tuple[str, str]]:
+    """(letters, meaning), those of one meaning together."""
+    groups: dict[str, list[str]] = {}
+    for letter, meaning in letters:
+        groups.setdefault(meaning, []).append(letter)
+    return [(", ".join(those), meaning) for meaning, those in groups.items()]
+
+
+def document(effect: Effect, text: Written) -> dict[str, Any]:
+    """An effect for programs."""
+    return {
+        "name": effect.name,
+        "sentence": effect.sentence,
+        "formulas": [vars(formula) for formula in text.formulas],
+        "letters": {plain: meaning for plain, _, meaning in text.letters},
+        "parameters": [
+            {
+                "name": q.name,
+                "written": text.symbols[q.name],
+                "unit": q.unit,
+                "low": q.low,
+                "high": q.high,
+                "null": q.null,
+                "meaning": q.meaning,
+            }
+            for q in effect.parameters
+        ],
+    }
+
+
+def _wrapped(line: str, indent: str) -> str:
+    return "\n".join(
+        textwrap.wrap(line, WIDTH, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False)
+    )

@@ -1,0 +1,142 @@
+"""`slipmap identify`: from recorded pushes to a belief about mass and friction."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from slipmap.diagrams.application.commands import options
+from slipmap.diagrams.application.outputs import make_folder, write_figures, write_json
+from slipmap.diagrams.application.terminal import BadInput, Progress, note, prepare_kernels
+
+if TYPE_CHECKING:
+    from slipmap.models.inference.results import Identification
+    from slipmap.models.measurements import PushDataset
+    from slipmap.models.physics.rollout import Maps
+
+
+@click.command()
+@options.dataset_argument
+@options.belief_output_option
+@click.option(
+    "--method",
+    type=click.Choice(["gauss-newton", "paper"]),
+    default="gauss-newton",
+    show_default=True,
+    help="How maps are found; `paper` is Algorithm 1 of Song and Boularias (2020) as printed.",
+)
+@click.option(
+    "--plain",
+    is_flag=True,
+    help="Know no other law of friction than the plain one, which takes a third of the time.",
+)
+@options.hypotheses_option
+@options.seed_option
+@click.option(
+    "--fit-pushes", type=click.IntRange(1), metavar="N", help="Learn from the first N fit pushes alone."
+)
+@options.object_option
+@options.pictures_option
+@options.json_option
+def identify(
+    dataset: Path,
+    output: Path,
+    method: str,
+    plain: bool,
+    hypotheses: int,
+    seed: int,
+    fit_pushes: int | None,
+    object_name: str | None,
+    pictures: Path | None,
+    json_file: Path | None,
+) -> None:
+    """Learn maps of mass and friction from recorded pushes.
+
+    DATASET is a folder with a dataset.yaml (push-dataset/1), or files of the MIT push dataset (.json,
+    .h5), or CSV files. Pushes with the role `fit` teach; `heldout` pushes only judge.
+
+    Writes the belief, a picture of its maps (belief.maps.png) and one of the pushes as measured and as
+    predicted (belief.pushes.png), and prints how well it predicts and what these pushes show.
+    """
+    with Progress() as progress:
+        measured = options.load_dataset(dataset, object_name, progress)
+        if fit_pushes is not None:
+            measured = _first_pushes(measured, fit_pushes)
+        if pictures is not None:
+            make_folder(pictures)
+        prepare_kernels()
+        from slipmap.models.inference import identification
+
+        result = identification.identify(
+            measured,
+            method=method,
+            hypotheses=hypotheses,
+            seed=seed,
+            progress=progress,
+            friction_laws=not plain,
+        )
+        drawn = keep(result, measured, output, pictures, progress)
+    if json_file is not None:
+        write_json(json_file, result.to_json())
+    show(result, measured)
+    tell_files(output, drawn)
+
+
+def keep(
+    result: Identification,
+    dataset: PushDataset,
+    output: Path,
+    pictures: Path | None,
+    progress: Progress,
+    truth: Maps | None = None,
+) -> list[Path]:
+    """Write a belief, and its pictures to a folder or beside it; returns the paths of the pictures."""
+    from slipmap.diagrams.application.figures import maps_figure, push_figures
+
+    result.belief.save(output)
+    folder = pictures or output.parent
+    progress("drawing", 0, 2)
+    paths = write_figures(folder / f"{output.stem}.maps.png", [maps_figure(result.belief, truth=truth)])
+    progress("drawing", 1, 2)
+    paths += write_figures(folder / f"{output.stem}.pushes.png", push_figures(result.pushes, dataset))
+    progress("drawing", 2, 2)
+    return paths
+
+
+def show(result: Identification, dataset: PushDataset) -> None:
+    """Print what was found."""
+    from slipmap.diagrams.application.reports.tables import (
+        is_doubted,
+        show_errors,
+        show_friction_laws,
+        show_quantities,
+    )
+
+    click.echo(
+        f"{dataset.name}: {len(dataset.grid)} cells, {len(dataset.fit_trials)} pushes to learn from,"
+        f" {len(dataset.heldout_trials)} held out\n"
+        f"{len(result.belief)} hypotheses in {result.seconds:.0f} s\n"
+    )
+    show_errors(result.pushes, dataset)
+    show_friction_laws(result.friction_laws)
+    show_quantities(result.quantities, doubted=is_doubted(result.pushes, dataset))
+
+
+def tell_files(belief: Path, pictures: Sequence[Path]) -> None:
+    """Say where a belief and its pictures are."""
+    note(f"belief: {belief}")
+    for path in pictures:
+        note(f"picture: {path}")
+
+
+def _first_pushes(dataset: PushDataset, count: int) -> PushDataset:
+    available = len(dataset.fit_trials)
+    if count > available:
+        raise BadInput(
+            f"--fit-pushes {count}: dataset {dataset.name} has {available} pushes with the role fit; ask for"
+            f" 1 to {available}"
+        )
+    return dataset.with_fit_pushes(count)

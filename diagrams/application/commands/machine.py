@@ -1,0 +1,81 @@
+"""`slipmap bench`: how fast the model runs on this machine, and against other simulators."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from slipmap.diagrams.application.commands import options
+from slipmap.diagrams.application.outputs import write_json
+from slipmap.diagrams.application.terminal import BadInput, Progress, prepare_kernels
+
+
+@click.command()
+@options.json_option
+def bench(json_file: Path | None) -> None:
+    """Measure how fast pushes are simulated here.
+
+    Other engines stand beside it where they are installed.
+    """
+    with Progress() as progress:
+        prepare_kernels()
+        from slipmap.diagrams.application import benchmark
+
+        result = benchmark.run_benchmark(progress=progress)
+    if json_file is not None:
+        write_json(json_file, result)
+    click.echo(benchmark.format_table(result))
+
+
+# `slipmap completion`: lets a shell complete commands and options with the Tab key.
+
+
+SHELLS = ("bash", "zsh", "fish")
+
+
+@click.command()
+@click.argument("shell", type=click.Choice(SHELLS))
+@click.pass_context
+def completion(ctx: click.Context, shell: str) -> None:
+    """Let a shell complete commands with the Tab key.
+
+    Prints what lets SHELL complete commands and options.
+
+    Put `eval "$(slipmap completion bash)"` into ~/.bashrc, the same with zsh into ~/.zshrc, or
+    `slipmap completion fish | source` into ~/.config/fish/config.fish.
+    """
+    from click.shell_completion import get_completion_class
+
+    complete = get_completion_class(shell)
+    assert complete is not None  # of all SHELLS
+    click.echo(complete(ctx.find_root().command, {}, "slipmap", "_SLIPMAP_COMPLETE").source())
+
+
+# `slipmap doctor`: has this machine all that slipmap needs?
+
+
+@click.command()
+@options.json_option
+def doctor(json_file: Path | None) -> None:
+    """Say whether this machine has all that slipmap needs.
+
+    Looks for packages in the right versions, renders a test picture, compiles, writes to the cache, and
+    sends a message through LCM. What is missing is told with the command that gets it. The exit code is 0
+    if everything is there that slipmap does not do without; a browser and LCM are no part of that.
+    """
+    from slipmap.diagrams.application.health import examine
+
+    found = []
+    for finding in examine():
+        found.append(finding)
+        state = "ok" if finding.ok else "missing" if finding.needed else "without"
+        click.echo(f"{state:<8} {finding.name}: {finding.found}")
+        if not finding.ok:
+            click.echo(f"{'':<8} -> {finding.remedy}")
+    lacking = [finding.name for finding in found if finding.needed and not finding.ok]
+    if json_file is not None:
+        write_json(json_file, {"ready": not lacking, "checks": [finding.to_json() for finding in found]})
+    if lacking:
+        raise BadInput(f"this machine lacks {', '.join(lacking)}; the lines above say how to get it")
+    click.echo("All that slipmap needs is there.")

@@ -1,0 +1,66 @@
+"""`slipmap station`: a twin of the real cell, behind the same messages."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from slipmap.diagrams.application.commands.explore import scenario_of
+from slipmap.diagrams.application.commands.options import lcm_option, scenario_option, station_object_option
+from slipmap.diagrams.application.terminal import BadInput, note
+
+if TYPE_CHECKING:
+    from slipmap.diagrams.hardware.twin import TwinReport
+
+TIME_STEP = 0.005
+"""s, of the twin where no scenario says another: it must keep up with real time."""
+
+
+@click.command()
+@lcm_option
+@scenario_option
+@station_object_option
+def station(url: str, scenario_file: Path | None, object_name: str | None) -> None:
+    """Simulate a robot's cell behind the messages of a real one.
+
+    Arm, gripper and camera send and take LCM messages in real time as the drivers of a real iiwa, a Schunk
+    gripper and a depth camera do, so that `slipmap explore --hardware` in another process cannot tell the
+    difference. It runs until Ctrl-C. Every ten seconds it tells whether it keeps up with real time.
+    """
+    from slipmap.diagrams.hardware.channels import HardwareError
+    from slipmap.diagrams.hardware.network import address_settings
+    from slipmap.diagrams.hardware.twin import run_twin
+    from slipmap.diagrams.perception.renderer import RendererUnavailable
+
+    scenario = scenario_of(scenario_file, object_name)
+    if scenario_file is None:
+        scenario.simulation.time_step = TIME_STEP
+    try:
+        address_settings(url)
+        note(f"the cell of the {scenario.object.called} comes up at {url} …")
+        last = run_twin(scenario, url, tell)
+    except (HardwareError, RendererUnavailable, ValueError) as error:
+        raise BadInput(str(error)) from error
+    note(f"stopped after {last.simulated:.1f} s, {last.behind:.2f} s behind real time{_dropped(last)}")
+
+
+def tell(report: TwinReport) -> None:
+    """Print how a twin fares."""
+    if report.simulated == 0.0:
+        note("it runs; Ctrl-C ends it")
+        return
+    text = f"{report.simulated:.0f} s: {100 * report.pace:.0f} % of real time, {report.behind:.2f} s behind"
+    if report.pace < 0.98:
+        text += ", larger steps help (simulation.time_step of the scenario)"
+    note(f"{text}; {report.commands} commands to the arm since the line before{_dropped(report)}")
+
+
+def _dropped(report: TwinReport) -> str:
+    causes = [
+        f"{channel} {count} times ({cause})"
+        for channel, dropped in report.dropped.items()
+        for cause, count in dropped.items()
+    ]
+    return f"; dropped: {', '.join(causes)}" if causes else ""

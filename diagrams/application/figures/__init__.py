@@ -1,0 +1,36 @@
+"""Pictures of beliefs, pushes, comparisons, diagnoses, calibration: matplotlib Figures; `save` writes one."""
+
+from slipmap.diagrams.application.figures.campaign_figures import calibration_figure
+from slipmap.diagrams.application.figures.diagnosis_figures import (
+    gain_figure,
+    locked_figure,
+    telling_push_figure,
+)
+from slipmap.diagrams.application.figures.effect_figures import effect_figure
+from slipmap.diagrams.application.figures.maps import maps_figure
+from slipmap.diagrams.application.figures.push_figures import error_figure, push_figures
+from slipmap.diagrams.application.figures.residual_figures import (
+    correlation_figure,
+    factor_figure,
+    object_figure,
+    residual_figures,
+    table_figure,
+)
+from slipmap.diagrams.application.figures.style import save
+
+__all__ = [
+    "calibration_figure",
+    "correlation_figure",
+    "effect_figure",
+    "error_figure",
+    "factor_figure",
+    "gain_figure",
+    "locked_figure",
+    "maps_figure",
+    "object_figure",
+    "push_figures",
+    "residual_figures",
+    "save",
+    "table_figure",
+    "telling_push_figure",
+]

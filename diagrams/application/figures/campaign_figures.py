@@ -1,0 +1,248 @@
+"""Pictures of a campaign: curves over the number of pushes, and shares beside the paper's."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Protocol
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from slipmap.diagrams.application.figures.style import BELIEF, FAINT, FINGER, INK, OTHER, PAPER, styled
+from slipmap.models.physics.cell_grid import FloatArray
+from slipmap.planners.trials import Estimate
+
+COLORS = (BELIEF, FINGER, OTHER, FAINT)
+COLUMNS = 3
+
+
+@styled
+def curves_figure(title: str, curves: Mapping[str, Mapping[str, Sequence[Estimate]]]) -> Figure:
+    """One panel an object, in it one curve a label over the number of pushes, with 95 % intervals, in mm.
+
+    Args:
+        title: above all.
+        curves: object, label, and one estimate (m) after each push.
+    """
+    figure, panels = _panels(title, len(curves), height=2.3)
+    for axes, (name, labels) in zip(panels, curves.items(), strict=False):
+        for (label, estimates), color in zip(labels.items(), COLORS, strict=False):
+            x = np.arange(1, len(estimates) + 1)
+            axes.plot(x, [1e3 * e.value for e in estimates], "-o", color=color, markersize=3, label=label)
+            low, high = ([1e3 * value for value in ends] for ends in zip(*map(_ends, estimates), strict=True))
+            axes.fill_between(x, low, high, color=color, alpha=0.15, linewidth=0)
+        axes.set_title(name.replace("_", " "))
+        axes.set_ylim(bottom=0)
+        axes.set_xticks(x)
+    _label(panels[: len(curves)], "pushes to learn from", "error, mm")
+    return figure
+
+
+@styled
+def shares_figure(
+    title: str,
+    shares: Mapping[str, Mapping[str, Estimate]],
+    paper: Mapping[str, Mapping[str, tuple[float, float]]],
+) -> Figure:
+    """Bars of shares in per cent with 95 % intervals, grouped by object, and the paper's numbers as marks.
+
+    Args:
+        title: above all.
+        shares: object, method, share.
+        paper: object, method, and the paper's share from and to, in per cent, where it has one.
+    """
+    percent = {
+        name: {label: _scaled(one, 100.0) for label, one in labels.items()} for name, labels in shares.items()
+    }
+    figure = _bars(title, percent, paper)
+    figure.axes[0].set(ylim=(0, 104), ylabel="%")
+    return figure
+
+
+@styled
+def means_figure(title: str, means: Mapping[str, Mapping[str, Estimate]], factor: float, unit: str) -> Figure:
+    """Bars of means with 95 % intervals, grouped by object.
+
+    Args:
+        title: above all.
+        means: object, label, mean.
+        factor: that turns them into the unit.
+        unit: that is shown.
+    """
+    shown = {
+        name: {label: _scaled(one, factor) for label, one in labels.items()} for name, labels in means.items()
+    }
+    figure = _bars(title, shown, {})
+    figure.axes[0].set(ylabel=unit)
+    figure.axes[0].set_ylim(bottom=0.0)
+    return figure
+
+
+def _scaled(estimate: Estimate, factor: float) -> Estimate:
+    return Estimate(factor * estimate.value, factor * estimate.low, factor * estimate.high, estimate.count)
+
+
+def _bars(
+    title: str,
+    values: Mapping[str, Mapping[str, Estimate]],
+    marks: Mapping[str, Mapping[str, tuple[float, float]]],
+) -> Figure:
+    """Bars with intervals, a group for each object and a colour for each label, and the paper's marks."""
+    figure = Figure(figsize=(max(6.4, 1.6 * len(values) + 1.0), 3.4), layout="constrained")
+    axes = figure.subplots()
+    every = list(dict.fromkeys(label for labels in values.values() for label in labels))
+    width = 0.8 / max(1, len(every))
+    for index, (label, color) in enumerate(zip(every, COLORS, strict=False)):
+        for group, (name, labels) in enumerate(values.items()):
+            if label not in labels or not np.isfinite(labels[label].value):
+                continue
+            one = labels[label]
+            x = group - 0.4 + (index + 0.5) * width
+            axes.bar(x, one.value, 0.92 * width, color=color, alpha=0.8)
+            if np.isfinite(one.low + one.high):
+                off = [[max(one.value - one.low, 0.0)], [max(one.high - one.value, 0.0)]]
+                axes.errorbar(x, one.value, off, color=INK, linewidth=0.8)
+            if label in marks.get(name, {}):
+                axes.plot([x, x], marks[name][label], "_", color=INK, markersize=9)
+        axes.bar(0.0, 0.0, color=color, alpha=0.8, label=label)
+    if marks:
+        axes.plot([], [], "_", color=INK, markersize=9, label="the paper")
+    axes.set_xticks(range(len(values)), [name.replace("_", " ") for name in values])
+    axes.set_title(title)
+    axes.legend(ncols=len(every) + 1, loc="upper center", bbox_to_anchor=(0.5, -0.1))
+    return figure
+
+
+@styled
+def reliability_figure(title: str, bins: Mapping[str, Sequence[tuple[float, Estimate]]]) -> Figure:
+    """Share of events against the probability that was stated for them.
+
+    Args:
+        title: above all.
+        bins: label, and for each bin the mean of the stated probabilities and the share that came true.
+    """
+    figure = Figure(figsize=(4.2, 4.2), layout="constrained")
+    axes = figure.subplots()
+    axes.plot([0, 1], [0, 1], color=FAINT, linewidth=0.8)
+    for (label, points), color in zip(bins.items(), COLORS, strict=False):
+        stated = [place for place, _ in points]
+        values = [estimate.value for _, estimate in points]
+        off = [[e.value - e.low for _, e in points], [e.high - e.value for _, e in points]]
+        axes.errorbar(
+            stated, values, np.maximum(off, 0.0), fmt="-o", color=color, markersize=4, capsize=2, label=label
+        )
+    axes.set(
+        xlim=(-0.02, 1.02), ylim=(-0.02, 1.02), aspect="equal", title=title,
+        xlabel="stated probability", ylabel="share that came true",
+    )  # fmt: skip
+    axes.legend(loc="upper left")
+    return figure
+
+
+def _ends(estimate: Estimate) -> tuple[float, float]:
+    """The interval; the value itself where one trial gives none."""
+    if np.isfinite(estimate.low + estimate.high):
+        return estimate.low, estimate.high
+    return estimate.value, estimate.value
+
+
+def _panels(title: str, count: int, height: float) -> tuple[Figure, list[Axes]]:
+    columns = max(1, min(COLUMNS, count))
+    rows = max(1, -(-count // columns))
+    size = (max(6.4, 2.7 * columns), height * rows + 0.7)
+    figure = Figure(figsize=size, layout="constrained")
+    panels = list(figure.subplots(rows, columns, squeeze=False).flat)
+    for axes in panels[count:]:
+        axes.set_visible(False)
+    figure.suptitle(title, fontsize=11)
+    return figure, panels
+
+
+def _label(panels: Sequence[Axes], x: str, y: str) -> None:
+    for index, axes in enumerate(panels):
+        axes.set_xlabel(x)
+        if index % COLUMNS == 0:
+            axes.set_ylabel(y)
+    if panels:
+        panels[0].legend()
+
+
+# How often the truth lies inside the intervals that a belief gives: reliability curves.
+
+
+LEVELS = np.linspace(0.0, 1.0, 201)
+PANEL = 2.5  # inches
+
+
+class Calibration(Protocol):
+    """What is drawn of a calibration: the number of objects, and where the truths fell."""
+
+    @property
+    def objects(self) -> int:
+        """Number of simulated objects."""
+
+    @property
+    def ranks(self) -> Mapping[str, FloatArray]:
+        """For each quantity (m,) probability-integral values of the truth, in [0, 1]."""
+
+
+@styled
+def calibration_figure(result: Calibration) -> Figure:
+    """For each quantity, the share of truths inside the central interval against the interval's probability.
+
+    On the diagonal the intervals are right; below it they are too narrow, above it too wide. The band holds
+    90 % of the curves that right intervals give with so few objects (pointwise, binomial).
+    """
+    names = list(result.ranks)
+    columns = min(4, max(1, len(names)))
+    rows = -(-len(names) // columns)
+    figure = Figure(figsize=(max(columns * (PANEL + 0.3) + 0.6, 6.4), rows * (PANEL + 0.55) + 1.0))
+    panels = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
+    height = figure.get_size_inches()[1]
+    figure.subplots_adjust(
+        left=0.09 if columns > 2 else 0.14,
+        right=0.98,
+        top=1 - 0.75 / height,
+        bottom=0.6 / height,
+        wspace=0.12,
+        hspace=0.3,
+    )
+    for axes, name in zip(panels.flat, names, strict=False):
+        _curve(axes, name, np.asarray(result.ranks[name], dtype=float), result.objects)
+    for axes in panels.flat[len(names) :]:
+        axes.set_visible(False)
+    for axes in panels[:, 0]:
+        axes.set_ylabel("truth inside")
+    for column in range(columns):
+        last = [axes for axes in panels[:, column] if axes.get_visible()][-1]
+        last.set_xlabel("interval of the belief")
+        last.tick_params(labelbottom=True)
+    figure.suptitle(
+        f"Calibration on {result.objects} simulated objects: below the diagonal, intervals are too narrow",
+        y=1 - 0.12 / height, va="top", fontsize=11,
+    )  # fmt: skip
+    return figure
+
+
+def inside_share(ranks: FloatArray, levels: FloatArray) -> FloatArray:
+    """(l,) share of truths in the central interval of each level (l,), from their integral values (m,)."""
+    return (np.abs(2.0 * ranks - 1.0)[None] <= levels[:, None]).mean(axis=1)
+
+
+def _curve(axes: Axes, name: str, ranks: FloatArray, objects: int) -> None:
+    from scipy.stats import binom  # takes half a second to load, and every picture loads this file
+
+    count = len(ranks)
+    draws = min(count, objects)  # several pushes of one object are one story
+    low, high = (binom.ppf(q, draws, LEVELS) / draws for q in (0.05, 0.95))
+    axes.fill_between(LEVELS, low, high, color=PAPER, linewidth=0)
+    axes.plot([0, 1], [0, 1], color=FAINT, linewidth=0.8)
+    axes.plot(LEVELS, inside_share(ranks, LEVELS), color=BELIEF, linewidth=1.6, drawstyle="steps-post")
+    share = float(inside_share(ranks, np.array([0.9]))[0])
+    axes.plot([0.9], [share], "o", color=INK, markersize=4)
+    axes.annotate(f"{100 * share:.0f} % in the 90 % interval", (0.98, 0.05), ha="right", fontsize=8)
+    axes.set_title(f"{name} ({count})", fontsize=9)
+    axes.set(xlim=(0, 1), ylim=(0, 1.02), aspect="equal", xticks=[0, 0.5, 1], yticks=[0, 0.5, 1])
+    axes.set_xticklabels(["0", "50 %", "100 %"])
+    axes.set_yticklabels(["0", "50 %", "100 %"])

@@ -1,0 +1,227 @@
+"""What a diagnosis rests on: gains of all candidates, what is left on top of them, and the locked pushes."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Circle, PathPatch, Rectangle
+from matplotlib.ticker import LogLocator
+
+from slipmap.diagrams.application.figures.style import (
+    BELIEF,
+    FAINT,
+    FINGER,
+    INK,
+    OTHER,
+    PAPER,
+    outline_path,
+    placed,
+    scale_bar,
+    styled,
+)
+from slipmap.diagrams.application.reports.comparison_words import short_name
+from slipmap.diagrams.application.reports.diagnosis_words import nats
+from slipmap.models.inference.diagnosis.results import Diagnosis
+from slipmap.models.measurements import PushDataset
+from slipmap.models.physics.cell_grid import FloatArray
+from slipmap.models.physics.paper_notation import add
+from slipmap.planners.rehearsal import predict
+from slipmap.planners.telling_push import push_of, rivals_of
+
+NAMES, PANEL, ROW = 1.68, 2.1, 0.235  # inches
+LOCKED, LETTER = 3.8, 0.075  # inches
+ALARM = "#a3341f"
+PALE = "#c9c5bb"
+
+
+@styled
+def gain_figure(diagnosis: Diagnosis) -> Figure:
+    """Bars for every candidate: gain to first order, gain when refitted, and what another still gains.
+
+    What another still gains is to first order too, and drawn on the scale of the first panel: short beside
+    the candidate's own gain, it says that little is left. Refitted gains are of another size.
+    """
+    candidates = diagnosis.candidates
+    height = 0.62 + ROW * len(candidates) + 0.12
+    bottom, top = 0.12 / height, 1 - 0.62 / height
+    answered = [c.in_set or c.name in diagnosis.effects for c in candidates]
+    told_of = list(zip(candidates, answered, strict=True))
+    gains: list[float | None] = [c.gain for c in candidates]
+    fitted = [c.fitted_gain for c in candidates]
+    left = [c.remaining_gain for c in candidates]
+    plain = [OTHER if a else PALE for a in answered]
+    judged = [ALARM if c.rejected_by is not None else OTHER if a else PALE for c, a in told_of]
+    first_order = _longest(gains + left)
+    panels = (
+        ("gain to first order", gains, plain, first_order),
+        ("gain when refitted", fitted, plain, _longest(fitted)),
+        ("left to gain on top of it", left, judged, first_order),
+    )
+    shown = [panel for panel in panels if any(value is not None for value in panel[1])]
+    width = NAMES + PANEL * len(shown)
+    figure = Figure(figsize=(width, height))
+    for k, (title, values, colours, longest) in enumerate(shown):
+        axes = figure.add_axes(((NAMES + PANEL * k) / width, bottom, 0.85 * PANEL / width, top - bottom))
+        _bars(axes, values, colours, longest)
+        axes.set_title(f"{title}, nats", loc="left", fontsize=9)
+        if k == 0:
+            axes.set_yticks(range(len(candidates)), [c.name for c in candidates])
+            for label, answer in zip(axes.get_yticklabels(), answered, strict=True):
+                label.set_fontweight("bold" if answer else "normal")
+    handles = [
+        Line2D([], [], color=colour, linewidth=6, label=label)
+        for colour, label in (
+            (OTHER, "not ruled out"),
+            (PALE, "ruled out, or no more than chance"),
+            (ALARM, "another gains on top, so it is ruled out"),
+        )
+        if any(colour in colours for _, _, colours, _ in shown)
+    ]
+    if len(handles) > 1:
+        figure.legend(
+            handles=handles, loc="upper right", ncols=3, handlelength=1.0, bbox_to_anchor=(1.0, 1.0)
+        )
+    return figure
+
+
+def _longest(values: Sequence[float | None]) -> float:
+    """The largest gain, and more than zero."""
+    return max([1e-9, *(value for value in values if value is not None)])
+
+
+def _bars(axes: Axes, values: Sequence[float | None], colours: Sequence[str], longest: float) -> None:
+    """Bars from zero on a scale that `longest` nearly fills; a negative gain has none, only its number."""
+    rows = np.arange(len(values))
+    known = np.array([np.nan if value is None else value for value in values])
+    drawn = np.clip(np.nan_to_num(known), 0.0, None)
+    axes.barh(rows, drawn, color=list(colours), height=0.62)
+    for row, value, length in zip(rows, known, drawn, strict=True):
+        text = "–" if np.isnan(value) else nats(value)
+        axes.annotate(
+            text, (length, row), (3, 0), textcoords="offset points", va="center", fontsize=8,
+            color=FAINT if np.isnan(value) else INK,
+        )  # fmt: skip
+    axes.set(xlim=(0, 1.22 * longest), ylim=(len(values) - 0.45, -0.55), xticks=[], yticks=[])
+    axes.spines["bottom"].set_visible(False)
+    axes.tick_params(axis="y", length=0)
+
+
+@styled
+def locked_figure(diagnosis: Diagnosis) -> Figure:
+    """Error over the course of each locked push, without and with the answer.
+
+    Raises:
+        ValueError: no push was locked away.
+    """
+    if diagnosis.before is None or diagnosis.after is None:
+        raise ValueError("no push was locked away, so there is nothing to draw")
+    before, after = 1e3 * diagnosis.before.path, 1e3 * diagnosis.after.path
+    order = np.argsort(before)
+    height = 0.85 + 0.21 * len(order)
+    names = [short_name(diagnosis.locked[b]) for b in order]
+    left = 0.25 + LETTER * max(map(len, names))
+    figure = Figure(figsize=(LOCKED, height))
+    axes = figure.add_axes((left / LOCKED, 0.45 / height, 1 - (left + 0.15) / LOCKED, 1 - 0.85 / height))
+    rows = np.arange(float(len(order)))
+    changed = bool(diagnosis.effect_objects)
+    if changed:
+        axes.hlines(rows, before[order], after[order], color=PALE, linewidth=2.4)
+        _dots(axes, after[order], rows, OTHER, "with the answer")
+    _dots(axes, before[order], rows, BELIEF, "without effects" if changed else "the model")
+    if max(before.max(), after.max()) > 5 * min(before.min(), after.min()):
+        axes.set_xscale("log")
+        axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+        axes.xaxis.set_major_formatter("{x:g}")
+        axes.xaxis.set_minor_formatter("")
+    axes.set_xlabel("ADD over the course, mm")
+    axes.set_yticks(rows, names)
+    axes.set_ylim(-0.7, len(order) - 0.3)
+    axes.grid(axis="x", color="#e7e4dd", linewidth=0.6)
+    axes.set_axisbelow(True)
+    figure.legend(loc="upper right", ncols=2, handletextpad=0.2, bbox_to_anchor=(1.0, 1.0))
+    return figure
+
+
+def _dots(axes: Axes, values: FloatArray, rows: FloatArray, colour: str, label: str) -> None:
+    axes.plot(values, rows, "o", color=colour, markersize=6, label=label, linestyle="none", zorder=3)
+
+
+# The push to make next, and where each model that is left says it will end.
+
+
+COLOURS = (BELIEF, OTHER, "#a03070", "#806000", "#5050a0", "#40a0c0", "#909090", "#c08080")
+LEGEND_COLUMNS = 4
+
+
+@styled
+def telling_push_figure(told: dict[str, Any], diagnosis: Diagnosis, dataset: PushDataset) -> Figure:
+    """Object, path of the finger, and the ends that the rivals predict; beside it, when their courses part.
+
+    Args:
+        told: result of `slipmap.planners.telling_push.next_push`.
+        diagnosis: it was made for.
+        dataset: that was diagnosed.
+    """
+    grid = dataset.grid
+    push = push_of(told, float(len(dataset.trials)))
+    rivals = rivals_of(diagnosis, dataset)[: len(COLOURS)]
+    predictions = [predict(rival, [push]) for rival in rivals]
+    figure = Figure(figsize=(8.0, 4.2))
+    rows = -(-(len(rivals) + 1) // LEGEND_COLUMNS)
+    top, bottom = 0.97, 0.07 + 0.05 * rows
+    axes = figure.add_axes((0.05, bottom, 0.5, top - bottom))
+    axes.add_patch(
+        PathPatch(outline_path(grid, told["pose"]), facecolor=PAPER, edgecolor=FAINT, linewidth=0.8)
+    )
+    axes.plot(*np.array([told["tip_start"], told["tip_end"]]).T, color=FINGER, linewidth=1.2)
+    for place, fill in ((told["tip_start"], "none"), (told["tip_end"], FINGER)):
+        axes.add_patch(Circle(place, dataset.finger_radius, facecolor=fill, edgecolor=FINGER, linewidth=1.0))
+    contact = placed(np.array([told["contact"]]), told["pose"])[0]
+    axes.plot(*contact, marker="x", color=FINGER, markersize=6)
+    ends = [predicted.poses[0, -1] for predicted in predictions]
+    for pose, predicted, colour in zip(ends, predictions, COLOURS, strict=False):
+        axes.add_patch(PathPatch(outline_path(grid, pose), facecolor="none", edgecolor=colour, linewidth=1.4))
+        axes.plot(*np.vstack([told["pose"], predicted.poses[0]])[:, :2].T, color=colour, linewidth=1.0)
+    points = np.vstack(
+        [told["tip_start"], told["tip_end"], *(placed(grid.exterior, pose) for pose in (told["pose"], *ends))]
+    )
+    low, high = points.min(axis=0) - 0.015, points.max(axis=0) + 0.015
+    low[1] -= 0.02
+    axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal")
+    axes.tick_params(labelsize=8)
+    _table_edge(axes, dataset)
+    scale_bar(axes, low + np.array([0.008, 0.014]), float((high - low).max()))
+    handles = [Line2D([], [], color=FINGER, marker="o", label="finger, filled where it stops")]
+    for rival, colour in zip(rivals, COLOURS, strict=False):
+        handles.append(Line2D([], [], color=colour, label=rival.name))
+    figure.legend(handles=handles, loc="lower center", ncols=min(len(handles), LEGEND_COLUMNS))
+    if len(rivals) > 1:
+        times = np.asarray(push.pose_times)
+        height = (top - bottom - 0.11) / 2
+        lower = figure.add_axes((0.64, bottom + 0.06, 0.34, height))
+        upper = figure.add_axes((0.64, top - height, 0.34, height), sharex=lower)
+        for predicted, colour in zip(predictions, COLOURS, strict=False):
+            apart = add(predicted.poses[0], predictions[0].poses[0], grid.centers)
+            upper.plot(times, 1e3 * apart, color=colour)
+            lower.plot(times - times[0] / 2, np.hypot(*predicted.forces[0].T), color=colour)
+        upper.set(ylabel=f"apart from\n{rivals[0].name.split(' (')[0]}, mm", ylim=(0, None))
+        upper.tick_params(labelbottom=False)
+        lower.set(xlabel="time, s", ylabel="force, N", ylim=(0, None))
+        upper.yaxis.label.set_fontsize(8)
+    return figure
+
+
+def _table_edge(axes: Axes, dataset: PushDataset) -> None:
+    table = dataset.table
+    if table is None:
+        return
+    if table.radius is not None:
+        axes.add_patch(Circle(table.center, table.radius, facecolor="none", edgecolor=INK, linewidth=0.8))
+    elif table.size is not None:
+        corner = np.asarray(table.center) - 0.5 * np.asarray(table.size)
+        axes.add_patch(Rectangle(tuple(corner), *table.size, facecolor="none", edgecolor=INK, linewidth=0.8))

@@ -1,0 +1,230 @@
+"""Maps of mass, friction and their product, several hypotheses side by side, after the paper's Figure 2."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.cm import ScalarMappable
+from matplotlib.collections import PolyCollection
+from matplotlib.colors import LogNorm, Normalize
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import PathPatch
+
+from slipmap.diagrams.application.figures.style import (
+    BELIEF,
+    INK,
+    MAP_COLORS,
+    PAPER,
+    SCALED_SHARE,
+    PlainNumbers,
+    beyond,
+    draw_cells,
+    draw_outline,
+    outline_path,
+    scale_bar,
+    styled,
+    top_of_scale,
+)
+from slipmap.models.inference.belief import Belief
+from slipmap.models.physics.cell_grid import FloatArray
+from slipmap.models.physics.rollout import Maps
+
+LEFT, RIGHT, TOP, BOTTOM = 1.35, 1.05, 0.86, 0.5  # inches around the panels
+GAP, WIDE_GAP = 0.12, 0.34
+LARGEST_PANEL = (1.7, 1.75)
+NARROWEST_COLUMN = 1.0  # inches; titles need them
+LOG_FROM = 6.0
+"""Ratio of the columns' totals from which colours are logarithmic: a linear scale would show one map only."""
+
+
+_MARK = {"linestyle": "none", "markerfacecolor": "none"}
+CROSS: dict[str, Any] = _MARK | {"marker": "x", "color": INK, "markersize": 6, "markeredgewidth": 1.4}
+RING: dict[str, Any] = _MARK | {"marker": "o", "color": INK, "markersize": 7.5, "markeredgewidth": 1.2}
+DOT: dict[str, Any] = {
+    "linestyle": "none", "marker": "o", "color": BELIEF, "markersize": 2.6, "markeredgewidth": 0
+}  # fmt: skip
+SEAM = 2.0
+"""How centres of mass and of friction are drawn, and the centres of mass of all hypotheses; points."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Row:
+    """One quantity: its name, its unit, its colours and the values (columns, n)."""
+
+    name: str
+    unit: str
+    colours: str
+    values: FloatArray
+
+    @property
+    def norm(self) -> Normalize:
+        """One scale for all columns; a few of the largest values may lie beyond its end."""
+        totals = self.values.sum(axis=1)
+        if totals.max() > LOG_FROM * totals.min() > 0:
+            low, top = np.quantile(self.values, [0.02, SCALED_SHARE])
+            return LogNorm(max(float(low), 1e-4 * float(top)), float(top))
+        return Normalize(0.0, top_of_scale(self.values))
+
+
+@dataclass(frozen=True, eq=False)
+class _Column:
+    """One model: its title, its maps (one) and whether a wide gap stands before it."""
+
+    title: str
+    maps: Maps
+    apart: bool = False
+
+
+@styled
+def maps_figure(belief: Belief, *, truth: Maps | None = None, hypotheses: int = 6) -> Figure:
+    """Footprint, mass, friction and mass × friction of the most probable hypotheses and of their mean.
+
+    A cross marks the centre of mass, a ring the centre of friction (the mean of the cells' places weighted by
+    mass × friction). Dots in the first row are the centres of mass of all hypotheses.
+
+    Hypotheses are numbered by falling probability, as in `slipmap view`.
+
+    Args:
+        belief: what to draw.
+        truth: true maps (one model), drawn in a column of their own where they are known.
+        hypotheses: how many to show, most probable first.
+    """
+    columns = _columns(belief, truth, hypotheses)
+    mass = np.concatenate([column.maps.mass for column in columns])
+    mu = np.concatenate([column.maps.mu for column in columns])
+    in_grams = np.quantile(mass, 0.99) < 0.5
+    scaled, unit = (1e3 * mass, "g a cell") if in_grams else (mass, "kg a cell")
+    rows = [
+        _Row("mass", unit, MAP_COLORS[0], scaled),
+        _Row("friction\ncoefficient", "", MAP_COLORS[1], mu),
+        _Row("mass × friction:\nforce to slide it", "N a cell", MAP_COLORS[2], mass * mu * belief.gravity),
+    ]
+    return _drawn(belief, columns, rows)
+
+
+def centers_of_friction(belief: Belief, maps: Maps) -> FloatArray:
+    """(K, 2) mean place of the cells of each model, weighted by mass × friction, object frame, m."""
+    load = maps.mass * maps.mu
+    return load @ belief.grid.centers / load.sum(axis=1, keepdims=True)
+
+
+def centers_of_mass(belief: Belief, maps: Maps) -> FloatArray:
+    """(K, 2) centre of mass of each model, object frame, m."""
+    return maps.mass @ belief.grid.centers / maps.mass.sum(axis=1, keepdims=True)
+
+
+def _columns(belief: Belief, truth: Maps | None, hypotheses: int) -> list[_Column]:
+    p = belief.probability
+    order = np.argsort(-p, kind="stable")[:hypotheses]
+    columns = [
+        _Column(f"hypothesis {column + 1}\n{100 * p[k]:.1f} %", belief.maps[int(k)], apart=not column)
+        for column, k in enumerate(order)
+    ]
+    mass, load = p @ belief.maps.mass, p @ (belief.maps.mass * belief.maps.mu)
+    mean = Maps(mass[None], (load / np.maximum(mass, 1e-300))[None], np.array([p @ belief.maps.mu_finger]))
+    columns.append(_Column(f"mean of\nall {len(belief)}", mean, apart=True))
+    return columns if truth is None else [_Column("truth\n", truth), *columns]
+
+
+def _drawn(belief: Belief, columns: list[_Column], rows: list[_Row]) -> Figure:
+    low, high = belief.grid.exterior.min(axis=0), belief.grid.exterior.max(axis=0)
+    margin = 0.06 * float((high - low).max())
+    extent = high - low + 2 * margin
+    width, height = extent * min(LARGEST_PANEL / extent)
+    spare = max(0.0, NARROWEST_COLUMN - width - GAP)
+    gaps = [0.0] + [spare + (WIDE_GAP if column.apart else GAP) for column in columns[1:]]
+    across = LEFT + len(columns) * width + sum(gaps) + RIGHT
+    down = TOP + (1 + len(rows)) * height + len(rows) * GAP + BOTTOM
+    across_at_least = max(across, 6.4)
+    left = LEFT + (across_at_least - across) / 2
+    figure = Figure(figsize=(across_at_least, down))
+    places = left + np.cumsum(gaps) + width * np.arange(len(columns))
+
+    def axes(row: int, column: int) -> Axes:
+        bottom = down - TOP - (row + 1) * height - row * GAP
+        place = (places[column] / across_at_least, bottom / down, width / across_at_least, height / down)
+        result = figure.add_axes(place)
+        result.set(xlim=(low[0] - margin, high[0] + margin), ylim=(low[1] - margin, high[1] + margin))
+        result.axis("off")
+        return result
+
+    for c, column in enumerate(columns):
+        panel = axes(0, c)
+        panel.set_title(column.title, color=INK, pad=4)
+        _footprint(panel, belief, column.maps)
+        for r, row in enumerate(rows, start=1):
+            panel = axes(r, c)
+            draw_cells(panel, belief.grid, row.values[c], colors=row.colours, norm=row.norm)
+            _marks(panel, belief, column.maps, mass=r == 1, friction=r == len(rows))
+    scale_bar(axes(0, len(columns) - 1), low - margin, float(extent.max()))
+    for r, name in enumerate(["footprint", *(row.name for row in rows)]):
+        middle = down - TOP - (r + 0.5) * height - r * GAP
+        figure.text((left - 0.2) / across_at_least, middle / down, name, ha="right", va="center", fontsize=10)
+    for r, row in enumerate(rows, start=1):
+        bottom = down - TOP - (r + 0.94) * height - r * GAP
+        right = (places[-1] + width + 0.2) / across_at_least
+        place = (right, bottom / down, 0.13 / across_at_least, 0.88 * height / down)
+        _colour_bar(figure, place, row)
+    _legend(figure, belief)
+    return figure
+
+
+def _footprint(axes: Axes, belief: Belief, maps: Maps) -> None:
+    axes.add_patch(PathPatch(outline_path(belief.grid), facecolor=PAPER, edgecolor="none"))
+    squares = PolyCollection(_squares(belief), facecolors="none", edgecolors="#d5d0c6", linewidths=0.4)
+    squares.set_clip_path(outline_path(belief.grid), axes.transData)
+    axes.add_collection(squares, autolim=False)
+    draw_outline(axes, belief.grid)  # last, or the pale squares cut it up
+    cloud = centers_of_mass(belief, belief.maps)
+    axes.plot(*cloud.T, **DOT)
+    # The ground is pale, and a seam around the marks would hide the dots.
+    _marks(axes, belief, maps, seam=0.0)
+
+
+def _squares(belief: Belief) -> list[FloatArray]:
+    half = belief.grid.width / 2
+    corners = half * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
+    return [center + corners for center in belief.grid.centers]
+
+
+def _marks(
+    axes: Axes, belief: Belief, maps: Maps, *, mass: bool = True, friction: bool = True, seam: float = SEAM
+) -> None:
+    """Ring and cross, with a white seam (points) that lifts them off a coloured ground."""
+    marks = []
+    if friction:
+        marks.append((centers_of_friction(belief, maps)[0], RING))
+    if mass:
+        marks.append((centers_of_mass(belief, maps)[0], CROSS))
+    for place, how in marks:
+        if seam:
+            wider = how["markeredgewidth"] + seam
+            axes.plot(*place, **{**how, "color": "white", "markeredgewidth": wider})
+        axes.plot(*place, **how)
+
+
+def _colour_bar(figure: Figure, place: tuple[float, float, float, float], row: _Row) -> None:
+    norm = row.norm
+    arrow = beyond(row.values, float(norm.vmax or 0.0))
+    bar = figure.colorbar(ScalarMappable(norm, row.colours), cax=figure.add_axes(place), extend=arrow)
+    if isinstance(norm, LogNorm):
+        bar.formatter, bar.minorformatter = PlainNumbers(), PlainNumbers()
+    bar.set_label(row.unit)
+    bar.outline.set_linewidth(0.5)
+
+
+def _legend(figure: Figure, belief: Belief) -> None:
+    handles = [
+        Line2D([], [], label="centre of mass", **CROSS),
+        Line2D([], [], label="centre of friction", **RING),
+        Line2D([], [], label="centres of mass of all hypotheses", **DOT),
+    ]
+    figure.legend(handles=handles, loc="lower center", ncols=3, bbox_to_anchor=(0.5, 0.0))
+    title = f"{belief.dataset}: what {len(belief)} hypotheses say (each row has one colour scale)"
+    figure.text(
+        0.5, 1 - 0.14 / figure.get_size_inches()[1], title, ha="center", va="top", fontsize=11, color=INK
+    )

@@ -1,0 +1,274 @@
+"""Pushes as measured and as a belief predicts them, drawn over each other."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Circle, PathPatch
+from matplotlib.patheffects import withStroke
+
+from slipmap.diagrams.application.figures.style import (
+    BELIEF,
+    FAINT,
+    FINGER,
+    INK,
+    OTHER,
+    PAPER,
+    PlainNumbers,
+    outline_path,
+    placed,
+    scale_bar,
+    styled,
+)
+from slipmap.diagrams.application.reports.comparison_words import ROLES, short_name
+from slipmap.models.geometry import radius_of_gyration
+from slipmap.models.inference.comparison import Comparison
+from slipmap.models.inference.results import PushPrediction
+from slipmap.models.measurements import PushDataset, Trial, finger_path
+from slipmap.models.physics.cell_grid import CellGrid, FloatArray
+
+PANELS_A_PAGE = 24
+COLUMNS = 6
+PANEL = 2.1  # inches
+OUTLINES = (
+    "Outlines: grey at the start, thin halfway, strong at the end. Lines between: way of the cells' centroid"
+)
+
+HEAD, FOOT, SIDE, GAP, TITLE = 0.8, 0.5, 0.15, 0.15, 0.4
+NARROWEST_PAGE = 8.4  # inches; heading and legend need them
+NEAR = 1.2
+"""The finger's path is drawn as far as it lies within so many object sizes of the object's way."""
+
+MEANING_OF_ADD = "ADD: mean distance between the cells as predicted and as measured at the end of the push"
+
+
+@dataclass(frozen=True, eq=False)
+class _Scene:
+    """What one panel shows.
+
+    Attributes:
+        push: measured and predicted poses.
+        start: (3,) first measured pose.
+        middle: sample at which the object has gone half of its way, or None where only the end was measured.
+        finger: (k, 2) path of the finger near the object, m.
+        low: (2,) lower corner of all this, m.
+        high: (2,) upper corner, m.
+    """
+
+    push: PushPrediction
+    start: FloatArray
+    middle: int | None
+    finger: FloatArray
+    low: FloatArray
+    high: FloatArray
+
+
+@styled
+def push_figures(
+    predictions: Sequence[PushPrediction], dataset: PushDataset, *, title: str = ""
+) -> list[Figure]:
+    """A panel for each push, `PANELS_A_PAGE` a figure; all panels of one figure have the same scale.
+
+    Args:
+        predictions: pushes of `dataset`.
+        dataset: for the outline and the finger's path.
+        title: heading; the dataset's name where empty.
+    """
+    trials = {trial.name: trial for trial in dataset.trials}
+    scenes = [_scene(push, trials[push.trial], dataset) for push in predictions]
+    pages = [scenes[k : k + PANELS_A_PAGE] for k in range(0, len(scenes), PANELS_A_PAGE)]
+    heading = title or f"{dataset.name}: pushes as measured and as predicted"
+    return [
+        _page(page, dataset, heading + (f" (page {number} of {len(pages)})" if len(pages) > 1 else ""))
+        for number, page in enumerate(pages, start=1)
+    ]
+
+
+def _scene(push: PushPrediction, trial: Trial, dataset: PushDataset) -> _Scene:
+    start, poses = trial.object_pose.values[0], push.measured
+    middle = None
+    if len(poses) > 2:
+        way = _way(np.vstack([start, poses]), dataset.grid)
+        middle = int(np.argmin(np.abs(way - 0.5 * way[-1])))
+    drawn = [start, *poses[[] if middle is None else [middle]], poses[-1], *push.hypotheses[:, -1]]
+    points = np.concatenate([placed(dataset.grid.exterior, pose) for pose in drawn])
+    low, high = points.min(axis=0), points.max(axis=0)
+    finger = np.zeros((0, 2))
+    if trial.has_finger:
+        reach = NEAR * float(np.ptp(dataset.grid.exterior, axis=0).max())
+        _, path = finger_path(trial)
+        finger = path[((path > low - reach) & (path < high + reach)).all(axis=1)]
+    if len(finger):
+        low = np.minimum(low, finger.min(axis=0) - dataset.finger_radius)
+        high = np.maximum(high, finger.max(axis=0) + dataset.finger_radius)
+    return _Scene(push, start, middle, finger, low, high)
+
+
+def _way(poses: FloatArray, grid: CellGrid) -> FloatArray:
+    """(S,) way of the cells until each pose but the first, m: of their centroid, and turning about it."""
+    centroid = grid.centers.mean(axis=0)
+    track = np.array([placed(centroid, pose) for pose in poses])
+    turned = radius_of_gyration(grid) * np.abs(np.diff(poses[:, 2]))
+    return np.cumsum(np.hypot(*np.diff(track, axis=0).T) + turned)
+
+
+def _page(scenes: list[_Scene], dataset: PushDataset, heading: str) -> Figure:
+    columns = min(COLUMNS, max(2, int(np.ceil(np.sqrt(1.4 * len(scenes))))), max(len(scenes), 1))
+    rows = -(-len(scenes) // columns)
+    width = max(columns * PANEL + (columns - 1) * GAP + 2 * SIDE, NARROWEST_PAGE)
+    height = HEAD + rows * (PANEL + TITLE) + FOOT
+    figure = Figure(figsize=(width, height))
+    figure.text(0.5, 1 - 0.16 / height, heading, ha="center", va="top", fontsize=11)
+    figure.text(0.5, 1 - 0.39 / height, MEANING_OF_ADD, ha="center", va="top", fontsize=8.5, color=FAINT)
+    figure.text(0.5, 1 - 0.56 / height, OUTLINES, ha="center", va="top", fontsize=8.5, color=FAINT)
+    span = 1.06 * max(float((scene.high - scene.low).max()) for scene in scenes)
+    left = (width - columns * PANEL - (columns - 1) * GAP) / 2
+    for k, scene in enumerate(scenes):
+        row, column = divmod(k, columns)
+        bottom = height - HEAD - (row + 1) * (PANEL + TITLE)
+        place = (left + column * (PANEL + GAP)) / width, bottom / height, PANEL / width, PANEL / height
+        axes = figure.add_axes(place)
+        middle = (scene.low + scene.high) / 2
+        axes.set(xlim=middle[0] + span * np.array([-0.5, 0.5]), ylim=middle[1] + span * np.array([-0.5, 0.5]))
+        axes.set(xticks=[], yticks=[], aspect="equal")
+        axes.spines[:].set_visible(True)
+        axes.spines[:].set_color("#dddddd")
+        _panel(axes, scene, dataset)
+        if k == 0:
+            scale_bar(axes, middle + span * np.array([-0.45, -0.41]), span)
+    figure.legend(
+        handles=_legend(any(len(scene.finger) for scene in scenes)),
+        loc="lower center",
+        ncols=6,
+        columnspacing=1.2,
+        handlelength=1.5,
+    )
+    return figure
+
+
+def _panel(axes: Axes, scene: _Scene, dataset: PushDataset) -> None:
+    push, grid = scene.push, dataset.grid
+
+    def outline(pose: FloatArray, colour: str, width: float, alpha: float, fill: str = "none") -> None:
+        shape = outline_path(grid, pose)
+        axes.add_patch(PathPatch(shape, facecolor=fill, edgecolor=colour, linewidth=width, alpha=alpha))
+
+    outline(scene.start, FAINT, 0.7, 1.0, PAPER)
+    faint = float(np.clip(4.0 / len(push.hypotheses), 0.12, 0.5))
+    if scene.middle is not None:
+        for pose in push.hypotheses[:, scene.middle]:
+            outline(pose, BELIEF, 0.8, 0.55 * faint)
+        outline(push.measured[scene.middle], INK, 0.9, 0.7)
+    for pose in push.hypotheses[:, -1]:
+        outline(pose, BELIEF, 0.8, faint)
+    outline(push.measured[-1], INK, 1.2, 1.0)
+    centroid = grid.centers.mean(axis=0)
+    for poses, colour in ((push.predicted, BELIEF), (push.measured, INK)):
+        track = np.array([placed(centroid, pose) for pose in (scene.start, *poses)])
+        axes.plot(*track.T, color=colour, linewidth=1.1)
+    if len(scene.finger):
+        axes.plot(*scene.finger.T, color=FINGER, linewidth=1.0)
+        for place, fill in ((scene.finger[0], "none"), (scene.finger[-1], FINGER)):
+            axes.add_patch(
+                Circle(place, dataset.finger_radius, facecolor=fill, edgecolor=FINGER, linewidth=0.9)
+            )
+    numbers = f"ADD {1e3 * push.final_add:.1f} mm, spread {1e3 * push.spread:.1f} mm"
+    axes.set_title(f"{short_name(push.trial)}, {ROLES[push.role]}\n{numbers}", pad=4, fontsize=8.5)
+
+
+def _legend(finger: bool) -> list[Line2D]:
+    rim = [withStroke(linewidth=7, foreground=FAINT)]
+    handles = [
+        Line2D([], [], color=PAPER, linewidth=6, path_effects=rim, label="start"),
+        Line2D([], [], color=INK, linewidth=1.2, label="measured"),
+        Line2D([], [], color=BELIEF, linewidth=1.2, alpha=0.8, label="predicted, every hypothesis faint"),
+    ]
+    if finger:
+        handles += [
+            Line2D([], [], color=FINGER, linewidth=1.0, label="path of the finger:"),
+            Line2D([], [], color=FINGER, linestyle="none", marker="o", markerfacecolor="none", label="start"),
+            Line2D([], [], color=FINGER, linestyle="none", marker="o", label="end"),
+        ]
+    return handles
+
+
+# How far a model is off, push by push, beside simple ones and the noise floor.
+
+
+MODEL_COLOURS = (BELIEF, OTHER)
+WIDTH = 8.0  # inches
+LEGEND_COLUMNS, LEGEND_ROW = 3, 0.2  # columns where one row does not hold it; inches
+LETTER = 0.07  # inches, of a push's name
+MOST_NAMES = 40
+
+
+@styled
+def error_figure(comparisons: Sequence[Comparison]) -> Figure:
+    """Error at the end (ADD) of each push on a logarithmic scale, fit pushes left, held-out ones right.
+
+    Args:
+        comparisons: one model, or two over the same pushes; the first one's error gives the order.
+    """
+    first = comparisons[0]
+    order = sorted(
+        range(len(first.pushes)),
+        key=lambda b: (first.pushes[b].role == "heldout", first.pushes[b].errors.final_add),
+    )
+    pushes = [first.pushes[b] for b in order]
+    entries = 2 + len(comparisons) + (first.floor is not None)
+    columns = entries if entries <= LEGEND_COLUMNS + 1 else LEGEND_COLUMNS
+    names = [short_name(push.trial) for push in pushes] if len(pushes) <= MOST_NAMES else []
+    longest = max(map(len, names), default=0)
+    upright = len(names) > 30 or longest > 4
+    below = 0.2 + LETTER * longest if upright else 0.4
+    top = 0.23 + LEGEND_ROW * -(-entries // columns)
+    height = 2.27 + below + top
+    figure = Figure(figsize=(WIDTH, height))
+    axes = figure.add_axes((0.085, below / height, 0.905, 2.27 / height))
+    x = np.arange(len(pushes))
+    for name, marker, colour, size in (("resting", "_", FAINT, 8.0), ("uniform", "D", FAINT, 3.6)):
+        label = {"resting": "object does not move", "uniform": "uniform object"}[name]
+        values = [1e3 * getattr(push, name).final_add for push in pushes]
+        axes.plot(
+            x, values, marker, color=colour, markersize=size, markeredgewidth=1.3, label=label,
+            markerfacecolor="white", linestyle="none",
+        )  # fmt: skip
+    # The first of two models is a ring, so that a second one at its place does not hide it.
+    for k, (comparison, colour) in enumerate(zip(comparisons, MODEL_COLOURS, strict=False)):
+        ring = k == 0 and len(comparisons) > 1
+        size, fill = (8.0, "none") if ring else (5.5, colour)
+        values = [1e3 * comparison.pushes[b].errors.final_add for b in order]
+        axes.plot(
+            x, values, "o", color=colour, markersize=size, markerfacecolor=fill, label=comparison.label,
+            linestyle="none", markeredgewidth=1.4 if ring else 0.0,
+        )  # fmt: skip
+    if first.floor is not None:
+        floor = 1e3 * first.floor.add
+        label = f"noise floor {floor:.2g} mm ({first.floor.source})"
+        axes.axhline(floor, color=INK, linewidth=0.9, linestyle=(0, (4, 3)), label=label)
+    fitted = sum(push.role == "fit" for push in pushes)
+    if 0 < fitted < len(pushes):
+        axes.axvspan(fitted - 0.5, len(pushes) - 0.5, color="#f6f4ef", linewidth=0, zorder=0)
+    for middle, name, count in (
+        ((fitted - 1) / 2, "fit", fitted),
+        ((fitted + len(pushes) - 1) / 2, "held out", len(pushes) - fitted),
+    ):
+        if count:
+            axes.annotate(
+                name, (middle, 1.0), (0, 3), xycoords=("data", "axes fraction"), textcoords="offset points",
+                ha="center", fontsize=8.5, color=INK,
+            )  # fmt: skip
+    axes.set_yscale("log")
+    axes.yaxis.set_major_formatter("{x:g}")
+    axes.yaxis.set_minor_formatter(PlainNumbers())
+    axes.set(xlim=(-0.6, len(pushes) - 0.4), ylabel="ADD at the end, mm")
+    axes.set_xticks(x[: len(names)], names, rotation=90 if upright else 0, fontsize=7.5)
+    axes.grid(axis="y", color="#e7e4dd", linewidth=0.6)
+    axes.set_axisbelow(True)
+    figure.legend(loc="upper right", ncols=columns, bbox_to_anchor=(0.995, 1.01), handletextpad=0.3)
+    return figure

@@ -1,0 +1,185 @@
+"""One look for all pictures: sizes, colours, and how they are written to disk."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable
+from functools import wraps
+from pathlib import Path
+from typing import ParamSpec, TypeVar
+
+import matplotlib
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.collections import PolyCollection
+from matplotlib.colors import Normalize
+from matplotlib.figure import Figure
+from matplotlib.patches import PathPatch
+from matplotlib.path import Path as Curve
+from matplotlib.ticker import LogFormatter
+from numpy.typing import ArrayLike
+
+from slipmap.models.physics.cell_grid import CellGrid, FloatArray
+
+INK = "#222222"
+FAINT = "#9a9a9a"
+PAPER = "#f1efea"
+BELIEF = "#1f6fb4"
+FINGER = "#d4691e"
+OTHER = "#2f8f6b"
+
+MAP_COLORS = ("viridis", "plasma", "cividis")
+"""Of mass, friction and their product; perceptually uniform, a different one for each map."""
+
+SCALED_SHARE = 0.97
+SCALED_RATIO = 1.5
+
+DOTS_PER_INCH = 130
+
+STYLE = {
+    "font.family": "DejaVu Sans",
+    "font.size": 9.0,
+    "axes.titlesize": 9.0,
+    "axes.labelsize": 9.0,
+    "xtick.labelsize": 8.0,
+    "ytick.labelsize": 8.0,
+    "legend.fontsize": 8.5,
+    "legend.frameon": False,
+    "axes.edgecolor": FAINT,
+    "axes.linewidth": 0.8,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.labelcolor": INK,
+    "text.color": INK,
+    "xtick.color": INK,
+    "ytick.color": INK,
+    "xtick.major.width": 0.6,
+    "ytick.major.width": 0.6,
+    "figure.facecolor": "white",
+    "savefig.facecolor": "white",
+    "svg.fonttype": "none",
+    "svg.hashsalt": "slipmap",
+    # A dollar sign in the name of a dataset, trial or effect is no formula.
+    "text.parse_math": False,
+}
+
+
+class PlainNumbers(LogFormatter):
+    """Labels of a logarithmic axis without formulas, at the ticks where matplotlib has room for them."""
+
+    def __call__(self, x: float, pos: int | None = None) -> str:
+        """Label of the tick at `x`, empty where there is none."""
+        return f"{x:g}" if super().__call__(x, pos) else ""
+
+
+def top_of_scale(values: FloatArray) -> float:
+    """End of the colour scale that maps (columns, n) share; what lies beyond it has the last colour.
+
+    Beyond lie three percent of all values, and what is half as large again as in most of the maps: neither
+    a single cell nor a single odd map should leave all others pale.
+    """
+    each = np.quantile(values, SCALED_SHARE, axis=1, method="lower")
+    return min(float(np.quantile(values, SCALED_SHARE)), SCALED_RATIO * float(np.median(each))) or 1.0
+
+
+def beyond(values: FloatArray, top: float) -> str:
+    """Whether a scale that ends at `top` needs an arrow for values beyond, as `Figure.colorbar` takes it."""
+    return "max" if float(values.max()) > 1.02 * top else "neither"
+
+
+Arguments = ParamSpec("Arguments")
+Drawn = TypeVar("Drawn")
+
+
+def styled(draw: Callable[Arguments, Drawn]) -> Callable[Arguments, Drawn]:
+    """Decorator: draw in the project's style, whatever the caller's own settings are."""
+
+    @wraps(draw)
+    def drawn(*args: Arguments.args, **kwargs: Arguments.kwargs) -> Drawn:
+        # A letter without the wanted weight is drawn in the nearest one; to say so helps nobody.
+        logging.getLogger("matplotlib.font_manager").setLevel(logging.ERROR)
+        with matplotlib.rc_context(STYLE):
+            return draw(*args, **kwargs)
+
+    return drawn
+
+
+def save(figure: Figure, path: Path) -> None:
+    """Write a figure as PNG, PDF or SVG, after the ending of `path`.
+
+    Raises:
+        OSError: the folder does not exist or cannot be written.
+    """
+    with matplotlib.rc_context(STYLE):
+        figure.savefig(path, dpi=DOTS_PER_INCH)
+
+
+# Outlines of objects and a bar of known length, shared by the pictures.
+
+
+def outline_path(grid: CellGrid, pose: ArrayLike = (0.0, 0.0, 0.0)) -> Curve:
+    """Exterior and holes as one path, placed at a pose (3,) in the world, m and rad."""
+    rings = [placed(ring, pose) for ring in (grid.exterior, *grid.holes)]
+    return Curve.make_compound_path(*(Curve(np.vstack([ring, ring[:1]]), closed=True) for ring in rings))
+
+
+def draw_outline(
+    axes: Axes,
+    grid: CellGrid,
+    pose: ArrayLike = (0.0, 0.0, 0.0),
+    *,
+    color: str = INK,
+    width: float = 0.9,
+    fill: str = "none",
+) -> None:
+    """Outline of an object at a pose (3,) in the world, m and rad."""
+    axes.add_patch(PathPatch(outline_path(grid, pose), facecolor=fill, edgecolor=color, linewidth=width))
+
+
+def draw_cells(
+    axes: Axes,
+    grid: CellGrid,
+    values: ArrayLike,
+    pose: ArrayLike = (0.0, 0.0, 0.0),
+    *,
+    colors: str = "viridis",
+    norm: Normalize | None = None,
+) -> PolyCollection:
+    """Cells coloured by values (n,), cut off at the outline, with it, at a pose (3,) in the world, m and rad.
+
+    Limits of the axes are left alone. Returns the squares, of which `Figure.colorbar` makes a scale.
+    """
+    corners = grid.width / 2 * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
+    # Edges as wide as a pixel cover the seams between squares, through which the ground would shine.
+    squares = PolyCollection(
+        [placed(center + corners, pose) for center in grid.centers],
+        array=np.asarray(values, dtype=float), cmap=colors, norm=norm, edgecolors="face", linewidths=0.8,
+    )  # fmt: skip
+    squares.set_clip_path(outline_path(grid, pose), axes.transData)
+    axes.add_collection(squares, autolim=False)
+    draw_outline(axes, grid, pose)
+    return squares
+
+
+def placed(points: FloatArray, pose: ArrayLike) -> FloatArray:
+    """Object-frame points (…, 2) in the world, for one pose (3,), m and rad."""
+    x, y, angle = np.asarray(pose, dtype=float)
+    c, s = np.cos(angle), np.sin(angle)
+    return points @ np.array([[c, s], [-s, c]]) + [x, y]
+
+
+def scale_bar(axes: Axes, corner: ArrayLike, extent: float) -> None:
+    """A bar of a round length, up to a quarter of `extent` (m), from `corner` (m) to the right, labelled."""
+    length = round_length(extent / 4)
+    x, y = np.asarray(corner, dtype=float)
+    axes.plot([x, x + length], [y, y], color=INK, linewidth=1.6, solid_capstyle="butt", clip_on=False)
+    axes.annotate(
+        f"{length * 1e3:g} mm", (x + length / 2, y), (0, -3), textcoords="offset points",
+        ha="center", va="top", fontsize=7.5, annotation_clip=False,
+    )  # fmt: skip
+
+
+def round_length(largest: float) -> float:
+    """The largest of 1, 2, 5 times a power of ten that is not above `largest` (> 0)."""
+    power = 10.0 ** np.floor(np.log10(largest))
+    return float(max(step for step in (1, 2, 5) if step * power <= largest * (1 + 1e-9)) * power)

@@ -1,0 +1,153 @@
+"""What a comparison found, in words that terminal and report share."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+from slipmap.models.inference.comparison import Comparison, Totals
+from slipmap.models.inference.residual_structure import LEVEL, Pattern, smallest_p
+
+# Words that tables and pictures share.
+
+
+ROLES = {"fit": "fit", "heldout": "held out"}
+"""What people read for the role of a push."""
+
+
+def short_name(trial: str) -> str:
+    """`trials/003.json` as `003`; a long name keeps its end, which tells it from others."""
+    name = trial.rsplit("/", 1)[-1].rsplit(".", 1)[0]
+    return name if len(name) <= 24 else "…" + name[-23:]
+
+
+QUANTITIES = {"motion": "motion", "force": "force", "delay": "timing"}
+
+
+def judged(comparison: Comparison) -> tuple[str, Totals]:
+    """Role and totals that count: held-out pushes where there are any."""
+    role = "heldout" if "heldout" in comparison.totals else "fit"
+    return role, comparison.totals[role]
+
+
+def summary(comparison: Comparison) -> str:
+    """How far off the model is, against what, in one or two sentences."""
+    role, totals = judged(comparison)
+    count = f"{totals.pushes} pushes" if totals.pushes > 1 else "the one push"
+    which = f"On {count} that it {'never saw' if role == 'heldout' else 'learnt from'}"
+    if role == "fit" and comparison.learnt_from != comparison.dataset:
+        which = f"On {count} of this dataset"
+    average = " on average" if totals.pushes > 1 else ""
+    text = (
+        f"{which}, the model ends {millimetres(totals.model.final_add)} mm from the measured pose{average}"
+        f" (ADD); a uniform object ends {millimetres(totals.uniform.final_add)} mm off, an object that does"
+        f" not move {millimetres(totals.resting.final_add)} mm."
+    )
+    if comparison.floor is not None:
+        source = {"repeats": "repeated pushes scatter by", "declared noise": "the sensors alone leave"}
+        text += f" For comparison, {source[comparison.floor.source]} {millimetres(comparison.floor.add)} mm."
+    return text
+
+
+def summary_of_two(before: Comparison, after: Comparison) -> str:
+    """How far off two models over the same pushes are."""
+    role, totals = judged(before)
+    ours, theirs = totals.model, after.totals[role].model
+    which = "held-out" if role == "heldout" else "fit"
+    return (
+        f"Over {totals.pushes} {which} pushes, “{before.label}” ends {millimetres(ours.final_add)} mm from"
+        f" the measured pose, “{after.label}” {millimetres(theirs.final_add)} mm (ADD); over their course"
+        f" {millimetres(ours.mean_add)} and {millimetres(theirs.mean_add)} mm. A uniform object ends"
+        f" {millimetres(totals.uniform.final_add)} mm off, an object that does not move"
+        f" {millimetres(totals.resting.final_add)} mm."
+    )
+
+
+def finding(comparison: Comparison) -> str:
+    """Whether what is left has a pattern, in one or two sentences."""
+    found = comparison.significant
+    if not found:
+        if not comparison.testable:
+            tests = len(comparison.structure)
+            most = max((pattern.pushes for pattern in comparison.structure), default=0)
+            return (
+                f"Whether the rest has a pattern cannot be told from {_pushes(most)}: with {tests} tests"
+                f" it takes at least {pushes_needed(tests)}."
+            )
+        text = "What is left shows no pattern beyond chance and what is negligible"
+        most = max(pattern.pushes for pattern in comparison.structure)
+        if smallest_p(most) * len(comparison.structure) > 0.1 * LEVEL:
+            text += f", but {_pushes(most)} can show only very clear ones"
+        return f"{text}."
+    named = _listed([sentence_part(pattern) for pattern in found[:4]])
+    more = f" and {len(found) - 4} more" if len(found) > 4 else ""
+    return f"What is left has a pattern: {named}{more}."
+
+
+def sentence_part(pattern: Pattern) -> str:
+    """One pattern in a sentence, such as `the force depends on speed (19 %)`."""
+    if pattern.quantity == "delay":
+        late = "late" if pattern.size > 0 else "early"
+        return f"measured poses come {abs(1e3 * pattern.size):.0f} ms {late}"
+    size = f"{100 * abs(pattern.size):.2g} %"
+    if pattern.factor == "overall":
+        more = {"motion": ("goes farther", "goes less far"), "force": ("is stronger", "is weaker")}
+        return (
+            f"{_thing(pattern)} {more[pattern.quantity][pattern.size < 0]} than predicted everywhere ({size})"
+        )
+    if pattern.factor in ("table_drift", "object_drift"):
+        return f"{_thing(pattern)} is off {_turned(pattern)} everywhere ({size})"
+    return f"the error of {_thing(pattern)} changes with the {pattern.title} ({size})"
+
+
+def _thing(pattern: Pattern) -> str:
+    return {"motion": "the motion", "force": "the force"}[pattern.quantity]
+
+
+def _turned(pattern: Pattern) -> str:
+    """Direction of a drift with its sign in it."""
+    if pattern.size > 0:
+        return pattern.strongest.replace(" x", " +x").replace(" y", " +y")
+    opposite = pattern.strongest.replace(" x", " -x").replace(" y", " -y")
+    return opposite.replace("counter-clockwise", "clockwise")
+
+
+def size_text(pattern: Pattern) -> str:
+    """Size with its 95 % interval, in the unit that fits."""
+    if pattern.quantity == "delay":
+        low, size, high = (1e3 * value for value in (pattern.low, pattern.size, pattern.high))
+        return f"{size:+.0f} ms ({low:.0f} to {high:.0f})"
+    low, size, high = (100 * value for value in (pattern.low, pattern.size, pattern.high))
+    return f"{size:+.1f} % ({low:.1f} to {high:.1f})"
+
+
+def p_text(p: float) -> str:
+    """A probability with as many digits as matter."""
+    return "below 0.001" if p < 0.001 else f"{p:.3f}" if p < 0.1 else f"{p:.2f}"
+
+
+def pushes_needed(tests: int) -> int:
+    """The least number of pushes with which one of so many tests can become significant."""
+    count = 1
+    while smallest_p(count) * tests >= LEVEL:
+        count += 1
+    return count
+
+
+def role_name(role: str, totals: Totals) -> str:
+    """`8 held out`."""
+    return f"{totals.pushes} {ROLES[role]}"
+
+
+def millimetres(metres: float) -> str:
+    """Two figures below 10 mm, else tenths."""
+    value = 1e3 * metres
+    return "–" if not math.isfinite(value) else f"{value:.2f}" if value < 1 else f"{value:.1f}"
+
+
+def _pushes(count: int) -> str:
+    return "one push" if count == 1 else f"{count} pushes"
+
+
+def _listed(parts: Sequence[str]) -> str:
+    return parts[0] if len(parts) == 1 else f"{'; '.join(parts[:-1])}; and {parts[-1]}"

@@ -1,0 +1,236 @@
+"""What a diagnosis found, in words that terminal and report share."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import click
+import numpy as np
+
+from slipmap.diagrams.application.reports.comparison_words import millimetres
+from slipmap.diagrams.application.reports.effect_words import effect_in_words, parameter_rows
+from slipmap.diagrams.application.terminal import paragraph, table
+from slipmap.models.effects.effect import Effect
+from slipmap.models.effects.probes import PROBES
+from slipmap.models.inference.diagnosis import Diagnosis
+from slipmap.models.inference.diagnosis.results import CandidateResult
+from slipmap.models.inference.diagnosis.verdict_rules import LEVEL
+from slipmap.models.measurements import PushDataset
+from slipmap.models.physics.cell_grid import CellGrid
+
+QUICK = (
+    "A quick look: at most ten pushes, with larger steps; chance was not simulated, so there are no"
+    " p-values, and gains are judged by a fixed threshold."
+)
+
+
+def before_label(diagnosis: Diagnosis) -> str:
+    """What the model without the answer is called."""
+    return "without effects" if diagnosis.effect_objects else "the model"
+
+
+def after_label(diagnosis: Diagnosis) -> str:
+    """What the best model is called."""
+    return "with " + " and ".join(effect.name for effect in diagnosis.effect_objects)
+
+
+def standing(candidate: CandidateResult, diagnosis: Diagnosis) -> str:
+    """Why a candidate is ruled out, or that it is not."""
+    if candidate.name in diagnosis.effects:
+        others = [name for name in diagnosis.effects if name != candidate.name]
+        if diagnosis.together and others:
+            return f"needed, together with {', '.join(others)}"
+        return "not ruled out"
+    if candidate.rejected_by is not None:
+        found = candidate.rejected_by
+        gain = "" if candidate.remaining_gain is None else f" gains {nats(candidate.remaining_gain)} more"
+        named = f"“{probe_sentence(found)}”" if probe_sentence(found) else found
+        return f"{named} on top{gain}"
+    if diagnosis.verdict in ("adequate", "undecided"):
+        beyond = candidate.p_value is not None and candidate.p_value <= LEVEL
+        if beyond:
+            alone = len(diagnosis.open_trials) == 1
+            return "no other push to agree with" if alone else "the pushes do not agree on it"
+        return "gains no more than chance"
+    if candidate.fitted_gain is not None:
+        return "less than the best"
+    return "far from the best"
+
+
+def probe_sentence(name: str) -> str:
+    """What a probe asks, in a clause; empty for what is no probe."""
+    for probe in PROBES:
+        if probe.name == name:
+            return f"{probe.sentence[0].lower()}{probe.sentence[1:].rstrip('.')}"
+    return ""
+
+
+def sizes(diagnosis: Diagnosis, grid: CellGrid) -> list[str]:
+    """For each effect of the answer its name and how large it is, in words."""
+    told = []
+    for name in diagnosis.effects:
+        estimates = [p for p in diagnosis.parameters if p.effect == name]
+        if estimates:
+            told.append(f"{name}: {effect_in_words(name, estimates, grid)}.")
+    return told
+
+
+def evidence(diagnosis: Diagnosis) -> str:
+    """What the verdict rests on: the pushes, and the chance of a gain like this."""
+    count = len(diagnosis.open_trials)
+    text = f"Asked of {count} {'push' if count == 1 else 'pushes'}"
+    if diagnosis.locked:
+        count = len(diagnosis.locked)
+        text += f"; {count} more {'was' if count == 1 else 'were'} locked away to judge by"
+    if diagnosis.p_value is not None:
+        text += f". The largest gain has p = {p_shown(diagnosis.p_value)}, all candidates considered"
+    return f"{text}."
+
+
+def improvement(diagnosis: Diagnosis) -> str:
+    """What the locked pushes say of the answer, in a sentence; empty where none was locked away."""
+    before, after = diagnosis.before, diagnosis.after
+    if before is None or after is None:
+        return ""
+    count = len(diagnosis.locked)
+    which = f"On {count} pushes that were locked away" if count > 1 else "On the push that was locked away"
+    path, path_after, end, end_after = (
+        f"{millimetres(float(e.mean()))} mm" for e in (before.path, after.path, before.final, after.final)
+    )
+    if not diagnosis.effect_objects:
+        return f"{which}, the model is {path} off on average and {end} at the end (ADD)."
+    return (
+        f"{which}, the model without it is {path} off on average, with it {path_after}; at the end {end} and"
+        f" {end_after} (ADD)."
+    )
+
+
+def locked_rows(diagnosis: Diagnosis) -> list[tuple[str, str, str]]:
+    """Error, without and with the answer, of the pushes that were locked away."""
+    before, after = diagnosis.before, diagnosis.after
+    if before is None or after is None:
+        return []
+
+    def row(name: str, number: str) -> tuple[str, str, str]:
+        errors = [millimetres(float(getattr(e, number).mean())) for e in (before, after)]
+        return name, errors[0], errors[1]
+
+    return [
+        row("over the course (ADD), mm", "path"),
+        row("at the end (ADD), mm", "final"),
+        ("misfit, in sensor noise (1 is perfect)", f"{before.total_misfit:.2f}", f"{after.total_misfit:.2f}"),
+    ]
+
+
+def rivals_sentence(diagnosis: Diagnosis) -> str:
+    """Which effects the data cannot rule out besides the first; empty where there is nothing to say."""
+    if any(len(fitted.effects) > 1 for fitted in diagnosis.rivals[1:]):
+        return ""  # The verdict's sentence lists the pairs.
+    if diagnosis.verdict == "ambiguous":
+        first, *others = diagnosis.effects
+        return f"{first} fits best; the data cannot rule out {', '.join(others)}."
+    if diagnosis.verdict == "effect":
+        return "Every other effect that was tried is ruled out."
+    return ""
+
+
+def push_facts(push: Mapping[str, object]) -> list[tuple[str, str]]:
+    """Name and value of what a person needs to carry out the next push."""
+
+    def pair(key: str) -> tuple[float, ...]:
+        return tuple(float(value) for value in push[key])  # type: ignore[attr-defined]
+
+    x, y, angle = pair("pose")
+    facts = [
+        ("put the object at", f"{_millimetre_pair((x, y))}, turned by {round(np.degrees(angle))}°"),
+        ("touch it at", f"{_millimetre_pair(pair('contact'))} of the object"),
+        ("direction", f"{float(push['direction_deg']):.0f}°"),  # type: ignore[arg-type]
+        ("speed", f"{1e3 * float(push['speed']):.0f} mm/s"),  # type: ignore[arg-type]
+        ("length", f"{1e3 * float(push['length']):.0f} mm"),  # type: ignore[arg-type]
+        ("finger", f"from {_millimetre_pair(pair('tip_start'))} to {_millimetre_pair(pair('tip_end'))}"),
+    ]
+    if push["dwell"]:
+        facts.append(("rest half-way", f"{float(push['dwell']):.1f} s"))  # type: ignore[arg-type]
+    names = [str(name) for name in push["separates"]]  # type: ignore[attr-defined]
+    facts.append(("tells apart" if len(names) > 1 else "is about", ", ".join(names)))
+    facts.append(("separation", f"{float(push['separation']):.1f} standard deviations"))  # type: ignore[arg-type]
+    return facts
+
+
+def _millimetre_pair(place: Sequence[float]) -> str:
+    return f"x {round(1e3 * place[0])} mm, y {round(1e3 * place[1])} mm"
+
+
+def nats(gain: float) -> str:
+    """A gain with a tenth below 100."""
+    text = f"{gain:.0f}" if abs(gain) >= 100 else f"{gain:.1f}"
+    return "0.0" if text == "-0.0" else text
+
+
+def p_shown(p: float | None) -> str:
+    """A p-value from simulated datasets, a dash where none was simulated."""
+    return "–" if p is None else f"{p:.3f}" if p < 0.1 else f"{p:.2f}"
+
+
+def tried(diagnosis: Diagnosis, effects: Sequence[Effect]) -> list[Effect]:
+    """The effects among some that the answer names, in its order."""
+    by_name = {effect.name: effect for effect in effects}
+    return [by_name[name] for name in diagnosis.effects if name in by_name]
+
+
+# A diagnosis on the terminal: verdict, ranking, size, locked pushes, and what to do next.
+
+
+def show_diagnosis(diagnosis: Diagnosis, dataset: PushDataset, effects: Sequence[Effect]) -> None:
+    """Print what a diagnosis found.
+
+    Args:
+        diagnosis: of the dataset.
+        dataset: its pushes.
+        effects: all that were tried.
+    """
+    paragraph(f"Verdict: {diagnosis.verdict}. {diagnosis.sentence}")
+    for text in (*sizes(diagnosis, dataset.grid), improvement(diagnosis), rivals_sentence(diagnosis)):
+        paragraph(text)
+    paragraph(QUICK if diagnosis.quick else "")
+    click.echo()
+    table(
+        f"Effects that were tried. {evidence(diagnosis)}",
+        ["effect", "gain", "p", "refitted", "standing"],
+        [
+            [
+                candidate.name,
+                nats(candidate.gain),
+                p_shown(candidate.p_value),
+                "–" if candidate.fitted_gain is None else nats(candidate.fitted_gain),
+                standing(candidate, diagnosis),
+            ]
+            for candidate in diagnosis.candidates
+        ],
+        numbers=(1, 2, 3),
+    )
+    rows = parameter_rows(tried(diagnosis, effects), diagnosis.parameters)
+    if rows:
+        table(
+            f"Parameters of {', '.join(diagnosis.effects)}",
+            ["parameter", "value", "90 % interval", "meaning"],
+            rows,
+            numbers=(1, 2),
+        )
+    _show_locked(diagnosis)
+    if diagnosis.next_push is not None:
+        paragraph(f"Next push: {diagnosis.next_push['sentence']}")
+
+
+def _show_locked(diagnosis: Diagnosis) -> None:
+    rows = locked_rows(diagnosis)
+    if not rows:
+        paragraph("No push was locked away, so there are no errors to judge by: record three pushes or more.")
+        return
+    count = len(diagnosis.locked)
+    title = f"Error on the {count} locked {'push' if count == 1 else 'pushes'}"
+    if diagnosis.effect_objects:
+        columns = ["", "without effects", after_label(diagnosis)]
+        table(title, columns, rows, numbers=(1, 2))
+    else:
+        table(title, ["", "the model"], [row[:2] for row in rows], numbers=(1,))

@@ -1,0 +1,291 @@
+"""Runs the exploration loop to its end and takes out what it learned."""
+
+from __future__ import annotations
+
+import gc
+import time
+from collections.abc import Callable, Sequence
+from contextlib import nullcontext
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from pydrake.geometry import Meshcat
+from pydrake.math import RollPitchYaw
+from pydrake.systems.analysis import Simulator
+from pydrake.systems.framework import Context, Diagram, EventStatus
+
+from slipmap.diagrams.hardware.control import real_cell, stopped_by_ctrl_c
+from slipmap.diagrams.hardware.interface import HardwareInterface
+from slipmap.diagrams.loops.exploration_loop import LoopOptions, Recorded, exploration_loop, recorded_dataset
+from slipmap.diagrams.loops.run_folder import PushRecord, Recording
+from slipmap.diagrams.station.scenario import Scenario
+from slipmap.diagrams.station.station import Station, take_fixed_steps
+from slipmap.diagrams.systems.identification import learning
+from slipmap.diagrams.systems.loop_messages import LoopStatus
+from slipmap.diagrams.systems.model_monitor import Watch
+from slipmap.models.inference.results import Identification
+from slipmap.models.measurements import PushDataset
+from slipmap.models.objects.true_object import TrueObject
+from slipmap.models.physics.cell_grid import FloatArray
+from slipmap.planners.exploration import turn
+
+LONGEST = 60.0
+"""s of simulated time for each push, after which the loop is given up."""
+
+LONGEST_REAL = 300.0
+"""The same in a real cell, where learning and planning take their time, s."""
+
+DOING = {
+    "looking": "looking at the object",
+    "choosing": "choosing a push",
+    "pushing": "pushing",
+    "recording": "recording",
+    "learning": "learning",
+}
+
+Progress = Callable[[str, int, int], None]
+
+
+class ExplorationFailed(RuntimeError):
+    """The loop gave up; the text says why. `run` is what was recorded until then, or None."""
+
+    def __init__(self, text: str, run: ExplorationRun | None = None) -> None:
+        super().__init__(text)
+        self.run = run
+
+
+class ExplorationStopped(ExplorationFailed):
+    """Ctrl-C ended the loop."""
+
+
+@dataclass(frozen=True, eq=False)
+class ExplorationRun:
+    """What an exploration brought.
+
+    Attributes:
+        dataset: recorded pushes; those made to judge have the role `heldout`.
+        identification: what was learned from the others.
+        watch: what the monitor made of pushes that the belief of those before had predicted.
+        true_object: what the station put on the table; None in a real cell.
+        X_SO: (3,) pose of the true object's frame in the frame S of the cells that the camera made out; None
+            in a real cell.
+        simulated: s of simulated time, or of the real cell's.
+        seconds: s that it took.
+    """
+
+    dataset: PushDataset
+    identification: Identification
+    watch: Watch
+    true_object: TrueObject | None
+    X_SO: FloatArray | None
+    simulated: float
+    seconds: float
+
+    @property
+    def true_center_of_mass(self) -> FloatArray:
+        """(2,) of the object in the frame of the cells, m; only a simulation knows it."""
+        assert self.true_object is not None and self.X_SO is not None
+        return turn(self.X_SO[2]) @ self.true_object.center_of_mass[:2] + self.X_SO[:2]
+
+    def truth(self) -> dict[str, Any] | None:
+        """The true values of what was learned, and how far off the belief is; None in a real cell."""
+        if self.true_object is None or self.X_SO is None:
+            return None
+        belief, true = self.identification.belief, self.true_center_of_mass
+        mean = belief.probability @ belief.centers_of_mass
+        return {
+            "total_mass": self.true_object.total_mass,
+            "friction_force": float((self.true_object.mass * self.true_object.mu).sum() * belief.gravity),
+            "center_of_mass": [float(value) for value in true],
+            "center_of_mass_believed": [float(value) for value in mean],
+            "center_of_mass_error": float(np.hypot(*(true - mean))),
+        }
+
+
+def explore(
+    scenario: Scenario,
+    options: LoopOptions,
+    *,
+    hardware: str | HardwareInterface | None = None,
+    meshcat: Meshcat | None = None,
+    progress: Progress | None = None,
+    record: PushRecord | None = None,
+    before: Recorded | None = None,
+    learn_when_stopped: bool = True,
+) -> ExplorationRun:
+    """Explore the object of a scenario.
+
+    Args:
+        scenario: what the cell is like.
+        options: what to do.
+        hardware: LCM address of a real cell, in which then the object is, or see `control.real_cell`;
+            simulated if None.
+        meshcat: where to show it, if anywhere.
+        progress: called with (stage, done, total) pushes.
+        record: where pushes go as soon as they are recorded; what it raises ends the run.
+        before: what an earlier process recorded, to go on from.
+        learn_when_stopped: whether Ctrl-C leaves what can be learned from the pushes until then, for which
+            it takes its time, or ends the run at once.
+
+    Raises:
+        ExplorationFailed: the object was lost, or the arm cannot make any push.
+        ExplorationStopped: Ctrl-C; it has what was recorded until then, where that is learned from.
+        ValueError, RendererUnavailable: see `exploration_loop`.
+        HardwareError: the real cell cannot be reached.
+    """
+    report = progress or (lambda stage, done, total: None)
+    pushes = options.pushes + options.checks
+
+    def watch(status: LoopStatus, context: Context) -> None:
+        report(f"exploring: {DOING[status.mode]}", status.push, pushes)
+        if recording is not None:
+            recording.look(context)
+
+    with real_cell(scenario, hardware, options.effects) as (cell, worker):
+        loop = exploration_loop(scenario, options, cell=cell, worker=worker, meshcat=meshcat, before=before)
+        recording = None if record is None else Recording(loop, record, before)
+        longest = LONGEST if cell is None else LONGEST_REAL
+        ended = run_loop(loop, "supervisor", ("finished", "failed"), longest * pushes, watch)
+        if ended.interrupted and not learn_when_stopped:
+            raise ExplorationStopped(f"stopped at push {ended.status.push + 1} of {pushes}")
+        run = explored(loop, ended, scenario, options, report)
+    if ended.status.mode != "finished" or run is None:
+        recorded = 0 if run is None else len(run.dataset.trials)
+        if ended.interrupted:
+            raise ExplorationStopped(f"stopped after {recorded} of {pushes} pushes", run)
+        raise ExplorationFailed(
+            f"exploration stopped at push {ended.status.push + 1} of {pushes}: {ended.reason}", run
+        )
+    return run
+
+
+@dataclass(frozen=True, eq=False)
+class LoopEnd:
+    """A loop that has ended.
+
+    Attributes:
+        status: last of the supervisor.
+        context: of the whole loop.
+        X_SO: (3,) see `ExplorationRun`; None where the object was never seen, too.
+        interrupted: whether Ctrl-C ended it.
+        seconds: that it took, s.
+    """
+
+    status: LoopStatus
+    context: Context
+    X_SO: FloatArray | None
+    interrupted: bool
+    seconds: float
+
+    @property
+    def simulated(self) -> float:
+        """s of simulated time."""
+        return float(self.context.get_time())
+
+    @property
+    def reason(self) -> str:
+        """Why it ended, if it failed."""
+        return self.status.reason or f"not done after {self.simulated:.0f} s of simulated time"
+
+
+def run_loop(
+    loop: Diagram,
+    supervisor: str,
+    last: Sequence[str],
+    longest: float,
+    watch: Callable[[LoopStatus, Context], None],
+) -> LoopEnd:
+    """Run a loop until its supervisor is in one of its last modes, or Ctrl-C; it can be run once.
+
+    Args:
+        loop: with the systems of `exploration_loop`.
+        supervisor: name of the system whose status counts.
+        last: modes.
+        longest: simulated time after which it is given up, s.
+        watch: called at every step, with the status and the loop's Context.
+
+    Raises:
+        HardwareError: the real cell does not answer.
+    """
+    gc.collect()  # the loop of a run before, which is large and goes round in circles
+    simulator = Simulator(loop)
+    take_fixed_steps(simulator)
+    context = simulator.get_mutable_context()
+    station = loop.GetSubsystemByName("station")
+    simulated = isinstance(station, Station)
+    if not simulated:
+        station.connect(context)
+        simulator.set_target_realtime_rate(station.realtime_rate)
+    started = time.perf_counter()
+    first_look: list[FloatArray] = []
+
+    told = loop.GetSubsystemByName(supervisor).GetOutputPort("status")
+    tells = told.get_system().GetMyContextFromRoot(context)
+
+    def monitor(root: Context) -> EventStatus:
+        status: LoopStatus = told.Eval(tells)
+        if status.mode in last:
+            return EventStatus.ReachedTermination(loop.GetSubsystemByName(supervisor), status.mode)
+        if simulated and not first_look and status.mode == "choosing":
+            first_look.append(_frames(loop, root))
+        watch(status, root)
+        if simulated:
+            station.after_step(context)
+        return EventStatus.DidNothing()
+
+    simulator.set_monitor(monitor)
+    interrupted = False
+    gc.freeze()  # what there is until now lives longer than this run: the collector need not look at it
+    try:
+        with nullcontext(lambda: False) if simulated else stopped_by_ctrl_c(station) as pressed:
+            simulator.AdvanceTo(longest)
+            interrupted = pressed()
+    except KeyboardInterrupt:
+        interrupted = True
+    finally:
+        gc.unfreeze()
+    return LoopEnd(
+        output_of(loop, supervisor, "status", context),
+        context,
+        first_look[0] if first_look else None,
+        interrupted,
+        time.perf_counter() - started,
+    )
+
+
+def explored(
+    loop: Diagram, ended: LoopEnd, scenario: Scenario, options: LoopOptions, report: Progress
+) -> ExplorationRun | None:
+    """What was learned in a loop that has ended; None where nothing was recorded to learn from."""
+    started = time.perf_counter()
+    station = loop.GetSubsystemByName("station")
+    trials = output_of(loop, "logger", "records", ended.context)
+    if not any(trial.role == "fit" for trial in trials):
+        return None
+    dataset = recorded_dataset(trials, output_of(loop, "perception", "cell_grid", ended.context), scenario)
+    learn = learning(options.effects)
+    identification = learn(dataset, hypotheses=options.hypotheses, seed=options.seed, progress=report)
+    return ExplorationRun(
+        dataset,
+        identification,
+        output_of(loop, "model_monitor", "watch", ended.context),
+        station.true_object if isinstance(station, Station) else None,
+        ended.X_SO,
+        ended.simulated,
+        ended.seconds + time.perf_counter() - started,
+    )
+
+
+def output_of(loop: Diagram, system: str, port: str, root: Context) -> Any:
+    """What a port of one of a loop's systems says."""
+    block = loop.GetSubsystemByName(system)
+    return block.GetOutputPort(port).Eval(block.GetMyContextFromRoot(root))
+
+
+def _frames(loop: Diagram, root: Context) -> FloatArray:
+    """(3,) pose of the true object's frame in that of the cells, as seen now."""
+    X_WO = output_of(loop, "station", "truth.object_pose", root)
+    seen = output_of(loop, "perception", "object_pose", root).pose
+    place = turn(-seen[2]) @ (X_WO.translation()[:2] - seen[:2])
+    return np.array([*place, RollPitchYaw(X_WO.rotation()).yaw_angle() - seen[2]])

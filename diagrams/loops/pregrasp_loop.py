@@ -1,0 +1,334 @@
+"""The whole pre-grasp procedure as one Diagram: explore, push to the table's edge, grasp and lift."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from concurrent.futures import Executor
+from dataclasses import dataclass, field
+from functools import partial
+from typing import Any
+
+import numpy as np
+from pydrake.geometry import Meshcat
+from pydrake.systems.framework import Context, Diagram, DiagramBuilder
+
+from slipmap.diagrams.execution.plans import ArmChecks
+from slipmap.diagrams.hardware.control import real_cell
+from slipmap.diagrams.hardware.interface import HardwareInterface
+from slipmap.diagrams.loops.exploration_loop import LoopOptions, add_exploration, connect
+from slipmap.diagrams.loops.exploration_run import (
+    DOING,
+    LONGEST,
+    LONGEST_REAL,
+    ExplorationFailed,
+    ExplorationRun,
+    ExplorationStopped,
+    Progress,
+    explored,
+    output_of,
+    run_loop,
+)
+from slipmap.diagrams.loops.run_folder import PushRecord, Recording
+from slipmap.diagrams.perception.sight import Sight
+from slipmap.diagrams.station.arm import HOME
+from slipmap.diagrams.station.scenario import Scenario
+from slipmap.diagrams.station.station import Station
+from slipmap.diagrams.systems.goal_and_push_planner import GoalAndPushPlanner
+from slipmap.diagrams.systems.loop_messages import LoopStatus, PregraspPlan
+from slipmap.diagrams.systems.supervisors import PATIENCE, PATIENCE_REAL, PregraspSupervisor
+from slipmap.models.inference.belief import Belief
+from slipmap.models.objects.true_object import TrueObject
+from slipmap.models.perception.pinhole_camera import View
+from slipmap.models.perception.seen_object import SeenObject
+from slipmap.models.physics.cell_grid import FloatArray
+from slipmap.models.physics.maps import Maps
+from slipmap.planners.settings import PregraspSettings
+from slipmap.planners.waypoints import compose, relative
+
+ENOUGH_SEEN = 0.85
+"""Share of the cells that the camera has to see at a goal, past the arm and inside the picture."""
+
+
+@dataclass(frozen=True)
+class PregraspOptions:
+    """What the loop is to do.
+
+    Attributes:
+        exploration: how the object is explored; its seed is that of every draw.
+        method: of planning, one of `slipmap.planners.pregrasp.METHODS`.
+        pushes: most pushes towards the edge.
+    """
+
+    exploration: LoopOptions = field(default_factory=LoopOptions)
+    method: str = "probabilistic"
+    pushes: int = 20
+
+
+def pregrasp_loop(
+    scenario: Scenario,
+    options: PregraspOptions,
+    *,
+    cell: HardwareInterface | None = None,
+    worker: Executor | None = None,
+    meshcat: Meshcat | None = None,
+    learned: Callable[[Belief, int], None] | None = None,
+) -> Diagram:
+    """The exploration loop with everything that brings the object to the edge and lifts it.
+
+    To the systems of `exploration_loop` come `planner` and `pregrasp_supervisor`, which commands the arm.
+
+    Args:
+        scenario: what the cell is like.
+        options: what to do.
+        cell, worker: see `exploration_loop`; a real cell knows no truth to plan with.
+        meshcat: where to show it, if anywhere.
+        learned: called with every belief as it forms and the number of pushes that it comes from.
+
+    Raises:
+        ScenarioError, ValueError, RendererUnavailable: see `exploration_loop`.
+    """
+    builder = DiagramBuilder()
+    blocks = add_exploration(
+        builder, scenario, options.exploration, cell=cell, worker=worker, meshcat=meshcat, learned=learned
+    )
+    table = scenario.table.make()
+    checks = ArmChecks(scenario.arm.models, table, scenario.execution)
+    camera = View(scenario.camera.intrinsics, scenario.camera.X_WC.GetAsMatrix4())
+    sight = Sight(camera, blocks.station.arm_hulls(HOME))
+    truth = None
+    if isinstance(blocks.station, Station):
+        truth = partial(true_maps, blocks.station.true_object, scenario.object.pose)
+    planner = builder.AddNamedSystem(
+        "planner",
+        GoalAndPushPlanner(
+            PregraspSettings(
+                poke=scenario.pokes, goals=scenario.goals, push=scenario.pushes, pushes=options.pushes
+            ),
+            table,
+            method=options.method,
+            can_push=checks.can_push,
+            can_grasp=checks.can_grasp,
+            can_see=lambda seen, pose: sight.share(seen, pose) > ENOUGH_SEEN,
+            seed=options.exploration.seed,
+            truth=truth,
+            worker=worker,
+        ),
+    )
+    patience = PATIENCE if worker is None else PATIENCE_REAL
+    commander = builder.AddNamedSystem("pregrasp_supervisor", PregraspSupervisor(patience))
+    connect(
+        builder,
+        [
+            *blocks.wires(commander),
+            (blocks.supervisor, "status", commander, "exploration"),
+            (blocks.supervisor, "active_push", commander, "exploring_push"),
+            (blocks.perception, "object_pose", commander, "object_pose"),
+            (planner, "plan", commander, "plan"),
+            (blocks.executor, "status", commander, "execution"),
+            (blocks.logger, "records", commander, "records"),
+            (blocks.station, "gripper.state_measured", commander, "gripper.state_measured"),
+            (commander, "active_grasp", blocks.executor, "grasp"),
+            (blocks.identification, "belief", planner, "belief"),
+            (blocks.perception, "object_pose", planner, "object_pose"),
+            (blocks.perception, "seen_object", planner, "seen_object"),
+            (commander, "status", planner, "status"),
+        ],
+    )
+    loop = builder.Build()
+    loop.set_name("pregrasp_loop")
+    return loop
+
+
+def true_maps(true_object: TrueObject, pose: list[float], seen: SeenObject) -> Maps:
+    """The truth over the cells that the camera made out: each takes from the true cell that is nearest.
+
+    Args:
+        true_object: the object.
+        pose: x, y (m) and turn (degrees) at which it lay at the first look.
+        seen: what the camera made of it then.
+
+    Returns:
+        One hypothesis with the true total mass.
+    """
+    X_WO = np.array([pose[0], pose[1], np.radians(pose[2])])
+    X_OS = relative(X_WO, seen.first_pose)
+    centers = compose(X_OS, np.pad(seen.grid.centers, ((0, 0), (0, 1))))[:, :2]
+    away = np.linalg.norm(centers[:, None] - true_object.grid.centers, axis=-1)
+    cell = away.argmin(axis=1)
+    mass = true_object.mass[cell]
+    mass = mass * (true_object.total_mass / mass.sum())
+    return Maps(mass[None], true_object.mu[cell][None], np.array([true_object.mu_finger]))
+
+
+# Runs the pre-grasp loop to its end and takes out what came of it.
+
+
+BRINGS = {
+    "planning": "planning",
+    "pushing": "pushing",
+    "recording": "recording",
+    "grasping": "grasping at the edge",
+    "lifting": "lifting",
+    "holding": "holding",
+}
+
+IN_THE_AIR = 0.05
+"""Height of the object's lowest point over the table from which it is truly lifted, m."""
+
+FALLEN = -0.05
+"""The same below which it truly fell, m."""
+
+
+@dataclass(frozen=True, eq=False)
+class PregraspRun:
+    """What the whole procedure brought.
+
+    Attributes:
+        exploration: what was recorded and learned; pushes towards the edge are in it too, to judge with.
+        options: what was to be done.
+        held: whether the gripper holds the object, as the robot knows.
+        reason: why it does not, else empty.
+        plans: of pushes that were made towards the edge, and of the grasp where it came to that, in order.
+        true_height: of the object's frame over the table at the end, m; None in a real cell.
+        interrupted: whether Ctrl-C ended it.
+    """
+
+    exploration: ExplorationRun
+    options: PregraspOptions
+    held: bool
+    reason: str
+    plans: tuple[PregraspPlan, ...]
+    true_height: float | None
+    interrupted: bool = False
+
+    @property
+    def pushes(self) -> tuple[PregraspPlan, ...]:
+        """Plans of the pushes towards the edge."""
+        return tuple(plan for plan in self.plans if plan.push is not None)
+
+    @property
+    def fate(self) -> str:
+        """What truly became of the object: held, fell, dropped (the robot was wrong about it), or gave up.
+
+        In a real cell it is what the robot knows, held or gave up.
+        """
+        if self.true_height is None:
+            return "held" if self.held else "gave up"
+        if self.true_height < FALLEN:
+            return "fell"
+        if self.held:
+            return "held" if self.true_height > IN_THE_AIR else "dropped"
+        return "gave up"
+
+    def to_json(self) -> dict[str, Any]:
+        """As plain data."""
+        first = self.options.exploration.pushes + self.options.exploration.checks
+        trials = self.exploration.dataset.trials[first:]
+        rows = []
+        for plan, trial in zip(self.pushes, trials, strict=False):
+            assert plan.push is not None and plan.goal is not None
+            before, after = trial.object_pose.values[0], trial.object_pose.values[-1]
+            rows.append(
+                {
+                    "begin": _plain(plan.push.push.begin),
+                    "end": _plain(plan.push.push.end),
+                    "before": _plain(before),
+                    "after": _plain(after),
+                    "goal": _plain(plan.goal.pose),
+                    "fall_probability": plan.push.fall_probability,
+                    "success_probability": plan.success_probability,
+                    "margin": plan.margin,
+                }
+            )
+        grasps = [plan.grasp for plan in self.plans if plan.grasp is not None]
+        return {
+            "method": self.options.method,
+            "seed": self.options.exploration.seed,
+            "held": self.held,
+            "fate": self.fate,
+            "reason": self.reason,
+            "explorations": self.options.exploration.pushes,
+            "pushes": rows,
+            "grasp": None if not grasps else _plain(grasps[-1].grasp.at(grasps[-1].pose)),
+            "true_height": self.true_height,
+            "simulated": self.exploration.simulated,
+            "seconds": self.exploration.seconds,
+        }
+
+
+def run_pregrasp(
+    scenario: Scenario,
+    options: PregraspOptions,
+    *,
+    hardware: str | HardwareInterface | None = None,
+    meshcat: Meshcat | None = None,
+    progress: Progress | None = None,
+    record: PushRecord | None = None,
+) -> PregraspRun:
+    """Explore the object of a scenario, bring it to the table's edge, grasp and lift it.
+
+    Args:
+        scenario: what the cell is like.
+        options: what to do.
+        hardware: LCM address of a real cell, or see `control.real_cell`; simulated if None.
+        meshcat: where to show it, if anywhere.
+        progress: called with (stage, done, total) pushes; the total is 0 where it is not known.
+        record: where pushes go as soon as they are recorded; what it raises ends the run.
+
+    Raises:
+        ExplorationFailed: before there was anything to learn from; `ExplorationStopped` where by Ctrl-C.
+        ValueError, ScenarioError, RendererUnavailable: see `exploration_loop`.
+        HardwareError: the real cell cannot be reached.
+    """
+    with real_cell(scenario, hardware, options.exploration.effects) as (cell, worker):
+        loop = pregrasp_loop(scenario, options, cell=cell, worker=worker, meshcat=meshcat)
+        patience = LONGEST if cell is None else LONGEST_REAL
+        return _run(loop, scenario, options, patience, progress, record)
+
+
+def _run(
+    loop: Diagram,
+    scenario: Scenario,
+    options: PregraspOptions,
+    patience: float,
+    progress: Progress | None,
+    record: PushRecord | None,
+) -> PregraspRun:
+    """Run a loop to its end; it may take some time (s) for each push."""
+    report = progress or (lambda stage, done, total: None)
+    first = options.exploration.pushes + options.exploration.checks
+    plans: dict[int, PregraspPlan] = {}
+    recording = None if record is None else Recording(loop, record)
+
+    def watch(status: LoopStatus, context: Context) -> None:
+        if recording is not None:
+            recording.look(context)
+        if status.push < first and status.mode in DOING:
+            report(f"exploring: {DOING[status.mode]}", status.push, first)
+        if status.push < first or status.mode not in BRINGS:
+            return
+        doing = BRINGS[status.mode]
+        if status.mode in ("pushing", "recording"):
+            doing = f"push {status.push - first + 1}, {doing}"
+        report(f"to the edge: {doing}", status.push - first, 0)  # nobody knows how many it takes
+        if status.mode in ("pushing", "grasping"):
+            plans[status.push] = output_of(loop, "planner", "plan", context)
+
+    longest = patience * (first + options.pushes + 2)
+    ended = run_loop(loop, "pregrasp_supervisor", ("held", "failed"), longest, watch)
+    exploration = explored(loop, ended, scenario, options.exploration, report)
+    if exploration is None:
+        if ended.interrupted:
+            raise ExplorationStopped("stopped before anything was recorded")
+        raise ExplorationFailed(f"nothing was recorded: {ended.reason}")
+    held = ended.status.mode == "held"
+    reason = "" if held else ("stopped" if ended.interrupted else ended.reason)
+    height = None
+    if isinstance(loop.GetSubsystemByName("station"), Station):
+        height = float(output_of(loop, "station", "truth.object_pose", ended.context).translation()[2])
+    made = [plans[number] for number in sorted(plans)]
+    return PregraspRun(exploration, options, held, reason, tuple(made), height, ended.interrupted)
+
+
+def _plain(values: FloatArray) -> list[float]:
+    return [float(value) for value in np.asarray(values)]

@@ -1,0 +1,333 @@
+"""From messages of a cell that somebody else drives to recorded pushes, in the order of their stamps."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, BinaryIO
+
+import numpy as np
+from pydrake.systems.analysis import Simulator
+from pydrake.systems.framework import DiagramBuilder
+
+from slipmap.diagrams.application.outputs import writing
+from slipmap.diagrams.hardware import channels
+from slipmap.diagrams.hardware.checked_messages import Received
+from slipmap.diagrams.hardware.interface import ARM, CAMERA, NEEDED, HeardCell
+from slipmap.diagrams.hardware.message_stream import TICK, Event
+from slipmap.diagrams.hardware.validation import BadMessage, check_stamp, rules
+from slipmap.diagrams.loops.exploration_loop import connect, recorded_dataset
+from slipmap.diagrams.perception.cell_perception import CellPerception
+from slipmap.diagrams.perception.sight import ArmAside
+from slipmap.diagrams.station.arm import arm_model
+from slipmap.diagrams.station.scenario import Scenario
+from slipmap.diagrams.systems.finger import FingerSense
+from slipmap.diagrams.systems.measurement_logger import PERIOD, MeasurementLogger
+from slipmap.diagrams.systems.push_finder import Descent, PushFinder
+from slipmap.models.measurements import PushDataset
+from slipmap.models.measurements.writing import PushRecorder
+from slipmap.models.perception.seen_object import ObservedPose
+from slipmap.models.robots import FINGER_RADIUS
+
+HEARD = (*ARM, *CAMERA)
+"""Channels that pushes are made out from."""
+
+EVERY = 4
+"""Every so manieth push is held out to judge by, the others are to learn from."""
+
+LONGEST_SILENCE = 2.0
+"""s that the clock goes on at most between two messages of the arm: what came before a longer silence has
+nothing to do with what comes after it."""
+
+
+@dataclass(frozen=True)
+class Heard:
+    """What came on a channel.
+
+    Attributes:
+        count: messages, good and bad.
+        rate: a second, over the time in which they came; 0 of fewer than two.
+        dropped: bad ones, by their cause.
+    """
+
+    count: int
+    rate: float
+    dropped: Mapping[str, int]
+
+
+class PushListener:
+    """Hears messages, and makes out the pushes that they tell of.
+
+    Its diagram has the blocks of the exploration loop that look and write down (`CellPerception`,
+    `MeasurementLogger`), and `PushFinder` where executor and supervisor are. Its clock is that of the arm's
+    stamps: nothing depends on when a message came or how long it took to look at it, so that the same
+    messages in the same order give the same pushes, to the last bit. It sends nothing.
+
+    Args:
+        scenario: what the cell is like; of the object nothing is used.
+        name: of the dataset.
+        cells: wanted number.
+    """
+
+    def __init__(self, scenario: Scenario, name: str, cells: int = 60) -> None:
+        self._scenario, self._name = scenario, name
+        camera = scenario.camera
+        self._status = rules(camera.width, camera.height_pixels)[channels.IIWA_STATUS]
+        builder = DiagramBuilder()
+        self._cell = cell = builder.AddSystem(HeardCell(scenario))
+        self._perception = perception = builder.AddSystem(CellPerception(camera, cells, cell.arm_hulls))
+        sense = builder.AddSystem(FingerSense(arm_model(models=scenario.arm.models)))
+        aside = builder.AddSystem(ArmAside(camera.intrinsics, cell.arm_hulls))
+        self._finder = finder = builder.AddSystem(PushFinder(FINGER_RADIUS))
+        self._logger = logger = builder.AddSystem(MeasurementLogger(fit=10**9))
+        connect(
+            builder,
+            [
+                (cell, "camera.depth_image", perception, "depth_image"),
+                (cell, "camera.X_WC", perception, "X_WC"),
+                (cell, "camera.age", perception, "image_age"),
+                (cell, "iiwa.position_measured", perception, "arm_position"),
+                (cell, "iiwa.position_measured", sense, "iiwa.position_measured"),
+                (cell, "iiwa.torque_external", sense, "iiwa.torque_external"),
+                (cell, "iiwa.position_measured", aside, "arm_position"),
+                (cell, "camera.X_WC", aside, "X_WC"),
+                (perception, "object_pose", aside, "object_pose"),
+                (perception, "seen_object", aside, "seen_object"),
+                (perception, "object_pose", finder, "object_pose"),
+                (perception, "seen_object", finder, "seen_object"),
+                (aside, "aside", finder, "aside"),
+                (sense, "tip_pose", finder, "tip_pose"),
+                (cell, "iiwa.age", finder, "tip_age"),
+                (cell, "gripper.state_measured", finder, "gripper.state_measured"),
+                (logger, "records", finder, "records"),
+                (perception, "object_pose", logger, "object_pose"),
+                (sense, "tip_pose", logger, "tip_pose"),
+                (sense, "tip_force", logger, "tip_force"),
+                (cell, "iiwa.age", logger, "tip_age"),
+                (finder, "execution", logger, "execution"),
+                (finder, "status", logger, "status"),
+            ],
+        )
+        self._simulator = Simulator(builder.Build())
+        self._root = self._simulator.get_mutable_context()
+        self._begin = self._last = np.nan  # stamps of the arm: of time 0, and the newest
+        self._came: Counter[str] = Counter()
+        self._times: dict[str, tuple[int, int]] = {}
+
+    def hear(self, event: Event) -> None:
+        """Take a message; others than of `HEARD` are counted alone."""
+        self._came[event.channel] += 1
+        first, _ = self._times.get(event.channel, (event.utime, 0))
+        self._times[event.channel] = (first, event.utime)
+        if event.channel == channels.IIWA_STATUS and not self._go_on(event.data):
+            return
+        if event.channel in HEARD:
+            checked = self._cell.checked[event.channel]
+            checked.hear(event.data)
+            checked.take(checked.GetMyMutableContextFromRoot(self._root))
+
+    def _go_on(self, data: bytes) -> bool:
+        """Let time pass until the arm's message was sent; whether it is to be looked at, since the last one
+        that was is `PERIOD` older, or it is a bad one."""
+        try:
+            _, stamp = self._status.read(data)
+            check_stamp(stamp, self._last)
+        except BadMessage:
+            return True
+        if not np.isfinite(self._last):
+            # Half a period from the blocks' looks at their inputs, so that there is one between two messages.
+            self._begin, self._last = stamp - 0.5 * PERIOD, stamp
+        self._begin += max(stamp - self._last - LONGEST_SILENCE, 0.0)
+        self._last = stamp
+        if self.time > 0.0 and stamp - self._begin < self.time + PERIOD - 1e-6:
+            return False
+        self._simulator.AdvanceTo(stamp - self._begin)
+        return True
+
+    @property
+    def time(self) -> float:
+        """s of the arm's clock since its first message, less long silences."""
+        return float(self._root.get_time())
+
+    @property
+    def pose(self) -> ObservedPose:
+        """What the camera says of the object."""
+        return self._said(self._perception, "object_pose")
+
+    @property
+    def descents(self) -> tuple[Descent, ...]:
+        """Every time that the finger was down, and what came of it."""
+        return self._said(self._finder, "descents")
+
+    @property
+    def given_up(self) -> str:
+        """Why what the finger does now is not a push yet; empty where it is up."""
+        return self._finder.given_up(self._finder.GetMyContextFromRoot(self._root))
+
+    @property
+    def pushes(self) -> int:
+        """Number of recorded pushes."""
+        return len(self._said(self._logger, "records"))
+
+    def dataset(self) -> PushDataset:
+        """The recorded pushes.
+
+        Raises:
+            DatasetError: there are none.
+        """
+        trials = [
+            replace(trial, role="heldout" if (number + 1) % EVERY == 0 else "fit")
+            for number, trial in enumerate(self._said(self._logger, "records"))
+        ]
+        grid = self._said(self._perception, "cell_grid")
+        return replace(recorded_dataset(trials, grid, self._scenario), name=self._name)
+
+    def heard(self) -> dict[str, Heard]:
+        """What came on every channel until now."""
+        received: Mapping[str, Received] = self._cell.received(self._root)
+        result = {}
+        for channel in (*HEARD, *sorted(self._came.keys() - set(HEARD))):
+            count = self._came[channel]
+            first, last = self._times.get(channel, (0, 0))
+            rate = (count - 1) / (1e-6 * (last - first)) if last > first else 0.0
+            dropped = received[channel].dropped if channel in received else {}
+            result[channel] = Heard(count, rate, dict(dropped))
+        return result
+
+    def silent(self) -> list[str]:
+        """Channels that are needed, and on which nothing good has come."""
+        received = self._cell.received(self._root)
+        return [channel for channel in NEEDED if not received[channel].good]
+
+    def _said(self, block: Any, port: str) -> Any:
+        return block.GetOutputPort(port).Eval(block.GetMyContextFromRoot(self._root))
+
+
+# Pushes of a cell that somebody else drives, written down one by one as they are heard of.
+
+
+Tell = Callable[[str], None]
+
+TOLD_EVERY = 10.0
+"""s between two lines about what is heard."""
+
+
+def record_pushes(
+    events: Iterable[Event],
+    listener: PushListener,
+    recorder: PushRecorder,
+    tell: Tell,
+    *,
+    log: BinaryIO | None = None,
+    most: int | None = None,
+    stopped: Callable[[], bool] = lambda: False,
+) -> None:
+    """Listen until the events end, enough pushes are recorded, or somebody stops it.
+
+    Args:
+        events: what comes.
+        listener: makes out pushes.
+        recorder: where each push goes as soon as it is over.
+        tell: called with a line when the object is first seen, when the finger was down, and now and then.
+        log: where all events go as they came, if anywhere.
+        most: pushes.
+        stopped: whether it is to end; asked at every event.
+
+    Raises:
+        BadLog, HardwareError: of the events.
+        BadInput: the disk is full or the place not writable; names the file.
+    """
+    seen, told, spoke, logged, expected = False, 0, None, 0, 0
+    for event in events:
+        if stopped():
+            return
+        spoke = event.utime if spoke is None else spoke
+        if event.utime - spoke > 1e6 * TOLD_EVERY:
+            spoke = event.utime
+            tell(hearing(listener))
+        if event.channel == TICK:
+            continue
+        if event.number > expected > 0:
+            missing = event.number - expected
+            tell(f"{listener.time:.1f} s: {missing} messages were left out: this computer is too slow")
+        expected = event.number + 1
+        if log is not None:
+            with writing(Path(log.name)):
+                log.write(Event(logged, event.utime, event.channel, event.data).encode())
+            logged += 1
+        listener.hear(event)
+        if not seen and listener.pose.valid:
+            seen = True
+            tell(f"{listener.time:.1f} s: the object is seen")
+        for descent in listener.descents[told:]:
+            tell(f"{listener.time:.1f} s: {_words(descent, listener.pushes)}")
+            told += 1
+            if descent.kept:
+                _keep(recorder, listener)
+                if listener.pushes == most:
+                    return
+
+
+def _keep(recorder: PushRecorder, listener: PushListener) -> None:
+    try:
+        recorder.keep(listener.dataset())
+    except OSError as error:
+        with writing(Path(error.filename)):
+            raise
+
+
+def _words(descent: Descent, pushes: int) -> str:
+    when = f"the finger was down from {descent.begin:.1f} to {descent.end:.1f} s"
+    return f"{when}; push {pushes} is kept" if descent.kept else f"{when}; no push: {descent.reason}"
+
+
+def hearing(listener: PushListener) -> str:
+    """What is heard, in a line."""
+    heard = listener.heard()
+    rates = ", ".join(f"{name} {heard[name].rate:.3g} Hz" for name in HEARD if heard[name].count > 1)
+    parts = [rates or "nothing"]
+    parts += [f"dropped {sum(h.dropped.values())} of {name}" for name, h in heard.items() if h.dropped]
+    silent = listener.silent()
+    if silent:
+        parts.append(f"nothing good on {', '.join(silent)}")
+    else:
+        pose = listener.pose
+        parts.append("the object is seen" if pose.valid else f"the object is not seen ({pose.reason})")
+    return f"{listener.time:.1f} s: {'; '.join(parts)}; pushes: {listener.pushes}"
+
+
+def listened_json(listener: PushListener) -> dict[str, Any]:
+    """What was heard and found, for a JSON file."""
+    return {
+        "seconds": listener.time,
+        "pushes": listener.pushes,
+        "descents": [
+            {"begin": d.begin, "end": d.end, "kept": d.kept, "reason": d.reason} for d in listener.descents
+        ],
+        "unfinished": listener.given_up or None,
+        "channels": {
+            name: {"messages": h.count, "rate": h.rate, "dropped": h.dropped}
+            for name, h in listener.heard().items()
+        },
+    }
+
+
+def why_none(listener: PushListener) -> str:
+    """Why no push was recorded, and what to do."""
+    silent = listener.silent()
+    if silent:
+        heard = [name for name, h in listener.heard().items() if h.count]
+        came = f"; what came is {', '.join(heard)}" if heard else ""
+        return f"no good message came on {', '.join(silent)}{came}; see that the cell's drivers run there"
+    reasons = [descent.reason for descent in listener.descents] + [listener.given_up]
+    found = ", ".join(dict.fromkeys(reason for reason in reasons if reason))
+    if found:
+        return f"the finger was down, but no push was recorded: {found}"
+    if not listener.pose.valid:
+        return (
+            f"the object was not seen ({listener.pose.reason}); see that the scenario's camera is that of the"
+            " cell, and let the object rest for two seconds with the arm out of the camera's way"
+        )
+    return "the finger never came down beside the object"

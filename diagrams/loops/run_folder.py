@@ -1,0 +1,433 @@
+"""Whose pushes a folder of results holds: those of an ended run give way to the same command alone."""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import json
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, BinaryIO, cast
+from zipfile import BadZipFile
+
+import numpy as np
+from pydrake.common.yaml import yaml_dump_typed
+from pydrake.systems.framework import Context, Diagram
+
+from slipmap.diagrams.application.outputs import whole_file, write_json, write_text, writing
+from slipmap.diagrams.application.terminal import BadInput
+from slipmap.diagrams.loops.exploration_loop import LoopOptions, Recorded, recorded_dataset
+from slipmap.diagrams.station.scenario import ObjectSettings, Scenario, ScenarioError, read_settings
+from slipmap.models.measurements import DatasetError, Trial, read_dataset
+from slipmap.models.measurements.files import read_bytes
+from slipmap.models.measurements.writing import PushRecorder, trial_text
+from slipmap.models.perception.first_look import FirstPicture
+from slipmap.planners.action_selection import Poke
+from slipmap.planners.table_push import TablePush
+
+RUN, PUSHES = "run.json", "pushes"
+
+
+def read_run(folder: Path, format_: str) -> dict[str, Any]:
+    """What `run.json` tells of the run in a folder.
+
+    Raises:
+        BadInput: there is none, or that of another command.
+    """
+    path = folder / RUN
+    try:
+        run = json.loads(read_bytes(path))
+    except DatasetError as error:
+        raise BadInput(f"{error}; begin anew") from error
+    except (ValueError, RecursionError) as error:
+        raise BadInput(f"{path}: cannot be read ({error}); begin anew") from error
+    if not isinstance(run, dict) or run.get("format") != format_:
+        raise BadInput(f"{path}: is not the file of a run that this slipmap knows ({format_})")
+    return run
+
+
+def refuse_others_files(folder: Path, format_: str, command: str, *files: str) -> None:
+    """Refuse a folder in which a run would replace what no earlier run of the same command left.
+
+    Args:
+        folder: where results go.
+        format_: that `run.json` has after such a run.
+        command: such as `slipmap explore`.
+        files: beside the pushes, that a run replaces.
+
+    Raises:
+        BadInput: names the folder, and `--out`.
+    """
+    pushes = folder / PUSHES
+    present = [pushes] if pushes.is_dir() and any(pushes.iterdir()) else []
+    present += [folder / name for name in files if (folder / name).exists()]
+    if not present:
+        return
+    try:
+        run = read_run(folder, format_)
+    except BadInput:
+        run = {}
+    if run.get("ended") is not True or not _holds(pushes, run.get("pushes")):
+        raise BadInput(
+            f"{present[0]}: is not of an earlier run of `{command}` that ended, and would be lost; choose"
+            " another folder with --out, or move it away"
+        )
+
+
+def refuse_robots_pushes(folder: Path, option: str) -> None:
+    """Refuse a folder with pushes of a robot's cell, which cannot be made again, to a command that has none.
+
+    Args:
+        folder: where results go.
+        option: that names another.
+
+    Raises:
+        BadInput: names both.
+    """
+    if (folder / RUN).exists() and (folder / PUSHES).exists():
+        raise BadInput(
+            f"{folder}: holds a run of the robot's cell, whose pushes would be lost; choose another folder"
+            f" with {option}"
+        )
+
+
+def write_run(folder: Path, run: dict[str, Any]) -> None:
+    """Write `run.json`.
+
+    Raises:
+        BadInput: the place cannot be written to.
+    """
+    write_json(folder / RUN, run)
+
+
+def digests_of(trials: Sequence[Trial]) -> list[str]:
+    """Digests of trials' files, by which `run.json` knows them."""
+    return [digest(trial_text(trial).encode()) for trial in trials]
+
+
+def digest(content: bytes) -> str:
+    """As 64 hexadecimal digits."""
+    return hashlib.sha256(content).hexdigest()
+
+
+def digest_of(path: Path) -> str:
+    """Digest of a file.
+
+    Raises:
+        DatasetError: it cannot be read.
+    """
+    return digest(read_bytes(path))
+
+
+def _holds(pushes: Path, told: Any) -> bool:
+    """Whether a dataset's trials are those that `run.json` tells of."""
+    try:
+        expected = sorted(str(push["digest"]) for push in told)
+        return sorted(digest_of(path) for path in pushes.rglob("*.json")) in (expected, [])
+    except (DatasetError, KeyError, TypeError):
+        return False
+
+
+# The pushes of a run of the robot's cell, written to its folder while it goes on.
+
+
+UNDER_WAY = "under_way.json"
+
+PREGRASP = "slipmap-pregrasp/1"
+"""Format of the `run.json` of `slipmap pregrasp`."""
+
+NOTED = 20
+"""Rows of a push under way after which it is written down, at 100 a second."""
+
+
+class PushRecord:
+    """Keeps the pushes of a run as a dataset in its folder, and what is measured of the push under way.
+
+    The latter is no trial, as nobody knows where the object comes to rest; it stays in `under_way.json` where
+    the run ends in the midst of a push.
+
+    Args:
+        folder: of the run.
+        scenario: of the run.
+        kept: pushes of this run that are in the folder already.
+
+    Raises:
+        BadInput: files that are no part of a dataset stand where it should be.
+    """
+
+    def __init__(self, folder: Path, scenario: Scenario, kept: int = 0) -> None:
+        self._folder, self._scenario = folder, scenario
+        try:
+            self._pushes = PushRecorder(folder / PUSHES, kept)
+        except DatasetError as error:
+            raise BadInput(str(error)) from error
+
+    def keep(self, recorded: Recorded) -> None:
+        """Write the pushes that are not there yet.
+
+        Raises:
+            BadInput: the disk is full or the place not writable; names the file, and what to do.
+        """
+        try:
+            self._pushes.keep(recorded_dataset(recorded.trials, recorded.grid, self._scenario))
+        except OSError as error:
+            with writing(Path(error.filename)):
+                raise
+        (self._folder / UNDER_WAY).unlink(missing_ok=True)
+
+    def note(self, push: int, rows: dict[str, Any]) -> None:
+        """Write down what is measured so far of the push under way.
+
+        Args:
+            push: its number.
+            rows: of each channel, as in a trial's file but with the run's time.
+
+        Raises:
+            BadInput: as `keep`.
+        """
+        write_json(self._folder / UNDER_WAY, {"push": push, **rows})
+
+
+class PregraspRecord(PushRecord):
+    """Keeps a folder of `slipmap pregrasp` in step with the run, which cannot be gone on with.
+
+    Args:
+        folder, scenario: as in `PushRecord`.
+
+    Raises:
+        BadInput: pushes are there that no earlier run of the command left, or of one that was cut off.
+    """
+
+    def __init__(self, folder: Path, scenario: Scenario) -> None:
+        super().__init__(folder, scenario)
+        refuse_others_files(folder, PREGRASP, "slipmap pregrasp")
+        self._run: dict[str, Any] | None = None
+
+    def keep(self, recorded: Recorded) -> None:
+        """See `PushRecord.keep`."""
+        pushes = [{"digest": digest} for digest in digests_of(recorded.trials)]
+        self._run = {"format": PREGRASP, "ended": False, "pushes": pushes}
+        write_run(self._folder, self._run)
+        super().keep(recorded)
+
+    def end(self) -> None:
+        """Say that the run came to its end, for better or worse: it may be replaced by another."""
+        if self._run is not None:
+            self._run["ended"] = True
+            write_run(self._folder, self._run)
+
+
+class Recording:
+    """Has what a loop records written down, as soon as it is there.
+
+    Args:
+        loop: that runs.
+        record: where it goes.
+        before: pushes that are kept already.
+    """
+
+    def __init__(self, loop: Diagram, record: PushRecord, before: Recorded | None = None) -> None:
+        self._loop, self._record = loop, record
+        self._pokes = () if before is None else before.pokes
+        self._places = () if before is None else before.places
+        self._noted = 0
+
+    def look(self, root: Context) -> None:
+        """Write down what is new; to be called often.
+
+        Raises:
+            BadInput: see `PushRecord.keep`.
+        """
+        trials = self._said("logger", "records", root)
+        if len(trials) > len(self._pokes):
+            request = self._said("exploration", "poke", root)
+            self._pokes = (*self._pokes, request.poke)
+            self._places = (*self._places, self._place(root))
+            grid, first = (self._said("perception", name, root) for name in ("cell_grid", "first_picture"))
+            self._record.keep(Recorded(trials, self._pokes, self._places, grid, first))
+            self._noted = 0
+            return
+        rows = self._said("logger", "under_way", root)
+        measured = len(rows["tip_pose"])
+        if measured < self._noted:
+            self._noted = 0
+        if measured >= self._noted + NOTED:
+            self._noted = measured
+            self._record.note(len(trials), rows)
+
+    def _place(self, root: Context) -> list[float] | None:
+        """x and y (m) and turn (degrees) of the simulated object."""
+        if not self._loop.GetSubsystemByName("station").HasOutputPort("truth.object_pose"):
+            return None
+        X_WO = self._said("station", "truth.object_pose", root)
+        x_axis = X_WO.rotation().matrix()[:, 0]
+        turn = np.degrees(np.arctan2(x_axis[1], x_axis[0]))
+        return [float(value) for value in (*X_WO.translation()[:2], turn)]
+
+    def _said(self, system: str, port: str, root: Context) -> Any:
+        block = self._loop.GetSubsystemByName(system)
+        return block.GetOutputPort(port).Eval(block.GetMyContextFromRoot(root))
+
+
+# The folder of an exploration, written push by push: a killed run loses nothing and can be gone on with.
+
+
+FORMAT = "slipmap-exploration/1"
+SCENARIO, PICTURE = "scenario.yaml", "first_picture.npz"
+
+
+class ExplorationRecord(PushRecord):
+    """Keeps a run's folder in step with it.
+
+    Beside the pushes it holds what another process needs to go on: scenario, options, the picture from which
+    the object was cut into cells, and for each push how it was asked for. All of it names each other by
+    digests, so that files of two runs are never mixed.
+
+    Args:
+        folder: of the run.
+        scenario, options: of the run.
+        before: what is in the folder already, of a run that is gone on with.
+
+    Raises:
+        BadInput: a run that was cut off is there, files that are no part of one, or pushes that no earlier
+            run of the command left.
+    """
+
+    def __init__(
+        self, folder: Path, scenario: Scenario, options: LoopOptions, before: Recorded | None = None
+    ) -> None:
+        if before is None:
+            _refuse_cut_off(folder)
+        super().__init__(folder, scenario, 0 if before is None else len(before.trials))
+        if before is None:
+            refuse_others_files(folder, FORMAT, "slipmap explore", SCENARIO)
+        self._options = options
+        self._run: dict[str, Any] | None = None if before is None else read_run(folder, FORMAT)
+
+    def keep(self, recorded: Recorded) -> None:
+        """Write what is not there yet.
+
+        Raises:
+            BadInput: the disk is full or the place not writable; names the file, and what to do.
+        """
+        if self._run is None:
+            self._run = self._begin(recorded)
+        self._run["pushes"] = [
+            {"digest": digest, "poke": _poke(poke), "place": place}
+            for digest, poke, place in zip(
+                digests_of(recorded.trials), recorded.pokes, recorded.places, strict=True
+            )
+        ]
+        with self._going_on(len(recorded.trials) - 1):
+            write_run(self._folder, self._run)
+            super().keep(recorded)
+
+    def note(self, push: int, rows: dict[str, Any]) -> None:
+        """See `PushRecord.note`."""
+        with self._going_on(push):
+            super().note(push, rows)
+
+    def end(self) -> None:
+        """Say that the run came to its end, for better or worse: it may be replaced by another."""
+        if self._run is not None:
+            self._run["ended"] = True
+            write_run(self._folder, self._run)
+
+    def _begin(self, recorded: Recorded) -> dict[str, Any]:
+        scenario = dataclasses.replace(self._scenario, object=_found_from_anywhere(self._scenario.object))
+        write_text(self._folder / SCENARIO, yaml_dump_typed(scenario))
+        with whole_file(self._folder / PICTURE) as part, open(part, "wb") as file:
+            recorded.first.save(cast(BinaryIO, file))
+        return {
+            "format": FORMAT,
+            "ended": False,
+            "options": dataclasses.asdict(self._options),
+            "digests": {name: digest_of(self._folder / name) for name in (SCENARIO, PICTURE)},
+        }
+
+    @contextmanager
+    def _going_on(self, kept: int) -> Iterator[None]:
+        """Add to what could not be written what is kept, and how to go on."""
+        try:
+            yield
+        except BadInput as error:
+            if not kept:
+                raise
+            pushes = f"the {kept} pushes before are" if kept > 1 else "the push before is"
+            raise BadInput(
+                f"{error.message}; {pushes} kept, go on with `slipmap explore --resume {self._folder}`"
+            ) from error
+
+
+def resumed(folder: Path) -> tuple[Scenario, LoopOptions, Recorded]:
+    """What to go on with: the scenario with the simulated object where it was left, options, and pushes.
+
+    Raises:
+        BadInput: there is no run in the folder, or a file of it is missing or of another run.
+    """
+    if not (folder / RUN).is_file():
+        raise BadInput(
+            f"{folder}: holds no run of `slipmap explore` that recorded a push; begin one with --out {folder}"
+        )
+    run = read_run(folder, FORMAT)
+    try:
+        for name, digest in run["digests"].items():
+            if digest_of(folder / name) != digest:
+                raise BadInput(f"{folder / name}: is not that of the run in {folder / RUN}; begin anew")
+        scenario = read_settings(folder / SCENARIO, Scenario)
+        told = run["options"]
+        options = LoopOptions(**{**told, "effects": tuple(told.get("effects", ()))})
+        first = FirstPicture.load(folder / PICTURE)
+        grid = first.seen(scenario.camera.intrinsics).grid
+        dataset = read_dataset(folder / PUSHES)
+        pushes = run["pushes"][: len(dataset.trials)]
+        pokes = tuple(_poke_of(push["poke"]) for push in pushes)
+        digests = [push["digest"] for push in pushes]
+        places = tuple(push["place"] for push in pushes)
+    except (ScenarioError, DatasetError) as error:
+        raise BadInput(str(error)) from error
+    except (OSError, ValueError, KeyError, TypeError, BadZipFile) as error:
+        raise BadInput(f"{folder}: the run in it cannot be gone on with ({error}); begin anew") from error
+    if digests != [digest_of(folder / PUSHES / trial.name) for trial in dataset.trials]:
+        raise BadInput(f"{folder / PUSHES}: holds pushes that are not those of {folder / RUN}; begin anew")
+    if not np.array_equal(grid.centers, dataset.grid.centers):
+        raise BadInput(f"{folder}: this slipmap cuts the object into other cells than were recorded")
+    if places[-1] is not None:
+        scenario.object.pose = places[-1]
+    return scenario, options, Recorded(dataset.trials, pokes, places, grid, first)
+
+
+def _refuse_cut_off(folder: Path) -> None:
+    try:
+        run = read_run(folder, FORMAT)
+    except BadInput:
+        return  # none, or none that could be gone on with
+    if not run.get("ended") and run.get("pushes"):
+        raise BadInput(
+            f"{folder}: holds a run that was cut off, with pushes recorded: {len(run['pushes'])}; go on with"
+            f" `slipmap explore --resume {folder}`, or choose another folder with --out"
+        )
+
+
+def _found_from_anywhere(thing: ObjectSettings) -> ObjectSettings:
+    """The object with paths that do not depend on the working folder."""
+
+    def absolute(path: str | None) -> str | None:
+        return None if path is None else str(Path(path).resolve())
+
+    return dataclasses.replace(thing, mesh=absolute(thing.mesh), labels=absolute(thing.labels))
+
+
+def _poke(poke: Poke) -> dict[str, Any]:
+    push = {
+        "begin": poke.push.begin,
+        "end": poke.push.end,
+        "speed": poke.push.speed,
+        "creep": poke.push.creep,
+    }
+    return {"push": push, "contact": poke.contact, "direction": poke.direction}
+
+
+def _poke_of(told: dict[str, Any]) -> Poke:
+    return Poke(TablePush(**told["push"]), np.array(told["contact"]), np.array(told["direction"]))

@@ -1,0 +1,97 @@
+"""The finger as the sliding model wants it: where it is and how fast while it is down, else nowhere."""
+
+from __future__ import annotations
+
+import numpy as np
+from pydrake.common.value import Value
+from pydrake.math import RigidTransform
+from pydrake.multibody.plant import MultibodyPlant
+from pydrake.systems.framework import BasicVector, Context, EventStatus, State
+
+from slipmap.diagrams.execution.finger_kinematics import FingerKinematics, tip_force
+from slipmap.diagrams.systems.python_system import PythonSystem
+
+
+class FingerMotion(PythonSystem):
+    """Turns the finger's measured pose into the `finger` input of `CellGridSlider`.
+
+    .. pydrake_system::
+
+        name: FingerMotion
+        input_ports:
+        - tip_pose
+        - execution
+        output_ports:
+        - finger
+
+    - `tip_pose`: X_WT; `execution`: `ExecutionStatus`.
+    - `finger`: (4,) centre (m) and velocity (m/s) in the world; NaN unless the finger pushes, because above
+      the table it may pass over the object.
+
+    Args:
+        period: s over which the velocity is taken; the step of the model that it drives.
+    """
+
+    def __init__(self, period: float) -> None:
+        super().__init__()
+        self._period = period
+        self.DeclareAbstractInputPort("tip_pose", Value(RigidTransform()))
+        self.DeclareAbstractInputPort("execution", Value[object](None))
+        last = self.DeclareDiscreteState(np.full(4, np.nan))
+        self.DeclarePeriodicDiscreteUpdateEvent(period, 0.0, self._look)
+        self.DeclareVectorOutputPort("finger", 4, self._calc, {self.discrete_state_ticket(last)})
+
+    def _look(self, context: Context, state: State) -> EventStatus:
+        before = context.get_discrete_state(0).value()
+        now = np.full(4, np.nan)
+        if self.GetInputPort("execution").Eval(context).mode == "pushing":
+            place = self.GetInputPort("tip_pose").Eval(context).translation()[:2]
+            velocity = (place - before[:2]) / self._period if np.isfinite(before[0]) else np.zeros(2)
+            now = np.concatenate([place, velocity])
+        state.set_value(now)
+        return EventStatus.Succeeded()
+
+    def _calc(self, context: Context, output: BasicVector) -> None:
+        output.SetFromVector(context.get_discrete_state(0).value())
+
+
+# Where the finger is and what force it exerts, from what the arm says, whoever drives it.
+
+
+class FingerSense(PythonSystem):
+    """The finger's pose and force from joint angles and torques.
+
+    .. pydrake_system::
+
+        name: FingerSense
+        input_ports:
+        - iiwa.position_measured
+        - iiwa.torque_external
+        output_ports:
+        - tip_pose
+        - tip_force
+
+    - `iiwa.position_measured` (7,) rad; `iiwa.torque_external` (7,) N m, of contact on the arm.
+    - `tip_pose`: X_WT; `tip_force` (3,) N, of the finger on the object, in the world.
+
+    Args:
+        model: the arm as `slipmap.diagrams.station.arm.arm_model` makes it.
+    """
+
+    def __init__(self, model: MultibodyPlant) -> None:
+        super().__init__()
+        self._kinematics = FingerKinematics(model)
+        self._position = self.DeclareVectorInputPort("iiwa.position_measured", 7)
+        self._torque = self.DeclareVectorInputPort("iiwa.torque_external", 7)
+        position, torque = self._position.ticket(), self._torque.ticket()
+        self.DeclareAbstractOutputPort(
+            "tip_pose", lambda: Value(RigidTransform()), self._calc_pose, {position}
+        )
+        self.DeclareVectorOutputPort("tip_force", 3, self._calc_force, {position, torque})
+
+    def _calc_pose(self, context: Context, output: Value) -> None:
+        output.set_value(self._kinematics.pose(self._position.Eval(context)))
+
+    def _calc_force(self, context: Context, output: BasicVector) -> None:
+        jacobian = self._kinematics.jacobian(self._position.Eval(context))
+        output.SetFromVector(tip_force(jacobian, self._torque.Eval(context)))

@@ -1,0 +1,137 @@
+"""The pinhole camera: from points to pixels and back.
+
+Pixel coordinates are (column, row), whole numbers at the centres of pixels. The camera frame C has x to the
+picture's right, y to its bottom and z along the view; depth is the z coordinate in C, not the distance.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from slipmap.models.perception.edge_kernels import Lens
+from slipmap.models.physics.cell_grid import FloatArray
+
+DepthImage = NDArray[np.float32]
+
+
+@dataclass(frozen=True)
+class PinholeCamera:
+    """Intrinsics of a camera without lens distortion.
+
+    Attributes:
+        width, height: picture size, pixels.
+        focal_x, focal_y: focal lengths, pixels.
+        center_x, center_y: where the optical axis meets the picture, pixels.
+
+    Raises:
+        ValueError: a size or a focal length that is not positive.
+    """
+
+    width: int
+    height: int
+    focal_x: float
+    focal_y: float
+    center_x: float
+    center_y: float
+
+    def __post_init__(self) -> None:
+        for name in ("width", "height", "focal_x", "focal_y"):
+            if not getattr(self, name) > 0:
+                raise ValueError(f"camera: {name} must be positive, got {getattr(self, name)}")
+
+
+@dataclass(frozen=True, eq=False)
+class View:
+    """A camera at its place in the world.
+
+    Attributes:
+        camera: the intrinsics.
+        X_WC: (4, 4) pose of the camera in W.
+
+    Raises:
+        ValueError: X_WC is not a rigid transform.
+    """
+
+    camera: PinholeCamera
+    X_WC: FloatArray
+
+    def __post_init__(self) -> None:
+        X_WC = np.asarray(self.X_WC, dtype=float)
+        if X_WC.shape != (4, 4) or not np.all(np.isfinite(X_WC)):
+            raise ValueError(f"camera: X_WC must be a finite (4, 4) matrix, got shape {X_WC.shape}")
+        R_WC = X_WC[:3, :3]
+        if not np.allclose(R_WC @ R_WC.T, np.eye(3), atol=1e-6) or np.linalg.det(R_WC) < 0:
+            raise ValueError("camera: the upper left (3, 3) block of X_WC is not a rotation")
+        object.__setattr__(self, "X_WC", X_WC)
+
+    @property
+    def p_WC(self) -> FloatArray:
+        """(3,) position of the camera in W, m."""
+        return self.X_WC[:3, 3]
+
+    @cached_property
+    def lens(self) -> Lens:
+        """The same for kernels."""
+        camera, R_WC = self.camera, np.array(self.X_WC[:3, :3], order="C")
+        focal, center = (camera.focal_x, camera.focal_y), (camera.center_x, camera.center_y)
+        # Whole numbers would have kernels compiled once more.
+        fx, fy, cx, cy = (float(value) for value in (*focal, *center))
+        return Lens(fx, fy, cx, cy, R_WC, np.array(self.p_WC))
+
+    @cached_property
+    def rays(self) -> NDArray[np.float32]:
+        """(H, W, 3) directions of the pixels in W, of depth 1: a point is p_WC + depth · ray."""
+        camera = self.camera
+        x = (np.arange(camera.width) - camera.center_x) / camera.focal_x
+        y = (np.arange(camera.height) - camera.center_y) / camera.focal_y
+        R_WC = self.X_WC[:3, :3]
+        rays = (
+            x[None, :, None] * R_WC[:, 0] + y[:, None, None] * R_WC[:, 1] + R_WC[:, 2]
+        )  # fmt: skip
+        return rays.astype(np.float32)
+
+    def rays_at(self, pixels: FloatArray) -> FloatArray:
+        """(..., 3) directions in W of pixel coordinates (..., 2), of depth 1."""
+        camera = self.camera
+        x = (pixels[..., 0] - camera.center_x) / camera.focal_x
+        y = (pixels[..., 1] - camera.center_y) / camera.focal_y
+        return np.stack([x, y, np.ones_like(x)], axis=-1) @ self.X_WC[:3, :3].T
+
+    def project(self, p_W: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Pixel coordinates (..., 2) and depth (...) of points (..., 3) in W, m.
+
+        Points at or behind the camera have no pixel: NaN.
+        """
+        camera = self.camera
+        p_C = (p_W - self.p_WC) @ self.X_WC[:3, :3]
+        depth = p_C[..., 2]
+        z = np.where(depth > 1e-6, depth, np.nan)
+        u = camera.focal_x * p_C[..., 0] / z + camera.center_x
+        v = camera.focal_y * p_C[..., 1] / z + camera.center_y
+        return np.stack([u, v], axis=-1), depth
+
+    def checked_depth(self, depth: DepthImage) -> DepthImage:
+        """The depth image as (H, W), without a trailing axis of one channel.
+
+        Raises:
+            ValueError: its shape is not that of the camera's pictures.
+        """
+        image = np.asarray(depth, dtype=np.float32)
+        if image.ndim == 3 and image.shape[2] == 1:
+            image = image[:, :, 0]
+        if image.shape != (self.camera.height, self.camera.width):
+            raise ValueError(
+                f"depth image: expected {self.camera.height} rows and {self.camera.width} columns as the "
+                f"camera has, got shape {image.shape}"
+            )
+        return image
+
+
+def pixel_size(view: View) -> float:
+    """Side of a pixel on the plane z = 0 of W where the camera looks at it, m."""
+    camera = view.camera
+    return float(view.p_WC[2] / -view.X_WC[2, 2] / np.sqrt(camera.focal_x * camera.focal_y))

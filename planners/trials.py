@@ -1,0 +1,348 @@
+"""One trial of a campaign: what is to be done, and what came of it. Both are plain data.
+
+Trials share nothing, each has its own seed, and outcomes are put into the order of the trials. Only the
+process that was started writes files, so a cluster needs no common disk.
+"""
+
+from __future__ import annotations
+
+import importlib
+import json
+import os
+import time
+import traceback
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+
+class CampaignError(ValueError):
+    """A campaign that cannot be run as asked. The text says what to do."""
+
+
+@dataclass(frozen=True)
+class TrialSpec:
+    """A trial to be made, on whatever machine.
+
+    Attributes:
+        name: of the trial and its file; letters, digits, '-', '_' and '.'.
+        function: `module:function`, called as function(seed=seed, **parameters); returns what JSON can hold.
+        parameters: what JSON can hold.
+        seed: of every random draw in it.
+
+    Raises:
+        CampaignError: a name that is no file name, or parameters that JSON cannot hold.
+    """
+
+    name: str
+    function: str
+    parameters: Mapping[str, Any]
+    seed: int
+
+    def __post_init__(self) -> None:
+        if not self.name.strip("._-") or not all(c.isalnum() or c in "-_." for c in self.name):
+            raise CampaignError(f"trial {self.name!r}: a name has letters, digits, '-', '_' and '.'")
+        try:
+            self.told()
+        except (TypeError, ValueError) as error:
+            raise CampaignError(f"trial {self.name}: parameters must be plain data ({error})") from error
+
+    def told(self) -> dict[str, Any]:
+        """As JSON holds it."""
+        document = {
+            "name": self.name,
+            "function": self.function,
+            "parameters": dict(self.parameters),
+            "seed": self.seed,
+        }
+        return dict(json.loads(json.dumps(document, allow_nan=False)))
+
+    def run(self) -> TrialOutcome:
+        """Make the trial. What it raises is recorded, not passed on."""
+        began = time.perf_counter()
+        try:
+            module, _, name = self.function.partition(":")
+            result = getattr(importlib.import_module(module), name)(seed=self.seed, **self.parameters)
+            plain = json.loads(json.dumps(result, allow_nan=False))
+        except Exception as error:
+            place = traceback.extract_tb(error.__traceback__)[-1]
+            text = " ".join(str(error).split())
+            failure = f"{type(error).__name__} in {Path(place.filename).name}, line {place.lineno}: {text}"
+            return TrialOutcome(self, None, failure, time.perf_counter() - began)
+        return TrialOutcome(self, plain, None, time.perf_counter() - began)
+
+
+@dataclass(frozen=True)
+class TrialOutcome:
+    """What came of a trial.
+
+    Attributes:
+        spec: the trial.
+        result: what its function returned, or None where it failed.
+        failure: why it failed, or None.
+        seconds: that it took, s; the only part that depends on the machine.
+    """
+
+    spec: TrialSpec
+    result: Any
+    failure: str | None
+    seconds: float = field(compare=False, default=0.0)
+
+
+def write_outcome(outcome: TrialOutcome, folder: Path) -> None:
+    """Write `<name>.json` into a folder; the file appears whole or not at all.
+
+    Raises:
+        CampaignError: the folder cannot be written to.
+    """
+    document = outcome.spec.told() | {
+        "result": outcome.result,
+        "failure": outcome.failure,
+        "seconds": outcome.seconds,
+    }
+    path = _file(outcome.spec, folder)
+    part = path.with_name(f".{os.getpid()}.{path.name}")
+    try:
+        part.write_text(json.dumps(document, indent=1, sort_keys=True) + "\n", encoding="utf-8")
+        os.replace(part, path)
+    except OSError as error:
+        raise CampaignError(
+            f"cannot write {path}: {error.strerror or error}; choose another folder"
+        ) from error
+    finally:
+        part.unlink(missing_ok=True)
+
+
+def read_outcome(spec: TrialSpec, folder: Path) -> TrialOutcome | None:
+    """What is on file for a trial, or None.
+
+    Raises:
+        CampaignError: the file is damaged, or of a trial of this name with other parameters.
+    """
+    path = _file(spec, folder)
+    if not path.exists():
+        return None
+    advice = "remove it or choose another folder"
+    try:
+        document = json.loads(path.read_text(encoding="utf-8"))
+        told = {key: document[key] for key in ("name", "function", "parameters", "seed")}
+        outcome = TrialOutcome(spec, document["result"], document["failure"], float(document["seconds"]))
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise CampaignError(f"{path} is not a readable trial ({error}); {advice}") from error
+    if told != spec.told():
+        different = [key for key, value in spec.told().items() if told[key] != value]
+        raise CampaignError(f"{path} is of another campaign, its {' and '.join(different)} differ; {advice}")
+    return outcome
+
+
+def _file(spec: TrialSpec, folder: Path) -> Path:
+    return folder / f"{spec.name}.json"
+
+
+# Runs trials on local processes (joblib) or on a cluster (Dask). The result is the same whatever runs
+# them.
+
+
+Backend = Literal["processes", "dask"]
+CRASHED = "the process that made the trial died"
+
+Progress = Callable[[int, int], None]
+
+
+def run_trials(
+    specs: Sequence[TrialSpec],
+    folder: Path,
+    *,
+    backend: Backend = "processes",
+    workers: int = 1,
+    scheduler: str | None = None,
+    progress: Progress | None = None,
+) -> list[TrialOutcome]:
+    """Make all trials that are not on file, and return the outcomes of all, in their order.
+
+    A trial that raises, or whose process dies, is recorded as failed; the others go on. It is tried again
+    when the campaign is run again.
+
+    Args:
+        specs: trials with different names.
+        folder: exists; `<name>.json` of each trial is written there as soon as it is done.
+        backend: `processes` on this machine, or `dask`.
+        workers: processes; of no meaning with Dask, whose workers are there already.
+        scheduler: address of Dask's scheduler, such as tcp://10.0.0.1:8786.
+        progress: called with the number of trials done and that of all.
+
+    Raises:
+        CampaignError: names that are not different, a folder with other trials, a scheduler that is not
+            given or not reached, or the `cluster` extra is missing.
+    """
+    if len({spec.name for spec in specs}) < len(specs):
+        raise CampaignError("two trials of the campaign have the same name")
+    if workers < 1:
+        raise CampaignError(f"a campaign needs at least one worker, got {workers}")
+    done: dict[str, TrialOutcome] = {}
+    for spec in specs:
+        outcome = read_outcome(spec, folder)
+        if outcome is not None and outcome.failure is None:
+            done[spec.name] = outcome
+    report = progress or (lambda done, total: None)
+    report(len(done), len(specs))
+    remaining = [spec for spec in specs if spec.name not in done]
+    if remaining:
+        made = _on_processes(remaining, workers) if backend == "processes" else _on_dask(remaining, scheduler)
+        for outcome in made:
+            write_outcome(outcome, folder)
+            done[outcome.spec.name] = outcome
+            report(len(done), len(specs))
+    return [done[spec.name] for spec in specs]
+
+
+def _on_processes(specs: Sequence[TrialSpec], workers: int) -> Iterator[TrialOutcome]:
+    """Outcomes as they come. When a process dies, the trials under way are made again one by one."""
+    from joblib.externals.loky.process_executor import TerminatedWorkerError
+
+    remaining = list(specs)
+    while remaining:
+        sent: list[TrialSpec] = []
+        received: set[str] = set()
+        try:
+            for outcome in _in_parallel(remaining, workers, sent):
+                received.add(outcome.spec.name)
+                yield outcome
+        except TerminatedWorkerError:
+            suspects = [spec for spec in sent if spec.name not in received]
+            for spec in suspects:
+                try:
+                    yield from _in_parallel([spec], 1, [])
+                except TerminatedWorkerError:
+                    yield TrialOutcome(spec, None, CRASHED)
+            received |= {spec.name for spec in suspects}
+        remaining = [spec for spec in remaining if spec.name not in received]
+
+
+def _in_parallel(specs: Sequence[TrialSpec], workers: int, sent: list[TrialSpec]) -> Iterator[TrialOutcome]:
+    """Outcomes as they come; `sent` is filled with the trials that processes were given."""
+    from joblib import Parallel, delayed, parallel_config
+
+    def jobs() -> Iterator[object]:
+        for spec in specs:
+            sent.append(spec)
+            yield delayed(TrialSpec.run)(spec)
+
+    # With one job joblib would stay in this process, which a trial must not be able to kill.
+    jobs_at_once = max(2, workers)
+    with parallel_config("loky", inner_max_num_threads=1):
+        yield from Parallel(
+            n_jobs=jobs_at_once, batch_size=1, pre_dispatch=workers, return_as="generator_unordered"
+        )(jobs())
+
+
+def _on_dask(specs: Sequence[TrialSpec], scheduler: str | None) -> Iterator[TrialOutcome]:
+    try:
+        from distributed import Client, KilledWorker, as_completed
+    except ModuleNotFoundError as error:
+        raise CampaignError(
+            "Dask is not installed; `pip install 'slipmap[cluster]'` brings it, here and on the workers"
+        ) from error
+    if scheduler is None:
+        raise CampaignError("with Dask, give the address of its scheduler, such as tcp://10.0.0.1:8786")
+    try:
+        client = Client(scheduler, timeout="10s")
+    except (OSError, TimeoutError, ValueError) as error:
+        raise CampaignError(f"no Dask scheduler answers at {scheduler} ({error})") from error
+    with client:
+        killed: list[TrialSpec] = []
+        futures = {
+            # Not pure, so that two campaigns that run on one cluster keep apart.
+            client.submit(TrialSpec.run, spec, pure=False): spec
+            for spec in specs
+        }
+        for future in as_completed(futures):
+            try:
+                yield future.result()
+            except KilledWorker:
+                killed.append(futures[future])
+        # Dask suspects all that waited on a worker that died; alone, a trial answers for itself.
+        for spec in killed:
+            try:
+                yield client.submit(TrialSpec.run, spec, pure=False).result()
+            except KilledWorker:
+                yield TrialOutcome(spec, None, CRASHED)
+
+
+# Numbers of a campaign with what chance leaves open of them.
+
+
+LEVEL = 0.95
+"""Of all intervals."""
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """A number and its 95 % interval.
+
+    Attributes:
+        value: NaN where there is nothing to estimate it from.
+        low, high: ends of the interval.
+        count: trials that it comes from.
+    """
+
+    value: float
+    low: float
+    high: float
+    count: int
+
+    def percent(self) -> str:
+        """As in a table: `97 (91 to 99)`."""
+        return self.told(100.0, 0)
+
+    def told(self, factor: float = 1.0, digits: int = 1) -> str:
+        """Multiplied by a factor and rounded, such as `5.2 (4.9 to 5.5)`; a dash where there is nothing."""
+        if not np.isfinite(self.value):
+            return "–"
+        value, low, high = (f"{factor * number:.{digits}f}" for number in (self.value, self.low, self.high))
+        return f"{value} ({low} to {high})" if np.isfinite(self.low + self.high) else value
+
+    def short(self, factor: float = 1.0, digits: int = 1) -> str:
+        """As `told`, with half the interval's width, such as `5.2 ± 0.3`."""
+        if not np.isfinite(self.high - self.low):
+            return self.told(factor, digits)
+        return f"{factor * self.value:.{digits}f} ± {factor * (self.high - self.low) / 2:.{digits}f}"
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain numbers, None for what is not known."""
+        return {key: value if np.isfinite(value) else None for key, value in asdict(self).items()}
+
+
+def share(successes: int, count: int) -> Estimate:
+    """Of successes among `count` independent trials, with Wilson's interval.
+
+    Raises:
+        ValueError: numbers that are no share.
+    """
+    from scipy.stats import binomtest
+
+    if count == 0 and successes == 0:
+        return Estimate(float("nan"), 0.0, 1.0, 0)
+    interval = binomtest(successes, count).proportion_ci(LEVEL, method="wilson")
+    return Estimate(successes / count, float(interval.low), float(interval.high), count)
+
+
+def mean(values: Sequence[float]) -> Estimate:
+    """Of independent values, with Student's interval; no interval for fewer than two."""
+    from scipy.stats import t
+
+    data = np.asarray(values, dtype=float)
+    count = len(data)
+    if count == 0:
+        return Estimate(float("nan"), float("nan"), float("nan"), 0)
+    middle = float(data.mean())
+    if count == 1:
+        return Estimate(middle, float("nan"), float("nan"), 1)
+    half = float(t.ppf(0.5 + LEVEL / 2, count - 1) * data.std(ddof=1) / np.sqrt(count))
+    return Estimate(middle, middle - half, middle + half, count)
+
+
+# Campaigns: many trials of one experiment, spread over processes or machines, and the tables they give.
