@@ -1,10 +1,23 @@
-"""Files that users hand in, read whole and bounded in size."""
+"""Files: what users hand in is read whole and bounded in size; what is written appears whole or not at all."""
 
 from __future__ import annotations
 
 import errno
+import json
+import math
+import os
 import zipfile
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
+
+SHARED_NAME = 40
+"""Characters that the temporary name of a file has from its own, which may be as long as a name can be."""
+
+
+class BadInput(Exception):
+    """Something that the user can mend. Its text is one paragraph: what is wrong, and what to do."""
 
 
 class UnreadableFile(ValueError):
@@ -73,3 +86,81 @@ def _unreadable(error: OSError | ValueError) -> UnreadableFile:
 def _too_large(size: int, largest: int) -> UnreadableFile:
     unit, name = (2**20, "MiB") if largest >= 2**20 else (2**10, "KiB")
     return UnreadableFile(f"{size / unit:.0f} {name}, more than the {largest / unit:.0f} {name} it may have")
+
+
+@contextmanager
+def replaced_file(path: Path) -> Iterator[Path]:
+    """A temporary name beside `path`, renamed to it when the block ends well and removed when it does not. A
+    link stays one: the file that it names is written.
+
+    Raises:
+        OSError: the place cannot be written to.
+    """
+    file = Path(os.path.realpath(path))
+    part = file.with_name(f".{os.getpid()}.{file.name[-SHARED_NAME:]}")
+    try:
+        yield part
+        os.replace(part, file)
+    finally:
+        part.unlink(missing_ok=True)
+
+
+@contextmanager
+def whole_file(path: Path) -> Iterator[Path]:
+    """As `replaced_file`, for a place that a user named.
+
+    Raises:
+        BadInput: the place cannot be written to.
+    """
+    with writing(path), replaced_file(path) as part:
+        yield part
+
+
+@contextmanager
+def writing(path: Path) -> Iterator[None]:
+    """Tell a failure of the disk or of permissions as bad input that names `path`.
+
+    Raises:
+        BadInput: instead of OSError.
+    """
+    try:
+        yield
+    except OSError as error:
+        if error.errno in (errno.ENOSPC, errno.EDQUOT):
+            raise BadInput(
+                f"cannot write {path}: the disk is full; make room or choose another place"
+            ) from error
+        raise BadInput(f"cannot write {path}: {error.strerror or error}; choose another place") from error
+
+
+def write_json(path: Path, document: Mapping[str, Any]) -> None:
+    """Write a JSON document, keys sorted; a number that is not finite becomes null.
+
+    Raises:
+        BadInput: the place cannot be written to.
+    """
+    text = json.dumps(plain(document), indent=2, sort_keys=True, ensure_ascii=False, allow_nan=False)
+    write_text(path, text + "\n")
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write a text.
+
+    Raises:
+        BadInput: the place cannot be written to.
+    """
+    with whole_file(path) as part:
+        part.write_text(text, encoding="utf-8")
+
+
+def plain(value: Any) -> Any:
+    """Mappings, lists and numbers as JSON knows them, null for numbers that are not finite."""
+    if hasattr(value, "tolist"):  # arrays and numpy's numbers
+        value = value.tolist()
+    if isinstance(value, Mapping):
+        return {str(key): plain(entry) for key, entry in value.items()}
+    if isinstance(value, list | tuple):
+        return [plain(entry) for entry in value]
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value

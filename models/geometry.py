@@ -1,4 +1,4 @@
-"""Angles, which come round again after a whole turn."""
+"""Geometry of the plane: angles, and poses x, y, theta (m, m, rad) of frames with points in them."""
 
 from __future__ import annotations
 
@@ -12,7 +12,48 @@ def angle_between(one: FloatArray | float, other: FloatArray | float) -> FloatAr
     return np.remainder(np.asarray(one, dtype=float) - other + np.pi, 2 * np.pi) - np.pi
 
 
-# Planar poses as seen from the cells' centroid, about which an object turns without moving.
+def rotated(vectors: FloatArray, angle: FloatArray | float) -> FloatArray:
+    """(…, 2) vectors turned by angles (…) in rad; leading axes broadcast."""
+    c, s = np.cos(angle), np.sin(angle)
+    x, y = vectors[..., 0], vectors[..., 1]
+    return np.stack([c * x - s * y, s * x + c * y], axis=-1)
+
+
+def placed(points: FloatArray, pose: FloatArray) -> FloatArray:
+    """(…, 2) world coordinates of points (…, 2) given in the frame that lies at `pose` (…, 3)."""
+    c, s = np.cos(pose[..., 2]), np.sin(pose[..., 2])
+    x, y = points[..., 0], points[..., 1]
+    return np.stack([pose[..., 0] + c * x - s * y, pose[..., 1] + s * x + c * y], axis=-1)
+
+
+def seen_from(points: FloatArray, pose: FloatArray) -> FloatArray:
+    """Inverse of `placed`: (…, 2) world points in the frame that lies at `pose` (…, 3)."""
+    c, s = np.cos(pose[..., 2]), np.sin(pose[..., 2])
+    x, y = points[..., 0] - pose[..., 0], points[..., 1] - pose[..., 1]
+    return np.stack([c * x + s * y, c * y - s * x], axis=-1)
+
+
+def compose(first: FloatArray, second: FloatArray) -> FloatArray:
+    """(…, 3) pose in the world of `second`, which is given in the frame `first`."""
+    c, s = np.cos(first[..., 2]), np.sin(first[..., 2])
+    x, y = second[..., 0], second[..., 1]
+    moved = [first[..., 0] + c * x - s * y, first[..., 1] + s * x + c * y, first[..., 2] + second[..., 2]]
+    return np.stack(np.broadcast_arrays(*moved), axis=-1)
+
+
+def relative(frame: FloatArray, pose: FloatArray) -> FloatArray:
+    """(…, 3) the pose as seen from `frame`, so that compose(frame, relative(frame, pose)) is the pose."""
+    c, s = np.cos(frame[..., 2]), np.sin(frame[..., 2])
+    x, y = pose[..., 0] - frame[..., 0], pose[..., 1] - frame[..., 1]
+    seen = [c * x + s * y, c * y - s * x, pose[..., 2] - frame[..., 2]]
+    return np.stack(np.broadcast_arrays(*seen), axis=-1)
+
+
+def turned_to(pose: FloatArray, angle: float) -> FloatArray:
+    """(…, 3) the same poses with angles within half a turn of `angle`, rad."""
+    result = np.array(pose, dtype=float)
+    result[..., 2] = angle + angle_between(result[..., 2], angle)
+    return result
 
 
 def at_centroid(poses: FloatArray, grid: CellGrid) -> FloatArray:

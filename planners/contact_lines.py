@@ -11,10 +11,10 @@ from dataclasses import dataclass
 import numpy as np
 import shapely
 
+from slipmap.models.geometry import compose
 from slipmap.models.objects import contour_cells
 from slipmap.models.physics.cell_grid import CellGrid, FloatArray
 from slipmap.planners.exploration import DESCENT, TOUCH, NoReachablePush
-from slipmap.planners.waypoints import compose
 
 TRIES = 20
 """Draws of as many lines as are wanted, before fewer are taken."""

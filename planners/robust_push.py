@@ -28,6 +28,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
+from slipmap.models.geometry import compose, relative
 from slipmap.models.inference.belief import Belief
 from slipmap.models.measurements.push_dataset import Table
 from slipmap.models.physics.balance import balance_margins, own_balance_margins
@@ -38,7 +39,7 @@ from slipmap.planners.contact_lines import ContactContour, ContactLines, joined,
 from slipmap.planners.exploration import NoReachablePush
 from slipmap.planners.settings import PushSettings
 from slipmap.planners.table_push import TablePush
-from slipmap.planners.waypoints import PoseMetric, compose, relative
+from slipmap.planners.waypoints import PoseMetric
 
 # Where pushes would bring the object, in every hypothesis and with the noise of the finger's control.
 

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import importlib
 import json
-import os
 import time
 import traceback
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -17,6 +16,8 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
+
+from slipmap.models.files import replaced_file
 
 
 class CampaignError(ValueError):
@@ -104,16 +105,13 @@ def write_outcome(outcome: TrialOutcome, folder: Path) -> None:
         "seconds": outcome.seconds,
     }
     path = _file(outcome.spec, folder)
-    part = path.with_name(f".{os.getpid()}.{path.name}")
     try:
-        part.write_text(json.dumps(document, indent=1, sort_keys=True) + "\n", encoding="utf-8")
-        os.replace(part, path)
+        with replaced_file(path) as part:
+            part.write_text(json.dumps(document, indent=1, sort_keys=True) + "\n", encoding="utf-8")
     except OSError as error:
         raise CampaignError(
             f"cannot write {path}: {error.strerror or error}; choose another folder"
         ) from error
-    finally:
-        part.unlink(missing_ok=True)
 
 
 def read_outcome(spec: TrialSpec, folder: Path) -> TrialOutcome | None:

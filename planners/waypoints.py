@@ -17,36 +17,11 @@ from __future__ import annotations
 import numpy as np
 from ompl import base, geometric, util
 
-from slipmap.models.geometry import angle_between, radius_of_gyration
+from slipmap.models.geometry import compose, radius_of_gyration, turned_to
 from slipmap.models.inference.belief import Belief
 from slipmap.models.measurements.push_dataset import Table
 from slipmap.models.physics.balance import balance_margins, corners_of, fall_probability
 from slipmap.models.physics.cell_grid import CellGrid, FloatArray
-
-# Planar poses as elements of SE(2), and how far apart they put an object's cells.
-
-
-def compose(first: FloatArray, second: FloatArray) -> FloatArray:
-    """(…, 3) pose in the world of `second`, which is given in the frame `first`."""
-    c, s = np.cos(first[..., 2]), np.sin(first[..., 2])
-    x, y = second[..., 0], second[..., 1]
-    moved = [first[..., 0] + c * x - s * y, first[..., 1] + s * x + c * y, first[..., 2] + second[..., 2]]
-    return np.stack(np.broadcast_arrays(*moved), axis=-1)
-
-
-def relative(frame: FloatArray, pose: FloatArray) -> FloatArray:
-    """(…, 3) the pose as seen from `frame`, so that compose(frame, relative(frame, pose)) is the pose."""
-    c, s = np.cos(frame[..., 2]), np.sin(frame[..., 2])
-    x, y = pose[..., 0] - frame[..., 0], pose[..., 1] - frame[..., 1]
-    seen = [c * x + s * y, c * y - s * x, pose[..., 2] - frame[..., 2]]
-    return np.stack(np.broadcast_arrays(*seen), axis=-1)
-
-
-def turned_to(pose: FloatArray, angle: float) -> FloatArray:
-    """(…, 3) the same poses with angles within half a turn of `angle`, rad."""
-    result = np.array(pose, dtype=float)
-    result[..., 2] = angle + angle_between(result[..., 2], angle)
-    return result
 
 
 class PoseMetric:

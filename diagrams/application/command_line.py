@@ -37,6 +37,7 @@ from slipmap.diagrams.application.commands.record import record
 from slipmap.diagrams.application.commands.replay import replay
 from slipmap.diagrams.application.commands.station import station
 from slipmap.diagrams.application.commands.view import view
+from slipmap.models.files import BadInput
 
 SUCCESS, INTERNAL_FAILURE, WRONG_USE, STOPPED = 0, 1, 2, 130
 TRACEBACK = "SLIPMAP_TRACEBACK"
@@ -144,6 +145,8 @@ def run(arguments: Sequence[str]) -> int:
         return _told(f"{said} See `{path} --help`.", WRONG_USE)
     except click.ClickException as error:
         return _told(error.format_message(), error.exit_code)
+    except BadInput as error:
+        return _told(str(error), WRONG_USE)
     except BrokenPipeError:
         # Whoever read the output has closed it; what is left must not fail once more at exit.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

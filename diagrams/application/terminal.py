@@ -11,6 +11,8 @@ from typing import TYPE_CHECKING
 
 import click
 
+from slipmap.models.files import BadInput
+
 if TYPE_CHECKING:
     from slipmap.diagrams.application.progress_bars import Bars
 
@@ -21,12 +23,6 @@ WIDEST = 100
 GAP = 3  # columns between those of a table
 HEARTBEAT = 15.0
 """Seconds after which a long stage reports again in a log file."""
-
-
-class BadInput(click.ClickException):
-    """Something that the user can mend. Its text is one paragraph: what is wrong, and what to do."""
-
-    exit_code = 2
 
 
 def note(text: str) -> None:

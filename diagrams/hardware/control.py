@@ -20,14 +20,14 @@ from typing import IO
 
 import numpy as np
 
-from slipmap.diagrams.application.outputs import writing
-from slipmap.diagrams.application.terminal import BadInput, note
+from slipmap.diagrams.application.terminal import note
 from slipmap.diagrams.hardware.interface import HardwareInterface
 from slipmap.diagrams.station.scenario import Scenario
 from slipmap.diagrams.systems.workers import workers
 from slipmap.models.effects.registry import effects_named
 from slipmap.models.effects.slider import EffectSlider
 from slipmap.models.effects.stepper import Stepper
+from slipmap.models.files import BadInput, writing
 from slipmap.models.objects import cells_from_centres
 from slipmap.models.physics.rollout import Maps, Push, Slider
 

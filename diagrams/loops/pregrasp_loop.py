@@ -36,6 +36,7 @@ from slipmap.diagrams.station.station import Station
 from slipmap.diagrams.systems.goal_and_push_planner import GoalAndPushPlanner
 from slipmap.diagrams.systems.loop_messages import LoopStatus, PregraspPlan
 from slipmap.diagrams.systems.supervisors import PATIENCE, PATIENCE_REAL, PregraspSupervisor
+from slipmap.models.geometry import compose, relative
 from slipmap.models.inference.belief import Belief
 from slipmap.models.objects.true_object import TrueObject
 from slipmap.models.perception.pinhole_camera import View
@@ -43,7 +44,6 @@ from slipmap.models.perception.seen_object import SeenObject
 from slipmap.models.physics.cell_grid import FloatArray
 from slipmap.models.physics.maps import Maps
 from slipmap.planners.settings import PregraspSettings
-from slipmap.planners.waypoints import compose, relative
 
 ENOUGH_SEEN = 0.85
 """Share of the cells that the camera has to see at a goal, past the arm and inside the picture."""

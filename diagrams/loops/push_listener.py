@@ -12,7 +12,6 @@ import numpy as np
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
 
-from slipmap.diagrams.application.outputs import writing
 from slipmap.diagrams.hardware import channels
 from slipmap.diagrams.hardware.checked_messages import Received
 from slipmap.diagrams.hardware.interface import ARM, CAMERA, NEEDED, HeardCell
@@ -26,6 +25,7 @@ from slipmap.diagrams.station.scenario import Scenario
 from slipmap.diagrams.systems.finger import FingerSense
 from slipmap.diagrams.systems.measurement_logger import PERIOD, MeasurementLogger
 from slipmap.diagrams.systems.push_finder import Descent, PushFinder
+from slipmap.models.files import writing
 from slipmap.models.measurements import PushDataset
 from slipmap.models.measurements.writing import PushRecorder
 from slipmap.models.perception.seen_object import ObservedPose

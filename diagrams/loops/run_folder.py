@@ -15,10 +15,9 @@ import numpy as np
 from pydrake.common.yaml import yaml_dump_typed
 from pydrake.systems.framework import Context, Diagram
 
-from slipmap.diagrams.application.outputs import whole_file, write_json, write_text, writing
-from slipmap.diagrams.application.terminal import BadInput
 from slipmap.diagrams.loops.exploration_loop import LoopOptions, Recorded, recorded_dataset
 from slipmap.diagrams.station.scenario import ObjectSettings, Scenario, ScenarioError, read_settings
+from slipmap.models.files import BadInput, whole_file, write_json, write_text, writing
 from slipmap.models.measurements import DatasetError, Trial, read_dataset
 from slipmap.models.measurements.files import read_bytes
 from slipmap.models.measurements.writing import PushRecorder, trial_text
@@ -356,7 +355,7 @@ class ExplorationRecord(PushRecord):
                 raise
             pushes = f"the {kept} pushes before are" if kept > 1 else "the push before is"
             raise BadInput(
-                f"{error.message}; {pushes} kept, go on with `slipmap explore --resume {self._folder}`"
+                f"{error}; {pushes} kept, go on with `slipmap explore --resume {self._folder}`"
             ) from error
 
 

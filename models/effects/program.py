@@ -10,9 +10,7 @@ from __future__ import annotations
 import hashlib
 import importlib.util
 import inspect
-import os
 import sys
-import tempfile
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
@@ -38,6 +36,7 @@ from slipmap.models.effects.symbols import (
     parameter_name,
     real,
 )
+from slipmap.models.files import replaced_file
 from slipmap.models.physics.compiled import CACHE_FOLDER
 
 FloatArray = NDArray[np.float64]
@@ -97,9 +96,8 @@ def _program_of(effects: tuple[Effect, ...]) -> Program:
     if not path.exists():
         text = text or _source(effects)
         folder.mkdir(parents=True, exist_ok=True)
-        with tempfile.NamedTemporaryFile("w", dir=folder, delete=False, suffix=".part") as file:
-            file.write(text)
-        os.replace(file.name, path)
+        with replaced_file(path) as part:
+            part.write_text(text)
     spec = importlib.util.spec_from_file_location(f"slipmap_effects_{key}", path)
     assert spec is not None and spec.loader is not None
     module = importlib.util.module_from_spec(spec)
@@ -124,7 +122,7 @@ def _key(effects: Sequence[Effect]) -> str | None:
     """
     here = Path(__file__).parent
     digest = hashlib.sha256()
-    for name in ("effect.py", "symbols.py", "program.py", "slots.py", "formulas.py", "backwards.py"):
+    for name in ("effect.py", "symbols.py", "program.py", "formulas.py"):
         digest.update((here / name).read_bytes())
     for effect in effects:
         try:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
 import struct
 import tokenize
 import zipfile
@@ -21,7 +20,7 @@ from numpy.typing import NDArray
 from slipmap.models.effects.effect import Effect
 from slipmap.models.effects.library import LIBRARY
 from slipmap.models.effects.slider import EffectSlider
-from slipmap.models.files import UnreadableFile, check_archive
+from slipmap.models.files import UnreadableFile, check_archive, replaced_file
 from slipmap.models.measurements import PushDataset
 from slipmap.models.physics.cell_grid import CellGrid
 from slipmap.models.physics.rollout import Maps, Slider, Smoothing
@@ -196,14 +195,9 @@ class Belief:
             "effects": [effect.name for effect in self.effects],
             "checksum": _checksum(arrays),
         }
-        part = path.with_name(f".{path.name[-40:]}.{os.getpid()}.part")
         try:
-            try:
-                with part.open("wb") as stream:
-                    np.savez_compressed(stream, meta=np.array(json.dumps(meta)), **arrays)  # type: ignore[arg-type]
-                os.replace(part, path)
-            finally:
-                part.unlink(missing_ok=True)
+            with replaced_file(path) as part, part.open("wb") as stream:
+                np.savez_compressed(stream, meta=np.array(json.dumps(meta)), **arrays)  # type: ignore[arg-type]
         except OSError as error:
             raise BeliefError(f"cannot write the belief to {path}: {error.strerror or error}") from error
 

@@ -9,12 +9,9 @@ from dataclasses import replace
 import numpy as np
 import shapely
 
-from slipmap.models.inference.belief import Belief
 from slipmap.models.measurements.push_dataset import Channel, Noise, PushDataset, Role, Trial
-from slipmap.models.objects.benchmark_objects import HEAD, hammer
 from slipmap.models.physics.cell_grid import CellGrid, FloatArray
 from slipmap.models.physics.rollout import Maps, Push, Slider
-from slipmap.planners.exploration import candidate_pushes
 
 GOOD_SENSORS = Noise(position=0.25e-3, angle=float(np.radians(0.15)), tip=0.05e-3, force=0.05)
 """A marker tracker, a stiff arm and a wrist force sensor."""
@@ -152,52 +149,3 @@ def _fingerprint(trials: Sequence[Trial]) -> str:
             if channel is not None:
                 digest.update(channel.time.tobytes() + channel.values.tobytes())
     return digest.hexdigest()
-
-
-# A push dataset that needs no robot: a hammer with known maps, pushed at random and recorded with noise.
-
-
-FINGER_RADIUS = 0.008
-
-
-def simulated_hammer(seed: int = 0, *, fit: int = 6, heldout: int = 4) -> tuple[PushDataset, Maps]:
-    """Random pushes of the hammer, each from another place on the table, and the true maps.
-
-    Args:
-        seed: of the pushes and of the sensors' noise.
-        fit: pushes to learn from.
-        heldout: pushes to judge with.
-    """
-    grid, truth = hammer()
-    slider = Slider(grid, FINGER_RADIUS)
-    rng = np.random.default_rng(seed)
-    candidates = candidate_pushes(grid, FINGER_RADIUS, rng, fit + heldout)
-    poses = rng.uniform([-0.1, -0.1, -np.pi], [0.1, 0.1, np.pi], (len(candidates), 3))
-    dataset = record_pushes(
-        slider,
-        truth,
-        [candidate.push(pose) for candidate, pose in zip(candidates, poses, strict=True)],
-        rng,
-        heldout=heldout,
-        name="hammer",
-        description="Simulated: a hammer of steel and wood, pushed at random; sensors with noise.",
-        height=HEAD[2],
-        mass=round(float(truth.mass.sum()), 3),
-    )
-    return dataset, truth
-
-
-def true_values(belief: Belief, truth: Maps) -> dict[str, float]:
-    """What an identification reports as quantities, for true maps (one model): name to value, SI."""
-    certain = replace(belief, maps=truth, probability=np.ones(1))
-    load = truth.mass[0] * truth.mu[0]
-    middle = load @ belief.grid.centers / load.sum()
-    return {
-        "total mass": float(truth.mass.sum()),
-        "centre of mass, x": float(certain.centers_of_mass[0, 0]),
-        "centre of mass, y": float(certain.centers_of_mass[0, 1]),
-        "total friction": float(certain.friction_forces[0]),
-        "centre of friction, x": float(middle[0]),
-        "centre of friction, y": float(middle[1]),
-        "finger friction": float(truth.mu_finger[0]),
-    }

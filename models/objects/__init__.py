@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from slipmap.models.objects.meshes import cells_from_mesh
 
 _PLACES = {
-    "contour_cells": "contour",
+    "contour_cells": "footprints",
     "cells_from_centres": "footprints",
     "cells_from_polygon": "footprints",
     "cells_from_label_image": "images",

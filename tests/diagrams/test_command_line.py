@@ -13,8 +13,8 @@ from refusals import assert_refused, files_in
 
 from slipmap.__main__ import main
 from slipmap.diagrams.application.command_line import slipmap as group
-from slipmap.diagrams.application.terminal import BadInput
 from slipmap.diagrams.perception.renderer import RendererUnavailable
+from slipmap.models.files import BadInput
 
 COMMANDS = ("demo", "identify", "predict", "compare", "calibrate", "blind-test", "bench")
 HEAVY = (

@@ -11,8 +11,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from slipmap.diagrams.application import outputs
-from slipmap.diagrams.application.terminal import BadInput
 from slipmap.diagrams.loops.exploration_loop import LoopOptions, Recorded
 from slipmap.diagrams.loops.run_folder import (
     PICTURE,
@@ -25,6 +23,7 @@ from slipmap.diagrams.loops.run_folder import (
     resumed,
 )
 from slipmap.diagrams.station.scenario import Scenario
+from slipmap.models.files import BadInput
 from slipmap.models.measurements import Channel, Trial, read_dataset, write_dataset
 from slipmap.models.measurements import writing as recording
 from slipmap.models.perception.first_look import FirstPicture
@@ -80,7 +79,7 @@ def recorded(folder, whole, count, first=0, before=None):
 
 
 def said(error) -> str:
-    return error.value.format_message()
+    return str(error.value)
 
 
 def test_another_process_finds_all_that_it_needs(whole, tmp_path):
@@ -168,7 +167,7 @@ def test_a_disk_that_is_full_before_the_push_is_over_is_told_alike(whole, tmp_pa
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
     with monkeypatch.context() as patch, pytest.raises(BadInput) as told:
-        patch.setattr(outputs.os, "replace", full)
+        patch.setattr("os.replace", full)
         record.note(1, {"tip_pose": ((0.5, 0.1, 0.2, 0.0),)})
     for words in (f"{UNDER_WAY}: the disk is full; make room", "the push before is kept", "--resume"):
         assert words in said(told)

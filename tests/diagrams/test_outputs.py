@@ -19,7 +19,6 @@ import pytest
 from scipy.stats import binomtest
 
 from slipmap.diagrams.application import terminal as console
-from slipmap.diagrams.application.outputs import whole_file, write_json
 from slipmap.diagrams.application.reports.tables import (
     doubts,
     is_doubted,
@@ -28,7 +27,8 @@ from slipmap.diagrams.application.reports.tables import (
     show_errors,
     shown,
 )
-from slipmap.diagrams.application.terminal import BadInput, Progress, table
+from slipmap.diagrams.application.terminal import Progress, table
+from slipmap.models.files import BadInput, whole_file, write_json
 from slipmap.models.inference.results import PushPrediction, Quantity
 from slipmap.models.measurements import Noise
 from slipmap.models.objects import cells_from_polygon

@@ -12,8 +12,8 @@ from slipmap.diagrams.application.command_line import run
 from slipmap.diagrams.loops.exploration_loop import LoopOptions
 from slipmap.diagrams.loops.pregrasp_loop import PregraspOptions, run_pregrasp, true_maps
 from slipmap.diagrams.station.scenario import Scenario
+from slipmap.models.geometry import compose
 from slipmap.models.objects.benchmark_objects import benchmark_object
-from slipmap.planners.waypoints import compose
 
 
 @pytest.fixture(scope="module")

@@ -13,7 +13,7 @@ import hashlib
 import json
 import numba
 import numpy as np
-from slipmap.models.measurements.simulated import simulated_hammer
+from slipmap.diagrams.application.demonstration import simulated_hammer
 from slipmap.models.effects.registry import effects_named
 from slipmap.models.inference.diagnosis import diagnose
 from slipmap.models.inference.identification import identify

@@ -28,13 +28,13 @@ from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import ConstantValueSource, ConstantVectorSource
 
+from slipmap.diagrams.application.demonstration import simulated_hammer
 from slipmap.diagrams.hardware.channels import ARM_PERIOD, IIWA_COMMAND
 from slipmap.diagrams.hardware.interface import HardwareInterface
 from slipmap.diagrams.station.arm import HOME
 from slipmap.diagrams.station.scenario import Scenario
 from slipmap.diagrams.systems.identification import Identification
 from slipmap.diagrams.systems.workers import workers
-from slipmap.models.measurements.simulated import simulated_hammer
 
 GROUP, PORT = "239.255.76.67", 7790
 URL = f"udpm://{GROUP}:{PORT}?ttl=0"

@@ -3,11 +3,12 @@
 import numpy as np
 import pytest
 
+from slipmap.models.geometry import compose, relative
 from slipmap.models.objects.benchmark_objects import benchmark_object
 from slipmap.planners.contact_lines import ContactContour
 from slipmap.planners.robust_push import Lookahead, Scenarios, foresee, further_pushes
 from slipmap.planners.settings import PushSettings
-from slipmap.planners.waypoints import PoseMetric, compose, relative
+from slipmap.planners.waypoints import PoseMetric
 from tests.planners.cell_world import RADIUS, TABLE, belief_about
 
 SETTINGS = PushSettings(candidates=16, lengths=10)

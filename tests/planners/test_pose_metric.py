@@ -3,9 +3,10 @@
 import numpy as np
 import pytest
 
+from slipmap.models.geometry import compose, relative, turned_to
 from slipmap.models.objects.benchmark_objects import benchmark_object
 from slipmap.models.physics.paper_notation import cell_poses
-from slipmap.planners.waypoints import PoseMetric, compose, relative, turned_to
+from slipmap.planners.waypoints import PoseMetric
 
 
 def matrix(pose):

@@ -75,9 +75,9 @@ def _learned(object_name: str, seed: int) -> tuple[Belief, Belief]:
 
 
 def _errors(belief: Belief, ended: Pregrasp) -> list[float]:
+    from slipmap.models.geometry import turned_to
     from slipmap.models.physics.paper_notation import add
     from slipmap.planners.robust_push import NEGLIGIBLE
-    from slipmap.planners.waypoints import turned_to
 
     errors = []
     for made in ended.pushes:

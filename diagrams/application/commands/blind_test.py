@@ -18,8 +18,9 @@ from typing import Any
 import click
 
 from slipmap.diagrams.application.commands import options
-from slipmap.diagrams.application.outputs import make_folder, write_json, write_text
-from slipmap.diagrams.application.terminal import BadInput, note, prepare_kernels
+from slipmap.diagrams.application.outputs import make_folder
+from slipmap.diagrams.application.terminal import note, prepare_kernels
+from slipmap.models.files import BadInput, write_json, write_text
 
 TESTS = Path(__file__).resolve().parents[2] / "tests"
 RESULT, FAILURE = ".result.json", ".failure.json"

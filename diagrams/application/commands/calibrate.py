@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from slipmap.diagrams.application.commands import options
-from slipmap.diagrams.application.outputs import write_figures, write_json
+from slipmap.diagrams.application.outputs import write_figures
 from slipmap.diagrams.application.terminal import Progress, note, prepare_kernels, table
+from slipmap.models.files import write_json
 
 if TYPE_CHECKING:
     from slipmap.planners.calibration import CalibrationResult

@@ -9,15 +9,9 @@ import click
 
 from slipmap.diagrams.application.campaigns.experiments import ABOUT, experiment_of
 from slipmap.diagrams.application.commands import options
-from slipmap.diagrams.application.outputs import make_folder, write_figures, write_json
-from slipmap.diagrams.application.terminal import (
-    BadInput,
-    Progress,
-    note,
-    paragraph,
-    prepare_kernels,
-    table,
-)
+from slipmap.diagrams.application.outputs import make_folder, write_figures
+from slipmap.diagrams.application.terminal import Progress, note, paragraph, prepare_kernels, table
+from slipmap.models.files import BadInput, write_json
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

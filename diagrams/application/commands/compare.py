@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from slipmap.diagrams.application.commands import options
-from slipmap.diagrams.application.outputs import write_json, write_text
-from slipmap.diagrams.application.terminal import BadInput, Progress, note, paragraph, prepare_kernels
+from slipmap.diagrams.application.terminal import Progress, note, paragraph, prepare_kernels
+from slipmap.models.files import BadInput, write_json, write_text
 
 if TYPE_CHECKING:
     from slipmap.models.effects.effect import Effect

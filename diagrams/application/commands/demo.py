@@ -9,8 +9,9 @@ import click
 
 from slipmap.diagrams.application.commands import options
 from slipmap.diagrams.application.commands.identify import keep, show, tell_files
-from slipmap.diagrams.application.outputs import make_folder, write_json, writing
+from slipmap.diagrams.application.outputs import make_folder
 from slipmap.diagrams.application.terminal import Progress, note, prepare_kernels, table
+from slipmap.models.files import write_json, writing
 
 if TYPE_CHECKING:
     from slipmap.models.inference.results import Identification
@@ -54,9 +55,9 @@ def demo(folder: Path, seed: int, fit_pushes: int, heldout_pushes: int, json_fil
     with Progress() as progress:
         prepare_kernels()
         progress("pushing the hammer", 0, 1)
+        from slipmap.diagrams.application.demonstration import simulated_hammer
         from slipmap.models.inference import identification
         from slipmap.models.measurements import write_dataset
-        from slipmap.models.measurements.simulated import simulated_hammer
 
         recorded, truth = simulated_hammer(seed, fit=fit_pushes, heldout=heldout_pushes)
         with writing(place):
@@ -79,7 +80,7 @@ def demo(folder: Path, seed: int, fit_pushes: int, heldout_pushes: int, json_fil
 
 
 def _against_truth(result: Identification, truth: Maps) -> list[dict[str, Any]]:
-    from slipmap.models.measurements.simulated import true_values
+    from slipmap.diagrams.application.demonstration import true_values
 
     known = true_values(result.belief, truth)
     return [

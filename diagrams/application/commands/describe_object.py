@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from slipmap.diagrams.application.commands.options import OutputFile
-from slipmap.diagrams.application.outputs import write_text
-from slipmap.diagrams.application.terminal import BadInput, note
+from slipmap.diagrams.application.terminal import note
+from slipmap.models.files import BadInput, write_text
 
 if TYPE_CHECKING:
     from slipmap.models.physics.cell_grid import CellGrid

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 import click
 
 from slipmap.diagrams.application.commands import options
-from slipmap.diagrams.application.outputs import write_json, write_text
 from slipmap.diagrams.application.terminal import Progress, note, prepare_kernels
+from slipmap.models.files import write_json, write_text
 
 if TYPE_CHECKING:
     from slipmap.models.inference.diagnosis import Diagnosis

@@ -10,8 +10,9 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from slipmap.diagrams.application.commands import options
-from slipmap.diagrams.application.outputs import write_figures, write_json
-from slipmap.diagrams.application.terminal import WIDTH, BadInput, note, paragraph, prepare_kernels, table
+from slipmap.diagrams.application.outputs import write_figures
+from slipmap.diagrams.application.terminal import WIDTH, note, paragraph, prepare_kernels, table
+from slipmap.models.files import BadInput, write_json
 
 if TYPE_CHECKING:
     from slipmap.models.effects import Effect, Parameter

@@ -21,8 +21,9 @@ from slipmap.diagrams.application.commands.options import (
     station_object_option,
 )
 from slipmap.diagrams.application.commands.view import in_view
-from slipmap.diagrams.application.outputs import check_file, make_folder, write_json, write_text
-from slipmap.diagrams.application.terminal import BadInput, Progress, note, paragraph, table
+from slipmap.diagrams.application.outputs import check_output, make_folder
+from slipmap.diagrams.application.terminal import Progress, note, paragraph, table
+from slipmap.models.files import BadInput, write_json, write_text
 from slipmap.planners.settings import STRATEGIES
 
 if TYPE_CHECKING:
@@ -136,9 +137,9 @@ def explore(
     make_folder(folder)
     record = ExplorationRecord(folder, scenario, options, before if resume is not None else None)
     if recording is not None:
-        check_file(recording, ("html", "htm"))
+        check_output(recording, ("html", "htm"))
     if json_file is not None:
-        check_file(json_file)
+        check_output(json_file)
     if before is not None and resume is None:
         record.keep(before)
     address = url if hardware else None

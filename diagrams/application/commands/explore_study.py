@@ -10,15 +10,9 @@ import click
 
 from slipmap.diagrams.application.commands import options
 from slipmap.diagrams.application.commands.explore import Stopped
-from slipmap.diagrams.application.outputs import make_folder, write_json
-from slipmap.diagrams.application.terminal import (
-    BadInput,
-    Progress,
-    note,
-    paragraph,
-    prepare_kernels,
-    table,
-)
+from slipmap.diagrams.application.outputs import make_folder
+from slipmap.diagrams.application.terminal import Progress, note, paragraph, prepare_kernels, table
+from slipmap.models.files import BadInput, write_json
 
 if TYPE_CHECKING:
     from slipmap.diagrams.loops.exploration_run import ExplorationRun

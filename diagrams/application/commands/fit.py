@@ -9,8 +9,9 @@ import click
 
 from slipmap.diagrams.application.commands import options
 from slipmap.diagrams.application.commands.identify import keep, show, tell_files
-from slipmap.diagrams.application.outputs import make_folder, write_json
+from slipmap.diagrams.application.outputs import make_folder
 from slipmap.diagrams.application.terminal import Progress, paragraph, prepare_kernels
+from slipmap.models.files import write_json
 
 if TYPE_CHECKING:
     from slipmap.models.inference.results import Identification

@@ -7,8 +7,8 @@ from pathlib import Path
 import click
 
 from slipmap.diagrams.application.commands import options
-from slipmap.diagrams.application.outputs import write_json
-from slipmap.diagrams.application.terminal import BadInput, Progress, prepare_kernels
+from slipmap.diagrams.application.terminal import Progress, prepare_kernels
+from slipmap.models.files import BadInput, write_json
 
 
 @click.command()

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import click
 from click.core import ParameterSource
 
-from slipmap.diagrams.application.outputs import check_file
+from slipmap.diagrams.application.outputs import check_output
 from slipmap.diagrams.application.terminal import Progress, note
 from slipmap.diagrams.hardware.channels import LCM_URL
 
@@ -35,7 +35,7 @@ class OutputFile(click.ParamType):
     def convert(self, value: str | Path, param: click.Parameter | None, ctx: click.Context | None) -> Path:
         """The path, if it can be written."""
         path = Path(value)
-        check_file(path, self.endings)
+        check_output(path, self.endings)
         return path
 
 

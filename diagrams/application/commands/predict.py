@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from slipmap.diagrams.application.commands import options
-from slipmap.diagrams.application.outputs import write_figures, write_json
+from slipmap.diagrams.application.outputs import write_figures
 from slipmap.diagrams.application.terminal import Progress, note, prepare_kernels
+from slipmap.models.files import write_json
 
 if TYPE_CHECKING:
     from slipmap.models.inference.belief import Belief

@@ -23,8 +23,9 @@ from slipmap.diagrams.application.commands.options import (
     station_object_option,
 )
 from slipmap.diagrams.application.commands.view import in_view
-from slipmap.diagrams.application.outputs import check_file, make_folder, write_json
-from slipmap.diagrams.application.terminal import BadInput, note, paragraph, table
+from slipmap.diagrams.application.outputs import check_output, make_folder
+from slipmap.diagrams.application.terminal import note, paragraph, table
+from slipmap.models.files import BadInput, write_json
 from slipmap.planners.settings import METHODS
 
 if TYPE_CHECKING:
@@ -83,9 +84,9 @@ def pregrasp(
     make_folder(folder)
     record = PregraspRecord(folder, scenario)
     if recording is not None:
-        check_file(recording, ("html", "htm"))
+        check_output(recording, ("html", "htm"))
     if json_file is not None:
-        check_file(json_file)
+        check_output(json_file)
     try:
         run = _run(scenario, options, url if hardware else None, open_meshcat, recording, record)
     except BaseException:

@@ -12,15 +12,9 @@ import click
 
 from slipmap.diagrams.application.commands.explore import scenario_of
 from slipmap.diagrams.application.commands.options import json_option, lcm_option, scenario_option
-from slipmap.diagrams.application.outputs import check_file, check_folder, write_json, writing
-from slipmap.diagrams.application.terminal import (
-    BadInput,
-    Progress,
-    note,
-    paragraph,
-    prepare_kernels,
-    status,
-)
+from slipmap.diagrams.application.outputs import check_folder, check_output
+from slipmap.diagrams.application.terminal import Progress, note, paragraph, prepare_kernels, status
+from slipmap.models.files import BadInput, write_json, writing
 
 if TYPE_CHECKING:
     from slipmap.models.inference.camera_lag import CameraLag
@@ -131,7 +125,7 @@ def lag_words(lag: CameraLag | None) -> str:
 
 @contextmanager
 def _new_log(path: Path) -> Iterator[BinaryIO]:
-    check_file(path)
+    check_output(path)
     if path.exists():
         raise BadInput(f"{path}: is there already; choose another name")
     with writing(path), open(path, "xb") as file:

@@ -15,8 +15,9 @@ from slipmap.diagrams.application.commands.options import (
     seed_option,
 )
 from slipmap.diagrams.application.commands.record import told_lag
-from slipmap.diagrams.application.outputs import check_file, make_folder, write_json
-from slipmap.diagrams.application.terminal import BadInput, Progress, note, prepare_kernels, status
+from slipmap.diagrams.application.outputs import check_output, make_folder
+from slipmap.diagrams.application.terminal import Progress, note, prepare_kernels, status
+from slipmap.models.files import BadInput, write_json
 
 if TYPE_CHECKING:
     from slipmap.diagrams.loops.push_listener import PushListener
@@ -49,7 +50,7 @@ def replay(
     make_folder(folder)
     refuse_robots_pushes(folder, "--out")
     if json_file is not None:
-        check_file(json_file)
+        check_output(json_file)
     listener = PushListener(scenario, log.stem)
     _listen(log, listener, folder)
     if not listener.pushes:

@@ -9,7 +9,8 @@ import click
 
 from slipmap.diagrams.application.commands.explore import scenario_of
 from slipmap.diagrams.application.commands.options import lcm_option, scenario_option, station_object_option
-from slipmap.diagrams.application.terminal import BadInput, note
+from slipmap.diagrams.application.terminal import note
+from slipmap.models.files import BadInput
 
 if TYPE_CHECKING:
     from slipmap.diagrams.hardware.twin import TwinReport

@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING
 import click
 
 from slipmap.diagrams.application.commands import options
-from slipmap.diagrams.application.outputs import write_text
-from slipmap.diagrams.application.terminal import BadInput, Progress, note, prepare_kernels, wait_for_enter
+from slipmap.diagrams.application.terminal import Progress, note, prepare_kernels, wait_for_enter
+from slipmap.models.files import BadInput, write_text
 
 if TYPE_CHECKING:
     from pydrake.geometry import Meshcat

@@ -22,11 +22,12 @@ from typing import Any
 import click
 import numpy as np
 
-from slipmap.diagrams.application.outputs import make_folder, write_json
+from slipmap.diagrams.application.outputs import make_folder
 from slipmap.diagrams.application.terminal import note, paragraph, table
 from slipmap.diagrams.hardware.testing.faults import Fault
 from slipmap.diagrams.hardware.testing.soak_session import COMMANDS, Task, commands_of
 from slipmap.diagrams.station.scenario import Scenario
+from slipmap.models.files import write_json
 from slipmap.models.measurements import read_dataset
 from slipmap.models.robots import SPEED_LIMITS
 

@@ -10,8 +10,8 @@ import time
 
 import pytest
 
-from slipmap.diagrams.application.terminal import BadInput
 from slipmap.diagrams.hardware.control import only_controller
+from slipmap.models.files import BadInput
 
 URL, OTHER = "udpm://239.255.76.67:7667?ttl=0", "udpm://239.255.76.67:7668?ttl=0"
 HOLDS = """
@@ -40,7 +40,7 @@ def holder():
 def test_the_second_process_is_told_which_is_the_first(holder):
     with pytest.raises(BadInput) as told, only_controller(URL):
         pass
-    text = told.value.format_message()
+    text = str(told.value)
     assert URL in text and f"process {holder.pid} (" in text and "--lcm" in text
     with only_controller(OTHER):
         pass

@@ -6,8 +6,8 @@ import pytest
 from pydrake.common.yaml import yaml_dump_typed
 
 from slipmap.diagrams.application.commands.explore import scenario_of
-from slipmap.diagrams.application.terminal import BadInput
 from slipmap.diagrams.station.scenario import Scenario, ScenarioError, read_scenario
+from slipmap.models.files import BadInput
 from tests.mutations import refusals, spoilt
 
 WHOLE = yaml_dump_typed(Scenario()).encode()
@@ -57,7 +57,7 @@ def test_spoilt_scenarios_of_a_command(tmp_path):
         try:
             scenario_of(path, None)
         except BadInput as error:
-            raise ValueError(error.format_message()) from error
+            raise ValueError(str(error)) from error
 
     _, refused = refusals(spoilt(SMALL, 150, WORDS, seed=1), read, ValueError)
     assert refused > 50

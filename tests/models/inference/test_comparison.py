@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from slipmap.diagrams.application.outputs import plain
+from slipmap.models.files import plain
 from slipmap.models.inference.belief import Belief, BeliefError
 from slipmap.models.inference.comparison import compare
 from slipmap.models.inference.identification import identify
