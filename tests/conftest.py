@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-pytest_plugins = ["slipmap.diagrams.hardware.pytest_plugin"]
+pytest_plugins = ["slipmap.diagrams.testing.pytest_plugin"]
 
 # Before numpy and numba are loaded: two workers have two cores. With BLAS threads that wait for each other,
 # a diagnosis took 19 times as long on a machine that had something else to do.

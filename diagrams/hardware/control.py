@@ -20,7 +20,6 @@ from typing import IO
 
 import numpy as np
 
-from slipmap.diagrams.application.terminal import note
 from slipmap.diagrams.hardware.interface import HardwareInterface
 from slipmap.diagrams.station.scenario import Scenario
 from slipmap.diagrams.systems.workers import workers
@@ -120,7 +119,7 @@ def stopped_by_ctrl_c(cell: HardwareInterface) -> Iterator[Callable[[], bool]]:
         pressed.append(number)
         cell.abort()
         reason = "Ctrl-C" if number == signal.SIGINT else "told to end"
-        note(f"{reason}: the arm stops and holds; once more ends at once")
+        print(f"{reason}: the arm stops and holds; once more ends at once", file=sys.stderr, flush=True)
 
     if threading.current_thread() is not threading.main_thread():  # others hear no signals
         yield lambda: False

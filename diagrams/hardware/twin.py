@@ -231,6 +231,26 @@ class TwinReport:
     dropped: Mapping[str, Mapping[str, int]]
 
 
+def report_words(report: TwinReport) -> str:
+    """How a twin fares, in one line."""
+    if report.simulated == 0.0:
+        return "it runs; Ctrl-C ends it"
+    text = f"{report.simulated:.0f} s: {100 * report.pace:.0f} % of real time, {report.behind:.2f} s behind"
+    if report.pace < 0.98:
+        text += ", larger steps help (simulation.time_step of the scenario)"
+    return f"{text}; {report.commands} commands to the arm since the line before{dropped_words(report)}"
+
+
+def dropped_words(report: TwinReport) -> str:
+    """Which messages were dropped and why, to go on a sentence; empty where none were."""
+    causes = [
+        f"{channel} {count} times ({cause})"
+        for channel, dropped in report.dropped.items()
+        for cause, count in dropped.items()
+    ]
+    return f"; dropped: {', '.join(causes)}" if causes else ""
+
+
 def run_twin(
     scenario: Scenario,
     url: str,

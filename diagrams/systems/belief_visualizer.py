@@ -17,7 +17,7 @@ from pydrake.geometry import Meshcat
 from pydrake.math import RigidTransform, RollPitchYaw, RotationMatrix
 from pydrake.systems.framework import Context
 
-from slipmap.diagrams.application.figures.style import FAINT, INK, MAP_COLORS, beyond, styled, top_of_scale
+from slipmap.diagrams.systems.look import FAINT, INK, MAP_COLORS, beyond, styled, top_of_scale
 from slipmap.diagrams.systems.python_system import PythonSystem
 from slipmap.diagrams.systems.unlit_meshes import arrow, billboard, painted, ribbon, ringed_discs, tiles
 from slipmap.models.inference.belief import Belief

@@ -11,7 +11,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from slipmap.diagrams.application.figures import save
-from slipmap.diagrams.application.figures.style import BELIEF, FAINT, styled
+from slipmap.diagrams.systems.look import BELIEF, FAINT, styled
 from slipmap.models.inference.identification import identify
 from slipmap.models.measurements import read_dataset
 

@@ -7,10 +7,10 @@ from __future__ import annotations
 
 import sys
 
-from slipmap.diagrams.hardware.testing.cell import small_scenario
 from slipmap.diagrams.loops.exploration_loop import LoopOptions
 from slipmap.diagrams.loops.exploration_run import explore
 from slipmap.diagrams.station.scenario import Scenario
+from slipmap.diagrams.testing.cell import small_scenario
 
 RUNS = 100
 

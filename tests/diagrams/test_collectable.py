@@ -15,12 +15,12 @@ from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import Diagram, System
 
 from slipmap import diagrams
-from slipmap.diagrams.hardware.testing.cell import small_scenario
-from slipmap.diagrams.hardware.testing.lockstep import LockstepCell
 from slipmap.diagrams.loops.exploration_loop import LoopOptions, exploration_loop
 from slipmap.diagrams.loops.pregrasp_loop import PregraspOptions, pregrasp_loop
 from slipmap.diagrams.systems.cell_grid_slider import CellGridSlider
 from slipmap.diagrams.systems.python_system import PythonSystem, weakly
+from slipmap.diagrams.testing.cell import small_scenario
+from slipmap.diagrams.testing.lockstep import LockstepCell
 from slipmap.models.objects.benchmark_objects import benchmark_object
 from slipmap.models.physics.rollout import Maps
 

@@ -19,11 +19,11 @@ from pydrake.geometry import Meshcat
 from schemas import assert_as_described
 
 from slipmap.diagrams.application.command_line import run
-from slipmap.diagrams.hardware.testing.cell import small_scenario
 from slipmap.diagrams.loops.exploration_loop import LoopOptions, exploration_loop, hypothesis_step
 from slipmap.diagrams.loops.exploration_run import explore
 from slipmap.diagrams.loops.run_folder import ExplorationRecord, resumed
 from slipmap.diagrams.station.scenario import Scenario
+from slipmap.diagrams.testing.cell import small_scenario
 from slipmap.models.inference.belief import Belief
 from slipmap.models.measurements import PushDataset, read_dataset, write_dataset
 from slipmap.models.objects.benchmark_objects import BENCHMARK_OBJECTS, benchmark_object

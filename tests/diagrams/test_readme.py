@@ -17,7 +17,7 @@ from page_examples import Example, examples_of, read_closely
 
 from slipmap.diagrams.application.command_line import slipmap
 from slipmap.diagrams.hardware.channels import LCM_URL
-from slipmap.diagrams.hardware.testing import Cell, Faults
+from slipmap.diagrams.testing import Cell, Faults
 from slipmap.models.effects import Effect
 from slipmap.models.effects.effect_checks import check_effect
 from slipmap.models.inference.belief import Belief

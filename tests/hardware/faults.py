@@ -1,7 +1,7 @@
 """Faults to put between blocks: messages, pictures and arms that go wrong.
 
 Each is a small LeafSystem that passes its inputs on until a given time, and then does one thing wrong. They
-know nothing of what is to become of it. `slipmap.diagrams.hardware.testing.faults` does the like with messages.
+know nothing of what is to become of it. `slipmap.diagrams.testing.faults` does the like with messages.
 
 | system | what goes wrong |
 | --- | --- |
@@ -18,8 +18,8 @@ import numpy as np
 from pydrake.common.value import AbstractValue
 from pydrake.systems.sensors import ImageDepth32F
 
-from slipmap.diagrams.hardware.testing.faults import spoilt_rows
 from slipmap.diagrams.systems.python_system import PythonSystem, held, read, replace_held
+from slipmap.diagrams.testing.faults import spoilt_rows
 
 MESSAGE = 0.005
 """s between two messages of the arm."""

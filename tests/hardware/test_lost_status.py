@@ -3,8 +3,8 @@
 import pytest
 
 from slipmap.diagrams.hardware.guard_rules import GuardSettings
-from slipmap.diagrams.hardware.testing import Fault, assert_limits_kept
 from slipmap.diagrams.loops.exploration_run import ExplorationFailed
+from slipmap.diagrams.testing import Fault, assert_limits_kept
 
 
 @pytest.fixture

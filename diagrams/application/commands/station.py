@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import click
 
@@ -11,9 +10,6 @@ from slipmap.diagrams.application.commands.explore import scenario_of
 from slipmap.diagrams.application.commands.options import lcm_option, scenario_option, station_object_option
 from slipmap.diagrams.application.terminal import note
 from slipmap.models.files import BadInput
-
-if TYPE_CHECKING:
-    from slipmap.diagrams.hardware.twin import TwinReport
 
 TIME_STEP = 0.005
 """s, of the twin where no scenario says another: it must keep up with real time."""
@@ -32,7 +28,7 @@ def station(url: str, scenario_file: Path | None, object_name: str | None) -> No
     """
     from slipmap.diagrams.hardware.channels import HardwareError
     from slipmap.diagrams.hardware.network import address_settings
-    from slipmap.diagrams.hardware.twin import run_twin
+    from slipmap.diagrams.hardware.twin import dropped_words, report_words, run_twin
     from slipmap.diagrams.perception.renderer import RendererUnavailable
 
     scenario = scenario_of(scenario_file, object_name)
@@ -41,27 +37,7 @@ def station(url: str, scenario_file: Path | None, object_name: str | None) -> No
     try:
         address_settings(url)
         note(f"the cell of the {scenario.object.called} comes up at {url} …")
-        last = run_twin(scenario, url, tell)
+        last = run_twin(scenario, url, lambda report: note(report_words(report)))
     except (HardwareError, RendererUnavailable, ValueError) as error:
         raise BadInput(str(error)) from error
-    note(f"stopped after {last.simulated:.1f} s, {last.behind:.2f} s behind real time{_dropped(last)}")
-
-
-def tell(report: TwinReport) -> None:
-    """Print how a twin fares."""
-    if report.simulated == 0.0:
-        note("it runs; Ctrl-C ends it")
-        return
-    text = f"{report.simulated:.0f} s: {100 * report.pace:.0f} % of real time, {report.behind:.2f} s behind"
-    if report.pace < 0.98:
-        text += ", larger steps help (simulation.time_step of the scenario)"
-    note(f"{text}; {report.commands} commands to the arm since the line before{_dropped(report)}")
-
-
-def _dropped(report: TwinReport) -> str:
-    causes = [
-        f"{channel} {count} times ({cause})"
-        for channel, dropped in report.dropped.items()
-        for cause, count in dropped.items()
-    ]
-    return f"; dropped: {', '.join(causes)}" if causes else ""
+    note(f"stopped after {last.simulated:.1f} s, {last.behind:.2f} s behind real time{dropped_words(last)}")

@@ -18,8 +18,8 @@ from matplotlib.ticker import MaxNLocator
 from meshcat.servers.tree import SceneTree
 from meshcat.servers.zmqserver import ZMQWebSocketBridge
 
-from slipmap.diagrams.application.figures.style import INK, MAP_COLORS, styled
 from slipmap.diagrams.systems.belief_visualizer import MAPS, RED, Shown, rests_on, shown
+from slipmap.diagrams.systems.look import INK, MAP_COLORS, styled
 from slipmap.models.inference.belief import Belief
 from slipmap.models.physics.cell_grid import CellGrid, FloatArray
 

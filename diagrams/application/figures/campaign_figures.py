@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from slipmap.diagrams.application.figures.style import BELIEF, FAINT, FINGER, INK, OTHER, PAPER, styled
+from slipmap.diagrams.systems.look import BELIEF, FAINT, FINGER, INK, OTHER, PAPER, styled
 from slipmap.models.physics.cell_grid import FloatArray
 from slipmap.planners.trials import Estimate
 

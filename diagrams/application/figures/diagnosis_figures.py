@@ -12,20 +12,10 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Circle, PathPatch, Rectangle
 from matplotlib.ticker import LogLocator
 
-from slipmap.diagrams.application.figures.style import (
-    BELIEF,
-    FAINT,
-    FINGER,
-    INK,
-    OTHER,
-    PAPER,
-    outline_path,
-    placed,
-    scale_bar,
-    styled,
-)
+from slipmap.diagrams.application.figures.style import outline_path, placed, scale_bar
 from slipmap.diagrams.application.reports.comparison_words import short_name
 from slipmap.diagrams.application.reports.diagnosis_words import nats
+from slipmap.diagrams.systems.look import BELIEF, FAINT, FINGER, INK, OTHER, PAPER, styled
 from slipmap.models.inference.diagnosis.results import Diagnosis
 from slipmap.models.measurements import PushDataset
 from slipmap.models.physics.cell_grid import FloatArray

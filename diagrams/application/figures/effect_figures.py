@@ -10,19 +10,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle, PathPatch
 
-from slipmap.diagrams.application.figures.style import (
-    BELIEF,
-    FAINT,
-    FINGER,
-    INK,
-    OTHER,
-    PAPER,
-    outline_path,
-    placed,
-    scale_bar,
-    styled,
-)
+from slipmap.diagrams.application.figures.style import outline_path, placed, scale_bar
 from slipmap.diagrams.application.reports.effect_words import unit_text
+from slipmap.diagrams.systems.look import BELIEF, FAINT, FINGER, INK, OTHER, PAPER, styled
 from slipmap.models.effects import Effect, EffectSlider, Scene
 from slipmap.models.effects.effect import bounds, scales
 from slipmap.models.effects.written import Written, written

@@ -15,17 +15,19 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import PathPatch
 
 from slipmap.diagrams.application.figures.style import (
+    PlainNumbers,
+    draw_cells,
+    draw_outline,
+    outline_path,
+    scale_bar,
+)
+from slipmap.diagrams.systems.look import (
     BELIEF,
     INK,
     MAP_COLORS,
     PAPER,
     SCALED_SHARE,
-    PlainNumbers,
     beyond,
-    draw_cells,
-    draw_outline,
-    outline_path,
-    scale_bar,
     styled,
     top_of_scale,
 )

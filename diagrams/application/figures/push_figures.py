@@ -12,20 +12,9 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Circle, PathPatch
 from matplotlib.patheffects import withStroke
 
-from slipmap.diagrams.application.figures.style import (
-    BELIEF,
-    FAINT,
-    FINGER,
-    INK,
-    OTHER,
-    PAPER,
-    PlainNumbers,
-    outline_path,
-    placed,
-    scale_bar,
-    styled,
-)
+from slipmap.diagrams.application.figures.style import PlainNumbers, outline_path, placed, scale_bar
 from slipmap.diagrams.application.reports.comparison_words import ROLES, short_name
+from slipmap.diagrams.systems.look import BELIEF, FAINT, FINGER, INK, OTHER, PAPER, styled
 from slipmap.models.geometry import radius_of_gyration
 from slipmap.models.inference.comparison import Comparison
 from slipmap.models.inference.results import PushPrediction

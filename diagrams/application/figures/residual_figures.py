@@ -14,7 +14,8 @@ from matplotlib.patches import PathPatch
 from matplotlib.ticker import MaxNLocator
 
 from slipmap.diagrams.application.figures.push_figures import MODEL_COLOURS
-from slipmap.diagrams.application.figures.style import FAINT, INK, PAPER, outline_path, round_length, styled
+from slipmap.diagrams.application.figures.style import outline_path, round_length
+from slipmap.diagrams.systems.look import FAINT, INK, PAPER, styled
 from slipmap.models.inference.comparison import Comparison
 from slipmap.models.inference.residual_structure import FORCE_FACTORS, MOTION_FACTORS, NEGLIGIBLE, Pattern
 from slipmap.models.inference.residuals import PHASE_NAMES, Conditions, Residuals

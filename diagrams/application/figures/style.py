@@ -2,11 +2,7 @@
 
 from __future__ import annotations
 
-import logging
-from collections.abc import Callable
-from functools import wraps
 from pathlib import Path
-from typing import ParamSpec, TypeVar
 
 import matplotlib
 import numpy as np
@@ -19,49 +15,10 @@ from matplotlib.path import Path as Curve
 from matplotlib.ticker import LogFormatter
 from numpy.typing import ArrayLike
 
+from slipmap.diagrams.systems.look import INK, STYLE
 from slipmap.models.physics.cell_grid import CellGrid, FloatArray
 
-INK = "#222222"
-FAINT = "#9a9a9a"
-PAPER = "#f1efea"
-BELIEF = "#1f6fb4"
-FINGER = "#d4691e"
-OTHER = "#2f8f6b"
-
-MAP_COLORS = ("viridis", "plasma", "cividis")
-"""Of mass, friction and their product; perceptually uniform, a different one for each map."""
-
-SCALED_SHARE = 0.97
-SCALED_RATIO = 1.5
-
 DOTS_PER_INCH = 130
-
-STYLE = {
-    "font.family": "DejaVu Sans",
-    "font.size": 9.0,
-    "axes.titlesize": 9.0,
-    "axes.labelsize": 9.0,
-    "xtick.labelsize": 8.0,
-    "ytick.labelsize": 8.0,
-    "legend.fontsize": 8.5,
-    "legend.frameon": False,
-    "axes.edgecolor": FAINT,
-    "axes.linewidth": 0.8,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.labelcolor": INK,
-    "text.color": INK,
-    "xtick.color": INK,
-    "ytick.color": INK,
-    "xtick.major.width": 0.6,
-    "ytick.major.width": 0.6,
-    "figure.facecolor": "white",
-    "savefig.facecolor": "white",
-    "svg.fonttype": "none",
-    "svg.hashsalt": "slipmap",
-    # A dollar sign in the name of a dataset, trial or effect is no formula.
-    "text.parse_math": False,
-}
 
 
 class PlainNumbers(LogFormatter):
@@ -70,38 +27,6 @@ class PlainNumbers(LogFormatter):
     def __call__(self, x: float, pos: int | None = None) -> str:
         """Label of the tick at `x`, empty where there is none."""
         return f"{x:g}" if super().__call__(x, pos) else ""
-
-
-def top_of_scale(values: FloatArray) -> float:
-    """End of the colour scale that maps (columns, n) share; what lies beyond it has the last colour.
-
-    Beyond lie three percent of all values, and what is half as large again as in most of the maps: neither
-    a single cell nor a single odd map should leave all others pale.
-    """
-    each = np.quantile(values, SCALED_SHARE, axis=1, method="lower")
-    return min(float(np.quantile(values, SCALED_SHARE)), SCALED_RATIO * float(np.median(each))) or 1.0
-
-
-def beyond(values: FloatArray, top: float) -> str:
-    """Whether a scale that ends at `top` needs an arrow for values beyond, as `Figure.colorbar` takes it."""
-    return "max" if float(values.max()) > 1.02 * top else "neither"
-
-
-Arguments = ParamSpec("Arguments")
-Drawn = TypeVar("Drawn")
-
-
-def styled(draw: Callable[Arguments, Drawn]) -> Callable[Arguments, Drawn]:
-    """Decorator: draw in the project's style, whatever the caller's own settings are."""
-
-    @wraps(draw)
-    def drawn(*args: Arguments.args, **kwargs: Arguments.kwargs) -> Drawn:
-        # A letter without the wanted weight is drawn in the nearest one; to say so helps nobody.
-        logging.getLogger("matplotlib.font_manager").setLevel(logging.ERROR)
-        with matplotlib.rc_context(STYLE):
-            return draw(*args, **kwargs)
-
-    return drawn
 
 
 def save(figure: Figure, path: Path) -> None:

@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
-from slipmap.diagrams.application.figures.style import BELIEF, FAINT, INK, PAPER, styled
+from slipmap.diagrams.systems.look import BELIEF, FAINT, INK, PAPER, styled
 
 if TYPE_CHECKING:
     from pydrake.systems.framework import Diagram

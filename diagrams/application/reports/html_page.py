@@ -19,8 +19,8 @@ import matplotlib
 import numpy as np
 from matplotlib.figure import Figure
 
-from slipmap.diagrams.application.figures.style import STYLE
 from slipmap.diagrams.application.reports.comparison_words import ROLES, judged, short_name
+from slipmap.diagrams.systems.look import STYLE
 from slipmap.models.files import plain
 from slipmap.models.inference.comparison import ComparedPush, Comparison
 from slipmap.models.inference.observations import Observation

@@ -19,7 +19,6 @@ from pydrake.geometry import Meshcat
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import Diagram, DiagramBuilder
 
-from slipmap.diagrams.application.figures.style import MAP_COLORS
 from slipmap.diagrams.systems.belief_visualizer import (
     BOARD,
     HYPOTHESIS,
@@ -30,6 +29,7 @@ from slipmap.diagrams.systems.belief_visualizer import (
     legend,
     shown,
 )
+from slipmap.diagrams.systems.look import MAP_COLORS
 from slipmap.diagrams.systems.unlit_meshes import tiles
 from slipmap.models.inference.belief import Belief
 from slipmap.models.physics.rollout import Maps

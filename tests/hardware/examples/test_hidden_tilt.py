@@ -2,7 +2,7 @@
 
 import pytest
 
-from slipmap.diagrams.hardware.testing import assert_alarm, assert_names, assert_quiet
+from slipmap.diagrams.testing import assert_alarm, assert_names, assert_quiet
 from slipmap.models.inference.diagnosis import diagnose
 
 pytestmark = pytest.mark.twin

@@ -2,7 +2,7 @@
 
 import pytest
 
-from slipmap.diagrams.hardware.testing import assert_held, assert_limits_kept
+from slipmap.diagrams.testing import assert_held, assert_limits_kept
 
 pytestmark = pytest.mark.twin
 

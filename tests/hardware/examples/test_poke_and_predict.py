@@ -2,12 +2,12 @@
 
 import pytest
 
-from slipmap.diagrams.hardware.testing import (
+from slipmap.diagrams.loops.exploration_loop import LoopOptions
+from slipmap.diagrams.testing import (
     assert_better_than_uniform,
     assert_limits_kept,
     assert_predicts,
 )
-from slipmap.diagrams.loops.exploration_loop import LoopOptions
 from slipmap.models.inference.identification import identify
 
 pytestmark = pytest.mark.twin

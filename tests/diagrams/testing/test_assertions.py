@@ -8,7 +8,9 @@ import numpy as np
 import pytest
 
 from slipmap.diagrams.hardware.guard_rules import GuardSettings
-from slipmap.diagrams.hardware.testing import (
+from slipmap.diagrams.station.arm import HOME
+from slipmap.diagrams.systems.model_monitor import Judged, Watch
+from slipmap.diagrams.testing import (
     CommandLog,
     Fault,
     Faults,
@@ -17,8 +19,6 @@ from slipmap.diagrams.hardware.testing import (
     assert_predicts,
     assert_quiet,
 )
-from slipmap.diagrams.station.arm import HOME
-from slipmap.diagrams.systems.model_monitor import Judged, Watch
 from slipmap.models.inference.belief import Belief
 from slipmap.models.inference.results import Identification, PushPrediction
 from slipmap.models.robots import SPEED_LIMITS

@@ -1,6 +1,6 @@
 """One process of a soak: explores in a cell in lockstep until it is done, a fault stops it, or it is killed.
 
-Started by `soak.py` as `python -m slipmap.diagrams.hardware.testing.soak_session FOLDER`, with a task on its standard
+Started by `soak.py` as `python -m slipmap.diagrams.application.studies.soak_session FOLDER`, with a task on its standard
 input. Lines on its standard output say how far it is.
 """
 
@@ -17,8 +17,8 @@ from typing import Any
 
 import numpy as np
 
-from slipmap.diagrams.hardware.testing.command_log import CommandLog
-from slipmap.diagrams.hardware.testing.faults import Fault
+from slipmap.diagrams.testing.command_log import CommandLog
+from slipmap.diagrams.testing.faults import Fault
 
 PLANT, COMMANDS = "plant.npy", "commands.npy"
 
@@ -64,11 +64,11 @@ def resident() -> float:
 
 def main(folder: Path, task: Task) -> None:
     """Explore, or go on exploring, in a folder."""
-    from slipmap.diagrams.hardware.testing.cell import LOCKSTEP, Faults, small_scenario
-    from slipmap.diagrams.hardware.testing.lockstep import LockstepCell
     from slipmap.diagrams.loops.exploration_loop import LoopOptions
     from slipmap.diagrams.loops.exploration_run import DOING, ExplorationFailed, explore
     from slipmap.diagrams.loops.run_folder import RUN, ExplorationRecord, resumed
+    from slipmap.diagrams.testing.cell import LOCKSTEP, Faults, small_scenario
+    from slipmap.diagrams.testing.lockstep import LockstepCell
 
     # Few and large cells: what is soaked is the cell and what drives it, not how well it learns.
     options = LoopOptions(

@@ -1,6 +1,6 @@
 """Scripted tests of a cell, real or its twin: see docs/hardware-tests.md.
 
-In pytest, `pytest_plugins = ["slipmap.diagrams.hardware.pytest_plugin"]` in the outermost conftest.py gives the
+In pytest, `pytest_plugins = ["slipmap.diagrams.testing.pytest_plugin"]` in the outermost conftest.py gives the
 fixtures `cell`, `scenario`, `faults`, `explored` and `pushes`. Without pytest, `open_cell` gives the cell.
 """
 
@@ -10,7 +10,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from slipmap.diagrams.hardware.testing.assertions import (
+    from slipmap.diagrams.testing.assertions import (
         assert_alarm,
         assert_better_than_uniform,
         assert_held,
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
         assert_predicts,
         assert_quiet,
     )
-    from slipmap.diagrams.hardware.testing.cell import (
+    from slipmap.diagrams.testing.cell import (
         LOCKSTEP,
         TWIN,
         Cell,
@@ -27,8 +27,8 @@ if TYPE_CHECKING:
         open_cell,
         small_scenario,
     )
-    from slipmap.diagrams.hardware.testing.command_log import CommandLog
-    from slipmap.diagrams.hardware.testing.faults import Fault
+    from slipmap.diagrams.testing.command_log import CommandLog
+    from slipmap.diagrams.testing.faults import Fault
 
 __all__ = [
     "LOCKSTEP",

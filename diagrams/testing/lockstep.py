@@ -13,12 +13,12 @@ from pydrake.systems.framework import Context, DiagramBuilder, EventStatus
 from slipmap.diagrams.hardware import channels
 from slipmap.diagrams.hardware.checked_messages import Received
 from slipmap.diagrams.hardware.interface import PATIENCE, HardwareInterface
-from slipmap.diagrams.hardware.testing.command_log import CommandLog, row_of
-from slipmap.diagrams.hardware.testing.faults import Fault
-from slipmap.diagrams.hardware.testing.relay import Relay
 from slipmap.diagrams.hardware.twin import CellTwin
 from slipmap.diagrams.station.scenario import Scenario
 from slipmap.diagrams.systems.python_system import PythonDiagram, PythonSystem, weakly
+from slipmap.diagrams.testing.command_log import CommandLog, row_of
+from slipmap.diagrams.testing.faults import Fault
+from slipmap.diagrams.testing.relay import Relay
 from slipmap.models.physics.cell_grid import FloatArray
 
 

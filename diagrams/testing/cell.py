@@ -11,16 +11,16 @@ from typing import Any, Protocol
 from slipmap.diagrams.hardware.guard_rules import GuardSettings
 from slipmap.diagrams.hardware.interface import HardwareInterface
 from slipmap.diagrams.hardware.network import open_lcm
-from slipmap.diagrams.hardware.testing.command_log import CommandLog, CommandRecorder
-from slipmap.diagrams.hardware.testing.faults import Fault
-from slipmap.diagrams.hardware.testing.lockstep import LockstepCell
-from slipmap.diagrams.hardware.testing.relay import RelayProcess
-from slipmap.diagrams.hardware.testing.twin_process import TwinProcess, free_url
 from slipmap.diagrams.loops.exploration_loop import LoopOptions
 from slipmap.diagrams.loops.exploration_run import DOING, ExplorationRun, explore
 from slipmap.diagrams.loops.pregrasp_loop import BRINGS, PregraspOptions, PregraspRun, run_pregrasp
 from slipmap.diagrams.loops.run_folder import ExplorationRecord, PushRecord, resumed
 from slipmap.diagrams.station.scenario import Scenario
+from slipmap.diagrams.testing.command_log import CommandLog, CommandRecorder
+from slipmap.diagrams.testing.faults import Fault
+from slipmap.diagrams.testing.lockstep import LockstepCell
+from slipmap.diagrams.testing.relay import RelayProcess
+from slipmap.diagrams.testing.twin_process import TwinProcess, free_url
 from slipmap.models.physics.cell_grid import FloatArray
 
 TWIN, LOCKSTEP = "twin", "lockstep"

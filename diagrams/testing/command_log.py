@@ -1,6 +1,6 @@
 """All commands that the arm was sent, and how fast they asked it to move.
 
-As a process it is started as `python -m slipmap.diagrams.hardware.testing.command_log URL FILE`, and writes commands
+As a process it is started as `python -m slipmap.diagrams.testing.command_log URL FILE`, and writes commands
 to a file until its standard input ends.
 """
 

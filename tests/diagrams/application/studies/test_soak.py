@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from hidden_effects import tilted_pushes
 
-from slipmap.diagrams.hardware.testing.soak import PASSING, STOPPING, Account, checked, drawn_faults
-from slipmap.diagrams.hardware.testing.soak_session import Task
+from slipmap.diagrams.application.studies.soak import PASSING, STOPPING, Account, checked, drawn_faults
+from slipmap.diagrams.application.studies.soak_session import Task
 from slipmap.models.measurements import write_dataset
 
 

@@ -1,6 +1,6 @@
 """A soak: the robot explores for a long time in a cell where things go wrong.
 
-    python -m slipmap.diagrams.hardware.testing.soak --minutes 60 --seed 0 -o soak
+    python -m slipmap.diagrams.application.studies.soak --minutes 60 --seed 0 -o soak
 
 The cell is the twin in lockstep (`lockstep.py`), behind all messages and checks, with the guard's own limits:
 minutes are those of the simulation. Each session is a process that explores until it is done, a fault stops
@@ -23,10 +23,10 @@ import click
 import numpy as np
 
 from slipmap.diagrams.application.outputs import make_folder
+from slipmap.diagrams.application.studies.soak_session import COMMANDS, Task, commands_of
 from slipmap.diagrams.application.terminal import note, paragraph, table
-from slipmap.diagrams.hardware.testing.faults import Fault
-from slipmap.diagrams.hardware.testing.soak_session import COMMANDS, Task, commands_of
 from slipmap.diagrams.station.scenario import Scenario
+from slipmap.diagrams.testing.faults import Fault
 from slipmap.models.files import write_json
 from slipmap.models.measurements import read_dataset
 from slipmap.models.robots import SPEED_LIMITS
@@ -147,7 +147,7 @@ def _session(folder: Path, task: Task) -> list[dict[str, Any]]:
     (folder / COMMANDS).unlink(missing_ok=True)
     with open(folder / "said.log", "a", encoding="utf-8") as log:
         done = subprocess.run(
-            [sys.executable, "-m", "slipmap.diagrams.hardware.testing.soak_session", str(folder)],
+            [sys.executable, "-m", "slipmap.diagrams.application.studies.soak_session", str(folder)],
             input=task.to_json() + "\n", stdout=subprocess.PIPE, stderr=log, text=True, check=False,
         )  # fmt: skip
     said = [json.loads(line) for line in done.stdout.splitlines() if line.startswith("{")]

@@ -1,6 +1,6 @@
 """Passes messages between a cell and what drives it, and lets faults happen on the way.
 
-As a process it is started as `python -m slipmap.diagrams.hardware.testing.relay CELL_URL DRIVER_URL`, and is told
+As a process it is started as `python -m slipmap.diagrams.testing.relay CELL_URL DRIVER_URL`, and is told
 faults on its standard input until that ends.
 """
 
@@ -20,8 +20,8 @@ from pydrake.lcm import DrakeLcmInterface
 from slipmap.diagrams.hardware.channels import HardwareError
 from slipmap.diagrams.hardware.child import Child, be_ready
 from slipmap.diagrams.hardware.network import open_lcm
-from slipmap.diagrams.hardware.testing.faults import FROM_CELL, TO_CELL, Fault, Link
 from slipmap.diagrams.systems.python_system import weakly
+from slipmap.diagrams.testing.faults import FROM_CELL, TO_CELL, Fault, Link
 
 _LOOK_EVERY = 1e-3  # s
 

@@ -1,6 +1,6 @@
 """A twin of a cell in a process of its own, for as long as a test needs it.
 
-It is started as `python -m slipmap.diagrams.hardware.testing.twin_process URL SCENARIO`, and ends when its standard
+It is started as `python -m slipmap.diagrams.testing.twin_process URL SCENARIO`, and ends when its standard
 input does.
 """
 
@@ -53,14 +53,13 @@ def free_url() -> str:
 
 def main(url: str, path: str) -> None:
     """Run the twin until the standard input ends."""
-    from slipmap.diagrams.application.commands.station import tell
-    from slipmap.diagrams.hardware.twin import TwinReport, run_twin
+    from slipmap.diagrams.hardware.twin import TwinReport, report_words, run_twin
     from slipmap.diagrams.station.scenario import read_settings
 
     def report(now: TwinReport) -> None:
         if now.simulated == 0.0:
             be_ready()
-        tell(now)
+        print(report_words(now), file=sys.stderr, flush=True)
 
     def end_with_input() -> None:
         while os.read(sys.stdin.fileno(), 1):

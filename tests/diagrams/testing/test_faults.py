@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from drake import lcmt_iiwa_status, lcmt_image_array
 
-from slipmap.diagrams.hardware.testing.faults import KINDS, Fault, Link
 from slipmap.diagrams.hardware.validation import rules
+from slipmap.diagrams.testing.faults import KINDS, Fault, Link
 
 PERIOD = 0.005
 AT = 0.1  # s; the fault begins with the message 20

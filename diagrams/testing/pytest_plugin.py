@@ -13,10 +13,10 @@ from typing import TYPE_CHECKING
 import pytest
 
 if TYPE_CHECKING:
-    from slipmap.diagrams.hardware.testing.cell import Cell, Faults
     from slipmap.diagrams.loops.exploration_loop import LoopOptions
     from slipmap.diagrams.loops.exploration_run import ExplorationRun
     from slipmap.diagrams.station.scenario import Scenario
+    from slipmap.diagrams.testing.cell import Cell, Faults
     from slipmap.models.measurements import PushDataset
 
 
@@ -45,8 +45,8 @@ def pytest_configure(config: pytest.Config) -> None:
 def scenario(pytestconfig: pytest.Config) -> Scenario:
     """What the cell is like: that of --cell-scenario, else a small one. A test module overrides this fixture
     to lay something else on the table."""
-    from slipmap.diagrams.hardware.testing.cell import small_scenario
     from slipmap.diagrams.station.scenario import ScenarioError, read_scenario
+    from slipmap.diagrams.testing.cell import small_scenario
 
     path = pytestconfig.getoption("--cell-scenario")
     if path is None:
@@ -60,8 +60,8 @@ def scenario(pytestconfig: pytest.Config) -> Scenario:
 @pytest.fixture
 def cell(request: pytest.FixtureRequest, scenario: Scenario, tmp_path: Path) -> Iterator[Cell]:
     """The cell, with an object on its table; on a real one somebody is asked to lay it there."""
-    from slipmap.diagrams.hardware.testing.cell import LOCKSTEP, TWIN, open_cell
     from slipmap.diagrams.perception.renderer import RendererUnavailable, require_renderer
+    from slipmap.diagrams.testing.cell import LOCKSTEP, TWIN, open_cell
 
     where = _where(request.config)
     if where in (TWIN, LOCKSTEP):
