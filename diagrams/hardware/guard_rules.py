@@ -1,7 +1,5 @@
 """What makes the guard stop the arm."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 
