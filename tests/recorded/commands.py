@@ -1,11 +1,30 @@
-"""Command lines whose output is recorded, in the order in which they run: later ones read what earlier wrote."""
+"""Command lines whose output is recorded, in their order: later ones read what earlier ones wrote."""
 
 from __future__ import annotations
 
 COMMANDS = (
-    "doctor demo explore pregrasp station record replay object identify predict view compare diagnose fit"
-    " effects calibrate explore-study campaign blind-test bench completion"
-).split()
+    "doctor",
+    "demo",
+    "explore",
+    "pregrasp",
+    "station",
+    "record",
+    "replay",
+    "object",
+    "identify",
+    "predict",
+    "view",
+    "compare",
+    "diagnose",
+    "fit",
+    "effects",
+    "calibrate",
+    "explore-study",
+    "campaign",
+    "blind-test",
+    "bench",
+    "completion",
+)
 
 CASES: dict[str, str] = {
     "no-command": "",
@@ -44,6 +63,9 @@ CASES: dict[str, str] = {
     "effects": "effects --json effects.json",
     "effect": "effects tether --json tether.json",
     "no-such-effect-explained": "effects teter",
+    "object": "object block.obj -o block.yaml --finger 0.008 --mass 0.5 --cells 20",
+    "calibrate": "calibrate --objects 10 --seed 7 --json calibrate.json",
+    "campaign": "campaign fig5 --objects box --trials 1 --workers 1 --seed 4 --json campaign.json",
     "completion": "completion bash",
 }
 """By name: the arguments, blanks between them. The working folder is a fresh one, shared by all."""

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from tests.recorded.commands import CASES
-from tests.recorded.recording import FOLDER, differences, recorded, said
+from tests.recorded.recording import FOLDER, differences, prepare, recorded, said
 
 
 @pytest.fixture(scope="module")
@@ -16,6 +16,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     """The working folder of all commands."""
     with pytest.MonkeyPatch.context() as patch:
         place = tmp_path_factory.mktemp("commands")
+        prepare(place)
         patch.chdir(place)
         patch.setenv("COLUMNS", "80")
         yield place
