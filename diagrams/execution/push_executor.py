@@ -111,7 +111,7 @@ class PushExecutor(PythonSystem):
     start the arm goes home from wherever it is.
 
     Args:
-        model: the arm as `slipmap.diagrams.station.arm.arm_model` makes it.
+        model: the arm as `arm_model` makes it.
         home: (7,) joint angles between pushes, rad.
         config: how the arm moves.
         table: that the arm keeps away from; if None it heeds neither table nor object, and cannot grasp.

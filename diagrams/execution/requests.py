@@ -1,4 +1,4 @@
-"""What the arm is told to do, and what it says of it. None of these values ever changes."""
+"""What the arm is asked to do, and what it says of it. None of these values ever changes."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ class ActivePush:
     """A push that the arm is to make.
 
     Attributes:
-        push_id: tells this push from the others; a push is made once for each new number.
+        push_id: number of the push; a push is made once for each new number.
         push: what to do.
     """
 

@@ -1,7 +1,9 @@
-"""How the arm moves."""
+"""Settings of the arm's motion."""
 
 # Annotations stay objects: Drake's YAML reader looks at them.
 from dataclasses import dataclass
+
+from slipmap.models.settings import check_ranges
 
 
 @dataclass
@@ -42,21 +44,20 @@ class ExecutionConfig:
 
     def check(self) -> None:
         """Raise ValueError where a field makes no sense."""
-        for name, low, high in (
-            ("tip_height", 0.001, 0.05),
-            ("safe_height", 0.02, 0.3),
-            ("push_speed_limit", 0.001, 1.0),
-            ("transit_speed", 0.01, 2.0),
-            ("lowering_speed", 0.01, 1.0),
-            ("speeding_up", 0.01, 5.0),
-            ("slowing_down", 0.01, 5.0),
-            ("settle", 0.0, 60.0),
-            ("grasping_speed", 0.01, 0.5),
-            ("closing", 0.5, 10.0),
-        ):
-            value = getattr(self, name)
-            if not low <= value <= high:
-                raise ValueError(f"execution.{name} must lie between {low} and {high}, got {value}")
+        check_ranges(
+            self,
+            "execution.",
+            tip_height=(0.001, 0.05),
+            safe_height=(0.02, 0.3),
+            push_speed_limit=(0.001, 1.0),
+            transit_speed=(0.01, 2.0),
+            lowering_speed=(0.01, 1.0),
+            speeding_up=(0.01, 5.0),
+            slowing_down=(0.01, 5.0),
+            settle=(0.0, 60.0),
+            grasping_speed=(0.01, 0.5),
+            closing=(0.5, 10.0),
+        )
         if self.safe_height <= self.tip_height:
             raise ValueError(
                 f"execution.safe_height {self.safe_height} must exceed tip_height {self.tip_height}"

@@ -3,6 +3,7 @@
 All of it stands in one file, so that numba compiles it anew whenever something in it changes.
 """
 
+# Annotations stay objects: Drake's YAML reader looks at them.
 from dataclasses import dataclass, fields
 from typing import Any
 
@@ -14,9 +15,9 @@ from pydrake.systems.sensors import ImageDepth32F
 from slipmap.diagrams.systems.python_system import PythonSystem
 from slipmap.models.perception.pinhole_camera import DepthImage
 from slipmap.models.physics.compiled import LONE_FOLDER, compiled
+from slipmap.models.settings import check_ranges
 
-# The noise of a depth picture, in machine code.
-
+_STEP = 0.01  # m; depth jumps more than this at an edge
 
 _compiled = compiled(LONE_FOLDER)
 
@@ -87,7 +88,7 @@ def _jumps(depth, row, beyond, high, low, jump):  # type: ignore[no-untyped-def]
 
 
 @_compiled
-def measure(depth, seed, window, terms, parameters, result):  # type: ignore[no-untyped-def]
+def _measure(depth, seed, window, terms, parameters, result):  # type: ignore[no-untyped-def]
     """What a camera measures of a noise-free picture.
 
     Works row by row, so that all but the pictures stays in the processor's cache.
@@ -149,12 +150,6 @@ def measure(depth, seed, window, terms, parameters, result):  # type: ignore[no-
             result[row, column] = np.float32(0) if missing else value
 
 
-# Annotations stay objects: Drake's YAML reader looks at them.
-
-
-_STEP = 0.01  # m; depth jumps more than this at an edge
-
-
 @dataclass
 class DepthNoiseConfig:
     """Noise typical of an active stereo or structured-light camera; all zero is a perfect camera.
@@ -192,11 +187,9 @@ class DepthNoiseConfig:
 
     def check(self) -> None:
         """Raise ValueError where a field makes no sense."""
-        for field in fields(self):
-            value = getattr(self, field.name)
-            highest = 1.0 if field.name.startswith("missing") else np.inf
-            if not 0 <= value <= highest:
-                raise ValueError(f"depth_noise.{field.name} must lie between 0 and {highest}, got {value}")
+        names = [field.name for field in fields(self)]
+        largest = {name: 1.0 if name.startswith("missing") else np.inf for name in names}
+        check_ranges(self, "depth_noise.", **{name: (0, largest[name]) for name in names})
 
 
 def noisy_depth(depth: DepthImage, config: DepthNoiseConfig, generator: np.random.Generator) -> DepthImage:
@@ -216,7 +209,7 @@ def noisy_depth(depth: DepthImage, config: DepthNoiseConfig, generator: np.rando
         dtype=np.float32,
     )  # fmt: skip
     result = np.empty_like(depth)
-    measure(depth, seed, _window(config.correlation), terms, parameters, result)
+    _measure(depth, seed, _window(config.correlation), terms, parameters, result)
     return result
 
 

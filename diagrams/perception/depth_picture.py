@@ -43,9 +43,6 @@ from slipmap.models.perception.pinhole_camera import DepthImage
 from slipmap.models.physics.cell_grid import FloatArray
 from slipmap.models.physics.compiled import LONE_FOLDER, compiled
 
-# Drawing shapes into a depth picture, in machine code.
-
-
 BOX, ELLIPSOID, CYLINDER, CAPSULE = range(4)
 """Kinds of shapes; see `draw_solids` for their measures."""
 

@@ -1,7 +1,7 @@
 """Libraries of the operating system that Drake and OpenCV load: found missing by trying, then installed.
 
-Run as `python -m slipmap.diagrams.perception.system_libraries`, which `make` does after installing slipmap. Wheels bring nearly
-everything along; what they leave to the system is known only when an import fails, one library at a time.
+`make` runs it as a module after installing slipmap. Wheels bring nearly everything along; what they leave to
+the system is known only when an import fails, one library at a time.
 """
 
 from __future__ import annotations

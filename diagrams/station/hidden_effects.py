@@ -1,6 +1,6 @@
-"""Effects in the true world that the object's model does not know of, to be found out from the pushes.
+"""Effects in the true world that the object's model does not know of, and that pushes are to reveal.
 
-Parameters mean what those of the same name in `slipmap.models.effects.library` mean; the defaults are no effect.
+Parameters mean what those of the same name in `models/effects/library.py` mean; the defaults are no effect.
 """
 
 # Annotations stay objects: Drake's YAML reader looks at them.
@@ -24,6 +24,8 @@ _SLOWEST = 1e-3  # m/s; below about this slip an extra friction fades out
 
 
 class _Numbers:
+    """Parameters of an effect, all of them numbers."""
+
     _not_negative: tuple[str, ...] = ()
 
     def check(self) -> None:
@@ -131,10 +133,10 @@ class HiddenEffectsConfig:
         return not any([*sizes, spots.gradient_x, spots.gradient_y, spots.patch])
 
 
-def tilted_gravity(tilt: TableTilt, gravity: float = GRAVITY) -> FloatArray:
+def tilted_gravity(tilt: TableTilt) -> FloatArray:
     """(3,) gravity in the frame of a table whose top falls by these slopes along x and y, m/s²."""
     down = np.array([np.tan(tilt.down_x), np.tan(tilt.down_y), -1.0])
-    return gravity * down / np.linalg.norm(down)
+    return GRAVITY * down / np.linalg.norm(down)
 
 
 class HiddenEffects(PythonSystem):

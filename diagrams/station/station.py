@@ -14,9 +14,9 @@ from pydrake.systems.framework import Context, DiagramBuilder
 from pydrake.systems.primitives import ConstantValueSource, ConstantVectorSource
 
 from slipmap.diagrams.perception.camera import add_camera
-from slipmap.diagrams.perception.cell_perception import ArmHulls
 from slipmap.diagrams.perception.depth_noise import DepthNoise
 from slipmap.diagrams.perception.depth_picture import add_depth_picture
+from slipmap.diagrams.perception.sight import ArmHulls
 from slipmap.diagrams.station.arm import Arm, add_arm, add_arm_drivers
 from slipmap.diagrams.station.hidden_effects import add_hidden_effects
 from slipmap.diagrams.station.rest import Hold, RestWatch
@@ -27,8 +27,6 @@ from slipmap.diagrams.systems.python_system import PythonDiagram, PythonSystem
 
 TRUTH = "truth."
 """What ports begin with that only a simulation has."""
-
-_LONGEST_STEP = 0.005  # s
 
 
 class Station(PythonDiagram):
@@ -88,7 +86,9 @@ class Station(PythonDiagram):
         self._rest_watch, self._scene_graph = _watch_rest(builder, plant, scene_graph, self.arm), scene_graph
         self._hold = Hold(plant, scene_graph)
         _export_camera(builder, plant, scene_graph, scenario)
-        _export_ages(builder)
+        for name in ("iiwa.age", "camera.age"):
+            age = builder.AddNamedSystem(name, ConstantVectorSource(np.zeros(1)))
+            builder.ExportOutput(age.get_output_port(), name)
         _export_truth(builder, plant, body.index())
         if meshcat is not None:
             MeshcatVisualizer.AddToBuilder(
@@ -112,10 +112,10 @@ class Station(PythonDiagram):
 def take_fixed_steps(simulator: Simulator) -> None:
     """Integrate what is continuous in a station, which is the arm's control, without error control.
 
-    It is the integral of an error that changes little between two steps of the plant; whatever looks at it
-    more often computes each time all that the arm is told.
+    It is the integral of an error that changes little between two steps of the plant; looking at it more
+    often would compute each time all that the arm is asked for.
     """
-    ResetIntegratorFromFlags(simulator, "explicit_euler", _LONGEST_STEP)
+    ResetIntegratorFromFlags(simulator, "explicit_euler", 0.005)
 
 
 def _watch_rest(
@@ -143,12 +143,6 @@ def _export_camera(
         "camera_pose", ConstantValueSource(AbstractValue.Make(scenario.camera.X_WC))
     )
     builder.ExportOutput(place.get_output_port(), "camera.X_WC")
-
-
-def _export_ages(builder: DiagramBuilder) -> None:
-    for name in ("iiwa.age", "camera.age"):
-        age = builder.AddNamedSystem(name, ConstantVectorSource(np.zeros(1)))
-        builder.ExportOutput(age.get_output_port(), name)
 
 
 def _export_truth(builder: DiagramBuilder, plant: MultibodyPlant, body: BodyIndex) -> None:

@@ -1,7 +1,7 @@
 """Scripted tests of a cell, real or its twin: see docs/hardware-tests.md.
 
-In pytest, `pytest_plugins = ["slipmap.diagrams.testing.pytest_plugin"]` in the outermost conftest.py gives the
-fixtures `cell`, `scenario`, `faults`, `explored` and `pushes`. Without pytest, `open_cell` gives the cell.
+In pytest, `pytest_plugins = ["slipmap.diagrams.testing.pytest_plugin"]` in the outermost conftest.py gives
+the fixtures `cell`, `scenario`, `faults`, `explored` and `pushes`. Without it, `open_cell` gives the cell.
 """
 
 from __future__ import annotations

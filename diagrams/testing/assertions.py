@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from slipmap.diagrams.hardware.guard_rules import GuardSettings
+from slipmap.diagrams.hardware.guard import GuardSettings
 from slipmap.diagrams.loops.exploration_run import ExplorationRun
 from slipmap.diagrams.loops.pregrasp_loop import PregraspRun
 from slipmap.diagrams.systems.model_monitor import LEVEL, Watch

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Protocol
 
-from slipmap.diagrams.hardware.guard_rules import GuardSettings
+from slipmap.diagrams.hardware.guard import GuardSettings
 from slipmap.diagrams.hardware.interface import HardwareInterface
 from slipmap.diagrams.hardware.network import open_lcm
 from slipmap.diagrams.loops.exploration_loop import LoopOptions

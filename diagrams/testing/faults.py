@@ -11,7 +11,7 @@ import numpy as np
 from drake import lcmt_iiwa_status, lcmt_image, lcmt_image_array
 from numpy.typing import NDArray
 
-from slipmap.diagrams.hardware import channels
+from slipmap.diagrams.hardware import network
 
 Rows = NDArray[np.float32]
 KINDS: dict[str, tuple[str, ...]] = {
@@ -23,19 +23,19 @@ KINDS: dict[str, tuple[str, ...]] = {
 """What can go wrong, by what it goes wrong with."""
 
 FROM_CELL = (
-    channels.IIWA_STATUS,
-    channels.GRIPPER_STATUS,
-    channels.CAMERA_DEPTH,
-    channels.CAMERA_COLOR,
-    channels.CAMERA_POSE,
+    network.IIWA_STATUS,
+    network.GRIPPER_STATUS,
+    network.CAMERA_DEPTH,
+    network.CAMERA_COLOR,
+    network.CAMERA_POSE,
 )
-TO_CELL = (channels.IIWA_COMMAND, channels.GRIPPER_COMMAND)
+TO_CELL = (network.IIWA_COMMAND, network.GRIPPER_COMMAND)
 
 _CHANNEL = {
-    "status": channels.IIWA_STATUS,
-    "pictures": channels.CAMERA_DEPTH,
-    "arm": channels.IIWA_COMMAND,
-    "gripper": channels.GRIPPER_COMMAND,
+    "status": network.IIWA_STATUS,
+    "pictures": network.CAMERA_DEPTH,
+    "arm": network.IIWA_COMMAND,
+    "gripper": network.GRIPPER_COMMAND,
 }
 _STATUSES_KEPT = 400  # that can come again, backwards
 
@@ -113,7 +113,7 @@ class Link:
         self._begin = np.inf
         self._sent: deque[bytes] = deque(
             # Pictures are large; of them only the last one can come again.
-            maxlen=_STATUSES_KEPT if channel == channels.IIWA_STATUS else 1
+            maxlen=_STATUSES_KEPT if channel == network.IIWA_STATUS else 1
         )
         self._frozen: bytes | None = None
         self._late: deque[tuple[float, bytes]] = deque()

@@ -10,9 +10,9 @@ from pydrake.lcm import DrakeLcm
 from pydrake.math import RigidTransform
 from pydrake.systems.framework import Context, DiagramBuilder, EventStatus
 
-from slipmap.diagrams.hardware import channels
+from slipmap.diagrams.hardware import network
 from slipmap.diagrams.hardware.checked_messages import Received
-from slipmap.diagrams.hardware.interface import PATIENCE, HardwareInterface
+from slipmap.diagrams.hardware.interface import PATIENCE, HardwareInterface, export_outputs
 from slipmap.diagrams.hardware.twin import CellTwin
 from slipmap.diagrams.station.scenario import Scenario
 from slipmap.diagrams.systems.python_system import PythonDiagram, PythonSystem, weakly
@@ -45,7 +45,7 @@ class LockstepCell(PythonDiagram):
         self._positions = positions
         self._root: Context | None = None
         self._commands = array("d")
-        driver.Subscribe(channels.IIWA_COMMAND, weakly(self._write_down))
+        driver.Subscribe(network.IIWA_COMMAND, weakly(self._write_down))
         builder = DiagramBuilder()
         self.twin: CellTwin = builder.AddSystem(CellTwin(scenario, cell))
         self._clock = builder.AddSystem(_Clock())
@@ -57,9 +57,7 @@ class LockstepCell(PythonDiagram):
         for index in range(self._interface.num_input_ports()):
             port = self._interface.get_input_port(index)
             builder.ExportInput(port, port.get_name())
-        for index in range(self._interface.num_output_ports()):
-            port = self._interface.get_output_port(index)
-            builder.ExportOutput(port, port.get_name())
+        export_outputs(builder, self._interface)
         builder.BuildInto(self)
         self.set_name("station")
 
@@ -125,7 +123,7 @@ class LockstepCell(PythonDiagram):
 
 
 class _Clock(PythonSystem):
-    """Tells the time of the diagram to those who are no part of it."""
+    """Shows the time of the diagram to those who are no part of it."""
 
     def __init__(self) -> None:
         super().__init__()

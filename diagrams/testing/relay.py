@@ -1,8 +1,4 @@
-"""Passes messages between a cell and what drives it, and lets faults happen on the way.
-
-As a process it is started as `python -m slipmap.diagrams.testing.relay CELL_URL DRIVER_URL`, and is told
-faults on its standard input until that ends.
-"""
+"""Passes messages between a cell and what drives it, and lets faults happen on the way."""
 
 from __future__ import annotations
 
@@ -17,13 +13,10 @@ from functools import partial
 
 from pydrake.lcm import DrakeLcmInterface
 
-from slipmap.diagrams.hardware.channels import HardwareError
 from slipmap.diagrams.hardware.child import Child, be_ready
-from slipmap.diagrams.hardware.network import open_lcm
+from slipmap.diagrams.hardware.network import LOOK_EVERY, open_lcm
 from slipmap.diagrams.systems.python_system import weakly
 from slipmap.diagrams.testing.faults import FROM_CELL, TO_CELL, Fault, Link
-
-_LOOK_EVERY = 1e-3  # s
 
 
 class Relay:
@@ -62,8 +55,8 @@ class Relay:
             other.Publish(channel, come)
 
 
-class RelayProcess:
-    """The relay in a process of its own; `close` ends it.
+class RelayProcess(Child):
+    """The relay in a process of its own; once `close` ended it, no message passes any more.
 
     Args:
         cell_url, driver_url: LCM addresses, see `network.open_lcm`.
@@ -73,8 +66,7 @@ class RelayProcess:
     """
 
     def __init__(self, cell_url: str, driver_url: str) -> None:
-        self._child = Child("the relay between cell and test", __name__, cell_url, driver_url)
-        self._child.wait_until_ready()
+        super().__init__("the relay between cell and test", _relay, cell_url, driver_url)
 
     def order(self, fault: Fault) -> None:
         """Let a fault begin.
@@ -82,35 +74,24 @@ class RelayProcess:
         Raises:
             HardwareError: the process has ended.
         """
-        self._child.send(json.dumps(asdict(fault)).encode() + b"\n")
-
-    def close(self) -> None:
-        """End the process; no message passes any more."""
-        self._child.close()
+        self.write(json.dumps(asdict(fault)).encode() + b"\n")
 
 
-def main(cell_url: str, driver_url: str) -> None:
-    """Pass messages until the standard input ends."""
+def _relay(cell_url: str, driver_url: str) -> None:
+    """Pass messages, and take faults from the standard input until that ends."""
     cell, driver = open_lcm(cell_url), open_lcm(driver_url)
     relay = Relay(cell, driver, time.monotonic)
     source, said = sys.stdin.fileno(), b""
     be_ready()
     while True:
-        if select.select([source], [], [], _LOOK_EVERY)[0]:
+        if select.select([source], [], [], LOOK_EVERY)[0]:
             data = os.read(source, 1 << 16)
             if not data:
                 return
             *lines, said = (said + data).split(b"\n")
             for line in lines:
-                told = json.loads(line)
-                relay.order(Fault(**{**told, "band": tuple(told["band"])}))
+                fault = json.loads(line)
+                relay.order(Fault(**{**fault, "band": tuple(fault["band"])}))
         cell.HandleSubscriptions(0)
         driver.HandleSubscriptions(0)
         relay.flush()
-
-
-if __name__ == "__main__":
-    try:
-        main(*sys.argv[1:])
-    except HardwareError as failure:
-        sys.exit(f"slipmap: {failure}")

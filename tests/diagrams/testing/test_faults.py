@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from drake import lcmt_iiwa_status, lcmt_image_array
 
-from slipmap.diagrams.hardware.validation import rules
+from slipmap.diagrams.hardware.checked_messages import rules
 from slipmap.diagrams.testing.faults import KINDS, Fault, Link
 
 PERIOD = 0.005
