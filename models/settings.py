@@ -1,20 +1,28 @@
-"""What the settings of a scenario file have in common: each says which of its fields is out of range."""
+"""What the settings of a scenario file have in common: fields with a range, and the check of it."""
 
 from __future__ import annotations
 
+from dataclasses import field, fields
+from typing import Any
 
-def check_ranges(settings: object, section: str, **ranges: tuple[float, float]) -> None:
-    """Refuse settings of which a field lies outside of its range.
+
+def within(default: float, least: float, largest: float) -> Any:
+    """A field of a settings dataclass that must lie between two values; see `check_ranges`."""
+    return field(default=default, metadata={"range": (least, largest)})
+
+
+def check_ranges(settings: Any, section: str) -> None:
+    """Refuse settings of which a field made by `within` is out of its range.
 
     Args:
-        settings: dataclass with the fields.
+        settings: dataclass.
         section: what stands before a field's name in the message, such as `execution.` or `goals: `.
-        ranges: least and largest value of each field.
 
     Raises:
         ValueError: names the field, its range and its value; NaN is in no range.
     """
-    for name, (least, largest) in ranges.items():
-        value = getattr(settings, name)
-        if not least <= value <= largest:
-            raise ValueError(f"{section}{name} must lie between {least} and {largest}, got {value}")
+    for item in fields(settings):
+        least, largest = item.metadata.get("range", (None, None))
+        value = getattr(settings, item.name)
+        if least is not None and not least <= value <= largest:
+            raise ValueError(f"{section}{item.name} must lie between {least} and {largest}, got {value}")

@@ -167,17 +167,7 @@ class Received:
 class CheckedMessages(PythonSystem):
     """Lets good messages of a channel through, and warns of others.
 
-    .. pydrake_system::
-
-        name: CheckedMessages
-        output_ports:
-        - message
-        - stamp
-        - age
-        - silence
-        - received
-
-    `hear` takes what comes, and the next step looks at it.
+    `hear` takes what comes, and the next step looks at it. The output ports:
 
     - `message`: the newest good message as Drake's own receivers take it, all zero before the first.
     - `stamp` (1,): the sender's clock in it, s, NaN before the first.

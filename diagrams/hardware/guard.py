@@ -19,7 +19,7 @@ from slipmap.diagrams.hardware.command_stream import braking_time
 from slipmap.diagrams.systems.python_system import PythonSystem, held, read, replace_held
 from slipmap.models.physics.cell_grid import FloatArray
 from slipmap.models.robots import ARM_JOINTS, POSITION_LIMITS, SPEED_LIMITS
-from slipmap.models.settings import check_ranges
+from slipmap.models.settings import check_ranges, within
 
 PERIOD = 0.005
 """s between two commands."""
@@ -63,35 +63,23 @@ class GuardSettings:
         ValueError: a value out of range.
     """
 
-    status_age: float = 0.025
-    image_age: float = 1.0
-    transit_speed: float = 0.4
-    tip_speed: float = 1.7
-    joint_margin: float = 0.0175
-    following: float = 0.05
-    lag: float = 0.1
+    status_age: float = within(0.025, 0.01, 0.5)
+    image_age: float = within(1.0, 0.1, 60.0)
+    transit_speed: float = within(0.4, 0.01, 2.0)
+    tip_speed: float = within(1.7, 0.01, 2.5)
+    joint_margin: float = within(0.0175, 0.0, 0.3)
+    following: float = within(0.05, 0.005, 0.5)
+    lag: float = within(0.1, 0.02, 1.0)
     torque: list[float] = field(default_factory=lambda: [40.0, 40.0, 30.0, 30.0, 20.0, 15.0, 15.0])
-    stopping: float = 0.05
-    patience: float = 10.0
+    stopping: float = within(0.05, 0.02, 0.2)
+    patience: float = within(10.0, 0.1, 600.0)
 
     def __post_init__(self) -> None:
         self.check()
 
     def check(self) -> None:
         """Raise ValueError where a field makes no sense."""
-        check_ranges(
-            self,
-            "guard.",
-            status_age=(0.01, 0.5),
-            image_age=(0.1, 60.0),
-            transit_speed=(0.01, 2.0),
-            tip_speed=(0.01, 2.5),
-            joint_margin=(0.0, 0.3),
-            following=(0.005, 0.5),
-            lag=(0.02, 1.0),
-            stopping=(0.02, 0.2),
-            patience=(0.1, 600.0),
-        )
+        check_ranges(self, "guard.")
         torque = np.array(self.torque, dtype=float)
         if torque.shape != (7,) or not ((torque > 0) & (torque <= 320.0)).all():
             raise ValueError(
@@ -265,29 +253,17 @@ class _Rules:
 class CommandGuard(PythonSystem):
     """Passes joint angles on to the arm while all is well; else brings the arm to rest and holds it.
 
-    .. pydrake_system::
-
-        name: CommandGuard
-        input_ports:
-        - iiwa.position
-        - iiwa.position_measured
-        - iiwa.torque_external
-        - status_age
-        - status_silence (optional)
-        - image_age (optional)
-        - abort (optional)
-        output_ports:
-        - iiwa.position
-        - health
+    Input ports:
 
     - `iiwa.position` (7,) wanted, rad; `iiwa.position_measured` (7,) rad; `iiwa.torque_external` (7,) N m, of
       contact on the arm.
-    - `status_age`, `image_age` (1,) s, of the newest valid status and picture; infinite before the first.
-    - `status_silence` (1,) s since a status was found, by this computer's clock: it goes on where the
-      diagram's is late, and with it all ages.
-    - `abort` (1,): above 0.5 stops the arm.
-    - Output `iiwa.position` (7,) rad, new every `PERIOD`.
-    - `health`: `Health`.
+    - `status_age` (1,) s, of the newest valid status; infinite before the first.
+    - `status_silence` (optional, (1,) s) since a status was found, by this computer's clock: it goes on where
+      the diagram's is late, and with it all ages.
+    - `image_age` (optional, (1,) s) of the newest valid picture; infinite before the first.
+    - `abort` (optional, (1,)): above 0.5 stops the arm.
+
+    Output ports: `iiwa.position` (7,) rad, new every `PERIOD`; `health`: `Health`.
 
     Until the first status it waits and asks the arm to stay where it is said to be. What stops the arm:
     a late or impossible status; an arm that is not where it was sent; a picture that is late, once

@@ -145,7 +145,7 @@ def _add_gripper(
 def _add_camera(
     builder: DiagramBuilder, station: Station, lcm: DrakeLcmInterface, scenario: Scenario
 ) -> dict[str, LcmPublisherSystem]:
-    """Returns the publishers by their network."""
+    """Returns the publishers by their channels."""
     period = 1.0 / scenario.camera.rate
     result = {}
     for channel, port, pixels, every in (

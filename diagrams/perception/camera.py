@@ -37,7 +37,7 @@ from pydrake.systems.sensors import CameraInfo, RgbdSensor
 from slipmap.diagrams.perception.renderer import require_renderer
 from slipmap.diagrams.systems.python_system import PythonSystem
 from slipmap.models.perception.pinhole_camera import PinholeCamera
-from slipmap.models.settings import check_ranges
+from slipmap.models.settings import check_ranges, within
 
 NEAREST, FARTHEST = 0.2, 4.0
 """Of depth readings, m."""
@@ -59,28 +59,20 @@ class CameraConfig:
         ValueError: a value out of range.
     """
 
-    height: float = 1.1
+    height: float = within(1.1, 0.3, FARTHEST - 0.1)
     position: list[float] = field(default_factory=lambda: [0.0, 0.0])
     yaw: float = 0.0
-    fov_y: float = float(np.deg2rad(52.0))
-    width: int = 640
-    height_pixels: int = 480
-    rate: float = 15.0
+    fov_y: float = within(float(np.deg2rad(52.0)), 0.05, 2.8)
+    width: int = within(640, 16, 4096)
+    height_pixels: int = within(480, 16, 4096)
+    rate: float = within(15.0, 0.1, 1000.0)
 
     def __post_init__(self) -> None:
         self.check()
 
     def check(self) -> None:
         """Raise ValueError where a field makes no sense."""
-        check_ranges(
-            self,
-            "camera.",
-            height=(0.3, FARTHEST - 0.1),
-            fov_y=(0.05, 2.8),
-            width=(16, 4096),
-            height_pixels=(16, 4096),
-            rate=(0.1, 1000.0),
-        )
+        check_ranges(self, "camera.")
         if len(self.position) != 2 or not np.isfinite(self.position).all():
             raise ValueError(f"camera.position must be x and y in m, got {self.position}")
         if not np.isfinite(self.yaw):

@@ -160,23 +160,9 @@ class _Eye:
 class CellPerception(PythonSystem):
     """Finds the object on the table, cuts it into cells, and follows its pose from picture to picture.
 
-    .. pydrake_system::
-
-        name: CellPerception
-        input_ports:
-        - depth_image
-        - X_WC
-        - arm_position (optional)
-        - image_age (optional)
-        output_ports:
-        - object_pose
-        - cell_grid
-        - seen_object
-        - first_picture
-
-    Inputs: `depth_image`, an ImageDepth32F; `X_WC`, a RigidTransform; `arm_position`, (7,) joint angles,
-    with which the arm is masked in the picture; `image_age`, (1,) s since the picture was taken, 0 if not
-    connected. Outputs: `object_pose`, an `ObservedPose`; `cell_grid`, a `CellGrid` or None before the first
+    Inputs: `depth_image`, an ImageDepth32F; `X_WC`, a RigidTransform; `arm_position`, (7,) joint angles, with
+    which the arm is masked in the picture if it is connected; `image_age`, (1,) s since the picture was taken,
+    0 if not connected. Outputs: `object_pose`, an `ObservedPose`; `cell_grid`, a `CellGrid` or None before the first
     look is over; `seen_object`, a `SeenObject` with heights, or None; `first_picture`, the `FirstPicture`
     from which it comes, or None.
 

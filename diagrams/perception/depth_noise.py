@@ -4,7 +4,7 @@ All of it stands in one file, so that numba compiles it anew whenever something 
 """
 
 # Annotations stay objects: Drake's YAML reader looks at them.
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -15,7 +15,7 @@ from pydrake.systems.sensors import ImageDepth32F
 from slipmap.diagrams.systems.python_system import PythonSystem
 from slipmap.models.perception.pinhole_camera import DepthImage
 from slipmap.models.physics.compiled import LONE_FOLDER, compiled
-from slipmap.models.settings import check_ranges
+from slipmap.models.settings import check_ranges, within
 
 _STEP = 0.01  # m; depth jumps more than this at an edge
 
@@ -173,23 +173,21 @@ class DepthNoiseConfig:
         ValueError: a negative value, or a share above 1.
     """
 
-    axial_floor: float = 0.4e-3
-    axial_growth: float = 1.0e-3
-    lateral_jitter: float = 0.4
-    correlation: float = 1.0
-    missing_at_edges: float = 0.3
-    missing_anywhere: float = 0.003
-    quantum: float = 1e-3
-    seed: int = 0
+    axial_floor: float = within(0.4e-3, 0, np.inf)
+    axial_growth: float = within(1.0e-3, 0, np.inf)
+    lateral_jitter: float = within(0.4, 0, np.inf)
+    correlation: float = within(1.0, 0, np.inf)
+    missing_at_edges: float = within(0.3, 0, 1.0)
+    missing_anywhere: float = within(0.003, 0, 1.0)
+    quantum: float = within(1e-3, 0, np.inf)
+    seed: int = within(0, 0, np.inf)
 
     def __post_init__(self) -> None:
         self.check()
 
     def check(self) -> None:
         """Raise ValueError where a field makes no sense."""
-        names = [field.name for field in fields(self)]
-        largest = {name: 1.0 if name.startswith("missing") else np.inf for name in names}
-        check_ranges(self, "depth_noise.", **{name: (0, largest[name]) for name in names})
+        check_ranges(self, "depth_noise.")
 
 
 def noisy_depth(depth: DepthImage, config: DepthNoiseConfig, generator: np.random.Generator) -> DepthImage:
@@ -214,15 +212,7 @@ def noisy_depth(depth: DepthImage, config: DepthNoiseConfig, generator: np.rando
 
 
 class DepthNoise(PythonSystem):
-    """Puts a depth camera's noise on rendered pictures.
-
-    .. pydrake_system::
-
-        name: DepthNoise
-        input_ports:
-        - depth_image
-        output_ports:
-        - depth_image
+    """Puts a depth camera's noise on rendered pictures, which come and go at ports named `depth_image`.
 
     A frame's noise depends on the seed and the frame's number alone, which is the time in units of the
     camera's period; it does not matter who looks when, or how often.

@@ -322,15 +322,7 @@ class _Scene:
 class DepthPicture(PythonSystem):
     """Depth pictures of a plant, without noise.
 
-    .. pydrake_system::
-
-        name: DepthPicture
-        input_ports:
-        - body_poses
-        output_ports:
-        - depth_image
-
-    `body_poses` are those of the plant. `depth_image`, an ImageDepth32F, is as Drake's `RgbdSensor` renders
+    The input `body_poses` has those of the plant. The output `depth_image`, an ImageDepth32F, is as Drake's `RgbdSensor` renders
     it: 0 for what is too near, inf for what is too far; edges may lie in the pixel beside.
     """
 

@@ -59,21 +59,9 @@ class Sight:
 class ArmAside(PythonSystem):
     """Whether the whole object can be seen past the arm.
 
-    .. pydrake_system::
-
-        name: ArmAside
-        input_ports:
-        - arm_position
-        - X_WC
-        - object_pose
-        - seen_object
-        output_ports:
-        - aside
-
-    - `arm_position` (7,) rad; `X_WC`: of the camera; `object_pose`: `ObservedPose`; `seen_object`:
-      `SeenObject | None`.
-    - `aside`: bool, whether the arm hides no cell of the object where it was just seen; False while it is
-      not seen.
+    Inputs: `arm_position` (7,) rad; `X_WC`, of the camera; `object_pose`, an `ObservedPose`; `seen_object`, a
+    `SeenObject` or None. The output `aside` is a bool, whether the arm hides no cell of the object where it was
+    just seen; False while it is not seen.
 
     Args:
         camera: of the pictures.

@@ -142,14 +142,7 @@ def tilted_gravity(tilt: TableTilt) -> FloatArray:
 class HiddenEffects(PythonSystem):
     """Forces of the hidden effects on the object, for the plant's `applied_spatial_force`.
 
-    .. pydrake_system::
-
-        name: HiddenEffects
-        input_ports:
-        - body_poses
-        - body_spatial_velocities
-        output_ports:
-        - spatial_forces
+    Inputs are the plant's `body_poses` and `body_spatial_velocities`.
 
     Tilt is the difference between tilted and level gravity, at the centre of mass. The plant's own gravity
     stays level, so that an arm whose controller knows how it is mounted does not feel it. The tether pulls at

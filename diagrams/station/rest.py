@@ -38,16 +38,8 @@ _SAME = 1e-9  # m; a held object that was moved by more has been put somewhere b
 class RestWatch(PythonSystem):
     """Whether the object lies still and no part of the arm is about to touch it.
 
-    .. pydrake_system::
-
-        name: RestWatch
-        input_ports:
-        - body_poses
-        - body_spatial_velocities
-        output_ports:
-        - at_rest
-
-    `at_rest` (1,) is 1 or 0. It becomes 1 after `QUIET` in which no point of the object was faster than the
+    Inputs are the plant's `body_poses` and `body_spatial_velocities`. The output `at_rest` (1,) is 1 or 0. It
+    becomes 1 after `QUIET` in which no point of the object was faster than the
     stiction tolerance, and 0 at the first look at which one is, at which the object is elsewhere than at the
     look before, or the arm is near; see `_ROOM`. Distances are between the boxes about single shapes, which
     are never larger than those between the shapes.

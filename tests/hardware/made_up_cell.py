@@ -15,7 +15,7 @@ from drake import (
 )
 
 from slipmap.diagrams.execution.finger_kinematics import FingerKinematics
-from slipmap.diagrams.execution.plans import plan_push
+from slipmap.diagrams.execution.plans import ArmPlanner
 from slipmap.diagrams.execution.settings import ExecutionConfig
 from slipmap.diagrams.hardware import network
 from slipmap.diagrams.hardware.message_stream import Event
@@ -65,7 +65,7 @@ class MadeUpCell:
     def __post_init__(self) -> None:
         self._kinematics = FingerKinematics(arm_model())
         home = self._kinematics.inverse(HOME_TIP)
-        self.plan = plan_push(self._kinematics, self.push, home, home, ExecutionConfig())
+        self.plan = ArmPlanner(self._kinematics, ExecutionConfig(), home).push(self.push, home)
         self.duration = BEFORE + self.plan.duration + AFTER
         self._scene = Scene()
         camera = scenario().camera
