@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from pydrake.common.value import Value
 from pydrake.math import RigidTransform
 from pydrake.multibody.plant import MultibodyPlant
-from pydrake.systems.framework import BasicVector, Context, EventStatus, State
+from pydrake.systems.framework import BasicVector, Context, EventStatus, InputPort, State
 
 from slipmap.diagrams.execution.clearance import ArmClearance, Obstacle, Surroundings
 from slipmap.diagrams.execution.finger_kinematics import FingerKinematics, tip_force
@@ -78,9 +79,9 @@ class PushExecutor(PythonSystem):
     - `abort`: bool; True stops a push, lifts the finger and brings the arm home. A grasp goes on.
     - `moved`: str of an `ObjectWatch`; where it is not empty on the way to a push, the arm goes home and the
       push counts as refused for that reason.
-    - `health`: `Health` of a `CommandGuard`. Nothing is planned while the guard waits for the arm. When it has
-      stopped the arm, the push or grasp ends in `stopped` with the guard's reason; arm and gripper stay as
-      they are, and nothing is done after it.
+    - `health`: `Health` of a `CommandGuard`. Nothing is planned while the guard waits for the arm. When it
+      has stopped the arm, the push or grasp ends in `stopped` with the guard's reason; arm and gripper stay
+      as they are, and nothing is done after it.
     - `gripper.state_measured` (2,) opening and its rate, m and m/s; a gripper that does not close for a push
       ends in `stopped`, too.
     - `object_pose`: `ObservedPose`, `seen_object`: `SeenObject | None`: what the arm, but for the finger,
@@ -152,7 +153,7 @@ class PushExecutor(PythonSystem):
 
     def _next(self, context: Context, now: _Execution) -> _Execution:
         time = context.get_time()
-        health: Health | None = self._health.Eval(context) if self._health.HasValue(context) else None
+        health: Health | None = _optional(self._health, context)
         if now.status.mode == "stopped" or (health is not None and health.mode == "waiting"):
             return now
         if health is not None and not health.ok:
@@ -162,18 +163,16 @@ class PushExecutor(PythonSystem):
         if now.plan is None:
             plan = self._planner.retreat(self._measured.Eval(context), np.zeros(7))
             return replace(now, plan=plan, begin=time)
-        abort = self._abort.HasValue(context) and self._abort.Eval(context)
+        abort = _optional(self._abort, context)
         if now.running(time):
             if abort and not now.aborted and now.status.mode != "home":
                 return self._aborted(now, time)
-            moved = self._moved.Eval(context) if self._moved.HasValue(context) else ""
+            moved = _optional(self._moved, context)
             if moved and now.plan.at(time - now.begin)[0] in ("approaching", "lowering"):
                 back = self._planner.retreat(*now.plan.motion(time - now.begin))
                 return _Execution(replace(now.status, reason=moved), back, time, True, last="refused")
             return now
-        request: ActivePush | ActiveGrasp | None = self._push.Eval(context)
-        if self._grasp.HasValue(context) and self._grasp.Eval(context) is not None:
-            request = self._grasp.Eval(context)
+        request: ActivePush | ActiveGrasp | None = _optional(self._grasp, context) or self._push.Eval(context)
         if abort or request is None or request.push_id == now.status.push_id:
             return now
         if now.plan.phases[-1].mode == "holding":
@@ -266,6 +265,10 @@ class PushExecutor(PythonSystem):
         output.set_value(status)
 
 
+def _optional(port: InputPort, context: Context) -> Any:
+    return port.Eval(context) if port.HasValue(context) else None
+
+
 @dataclass(frozen=True, eq=False)
 class _Aim:
     """State: where the object lay when the arm set out, and what was seen since."""
@@ -279,8 +282,8 @@ class _Aim:
 class ObjectWatch(PythonSystem):
     """Has the executor give up a push whose object something else moved while the arm was on its way to it.
 
-    Inputs are `object_pose`, an `ObservedPose`, and `execution`, an `ExecutionStatus`. The output `moved` is a
-    str, how far, from when `TIMES` pictures in a row show the object elsewhere than before the arm set out,
+    Inputs are `object_pose`, an `ObservedPose`, and `execution`, an `ExecutionStatus`. The output `moved` is
+    a str, how far, from when `TIMES` pictures in a row show the object elsewhere than before the arm set out,
     until the arm is home; else empty. Only the way to the push counts: then the finger pushes.
     """
 
@@ -290,12 +293,11 @@ class ObjectWatch(PythonSystem):
         self._execution = self.DeclareAbstractInputPort("execution", Value[object](None))
         self._aim = self.DeclareAbstractState(held(_Aim()))
         self.DeclarePeriodicUnrestrictedUpdateEvent(PERIOD, 0.0, self._update)
-        self.DeclareAbstractOutputPort(
-            "moved",
-            lambda: Value[object](""),
-            lambda context, output: output.set_value(read(context, self._aim).moved),
-            {self.abstract_state_ticket(self._aim)},
-        )
+        own = self.abstract_state_ticket(self._aim)
+        self.DeclareAbstractOutputPort("moved", lambda: Value[object](""), self._calc_moved, {own})
+
+    def _calc_moved(self, context: Context, output: Value) -> None:
+        output.set_value(read(context, self._aim).moved)
 
     def _update(self, context: Context, state: State) -> EventStatus:
         aim: _Aim = read(context, self._aim)

@@ -23,9 +23,6 @@ class ExecutionConfig:
         settle: time the finger rests at the end of a push, s.
         grasping_speed: of the open gripper on its way in to the object, and of the lifted object, m/s.
         closing: time that the gripper has to close, s.
-
-    Raises:
-        ValueError: a value out of range.
     """
 
     tip_height: float = within(0.004, 0.001, 0.05)

@@ -84,9 +84,6 @@ class Rule:
     def read(self, data: bytes) -> tuple[Any, float]:
         """A message that may be believed, but for its stamp, and the stamp, s of the sender's clock.
 
-        Args:
-            data: as received.
-
         Raises:
             BadMessage: names the cause.
         """
@@ -117,11 +114,7 @@ def check_stamp(stamp: float, last: float, anew: bool = False) -> None:
 
 
 def rules(width: int, height: int) -> Mapping[str, Rule]:
-    """The rule of each channel.
-
-    Args:
-        width, height: of the camera's pictures, pixels.
-    """
+    """The rule of each channel, with pictures of a size in pixels."""
     depth, color = lcmt_image.PIXEL_FORMAT_DEPTH, lcmt_image.PIXEL_FORMAT_RGBA
     size = (width, height)
     return {
@@ -205,23 +198,14 @@ class CheckedMessages(PythonSystem):
         self.DeclareVectorOutputPort("stamp", 1, self._calc_stamp, {own})
         self.DeclareVectorOutputPort("age", 1, self._calc_age, {own, self.time_ticket()})
         self.DeclareVectorOutputPort("silence", 1, self._calc_silence, {own})
-        self.DeclareAbstractOutputPort(
-            "received",
-            lambda: Value[object](None),
-            lambda context, output: output.set_value(self.received(context)),
-            {own},
-        )
+        self.DeclareAbstractOutputPort("received", lambda: Value[object](None), self._calc_received, {own})
 
     def received(self, context: Context) -> Received:
         """What came until now, of this system's Context."""
         return read(context, self._received)
 
     def hear(self, data: bytes) -> None:
-        """Check a message and keep it for the next step; may be called by another thread.
-
-        Args:
-            data: as received.
-        """
+        """Check a message, as received, and keep it for the next step; may be called by another thread."""
         try:
             message, stamp = self._rule.read(data)
         except BadMessage as error:
@@ -230,11 +214,7 @@ class CheckedMessages(PythonSystem):
             self._heard.append((message.encode(), stamp))
 
     def take(self, context: Context) -> Received:
-        """Look at what was heard before the diagram runs.
-
-        Args:
-            context: of this system, changed.
-        """
+        """Look at what was heard before the diagram runs; changes the Context, which is of this system."""
         now = self._taken(context)
         replace_held(context.get_mutable_state(), self._received, now)
         return now
@@ -285,6 +265,9 @@ class CheckedMessages(PythonSystem):
     def _calc_silence(self, context: Context, output: BasicVector) -> None:
         output.SetFromVector([self.received(context).silence])
 
+    def _calc_received(self, context: Context, output: AbstractValue) -> None:
+        output.set_value(self.received(context))
+
     def _calc_age(self, context: Context, output: BasicVector) -> None:
         now = self.received(context)
         output.SetFromVector([context.get_time() - now.offset - now.stamp if now.good else np.inf])
@@ -301,14 +284,7 @@ def add_checked(
     channels: Iterable[str],
     clocks: Mapping[str, Callable[[], float] | None] = MappingProxyType({}),
 ) -> dict[str, CheckedMessages]:
-    """Add the `CheckedMessages` of some channels, each named like its channel.
-
-    Args:
-        builder: of the diagram.
-        camera: of the pictures.
-        channels: whose messages come in.
-        clocks: of those channels whose silence counts.
-    """
+    """Add the `CheckedMessages` of some channels, each named like its channel, with clocks for some."""
     rule = rules(camera.width, camera.height_pixels)
     return {
         channel: builder.AddNamedSystem(channel, CheckedMessages(channel, rule[channel], clocks.get(channel)))
@@ -344,9 +320,6 @@ class MessagePump(PythonSystem):
 
     To be added before the systems that look at what was heard at each step, for which it then comes at the
     same step. It has no ports.
-
-    Args:
-        lcm: the connection.
     """
 
     def __init__(self, lcm: DrakeLcmInterface) -> None:

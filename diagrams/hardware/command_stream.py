@@ -1,6 +1,6 @@
 """Commands to the arm at an even rate, from a process of their own.
 
-The diagram that makes them also looks at pictures and learns, and is late at times. It tells this process
+The diagram that makes them also looks at pictures and learns, and is late at times. It hands this process
 joint angles and the time on its own clock at which they hold; they are sent a little later, evenly.
 """
 
@@ -56,7 +56,7 @@ class CommandBuffer:
 
     Where none come, the pace falls evenly to nothing: the arm slows down on its path, and waits there. Where
     more wait than should, they are played 5 % faster, or skipped while the arm is at rest. After `stop` the
-    pace falls to nothing for good: the arm brakes on what it was told before, which lasts for the delay.
+    pace falls to nothing for good: the arm brakes on what it got before, which lasts for the delay.
 
     Args:
         delay: s between making and playing.
@@ -132,28 +132,17 @@ class CommandStream(Child):
 
     Args:
         url: see `network.open_lcm`; not `memq://`, which another process does not hear.
-
-    Raises:
-        HardwareError: it could not be started.
     """
 
     def __init__(self, url: str) -> None:
         super().__init__("the process that sends commands to the arm", _send, url)
 
     def send(self, time: float, q: FloatArray) -> None:
-        """Have joint angles (7,), rad, sent that hold at a time of the caller's clock, s.
-
-        Raises:
-            HardwareError: the process has ended.
-        """
+        """Have joint angles (7,), rad, sent that hold at a time of the caller's clock, s."""
         self.write(_SAMPLE.pack(time, *q))
 
     def stop(self) -> None:
-        """Let the arm brake at once on what it was told before, and hold, for good.
-
-        Raises:
-            HardwareError: the process has ended.
-        """
+        """Let the arm brake at once on what it got before, and hold, for good."""
         self.write(_SAMPLE.pack(np.nan, *np.zeros(7)))
 
 

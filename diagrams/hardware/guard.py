@@ -58,9 +58,6 @@ class GuardSettings:
         torque: (7) largest torque that contact may put on each joint, N m.
         stopping: longest time from the last free command to rest, s; slow motions stop sooner.
         patience: time that the arm has to send its first status, s.
-
-    Raises:
-        ValueError: a value out of range.
     """
 
     status_age: float = within(0.025, 0.01, 0.5)

@@ -66,7 +66,7 @@ class HeardCell(PythonDiagram):
 
     Args:
         scenario: what the cell is like; of the object nothing is used.
-        clock: see `CheckedMessages`, for the arm's status.
+        clock: of the arm's status, see `CheckedMessages`.
     """
 
     def __init__(self, scenario: Scenario, clock: Callable[[], float] | None = None) -> None:
@@ -193,7 +193,6 @@ class HardwareInterface(PythonDiagram):
     """
 
     realtime_rate = 1.0
-    """At which a Simulator runs it."""
 
     def __init__(self, lcm: str | DrakeLcmInterface, scenario: Scenario) -> None:
         super().__init__()

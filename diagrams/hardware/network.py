@@ -103,8 +103,8 @@ def open_lcm(url: str = LCM_URL, *, listens: bool = True) -> DrakeLcm:
 class Listener:
     """A thread that hears messages as they come.
 
-    LCM keeps one message of a channel, the oldest, until somebody asks: a diagram that was busy would be told
-    of a state long past.
+    LCM keeps one message of a channel, the oldest, until somebody asks: a diagram that was busy would see
+    a state long past.
 
     Args:
         url: see `open_lcm`.

@@ -220,9 +220,6 @@ class TwinCamera(Child):
     Args:
         scenario: what the cell is like.
         url: where pictures go.
-
-    Raises:
-        HardwareError: it could not be started.
     """
 
     def __init__(self, scenario: Scenario, url: str) -> None:
@@ -231,13 +228,8 @@ class TwinCamera(Child):
         super().__init__("the process that renders pictures", _take_pictures, url, first=first)
 
     def take(self, time: float, positions: FloatArray) -> None:
-        """Have a picture taken of a plant with some positions, stamped with a time, s.
-
-        If earlier ones are still to be taken, they are left out.
-
-        Raises:
-            HardwareError: the process has ended.
-        """
+        """Have a picture taken of the plant with some positions, stamped with a time, s; earlier ones that
+        are still to be taken are left out."""
         self.write(np.array([time, *positions], "<f8").tobytes())
 
 
@@ -323,7 +315,7 @@ def run_twin(
     *,
     until: float = float("inf"),
 ) -> TwinReport:
-    """Run the twin until Ctrl-C, or for some time, and say how it fared.
+    """Run the twin until Ctrl-C, or for some time, and say how it fares.
 
     It is for a process of its own, which has real-time priority from here on where the system allows it: a
     cell does not wait for what drives it.

@@ -54,9 +54,6 @@ class CameraConfig:
         fov_y: field of view from the picture's top to its bottom, rad.
         width, height_pixels: picture size.
         rate: pictures a second, Hz.
-
-    Raises:
-        ValueError: a value out of range.
     """
 
     height: float = within(1.1, 0.3, FARTHEST - 0.1)

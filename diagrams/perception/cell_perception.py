@@ -160,14 +160,14 @@ class _Eye:
 class CellPerception(PythonSystem):
     """Finds the object on the table, cuts it into cells, and follows its pose from picture to picture.
 
-    Inputs: `depth_image`, an ImageDepth32F; `X_WC`, a RigidTransform; `arm_position`, (7,) joint angles, with
-    which the arm is masked in the picture if it is connected; `image_age`, (1,) s since the picture was taken,
-    0 if not connected. Outputs: `object_pose`, an `ObservedPose`; `cell_grid`, a `CellGrid` or None before the first
+    Inputs: `depth_image`, an ImageDepth32F; `X_WC`, a RigidTransform; `arm_position` (optional), (7,) joint
+    angles with which the arm is masked in the picture; `image_age` (optional), (1,) s since the picture was
+    taken, else 0. Outputs: `object_pose`, an `ObservedPose`; `cell_grid`, a `CellGrid` or None before the first
     look is over; `seen_object`, a `SeenObject` with heights, or None; `first_picture`, the `FirstPicture`
     from which it comes, or None.
 
-    The inputs are read at the camera's rate, and what they show is known half a picture's period
-    later, with the time at which it was seen. The first look takes `FRAMES` pictures between which the object
+    The inputs are read at the camera's rate, and what they show is known half a picture's period later, with
+    the time at which it was seen. The first look takes `FRAMES` pictures between which the object
     does not move; it goes on until there are such, with the arm not near the object. It defines the object
     frame: origin at the centroid of the footprint's area, axes parallel to the world's. Until then the pose
     is not valid, and "no object" or "occluded" its reason.
@@ -177,6 +177,19 @@ class CellPerception(PythonSystem):
     of one before, and from then on until the object rests; or where a tenth more pixels than usual have no
     reading. A camera without noise repeats rows whenever nothing moves: whether this one does is found out
     during the first look, before which torn and repeated pictures are not noticed.
+
+    Args:
+        camera: of the pictures; `CameraConfig()` by default.
+        cells: wanted number of cells.
+        arm_hulls: hulls around the arm for joint angles (7,), rad, such as `ArmHulls`; None if the arm
+            is never in the picture.
+        worker: who looks at pictures; pictures that come meanwhile are left out. If None, a thread of
+            this process, for which the simulation waits when it is not done in time.
+        known: what an earlier process saw first, and the (3,) pose at which it saw the object last; there
+            is no first look then.
+
+    Raises:
+        ValueError: a number of cells below 1.
     """
 
     def __init__(
@@ -187,21 +200,6 @@ class CellPerception(PythonSystem):
         worker: Executor | None = None,
         known: tuple[FirstPicture, FloatArray] | None = None,
     ) -> None:
-        """Perception with a camera of known intrinsics.
-
-        Args:
-            camera: of the pictures; `CameraConfig()` by default.
-            cells: wanted number of cells.
-            arm_hulls: hulls around the arm for joint angles (7,), rad, such as `ArmHulls`; None if the arm
-                is never in the picture.
-            worker: who looks at pictures; pictures that come meanwhile are left out. If None, a thread of
-                this process, for which the simulation waits when it is not done in time.
-            known: what an earlier process saw first, and the (3,) pose at which it saw the object last; there
-                is no first look then.
-
-        Raises:
-            ValueError: a number of cells below 1.
-        """
         super().__init__()
         if cells < 1:
             raise ValueError(f"perception: the number of cells must be at least 1, got {cells}")

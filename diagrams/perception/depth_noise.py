@@ -168,9 +168,6 @@ class DepthNoiseConfig:
         missing_anywhere: share of all other pixels that have no reading.
         quantum: depth is a multiple of this, m; 0 for none.
         seed: of all random draws; the seed of a run is added to it.
-
-    Raises:
-        ValueError: a negative value, or a share above 1.
     """
 
     axial_floor: float = within(0.4e-3, 0, np.inf)

@@ -322,22 +322,21 @@ class _Scene:
 class DepthPicture(PythonSystem):
     """Depth pictures of a plant, without noise.
 
-    The input `body_poses` has those of the plant. The output `depth_image`, an ImageDepth32F, is as Drake's `RgbdSensor` renders
-    it: 0 for what is too near, inf for what is too far; edges may lie in the pixel beside.
+    The input `body_poses` has those of the plant. The output `depth_image`, an ImageDepth32F, is as Drake's
+    `RgbdSensor` renders it: 0 for what is too near, inf for what is too far; edges may lie in the
+    pixel beside. It shows all shapes with a perception role.
+
+    Args:
+        plant: finalized.
+        scene_graph: the one that the plant is registered with.
+        config: the camera.
+
+    Raises:
+        ValueError: the plant is not finalized.
+        NotDrawable: a shape that is neither a simple solid nor a mesh in an OBJ file.
     """
 
     def __init__(self, plant: MultibodyPlant, scene_graph: SceneGraph, config: CameraConfig) -> None:
-        """Collect the shapes with a perception role.
-
-        Args:
-            plant: finalized.
-            scene_graph: the one that the plant is registered with.
-            config: the camera.
-
-        Raises:
-            ValueError: the plant is not finalized.
-            NotDrawable: a shape that is neither a simple solid nor a mesh in an OBJ file.
-        """
         super().__init__()
         if not plant.is_finalized():
             raise ValueError("depth picture: finalize the plant first, so that all that can be seen is there")

@@ -60,8 +60,8 @@ class ArmAside(PythonSystem):
     """Whether the whole object can be seen past the arm.
 
     Inputs: `arm_position` (7,) rad; `X_WC`, of the camera; `object_pose`, an `ObservedPose`; `seen_object`, a
-    `SeenObject` or None. The output `aside` is a bool, whether the arm hides no cell of the object where it was
-    just seen; False while it is not seen.
+    `SeenObject` or None. The output `aside` is a bool: whether the arm hides no cell of the object where it
+    was just seen; False while it is not seen.
 
     Args:
         camera: of the pictures.
@@ -75,20 +75,17 @@ class ArmAside(PythonSystem):
         self._X_WC = self.DeclareAbstractInputPort("X_WC", Value(RigidTransform()))
         self._pose = self.DeclareAbstractInputPort("object_pose", Value[object](None))
         self._seen = self.DeclareAbstractInputPort("seen_object", Value[object](None))
-        self.DeclareAbstractOutputPort(
-            "aside",
-            lambda: Value[object](False),
-            lambda context, output: output.set_value(self._aside(context)),
-            {port.ticket() for port in (self._arm, self._X_WC, self._pose, self._seen)},
-        )
+        inputs = {port.ticket() for port in (self._arm, self._X_WC, self._pose, self._seen)}
+        self.DeclareAbstractOutputPort("aside", lambda: Value[object](False), self._calc, inputs)
 
-    def _aside(self, context: Context) -> bool:
+    def _calc(self, context: Context, output: Value) -> None:
         pose, seen = self._pose.Eval(context), self._seen.Eval(context)
         if seen is None or not pose.valid:
-            return False
+            output.set_value(False)
+            return
         view = view_from(self._camera, self._X_WC.Eval(context).GetAsMatrix4().tobytes())
         sight = Sight(view, self._arm_hulls(np.asarray(self._arm.Eval(context))))
-        return sight.share(seen, pose.pose) == 1.0
+        output.set_value(sight.share(seen, pose.pose) == 1.0)
 
 
 _CORNERS = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], dtype=float)

@@ -14,7 +14,7 @@ from pydrake.multibody.math import SpatialForce, SpatialVelocity
 from pydrake.multibody.plant import ExternallyAppliedSpatialForce, MultibodyPlant
 from pydrake.systems.framework import Context, DiagramBuilder
 
-from slipmap.diagrams.station.sliding_object import BODY, GRAVITY
+from slipmap.diagrams.station.sliding_object import BODY, GRAVITY, connect_motion
 from slipmap.diagrams.systems.python_system import PythonSystem
 from slipmap.models.objects.true_object import TrueObject
 from slipmap.models.physics.cell_grid import FloatArray
@@ -258,9 +258,6 @@ def add_hidden_effects(
     if config.is_null:
         return None
     system = builder.AddNamedSystem("hidden_effects", HiddenEffects(plant, true_object, config))
-    builder.Connect(plant.get_body_poses_output_port(), system.GetInputPort("body_poses"))
-    builder.Connect(
-        plant.get_body_spatial_velocities_output_port(), system.GetInputPort("body_spatial_velocities")
-    )
+    connect_motion(builder, plant, system)
     builder.Connect(system.get_output_port(), plant.get_applied_spatial_force_input_port())
     return system

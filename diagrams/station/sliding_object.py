@@ -21,6 +21,7 @@ from pydrake.math import RigidTransform, RollPitchYaw
 from pydrake.multibody.parsing import Parser
 from pydrake.multibody.plant import CoulombFriction, MultibodyPlant, MultibodyPlantConfig
 from pydrake.multibody.tree import ModelInstanceIndex, SpatialInertia, UnitInertia
+from pydrake.systems.framework import DiagramBuilder, LeafSystem
 
 from slipmap.models.objects.meshes import convex_pieces, shaded_obj
 from slipmap.models.objects.true_object import TrueObject
@@ -102,6 +103,12 @@ def partner_friction(wanted: FloatArray, given: float, what: str) -> FloatArray:
             f"because Drake combines two to 2 μ₁ μ₂ / (μ₁ + μ₂); give the surface more than {worst / 2:.3g}"
         )
     return wanted * given / (2 * given - wanted)
+
+
+def connect_motion(builder: DiagramBuilder, plant: MultibodyPlant, system: LeafSystem) -> None:
+    """Connect where the plant's bodies are, and how they move, to the ports of a system named so."""
+    for name in ("body_poses", "body_spatial_velocities"):
+        builder.Connect(plant.GetOutputPort(name), system.GetInputPort(name))
 
 
 def add_sliding_object(

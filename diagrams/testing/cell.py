@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 from slipmap.diagrams.hardware.guard import GuardSettings
 from slipmap.diagrams.hardware.interface import HardwareInterface
@@ -26,32 +26,20 @@ from slipmap.models.physics.cell_grid import FloatArray
 TWIN, LOCKSTEP = "twin", "lockstep"
 """The twin in a process of its own, and the one that steps together with what drives it."""
 
-UNHURT = GuardSettings(transit_speed=2.0)
-"""Guard of an arm that can do no harm, and so may go all its ways fast."""
-
-BUSY = replace(UNHURT, status_age=0.5, image_age=5.0, following=0.2, lag=1.0)
-"""Guard for a computer that does much else beside; not for a real arm."""
+# Guards: of an arm that can do no harm, and so may go all its ways fast; and the same for a computer that
+# does much else beside.
+_UNHURT = GuardSettings(transit_speed=2.0)
+_BUSY = replace(_UNHURT, status_age=0.5, image_age=5.0, following=0.2, lag=1.0)
 
 
 def small_scenario(where: str = TWIN) -> Scenario:
-    """A cell whose twin keeps up with real time on two cores.
-
-    Args:
-        where: `twin`, whose guard allows for a busy computer, or `lockstep`, which needs no such allowance.
-    """
+    """A cell whose twin keeps up with real time on two cores; the guard of `TWIN` allows for a busy one."""
     scenario = Scenario()
     scenario.simulation.time_step = 0.005
     # With 320 by 240 pixels hammer and wrench are not made out in every twentieth pose.
     scenario.camera = replace(scenario.camera, width=480, height_pixels=360, rate=5.0)
-    scenario.guard = replace(BUSY if where == TWIN else UNHURT)
+    scenario.guard = replace(_BUSY if where == TWIN else _UNHURT)
     return scenario
-
-
-class FaultsOnTheWay(Protocol):
-    """What lets faults happen."""
-
-    def order(self, fault: Fault) -> None:
-        """Let a fault begin."""
 
 
 @dataclass
@@ -64,7 +52,7 @@ class Faults:
 
     happened: list[Fault] = field(default_factory=list)
     _planned: list[tuple[str, int, Fault]] = field(default_factory=list)
-    _way: FaultsOnTheWay | None = None
+    _way: RelayProcess | LockstepCell | None = None
 
     def now(self, fault: Fault) -> None:
         """Let a fault begin now.
@@ -94,7 +82,7 @@ class Faults:
         self._planned.append((doing, push, fault))
 
     def look(self, stage: str, done: int) -> None:
-        """Let begin what was planned for a stage of the run, as `explore` tells it."""
+        """Let begin what was planned for a stage of the run, as `explore` names it."""
         for planned in list(self._planned):
             doing, push, fault = planned
             words = {DOING.get(doing), BRINGS.get(doing)} - {None}
@@ -117,10 +105,10 @@ class Cell:
         self,
         scenario: Scenario,
         folder: Path,
-        url: str | None,
+        url: str | None = None,
+        recorder: CommandRecorder | None = None,
         *,
-        is_real: bool,
-        recorder: CommandRecorder | None,
+        is_real: bool = False,
     ) -> None:
         self.scenario, self.folder, self.is_real = scenario, folder, is_real
         self.faults = Faults()
@@ -229,7 +217,7 @@ def open_cell(
     scenario = scenario or small_scenario(where)
     folder.mkdir(parents=True, exist_ok=True)
     if where == LOCKSTEP:
-        yield Cell(scenario, folder, None, is_real=False, recorder=None)
+        yield Cell(scenario, folder)
         return
     is_real = where != TWIN
     with ExitStack() as processes:
@@ -247,6 +235,6 @@ def open_cell(
             processes.callback(relay.close)
         recorder = CommandRecorder(url, folder / "commands.bin")
         processes.callback(recorder.close)
-        cell = Cell(scenario, folder, url, is_real=is_real, recorder=recorder)
+        cell = Cell(scenario, folder, url, recorder, is_real=is_real)
         cell.faults._way = relay
         yield cell

@@ -59,9 +59,6 @@ class CommandRecorder(Child):
     Args:
         url: LCM address at which the commands are heard.
         path: of the file.
-
-    Raises:
-        HardwareError: it could not be started.
     """
 
     def __init__(self, url: str, path: Path) -> None:

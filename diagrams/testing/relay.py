@@ -25,7 +25,7 @@ class Relay:
     Args:
         cell: where the cell is.
         driver: where what drives it is.
-        clock: tells the time, s; it does not go back.
+        clock: gives the time, s; it does not go back.
     """
 
     def __init__(
@@ -60,20 +60,13 @@ class RelayProcess(Child):
 
     Args:
         cell_url, driver_url: LCM addresses, see `network.open_lcm`.
-
-    Raises:
-        HardwareError: it could not be started.
     """
 
     def __init__(self, cell_url: str, driver_url: str) -> None:
         super().__init__("the relay between cell and test", _relay, cell_url, driver_url)
 
     def order(self, fault: Fault) -> None:
-        """Let a fault begin.
-
-        Raises:
-            HardwareError: the process has ended.
-        """
+        """Let a fault begin."""
         self.write(json.dumps(asdict(fault)).encode() + b"\n")
 
 

@@ -23,9 +23,6 @@ class TwinProcess(Child):
         scenario: what the cell is like.
         folder: in which the scenario is left for it.
         url: where it can be reached; one of its own on this computer if None.
-
-    Raises:
-        HardwareError: it could not be started; it says why on the standard error.
     """
 
     def __init__(self, scenario: Scenario, folder: Path, url: str | None = None) -> None:
