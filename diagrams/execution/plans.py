@@ -82,9 +82,9 @@ class ArmPlanner:
         """Approach, lower, push, rest, go back a little, lift and return home.
 
         From `default_arm_base` every push between points within 0.36 m of W's origin can be made at 0.1 m/s,
-        as 60 random ones showed, and 57 of 60 within 0.45 m; the others are close under the shoulder. Planning
-        takes 50 ms, with surroundings 70, and up to 0.6 s where the hand must be turned. It is turned about
-        the finger where the arm would come too near to what is around it: the forearm, whose lower side is 6
+        as 60 random ones showed, and 57 of 60 within 0.45 m; the others are close under the shoulder.
+        Planning takes 50 ms, with surroundings 70, and up to 0.6 s where the hand must be turned, about the
+        finger, where the arm would come too near to what is around it: the forearm, whose lower side is 6
         to 9 cm above the table, then leans to another side.
 
         Args:
@@ -311,7 +311,6 @@ class _GraspPlace:
 
 
 def _lowest(X_WT: RigidTransform) -> float:
-    """Height of the lowest point of finger, hand and wrist, m."""
     return float(((X_WT @ _LOW_BALLS)[2] - _LOW_RADII).min())
 
 

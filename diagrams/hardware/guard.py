@@ -145,14 +145,11 @@ class _Guarded:
 
 
 class _Rules:
-    """Look for faults."""
-
     def __init__(self, settings: GuardSettings, kinematics: FingerKinematics) -> None:
         self._settings = settings
         self._kinematics = kinematics
 
     def faults(self, now: _Guarded, inputs: _Inputs) -> Iterator[tuple[str, str]]:
-        """What is wrong, and what to do."""
         for rule in (self._abort_fault, self._status_fault, self._arm_fault, self._wanted_fault):
             yield from rule(now, inputs)
 

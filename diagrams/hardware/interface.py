@@ -129,8 +129,6 @@ def export_outputs(builder: DiagramBuilder, system: Diagram) -> None:
 
 
 class _PoseReceiver(PythonSystem):
-    """A pose from seven named numbers; the identity before they came."""
-
     def __init__(self) -> None:
         super().__init__()
         self.DeclareAbstractInputPort("received", Value[object](None))
@@ -318,8 +316,6 @@ class _Abort(PythonSystem):
 
 
 class _StreamSender(PythonSystem):
-    """Hands the arm's commands to the process that sends them."""
-
     def __init__(self) -> None:
         super().__init__()
         self._stream: CommandStream | None = None

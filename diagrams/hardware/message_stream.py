@@ -178,7 +178,6 @@ class _Waiting:
 
 
 def _hear(url: str, *heard: str) -> None:
-    """Write what is heard to the standard output until the input ends."""
     waiting = _Waiting()
     lcm = open_lcm(url)
     for name in heard:

@@ -197,8 +197,6 @@ class _Paced(PythonSystem):
 
 
 class _PoseSender(PythonSystem):
-    """A pose as seven named numbers."""
-
     def __init__(self) -> None:
         super().__init__()
         self.DeclareAbstractInputPort("pose", Value(RigidTransform()))
@@ -234,7 +232,6 @@ class TwinCamera(Child):
 
 
 def _take_pictures(url: str) -> None:
-    """Take pictures of what comes in on the standard input until it ends."""
     source = sys.stdin.fileno()
     scenario: Scenario = pickle.loads(_read(source, _LENGTH.unpack(_read(source, _LENGTH.size))[0]))
     twin = CellTwin(scenario, network.open_lcm(url, listens=False), arm=False)

@@ -115,9 +115,8 @@ def add_camera(
 
     Args:
         builder: gets the sensor, and its scene graph, named `picture_scene`.
-        plant: the world, finalized; nothing may be added to it afterwards.
-        scene_graph: the one that the plant is registered with. What is to be seen needs a perception role,
-            which `plant.RegisterVisualGeometry` gives.
+        plant, scene_graph: the world, finalized; nothing may be added to it afterwards. What is to be seen
+            needs a perception role, which `plant.RegisterVisualGeometry` gives.
         config: by default `CameraConfig()`.
 
     Raises:
@@ -146,7 +145,6 @@ def add_camera(
 
 
 def _add_picture_scene(builder: DiagramBuilder, plant: MultibodyPlant, scene_graph: SceneGraph) -> SceneGraph:
-    """Add a scene graph with a copy of every shape that has a perception role."""
     if not plant.is_finalized():
         raise ValueError("picture scene: finalize the plant first, so that all that can be seen is there")
     scene = builder.AddNamedSystem("picture_scene", SceneGraph())
@@ -172,8 +170,6 @@ def _add_picture_scene(builder: DiagramBuilder, plant: MultibodyPlant, scene_gra
 
 
 class _FramePoses(PythonSystem):
-    """The poses of some bodies as a scene graph takes them."""
-
     def __init__(self, frames: Mapping[BodyIndex, FrameId]) -> None:
         super().__init__()
         self._frames = dict(frames)

@@ -327,8 +327,7 @@ class DepthPicture(PythonSystem):
     pixel beside. It shows all shapes with a perception role.
 
     Args:
-        plant: finalized.
-        scene_graph: the one that the plant is registered with.
+        plant, scene_graph: finalized.
         config: the camera.
 
     Raises:
@@ -386,11 +385,7 @@ def add_depth_picture(
 ) -> OutputPort:
     """Depth pictures of a camera, from a `DepthPicture` if that can draw all that there is to see.
 
-    Args:
-        builder: of the diagram that the plant is in; gets a system "depth_picture".
-        plant, scene_graph: as of `DepthPicture`.
-        config: the camera.
-        camera: the same one, from `add_camera`, which renders the pictures otherwise.
+    Otherwise `camera`, which is the same one from `add_camera`, renders the pictures.
     """
     try:
         picture = builder.AddNamedSystem("depth_picture", DepthPicture(plant, scene_graph, config))

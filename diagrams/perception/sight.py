@@ -106,8 +106,7 @@ class ArmHulls:
     instances, such as a gripper, keep their default positions.
 
     Args:
-        plant: finalized.
-        scene_graph: the one that the plant is registered with.
+        plant, scene_graph: finalized.
         instances: the arm, then what it carries.
 
     Raises:

@@ -150,7 +150,6 @@ def _import_failure(run: Run, module: str) -> str | None:
 
 
 def _missing_library(failure: str) -> str | None:
-    """Name of the shared library that the loader's message says is missing."""
     match = re.search(r"(lib[\w.+-]+\.so[\d.]*): cannot open shared object file", failure)
     return match.group(1) if match else None
 

@@ -169,7 +169,7 @@ def arm_model(X_WB: RigidTransform | None = None, models: str = "primitives") ->
 
 
 def add_arm_drivers(builder: DiagramBuilder, plant: MultibodyPlant, arm: Arm) -> None:
-    """Control the arm's joints and the gripper's opening, and export their ports, which `Station` lists.
+    """Control the arm's joints and the gripper's opening in a finalized plant, and export their ports.
 
     The arm's driver is Drake's `SimIiwaDriver` with stiffer joints than its default, at which 15 N bend the
     finger away by more than a millimetre; the real controller integrates such an error to nothing.
@@ -178,11 +178,6 @@ def add_arm_drivers(builder: DiagramBuilder, plant: MultibodyPlant, arm: Arm) ->
     smoothed over 10 ms. `gripper.position` (1,) is the opening from 0 to `GRIPPER_OPENING`, m; at 0 the
     gripper closes with all the force that `gripper.force_limit` allows. That is (1,) the largest force of a
     finger, N, 40 if not connected; `gripper.state_measured` (2,) the opening and its rate, m and m/s.
-
-    Args:
-        builder: of the diagram that the plant is in.
-        plant: finalized.
-        arm: what `add_arm` put into the plant.
     """
     model = SharedPointerSystem.AddToBuilder(builder, arm_model(arm.X_WB, arm.models))
     config = IiwaDriver(control_mode="position_only", desired_kp_gains=STIFFNESS)

@@ -24,8 +24,6 @@ _SLOWEST = 1e-3  # m/s; below about this slip an extra friction fades out
 
 
 class _Numbers:
-    """Parameters of an effect, all of them numbers."""
-
     _not_negative: tuple[str, ...] = ()
 
     def check(self) -> None:
@@ -153,11 +151,6 @@ class HiddenEffects(PythonSystem):
     is given for a whole time step cannot stick; it fades out below a slip of 1 mm/s, or as much as a step of
     extra friction takes from a free cell's speed, whichever is more. In a push, only cells next to the centre
     of rotation are that slow; but an object at rest is held by the friction that it has without the field.
-
-    Args:
-        plant: with the object, finalized.
-        true_object: what the plant's object was made of.
-        config: the effects.
 
     Raises:
         ValueError: a parameter that makes no sense, or an effect so stiff that it cannot be simulated with

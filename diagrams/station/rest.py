@@ -45,8 +45,7 @@ class RestWatch(PythonSystem):
     are never larger than those between the shapes.
 
     Args:
-        plant: finalized, with the object in it.
-        scene_graph: the one that the plant is registered with.
+        plant, scene_graph: finalized, with the object in it.
         arm: model instances that may come near.
     """
 
@@ -108,8 +107,7 @@ class Hold:
     """Locks the object in a plant's Context, and looks no more for contacts between it and what is fixed.
 
     Args:
-        plant: finalized, with the object in it.
-        scene_graph: the one that the plant is registered with, its collision filters as they shall be.
+        plant, scene_graph: finalized, with the object in it, and collision filters as they shall be.
     """
 
     def __init__(self, plant: MultibodyPlant, scene_graph: SceneGraph) -> None:

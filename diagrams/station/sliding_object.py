@@ -203,7 +203,6 @@ def _share_round_table(plant: MultibodyPlant, feet: list[GeometryId], blocks: li
 
 
 def _block_corners(true_object: TrueObject) -> list[FloatArray]:
-    """(3, k) corners of convex prisms."""
     result = []
     for block in true_object.blocks:
         for piece in convex_pieces(block.outline):
@@ -214,7 +213,6 @@ def _block_corners(true_object: TrueObject) -> list[FloatArray]:
 
 
 def _colored_meshes(true_object: TrueObject) -> list[tuple[FloatArray, Mesh]]:
-    """The object's looks, one mesh for each colour."""
     mesh = true_object.mesh
     colors = np.asarray(mesh.visual.face_colors)
     order = np.lexsort(colors.T)

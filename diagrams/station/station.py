@@ -147,8 +147,6 @@ def _export_truth(builder: DiagramBuilder, plant: MultibodyPlant, body: BodyInde
 
 
 class _BodyPose(PythonSystem):
-    """Picks one body's pose out of all."""
-
     def __init__(self, body: BodyIndex) -> None:
         super().__init__()
         self._body = body

@@ -17,9 +17,8 @@ from slipmap.diagrams.loops.pregrasp_loop import BRINGS, PregraspOptions, Pregra
 from slipmap.diagrams.loops.run_folder import ExplorationRecord, PushRecord, resumed
 from slipmap.diagrams.station.scenario import Scenario
 from slipmap.diagrams.testing.command_log import CommandLog, CommandRecorder
-from slipmap.diagrams.testing.faults import Fault
+from slipmap.diagrams.testing.faults import Fault, RelayProcess
 from slipmap.diagrams.testing.lockstep import LockstepCell
-from slipmap.diagrams.testing.relay import RelayProcess
 from slipmap.diagrams.testing.twin_process import TwinProcess, free_url
 from slipmap.models.physics.cell_grid import FloatArray
 
@@ -184,7 +183,6 @@ class Cell:
 
     @contextmanager
     def _driven(self) -> Iterator[str | HardwareInterface]:
-        """Where the cell is while the robot works."""
         if self._url is not None:
             yield self._url
             return

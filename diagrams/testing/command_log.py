@@ -78,7 +78,6 @@ def row_of(data: bytes) -> list[float]:
 
 
 def _record(url: str, path: str) -> None:
-    """Write commands until the standard input ends."""
     source = sys.stdin.fileno()
     with open(path, "wb", buffering=0) as file:
 

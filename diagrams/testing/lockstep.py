@@ -17,8 +17,7 @@ from slipmap.diagrams.hardware.twin import CellTwin
 from slipmap.diagrams.station.scenario import Scenario
 from slipmap.diagrams.systems.python_system import PythonDiagram, PythonSystem, weakly
 from slipmap.diagrams.testing.command_log import CommandLog, row_of
-from slipmap.diagrams.testing.faults import Fault
-from slipmap.diagrams.testing.relay import Relay
+from slipmap.diagrams.testing.faults import Fault, Relay
 from slipmap.models.physics.cell_grid import FloatArray
 
 
