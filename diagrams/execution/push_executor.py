@@ -33,7 +33,8 @@ CLOSED = 0.005
 TIMES = 3
 """Pictures in a row that have to show that the object was moved."""
 
-_MOVED, _TURNED = 0.01, 0.15  # m and rad beyond which it is not the tracker that errs
+MOVED, TURNED = 0.01, 0.15
+"""m and rad beyond which it is not the tracker that errs."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -319,7 +320,7 @@ def _looked_again(aim: _Aim, observed: ObservedPose) -> _Aim:
         return aim
     way = float(np.hypot(*(observed.pose - aim.pose)[:2]))
     turned = abs(float(angle_between(observed.pose[2], aim.pose[2])))
-    strayed = aim.strayed + 1 if way > _MOVED or turned > _TURNED else 0
+    strayed = aim.strayed + 1 if way > MOVED or turned > TURNED else 0
     moved = ""
     if strayed == TIMES:
         far = f"{1e3 * way:.0f} mm and {np.rad2deg(turned):.0f}°"

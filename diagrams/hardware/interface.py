@@ -273,10 +273,6 @@ class HardwareInterface(PythonDiagram):
         while self._listeners:
             self._listeners.pop().close()
 
-    def received(self, root: Context) -> dict[str, Received]:
-        """What came on each channel until now, and what of it was dropped."""
-        return self._heard.received(root)
-
     def _add_arm_commands(self, builder: DiagramBuilder, alone: bool) -> None:
         self._sender: LeafSystem
         if alone:

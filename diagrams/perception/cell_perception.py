@@ -163,8 +163,8 @@ class CellPerception(PythonSystem):
     Inputs: `depth_image`, an ImageDepth32F; `X_WC`, a RigidTransform; `arm_position` (optional), (7,) joint
     angles with which the arm is masked in the picture; `image_age` (optional), (1,) s since the picture was
     taken, else 0. Outputs: `object_pose`, an `ObservedPose`; `cell_grid`, a `CellGrid` or None before the
-    first look is over; `seen_object`, a `SeenObject` with heights, or None; `first_picture`, the `FirstPicture`
-    from which it comes, or None.
+    first look is over; `seen_object`, a `SeenObject` with heights, or None; `first_picture`, the
+    `FirstPicture` from which it comes, or None.
 
     The inputs are read at the camera's rate, and what they show is known half a picture's period later, with
     the time at which it was seen. The first look takes `FRAMES` pictures between which the object

@@ -7,11 +7,9 @@ from collections.abc import Callable
 
 import numpy as np
 from pydrake.lcm import DrakeLcm
-from pydrake.math import RigidTransform
 from pydrake.systems.framework import Context, DiagramBuilder, EventStatus
 
 from slipmap.diagrams.hardware import network
-from slipmap.diagrams.hardware.checked_messages import Received
 from slipmap.diagrams.hardware.interface import PATIENCE, HardwareInterface, export_outputs
 from slipmap.diagrams.hardware.twin import CellTwin
 from slipmap.diagrams.station.scenario import Scenario
@@ -81,10 +79,6 @@ class LockstepCell(PythonDiagram):
         """See `HardwareInterface.abort`."""
         self._interface.abort()
 
-    def received(self, root: Context) -> dict[str, Received]:
-        """See `HardwareInterface.received`."""
-        return self._interface.received(root)
-
     def order(self, fault: Fault) -> None:
         """Let a fault begin."""
         self._relay.order(fault)
@@ -102,11 +96,6 @@ class LockstepCell(PythonDiagram):
     def positions(self) -> FloatArray | None:
         """Of the twin's plant, with which another one can go on; None before it was connected."""
         return self._positions if self._root is None else self._now()
-
-    def X_WO(self, root: Context) -> RigidTransform:
-        """True pose of the object."""
-        station = self.twin.station
-        return station.GetOutputPort("truth.object_pose").Eval(station.GetMyContextFromRoot(root))
 
     def _write_down(self, command: bytes) -> None:
         self._commands.extend(row_of(command))
