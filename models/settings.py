@@ -26,3 +26,16 @@ def check_ranges(settings: Any, section: str) -> None:
         value = getattr(settings, item.name)
         if least is not None and not least <= value <= largest:
             raise ValueError(f"{section}{item.name} must lie between {least} and {largest}, got {value}")
+
+
+class CheckedSettings:
+    """Base of settings dataclasses that refuse values out of range when they are made."""
+
+    _section = ""
+
+    def __post_init__(self) -> None:
+        self.check()
+
+    def check(self) -> None:
+        """Raise ValueError where a field makes no sense."""
+        check_ranges(self, self._section)

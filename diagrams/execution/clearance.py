@@ -10,11 +10,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from pydrake.geometry import Capsule, Cylinder, Role, SceneGraph, Shape, Sphere
-from pydrake.math import RigidTransform
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import BodyIndex, ModelInstanceIndex
 
 from slipmap.diagrams.execution.motion import MotionRefused, Plan
+from slipmap.diagrams.perception.sight import moved
 from slipmap.diagrams.station.arm import STAND_RADIUS, default_arm_base, lone_arm, stand_head
 from slipmap.diagrams.station.table import THICKNESS
 from slipmap.models.geometry import seen_from
@@ -67,13 +67,11 @@ class ArmClearance:
 
     Args:
         table: whose top is at z = 0.
-        X_WB: pose of the arm's base; `default_arm_base` if None.
     """
 
-    def __init__(self, table: Table, X_WB: RigidTransform | None = None) -> None:
-        self._table = table
-        self._head = stand_head(default_arm_base() if X_WB is None else X_WB)
-        plant, scene_graph, self._arm = lone_arm(X_WB)
+    def __init__(self, table: Table) -> None:
+        self._table, self._head = table, stand_head(default_arm_base())
+        plant, scene_graph, self._arm = lone_arm()
         self._plant, self._context = plant, plant.CreateDefaultContext()
         self._balls = _balls(plant, scene_graph, (self._arm.iiwa, self._arm.gripper))
         names = np.concatenate(
@@ -93,7 +91,7 @@ class ArmClearance:
         placed = []
         for body, points, _ in self._balls:
             X_WB = self._plant.EvalBodyPoseInWorld(self._context, self._plant.get_body(body))
-            placed.append(points @ X_WB.rotation().matrix().T + X_WB.translation())
+            placed.append(moved(X_WB, points))
         return np.concatenate(placed)
 
     def of(
@@ -174,18 +172,16 @@ def _balls(
     """Per body: centres (b, 3) in its frame and radii (b,) of balls along its collision shapes, m."""
     inspector = scene_graph.model_inspector()
     result = []
-    for instance in instances:
-        for body in plant.GetBodyIndices(instance):
-            centers, radii = [np.zeros((0, 3))], [np.zeros(0)]
-            for geometry in inspector.GetGeometries(plant.GetBodyFrameIdOrThrow(body), Role.kProximity):
-                shape = inspector.GetShape(geometry)
-                X_BG = inspector.GetPoseInFrame(geometry)
-                along = _along(shape)
-                points = np.column_stack([np.zeros((len(along), 2)), along])
-                centers.append(points @ X_BG.rotation().matrix().T + X_BG.translation())
-                radii.append(np.full(len(along), shape.radius()))
-            if len(centers) > 1:
-                result.append((body, np.concatenate(centers), np.concatenate(radii)))
+    for body in (body for instance in instances for body in plant.GetBodyIndices(instance)):
+        centers, radii = [np.zeros((0, 3))], [np.zeros(0)]
+        for geometry in inspector.GetGeometries(plant.GetBodyFrameIdOrThrow(body), Role.kProximity):
+            shape = inspector.GetShape(geometry)
+            along = _along(shape)
+            points = np.column_stack([np.zeros((len(along), 2)), along])
+            centers.append(moved(inspector.GetPoseInFrame(geometry), points))
+            radii.append(np.full(len(along), shape.radius()))
+        if len(centers) > 1:
+            result.append((body, np.concatenate(centers), np.concatenate(radii)))
     return result
 
 

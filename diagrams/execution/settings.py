@@ -3,11 +3,11 @@
 # Annotations stay objects: Drake's YAML reader looks at them.
 from dataclasses import dataclass
 
-from slipmap.models.settings import check_ranges, within
+from slipmap.models.settings import CheckedSettings, within
 
 
 @dataclass
-class ExecutionConfig:
+class ExecutionConfig(CheckedSettings):
     """How the arm moves.
 
     Attributes:
@@ -25,6 +25,8 @@ class ExecutionConfig:
         closing: time that the gripper has to close, s.
     """
 
+    _section = "execution."
+
     tip_height: float = within(0.004, 0.001, 0.05)
     safe_height: float = within(0.10, 0.02, 0.3)
     push_speed_limit: float = within(0.3, 0.001, 1.0)
@@ -36,12 +38,9 @@ class ExecutionConfig:
     grasping_speed: float = within(0.1, 0.01, 0.5)
     closing: float = within(1.5, 0.5, 10.0)
 
-    def __post_init__(self) -> None:
-        self.check()
-
     def check(self) -> None:
         """Raise ValueError where a field makes no sense."""
-        check_ranges(self, "execution.")
+        super().check()
         if self.safe_height <= self.tip_height:
             raise ValueError(
                 f"execution.safe_height {self.safe_height} must exceed tip_height {self.tip_height}"

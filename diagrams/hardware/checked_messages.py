@@ -73,7 +73,7 @@ class Rule:
         stamp: the sender's clock in a message, µs.
         check: raises BadMessage; pictures are packed anew by it.
         anew: whether a stamp that goes back by more than `_RESTART` is that of a sender started anew, whose
-            clock tells how long it has been running.
+            clock counts from when it began.
     """
 
     lcm_type: Any

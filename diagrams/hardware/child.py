@@ -88,13 +88,9 @@ def have_priority() -> None:
         os.sched_setscheduler(0, os.SCHED_RR, os.sched_param(priority))
 
 
-def _run(target: str, *arguments: str) -> None:
-    module, _, function = target.partition(":")
-    getattr(import_module(module), function)(*arguments)
-
-
 if __name__ == "__main__":
+    module, _, name = sys.argv[1].partition(":")
     try:
-        _run(*sys.argv[1:])
+        getattr(import_module(module), name)(*sys.argv[2:])
     except HardwareError as failure:
         sys.exit(f"slipmap: {failure}")

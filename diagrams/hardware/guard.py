@@ -19,7 +19,7 @@ from slipmap.diagrams.hardware.command_stream import braking_time
 from slipmap.diagrams.systems.python_system import PythonSystem, held, read, replace_held
 from slipmap.models.physics.cell_grid import FloatArray
 from slipmap.models.robots import ARM_JOINTS, POSITION_LIMITS, SPEED_LIMITS
-from slipmap.models.settings import check_ranges, within
+from slipmap.models.settings import CheckedSettings, within
 
 PERIOD = 0.005
 """s between two commands."""
@@ -43,7 +43,7 @@ _LINK = (
 
 
 @dataclass
-class GuardSettings:
+class GuardSettings(CheckedSettings):
     """When the guard stops the arm; the defaults let everything pass that the executor plans.
 
     Attributes:
@@ -60,6 +60,8 @@ class GuardSettings:
         patience: time that the arm has to send its first status, s.
     """
 
+    _section = "guard."
+
     status_age: float = within(0.025, 0.01, 0.5)
     image_age: float = within(1.0, 0.1, 60.0)
     transit_speed: float = within(0.4, 0.01, 2.0)
@@ -71,12 +73,9 @@ class GuardSettings:
     stopping: float = within(0.05, 0.02, 0.2)
     patience: float = within(10.0, 0.1, 600.0)
 
-    def __post_init__(self) -> None:
-        self.check()
-
     def check(self) -> None:
         """Raise ValueError where a field makes no sense."""
-        check_ranges(self, "guard.")
+        super().check()
         torque = np.array(self.torque, dtype=float)
         if torque.shape != (7,) or not ((torque > 0) & (torque <= 320.0)).all():
             raise ValueError(

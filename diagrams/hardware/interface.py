@@ -21,14 +21,7 @@ from pydrake.manipulation import (
     SchunkWsgStatusReceiver,
 )
 from pydrake.math import RigidTransform
-from pydrake.systems.framework import (
-    BasicVector,
-    Context,
-    Diagram,
-    DiagramBuilder,
-    EventStatus,
-    LeafSystem,
-)
+from pydrake.systems.framework import BasicVector, Context, Diagram, DiagramBuilder, EventStatus, LeafSystem
 from pydrake.systems.primitives import PassThrough
 from pydrake.systems.sensors import LcmImageArrayToImages
 
@@ -75,7 +68,7 @@ class HeardCell(PythonDiagram):
         self.checked = add_checked(builder, scenario.camera, (*ARM, *CAMERA), {network.IIWA_STATUS: clock})
         self._export_arm(builder)
         self._export_camera(builder)
-        plant, scene_graph, arm = lone_arm(models=scenario.arm.models)
+        plant, scene_graph, arm = lone_arm(scenario.arm.models)
         self.arm_hulls = ArmHulls(plant, scene_graph, [arm.iiwa, arm.gripper])
         builder.BuildInto(self)
         self.set_name("heard_cell")

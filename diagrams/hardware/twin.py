@@ -9,7 +9,7 @@ import struct
 import sys
 import time
 from collections.abc import Callable, Mapping
-from contextlib import suppress
+from contextlib import closing, suppress
 from copy import deepcopy
 from dataclasses import dataclass
 
@@ -329,12 +329,9 @@ def run_twin(
     """
     lcm = network.open_lcm(url)
     twin = CellTwin(scenario, lcm, camera=False)
-    camera = TwinCamera(scenario, url)
-    have_priority()
-    try:
+    with closing(TwinCamera(scenario, url)) as camera:
+        have_priority()
         return _run(twin, camera, 1.0 / scenario.camera.rate, report, until)
-    finally:
-        camera.close()
 
 
 def _run(

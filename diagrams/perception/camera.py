@@ -37,14 +37,14 @@ from pydrake.systems.sensors import CameraInfo, RgbdSensor
 from slipmap.diagrams.perception.renderer import require_renderer
 from slipmap.diagrams.systems.python_system import PythonSystem
 from slipmap.models.perception.pinhole_camera import PinholeCamera
-from slipmap.models.settings import check_ranges, within
+from slipmap.models.settings import CheckedSettings, within
 
 NEAREST, FARTHEST = 0.2, 4.0
 """Of depth readings, m."""
 
 
 @dataclass
-class CameraConfig:
+class CameraConfig(CheckedSettings):
     """Camera that looks straight down on the table; defaults see all of a table of radius 0.5 m.
 
     Attributes:
@@ -56,6 +56,8 @@ class CameraConfig:
         rate: pictures a second, Hz.
     """
 
+    _section = "camera."
+
     height: float = within(1.1, 0.3, FARTHEST - 0.1)
     position: list[float] = field(default_factory=lambda: [0.0, 0.0])
     yaw: float = 0.0
@@ -64,12 +66,9 @@ class CameraConfig:
     height_pixels: int = within(480, 16, 4096)
     rate: float = within(15.0, 0.1, 1000.0)
 
-    def __post_init__(self) -> None:
-        self.check()
-
     def check(self) -> None:
         """Raise ValueError where a field makes no sense."""
-        check_ranges(self, "camera.")
+        super().check()
         if len(self.position) != 2 or not np.isfinite(self.position).all():
             raise ValueError(f"camera.position must be x and y in m, got {self.position}")
         if not np.isfinite(self.yaw):

@@ -15,7 +15,7 @@ from pydrake.systems.sensors import ImageDepth32F
 from slipmap.diagrams.systems.python_system import PythonSystem
 from slipmap.models.perception.pinhole_camera import DepthImage
 from slipmap.models.physics.compiled import LONE_FOLDER, compiled
-from slipmap.models.settings import check_ranges, within
+from slipmap.models.settings import CheckedSettings, within
 
 _STEP = 0.01  # m; depth jumps more than this at an edge
 
@@ -151,7 +151,7 @@ def _measure(depth, seed, window, terms, parameters, result):  # type: ignore[no
 
 
 @dataclass
-class DepthNoiseConfig:
+class DepthNoiseConfig(CheckedSettings):
     """Noise typical of an active stereo or structured-light camera; all zero is a perfect camera.
 
     The axial term grows with the square of depth, as disparity noise does: an error of 0.05 pixels at a focal
@@ -170,6 +170,8 @@ class DepthNoiseConfig:
         seed: of all random draws; the seed of a run is added to it.
     """
 
+    _section = "depth_noise."
+
     axial_floor: float = within(0.4e-3, 0, np.inf)
     axial_growth: float = within(1.0e-3, 0, np.inf)
     lateral_jitter: float = within(0.4, 0, np.inf)
@@ -178,13 +180,6 @@ class DepthNoiseConfig:
     missing_anywhere: float = within(0.003, 0, 1.0)
     quantum: float = within(1e-3, 0, np.inf)
     seed: int = within(0, 0, np.inf)
-
-    def __post_init__(self) -> None:
-        self.check()
-
-    def check(self) -> None:
-        """Raise ValueError where a field makes no sense."""
-        check_ranges(self, "depth_noise.")
 
 
 def noisy_depth(depth: DepthImage, config: DepthNoiseConfig, generator: np.random.Generator) -> DepthImage:

@@ -22,6 +22,11 @@ from slipmap.models.perception.seen_object import SeenObject
 from slipmap.models.physics.cell_grid import FloatArray
 
 
+def moved(X: RigidTransform, points: FloatArray) -> FloatArray:
+    """Points (k, 3) of a frame with pose X in the frame that X is given in."""
+    return points @ X.rotation().matrix().T + X.translation()
+
+
 @lru_cache(maxsize=4)
 def view_from(camera: PinholeCamera, X_WC: bytes) -> View:
     """The view, whose rays take a while to compute, kept for a camera that does not move.
@@ -125,13 +130,11 @@ class ArmHulls:
         self._arm = instances[0]
         inspector = scene_graph.model_inspector()
         self._shapes: list[tuple[BodyIndex, FloatArray, float]] = []
-        for instance in instances:
-            for body in plant.GetBodyIndices(instance):
-                frame = plant.GetBodyFrameIdOrThrow(body)
-                for geometry in inspector.GetGeometries(frame, Role.kPerception):
-                    X_BG = inspector.GetPoseInFrame(geometry)
-                    points, radius = _hull_in_frame(inspector, geometry)
-                    self._shapes.append((body, _moved(X_BG, points), radius))
+        for body in (body for instance in instances for body in plant.GetBodyIndices(instance)):
+            frame = plant.GetBodyFrameIdOrThrow(body)
+            for geometry in inspector.GetGeometries(frame, Role.kPerception):
+                points, radius = _hull_in_frame(inspector, geometry)
+                self._shapes.append((body, moved(inspector.GetPoseInFrame(geometry), points), radius))
 
     def __call__(self, q: Any) -> list[Hull]:
         """Hulls in W at joint angles q (7,), rad."""
@@ -142,7 +145,7 @@ class ArmHulls:
         for body, points, radius in self._shapes:
             if body not in poses:
                 poses[body] = self._plant.EvalBodyPoseInWorld(context, self._plant.get_body(body))
-            hulls.append(Hull(_moved(poses[body], points), radius))
+            hulls.append(Hull(moved(poses[body], points), radius))
         return hulls
 
 
@@ -163,8 +166,4 @@ def _hull_in_frame(inspector: Any, geometry: Any) -> tuple[FloatArray, float]:
     box = inspector.GetObbInGeometryFrame(geometry)
     if box is None:
         raise ValueError("arm hulls: the arm has a shape without bounds, such as a half space")
-    return _moved(box.pose(), _CORNERS * box.half_width()), 0.0
-
-
-def _moved(X: RigidTransform, points: FloatArray) -> FloatArray:
-    return points @ X.rotation().matrix().T + X.translation()
+    return moved(box.pose(), _CORNERS * box.half_width()), 0.0

@@ -21,14 +21,7 @@ from pydrake.systems.primitives import SharedPointerSystem
 
 from slipmap.diagrams.systems.python_system import PythonSystem
 from slipmap.models.physics.cell_grid import FloatArray
-from slipmap.models.robots import (
-    ARM_JOINTS,
-    FINGER_RADIUS,
-    FLANGE_HEIGHT,
-    FOLDER,
-    GRIPPER_MODEL,
-    IIWA_MODEL,
-)
+from slipmap.models.robots import ARM_JOINTS, FINGER_RADIUS, FLANGE_HEIGHT, FOLDER, GRIPPER_MODEL, IIWA_MODEL
 
 ARM_MODELS = {
     "primitives": f"package://slipmap_robots/{IIWA_MODEL.name}",
@@ -125,13 +118,11 @@ def add_arm(plant: MultibodyPlant, X_WB: RigidTransform | None = None, models: s
     return Arm(iiwa, gripper, plant.GetFrameByName("tip", gripper).index(), FINGER_RADIUS, X_WB, models)
 
 
-def lone_arm(
-    X_WB: RigidTransform | None = None, models: str = "primitives"
-) -> tuple[MultibodyPlant, SceneGraph, Arm]:
+def lone_arm(models: str = "primitives") -> tuple[MultibodyPlant, SceneGraph, Arm]:
     """The arm alone in a finalized plant with a scene graph, for looking at its shapes; see `add_arm`."""
     plant, scene_graph = MultibodyPlant(1e-3), SceneGraph()
     plant.RegisterAsSourceForSceneGraph(scene_graph)
-    arm = add_arm(plant, X_WB, models)
+    arm = add_arm(plant, models=models)
     plant.Finalize()
     return plant, scene_graph, arm
 
@@ -235,10 +226,7 @@ def _parse(
     members = [f"iiwa::iiwa_link_{i}" for i in range(8)]
     members += [f"gripper::{part}" for part in ("hand", "left_finger", "right_finger")]
     directives = _DIRECTIVES.format(
-        arm=_arm_url(models),
-        gripper=GRIPPER_MODEL.name,
-        flange=FLANGE_HEIGHT,
-        members=", ".join(members),
+        arm=_arm_url(models), gripper=GRIPPER_MODEL.name, flange=FLANGE_HEIGHT, members=", ".join(members)
     )
     try:
         ProcessModelDirectives(LoadModelDirectivesFromString(directives), _parser(plant))

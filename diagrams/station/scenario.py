@@ -423,15 +423,12 @@ def _check(value: Any, wanted: Any, path: str, where: str) -> None:
         names = {float: "a number", int: "a whole number", str: "a text", bool: "true or false"}
         hint = _exponent(value) if wanted is not str else ""
         raise ScenarioError(f"{path}: {where} must be {names[wanted]}, got {_shown(value)}{hint}")
-    if wanted is float and not _is_float(value):
-        raise ScenarioError(f"{path}: {where} must be a number that a computer holds, got {_shown(value)}")
-
-
-def _is_float(value: Any) -> bool:
-    try:
-        return isinstance(float(value), float)
-    except OverflowError:
-        return False
+    if wanted is float:
+        try:
+            float(value)
+        except OverflowError as error:
+            wrong = f"{where} must be a number that a computer holds, got {_shown(value)}"
+            raise ScenarioError(f"{path}: {wrong}") from error
 
 
 def _exponent(value: Any) -> str:

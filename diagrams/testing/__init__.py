@@ -19,34 +19,15 @@ if TYPE_CHECKING:
         assert_predicts,
         assert_quiet,
     )
-    from slipmap.diagrams.testing.cell import (
-        LOCKSTEP,
-        TWIN,
-        Cell,
-        Faults,
-        open_cell,
-        small_scenario,
-    )
+    from slipmap.diagrams.testing.cell import LOCKSTEP, TWIN, Cell, Faults, open_cell, small_scenario
     from slipmap.diagrams.testing.command_log import CommandLog
     from slipmap.diagrams.testing.faults import Fault
 
 __all__ = [
-    "LOCKSTEP",
-    "TWIN",
-    "Cell",
-    "CommandLog",
-    "Fault",
-    "Faults",
-    "assert_alarm",
-    "assert_better_than_uniform",
-    "assert_held",
-    "assert_limits_kept",
-    "assert_names",
-    "assert_predicts",
-    "assert_quiet",
-    "open_cell",
+    "LOCKSTEP", "TWIN", "Cell", "CommandLog", "Fault", "Faults", "assert_alarm", "assert_better_than_uniform",
+    "assert_held", "assert_limits_kept", "assert_names", "assert_predicts", "assert_quiet", "open_cell",
     "small_scenario",
-]
+]  # fmt: skip
 
 
 def __getattr__(name: str) -> Any:

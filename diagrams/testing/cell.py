@@ -96,7 +96,6 @@ class Cell:
     Attributes:
         scenario: what the cell is like; of a twin also what it hides.
         folder: where recordings go, a folder for each thing the robot did.
-        is_real: whether there is a real arm.
         faults: what is to go wrong.
     """
 
@@ -106,10 +105,8 @@ class Cell:
         folder: Path,
         url: str | None = None,
         recorder: CommandRecorder | None = None,
-        *,
-        is_real: bool = False,
     ) -> None:
-        self.scenario, self.folder, self.is_real = scenario, folder, is_real
+        self.scenario, self.folder = scenario, folder
         self.faults = Faults()
         self._url, self._recorder = url, recorder
         self._positions: FloatArray | None = None
@@ -217,15 +214,14 @@ def open_cell(
     if where == LOCKSTEP:
         yield Cell(scenario, folder)
         return
-    is_real = where != TWIN
     with ExitStack() as processes:
         url = where
-        if is_real:
-            open_lcm(url)  # refuses a malformed address
-        else:
+        if where == TWIN:
             twin = TwinProcess(scenario, folder)
             processes.callback(twin.close)
             url = twin.url
+        else:
+            open_lcm(url)  # refuses a malformed address
         relay = None
         if faulty:
             beyond, url = url, free_url()
@@ -233,6 +229,6 @@ def open_cell(
             processes.callback(relay.close)
         recorder = CommandRecorder(url, folder / "commands.bin")
         processes.callback(recorder.close)
-        cell = Cell(scenario, folder, url, recorder, is_real=is_real)
+        cell = Cell(scenario, folder, url, recorder)
         cell.faults._way = relay
         yield cell
