@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
-from slipmap.models.physics.cell_grid import CellGrid, FloatArray
-from slipmap.planners.grasps import Grasp
-from slipmap.planners.table_push import TablePush
+if TYPE_CHECKING:
+    from slipmap.models.physics.cell_grid import CellGrid, FloatArray
+    from slipmap.planners.grasps import Grasp
+    from slipmap.planners.table_push import TablePush
 
 MODES = (
     "home", "approaching", "lowering", "pushing", "retreating", "refused",
