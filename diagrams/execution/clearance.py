@@ -1,4 +1,7 @@
-"""How far the arm is from what it must not touch: table, stand, object and itself."""
+"""How far the arm is from what it must not touch: table, stand, object and itself.
+
+`ArmClearance` covers the arm by balls; `Surroundings` refuses pushes that come too near to something.
+"""
 
 from __future__ import annotations
 
@@ -6,23 +9,28 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from pydrake.geometry import Capsule, Cylinder, Role, SceneGraph, SceneGraphInspector, Shape, Sphere
-from pydrake.math import RigidTransform
+from pydrake.geometry import Capsule, Cylinder, Role, SceneGraph, Shape, Sphere
 from pydrake.multibody.plant import MultibodyPlant
-from pydrake.multibody.tree import BodyIndex
+from pydrake.multibody.tree import BodyIndex, ModelInstanceIndex
 
 from slipmap.diagrams.execution.motion import MotionRefused, Plan
-from slipmap.diagrams.station.arm import STAND_RADIUS, add_arm, default_arm_base, stand_head
+from slipmap.diagrams.perception.sight import moved
+from slipmap.diagrams.station.arm import STAND_RADIUS, default_arm_base, lone_arm, stand_head
 from slipmap.diagrams.station.table import THICKNESS
+from slipmap.models.geometry import seen_from
 from slipmap.models.measurements.push_dataset import Table
 from slipmap.models.physics.cell_grid import CellGrid, FloatArray
 from slipmap.planners.table_push import TablePush
 
-_APART = 0.5  # of the balls along a shape, in its radii
+APART = 0.005
+"""Distance that the arm keeps from table and object, but for the finger while it is low, m."""
+
+_BALLS_APART = 0.5  # along a shape, in its radii
 _FIXED = ("iiwa_link_0", "iiwa_link_1", "iiwa_link_2")  # what hand and forearm could hit of the arm itself
 _NEXT = ("iiwa_link_3", "iiwa_link_4")  # always close to those
 _FAR = 0.05  # m, from which on it does not matter how far
 _FINGER = ("left_finger", "right_finger")  # closed, they are the finger that pushes
+_EVERY = 0.08  # s between the postures of a push that are looked at
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,8 +56,7 @@ class Obstacle:
 
     def distance(self, points: FloatArray) -> FloatArray:
         """(...) signed distance of points (..., 3) in the world from the nearest box, m."""
-        c, s = np.cos(self.pose[2]), np.sin(self.pose[2])
-        local = (points[..., :2] - self.pose[:2]) @ np.array([[c, -s], [s, c]])
+        local = seen_from(points, self.pose)
         aside = np.abs(local[..., None, :] - self.grid.centers) - self.grid.width / 2
         above = np.abs(points[..., 2, None] - self.heights / 2) - self.heights / 2
         return np.asarray(_box_distance(np.concatenate([aside, above[..., None]], axis=-1)).min(axis=-1))
@@ -60,16 +67,11 @@ class ArmClearance:
 
     Args:
         table: whose top is at z = 0.
-        X_WB: pose of the arm's base; `default_arm_base` if None.
     """
 
-    def __init__(self, table: Table, X_WB: RigidTransform | None = None) -> None:
-        self._table = table
-        self._head = stand_head(default_arm_base() if X_WB is None else X_WB)
-        plant, scene_graph = MultibodyPlant(1e-3), SceneGraph()
-        plant.RegisterAsSourceForSceneGraph(scene_graph)
-        self._arm = add_arm(plant, X_WB)
-        plant.Finalize()
+    def __init__(self, table: Table) -> None:
+        self._table, self._head = table, stand_head(default_arm_base())
+        plant, scene_graph, self._arm = lone_arm()
         self._plant, self._context = plant, plant.CreateDefaultContext()
         self._balls = _balls(plant, scene_graph, (self._arm.iiwa, self._arm.gripper))
         names = np.concatenate(
@@ -78,24 +80,19 @@ class ArmClearance:
         self._radii = np.concatenate([radii for _, _, radii in self._balls])
         self._fixed = np.isin(names, _FIXED)
         self._free = ~self._fixed & ~np.isin(names, _NEXT)
-        self._gripper = np.isin(
-            names, [plant.get_body(b).name() for b in plant.GetBodyIndices(self._arm.gripper)]
-        )
+        gripper = [plant.get_body(body).name() for body in plant.GetBodyIndices(self._arm.gripper)]
+        self._gripper = np.isin(names, gripper)
         self._finger = np.isin(names, _FINGER)
 
     def centers(self, q: FloatArray, opening: float) -> FloatArray:
         """(B, 3) centres of the balls in the world at joint angles (7,), rad, and an opening, m."""
         self._plant.SetPositions(self._context, self._arm.iiwa, q)
         self._plant.SetPositions(self._context, self._arm.gripper, np.array([-opening, opening]) / 2)
-        return np.concatenate(
-            [
-                points @ X_WB.rotation().matrix().T + X_WB.translation()
-                for points, X_WB in (
-                    (points, self._plant.EvalBodyPoseInWorld(self._context, self._plant.get_body(body)))
-                    for body, points, _ in self._balls
-                )
-            ]
-        )
+        placed = []
+        for body, points, _ in self._balls:
+            X_WB = self._plant.EvalBodyPoseInWorld(self._context, self._plant.get_body(body))
+            placed.append(moved(X_WB, points))
+        return np.concatenate(placed)
 
     def of(
         self, q: FloatArray, opening: float, obstacle: Obstacle | None = None, *, holding: bool = False
@@ -107,9 +104,8 @@ class ArmClearance:
             obstacle: the object, if it counts.
             holding: the gripper may be at the object.
         """
-        moving = ~self._fixed
+        moving, centers = ~self._fixed, self.centers(q, opening)
         near = moving & ~self._gripper if holding else moving
-        centers = self.centers(q, opening)
         least = self._from_surroundings(centers, moving)
         if obstacle is not None:
             least = min(least, float((obstacle.distance(centers[near]) - self._radii[near]).min()))
@@ -171,23 +167,21 @@ def _box_distance(outside: FloatArray) -> FloatArray:
 
 
 def _balls(
-    plant: MultibodyPlant, scene_graph: SceneGraph, instances: tuple
+    plant: MultibodyPlant, scene_graph: SceneGraph, instances: tuple[ModelInstanceIndex, ...]
 ) -> list[tuple[BodyIndex, FloatArray, FloatArray]]:
     """Per body: centres (b, 3) in its frame and radii (b,) of balls along its collision shapes, m."""
-    inspector: SceneGraphInspector = scene_graph.model_inspector()
+    inspector = scene_graph.model_inspector()
     result = []
-    for instance in instances:
-        for body in plant.GetBodyIndices(instance):
-            centers, radii = [np.zeros((0, 3))], [np.zeros(0)]
-            for geometry in inspector.GetGeometries(plant.GetBodyFrameIdOrThrow(body), Role.kProximity):
-                shape = inspector.GetShape(geometry)
-                X_BG = inspector.GetPoseInFrame(geometry)
-                along = _along(shape)
-                points = np.column_stack([np.zeros((len(along), 2)), along])
-                centers.append(points @ X_BG.rotation().matrix().T + X_BG.translation())
-                radii.append(np.full(len(along), shape.radius()))
-            if len(centers) > 1:
-                result.append((body, np.concatenate(centers), np.concatenate(radii)))
+    for body in (body for instance in instances for body in plant.GetBodyIndices(instance)):
+        centers, radii = [np.zeros((0, 3))], [np.zeros(0)]
+        for geometry in inspector.GetGeometries(plant.GetBodyFrameIdOrThrow(body), Role.kProximity):
+            shape = inspector.GetShape(geometry)
+            along = _along(shape)
+            points = np.column_stack([np.zeros((len(along), 2)), along])
+            centers.append(moved(inspector.GetPoseInFrame(geometry), points))
+            radii.append(np.full(len(along), shape.radius()))
+        if len(centers) > 1:
+            result.append((body, np.concatenate(centers), np.concatenate(radii)))
     return result
 
 
@@ -201,16 +195,7 @@ def _along(shape: Shape) -> FloatArray:
         half = max(shape.length() / 2 - shape.radius(), 0.0)
     else:
         raise ValueError(f"arm clearance: a {type(shape).__name__} among the arm's collision shapes")
-    return np.linspace(-half, half, max(int(np.ceil(2 * half / (_APART * shape.radius()))) + 1, 1))
-
-
-# What the arm keeps away from while it pushes.
-
-
-APART = 0.005
-"""Distance that the arm keeps from table and object, but for the finger while it is low, m."""
-
-_EVERY = 0.08  # s between the postures that are looked at
+    return np.linspace(-half, half, max(int(np.ceil(2 * half / (_BALLS_APART * shape.radius()))) + 1, 1))
 
 
 @dataclass(frozen=True, eq=False)

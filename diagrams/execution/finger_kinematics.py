@@ -1,4 +1,4 @@
-"""Where the finger is, and how the arm must stand for the finger to be somewhere, down or level."""
+"""Where the finger is, what it feels, and how the arm must stand for it to be somewhere, down or level."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ class FingerKinematics:
     """Forward and inverse kinematics of the finger's end T.
 
     Args:
-        model: the arm as `slipmap.diagrams.station.arm.arm_model` makes it. Finalized, 7 positions, frame `tip`.
+        model: the arm as `arm_model` makes it: finalized, 7 positions, a frame `tip`.
     """
 
     def __init__(self, model: MultibodyPlant) -> None:
@@ -121,7 +121,7 @@ class FingerKinematics:
         Raises:
             OutOfReach: the search finds none within the joints' limits and their margin.
         """
-        ahead, down = np.array([np.cos(yaw), np.sin(yaw), 0.0]), np.array([0.0, 0.0, -1.0])
+        ahead, down = _ahead(yaw), np.array([0.0, 0.0, -1.0])
         q = None
         if self._arm_spans(p_WT + np.column_stack([np.cross(down, ahead), down, ahead]) @ self._p_TWrist):
             q = self._search(_held_level(p_WT, yaw), near, near, POSITION_LIMITS - LIMIT_MARGIN)
@@ -179,26 +179,26 @@ def _pointing_down(p_WT: FloatArray) -> list[_Held]:
 
 def _turned(p_WT: FloatArray, yaw: float) -> _Held:
     """The wrist's side of the finger."""
-    behind = FINGER_LENGTH * np.array([np.cos(yaw), np.sin(yaw), 0.0])
+    behind = FINGER_LENGTH * _ahead(yaw)
     return np.array([0.0, -FINGER_LENGTH, 0.0]), p_WT - behind, np.full(3, 0.1 * FINGER_LENGTH)
 
 
+def _ahead(yaw: float) -> FloatArray:
+    return np.array([np.cos(yaw), np.sin(yaw), 0.0])
+
+
 def _held_level(p_WT: FloatArray, yaw: float) -> list[_Held]:
-    ahead, down = np.array([np.cos(yaw), np.sin(yaw), 0.0]), np.array([0.0, 0.0, -1.0])
+    down = np.array([0.0, 0.0, -1.0])
     return [
         (np.zeros(3), p_WT, _EXACT),
-        (np.array([0.0, 0.0, -FINGER_LENGTH]), p_WT - FINGER_LENGTH * ahead, _EXACT),
+        (np.array([0.0, 0.0, -FINGER_LENGTH]), p_WT - FINGER_LENGTH * _ahead(yaw), _EXACT),
         (np.array([0.0, FINGER_LENGTH, 0.0]), p_WT + FINGER_LENGTH * down, _EXACT),
     ]
 
 
-# The force at the finger, from the torques it causes in the joints.
-
-
-TORQUE_NOISE = 0.1
-"""Standard deviation of a joint's external torque, N m."""
-MOMENT_SPREAD = 0.5
-"""Standard deviation of the contact force's moment about the finger's end, N m: 15 N act some cm above it."""
+# Standard deviations of a joint's external torque, and of the contact force's moment about the finger's end,
+# N m: 15 N act some cm above it.
+_TORQUE_NOISE, _MOMENT_SPREAD = 0.1, 0.5
 
 
 def tip_force(jacobian: FloatArray, torque_external: FloatArray) -> FloatArray:
@@ -215,7 +215,7 @@ def tip_force(jacobian: FloatArray, torque_external: FloatArray) -> FloatArray:
         jacobian: (6, 7) angular, then linear velocity of the finger's end per joint speed, world.
         torque_external: (7,) joint torques caused by contact, N m.
     """
-    rows = np.vstack([jacobian.T / TORQUE_NOISE, np.eye(3, 6) / MOMENT_SPREAD])
-    sides = np.concatenate([torque_external / TORQUE_NOISE, np.zeros(3)])
+    rows = np.vstack([jacobian.T / _TORQUE_NOISE, np.eye(3, 6) / _MOMENT_SPREAD])
+    sides = np.concatenate([torque_external / _TORQUE_NOISE, np.zeros(3)])
     wrench = np.linalg.lstsq(rows, sides, rcond=None)[0]
     return -wrench[3:]

@@ -1,4 +1,7 @@
-"""Motions of arm and gripper, phase by phase, and joint angles along straight lines of the finger."""
+"""Motions of arm and gripper: joint angles along lines of the finger, and how fast to go along them.
+
+`Plan` is a motion as a whole, phase by phase; `find_way` looks for a way around what stands in it.
+"""
 
 from __future__ import annotations
 
@@ -16,15 +19,20 @@ from slipmap.models.physics.cell_grid import FloatArray
 from slipmap.models.robots import ACCELERATION_LIMITS, ARM_JOINTS, GRIP_FORCE, POSITION_LIMITS, SPEED_LIMITS
 from slipmap.planners.table_push import Pace
 
-# Joint angles over time: paths through given angles, and how fast to go along them.
+Posture = Callable[[FloatArray, FloatArray], FloatArray]
+"""Joint angles (7,) for the finger's end at a point (3,) that lie close to given ones (7,), or OutOfReach."""
 
-
-SPEED_SHARE = 0.9
-"""Share of the joints' speed limits that motions use."""
-ACCELERATION_SHARE = 0.6
-"""Share of the joints' acceleration limits that motions use."""
-
+_SPEED_SHARE, _ACCELERATION_SHARE = 0.9, 0.6  # of the joints' limits, that motions use
 _MINIMUM_JERK = Polynomial([0.0, 0.0, 0.0, 10.0, -15.0, 6.0])  # Flash and Hogan 1985
+
+# m between the points of a line at which the joint angles are computed; a spline joins them. The finer is
+# tried where the joints have to turn fast, as they do beside their limits.
+_KNOT_DISTANCES = (0.01, 0.0025)
+_LARGEST_STEP = 0.2  # rad, of a joint between two of them; more would be another way of reaching the point
+
+
+class MotionRefused(ValueError):
+    """The arm cannot make this motion. The text says why."""
 
 
 def joint_path(knots: FloatArray) -> PiecewisePolynomial:
@@ -58,8 +66,8 @@ def smooth(path: Trajectory, kinematics: FingerKinematics, tip_speed: float) -> 
     speeds, accelerations = dq * d_sigma, ddq * d_sigma**2 + dq * dd_sigma
     tip_speeds = [np.linalg.norm(kinematics.jacobian(q[:, k])[3:] @ speeds[:, k]) for k in range(len(shares))]
     duration = max(
-        (np.abs(speeds).max(axis=1) / (SPEED_SHARE * SPEED_LIMITS)).max(),
-        np.sqrt((np.abs(accelerations).max(axis=1) / (ACCELERATION_SHARE * ACCELERATION_LIMITS)).max()),
+        (np.abs(speeds).max(axis=1) / (_SPEED_SHARE * SPEED_LIMITS)).max(),
+        np.sqrt((np.abs(accelerations).max(axis=1) / (_ACCELERATION_SHARE * ACCELERATION_LIMITS)).max()),
         max(tip_speeds) / tip_speed,
     )
     unit.ScaleTime(duration)
@@ -90,27 +98,12 @@ def braking(q: FloatArray, speed: FloatArray) -> Trajectory:
         q: (7,) joint angles at the begin, rad.
         speed: (7,) joint speeds at the begin, rad/s.
     """
-    duration = max(float((np.abs(speed) / (ACCELERATION_SHARE * ACCELERATION_LIMITS)).max()), 0.01)
+    duration = max(float((np.abs(speed) / (_ACCELERATION_SHARE * ACCELERATION_LIMITS)).max()), 0.01)
     return PiecewisePolynomial.CubicHermite(
         [0.0, duration],
         np.column_stack([q, q + speed * duration / 2.0]),
         np.column_stack([speed, np.zeros(7)]),
     )
-
-
-KNOT_DISTANCES = (0.01, 0.0025)
-"""Of the points of a line at which the joint angles are computed, m; a spline joins them. The finer is tried
-where the joints have to turn fast, as they do beside their limits."""
-
-LARGEST_STEP = 0.2
-"""Of a joint between two such points, rad; more would be another way of reaching the point."""
-
-Posture = Callable[[FloatArray, FloatArray], FloatArray]
-"""Joint angles (7,) for the finger's end at a point (3,) that lie close to given ones (7,), or OutOfReach."""
-
-
-class MotionRefused(ValueError):
-    """The arm cannot make this motion. The text says why."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,8 +113,8 @@ class Phase:
     Attributes:
         mode: see `ExecutionStatus`.
         trajectory: joint angles (7,), rad, over time from 0, s.
-        opening: what the gripper is told at the end, m.
-        opening_before: what it is told at the begin, from where it moves evenly, m.
+        opening: of the gripper that is asked for at the end, m.
+        opening_before: the same at the begin, from where it moves evenly, m.
         force: largest force of a pin, N.
     """
 
@@ -137,7 +130,7 @@ class Phase:
         return float(self.trajectory.end_time())
 
     def opening_at(self, time: float) -> float:
-        """What the gripper is told at a time since the phase's begin, s."""
+        """Opening that is asked for at a time since the phase's begin (s), m."""
         share = min(time / self.duration, 1.0)
         return (1.0 - share) * self.opening_before + share * self.opening
 
@@ -186,7 +179,7 @@ def follow(posture: Posture, first: FloatArray, last: FloatArray, start: FloatAr
     Raises:
         MotionRefused: a point is out of reach, or only with a leap of the joints.
     """
-    for distance in KNOT_DISTANCES:
+    for distance in _KNOT_DISTANCES:
         try:
             return _knots(posture, first, last, start, distance)
         except MotionRefused as refusal:
@@ -207,7 +200,7 @@ def _knots(
         except OutOfReach as error:
             raise MotionRefused(str(error)) from error
         leap = np.abs(q - knots[-1])
-        if leap.max() > LARGEST_STEP:
+        if leap.max() > _LARGEST_STEP:
             k = int(np.argmax(leap))
             raise MotionRefused(
                 f"at ({point[0]:.3f}, {point[1]:.3f}) m {ARM_JOINTS[k]} would have to leap by "
@@ -227,7 +220,7 @@ def check_joints(motion: Trajectory) -> None:
     derivative, second = motion.MakeDerivative(), motion.MakeDerivative(2)
     for what, values, limits, unit in (
         ("turn to", motion.vector_values(times), POSITION_LIMITS, "degrees"),
-        ("turn at", derivative.vector_values(times), SPEED_SHARE * SPEED_LIMITS, "degrees a second"),
+        ("turn at", derivative.vector_values(times), _SPEED_SHARE * SPEED_LIMITS, "degrees a second"),
         ("speed up by", second.vector_values(times), ACCELERATION_LIMITS, "degrees a second squared"),
     ):
         largest = np.abs(values).max(axis=1)
@@ -237,16 +230,6 @@ def check_joints(motion: Trajectory) -> None:
                 f"{ARM_JOINTS[k]} would have to {what} {np.rad2deg(largest[k]):.0f} {unit}, "
                 f"of which {np.rad2deg(limits[k]):.0f} are allowed"
             )
-
-
-# Ways between two postures around what stands between them.
-
-
-RESOLUTION = 0.06
-"""Between the postures of a way that are looked at, rad (norm over all joints)."""
-ITERATIONS = 500
-_SHORTCUTS = 60
-_SEED = 7
 
 
 def find_way(
@@ -272,10 +255,11 @@ def find_way(
         bounds.setHigh(k, float(limit))
     space.setBounds(bounds)
     util.setLogLevel(util.LOG_NONE)
-    util.RNG.setSeed(_SEED)
+    util.RNG.setSeed(7)
     information = base.SpaceInformation(space)
     information.setStateValidityChecker(lambda state: is_clear(_posture(state)))
-    information.setStateValidityCheckingResolution(RESOLUTION / space.getMaximumExtent())
+    # Between the postures that are looked at: 0.06 rad, norm over all joints.
+    information.setStateValidityCheckingResolution(0.06 / space.getMaximumExtent())
     information.setup()
     ends = [space.allocState() for _ in range(2)]
     for state, q in zip(ends, (start, goal), strict=True):
@@ -288,14 +272,14 @@ def find_way(
     planner = geometric.RRTConnect(information)
     planner.setRange(0.6)
     setup.setPlanner(planner)
-    left = iter(range(ITERATIONS))
+    left = iter(range(500))
     setup.solve(base.PlannerTerminationCondition(lambda: next(left, None) is None))
     if not setup.haveExactSolutionPath():
         raise MotionRefused(f"no way {what} was found around table, stand and object")
     path = setup.getSolutionPath()
     simplifier = geometric.PathSimplifier(information)
     simplifier.reduceVertices(path)
-    simplifier.partialShortcutPath(path, _SHORTCUTS)
+    simplifier.partialShortcutPath(path, 60)
     simplifier.reduceVertices(path)
     return np.array([_posture(state) for state in path.getStates()])
 

@@ -1,4 +1,4 @@
-"""The arm's motion for a push, planned as a whole before anything moves."""
+"""The arm's motions for a push, a grasp at the table's edge and the way home, planned before they begin."""
 
 from __future__ import annotations
 
@@ -33,205 +33,6 @@ from slipmap.models.physics.cell_grid import FloatArray
 from slipmap.models.robots import FINGER_RADIUS, GRIP_FORCE, POSITION_LIMITS
 from slipmap.planners.table_push import TablePush
 
-ARCH = np.array([0.0, 0.0, 0.8, 0.0, 0.0, 0.0, 0.0])
-"""(7,) rad; times one of `ARCHES` and added to the middle of the way to or from a push, lifts the finger."""
-ARCHES = (0.0, 0.25, 0.5, 0.75, 1.0, 1.25)
-
-SAG = 0.02
-"""By which the gripper may be lower than the safe height between home and push, m."""
-
-_LOW_BALLS = np.array([[0.0, 0.0, 0.0], [0.0, 0.06, -0.16], [0.0, -0.06, -0.16], [0.0, -0.226, -0.158]]).T
-_LOW_RADII = np.array([0.0, 0.04, 0.04, 0.076])
-# (3, 4) in T and (4,), m: the finger's end, both ends of the hand, the wrist
-
-TURNS = np.deg2rad([-30.0, -60.0, -90.0, 30.0, 120.0, -120.0, 60.0, 90.0])
-"""Of the hand about the finger, which are tried where the arm would come too near to something, rad."""
-
-_Inverse = Callable[[FloatArray, FloatArray | None], FloatArray]
-# joint angles (7,) for the finger's end at a point (3,), near given ones if any, or OutOfReach
-
-RELEASE, RELEASE_SPEED = 0.005, 0.05
-"""m and m/s by which the finger goes back before it is lifted. One that still presses on the object can drag
-it up and away: with fingers that gave way, a box by 3 to 23 mm."""
-
-
-def plan_push(
-    kinematics: FingerKinematics,
-    push: TablePush,
-    q: FloatArray,
-    home: FloatArray,
-    config: ExecutionConfig,
-    surroundings: Surroundings | None = None,
-) -> Plan:
-    """Approach, lower, push, rest, go back a little, lift and return home.
-
-    From `default_arm_base` every push between points within 0.36 m of W's origin can be made at 0.1 m/s, as
-    60 random ones showed, and 57 of 60 within 0.45 m; the others are close under the shoulder. Planning
-    takes 50 ms, with surroundings 70, and up to 0.6 s where the hand must be turned. It is turned about the
-    finger where the arm would come too near to what is around it: the forearm, whose lower side is 6 to 9 cm
-    above the table, then leans to another side.
-
-    Args:
-        kinematics: of the arm.
-        push: what to do.
-        q: (7,) where the arm rests now, rad, with the finger higher than what stands on the table.
-        home: (7,) where it shall rest afterwards, rad.
-        config: how it moves.
-        surroundings: what the arm keeps away from; nothing if None.
-
-    Raises:
-        MotionRefused: a point out of reach, a joint limit in the way, too fast for a joint or the finger, or
-            too near to the object, the table or the arm itself.
-    """
-    if push.speed > config.push_speed_limit:
-        raise MotionRefused(
-            f"{push.speed:g} m/s is faster than the finger may push, at most {config.push_speed_limit:g} m/s"
-        )
-    straight = _push_held(kinematics.inverse, kinematics, push, q, home, config)
-    if surroundings is None:
-        return straight
-    try:
-        surroundings.check(straight, push)
-        return straight
-    except MotionRefused as refusal:
-        too_near = refusal
-    yaw = kinematics.yaw(straight.phases[1].trajectory.value(0.0)[:, 0])
-    for turn in TURNS:
-        turned = partial(kinematics.inverse, yaw=yaw + turn)
-        try:
-            plan = _push_held(turned, kinematics, push, q, home, config)
-            surroundings.check(plan, push)
-            return plan
-        except MotionRefused:
-            continue
-    raise too_near
-
-
-def _push_held(
-    posture: _Inverse,
-    kinematics: FingerKinematics,
-    push: TablePush,
-    q: FloatArray,
-    home: FloatArray,
-    config: ExecutionConfig,
-) -> Plan:
-    """The motion with the finger held in one way."""
-    lift = np.array([0.0, 0.0, config.safe_height - config.tip_height])
-    begin, end = (np.array([*point, config.tip_height]) for point in (push.begin, push.end))
-    line, pushing = _pushing(posture, push, begin, end, config)
-    down = follow(posture, begin, begin + lift, line[0])[::-1]
-    off = end - np.array([*(RELEASE * push.direction), 0.0])
-    back = follow(posture, end, off, line[-1])
-    up = follow(posture, off, off + lift, back[-1])
-    return Plan(
-        (
-            Phase("approaching", _way(kinematics, q, down[0], config)),
-            Phase("lowering", smooth(joint_path(down), kinematics, config.lowering_speed)),
-            Phase("pushing", pushing),
-            Phase("retreating", smooth(joint_path(back), kinematics, RELEASE_SPEED)),
-            Phase("retreating", smooth(joint_path(up), kinematics, config.lowering_speed)),
-            Phase("retreating", _way(kinematics, up[-1], home, config)),
-        )
-    )
-
-
-def plan_retreat(
-    kinematics: FingerKinematics, q: FloatArray, speed: FloatArray, home: FloatArray, config: ExecutionConfig
-) -> Plan:
-    """Stop, lift the finger if it is low, and go home.
-
-    Args:
-        kinematics: of the arm.
-        q: (7,) joint angles now, rad.
-        speed: (7,) joint speeds now, rad/s.
-        home: (7,) where to go, rad.
-        config: how the arm moves.
-    """
-    phases = [braking(q, speed)]
-    q = phases[0].value(phases[0].end_time())[:, 0]
-    tip = kinematics.pose(q).translation()
-    if tip[2] < config.safe_height:
-        try:
-            up = follow(kinematics.inverse, tip, np.array([tip[0], tip[1], config.safe_height]), q)
-        except MotionRefused:
-            pass  # not pointing down, or at the edge of the reach: the way home lifts it as well
-        else:
-            up[0] = q
-            phases.append(smooth(joint_path(up), kinematics, config.lowering_speed))
-            q = up[-1]
-    if np.abs(home - q).max() > 1e-6:
-        phases.append(smooth(_arch(kinematics, q, home, config)[0], kinematics, config.transit_speed))
-    return Plan(tuple(Phase("retreating", phase) for phase in phases))
-
-
-def _way(
-    kinematics: FingerKinematics, q: FloatArray, goal: FloatArray, config: ExecutionConfig
-) -> Trajectory:
-    """From rest at q to rest at the goal, both (7,), rad.
-
-    Raises:
-        MotionRefused: the gripper would come lower than its safe height by more than `SAG`.
-    """
-    path, lowest = _arch(kinematics, q, goal, config)
-    if lowest < config.safe_height - SAG:
-        raise MotionRefused(
-            f"between the push and the home posture the gripper would come down to {lowest:.3f} m, "
-            f"at least {config.safe_height - SAG:.3f} m are safe"
-        )
-    return smooth(path, kinematics, config.transit_speed)
-
-
-def _arch(
-    kinematics: FingerKinematics, q: FloatArray, goal: FloatArray, config: ExecutionConfig
-) -> tuple[Trajectory, float]:
-    """The flattest arch between two postures that is high enough, else the highest; its lowest point, m."""
-    highest: tuple[Trajectory, float] | None = None
-    for share in ARCHES:
-        knots = np.column_stack([q, (q + goal) / 2.0 + share * ARCH, goal])
-        path = PiecewisePolynomial.LagrangeInterpolatingPolynomial([0.0, 0.5, 1.0], knots)
-        postures = path.vector_values(np.linspace(0.0, 1.0, 21)).T
-        lowest = min(_lowest(kinematics.pose(posture)) for posture in postures)
-        inside = (np.abs(postures) <= POSITION_LIMITS).all()
-        if highest is None or (inside and lowest > highest[1]):
-            highest = path, lowest
-        if highest[1] > config.safe_height - SAG:
-            break
-    assert highest is not None
-    return highest
-
-
-def _lowest(X_WT: RigidTransform) -> float:
-    """Height of the lowest point of finger, hand and wrist, m."""
-    return float(((X_WT @ _LOW_BALLS)[2] - _LOW_RADII).min())
-
-
-def _pushing(
-    posture: _Inverse, push: TablePush, begin: FloatArray, end: FloatArray, config: ExecutionConfig
-) -> tuple[FloatArray, Trajectory]:
-    """Joint angles (m, 7) along the line, and the motion along it.
-
-    The posture that suits one end best need not last to the other, so both are tried.
-    """
-    refusals = []
-    for first, last, order in ((begin, end, 1), (end, begin, -1)):
-        try:
-            try:
-                start = posture(first, None)
-            except OutOfReach as error:
-                raise MotionRefused(str(error)) from error
-            line = follow(posture, first, last, start)[::order]
-            pace = push.pace(config.speeding_up, config.slowing_down)
-            motion = paced(joint_path(line), pace, config.settle)
-            check_joints(motion)
-            return line, motion
-        except MotionRefused as refusal:
-            refusals.append(refusal)
-    raise max(refusals, key=lambda refusal: isinstance(refusal.__cause__, OutOfReach))
-
-
-# The arm's motion for a grasp at the table's edge, planned as a whole before anything moves.
-
-
 CLEAR = 0.01
 """Distance that the arm keeps on its way to the object, m."""
 CLOSE = 0.003
@@ -239,143 +40,282 @@ CLOSE = 0.003
 LIFT = 0.10
 """Height to which the object is lifted, m."""
 
+ARCH = np.array([0.0, 0.0, 0.8, 0.0, 0.0, 0.0, 0.0])
+"""(7,) rad; times one of `_ARCHES` and added to the middle of the way to or from a push, lifts the finger."""
+TURNS = np.deg2rad([-30.0, -60.0, -90.0, 30.0, 120.0, -120.0, 60.0, 90.0])
+"""Of the hand about the finger, which are tried where the arm would come too near to something, rad."""
+
+_ARCHES = (0.0, 0.25, 0.5, 0.75, 1.0, 1.25)
+_SAG = 0.02  # m by which the gripper may be lower than the safe height between home and push
+
+# The finger's end, both ends of the hand, and the wrist: (3, 4) in T and (4,) radii, m.
+_LOW_BALLS = np.array([[0.0, 0.0, 0.0], [0.0, 0.06, -0.16], [0.0, -0.06, -0.16], [0.0, -0.226, -0.158]]).T
+_LOW_RADII = np.array([0.0, 0.04, 0.04, 0.076])
+
+# m and m/s by which the finger goes back before it is lifted. One that still presses on the object can drag
+# it up and away: with fingers that gave way, a box by 3 to 23 mm.
+_RELEASE, _RELEASE_SPEED = 0.005, 0.05
+
 _REST = 0.5  # s, after which the arm stays where it is
 _BACK = (0.06, 0.09, 0.12, 0.16, 0.2)  # m, by which the gripper may stand back before it comes in
-_STARTS = 24
-_SEARCHES = np.random.default_rng(11).uniform(-0.8, 0.8, (_STARTS, 7)) * POSITION_LIMITS
+_SEARCHES = np.random.default_rng(11).uniform(-0.8, 0.8, (24, 7)) * POSITION_LIMITS
+
+_Inverse = Callable[[FloatArray, FloatArray | None], FloatArray]
+# joint angles (7,) for the finger's end at a point (3,), near given ones if any, or OutOfReach
 
 
-def plan_grasp(
-    kinematics: FingerKinematics,
-    clearance: ArmClearance,
-    grasp: ActiveGrasp,
-    q: FloatArray,
-    config: ExecutionConfig,
-) -> Plan:
-    """Reach around to a place outside the table, come in level with the pins open, close, lift, and hold.
+@dataclass(frozen=True, eq=False)
+class ArmPlanner:
+    """Plans the arm's motions.
 
-    Args:
+    Attributes:
         kinematics: of the arm.
-        clearance: of the arm at its table.
-        grasp: what to do.
-        q: (7,) where the arm rests now, rad.
         config: how it moves.
-
-    Raises:
-        MotionRefused: the hand cannot be held there, or there is no way to it. The text says why.
+        home: (7,) joint angles at which it rests between pushes, rad.
     """
-    obstacle = Obstacle(grasp.grid, grasp.heights, grasp.pose)
-    x, y, z, yaw = grasp.grasp.at(grasp.pose)
-    tip, opening = np.array([x, y, z]), grasp.grasp.opening
-    refusals = []
-    for posture in _postures(kinematics, tip, yaw, q):
-        try:
-            comes, lifts = _lines(kinematics, clearance, tip, yaw, posture, obstacle, grasp)
-            way = find_way(
-                q, comes[0], lambda at: clearance.of(at, opening, obstacle) > CLEAR, "to the object"
+
+    kinematics: FingerKinematics
+    config: ExecutionConfig
+    home: FloatArray
+
+    def push(self, push: TablePush, q: FloatArray, surroundings: Surroundings | None = None) -> Plan:
+        """Approach, lower, push, rest, go back a little, lift and return home.
+
+        From `default_arm_base` every push between points within 0.36 m of W's origin can be made at 0.1 m/s,
+        as 60 random ones showed, and 57 of 60 within 0.45 m; the others are close under the shoulder.
+        Planning takes 50 ms, with surroundings 70, and up to 0.6 s where the hand must be turned, about the
+        finger, where the arm would come too near to what is around it: the forearm, whose lower side is 6
+        to 9 cm above the table, then leans to another side.
+
+        Args:
+            push: what to do.
+            q: (7,) where the arm rests now, rad, with the finger higher than what stands on the table.
+            surroundings: what the arm keeps away from; nothing if None.
+
+        Raises:
+            MotionRefused: a point out of reach, a joint limit in the way, too fast for a joint or the finger,
+                or too near to the object, the table or the arm itself.
+        """
+        limit = self.config.push_speed_limit
+        if push.speed > limit:
+            raise MotionRefused(
+                f"{push.speed:g} m/s is faster than the finger may push, at most {limit:g} m/s"
             )
+        straight = self._push_held(self.kinematics.inverse, push, q)
+        if surroundings is None:
+            return straight
+        try:
+            surroundings.check(straight, push)
+            return straight
         except MotionRefused as refusal:
-            refusals.append(refusal)
-            continue
-        ways = [smooth(joint_path(np.array(leg)), kinematics, config.transit_speed) for leg in pairwise(way)]
-        coming, lifting = (
-            smooth(joint_path(line), kinematics, config.grasping_speed) for line in (comes, lifts)
+            too_near = refusal
+        yaw = self.kinematics.yaw(straight.phases[1].trajectory.value(0.0)[:, 0])
+        for turn in TURNS:
+            turned = partial(self.kinematics.inverse, yaw=yaw + turn)
+            try:
+                plan = self._push_held(turned, push, q)
+                surroundings.check(plan, push)
+                return plan
+            except MotionRefused:
+                continue
+        raise too_near
+
+    def retreat(self, q: FloatArray, speed: FloatArray) -> Plan:
+        """Stop, lift the finger if it is low, and go home.
+
+        Args:
+            q: (7,) joint angles now, rad.
+            speed: (7,) joint speeds now, rad/s.
+        """
+        phases = [braking(q, speed)]
+        q = phases[0].value(phases[0].end_time())[:, 0]
+        tip = self.kinematics.pose(q).translation()
+        if tip[2] < self.config.safe_height:
+            try:
+                up = follow(
+                    self.kinematics.inverse, tip, np.array([tip[0], tip[1], self.config.safe_height]), q
+                )
+            except MotionRefused:
+                pass  # not pointing down, or at the edge of the reach: the way home lifts it as well
+            else:
+                up[0] = q
+                phases.append(self._along(up, self.config.lowering_speed))
+                q = up[-1]
+        if np.abs(self.home - q).max() > 1e-6:
+            phases.append(smooth(self._arch(q, self.home)[0], self.kinematics, self.config.transit_speed))
+        return Plan(tuple(Phase("retreating", phase) for phase in phases))
+
+    def grasp(self, clearance: ArmClearance, grasp: ActiveGrasp, q: FloatArray) -> Plan:
+        """Reach around to a place outside the table, come in level with the pins open, close, lift, and hold.
+
+        Args:
+            clearance: of the arm at its table.
+            grasp: what to do.
+            q: (7,) where the arm rests now, rad.
+
+        Raises:
+            MotionRefused: the hand cannot be held there, or there is no way to it. The text says why.
+        """
+        place = _GraspPlace(self.kinematics, clearance, grasp)
+        opening = grasp.grasp.opening
+        refusals = []
+        for posture in sorted(place.postures(q), key=lambda posture: float(np.abs(posture - q).max())):
+            try:
+                comes, lifts = place.lines(posture)
+                way = find_way(
+                    q, comes[0], lambda at: clearance.of(at, opening, place.obstacle) > CLEAR, "to the object"
+                )
+            except MotionRefused as refusal:
+                refusals.append(refusal)
+                continue
+            ways = [self._along(np.array(leg), self.config.transit_speed) for leg in pairwise(way)]
+            coming, lifting = (self._along(line, self.config.grasping_speed) for line in (comes, lifts))
+            return Plan(
+                (
+                    Phase("reaching", ways[0], opening),
+                    *(Phase("reaching", leg, opening, opening) for leg in (*ways[1:], coming)),
+                    Phase("closing", _still(posture, self.config.closing), 0.0, opening, GRIP_FORCE),
+                    Phase("lifting", lifting, force=GRIP_FORCE),
+                    Phase("holding", _still(lifts[-1], _REST), force=GRIP_FORCE),
+                )
+            )
+        if refusals:
+            raise refusals[0]
+        x, y, z = place.tip
+        raise MotionRefused(
+            f"the gripper cannot be held level at ({x:.3f}, {y:.3f}) m, {z:.3f} m high, pointing to "
+            f"{np.rad2deg(place.yaw):.0f} degrees: this is out of the arm's reach"
         )
+
+    def _push_held(self, posture: _Inverse, push: TablePush, q: FloatArray) -> Plan:
+        config = self.config
+        lift = np.array([0.0, 0.0, config.safe_height - config.tip_height])
+        begin, end = (np.array([*point, config.tip_height]) for point in (push.begin, push.end))
+        line, pushing = self._pushing(posture, push, begin, end)
+        down = follow(posture, begin, begin + lift, line[0])[::-1]
+        off = end - np.array([*(_RELEASE * push.direction), 0.0])
+        back = follow(posture, end, off, line[-1])
+        up = follow(posture, off, off + lift, back[-1])
         return Plan(
             (
-                Phase("reaching", ways[0], opening),
-                *(Phase("reaching", leg, opening, opening) for leg in (*ways[1:], coming)),
-                Phase("closing", _still(posture, config.closing), 0.0, opening, GRIP_FORCE),
-                Phase("lifting", lifting, force=GRIP_FORCE),
-                Phase("holding", _still(lifts[-1], _REST), force=GRIP_FORCE),
+                Phase("approaching", self._way(q, down[0])),
+                Phase("lowering", self._along(down, config.lowering_speed)),
+                Phase("pushing", pushing),
+                Phase("retreating", self._along(back, _RELEASE_SPEED)),
+                Phase("retreating", self._along(up, config.lowering_speed)),
+                Phase("retreating", self._way(up[-1], self.home)),
             )
         )
-    if refusals:
-        raise refusals[0]
-    raise MotionRefused(
-        f"the gripper cannot be held level at ({x:.3f}, {y:.3f}) m, {z:.3f} m high, pointing to "
-        f"{np.rad2deg(yaw):.0f} degrees: this is out of the arm's reach"
-    )
+
+    def _pushing(
+        self, posture: _Inverse, push: TablePush, begin: FloatArray, end: FloatArray
+    ) -> tuple[FloatArray, Trajectory]:
+        """Joint angles (m, 7) along the line, and the motion along it.
+
+        The posture that suits one end best need not last to the other, so both are tried.
+        """
+        refusals = []
+        for first, last, order in ((begin, end, 1), (end, begin, -1)):
+            try:
+                try:
+                    start = posture(first, None)
+                except OutOfReach as error:
+                    raise MotionRefused(str(error)) from error
+                line = follow(posture, first, last, start)[::order]
+                pace = push.pace(self.config.speeding_up, self.config.slowing_down)
+                motion = paced(joint_path(line), pace, self.config.settle)
+                check_joints(motion)
+                return line, motion
+            except MotionRefused as refusal:
+                refusals.append(refusal)
+        raise max(refusals, key=lambda refusal: isinstance(refusal.__cause__, OutOfReach))
+
+    def _way(self, q: FloatArray, goal: FloatArray) -> Trajectory:
+        config = self.config
+        path, lowest = self._arch(q, goal)
+        if lowest < config.safe_height - _SAG:
+            raise MotionRefused(
+                f"between the push and the home posture the gripper would come down to {lowest:.3f} m, "
+                f"at least {config.safe_height - _SAG:.3f} m are safe"
+            )
+        return smooth(path, self.kinematics, config.transit_speed)
+
+    def _along(self, knots: FloatArray, tip_speed: float) -> Trajectory:
+        return smooth(joint_path(knots), self.kinematics, tip_speed)
+
+    def _arch(self, q: FloatArray, goal: FloatArray) -> tuple[Trajectory, float]:
+        """The flattest arch between two postures that is high enough, else the highest; its lowest point."""
+        highest: tuple[Trajectory, float] | None = None
+        for share in _ARCHES:
+            knots = np.column_stack([q, (q + goal) / 2.0 + share * ARCH, goal])
+            path = PiecewisePolynomial.LagrangeInterpolatingPolynomial([0.0, 0.5, 1.0], knots)
+            postures = path.vector_values(np.linspace(0.0, 1.0, 21)).T
+            lowest = min(_lowest(self.kinematics.pose(posture)) for posture in postures)
+            inside = (np.abs(postures) <= POSITION_LIMITS).all()
+            if highest is None or (inside and lowest > highest[1]):
+                highest = path, lowest
+            if highest[1] > self.config.safe_height - _SAG:
+                break
+        assert highest is not None
+        return highest
 
 
-def can_grasp(
-    kinematics: FingerKinematics, clearance: ArmClearance, grasp: ActiveGrasp, q: FloatArray
-) -> bool:
-    """Whether the arm can come in straight and lift there; a way from q (7,), rad, is not looked for."""
-    obstacle = Obstacle(grasp.grid, grasp.heights, grasp.pose)
-    x, y, z, yaw = grasp.grasp.at(grasp.pose)
-    tip = np.array([x, y, z])
-    for posture in _each_posture(kinematics, tip, yaw, q):
-        try:
-            _lines(kinematics, clearance, tip, yaw, posture, obstacle, grasp)
-        except MotionRefused:
-            continue
-        return True
-    return False
+class _GraspPlace:
+    """Where the gripper grasps, and the ways there."""
 
+    def __init__(self, kinematics: FingerKinematics, clearance: ArmClearance, grasp: ActiveGrasp) -> None:
+        self._kinematics, self._clearance, self._grasp = kinematics, clearance, grasp.grasp
+        self.obstacle = Obstacle(grasp.grid, grasp.heights, grasp.pose)
+        *tip, self.yaw = grasp.grasp.at(grasp.pose)
+        self.tip = np.array(tip)
 
-def _postures(kinematics: FingerKinematics, tip: FloatArray, yaw: float, q: FloatArray) -> list[FloatArray]:
-    """All ways (7,) found to hold the gripper at the object, the nearest to q first."""
-    found = _each_posture(kinematics, tip, yaw, q)
-    return sorted(found, key=lambda posture: float(np.abs(posture - q).max()))
+    def postures(self, q: FloatArray) -> Iterator[FloatArray]:
+        """Ways (7,) to hold the gripper at the object, as they are found, the first search from q (7,)."""
+        found: list[FloatArray] = []
+        for start in (q, *_SEARCHES):
+            try:
+                posture = self._level(self.tip, start)
+            except OutOfReach:
+                continue
+            if all(np.abs(posture - other).max() > 0.1 for other in found):
+                found.append(posture)
+                yield posture
 
+    def lines(self, posture: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Joint angles (m, 7) of the straight ways in, from where the open gripper is clear, and up.
 
-def _each_posture(
-    kinematics: FingerKinematics, tip: FloatArray, yaw: float, q: FloatArray
-) -> Iterator[FloatArray]:
-    """The same as they are found."""
-    found: list[FloatArray] = []
-    for start in (q, *_SEARCHES):
-        try:
-            posture = kinematics.level(tip, yaw, start)
-        except OutOfReach:
-            continue
-        if all(np.abs(posture - other).max() > 0.1 for other in found):
-            found.append(posture)
-            yield posture
+        Raises:
+            MotionRefused: out of reach, or too close to something.
+        """
+        outward = -np.array([np.cos(self.yaw), np.sin(self.yaw), 0.0])
+        for back in _BACK:
+            comes = follow(self._level, self.tip, self.tip + back * outward, posture)[::-1]
+            if self._clearance.of(comes[0], self._grasp.opening, self.obstacle) > CLEAR:
+                break
+        else:
+            raise MotionRefused(
+                f"{1e3 * _BACK[-1]:.0f} mm back from the object the open gripper is still at it"
+            )
+        self._check(comes, self._grasp.opening, "coming in")
+        lifts = follow(self._level, self.tip, self.tip + np.array([0.0, 0.0, LIFT]), posture)
+        self._check(lifts, self._grasp.height + 2 * FINGER_RADIUS, "lifting")
+        return comes, lifts
 
+    def _level(self, point: FloatArray, near: FloatArray) -> FloatArray:
+        return self._kinematics.level(point, self.yaw, near)
 
-def _lines(
-    kinematics: FingerKinematics,
-    clearance: ArmClearance,
-    tip: FloatArray,
-    yaw: float,
-    posture: FloatArray,
-    obstacle: Obstacle,
-    grasp: ActiveGrasp,
-) -> tuple[FloatArray, FloatArray]:
-    """Joint angles (m, 7) of the straight ways in, from where the open gripper is clear, and up.
-
-    Raises:
-        MotionRefused: out of reach, or too close to something.
-    """
-
-    def level(point: FloatArray, near: FloatArray) -> FloatArray:
-        return kinematics.level(point, yaw, near)
-
-    def check(line: FloatArray, opening: float, what: str) -> None:
-        least = min(clearance.of(q, opening, obstacle, holding=True) for q in line)
+    def _check(self, line: FloatArray, opening: float, what: str) -> None:
+        least = min(self._clearance.of(q, opening, self.obstacle, holding=True) for q in line)
         if least < CLOSE:
             raise MotionRefused(f"while {what} the arm would be {1e3 * least:.0f} mm from something")
 
-    outward = -np.array([np.cos(yaw), np.sin(yaw), 0.0])
-    for back in _BACK:
-        comes = follow(level, tip, tip + back * outward, posture)[::-1]
-        if clearance.of(comes[0], grasp.grasp.opening, obstacle) > CLEAR:
-            break
-    else:
-        raise MotionRefused(f"{1e3 * _BACK[-1]:.0f} mm back from the object the open gripper is still at it")
-    check(comes, grasp.grasp.opening, "coming in")
-    lifts = follow(level, tip, tip + np.array([0.0, 0.0, LIFT]), posture)
-    check(lifts, grasp.grasp.height + 2 * FINGER_RADIUS, "lifting")
-    return comes, lifts
+
+def _lowest(X_WT: RigidTransform) -> float:
+    return float(((X_WT @ _LOW_BALLS)[2] - _LOW_RADII).min())
 
 
 def _still(q: FloatArray, duration: float) -> Trajectory:
     return PiecewisePolynomial.ZeroOrderHold([0.0, duration], np.column_stack([q, q]))
-
-
-# What the arm can do from its home posture, for those who plan.
 
 
 @dataclass(frozen=True)
@@ -396,16 +336,23 @@ class ArmChecks:
 
     def can_push(self, obstacle: Obstacle, push: TablePush) -> bool:
         """Whether the arm can make a push of an object, and come home."""
-        around = Surroundings(_clearance(self.table), obstacle)
+        planner = ArmPlanner(_kinematics(self.models), self.config, HOME)
         try:
-            plan_push(_kinematics(self.models), push, HOME, HOME, self.config, around)
+            planner.push(push, HOME, Surroundings(_clearance(self.table), obstacle))
         except MotionRefused:
             return False
         return True
 
     def can_grasp(self, grasp: ActiveGrasp) -> bool:
-        """Whether the gripper can come in, close and lift."""
-        return can_grasp(_kinematics(self.models), _clearance(self.table), grasp, HOME)
+        """Whether the gripper can come in straight and lift there; a way from home is not looked for."""
+        place = _GraspPlace(_kinematics(self.models), _clearance(self.table), grasp)
+        for posture in place.postures(HOME):
+            try:
+                place.lines(posture)
+            except MotionRefused:
+                continue
+            return True
+        return False
 
 
 @lru_cache(maxsize=2)

@@ -1,19 +1,20 @@
-"""The block that makes the arm push, and grasp at the table's edge."""
+"""The block that makes the arm push, and grasp at the table's edge, and the one that watches the object."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from pydrake.common.value import Value
 from pydrake.math import RigidTransform
 from pydrake.multibody.plant import MultibodyPlant
-from pydrake.systems.framework import BasicVector, Context, EventStatus, State
+from pydrake.systems.framework import BasicVector, Context, EventStatus, InputPort, State
 
 from slipmap.diagrams.execution.clearance import ArmClearance, Obstacle, Surroundings
 from slipmap.diagrams.execution.finger_kinematics import FingerKinematics, tip_force
 from slipmap.diagrams.execution.motion import MotionRefused, Phase, Plan
-from slipmap.diagrams.execution.plans import plan_grasp, plan_push, plan_retreat
+from slipmap.diagrams.execution.plans import ArmPlanner
 from slipmap.diagrams.execution.requests import ActiveGrasp, ActivePush, ExecutionStatus, Health
 from slipmap.diagrams.execution.settings import ExecutionConfig
 from slipmap.diagrams.systems.python_system import PythonSystem, held, read, replace_held
@@ -28,6 +29,12 @@ PERIOD = 0.02
 
 CLOSED = 0.005
 """Opening up to which the gripper is one round finger, m."""
+
+TIMES = 3
+"""Pictures in a row that have to show that the object was moved."""
+
+MOVED, TURNED = 0.01, 0.15
+"""m and rad beyond which it is not the tracker that errs."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,50 +66,34 @@ class _Execution:
 
 
 class PushExecutor(PythonSystem):
-    """Plans and makes pushes and grasps one at a time; tells where the finger is and what force it exerts.
+    """Plans and makes pushes and grasps one at a time; says where the finger is and what force it exerts.
 
-    .. pydrake_system::
+    Input ports:
 
-        name: PushExecutor
-        input_ports:
-        - push
-        - grasp
-        - iiwa.position_measured
-        - iiwa.torque_external
-        - abort
-        - moved
-        - health
-        - gripper.state_measured
-        - object_pose
-        - seen_object
-        output_ports:
-        - iiwa.position
-        - gripper.position
-        - gripper.force_limit
-        - tip_pose
-        - tip_force
-        - status
-
-    - `push`: `ActivePush | None`; a new number starts a push once the arm is home. `abort`: bool, need not be
-      connected; True stops a push, lifts the finger and brings the arm home. A grasp goes on.
-    - `grasp`: `ActiveGrasp | None`, need not be connected; a new number starts a grasp once the arm is home.
-      It ends in `holding`: nothing is put down, and nothing is done after it.
-    - `moved`: str of an `ObjectWatch`, need not be connected; where it is not empty on the way to a push, the
-      arm goes home and the push counts as refused for that reason.
-    - `health`: `Health` of a `CommandGuard`, need not be connected. Nothing is planned while the guard waits
-      for the arm. When it has stopped the arm, the push or grasp ends in `stopped` with the guard's reason;
-      arm and gripper are told to stay as they are, and nothing is done after it.
-    - `gripper.state_measured` (2,) opening and its rate, m and m/s, need not be connected; a gripper that
-      does not close for a push ends in `stopped`, too.
-    - `object_pose`: `ObservedPose`, `seen_object`: `SeenObject | None`, need not be connected: what the arm,
-      but for the finger, keeps away from while it pushes, as from the table. Connected, they refuse a push of
-      what is not seen.
+    - `push`: `ActivePush | None`; a new number starts a push once the arm is home.
     - `iiwa.position_measured` (7,) rad; `iiwa.torque_external` (7,) N m, of the contact forces on the arm.
+
+    Input ports that need not be connected:
+
+    - `grasp`: `ActiveGrasp | None`; a new number starts a grasp once the arm is home. It ends in `holding`:
+      nothing is put down, and nothing is done after it.
+    - `abort`: bool; True stops a push, lifts the finger and brings the arm home. A grasp goes on.
+    - `moved`: str of an `ObjectWatch`; where it is not empty on the way to a push, the arm goes home and the
+      push counts as refused for that reason.
+    - `health`: `Health` of a `CommandGuard`. Nothing is planned while the guard waits for the arm. When it
+      has stopped the arm, the push or grasp ends in `stopped` with the guard's reason; arm and gripper stay
+      as they are, and nothing is done after it.
+    - `gripper.state_measured` (2,) opening and its rate, m and m/s; a gripper that does not close for a push
+      ends in `stopped`, too.
+    - `object_pose`: `ObservedPose`, `seen_object`: `SeenObject | None`: what the arm, but for the finger,
+      keeps away from while it pushes, as from the table. They refuse a push of what is not seen.
+
+    Output ports:
+
     - `iiwa.position` (7,) rad; `gripper.position` (1,) m, closed unless a grasp is under way;
       `gripper.force_limit` (1,) N.
-    - `tip_pose`: `RigidTransform` X_WT at the measured joint angles.
-    - `tip_force` (3,) N, of the finger on the object, in the world.
-    - `status`: `ExecutionStatus`.
+    - `tip_pose`: `RigidTransform` X_WT at the measured joint angles; `tip_force` (3,) N, of the finger on the
+      object, in the world; `status`: `ExecutionStatus`.
 
     With the drivers of `add_arm_drivers` the finger keeps within 0.5 mm of where it shall be while it pushes
     a box of up to 3 kg (15 N) at up to 0.1 m/s, at simulation steps of 1 to 5 ms.
@@ -111,7 +102,7 @@ class PushExecutor(PythonSystem):
     start the arm goes home from wherever it is.
 
     Args:
-        model: the arm as `slipmap.diagrams.station.arm.arm_model` makes it.
+        model: the arm as `arm_model` makes it.
         home: (7,) joint angles between pushes, rad.
         config: how the arm moves.
         table: that the arm keeps away from; if None it heeds neither table nor object, and cannot grasp.
@@ -127,8 +118,8 @@ class PushExecutor(PythonSystem):
         super().__init__()
         self._clearance = None if table is None else ArmClearance(table)
         self._kinematics = FingerKinematics(model)
-        self._home = np.asarray(home, dtype=float)
         self._config = config or ExecutionConfig()
+        self._planner = ArmPlanner(self._kinematics, self._config, np.asarray(home, dtype=float))
         self._push = self.DeclareAbstractInputPort("push", Value[object](None))
         self._grasp = self.DeclareAbstractInputPort("grasp", Value[object](None))
         self._measured = self.DeclareVectorInputPort("iiwa.position_measured", 7)
@@ -163,7 +154,7 @@ class PushExecutor(PythonSystem):
 
     def _next(self, context: Context, now: _Execution) -> _Execution:
         time = context.get_time()
-        health: Health | None = self._health.Eval(context) if self._health.HasValue(context) else None
+        health: Health | None = _optional(self._health, context)
         if now.status.mode == "stopped" or (health is not None and health.mode == "waiting"):
             return now
         if health is not None and not health.ok:
@@ -171,20 +162,18 @@ class PushExecutor(PythonSystem):
                 now, status=ExecutionStatus("stopped", now.status.push_id, health.text), stopped=time
             )
         if now.plan is None:
-            plan = self._plan_home(self._measured.Eval(context), np.zeros(7))
+            plan = self._planner.retreat(self._measured.Eval(context), np.zeros(7))
             return replace(now, plan=plan, begin=time)
-        abort = self._abort.HasValue(context) and self._abort.Eval(context)
+        abort = _optional(self._abort, context)
         if now.running(time):
             if abort and not now.aborted and now.status.mode != "home":
                 return self._aborted(now, time)
-            moved = self._moved.Eval(context) if self._moved.HasValue(context) else ""
+            moved = _optional(self._moved, context)
             if moved and now.plan.at(time - now.begin)[0] in ("approaching", "lowering"):
-                back = self._plan_home(*now.plan.motion(time - now.begin))
+                back = self._planner.retreat(*now.plan.motion(time - now.begin))
                 return _Execution(replace(now.status, reason=moved), back, time, True, last="refused")
             return now
-        request: ActivePush | ActiveGrasp | None = self._push.Eval(context)
-        if self._grasp.HasValue(context) and self._grasp.Eval(context) is not None:
-            request = self._grasp.Eval(context)
+        request: ActivePush | ActiveGrasp | None = _optional(self._grasp, context) or self._push.Eval(context)
         if abort or request is None or request.push_id == now.status.push_id:
             return now
         if now.plan.phases[-1].mode == "holding":
@@ -204,10 +193,10 @@ class PushExecutor(PythonSystem):
             around = None
             if self._clearance is not None:
                 around = Surroundings(self._clearance, self._obstacle(context))
-            return plan_push(self._kinematics, request.push, q, self._home, self._config, around)
+            return self._planner.push(request.push, q, around)
         if self._clearance is None:
             raise MotionRefused("the executor was made without a table at whose edge it could grasp")
-        return plan_grasp(self._kinematics, self._clearance, request, q, self._config)
+        return self._planner.grasp(self._clearance, request, q)
 
     def _obstacle(self, context: Context) -> Obstacle | None:
         if not (self._pose.HasValue(context) and self._seen.HasValue(context)):
@@ -227,7 +216,7 @@ class PushExecutor(PythonSystem):
         if mode == "retreating" or plan.phases[-1].mode == "holding":
             return replace(now, aborted=True)
         status = replace(now.status, reason=f"aborted while {mode}")
-        return _Execution(status, self._plan_home(*plan.motion(since)), time, aborted=True)
+        return _Execution(status, self._planner.retreat(*plan.motion(since)), time, aborted=True)
 
     def _not_closed(self, now: _Execution, time: float, push_id: int, opening: float) -> _Execution:
         assert now.plan is not None
@@ -238,9 +227,6 @@ class PushExecutor(PythonSystem):
             "switched off, then start again"
         )
         return replace(now, status=ExecutionStatus("stopped", push_id, reason), stopped=time)
-
-    def _plan_home(self, q: FloatArray, speed: FloatArray) -> Plan:
-        return plan_retreat(self._kinematics, q, speed, self._home, self._config)
 
     def _calc_position(self, context: Context, output: BasicVector) -> None:
         now: _Execution = read(context, self._execution)
@@ -280,17 +266,8 @@ class PushExecutor(PythonSystem):
         output.set_value(status)
 
 
-# Notices that an object was moved by something else while the arm was on its way to push it.
-
-
-WATCH_PERIOD = 0.02
-"""s between two looks at the inputs."""
-
-MOVED, TURNED = 0.01, 0.15
-"""m and rad beyond which it is not the tracker that errs."""
-
-TIMES = 3
-"""Pictures in a row that have to say so."""
+def _optional(port: InputPort, context: Context) -> Any:
+    return port.Eval(context) if port.HasValue(context) else None
 
 
 @dataclass(frozen=True, eq=False)
@@ -304,20 +281,11 @@ class _Aim:
 
 
 class ObjectWatch(PythonSystem):
-    """Tells the executor to give up a push whose object is no longer where it was.
+    """Has the executor give up a push whose object something else moved while the arm was on its way to it.
 
-    .. pydrake_system::
-
-        name: ObjectWatch
-        input_ports:
-        - object_pose
-        - execution
-        output_ports:
-        - moved
-
-    - `object_pose`: `ObservedPose`; `execution`: `ExecutionStatus`.
-    - `moved`: str, how far, from when `TIMES` pictures in a row show the object elsewhere than before the arm
-      set out, until the arm is home; else empty. Only the way to the push counts: then the finger pushes.
+    Inputs are `object_pose`, an `ObservedPose`, and `execution`, an `ExecutionStatus`. The output `moved` is
+    a str, how far, from when `TIMES` pictures in a row show the object elsewhere than before the arm set out,
+    until the arm is home; else empty. Only the way to the push counts: then the finger pushes.
     """
 
     def __init__(self) -> None:
@@ -325,13 +293,12 @@ class ObjectWatch(PythonSystem):
         self._pose = self.DeclareAbstractInputPort("object_pose", Value[object](None))
         self._execution = self.DeclareAbstractInputPort("execution", Value[object](None))
         self._aim = self.DeclareAbstractState(held(_Aim()))
-        self.DeclarePeriodicUnrestrictedUpdateEvent(WATCH_PERIOD, 0.0, self._update)
-        self.DeclareAbstractOutputPort(
-            "moved",
-            lambda: Value[object](""),
-            lambda context, output: output.set_value(read(context, self._aim).moved),
-            {self.abstract_state_ticket(self._aim)},
-        )
+        self.DeclarePeriodicUnrestrictedUpdateEvent(PERIOD, 0.0, self._update)
+        own = self.abstract_state_ticket(self._aim)
+        self.DeclareAbstractOutputPort("moved", lambda: Value[object](""), self._calc_moved, {own})
+
+    def _calc_moved(self, context: Context, output: Value) -> None:
+        output.set_value(read(context, self._aim).moved)
 
     def _update(self, context: Context, state: State) -> EventStatus:
         aim: _Aim = read(context, self._aim)
@@ -342,14 +309,13 @@ class ObjectWatch(PythonSystem):
             if execution.mode in ("home", "refused"):
                 following = _Aim(observed.pose, last=observed.time)
             elif execution.mode in ("approaching", "lowering") and observed.time > aim.last:
-                following = _with(aim, observed)
+                following = _looked_again(aim, observed)
         if following is not aim:
             replace_held(state, self._aim, following)
         return EventStatus.Succeeded()
 
 
-def _with(aim: _Aim, observed: ObservedPose) -> _Aim:
-    """What another picture adds."""
+def _looked_again(aim: _Aim, observed: ObservedPose) -> _Aim:
     if aim.pose is None or aim.moved:
         return aim
     way = float(np.hypot(*(observed.pose - aim.pose)[:2]))

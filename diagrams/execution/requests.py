@@ -1,12 +1,14 @@
-"""What the arm is told to do, and what it says of it. None of these values ever changes."""
+"""What the arm is asked to do, and what it says of it. None of these values ever changes."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
-from slipmap.models.physics.cell_grid import CellGrid, FloatArray
-from slipmap.planners.grasps import Grasp
-from slipmap.planners.table_push import TablePush
+if TYPE_CHECKING:
+    from slipmap.models.physics.cell_grid import CellGrid, FloatArray
+    from slipmap.planners.grasps import Grasp
+    from slipmap.planners.table_push import TablePush
 
 MODES = (
     "home", "approaching", "lowering", "pushing", "retreating", "refused",
@@ -19,7 +21,7 @@ class ActivePush:
     """A push that the arm is to make.
 
     Attributes:
-        push_id: tells this push from the others; a push is made once for each new number.
+        push_id: number of the push; a push is made once for each new number.
         push: what to do.
     """
 

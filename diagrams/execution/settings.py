@@ -1,11 +1,13 @@
-"""How the arm moves."""
+"""Settings of the arm's motion."""
 
 # Annotations stay objects: Drake's YAML reader looks at them.
 from dataclasses import dataclass
 
+from slipmap.models.settings import CheckedSettings, within
+
 
 @dataclass
-class ExecutionConfig:
+class ExecutionConfig(CheckedSettings):
     """How the arm moves.
 
     Attributes:
@@ -21,42 +23,24 @@ class ExecutionConfig:
         settle: time the finger rests at the end of a push, s.
         grasping_speed: of the open gripper on its way in to the object, and of the lifted object, m/s.
         closing: time that the gripper has to close, s.
-
-    Raises:
-        ValueError: a value out of range.
     """
 
-    tip_height: float = 0.004
-    safe_height: float = 0.10
-    push_speed_limit: float = 0.3
-    transit_speed: float = 1.5
-    lowering_speed: float = 0.25
-    speeding_up: float = 0.5
-    slowing_down: float = 1.0
-    settle: float = 0.3
-    grasping_speed: float = 0.1
-    closing: float = 1.5
+    _section = "execution."
 
-    def __post_init__(self) -> None:
-        self.check()
+    tip_height: float = within(0.004, 0.001, 0.05)
+    safe_height: float = within(0.10, 0.02, 0.3)
+    push_speed_limit: float = within(0.3, 0.001, 1.0)
+    transit_speed: float = within(1.5, 0.01, 2.0)
+    lowering_speed: float = within(0.25, 0.01, 1.0)
+    speeding_up: float = within(0.5, 0.01, 5.0)
+    slowing_down: float = within(1.0, 0.01, 5.0)
+    settle: float = within(0.3, 0.0, 60.0)
+    grasping_speed: float = within(0.1, 0.01, 0.5)
+    closing: float = within(1.5, 0.5, 10.0)
 
     def check(self) -> None:
         """Raise ValueError where a field makes no sense."""
-        for name, low, high in (
-            ("tip_height", 0.001, 0.05),
-            ("safe_height", 0.02, 0.3),
-            ("push_speed_limit", 0.001, 1.0),
-            ("transit_speed", 0.01, 2.0),
-            ("lowering_speed", 0.01, 1.0),
-            ("speeding_up", 0.01, 5.0),
-            ("slowing_down", 0.01, 5.0),
-            ("settle", 0.0, 60.0),
-            ("grasping_speed", 0.01, 0.5),
-            ("closing", 0.5, 10.0),
-        ):
-            value = getattr(self, name)
-            if not low <= value <= high:
-                raise ValueError(f"execution.{name} must lie between {low} and {high}, got {value}")
+        super().check()
         if self.safe_height <= self.tip_height:
             raise ValueError(
                 f"execution.safe_height {self.safe_height} must exceed tip_height {self.tip_height}"

@@ -1,31 +1,137 @@
-"""Messages from the network as ports of a diagram: only good ones come through, the others are counted."""
+"""Messages of the cell's channels: what they must be to be believed, and how they come into a diagram.
+
+Whoever can send to the network can send anything, so nothing of a message is used before it was checked: its
+size, finite numbers, values that a cell can have, and its stamp. Only good messages come through, the others
+are counted.
+"""
 
 from __future__ import annotations
 
 import logging
+import zlib
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 from typing import Any
 
 import numpy as np
+from drake import (
+    lcmt_drake_signal,
+    lcmt_iiwa_command,
+    lcmt_iiwa_status,
+    lcmt_image,
+    lcmt_image_array,
+    lcmt_schunk_wsg_command,
+    lcmt_schunk_wsg_status,
+)
 from pydrake.common.value import AbstractValue, Value
 from pydrake.lcm import DrakeLcmInterface
 from pydrake.systems.framework import BasicVector, Context, DiagramBuilder, EventStatus, State
 from pydrake.systems.lcm import LcmPublisherSystem, _Serializer_
 
-from slipmap.diagrams.hardware.validation import BadMessage, Rule, check_stamp
+from slipmap.diagrams.hardware import network
+from slipmap.diagrams.hardware.message_stream import LARGEST
+from slipmap.diagrams.perception.camera import CameraConfig
 from slipmap.diagrams.systems.python_system import PythonSystem, held, read, replace_held
+from slipmap.models.physics.cell_grid import FloatArray
+from slipmap.models.robots import POSITION_LIMITS, SPEED_LIMITS, TORQUE_LIMITS
 
-STANDSTILL = 0.01
-"""s that count at most as silence between two steps: what takes longer is that this process stood still, and
-then it could not hear either."""
+POSE_COORDINATES = ("x", "y", "z", "qw", "qx", "qy", "qz")
+"""Names of the numbers of a `lcmt_drake_signal` that is a pose: metres, then a unit quaternion."""
 
-CLOCKS = 0.5
-"""s in which the difference of two clocks is followed; where one is slow, ages err by a share of this."""
+ABORT_COORDINATES = ("abort",)
+"""Name of the number of a `lcmt_drake_signal` that stops the arm where it is above 0.5."""
+
+_LONGEST_LEAP = 600.0  # s by which a stamp may leap ahead; a later one would shut out all true ones
+_RESTART = 1.0  # s; messages of one sender are not mixed up by as much
+_STANDSTILL = 0.01  # s that count at most as silence between two steps: in more this process stood still
+_CLOCKS = 0.5  # s in which the difference of two clocks is followed; where one is slow, ages err by a share
+_ANGLE_SLACK = float(np.deg2rad(10.0))  # over a joint's limit, for measured angles
+_COMMAND_SLACK = 1e-3  # rad, for commanded ones
+_FORCE_FACTOR = 5.0  # a blow may exceed what a motor can do
+_SPEED_FACTOR = 3.0
+_OPENINGS = (-30.0, 300.0)  # mm
+_GRIPPER_SPEED = 2000.0  # mm/s
+_GRIPPER_FORCE = 500.0  # N
+_FARTHEST = 10.0  # of the camera, m
+_DEEPEST = 100.0  # of a reading, m
 
 _log = logging.getLogger("slipmap.hardware")
+
+
+class BadMessage(ValueError):
+    """A message that is not to be used. `str` is the cause, the same for messages bad in the same way."""
+
+
+@dataclass(frozen=True)
+class Rule:
+    """What messages of a channel must be.
+
+    Attributes:
+        lcm_type: generated class of the messages.
+        stamp: the sender's clock in a message, µs.
+        check: raises BadMessage; pictures are packed anew by it.
+        anew: whether a stamp that goes back by more than `_RESTART` is that of a sender started anew, whose
+            clock counts from when it began.
+    """
+
+    lcm_type: Any
+    stamp: Callable[[Any], int]
+    check: Callable[[Any], None]
+    anew: bool = False
+
+    def read(self, data: bytes) -> tuple[Any, float]:
+        """A message that may be believed, but for its stamp, and the stamp, s of the sender's clock.
+
+        Raises:
+            BadMessage: names the cause.
+        """
+        if len(data) > LARGEST:
+            raise BadMessage("too long")
+        try:
+            message = self.lcm_type.decode(data)
+        except Exception as error:  # generated code fails on hostile bytes in many ways
+            raise BadMessage("cannot be decoded") from error
+        self.check(message)
+        return message, 1e-6 * self.stamp(message)
+
+
+def check_stamp(stamp: float, last: float, anew: bool = False) -> None:
+    """Refuse a stamp that cannot follow the last good one, both in s; the last is NaN before the first.
+
+    `anew` is that of the `Rule`.
+
+    Raises:
+        BadMessage: names the cause.
+    """
+    if stamp < 0:
+        raise BadMessage("stamp is negative")
+    if stamp < last and not (anew and stamp < last - _RESTART):
+        raise BadMessage("stamp goes back")
+    if stamp > last + _LONGEST_LEAP:
+        raise BadMessage(f"stamp leaps ahead by more than {_LONGEST_LEAP:.0f} s")
+
+
+def rules(width: int, height: int) -> Mapping[str, Rule]:
+    """The rule of each channel, with pictures of a size in pixels."""
+    depth, color = lcmt_image.PIXEL_FORMAT_DEPTH, lcmt_image.PIXEL_FORMAT_RGBA
+    size = (width, height)
+    return {
+        network.IIWA_STATUS: Rule(lcmt_iiwa_status, _utime, _check_iiwa_status),
+        network.IIWA_COMMAND: Rule(lcmt_iiwa_command, _utime, _check_iiwa_command),
+        network.GRIPPER_STATUS: Rule(lcmt_schunk_wsg_status, _utime, _check_gripper_status),
+        network.GRIPPER_COMMAND: Rule(lcmt_schunk_wsg_command, _utime, _check_gripper_command, anew=True),
+        network.CAMERA_DEPTH: Rule(
+            lcmt_image_array, lambda m: m.header.utime, lambda m: _check_picture(m, depth, size)
+        ),
+        network.CAMERA_COLOR: Rule(
+            lcmt_image_array, lambda m: m.header.utime, lambda m: _check_picture(m, color, size)
+        ),
+        network.CAMERA_POSE: Rule(lcmt_drake_signal, lambda m: m.timestamp, _check_pose),
+        # Anybody may stop the arm, by whatever clock.
+        network.ABORT: Rule(lcmt_drake_signal, lambda m: 0, _check_abort),
+    }
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,23 +160,13 @@ class Received:
 class CheckedMessages(PythonSystem):
     """Lets good messages of a channel through, and warns of others.
 
-    .. pydrake_system::
-
-        name: CheckedMessages
-        output_ports:
-        - message
-        - stamp
-        - age
-        - silence
-        - received
-
-    What comes is told it with `hear`, and is looked at in the next step.
+    `hear` takes what comes, and the next step looks at it. The output ports:
 
     - `message`: the newest good message as Drake's own receivers take it, all zero before the first.
     - `stamp` (1,): the sender's clock in it, s, NaN before the first.
-    - `age` (1,): time since it was sent, s, infinite before the first. It is told from the stamp, so that a
+    - `age` (1,): time since it was sent, s, infinite before the first. It comes from the stamp, so that a
       diagram that was busy for a while and then reads several messages at once is not misled; how far the two
-      clocks are apart, the way of a message included, is followed within `CLOCKS`. While the diagram's clock
+      clocks are apart, the way of a message included, is followed within 0.5 s. While the diagram's clock
       is late the age may be negative.
     - `silence` (1,): s since a good message was found, by this computer's clock: also where the diagram's
       clock is late. Time in which this process stood still does not count. 0 without a clock.
@@ -102,23 +198,14 @@ class CheckedMessages(PythonSystem):
         self.DeclareVectorOutputPort("stamp", 1, self._calc_stamp, {own})
         self.DeclareVectorOutputPort("age", 1, self._calc_age, {own, self.time_ticket()})
         self.DeclareVectorOutputPort("silence", 1, self._calc_silence, {own})
-        self.DeclareAbstractOutputPort(
-            "received",
-            lambda: Value[object](None),
-            lambda context, output: output.set_value(self.received(context)),
-            {own},
-        )
+        self.DeclareAbstractOutputPort("received", lambda: Value[object](None), self._calc_received, {own})
 
     def received(self, context: Context) -> Received:
         """What came until now, of this system's Context."""
         return read(context, self._received)
 
     def hear(self, data: bytes) -> None:
-        """Check a message and keep it for the next step; may be called by another thread.
-
-        Args:
-            data: as received.
-        """
+        """Check a message, as received, and keep it for the next step; may be called by another thread."""
         try:
             message, stamp = self._rule.read(data)
         except BadMessage as error:
@@ -127,11 +214,7 @@ class CheckedMessages(PythonSystem):
             self._heard.append((message.encode(), stamp))
 
     def take(self, context: Context) -> Received:
-        """Look at what was heard before the diagram runs.
-
-        Args:
-            context: of this system, changed.
-        """
+        """Look at what was heard before the diagram runs; changes the Context, which is of this system."""
         now = self._taken(context)
         replace_held(context.get_mutable_state(), self._received, now)
         return now
@@ -166,7 +249,7 @@ class CheckedMessages(PythonSystem):
             return replace(now, dropped=MappingProxyType({**now.dropped, cause: count}))
         offset = time - stamp
         if now.good and stamp >= now.stamp:
-            offset = now.offset + (offset - now.offset) * -np.expm1((now.stamp - stamp) / CLOCKS)
+            offset = now.offset + (offset - now.offset) * -np.expm1((now.stamp - stamp) / _CLOCKS)
         return replace(now, data=data, stamp=stamp, offset=float(offset), good=now.good + 1)
 
     def _calc_message(self, context: Context, output: AbstractValue) -> None:
@@ -182,14 +265,36 @@ class CheckedMessages(PythonSystem):
     def _calc_silence(self, context: Context, output: BasicVector) -> None:
         output.SetFromVector([self.received(context).silence])
 
+    def _calc_received(self, context: Context, output: AbstractValue) -> None:
+        output.set_value(self.received(context))
+
     def _calc_age(self, context: Context, output: BasicVector) -> None:
         now = self.received(context)
         output.SetFromVector([context.get_time() - now.offset - now.stamp if now.good else np.inf])
 
 
 def _listened(now: Received, clock: float, *, new: bool) -> Received:
-    passed = min(max(clock - now.looked, 0.0), STANDSTILL) if np.isfinite(now.looked) else 0.0
+    passed = min(max(clock - now.looked, 0.0), _STANDSTILL) if np.isfinite(now.looked) else 0.0
     return replace(now, silence=0.0 if new else now.silence + passed, looked=clock)
+
+
+def add_checked(
+    builder: DiagramBuilder,
+    camera: CameraConfig,
+    channels: Iterable[str],
+    clocks: Mapping[str, Callable[[], float] | None] = MappingProxyType({}),
+) -> dict[str, CheckedMessages]:
+    """Add the `CheckedMessages` of some channels, each named like its channel, with clocks for some."""
+    rule = rules(camera.width, camera.height_pixels)
+    return {
+        channel: builder.AddNamedSystem(channel, CheckedMessages(channel, rule[channel], clocks.get(channel)))
+        for channel in channels
+    }
+
+
+def all_received(checked: Mapping[str, CheckedMessages], root: Context) -> dict[str, Received]:
+    """What came on each channel until now, and what of it was dropped."""
+    return {name: system.received(system.GetMyContextFromRoot(root)) for name, system in checked.items()}
 
 
 def publish(
@@ -205,11 +310,8 @@ def publish(
     )
 
 
-# Messages of a connection are heard at each step of a diagram, while Python's lock is held.
-
-
 class MessagePump(PythonSystem):
-    """Lets a connection call the functions in Python that are subscribed to it, at each step.
+    """Lets a connection call the functions in Python that are subscribed to it, at each step of a diagram.
 
     In place of Drake's `LcmInterfaceSystem`, which calls them out of `Simulator.AdvanceTo`: pydrake has let
     go of the interpreter's lock there, and takes memory of Python's for a message before it has the lock
@@ -218,9 +320,6 @@ class MessagePump(PythonSystem):
 
     To be added before the systems that look at what was heard at each step, for which it then comes at the
     same step. It has no ports.
-
-    Args:
-        lcm: the connection.
     """
 
     def __init__(self, lcm: DrakeLcmInterface) -> None:
@@ -231,3 +330,106 @@ class MessagePump(PythonSystem):
     def _hear(self, context: Any, state: Any) -> EventStatus:
         self._lcm.HandleSubscriptions(0)
         return EventStatus.DidNothing()
+
+
+def _utime(message: Any) -> int:
+    return int(message.utime)
+
+
+def _check_iiwa_status(message: lcmt_iiwa_status) -> None:
+    if message.num_joints != 7:
+        raise BadMessage("has not 7 joints")
+    angles, slack = POSITION_LIMITS, _ANGLE_SLACK
+    _check_vector("measured angles", message.joint_position_measured, angles + slack)
+    _check_vector("commanded angles", message.joint_position_commanded, angles + slack)
+    _check_vector("speeds", message.joint_velocity_estimated, _SPEED_FACTOR * SPEED_LIMITS)
+    for name in ("measured", "commanded", "external"):
+        torques = getattr(message, f"joint_torque_{name}")
+        _check_vector(f"{name} torques", torques, _FORCE_FACTOR * TORQUE_LIMITS)
+
+
+def _check_iiwa_command(message: lcmt_iiwa_command) -> None:
+    if message.num_joints != 7:
+        raise BadMessage("has not 7 joints")
+    if message.num_torques != 0:
+        raise BadMessage("has torques, and the arm takes angles alone")
+    _check_vector("angles", message.joint_position, POSITION_LIMITS + _COMMAND_SLACK)
+
+
+def _check_gripper_status(message: lcmt_schunk_wsg_status) -> None:
+    _check_number("opening", message.actual_position_mm, *_OPENINGS)
+    _check_number("speed", message.actual_speed_mm_per_s, -_GRIPPER_SPEED, _GRIPPER_SPEED)
+    _check_number("force", message.actual_force, -_GRIPPER_FORCE, _GRIPPER_FORCE)
+
+
+def _check_gripper_command(message: lcmt_schunk_wsg_command) -> None:
+    _check_number("opening", message.target_position_mm, *_OPENINGS)
+    _check_number("force", message.force, 0.0, _GRIPPER_FORCE)
+
+
+def _check_pose(message: lcmt_drake_signal) -> None:
+    if tuple(message.coord) != POSE_COORDINATES or len(message.val) != len(POSE_COORDINATES):
+        raise BadMessage(f"is not a pose: {', '.join(POSE_COORDINATES)}")
+    limits = np.array([_FARTHEST] * 3 + [1.0 + 1e-6] * 4)
+    _check_vector("pose", message.val, limits)
+    if abs(np.linalg.norm(message.val[3:]) - 1.0) > 1e-3:
+        raise BadMessage("quaternion has not the length 1")
+
+
+def _check_abort(message: lcmt_drake_signal) -> None:
+    if tuple(message.coord) != ABORT_COORDINATES or len(message.val) != len(ABORT_COORDINATES):
+        raise BadMessage("is not one number named abort")
+    _check_number("abort", message.val[0], 0.0, 1.0)
+
+
+def _check_picture(message: lcmt_image_array, pixel_format: int, size: tuple[int, int]) -> None:
+    if len(message.images) != 1:
+        raise BadMessage("has not one picture")
+    image, (width, height) = message.images[0], size
+    if (image.width, image.height) != size:
+        raise BadMessage(f"picture is not {width} by {height} pixels")
+    depth = pixel_format == lcmt_image.PIXEL_FORMAT_DEPTH
+    channel = lcmt_image.CHANNEL_TYPE_FLOAT32 if depth else lcmt_image.CHANNEL_TYPE_UINT8
+    if (image.pixel_format, image.channel_type, bool(image.bigendian)) != (pixel_format, channel, False):
+        raise BadMessage(f"picture is not {'depth in 32 bit floats' if depth else 'RGBA in bytes'}")
+    pixels = _unpacked(image, 4 * width * height)
+    if image.row_stride != 4 * width or len(pixels) != 4 * width * height:
+        raise BadMessage("picture has not as many bytes as its size asks for")
+    if depth:
+        readings = np.frombuffer(pixels, "<f4")
+        finite = readings[np.isfinite(readings)]
+        # 0 is no reading, and infinity one beyond the range.
+        if np.isnan(readings).any() or readings.min() < 0 or finite.max(initial=0.0) > _DEEPEST:
+            raise BadMessage("picture has depths that cannot be")
+    # Drake 1.51 takes a quarter of the pixels of a depth picture that is not packed at all.
+    image.data = zlib.compress(pixels, 0)
+    image.size, image.compression_method = len(image.data), lcmt_image.COMPRESSION_METHOD_ZLIB
+
+
+def _unpacked(image: lcmt_image, size: int) -> bytes:
+    """Pixels of a picture; never more than one byte over their proper size, whatever is packed."""
+    if image.compression_method == lcmt_image.COMPRESSION_METHOD_NOT_COMPRESSED:
+        return bytes(image.data)
+    if image.compression_method != lcmt_image.COMPRESSION_METHOD_ZLIB:
+        raise BadMessage("picture is packed in another way than with zlib")
+    try:
+        return zlib.decompressobj().decompress(image.data, size + 1)
+    except zlib.error as error:
+        raise BadMessage("picture cannot be unpacked") from error
+
+
+def _check_vector(name: str, values: Any, limits: FloatArray) -> None:
+    array = np.asarray(values, dtype=float)
+    if array.shape != limits.shape:
+        raise BadMessage(f"{name}: not {len(limits)} numbers")
+    if not np.isfinite(array).all():
+        raise BadMessage(f"{name}: not finite")
+    if (np.abs(array) > limits).any():
+        raise BadMessage(f"{name}: far out of limits")
+
+
+def _check_number(name: str, value: float, low: float, high: float) -> None:
+    if not np.isfinite(value):
+        raise BadMessage(f"{name}: not finite")
+    if not low <= value <= high:
+        raise BadMessage(f"{name}: far out of limits")

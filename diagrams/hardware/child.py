@@ -1,46 +1,47 @@
-"""A process beside this one that is fed through a pipe, and ends when the pipe is closed."""
+"""A process beside this one that is fed through a pipe, and ends when the pipe is closed.
+
+It is started as `python -m slipmap.diagrams.hardware.child MODULE:FUNCTION ARGUMENT …`.
+"""
 
 from __future__ import annotations
 
 import os
 import subprocess
 import sys
+from collections.abc import Callable
 from contextlib import suppress
+from importlib import import_module
 from typing import IO
 
-from slipmap.diagrams.hardware.channels import HardwareError
+from slipmap.diagrams.hardware.network import HardwareError
 
 _READY = b"ready\n"
 
 
 class Child:
-    """A process that runs a module of ours; as its user ends, so does it.
+    """A process that runs a function of ours; as its user ends, so does it.
 
     Args:
         what: it is, for messages.
-        module: name of the module.
-        arguments: of its command line.
+        function: of a module; it calls `be_ready`, and ends when its standard input does.
+        arguments: of the function.
+        first: what it gets on its standard input before it is ready.
 
     Raises:
-        HardwareError: it did not start.
+        HardwareError: it did not start; it says why on the standard error.
     """
 
-    def __init__(self, what: str, module: str, *arguments: str) -> None:
+    def __init__(self, what: str, function: Callable[..., None], *arguments: str, first: bytes = b"") -> None:
         self._what = what
-        command = [sys.executable, "-m", module, *arguments]
+        target = f"{function.__module__}:{function.__qualname__}"
         # In a session of its own it does not hear Ctrl-C, which is meant for its user.
         self._process = subprocess.Popen(
-            command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, bufsize=0, start_new_session=True
-        )
-
-    def wait_until_ready(self) -> None:
-        """Wait until it has called `be_ready`.
-
-        Raises:
-            HardwareError: it ended before.
-        """
-        assert self._process.stdout is not None
-        if self._process.stdout.readline() != _READY:
+            [sys.executable, "-m", __name__, target, *arguments],
+            stdin=subprocess.PIPE, stdout=subprocess.PIPE, bufsize=0, start_new_session=True,
+        )  # fmt: skip
+        if first:
+            self.write(first)
+        if self.output.readline() != _READY:
             self.close()
             raise HardwareError(f"{self._what} did not start; it says why above")
 
@@ -50,7 +51,7 @@ class Child:
         assert self._process.stdout is not None
         return self._process.stdout
 
-    def send(self, data: bytes) -> None:
+    def write(self, data: bytes) -> None:
         """Write to its standard input.
 
         Raises:
@@ -75,7 +76,7 @@ class Child:
 
 
 def be_ready() -> None:
-    """In the child: tell the parent that all is prepared."""
+    """In the child: let the parent know that all is prepared."""
     os.write(sys.stdout.fileno(), _READY)
 
 
@@ -85,3 +86,11 @@ def have_priority() -> None:
     with suppress(OSError, AttributeError):
         priority = min(os.sched_getparam(0).sched_priority + 1, os.sched_get_priority_max(os.SCHED_RR))
         os.sched_setscheduler(0, os.SCHED_RR, os.sched_param(priority))
+
+
+if __name__ == "__main__":
+    module, _, name = sys.argv[1].partition(":")
+    try:
+        getattr(import_module(module), name)(*sys.argv[2:])
+    except HardwareError as failure:
+        sys.exit(f"slipmap: {failure}")

@@ -1,8 +1,7 @@
 """Commands to the arm at an even rate, from a process of their own.
 
-The diagram that makes them also looks at pictures and learns, and is late at times. It tells this process
-joint angles and the time on its own clock at which they hold; they are sent a little later, evenly. It is
-started as `python -m slipmap.diagrams.hardware.command_stream URL`.
+The diagram that makes them also looks at pictures and learns, and is late at times. It hands this process
+joint angles and the time on its own clock at which they hold; they are sent a little later, evenly.
 """
 
 from __future__ import annotations
@@ -18,22 +17,38 @@ from collections import deque
 import numpy as np
 from drake import lcmt_iiwa_command
 
-from slipmap.diagrams.hardware.channels import ARM_PERIOD, IIWA_COMMAND, HardwareError
 from slipmap.diagrams.hardware.child import Child, be_ready, have_priority
-from slipmap.diagrams.hardware.guard_rules import braking
-from slipmap.diagrams.hardware.network import open_lcm
+from slipmap.diagrams.hardware.network import ARM_PERIOD, IIWA_COMMAND, open_lcm
 from slipmap.models.physics.cell_grid import FloatArray
+from slipmap.models.robots import ACCELERATION_LIMITS
 
 DELAY = 0.04
 """s by which commands are sent later than the diagram makes them; by less it may be late without effect."""
 
-BRAKING = 0.05
-"""s in which the arm comes to rest on its path when it is to stop, if need be."""
-
+_BRAKING = 0.05  # s in which the arm comes to rest on its path when it is to stop, if need be
+_SOONEST = 2 * ARM_PERIOD
+_SOON = 4 * ARM_PERIOD  # s; in a push the finger brakes so long by the data sheet
+_HARD = 4.5  # times the acceleration that the data sheet allows for motions, in an emergency
 _PAUSE = 1.0  # s between two angles of one and the same maker, at most
 _TOO_MUCH = 1.5  # delays; what is more than that is played faster
 _CATCH_UP = 0.05  # of the pace
 _SAMPLE = struct.Struct("<8d")
+
+
+def braking_time(speed: FloatArray, longest: float) -> float:
+    """Time for even braking, s, a whole number of commands.
+
+    At the acceleration that the robot's data sheet allows for motions where the arm then rests within 20 ms;
+    within 20 ms where that takes up to 4.5 times as much; else at 4.5 times as much, but within the longest
+    time, whatever that asks of the joints.
+
+    Args:
+        speed: (7,) of the joints, rad/s.
+        longest: s.
+    """
+    gentle = float((np.abs(speed) / ACCELERATION_LIMITS).max())
+    needed = max(min(gentle, _SOON), gentle / _HARD)
+    return min(max(ARM_PERIOD * np.ceil(needed / ARM_PERIOD - 1e-9), _SOONEST), longest)
 
 
 class CommandBuffer:
@@ -41,7 +56,7 @@ class CommandBuffer:
 
     Where none come, the pace falls evenly to nothing: the arm slows down on its path, and waits there. Where
     more wait than should, they are played 5 % faster, or skipped while the arm is at rest. After `stop` the
-    pace falls to nothing for good: the arm brakes on what it was told before, which lasts for the delay.
+    pace falls to nothing for good: the arm brakes on what it got before, which lasts for the delay.
 
     Args:
         delay: s between making and playing.
@@ -62,7 +77,7 @@ class CommandBuffer:
             if len(self._samples) > 1:
                 (before, q), (after, further) = self._samples[0], self._samples[1]
                 speed = self._pace * (further - q) / (after - before)
-            self._braking = max(self._pace, 1e-3) / braking(speed, BRAKING)
+            self._braking = max(self._pace, 1e-3) / braking_time(speed, _BRAKING)
 
     def add(self, time: float, q: FloatArray) -> None:
         """Angles (7,), rad, that hold at a time of the maker's clock, s; not before those that were added.
@@ -112,50 +127,33 @@ class CommandBuffer:
         return (1.0 - share) * q + share * further
 
 
-class CommandStream:
-    """The process that sends commands; `close` ends it.
+class CommandStream(Child):
+    """The process that sends commands; `close` lets the arm come to rest and ends it.
 
     Args:
         url: see `network.open_lcm`; not `memq://`, which another process does not hear.
-
-    Raises:
-        HardwareError: it could not be started.
     """
 
     def __init__(self, url: str) -> None:
-        self._child = Child("the process that sends commands to the arm", __name__, url)
-        self._child.wait_until_ready()
+        super().__init__("the process that sends commands to the arm", _send, url)
 
     def send(self, time: float, q: FloatArray) -> None:
-        """Have joint angles (7,), rad, sent that hold at a time of the caller's clock, s.
-
-        Raises:
-            HardwareError: the process has ended.
-        """
-        self._child.send(_SAMPLE.pack(time, *q))
+        """Have joint angles (7,), rad, sent that hold at a time of the caller's clock, s."""
+        self.write(_SAMPLE.pack(time, *q))
 
     def stop(self) -> None:
-        """Let the arm brake at once on what it was told before, and hold, for good.
-
-        Raises:
-            HardwareError: the process has ended.
-        """
-        self._child.send(_SAMPLE.pack(np.nan, *np.zeros(7)))
-
-    def close(self) -> None:
-        """Let the arm come to rest and end the process."""
-        self._child.close()
+        """Let the arm brake at once on what it got before, and hold, for good."""
+        self.write(_SAMPLE.pack(np.nan, *np.zeros(7)))
 
 
-def message(q: FloatArray, now: float) -> bytes:
-    """A command of joint angles (7,), rad, stamped with a time, s."""
+def _message(q: FloatArray, now: float) -> bytes:
     command = lcmt_iiwa_command()
     command.utime = round(1e6 * now)
     command.num_joints, command.joint_position = 7, [float(angle) for angle in q]
     return bytes(command.encode())
 
 
-def main(url: str) -> None:
+def _send(url: str) -> None:
     """Send what comes in on the standard input until it ends and the arm has come to rest."""
     lcm = open_lcm(url, listens=False)  # or it would also receive all pictures
     buffer = CommandBuffer()
@@ -184,12 +182,5 @@ def main(url: str) -> None:
         now = time.monotonic()
         command = buffer.at(now)
         if command is not None:
-            lcm.Publish(IIWA_COMMAND, message(command, now))
+            lcm.Publish(IIWA_COMMAND, _message(command, now))
         tick = max(tick + ARM_PERIOD, now)
-
-
-if __name__ == "__main__":
-    try:
-        main(sys.argv[1])
-    except HardwareError as failure:
-        sys.exit(f"slipmap: {failure}")

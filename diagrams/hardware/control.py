@@ -1,4 +1,4 @@
-"""Being the one who controls a real cell."""
+"""Being the one who controls a real cell: a lock for each arm, Ctrl-C that stops it, and its ports."""
 
 from __future__ import annotations
 
@@ -30,11 +30,8 @@ from slipmap.models.files import BadInput, writing
 from slipmap.models.objects import cells_from_centres
 from slipmap.models.physics.rollout import Maps, Push, Slider
 
-# One controller for each arm: whoever drives it holds a lock by the address at which it listens.
-
-
-_held: set[Path] = set()
 # By this process: to the system its own locks are not in its way, and closing such a file frees the lock.
+_held: set[Path] = set()
 
 
 @contextmanager
@@ -101,8 +98,8 @@ def _sign(file: IO[str]) -> None:
 def _holder(file: IO[str]) -> str:
     file.seek(0)
     try:
-        told = json.load(file)
-        return f"process {told['process']} ({told['command']}, since {told['since']})"
+        holder = json.load(file)
+        return f"process {holder['process']} ({holder['command']}, since {holder['since']})"
     except (ValueError, KeyError, TypeError):  # it has only just got it
         return "another process"
 

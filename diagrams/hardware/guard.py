@@ -1,8 +1,11 @@
-"""The block between the executor and the arm: under faults the arm stops, holds, and says why."""
+"""The block between the executor and the arm: under faults the arm stops, holds, and says why.
 
-from __future__ import annotations
+`GuardSettings` say when, `_Rules` look for faults, and `CommandGuard` brings the arm to rest.
+"""
 
-from dataclasses import replace
+# Annotations stay objects: Drake's YAML reader looks at them.
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from pydrake.common.value import Value
@@ -11,53 +14,252 @@ from pydrake.systems.framework import BasicVector, Context, EventStatus, State
 
 from slipmap.diagrams.execution.finger_kinematics import FingerKinematics
 from slipmap.diagrams.execution.requests import Health
-from slipmap.diagrams.hardware.guard_rules import (
-    LINK,
-    PERIOD,
-    Guarded,
-    GuardRules,
-    GuardSettings,
-    Stop,
-    Told,
-    braking,
-    is_age,
-)
+from slipmap.diagrams.execution.settings import ExecutionConfig
+from slipmap.diagrams.hardware.command_stream import braking_time
 from slipmap.diagrams.systems.python_system import PythonSystem, held, read, replace_held
-from slipmap.models.robots import SPEED_LIMITS
+from slipmap.models.physics.cell_grid import FloatArray
+from slipmap.models.robots import ARM_JOINTS, POSITION_LIMITS, SPEED_LIMITS
+from slipmap.models.settings import CheckedSettings, within
 
-_BACK = 2.5
-"""Times the time that the fastest joint would need for the way back of an arm that presses on something."""
+PERIOD = 0.005
+"""s between two commands."""
+
+# A measured angle that moves by more than so many times the joint's largest speed, and by more than so much
+# (rad), did not move, but is wrong.
+_LEAP_SPEED, _LEAP = 1.5, 0.01
+
+_BLOW = 0.02  # s that a torque must last: a blow has 98 N m when the finger meets an object at 0.3 m/s
+
+# s by which a message may seem to come from the future: this process's clock is late when it was busy. How
+# long none has come is measured by another clock then.
+_CLOCKS = 0.5
+
+_BACK = 2.5  # times what the fastest joint needs for the way back from something that it presses on
+
+_START = "check the arm and its surroundings, then start again"
+_LINK = (
+    "see whether the arm's driver runs, the cable holds and this computer is not too busy, then start again"
+)
+
+
+@dataclass
+class GuardSettings(CheckedSettings):
+    """When the guard stops the arm; the defaults let everything pass that the executor plans.
+
+    Attributes:
+        status_age: oldest status of the arm that is good enough to move by, s.
+        image_age: oldest picture that is good enough to move by, s.
+        transit_speed: largest speed of the finger on its way to a push and back, m/s; at 0.4 the arm rests
+            50 ms after the last status wherever it is, from faster ways later.
+        tip_speed: largest speed of the finger's end that a command may ask for, m/s.
+        joint_margin: what must be left to a joint's limit when the arm has come to rest, rad.
+        following: by which a joint may be off all commands within `lag`, rad.
+        lag: time that the arm has to get to where it was sent, s.
+        torque: (7) largest torque that contact may put on each joint, N m.
+        stopping: longest time from the last free command to rest, s; slow motions stop sooner.
+        patience: time that the arm has to send its first status, s.
+    """
+
+    _section = "guard."
+
+    status_age: float = within(0.025, 0.01, 0.5)
+    image_age: float = within(1.0, 0.1, 60.0)
+    transit_speed: float = within(0.4, 0.01, 2.0)
+    tip_speed: float = within(1.7, 0.01, 2.5)
+    joint_margin: float = within(0.0175, 0.0, 0.3)
+    following: float = within(0.05, 0.005, 0.5)
+    lag: float = within(0.1, 0.02, 1.0)
+    torque: list[float] = field(default_factory=lambda: [40.0, 40.0, 30.0, 30.0, 20.0, 15.0, 15.0])
+    stopping: float = within(0.05, 0.02, 0.2)
+    patience: float = within(10.0, 0.1, 600.0)
+
+    def check(self) -> None:
+        """Raise ValueError where a field makes no sense."""
+        super().check()
+        torque = np.array(self.torque, dtype=float)
+        if torque.shape != (7,) or not ((torque > 0) & (torque <= 320.0)).all():
+            raise ValueError(
+                f"guard.torque must be seven torques above 0 and up to 320 N m, got {self.torque}"
+            )
+
+    def held_to(self, execution: ExecutionConfig) -> ExecutionConfig:
+        """How the arm moves where this guard is to stop it in time."""
+        return replace(execution, transit_speed=min(execution.transit_speed, self.transit_speed))
+
+
+@dataclass(frozen=True, eq=False)
+class _Inputs:
+    """What the guard sees; arrays are (7,)."""
+
+    time: float
+    wanted: FloatArray
+    measured: FloatArray
+    torque: FloatArray
+    status_age: float
+    silence: float
+    image_age: float
+    abort: bool
+
+
+@dataclass(frozen=True, eq=False)
+class _Stop:
+    """The way to rest: from joint angles `q` (7) at speeds `v` (7) to `rest` (7), from `begin` on, s; `back`
+    where that is not ahead, but away from what presses against the arm."""
+
+    q: FloatArray
+    v: FloatArray
+    rest: FloatArray
+    begin: float
+    duration: float
+    back: bool
+
+    def at(self, time: float) -> FloatArray:
+        """Cubic; straight braking with an even deceleration where `rest` is half the way of no braking."""
+        s = min((time - self.begin) / self.duration, 1.0)
+        way = self.rest - self.q
+        return self.q + (s - 2 * s**2 + s**3) * self.duration * self.v + (3 * s**2 - 2 * s**3) * way
+
+
+@dataclass(frozen=True, eq=False)
+class _Guarded:
+    """State: what the arm was sent, and what it said.
+
+    Attributes:
+        health: see there.
+        commands: (n, 7) of the last `lag`, newest last; empty while there was no status.
+        speed: (7,) of the newest command, rad/s.
+        stop: the way to rest, once it is stopped.
+        last: the inputs before.
+        saw: whether a picture has come.
+        pressed: time since which the torque of contact is too large, s; infinite while it is not.
+    """
+
+    health: Health
+    commands: FloatArray
+    speed: FloatArray
+    stop: _Stop | None = None
+    last: _Inputs | None = None
+    saw: bool = False
+    pressed: float = np.inf
+
+
+class _Rules:
+    def __init__(self, settings: GuardSettings, kinematics: FingerKinematics) -> None:
+        self._settings = settings
+        self._kinematics = kinematics
+
+    def faults(self, now: _Guarded, inputs: _Inputs) -> Iterator[tuple[str, str]]:
+        for rule in (self._abort_fault, self._status_fault, self._arm_fault, self._wanted_fault):
+            yield from rule(now, inputs)
+
+    def _abort_fault(self, now: _Guarded, inputs: _Inputs) -> Iterator[tuple[str, str]]:
+        if inputs.abort:
+            yield "stopped by hand", "start again to go on"
+
+    def _status_fault(self, now: _Guarded, inputs: _Inputs) -> Iterator[tuple[str, str]]:
+        """Messages that are late or make no sense."""
+        settings = self._settings
+        age = max(inputs.status_age, inputs.silence) if inputs.silence > 0.0 else inputs.status_age
+        if not _is_age(age, settings.status_age) or not _is_age(inputs.status_age, settings.status_age):
+            yield f"the arm's last status is {_late(age, settings.status_age)}", _LINK
+        if now.saw and not _is_age(inputs.image_age, settings.image_age):
+            late = _late(inputs.image_age, settings.image_age)
+            yield (
+                f"the camera's last picture is {late}",
+                "see whether the camera's driver runs and the cable holds, then start again",
+            )
+        if not np.isfinite([inputs.measured, inputs.torque]).all():
+            yield "the arm's status holds something that is no number", _LINK
+        last = now.last
+        assert last is not None
+        between = max(inputs.time - inputs.status_age - last.time + last.status_age, 0.0)
+        moved = np.abs(inputs.measured - last.measured)
+        k = np.argmax(moved - _LEAP_SPEED * SPEED_LIMITS * between)
+        if moved[k] > _LEAP_SPEED * SPEED_LIMITS[k] * between + _LEAP:
+            leap = f"{_degrees(moved[k])} within {1e3 * between:.0f} ms"
+            yield (
+                f"the arm's status leaps: {ARM_JOINTS[k]} by {leap}",
+                "see whether two drivers send to one address, then start again",
+            )
+
+    def _arm_fault(self, now: _Guarded, inputs: _Inputs) -> Iterator[tuple[str, str]]:
+        """An arm that does not go where it shall, or touches what it shall not."""
+        settings, measured = self._settings, inputs.measured
+        off = np.maximum(now.commands.min(axis=0) - measured, measured - now.commands.max(axis=0))
+        k = np.argmax(off)
+        if off[k] > settings.following:
+            yield (
+                f"the arm does not follow: {ARM_JOINTS[k]} is {_degrees(off[k])} off what it was told, "
+                f"{_degrees(settings.following)} are allowed",
+                "see whether the arm is blocked, in another mode or braked, then start again",
+            )
+        if self.presses(now, inputs):
+            torque, most = np.abs(inputs.torque), np.array(settings.torque)
+            k = np.argmax(torque / most)
+            yield (
+                f"something pushes against the arm: {torque[k]:.1f} N m at {ARM_JOINTS[k]}, "
+                f"{most[k]:g} N m are allowed",
+                _START,
+            )
+
+    def presses(self, now: _Guarded, inputs: _Inputs) -> bool:
+        """Whether something has pressed against the arm for too long."""
+        return bool(
+            inputs.time - now.pressed > _BLOW - 1e-9 and np.isfinite([inputs.measured, inputs.torque]).all()
+        )
+
+    def pressed(self, torque: FloatArray) -> bool:
+        """Whether contact puts too large a torque (7,) on a joint, N m."""
+        return bool((np.abs(torque) > self._settings.torque).any())
+
+    def _wanted_fault(self, now: _Guarded, inputs: _Inputs) -> Iterator[tuple[str, str]]:
+        """A motion that is asked for and must not be made."""
+        settings, wanted = self._settings, inputs.wanted
+        if not np.isfinite(wanted).all():
+            yield "the wanted position is no number", _START
+            return
+        speed = (wanted - now.commands[-1]) / PERIOD
+        k = np.argmax(np.abs(speed) / SPEED_LIMITS)
+        if abs(speed[k]) > SPEED_LIMITS[k]:
+            yield (
+                f"the wanted position leaps: {ARM_JOINTS[k]} would have to turn at {_degrees(abs(speed[k]))} "
+                f"a second, of which {_degrees(SPEED_LIMITS[k])} are allowed",
+                _START,
+            )
+        tip_speed = float(np.linalg.norm(self._kinematics.jacobian(wanted)[3:] @ speed))
+        if tip_speed > settings.tip_speed:
+            yield (
+                f"the finger would have to move at {tip_speed:.2f} m/s, of which {settings.tip_speed:g} m/s "
+                "are allowed",
+                _START,
+            )
+        rest = np.abs(wanted + speed * braking_time(speed, settings.stopping) / 2.0)
+        k = np.argmax(rest - POSITION_LIMITS)
+        if rest[k] > POSITION_LIMITS[k] - settings.joint_margin:
+            limit = f"{_degrees(rest[k])} of {_degrees(POSITION_LIMITS[k])}"
+            yield (
+                f"{ARM_JOINTS[k]} comes near its limit: {limit}",
+                "move the arm away from the limit by hand, then start again",
+            )
 
 
 class CommandGuard(PythonSystem):
     """Passes joint angles on to the arm while all is well; else brings the arm to rest and holds it.
 
-    .. pydrake_system::
-
-        name: CommandGuard
-        input_ports:
-        - iiwa.position
-        - iiwa.position_measured
-        - iiwa.torque_external
-        - status_age
-        - status_silence (optional)
-        - image_age (optional)
-        - abort (optional)
-        output_ports:
-        - iiwa.position
-        - health
+    Input ports:
 
     - `iiwa.position` (7,) wanted, rad; `iiwa.position_measured` (7,) rad; `iiwa.torque_external` (7,) N m, of
       contact on the arm.
-    - `status_age`, `image_age` (1,) s, of the newest valid status and picture; infinite before the first.
-    - `status_silence` (1,) s since a status was found, by this computer's clock: it goes on where the
-      diagram's is late, and with it all ages.
-    - `abort` (1,): above 0.5 stops the arm.
-    - Output `iiwa.position` (7,) rad, new every `PERIOD`.
-    - `health`: `Health`.
+    - `status_age` (1,) s, of the newest valid status; infinite before the first.
+    - `status_silence` (optional, (1,) s) since a status was found, by this computer's clock: it goes on where
+      the diagram's is late, and with it all ages.
+    - `image_age` (optional, (1,) s) of the newest valid picture; infinite before the first.
+    - `abort` (optional, (1,)): above 0.5 stops the arm.
+
+    Output ports: `iiwa.position` (7,) rad, new every `PERIOD`; `health`: `Health`.
 
     Until the first status it waits and asks the arm to stay where it is said to be. What stops the arm:
-    a late or impossible status; an arm that is not where it was told to be; a picture that is late, once
+    a late or impossible status; an arm that is not where it was sent; a picture that is late, once
     there was one; torque of contact; a wanted position that is no number, leaps, asks a joint or the finger
     for too much speed, or comes near a joint's limit; `abort`. The command is then brought to rest evenly, as
     fast as the joints' data sheet allows and within `GuardSettings.stopping`, whatever is wanted, and stays
@@ -68,7 +270,7 @@ class CommandGuard(PythonSystem):
     planned before the fault need no longer fit. `slipmap explore --resume` goes on from what was recorded.
 
     Args:
-        model: the arm as `slipmap.diagrams.station.arm.arm_model` makes it.
+        model: the arm as `arm_model` makes it.
         settings: when to stop.
 
     Raises:
@@ -79,7 +281,7 @@ class CommandGuard(PythonSystem):
         super().__init__()
         self._settings = settings or GuardSettings()
         self._settings.check()
-        self._rules = GuardRules(self._settings, FingerKinematics(model))
+        self._rules = _Rules(self._settings, FingerKinematics(model))
         self._wanted = self.DeclareVectorInputPort("iiwa.position", 7)
         self._measured = self.DeclareVectorInputPort("iiwa.position_measured", 7)
         self._torque = self.DeclareVectorInputPort("iiwa.torque_external", 7)
@@ -87,7 +289,7 @@ class CommandGuard(PythonSystem):
         self._silence = self.DeclareVectorInputPort("status_silence", 1)
         self._image_age = self.DeclareVectorInputPort("image_age", 1)
         self._abort = self.DeclareVectorInputPort("abort", 1)
-        start = Guarded(Health("waiting"), np.zeros((0, 7)), np.zeros(7))
+        start = _Guarded(Health("waiting"), np.zeros((0, 7)), np.zeros(7))
         self._guarded = self.DeclareAbstractState(held(start))
         self.DeclarePeriodicUnrestrictedUpdateEvent(PERIOD, 0.0, self._update)
         own = self.abstract_state_ticket(self._guarded)
@@ -98,10 +300,10 @@ class CommandGuard(PythonSystem):
         replace_held(state, self._guarded, self._next(read(context, self._guarded), self._inputs(context)))
         return EventStatus.Succeeded()
 
-    def _inputs(self, context: Context) -> Told:
+    def _inputs(self, context: Context) -> _Inputs:
         image_age = self._image_age.Eval(context)[0] if self._image_age.HasValue(context) else np.inf
         abort = self._abort.HasValue(context) and not self._abort.Eval(context)[0] <= 0.5
-        return Told(
+        return _Inputs(
             time=context.get_time(),
             wanted=self._wanted.Eval(context).copy(),
             measured=self._measured.Eval(context).copy(),
@@ -112,21 +314,21 @@ class CommandGuard(PythonSystem):
             abort=bool(abort),
         )
 
-    def _next(self, now: Guarded, inputs: Told) -> Guarded:
+    def _next(self, now: _Guarded, inputs: _Inputs) -> _Guarded:
         now = replace(
             now,
-            saw=now.saw or is_age(inputs.image_age, self._settings.image_age),
+            saw=now.saw or _is_age(inputs.image_age, self._settings.image_age),
             pressed=min(now.pressed, inputs.time) if self._rules.pressed(inputs.torque) else np.inf,
         )
         health = now.health
         if health.mode == "waiting":
-            if is_age(inputs.status_age, self._settings.status_age) and np.isfinite(inputs.measured).all():
+            if _is_age(inputs.status_age, self._settings.status_age) and np.isfinite(inputs.measured).all():
                 now = replace(now, health=Health("ok"), commands=inputs.measured[None], last=inputs)
             elif inputs.time < self._settings.patience:
                 return now
             else:
                 cause = f"no status of the arm has come within {self._settings.patience:g} s"
-                return replace(now, health=Health("stopped", cause, LINK, inputs.time))
+                return replace(now, health=Health("stopped", cause, _LINK, inputs.time))
         if now.health.ok:
             fault = next(self._rules.faults(now, inputs), None)
             if fault is not None:
@@ -144,18 +346,18 @@ class CommandGuard(PythonSystem):
             last=inputs,
         )
 
-    def _stop(self, now: Guarded, inputs: Told) -> Stop:
-        """The way to rest. An arm that presses on something stops where it is, not where it was told to go:
-        it would go on pressing."""
+    def _stop(self, now: _Guarded, inputs: _Inputs) -> _Stop:
+        """The way to rest. An arm that presses on something stops where it is, not where it was sent: it
+        would go on pressing."""
         q, v = now.commands[-1], now.speed
-        duration = braking(v, self._settings.stopping)
+        duration = braking_time(v, self._settings.stopping)
         rest = q + v * duration / 2.0
         near = bool((np.abs(inputs.measured - q) <= self._settings.following).all())
         back = near and self._rules.presses(now, inputs)
         if back:
             rest = inputs.measured
             duration = max(duration, float((_BACK * np.abs(rest - q) / SPEED_LIMITS).max()))
-        return Stop(q, v, rest, inputs.time - PERIOD, duration, back)
+        return _Stop(q, v, rest, inputs.time - PERIOD, duration, back)
 
     def _calc_position(self, context: Context, output: BasicVector) -> None:
         commands = read(context, self._guarded).commands
@@ -163,3 +365,17 @@ class CommandGuard(PythonSystem):
 
     def _calc_health(self, context: Context, output: Value) -> None:
         output.set_value(read(context, self._guarded).health)
+
+
+def _is_age(age: float, most: float) -> bool:
+    return -_CLOCKS <= age <= most + 1e-9
+
+
+def _late(age: float, most: float) -> str:
+    if not -_CLOCKS <= age < np.inf:
+        return f"of no possible age ({age:g} s)"
+    return f"{1e3 * age:.0f} ms old, {1e3 * most:.0f} ms are allowed"
+
+
+def _degrees(angle: float) -> str:
+    return f"{np.rad2deg(angle):.1f}°"

@@ -1,4 +1,7 @@
-"""The real cell, or its twin in another process, with the ports that the station has."""
+"""The real cell, or its twin in another process, with the ports that the station has.
+
+`HeardCell` is what arm, gripper and camera say; `HardwareInterface` also sends them commands.
+"""
 
 from __future__ import annotations
 
@@ -9,7 +12,6 @@ import numpy as np
 from drake import lcmt_drake_signal, lcmt_iiwa_command, lcmt_schunk_wsg_command
 from pydrake.common.eigen_geometry import Quaternion
 from pydrake.common.value import AbstractValue, Value
-from pydrake.geometry import SceneGraph
 from pydrake.lcm import DrakeLcmInterface
 from pydrake.manipulation import (
     IiwaCommandSender,
@@ -19,132 +21,107 @@ from pydrake.manipulation import (
     SchunkWsgStatusReceiver,
 )
 from pydrake.math import RigidTransform
-from pydrake.multibody.plant import MultibodyPlant
-from pydrake.systems.framework import BasicVector, Context, DiagramBuilder, EventStatus, LeafSystem
+from pydrake.systems.framework import BasicVector, Context, Diagram, DiagramBuilder, EventStatus, LeafSystem
 from pydrake.systems.primitives import PassThrough
 from pydrake.systems.sensors import LcmImageArrayToImages
 
 from slipmap.diagrams.execution.requests import Health
-from slipmap.diagrams.hardware import channels, network
-from slipmap.diagrams.hardware.checked_messages import CheckedMessages, MessagePump, Received, publish
+from slipmap.diagrams.hardware import network
+from slipmap.diagrams.hardware.checked_messages import (
+    ABORT_COORDINATES,
+    CheckedMessages,
+    MessagePump,
+    Received,
+    add_checked,
+    all_received,
+    publish,
+)
 from slipmap.diagrams.hardware.command_stream import CommandStream
-from slipmap.diagrams.hardware.validation import ABORT_COORDINATES, rules
-from slipmap.diagrams.perception.cell_perception import ArmHulls
-from slipmap.diagrams.station.arm import add_arm
+from slipmap.diagrams.hardware.network import ARM, CAMERA, NEEDED
+from slipmap.diagrams.perception.sight import ArmHulls
+from slipmap.diagrams.station.arm import IIWA_OUTPUTS, lone_arm
 from slipmap.diagrams.station.scenario import Scenario
 from slipmap.diagrams.systems.python_system import PythonDiagram, PythonSystem, weakly
 
-# What a cell says by messages, as ports; nothing is sent.
+PATIENCE = 10.0
+"""s that the cell has for its first messages."""
 
-
-SAME_CLOCK = 1.0
-"""s by which arm and camera may seem apart; if they are more, their stamps are of different clocks."""
-
-ARM = (channels.IIWA_STATUS, channels.GRIPPER_STATUS)
-CAMERA = (channels.CAMERA_DEPTH, channels.CAMERA_POSE, channels.CAMERA_COLOR)
-NEEDED = (*ARM, channels.CAMERA_DEPTH, channels.CAMERA_POSE)
-"""Channels without which nothing can be done."""
+OWN = ("health", "iiwa.silence", "abort")
+"""Ports that only a real cell has."""
 
 
 class HeardCell(PythonDiagram):
     """What arm, gripper and camera say.
 
-    .. pydrake_system::
-
-        name: HeardCell
-        output_ports:
-        - iiwa.position_commanded
-        - iiwa.position_measured
-        - iiwa.velocity_estimated
-        - iiwa.torque_external
-        - gripper.state_measured
-        - camera.depth_image
-        - camera.rgb_image
-        - camera.X_WC
-        - iiwa.age
-        - iiwa.silence
-        - camera.age
-
-    The ports are those of `Station` of the same names; `iiwa.silence` is that of `CheckedMessages`. Whoever
-    hears messages hands them to `checked`, one `CheckedMessages` a channel and named like it, which checks
-    each before anything of it is used.
+    The output ports are those of `Station`, less those that only a simulation has, and `iiwa.silence`, which
+    is that of `CheckedMessages`. Messages are handed to `checked`, one `CheckedMessages` a channel and named
+    like it, which checks each before anything of it is used.
 
     Args:
         scenario: what the cell is like; of the object nothing is used.
-        clock: see `CheckedMessages`, for the arm's status.
+        clock: of the arm's status, see `CheckedMessages`.
     """
 
     def __init__(self, scenario: Scenario, clock: Callable[[], float] | None = None) -> None:
         super().__init__()
         builder = DiagramBuilder()
-        rule = rules(scenario.camera.width, scenario.camera.height_pixels)
-        self.checked: dict[str, CheckedMessages] = {
-            channel: builder.AddNamedSystem(
-                channel,
-                CheckedMessages(channel, rule[channel], clock if channel == channels.IIWA_STATUS else None),
-            )
-            for channel in (*ARM, *CAMERA)
-        }
+        self.checked = add_checked(builder, scenario.camera, (*ARM, *CAMERA), {network.IIWA_STATUS: clock})
         self._export_arm(builder)
         self._export_camera(builder)
-        self.arm_hulls = _arm_hulls(scenario)
+        plant, scene_graph, arm = lone_arm(scenario.arm.models)
+        self.arm_hulls = ArmHulls(plant, scene_graph, [arm.iiwa, arm.gripper])
         builder.BuildInto(self)
         self.set_name("heard_cell")
 
     def received(self, root: Context) -> dict[str, Received]:
         """What came on each channel until now, and what of it was dropped."""
-        return {
-            name: system.received(system.GetMyContextFromRoot(root)) for name, system in self.checked.items()
-        }
+        return all_received(self.checked, root)
 
     def _export_arm(self, builder: DiagramBuilder) -> None:
         status = builder.AddSystem(IiwaStatusReceiver())
-        checked = self.checked[channels.IIWA_STATUS]
+        checked = self.checked[network.IIWA_STATUS]
         builder.Connect(checked.GetOutputPort("message"), status.GetInputPort("lcmt_iiwa_status"))
-        for name in ("position_commanded", "position_measured", "velocity_estimated", "torque_external"):
+        for name in IIWA_OUTPUTS:
             builder.ExportOutput(status.GetOutputPort(name), f"iiwa.{name}")
         for name in ("age", "silence"):
             builder.ExportOutput(checked.GetOutputPort(name), f"iiwa.{name}")
         gripper = builder.AddSystem(SchunkWsgStatusReceiver())
-        message = self.checked[channels.GRIPPER_STATUS].GetOutputPort("message")
+        message = self.checked[network.GRIPPER_STATUS].GetOutputPort("message")
         builder.Connect(message, gripper.get_status_input_port())
         builder.ExportOutput(gripper.get_state_output_port(), "gripper.state_measured")
 
     def _export_camera(self, builder: DiagramBuilder) -> None:
         for channel, picture, port in (
-            (channels.CAMERA_DEPTH, "depth_image", "camera.depth_image"),
-            (channels.CAMERA_COLOR, "color_image", "camera.rgb_image"),
+            (network.CAMERA_DEPTH, "depth_image", "camera.depth_image"),
+            (network.CAMERA_COLOR, "color_image", "camera.rgb_image"),
         ):
             images = builder.AddSystem(LcmImageArrayToImages())
             message = self.checked[channel].GetOutputPort("message")
             builder.Connect(message, images.image_array_t_input_port())
             builder.ExportOutput(images.GetOutputPort(picture), port)
         pose = builder.AddSystem(_PoseReceiver())
-        received = self.checked[channels.CAMERA_POSE].GetOutputPort("received")
+        received = self.checked[network.CAMERA_POSE].GetOutputPort("received")
         builder.Connect(received, pose.get_input_port())
         builder.ExportOutput(pose.get_output_port(), "camera.X_WC")
         age = builder.AddSystem(_PictureAge())
         for name, channel, port in (
-            ("arm_stamp", channels.IIWA_STATUS, "stamp"),
-            ("arm_age", channels.IIWA_STATUS, "age"),
-            ("picture_stamp", channels.CAMERA_DEPTH, "stamp"),
-            ("picture_age", channels.CAMERA_DEPTH, "age"),
+            ("arm_stamp", network.IIWA_STATUS, "stamp"),
+            ("arm_age", network.IIWA_STATUS, "age"),
+            ("picture_stamp", network.CAMERA_DEPTH, "stamp"),
+            ("picture_age", network.CAMERA_DEPTH, "age"),
         ):
             builder.Connect(self.checked[channel].GetOutputPort(port), age.GetInputPort(name))
         builder.ExportOutput(age.get_output_port(), "camera.age")
 
 
-def _arm_hulls(scenario: Scenario) -> ArmHulls:
-    plant, scene_graph = MultibodyPlant(1e-3), SceneGraph()
-    plant.RegisterAsSourceForSceneGraph(scene_graph)
-    arm = add_arm(plant, models=scenario.arm.models)
-    plant.Finalize()
-    return ArmHulls(plant, scene_graph, [arm.iiwa, arm.gripper])
+def export_outputs(builder: DiagramBuilder, system: Diagram) -> None:
+    """Export all output ports of a part of a diagram under their own names."""
+    for index in range(system.num_output_ports()):
+        port = system.get_output_port(index)
+        builder.ExportOutput(port, port.get_name())
 
 
 class _PoseReceiver(PythonSystem):
-    """A pose from seven named numbers; the identity before they came."""
-
     def __init__(self) -> None:
         super().__init__()
         self.DeclareAbstractInputPort("received", Value[object](None))
@@ -159,10 +136,13 @@ class _PoseReceiver(PythonSystem):
         output.set_value(pose)
 
 
+_SAME_CLOCK = 1.0  # s by which arm and camera may seem apart; by more, their stamps are of different clocks
+
+
 class _PictureAge(PythonSystem):
     """How long ago the newest picture was taken.
 
-    The arm's newest status tells what the sender's clock shows now, so that neither rendering nor a large
+    The arm's newest status says what the sender's clock shows now, so that neither rendering nor a large
     message's way counts. Where the camera has another clock, it is the time since the picture came.
     """
 
@@ -177,49 +157,21 @@ class _PictureAge(PythonSystem):
             float(self.get_input_port(index).Eval(context)[0]) for index in range(4)
         )
         age = arm_stamp + arm_age - picture_stamp
-        if not abs(age - since) < SAME_CLOCK:
+        if not abs(age - since) < _SAME_CLOCK:
             age = since
         output.SetFromVector([max(age, 0.0)])
-
-
-PATIENCE = 10.0
-"""s that the cell has for its first messages."""
-
-OWN = ("health", "iiwa.silence", "abort")
-"""Ports that only a real cell has."""
 
 
 class HardwareInterface(PythonDiagram):
     """The cell behind an LCM address.
 
-    .. pydrake_system::
-
-        name: HardwareInterface
-        input_ports:
-        - iiwa.position
-        - gripper.position
-        - gripper.force_limit
-        - health (optional)
-        output_ports:
-        - iiwa.position_commanded
-        - iiwa.position_measured
-        - iiwa.velocity_estimated
-        - iiwa.torque_external
-        - gripper.state_measured
-        - camera.depth_image
-        - camera.rgb_image
-        - camera.X_WC
-        - iiwa.age
-        - iiwa.silence
-        - camera.age
-        - abort
-
     The ports are those of `Station`, less those that only a simulation has, and `OWN`: `iiwa.silence` (1,),
     s, is that of `CheckedMessages`; `abort` (1,) is 1 once `abort` was called or a message on the channel of
-    that name said so. `health` is that of the guard that stands before it: the arm brakes at once when that
-    stops it, not only when the commands do that are still to be played. Every message is checked before
-    anything of it is used (`CheckedMessages`, one a channel, named like it), and `connect` must be called
-    before the simulation begins. A Simulator runs it at `realtime_rate`.
+    that name said so. The input `health`, which need not be connected, is that of the guard before the cell:
+    the arm brakes at once when the guard stops it, not only when the commands do that are still to be played.
+
+    Every message is checked before anything of it is used (`CheckedMessages`, one a channel, named like it),
+    and `connect` must be called before the simulation begins. A Simulator runs it at `realtime_rate`.
 
     Args:
         lcm: the address of a cell that runs by itself, see `network.open_lcm`. Then a thread hears messages,
@@ -232,7 +184,6 @@ class HardwareInterface(PythonDiagram):
     """
 
     realtime_rate = 1.0
-    """At which a Simulator runs it."""
 
     def __init__(self, lcm: str | DrakeLcmInterface, scenario: Scenario) -> None:
         super().__init__()
@@ -247,17 +198,15 @@ class HardwareInterface(PythonDiagram):
         self.arm_hulls = self._heard.arm_hulls
         self._checked = self._heard.checked
         self._listeners: list[network.Listener] = []
-        rule = rules(scenario.camera.width, scenario.camera.height_pixels)[channels.ABORT]
-        self._stop = builder.AddNamedSystem(channels.ABORT, CheckedMessages(channels.ABORT, rule))
+        self._stop = add_checked(builder, scenario.camera, [network.ABORT])[network.ABORT]
         abort = builder.AddSystem(_Abort())
         builder.Connect(self._stop.GetOutputPort("received"), abort.get_input_port())
         builder.ExportOutput(abort.get_output_port(), "abort")
+        self._everyone: dict[str, CheckedMessages] = {**self._checked, network.ABORT: self._stop}
         if not alone:
-            for channel, system in {**self._checked, channels.ABORT: self._stop}.items():
+            for channel, system in self._everyone.items():
                 self._lcm.Subscribe(channel, weakly(system.hear))
-        for index in range(self._heard.num_output_ports()):
-            port = self._heard.get_output_port(index)
-            builder.ExportOutput(port, port.get_name())
+        export_outputs(builder, self._heard)
         self._add_arm_commands(builder, alone)
         self._add_gripper_commands(builder)
         builder.BuildInto(self)
@@ -276,10 +225,9 @@ class HardwareInterface(PythonDiagram):
         self.close()
         if isinstance(self._sender, _StreamSender):
             # Pictures take some ms to check, for which the arm does not wait.
-            everyone = {**self._checked, channels.ABORT: self._stop}
             self._listeners = [
-                network.Listener(self._url, {name: everyone[name].hear for name in together})
-                for together in ((*ARM, channels.ABORT), CAMERA)
+                network.Listener(self._url, {name: self._everyone[name].hear for name in together})
+                for together in ((*ARM, network.ABORT), CAMERA)
             ]
             self._sender.start(self._url)  # before, since it takes a while, and messages shall be fresh
         contexts = {name: system.GetMyMutableContextFromRoot(root) for name, system in self._checked.items()}
@@ -294,7 +242,7 @@ class HardwareInterface(PythonDiagram):
             if not silent:
                 return
             if time.monotonic() > deadline:
-                raise channels.HardwareError(self._silence(silent, came, patience))
+                raise network.HardwareError(self._silence(silent, came, patience))
 
     def _silence(self, silent: list[str], came: Mapping[str, Received], patience: float) -> str:
         causes = [f"{name}: {', '.join(came[name].dropped)}" for name in silent if came[name].dropped]
@@ -318,21 +266,17 @@ class HardwareInterface(PythonDiagram):
         while self._listeners:
             self._listeners.pop().close()
 
-    def received(self, root: Context) -> dict[str, Received]:
-        """What came on each channel until now, and what of it was dropped."""
-        return self._heard.received(root)
-
     def _add_arm_commands(self, builder: DiagramBuilder, alone: bool) -> None:
         self._sender: LeafSystem
         if alone:
-            self._sender = builder.AddNamedSystem(f"{channels.IIWA_COMMAND}_stream", _StreamSender())
+            self._sender = builder.AddNamedSystem(f"{network.IIWA_COMMAND}_stream", _StreamSender())
             builder.ExportInput(self._sender.GetInputPort("health"), "health")
         else:
             unused = builder.AddSystem(PassThrough(Value[object](None)))  # nothing waits to be played
             builder.ExportInput(unused.get_input_port(), "health")
             self._sender = builder.AddSystem(IiwaCommandSender(7, IiwaControlMode.kPositionOnly))
             publisher = publish(
-                builder, self._lcm, channels.IIWA_COMMAND, lcmt_iiwa_command, channels.ARM_PERIOD
+                builder, self._lcm, network.IIWA_COMMAND, lcmt_iiwa_command, network.ARM_PERIOD
             )
             builder.Connect(self._sender.get_output_port(), publisher.get_input_port())
         builder.ExportInput(self._sender.GetInputPort("position"), "iiwa.position")
@@ -340,7 +284,7 @@ class HardwareInterface(PythonDiagram):
     def _add_gripper_commands(self, builder: DiagramBuilder) -> None:
         sender = builder.AddSystem(SchunkWsgCommandSender())
         publisher = publish(
-            builder, self._lcm, channels.GRIPPER_COMMAND, lcmt_schunk_wsg_command, channels.GRIPPER_PERIOD
+            builder, self._lcm, network.GRIPPER_COMMAND, lcmt_schunk_wsg_command, network.GRIPPER_PERIOD
         )
         builder.Connect(sender.get_output_port(), publisher.get_input_port())
         builder.ExportInput(sender.get_position_input_port(), "gripper.position")
@@ -361,29 +305,25 @@ class _Abort(PythonSystem):
 
 
 class _StreamSender(PythonSystem):
-    """Hands the arm's commands to the process that sends them."""
-
     def __init__(self) -> None:
         super().__init__()
         self._stream: CommandStream | None = None
         self.DeclareVectorInputPort("position", 7)
         self.DeclareAbstractInputPort("health", Value[object](None))
-        self.DeclarePeriodicPublishEvent(channels.ARM_PERIOD, 0.0, self._send)
+        self.DeclarePeriodicPublishEvent(network.ARM_PERIOD, 0.0, self._send)
 
     def start(self, url: str) -> None:
-        """Start the process."""
         self.stop()
         self._stream = CommandStream(url)
 
     def stop(self) -> None:
-        """End it."""
         if self._stream is not None:
             self._stream.close()
             self._stream = None
 
     def _send(self, context: Context) -> EventStatus:
         if self._stream is None:
-            raise channels.HardwareError("hardware: call `connect` before the simulation begins")
+            raise network.HardwareError("hardware: call `connect` before the simulation begins")
         port = self.GetInputPort("health")
         health: Health | None = port.Eval(context) if port.HasValue(context) else None
         if health is not None and health.mode == "stopped" and not health.back:

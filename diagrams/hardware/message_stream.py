@@ -1,7 +1,6 @@
-"""Messages as they come, heard by a process of its own, which misses none while this one is busy.
+"""Messages as they come, and logs of them as LCM's own `lcm-logger` writes them.
 
-It is started as `python -m slipmap.diagrams.hardware.message_stream URL CHANNEL …`, writes events as a log has them
-to its standard output, and sends nothing.
+A process of its own hears the messages, which misses none while this one is busy, and hands them on as a log.
 
 An event is a header of 28 bytes, big-endian (sync word, number, µs since 1970 at which it was received,
 lengths), then the channel's name and the message: https://lcm-proj.github.io/lcm/content/log-file-format.html.
@@ -24,16 +23,18 @@ from dataclasses import dataclass
 from functools import partial
 from typing import IO, Any, cast
 
-from slipmap.diagrams.hardware.channels import HardwareError
 from slipmap.diagrams.hardware.child import Child, be_ready, have_priority
-from slipmap.diagrams.hardware.network import open_lcm
-
-# Logs of raw messages, in the format of LCM's own `lcm-logger`.
-
+from slipmap.diagrams.hardware.network import HardwareError, open_lcm
 
 LARGEST = 40_000_000
 """Bytes of a message; pictures are at most 4096 by 4096 when packed."""
 
+TICK = "slipmap.tick"
+"""Channel of empty events that come every 0.5 s, so that whoever reads wakes when nothing is heard."""
+
+_TICKS = 0.5  # s between two of them
+_LOOK_EVERY = 3e-4  # s
+_WAITING = 400_000_000  # bytes that may wait for a busy reader; more are left out, as their numbers show
 _HEADER = struct.Struct(">IqqII")
 _SYNC = 0xEDA1DA01
 _LONGEST_NAME = 63  # of a channel, with LCM
@@ -123,19 +124,7 @@ class LogReader:
         )
 
 
-TICK = "slipmap.tick"
-"""Channel of empty events that come every `TICKS` s, so that whoever reads wakes when nothing is heard."""
-
-TICKS = 0.5
-"""s between two of them."""
-
-_LOOK_EVERY = 3e-4  # s
-
-WAITING = 400_000_000
-"""Bytes of messages that may wait for a busy reader; more are left out, which shows in their numbers."""
-
-
-class MessageStream:
+class MessageStream(Child):
     """The process that hears messages; `close` ends it.
 
     Args:
@@ -147,9 +136,8 @@ class MessageStream:
     """
 
     def __init__(self, url: str, heard: Sequence[str]) -> None:
-        open_lcm(url)  # whatever is wrong with address or network is told here
-        self._child = Child("the process that hears messages", __name__, url, *heard)
-        self._child.wait_until_ready()
+        open_lcm(url)  # raises here whatever is wrong with address or network
+        super().__init__("the process that hears messages", _hear, url, *heard)
 
     def __iter__(self) -> Iterator[Event]:
         """Events without end, those of `TICK` among them.
@@ -157,13 +145,9 @@ class MessageStream:
         Raises:
             HardwareError: the process has ended.
         """
-        pipe = io.BufferedReader(cast(io.RawIOBase, self._child.output), 1 << 20)
+        pipe = io.BufferedReader(cast(io.RawIOBase, self.output), 1 << 20)
         yield from LogReader(pipe, "the process that hears messages")
         raise HardwareError("the process that hears messages has ended; start anew")
-
-    def close(self) -> None:
-        """End the process."""
-        self._child.close()
 
 
 class _Waiting:
@@ -177,7 +161,7 @@ class _Waiting:
     def add(self, channel: str, data: bytes) -> None:
         now = time.time_ns() // 1000
         with self._changed:
-            if self._size + len(data) <= WAITING:
+            if self._size + len(data) <= _WAITING:
                 event = Event(self._count, now, channel, data).encode()
                 self._events.append(event)
                 self._size += len(event)
@@ -193,8 +177,7 @@ class _Waiting:
         return event
 
 
-def main(url: str, *heard: str) -> None:
-    """Write what is heard to the standard output until the input ends."""
+def _hear(url: str, *heard: str) -> None:
     waiting = _Waiting()
     lcm = open_lcm(url)
     for name in heard:
@@ -214,13 +197,6 @@ def main(url: str, *heard: str) -> None:
     while not select.select([sys.stdin], [], [], 0.0)[0]:
         if not lcm.HandleSubscriptions(0):  # waiting inside of it would keep the other thread waiting
             time.sleep(_LOOK_EVERY)
-        if time.monotonic() - ticked > TICKS:
+        if time.monotonic() - ticked > _TICKS:
             ticked = time.monotonic()
             waiting.add(TICK, b"")
-
-
-if __name__ == "__main__":
-    try:
-        main(*sys.argv[1:])
-    except HardwareError as failure:
-        sys.exit(f"slipmap: {failure}")

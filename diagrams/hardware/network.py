@@ -1,4 +1,7 @@
-"""Connections to LCM's network."""
+"""Where the two sides of a cell meet: address, channels and rates of LCM's network, and connections to it.
+
+Drake is loaded with the first connection, so that help texts, which name the address, load quickly.
+"""
 
 from __future__ import annotations
 
@@ -6,14 +9,40 @@ import re
 import threading
 import time
 from collections.abc import Callable, Mapping
+from typing import TYPE_CHECKING
 
-from pydrake.lcm import DrakeLcm
+if TYPE_CHECKING:
+    from pydrake.lcm import DrakeLcm
 
-from slipmap.diagrams.hardware.channels import LCM_URL, HardwareError
+LCM_URL = "udpm://239.255.76.67:7667?ttl=0"
+"""LCM's usual address; with ttl=0 nothing leaves this computer."""
+
+IIWA_STATUS, IIWA_COMMAND = "IIWA_STATUS", "IIWA_COMMAND"
+GRIPPER_STATUS, GRIPPER_COMMAND = "SCHUNK_WSG_STATUS", "SCHUNK_WSG_COMMAND"
+CAMERA_DEPTH, CAMERA_COLOR, CAMERA_POSE = "CAMERA_DEPTH", "CAMERA_COLOR", "CAMERA_POSE"
+ABORT = "ABORT"
+
+ARM = (IIWA_STATUS, GRIPPER_STATUS)
+CAMERA = (CAMERA_DEPTH, CAMERA_POSE, CAMERA_COLOR)
+NEEDED = (*ARM, CAMERA_DEPTH, CAMERA_POSE)
+"""Channels without which nothing can be done."""
+
+ARM_PERIOD = 0.005
+"""s between two messages of the arm, in both directions."""
+GRIPPER_PERIOD = 0.05
+"""s between two messages of the gripper, in both directions."""
+COLOR_PERIOD = 1.0
+"""s between two colour pictures, which nothing but people look at."""
+
+LOOK_EVERY = 1e-3
+"""s between two looks for messages of whoever waits for them."""
 
 _ADDRESS = re.compile(r"udpm://\d{1,3}(\.\d{1,3}){3}:\d{1,5}(\?(?P<options>[\w=&.]*))?")
-_LOOK_EVERY = 1e-3  # s
 _BUFFER = 4_194_304  # bytes that the socket holds; a picture comes in several packets at once
+
+
+class HardwareError(RuntimeError):
+    """The cell cannot be reached or does not answer. The text says what to do."""
 
 
 def address_settings(url: str) -> dict[str, str]:
@@ -52,6 +81,8 @@ def open_lcm(url: str = LCM_URL, *, listens: bool = True) -> DrakeLcm:
     Raises:
         HardwareError: a malformed address, or a network that does not carry messages.
     """
+    from pydrake.lcm import DrakeLcm
+
     if url == "memq://":
         return DrakeLcm(url)
     settings = {"ttl": "0", "recv_buf_size": str(_BUFFER), **address_settings(url)}
@@ -72,8 +103,8 @@ def open_lcm(url: str = LCM_URL, *, listens: bool = True) -> DrakeLcm:
 class Listener:
     """A thread that hears messages as they come.
 
-    LCM keeps one message of a channel, the oldest, until somebody asks: a diagram that was busy would be told
-    of a state long past.
+    LCM keeps one message of a channel, the oldest, until somebody asks: a diagram that was busy would see
+    a state long past.
 
     Args:
         url: see `open_lcm`.
@@ -100,4 +131,4 @@ class Listener:
         while not self._ends.is_set():
             # Waiting inside of LCM would keep all other threads waiting, too.
             if not self._lcm.HandleSubscriptions(0):
-                time.sleep(_LOOK_EVERY)
+                time.sleep(LOOK_EVERY)

@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
+import os
+import pickle
+import select
+import struct
+import sys
 import time
 from collections.abc import Callable, Mapping
-from contextlib import suppress
+from contextlib import closing, suppress
 from copy import deepcopy
 from dataclasses import dataclass
 
@@ -26,12 +31,18 @@ from pydrake.systems.lcm import LcmPublisherSystem
 from pydrake.systems.primitives import ConstantVectorSource
 from pydrake.systems.sensors import ImageToLcmImageArrayT, PixelType
 
-from slipmap.diagrams.hardware import channels, network
-from slipmap.diagrams.hardware.checked_messages import CheckedMessages, MessagePump, Received, publish
-from slipmap.diagrams.hardware.child import have_priority
+from slipmap.diagrams.hardware import network
+from slipmap.diagrams.hardware.checked_messages import (
+    POSE_COORDINATES,
+    CheckedMessages,
+    MessagePump,
+    Received,
+    add_checked,
+    all_received,
+    publish,
+)
+from slipmap.diagrams.hardware.child import Child, be_ready, have_priority
 from slipmap.diagrams.hardware.command_stream import CommandBuffer
-from slipmap.diagrams.hardware.twin_camera import TwinCamera
-from slipmap.diagrams.hardware.validation import POSE_COORDINATES, rules
 from slipmap.diagrams.station.scenario import Scenario
 from slipmap.diagrams.station.station import Station, take_fixed_steps
 from slipmap.diagrams.systems.python_system import (
@@ -42,13 +53,19 @@ from slipmap.diagrams.systems.python_system import (
     replace_held,
     weakly,
 )
+from slipmap.models.physics.cell_grid import FloatArray
 from slipmap.models.robots import GRIP_FORCE
 
+LATE = 0.1
+"""s by which the twin may be late before it gives up catching up: an arm that hurries would be no twin."""
+
+_REPORT_EVERY = 10.0  # s
 _PLAYED_LATER = 0.015  # s; messages do not come quite evenly
+_LENGTH = struct.Struct("<Q")
 
 
 class CellTwin(PythonDiagram):
-    """The station that is told by messages what to do, and says by messages what it does.
+    """The station that gets its commands by messages, and says by messages what it does.
 
     It has no ports; its subsystem `station` is the `Station`. Messages of the arm are sent at 200 Hz, of the
     gripper at 20 Hz, pictures at the camera's rate, packed, with where they were taken from. The stamps are
@@ -75,15 +92,12 @@ class CellTwin(PythonDiagram):
         self._checked: dict[str, CheckedMessages] = {}
         if arm:
             builder.AddSystem(MessagePump(lcm))
-            rule = rules(scenario.camera.width, scenario.camera.height_pixels)
-            self._checked = {
-                channel: builder.AddNamedSystem(channel, CheckedMessages(channel, rule[channel]))
-                for channel in (channels.IIWA_COMMAND, channels.GRIPPER_COMMAND)
-            }
+            commands = (network.IIWA_COMMAND, network.GRIPPER_COMMAND)
+            self._checked = add_checked(builder, scenario.camera, commands)
             for channel, system in self._checked.items():
                 lcm.Subscribe(channel, weakly(system.hear))
-            _add_arm(builder, self.station, lcm, self._checked[channels.IIWA_COMMAND])
-            _add_gripper(builder, self.station, lcm, self._checked[channels.GRIPPER_COMMAND])
+            _add_arm(builder, self.station, lcm, self._checked[network.IIWA_COMMAND])
+            _add_gripper(builder, self.station, lcm, self._checked[network.GRIPPER_COMMAND])
         if camera:
             self.camera_publishers = _add_camera(builder, self.station, lcm, scenario)
         builder.BuildInto(self)
@@ -91,9 +105,7 @@ class CellTwin(PythonDiagram):
 
     def received(self, root: Context) -> dict[str, Received]:
         """What came on each channel until now, and what of it was dropped."""
-        return {
-            name: system.received(system.GetMyContextFromRoot(root)) for name, system in self._checked.items()
-        }
+        return all_received(self._checked, root)
 
 
 def _add_arm(
@@ -102,7 +114,7 @@ def _add_arm(
     receiver = builder.AddSystem(IiwaCommandReceiver(7, IiwaControlMode.kPositionOnly))
     sender = builder.AddSystem(IiwaStatusSender())
     no_torque = builder.AddSystem(ConstantVectorSource(np.zeros(7)))
-    status = publish(builder, lcm, channels.IIWA_STATUS, lcmt_iiwa_status, channels.ARM_PERIOD)
+    status = publish(builder, lcm, network.IIWA_STATUS, lcmt_iiwa_status, network.ARM_PERIOD)
     measured = station.GetOutputPort("iiwa.position_measured")
     builder.Connect(commands.GetOutputPort("message"), receiver.GetInputPort("lcmt_iiwa_command"))
     builder.Connect(measured, receiver.GetInputPort("position_measured"))
@@ -122,7 +134,7 @@ def _add_gripper(
 ) -> None:
     receiver = builder.AddSystem(SchunkWsgCommandReceiver(initial_position=0.0, initial_force=GRIP_FORCE / 2))
     sender = builder.AddSystem(SchunkWsgStatusSender())
-    status = publish(builder, lcm, channels.GRIPPER_STATUS, lcmt_schunk_wsg_status, channels.GRIPPER_PERIOD)
+    status = publish(builder, lcm, network.GRIPPER_STATUS, lcmt_schunk_wsg_status, network.GRIPPER_PERIOD)
     builder.Connect(commands.GetOutputPort("message"), receiver.GetInputPort("command_message"))
     for name in ("position", "force_limit"):
         builder.Connect(receiver.GetOutputPort(name), station.GetInputPort(f"gripper.{name}"))
@@ -137,8 +149,8 @@ def _add_camera(
     period = 1.0 / scenario.camera.rate
     result = {}
     for channel, port, pixels, every in (
-        (channels.CAMERA_DEPTH, "camera.depth_image", PixelType.kDepth32F, period),
-        (channels.CAMERA_COLOR, "camera.rgb_image", PixelType.kRgba8U, max(channels.COLOR_PERIOD, period)),
+        (network.CAMERA_DEPTH, "camera.depth_image", PixelType.kDepth32F, period),
+        (network.CAMERA_COLOR, "camera.rgb_image", PixelType.kRgba8U, max(network.COLOR_PERIOD, period)),
     ):
         packer = ImageToLcmImageArrayT(do_compress=True)
         image = packer.DeclareImageInputPort[pixels]("camera")
@@ -149,12 +161,12 @@ def _add_camera(
         result[channel] = publisher
     pose = builder.AddSystem(_PoseSender())
     publisher = builder.AddNamedSystem(
-        f"{channels.CAMERA_POSE}_publisher",
-        LcmPublisherSystem.Make(channels.CAMERA_POSE, lcmt_drake_signal, lcm, publish_period=period),
+        f"{network.CAMERA_POSE}_publisher",
+        LcmPublisherSystem.Make(network.CAMERA_POSE, lcmt_drake_signal, lcm, publish_period=period),
     )
     builder.Connect(station.GetOutputPort("camera.X_WC"), pose.get_input_port())
     builder.Connect(pose.get_output_port(), publisher.get_input_port())
-    return {**result, channels.CAMERA_POSE: publisher}
+    return {**result, network.CAMERA_POSE: publisher}
 
 
 class _Paced(PythonSystem):
@@ -165,7 +177,7 @@ class _Paced(PythonSystem):
         self.DeclareVectorInputPort("position", 7)
         self.DeclareVectorInputPort("stamp", 1)
         self._played = self.DeclareAbstractState(held((CommandBuffer(_PLAYED_LATER), np.nan, None)))
-        self.DeclarePeriodicUnrestrictedUpdateEvent(channels.ARM_PERIOD, 0.0, self._play)
+        self.DeclarePeriodicUnrestrictedUpdateEvent(network.ARM_PERIOD, 0.0, self._play)
         self.DeclareVectorOutputPort("paced", 7, self._calc)
 
     def _play(self, context: Context, state: State) -> EventStatus:
@@ -185,8 +197,6 @@ class _Paced(PythonSystem):
 
 
 class _PoseSender(PythonSystem):
-    """A pose as seven named numbers."""
-
     def __init__(self) -> None:
         super().__init__()
         self.DeclareAbstractInputPort("pose", Value(RigidTransform()))
@@ -202,14 +212,58 @@ class _PoseSender(PythonSystem):
         output.set_value(message)
 
 
-# Runs the twin of a cell in real time until it is stopped.
+class TwinCamera(Child):
+    """The twin's camera in a process of its own, so that rendering does not keep the arm waiting.
+
+    Args:
+        scenario: what the cell is like.
+        url: where pictures go.
+    """
+
+    def __init__(self, scenario: Scenario, url: str) -> None:
+        data = pickle.dumps(scenario)
+        first = _LENGTH.pack(len(data)) + data
+        super().__init__("the process that renders pictures", _take_pictures, url, first=first)
+
+    def take(self, time: float, positions: FloatArray) -> None:
+        """Have a picture taken of the plant with some positions, stamped with a time, s; earlier ones that
+        are still to be taken are left out."""
+        self.write(np.array([time, *positions], "<f8").tobytes())
 
 
-LATE = 0.1
-"""s by which the twin may be late before it gives up catching up: an arm that hurries would be no twin."""
+def _take_pictures(url: str) -> None:
+    source = sys.stdin.fileno()
+    scenario: Scenario = pickle.loads(_read(source, _LENGTH.unpack(_read(source, _LENGTH.size))[0]))
+    twin = CellTwin(scenario, network.open_lcm(url, listens=False), arm=False)
+    root = Simulator(twin).get_mutable_context()
+    plant = twin.station.plant
+    state = plant.GetMyMutableContextFromRoot(root)
+    size, color_due = 8 * (1 + plant.num_positions()), 0.0
+    twin.station.GetOutputPort("camera.depth_image").Eval(twin.station.GetMyContextFromRoot(root))
+    be_ready()
+    while frame := _read(source, size):
+        while select.select([source], [], [], 0.0)[0] and (newer := _read(source, size)):
+            frame = newer
+        time, *positions = np.frombuffer(frame, "<f8")
+        root.SetTime(time)
+        plant.SetPositions(state, np.array(positions))
+        for channel, publisher in twin.camera_publishers.items():
+            if channel == network.CAMERA_COLOR:
+                if time < color_due:
+                    continue
+                color_due = time + network.COLOR_PERIOD
+            publisher.ForcedPublish(publisher.GetMyContextFromRoot(root))
 
-REPORT_EVERY = 10.0
-"""s between two reports."""
+
+def _read(source: int, size: int) -> bytes:
+    """So many bytes, or none where the input ends before."""
+    data = b""
+    while len(data) < size:
+        part = os.read(source, size - len(data))
+        if not part:
+            return b""
+        data += part
+    return data
 
 
 @dataclass(frozen=True)
@@ -258,7 +312,7 @@ def run_twin(
     *,
     until: float = float("inf"),
 ) -> TwinReport:
-    """Run the twin until Ctrl-C, or for some time, and say how it fared.
+    """Run the twin until Ctrl-C, or for some time, and say how it fares.
 
     It is for a process of its own, which has real-time priority from here on where the system allows it: a
     cell does not wait for what drives it.
@@ -266,7 +320,7 @@ def run_twin(
     Args:
         scenario: what the cell is like.
         url: see `network.open_lcm`.
-        report: called when it begins, and every `REPORT_EVERY`.
+        report: called when it begins, and every 10 s.
         until: simulated time at which it ends, s.
 
     Raises:
@@ -275,12 +329,9 @@ def run_twin(
     """
     lcm = network.open_lcm(url)
     twin = CellTwin(scenario, lcm, camera=False)
-    camera = TwinCamera(scenario, url)
-    have_priority()
-    try:
+    with closing(TwinCamera(scenario, url)) as camera:
+        have_priority()
         return _run(twin, camera, 1.0 / scenario.camera.rate, report, until)
-    finally:
-        camera.close()
 
 
 def _run(
@@ -305,7 +356,7 @@ def _run(
             simulated,
             max(now - started - simulated, 0.0),
             (simulated - last.simulated) / max(now - spoke, 1e-9),
-            received[channels.IIWA_COMMAND].good - good,
+            received[network.IIWA_COMMAND].good - good,
             {channel: came.dropped for channel, came in received.items() if came.dropped},
         )
 
@@ -320,9 +371,9 @@ def _run(
         if now - started - simulated - given_up > LATE:
             given_up = now - started - simulated
             simulator.ResetStatistics()  # it measures real time from here on
-        if now - spoke > REPORT_EVERY:
+        if now - spoke > _REPORT_EVERY:
             last = reported(now)
-            spoke, good = now, twin.received(root)[channels.IIWA_COMMAND].good
+            spoke, good = now, twin.received(root)[network.IIWA_COMMAND].good
             report(last)
         return EventStatus.DidNothing()
 

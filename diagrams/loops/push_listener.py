@@ -12,11 +12,11 @@ import numpy as np
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
 
-from slipmap.diagrams.hardware import channels
-from slipmap.diagrams.hardware.checked_messages import Received
-from slipmap.diagrams.hardware.interface import ARM, CAMERA, NEEDED, HeardCell
+from slipmap.diagrams.hardware import network
+from slipmap.diagrams.hardware.checked_messages import BadMessage, Received, check_stamp, rules
+from slipmap.diagrams.hardware.interface import HeardCell
 from slipmap.diagrams.hardware.message_stream import TICK, Event
-from slipmap.diagrams.hardware.validation import BadMessage, check_stamp, rules
+from slipmap.diagrams.hardware.network import ARM, CAMERA, NEEDED
 from slipmap.diagrams.loops.exploration_loop import connect, recorded_dataset
 from slipmap.diagrams.perception.cell_perception import CellPerception
 from slipmap.diagrams.perception.sight import ArmAside
@@ -74,7 +74,7 @@ class PushListener:
     def __init__(self, scenario: Scenario, name: str, cells: int = 60) -> None:
         self._scenario, self._name = scenario, name
         camera = scenario.camera
-        self._status = rules(camera.width, camera.height_pixels)[channels.IIWA_STATUS]
+        self._status = rules(camera.width, camera.height_pixels)[network.IIWA_STATUS]
         builder = DiagramBuilder()
         self._cell = cell = builder.AddSystem(HeardCell(scenario))
         self._perception = perception = builder.AddSystem(CellPerception(camera, cells, cell.arm_hulls))
@@ -121,7 +121,7 @@ class PushListener:
         self._came[event.channel] += 1
         first, _ = self._times.get(event.channel, (event.utime, 0))
         self._times[event.channel] = (first, event.utime)
-        if event.channel == channels.IIWA_STATUS and not self._go_on(event.data):
+        if event.channel == network.IIWA_STATUS and not self._go_on(event.data):
             return
         if event.channel in HEARD:
             checked = self._cell.checked[event.channel]

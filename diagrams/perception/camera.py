@@ -1,36 +1,50 @@
-"""The depth camera over the table: its parameters and how it comes into a Diagram."""
+"""The depth camera over the table: its parameters and how it comes into a Diagram.
+
+A renderer in the plant's own scene graph would get the pose of every shape at every step, as contacts are
+found there: with the station's eighty shapes that takes as long as the dynamics of the arm. So the camera has
+a scene graph of its own, which is brought up to date only when a picture is taken.
+"""
 
 # Annotations stay objects: Drake's YAML reader looks at them.
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
+from pydrake.common.cpp_param import List
+from pydrake.common.value import Value
 from pydrake.geometry import (
     ClippingRange,
     ColorRenderCamera,
     DepthRange,
     DepthRenderCamera,
+    FrameId,
+    FramePoseVector,
+    GeometryFrame,
+    GeometrySet,
     MakeRenderEngineVtk,
     RenderCameraCore,
     RenderEngineVtkParams,
+    Role,
     SceneGraph,
 )
 from pydrake.math import RigidTransform, RotationMatrix
 from pydrake.multibody.plant import MultibodyPlant
-from pydrake.systems.framework import DiagramBuilder
+from pydrake.multibody.tree import BodyIndex
+from pydrake.systems.framework import Context, DiagramBuilder
 from pydrake.systems.sensors import CameraInfo, RgbdSensor
 
-from slipmap.diagrams.perception.renderer import add_picture_scene, require_renderer
+from slipmap.diagrams.perception.renderer import require_renderer
+from slipmap.diagrams.systems.python_system import PythonSystem
 from slipmap.models.perception.pinhole_camera import PinholeCamera
-
-RENDERER = "camera_renderer"
+from slipmap.models.settings import CheckedSettings, within
 
 NEAREST, FARTHEST = 0.2, 4.0
 """Of depth readings, m."""
 
 
 @dataclass
-class CameraConfig:
+class CameraConfig(CheckedSettings):
     """Camera that looks straight down on the table; defaults see all of a table of radius 0.5 m.
 
     Attributes:
@@ -40,33 +54,21 @@ class CameraConfig:
         fov_y: field of view from the picture's top to its bottom, rad.
         width, height_pixels: picture size.
         rate: pictures a second, Hz.
-
-    Raises:
-        ValueError: a value out of range.
     """
 
-    height: float = 1.1
+    _section = "camera."
+
+    height: float = within(1.1, 0.3, FARTHEST - 0.1)
     position: list[float] = field(default_factory=lambda: [0.0, 0.0])
     yaw: float = 0.0
-    fov_y: float = float(np.deg2rad(52.0))
-    width: int = 640
-    height_pixels: int = 480
-    rate: float = 15.0
-
-    def __post_init__(self) -> None:
-        self.check()
+    fov_y: float = within(float(np.deg2rad(52.0)), 0.05, 2.8)
+    width: int = within(640, 16, 4096)
+    height_pixels: int = within(480, 16, 4096)
+    rate: float = within(15.0, 0.1, 1000.0)
 
     def check(self) -> None:
         """Raise ValueError where a field makes no sense."""
-        for name, value, low, high in (
-            ("height", self.height, 0.3, FARTHEST - 0.1),
-            ("fov_y", self.fov_y, 0.05, 2.8),
-            ("width", self.width, 16, 4096),
-            ("height_pixels", self.height_pixels, 16, 4096),
-            ("rate", self.rate, 0.1, 1000.0),
-        ):
-            if not low <= value <= high:
-                raise ValueError(f"camera.{name} must lie between {low} and {high}, got {value}")
+        super().check()
         if len(self.position) != 2 or not np.isfinite(self.position).all():
             raise ValueError(f"camera.position must be x and y in m, got {self.position}")
         if not np.isfinite(self.yaw):
@@ -111,11 +113,9 @@ def add_camera(
     rate, and sees the state at that very time.
 
     Args:
-        builder: gets the sensor, and a scene graph of its own named `picture_scene` with a renderer named
-            `RENDERER`; see `picture_scene`.
-        plant: the world, finalized.
-        scene_graph: the one that the plant is registered with. What is to be seen needs a perception role,
-            which `plant.RegisterVisualGeometry` gives.
+        builder: gets the sensor, and its scene graph, named `picture_scene`.
+        plant, scene_graph: the world, finalized; nothing may be added to it afterwards. What is to be seen
+            needs a perception role, which `plant.RegisterVisualGeometry` gives.
         config: by default `CameraConfig()`.
 
     Raises:
@@ -125,10 +125,10 @@ def add_camera(
     """
     config = config or CameraConfig()
     require_renderer()
-    scene = add_picture_scene(builder, plant, scene_graph)
-    scene.AddRenderer(RENDERER, MakeRenderEngineVtk(RenderEngineVtkParams(backend="EGL")))
+    scene, renderer = _add_picture_scene(builder, plant, scene_graph), "camera_renderer"
+    scene.AddRenderer(renderer, MakeRenderEngineVtk(RenderEngineVtkParams(backend="EGL")))
     core = RenderCameraCore(
-        RENDERER, config._camera_info(), ClippingRange(0.01, 2 * FARTHEST), RigidTransform()
+        renderer, config._camera_info(), ClippingRange(0.01, 2 * FARTHEST), RigidTransform()
     )
     sensor: Any = builder.AddNamedSystem(
         "camera",
@@ -141,3 +141,45 @@ def add_camera(
     )
     builder.Connect(scene.get_query_output_port(), sensor.query_object_input_port())
     return sensor
+
+
+def _add_picture_scene(builder: DiagramBuilder, plant: MultibodyPlant, scene_graph: SceneGraph) -> SceneGraph:
+    if not plant.is_finalized():
+        raise ValueError("picture scene: finalize the plant first, so that all that can be seen is there")
+    scene = builder.AddNamedSystem("picture_scene", SceneGraph())
+    source = scene.RegisterSource("pictures")
+    inspector = scene_graph.model_inspector()
+    shapes = inspector.GetGeometryIds(GeometrySet(inspector.GetAllGeometryIds()), Role.kPerception)
+    frames: dict[BodyIndex, FrameId] = {}
+    for shape in sorted(shapes, key=lambda shape: shape.get_value()):
+        body = plant.GetBodyFromFrameId(inspector.GetFrameId(shape))
+        copy = inspector.CloneGeometryInstance(shape)
+        if body.index() == plant.world_body().index():
+            scene.RegisterAnchoredGeometry(source, copy)
+            continue
+        if body.index() not in frames:
+            frame = GeometryFrame(body.scoped_name().get_full())
+            frames[body.index()] = scene.RegisterFrame(source, frame)
+        scene.RegisterGeometry(source, frames[body.index()], copy)
+    if frames:
+        poses = builder.AddNamedSystem("picture_poses", _FramePoses(frames))
+        builder.Connect(plant.get_body_poses_output_port(), poses.get_input_port())
+        builder.Connect(poses.get_output_port(), scene.get_source_pose_port(source))
+    return scene
+
+
+class _FramePoses(PythonSystem):
+    def __init__(self, frames: Mapping[BodyIndex, FrameId]) -> None:
+        super().__init__()
+        self._frames = dict(frames)
+        poses = self.DeclareAbstractInputPort("body_poses", Value[List[RigidTransform]]())
+        self.DeclareAbstractOutputPort(
+            "frame_poses", lambda: Value(FramePoseVector()), self._calc, {poses.ticket()}
+        )
+
+    def _calc(self, context: Context, output: Value) -> None:
+        X_WB = self.get_input_port().Eval(context)
+        result = FramePoseVector()
+        for body, frame in self._frames.items():
+            result.set_value(frame, X_WB[body])
+        output.set_value(result)

@@ -1,4 +1,7 @@
-"""Perception as a block: depth pictures in, the object's cells and pose out."""
+"""Perception as a block: depth pictures in, the object's cells and pose out.
+
+Pictures are looked at by a thread or a worker, while the world moves on.
+"""
 
 from __future__ import annotations
 
@@ -6,18 +9,15 @@ import gc
 from collections.abc import Callable, Sequence
 from concurrent.futures import Executor, ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
-from functools import lru_cache
 from typing import Any
 
 import numpy as np
 from pydrake.common.value import AbstractValue, Value
-from pydrake.geometry import Capsule, Cylinder, Ellipsoid, Role, SceneGraph, Sphere
 from pydrake.math import RigidTransform
-from pydrake.multibody.plant import MultibodyPlant
-from pydrake.multibody.tree import BodyIndex, ModelInstanceIndex
 from pydrake.systems.sensors import ImageDepth32F
 
 from slipmap.diagrams.perception.camera import CameraConfig
+from slipmap.diagrams.perception.sight import view_from
 from slipmap.diagrams.systems.python_system import PythonSystem, held, read, replace_held
 from slipmap.models.perception.first_look import (
     FirstPicture,
@@ -37,9 +37,7 @@ from slipmap.models.physics.cell_grid import FloatArray
 FRAMES = 15
 """Pictures of the object at rest that make up the first look; an odd number keeps its edges sharp."""
 
-KNOWN_AFTER = 0.5
-"""Share of the time between two pictures for which one is looked at, while the world moves on."""
-
+_KNOWN_AFTER = 0.5  # of the time between two pictures; for so long one is looked at
 OLD = 3
 """Pictures that may fail to come before the last one is too old."""
 
@@ -91,7 +89,7 @@ class _Eye:
             return replace(memory, observed=ObservedPose.unseen("no picture", time))
         if picture.shape != (camera.height, camera.width):
             return replace(memory, observed=ObservedPose.unseen("corrupt picture", time))
-        view = _view(camera, glance.X_WC)
+        view = view_from(camera, glance.X_WC)
         image = readings(picture)
         blocked: Mask | None = None if glance.arm is None else draw_hulls(glance.arm, view)
         fault, new, history = memory.history.judged(image, time - age, time, self.oldest, blocked)
@@ -162,38 +160,36 @@ class _Eye:
 class CellPerception(PythonSystem):
     """Finds the object on the table, cuts it into cells, and follows its pose from picture to picture.
 
-    .. pydrake_system::
+    Inputs: `depth_image`, an ImageDepth32F; `X_WC`, a RigidTransform; `arm_position` (optional), (7,) joint
+    angles with which the arm is masked in the picture; `image_age` (optional), (1,) s since the picture was
+    taken, else 0. Outputs: `object_pose`, an `ObservedPose`; `cell_grid`, a `CellGrid` or None before the
+    first look is over; `seen_object`, a `SeenObject` with heights, or None; `first_picture`, the
+    `FirstPicture` from which it comes, or None.
 
-        name: CellPerception
-        input_ports:
-        - depth_image
-        - X_WC
-        - arm_position (optional)
-        - image_age (optional)
-        output_ports:
-        - object_pose
-        - cell_grid
-        - seen_object
-        - first_picture
-
-    Inputs: `depth_image`, an ImageDepth32F; `X_WC`, a RigidTransform; `arm_position`, (7,) joint angles,
-    with which the arm is masked in the picture; `image_age`, (1,) s since the picture was taken, 0 if not
-    connected. Outputs: `object_pose`, an `ObservedPose`; `cell_grid`, a
-    `CellGrid` or None before the first look is over; `seen_object`, a `SeenObject` with heights, or None;
-    `first_picture`, the `FirstPicture` from which it comes, or None.
-
-    The inputs are read at the camera's rate, and what they show is known `KNOWN_AFTER` of a picture's period
-    later, with the time at which it was seen. The first look takes `FRAMES` pictures between which the object
+    The inputs are read at the camera's rate, and what they show is known half a picture's period later, with
+    the time at which it was seen. The first look takes `FRAMES` pictures between which the object
     does not move; it goes on until there are such, with the arm not near the object. It defines the object
     frame: origin at the centroid of the footprint's area, axes parallel to the world's. Until then the pose
     is not valid, and "no object" or "occluded" its reason.
 
-    A picture that was seen before, by its age or because each of its rows was, tells nothing new; after `OLD`
+    A picture that was seen before, by its age or because each of its rows was, says nothing new; after three
     pictures that did not come the pose is not valid. Nor is it where the picture is torn, that is, has rows
     of one before, and from then on until the object rests; or where a tenth more pixels than usual have no
-    reading. A camera without noise repeats rows
-    whenever nothing moves: whether this one does is found out during the first look, before which torn
-    and repeated pictures are not noticed.
+    reading. A camera without noise repeats rows whenever nothing moves: whether this one does is found out
+    during the first look, before which torn and repeated pictures are not noticed.
+
+    Args:
+        camera: of the pictures; `CameraConfig()` by default.
+        cells: wanted number of cells.
+        arm_hulls: hulls around the arm for joint angles (7,), rad, such as `ArmHulls`; None if the arm
+            is never in the picture.
+        worker: who looks at pictures; pictures that come meanwhile are left out. If None, a thread of
+            this process, for which the simulation waits when it is not done in time.
+        known: what an earlier process saw first, and the (3,) pose at which it saw the object last; there
+            is no first look then.
+
+    Raises:
+        ValueError: a number of cells below 1.
     """
 
     def __init__(
@@ -204,21 +200,6 @@ class CellPerception(PythonSystem):
         worker: Executor | None = None,
         known: tuple[FirstPicture, FloatArray] | None = None,
     ) -> None:
-        """Perception with a camera of known intrinsics.
-
-        Args:
-            camera: of the pictures; `CameraConfig()` by default.
-            cells: wanted number of cells.
-            arm_hulls: hulls around the arm for joint angles (7,), rad, such as `ArmHulls`; None if the arm
-                is never in the picture.
-            worker: who looks at pictures; pictures that come meanwhile are left out. If None, a thread of
-                this process, for which the simulation waits when it is not done in time.
-            known: what an earlier process saw first, and the (3,) pose at which it saw the object last; there
-                is no first look then.
-
-        Raises:
-            ValueError: a number of cells below 1.
-        """
         super().__init__()
         if cells < 1:
             raise ValueError(f"perception: the number of cells must be at least 1, got {cells}")
@@ -238,21 +219,15 @@ class CellPerception(PythonSystem):
             history = PictureHistory(noisy=first.noisy, missing=first.missing)
             seen = first.seen(self._eye.camera)
             start = replace(start, history=history, seen=seen, first=first, last_pose=last_pose)
-        memory = self.DeclareAbstractState(held(start))
-        self._memory = memory
+        self._memory = memory = self.DeclareAbstractState(held(start))
         self._job = self.DeclareAbstractState(held(_NO_JOB))
         ticket = {self.abstract_state_ticket(memory)}
 
-        def write(part: Callable[[_Memory], object]) -> Any:
-            return lambda context, output: output.set_value(part(read(context, memory)))
-
         def port(name: str, part: Callable[[_Memory], object]) -> None:
-            self.DeclareAbstractOutputPort(
-                name,
-                lambda: Value[object](),
-                write(part),
-                ticket,
-            )
+            def write(context: Any, output: Any) -> None:
+                output.set_value(part(read(context, memory)))
+
+            self.DeclareAbstractOutputPort(name, lambda: Value[object](), write, ticket)
 
         port("object_pose", lambda memory: memory.observed)
         port("cell_grid", lambda memory: None if memory.seen is None else memory.seen.grid)
@@ -260,10 +235,11 @@ class CellPerception(PythonSystem):
         port("first_picture", lambda memory: memory.first)
         period = 1.0 / config.rate
         self.DeclarePeriodicUnrestrictedUpdateEvent(period, 0.0, self._look)
-        self.DeclarePeriodicUnrestrictedUpdateEvent(period, KNOWN_AFTER * period, self._known)
+        self.DeclarePeriodicUnrestrictedUpdateEvent(period, _KNOWN_AFTER * period, self._take)
 
     def _look(self, context: Any, state: Any) -> None:
-        if not self._take(context, state):
+        self._take(context, state)
+        if read(state, self._job)[0] is not None:
             return
         memory: _Memory = read(state, self._memory)
         # Pictures gathered for the first look are large; a worker gets them when there are enough.
@@ -274,20 +250,14 @@ class CellPerception(PythonSystem):
         job = self._worker.submit(look, sent, self._glance(context))
         replace_held(state, self._job, (job, kept))
 
-    def _known(self, context: Any, state: Any) -> None:
-        self._take(context, state)
-
-    def _take(self, context: Any, state: Any) -> bool:
-        """Remember what has been seen, if it is known by now; whether nobody looks at a picture any more."""
+    def _take(self, context: Any, state: Any) -> None:
+        """Remember what has been seen, if it is known by now."""
         job, kept = read(context, self._job)
-        if job is None:
-            return True
-        if not (self._waits or job.done()):
-            return False
+        if job is None or not (self._waits or job.done()):
+            return
         memory: _Memory = job.result()
         replace_held(state, self._memory, replace(memory, frames=(*kept, *memory.frames)) if kept else memory)
         replace_held(state, self._job, _NO_JOB)
-        return True
 
     def _glance(self, context: Any) -> _Glance:
         picture: Any = self._image.Eval(context)
@@ -302,97 +272,3 @@ class CellPerception(PythonSystem):
             float(self._age.Eval(context)[0]) if self._age.HasValue(context) else 0.0,
             context.get_time(),
         )
-
-
-@lru_cache(maxsize=4)
-def _view(camera: PinholeCamera, X_WC: bytes) -> View:
-    """The view, whose rays take a while to compute, kept for a camera that does not move."""
-    return View(camera, np.frombuffer(X_WC).reshape(4, 4))
-
-
-# Where the arm is, as hulls for masking it in depth pictures, from its joint angles.
-
-
-_CORNERS = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], dtype=float)
-_LONGITUDE, _LATITUDE = np.meshgrid(np.linspace(0, 2 * np.pi, 24, endpoint=False), np.linspace(-1.5, 1.5, 13))
-_SPHERE = np.column_stack(
-    [
-        (np.cos(_LONGITUDE) * np.cos(_LATITUDE)).ravel(),
-        (np.sin(_LONGITUDE) * np.cos(_LATITUDE)).ravel(),
-        np.sin(_LATITUDE).ravel(),
-    ]
-)
-
-
-class ArmHulls:
-    """Hulls around everything of some model instances that a camera sees, at given joint angles.
-
-    Called with the positions (7,) of the first instance, rad, it returns a list of `Hull`. The other
-    instances, such as a gripper, keep their default positions.
-    """
-
-    def __init__(
-        self, plant: MultibodyPlant, scene_graph: SceneGraph, instances: Sequence[ModelInstanceIndex]
-    ) -> None:
-        """Collect the shapes with a perception role.
-
-        Args:
-            plant: finalized.
-            scene_graph: the one that the plant is registered with.
-            instances: the arm, then what it carries.
-
-        Raises:
-            ValueError: the plant is not finalized, or there are no instances.
-        """
-        if not plant.is_finalized():
-            raise ValueError("arm hulls: finalize the plant first")
-        if len(instances) == 0:
-            raise ValueError("arm hulls: name at least the model instance of the arm")
-        self._plant = plant
-        self._context = plant.CreateDefaultContext()  # scratch: every call sets the positions
-        self._arm = instances[0]
-        inspector = scene_graph.model_inspector()
-        self._shapes: list[tuple[BodyIndex, FloatArray, float]] = []
-        for instance in instances:
-            for body in plant.GetBodyIndices(instance):
-                frame = plant.GetBodyFrameIdOrThrow(body)
-                for geometry in inspector.GetGeometries(frame, Role.kPerception):
-                    X_BG = inspector.GetPoseInFrame(geometry)
-                    points, radius = _hull_in_frame(inspector, geometry)
-                    self._shapes.append((body, _moved(X_BG, points), radius))
-
-    def __call__(self, q: Any) -> list[Hull]:
-        """Hulls in W at joint angles q (7,), rad."""
-        context = self._context
-        self._plant.SetPositions(context, self._arm, q)
-        poses: dict[BodyIndex, RigidTransform] = {}
-        hulls = []
-        for body, points, radius in self._shapes:
-            if body not in poses:
-                poses[body] = self._plant.EvalBodyPoseInWorld(context, self._plant.get_body(body))
-            hulls.append(Hull(_moved(poses[body], points), radius))
-        return hulls
-
-
-def _hull_in_frame(inspector: Any, geometry: Any) -> tuple[FloatArray, float]:
-    """Centres (k, 3) of a shape's balls in the geometry's frame and their radius, m."""
-    shape = inspector.GetShape(geometry)
-    if isinstance(shape, Sphere):
-        return np.zeros((1, 3)), shape.radius()
-    if isinstance(shape, Capsule):
-        return np.array([[0, 0, -0.5], [0, 0, 0.5]]) * shape.length(), shape.radius()
-    if isinstance(shape, Cylinder):
-        turn = np.linspace(0, 2 * np.pi, 16, endpoint=False)
-        rim = np.column_stack([np.cos(turn), np.sin(turn), np.zeros(16)]) * shape.radius()
-        half = np.array([0, 0, shape.length() / 2])
-        return np.concatenate([rim - half, rim + half]), 0.0
-    if isinstance(shape, Ellipsoid):
-        return _SPHERE * [shape.a(), shape.b(), shape.c()], 0.0
-    box = inspector.GetObbInGeometryFrame(geometry)
-    if box is None:
-        raise ValueError("arm hulls: the arm has a shape without bounds, such as a half space")
-    return _moved(box.pose(), _CORNERS * box.half_width()), 0.0
-
-
-def _moved(X: RigidTransform, points: FloatArray) -> FloatArray:
-    return points @ X.rotation().matrix().T + X.translation()

@@ -3,7 +3,8 @@
 All of it stands in one file, so that numba compiles it anew whenever something in it changes.
 """
 
-from dataclasses import dataclass, fields
+# Annotations stay objects: Drake's YAML reader looks at them.
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -14,9 +15,9 @@ from pydrake.systems.sensors import ImageDepth32F
 from slipmap.diagrams.systems.python_system import PythonSystem
 from slipmap.models.perception.pinhole_camera import DepthImage
 from slipmap.models.physics.compiled import LONE_FOLDER, compiled
+from slipmap.models.settings import CheckedSettings, within
 
-# The noise of a depth picture, in machine code.
-
+_STEP = 0.01  # m; depth jumps more than this at an edge
 
 _compiled = compiled(LONE_FOLDER)
 
@@ -87,7 +88,7 @@ def _jumps(depth, row, beyond, high, low, jump):  # type: ignore[no-untyped-def]
 
 
 @_compiled
-def measure(depth, seed, window, terms, parameters, result):  # type: ignore[no-untyped-def]
+def _measure(depth, seed, window, terms, parameters, result):  # type: ignore[no-untyped-def]
     """What a camera measures of a noise-free picture.
 
     Works row by row, so that all but the pictures stays in the processor's cache.
@@ -149,14 +150,8 @@ def measure(depth, seed, window, terms, parameters, result):  # type: ignore[no-
             result[row, column] = np.float32(0) if missing else value
 
 
-# Annotations stay objects: Drake's YAML reader looks at them.
-
-
-_STEP = 0.01  # m; depth jumps more than this at an edge
-
-
 @dataclass
-class DepthNoiseConfig:
+class DepthNoiseConfig(CheckedSettings):
     """Noise typical of an active stereo or structured-light camera; all zero is a perfect camera.
 
     The axial term grows with the square of depth, as disparity noise does: an error of 0.05 pixels at a focal
@@ -173,30 +168,18 @@ class DepthNoiseConfig:
         missing_anywhere: share of all other pixels that have no reading.
         quantum: depth is a multiple of this, m; 0 for none.
         seed: of all random draws; the seed of a run is added to it.
-
-    Raises:
-        ValueError: a negative value, or a share above 1.
     """
 
-    axial_floor: float = 0.4e-3
-    axial_growth: float = 1.0e-3
-    lateral_jitter: float = 0.4
-    correlation: float = 1.0
-    missing_at_edges: float = 0.3
-    missing_anywhere: float = 0.003
-    quantum: float = 1e-3
-    seed: int = 0
+    _section = "depth_noise."
 
-    def __post_init__(self) -> None:
-        self.check()
-
-    def check(self) -> None:
-        """Raise ValueError where a field makes no sense."""
-        for field in fields(self):
-            value = getattr(self, field.name)
-            highest = 1.0 if field.name.startswith("missing") else np.inf
-            if not 0 <= value <= highest:
-                raise ValueError(f"depth_noise.{field.name} must lie between 0 and {highest}, got {value}")
+    axial_floor: float = within(0.4e-3, 0, np.inf)
+    axial_growth: float = within(1.0e-3, 0, np.inf)
+    lateral_jitter: float = within(0.4, 0, np.inf)
+    correlation: float = within(1.0, 0, np.inf)
+    missing_at_edges: float = within(0.3, 0, 1.0)
+    missing_anywhere: float = within(0.003, 0, 1.0)
+    quantum: float = within(1e-3, 0, np.inf)
+    seed: int = within(0, 0, np.inf)
 
 
 def noisy_depth(depth: DepthImage, config: DepthNoiseConfig, generator: np.random.Generator) -> DepthImage:
@@ -216,20 +199,12 @@ def noisy_depth(depth: DepthImage, config: DepthNoiseConfig, generator: np.rando
         dtype=np.float32,
     )  # fmt: skip
     result = np.empty_like(depth)
-    measure(depth, seed, _window(config.correlation), terms, parameters, result)
+    _measure(depth, seed, _window(config.correlation), terms, parameters, result)
     return result
 
 
 class DepthNoise(PythonSystem):
-    """Puts a depth camera's noise on rendered pictures.
-
-    .. pydrake_system::
-
-        name: DepthNoise
-        input_ports:
-        - depth_image
-        output_ports:
-        - depth_image
+    """Puts a depth camera's noise on rendered pictures, which come and go at ports named `depth_image`.
 
     A frame's noise depends on the seed and the frame's number alone, which is the time in units of the
     camera's period; it does not matter who looks when, or how often.

@@ -43,9 +43,6 @@ from slipmap.models.perception.pinhole_camera import DepthImage
 from slipmap.models.physics.cell_grid import FloatArray
 from slipmap.models.physics.compiled import LONE_FOLDER, compiled
 
-# Drawing shapes into a depth picture, in machine code.
-
-
 BOX, ELLIPSOID, CYLINDER, CAPSULE = range(4)
 """Kinds of shapes; see `draw_solids` for their measures."""
 
@@ -325,30 +322,20 @@ class _Scene:
 class DepthPicture(PythonSystem):
     """Depth pictures of a plant, without noise.
 
-    .. pydrake_system::
+    The input `body_poses` has those of the plant. The output `depth_image`, an ImageDepth32F, is as Drake's
+    `RgbdSensor` renders it: 0 for what is too near, inf for what is too far; edges may lie in the
+    pixel beside. It shows all shapes with a perception role.
 
-        name: DepthPicture
-        input_ports:
-        - body_poses
-        output_ports:
-        - depth_image
+    Args:
+        plant, scene_graph: finalized.
+        config: the camera.
 
-    `body_poses` are those of the plant. `depth_image`, an ImageDepth32F, is as Drake's `RgbdSensor` renders
-    it: 0 for what is too near, inf for what is too far; edges may lie in the pixel beside.
+    Raises:
+        ValueError: the plant is not finalized.
+        NotDrawable: a shape that is neither a simple solid nor a mesh in an OBJ file.
     """
 
     def __init__(self, plant: MultibodyPlant, scene_graph: SceneGraph, config: CameraConfig) -> None:
-        """Collect the shapes with a perception role.
-
-        Args:
-            plant: finalized.
-            scene_graph: the one that the plant is registered with.
-            config: the camera.
-
-        Raises:
-            ValueError: the plant is not finalized.
-            NotDrawable: a shape that is neither a simple solid nor a mesh in an OBJ file.
-        """
         super().__init__()
         if not plant.is_finalized():
             raise ValueError("depth picture: finalize the plant first, so that all that can be seen is there")
@@ -398,11 +385,7 @@ def add_depth_picture(
 ) -> OutputPort:
     """Depth pictures of a camera, from a `DepthPicture` if that can draw all that there is to see.
 
-    Args:
-        builder: of the diagram that the plant is in; gets a system "depth_picture".
-        plant, scene_graph: as of `DepthPicture`.
-        config: the camera.
-        camera: the same one, from `add_camera`, which renders the pictures otherwise.
+    Otherwise `camera`, which is the same one from `add_camera`, renders the pictures.
     """
     try:
         picture = builder.AddNamedSystem("depth_picture", DepthPicture(plant, scene_graph, config))

@@ -1,7 +1,7 @@
 """Libraries of the operating system that Drake and OpenCV load: found missing by trying, then installed.
 
-Run as `python -m slipmap.diagrams.perception.system_libraries`, which `make` does after installing slipmap. Wheels bring nearly
-everything along; what they leave to the system is known only when an import fails, one library at a time.
+`make` runs it as a module after installing slipmap. Wheels bring nearly everything along; what they leave to
+the system is known only when an import fails, one library at a time.
 """
 
 from __future__ import annotations
@@ -150,7 +150,6 @@ def _import_failure(run: Run, module: str) -> str | None:
 
 
 def _missing_library(failure: str) -> str | None:
-    """Name of the shared library that the loader's message says is missing."""
     match = re.search(r"(lib[\w.+-]+\.so[\d.]*): cannot open shared object file", failure)
     return match.group(1) if match else None
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from pydrake.geometry import Capsule, Cylinder
+from pydrake.geometry import Capsule, Cylinder, SceneGraph
 from pydrake.manipulation import (
     IiwaDriver,
     MakeMultibodyStateToWsgStateSystem,
@@ -21,14 +21,7 @@ from pydrake.systems.primitives import SharedPointerSystem
 
 from slipmap.diagrams.systems.python_system import PythonSystem
 from slipmap.models.physics.cell_grid import FloatArray
-from slipmap.models.robots import (
-    ARM_JOINTS,
-    FINGER_RADIUS,
-    FLANGE_HEIGHT,
-    FOLDER,
-    GRIPPER_MODEL,
-    IIWA_MODEL,
-)
+from slipmap.models.robots import ARM_JOINTS, FINGER_RADIUS, FLANGE_HEIGHT, FOLDER, GRIPPER_MODEL, IIWA_MODEL
 
 ARM_MODELS = {
     "primitives": f"package://slipmap_robots/{IIWA_MODEL.name}",
@@ -46,9 +39,10 @@ STIFFNESS = np.full(7, 8000.0)
 STAND_RADIUS = 0.07
 """Of the column that carries the arm, m."""
 
+IIWA_OUTPUTS = ("position_commanded", "position_measured", "velocity_estimated", "torque_external")
+"""What the arm says of its joints; the ports of a cell are named `iiwa.` and one of these."""
+
 _FLOOR = -0.75  # m, where the stand ends
-_GRIPPER_STEP = 0.05  # s, period at which the gripper takes commands
-_GRIPPER_GAINS = (8000.0, 100.0)  # N/m and N s/m
 _SQUEEZE = 0.01  # m beyond closed that is asked for, so that it closes with all its force
 
 _DIRECTIVES = """
@@ -124,6 +118,15 @@ def add_arm(plant: MultibodyPlant, X_WB: RigidTransform | None = None, models: s
     return Arm(iiwa, gripper, plant.GetFrameByName("tip", gripper).index(), FINGER_RADIUS, X_WB, models)
 
 
+def lone_arm(models: str = "primitives") -> tuple[MultibodyPlant, SceneGraph, Arm]:
+    """The arm alone in a finalized plant with a scene graph, for looking at its shapes; see `add_arm`."""
+    plant, scene_graph = MultibodyPlant(1e-3), SceneGraph()
+    plant.RegisterAsSourceForSceneGraph(scene_graph)
+    arm = add_arm(plant, models=models)
+    plant.Finalize()
+    return plant, scene_graph, arm
+
+
 def arm_model(X_WB: RigidTransform | None = None, models: str = "primitives") -> MultibodyPlant:
     """The arm as its controller knows it: a finalized plant of 7 positions, the closed gripper its load.
 
@@ -157,43 +160,25 @@ def arm_model(X_WB: RigidTransform | None = None, models: str = "primitives") ->
 
 
 def add_arm_drivers(builder: DiagramBuilder, plant: MultibodyPlant, arm: Arm) -> None:
-    """Control the arm's joints and the gripper's opening, and export their ports from the diagram.
+    """Control the arm's joints and the gripper's opening in a finalized plant, and export their ports.
 
     The arm's driver is Drake's `SimIiwaDriver` with stiffer joints than its default, at which 15 N bend the
     finger away by more than a millimetre; the real controller integrates such an error to nothing.
 
-    .. pydrake_system::
-
-        name: the diagram
-        input_ports:
-        - iiwa.position
-        - gripper.position
-        - gripper.force_limit
-        output_ports:
-        - iiwa.position_commanded
-        - iiwa.position_measured
-        - iiwa.velocity_estimated
-        - iiwa.torque_external
-        - gripper.state_measured
-
     `iiwa.*` are (7,) in rad, rad/s, N m; torque_external is that of the contact forces on arm and gripper,
-    smoothed over 10 ms. `gripper.position` (1,) is the opening from 0 to `GRIPPER_OPENING`, m; told 0, the
+    smoothed over 10 ms. `gripper.position` (1,) is the opening from 0 to `GRIPPER_OPENING`, m; at 0 the
     gripper closes with all the force that `gripper.force_limit` allows. That is (1,) the largest force of a
     finger, N, 40 if not connected; `gripper.state_measured` (2,) the opening and its rate, m and m/s.
-
-    Args:
-        builder: of the diagram that the plant is in.
-        plant: finalized.
-        arm: what `add_arm` put into the plant.
     """
     model = SharedPointerSystem.AddToBuilder(builder, arm_model(arm.X_WB, arm.models))
     config = IiwaDriver(control_mode="position_only", desired_kp_gains=STIFFNESS)
     iiwa = SimIiwaDriver.AddToBuilder(builder, plant, arm.iiwa, config, model)
     builder.ExportInput(iiwa.GetInputPort("position"), "iiwa.position")
-    for name in ("position_commanded", "position_measured", "velocity_estimated", "torque_external"):
+    for name in IIWA_OUTPUTS:
         builder.ExportOutput(iiwa.GetOutputPort(name), f"iiwa.{name}")
 
-    controller = SchunkWsgPositionController(_GRIPPER_STEP, *_GRIPPER_GAINS)
+    # It takes commands every 0.05 s; gains are in N/m and N s/m.
+    controller = SchunkWsgPositionController(0.05, 8000.0, 100.0)
     hand = builder.AddNamedSystem("gripper_control", controller)
     squeeze = builder.AddNamedSystem("gripper_squeeze", _Squeeze())
     opening = builder.AddNamedSystem("gripper_state", MakeMultibodyStateToWsgStateSystem())
@@ -208,9 +193,9 @@ def add_arm_drivers(builder: DiagramBuilder, plant: MultibodyPlant, arm: Arm) ->
 
 
 class _Squeeze(PythonSystem):
-    """Makes a gripper that is told to close do so with all its force.
+    """Makes a gripper close with all its force.
 
-    Told just to be closed, its control would give way by 3.5 mm when a push strikes one of the pins.
+    If only an opening of 0 were asked for, its control would give way by 3.5 mm when a push strikes a pin.
     """
 
     def __init__(self) -> None:
@@ -238,13 +223,10 @@ def _parser(plant: MultibodyPlant) -> Parser:
 def _parse(
     plant: MultibodyPlant, X_WB: RigidTransform, models: str
 ) -> tuple[ModelInstanceIndex, ModelInstanceIndex]:
-    links = [f"iiwa::iiwa_link_{i}" for i in range(8)]
-    fingers = ["gripper::hand", "gripper::left_finger", "gripper::right_finger"]
+    members = [f"iiwa::iiwa_link_{i}" for i in range(8)]
+    members += [f"gripper::{part}" for part in ("hand", "left_finger", "right_finger")]
     directives = _DIRECTIVES.format(
-        arm=_arm_url(models),
-        gripper=GRIPPER_MODEL.name,
-        flange=FLANGE_HEIGHT,
-        members=", ".join(links + fingers),
+        arm=_arm_url(models), gripper=GRIPPER_MODEL.name, flange=FLANGE_HEIGHT, members=", ".join(members)
     )
     try:
         ProcessModelDirectives(LoadModelDirectivesFromString(directives), _parser(plant))
@@ -270,17 +252,13 @@ def _add_stand(plant: MultibodyPlant, X_WB: RigidTransform) -> None:
     head = stand_head(X_WB)
     foot = np.array([head[0], head[1], _FLOOR])
     dark, grey = np.array([0.16, 0.17, 0.19, 1.0]), np.array([0.55, 0.57, 0.6, 1.0])
-    up = RotationMatrix()
+    base, up = X_WB.rotation(), RotationMatrix()
     shapes = (
-        (
-            "plate",
-            Cylinder(0.15, 0.02),
-            RigidTransform(X_WB.rotation(), X_WB @ np.array([0.0, 0.0, -0.01])),
-            dark,
-        ),
-        ("neck", Capsule(STAND_RADIUS, 0.12), RigidTransform(X_WB.rotation(), (back + head) / 2), grey),
-        ("column", Cylinder(STAND_RADIUS, head[2] - _FLOOR), RigidTransform(up, (head + foot) / 2), grey),
-        ("foot", Cylinder(0.22, 0.03), RigidTransform(up, foot + np.array([0.0, 0.0, 0.015])), dark),
+        ("plate", Cylinder(0.15, 0.02), base, X_WB @ np.array([0.0, 0.0, -0.01]), dark),
+        ("neck", Capsule(STAND_RADIUS, 0.12), base, (back + head) / 2, grey),
+        ("column", Cylinder(STAND_RADIUS, head[2] - _FLOOR), up, (head + foot) / 2, grey),
+        ("foot", Cylinder(0.22, 0.03), up, foot + np.array([0.0, 0.0, 0.015]), dark),
     )
-    for name, shape, X_WG, colour in shapes:
+    for name, shape, turn, middle, colour in shapes:
+        X_WG = RigidTransform(turn, middle)
         plant.RegisterVisualGeometry(plant.world_body(), X_WG, shape, f"arm_stand_{name}", colour)

@@ -1,6 +1,6 @@
-"""Effects in the true world that the object's model does not know of, to be found out from the pushes.
+"""Effects in the true world that the object's model does not know of, and that pushes are to reveal.
 
-Parameters mean what those of the same name in `slipmap.models.effects.library` mean; the defaults are no effect.
+Parameters mean what those of the same name in `models/effects/library.py` mean; the defaults are no effect.
 """
 
 # Annotations stay objects: Drake's YAML reader looks at them.
@@ -14,7 +14,7 @@ from pydrake.multibody.math import SpatialForce, SpatialVelocity
 from pydrake.multibody.plant import ExternallyAppliedSpatialForce, MultibodyPlant
 from pydrake.systems.framework import Context, DiagramBuilder
 
-from slipmap.diagrams.station.sliding_object import BODY, GRAVITY
+from slipmap.diagrams.station.sliding_object import BODY, GRAVITY, connect_motion
 from slipmap.diagrams.systems.python_system import PythonSystem
 from slipmap.models.objects.true_object import TrueObject
 from slipmap.models.physics.cell_grid import FloatArray
@@ -131,23 +131,16 @@ class HiddenEffectsConfig:
         return not any([*sizes, spots.gradient_x, spots.gradient_y, spots.patch])
 
 
-def tilted_gravity(tilt: TableTilt, gravity: float = GRAVITY) -> FloatArray:
+def tilted_gravity(tilt: TableTilt) -> FloatArray:
     """(3,) gravity in the frame of a table whose top falls by these slopes along x and y, m/s²."""
     down = np.array([np.tan(tilt.down_x), np.tan(tilt.down_y), -1.0])
-    return gravity * down / np.linalg.norm(down)
+    return GRAVITY * down / np.linalg.norm(down)
 
 
 class HiddenEffects(PythonSystem):
     """Forces of the hidden effects on the object, for the plant's `applied_spatial_force`.
 
-    .. pydrake_system::
-
-        name: HiddenEffects
-        input_ports:
-        - body_poses
-        - body_spatial_velocities
-        output_ports:
-        - spatial_forces
+    Inputs are the plant's `body_poses` and `body_spatial_velocities`.
 
     Tilt is the difference between tilted and level gravity, at the centre of mass. The plant's own gravity
     stays level, so that an arm whose controller knows how it is mounted does not feel it. The tether pulls at
@@ -158,11 +151,6 @@ class HiddenEffects(PythonSystem):
     is given for a whole time step cannot stick; it fades out below a slip of 1 mm/s, or as much as a step of
     extra friction takes from a free cell's speed, whichever is more. In a push, only cells next to the centre
     of rotation are that slow; but an object at rest is held by the friction that it has without the field.
-
-    Args:
-        plant: with the object, finalized.
-        true_object: what the plant's object was made of.
-        config: the effects.
 
     Raises:
         ValueError: a parameter that makes no sense, or an effect so stiff that it cannot be simulated with
@@ -263,9 +251,6 @@ def add_hidden_effects(
     if config.is_null:
         return None
     system = builder.AddNamedSystem("hidden_effects", HiddenEffects(plant, true_object, config))
-    builder.Connect(plant.get_body_poses_output_port(), system.GetInputPort("body_poses"))
-    builder.Connect(
-        plant.get_body_spatial_velocities_output_port(), system.GetInputPort("body_spatial_velocities")
-    )
+    connect_motion(builder, plant, system)
     builder.Connect(system.get_output_port(), plant.get_applied_spatial_force_input_port())
     return system

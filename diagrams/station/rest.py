@@ -28,38 +28,28 @@ PERIOD = 0.02
 QUIET = 0.2
 """s for which an object lies still before it is held; one that begins to tip is faster by then."""
 
-ROOM = 0.005
-"""m within which a part of the arm wakes the object, and farther off if it comes nearer: where it would be
-within `ROOM` two looks later. One that speeds up by less than 12 m/s² cannot touch it before."""
-
-_PLACE = 12  # numbers that tell where the object is: its origin, and its axes as long as it reaches, m
+# m within which a part of the arm wakes the object, and farther off if it comes nearer: where it would be
+# within `_ROOM` two looks later. One that speeds up by less than 12 m/s² cannot touch it before.
+_ROOM = 0.005
+_PLACE = 12  # numbers that say where the object is: its origin, and its axes as long as it reaches, m
 _SAME = 1e-9  # m; a held object that was moved by more has been put somewhere by hand
 
 
 class RestWatch(PythonSystem):
-    """Tells whether the object lies still and no part of the arm is about to touch it.
+    """Whether the object lies still and no part of the arm is about to touch it.
 
-    .. pydrake_system::
-
-        name: RestWatch
-        input_ports:
-        - body_poses
-        - body_spatial_velocities
-        output_ports:
-        - at_rest
-
-    `at_rest` (1,) is 1 or 0. It becomes 1 after `QUIET` in which no point of the object was faster than the
+    Inputs are the plant's `body_poses` and `body_spatial_velocities`. The output `at_rest` (1,) is 1 or 0. It
+    becomes 1 after `QUIET` in which no point of the object was faster than the
     stiction tolerance, and 0 at the first look at which one is, at which the object is elsewhere than at the
-    look before, or the arm is near; see `ROOM`. Distances are between the boxes about single shapes, which
+    look before, or the arm is near; see `_ROOM`. Distances are between the boxes about single shapes, which
     are never larger than those between the shapes.
+
+    Args:
+        plant, scene_graph: finalized, with the object in it.
+        arm: model instances that may come near.
     """
 
     def __init__(self, plant: MultibodyPlant, scene_graph: SceneGraph, arm: list[ModelInstanceIndex]) -> None:
-        """Args:
-        plant: finalized, with the object in it.
-        scene_graph: the one that the plant is registered with.
-        arm: model instances that may come near.
-        """
         super().__init__()
         body = plant.GetBodyByName(BODY)
         self._object = body.index()
@@ -95,7 +85,7 @@ class RestWatch(PythonSystem):
         place = np.column_stack([X_WO.translation(), axes]).ravel()
         moved = still_for > 0 and np.abs(place - place_before).max() > fastest * PERIOD + _SAME
         gap = self._gaps(X_WB)
-        near = (gap - 2 * np.maximum(gap_before - gap, 0.0)).min() < ROOM
+        near = (gap - 2 * np.maximum(gap_before - gap, 0.0)).min() < _ROOM
         still = not moved and not near
         result.SetFromVector([still_for + PERIOD if still else 0.0, *place, *gap])
 
@@ -117,8 +107,7 @@ class Hold:
     """Locks the object in a plant's Context, and looks no more for contacts between it and what is fixed.
 
     Args:
-        plant: finalized, with the object in it.
-        scene_graph: the one that the plant is registered with, its collision filters as they shall be.
+        plant, scene_graph: finalized, with the object in it, and collision filters as they shall be.
     """
 
     def __init__(self, plant: MultibodyPlant, scene_graph: SceneGraph) -> None:

@@ -1,4 +1,9 @@
-"""Everything about the robot's cell that a user tunes: YAML dataclasses like those of Drake's scenarios."""
+"""Everything about the robot's cell that a user tunes: YAML dataclasses like those of Drake's scenarios.
+
+`read_scenario` reads them from a file; what is wrong in it is said by the name of the field.
+"""
+
+# Annotations stay objects: Drake's YAML reader looks at them.
 
 import dataclasses
 import difflib
@@ -18,7 +23,7 @@ from pydrake.common.yaml import yaml_load_typed
 from shapely.affinity import rotate, translate
 
 from slipmap.diagrams.execution.settings import ExecutionConfig
-from slipmap.diagrams.hardware.guard_rules import GuardSettings
+from slipmap.diagrams.hardware.guard import GuardSettings
 from slipmap.diagrams.perception.camera import CameraConfig
 from slipmap.diagrams.perception.depth_noise import DepthNoiseConfig
 from slipmap.diagrams.station.arm import ARM_MODELS
@@ -35,14 +40,18 @@ from slipmap.models.objects.true_object import (
 )
 from slipmap.planners.settings import GoalSettings, PokeSettings, PushSettings
 
-# Annotations stay objects: Drake's YAML reader looks at them.
+LARGEST = 2**16
+"""Bytes of a scenario file; one with all that can be set has 5 kB."""
+
+_CLEARANCE = 0.02  # m, between the finger on its way and what it passes over
+_LONGEST = 60  # characters of a name or value in an error text
+_LONGEST_LABEL = 9  # digits
+
+T = typing.TypeVar("T")
 
 
-CLEARANCE = 0.02
-"""Between the finger on its way and what it passes over, m."""
-
-LONGEST_LABEL = 9
-"""Digits of a label."""
+class ScenarioError(ValueError):
+    """A scenario file that cannot be used; the message names the file and the field."""
 
 
 @dataclass
@@ -94,7 +103,7 @@ class ObjectSettings:
         if self.mesh is not None and (self.mass is None or self.mu is None):
             raise ValueError("object: an object from a mesh needs mass (kg) and mu")
         for name in (*self.masses, *self.frictions):
-            if not (name.isascii() and name.isdigit() and len(name) <= LONGEST_LABEL):
+            if not (name.isascii() and name.isdigit() and len(name) <= _LONGEST_LABEL):
                 raise ValueError(f"object: masses and frictions are by label, a whole number, got {name!r}")
 
     @property
@@ -243,29 +252,12 @@ class Scenario:
                 f"object.pose: {thing.name} at x = {x:g} m, y = {y:g} m, {np.ptp(corners[:, 0]):.2f} m by"
                 f" {np.ptp(corners[:, 1]):.2f} m, does not lie on the table, which has {size}"
             )
-        highest = self.execution.safe_height - CLEARANCE
+        highest = self.execution.safe_height - _CLEARANCE
         if thing.height.max() > highest:
             raise ValueError(
                 f"object {thing.name} is {thing.height.max():.3f} m high; the finger passes over what is at"
-                f" most {highest:.3f} m high (execution.safe_height less {CLEARANCE} m)"
+                f" most {highest:.3f} m high (execution.safe_height less {_CLEARANCE} m)"
             )
-
-
-# Reading a scenario from YAML: what is wrong in it is said by the name of the field.
-
-
-LARGEST = 2**16
-"""Bytes of a scenario file; one with all that can be set has 5 kB."""
-
-LONGEST = 60
-"""Characters of a name or value in an error text."""
-
-
-class ScenarioError(ValueError):
-    """A scenario file that cannot be used; the message names the file and the field."""
-
-
-T = typing.TypeVar("T")
 
 
 def read_scenario(path: str | Path, object_name: str | None = None) -> Scenario:
@@ -297,7 +289,7 @@ def _found(name: str, scenario: Path, field: str) -> Path:
         with suppress(OSError, ValueError):  # a name that no disk can hold
             if place.is_file():
                 return place
-    if len(name) > LONGEST or not name.isprintable():
+    if len(name) > _LONGEST or not name.isprintable():
         raise ScenarioError(f"{scenario}: {field}: there is no file {_shown(name)}")
     tried = ", nor ".join(str(place) for place in places)
     raise ScenarioError(f"{scenario}: {field}: there is no file {tried}")
@@ -328,7 +320,7 @@ def read_settings(path: str | Path, schema: type[T]) -> T:
         raise ScenarioError(f"{path}: is nested too deeply to be a scenario") from error
     # Beside its own errors, the parser lets those of the types pass: a month 99, an integer of 5000 digits.
     except (yaml.YAMLError, ValueError, TypeError, AttributeError, LookupError, OverflowError) as error:
-        raise ScenarioError(f"{path}: is not YAML ({_told(error)})") from error
+        raise ScenarioError(f"{path}: is not YAML ({_parser_words(error)})") from error
     if content is None:
         return schema()
     _check(content, schema, str(path), "")
@@ -341,7 +333,7 @@ def read_settings(path: str | Path, schema: type[T]) -> T:
     return settings
 
 
-def _told(error: Exception) -> str:
+def _parser_words(error: Exception) -> str:
     """What a parser says, on one line; of the text that it names, only the line and column."""
     said = " ".join(str(error).replace('in "<unicode string>", ', "").split())
     return said if len(said) <= 200 else f"{said[:197]}..."
@@ -352,13 +344,13 @@ def _shown(value: Any) -> str:
     brief = reprlib.Repr()
     brief.maxlist = brief.maxdict = 8
     brief.maxlevel = 3
-    brief.maxstring = brief.maxother = brief.maxlong = LONGEST
+    brief.maxstring = brief.maxother = brief.maxlong = _LONGEST
     return brief.repr(value)
 
 
 def _name(key: Any) -> str:
     name = key if isinstance(key, str) else _shown(key)
-    return name if len(name) <= LONGEST else f"{name[: LONGEST - 1]}…"
+    return name if len(name) <= _LONGEST else f"{name[: _LONGEST - 1]}…"
 
 
 def _repeated_keys(root: yaml.Node | None) -> Iterator[tuple[str, int, int]]:
@@ -431,15 +423,12 @@ def _check(value: Any, wanted: Any, path: str, where: str) -> None:
         names = {float: "a number", int: "a whole number", str: "a text", bool: "true or false"}
         hint = _exponent(value) if wanted is not str else ""
         raise ScenarioError(f"{path}: {where} must be {names[wanted]}, got {_shown(value)}{hint}")
-    if wanted is float and not _is_float(value):
-        raise ScenarioError(f"{path}: {where} must be a number that a computer holds, got {_shown(value)}")
-
-
-def _is_float(value: Any) -> bool:
-    try:
-        return isinstance(float(value), float)
-    except OverflowError:
-        return False
+    if wanted is float:
+        try:
+            float(value)
+        except OverflowError as error:
+            wrong = f"{where} must be a number that a computer holds, got {_shown(value)}"
+            raise ScenarioError(f"{path}: {wrong}") from error
 
 
 def _exponent(value: Any) -> str:
@@ -459,7 +448,7 @@ def _exponent(value: Any) -> str:
 def _check_fields(value: Any, wanted: Any, path: str, where: str) -> None:
     known = {field.name: field.type for field in dataclasses.fields(wanted)}
     if not isinstance(value, dict):
-        is_name = isinstance(value, str) and len(value) <= LONGEST and "name" in known
+        is_name = isinstance(value, str) and len(value) <= _LONGEST and "name" in known
         hint = f"; write {where}: {{name: {value}}}" if is_name else ""
         wrong = f"{where or 'the file'} must hold fields and values, got {_shown(value)}{hint}"
         raise ScenarioError(f"{path}: {wrong}")

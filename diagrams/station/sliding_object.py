@@ -21,6 +21,7 @@ from pydrake.math import RigidTransform, RollPitchYaw
 from pydrake.multibody.parsing import Parser
 from pydrake.multibody.plant import CoulombFriction, MultibodyPlant, MultibodyPlantConfig
 from pydrake.multibody.tree import ModelInstanceIndex, SpatialInertia, UnitInertia
+from pydrake.systems.framework import DiagramBuilder, LeafSystem
 
 from slipmap.models.objects.meshes import convex_pieces, shaded_obj
 from slipmap.models.objects.true_object import TrueObject
@@ -38,9 +39,11 @@ FINGER_FRICTION = 0.3
 STICTION = 1e-4
 """Speed below which friction lets an object creep, m/s."""
 
-FOOT_RADIUS = 5e-4  # m; lower than any finger passes over the table
-SINK = 2e-5  # m; depth to which every foot sinks in under the load of its cell
-CLEARANCE = 1e-4  # m; between the table and the blocks that finger and table's edge touch
+SINK = 2e-5
+"""Depth to which every foot sinks in under the load of its cell, m."""
+
+_FOOT_RADIUS = 5e-4  # m; lower than any finger passes over the table
+_CLEARANCE = 1e-4  # m; between the table and the blocks that finger and table's edge touch
 _BLOCK_SINK = 5e-5  # m; of a block under the weight of the whole object
 _TABLE_STIFFNESS = 1e8  # N/m
 _DISSIPATION = 20.0  # s/m
@@ -67,10 +70,14 @@ def plant_config(time_step: float) -> MultibodyPlantConfig:
 
 def table_contact(friction: float) -> ProximityProperties:
     """Contact properties of a table under the object: hard, the feet give way."""
+    return _contact(_TABLE_STIFFNESS, friction)
+
+
+def _contact(stiffness: float, friction: float) -> ProximityProperties:
     properties = ProximityProperties()
     AddContactMaterial(
         dissipation=_DISSIPATION,
-        point_stiffness=_TABLE_STIFFNESS,
+        point_stiffness=stiffness,
         friction=CoulombFriction(friction, friction),
         properties=properties,
     )
@@ -96,6 +103,12 @@ def partner_friction(wanted: FloatArray, given: float, what: str) -> FloatArray:
             f"because Drake combines two to 2 μ₁ μ₂ / (μ₁ + μ₂); give the surface more than {worst / 2:.3g}"
         )
     return wanted * given / (2 * given - wanted)
+
+
+def connect_motion(builder: DiagramBuilder, plant: MultibodyPlant, system: LeafSystem) -> None:
+    """Connect where the plant's bodies are, and how they move, to the ports of a system named so."""
+    for name in ("body_poses", "body_spatial_velocities"):
+        builder.Connect(plant.GetOutputPort(name), system.GetInputPort(name))
 
 
 def add_sliding_object(
@@ -136,30 +149,18 @@ def add_sliding_object(
     foot_shapes, block_shapes = [], []
     for cell, (center, mass) in enumerate(zip(grid.centers, true_object.mass, strict=True)):
         wanted = mass * GRAVITY / len(feet) / SINK
-        properties = ProximityProperties()
-        AddContactMaterial(
-            dissipation=_DISSIPATION,
-            point_stiffness=wanted * _TABLE_STIFFNESS / (_TABLE_STIFFNESS - wanted),
-            friction=CoulombFriction(foot_mu[cell], foot_mu[cell]),
-            properties=properties,
-        )
+        contact = _contact(wanted * _TABLE_STIFFNESS / (_TABLE_STIFFNESS - wanted), foot_mu[cell])
         for foot, place in enumerate(center + grid.width * feet):
-            X_OF = RigidTransform(np.array([*place, FOOT_RADIUS]))
+            X_OF = RigidTransform(np.array([*place, _FOOT_RADIUS]))
             name_of_foot = f"cell_{cell}_foot_{foot}"
             foot_shapes.append(
-                plant.RegisterCollisionGeometry(body, X_OF, Sphere(FOOT_RADIUS), name_of_foot, properties)
+                plant.RegisterCollisionGeometry(body, X_OF, Sphere(_FOOT_RADIUS), name_of_foot, contact)
             )
-    properties = ProximityProperties()
-    AddContactMaterial(
-        dissipation=_DISSIPATION,
-        point_stiffness=true_object.total_mass * GRAVITY / _BLOCK_SINK,
-        friction=CoulombFriction(block_mu[0], block_mu[0]),
-        properties=properties,
-    )
+    contact = _contact(true_object.total_mass * GRAVITY / _BLOCK_SINK, block_mu[0])
     for index, points in enumerate(_block_corners(true_object)):
         shape = Convex(points=points, label=f"{name} block {index}")
         block_shapes.append(
-            plant.RegisterCollisionGeometry(body, RigidTransform(), shape, f"block_{index}", properties)
+            plant.RegisterCollisionGeometry(body, RigidTransform(), shape, f"block_{index}", contact)
         )
     _share_round_table(plant, foot_shapes, block_shapes)
     for index, (color, mesh) in enumerate(_colored_meshes(true_object)):
@@ -194,7 +195,7 @@ def _share_round_table(plant: MultibodyPlant, feet: list[GeometryId], blocks: li
         GeometrySet(plant.GetCollisionGeometriesForBody(plant.GetBodyByName(name)))
         for name in (DISC, "table")
     )
-    # The plant does not tell its scene graph, a parser does.
+    # The plant does not give away its scene graph, a parser does.
     declaration = CollisionFilterDeclaration()
     declaration.ExcludeBetween(GeometrySet(feet), table)
     declaration.ExcludeBetween(GeometrySet(blocks), disc)
@@ -202,18 +203,16 @@ def _share_round_table(plant: MultibodyPlant, feet: list[GeometryId], blocks: li
 
 
 def _block_corners(true_object: TrueObject) -> list[FloatArray]:
-    """(3, k) corners of convex prisms."""
     result = []
     for block in true_object.blocks:
         for piece in convex_pieces(block.outline):
             ring = np.asarray(piece.exterior.coords)[:-1].T
-            ends = [np.vstack([ring, np.full(ring.shape[1], z)]) for z in (CLEARANCE, block.height)]
+            ends = [np.vstack([ring, np.full(ring.shape[1], z)]) for z in (_CLEARANCE, block.height)]
             result.append(np.hstack(ends))
     return result
 
 
 def _colored_meshes(true_object: TrueObject) -> list[tuple[FloatArray, Mesh]]:
-    """The object's looks, one mesh for each colour."""
     mesh = true_object.mesh
     colors = np.asarray(mesh.visual.face_colors)
     order = np.lexsort(colors.T)

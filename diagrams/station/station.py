@@ -14,21 +14,25 @@ from pydrake.systems.framework import Context, DiagramBuilder
 from pydrake.systems.primitives import ConstantValueSource, ConstantVectorSource
 
 from slipmap.diagrams.perception.camera import add_camera
-from slipmap.diagrams.perception.cell_perception import ArmHulls
 from slipmap.diagrams.perception.depth_noise import DepthNoise
 from slipmap.diagrams.perception.depth_picture import add_depth_picture
-from slipmap.diagrams.station.arm import Arm, add_arm, add_arm_drivers
+from slipmap.diagrams.perception.sight import ArmHulls
+from slipmap.diagrams.station.arm import add_arm, add_arm_drivers
 from slipmap.diagrams.station.hidden_effects import add_hidden_effects
 from slipmap.diagrams.station.rest import Hold, RestWatch
 from slipmap.diagrams.station.scenario import Scenario
-from slipmap.diagrams.station.sliding_object import BODY, add_sliding_object, plant_config, resting_pose
+from slipmap.diagrams.station.sliding_object import (
+    BODY,
+    add_sliding_object,
+    connect_motion,
+    plant_config,
+    resting_pose,
+)
 from slipmap.diagrams.station.table import add_table
 from slipmap.diagrams.systems.python_system import PythonDiagram, PythonSystem
 
 TRUTH = "truth."
 """What ports begin with that only a simulation has."""
-
-_LONGEST_STEP = 0.005  # s
 
 
 class Station(PythonDiagram):
@@ -85,10 +89,14 @@ class Station(PythonDiagram):
         self.arm_hulls = ArmHulls(plant, scene_graph, [self.arm.iiwa, self.arm.gripper])
         add_hidden_effects(builder, plant, self.true_object, scenario.hidden)
         add_arm_drivers(builder, plant, self.arm)
-        self._rest_watch, self._scene_graph = _watch_rest(builder, plant, scene_graph, self.arm), scene_graph
+        watch = RestWatch(plant, scene_graph, [self.arm.iiwa, self.arm.gripper])
+        self._rest_watch, self._scene_graph = builder.AddNamedSystem("rest_watch", watch), scene_graph
+        connect_motion(builder, plant, watch)
         self._hold = Hold(plant, scene_graph)
         _export_camera(builder, plant, scene_graph, scenario)
-        _export_ages(builder)
+        for name in ("iiwa.age", "camera.age"):
+            age = builder.AddNamedSystem(name, ConstantVectorSource(np.zeros(1)))
+            builder.ExportOutput(age.get_output_port(), name)
         _export_truth(builder, plant, body.index())
         if meshcat is not None:
             MeshcatVisualizer.AddToBuilder(
@@ -100,10 +108,8 @@ class Station(PythonDiagram):
     def after_step(self, root: Context) -> None:
         """Hold the object while it lies still and nothing is near it; see `rest`.
 
-        For whoever runs a simulator, to be called after each of its steps. Without it a simulation is slower.
-
-        Args:
-            root: of the diagram that the station is in.
+        To be called after each step of a simulator, with the Context of the diagram that the station is in.
+        Without it a simulation is slower.
         """
         (at_rest,) = self._rest_watch.get_output_port().Eval(self._rest_watch.GetMyContextFromRoot(root))
         self._hold.set(self.plant, self._scene_graph, root, bool(at_rest))
@@ -112,27 +118,15 @@ class Station(PythonDiagram):
 def take_fixed_steps(simulator: Simulator) -> None:
     """Integrate what is continuous in a station, which is the arm's control, without error control.
 
-    It is the integral of an error that changes little between two steps of the plant; whatever looks at it
-    more often computes each time all that the arm is told.
+    It is the integral of an error that changes little between two steps of the plant; looking at it more
+    often would compute each time all that the arm is asked for.
     """
-    ResetIntegratorFromFlags(simulator, "explicit_euler", _LONGEST_STEP)
-
-
-def _watch_rest(
-    builder: DiagramBuilder, plant: MultibodyPlant, scene_graph: SceneGraph, arm: Arm
-) -> RestWatch:
-    watch = builder.AddNamedSystem("rest_watch", RestWatch(plant, scene_graph, [arm.iiwa, arm.gripper]))
-    builder.Connect(plant.get_body_poses_output_port(), watch.GetInputPort("body_poses"))
-    builder.Connect(
-        plant.get_body_spatial_velocities_output_port(), watch.GetInputPort("body_spatial_velocities")
-    )
-    return watch
+    ResetIntegratorFromFlags(simulator, "explicit_euler", 0.005)
 
 
 def _export_camera(
     builder: DiagramBuilder, plant: MultibodyPlant, scene_graph: SceneGraph, scenario: Scenario
 ) -> None:
-    """Pictures with noise, and where they were taken from."""
     camera = add_camera(builder, plant, scene_graph, scenario.camera)
     noise = builder.AddNamedSystem("depth_noise", DepthNoise(scenario.depth_noise, scenario.camera.rate))
     depth = add_depth_picture(builder, plant, scene_graph, scenario.camera, camera)
@@ -145,12 +139,6 @@ def _export_camera(
     builder.ExportOutput(place.get_output_port(), "camera.X_WC")
 
 
-def _export_ages(builder: DiagramBuilder) -> None:
-    for name in ("iiwa.age", "camera.age"):
-        age = builder.AddNamedSystem(name, ConstantVectorSource(np.zeros(1)))
-        builder.ExportOutput(age.get_output_port(), name)
-
-
 def _export_truth(builder: DiagramBuilder, plant: MultibodyPlant, body: BodyIndex) -> None:
     pose = builder.AddNamedSystem("object_pose", _BodyPose(body))
     builder.Connect(plant.get_body_poses_output_port(), pose.get_input_port())
@@ -159,8 +147,6 @@ def _export_truth(builder: DiagramBuilder, plant: MultibodyPlant, body: BodyInde
 
 
 class _BodyPose(PythonSystem):
-    """Picks one body's pose out of all."""
-
     def __init__(self, body: BodyIndex) -> None:
         super().__init__()
         self._body = body

@@ -9,8 +9,7 @@ from typing import Any
 from pydrake.common.value import Value
 from pydrake.systems.framework import Context, EventStatus, State
 
-from slipmap.diagrams.execution import ActivePush, ExecutionStatus
-from slipmap.diagrams.execution.requests import ActiveGrasp
+from slipmap.diagrams.execution.requests import ActiveGrasp, ActivePush, ExecutionStatus
 from slipmap.diagrams.systems.loop_messages import MOST_ATTEMPTS, LoopStatus, PregraspPlan
 from slipmap.diagrams.systems.python_system import PythonSystem, held, read, replace_held
 from slipmap.models.perception.seen_object import ObservedPose

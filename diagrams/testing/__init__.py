@@ -1,7 +1,7 @@
 """Scripted tests of a cell, real or its twin: see docs/hardware-tests.md.
 
-In pytest, `pytest_plugins = ["slipmap.diagrams.testing.pytest_plugin"]` in the outermost conftest.py gives the
-fixtures `cell`, `scenario`, `faults`, `explored` and `pushes`. Without pytest, `open_cell` gives the cell.
+In pytest, `pytest_plugins = ["slipmap.diagrams.testing.pytest_plugin"]` in the outermost conftest.py gives
+the fixtures `cell`, `scenario`, `faults`, `explored` and `pushes`. Without it, `open_cell` gives the cell.
 """
 
 from __future__ import annotations
@@ -19,34 +19,15 @@ if TYPE_CHECKING:
         assert_predicts,
         assert_quiet,
     )
-    from slipmap.diagrams.testing.cell import (
-        LOCKSTEP,
-        TWIN,
-        Cell,
-        Faults,
-        open_cell,
-        small_scenario,
-    )
+    from slipmap.diagrams.testing.cell import LOCKSTEP, TWIN, Cell, Faults, open_cell, small_scenario
     from slipmap.diagrams.testing.command_log import CommandLog
     from slipmap.diagrams.testing.faults import Fault
 
 __all__ = [
-    "LOCKSTEP",
-    "TWIN",
-    "Cell",
-    "CommandLog",
-    "Fault",
-    "Faults",
-    "assert_alarm",
-    "assert_better_than_uniform",
-    "assert_held",
-    "assert_limits_kept",
-    "assert_names",
-    "assert_predicts",
-    "assert_quiet",
-    "open_cell",
+    "LOCKSTEP", "TWIN", "Cell", "CommandLog", "Fault", "Faults", "assert_alarm", "assert_better_than_uniform",
+    "assert_held", "assert_limits_kept", "assert_names", "assert_predicts", "assert_quiet", "open_cell",
     "small_scenario",
-]
+]  # fmt: skip
 
 
 def __getattr__(name: str) -> Any:

@@ -1,4 +1,4 @@
-"""What a scripted test of a cell may ask for; where it is not so, the numbers are told push by push."""
+"""What a scripted test of a cell may ask for; where it is not so, the message has the numbers."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from slipmap.diagrams.hardware.guard_rules import GuardSettings
+from slipmap.diagrams.hardware.guard import GuardSettings
 from slipmap.diagrams.loops.exploration_run import ExplorationRun
 from slipmap.diagrams.loops.pregrasp_loop import PregraspRun
 from slipmap.diagrams.systems.model_monitor import LEVEL, Watch
@@ -19,7 +19,7 @@ _ROUNDING = 1e-3  # stamps have microseconds, of which 5 ms are 5000
 
 
 def assert_predicts(run: ExplorationRun | Identification, within: float, role: str = "heldout") -> None:
-    """Pushes that were not learned from end where they were predicted.
+    """Held-out pushes end where they were predicted.
 
     Args:
         run: what was learned.
@@ -36,7 +36,7 @@ def assert_predicts(run: ExplorationRun | Identification, within: float, role: s
 
 
 def assert_better_than_uniform(run: ExplorationRun | Identification, times: float = 1.0) -> None:
-    """Held-out pushes are predicted better, on average, than those of an object that is alike all over.
+    """Held-out pushes are predicted better, on average, than by the uniform object.
 
     Args:
         run: what was learned.

@@ -6,9 +6,9 @@ from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
-from slipmap.diagrams.hardware.guard_rules import GuardSettings
+from slipmap.diagrams.hardware.guard import GuardSettings
 from slipmap.diagrams.hardware.interface import HardwareInterface
 from slipmap.diagrams.hardware.network import open_lcm
 from slipmap.diagrams.loops.exploration_loop import LoopOptions
@@ -17,41 +17,28 @@ from slipmap.diagrams.loops.pregrasp_loop import BRINGS, PregraspOptions, Pregra
 from slipmap.diagrams.loops.run_folder import ExplorationRecord, PushRecord, resumed
 from slipmap.diagrams.station.scenario import Scenario
 from slipmap.diagrams.testing.command_log import CommandLog, CommandRecorder
-from slipmap.diagrams.testing.faults import Fault
+from slipmap.diagrams.testing.faults import Fault, RelayProcess
 from slipmap.diagrams.testing.lockstep import LockstepCell
-from slipmap.diagrams.testing.relay import RelayProcess
 from slipmap.diagrams.testing.twin_process import TwinProcess, free_url
 from slipmap.models.physics.cell_grid import FloatArray
 
 TWIN, LOCKSTEP = "twin", "lockstep"
 """The twin in a process of its own, and the one that steps together with what drives it."""
 
-UNHURT = GuardSettings(transit_speed=2.0)
-"""Guard of an arm that can do no harm, and so may go all its ways fast."""
-
-BUSY = replace(UNHURT, status_age=0.5, image_age=5.0, following=0.2, lag=1.0)
-"""Guard for a computer that does much else beside; not for a real arm."""
+# Guards: of an arm that can do no harm, and so may go all its ways fast; and the same for a computer that
+# does much else beside.
+_UNHURT = GuardSettings(transit_speed=2.0)
+_BUSY = replace(_UNHURT, status_age=0.5, image_age=5.0, following=0.2, lag=1.0)
 
 
 def small_scenario(where: str = TWIN) -> Scenario:
-    """A cell whose twin keeps up with real time on two cores.
-
-    Args:
-        where: `twin`, whose guard allows for a busy computer, or `lockstep`, which needs no such allowance.
-    """
+    """A cell whose twin keeps up with real time on two cores; the guard of `TWIN` allows for a busy one."""
     scenario = Scenario()
     scenario.simulation.time_step = 0.005
     # With 320 by 240 pixels hammer and wrench are not made out in every twentieth pose.
     scenario.camera = replace(scenario.camera, width=480, height_pixels=360, rate=5.0)
-    scenario.guard = replace(BUSY if where == TWIN else UNHURT)
+    scenario.guard = replace(_BUSY if where == TWIN else _UNHURT)
     return scenario
-
-
-class FaultsOnTheWay(Protocol):
-    """What lets faults happen."""
-
-    def order(self, fault: Fault) -> None:
-        """Let a fault begin."""
 
 
 @dataclass
@@ -64,7 +51,7 @@ class Faults:
 
     happened: list[Fault] = field(default_factory=list)
     _planned: list[tuple[str, int, Fault]] = field(default_factory=list)
-    _way: FaultsOnTheWay | None = None
+    _way: RelayProcess | LockstepCell | None = None
 
     def now(self, fault: Fault) -> None:
         """Let a fault begin now.
@@ -94,7 +81,7 @@ class Faults:
         self._planned.append((doing, push, fault))
 
     def look(self, stage: str, done: int) -> None:
-        """Let begin what was planned for a stage of the run, as `explore` tells it."""
+        """Let begin what was planned for a stage of the run, as `explore` names it."""
         for planned in list(self._planned):
             doing, push, fault = planned
             words = {DOING.get(doing), BRINGS.get(doing)} - {None}
@@ -109,7 +96,6 @@ class Cell:
     Attributes:
         scenario: what the cell is like; of a twin also what it hides.
         folder: where recordings go, a folder for each thing the robot did.
-        is_real: whether there is a real arm.
         faults: what is to go wrong.
     """
 
@@ -117,12 +103,10 @@ class Cell:
         self,
         scenario: Scenario,
         folder: Path,
-        url: str | None,
-        *,
-        is_real: bool,
-        recorder: CommandRecorder | None,
+        url: str | None = None,
+        recorder: CommandRecorder | None = None,
     ) -> None:
-        self.scenario, self.folder, self.is_real = scenario, folder, is_real
+        self.scenario, self.folder = scenario, folder
         self.faults = Faults()
         self._url, self._recorder = url, recorder
         self._positions: FloatArray | None = None
@@ -196,7 +180,6 @@ class Cell:
 
     @contextmanager
     def _driven(self) -> Iterator[str | HardwareInterface]:
-        """Where the cell is while the robot works."""
         if self._url is not None:
             yield self._url
             return
@@ -229,17 +212,16 @@ def open_cell(
     scenario = scenario or small_scenario(where)
     folder.mkdir(parents=True, exist_ok=True)
     if where == LOCKSTEP:
-        yield Cell(scenario, folder, None, is_real=False, recorder=None)
+        yield Cell(scenario, folder)
         return
-    is_real = where != TWIN
     with ExitStack() as processes:
         url = where
-        if is_real:
-            open_lcm(url)  # refuses a malformed address
-        else:
+        if where == TWIN:
             twin = TwinProcess(scenario, folder)
             processes.callback(twin.close)
             url = twin.url
+        else:
+            open_lcm(url)  # refuses a malformed address
         relay = None
         if faulty:
             beyond, url = url, free_url()
@@ -247,6 +229,6 @@ def open_cell(
             processes.callback(relay.close)
         recorder = CommandRecorder(url, folder / "commands.bin")
         processes.callback(recorder.close)
-        cell = Cell(scenario, folder, url, is_real=is_real, recorder=recorder)
+        cell = Cell(scenario, folder, url, recorder)
         cell.faults._way = relay
         yield cell

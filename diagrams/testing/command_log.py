@@ -1,15 +1,10 @@
-"""All commands that the arm was sent, and how fast they asked it to move.
-
-As a process it is started as `python -m slipmap.diagrams.testing.command_log URL FILE`, and writes commands
-to a file until its standard input ends.
-"""
+"""All commands that the arm was sent, and how fast they asked it to move."""
 
 from __future__ import annotations
 
 import os
 import select
 import sys
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -18,13 +13,10 @@ import numpy as np
 from drake import lcmt_iiwa_command
 
 from slipmap.diagrams.execution.finger_kinematics import FingerKinematics
-from slipmap.diagrams.hardware.channels import IIWA_COMMAND, HardwareError
 from slipmap.diagrams.hardware.child import Child, be_ready
-from slipmap.diagrams.hardware.network import open_lcm
+from slipmap.diagrams.hardware.network import IIWA_COMMAND, LOOK_EVERY, open_lcm
 from slipmap.diagrams.station.arm import arm_model
 from slipmap.models.physics.cell_grid import FloatArray
-
-_LOOK_EVERY = 1e-3  # s
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,30 +53,22 @@ class CommandLog:
         return np.linalg.norm(np.diff(tips, axis=0), axis=1) / np.diff(self.times)
 
 
-class CommandRecorder:
-    """The process that writes them down; `close` ends it.
+class CommandRecorder(Child):
+    """A process that hears commands and writes them to a file; `close` ends it.
 
     Args:
         url: LCM address at which the commands are heard.
         path: of the file.
-
-    Raises:
-        HardwareError: it could not be started.
     """
 
     def __init__(self, url: str, path: Path) -> None:
         self._path = path
-        self._child = Child("the process that records commands", __name__, url, str(path))
-        self._child.wait_until_ready()
+        super().__init__("the process that records commands", _record, url, str(path))
 
     def log(self) -> CommandLog:
         """All commands until a moment ago."""
         data = self._path.read_bytes()
         return CommandLog.of(np.frombuffer(data[: len(data) // 64 * 64], "<f8"))
-
-    def close(self) -> None:
-        """Hear no more."""
-        self._child.close()
 
 
 def row_of(data: bytes) -> list[float]:
@@ -93,26 +77,17 @@ def row_of(data: bytes) -> list[float]:
     return [1e-6 * command.utime, *command.joint_position]
 
 
-def main(url: str, path: str) -> None:
-    """Write commands until the standard input ends."""
+def _record(url: str, path: str) -> None:
     source = sys.stdin.fileno()
     with open(path, "wb", buffering=0) as file:
-        hear: Callable[[bytes], None] = lambda data: _write(file.fileno(), data)  # noqa: E731
+
+        def hear(data: bytes) -> None:
+            file.write(np.array(row_of(data), "<f8").tobytes())
+
         lcm = open_lcm(url)
         lcm.Subscribe(IIWA_COMMAND, hear)
         be_ready()
         while True:
-            if select.select([source], [], [], _LOOK_EVERY)[0] and not os.read(source, 1):
+            if select.select([source], [], [], LOOK_EVERY)[0] and not os.read(source, 1):
                 return
             lcm.HandleSubscriptions(0)
-
-
-def _write(file: int, data: bytes) -> None:
-    os.write(file, np.array(row_of(data), "<f8").tobytes())
-
-
-if __name__ == "__main__":
-    try:
-        main(*sys.argv[1:])
-    except HardwareError as failure:
-        sys.exit(f"slipmap: {failure}")

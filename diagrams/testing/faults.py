@@ -1,19 +1,30 @@
-"""Faults on the way between a cell and what drives it, message by message."""
+"""Faults on the way between a cell and what drives it, and the relay that lets them happen."""
 
 from __future__ import annotations
 
+import json
+import os
+import select
+import sys
+import time
 import zlib
 from collections import deque
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
 from drake import lcmt_iiwa_status, lcmt_image, lcmt_image_array
 from numpy.typing import NDArray
+from pydrake.lcm import DrakeLcmInterface
 
-from slipmap.diagrams.hardware import channels
+from slipmap.diagrams.hardware import network
+from slipmap.diagrams.hardware.child import Child, be_ready
+from slipmap.diagrams.systems.python_system import weakly
 
-Rows = NDArray[np.float32]
+_Rows = NDArray[np.float32]
+
 KINDS: dict[str, tuple[str, ...]] = {
     "status": ("stop", "delay", "repeat", "jump", "back"),
     "pictures": ("stop", "delay", "freeze", "zeros", "nans", "rubbish", "torn"),
@@ -22,20 +33,17 @@ KINDS: dict[str, tuple[str, ...]] = {
 }
 """What can go wrong, by what it goes wrong with."""
 
-FROM_CELL = (
-    channels.IIWA_STATUS,
-    channels.GRIPPER_STATUS,
-    channels.CAMERA_DEPTH,
-    channels.CAMERA_COLOR,
-    channels.CAMERA_POSE,
-)
-TO_CELL = (channels.IIWA_COMMAND, channels.GRIPPER_COMMAND)
+_FROM_CELL = (
+    network.IIWA_STATUS, network.GRIPPER_STATUS,
+    network.CAMERA_DEPTH, network.CAMERA_COLOR, network.CAMERA_POSE,
+)  # fmt: skip
+_TO_CELL = (network.IIWA_COMMAND, network.GRIPPER_COMMAND)
 
 _CHANNEL = {
-    "status": channels.IIWA_STATUS,
-    "pictures": channels.CAMERA_DEPTH,
-    "arm": channels.IIWA_COMMAND,
-    "gripper": channels.GRIPPER_COMMAND,
+    "status": network.IIWA_STATUS,
+    "pictures": network.CAMERA_DEPTH,
+    "arm": network.IIWA_COMMAND,
+    "gripper": network.GRIPPER_COMMAND,
 }
 _STATUSES_KEPT = 400  # that can come again, backwards
 
@@ -113,7 +121,7 @@ class Link:
         self._begin = np.inf
         self._sent: deque[bytes] = deque(
             # Pictures are large; of them only the last one can come again.
-            maxlen=_STATUSES_KEPT if channel == channels.IIWA_STATUS else 1
+            maxlen=_STATUSES_KEPT if channel == network.IIWA_STATUS else 1
         )
         self._frozen: bytes | None = None
         self._late: deque[tuple[float, bytes]] = deque()
@@ -128,13 +136,11 @@ class Link:
 
     def through(self, data: bytes, now: float) -> bytes | None:
         """What comes out, at once, of a message that goes in; None where nothing does."""
-        come: bytes | None = data
         if self.faulty(now):
             assert self._fault is not None
-            come = self._spoilt(self._fault, data, now)
-        else:
-            self._sent.append(data)
-        return come
+            return self._spoilt(self._fault, data, now)
+        self._sent.append(data)
+        return data
 
     def due(self, now: float) -> list[bytes]:
         """Late messages whose time has come."""
@@ -163,6 +169,77 @@ class Link:
         return _spoilt_picture(fault, data, before, round(1e3 * now))
 
 
+class Relay:
+    """Two connections and the links between them.
+
+    Args:
+        cell: where the cell is.
+        driver: where what drives it is.
+        clock: gives the time, s; it does not go back.
+    """
+
+    def __init__(
+        self, cell: DrakeLcmInterface, driver: DrakeLcmInterface, clock: Callable[[], float]
+    ) -> None:
+        self._clock = clock
+        self._links: dict[str, tuple[Link, DrakeLcmInterface]] = {}
+        for heard, other, names in ((cell, driver, _FROM_CELL), (driver, cell, _TO_CELL)):
+            for channel in names:
+                self._links[channel] = (Link(channel), other)
+                heard.Subscribe(channel, partial(weakly(self._pass), channel))
+
+    def order(self, fault: Fault) -> None:
+        """Let a fault begin."""
+        self._links[fault.channel][0].order(fault, self._clock())
+
+    def flush(self) -> None:
+        """Pass on the late messages whose time has come; to be called often."""
+        for channel, (link, other) in self._links.items():
+            for data in link.due(self._clock()):
+                other.Publish(channel, data)
+
+    def _pass(self, channel: str, data: bytes) -> None:
+        link, other = self._links[channel]
+        come = link.through(data, self._clock())
+        if come is not None:
+            other.Publish(channel, come)
+
+
+class RelayProcess(Child):
+    """The relay in a process of its own; once `close` ended it, no message passes any more.
+
+    Args:
+        cell_url, driver_url: LCM addresses, see `network.open_lcm`.
+    """
+
+    def __init__(self, cell_url: str, driver_url: str) -> None:
+        super().__init__("the relay between cell and test", _relay, cell_url, driver_url)
+
+    def order(self, fault: Fault) -> None:
+        """Let a fault begin."""
+        self.write(json.dumps(asdict(fault)).encode() + b"\n")
+
+
+def _relay(cell_url: str, driver_url: str) -> None:
+    """Pass messages, and take faults from the standard input until that ends."""
+    cell, driver = network.open_lcm(cell_url), network.open_lcm(driver_url)
+    relay = Relay(cell, driver, time.monotonic)
+    source, said = sys.stdin.fileno(), b""
+    be_ready()
+    while True:
+        if select.select([source], [], [], network.LOOK_EVERY)[0]:
+            data = os.read(source, 1 << 16)
+            if not data:
+                return
+            *lines, said = (said + data).split(b"\n")
+            for line in lines:
+                fault = json.loads(line)
+                relay.order(Fault(**{**fault, "band": tuple(fault["band"])}))
+        cell.HandleSubscriptions(0)
+        driver.HandleSubscriptions(0)
+        relay.flush()
+
+
 def _stamped_like(old: bytes, new: bytes, of: str) -> bytes:
     if of == "status":
         status = lcmt_iiwa_status.decode(old)
@@ -183,13 +260,13 @@ def _spoilt_picture(fault: Fault, data: bytes, before: bytes, seed: int) -> byte
     return bytes(array.encode())
 
 
-def _rows(image: Any) -> Rows:
+def _rows(image: Any) -> _Rows:
     packed = image.compression_method == lcmt_image.COMPRESSION_METHOD_ZLIB
     pixels = zlib.decompress(image.data) if packed else bytes(image.data)
     return np.frombuffer(pixels, "<f4").reshape(image.height, image.width)
 
 
-def spoilt_rows(kind: str, rows: Rows, before: Rows, band: tuple[float, float], seed: int) -> Rows:
+def spoilt_rows(kind: str, rows: _Rows, before: _Rows, band: tuple[float, float], seed: int) -> _Rows:
     """A depth picture some of whose rows are wrong.
 
     Args:

@@ -7,18 +7,15 @@ from collections.abc import Callable
 
 import numpy as np
 from pydrake.lcm import DrakeLcm
-from pydrake.math import RigidTransform
 from pydrake.systems.framework import Context, DiagramBuilder, EventStatus
 
-from slipmap.diagrams.hardware import channels
-from slipmap.diagrams.hardware.checked_messages import Received
-from slipmap.diagrams.hardware.interface import PATIENCE, HardwareInterface
+from slipmap.diagrams.hardware import network
+from slipmap.diagrams.hardware.interface import PATIENCE, HardwareInterface, export_outputs
 from slipmap.diagrams.hardware.twin import CellTwin
 from slipmap.diagrams.station.scenario import Scenario
 from slipmap.diagrams.systems.python_system import PythonDiagram, PythonSystem, weakly
 from slipmap.diagrams.testing.command_log import CommandLog, row_of
-from slipmap.diagrams.testing.faults import Fault
-from slipmap.diagrams.testing.relay import Relay
+from slipmap.diagrams.testing.faults import Fault, Relay
 from slipmap.models.physics.cell_grid import FloatArray
 
 
@@ -45,7 +42,7 @@ class LockstepCell(PythonDiagram):
         self._positions = positions
         self._root: Context | None = None
         self._commands = array("d")
-        driver.Subscribe(channels.IIWA_COMMAND, weakly(self._write_down))
+        driver.Subscribe(network.IIWA_COMMAND, weakly(self._write_down))
         builder = DiagramBuilder()
         self.twin: CellTwin = builder.AddSystem(CellTwin(scenario, cell))
         self._clock = builder.AddSystem(_Clock())
@@ -57,9 +54,7 @@ class LockstepCell(PythonDiagram):
         for index in range(self._interface.num_input_ports()):
             port = self._interface.get_input_port(index)
             builder.ExportInput(port, port.get_name())
-        for index in range(self._interface.num_output_ports()):
-            port = self._interface.get_output_port(index)
-            builder.ExportOutput(port, port.get_name())
+        export_outputs(builder, self._interface)
         builder.BuildInto(self)
         self.set_name("station")
 
@@ -84,10 +79,6 @@ class LockstepCell(PythonDiagram):
         """See `HardwareInterface.abort`."""
         self._interface.abort()
 
-    def received(self, root: Context) -> dict[str, Received]:
-        """See `HardwareInterface.received`."""
-        return self._interface.received(root)
-
     def order(self, fault: Fault) -> None:
         """Let a fault begin."""
         self._relay.order(fault)
@@ -106,11 +97,6 @@ class LockstepCell(PythonDiagram):
         """Of the twin's plant, with which another one can go on; None before it was connected."""
         return self._positions if self._root is None else self._now()
 
-    def X_WO(self, root: Context) -> RigidTransform:
-        """True pose of the object."""
-        station = self.twin.station
-        return station.GetOutputPort("truth.object_pose").Eval(station.GetMyContextFromRoot(root))
-
     def _write_down(self, command: bytes) -> None:
         self._commands.extend(row_of(command))
 
@@ -125,7 +111,7 @@ class LockstepCell(PythonDiagram):
 
 
 class _Clock(PythonSystem):
-    """Tells the time of the diagram to those who are no part of it."""
+    """Shows the time of the diagram to those who are no part of it."""
 
     def __init__(self) -> None:
         super().__init__()

@@ -1,8 +1,4 @@
-"""A twin of a cell in a process of its own, for as long as a test needs it.
-
-It is started as `python -m slipmap.diagrams.testing.twin_process URL SCENARIO`, and ends when its standard
-input does.
-"""
+"""A twin of a cell in a process of its own, for as long as a test needs it."""
 
 from __future__ import annotations
 
@@ -15,33 +11,25 @@ from pathlib import Path
 
 from pydrake.common.yaml import yaml_dump_typed
 
-from slipmap.diagrams.hardware.channels import HardwareError
 from slipmap.diagrams.hardware.child import Child, be_ready
+from slipmap.diagrams.hardware.network import HardwareError
 from slipmap.diagrams.station.scenario import Scenario
 
 
-class TwinProcess:
-    """The process; `close` ends it. It tells on the standard error whether it keeps up with real time.
+class TwinProcess(Child):
+    """The process; `close` ends it. It says on the standard error whether it keeps up with real time.
 
     Args:
         scenario: what the cell is like.
         folder: in which the scenario is left for it.
         url: where it can be reached; one of its own on this computer if None.
-
-    Raises:
-        HardwareError: it could not be started; it says why on the standard error.
     """
 
     def __init__(self, scenario: Scenario, folder: Path, url: str | None = None) -> None:
         self.url = url or free_url()
         path = folder / "cell.yaml"
         path.write_text(yaml_dump_typed(scenario), encoding="utf-8")
-        self._child = Child("the twin", __name__, self.url, str(path))
-        self._child.wait_until_ready()
-
-    def close(self) -> None:
-        """End it."""
-        self._child.close()
+        super().__init__("the twin", _run, self.url, str(path))
 
 
 def free_url() -> str:
@@ -51,9 +39,9 @@ def free_url() -> str:
         return f"udpm://239.255.76.67:{probe.getsockname()[1]}?ttl=0"
 
 
-def main(url: str, path: str) -> None:
-    """Run the twin until the standard input ends."""
+def _run(url: str, path: str) -> None:
     from slipmap.diagrams.hardware.twin import TwinReport, report_words, run_twin
+    from slipmap.diagrams.perception.renderer import RendererUnavailable
     from slipmap.diagrams.station.scenario import read_settings
 
     def report(now: TwinReport) -> None:
@@ -68,13 +56,7 @@ def main(url: str, path: str) -> None:
 
     threading.Thread(target=end_with_input, daemon=True).start()
     signal.signal(signal.SIGINT, signal.default_int_handler)
-    run_twin(read_settings(path, Scenario), url, report)
-
-
-if __name__ == "__main__":
-    from slipmap.diagrams.perception.renderer import RendererUnavailable
-
     try:
-        main(*sys.argv[1:])
-    except (HardwareError, RendererUnavailable, ValueError) as failure:
-        sys.exit(f"slipmap: {failure}")
+        run_twin(read_settings(path, Scenario), url, report)
+    except (RendererUnavailable, ValueError) as failure:
+        raise HardwareError(str(failure)) from failure

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from slipmap.diagrams.application.terminal import status
-from slipmap.diagrams.hardware import channels
+from slipmap.diagrams.hardware import network
 from slipmap.diagrams.hardware.message_stream import TICK, Event, LogReader
 from slipmap.diagrams.loops.push_listener import HEARD, PushListener, hearing, record_pushes, why_none
 from slipmap.models.measurements import PushDataset, read_dataset
@@ -46,7 +46,7 @@ class Recorded:
 def recorded(cell, tmp_path_factory) -> Recorded:
     """Pictures were under way for 70 ms, there was junk on every channel, and some messages were left out."""
     slow = [
-        replace(event, utime=event.utime + 70_000 * (event.channel == channels.CAMERA_DEPTH))
+        replace(event, utime=event.utime + 70_000 * (event.channel == network.CAMERA_DEPTH))
         for event in cell.events()
     ]
     events = []
@@ -123,7 +123,7 @@ def test_a_picture_counts_at_its_stamp_however_late_it_comes(cell, listener, dat
 
 def messages(listener: PushListener, times: np.ndarray) -> np.ndarray:
     """(n,) numbers of the arm's messages at times of the trial; it begins with the descent."""
-    return np.round((listener.descents[0].begin + times) / channels.ARM_PERIOD).astype(int) + FIRST
+    return np.round((listener.descents[0].begin + times) / network.ARM_PERIOD).astype(int) + FIRST
 
 
 def test_junk_is_counted(listener):
@@ -131,7 +131,7 @@ def test_junk_is_counted(listener):
     count = came["ELSE"].count
     assert count > 5
     assert all(came[channel].dropped == {"cannot be decoded": count} for channel in HEARD)
-    assert came[channels.IIWA_STATUS].rate == pytest.approx(200.0, rel=0.01)
+    assert came[network.IIWA_STATUS].rate == pytest.approx(200.0, rel=0.01)
 
 
 def test_without_messages_it_is_told_what_is_missing():
@@ -172,7 +172,7 @@ def test_replay_tells_of_the_lag_and_leaves_what_exploring_leaves(slipmap, tmp_p
             Event(0, 1, "CAMERA_DEPTH", b"x" * 50).encode() + b"x" * 60,
             "is damaged after 1 messages, at byte 90",
         ),
-        (Event(0, 1_000, channels.GRIPPER_STATUS, gripper(0.0)).encode(), "on IIWA_STATUS, CAMERA_DEPTH"),
+        (Event(0, 1_000, network.GRIPPER_STATUS, gripper(0.0)).encode(), "on IIWA_STATUS, CAMERA_DEPTH"),
     ],
 )
 def test_logs_without_pushes_are_bad_input_told_in_a_paragraph(slipmap, tmp_path, content, why):

@@ -16,7 +16,7 @@ import yaml
 from page_examples import Example, examples_of, read_closely
 
 from slipmap.diagrams.application.command_line import slipmap
-from slipmap.diagrams.hardware.channels import LCM_URL
+from slipmap.diagrams.hardware.network import LCM_URL
 from slipmap.diagrams.testing import Cell, Faults
 from slipmap.models.effects import Effect
 from slipmap.models.effects.effect_checks import check_effect

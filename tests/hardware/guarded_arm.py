@@ -10,12 +10,11 @@ from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder, EventStatus
 from pydrake.systems.primitives import ConstantValueSource
 
-from slipmap.diagrams.execution import ActivePush
 from slipmap.diagrams.execution.finger_kinematics import FingerKinematics
 from slipmap.diagrams.execution.push_executor import PushExecutor
+from slipmap.diagrams.execution.requests import ActivePush
 from slipmap.diagrams.execution.settings import ExecutionConfig
-from slipmap.diagrams.hardware.guard import CommandGuard
-from slipmap.diagrams.hardware.guard_rules import PERIOD, GuardSettings
+from slipmap.diagrams.hardware.guard import PERIOD, CommandGuard, GuardSettings
 from slipmap.diagrams.station.arm import arm_model
 from slipmap.planners.table_push import TablePush
 from tests.hardware.faults import FollowingArm, StatusLink

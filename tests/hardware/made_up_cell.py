@@ -15,9 +15,9 @@ from drake import (
 )
 
 from slipmap.diagrams.execution.finger_kinematics import FingerKinematics
-from slipmap.diagrams.execution.plans import plan_push
+from slipmap.diagrams.execution.plans import ArmPlanner
 from slipmap.diagrams.execution.settings import ExecutionConfig
-from slipmap.diagrams.hardware import channels
+from slipmap.diagrams.hardware import network
 from slipmap.diagrams.hardware.message_stream import Event
 from slipmap.diagrams.perception.camera import CameraConfig
 from slipmap.diagrams.station.arm import arm_model
@@ -65,13 +65,13 @@ class MadeUpCell:
     def __post_init__(self) -> None:
         self._kinematics = FingerKinematics(arm_model())
         home = self._kinematics.inverse(HOME_TIP)
-        self.plan = plan_push(self._kinematics, self.push, home, home, ExecutionConfig())
+        self.plan = ArmPlanner(self._kinematics, ExecutionConfig(), home).push(self.push, home)
         self.duration = BEFORE + self.plan.duration + AFTER
         self._scene = Scene()
         camera = scenario().camera
         self._X_WC = camera.X_WC
         self._scene.view = View(camera.intrinsics, self._X_WC.GetAsMatrix4())
-        self._times = np.arange(0.0, self.duration, channels.ARM_PERIOD)
+        self._times = np.arange(0.0, self.duration, network.ARM_PERIOD)
         self._q = np.array([self.plan.at(max(t - BEFORE, 0.0))[1] for t in self._times])
         self.tips = np.array([self._kinematics.pose(q).translation() for q in self._q])
         along, aside = self.tips[:, :2] @ AHEAD, self.tips[:, :2] @ [-AHEAD[1], AHEAD[0]]
@@ -85,13 +85,13 @@ class MadeUpCell:
         """All messages, in the order in which they come."""
         timed: list[tuple[float, str, bytes]] = []
         for k, time in enumerate(self._times):
-            timed.append((time, channels.IIWA_STATUS, self._status(k)))
-        for time in np.arange(0.0, self.duration, channels.GRIPPER_PERIOD):
-            timed.append((time, channels.GRIPPER_STATUS, gripper(time)))
+            timed.append((time, network.IIWA_STATUS, self._status(k)))
+        for time in np.arange(0.0, self.duration, network.GRIPPER_PERIOD):
+            timed.append((time, network.GRIPPER_STATUS, gripper(time)))
         for time in np.arange(0.0, self.duration - self.late, 0.1):
             then = time + self.late
-            timed.append((then, channels.CAMERA_POSE, self._pose(then)))
-            timed.append((then, channels.CAMERA_DEPTH, self._picture(time, then)))
+            timed.append((then, network.CAMERA_POSE, self._pose(then)))
+            timed.append((then, network.CAMERA_DEPTH, self._picture(time, then)))
         timed.sort(key=lambda row: row[0])
         return [
             Event(number, _ARRIVED + round(1e6 * time), channel, data)

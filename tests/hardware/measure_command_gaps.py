@@ -29,8 +29,8 @@ from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import ConstantValueSource, ConstantVectorSource
 
 from slipmap.diagrams.application.demonstration import simulated_hammer
-from slipmap.diagrams.hardware.channels import ARM_PERIOD, IIWA_COMMAND
 from slipmap.diagrams.hardware.interface import HardwareInterface
+from slipmap.diagrams.hardware.network import ARM_PERIOD, IIWA_COMMAND
 from slipmap.diagrams.station.arm import HOME
 from slipmap.diagrams.station.scenario import Scenario
 from slipmap.diagrams.systems.identification import Identification

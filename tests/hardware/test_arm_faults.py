@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from slipmap.diagrams.hardware.guard import CommandGuard
-from slipmap.diagrams.hardware.guard_rules import PERIOD, GuardSettings
+from slipmap.diagrams.hardware.guard import PERIOD, CommandGuard, GuardSettings
 from slipmap.diagrams.station.arm import HOME
 from slipmap.diagrams.systems.python_system import PythonSystem
 from slipmap.models.robots import ACCELERATION_LIMITS, POSITION_LIMITS, SPEED_LIMITS

@@ -2,7 +2,7 @@
 
 import pytest
 
-from slipmap.diagrams.hardware.guard_rules import GuardSettings
+from slipmap.diagrams.hardware.guard import GuardSettings
 from slipmap.diagrams.loops.exploration_run import ExplorationFailed
 from slipmap.diagrams.testing import Fault, assert_limits_kept
 

@@ -13,7 +13,7 @@ from click.core import ParameterSource
 
 from slipmap.diagrams.application.outputs import check_output
 from slipmap.diagrams.application.terminal import Progress, note
-from slipmap.diagrams.hardware.channels import LCM_URL
+from slipmap.diagrams.hardware.network import LCM_URL
 
 if TYPE_CHECKING:
     from slipmap.models.effects.effect import Effect

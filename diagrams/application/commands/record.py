@@ -49,8 +49,8 @@ def record(
     it. Every fourth push is held out to judge by. It runs until Ctrl-C, and then tells by how much the camera
     is late.
     """
-    from slipmap.diagrams.hardware.channels import GRIPPER_COMMAND, IIWA_COMMAND, HardwareError
     from slipmap.diagrams.hardware.message_stream import MessageStream
+    from slipmap.diagrams.hardware.network import GRIPPER_COMMAND, IIWA_COMMAND, HardwareError
     from slipmap.diagrams.loops.push_listener import (
         HEARD,
         PushListener,

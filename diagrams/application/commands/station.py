@@ -26,8 +26,7 @@ def station(url: str, scenario_file: Path | None, object_name: str | None) -> No
     gripper and a depth camera do, so that `slipmap explore --hardware` in another process cannot tell the
     difference. It runs until Ctrl-C. Every ten seconds it tells whether it keeps up with real time.
     """
-    from slipmap.diagrams.hardware.channels import HardwareError
-    from slipmap.diagrams.hardware.network import address_settings
+    from slipmap.diagrams.hardware.network import HardwareError, address_settings
     from slipmap.diagrams.hardware.twin import dropped_words, report_words, run_twin
     from slipmap.diagrams.perception.renderer import RendererUnavailable
 

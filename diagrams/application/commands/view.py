@@ -103,7 +103,7 @@ def in_view(show: bool, recording: Path | None) -> Iterator[tuple[Meshcat | None
     Raises:
         BadInput: this machine cannot render pictures, or the scenario or the real cell cannot be had.
     """
-    from slipmap.diagrams.hardware.channels import HardwareError
+    from slipmap.diagrams.hardware.network import HardwareError
     from slipmap.diagrams.perception.renderer import RendererUnavailable
     from slipmap.diagrams.station.scenario import ScenarioError
 

@@ -8,9 +8,8 @@ from pydrake.multibody.plant import AddMultibodyPlant
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
 
-from slipmap.diagrams.execution import ActivePush
 from slipmap.diagrams.execution.push_executor import PushExecutor
-from slipmap.diagrams.execution.requests import ActiveGrasp
+from slipmap.diagrams.execution.requests import ActiveGrasp, ActivePush
 from slipmap.diagrams.station.arm import HOME, add_arm, add_arm_drivers, arm_model
 from slipmap.diagrams.station.sliding_object import BODY, add_sliding_object, plant_config, resting_pose
 from slipmap.diagrams.station.table import ROUND_TABLE, TABLE_FRICTION, add_table

@@ -9,7 +9,7 @@ import pytest
 from slipmap.diagrams.execution.clearance import ArmClearance, Obstacle
 from slipmap.diagrams.execution.finger_kinematics import FingerKinematics
 from slipmap.diagrams.execution.motion import MotionRefused
-from slipmap.diagrams.execution.plans import CLEAR, CLOSE, LIFT, plan_grasp
+from slipmap.diagrams.execution.plans import CLEAR, CLOSE, LIFT, ArmPlanner
 from slipmap.diagrams.execution.requests import ActiveGrasp
 from slipmap.diagrams.execution.settings import ExecutionConfig
 from slipmap.diagrams.station.arm import HOME, arm_model
@@ -52,7 +52,7 @@ def clearance():
 @pytest.fixture(scope="module")
 def planned(kinematics, clearance):
     request = at_rim(130)
-    return request, plan_grasp(kinematics, clearance, request, HOME, ExecutionConfig())
+    return request, ArmPlanner(kinematics, ExecutionConfig(), HOME).grasp(clearance, request, HOME)
 
 
 def phase_of(plan, mode):
@@ -126,24 +126,24 @@ def test_nothing_is_touched_on_the_way(planned, clearance):
 
 @pytest.mark.parametrize("degrees", [110, 155, -120])
 def test_the_near_half_of_the_rim_is_served(kinematics, clearance, degrees):
-    plan_grasp(kinematics, clearance, at_rim(degrees), HOME, ExecutionConfig())
+    ArmPlanner(kinematics, ExecutionConfig(), HOME).grasp(clearance, at_rim(degrees), HOME)
 
 
 def test_the_far_side_is_out_of_reach(kinematics, clearance):
     with pytest.raises(MotionRefused, match=r"pointing to 200 degrees: this is out of the arm's reach"):
-        plan_grasp(kinematics, clearance, at_rim(20), HOME, ExecutionConfig())
+        ArmPlanner(kinematics, ExecutionConfig(), HOME).grasp(clearance, at_rim(20), HOME)
 
 
 def test_a_gripper_that_would_touch_the_table_is_refused(kinematics, clearance):
     request = at_rim(130)
     deep = replace(request, grasp=replace(GRASP, tip=np.array([0.06, 0.0])))
     with pytest.raises(MotionRefused, match=r"while coming in the arm would be -?\d+ mm from something"):
-        plan_grasp(kinematics, clearance, deep, HOME, ExecutionConfig())
+        ArmPlanner(kinematics, ExecutionConfig(), HOME).grasp(clearance, deep, HOME)
 
 
 def test_same_grasp_same_plan_to_the_bit(planned, kinematics, clearance):
     request, plan = planned
-    again = plan_grasp(kinematics, clearance, request, HOME, ExecutionConfig())
+    again = ArmPlanner(kinematics, ExecutionConfig(), HOME).grasp(clearance, request, HOME)
     assert again.duration == plan.duration
     for time in np.linspace(0, plan.duration, 10):
         np.testing.assert_array_equal(again.at(time)[1], plan.at(time)[1])

@@ -5,7 +5,7 @@ import pytest
 
 from slipmap.diagrams.execution.finger_kinematics import FingerKinematics
 from slipmap.diagrams.execution.motion import MotionRefused
-from slipmap.diagrams.execution.plans import plan_push, plan_retreat
+from slipmap.diagrams.execution.plans import ArmPlanner
 from slipmap.diagrams.execution.settings import ExecutionConfig
 from slipmap.diagrams.station.arm import HOME, arm_model
 from slipmap.models.robots import ACCELERATION_LIMITS, POSITION_LIMITS, SPEED_LIMITS
@@ -20,7 +20,7 @@ def kinematics():
 
 
 def plan(kinematics, begin, end, speed=0.1, config=CONFIG):
-    return plan_push(kinematics, TablePush(begin, end, speed), HOME, HOME, config)
+    return ArmPlanner(kinematics, config, HOME).push(TablePush(begin, end, speed), HOME)
 
 
 def phase_of(a_plan, mode):
@@ -38,7 +38,7 @@ def random_pushes(number):
 
 @pytest.mark.parametrize("push", list(random_pushes(12)))
 def test_pushes_in_the_middle_of_the_table_can_be_made(kinematics, push):
-    made = plan_push(kinematics, push, HOME, HOME, CONFIG)
+    made = ArmPlanner(kinematics, CONFIG, HOME).push(push, HOME)
     q = np.array([made.at(time)[1] for time in np.arange(0, made.duration, 0.005)])
     assert np.all(np.abs(q) <= POSITION_LIMITS)
     speed = np.diff(q, axis=0) / 0.005
@@ -109,7 +109,7 @@ def test_a_way_that_would_sweep_the_table_is_refused(kinematics):
     with pytest.raises(
         MotionRefused, match=r"the gripper would come down to 0\.03\d m, at least 0\.080 m are safe"
     ):
-        plan_push(kinematics, TablePush([0.2, 0.1], [0.25, 0.1], 0.1), HOME, low, CONFIG)
+        ArmPlanner(kinematics, CONFIG, low).push(TablePush([0.2, 0.1], [0.25, 0.1], 0.1), HOME)
 
 
 def test_a_push_past_a_change_of_the_nearest_posture_can_be_made(kinematics):
@@ -133,7 +133,7 @@ def test_retreat_stops_within_the_limits_lifts_and_goes_home(kinematics):
     begin = sum(phase.duration for phase in made.phases[:2])
     q, speed = made.motion(begin + 0.6)
     assert np.linalg.norm(kinematics.jacobian(q)[3:] @ speed) == pytest.approx(0.1, rel=0.02)
-    retreat = plan_retreat(kinematics, q, speed, HOME, CONFIG)
+    retreat = ArmPlanner(kinematics, CONFIG, HOME).retreat(q, speed)
     step = 1e-3
     log = np.array([retreat.at(time)[1] for time in np.arange(0, retreat.duration + 0.1, step)])
     np.testing.assert_allclose((log[1] - log[0]) / step, speed, atol=0.02)

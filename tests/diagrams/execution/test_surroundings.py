@@ -12,7 +12,7 @@ from pydrake.systems.framework import DiagramBuilder
 from slipmap.diagrams.execution.clearance import APART, ArmClearance, Obstacle, Surroundings
 from slipmap.diagrams.execution.finger_kinematics import FingerKinematics
 from slipmap.diagrams.execution.motion import MotionRefused
-from slipmap.diagrams.execution.plans import plan_push
+from slipmap.diagrams.execution.plans import ArmPlanner
 from slipmap.diagrams.execution.push_executor import PERIOD, PushExecutor
 from slipmap.diagrams.execution.requests import ActivePush
 from slipmap.diagrams.execution.settings import ExecutionConfig
@@ -72,9 +72,9 @@ def distance_in_drake(plan, pose):
 
 
 def test_the_hand_is_turned_where_the_forearm_would_meet_the_object(kinematics):
-    careless = plan_push(kinematics, BEHIND, HOME, HOME, ExecutionConfig())
+    careless = ArmPlanner(kinematics, ExecutionConfig(), HOME).push(BEHIND, HOME)
     assert distance_in_drake(careless, POSE) < -0.002
-    careful = plan_push(kinematics, BEHIND, HOME, HOME, ExecutionConfig(), surroundings())
+    careful = ArmPlanner(kinematics, ExecutionConfig(), HOME).push(BEHIND, HOME, surroundings())
     assert distance_in_drake(careful, POSE) > APART - 0.002
     for plan in (careless, careful):
         ends = [plan.phases[2].trajectory.value(time)[:, 0] for time in (0.0, plan.phases[2].duration)]
@@ -85,7 +85,7 @@ def test_the_hand_is_turned_where_the_forearm_would_meet_the_object(kinematics):
 def test_a_push_with_nothing_in_the_way_is_the_same(kinematics):
     away = POSE + np.array([-0.3, 0.2, 0.0])
     plans = [
-        plan_push(kinematics, BEHIND, HOME, HOME, ExecutionConfig(), around)
+        ArmPlanner(kinematics, ExecutionConfig(), HOME).push(BEHIND, HOME, around)
         for around in (None, surroundings(pose=away))
     ]
     times = np.linspace(0.0, plans[0].duration, 20)
@@ -94,7 +94,7 @@ def test_a_push_with_nothing_in_the_way_is_the_same(kinematics):
 
 def test_what_is_too_high_for_the_arm_is_not_pushed(kinematics):
     with pytest.raises(MotionRefused, match="to the object, the table or itself, of which 5 mm are kept"):
-        plan_push(kinematics, BEHIND, HOME, HOME, ExecutionConfig(), surroundings(height=0.4))
+        ArmPlanner(kinematics, ExecutionConfig(), HOME).push(BEHIND, HOME, surroundings(height=0.4))
 
 
 @pytest.mark.parametrize(

@@ -15,7 +15,7 @@ from drake import (
     lcmt_schunk_wsg_status,
 )
 
-from slipmap.diagrams.hardware import channels
+from slipmap.diagrams.hardware import network
 from slipmap.diagrams.station.arm import HOME
 
 WIDTH, HEIGHT = 20, 12
@@ -104,12 +104,12 @@ def _picture(pixel_format: int, channel_type: int, data: bytes) -> lcmt_image_ar
 
 
 GOOD = {
-    channels.IIWA_STATUS: iiwa_status,
-    channels.IIWA_COMMAND: iiwa_command,
-    channels.GRIPPER_STATUS: gripper_status,
-    channels.GRIPPER_COMMAND: gripper_command,
-    channels.CAMERA_DEPTH: depth_picture,
-    channels.CAMERA_COLOR: color_picture,
-    channels.CAMERA_POSE: camera_pose,
-    channels.ABORT: abort,
+    network.IIWA_STATUS: iiwa_status,
+    network.IIWA_COMMAND: iiwa_command,
+    network.GRIPPER_STATUS: gripper_status,
+    network.GRIPPER_COMMAND: gripper_command,
+    network.CAMERA_DEPTH: depth_picture,
+    network.CAMERA_COLOR: color_picture,
+    network.CAMERA_POSE: camera_pose,
+    network.ABORT: abort,
 }

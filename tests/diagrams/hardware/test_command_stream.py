@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 from drake import lcmt_iiwa_command
 
-from slipmap.diagrams.hardware.channels import ARM_PERIOD, IIWA_COMMAND, HardwareError
 from slipmap.diagrams.hardware.command_stream import DELAY, CommandBuffer, CommandStream
-from slipmap.diagrams.hardware.network import open_lcm
+from slipmap.diagrams.hardware.network import ARM_PERIOD, IIWA_COMMAND, HardwareError, open_lcm
 
 
 def path(time: float) -> np.ndarray:

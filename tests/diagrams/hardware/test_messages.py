@@ -13,9 +13,8 @@ from pydrake.manipulation import IiwaStatusReceiver
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
 
-from slipmap.diagrams.hardware.channels import IIWA_STATUS
-from slipmap.diagrams.hardware.checked_messages import CheckedMessages, MessagePump
-from slipmap.diagrams.hardware.validation import rules
+from slipmap.diagrams.hardware.checked_messages import CheckedMessages, MessagePump, rules
+from slipmap.diagrams.hardware.network import IIWA_STATUS
 from slipmap.diagrams.station.arm import HOME
 
 

@@ -10,7 +10,7 @@ from pydrake.lcm import DrakeLcm
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
 
-from slipmap.diagrams.hardware import channels
+from slipmap.diagrams.hardware import network
 from slipmap.diagrams.hardware.interface import OWN, HardwareInterface
 from slipmap.diagrams.hardware.twin import CellTwin
 from slipmap.diagrams.perception.camera import CameraConfig
@@ -87,7 +87,7 @@ def test_commands_and_states_of_the_arm_arrive(both):
         # At rest, so that a message of some milliseconds ago says the same.
         np.testing.assert_allclose(both.heard(f"iiwa.{port}"), both.real(f"iiwa.{port}"), atol=1e-5)
     np.testing.assert_allclose(both.heard("iiwa.position_measured"), HOME + 0.02, atol=1e-4)
-    assert 0.0 <= both.heard("iiwa.age")[0] <= channels.ARM_PERIOD + 1e-9
+    assert 0.0 <= both.heard("iiwa.age")[0] <= network.ARM_PERIOD + 1e-9
 
 
 def test_the_gripper_opens_as_told(both):
@@ -103,7 +103,7 @@ def test_commands_that_come_late_are_followed_at_the_pace_of_their_stamps():
     # 0.1 s of motion were not heard of; the next that is heard bears that in its stamp.
     message.utime, message.num_joints, message.joint_position = 300_000, 7, list(HOME + 0.1)
     both.command("iiwa.position", HOME + 0.1)
-    both.lcm.Publish(channels.IIWA_COMMAND, message.encode())
+    both.lcm.Publish(network.IIWA_COMMAND, message.encode())
     wanted = []
     for k in range(30):
         both.simulator.AdvanceTo(0.2025 + 0.005 * k)
@@ -131,10 +131,10 @@ def test_pictures_and_their_place_arrive(both):
 def test_junk_on_every_channel_changes_nothing_and_is_counted(both):
     before = both.heard("iiwa.position_measured").copy()
     picture = both.heard("camera.depth_image").data.copy()
-    for channel in (*both.interface.received(both.root), *both.twin.received(both.root)):
+    for channel in (*both.interface._heard.received(both.root), *both.twin.received(both.root)):
         both.lcm.Publish(channel, b"junk")
     both.simulator.AdvanceTo(both.root.get_time() + 0.02)
-    for received in (both.interface.received(both.root), both.twin.received(both.root)):
+    for received in (both.interface._heard.received(both.root), both.twin.received(both.root)):
         for channel, came in received.items():
             assert dict(came.dropped) == {"cannot be decoded": 1}, channel
     np.testing.assert_allclose(both.heard("iiwa.position_measured"), before, atol=1e-5)
@@ -146,10 +146,10 @@ def test_a_message_or_a_call_aborts_and_bad_ones_do_not(both):
     message = abort()
     message.val = [np.nan]
     for data in (b"junk", message.encode()):
-        both.lcm.Publish(channels.ABORT, data)
+        both.lcm.Publish(network.ABORT, data)
     both.simulator.AdvanceTo(both.root.get_time() + 0.01)
     assert both.heard("abort")[0] == 0.0
-    both.lcm.Publish(channels.ABORT, abort().encode())
+    both.lcm.Publish(network.ABORT, abort().encode())
     both.simulator.AdvanceTo(both.root.get_time() + 0.01)
     assert both.heard("abort")[0] == 1.0
     other = Both()
@@ -161,8 +161,8 @@ def test_a_message_or_a_call_aborts_and_bad_ones_do_not(both):
 def test_a_silent_cell_is_told_with_its_channels():
     lcm = DrakeLcm("memq://")
     interface = HardwareInterface(lcm, Scenario())
-    lcm.Publish(channels.GRIPPER_STATUS, b"junk")
-    with pytest.raises(channels.HardwareError) as error:
+    lcm.Publish(network.GRIPPER_STATUS, b"junk")
+    with pytest.raises(network.HardwareError) as error:
         interface.connect(interface.CreateDefaultContext(), patience=0.05)
     assert "IIWA_STATUS, SCHUNK_WSG_STATUS, CAMERA_DEPTH, CAMERA_POSE" in str(error.value)
     assert "SCHUNK_WSG_STATUS: cannot be decoded" in str(error.value)

@@ -12,8 +12,8 @@ from good_messages import GOOD, HEIGHT, WIDTH, depth_picture, depths, pack
 from pydrake.systems.lcm import _Serializer_
 from pydrake.systems.sensors import LcmImageArrayToImages
 
-from slipmap.diagrams.hardware import channels
-from slipmap.diagrams.hardware.validation import BadMessage, check_stamp, rules
+from slipmap.diagrams.hardware import network
+from slipmap.diagrams.hardware.checked_messages import BadMessage, check_stamp, rules
 
 RULES = rules(WIDTH, HEIGHT)
 
@@ -21,13 +21,13 @@ RULES = rules(WIDTH, HEIGHT)
 @pytest.mark.parametrize("channel", GOOD)
 def test_good_messages_come_with_their_stamp(channel):
     message, stamp = RULES[channel].read(GOOD[channel]().encode())
-    assert stamp == (0.0 if channel == channels.ABORT else 1.0)  # anybody may abort, by whatever clock
+    assert stamp == (0.0 if channel == network.ABORT else 1.0)  # anybody may abort, by whatever clock
     assert type(message) is RULES[channel].lcm_type
 
 
 @pytest.mark.parametrize("packed", [True, False])
 def test_drakes_receiver_gets_all_pixels(packed):
-    message, _ = RULES[channels.CAMERA_DEPTH].read(depth_picture(packed=packed).encode())
+    message, _ = RULES[network.CAMERA_DEPTH].read(depth_picture(packed=packed).encode())
     serializer = _Serializer_[lcmt_image_array]()
     value = serializer.CreateDefaultValue()
     serializer.Deserialize(message.encode(), value)
@@ -119,7 +119,7 @@ def depth(place: int, value: float) -> Callable[[Any], None]:
     return change
 
 
-STATUS, COMMAND, DEPTH = channels.IIWA_STATUS, channels.IIWA_COMMAND, channels.CAMERA_DEPTH
+STATUS, COMMAND, DEPTH = network.IIWA_STATUS, network.IIWA_COMMAND, network.CAMERA_DEPTH
 
 
 @pytest.mark.parametrize(
@@ -136,19 +136,19 @@ STATUS, COMMAND, DEPTH = channels.IIWA_STATUS, channels.IIWA_COMMAND, channels.C
         (COMMAND, torques, "torques"),
         (COMMAND, set_first("joint_position", 3.0), "angles: far out"),
         (COMMAND, set_first("joint_position", np.inf), "angles: not finite"),
-        (channels.GRIPPER_STATUS, set_field("actual_position_mm", np.nan), "opening: not finite"),
-        (channels.GRIPPER_STATUS, set_field("actual_speed_mm_per_s", 1e6), "speed: far out"),
-        (channels.GRIPPER_STATUS, set_field("actual_force", np.inf), "force: not finite"),
-        (channels.GRIPPER_COMMAND, set_field("target_position_mm", 1e4), "opening: far out"),
-        (channels.GRIPPER_COMMAND, set_field("force", -1.0), "force: far out"),
-        (channels.CAMERA_POSE, six_numbers, "not a pose"),
-        (channels.CAMERA_POSE, set_first("val", np.nan), "pose: not finite"),
-        (channels.CAMERA_POSE, set_first("val", 20.0), "pose: far out"),
-        (channels.CAMERA_POSE, set_field("val", [0.0] * 7), "quaternion"),
-        (channels.CAMERA_POSE, set_field("coord", list("abcdefg")), "not a pose"),
-        (channels.ABORT, set_first("val", np.nan), "abort: not finite"),
-        (channels.ABORT, set_first("val", 2.0), "abort: far out"),
-        (channels.ABORT, set_field("coord", ["stop"]), "not one number named abort"),
+        (network.GRIPPER_STATUS, set_field("actual_position_mm", np.nan), "opening: not finite"),
+        (network.GRIPPER_STATUS, set_field("actual_speed_mm_per_s", 1e6), "speed: far out"),
+        (network.GRIPPER_STATUS, set_field("actual_force", np.inf), "force: not finite"),
+        (network.GRIPPER_COMMAND, set_field("target_position_mm", 1e4), "opening: far out"),
+        (network.GRIPPER_COMMAND, set_field("force", -1.0), "force: far out"),
+        (network.CAMERA_POSE, six_numbers, "not a pose"),
+        (network.CAMERA_POSE, set_first("val", np.nan), "pose: not finite"),
+        (network.CAMERA_POSE, set_first("val", 20.0), "pose: far out"),
+        (network.CAMERA_POSE, set_field("val", [0.0] * 7), "quaternion"),
+        (network.CAMERA_POSE, set_field("coord", list("abcdefg")), "not a pose"),
+        (network.ABORT, set_first("val", np.nan), "abort: not finite"),
+        (network.ABORT, set_first("val", 2.0), "abort: far out"),
+        (network.ABORT, set_field("coord", ["stop"]), "not one number named abort"),
         (DEPTH, no_pictures, "not one picture"),
         (DEPTH, set_image("width", WIDTH + 1), f"not {WIDTH} by {HEIGHT}"),
         (DEPTH, set_image("height", -HEIGHT), f"not {WIDTH} by {HEIGHT}"),
@@ -163,7 +163,7 @@ STATUS, COMMAND, DEPTH = channels.IIWA_STATUS, channels.IIWA_COMMAND, channels.C
         (DEPTH, depth(5, np.nan), "depths that cannot be"),
         (DEPTH, depth(5, -0.1), "depths that cannot be"),
         (DEPTH, depth(5, 1e6), "depths that cannot be"),
-        (channels.CAMERA_COLOR, set_image("pixel_format", 1), "not RGBA"),
+        (network.CAMERA_COLOR, set_image("pixel_format", 1), "not RGBA"),
     ],
 )
 def test_bad_messages_are_dropped_with_their_cause(channel, change, cause):
@@ -183,7 +183,7 @@ def test_stamps_that_go_back_or_leap_are_refused(stamp, last, cause):
 
 
 def test_a_gripper_may_be_told_by_a_program_started_anew():
-    assert RULES[channels.GRIPPER_COMMAND].anew and not RULES[channels.IIWA_COMMAND].anew
+    assert RULES[network.GRIPPER_COMMAND].anew and not RULES[network.IIWA_COMMAND].anew
     check_stamp(0.0, 200.0, anew=True)
     with pytest.raises(BadMessage, match="goes back"):
         check_stamp(199.5, 200.0, anew=True)

@@ -10,7 +10,8 @@ from pydrake.multibody.tree import FixedOffsetFrame, RevoluteJoint, SpatialInert
 from pydrake.systems.framework import DiagramBuilder
 
 from slipmap.diagrams.perception.camera import add_camera
-from slipmap.diagrams.perception.cell_perception import FRAMES, ArmHulls, CellPerception
+from slipmap.diagrams.perception.cell_perception import FRAMES, CellPerception
+from slipmap.diagrams.perception.sight import ArmHulls
 from slipmap.models.perception.object_mask import draw_hulls
 from slipmap.models.perception.pose_tracking import track
 

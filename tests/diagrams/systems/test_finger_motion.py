@@ -7,8 +7,7 @@ import pytest
 from driven_block import DrivenBlock
 from pydrake.math import RigidTransform
 
-from slipmap.diagrams.execution import ExecutionStatus
-from slipmap.diagrams.execution.requests import MODES
+from slipmap.diagrams.execution.requests import MODES, ExecutionStatus
 from slipmap.diagrams.systems.finger import FingerMotion
 
 PERIOD = 0.01

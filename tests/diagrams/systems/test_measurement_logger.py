@@ -9,7 +9,7 @@ import pytest
 from driven_block import DrivenBlock, seen_at
 from pydrake.math import RigidTransform
 
-from slipmap.diagrams.execution import ExecutionStatus
+from slipmap.diagrams.execution.requests import ExecutionStatus
 from slipmap.diagrams.systems.loop_messages import LoopStatus
 from slipmap.diagrams.systems.measurement_logger import LOOKS, PERIOD, MeasurementLogger, dataset_of
 from slipmap.models.measurements import PushDataset, Trial, read_dataset, write_dataset

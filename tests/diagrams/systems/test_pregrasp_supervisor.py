@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import pytest
 from driven_block import DrivenBlock, seen_at
 
-from slipmap.diagrams.execution import ActivePush, ExecutionStatus
+from slipmap.diagrams.execution.requests import ActivePush, ExecutionStatus
 from slipmap.diagrams.systems.loop_messages import MOST_ATTEMPTS, LoopStatus, PregraspPlan
 from slipmap.diagrams.systems.supervisors import HOLD, PATIENCE, PERIOD, PregraspSupervisor
 from slipmap.models.perception.seen_object import ObservedPose

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from driven_block import DrivenBlock, seen_at
 
-from slipmap.diagrams.execution import ExecutionStatus
+from slipmap.diagrams.execution.requests import ExecutionStatus
 from slipmap.diagrams.systems.loop_messages import MOST_ATTEMPTS, LoopStatus, PokeRequest
 from slipmap.diagrams.systems.supervisors import PATIENCE, PERIOD, PushSupervisor
 from slipmap.models.perception.seen_object import ObservedPose

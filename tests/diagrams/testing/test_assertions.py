@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from slipmap.diagrams.hardware.guard_rules import GuardSettings
+from slipmap.diagrams.hardware.guard import GuardSettings
 from slipmap.diagrams.station.arm import HOME
 from slipmap.diagrams.systems.model_monitor import Judged, Watch
 from slipmap.diagrams.testing import (

@@ -5,13 +5,13 @@ from __future__ import annotations
 import sys
 import zlib
 
-import good_messages
 import numpy as np
 import pytest
 from drake import lcmt_iiwa_status, lcmt_image_array
 
-from slipmap.diagrams.hardware.validation import rules
+from slipmap.diagrams.hardware.checked_messages import rules
 from slipmap.diagrams.testing.faults import KINDS, Fault, Link
+from tests.diagrams.hardware import good_messages
 
 PERIOD = 0.005
 AT = 0.1  # s; the fault begins with the message 20
