@@ -29,7 +29,7 @@ class NoReachablePush(ValueError):
 
 
 @dataclass(frozen=True, eq=False)
-class CandidatePush:
+class Candidate:
     """A straight push of a round finger against one cell of the contour.
 
     Attributes:
@@ -84,7 +84,7 @@ def candidate_pushes(
     speed: tuple[float, float] = (0.03, 0.1),
     cone: float = np.pi / 6,
     approach: float = 0.01,
-) -> list[CandidatePush]:
+) -> list[Candidate]:
     """Random pushes on random contact points of the contour (Algorithm 2, line 1).
 
     Cells of the contour come in random order, and none a second time before every other has had its turn.
@@ -107,7 +107,7 @@ def candidate_pushes(
     """
     _check(finger_radius, count, length, speed, cone, approach)
     cells, points, normals = contour_cells(grid)
-    pushes: list[CandidatePush] = []
+    pushes: list[Candidate] = []
     while len(pushes) < count:
         found = len(pushes)
         for k in rng.permutation(len(cells)):
@@ -115,7 +115,7 @@ def candidate_pushes(
             direction = _aimed(grid, finger_radius, rng, touch, -normals[k], cone, approach)
             if direction is not None and len(pushes) < count:
                 way, pace = float(rng.uniform(*length)), float(rng.uniform(*speed))
-                pushes.append(CandidatePush(int(cells[k]), points[k], direction, touch, approach, way, pace))
+                pushes.append(Candidate(int(cells[k]), points[k], direction, touch, approach, way, pace))
         if len(pushes) == found:
             raise NoReachablePush(
                 f"exploration: a finger of radius {finger_radius:.4g} m reaches none of {len(cells)} contour"
@@ -230,7 +230,7 @@ def habits_of(observations: Sequence[Observation], dataset: PushDataset) -> Habi
 
 
 @dataclass(frozen=True, eq=False)
-class Proposal:
+class Instruction:
     """A candidate push on the table."""
 
     pose: FloatArray
@@ -242,7 +242,7 @@ class Proposal:
     dwell: float
 
     @classmethod
-    def of(cls, push: CandidatePush, pose: FloatArray, speed: float, length: float, dwell: float) -> Proposal:
+    def of(cls, push: Candidate, pose: FloatArray, speed: float, length: float, dwell: float) -> Instruction:
         """A push of an object that lies at a pose (3,)."""
         rotation = turn(pose[2])
         begin = pose[:2] + rotation @ (push.touch - push.approach * push.direction)
@@ -271,9 +271,9 @@ class Proposal:
         }
 
 
-def proposals_for(
+def instructions_for(
     dataset: PushDataset, habits: Habits, mu_finger: float, count: int, rng: np.random.Generator
-) -> list[Proposal]:
+) -> list[Instruction]:
     """Random pushes that stay in the region of the recorded ones and on the table.
 
     Half of them come in pairs that differ by half a turn alone, since a reversed push is what tells many
@@ -283,7 +283,7 @@ def proposals_for(
     contacts = candidate_pushes(
         dataset.grid, dataset.finger_radius, rng, CONTACTS, cone=cone, approach=APPROACH
     )
-    found: list[Proposal] = []
+    found: list[Instruction] = []
     for _ in range(20 * count):
         if len(found) >= count:
             break
@@ -295,7 +295,7 @@ def proposals_for(
         for turned in (0.0, np.pi) if rng.random() < 1 / 3 else (0.0,):
             angle = float(angle_between(yaw, -turned))
             place = _place(habits, length * turn(angle) @ contact.direction, rng)
-            proposal = Proposal.of(contact, np.array([*place, angle]), speed, length, dwell)
+            proposal = Instruction.of(contact, np.array([*place, angle]), speed, length, dwell)
             if _on_table(proposal, dataset):
                 found.append(proposal)
     if not found:
@@ -310,7 +310,7 @@ def _place(habits: Habits, move: FloatArray, rng: np.random.Generator) -> FloatA
     return np.where(low < high, rng.uniform(np.minimum(low, high), np.maximum(low, high)), middle)
 
 
-def _on_table(proposal: Proposal, dataset: PushDataset) -> bool:
+def _on_table(proposal: Instruction, dataset: PushDataset) -> bool:
     table = dataset.table
     if table is None:
         return True

@@ -14,7 +14,7 @@ from slipmap.models.inference.prediction import uniform_maps
 from slipmap.models.measurements import PushDataset, Trial
 from slipmap.models.physics.cell_grid import CellGrid, FloatArray
 from slipmap.models.physics.maps import Maps
-from slipmap.planners.action_selection import Poke, select_poke
+from slipmap.planners.action_selection import Choice, choose_push
 from slipmap.planners.exploration import NoReachablePush
 from slipmap.planners.goals import Goal, Graspable
 from slipmap.planners.grasps import Grasp
@@ -130,32 +130,32 @@ def explore(
         ObjectFell, PushNotMade, NoReachablePush: see `learn_by_pushing`.
     """
     belief: Belief | None = None
-    pokes: list[Poke] = []
+    choices: list[Choice] = []
     trials: list[Trial] = []
     refusals = 0
     while len(trials) < settings.explorations:
         if settings.strategy == "most-distinctive" and trials and refusals == 0:
             belief = learn(trials)
-        poke = select_poke(
+        choice = choose_push(
             grid,
             world.look(),
             world.finger_radius,
             strategy=settings.strategy,
             belief=belief,
-            past=pokes,
+            past=choices,
             settings=settings.poke,
             allowed=allowed,
             rng=rng,
         )
         try:
-            trial = world.push(poke.push)
+            trial = world.push(choice.push)
         except PushNotMade:
             refusals += 1
             if refusals == settings.refusals:
                 raise
             continue
         refusals = 0
-        pokes.append(poke)
+        choices.append(choice)
         trials.append(replace(trial, name=f"trials/{len(trials):03d}.json", role="fit"))
     world.look()
     return tuple(trials)

@@ -33,10 +33,10 @@ from slipmap.planners.exploration import (
     APPROACH,
     Habits,
     NoReachablePush,
-    Proposal,
+    Instruction,
     habits_of,
     how_to,
-    proposals_for,
+    instructions_for,
     turn,
 )
 from slipmap.planners.rehearsal import Predictions, Rival, keeps_touch, predict, separations, straight_push
@@ -72,7 +72,7 @@ def repeat_the_worst(diagnosis: Diagnosis, dataset: PushDataset, habits: Habits)
     }
 
 
-def _repeated(observation: Observation, dataset: PushDataset) -> Proposal | None:
+def _repeated(observation: Observation, dataset: PushDataset) -> Instruction | None:
     """A recorded push as a straight line from just before first touch to its end."""
     push, radius = observation.push, dataset.finger_radius
     rotation = turn(push.start_pose[2])
@@ -89,10 +89,10 @@ def _repeated(observation: Observation, dataset: PushDataset) -> Proposal | None
     speed = np.hypot(*np.diff(push.tip, axis=0).T) / push.h
     begin = push.tip[touch] - APPROACH * way / length
     pace = float(np.median(speed[speed > 0.2 * speed.max()]))
-    return Proposal(push.start_pose, np.array(nearest.coords[0]), begin, push.tip[-1], pace, length, 0.0)
+    return Instruction(push.start_pose, np.array(nearest.coords[0]), begin, push.tip[-1], pace, length, 0.0)
 
 
-def _changed(push: Proposal, depends: str, habits: Habits) -> tuple[Proposal, str]:
+def _changed(push: Instruction, depends: str, habits: Habits) -> tuple[Instruction, str]:
     """The push with one thing changed, and what it is."""
     if "place" in depends:
         middle = 0.5 * (habits.low + habits.high)
@@ -159,7 +159,7 @@ def next_push(diagnosis: Diagnosis, dataset: PushDataset, seed: int = 0) -> dict
     try:
         # Many models take as long as many pushes.
         count = CANDIDATES // 3 if diagnosis.quick or len(rivals) > 4 else CANDIDATES
-        chosen = proposals_for(dataset, habits, _finger_friction(diagnosis.base), count, rng)
+        chosen = instructions_for(dataset, habits, _finger_friction(diagnosis.base), count, rng)
     except NoReachablePush:
         return None
     best, separation, predictions = _most_telling(
@@ -211,12 +211,12 @@ def push_of(told: dict[str, Any], order: float = 0.0) -> Push:
 def _most_telling(
     rivals: Sequence[Rival],
     pairs: Sequence[tuple[int, int]],
-    proposals: Sequence[Proposal],
+    proposals: Sequence[Instruction],
     judge: Fitted,
     dataset: PushDataset,
     habits: Habits,
     coarseness: float,
-) -> tuple[Proposal, float, list[Predictions]]:
+) -> tuple[Instruction, float, list[Predictions]]:
     """The best proposal, its separation, and what the rivals predict for it.
 
     Pushes from which the finger slides off are left out. Among the best few, the one that stays telling

@@ -33,25 +33,25 @@ from slipmap.models.measurements.push_dataset import Noise
 from slipmap.models.perception.first_look import FirstPicture
 from slipmap.models.physics.cell_grid import CellGrid
 from slipmap.models.robots import FINGER_RADIUS
-from slipmap.planners.action_selection import Poke
+from slipmap.planners.action_selection import Choice
 
 # What a run of the robot's cell has recorded so far: enough for another process to go on from.
 
 
 @dataclass(frozen=True, eq=False)
-class Recorded:
+class RecordedRun:
     """Pushes that were made, and what is known besides.
 
     Attributes:
         trials: that are complete, one or more.
-        pokes: how they were asked for; as many.
+        choices: how they were asked for; as many.
         places: where the simulated object lay after each, x and y in m, turn in degrees; None of a real one.
         grid: the object as the camera made it out.
         first: the picture from which.
     """
 
     trials: tuple[Trial, ...]
-    pokes: tuple[Poke, ...]
+    choices: tuple[Choice, ...]
     places: tuple[list[float] | None, ...]
     grid: CellGrid
     first: FirstPicture
@@ -61,7 +61,7 @@ class Recorded:
         """Whether it was recorded there, not in a simulation."""
         return self.places[-1] is None
 
-    def all_to_learn_from(self) -> Recorded:
+    def all_to_learn_from(self) -> RecordedRun:
         """The same, of which every push is learned from, also those that were made to judge."""
         return replace(self, trials=tuple(replace(trial, role="fit") for trial in self.trials))
 
@@ -110,7 +110,7 @@ def exploration_loop(
     worker: Executor | None = None,
     meshcat: Meshcat | None = None,
     learned: Callable[[Belief, int], None] | None = None,
-    before: Recorded | None = None,
+    before: RecordedRun | None = None,
 ) -> Diagram:
     """The station with everything that explores the object on its table.
 
@@ -180,9 +180,9 @@ class ExplorationBlocks:
             (self.executor, "gripper.force_limit", self.station, "gripper.force_limit"),
             (self.perception, "object_pose", self.supervisor, "object_pose"),
             (self.perception, "cell_grid", self.supervisor, "cell_grid"),
-            (self.exploration, "poke", self.supervisor, "poke"),
+            (self.exploration, "plan", self.supervisor, "plan"),
             (self.executor, "status", self.supervisor, "execution"),
-            (self.logger, "records", self.supervisor, "records"),
+            (self.logger, "trials", self.supervisor, "trials"),
             (self.identification, "learned", self.supervisor, "learned"),
             (command, "active_push", self.executor, "push"),
             (self.identification, "belief", self.exploration, "belief"),
@@ -195,7 +195,7 @@ class ExplorationBlocks:
             (self.station, "iiwa.age", self.logger, "tip_age"),
             (self.executor, "status", self.logger, "execution"),
             (command, "status", self.logger, "status"),
-            (self.logger, "records", self.identification, "records"),
+            (self.logger, "trials", self.identification, "trials"),
             (self.perception, "cell_grid", self.identification, "cell_grid"),
             (self.executor, "tip_pose", self.finger, "tip_pose"),
             (self.executor, "status", self.finger, "execution"),
@@ -205,7 +205,7 @@ class ExplorationBlocks:
             (command, "active_push", self.multiverse, "push"),
             (self.multiverse, "universes", self.monitor, "universes"),
             (self.perception, "object_pose", self.monitor, "object_pose"),
-            (self.logger, "records", self.monitor, "records"),
+            (self.logger, "trials", self.monitor, "trials"),
         ]
         if self.guard is None:
             wires.append((self.executor, "iiwa.position", self.station, "iiwa.position"))
@@ -242,7 +242,7 @@ def add_exploration(
     worker: Executor | None = None,
     meshcat: Meshcat | None = None,
     learned: Callable[[Belief, int], None] | None = None,
-    before: Recorded | None = None,
+    before: RecordedRun | None = None,
 ) -> ExplorationBlocks:
     """Add everything that explores, not yet connected; arguments and errors as of `exploration_loop`."""
     try:
@@ -276,7 +276,7 @@ def add_exploration(
             "exploration",
             Exploration(
                 options.strategy, options.pushes, FINGER_RADIUS, scenario.pokes,
-                checks.can_push, options.seed, worker, () if before is None else before.pokes,
+                checks.can_push, options.seed, worker, () if before is None else before.choices,
             ),
         ),
         executor=add("executor", PushExecutor(model, HOME, execution, checks.table)),

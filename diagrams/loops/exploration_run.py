@@ -17,8 +17,13 @@ from pydrake.systems.framework import Context, Diagram, EventStatus
 
 from slipmap.diagrams.hardware.control import real_cell, stopped_by_ctrl_c
 from slipmap.diagrams.hardware.interface import HardwareInterface
-from slipmap.diagrams.loops.exploration_loop import LoopOptions, Recorded, exploration_loop, recorded_dataset
-from slipmap.diagrams.loops.run_folder import PushRecord, Recording
+from slipmap.diagrams.loops.exploration_loop import (
+    LoopOptions,
+    RecordedRun,
+    exploration_loop,
+    recorded_dataset,
+)
+from slipmap.diagrams.loops.run_folder import RunFolder, Recording
 from slipmap.diagrams.station.scenario import Scenario
 from slipmap.diagrams.station.station import Station, take_fixed_steps
 from slipmap.diagrams.systems.identification import learning
@@ -110,8 +115,8 @@ def explore(
     hardware: str | HardwareInterface | None = None,
     meshcat: Meshcat | None = None,
     progress: Progress | None = None,
-    record: PushRecord | None = None,
-    before: Recorded | None = None,
+    record: RunFolder | None = None,
+    before: RecordedRun | None = None,
     learn_when_stopped: bool = True,
 ) -> ExplorationRun:
     """Explore the object of a scenario.
@@ -260,7 +265,7 @@ def explored(
     """What was learned in a loop that has ended; None where nothing was recorded to learn from."""
     started = time.perf_counter()
     station = loop.GetSubsystemByName("station")
-    trials = output_of(loop, "logger", "records", ended.context)
+    trials = output_of(loop, "logger", "trials", ended.context)
     if not any(trial.role == "fit" for trial in trials):
         return None
     dataset = recorded_dataset(trials, output_of(loop, "perception", "cell_grid", ended.context), scenario)

@@ -28,7 +28,7 @@ from slipmap.diagrams.loops.exploration_run import (
     output_of,
     run_loop,
 )
-from slipmap.diagrams.loops.run_folder import PushRecord, Recording
+from slipmap.diagrams.loops.run_folder import RunFolder, Recording
 from slipmap.diagrams.perception.sight import Sight
 from slipmap.diagrams.station.arm import HOME
 from slipmap.diagrams.station.scenario import Scenario
@@ -125,7 +125,7 @@ def pregrasp_loop(
             (blocks.perception, "object_pose", commander, "object_pose"),
             (planner, "plan", commander, "plan"),
             (blocks.executor, "status", commander, "execution"),
-            (blocks.logger, "records", commander, "records"),
+            (blocks.logger, "trials", commander, "trials"),
             (blocks.station, "gripper.state_measured", commander, "gripper.state_measured"),
             (commander, "active_grasp", blocks.executor, "grasp"),
             (blocks.identification, "belief", planner, "belief"),
@@ -263,7 +263,7 @@ def run_pregrasp(
     hardware: str | HardwareInterface | None = None,
     meshcat: Meshcat | None = None,
     progress: Progress | None = None,
-    record: PushRecord | None = None,
+    record: RunFolder | None = None,
 ) -> PregraspRun:
     """Explore the object of a scenario, bring it to the table's edge, grasp and lift it.
 
@@ -292,7 +292,7 @@ def _run(
     options: PregraspOptions,
     patience: float,
     progress: Progress | None,
-    record: PushRecord | None,
+    record: RunFolder | None,
 ) -> PregraspRun:
     """Run a loop to its end; it may take some time (s) for each push."""
     report = progress or (lambda stage, done, total: None)

@@ -101,7 +101,7 @@ class PushListener:
                 (sense, "tip_pose", finder, "tip_pose"),
                 (cell, "iiwa.age", finder, "tip_age"),
                 (cell, "gripper.state_measured", finder, "gripper.state_measured"),
-                (logger, "records", finder, "records"),
+                (logger, "trials", finder, "trials"),
                 (perception, "object_pose", logger, "object_pose"),
                 (sense, "tip_pose", logger, "tip_pose"),
                 (sense, "tip_force", logger, "tip_force"),
@@ -169,7 +169,7 @@ class PushListener:
     @property
     def pushes(self) -> int:
         """Number of recorded pushes."""
-        return len(self._said(self._logger, "records"))
+        return len(self._said(self._logger, "trials"))
 
     def dataset(self) -> PushDataset:
         """The recorded pushes.
@@ -179,7 +179,7 @@ class PushListener:
         """
         trials = [
             replace(trial, role="heldout" if (number + 1) % EVERY == 0 else "fit")
-            for number, trial in enumerate(self._said(self._logger, "records"))
+            for number, trial in enumerate(self._said(self._logger, "trials"))
         ]
         grid = self._said(self._perception, "cell_grid")
         return replace(recorded_dataset(trials, grid, self._scenario), name=self._name)

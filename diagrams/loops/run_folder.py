@@ -15,14 +15,14 @@ import numpy as np
 from pydrake.common.yaml import yaml_dump_typed
 from pydrake.systems.framework import Context, Diagram
 
-from slipmap.diagrams.loops.exploration_loop import LoopOptions, Recorded, recorded_dataset
+from slipmap.diagrams.loops.exploration_loop import LoopOptions, RecordedRun, recorded_dataset
 from slipmap.diagrams.station.scenario import ObjectSettings, Scenario, ScenarioError, read_settings
 from slipmap.models.files import BadInput, whole_file, write_json, write_text, writing
 from slipmap.models.measurements import DatasetError, Trial, read_dataset
 from slipmap.models.measurements.files import read_bytes
 from slipmap.models.measurements.writing import PushRecorder, trial_text
 from slipmap.models.perception.first_look import FirstPicture
-from slipmap.planners.action_selection import Poke
+from slipmap.planners.action_selection import Choice
 from slipmap.planners.table_push import TablePush
 
 RUN, PUSHES = "run.json", "pushes"
@@ -140,7 +140,7 @@ NOTED = 20
 """Rows of a push under way after which it is written down, at 100 a second."""
 
 
-class PushRecord:
+class RunFolder:
     """Keeps the pushes of a run as a dataset in its folder, and what is measured of the push under way.
 
     The latter is no trial, as nobody knows where the object comes to rest; it stays in `under_way.json` where
@@ -162,7 +162,7 @@ class PushRecord:
         except DatasetError as error:
             raise BadInput(str(error)) from error
 
-    def keep(self, recorded: Recorded) -> None:
+    def keep(self, recorded: RecordedRun) -> None:
         """Write the pushes that are not there yet.
 
         Raises:
@@ -188,11 +188,11 @@ class PushRecord:
         write_json(self._folder / UNDER_WAY, {"push": push, **rows})
 
 
-class PregraspRecord(PushRecord):
+class PregraspFolder(RunFolder):
     """Keeps a folder of `slipmap pregrasp` in step with the run, which cannot be gone on with.
 
     Args:
-        folder, scenario: as in `PushRecord`.
+        folder, scenario: as in `RunFolder`.
 
     Raises:
         BadInput: pushes are there that no earlier run of the command left, or of one that was cut off.
@@ -203,8 +203,8 @@ class PregraspRecord(PushRecord):
         refuse_others_files(folder, PREGRASP, "slipmap pregrasp")
         self._run: dict[str, Any] | None = None
 
-    def keep(self, recorded: Recorded) -> None:
-        """See `PushRecord.keep`."""
+    def keep(self, recorded: RecordedRun) -> None:
+        """See `RunFolder.keep`."""
         pushes = [{"digest": digest} for digest in digests_of(recorded.trials)]
         self._run = {"format": PREGRASP, "ended": False, "pushes": pushes}
         write_run(self._folder, self._run)
@@ -226,9 +226,9 @@ class Recording:
         before: pushes that are kept already.
     """
 
-    def __init__(self, loop: Diagram, record: PushRecord, before: Recorded | None = None) -> None:
+    def __init__(self, loop: Diagram, record: RunFolder, before: RecordedRun | None = None) -> None:
         self._loop, self._record = loop, record
-        self._pokes = () if before is None else before.pokes
+        self._choices = () if before is None else before.choices
         self._places = () if before is None else before.places
         self._noted = 0
 
@@ -236,15 +236,15 @@ class Recording:
         """Write down what is new; to be called often.
 
         Raises:
-            BadInput: see `PushRecord.keep`.
+            BadInput: see `RunFolder.keep`.
         """
-        trials = self._said("logger", "records", root)
-        if len(trials) > len(self._pokes):
-            request = self._said("exploration", "poke", root)
-            self._pokes = (*self._pokes, request.poke)
+        trials = self._said("logger", "trials", root)
+        if len(trials) > len(self._choices):
+            plan = self._said("exploration", "plan", root)
+            self._choices = (*self._choices, plan.choice)
             self._places = (*self._places, self._place(root))
             grid, first = (self._said("perception", name, root) for name in ("cell_grid", "first_picture"))
-            self._record.keep(Recorded(trials, self._pokes, self._places, grid, first))
+            self._record.keep(RecordedRun(trials, self._choices, self._places, grid, first))
             self._noted = 0
             return
         rows = self._said("logger", "under_way", root)
@@ -276,7 +276,7 @@ FORMAT = "slipmap-exploration/1"
 SCENARIO, PICTURE = "scenario.yaml", "first_picture.npz"
 
 
-class ExplorationRecord(PushRecord):
+class ExplorationFolder(RunFolder):
     """Keeps a run's folder in step with it.
 
     Beside the pushes it holds what another process needs to go on: scenario, options, the picture from which
@@ -294,7 +294,7 @@ class ExplorationRecord(PushRecord):
     """
 
     def __init__(
-        self, folder: Path, scenario: Scenario, options: LoopOptions, before: Recorded | None = None
+        self, folder: Path, scenario: Scenario, options: LoopOptions, before: RecordedRun | None = None
     ) -> None:
         if before is None:
             _refuse_cut_off(folder)
@@ -304,7 +304,7 @@ class ExplorationRecord(PushRecord):
         self._options = options
         self._run: dict[str, Any] | None = None if before is None else read_run(folder, FORMAT)
 
-    def keep(self, recorded: Recorded) -> None:
+    def keep(self, recorded: RecordedRun) -> None:
         """Write what is not there yet.
 
         Raises:
@@ -315,7 +315,7 @@ class ExplorationRecord(PushRecord):
         self._run["pushes"] = [
             {"digest": digest, "poke": _poke(poke), "place": place}
             for digest, poke, place in zip(
-                digests_of(recorded.trials), recorded.pokes, recorded.places, strict=True
+                digests_of(recorded.trials), recorded.choices, recorded.places, strict=True
             )
         ]
         with self._going_on(len(recorded.trials) - 1):
@@ -323,7 +323,7 @@ class ExplorationRecord(PushRecord):
             super().keep(recorded)
 
     def note(self, push: int, rows: dict[str, Any]) -> None:
-        """See `PushRecord.note`."""
+        """See `RunFolder.note`."""
         with self._going_on(push):
             super().note(push, rows)
 
@@ -333,7 +333,7 @@ class ExplorationRecord(PushRecord):
             self._run["ended"] = True
             write_run(self._folder, self._run)
 
-    def _begin(self, recorded: Recorded) -> dict[str, Any]:
+    def _begin(self, recorded: RecordedRun) -> dict[str, Any]:
         scenario = dataclasses.replace(self._scenario, object=_found_from_anywhere(self._scenario.object))
         write_text(self._folder / SCENARIO, yaml_dump_typed(scenario))
         with whole_file(self._folder / PICTURE) as part, open(part, "wb") as file:
@@ -359,7 +359,7 @@ class ExplorationRecord(PushRecord):
             ) from error
 
 
-def resumed(folder: Path) -> tuple[Scenario, LoopOptions, Recorded]:
+def resumed(folder: Path) -> tuple[Scenario, LoopOptions, RecordedRun]:
     """What to go on with: the scenario with the simulated object where it was left, options, and pushes.
 
     Raises:
@@ -381,7 +381,7 @@ def resumed(folder: Path) -> tuple[Scenario, LoopOptions, Recorded]:
         grid = first.seen(scenario.camera.intrinsics).grid
         dataset = read_dataset(folder / PUSHES)
         pushes = run["pushes"][: len(dataset.trials)]
-        pokes = tuple(_poke_of(push["poke"]) for push in pushes)
+        choices = tuple(_poke_of(push["poke"]) for push in pushes)
         digests = [push["digest"] for push in pushes]
         places = tuple(push["place"] for push in pushes)
     except (ScenarioError, DatasetError) as error:
@@ -394,7 +394,7 @@ def resumed(folder: Path) -> tuple[Scenario, LoopOptions, Recorded]:
         raise BadInput(f"{folder}: this slipmap cuts the object into other cells than were recorded")
     if places[-1] is not None:
         scenario.object.pose = places[-1]
-    return scenario, options, Recorded(dataset.trials, pokes, places, grid, first)
+    return scenario, options, RecordedRun(dataset.trials, choices, places, grid, first)
 
 
 def _refuse_cut_off(folder: Path) -> None:
@@ -418,7 +418,7 @@ def _found_from_anywhere(thing: ObjectSettings) -> ObjectSettings:
     return dataclasses.replace(thing, mesh=absolute(thing.mesh), labels=absolute(thing.labels))
 
 
-def _poke(poke: Poke) -> dict[str, Any]:
+def _poke(poke: Choice) -> dict[str, Any]:
     push = {
         "begin": poke.push.begin,
         "end": poke.push.end,
@@ -428,5 +428,5 @@ def _poke(poke: Poke) -> dict[str, Any]:
     return {"push": push, "contact": poke.contact, "direction": poke.direction}
 
 
-def _poke_of(told: dict[str, Any]) -> Poke:
-    return Poke(TablePush(**told["push"]), np.array(told["contact"]), np.array(told["direction"]))
+def _poke_of(told: dict[str, Any]) -> Choice:
+    return Choice(TablePush(**told["push"]), np.array(told["contact"]), np.array(told["direction"]))

@@ -12,11 +12,11 @@ from pydrake.common.value import Value
 from pydrake.systems.framework import Context, EventStatus, State
 
 from slipmap.diagrams.execution.clearance import Obstacle
-from slipmap.diagrams.systems.loop_messages import LoopStatus, PokeRequest
+from slipmap.diagrams.systems.loop_messages import LoopStatus, ExplorationPlan
 from slipmap.diagrams.systems.python_system import PythonSystem, held, read, replace_held
 from slipmap.diagrams.systems.workers import begun
 from slipmap.models.perception.seen_object import SeenObject
-from slipmap.planners.action_selection import Poke, select_poke
+from slipmap.planners.action_selection import Choice, choose_push
 from slipmap.planners.exploration import NoReachablePush
 from slipmap.planners.settings import PokeSettings
 from slipmap.planners.table_push import TablePush
@@ -36,11 +36,11 @@ class Exploration(PythonSystem):
         - seen_object
         - status
         output_ports:
-        - poke
+        - plan
 
     - `belief`: `Belief | None`; `object_pose`: `ObservedPose`; `seen_object`: `SeenObject | None`.
     - `status`: `LoopStatus`.
-    - `poke`: `PokeRequest | None`; it stands until the loop asks for another.
+    - `plan`: `ExplorationPlan | None`; it stands until the loop asks for another.
 
     The draws of a push depend on the seed and the push's number alone.
 
@@ -66,7 +66,7 @@ class Exploration(PythonSystem):
         allowed: Callable[[Obstacle, TablePush], bool],
         seed: int,
         worker: Executor | None = None,
-        past: Sequence[Poke] = (),
+        past: Sequence[Choice] = (),
     ) -> None:
         super().__init__()
         self._strategy = strategy
@@ -78,24 +78,24 @@ class Exploration(PythonSystem):
         self._worker = worker
         for name in ("belief", "object_pose", "seen_object", "status"):
             self.DeclareAbstractInputPort(name, Value[object](None))
-        self._request = self.DeclareAbstractState(held(None))
+        self._plan = self.DeclareAbstractState(held(None))
         self._past = self.DeclareAbstractState(held(tuple(past)))
         self._job = self.DeclareAbstractState(held(None))
         self.DeclarePeriodicUnrestrictedUpdateEvent(PERIOD, 0.0, self._choose)
         self.DeclareAbstractOutputPort(
-            "poke",
+            "plan",
             lambda: Value[object](None),
-            lambda context, output: output.set_value(read(context, self._request)),
-            {self.abstract_state_ticket(self._request)},
+            lambda context, output: output.set_value(read(context, self._plan)),
+            {self.abstract_state_ticket(self._plan)},
         )
 
     def _choose(self, context: Context, state: State) -> EventStatus:
         job, number, past = read(context, self._job) or (None, 0, ())
         if job is None:
             status: LoopStatus = self.GetInputPort("status").Eval(context)
-            request: PokeRequest | None = read(context, self._request)
+            plan: ExplorationPlan | None = read(context, self._plan)
             pose = self.GetInputPort("object_pose").Eval(context)
-            asked = status.mode == "choosing" and (request is None or request.number != status.number)
+            asked = status.mode == "choosing" and (plan is None or plan.number != status.number)
             if not asked or not pose.valid:
                 return EventStatus.DidNothing()
             number, past = status.number, read(context, self._past)
@@ -120,17 +120,17 @@ class Exploration(PythonSystem):
         if not job.done():
             replace_held(state, self._job, (job, number, past))
             return EventStatus.Succeeded()
-        poke, reason = job.result()
+        choice, reason = job.result()
         replace_held(state, self._job, None)
-        replace_held(state, self._request, PokeRequest(number, poke, reason))
-        if poke is not None:
-            replace_held(state, self._past, (*past, poke))
+        replace_held(state, self._plan, ExplorationPlan(number, choice, reason))
+        if choice is not None:
+            replace_held(state, self._past, (*past, choice))
         return EventStatus.Succeeded()
 
 
-def _selected(*args: Any, **kwargs: Any) -> tuple[Poke | None, str]:
-    """As `select_poke`, or why there is none."""
+def _selected(*args: Any, **kwargs: Any) -> tuple[Choice | None, str]:
+    """As `choose_push`, or why there is none."""
     try:
-        return select_poke(*args, **kwargs), ""
+        return choose_push(*args, **kwargs), ""
     except NoReachablePush as error:
         return None, str(error)

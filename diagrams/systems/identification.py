@@ -30,13 +30,13 @@ class Identification(PythonSystem):
 
         name: Identification
         input_ports:
-        - records
+        - trials
         - cell_grid
         output_ports:
         - belief
         - learned
 
-    - `records`: tuple of `Trial`; `cell_grid`: `CellGrid | None`.
+    - `trials`: tuple of `Trial`; `cell_grid`: `CellGrid | None`.
     - `belief`: `Belief | None`; `learned`: number of pushes that it comes from.
 
     Without a worker the simulation waits while it computes, and to the clock of the diagram it takes no time.
@@ -70,7 +70,7 @@ class Identification(PythonSystem):
         self._seed = seed
         self._learned = learned
         self._worker = worker
-        self.DeclareAbstractInputPort("records", Value[object](()))
+        self.DeclareAbstractInputPort("trials", Value[object](()))
         self.DeclareAbstractInputPort("cell_grid", Value[object](None))
         self._belief = self.DeclareAbstractState(held((None, 0)))
         self._job = self.DeclareAbstractState(held(None))
@@ -86,8 +86,8 @@ class Identification(PythonSystem):
     def _learn(self, context: Context, state: State) -> EventStatus:
         job, count = read(context, self._job) or (None, 0)
         if job is None:
-            records: tuple[Trial, ...] = self.GetInputPort("records").Eval(context)
-            trials = [trial for trial in records if trial.role == "fit"]
+            recorded: tuple[Trial, ...] = self.GetInputPort("trials").Eval(context)
+            trials = [trial for trial in recorded if trial.role == "fit"]
             if len(trials) <= read(context, self._belief)[1]:
                 return EventStatus.DidNothing()
             dataset = self._make_dataset(trials, self.GetInputPort("cell_grid").Eval(context))

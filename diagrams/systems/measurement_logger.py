@@ -63,14 +63,14 @@ class MeasurementLogger(PythonSystem):
         - execution
         - status
         output_ports:
-        - records
+        - trials
         - under_way
 
     - `object_pose`: `ObservedPose`; rows without a valid pose are left out.
     - `tip_pose`: X_WT of the finger's end; `tip_force`: (3,) of the finger on the object, world, N; `tip_age`
       (1,): s since both were measured, 0 if not connected.
     - `execution`: `ExecutionStatus`; `status`: `LoopStatus`.
-    - `records`: tuple of `Trial`.
+    - `trials`: tuple of `Trial`.
     - `under_way`: dict of rows of the push that is made now, by channel as in a trial's file, but with the
       diagram's time; none before and after it.
 
@@ -97,7 +97,7 @@ class MeasurementLogger(PythonSystem):
         self._recording = self.DeclareAbstractState(held(_Recording(tuple(trials))))
         self.DeclarePeriodicUnrestrictedUpdateEvent(PERIOD, 0.0, self._record)
         self.DeclareAbstractOutputPort(
-            "records",
+            "trials",
             lambda: Value[object](()),
             lambda context, output: output.set_value(read(context, self._recording).trials),
             {self.abstract_state_ticket(self._recording)},

@@ -62,12 +62,12 @@ class Watch:
     """What the monitor has seen.
 
     Attributes:
-        records: trials looked at.
+        trials: trials looked at.
         residual: (3,) when the object was last seen beside the hypotheses.
         judged: pushes that a belief had predicted, in order.
     """
 
-    records: int
+    trials: int
     residual: FloatArray
     judged: tuple[Judged, ...] = ()
 
@@ -96,7 +96,7 @@ class ModelMonitor(PythonSystem):
         input_ports:
         - universes
         - object_pose
-        - records
+        - trials
         output_ports:
         - residual
         - misfit
@@ -107,7 +107,7 @@ class ModelMonitor(PythonSystem):
     Inputs:
         universes: abstract, `Universes` of a `MultiverseSlider`, moved by the same finger, or None.
         object_pose: abstract, with `pose` (3,) and `valid`, such as an `ObservedPose`.
-        records: abstract, tuple of recorded `Trial`s, which begin and end with the object at rest.
+        trials: abstract, tuple of recorded `Trial`s, which begin and end with the object at rest.
 
     Outputs:
         residual: (3,) observed minus predicted pose (m, m, rad) when the object was last seen; NaN before.
@@ -138,7 +138,7 @@ class ModelMonitor(PythonSystem):
         self._error = ErrorModel(pose_noise(sensors.position, sensors.angle), model_error, FORCE_ERROR)
         self._universes = self.DeclareAbstractInputPort("universes", Value[object](None))
         self._observed = self.DeclareAbstractInputPort("object_pose", Value[object](None))
-        self._records = self.DeclareAbstractInputPort("records", Value[object](()))
+        self._records = self.DeclareAbstractInputPort("trials", Value[object](()))
         self._watch = self.DeclareAbstractState(held(Watch(0, np.full(3, np.nan))))
         after = {self.abstract_state_ticket(self._watch)}
         self.DeclareVectorOutputPort("residual", 3, self._output_residual, after)
@@ -156,13 +156,13 @@ class ModelMonitor(PythonSystem):
         before = watch = self.watch(context)
         universes: Any = self._universes.Eval(context)
         seen: Any = self._observed.Eval(context)
-        records: Any = self._records.Eval(context)
+        trials: Any = self._records.Eval(context)
         if universes is not None and seen is not None and seen.valid:
             watch = replace(watch, residual=seen.pose - universes.mean_pose)
-        if len(records) > watch.records:
-            watch = replace(watch, records=len(records))
+        if len(trials) > watch.trials:
+            watch = replace(watch, trials=len(trials))
             if universes is not None:
-                judged = self._judged(len(records) - 1, records[-1], universes, watch)
+                judged = self._judged(len(trials) - 1, trials[-1], universes, watch)
                 watch = replace(watch, judged=(*watch.judged, judged))
         if watch is not before:
             replace_held(state, self._watch, watch)

@@ -93,7 +93,7 @@ class PushFinder(PythonSystem):
         - tip_pose
         - tip_age
         - gripper.state_measured
-        - records
+        - trials
         output_ports:
         - execution
         - status
@@ -103,7 +103,7 @@ class PushFinder(PythonSystem):
       nothing of the object.
     - `tip_pose`: X_WT of the finger's end; `tip_age` (1,): s since it was measured.
     - `gripper.state_measured` (2,): opening and its rate, m and m/s.
-    - `records`: tuple of `Trial` of the `MeasurementLogger` that listens to this.
+    - `trials`: tuple of `Trial` of the `MeasurementLogger` that listens to this.
     - `execution`: `ExecutionStatus` in `home` (the arm is aside), `pushing` (the finger is down) or
       `retreating`; `status`: `LoopStatus` in `looking`, `pushing` or `recording`.
     - `descents`: tuple of `Descent`.
@@ -125,19 +125,19 @@ class PushFinder(PythonSystem):
         self.DeclareAbstractInputPort("tip_pose", Value(RigidTransform()))
         self.DeclareVectorInputPort("tip_age", 1)
         self.DeclareVectorInputPort("gripper.state_measured", 2)
-        self.DeclareAbstractInputPort("records", Value[object](()))
+        self.DeclareAbstractInputPort("trials", Value[object](()))
         self._found = self.DeclareAbstractState(held(_Found()))
         self.DeclarePeriodicUnrestrictedUpdateEvent(PERIOD, 0.0, self._update)
         own = self.abstract_state_ticket(self._found)
-        records = self.GetInputPort("records").ticket()
+        trials = self.GetInputPort("trials").ticket()
         for name, calc in (("execution", _execution), ("status", self._status), ("descents", _descents)):
             self.DeclareAbstractOutputPort(
                 name,
                 lambda: Value[object](None),
                 lambda context, output, calc=calc: output.set_value(
-                    calc(read(context, self._found), len(self._input(context, "records")))
+                    calc(read(context, self._found), len(self._input(context, "trials")))
                 ),
-                {own, records},
+                {own, trials},
             )
 
     def given_up(self, context: Context) -> str:
@@ -160,7 +160,7 @@ class PushFinder(PythonSystem):
         down = seen is not None and tip[2] < seen.cell_heights.max()
         silent = told - now.told if np.isfinite(now.told) else 0.0
         now = replace(now, told=told)
-        if now.phase == "after" and len(self._input(context, "records")) > sum(
+        if now.phase == "after" and len(self._input(context, "trials")) > sum(
             descent.kept for descent in now.descents
         ):
             now = replace(_over(now, ""), rest=pose.pose if pose.valid else None)
@@ -222,10 +222,10 @@ class PushFinder(PythonSystem):
             return now
         return replace(now, rest=pose.pose)
 
-    def _status(self, now: _Found, records: int) -> LoopStatus:
+    def _status(self, now: _Found, trials: int) -> LoopStatus:
         if now.phase == "down" and not now.reason:
-            return LoopStatus("pushing", records)
-        return LoopStatus("recording" if now.phase == "after" else "looking", records)
+            return LoopStatus("pushing", trials)
+        return LoopStatus("recording" if now.phase == "after" else "looking", trials)
 
     def _input(self, context: Context, name: str):  # type: ignore[no-untyped-def]
         return self.GetInputPort(name).Eval(context)
@@ -242,11 +242,11 @@ def _over(now: _Found, reason: str) -> _Found:
     )
 
 
-def _execution(now: _Found, records: int) -> ExecutionStatus:
+def _execution(now: _Found, trials: int) -> ExecutionStatus:
     if now.phase == "down":
-        return ExecutionStatus("approaching" if now.reason else "pushing", records)
-    return ExecutionStatus("home" if all(now.aside) else "retreating", records)
+        return ExecutionStatus("approaching" if now.reason else "pushing", trials)
+    return ExecutionStatus("home" if all(now.aside) else "retreating", trials)
 
 
-def _descents(now: _Found, records: int) -> tuple[Descent, ...]:
+def _descents(now: _Found, trials: int) -> tuple[Descent, ...]:
     return now.descents

@@ -35,18 +35,18 @@ class PushSupervisor(PythonSystem):
         input_ports:
         - object_pose
         - cell_grid
-        - poke
+        - plan
         - execution
-        - records
+        - trials
         - learned
         output_ports:
         - status
         - active_push
 
     - `object_pose`: `ObservedPose`; `cell_grid`: `CellGrid | None`, the object as first seen.
-    - `poke`: `PokeRequest | None` from the exploration.
+    - `plan`: `ExplorationPlan | None` from the exploration.
     - `execution`: `ExecutionStatus` of the arm.
-    - `records`: tuple of recorded `Trial`s; `learned`: how many of them the belief comes from.
+    - `trials`: tuple of recorded `Trial`s; `learned`: how many of them the belief comes from.
     - `status`: `LoopStatus`; `active_push`: `ActivePush | None`, what the arm is to do.
 
     Args:
@@ -61,7 +61,7 @@ class PushSupervisor(PythonSystem):
         self._patience = patience
         self._fit = fit
         self._pushes = fit + heldout
-        for name in ("object_pose", "cell_grid", "poke", "execution", "records", "learned"):
+        for name in ("object_pose", "cell_grid", "plan", "execution", "trials", "learned"):
             self.DeclareAbstractInputPort(name, Value[object](None))
         start = LoopStatus("learning", made - 1) if made else LoopStatus("looking", 0)
         self._status = self.DeclareAbstractState(held(start))
@@ -84,8 +84,8 @@ class PushSupervisor(PythonSystem):
             state.get_mutable_discrete_state(0)[0] = context.get_time()
             active = None
             if following.mode == "pushing":
-                request = self._input(context, "poke")
-                active = ActivePush(following.number, request.poke.push)
+                plan = self._input(context, "plan")
+                active = ActivePush(following.number, plan.choice.push)
             replace_held(state, self._active, active)
         elif now.mode == "choosing" and self._input(context, "object_pose").valid:
             # Choosing takes its time; patience is for an object that is out of sight.
@@ -101,13 +101,13 @@ class PushSupervisor(PythonSystem):
         if now.mode == "looking":
             return self._look(context, now)
         if now.mode == "choosing":
-            request = self._input(context, "poke")
-            if request is None or request.number != now.number:
+            plan = self._input(context, "plan")
+            if plan is None or plan.number != now.number:
                 if self._input(context, "object_pose").valid:
                     return now  # choosing takes its time
                 return self._patient(context, now, self._unseen(context))
-            if request.poke is None:
-                return LoopStatus("failed", now.push, now.attempt, request.reason)
+            if plan.choice is None:
+                return LoopStatus("failed", now.push, now.attempt, plan.reason)
             return LoopStatus("pushing", now.push, now.attempt)
         if now.mode == "pushing":
             if execution.push_id != now.number:
@@ -118,7 +118,7 @@ class PushSupervisor(PythonSystem):
                 return LoopStatus("choosing", now.push, now.attempt + 1)
             return LoopStatus("recording", now.push) if execution.mode == "home" else now
         if now.mode == "recording":
-            if len(self._input(context, "records")) > now.push:
+            if len(self._input(context, "trials")) > now.push:
                 return LoopStatus("learning", now.push)
             return self._patient(context, now, "the object was not seen after the push")
         if self._input(context, "learned") < min(now.push + 1, self._fit):
@@ -190,7 +190,7 @@ class PregraspSupervisor(PythonSystem):
         - object_pose
         - plan
         - execution
-        - records
+        - trials
         - gripper.state_measured
         output_ports:
         - status
@@ -200,7 +200,7 @@ class PregraspSupervisor(PythonSystem):
     - `exploration`: `LoopStatus`, and `exploring_push`: `ActivePush | None`, of the `PushSupervisor`. Until
       exploring is finished, `status` and `active_push` are these; then come the modes `messages.BRINGING`.
     - `object_pose`: `ObservedPose`; `plan`: `PregraspPlan | None`; `execution`: `ExecutionStatus` of the arm.
-    - `records`: tuple of recorded `Trial`s; `gripper.state_measured`: (2,) opening and its rate, m and m/s.
+    - `trials`: tuple of recorded `Trial`s; `gripper.state_measured`: (2,) opening and its rate, m and m/s.
     - `status`: `LoopStatus`; pushes are counted on from those that explored.
     - `active_push`: `ActivePush | None`, `active_grasp`: `ActiveGrasp | None`: what the arm is to do.
 
@@ -214,7 +214,7 @@ class PregraspSupervisor(PythonSystem):
     def __init__(self, patience: float = PATIENCE) -> None:
         super().__init__()
         self._patience = patience
-        for name in ("exploration", "exploring_push", "object_pose", "plan", "execution", "records"):
+        for name in ("exploration", "exploring_push", "object_pose", "plan", "execution", "trials"):
             self.DeclareAbstractInputPort(name, Value[object](None))
         self.DeclareVectorInputPort("gripper.state_measured", 2)
         self._bringing = self.DeclareAbstractState(held(None))
@@ -283,7 +283,7 @@ class PregraspSupervisor(PythonSystem):
         if status.mode == "pushing":
             return to("recording") if answered and execution.mode == "home" else now
         if status.mode == "recording":
-            if len(self._input(context, "records")) > status.push:
+            if len(self._input(context, "trials")) > status.push:
                 return _Bringing(LoopStatus("planning", status.push + 1), time)
             return patient(f"after the push {unseen(self._input(context, 'object_pose'))}")
         if status.mode == "grasping":
