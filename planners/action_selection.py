@@ -1,5 +1,7 @@
 """Which push to try next on an object that is not known yet: Algorithm 2 of Song and Boularias (IROS 2020).
 
+`choose_push` takes one of the candidates of `slipmap.planners.exploration`.
+
 A force is a vector of 3n numbers there, so that two pushes on different cells always differ by the same
 amount. Here `most-different` measures what is meant: how far apart contact points and directions are, in the
 object's frame, a contact point shifted by the object's radius of gyration counting as much as a direction
@@ -24,13 +26,12 @@ from slipmap.planners.rehearsal import AFTERWARDS, RAMP
 from slipmap.planners.settings import STRATEGIES, PokeSettings
 from slipmap.planners.table_push import TablePush
 
-TOUCH_WAY = 0.004
-"""m that a tap's finger may go on slowly after it should have touched: no one knows exactly where it will."""
+_TOUCH_WAY = 0.004  # m that a tap's finger goes on slowly after it should have touched, as it may be off
 
 
 @dataclass(frozen=True, eq=False)
 class Choice:
-    """A push together with where it meets the object.
+    """A push that was chosen, and where it meets the object.
 
     Attributes:
         push: on the table.
@@ -70,7 +71,7 @@ def choose_push(
         strategy: one of `STRATEGIES`.
         belief: hypotheses that `most-distinctive` compares.
         past: pushes that were made.
-        settings: what choices are like.
+        settings: what pushes to learn from are like.
         tap: whether it is to be a tap; by default as the settings say for the number of past pushes. Where
             the robot can make none of the taps, a slow push is chosen instead.
         allowed: whether the robot can make a push; asked in order of preference until one is found.
@@ -88,7 +89,7 @@ def choose_push(
         speed=(habits.slowest, habits.fastest), cone=float(np.radians(habits.cone)), approach=habits.approach,
     )  # fmt: skip
     tapping = habits.is_tap(len(past)) if tap is None else tap
-    choices = [_poke(contact, pose, habits.tap_speed if tapping else None) for contact in contacts]
+    choices = [_choice(contact, pose, habits.tap_speed if tapping else None) for contact in contacts]
     choices = [choice for choice in choices if _stays(choice, grid, pose, habits)]
     if strategy == "most-different" and past:
         worth = _differences(choices, past, grid)
@@ -110,16 +111,12 @@ def choose_push(
     )
 
 
-def _poke(contact: Candidate, pose: FloatArray, tap_speed: float | None) -> Choice:
+def _choice(candidate: Candidate, pose: FloatArray, tap_speed: float | None) -> Choice:
     """The candidate on the table, as a tap where a speed for one is given."""
-    rotation = turn(pose[2])
-    begin = contact.touch - contact.approach * contact.direction
-    end = contact.touch + contact.length * contact.direction
-    creep = 0.0 if tap_speed is None else contact.approach + min(TOUCH_WAY, contact.length / 2)
-    push = TablePush(
-        pose[:2] + rotation @ begin, pose[:2] + rotation @ end, tap_speed or contact.speed, creep
-    )
-    return Choice(push, contact.contact, contact.direction)
+    begin, end = candidate.way_at(pose, candidate.length)
+    creep = 0.0 if tap_speed is None else candidate.approach + min(_TOUCH_WAY, candidate.length / 2)
+    push = TablePush(begin, end, tap_speed or candidate.speed, creep)
+    return Choice(push, candidate.contact, candidate.direction)
 
 
 def _stays(choice: Choice, grid: CellGrid, pose: FloatArray, settings: PokeSettings) -> bool:

@@ -11,7 +11,7 @@ from driven_block import DrivenBlock, seen_at
 
 from slipmap.diagrams.systems import exploration
 from slipmap.diagrams.systems.exploration import PERIOD, Exploration
-from slipmap.diagrams.systems.loop_messages import LoopStatus, ExplorationPlan
+from slipmap.diagrams.systems.loop_messages import ExplorationPlan, LoopStatus
 from slipmap.models.objects import cells_from_polygon
 from slipmap.models.perception.seen_object import ObservedPose
 from slipmap.planners.action_selection import Choice

@@ -7,7 +7,7 @@ import pytest
 from driven_block import DrivenBlock, seen_at
 
 from slipmap.diagrams.execution import ExecutionStatus
-from slipmap.diagrams.systems.loop_messages import MOST_ATTEMPTS, LoopStatus, ExplorationPlan
+from slipmap.diagrams.systems.loop_messages import MOST_ATTEMPTS, ExplorationPlan, LoopStatus
 from slipmap.diagrams.systems.supervisors import PATIENCE, PERIOD, PushSupervisor
 from slipmap.models.perception.seen_object import ObservedPose
 from slipmap.planners.action_selection import Choice
