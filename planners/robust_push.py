@@ -35,7 +35,7 @@ from slipmap.models.physics.balance import balance_margins, own_balance_margins
 from slipmap.models.physics.cell_grid import CellGrid, FloatArray
 from slipmap.models.physics.maps import Maps
 from slipmap.models.physics.rollout import Push, RolloutError, Slider
-from slipmap.planners.contact_lines import ContactContour, ContactLines, joined, ways_of_center
+from slipmap.planners.contact_lines import ContactContour, ContactLines, ways_of_center
 from slipmap.planners.exploration import NoReachablePush, turn
 from slipmap.planners.settings import PushSettings
 from slipmap.planners.table_push import TablePush
@@ -347,7 +347,7 @@ def plan_push(
         if len(varied):
             seen.append(foresee(scenarios, pose, varied, table, settings))
             values.append(expected(seen[-1]))
-            lines = joined(lines, varied)
+            lines = lines.joined(varied)
     return _first_allowed(seen, values, goals, near, metric, scenarios, settings, allowed)
 
 

@@ -1,7 +1,8 @@
-"""One trial of a campaign: what is to be done, and what came of it. Both are plain data.
+"""Trials of a campaign: what is to be done, what came of it, and estimates from many of them.
 
-Trials share nothing, each has its own seed, and outcomes are put into the order of the trials. Only the
-process that was started writes files, so a cluster needs no common disk.
+Specs and outcomes are plain data. Trials share nothing, each has its own seed, and outcomes are put into the
+order of the trials: the result is the same whether `run_trials` spreads them over local processes (joblib) or
+a cluster (Dask). Only the process that was started writes files, so a cluster needs no common disk.
 """
 
 from __future__ import annotations
@@ -140,10 +141,6 @@ def _file(spec: TrialSpec, folder: Path) -> Path:
     return folder / f"{spec.name}.json"
 
 
-# Runs trials on local processes (joblib) or on a cluster (Dask). The result is the same whatever runs
-# them.
-
-
 Backend = Literal["processes", "dask"]
 CRASHED = "the process that made the trial died"
 
@@ -270,11 +267,7 @@ def _on_dask(specs: Sequence[TrialSpec], scheduler: str | None) -> Iterator[Tria
                 yield TrialOutcome(spec, None, CRASHED)
 
 
-# Numbers of a campaign with what chance leaves open of them.
-
-
-LEVEL = 0.95
-"""Of all intervals."""
+_LEVEL = 0.95  # of all intervals
 
 
 @dataclass(frozen=True)
@@ -294,9 +287,9 @@ class Estimate:
 
     def percent(self) -> str:
         """As in a table: `97 (91 to 99)`."""
-        return self.told(100.0, 0)
+        return self.text(100.0, 0)
 
-    def told(self, factor: float = 1.0, digits: int = 1) -> str:
+    def text(self, factor: float = 1.0, digits: int = 1) -> str:
         """Multiplied by a factor and rounded, such as `5.2 (4.9 to 5.5)`; a dash where there is nothing."""
         if not np.isfinite(self.value):
             return "–"
@@ -304,9 +297,9 @@ class Estimate:
         return f"{value} ({low} to {high})" if np.isfinite(self.low + self.high) else value
 
     def short(self, factor: float = 1.0, digits: int = 1) -> str:
-        """As `told`, with half the interval's width, such as `5.2 ± 0.3`."""
+        """As `text`, with half the interval's width, such as `5.2 ± 0.3`."""
         if not np.isfinite(self.high - self.low):
-            return self.told(factor, digits)
+            return self.text(factor, digits)
         return f"{factor * self.value:.{digits}f} ± {factor * (self.high - self.low) / 2:.{digits}f}"
 
     def to_json(self) -> dict[str, Any]:
@@ -324,7 +317,7 @@ def share(successes: int, count: int) -> Estimate:
 
     if count == 0 and successes == 0:
         return Estimate(float("nan"), 0.0, 1.0, 0)
-    interval = binomtest(successes, count).proportion_ci(LEVEL, method="wilson")
+    interval = binomtest(successes, count).proportion_ci(_LEVEL, method="wilson")
     return Estimate(successes / count, float(interval.low), float(interval.high), count)
 
 
@@ -339,8 +332,5 @@ def mean(values: Sequence[float]) -> Estimate:
     middle = float(data.mean())
     if count == 1:
         return Estimate(middle, float("nan"), float("nan"), 1)
-    half = float(t.ppf(0.5 + LEVEL / 2, count - 1) * data.std(ddof=1) / np.sqrt(count))
+    half = float(t.ppf(0.5 + _LEVEL / 2, count - 1) * data.std(ddof=1) / np.sqrt(count))
     return Estimate(middle, middle - half, middle + half, count)
-
-
-# Campaigns: many trials of one experiment, spread over processes or machines, and the tables they give.
