@@ -196,12 +196,13 @@ class BeliefVisualizer(PythonSystem):
         - seen_object
 
     Inputs, all optional:
-        belief: abstract, `Belief` or None.
-        object_pose: abstract, with `pose` (3,) and `valid`, such as an `ObservedPose`.
-        predicted_pose: (3,) x, y, θ in the world; NaN where there is none.
-        push: abstract, None, a `TablePush`, or something with one as its `push`, such as an `ActivePush`.
-        seen_object: abstract, None, or something with `cell_heights` (n,), m, such as a `SeenObject`: the
-            tiles then lie `CLEARANCE` over the highest cell instead of at `height`.
+        belief: abstract, `Belief` or None, such as of `Identification`.
+        object_pose: abstract, `ObservedPose` of the object's frame in the world, m and rad: of a camera, of a
+            `TrialLogger`, or made by `ObservedPose.of` from a pose (3,).
+        predicted_pose: (3,) x, y (m), θ (rad) in the world; NaN where there is none.
+        push: abstract, None, a `TablePush`, or an `ActivePush`, which has one as its `push`.
+        seen_object: abstract, `SeenObject` or None: the tiles then lie `CLEARANCE` over the highest of its
+            `cell_heights` (m) instead of at `height`.
 
     Over the object, where it was last seen: its cells as tiles coloured by mass, friction or their product;
     the observed outline (black) and the predicted one (orange); residual arrows from predicted to observed

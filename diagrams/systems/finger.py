@@ -1,6 +1,8 @@
-"""The finger as the sliding model wants it: where it is and how fast while it is down, else nowhere."""
+"""The finger as blocks see it: measured, driven along pushes that are asked for, or felt through the arm."""
 
 from __future__ import annotations
+
+from collections.abc import Sequence
 
 import numpy as np
 from pydrake.common.value import Value
@@ -10,6 +12,8 @@ from pydrake.systems.framework import BasicVector, Context, EventStatus, State
 
 from slipmap.diagrams.execution.finger_kinematics import FingerKinematics, tip_force
 from slipmap.diagrams.systems.python_system import PythonSystem
+from slipmap.models.physics.cell_grid import FloatArray
+from slipmap.planners.table_push import TablePush
 
 
 class FingerMotion(PythonSystem):
@@ -55,7 +59,54 @@ class FingerMotion(PythonSystem):
         output.SetFromVector(context.get_discrete_state(0).value())
 
 
-# Where the finger is and what force it exerts, from what the arm says, whoever drives it.
+class FingerPath(PythonSystem):
+    """A finger without an arm: makes pushes one after the other, and is nowhere between them.
+
+    .. pydrake_system::
+
+        name: FingerPath
+        output_ports:
+        - finger
+        - push
+
+    - `finger`: (4,) centre (m) and velocity (m/s) in the world, as `CellGridSlider` takes it; NaN between
+      pushes.
+    - `push`: `TablePush | None`, the one that is made now, as `BeliefVisualizer` draws it.
+
+    Args:
+        pushes: in the world, in the order in which they are made.
+        h: step of the model that it drives, s; the velocity is constant over it.
+        pause: between two pushes and before the first, s.
+        rest: for which the finger is down and at rest before and after it moves, s.
+    """
+
+    def __init__(self, pushes: Sequence[TablePush], h: float, pause: float = 1.0, rest: float = 0.4) -> None:
+        super().__init__()
+        self._h = h
+        paths = [push.path(h, rest=rest) for push in pushes]
+        steps = round(pause / h)
+        begins = steps + np.cumsum([0, *(len(path) + steps for path in paths)])[:-1]
+        self._made = list(zip(begins, pushes, paths, strict=True))
+        self.end = h * float(begins[-1] + len(paths[-1]) + steps) if paths else 0.0
+        """Time at which the last push is over, with a pause after it, s."""
+        time = {self.time_ticket()}
+        self.DeclareVectorOutputPort("finger", 4, self._calc_finger, time)
+        self.DeclareAbstractOutputPort("push", lambda: Value[object](None), self._calc_push, time)
+
+    def _now(self, context: Context) -> tuple[TablePush | None, FloatArray]:
+        """The push under way and the state (4,) of the finger."""
+        step = int(context.get_time() / self._h + 1e-6)
+        for begin, push, path in self._made:
+            if begin <= step < begin + len(path) - 1:
+                here, there = path[step - begin : step - begin + 2]
+                return push, np.concatenate([here, (there - here) / self._h])
+        return None, np.full(4, np.nan)
+
+    def _calc_finger(self, context: Context, output: BasicVector) -> None:
+        output.SetFromVector(self._now(context)[1])
+
+    def _calc_push(self, context: Context, output: Value) -> None:
+        output.set_value(self._now(context)[0])
 
 
 class FingerSense(PythonSystem):

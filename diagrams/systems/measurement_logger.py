@@ -1,4 +1,9 @@
-"""Writes down what the sensors say while the arm pushes: one trial a push, in the format of every command."""
+"""Writes down what sensors say during pushes: one trial a push, in the format of every command.
+
+`MeasurementLogger` is for a robot's cell, where the arm hides the object while it pushes. `TrialLogger` is for
+a diagram of your own, in which pose, finger and force are known all the time. `dataset_of` makes trials a
+dataset.
+"""
 
 from __future__ import annotations
 
@@ -15,6 +20,7 @@ from slipmap.diagrams.systems.loop_messages import LoopStatus
 from slipmap.diagrams.systems.python_system import PythonSystem, held, read, replace_held
 from slipmap.models.measurements import PushDataset, Trial
 from slipmap.models.measurements.push_dataset import Channel, Noise, Role, Table
+from slipmap.models.perception.seen_object import ObservedPose
 from slipmap.models.physics.cell_grid import CellGrid
 
 PERIOD = 0.01
@@ -47,6 +53,19 @@ class _Recording:
     poses: tuple[Row, ...] = ()
     tips: tuple[Row, ...] = ()
     forces: tuple[Row, ...] = ()
+
+    def completed(self, role: Role, poses: Sequence[Row]) -> _Recording:
+        """With one trial more, of the push under way, and these poses."""
+        start = self.tips[0][0]
+
+        def channel(rows: Sequence[Row]) -> Channel:
+            values = np.array(rows, dtype=float)
+            return Channel(values[:, 0] - start, values[:, 1:])
+
+        name = f"trials/{len(self.trials):03d}.json"
+        forces = channel(self.forces) if self.forces else None
+        trial = Trial(name, role, channel(poses), channel(self.tips), forces)
+        return _Recording((*self.trials, trial), self.looks)
 
 
 class MeasurementLogger(PythonSystem):
@@ -156,19 +175,83 @@ class MeasurementLogger(PythonSystem):
         """The recording with the push under way as a trial, once enough poses were seen after it."""
         if not recording.tips or len(recording.looks) < LOOKS:
             return recording
-        start, end = recording.tips[0][0], recording.tips[-1][0]
+        end = recording.tips[-1][0]
         rest = _rest(recording.looks, end)
         rows = (*_credible([row for row in recording.poses if row[0] < end], rest), rest)
-        number = len(recording.trials)
-        role: Role = "fit" if number < self._fit else "heldout"
-        trial = Trial(
-            f"trials/{number:03d}.json",
-            role,
-            _channel(rows, start),
-            _channel(recording.tips, start),
-            _channel(recording.forces, start),
+        return recording.completed("fit" if len(recording.trials) < self._fit else "heldout", rows)
+
+
+class TrialLogger(PythonSystem):
+    """Records pushes where pose, finger and force are known all the time.
+
+    .. pydrake_system::
+
+        name: TrialLogger
+        input_ports:
+        - object_pose
+        - finger
+        - finger_force (optional)
+        output_ports:
+        - trials
+        - observed_pose
+
+    - `object_pose`: (3,) x, y (m), θ (rad) of the object in the world, such as that of `CellGridSlider`; θ
+      goes on beyond ±π.
+    - `finger`: (4,) centre (m) and velocity (m/s) in the world; NaN where the finger is not down.
+    - `finger_force`: (2,) of the finger on the object, world, N; without it, trials have no forces.
+    - `trials`: tuple of `Trial`, as `Identification` takes it.
+    - `observed_pose`: `ObservedPose` of now, as `BeliefVisualizer`, `MultiverseSlider` and `ModelMonitor`
+      take it.
+
+    A trial lasts from when the finger comes down, which should be free of an object at rest, until it is
+    lifted, when the object should rest again.
+
+    Args:
+        fit: so many trials are to learn from, those after them to judge; all to learn from if None.
+        period: s between two rows.
+    """
+
+    def __init__(self, fit: int | None = None, period: float = PERIOD) -> None:
+        super().__init__()
+        self._fit = fit
+        self._pose = self.DeclareVectorInputPort("object_pose", 3)
+        self._finger = self.DeclareVectorInputPort("finger", 4)
+        self._force = self.DeclareVectorInputPort("finger_force", 2)
+        self._recording = self.DeclareAbstractState(held(_Recording()))
+        self.DeclarePeriodicUnrestrictedUpdateEvent(period, 0.0, self._record)
+        self.DeclareAbstractOutputPort(
+            "trials",
+            lambda: Value[object](()),
+            lambda context, output: output.set_value(read(context, self._recording).trials),
+            {self.abstract_state_ticket(self._recording)},
         )
-        return _Recording((*recording.trials, trial), looks=recording.looks)
+        self.DeclareAbstractOutputPort(
+            "observed_pose",
+            lambda: Value[object](None),
+            lambda context, output: output.set_value(
+                ObservedPose.of(self._pose.Eval(context), context.get_time())
+            ),
+            {self._pose.ticket(), self.time_ticket()},
+        )
+
+    def _record(self, context: Context, state: State) -> EventStatus:
+        now: _Recording = read(context, self._recording)
+        time, center = context.get_time(), self._finger.Eval(context)[:2]
+        if np.isfinite(center).all():
+            now = replace(
+                now,
+                poses=(*now.poses, (time, *self._pose.Eval(context))),
+                tips=(*now.tips, (time, *center)),
+            )
+            if self._force.HasValue(context):
+                now = replace(now, forces=(*now.forces, (time, *self._force.Eval(context), 0.0)))
+        elif now.tips:
+            role: Role = "fit" if self._fit is None or len(now.trials) < self._fit else "heldout"
+            now = now.completed(role, now.poses)
+        else:
+            return EventStatus.DidNothing()
+        replace_held(state, self._recording, now)
+        return EventStatus.Succeeded()
 
 
 def _under_way(recording: _Recording) -> dict[str, tuple[Row, ...]]:
@@ -201,11 +284,6 @@ def _fresh(row: Row, rows: Sequence[Row]) -> bool:
     return not rows or row[0] > rows[-1][0] + 1e-9
 
 
-def _channel(rows: Sequence[Row], start: float) -> Channel:
-    values = np.array(rows, dtype=float)
-    return Channel(values[:, 0] - start, values[:, 1:])
-
-
 def dataset_of(
     trials: Sequence[Trial],
     grid: CellGrid,
@@ -214,6 +292,7 @@ def dataset_of(
     finger_radius: float,
     noise: Noise,
     table: Table | None = None,
+    gravity: float = 9.81,
     height: float | None = None,
     description: str = "",
 ) -> PushDataset:
@@ -226,6 +305,7 @@ def dataset_of(
         finger_radius: m.
         noise: of the sensors.
         table: the table top.
+        gravity: m/s².
         height: of the object, m.
         description: free text.
 
@@ -245,7 +325,7 @@ def dataset_of(
         mass=None,
         finger_radius=finger_radius,
         table=table,
-        gravity=9.81,
+        gravity=gravity,
         noise=noise,
         trials=tuple(trials),
         fingerprint=digest.hexdigest(),
