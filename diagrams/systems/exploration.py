@@ -8,11 +8,10 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from pydrake.common.value import Value
 from pydrake.systems.framework import Context, EventStatus, State
 
 from slipmap.diagrams.execution.clearance import Obstacle
-from slipmap.diagrams.systems.loop_messages import LoopStatus, ExplorationPlan
+from slipmap.diagrams.systems.loop_messages import ExplorationPlan, LoopStatus
 from slipmap.diagrams.systems.python_system import PythonSystem, held, read, replace_held
 from slipmap.diagrams.systems.workers import begun
 from slipmap.models.perception.seen_object import SeenObject
@@ -39,22 +38,22 @@ class Exploration(PythonSystem):
         - plan
 
     - `belief`: `Belief | None`; `object_pose`: `ObservedPose`; `seen_object`: `SeenObject | None`.
-    - `status`: `LoopStatus`.
+    - `status`: `LoopStatus`; in the mode `choosing` a plan of its number is made.
     - `plan`: `ExplorationPlan | None`; it stands until the loop asks for another.
 
     The draws of a push depend on the seed and the push's number alone.
 
     Args:
         strategy: one of `slipmap.planners.settings.STRATEGIES`; pushes made to judge the belief are
-            random and none of them is a tap.
+            random, and none of them is a tap.
         fit: pushes to learn from.
         finger_radius: m.
-        settings: what pokes are like.
+        settings: what pushes to learn from are like.
         allowed: whether the arm can make a push of an object that lies somewhere.
         seed: of every draw.
         worker: who computes; this process if None, and then the simulation waits. It must be able to take
             `allowed` along.
-        past: pokes that were made before.
+        past: pushes that were made before.
     """
 
     def __init__(
@@ -76,25 +75,19 @@ class Exploration(PythonSystem):
         self._allowed = allowed
         self._seed = seed
         self._worker = worker
-        for name in ("belief", "object_pose", "seen_object", "status"):
-            self.DeclareAbstractInputPort(name, Value[object](None))
+        self.declare_inputs("belief", "object_pose", "seen_object", "status")
         self._plan = self.DeclareAbstractState(held(None))
         self._past = self.DeclareAbstractState(held(tuple(past)))
         self._job = self.DeclareAbstractState(held(None))
         self.DeclarePeriodicUnrestrictedUpdateEvent(PERIOD, 0.0, self._choose)
-        self.DeclareAbstractOutputPort(
-            "plan",
-            lambda: Value[object](None),
-            lambda context, output: output.set_value(read(context, self._plan)),
-            {self.abstract_state_ticket(self._plan)},
-        )
+        self.declare_output_of("plan", self._plan)
 
     def _choose(self, context: Context, state: State) -> EventStatus:
         job, number, past = read(context, self._job) or (None, 0, ())
         if job is None:
-            status: LoopStatus = self.GetInputPort("status").Eval(context)
+            status: LoopStatus = self.input(context, "status")
             plan: ExplorationPlan | None = read(context, self._plan)
-            pose = self.GetInputPort("object_pose").Eval(context)
+            pose = self.input(context, "object_pose")
             asked = status.mode == "choosing" and (plan is None or plan.number != status.number)
             if not asked or not pose.valid:
                 return EventStatus.DidNothing()
@@ -102,7 +95,7 @@ class Exploration(PythonSystem):
             if status.attempt > 0:
                 past = past[:-1]  # the arm refused it
             strategy = self._strategy if status.push < self._fit else "random"
-            seen: SeenObject = self.GetInputPort("seen_object").Eval(context)
+            seen: SeenObject = self.input(context, "seen_object")
             job = begun(
                 self._worker,
                 _selected,
@@ -110,7 +103,7 @@ class Exploration(PythonSystem):
                 pose.pose,
                 self._finger_radius,
                 strategy=strategy,
-                belief=self.GetInputPort("belief").Eval(context),
+                belief=self.input(context, "belief"),
                 past=past,
                 settings=self._settings,
                 tap=self._settings.is_tap(status.push) and status.push < self._fit,

@@ -40,7 +40,7 @@ class FingerMotion(PythonSystem):
         super().__init__()
         self._period = period
         self.DeclareAbstractInputPort("tip_pose", Value(RigidTransform()))
-        self.DeclareAbstractInputPort("execution", Value[object](None))
+        self.declare_inputs("execution")
         last = self.DeclareDiscreteState(np.full(4, np.nan))
         self.DeclarePeriodicDiscreteUpdateEvent(period, 0.0, self._look)
         self.DeclareVectorOutputPort("finger", 4, self._calc, {self.discrete_state_ticket(last)})
@@ -48,8 +48,8 @@ class FingerMotion(PythonSystem):
     def _look(self, context: Context, state: State) -> EventStatus:
         before = context.get_discrete_state(0).value()
         now = np.full(4, np.nan)
-        if self.GetInputPort("execution").Eval(context).mode == "pushing":
-            place = self.GetInputPort("tip_pose").Eval(context).translation()[:2]
+        if self.input(context, "execution").mode == "pushing":
+            place = self.input(context, "tip_pose").translation()[:2]
             velocity = (place - before[:2]) / self._period if np.isfinite(before[0]) else np.zeros(2)
             now = np.concatenate([place, velocity])
         state.set_value(now)

@@ -6,7 +6,6 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import Executor
 from functools import partial
 
-from pydrake.common.value import Value
 from pydrake.systems.framework import Context, EventStatus, State
 
 from slipmap.diagrams.systems.measurement_logger import dataset_of
@@ -39,7 +38,7 @@ class Identification(PythonSystem):
         - belief
         - learned
 
-    - `trials`: abstract, tuple of `Trial`: recorded pushes, the oldest first, such as of a `TrialLogger` or a
+    - `trials`: abstract, tuple of `Trial`: recorded pushes, the oldest first, as of a `TrialLogger` or a
       `MeasurementLogger`. Those with the role `fit` are learned from.
     - `cell_grid`: abstract, `CellGrid`: the object's cells and outline in its own frame, m; the argument
       `grid` if not connected.
@@ -97,28 +96,20 @@ class Identification(PythonSystem):
         self._learn_from = partial(learning(effects, method), hypotheses=hypotheses, seed=seed)
         self._learned = learned
         self._worker = worker
-        self.DeclareAbstractInputPort("trials", Value[object](()))
-        self.DeclareAbstractInputPort("cell_grid", Value[object](None))
+        self.declare_inputs("trials", "cell_grid")
         self._belief = self.DeclareAbstractState(held((None, 0)))
         self._job = self.DeclareAbstractState(held(None))
         self.DeclarePeriodicUnrestrictedUpdateEvent(PERIOD, 0.0, self._learn)
-        for index, name in enumerate(("belief", "learned")):
-            self.DeclareAbstractOutputPort(
-                name,
-                lambda: Value[object](None),
-                lambda context, output, index=index: output.set_value(read(context, self._belief)[index]),
-                {self.abstract_state_ticket(self._belief)},
-            )
+        self.declare_output_of("belief", self._belief, lambda learned: learned[0])
+        self.declare_output_of("learned", self._belief, lambda learned: learned[1])
 
     def _learn(self, context: Context, state: State) -> EventStatus:
         job, count = read(context, self._job) or (None, 0)
         if job is None:
-            recorded: tuple[Trial, ...] = self.GetInputPort("trials").Eval(context)
-            trials = [trial for trial in recorded if trial.role == "fit"]
+            trials = [trial for trial in self.input(context, "trials") if trial.role == "fit"]
             if len(trials) <= read(context, self._belief)[1]:
                 return EventStatus.DidNothing()
-            port = self.GetInputPort("cell_grid")
-            grid = port.Eval(context) if port.HasValue(context) else self._grid
+            grid = self.optional_input(context, "cell_grid") or self._grid
             if grid is None:
                 raise ValueError("Identification: connect the port cell_grid, or give the argument grid")
             count = len(trials)

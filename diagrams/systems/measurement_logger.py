@@ -1,8 +1,8 @@
 """Writes down what sensors say during pushes: one trial a push, in the format of every command.
 
-`MeasurementLogger` is for a robot's cell, where the arm hides the object while it pushes. `TrialLogger` is for
-a diagram of your own, in which pose, finger and force are known all the time. `dataset_of` makes trials a
-dataset.
+`MeasurementLogger` is for a robot's cell, where the arm hides the object while it pushes. `TrialLogger` is
+for a diagram of your own, in which pose, finger and force are known all the time. `dataset_of` makes trials
+a dataset.
 """
 
 from __future__ import annotations
@@ -29,11 +29,10 @@ PERIOD = 0.01
 LOOKS = 6
 """Poses at rest whose mean begins a trial, and as many to end it."""
 
-RESTED = 0.15
-"""s before the arm lifts the finger from when on the object certainly rests."""
+_RESTED = 0.15  # s before the arm lifts the finger, from when on the object certainly rests
+
 MISPLACED, TURNED = 4e-3, 0.05
-"""m and rad by which a pose seen then may differ from that seen afterwards, with the arm out of the way, and
-two looks at an object at rest."""
+"""m and rad by which two looks at an object at rest may differ, also one past the arm from one without it."""
 
 Row = tuple[float, ...]
 
@@ -107,36 +106,24 @@ class MeasurementLogger(PythonSystem):
     def __init__(self, fit: int, trials: Sequence[Trial] = ()) -> None:
         super().__init__()
         self._fit = fit
-        self.DeclareAbstractInputPort("object_pose", Value[object](None))
+        self.declare_inputs("object_pose")
         self.DeclareAbstractInputPort("tip_pose", Value(RigidTransform()))
         self.DeclareVectorInputPort("tip_force", 3)
-        self._tip_age = self.DeclareVectorInputPort("tip_age", 1)
-        self.DeclareAbstractInputPort("execution", Value[object](None))
-        self.DeclareAbstractInputPort("status", Value[object](None))
+        self.DeclareVectorInputPort("tip_age", 1)
+        self.declare_inputs("execution", "status")
         self._recording = self.DeclareAbstractState(held(_Recording(tuple(trials))))
         self.DeclarePeriodicUnrestrictedUpdateEvent(PERIOD, 0.0, self._record)
-        self.DeclareAbstractOutputPort(
-            "trials",
-            lambda: Value[object](()),
-            lambda context, output: output.set_value(read(context, self._recording).trials),
-            {self.abstract_state_ticket(self._recording)},
-        )
-
-        self.DeclareAbstractOutputPort(
-            "under_way",
-            lambda: Value[object](None),
-            lambda context, output: output.set_value(_under_way(read(context, self._recording))),
-            {self.abstract_state_ticket(self._recording)},
-        )
+        self.declare_output_of("trials", self._recording, lambda recording: recording.trials)
+        self.declare_output_of("under_way", self._recording, _under_way)
 
     def _record(self, context: Context, state: State) -> EventStatus:
-        status: LoopStatus = self.GetInputPort("status").Eval(context)
-        execution = self.GetInputPort("execution").Eval(context)
+        status: LoopStatus = self.input(context, "status")
+        execution = self.input(context, "execution")
         old: _Recording = read(context, self._recording)
         new = old
         if old.tips and status.mode not in ("pushing", "recording"):
             new = replace(old, poses=(), tips=(), forces=())
-        pose = self.GetInputPort("object_pose").Eval(context)
+        pose = self.input(context, "object_pose")
         row = (pose.time, *map(float, pose.pose)) if pose is not None and pose.valid else None
         if execution.mode == "home" and status.mode != "pushing":
             if row is not None and _fresh(row, new.looks or new.tips):
@@ -152,10 +139,10 @@ class MeasurementLogger(PythonSystem):
 
     def _pushed(self, context: Context, recording: _Recording, row: Row | None) -> _Recording:
         """The recording with where the finger is, and a pose seen meanwhile, if any."""
-        age = float(self._tip_age.Eval(context)[0]) if self._tip_age.HasValue(context) else 0.0
-        time = context.get_time() - age
-        tip = self.GetInputPort("tip_pose").Eval(context).translation()
-        force = self.GetInputPort("tip_force").Eval(context)
+        age = self.optional_input(context, "tip_age")
+        time = context.get_time() - (0.0 if age is None else float(age[0]))
+        tip = self.input(context, "tip_pose").translation()
+        force = self.input(context, "tip_force")
         new = recording
         if not new.tips:
             # The finger is on its way to the object, which still rests.
@@ -215,16 +202,11 @@ class TrialLogger(PythonSystem):
         super().__init__()
         self._fit = fit
         self._pose = self.DeclareVectorInputPort("object_pose", 3)
-        self._finger = self.DeclareVectorInputPort("finger", 4)
-        self._force = self.DeclareVectorInputPort("finger_force", 2)
+        self.DeclareVectorInputPort("finger", 4)
+        self.DeclareVectorInputPort("finger_force", 2)
         self._recording = self.DeclareAbstractState(held(_Recording()))
         self.DeclarePeriodicUnrestrictedUpdateEvent(period, 0.0, self._record)
-        self.DeclareAbstractOutputPort(
-            "trials",
-            lambda: Value[object](()),
-            lambda context, output: output.set_value(read(context, self._recording).trials),
-            {self.abstract_state_ticket(self._recording)},
-        )
+        self.declare_output_of("trials", self._recording, lambda recording: recording.trials)
         self.DeclareAbstractOutputPort(
             "observed_pose",
             lambda: Value[object](None),
@@ -236,15 +218,16 @@ class TrialLogger(PythonSystem):
 
     def _record(self, context: Context, state: State) -> EventStatus:
         now: _Recording = read(context, self._recording)
-        time, center = context.get_time(), self._finger.Eval(context)[:2]
+        time, center = context.get_time(), self.input(context, "finger")[:2]
         if np.isfinite(center).all():
             now = replace(
                 now,
                 poses=(*now.poses, (time, *self._pose.Eval(context))),
                 tips=(*now.tips, (time, *center)),
             )
-            if self._force.HasValue(context):
-                now = replace(now, forces=(*now.forces, (time, *self._force.Eval(context), 0.0)))
+            force = self.optional_input(context, "finger_force")
+            if force is not None:
+                now = replace(now, forces=(*now.forces, (time, *force, 0.0)))
         elif now.tips:
             role: Role = "fit" if self._fit is None or len(now.trials) < self._fit else "heldout"
             now = now.completed(role, now.poses)
@@ -264,7 +247,7 @@ def _credible(poses: Sequence[Row], rest: Row) -> Sequence[Row]:
     to rest, though it rested already: then the arm hid too much of it."""
     begin, last = poses[:2], np.array(poses[-1])
     off = np.abs(last[1:] - rest[1:])
-    at_rest = last[0] > rest[0] - RESTED
+    at_rest = last[0] > rest[0] - _RESTED
     return begin if at_rest and (off > [MISPLACED, MISPLACED, TURNED]).any() else poses
 
 

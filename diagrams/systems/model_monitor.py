@@ -31,7 +31,7 @@ LEAST_P = 0.005
 """One push is not believed to be rarer: nobody knows errors that well. An alarm takes three such pushes."""
 
 MODEL_ERROR = 0.03
-"""α, by which share of the way the model is off anyway; see `slipmap.models.inference.diagnosis.correlated`."""
+"""α, by which share of the way the model is off anyway, as in `slipmap.models.inference.diagnosis`."""
 
 FORCE_ERROR = 0.1
 """β, the same for the mean force of a push: in the simulated station without any hidden effect it was 2 to 5
@@ -106,7 +106,7 @@ class ModelMonitor(PythonSystem):
 
     Inputs:
         universes: abstract, `Universes` of a `MultiverseSlider`, moved by the same finger, or None.
-        object_pose: abstract, with `pose` (3,) and `valid`, such as an `ObservedPose`.
+        object_pose: abstract, `ObservedPose`.
         trials: abstract, tuple of recorded `Trial`s, which begin and end with the object at rest.
 
     Outputs:
@@ -136,16 +136,14 @@ class ModelMonitor(PythonSystem):
         if sensors.position is None or sensors.angle is None:
             raise ValueError(f"ModelMonitor: noise of position and angle must be given, got {sensors}")
         self._error = ErrorModel(pose_noise(sensors.position, sensors.angle), model_error, FORCE_ERROR)
-        self._universes = self.DeclareAbstractInputPort("universes", Value[object](None))
-        self._observed = self.DeclareAbstractInputPort("object_pose", Value[object](None))
-        self._records = self.DeclareAbstractInputPort("trials", Value[object](()))
+        self.declare_inputs("universes", "object_pose", "trials")
         self._watch = self.DeclareAbstractState(held(Watch(0, np.full(3, np.nan))))
         after = {self.abstract_state_ticket(self._watch)}
         self.DeclareVectorOutputPort("residual", 3, self._output_residual, after)
         self.DeclareVectorOutputPort("misfit", 1, self._output_misfit, after)
         self.DeclareVectorOutputPort("evidence", 1, self._output_evidence, after)
         self.DeclareAbstractOutputPort("alarm", lambda: Value[bool](False), self._output_alarm, after)
-        self.DeclareAbstractOutputPort("watch", lambda: Value[object](None), self._output_watch, after)
+        self.declare_output_of("watch", self._watch)
         self.DeclarePeriodicUnrestrictedUpdateEvent(period, 0.0, self._look)
 
     def watch(self, context: Context) -> Watch:
@@ -154,9 +152,8 @@ class ModelMonitor(PythonSystem):
 
     def _look(self, context: Context, state: State) -> None:
         before = watch = self.watch(context)
-        universes: Any = self._universes.Eval(context)
-        seen: Any = self._observed.Eval(context)
-        trials: Any = self._records.Eval(context)
+        universes, seen = self.input(context, "universes"), self.input(context, "object_pose")
+        trials = self.input(context, "trials")
         if universes is not None and seen is not None and seen.valid:
             watch = replace(watch, residual=seen.pose - universes.mean_pose)
         if len(trials) > watch.trials:
@@ -193,6 +190,3 @@ class ModelMonitor(PythonSystem):
 
     def _output_alarm(self, context: Any, output: Any) -> None:
         output.set_value(self.watch(context).alarm)
-
-    def _output_watch(self, context: Any, output: Any) -> None:
-        output.set_value(self.watch(context))

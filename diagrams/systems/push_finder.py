@@ -15,6 +15,7 @@ from slipmap.diagrams.execution.requests import ExecutionStatus
 from slipmap.diagrams.systems.loop_messages import LoopStatus
 from slipmap.diagrams.systems.measurement_logger import PERIOD
 from slipmap.diagrams.systems.python_system import PythonSystem, held, read, replace_held
+from slipmap.models.geometry import seen_from
 from slipmap.models.perception.seen_object import ObservedPose, SeenObject
 from slipmap.models.physics.cell_grid import FloatArray
 
@@ -119,13 +120,11 @@ class PushFinder(PythonSystem):
     def __init__(self, finger_radius: float) -> None:
         super().__init__()
         self._reach = finger_radius + TOUCH
-        for name in ("object_pose", "seen_object"):
-            self.DeclareAbstractInputPort(name, Value[object](None))
-        self.DeclareAbstractInputPort("aside", Value[object](False))
+        self.declare_inputs("object_pose", "seen_object", "aside")
         self.DeclareAbstractInputPort("tip_pose", Value(RigidTransform()))
         self.DeclareVectorInputPort("tip_age", 1)
         self.DeclareVectorInputPort("gripper.state_measured", 2)
-        self.DeclareAbstractInputPort("trials", Value[object](()))
+        self.declare_inputs("trials")
         self._found = self.DeclareAbstractState(held(_Found()))
         self.DeclarePeriodicUnrestrictedUpdateEvent(PERIOD, 0.0, self._update)
         own = self.abstract_state_ticket(self._found)
@@ -135,7 +134,7 @@ class PushFinder(PythonSystem):
                 name,
                 lambda: Value[object](None),
                 lambda context, output, calc=calc: output.set_value(
-                    calc(read(context, self._found), len(self._input(context, "trials")))
+                    calc(read(context, self._found), len(self.input(context, "trials")))
                 ),
                 {own, trials},
             )
@@ -148,19 +147,18 @@ class PushFinder(PythonSystem):
         return found.reason or ("the finger was still down" if found.phase == "down" else _UNSEEN)
 
     def _update(self, context: Context, state: State) -> EventStatus:
-        before: _Found = read(context, self._found)
-        replace_held(state, self._found, self._next(context, before))
+        replace_held(state, self._found, self._next(context, read(context, self._found)))
         return EventStatus.Succeeded()
 
     def _next(self, context: Context, now: _Found) -> _Found:
-        pose: ObservedPose = self._input(context, "object_pose")
-        seen: SeenObject | None = self._input(context, "seen_object")
-        tip = self._input(context, "tip_pose").translation()
-        told = context.get_time() - float(self._input(context, "tip_age")[0])
+        pose: ObservedPose = self.input(context, "object_pose")
+        seen: SeenObject | None = self.input(context, "seen_object")
+        tip = self.input(context, "tip_pose").translation()
+        told = context.get_time() - float(self.input(context, "tip_age")[0])
         down = seen is not None and tip[2] < seen.cell_heights.max()
         silent = told - now.told if np.isfinite(now.told) else 0.0
         now = replace(now, told=told)
-        if now.phase == "after" and len(self._input(context, "trials")) > sum(
+        if now.phase == "after" and len(self.input(context, "trials")) > sum(
             descent.kept for descent in now.descents
         ):
             now = replace(_over(now, ""), rest=pose.pose if pose.valid else None)
@@ -190,15 +188,14 @@ class PushFinder(PythonSystem):
         """Why no push can begin now."""
         if now.rest is None:
             return "the object was not seen at rest before"
-        opening = float(self._input(context, "gripper.state_measured")[0])
+        opening = float(self.input(context, "gripper.state_measured")[0])
         if not opening <= CLOSED:
             return f"the gripper was open by {1e3 * opening:.0f} mm"
         return ""
 
     def _near(self, seen: SeenObject, lies: FloatArray, tip: FloatArray) -> bool:
-        c, s = np.cos(lies[2]), np.sin(lies[2])
-        x, y = np.array([[c, s], [-s, c]]) @ (tip[:2] - lies[:2])
-        return bool(seen.grid.polygon.distance(shapely.Point(x, y)) <= self._reach)
+        point = shapely.Point(seen_from(tip[:2], lies))
+        return bool(seen.grid.polygon.distance(point) <= self._reach)
 
     def _lifted(self, now: _Found) -> _Found:
         reason = now.reason or ("" if now.touched else "the finger did not come near the object")
@@ -210,7 +207,7 @@ class PushFinder(PythonSystem):
         """With a picture that is new; one counts if the arm is aside then, and at the next."""
         if pose.time <= now.looked:
             return now
-        aside = (now.aside[1], bool(self._input(context, "aside")))
+        aside = (now.aside[1], bool(self.input(context, "aside")))
         now = replace(now, looked=pose.time, aside=aside)
         if not all(aside):
             return now
@@ -226,9 +223,6 @@ class PushFinder(PythonSystem):
         if now.phase == "down" and not now.reason:
             return LoopStatus("pushing", trials)
         return LoopStatus("recording" if now.phase == "after" else "looking", trials)
-
-    def _input(self, context: Context, name: str):  # type: ignore[no-untyped-def]
-        return self.GetInputPort(name).Eval(context)
 
 
 def _over(now: _Found, reason: str) -> _Found:
