@@ -21,9 +21,10 @@ from slipmap.diagrams.loops.exploration_loop import (
     LoopOptions,
     RecordedRun,
     exploration_loop,
+    output_of,
     recorded_dataset,
 )
-from slipmap.diagrams.loops.run_folder import RunFolder, Recording
+from slipmap.diagrams.loops.run_folder import Recording, RunFolder
 from slipmap.diagrams.station.scenario import Scenario
 from slipmap.diagrams.station.station import Station, take_fixed_steps
 from slipmap.diagrams.systems.identification import learning
@@ -280,12 +281,6 @@ def explored(
         ended.simulated,
         ended.seconds + time.perf_counter() - started,
     )
-
-
-def output_of(loop: Diagram, system: str, port: str, root: Context) -> Any:
-    """What a port of one of a loop's systems says."""
-    block = loop.GetSubsystemByName(system)
-    return block.GetOutputPort(port).Eval(block.GetMyContextFromRoot(root))
 
 
 def _frames(loop: Diagram, root: Context) -> FloatArray:
