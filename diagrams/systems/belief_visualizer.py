@@ -183,16 +183,6 @@ MAP = "map (0: mass, 1: friction, 2: both)"
 class BeliefVisualizer(PythonSystem):
     """Draws a belief and how it fares into Meshcat.
 
-    .. pydrake_system::
-
-        name: BeliefVisualizer
-        input_ports:
-        - belief
-        - object_pose
-        - predicted_pose
-        - push
-        - seen_object
-
     Inputs, all optional:
         belief: abstract, `Belief` or None, such as of `Identification`.
         object_pose: abstract, `ObservedPose` of the object's frame in the world, m and rad: of a camera, of a

@@ -85,18 +85,6 @@ def CellGridSlider_(T: type) -> type:
     class Impl(HoldsOutputFunctions, LeafSystem_[T], metaclass=WithoutOwnDict):
         """The cell-grid model of one object, in steps of h; it is pushed by a finger, by a wrench, or both.
 
-        .. pydrake_system::
-
-            name: CellGridSlider
-            input_ports:
-            - wrench
-            - finger
-            output_ports:
-            - object_pose
-            - object_twist
-            - cell_positions
-            - finger_force
-
         Inputs, both optional:
             wrench: (5,) force on the object (world, N), the point at which it acts (object frame, m) and a
                 torque (N m), constant over a step: the convention of `Push.wrench`.

@@ -26,19 +26,10 @@ PERIOD = 0.05
 class Exploration(PythonSystem):
     """Chooses a push when the loop asks for one.
 
-    .. pydrake_system::
-
-        name: Exploration
-        input_ports:
-        - belief
-        - object_pose
-        - seen_object
-        - status
-        output_ports:
-        - plan
-
+    Inputs:
     - `belief`: `Belief | None`; `object_pose`: `ObservedPose`; `seen_object`: `SeenObject | None`.
     - `status`: `LoopStatus`; in the mode `choosing` a plan of its number is made.
+    Outputs:
     - `plan`: `ExplorationPlan | None`; it stands until the loop asks for another.
 
     The draws of a push depend on the seed and the push's number alone.

@@ -19,16 +19,9 @@ from slipmap.planners.table_push import TablePush
 class FingerMotion(PythonSystem):
     """Turns the finger's measured pose into the `finger` input of `CellGridSlider`.
 
-    .. pydrake_system::
-
-        name: FingerMotion
-        input_ports:
-        - tip_pose
-        - execution
-        output_ports:
-        - finger
-
+    Inputs:
     - `tip_pose`: X_WT; `execution`: `ExecutionStatus`.
+    Outputs:
     - `finger`: (4,) centre (m) and velocity (m/s) in the world; NaN unless the finger pushes, because above
       the table it may pass over the object.
 
@@ -62,13 +55,7 @@ class FingerMotion(PythonSystem):
 class FingerPath(PythonSystem):
     """A finger without an arm: makes pushes one after the other, and is nowhere between them.
 
-    .. pydrake_system::
-
-        name: FingerPath
-        output_ports:
-        - finger
-        - push
-
+    Outputs:
     - `finger`: (4,) centre (m) and velocity (m/s) in the world, as `CellGridSlider` takes it; NaN between
       pushes.
     - `push`: `TablePush | None`, the one that is made now, as `BeliefVisualizer` draws it.
@@ -112,17 +99,9 @@ class FingerPath(PythonSystem):
 class FingerSense(PythonSystem):
     """The finger's pose and force from joint angles and torques.
 
-    .. pydrake_system::
-
-        name: FingerSense
-        input_ports:
-        - iiwa.position_measured
-        - iiwa.torque_external
-        output_ports:
-        - tip_pose
-        - tip_force
-
+    Inputs:
     - `iiwa.position_measured` (7,) rad; `iiwa.torque_external` (7,) N m, of contact on the arm.
+    Outputs:
     - `tip_pose`: X_WT; `tip_force` (3,) N, of the finger on the object, in the world.
 
     Args:

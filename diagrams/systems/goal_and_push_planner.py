@@ -175,19 +175,10 @@ class _Procedure:
 class GoalAndPushPlanner(PythonSystem):
     """Plans a push or the grasp when the loop asks for one.
 
-    .. pydrake_system::
-
-        name: GoalAndPushPlanner
-        input_ports:
-        - belief
-        - object_pose
-        - seen_object
-        - status
-        output_ports:
-        - plan
-
+    Inputs:
     - `belief`: `Belief | None`; `object_pose`: `ObservedPose`; `seen_object`: `SeenObject | None`.
     - `status`: `LoopStatus`; in the mode `planning` a plan of its number is made.
+    Outputs:
     - `plan`: `PregraspPlan | None`; it stands until the loop asks for another.
 
     Goals are sampled at the first plan. Without a worker the simulation waits while the block computes. The

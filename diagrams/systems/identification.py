@@ -28,20 +28,12 @@ _NO_NOISE = Noise()
 class Identification(PythonSystem):
     """Learns maps anew after each push that is to be learned from.
 
-    .. pydrake_system::
-
-        name: Identification
-        input_ports:
-        - trials
-        - cell_grid (optional)
-        output_ports:
-        - belief
-        - learned
-
+    Inputs:
     - `trials`: abstract, tuple of `Trial`: recorded pushes, the oldest first, as of a `TrialLogger` or a
       `MeasurementLogger`. Those with the role `fit` are learned from.
     - `cell_grid`: abstract, `CellGrid`: the object's cells and outline in its own frame, m; the argument
       `grid` if not connected.
+    Outputs:
     - `belief`: abstract, `Belief`, or None before the first push.
     - `learned`: abstract, int: number of pushes that it comes from.
 

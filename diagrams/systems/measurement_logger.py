@@ -70,24 +70,12 @@ class _Recording:
 class MeasurementLogger(PythonSystem):
     """Records pushes.
 
-    .. pydrake_system::
-
-        name: MeasurementLogger
-        input_ports:
-        - object_pose
-        - tip_pose
-        - tip_force
-        - tip_age (optional)
-        - execution
-        - status
-        output_ports:
-        - trials
-        - under_way
-
+    Inputs:
     - `object_pose`: `ObservedPose`; rows without a valid pose are left out.
     - `tip_pose`: X_WT of the finger's end; `tip_force`: (3,) of the finger on the object, world, N; `tip_age`
       (1,): s since both were measured, 0 if not connected.
     - `execution`: `ExecutionStatus`; `status`: `LoopStatus`.
+    Outputs:
     - `trials`: tuple of `Trial`.
     - `under_way`: dict of rows of the push that is made now, by channel as in a trial's file, but with the
       diagram's time; none before and after it.
@@ -171,21 +159,12 @@ class MeasurementLogger(PythonSystem):
 class TrialLogger(PythonSystem):
     """Records pushes where pose, finger and force are known all the time.
 
-    .. pydrake_system::
-
-        name: TrialLogger
-        input_ports:
-        - object_pose
-        - finger
-        - finger_force (optional)
-        output_ports:
-        - trials
-        - observed_pose
-
+    Inputs:
     - `object_pose`: (3,) x, y (m), θ (rad) of the object in the world, such as that of `CellGridSlider`; θ
       goes on beyond ±π.
     - `finger`: (4,) centre (m) and velocity (m/s) in the world; NaN where the finger is not down.
     - `finger_force`: (2,) of the finger on the object, world, N; without it, trials have no forces.
+    Outputs:
     - `trials`: tuple of `Trial`, as `Identification` takes it.
     - `observed_pose`: `ObservedPose` of now, as `BeliefVisualizer`, `MultiverseSlider` and `ModelMonitor`
       take it.

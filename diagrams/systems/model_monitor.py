@@ -90,20 +90,6 @@ class Watch:
 class ModelMonitor(PythonSystem):
     """Holds the predicted pose against the observed one.
 
-    .. pydrake_system::
-
-        name: ModelMonitor
-        input_ports:
-        - universes
-        - object_pose
-        - trials
-        output_ports:
-        - residual
-        - misfit
-        - evidence
-        - alarm
-        - watch
-
     Inputs:
         universes: abstract, `Universes` of a `MultiverseSlider`, moved by the same finger, or None.
         object_pose: abstract, `ObservedPose`.

@@ -82,21 +82,6 @@ def placed(
 class MultiverseSlider(PythonSystem):
     """K hypotheses of a belief under one finger, in steps of h, one call of the kernel a step.
 
-    .. pydrake_system::
-
-        name: MultiverseSlider
-        input_ports:
-        - wrench
-        - finger
-        - belief
-        - object_pose
-        - push
-        output_ports:
-        - poses
-        - mean_pose
-        - spread
-        - universes
-
     Inputs, all optional:
         wrench: (5,) and
         finger: (4,) as of `CellGridSlider`.

@@ -84,27 +84,13 @@ class _Found:
 class PushFinder(PythonSystem):
     """Says of an arm that somebody else drives when it pushes, as executor and supervisor of a loop would.
 
-    .. pydrake_system::
-
-        name: PushFinder
-        input_ports:
-        - object_pose
-        - seen_object
-        - aside
-        - tip_pose
-        - tip_age
-        - gripper.state_measured
-        - trials
-        output_ports:
-        - execution
-        - status
-        - descents
-
+    Inputs:
     - `object_pose`: `ObservedPose`; `seen_object`: `SeenObject | None`; `aside`: bool, whether the arm hides
       nothing of the object.
     - `tip_pose`: X_WT of the finger's end; `tip_age` (1,): s since it was measured.
     - `gripper.state_measured` (2,): opening and its rate, m and m/s.
     - `trials`: tuple of `Trial` of the `MeasurementLogger` that listens to this.
+    Outputs:
     - `execution`: `ExecutionStatus` in `home` (the arm is aside), `pushing` (the finger is down) or
       `retreating`; `status`: `LoopStatus` in `looking`, `pushing` or `recording`.
     - `descents`: tuple of `Descent`.

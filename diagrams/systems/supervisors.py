@@ -33,24 +33,12 @@ PATIENCE_REAL = 100.0
 class PushSupervisor(PythonSystem):
     """Decides what the loop does next.
 
-    .. pydrake_system::
-
-        name: PushSupervisor
-        input_ports:
-        - object_pose
-        - cell_grid
-        - plan
-        - execution
-        - trials
-        - learned
-        output_ports:
-        - status
-        - active_push
-
+    Inputs:
     - `object_pose`: `ObservedPose`; `cell_grid`: `CellGrid | None`, the object as first seen.
     - `plan`: `ExplorationPlan | None` from the exploration.
     - `execution`: `ExecutionStatus` of the arm.
     - `trials`: tuple of recorded `Trial`s; `learned`: how many of them the belief comes from.
+    Outputs:
     - `status`: `LoopStatus`; `active_push`: `ActivePush | None`, what the arm is to do.
 
     Args:
@@ -167,26 +155,12 @@ class _Bringing:
 class PregraspSupervisor(PythonSystem):
     """Takes over from the supervisor of exploration, and brings the object into the gripper.
 
-    .. pydrake_system::
-
-        name: PregraspSupervisor
-        input_ports:
-        - exploration
-        - exploring_push
-        - object_pose
-        - plan
-        - execution
-        - trials
-        - gripper.state_measured
-        output_ports:
-        - status
-        - active_push
-        - active_grasp
-
+    Inputs:
     - `exploration`: `LoopStatus`, and `exploring_push`: `ActivePush | None`, of the `PushSupervisor`. Until
       exploring is finished, `status` and `active_push` are these; then come the modes `BRINGING`.
     - `object_pose`: `ObservedPose`; `plan`: `PregraspPlan | None`; `execution`: `ExecutionStatus` of the arm.
     - `trials`: tuple of recorded `Trial`s; `gripper.state_measured`: (2,) opening and its rate, m and m/s.
+    Outputs:
     - `status`: `LoopStatus`; pushes are counted on from those that explored.
     - `active_push`: `ActivePush | None`, `active_grasp`: `ActiveGrasp | None`: what the arm is to do.
 
