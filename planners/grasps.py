@@ -102,7 +102,7 @@ class Grasp:
 class HeightMap:
     """Least and largest height at points of the object frame; 0 outside the outline.
 
-    A height is known where cells are alike: between the centres of cells it may be any between theirs.
+    A height is known where neighbouring cells are equally high; between others it may be any between theirs.
 
     Attributes:
         corner: (2,) the raster's first point, m; its rows go along y, its columns along x.

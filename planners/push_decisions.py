@@ -136,7 +136,7 @@ def decide(
         return Decision(None, way, reason=reason)
 
     def possible(push: TablePush) -> bool:
-        return not any(_alike(push, other) for other in refused) and allowed(push)
+        return not any(_same_push(push, other) for other in refused) and allowed(push)
 
     left_out = pursuit.left_out(settings.patience)
     try:
@@ -163,14 +163,8 @@ def next_push(
     """The next push towards a goal, and the way that it follows (Algorithm 3, lines 1 to 5 and 22 to 23).
 
     Args:
-        belief: hypotheses, one or many.
-        pose: (3,) of the object now, world.
-        goals: that will do.
+        belief, pose, goals, table, settings, rng, allowed: as of `decide`.
         way: that was followed so far; None at first.
-        table: its top.
-        settings: of the procedure.
-        rng: source of every draw.
-        allowed: whether the robot can make a push.
         left_out: indices of goals that are given up.
 
     Raises:
@@ -251,7 +245,7 @@ def _towards_nearest(
     return plan_push(belief, pose, left[0], table, settings.push, rng, allowed), Way(way.goal, left)
 
 
-def _alike(one: TablePush, other: TablePush) -> bool:
+def _same_push(one: TablePush, other: TablePush) -> bool:
     apart = np.hypot(*(one.begin - other.begin)), np.hypot(*(one.end - other.end))
     return bool(max(apart) < _SAME_PUSH)
 

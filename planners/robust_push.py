@@ -365,7 +365,7 @@ def _expected_pushes(
     poses = np.where(solved[..., None, None], seen.poses, 0.0)
     gaps = metric.gaps(poses, goals)
     follow = np.einsum("clsg,s->clg", further_pushes(gaps, settings), seen.probability)
-    # What follows is looked up for some lengths only: neighbours are alike.
+    # What follows is looked up for some lengths only: neighbours differ little.
     likely = np.einsum("clsx,s->clx", poses[:, ::_STEP], seen.probability)
     follow[:, ::_STEP] = np.minimum(follow[:, ::_STEP], ahead.after(likely, goals, pairs=far))
     value = 1.0 + follow + extra + settings.fall_cost * seen.falls[..., None]

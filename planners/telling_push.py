@@ -108,8 +108,8 @@ def next_push(diagnosis: Diagnosis, dataset: PushDataset, seed: int = 0) -> dict
     names = [rival.name for rival in rivals]
     if diagnosis.verdict == "undecided":
         names = names[1:]
-    told = best.to_json() | {"separates": names, "separation": separation}
-    return told | {"sentence": _sentence(told, rivals, predictions, why)}
+    asked = best.to_json() | {"separates": names, "separation": separation}
+    return asked | {"sentence": _sentence(asked, rivals, predictions, why)}
 
 
 def rivals_of(diagnosis: Diagnosis, dataset: PushDataset) -> list[Rival]:
@@ -122,10 +122,12 @@ def rivals_of(diagnosis: Diagnosis, dataset: PushDataset) -> list[Rival]:
     return _question(diagnosis, dataset, habits)[0]
 
 
-def push_of(told: dict[str, Any], order: float = 0.0) -> Push:
+def push_of(asked: dict[str, Any], order: float = 0.0) -> Push:
     """What `next_push` returned, to be simulated; `order` is its place in the experiment."""
-    begin, end = np.array(told["tip_start"]), np.array(told["tip_end"])
-    return straight_push(np.array(told["pose"]), begin, end, told["speed"], dwell=told["dwell"], order=order)
+    begin, end = np.array(asked["tip_start"]), np.array(asked["tip_end"])
+    return straight_push(
+        np.array(asked["pose"]), begin, end, asked["speed"], dwell=asked["dwell"], order=order
+    )
 
 
 @dataclass(frozen=True)
@@ -419,11 +421,11 @@ def _worst_repeated(diagnosis: Diagnosis, dataset: PushDataset, habits: Habits) 
         return None
     depends = (diagnosis.depends_on or "").split(":")[0]
     changed, what = _changed(repeated, depends, habits)
-    told = changed.to_json() | {"separates": [depends or "unknown"], "separation": float(norms[worst])}
+    asked = changed.to_json() | {"separates": [depends or "unknown"], "separation": float(norms[worst])}
     trial = observation.trial
-    return told | {
+    return asked | {
         "sentence": f"Repeat the push {trial}, which the model misses most"
-        f" ({norms[worst]:.0f} standard deviations), {what}. {_how_to(told)}"
+        f" ({norms[worst]:.0f} standard deviations), {what}. {_how_to(asked)}"
         " If the miss changes with it, that is what it depends on; if not, it is not."
     }
 
@@ -472,29 +474,29 @@ def _changed(push: Instruction, depends: str, habits: Habits) -> tuple[Instructi
 
 
 def _sentence(
-    told: dict[str, Any], rivals: Sequence[Rival], predictions: Sequence[Predictions], why: str
+    asked: dict[str, Any], rivals: Sequence[Rival], predictions: Sequence[Predictions], why: str
 ) -> str:
     parts = []
     for rival, predicted in zip(rivals, predictions, strict=True):
-        x, y, angle = predicted.poses[0, -1] - told["pose"]
+        x, y, angle = predicted.poses[0, -1] - asked["pose"]
         force = np.hypot(*predicted.forces[0].T)
         pressed = force[force > 0.2 * force.max()]
         text = f"{rival.name}: {1e3 * np.hypot(x, y):.0f} mm, {np.degrees(angle):+.0f}°"
         parts.append(text + (f", {pressed.mean():.2g} N" if len(pressed) else ""))
     return (
-        f"{_how_to(told)} It {why}: by {told['separation']:.1f} standard deviations. Predicted way,"
+        f"{_how_to(asked)} It {why}: by {asked['separation']:.1f} standard deviations. Predicted way,"
         f" turn and mean force — {'; '.join(parts)}."
     )
 
 
-def _how_to(told: dict[str, Any]) -> str:
+def _how_to(asked: dict[str, Any]) -> str:
     """What to do, in a sentence."""
-    x, y, angle = told["pose"]
-    stop = f", rest {told['dwell']:.1g} s half-way" if told["dwell"] else ""
+    x, y, angle = asked["pose"]
+    stop = f", rest {asked['dwell']:.1g} s half-way" if asked["dwell"] else ""
     return (
         f"Put the object at x = {1e3 * x:.0f} mm, y = {1e3 * y:.0f} mm, turned by {np.degrees(angle):.0f}°;"
-        f" move the finger from ({1e3 * told['tip_start'][0]:.0f}, {1e3 * told['tip_start'][1]:.0f}) mm to"
-        f" ({1e3 * told['tip_end'][0]:.0f}, {1e3 * told['tip_end'][1]:.0f}) mm"
-        f" at {1e3 * told['speed']:.0f} mm/s{stop},"
+        f" move the finger from ({1e3 * asked['tip_start'][0]:.0f}, {1e3 * asked['tip_start'][1]:.0f}) mm to"
+        f" ({1e3 * asked['tip_end'][0]:.0f}, {1e3 * asked['tip_end'][1]:.0f}) mm"
+        f" at {1e3 * asked['speed']:.0f} mm/s{stop},"
         " and stop abruptly."
     )

@@ -48,11 +48,11 @@ class TrialSpec:
         if not self.name.strip("._-") or not all(c.isalnum() or c in "-_." for c in self.name):
             raise CampaignError(f"trial {self.name!r}: a name has letters, digits, '-', '_' and '.'")
         try:
-            self.told()
+            self.to_json()
         except (TypeError, ValueError) as error:
             raise CampaignError(f"trial {self.name}: parameters must be plain data ({error})") from error
 
-    def told(self) -> dict[str, Any]:
+    def to_json(self) -> dict[str, Any]:
         """As JSON holds it."""
         document = {
             "name": self.name,
@@ -100,7 +100,7 @@ def write_outcome(outcome: TrialOutcome, folder: Path) -> None:
     Raises:
         CampaignError: the folder cannot be written to.
     """
-    document = outcome.spec.told() | {
+    document = outcome.spec.to_json() | {
         "result": outcome.result,
         "failure": outcome.failure,
         "seconds": outcome.seconds,
@@ -127,12 +127,12 @@ def read_outcome(spec: TrialSpec, folder: Path) -> TrialOutcome | None:
     advice = "remove it or choose another folder"
     try:
         document = json.loads(path.read_text(encoding="utf-8"))
-        told = {key: document[key] for key in ("name", "function", "parameters", "seed")}
+        stored = {key: document[key] for key in ("name", "function", "parameters", "seed")}
         outcome = TrialOutcome(spec, document["result"], document["failure"], float(document["seconds"]))
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise CampaignError(f"{path} is not a readable trial ({error}); {advice}") from error
-    if told != spec.told():
-        different = [key for key, value in spec.told().items() if told[key] != value]
+    if stored != spec.to_json():
+        different = [key for key, value in spec.to_json().items() if stored[key] != value]
         raise CampaignError(f"{path} is of another campaign, its {' and '.join(different)} differ; {advice}")
     return outcome
 

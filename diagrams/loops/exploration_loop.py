@@ -99,16 +99,7 @@ class LoopOptions:
     effects: Sequence[str] = ()
 
 
-def exploration_loop(
-    scenario: Scenario,
-    options: LoopOptions,
-    *,
-    cell: HardwareInterface | None = None,
-    worker: Executor | None = None,
-    meshcat: Meshcat | None = None,
-    learned: Callable[[Belief, int], None] | None = None,
-    before: RecordedRun | None = None,
-) -> Diagram:
+def exploration_loop(scenario: Scenario, options: LoopOptions, **parts: Any) -> Diagram:
     """The station with everything that explores the object on its table.
 
     Its systems are named `station`, `perception`, `supervisor`, `exploration`, `executor`, `object_watch`,
@@ -118,22 +109,13 @@ def exploration_loop(
     Args:
         scenario: what the cell is like.
         options: what to do.
-        cell: the real cell, which takes the station's place; a guard stands between it and the executor.
-        worker: who looks at pictures, learns and plans; the diagram itself if None, which then waits.
-        meshcat: where to show it, if anywhere.
-        learned: called with every belief as it forms and the number of pushes that it comes from.
-        before: what an earlier process recorded, to go on from; the object lies where that one left it.
+        parts: keyword arguments of `add_exploration`.
 
     Raises:
-        ScenarioError: an object, a surface or a hidden effect that cannot be had.
-        ValueError: an unknown strategy.
-        RendererUnavailable: this machine cannot render pictures.
+        ScenarioError, ValueError, RendererUnavailable: see `add_exploration`.
     """
     builder = DiagramBuilder()
-    blocks = add_exploration(
-        builder, scenario, options,
-        cell=cell, worker=worker, meshcat=meshcat, learned=learned, before=before,
-    )  # fmt: skip
+    blocks = add_exploration(builder, scenario, options, **parts)
     connect(builder, blocks.wires(blocks.supervisor))
     loop = builder.Build()
     loop.set_name("exploration_loop")
@@ -230,7 +212,23 @@ def add_exploration(
     learned: Callable[[Belief, int], None] | None = None,
     before: RecordedRun | None = None,
 ) -> ExplorationBlocks:
-    """Add everything that explores, not yet connected; arguments and errors as of `exploration_loop`."""
+    """Add everything that explores, not yet connected.
+
+    Args:
+        builder: of the loop.
+        scenario: what the cell is like.
+        options: what to do.
+        cell: the real cell, which takes the station's place; a guard stands between it and the executor.
+        worker: who looks at pictures, learns and plans; the diagram itself if None, which then waits.
+        meshcat: where to show it, if anywhere.
+        learned: called with every belief as it forms and the number of pushes that it comes from.
+        before: what an earlier process recorded, to go on from; the object lies where that one left it.
+
+    Raises:
+        ScenarioError: an object, a surface or a hidden effect that cannot be had.
+        ValueError: an unknown strategy.
+        RendererUnavailable: this machine cannot render pictures.
+    """
     try:
         # Two runs of one scenario see other noise; the run of seed 0 sees the scenario's own.
         noise = replace(scenario.depth_noise, seed=scenario.depth_noise.seed + options.seed)

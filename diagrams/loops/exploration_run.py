@@ -226,11 +226,11 @@ def run_loop(
     started = time.perf_counter()
     first_look: list[FloatArray] = []
 
-    told = loop.GetSubsystemByName(supervisor).GetOutputPort("status")
-    tells = told.get_system().GetMyContextFromRoot(context)
+    port = loop.GetSubsystemByName(supervisor).GetOutputPort("status")
+    context_of_port = port.get_system().GetMyContextFromRoot(context)
 
     def monitor(root: Context) -> EventStatus:
-        status: LoopStatus = told.Eval(tells)
+        status: LoopStatus = port.Eval(context_of_port)
         if status.mode in last:
             return EventStatus.ReachedTermination(loop.GetSubsystemByName(supervisor), status.mode)
         if simulated and not first_look and status.mode == "choosing":

@@ -229,7 +229,7 @@ def record_pushes(
         BadLog, HardwareError: of the events.
         BadInput: the disk is full or the place not writable; names the file.
     """
-    seen, told, spoke, logged, expected = False, 0, None, 0, 0
+    seen, described, spoke, logged, expected = False, 0, None, 0, 0
     for event in events:
         if stopped():
             return
@@ -251,9 +251,9 @@ def record_pushes(
         if not seen and listener.pose.valid:
             seen = True
             tell(f"{listener.time:.1f} s: the object is seen")
-        for descent in listener.descents[told:]:
+        for descent in listener.descents[described:]:
             tell(f"{listener.time:.1f} s: {_words(descent, listener.pushes)}")
-            told += 1
+            described += 1
             if descent.kept:
                 _keep(recorder, listener)
                 if listener.pushes == most:

@@ -114,10 +114,10 @@ def _digest_of(path: Path) -> str:
     return hashlib.sha256(read_bytes(path)).hexdigest()
 
 
-def _holds(pushes: Path, told: Any) -> bool:
+def _holds(pushes: Path, stored: Any) -> bool:
     """Whether a dataset's trials are those that `run.json` tells of."""
     try:
-        expected = sorted(str(push["digest"]) for push in told)
+        expected = sorted(str(push["digest"]) for push in stored)
         return sorted(_digest_of(path) for path in pushes.rglob("*.json")) in (expected, [])
     except (DatasetError, KeyError, TypeError):
         return False
@@ -347,8 +347,8 @@ def resumed(folder: Path) -> tuple[Scenario, LoopOptions, RecordedRun]:
             if _digest_of(folder / name) != digest:
                 raise BadInput(f"{folder / name}: is not that of the run in {folder / RUN}; begin anew")
         scenario = read_settings(folder / SCENARIO, Scenario)
-        told = run["options"]
-        options = LoopOptions(**{**told, "effects": tuple(told.get("effects", ()))})
+        stored = run["options"]
+        options = LoopOptions(**{**stored, "effects": tuple(stored.get("effects", ()))})
         first = FirstPicture.load(folder / PICTURE)
         grid = first.seen(scenario.camera.intrinsics).grid
         dataset = read_dataset(folder / PUSHES)
@@ -390,5 +390,5 @@ def _found_from_anywhere(thing: ObjectSettings) -> ObjectSettings:
     return dataclasses.replace(thing, mesh=absolute(thing.mesh), labels=absolute(thing.labels))
 
 
-def _choice_of(told: dict[str, Any]) -> Choice:
-    return Choice(TablePush(**told["push"]), np.array(told["contact"]), np.array(told["direction"]))
+def _choice_of(stored: dict[str, Any]) -> Choice:
+    return Choice(TablePush(**stored["push"]), np.array(stored["contact"]), np.array(stored["direction"]))

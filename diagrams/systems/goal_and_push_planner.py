@@ -148,7 +148,7 @@ class _Procedure:
         """The best grasp at a pose that the arm can make and did not refuse before; none or one."""
         for grasp in now.thing.grasps_at(pose, self.table)[:_GRASPS]:
             active = ActiveGrasp(number, grasp, pose, seen.grid, seen.cell_heights)
-            if not any(_alike(grasp, other) for other in now.refused) and self.can_grasp(active):
+            if not any(_same_place(grasp, other) for other in now.refused) and self.can_grasp(active):
                 return [active]
         return []
 
@@ -241,6 +241,6 @@ class GoalAndPushPlanner(PythonSystem):
         return EventStatus.Succeeded()
 
 
-def _alike(one: Grasp, other: Grasp) -> bool:
+def _same_place(one: Grasp, other: Grasp) -> bool:
     """Whether two grasps are at the same place from the same side."""
     return bool(np.hypot(*(one.tip - other.tip)) < _SAME_PLACE and one.approach == other.approach)

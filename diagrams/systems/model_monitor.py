@@ -72,6 +72,11 @@ class Watch:
     judged: tuple[Judged, ...] = ()
 
     @property
+    def misfit(self) -> float:
+        """Of the last push that was judged; NaN before."""
+        return self.judged[-1].misfit if self.judged else np.nan
+
+    @property
     def evidence(self) -> float:
         """E; 1 before any push."""
         return self.judged[-1].evidence if self.judged else 1.0
@@ -125,10 +130,21 @@ class ModelMonitor(PythonSystem):
         self.declare_inputs("universes", "object_pose", "trials")
         self._watch = self.DeclareAbstractState(held(Watch(0, np.full(3, np.nan))))
         after = {self.abstract_state_ticket(self._watch)}
-        self.DeclareVectorOutputPort("residual", 3, self._output_residual, after)
-        self.DeclareVectorOutputPort("misfit", 1, self._output_misfit, after)
-        self.DeclareVectorOutputPort("evidence", 1, self._output_evidence, after)
-        self.DeclareAbstractOutputPort("alarm", lambda: Value[bool](False), self._output_alarm, after)
+        for name, size in (("residual", 3), ("misfit", 1), ("evidence", 1)):
+            self.DeclareVectorOutputPort(
+                name,
+                size,
+                lambda context, output, name=name: output.SetFromVector(
+                    np.atleast_1d(getattr(self.watch(context), name))
+                ),
+                after,
+            )
+        self.DeclareAbstractOutputPort(
+            "alarm",
+            lambda: Value[bool](False),
+            lambda context, output: output.set_value(self.watch(context).alarm),
+            after,
+        )
         self.declare_output_of("watch", self._watch)
         self.DeclarePeriodicUnrestrictedUpdateEvent(period, 0.0, self._look)
 
@@ -163,16 +179,3 @@ class ModelMonitor(PythonSystem):
         evidence = max(watch.evidence, 1.0) * bet(max(p, LEAST_P))
         alarm = evidence >= 1.0 / LEVEL or (watch.alarm and evidence > 1.0)
         return Judged(number, misfit, p, evidence, alarm)
-
-    def _output_residual(self, context: Context, output: Any) -> None:
-        output.SetFromVector(self.watch(context).residual)
-
-    def _output_misfit(self, context: Context, output: Any) -> None:
-        judged = self.watch(context).judged
-        output.SetFromVector([judged[-1].misfit if judged else np.nan])
-
-    def _output_evidence(self, context: Context, output: Any) -> None:
-        output.SetFromVector([self.watch(context).evidence])
-
-    def _output_alarm(self, context: Any, output: Any) -> None:
-        output.set_value(self.watch(context).alarm)

@@ -6,7 +6,6 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from pydrake.common.value import Value
 from pydrake.systems.framework import Context, State
 
 from slipmap.diagrams.systems.cell_grid_slider import history_length, pose_then
@@ -113,8 +112,8 @@ class MultiverseSlider(PythonSystem):
         first = None if belief is None else placed(belief, h, np.zeros(3))
         self._universes = self.DeclareAbstractState(held(first))
         after = {self.abstract_state_ticket(self._universes)}
-        self.DeclareAbstractOutputPort(
-            "poses", lambda: Value[object](np.zeros((0, 3))), self._output_poses, after
+        self.declare_output_of(
+            "poses", self._universes, lambda now: np.zeros((0, 3)) if now is None else now.poses
         )
         self.DeclareVectorOutputPort("mean_pose", 3, self._output_mean, after)
         self.DeclareVectorOutputPort("spread", 1, self._output_spread, after)
@@ -163,10 +162,6 @@ class MultiverseSlider(PythonSystem):
             return None
         order = 0.0 if before is None or before.push is None else before.order + 1.0
         return placed(belief, self._h, seen.pose, push=push.push_id, begin=context.get_time(), order=order)
-
-    def _output_poses(self, context: Any, output: Any) -> None:
-        universes = self.universes(context)
-        output.set_value(np.zeros((0, 3)) if universes is None else universes.poses)
 
     def _output_mean(self, context: Context, output: Any) -> None:
         universes = self.universes(context)

@@ -63,7 +63,7 @@ class _Found:
         reason: why the present descent is no push, once that is known.
         touched: whether the finger was at the object.
         rest: pose (3,) at which the object was last seen with the arm aside, since the descent before.
-        told: time at which the arm measured where it was, s.
+        measured: time at which the arm measured where it was, s.
         looked: time of the newest picture that showed the object, s.
         aside: whether the arm was aside at the last look, and is.
         descents: that are over.
@@ -75,7 +75,7 @@ class _Found:
     reason: str = ""
     touched: bool = False
     rest: FloatArray | None = None
-    told: float = -np.inf
+    measured: float = -np.inf
     looked: float = -np.inf
     aside: tuple[bool, bool] = (False, False)
     descents: tuple[Descent, ...] = ()
@@ -140,10 +140,10 @@ class PushFinder(PythonSystem):
         pose: ObservedPose = self.input(context, "object_pose")
         seen: SeenObject | None = self.input(context, "seen_object")
         tip = self.input(context, "tip_pose").translation()
-        told = context.get_time() - float(self.input(context, "tip_age")[0])
+        measured = context.get_time() - float(self.input(context, "tip_age")[0])
         down = seen is not None and tip[2] < seen.cell_heights.max()
-        silent = told - now.told if np.isfinite(now.told) else 0.0
-        now = replace(now, told=told)
+        silent = measured - now.measured if np.isfinite(now.measured) else 0.0
+        now = replace(now, measured=measured)
         if now.phase == "after" and len(self.input(context, "trials")) > sum(
             descent.kept for descent in now.descents
         ):
@@ -152,19 +152,24 @@ class PushFinder(PythonSystem):
             now = replace(now, aside=(False, False))
         if not down:
             if now.phase == "down":
-                now = self._lifted(replace(now, end=told))
+                now = self._lifted(replace(now, end=measured))
             return self._looked(context, now, pose) if pose.valid else now
         assert seen is not None
         if now.phase == "after":
             now = _over(now, f"{_UNSEEN}, before the finger came down again")
         if now.phase == "up":
             return replace(
-                now, phase="down", begin=told, end=told, touched=False, reason=self._unfit(context, now)
+                now,
+                phase="down",
+                begin=measured,
+                end=measured,
+                touched=False,
+                reason=self._unfit(context, now),
             )
         reason = now.reason
         if silent > GAP:
             reason = reason or f"the arm said nothing for {silent:.2f} s"
-        if told - now.begin > LONGEST:
+        if measured - now.begin > LONGEST:
             reason = reason or f"the finger was down for more than {LONGEST:.0f} s"
         lies = pose.pose if pose.valid else now.rest
         touched = now.touched or (lies is not None and self._near(seen, lies, tip))
