@@ -158,14 +158,8 @@ class PushFinder(PythonSystem):
         if now.phase == "after":
             now = _over(now, f"{_UNSEEN}, before the finger came down again")
         if now.phase == "up":
-            return replace(
-                now,
-                phase="down",
-                begin=measured,
-                end=measured,
-                touched=False,
-                reason=self._unfit(context, now),
-            )
+            reason = self._unfit(context, now)
+            return replace(now, phase="down", begin=measured, end=measured, touched=False, reason=reason)
         reason = now.reason
         if silent > GAP:
             reason = reason or f"the arm said nothing for {silent:.2f} s"
