@@ -114,15 +114,11 @@ def explore(
     """Choose and make pushes one after the other (Algorithm 2), and record them.
 
     Args:
-        world: where pushes are made.
-        grid: the object as it was seen.
-        settings: of the procedure.
-        rng: source of every draw.
+        world, grid, settings, rng, allowed: as of `learn_by_pushing`.
         learn: the belief after some pushes; asked before each push whose choice depends on it.
-        allowed: whether the robot can make a push.
 
     Raises:
-        ObjectFell, PushNotMade, NoReachablePush: see `learn_by_pushing`.
+        ObjectFell, PushNotMade, NoReachablePush: as there.
     """
     belief: Belief | None = None
     choices: list[Choice] = []
@@ -132,16 +128,10 @@ def explore(
         if settings.strategy == "most-distinctive" and trials and refusals == 0:
             belief = learn(trials)
         choice = choose_push(
-            grid,
-            world.look(),
-            world.finger_radius,
-            strategy=settings.strategy,
-            belief=belief,
-            past=choices,
-            settings=settings.poke,
-            allowed=allowed,
-            rng=rng,
-        )
+            grid, world.look(), world.finger_radius,
+            strategy=settings.strategy, belief=belief, past=choices, settings=settings.poke,
+            allowed=allowed, rng=rng,
+        )  # fmt: skip
         try:
             trial = world.push(choice.push)
         except PushNotMade:

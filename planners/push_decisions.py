@@ -340,12 +340,8 @@ def push_to_goal(
 
     Args:
         world: where pushes are made.
-        belief: hypotheses, one or many.
         goals: at least one, best first.
-        settings: of the procedure.
-        rng: source of every draw.
-        allowed: whether the robot can make a push.
-        good: whether a pose (3,) within the tolerances will do.
+        belief, settings, rng, allowed, good: as of `decide`.
 
     Raises:
         ValueError: there is no goal.

@@ -21,6 +21,7 @@ from slipmap.diagrams.hardware.interface import ARM, CAMERA, NEEDED, HeardCell
 from slipmap.diagrams.hardware.message_stream import TICK, Event
 from slipmap.diagrams.hardware.validation import BadMessage, check_stamp, rules
 from slipmap.diagrams.loops.exploration_loop import connect, recorded_dataset
+from slipmap.diagrams.loops.run_folder import keep_trials
 from slipmap.diagrams.perception.cell_perception import CellPerception
 from slipmap.diagrams.perception.sight import ArmAside
 from slipmap.diagrams.station.arm import arm_model
@@ -255,17 +256,9 @@ def record_pushes(
             tell(f"{listener.time:.1f} s: {_words(descent, listener.pushes)}")
             described += 1
             if descent.kept:
-                _keep(recorder, listener)
+                keep_trials(recorder, listener.dataset())
                 if listener.pushes == most:
                     return
-
-
-def _keep(recorder: PushRecorder, listener: PushListener) -> None:
-    try:
-        recorder.keep(listener.dataset())
-    except OSError as error:
-        with writing(Path(error.filename)):
-            raise
 
 
 def _words(descent: Descent, pushes: int) -> str:

@@ -23,7 +23,7 @@ from pydrake.systems.framework import Context, Diagram
 from slipmap.diagrams.loops.exploration_loop import LoopOptions, RecordedRun, output_of, recorded_dataset
 from slipmap.diagrams.station.scenario import ObjectSettings, Scenario, ScenarioError, read_settings
 from slipmap.models.files import BadInput, whole_file, write_json, write_text, writing
-from slipmap.models.measurements import DatasetError, Trial, read_dataset
+from slipmap.models.measurements import DatasetError, PushDataset, Trial, read_dataset
 from slipmap.models.measurements.files import read_bytes
 from slipmap.models.measurements.writing import PushRecorder, trial_text
 from slipmap.models.perception.first_look import FirstPicture
@@ -115,12 +115,25 @@ def _digest_of(path: Path) -> str:
 
 
 def _holds(pushes: Path, stored: Any) -> bool:
-    """Whether a dataset's trials are those that `run.json` tells of."""
+    """Whether a dataset's trials are those that `run.json` lists."""
     try:
         expected = sorted(str(push["digest"]) for push in stored)
         return sorted(_digest_of(path) for path in pushes.rglob("*.json")) in (expected, [])
     except (DatasetError, KeyError, TypeError):
         return False
+
+
+def keep_trials(recorder: PushRecorder, dataset: PushDataset) -> None:
+    """Write the trials of a dataset that are not there yet.
+
+    Raises:
+        BadInput: the disk is full or the place not writable; names the file, and what to do.
+    """
+    try:
+        recorder.keep(dataset)
+    except OSError as error:
+        with writing(Path(error.filename)):
+            raise
 
 
 class RunFolder:
@@ -150,13 +163,9 @@ class RunFolder:
         """Write the pushes that are not there yet.
 
         Raises:
-            BadInput: the disk is full or the place not writable; names the file, and what to do.
+            BadInput: see `keep_trials`.
         """
-        try:
-            self._pushes.keep(recorded_dataset(recorded.trials, recorded.grid, self._scenario))
-        except OSError as error:
-            with writing(Path(error.filename)):
-                raise
+        keep_trials(self._pushes, recorded_dataset(recorded.trials, recorded.grid, self._scenario))
         (self._folder / UNDER_WAY).unlink(missing_ok=True)
 
     def note(self, push: int, rows: dict[str, Any]) -> None:
@@ -283,11 +292,7 @@ class ExplorationFolder(RunFolder):
             self._run = read_run(folder, FORMAT)
 
     def keep(self, recorded: RecordedRun) -> None:
-        """Write what is not there yet.
-
-        Raises:
-            BadInput: the disk is full or the place not writable; names the file, and what to do.
-        """
+        """See `RunFolder.keep`; an error also says what is kept, and how to go on."""
         if self._run is None:
             self._run = self._begin(recorded)
         self._run["pushes"] = [
