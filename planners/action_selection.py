@@ -1,5 +1,7 @@
 """Which push to try next on an object that is not known yet: Algorithm 2 of Song and Boularias (IROS 2020).
 
+`choose_push` takes one of the candidates of `slipmap.planners.exploration`.
+
 A force is a vector of 3n numbers there, so that two pushes on different cells always differ by the same
 amount. Here `most-different` measures what is meant: how far apart contact points and directions are, in the
 object's frame, a contact point shifted by the object's radius of gyration counting as much as a direction
@@ -19,18 +21,17 @@ from slipmap.models.inference.observations import LONGEST_STEP, LONGEST_STRIDE
 from slipmap.models.physics.cell_grid import CellGrid, FloatArray
 from slipmap.models.physics.paper_notation import add
 from slipmap.models.physics.rollout import Push, RolloutError
-from slipmap.planners.exploration import CandidatePush, NoReachablePush, candidate_pushes, turn
+from slipmap.planners.exploration import Candidate, NoReachablePush, candidate_pushes, turn
 from slipmap.planners.rehearsal import AFTERWARDS, RAMP
 from slipmap.planners.settings import STRATEGIES, PokeSettings
 from slipmap.planners.table_push import TablePush
 
-TOUCH_WAY = 0.004
-"""m that a tap's finger may go on slowly after it should have touched: no one knows exactly where it will."""
+_TOUCH_WAY = 0.004  # m that a tap's finger goes on slowly after it should have touched, as it may be off
 
 
 @dataclass(frozen=True, eq=False)
-class Poke:
-    """A push together with where it meets the object.
+class Choice:
+    """A push that was chosen, and where it meets the object.
 
     Attributes:
         push: on the table.
@@ -42,23 +43,23 @@ class Poke:
     contact: FloatArray
     direction: FloatArray
 
-    def __deepcopy__(self, memo: object) -> Poke:
+    def __deepcopy__(self, memo: object) -> Choice:
         return self
 
 
-def select_poke(
+def choose_push(
     grid: CellGrid,
     pose: FloatArray,
     finger_radius: float,
     *,
     strategy: str = "most-distinctive",
     belief: Belief | None = None,
-    past: Sequence[Poke] = (),
+    past: Sequence[Choice] = (),
     settings: PokeSettings | None = None,
     tap: bool | None = None,
     allowed: Callable[[TablePush], bool] = lambda push: True,
     rng: np.random.Generator,
-) -> Poke:
+) -> Choice:
     """Choose the next push (Algorithm 2).
 
     Without past pushes, or without a belief where one is needed, the choice is random.
@@ -70,7 +71,7 @@ def select_poke(
         strategy: one of `STRATEGIES`.
         belief: hypotheses that `most-distinctive` compares.
         past: pushes that were made.
-        settings: what pokes are like.
+        settings: what pushes to learn from are like.
         tap: whether it is to be a tap; by default as the settings say for the number of past pushes. Where
             the robot can make none of the taps, a slow push is chosen instead.
         allowed: whether the robot can make a push; asked in order of preference until one is found.
@@ -88,68 +89,64 @@ def select_poke(
         speed=(habits.slowest, habits.fastest), cone=float(np.radians(habits.cone)), approach=habits.approach,
     )  # fmt: skip
     tapping = habits.is_tap(len(past)) if tap is None else tap
-    pokes = [_poke(contact, pose, habits.tap_speed if tapping else None) for contact in contacts]
-    pokes = [poke for poke in pokes if _stays(poke, grid, pose, habits)]
+    choices = [_choice(contact, pose, habits.tap_speed if tapping else None) for contact in contacts]
+    choices = [choice for choice in choices if _stays(choice, grid, pose, habits)]
     if strategy == "most-different" and past:
-        worth = _differences(pokes, past, grid)
+        worth = _differences(choices, past, grid)
     elif strategy == "most-distinctive" and belief is not None and past:
-        worth = _disagreements(pokes, pose, belief)
+        worth = _disagreements(choices, pose, belief)
     else:
-        worth = rng.random(len(pokes))
+        worth = rng.random(len(choices))
     for index in np.argsort(-worth):
-        if allowed(pokes[index].push):
-            return pokes[index]
+        if allowed(choices[index].push):
+            return choices[index]
     if tapping:
-        return select_poke(
+        return choose_push(
             grid, pose, finger_radius, strategy=strategy, belief=belief, past=past, settings=settings,
             tap=False, allowed=allowed, rng=rng,
         )  # fmt: skip
     raise NoReachablePush(
-        f"exploration: of {len(contacts)} candidate pushes {len(pokes)} keep the object in its region,"
+        f"exploration: of {len(contacts)} candidate pushes {len(choices)} keep the object in its region,"
         " and the robot can make none of these"
     )
 
 
-def _poke(contact: CandidatePush, pose: FloatArray, tap_speed: float | None) -> Poke:
+def _choice(candidate: Candidate, pose: FloatArray, tap_speed: float | None) -> Choice:
     """The candidate on the table, as a tap where a speed for one is given."""
-    rotation = turn(pose[2])
-    begin = contact.touch - contact.approach * contact.direction
-    end = contact.touch + contact.length * contact.direction
-    creep = 0.0 if tap_speed is None else contact.approach + min(TOUCH_WAY, contact.length / 2)
-    push = TablePush(
-        pose[:2] + rotation @ begin, pose[:2] + rotation @ end, tap_speed or contact.speed, creep
-    )
-    return Poke(push, contact.contact, contact.direction)
+    begin, end = candidate.way_at(pose, candidate.length)
+    creep = 0.0 if tap_speed is None else candidate.approach + min(_TOUCH_WAY, candidate.length / 2)
+    push = TablePush(begin, end, tap_speed or candidate.speed, creep)
+    return Choice(push, candidate.contact, candidate.direction)
 
 
-def _stays(poke: Poke, grid: CellGrid, pose: FloatArray, settings: PokeSettings) -> bool:
+def _stays(choice: Choice, grid: CellGrid, pose: FloatArray, settings: PokeSettings) -> bool:
     """Whether the object's middle ends in the region, or nearer to it than before."""
     middle = pose[:2] + turn(pose[2]) @ grid.centers.mean(axis=0) - np.asarray(settings.center)
-    after = middle + poke.push.direction * (poke.push.length - settings.approach)
+    after = middle + choice.push.direction * (choice.push.length - settings.approach)
     return bool(np.hypot(*after) < max(settings.region, np.hypot(*middle)))
 
 
-def _differences(pokes: Sequence[Poke], past: Sequence[Poke], grid: CellGrid) -> FloatArray:
+def _differences(choices: Sequence[Choice], past: Sequence[Choice], grid: CellGrid) -> FloatArray:
     """(S,) distance of each candidate from the past push that is nearest to it (Algorithm 2, line 6)."""
     gyration = radius_of_gyration(grid)
 
-    def features(many: Sequence[Poke]) -> FloatArray:
+    def features(many: Sequence[Choice]) -> FloatArray:
         return np.array([np.concatenate([p.contact / gyration, p.direction]) for p in many])
 
-    between = features(pokes)[:, None] - features(past)[None]
+    between = features(choices)[:, None] - features(past)[None]
     return np.linalg.norm(between, axis=-1).min(axis=1)
 
 
-def _disagreements(pokes: Sequence[Poke], pose: FloatArray, belief: Belief) -> FloatArray:
+def _disagreements(choices: Sequence[Choice], pose: FloatArray, belief: Belief) -> FloatArray:
     """(S,) mean distance (ADD) between where two hypotheses expect the object after a push, lines 9 to 19.
 
     Pairs are weighed by their probabilities: what an unlikely hypothesis expects should not decide.
     """
-    pushes = [_imagined(poke.push, pose) for poke in pokes]
+    pushes = [_imagined(choice.push, pose) for choice in choices]
     try:
         rollouts = belief.slider.rollout(belief.maps, pushes)
     except RolloutError:
-        return np.zeros(len(pokes))
+        return np.zeros(len(choices))
     ends = rollouts.end[..., :3].transpose(1, 0, 2)
     pairs = add(ends[:, :, None], ends[:, None, :], belief.grid.centers)
     weights = np.outer(belief.probability, belief.probability)

@@ -24,9 +24,7 @@ from slipmap.models.physics.rollout import Maps, Slider
 from slipmap.planners.exploration import candidate_pushes
 
 LEVEL = 0.9
-CELLS = 40
-FIT_PUSHES = 6
-HELDOUT_PUSHES = 4
+_CELLS, _FIT_PUSHES, _HELDOUT_PUSHES = 40, 6, 4
 QUANTITIES = ("centre of mass, x", "centre of mass, y", "total friction", "predicted position")
 
 Progress = Callable[[str, int, int], None]
@@ -87,10 +85,10 @@ def _one_object(rng: np.random.Generator, index: int) -> list[tuple[str, float]]
     pushes = [
         candidate.push([*rng.uniform(-0.2, 0.2, 2), rng.uniform(-np.pi, np.pi)])
         for candidate in candidate_pushes(
-            grid, slider.finger_radius, rng, FIT_PUSHES + HELDOUT_PUSHES, length=(0.05, 0.12)
+            grid, slider.finger_radius, rng, _FIT_PUSHES + _HELDOUT_PUSHES, length=(0.05, 0.12)
         )
     ]
-    dataset = record_pushes(slider, truth, pushes, rng, heldout=HELDOUT_PUSHES, mass=float(truth.mass.sum()))
+    dataset = record_pushes(slider, truth, pushes, rng, heldout=_HELDOUT_PUSHES, mass=float(truth.mass.sum()))
     exact = slider.rollout(truth, pushes)
     result = identify(dataset, seed=index, friction_laws=True)
     belief = result.belief
@@ -101,7 +99,7 @@ def _one_object(rng: np.random.Generator, index: int) -> list[tuple[str, float]]
         for axis in (0, 1)
     ]
     found.append((QUANTITIES[2], _rank(belief.friction_forces, belief.probability, friction, log=True)))
-    found += _position_ranks(result, exact.end[0, FIT_PUSHES:, :2])
+    found += _position_ranks(result, exact.end[0, _FIT_PUSHES:, :2])
     return found
 
 
@@ -138,7 +136,7 @@ def _random_object(rng: np.random.Generator) -> CellGrid:
         [[0, 0], [a, 0], [p * a, b], [0, b]],
     ]  # fmt: skip
     corners = np.array(shapes[rng.integers(len(shapes))]) - [a / 2, b / 2]
-    return cells_from_polygon(corners, count=CELLS)
+    return cells_from_polygon(corners, count=_CELLS)
 
 
 def _random_maps(rng: np.random.Generator, grid: CellGrid) -> Maps:

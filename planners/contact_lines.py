@@ -11,13 +11,12 @@ from dataclasses import dataclass
 import numpy as np
 import shapely
 
-from slipmap.models.geometry import compose
+from slipmap.models.geometry import compose, rotated
 from slipmap.models.objects import contour_cells
 from slipmap.models.physics.cell_grid import CellGrid, FloatArray
 from slipmap.planners.exploration import DESCENT, TOUCH, NoReachablePush
 
-TRIES = 20
-"""Draws of as many lines as are wanted, before fewer are taken."""
+_TRIES = 20  # draws of as many lines as are wanted, before fewer are taken
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,6 +37,15 @@ class ContactLines:
 
     def __len__(self) -> int:
         return len(self.places)
+
+    def chosen(self, which: slice | np.ndarray) -> ContactLines:
+        """Some of them."""
+        return ContactLines(*(values[which] for values in vars(self).values()))
+
+    def joined(self, others: ContactLines) -> ContactLines:
+        """These, then others."""
+        pairs = zip(vars(self).values(), vars(others).values(), strict=True)
+        return ContactLines(*(np.concatenate(pair) for pair in pairs))
 
 
 class ContactContour:
@@ -72,14 +80,12 @@ class ContactContour:
         along = self._along[edge]
         inward = np.column_stack([-along[:, 1], along[:, 0]])
         touches = corner - back * along - self._radius * inward
-        c, s = np.cos(angles), np.sin(angles)
-        x, y = inward.T
-        directions = np.column_stack([c * x - s * y, s * x + c * y])
+        directions = rotated(inward, angles)
         ways = shapely.linestrings(np.stack([touches - self._approach * directions, touches], axis=1))
         free = shapely.distance(ways, self._polygon) >= self._radius - TOUCH
         begins = shapely.points(touches - self._approach * directions)
         free &= shapely.distance(begins, self._polygon) >= self._radius + DESCENT
-        return ContactLines(places[free], angles[free], touches[free], directions[free])
+        return ContactLines(places, angles, touches, directions).chosen(free)
 
     def nearest_to_axis(self, center: FloatArray, ways: FloatArray) -> FloatArray:
         """The rule of the expected centre of mass: contacts most in line with the way it is to go.
@@ -111,18 +117,19 @@ class ContactContour:
             NoReachablePush: the finger fits nowhere.
         """
         straight = np.concatenate([first, rng.permutation(self.cell_places)])
-        found = _first(self.lines(straight, np.zeros(len(straight))), max(count // 2, len(first)))
-        for _ in range(TRIES):
+        half = slice(max(count // 2, len(first)))
+        found = self.lines(straight, np.zeros(len(straight))).chosen(half)
+        for _ in range(_TRIES):
             if len(found) >= count:
                 break
             places = rng.uniform(0.0, self._ends[-1], count)
-            found = joined(found, self.lines(places, rng.uniform(-cone, cone, count)))
+            found = found.joined(self.lines(places, rng.uniform(-cone, cone, count)))
         if not len(found):
             raise NoReachablePush(
                 f"planning: a finger of radius {self._radius:.4g} m reaches no point of the contour;"
                 " take a thinner finger"
             )
-        return _first(found, count)
+        return found.chosen(slice(count))
 
     def near(
         self,
@@ -151,19 +158,6 @@ class ContactContour:
         return self.lines(places, np.clip(angles, -cone, cone))
 
 
-def joined(first: ContactLines, second: ContactLines) -> ContactLines:
-    """Both, one after the other."""
-    return ContactLines(*(np.concatenate(pair) for pair in zip(_fields(first), _fields(second), strict=True)))
-
-
 def ways_of_center(center: FloatArray, targets: FloatArray) -> FloatArray:
     """(G, 2) way of a point (2,) of the object to its place in targets (G, 3), all in the object frame, m."""
     return compose(targets, np.append(center, 0.0))[:, :2] - center
-
-
-def _first(lines: ContactLines, count: int) -> ContactLines:
-    return ContactLines(*(values[:count] for values in _fields(lines)))
-
-
-def _fields(lines: ContactLines) -> tuple[FloatArray, ...]:
-    return lines.places, lines.angles, lines.touches, lines.directions

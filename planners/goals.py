@@ -1,6 +1,6 @@
 """Goals at the table's edge: poses where the object stays, and sticks out so that the gripper can take it.
 
-Algorithm 4 of Song and Boularias (2020) samples them in its lines 11 to 13.
+Algorithm 4 of Song and Boularias (2020) samples them in its lines 11 to 13; here `Graspable.sample_goals`.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
+from slipmap.models.geometry import rotated
 from slipmap.models.inference.belief import Belief
 from slipmap.models.measurements.push_dataset import Table
 from slipmap.models.physics.balance import balance_margins, corners_of, fall_probability
@@ -30,7 +31,7 @@ class Goal:
         grasp: the best there.
         fall_probability: of hypotheses whose balance margin there is below the settings' margin.
         margin: balance margin that the object has with probability 1 - epsilon, m.
-        room: about how much farther over the table the object could lie and still be grasped alike, m.
+        room: about how much farther over the table the object could lie and still be grasped so, m.
         value: by which goals are ranked, larger is better: the grasp's value (`GraspLines.ranked`) and the
             margin, up to 20 mm, together.
     """
@@ -161,7 +162,19 @@ class Graspable:
     def sample_goals(
         self, table: Table, rng: np.random.Generator, allowed: Callable[[Goal], bool] = lambda goal: True
     ) -> list[Goal]:
-        """Goals among poses drawn along the whole edge, best first; see the function of this name."""
+        """Goals along the whole edge, best first, at most `settings.count`.
+
+        `settings.samples` poses are drawn uniformly along the edge, in orientation, and in how far the object
+        is out; `goals_at` says which of them are goals.
+
+        Args:
+            table: the table.
+            rng: of every draw.
+            allowed: whether the robot can serve a goal; asked best first, until there are enough.
+
+        Returns:
+            Goals; none where the object cannot be left at the edge and grasped.
+        """
         poses = self._poses_at_edge(table, rng)
         goals = [goal for goal in self.goals_at(poses, table) if goal is not None]
         goals.sort(key=lambda goal: -goal.value)
@@ -181,61 +194,15 @@ class Graspable:
         return np.take_along_axis(np.take_along_axis(margins, order, axis=1), first[:, None], axis=1)[:, 0]
 
     def _poses_at_edge(self, table: Table, rng: np.random.Generator) -> FloatArray:
-        """(P, 3) poses at which some of the object is out, and its middle, as believed, is not.
-
-        Uniform along the edge, in orientation, and in how far it is out.
-        """
+        """(P, 3) poses at which some of the object is out, and its middle, as believed, is not."""
         count = self.settings.samples
         rim, outward = _points_of_edge(table, rng.uniform(size=count))
         turn = rng.uniform(-np.pi, np.pi, count)
-        c, s = np.cos(turn), np.sin(turn)
-        in_object = np.column_stack(
-            [c * outward[:, 0] + s * outward[:, 1], c * outward[:, 1] - s * outward[:, 0]]
-        )
+        in_object = rotated(outward, -turn)
         farthest = (in_object @ self.grid.exterior.T).max(axis=1) - self.settings.least_contact
         middle = in_object @ (self.probability @ self.centers_of_mass) + self.settings.margin
         in_by = middle + rng.uniform(size=count) * np.maximum(farthest - middle, 0.0)
         return np.column_stack([rim - in_by[:, None] * outward, turn])
-
-
-def sample_goals(
-    grid: CellGrid,
-    heights: ArrayLike,
-    centers_of_mass: ArrayLike,
-    probability: ArrayLike,
-    table: Table,
-    settings: GoalSettings,
-    rng: np.random.Generator,
-    allowed: Callable[[Goal], bool] = lambda goal: True,
-    *,
-    masses: ArrayLike | None = None,
-    gripper: Gripper | None = None,
-) -> list[Goal]:
-    """Goals at the table's edge, best first, at most `settings.count`.
-
-    `settings.samples` poses are drawn uniformly along the edge, in orientation, and in how far the object is
-    out; `Graspable.goals_at` says which of them are goals.
-
-    Args:
-        grid: cells and outline.
-        heights: (n,) of the object's top over each cell, m.
-        centers_of_mass: (K, 2) of the hypotheses, object frame, m.
-        probability: (K,) of the hypotheses.
-        table: the table.
-        settings: what goals must be like.
-        rng: of every draw.
-        allowed: whether the robot can serve a goal; asked best first, until there are enough.
-        masses: (K,) of the whole object in each hypothesis, kg; `settings.mass` where None.
-        gripper: the robot's own where None.
-
-    Returns:
-        Goals; none where the object cannot be left at the edge and grasped.
-
-    Raises:
-        ValueError: shapes that do not fit, settings that make no sense, or a table without its measure.
-    """
-    thing = Graspable.of(grid, heights, centers_of_mass, probability, settings, masses, gripper)
-    return thing.sample_goals(table, rng, allowed)
 
 
 def _points_of_edge(table: Table, share: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -1,4 +1,8 @@
-"""The grasp at the table's edge: one pin above, one below the part of the object that sticks out."""
+"""Grasps at the table's edge: one pin above, one below the part of the object that sticks out.
+
+`grasp_lines` finds all grasps of an object: `GraspLines`, straight lines by which the pins can come. It reads
+the object's height from a `HeightMap`. At a pose, a line is cut short where hand or pin would meet the table.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +14,9 @@ import shapely
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from slipmap.models.geometry import compose, rotated, seen_from
 from slipmap.models.measurements.push_dataset import Table
+from slipmap.models.physics.balance import corners_of
 from slipmap.models.physics.cell_grid import CellGrid, FloatArray
 from slipmap.models.robots import (
     FINGER_LENGTH,
@@ -21,7 +27,18 @@ from slipmap.models.robots import (
     HAND_RADIUS,
 )
 from slipmap.planners.settings import GoalSettings
-from slipmap.planners.table_push import first_on_table, towards_table
+
+GRAVITY = 9.81  # m/s²
+PITCH = 2e-3  # m, side of a pixel in a height map
+
+_DIRECTIONS = 48
+_APART = 5e-3  # m, of neighbouring lines
+_STEP = 2.5e-3  # m, of the pins' ends along a line
+_BESIDE = 5e-3  # m from the pins' axes to the outline beside them: a pin slips off a rounded edge
+_ENOUGH = 0.02  # m, of room; more is not better
+_AT_ONCE = 32  # poses
+
+Raster = NDArray[np.float32]
 
 
 @dataclass(frozen=True)
@@ -77,27 +94,15 @@ class Grasp:
         Args:
             pose: (3,) of the object in the world, m and rad; the table's top is at z = 0.
         """
-        c, s = np.cos(pose[2]), np.sin(pose[2])
-        x, y = self.tip
-        return np.array(
-            [pose[0] + c * x - s * y, pose[1] + s * x + c * y, self.height / 2, pose[2] + self.approach]
-        )
-
-
-# What is known of an object's height over a raster of points, from one height for each cell.
-
-
-PITCH = 2e-3
-"""Side of a raster's pixel, m."""
-
-Raster = NDArray[np.float32]
+        x, y, yaw = compose(pose, np.append(self.tip, self.approach))
+        return np.array([x, y, self.height / 2, yaw])
 
 
 @dataclass(frozen=True, eq=False)
 class HeightMap:
     """Least and largest height at points of the object frame; 0 outside the outline.
 
-    A height is known where cells are alike: between the centres of cells it may be any between theirs.
+    A height is known where neighbouring cells are equally high; between others it may be any between theirs.
 
     Attributes:
         corner: (2,) the raster's first point, m; its rows go along y, its columns along x.
@@ -166,20 +171,6 @@ def _between_cells(grid: CellGrid, heights: FloatArray, points: FloatArray) -> t
     low = np.append(heights, np.inf)[around].min(axis=1)
     high = np.append(heights, -np.inf)[around].max(axis=1)
     return np.where(np.isfinite(low), low, nearest), np.where(np.isfinite(high), high, nearest)
-
-
-# All grasps of one object: straight lines by which the pins can come, and how far in they may go.
-
-
-GRAVITY = 9.81  # m/s²
-
-_DIRECTIONS = 48
-_APART = 5e-3  # m, of neighbouring lines
-_STEP = 2.5e-3  # m, of the pins' ends along a line
-# m from the pins' axes to the outline beside them: a pin slips off a rounded edge.
-_BESIDE = 5e-3
-_ENOUGH = 0.02  # m, of room; more is not better
-_AT_ONCE = 32  # poses
 
 
 @dataclass(frozen=True, eq=False)
@@ -437,3 +428,78 @@ def _running_argmin(values: FloatArray) -> NDArray[np.intp]:
 def _left_of(direction: FloatArray) -> FloatArray:
     """(..., 2) unit vectors turned by 90 degrees to the left."""
     return np.stack([-direction[..., 1], direction[..., 0]], axis=-1)
+
+
+def first_on_table(
+    direction: FloatArray, offset: FloatArray, poses: FloatArray, table: Table, half_width: float
+) -> FloatArray:
+    """Where strips that come from far away first meet the table's top.
+
+    Args:
+        direction: (L, 2) unit vectors in which they come, object frame.
+        offset: (L,) of the strips' middle lines to the left of the object's origin, m.
+        poses: (P, 3) of the object in the world, m and rad.
+        table: round or rectangular.
+        half_width: of the strips, m.
+
+    Returns:
+        (P, L) coordinate along each line, from the point nearest to the object's origin, m; inf where it
+        passes by.
+    """
+    corners = corners_of(table)
+    if len(corners) > 0:
+        return _first_in_strip(*_on_lines(direction, offset, poses, corners), half_width)
+    assert table.radius is not None  # see corners_of
+    along, left = _on_lines(direction, offset, poses, np.array([table.center]))
+    beside = np.maximum(np.abs(left[..., 0]) - half_width, 0.0)
+    square = table.radius**2 - beside**2
+    return np.asarray(np.where(square > 0, along[..., 0] - np.sqrt(np.maximum(square, 0.0)), np.inf))
+
+
+def towards_table(
+    direction: FloatArray, offset: FloatArray, at: FloatArray, poses: FloatArray, table: Table
+) -> FloatArray:
+    """Cosine between lines and the shortest way from one point of each, outside the table, to the table.
+
+    Args:
+        direction: (L, 2) unit vectors along the lines, object frame.
+        offset: (L,) of the lines to the left of the object's origin, m.
+        at: (L,) coordinate of the point along its line, m.
+        poses: (P, 3) of the object in the world, m and rad.
+        table: round or rectangular.
+
+    Returns:
+        (P, L).
+    """
+    if table.shape == "round":
+        along, left = _on_lines(direction, offset, poses, np.array([table.center]))
+        ahead = along[..., 0] - at
+        return np.asarray(ahead / np.maximum(np.hypot(ahead, left[..., 0]), 1e-9))
+    angle = poses[:, 2:]
+    points = at[:, None] * direction + offset[:, None] * _left_of(direction)
+    away = rotated(points, angle) + poses[:, None, :2] - np.asarray(table.center)
+    half = np.asarray(table.size) / 2
+    to_table = np.clip(away, -half, half) - away
+    ahead = (to_table * rotated(direction, angle)).sum(axis=-1)
+    return np.asarray(ahead / np.maximum(np.hypot(to_table[..., 0], to_table[..., 1]), 1e-9))
+
+
+def _on_lines(
+    direction: FloatArray, offset: FloatArray, poses: FloatArray, points: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """World points (c, 2) along (P, L, c) and to the left of (P, L, c) each line."""
+    x, y = np.moveaxis(seen_from(points, poses[:, None])[:, None], -1, 0)
+    ux, uy = direction[:, :1], direction[:, 1:]
+    return x * ux + y * uy, y * ux - x * uy - offset[:, None]
+
+
+def _first_in_strip(along: FloatArray, left: FloatArray, half_width: float) -> FloatArray:
+    """Least coordinate of a polygon (..., c) within |left| <= half_width; inf where it is beside."""
+    next_along, next_left = np.roll(along, -1, axis=-1), np.roll(left, -1, axis=-1)
+    found = np.where(np.abs(left) <= half_width, along, np.inf).min(axis=-1)
+    for side in (-half_width, half_width):
+        crosses = (left > side) != (next_left > side)
+        share = np.where(crosses, (side - left) / np.where(crosses, next_left - left, 1.0), 0.0)
+        there = np.where(crosses, along + share * (next_along - along), np.inf)
+        found = np.minimum(found, there.min(axis=-1))
+    return np.asarray(found)

@@ -1,9 +1,15 @@
-"""Pre-grasp sliding of an unknown object: Algorithm 4 of Song and Boularias (IROS 2020)."""
+"""Pre-grasp sliding of an unknown object: Algorithm 4 of Song and Boularias (IROS 2020).
+
+`pregrasp` is the whole procedure in some `World`: `learn_by_pushing` (Algorithms 1 and 2), then
+`bring_to_edge`. The methods that the paper compares (section VI.B) plan in the same way, each with another
+belief, which `planning_belief` makes.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -14,7 +20,7 @@ from slipmap.models.inference.prediction import uniform_maps
 from slipmap.models.measurements import PushDataset, Trial
 from slipmap.models.physics.cell_grid import CellGrid, FloatArray
 from slipmap.models.physics.maps import Maps
-from slipmap.planners.action_selection import Poke, select_poke
+from slipmap.planners.action_selection import Choice, choose_push
 from slipmap.planners.exploration import NoReachablePush
 from slipmap.planners.goals import Goal, Graspable
 from slipmap.planners.grasps import Grasp
@@ -22,10 +28,8 @@ from slipmap.planners.push_decisions import Allowed, MadePush, ObjectFell, PushN
 from slipmap.planners.settings import METHODS, PregraspSettings
 from slipmap.planners.table_push import TablePush
 
-# The compared methods of the paper (section VI.B): all plan alike, each with another belief.
-
-
-__all__ = ["METHODS", "planning_belief"]
+MakeDataset = Callable[[Sequence[Trial], CellGrid], PushDataset]
+"""Puts trials and the object's cells together with what else is known of the place where pushes are made."""
 
 
 def planning_belief(
@@ -54,7 +58,8 @@ def planning_belief(
     if method == "true":
         if truth is None or len(truth) != 1:
             raise ValueError("method 'true' needs the true maps, exactly one hypothesis")
-        known = belief if truth.effects.shape[1] else replace(belief, maps=_plain(belief.maps), effects=())
+        plain = Maps(belief.maps.mass, belief.maps.mu, belief.maps.mu_finger)
+        known = belief if truth.effects.shape[1] else replace(belief, maps=plain, effects=())
         return _alone(known, truth, method)
     raise ValueError(f"unknown method {method!r}; choose one of {', '.join(METHODS)}")
 
@@ -62,16 +67,6 @@ def planning_belief(
 def _alone(belief: Belief, maps: Maps, method: str) -> Belief:
     settings = {**belief.settings, "planning": method}
     return replace(belief, maps=maps, probability=np.ones(1), settings=settings)
-
-
-def _plain(maps: Maps) -> Maps:
-    return Maps(maps.mass, maps.mu, maps.mu_finger)
-
-
-# Pushing an object in a world to learn what it is like: Algorithms 1 and 2 together.
-
-
-MakeDataset = Callable[[Sequence[Trial], CellGrid], PushDataset]
 
 
 def learn_by_pushing(
@@ -88,7 +83,7 @@ def learn_by_pushing(
     Args:
         world: where pushes are made.
         grid: the object as it was seen.
-        make_dataset: puts trials and grid together with what else is known of the cell.
+        make_dataset: see `MakeDataset`.
         settings: of the procedure.
         rng: source of every draw.
         allowed: whether the robot can make a push.
@@ -119,43 +114,33 @@ def explore(
     """Choose and make pushes one after the other (Algorithm 2), and record them.
 
     Args:
-        world: where pushes are made.
-        grid: the object as it was seen.
-        settings: of the procedure.
-        rng: source of every draw.
+        world, grid, settings, rng, allowed: as of `learn_by_pushing`.
         learn: the belief after some pushes; asked before each push whose choice depends on it.
-        allowed: whether the robot can make a push.
 
     Raises:
-        ObjectFell, PushNotMade, NoReachablePush: see `learn_by_pushing`.
+        ObjectFell, PushNotMade, NoReachablePush: as there.
     """
     belief: Belief | None = None
-    pokes: list[Poke] = []
+    choices: list[Choice] = []
     trials: list[Trial] = []
     refusals = 0
     while len(trials) < settings.explorations:
         if settings.strategy == "most-distinctive" and trials and refusals == 0:
             belief = learn(trials)
-        poke = select_poke(
-            grid,
-            world.look(),
-            world.finger_radius,
-            strategy=settings.strategy,
-            belief=belief,
-            past=pokes,
-            settings=settings.poke,
-            allowed=allowed,
-            rng=rng,
-        )
+        choice = choose_push(
+            grid, world.look(), world.finger_radius,
+            strategy=settings.strategy, belief=belief, past=choices, settings=settings.poke,
+            allowed=allowed, rng=rng,
+        )  # fmt: skip
         try:
-            trial = world.push(poke.push)
+            trial = world.push(choice.push)
         except PushNotMade:
             refusals += 1
             if refusals == settings.refusals:
                 raise
             continue
         refusals = 0
-        pokes.append(poke)
+        choices.append(choice)
         trials.append(replace(trial, name=f"trials/{len(trials):03d}.json", role="fit"))
     world.look()
     return tuple(trials)
@@ -199,9 +184,8 @@ def pregrasp(
     rng: np.random.Generator,
     *,
     method: str = "probabilistic",
-    truth: Maps | None = None,
     allowed: Allowed = lambda push: True,
-    goal_allowed: Callable[[Goal], bool] = lambda goal: True,
+    **options: Any,
 ) -> Pregrasp:
     """Explore an unknown object and bring it to the table's edge, where it can be grasped (Algorithm 4).
 
@@ -211,13 +195,10 @@ def pregrasp(
         world: with the object on its table.
         grid: the object's cells and outline as seen, lines 1 and 2.
         heights: (n,) of its top over the cells, m.
-        make_dataset: puts trials and grid together with what else is known of the cell.
+        make_dataset: see `MakeDataset`.
         settings: of the procedure.
         rng: source of every draw.
-        method: one of `slipmap.planners.pregrasp.METHODS`.
-        truth: the true maps, for the method `true`.
-        allowed: whether the robot can make a push.
-        goal_allowed: whether the robot can grasp at a goal.
+        method, allowed, options: of `bring_to_edge`.
 
     Raises:
         ValueError: settings or arguments that make no sense.
@@ -227,17 +208,7 @@ def pregrasp(
         belief, trials = learn_by_pushing(world, grid, make_dataset, settings, rng, allowed=allowed)  # line 4
     except (ObjectFell, PushNotMade, NoReachablePush) as error:
         return Pregrasp(False, f"while it was explored: {error}", method, None)
-    ended = bring_to_edge(
-        world,
-        belief,
-        heights,
-        settings,
-        rng,
-        method=method,
-        truth=truth,
-        allowed=allowed,
-        goal_allowed=goal_allowed,
-    )
+    ended = bring_to_edge(world, belief, heights, settings, rng, method=method, allowed=allowed, **options)
     return replace(ended, explorations=trials)
 
 
@@ -253,21 +224,25 @@ def bring_to_edge(
     allowed: Allowed = lambda push: True,
     goal_allowed: Callable[[Goal], bool] = lambda goal: True,
 ) -> Pregrasp:
-    """Lines 5 to 7 of Algorithm 4, for an object that is known already; arguments as for `pregrasp`.
+    """Lines 5 to 7 of Algorithm 4, for an object that is known already.
 
     Args:
+        world: with the object on its table.
         belief: what was identified.
+        heights: (n,) of the object's top over the cells, m.
+        settings: of the procedure.
+        rng: source of every draw.
+        method: one of `slipmap.planners.settings.METHODS`.
+        truth: the true maps, for the method `true`.
+        allowed: whether the robot can make a push.
+        goal_allowed: whether the robot can grasp at a goal.
+
+    Raises:
+        ValueError: settings or arguments that make no sense.
     """
     settings.check()
     known = planning_belief(method, belief, rng, truth)
-    thing = Graspable.of(
-        known.grid,
-        heights,
-        known.centers_of_mass,
-        known.probability,
-        settings.goals,
-        masses=known.maps.mass.sum(axis=1),
-    )
+    thing = Graspable.of_belief(known, heights, settings.goals)
     goals = thing.sample_goals(world.table, rng, goal_allowed)  # line 5
     if not goals:
         reason = (

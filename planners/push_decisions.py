@@ -1,13 +1,15 @@
-"""One round of Algorithm 3: where the object lies, and what came of pushing so far, to the next push.
+"""Algorithm 3: pushing an object to one of several goals, as decisions and as a whole.
 
-Each push is planned anew, among all goals: what was to be the goal before does not bind. Waypoints count
-where the straight way to the goal is not safe.
+`decide` is one round: from where the object lies and what came of pushing so far to the next push. Each push
+is planned anew among all goals: what was the goal before does not bind. Waypoints count where the straight
+way to the goal is not safe. `push_to_goal` makes round after round in a `World`, a simulation or a robot,
+which does not do exactly what was planned.
 """
 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
 from typing import Protocol
 
@@ -25,14 +27,9 @@ from slipmap.planners.settings import PregraspSettings, PushSettings
 from slipmap.planners.table_push import TablePush
 from slipmap.planners.waypoints import NoWay, PoseMetric, find_waypoints
 
-WAYPOINT_REACHED = 0.05
-"""ε of Algorithm 3, line 22: gap of the cells at which a waypoint counts as passed, m."""
-
-LANDING, LANDINGS = 0.007, 32
-"""One standard deviation of where an object comes to lie around a goal, m, and how often that is drawn."""
-
-SAME_PUSH = 0.005
-"""Pushes whose begins and ends are nearer than this count as the one that was refused, m."""
+_WAYPOINT_REACHED = 0.05  # m; ε of Algorithm 3, line 22: gap of the cells at which a waypoint is passed
+_LANDING, _LANDINGS = 0.007, 32  # m, standard deviation of where an object comes to lie around a goal; draws
+_SAME_PUSH = 0.005  # m; a push whose begin and end are nearer than this counts as the one that was refused
 
 Allowed = Callable[[TablePush], bool]
 
@@ -139,7 +136,7 @@ def decide(
         return Decision(None, way, reason=reason)
 
     def possible(push: TablePush) -> bool:
-        return not any(_alike(push, other) for other in refused) and allowed(push)
+        return not any(_same_push(push, other) for other in refused) and allowed(push)
 
     left_out = pursuit.left_out(settings.patience)
     try:
@@ -161,19 +158,13 @@ def next_push(
     rng: np.random.Generator,
     *,
     allowed: Allowed = lambda push: True,
-    left_out: set[int] = frozenset(),  # type: ignore[assignment]
+    left_out: Collection[int] = (),
 ) -> tuple[PlannedPush, Way]:
     """The next push towards a goal, and the way that it follows (Algorithm 3, lines 1 to 5 and 22 to 23).
 
     Args:
-        belief: hypotheses, one or many.
-        pose: (3,) of the object now, world.
-        goals: that will do.
+        belief, pose, goals, table, settings, rng, allowed: as of `decide`.
         way: that was followed so far; None at first.
-        table: its top.
-        settings: of the procedure.
-        rng: source of every draw.
-        allowed: whether the robot can make a push.
         left_out: indices of goals that are given up.
 
     Raises:
@@ -196,14 +187,9 @@ def next_push(
         goal = usable[planned.target]
         try:
             waypoints = find_waypoints(
-                belief,
-                pose,
-                goals[goal].pose,
-                table,
-                rng,
-                epsilon=settings.goals.epsilon,
-                margin=settings.push.margin,
-            )
+                belief, pose, goals[goal].pose, table, rng,
+                epsilon=settings.goals.epsilon, margin=settings.push.margin,
+            )  # fmt: skip
         except NoWay:
             usable.remove(goal)
             continue
@@ -227,16 +213,20 @@ def goal_costs(
     belief: Belief, poses: FloatArray, table: Table, settings: PushSettings, rng: np.random.Generator
 ) -> FloatArray:
     """(G,) price of goals (G, 3) in pushes: the risk of falling there if the object lands a little off."""
-    off = rng.standard_normal((LANDINGS, 3)) * [LANDING, LANDING, LANDING / PoseMetric(belief.grid).radius]
+    off = rng.standard_normal((_LANDINGS, 3)) * [
+        _LANDING,
+        _LANDING,
+        _LANDING / PoseMetric(belief.grid).radius,
+    ]
     landed = (poses[:, None] + off).reshape(-1, 3)
     margins = balance_margins(belief.grid, belief.centers_of_mass, landed, table)
     falls = (margins < least_margins(belief, settings)) @ belief.probability
-    return settings.fall_cost * falls.reshape(len(poses), LANDINGS).mean(axis=1)
+    return settings.fall_cost * falls.reshape(len(poses), _LANDINGS).mean(axis=1)
 
 
 def _not_yet_passed(waypoints: FloatArray, pose: FloatArray, metric: PoseMetric) -> FloatArray:
     """Waypoints without those that are reached, and those before them; the goal always stays."""
-    reached = np.flatnonzero(metric.gap(pose, waypoints[:-1]) <= WAYPOINT_REACHED)
+    reached = np.flatnonzero(metric.gap(pose, waypoints[:-1]) <= _WAYPOINT_REACHED)
     return waypoints[reached[-1] + 1 :] if len(reached) else waypoints
 
 
@@ -255,12 +245,9 @@ def _towards_nearest(
     return plan_push(belief, pose, left[0], table, settings.push, rng, allowed), Way(way.goal, left)
 
 
-def _alike(one: TablePush, other: TablePush) -> bool:
+def _same_push(one: TablePush, other: TablePush) -> bool:
     apart = np.hypot(*(one.begin - other.begin)), np.hypot(*(one.end - other.end))
-    return bool(max(apart) < SAME_PUSH)
-
-
-# What planning needs of the place where pushes are made: a simulation or a robot.
+    return bool(max(apart) < _SAME_PUSH)
 
 
 class ObjectFell(Exception):
@@ -299,12 +286,9 @@ class World(Protocol):
         ...
 
 
-# Pushing an object to a goal in a world that does not do what was planned: Algorithm 3 as a whole.
-
-
 @dataclass(frozen=True, eq=False)
 class MadePush:
-    """A push towards a goal.
+    """A push towards a goal, and what was recorded of it.
 
     Attributes:
         before: (3,) pose as seen before, world.
@@ -356,12 +340,8 @@ def push_to_goal(
 
     Args:
         world: where pushes are made.
-        belief: hypotheses, one or many.
         goals: at least one, best first.
-        settings: of the procedure.
-        rng: source of every draw.
-        allowed: whether the robot can make a push.
-        good: whether a pose (3,) within the tolerances will do.
+        belief, settings, rng, allowed, good: as of `decide`.
 
     Raises:
         ValueError: there is no goal.
@@ -369,17 +349,19 @@ def push_to_goal(
     pose, pursuit = world.look(), Pursuit()
     made: list[MadePush] = []
     while True:
-        told = decide(belief, pose, goals, pursuit, world.table, settings, rng, allowed=allowed, good=good)
-        goal = goals[told.way.goal] if told.way else None
-        if told.planned is None or told.way is None or goal is None:
-            return Pushing(told.reached, goal, pose, tuple(made), told.reason)
+        decision = decide(
+            belief, pose, goals, pursuit, world.table, settings, rng, allowed=allowed, good=good
+        )
+        goal = goals[decision.way.goal] if decision.way else None
+        if decision.planned is None or decision.way is None or goal is None:
+            return Pushing(decision.reached, goal, pose, tuple(made), decision.reason)
         try:
-            trial = world.push(told.planned.push)
+            trial = world.push(decision.planned.push)
         except PushNotMade as error:
-            pursuit = pursuit.not_made(told.way, told.planned.push, str(error))
+            pursuit = pursuit.not_made(decision.way, decision.planned.push, str(error))
             continue
-        pursuit = pursuit.made(told.way)
-        made.append(MadePush(pose, goal, told.planned, trial))
+        pursuit = pursuit.made(decision.way)
+        made.append(MadePush(pose, goal, decision.planned, trial))
         try:
             pose = world.look()
         except ObjectFell as error:

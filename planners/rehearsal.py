@@ -1,8 +1,7 @@
 """Pushes that are only imagined: what rival models predict for them, and how far the predictions are apart.
 
-Apart means in standard deviations of the error model: the whitened distance between two predicted
-courses of poses,
-and of forces where the dataset has any, as a fit would weigh them.
+Apart means in standard deviations of the error model: the whitened distance between two predicted courses of
+poses, and of forces where the dataset has any, as a fit would weigh them.
 """
 
 from __future__ import annotations
@@ -14,21 +13,20 @@ from itertools import combinations
 import numpy as np
 import scipy.linalg
 
-from slipmap.models.geometry import radius_of_gyration
+from slipmap.models.geometry import radius_of_gyration, rotated
 from slipmap.models.inference.diagnosis.correlated import ErrorModel, travelled
 from slipmap.models.inference.diagnosis.fitting import Fitted
 from slipmap.models.inference.observations import LONGEST_STEP, LONGEST_STRIDE, SAMPLES, Observation
 from slipmap.models.physics.cell_grid import CellGrid, FloatArray
 from slipmap.models.physics.rollout import Maps, Push, RolloutError, Slider
 
-REST = 0.1
-"""s that the finger waits before it starts."""
-
 RAMP = 0.1
-"""s in which it speeds up."""
+"""s in which the finger speeds up."""
 
 AFTERWARDS = 0.4
 """s that are watched after it has stopped."""
+
+_REST = 0.1  # s that it waits before it starts
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,8 +74,7 @@ def straight_push(
     order: float = 0.0,
     coarseness: float = 1.0,
 ) -> Push:
-    """A push along a line with a gentle start and an abrupt stop, and, if `dwell` is positive, a stop
-    half-way.
+    """A push along a line with a gentle start and an abrupt stop, and, if `dwell` is positive, one half-way.
 
     Args:
         pose: (3,) of the object before, world.
@@ -94,12 +91,11 @@ def straight_push(
     way = length / parts
     ramp = min(RAMP, way / speed)
     moving = way / speed + ramp / 2
-    times = h * np.arange(
-        0.0, int(np.ceil((REST + parts * moving + (parts - 1) * dwell + AFTERWARDS) / h)) + 1
-    )
+    duration = _REST + parts * moving + (parts - 1) * dwell + AFTERWARDS
+    times = h * np.arange(0.0, int(np.ceil(duration / h)) + 1)
     travelled_way = np.zeros(len(times))
     for part in range(parts):
-        t = np.clip(times - REST - part * (moving + dwell), 0.0, moving)
+        t = np.clip(times - _REST - part * (moving + dwell), 0.0, moving)
         travelled_way += speed * np.where(t < ramp, t**2 / (2 * ramp), t - ramp / 2)
     tip = begin + np.outer(np.minimum(travelled_way / length, 1.0), end - begin)
     looks = times[-1] * np.arange(1, SAMPLES + 1) / SAMPLES
@@ -119,11 +115,7 @@ def predict(rival: Rival, pushes: Sequence[Push]) -> Predictions:
             np.concatenate([part.poses for part in parts]), np.concatenate([part.forces for part in parts])
         )
     poses = np.array([out.poses_of(b)[0] for b in range(B)])
-    forces = np.empty((B, SAMPLES, 2))
-    for b in range(B):
-        steps = out.forces_of(b)[0]
-        edges = np.linspace(0, len(steps), SAMPLES + 1).astype(int)
-        forces[b] = np.add.reduceat(steps, edges[:-1], axis=0) / np.diff(edges)[:, None]
+    forces = np.array([_means(out.forces_of(b)[0]) for b in range(B)])
     return Predictions(poses, forces)
 
 
@@ -147,8 +139,7 @@ def separations(
     """
     pairs = list(combinations(range(len(predictions)), 2))
     result = np.zeros((len(pairs), len(pushes)))
-    centroid = grid.centers.mean(axis=0)
-    radius = radius_of_gyration(grid)
+    centroid, radius = grid.centers.mean(axis=0), radius_of_gyration(grid)
     for b, push in enumerate(pushes):
         poses = np.array([p.poses[b] for p in predictions])
         forces = np.array([p.forces[b] for p in predictions])
@@ -164,10 +155,7 @@ def separations(
             middle, np.full(SAMPLES, force_rows), counts,
         )  # fmt: skip
         lasting = error.pose_covariance(imagined, travelled(imagined, grid.centers), radius)
-        c, s = np.cos(poses[..., 2]), np.sin(poses[..., 2])
-        places = poses[..., :2] + np.stack(
-            [c * centroid[0] - s * centroid[1], s * centroid[0] + c * centroid[1]], axis=-1
-        )
+        places = poses[..., :2] + rotated(centroid, poses[..., 2])
         rows = np.concatenate([places, radius * poses[..., 2:]], axis=-1)
         white = [_whitened(lasting[i], rows[..., i]) for i in range(3)]
         if counts.any():
@@ -179,8 +167,7 @@ def separations(
 
 
 def keeps_touch(push: Push, forces: FloatArray) -> bool:
-    """Whether the finger pushes from first touch to its stop; just when it slides off is not for a model
-    to know.
+    """Whether the finger pushes from first touch to its stop: no model knows just when it slides off.
 
     Args:
         push: that is imagined.
@@ -196,9 +183,13 @@ def keeps_touch(push: Push, forces: FloatArray) -> bool:
 
 def _paces(push: Push) -> FloatArray:
     """(SAMPLES,) way of the finger in a step, mean over each stretch, m."""
-    way = np.hypot(*np.diff(push.tip, axis=0).T)
-    edges = np.linspace(0, len(way), SAMPLES + 1).astype(int)
-    return np.add.reduceat(way, edges[:-1]) / np.diff(edges)
+    return _means(np.hypot(*np.diff(push.tip, axis=0).T))
+
+
+def _means(steps: FloatArray) -> FloatArray:
+    """(SAMPLES, …) means of rows (N, …) over equal stretches of them."""
+    edges = np.linspace(0, len(steps), SAMPLES + 1).astype(int)
+    return (np.add.reduceat(steps, edges[:-1], axis=0).T / np.diff(edges)).T
 
 
 def _whitened(covariance: FloatArray, rows: FloatArray) -> FloatArray:
@@ -207,8 +198,7 @@ def _whitened(covariance: FloatArray, rows: FloatArray) -> FloatArray:
 
 
 def _steady(push: Push, forces: FloatArray) -> np.ndarray:
-    """Stretches in steady pushing, as fits count them: finger fast, force present, and so in both
-    neighbours."""
+    """Stretches in steady pushing, as fits count them: finger fast, force present, here and beside."""
     mean = _paces(push)
     size = np.hypot(*forces.T)
     steady = (mean > 0.5 * mean.max()) & (size > 0.2 * np.percentile(size, 90))

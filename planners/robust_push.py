@@ -7,17 +7,17 @@ number of candidates, so that the choice does not depend on the machine.
 
 Beyond the paper: candidates vary in length and a little in direction; the finger's control noise is imagined
 together with the hypotheses; falling costs in each; there may be many targets, any of which will do; and
-what is compared is the expected number of pushes to a target (`lookahead`), into which the gap enters.
+what is compared is the expected number of pushes to a target, into which the gap enters.
 Without that, the object would be pushed near to a target at once, from where turning it takes more pushes
 than before.
 
 All lines of push are rolled out for all scenarios in one parallel call, to the longest push. A slow push
 leaves the object where the finger stops, so that the poses on the way are the ends of all shorter pushes.
 
-Pushing works alike everywhere on the table: a push that moves the object by δ from one pose moves it by δ,
-as seen from the object, from any other. So the pushes imagined for one pose tell what pushes from every other
-pose would do, pairs of them what two would do, and the best next push is a search for the nearest point.
-Where effects depend on the place this holds only roughly, which is enough to look ahead with.
+A push that moves the object by δ from one pose, as seen from the object, moves it by δ from any other pose
+on the table. So the pushes imagined for one pose say what pushes from every other pose would do, and pairs of
+them what two would do (`Lookahead`); the best next push is a search for the nearest point. Where effects
+depend on the place this holds only roughly, which is enough to look ahead with.
 """
 
 from __future__ import annotations
@@ -35,21 +35,15 @@ from slipmap.models.physics.balance import balance_margins, own_balance_margins
 from slipmap.models.physics.cell_grid import CellGrid, FloatArray
 from slipmap.models.physics.maps import Maps
 from slipmap.models.physics.rollout import Push, RolloutError, Slider
-from slipmap.planners.contact_lines import ContactContour, ContactLines, joined, ways_of_center
-from slipmap.planners.exploration import NoReachablePush
+from slipmap.planners.contact_lines import ContactContour, ContactLines, ways_of_center
+from slipmap.planners.exploration import NoReachablePush, turn
 from slipmap.planners.settings import PushSettings
 from slipmap.planners.table_push import TablePush
 from slipmap.planners.waypoints import PoseMetric
 
-# Where pushes would bring the object, in every hypothesis and with the noise of the finger's control.
-
-
 STRIDE = 2.5e-3
 """Way of the finger in one time step, m. Against steps of 0.5 mm, pushes of 0.1 m of the hammer end within
 0.2 mm (95 %), of 0.25 m within 0.4 mm."""
-
-EVERYWHERE = 100.0
-"""Radius of a table without an edge, m."""
 
 NEGLIGIBLE = 1e-4
 """Probability below which a hypothesis is not imagined."""
@@ -147,8 +141,7 @@ def foresee(
     path = np.linspace(0.0, way, steps + 1)
     ahead = compose(pose, np.pad(lines.touches - settings.approach * lines.directions, ((0, 0), (0, 1))))
     begins = ahead[:, :2]
-    c, s = np.cos(pose[2]), np.sin(pose[2])
-    directions = lines.directions @ np.array([[c, s], [-s, c]])
+    directions = lines.directions @ turn(pose[2]).T
     pushes = [
         Push(h, begin + np.outer(path, direction), pose, pose_times=looks)
         for begin, direction in zip(begins, directions, strict=True)
@@ -182,7 +175,7 @@ def least_margins(belief: Belief, settings: PushSettings) -> FloatArray:
     That of the settings; but a slender object has little margin wherever it lies, and half of what a
     hypothesis has far from any edge is enough.
     """
-    everywhere = Table("round", (0.0, 0.0), radius=EVERYWHERE)
+    everywhere = Table("round", (0.0, 0.0), radius=100.0)
     free = balance_margins(belief.grid, belief.centers_of_mass, np.zeros((1, 3)), everywhere)[0]
     return np.minimum(settings.margin, free / 2)
 
@@ -211,15 +204,12 @@ def _rolled_out(scenarios: Scenarios, pushes: list[Push], starts: FloatArray, lo
     return out.poses.reshape(len(scenarios), len(pushes), looks, 3)
 
 
-# How many pushes would follow: a look ahead by lookup instead of more rollouts.
-
-
 PAIRS = 100_000
 """Pairs of pushes that are looked up."""
 
 
 class Lookahead:
-    """Expected number of pushes from a pose to a target.
+    """Expected number of pushes from a pose to a target, looked up among imagined pushes.
 
     Args:
         foresight: pushes imagined from one pose.
@@ -272,26 +262,13 @@ def further_pushes(gap: FloatArray, settings: PushSettings) -> FloatArray:
     return misses * (1.0 + gap / settings.longest)
 
 
-TARGETS = 24
-"""Targets that are looked at closely, those that seem to take the fewest pushes."""
-
-FAR = 2.5
-"""Expected pushes to the nearest target above which pairs of pushes are looked up to follow the next."""
-
-SHORTER = 0.7
-"""Of the length of a push that is not allowed, what is asked for next on the same line at most."""
-
-STEP = 2
-"""Lengths of a push from one that is looked up to the next."""
-
-VARIED = 8
-"""Best lines, around which others are tried."""
-
-ROUNDS = 2
-"""In which these are tried; the second around the best of the first, too."""
-
-SHIFT, TILT = 0.008, np.radians(6.0)
-"""Standard deviations of these from those, m along the contour and rad."""
+_TARGETS = 24  # that are looked at closely, those that seem to take the fewest pushes
+_FAR = 2.5  # expected pushes to the nearest target above which pairs are looked up to follow the next push
+_SHORTER = 0.7  # of the length of a push that is not allowed: what is asked for next on its line at most
+_STEP = 2  # lengths of a push from one that is looked up to the next
+_VARIED = 8  # best lines, around which others are tried
+_ROUNDS = 2  # in which these are tried; the second around the best of the first, too
+_SHIFT, _TILT = 0.008, np.radians(6.0)  # standard deviations of these from those, m along the contour and rad
 
 
 @dataclass(frozen=True, eq=False)
@@ -356,18 +333,21 @@ def plan_push(
     ahead = Lookahead(seen[0], pose, metric, settings, rng)
 
     pushes = ahead.after(pose, goals, pairs=True)
-    near = np.argsort(pushes + extra, kind="stable")[:TARGETS]
-    far = bool(pushes[near[0]] > FAR)
-    near = near[: TARGETS // 2] if far else near
-    values = [_expected_pushes(seen[0], goals[near], extra[near], ahead, metric, settings, far)]
+    near = np.argsort(pushes + extra, kind="stable")[:_TARGETS]
+    far = bool(pushes[near[0]] > _FAR)
+    near = near[: _TARGETS // 2] if far else near
 
-    for _ in range(ROUNDS):
-        best = np.argsort(np.concatenate(values).min(axis=(1, 2)), kind="stable")[:VARIED]
-        varied = contour.near(lines, best, settings.refinements // ROUNDS, SHIFT, TILT, cone, rng)
+    def expected(imagined: Foresight) -> FloatArray:
+        return _expected_pushes(imagined, goals[near], extra[near], ahead, metric, settings, far)
+
+    values = [expected(seen[0])]
+    for _ in range(_ROUNDS):
+        best = np.argsort(np.concatenate(values).min(axis=(1, 2)), kind="stable")[:_VARIED]
+        varied = contour.near(lines, best, settings.refinements // _ROUNDS, _SHIFT, _TILT, cone, rng)
         if len(varied):
             seen.append(foresee(scenarios, pose, varied, table, settings))
-            values.append(_expected_pushes(seen[-1], goals[near], extra[near], ahead, metric, settings, far))
-            lines = joined(lines, varied)
+            values.append(expected(seen[-1]))
+            lines = lines.joined(varied)
     return _first_allowed(seen, values, goals, near, metric, scenarios, settings, allowed)
 
 
@@ -385,9 +365,9 @@ def _expected_pushes(
     poses = np.where(solved[..., None, None], seen.poses, 0.0)
     gaps = metric.gaps(poses, goals)
     follow = np.einsum("clsg,s->clg", further_pushes(gaps, settings), seen.probability)
-    # What follows is looked up for some lengths only: neighbours are alike.
-    likely = np.einsum("clsx,s->clx", poses[:, ::STEP], seen.probability)
-    follow[:, ::STEP] = np.minimum(follow[:, ::STEP], ahead.after(likely, goals, pairs=far))
+    # What follows is looked up for some lengths only: neighbours differ little.
+    likely = np.einsum("clsx,s->clx", poses[:, ::_STEP], seen.probability)
+    follow[:, ::_STEP] = np.minimum(follow[:, ::_STEP], ahead.after(likely, goals, pairs=far))
     value = 1.0 + follow + extra + settings.fall_cost * seen.falls[..., None]
     return np.where(solved[..., None], value, np.inf)
 
@@ -421,7 +401,7 @@ def _first_allowed(
             begins[line], begins[line] + (settings.approach + pushed) * directions[line], settings.speed
         )
         if not allowed(push):
-            longest[line] = SHORTER * pushed
+            longest[line] = _SHORTER * pushed
             continue
         target = int(near[served[line, length]])
         ends = poses[line, length]

@@ -1,8 +1,34 @@
-"""What a goal at the table's edge must be like; a user tunes it in a scenario file."""
+"""Settings of planning: what exploring pushes, goals, and pushes to a goal are like.
 
-from dataclasses import dataclass, field
+A user tunes them in a scenario file. This module loads quickly, so that help texts can name what is in it.
+"""
 
 # Annotations stay objects: Drake's YAML reader looks at them.
+from dataclasses import dataclass, field
+
+STRATEGIES = ("random", "most-different", "most-distinctive")
+"""Of Algorithm 2, see `slipmap.planners.action_selection`."""
+
+METHODS = ("probabilistic", "deterministic", "uniform", "true")
+"""Of planning, see `slipmap.planners.pregrasp.planning_belief`: with all hypotheses; with one of them, drawn;
+with every cell the same; with the truth."""
+
+
+def check_ranges(settings: object, called: str, **ranges: tuple[float, float]) -> None:
+    """Refuse settings with a field outside of its range, which is (least, largest).
+
+    Args:
+        settings: whose fields are checked.
+        called: what stands before a field's name in the message.
+        ranges: by the field's name.
+
+    Raises:
+        ValueError: names the field.
+    """
+    for name, (least, largest) in ranges.items():
+        value = getattr(settings, name)
+        if not least <= value <= largest:
+            raise ValueError(f"{called}{name} must lie between {least} and {largest}, got {value}")
 
 
 @dataclass
@@ -34,37 +60,29 @@ class GoalSettings:
 
     def check(self) -> None:
         """Raise ValueError, naming the field, where a number makes no sense."""
-        for name, least, largest in (
-            ("epsilon", 0.0, 0.5),
-            ("margin", 0.0, 0.1),
-            ("samples", 1, 1_000_000),
-            ("count", 1, 1_000_000),
-            ("clearance", 0.001, 0.05),
-            ("least_contact", 0.005, 0.1),
-            ("tolerance", 0.0, 0.02),
-            ("friction", 0.01, 2.0),
-            ("mass", 0.001, 100.0),
-        ):
-            if not least <= getattr(self, name) <= largest:
-                raise ValueError(
-                    f"goals: {name} must lie between {least} and {largest}, got {getattr(self, name)}"
-                )
-
-
-# What exploring pushes are like; a user tunes them in a scenario file.
-
-
-# Annotations stay objects: Drake's YAML reader looks at them.
+        check_ranges(
+            self,
+            "goals: ",
+            epsilon=(0.0, 0.5),
+            margin=(0.0, 0.1),
+            samples=(1, 1_000_000),
+            count=(1, 1_000_000),
+            clearance=(0.001, 0.05),
+            least_contact=(0.005, 0.1),
+            tolerance=(0.0, 0.02),
+            friction=(0.01, 2.0),
+            mass=(0.001, 100.0),
+        )
 
 
 @dataclass
 class PokeSettings:
-    """What pokes are like.
+    """What pushes to learn from are like; a scenario file calls them pokes.
 
     Attributes:
         shortest, longest: way of the finger after first touch, m.
         slowest, fastest: speed of the finger, m/s.
-        taps: share of the pokes that are taps: the finger touches the object gently, speeds up, and stops
+        taps: share of the pushes that are taps: the finger touches the object gently, speeds up, and stops
             short, so that the object slides on by itself. Slow pushes alone leave the centre of mass open.
         tap_speed: of the finger in a tap, m/s.
         approach: way of the finger before first touch, m.
@@ -87,7 +105,7 @@ class PokeSettings:
     center: list[float] = field(default_factory=lambda: [0.0, 0.0])
 
     def is_tap(self, number: int) -> bool:
-        """Whether a poke, counted from 0, is a tap; they are spread evenly, slow ones come first."""
+        """Whether a push, counted from 0, is a tap; taps are spread evenly, a slow push comes first."""
         return int((number + 1) * self.taps + 1e-9) > int(number * self.taps + 1e-9)
 
     def check(self) -> None:
@@ -98,36 +116,18 @@ class PokeSettings:
                     f"pokes: {low} and {high} must be positive, in this order and below 10, got"
                     f" {getattr(self, low)} and {getattr(self, high)}"
                 )
-        for name, least, largest in (
-            ("taps", 0.0, 1.0),
-            ("tap_speed", 0.05, 2.0),
-            ("approach", 1e-3, 0.1),
-            ("cone", 0.0, 80.0),
-            ("candidates", 1, 10_000),
-            ("region", 0.01, 1.0),
-        ):
-            if not least <= getattr(self, name) <= largest:
-                raise ValueError(
-                    f"pokes: {name} must lie between {least} and {largest}, got {getattr(self, name)}"
-                )
+        check_ranges(
+            self,
+            "pokes: ",
+            taps=(0.0, 1.0),
+            tap_speed=(0.05, 2.0),
+            approach=(1e-3, 0.1),
+            cone=(0.0, 80.0),
+            candidates=(1, 10_000),
+            region=(0.01, 1.0),
+        )
         if len(self.center) != 2 or not all(abs(value) < 10.0 for value in self.center):
             raise ValueError(f"pokes: center must be x and y in m, got {self.center}")
-
-
-# Names that options offer, apart from what they name so that help texts load quickly.
-
-
-STRATEGIES = ("random", "most-different", "most-distinctive")
-"""Of Algorithm 2, in `slipmap.planners.action_selection`."""
-
-METHODS = ("probabilistic", "deterministic", "uniform", "true")
-"""Of planning, in `slipmap.planners.pregrasp`: all hypotheses; one of them drawn; every cell alike; the truth."""
-
-
-# What planning pushes, and the whole pre-grasp procedure, are like; a user tunes them in a scenario file.
-
-
-# Annotations stay objects: Drake's YAML reader looks at them.
 
 
 @dataclass
@@ -170,26 +170,24 @@ class PushSettings:
 
     def check(self) -> None:
         """Raise ValueError, naming the field, where a number makes no sense."""
-        for name, least, largest in (
-            ("candidates", 4, 10_000),
-            ("refinements", 0, 10_000),
-            ("cone", 0.0, 80.0),
-            ("longest", 0.01, 1.0),
-            ("lengths", 2, 500),
-            ("approach", 1e-3, 0.1),
-            ("speed", 1e-3, 1.0),
-            ("scenarios", 1, 1000),
-            ("position_noise", 0.0, 0.05),
-            ("angle_noise", 0.0, 20.0),
-            ("tolerance", 1e-3, 0.5),
-            ("tolerance_angle", 0.1, 180.0),
-            ("margin", 0.0, 0.1),
-            ("fall_cost", 0.0, 1e6),
-        ):
-            if not least <= getattr(self, name) <= largest:
-                raise ValueError(
-                    f"push.{name} must lie between {least} and {largest}, got {getattr(self, name)}"
-                )
+        check_ranges(
+            self,
+            "push.",
+            candidates=(4, 10_000),
+            refinements=(0, 10_000),
+            cone=(0.0, 80.0),
+            longest=(0.01, 1.0),
+            lengths=(2, 500),
+            approach=(1e-3, 0.1),
+            speed=(1e-3, 1.0),
+            scenarios=(1, 1000),
+            position_noise=(0.0, 0.05),
+            angle_noise=(0.0, 20.0),
+            tolerance=(1e-3, 0.5),
+            tolerance_angle=(0.1, 180.0),
+            margin=(0.0, 0.1),
+            fall_cost=(0.0, 1e6),
+        )
 
 
 @dataclass
@@ -220,17 +218,15 @@ class PregraspSettings:
 
     def check(self) -> None:
         """Raise ValueError, naming the field, where a number makes no sense."""
-        for name, least, largest in (
-            ("explorations", 1, 1000),
-            ("hypotheses", 2, 10_000),
-            ("pushes", 1, 1000),
-            ("patience", 1, 1000),
-            ("refusals", 1, 1000),
-        ):
-            if not least <= getattr(self, name) <= largest:
-                raise ValueError(
-                    f"pregrasp.{name} must lie between {least} and {largest}, got {getattr(self, name)}"
-                )
+        check_ranges(
+            self,
+            "pregrasp.",
+            explorations=(1, 1000),
+            hypotheses=(2, 10_000),
+            pushes=(1, 1000),
+            patience=(1, 1000),
+            refusals=(1, 1000),
+        )
         if self.strategy not in STRATEGIES:
             raise ValueError(
                 f"pregrasp.strategy must be one of {', '.join(STRATEGIES)}, got {self.strategy!r}"

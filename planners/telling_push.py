@@ -1,19 +1,21 @@
-"""The next push: the one on which the models that are left differ most, or that shows best what is not
-yet seen.
+"""The push that tells most: which push a person should make next after a diagnosis, and how.
+
+It is the one on which the models that are left differ most, or that shows best what is not yet seen:
 
 - Several effects left: the push whose predictions differ most between the two that differ least.
-- One effect: the push on which its least certain parameter shows most, everything else following that
-  parameter as
-  the data demand.
+- One effect: the push on which its least certain parameter shows most, while everything else follows that
+  parameter as the data demand.
 - Undecided: the push that best shows those effects that the recorded pushes show least.
 - Unknown: the push with the largest residual, repeated with that changed on which the residual depends.
 - Adequate: none.
+
+Proposed pushes are like the recorded ones in place, length and speed (`Habits`).
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from itertools import combinations
 from typing import Any
 
@@ -21,114 +23,51 @@ import numpy as np
 import shapely
 
 from slipmap.models.effects import LIBRARY, EffectSlider, Scene
-from slipmap.models.effects.effect import bounds, scales
+from slipmap.models.effects.effect import Effect, bounds, scales
+from slipmap.models.geometry import angle_between
+from slipmap.models.inference.diagnosis import Diagnosis, diagnose
 from slipmap.models.inference.diagnosis.fitting import Fitted
-from slipmap.models.inference.diagnosis.results import Diagnosis
 from slipmap.models.inference.observations import MEASURED_CONTACT, Observation
 from slipmap.models.measurements import PushDataset
 from slipmap.models.physics.cell_grid import FloatArray
 from slipmap.models.physics.maps import Maps
 from slipmap.models.physics.rollout import Push
-from slipmap.planners.exploration import (
-    APPROACH,
-    Habits,
-    NoReachablePush,
-    Proposal,
-    habits_of,
-    how_to,
-    proposals_for,
-    turn,
-)
+from slipmap.planners.exploration import Candidate, NoReachablePush, candidate_pushes, turn
 from slipmap.planners.rehearsal import Predictions, Rival, keeps_touch, predict, separations, straight_push
-
-# A push to repeat where the model misses something that no effect explains: with one thing changed.
-
-
-def repeat_the_worst(diagnosis: Diagnosis, dataset: PushDataset, habits: Habits) -> dict[str, Any] | None:
-    """The push that the model misses most, with that changed on which the residual depends."""
-    base = diagnosis.base
-    likelihood = base.likelihood
-    rows = likelihood.rows(base.z, base.offsets)
-    worth = [np.isfinite(o.push.tip).all() for o in likelihood.observations]
-    if not any(worth):
-        return None
-    norms = np.array([
-        float(np.linalg.norm(likelihood.whiteners[b](row.pose[..., None], row.force[..., None])))
-        for b, row in enumerate(rows)
-    ])  # fmt: skip
-    worst = int(np.argmax(np.where(worth, norms, -1.0)))
-    observation = likelihood.observations[worst]
-    repeated = _repeated(observation, dataset)
-    if repeated is None:
-        return None
-    depends = (diagnosis.depends_on or "").split(":")[0]
-    changed, what = _changed(repeated, depends, habits)
-    told = changed.told() | {"separates": [depends or "unknown"], "separation": float(norms[worst])}
-    trial = observation.trial
-    return told | {
-        "sentence": f"Repeat the push {trial}, which the model misses most"
-        f" ({norms[worst]:.0f} standard deviations),"
-        f" {what}. {how_to(told)} If the miss changes with it, that is what it depends on; if not, it is not."
-    }
-
-
-def _repeated(observation: Observation, dataset: PushDataset) -> Proposal | None:
-    """A recorded push as a straight line from just before first touch to its end."""
-    push, radius = observation.push, dataset.finger_radius
-    rotation = turn(push.start_pose[2])
-    local = (push.tip - push.start_pose[:2]) @ rotation
-    gaps = shapely.distance(shapely.points(local), dataset.grid.polygon) - radius
-    near = np.flatnonzero(gaps <= 1e-3)
-    touch = int(near[0]) if len(near) else int(np.argmin(gaps))
-    way = push.tip[-1] - push.tip[touch]
-    length = float(np.hypot(*way))
-    if length < 1e-3:
-        return None
-    boundary = dataset.grid.polygon.boundary
-    nearest = boundary.interpolate(boundary.project(shapely.Point(local[touch])))
-    speed = np.hypot(*np.diff(push.tip, axis=0).T) / push.h
-    begin = push.tip[touch] - APPROACH * way / length
-    pace = float(np.median(speed[speed > 0.2 * speed.max()]))
-    return Proposal(push.start_pose, np.array(nearest.coords[0]), begin, push.tip[-1], pace, length, 0.0)
-
-
-def _changed(push: Proposal, depends: str, habits: Habits) -> tuple[Proposal, str]:
-    """The push with one thing changed, and what it is."""
-    if "place" in depends:
-        middle = 0.5 * (habits.low + habits.high)
-        way = push.end - push.begin
-        other = np.clip(2 * middle - push.pose[:2] - way, habits.low, habits.high) - push.pose[:2]
-        return (
-            replace(
-                push, pose=push.pose + np.append(other, 0.0), begin=push.begin + other, end=push.end + other
-            ),
-            "at another place, all else the same",
-        )
-    if "direction" in depends or "object" in depends:
-        angle = np.pi / 2 if "direction" in depends else np.pi
-        rotation, origin = turn(angle), push.pose[:2]
-        return (
-            replace(
-                push,
-                pose=push.pose + np.array([0.0, 0.0, angle]),
-                begin=origin + rotation @ (push.begin - origin),
-                end=origin + rotation @ (push.end - origin),
-            ),
-            f"with object and finger turned by {np.degrees(angle):.0f} degrees",
-        )
-    if "time" in depends:
-        return replace(push, dwell=2.0), "with a stop of 2 s half-way"
-    if "order" in depends:
-        return push, "exactly as it was, now after all others"
-    fast = habits.speeds[2] if push.speed < 0.75 * habits.speeds[2] else habits.speeds[0]
-    return replace(push, speed=fast), f"at {fast / push.speed:.1f} times its speed"
-
-
-CANDIDATES = 300
-FINALISTS = 12
 
 MISPLACED = np.array([[2e-3, 0, 0.03], [-2e-3, 0, -0.03], [0, 2e-3, -0.03], [0, -2e-3, 0.03]])
 """m, rad by which a person may miss the pose; a push has to tell the rivals apart there too."""
+
+_CANDIDATES, _FINALISTS = 300, 12
+_CONTACTS = 60
+_FASTER = 1.5  # how much faster or slower than any recorded push a proposed one may be
+_DWELL = 0.5  # s that a finger stands still half-way
+_APPROACH = 0.01  # m between finger and object before
+
+
+def diagnosed(
+    dataset: PushDataset,
+    *,
+    effects: Sequence[Effect] = LIBRARY,
+    draws: int = 199,
+    quick: bool = False,
+    seed: int = 0,
+    progress: Callable[[str, int, int], None] | None = None,
+) -> Diagnosis:
+    """The diagnosis of a dataset with `next_push` filled: all that `slipmap diagnose` finds out.
+
+    Args:
+        dataset, effects, draws, quick, seed, progress: as of `slipmap.models.inference.diagnosis.diagnose`.
+
+    Raises:
+        DatasetError, EffectError, ValueError: as there.
+    """
+    result = diagnose(dataset, effects=effects, draws=draws, quick=quick, seed=seed, progress=progress)
+    report = progress or (lambda stage, done, total: None)
+    report("planning the next push", 0, 1)
+    push = next_push(result, dataset, seed)
+    report("planning the next push", 1, 1)
+    return replace(result, next_push=push)
 
 
 def next_push(diagnosis: Diagnosis, dataset: PushDataset, seed: int = 0) -> dict[str, Any] | None:
@@ -141,12 +80,10 @@ def next_push(diagnosis: Diagnosis, dataset: PushDataset, seed: int = 0) -> dict
 
     Returns:
         None where there is nothing to find out or no push can be made; else plain numbers, world frame,
-        m and s:
-        `pose` (x, y, theta) at which to put the object, `contact` (x, y) on its outline in the object frame,
-        `tip_start` and `tip_end` (x, y) of the finger's centre, `direction_deg` of its motion, `speed`,
-        `length` from
-        first touch to stop, `dwell` half-way (0 for none), `separates` names, `separation` in standard
-        deviations of the error model, and a `sentence` that says all this.
+        m and s: `pose` (x, y, theta) at which to put the object, `contact` (x, y) on its outline in the
+        object frame, `tip_start` and `tip_end` (x, y) of the finger's centre, `direction_deg` of its motion,
+        `speed`, `length` from first touch to stop, `dwell` half-way (0 for none), `separates` names,
+        `separation` in standard deviations of the error model, and a `sentence` that says all this.
     """
     if diagnosis.verdict == "adequate":
         return None
@@ -154,12 +91,13 @@ def next_push(diagnosis: Diagnosis, dataset: PushDataset, seed: int = 0) -> dict
     habits = habits_of(observations, dataset)
     rng = np.random.default_rng(seed)
     if diagnosis.verdict == "unknown":
-        return repeat_the_worst(diagnosis, dataset, habits)
+        return _worst_repeated(diagnosis, dataset, habits)
     rivals, pairs, why = _question(diagnosis, dataset, habits)
     try:
         # Many models take as long as many pushes.
-        count = CANDIDATES // 3 if diagnosis.quick or len(rivals) > 4 else CANDIDATES
-        chosen = proposals_for(dataset, habits, _finger_friction(diagnosis.base), count, rng)
+        count = _CANDIDATES // 3 if diagnosis.quick or len(rivals) > 4 else _CANDIDATES
+        mu_finger = float(Rival.of(diagnosis.base).maps.mu_finger[0])
+        chosen = _instructions(dataset, habits, mu_finger, count, rng)
     except NoReachablePush:
         return None
     best, separation, predictions = _most_telling(
@@ -170,19 +108,173 @@ def next_push(diagnosis: Diagnosis, dataset: PushDataset, seed: int = 0) -> dict
     names = [rival.name for rival in rivals]
     if diagnosis.verdict == "undecided":
         names = names[1:]
-    told = best.told() | {"separates": names, "separation": separation}
-    return told | {"sentence": _sentence(told, rivals, predictions, why)}
+    asked = best.to_json() | {"separates": names, "separation": separation}
+    return asked | {"sentence": _sentence(asked, rivals, predictions, why)}
 
 
 def rivals_of(diagnosis: Diagnosis, dataset: PushDataset) -> list[Rival]:
-    """The models whose predictions for the next push are worth comparing; none where the model is
-    adequate."""
+    """The models whose predictions for the next push are worth comparing; none for an adequate model."""
     if diagnosis.verdict == "adequate":
         return []
     if diagnosis.verdict == "unknown":
         return [Rival.of(diagnosis.base)]
     habits = habits_of(diagnosis.base.likelihood.observations, dataset)
     return _question(diagnosis, dataset, habits)[0]
+
+
+def push_of(asked: dict[str, Any], order: float = 0.0) -> Push:
+    """What `next_push` returned, to be simulated; `order` is its place in the experiment."""
+    begin, end = np.array(asked["tip_start"]), np.array(asked["tip_end"])
+    return straight_push(
+        np.array(asked["pose"]), begin, end, asked["speed"], dwell=asked["dwell"], order=order
+    )
+
+
+@dataclass(frozen=True)
+class Habits:
+    """What the recorded pushes were like.
+
+    Attributes:
+        low: (2,) corner of the places at which the object was, m.
+        high: (2,) opposite corner.
+        speeds: slow, medium and fast, m/s.
+        lengths: shortest and longest way to propose, m.
+        pose_rows: rows of the tracker that an observed pose is the mean of.
+        force_rows: the same of a force; 0 where none was measured.
+        pushes: their number.
+    """
+
+    low: FloatArray
+    high: FloatArray
+    speeds: tuple[float, float, float]
+    lengths: tuple[float, float]
+    pose_rows: float
+    force_rows: float
+    pushes: int
+
+
+def habits_of(observations: Sequence[Observation], dataset: PushDataset) -> Habits:
+    """Region, speeds and lengths of recorded pushes."""
+    poses = np.concatenate([np.vstack([o.push.start_pose, o.poses]) for o in observations])[:, :2]
+    speeds, ways = [], []
+    for o in observations:
+        speed = np.hypot(*np.diff(o.push.tip, axis=0).T) / o.push.h
+        moving = speed[np.isfinite(speed) & (speed > 1e-3)]
+        if len(moving):
+            speeds.append(float(np.median(moving)))
+        ways.append(float(np.hypot(*(o.poses[-1, :2] - o.push.start_pose[:2]))))
+    speeds = speeds or [0.05]
+    force_rows = np.concatenate([o.force_rows[o.sliding] for o in observations])
+    longest = max(max(ways), 0.5 * float(np.ptp(dataset.grid.exterior, axis=0).max()))
+    return Habits(
+        poses.min(axis=0),
+        poses.max(axis=0),
+        (min(speeds) / _FASTER, float(np.median(speeds)), max(speeds) * _FASTER),
+        (0.5 * longest, longest),
+        float(np.median(np.concatenate([o.pose_rows for o in observations]))),
+        float(np.median(force_rows)) if len(force_rows) else 0.0,
+        len(dataset.trials),
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class Instruction:
+    """What a person is to do: put the object somewhere and push it.
+
+    Attributes:
+        pose: (3,) at which to put the object, world, m and rad.
+        contact: (2,) point of its outline that is touched first, object frame, m.
+        begin, end: (2,) finger centre at first and at last, world, m.
+        speed: of the finger, m/s.
+        length: way of the finger from first touch to its stop, m.
+        dwell: s that it stands still half-way.
+    """
+
+    pose: FloatArray
+    contact: FloatArray
+    begin: FloatArray
+    end: FloatArray
+    speed: float
+    length: float
+    dwell: float
+
+    @classmethod
+    def of(cls, push: Candidate, pose: FloatArray, speed: float, length: float, dwell: float) -> Instruction:
+        """A candidate on an object that lies at a pose (3,)."""
+        begin, end = push.way_at(pose, length)
+        return cls(pose, push.contact, begin, end, speed, length, dwell)
+
+    def push(self, order: float, misplaced: FloatArray | None = None, *, coarseness: float = 1.0) -> Push:
+        """To be simulated, if wanted with the object a little off (3,), or in longer steps."""
+        pose = self.pose if misplaced is None else self.pose + misplaced
+        return straight_push(
+            pose, self.begin, self.end, self.speed, dwell=self.dwell, order=order, coarseness=coarseness
+        )
+
+    def to_json(self) -> dict[str, Any]:
+        """As plain numbers, the first part of what `next_push` returns."""
+        way = self.end - self.begin
+        return {
+            "pose": [float(value) for value in self.pose],
+            "contact": [float(value) for value in self.contact],
+            "direction_deg": float(np.degrees(np.arctan2(way[1], way[0]))),
+            "speed": float(self.speed),
+            "length": float(self.length),
+            "dwell": float(self.dwell),
+            "tip_start": [float(value) for value in self.begin],
+            "tip_end": [float(value) for value in self.end],
+        }
+
+
+def _instructions(
+    dataset: PushDataset, habits: Habits, mu_finger: float, count: int, rng: np.random.Generator
+) -> list[Instruction]:
+    """Random pushes that stay in the region of the recorded ones and on the table.
+
+    Half of them come in pairs that differ by half a turn alone: many effects differ on a reversed push.
+    """
+    cone = float(np.clip(0.9 * np.arctan(mu_finger), 0.05, np.pi / 4))
+    contacts = candidate_pushes(
+        dataset.grid, dataset.finger_radius, rng, _CONTACTS, cone=cone, approach=_APPROACH
+    )
+    found: list[Instruction] = []
+    for _ in range(20 * count):
+        if len(found) >= count:
+            break
+        contact = contacts[int(rng.integers(len(contacts)))]
+        yaw = float(rng.uniform(-np.pi, np.pi))
+        length = float(rng.uniform(*habits.lengths))
+        speed = habits.speeds[int(rng.integers(3))]
+        dwell = _DWELL if rng.random() < 0.25 else 0.0
+        for turned in (0.0, np.pi) if rng.random() < 1 / 3 else (0.0,):
+            angle = float(angle_between(yaw, -turned))
+            place = _place(habits, length * turn(angle) @ contact.direction, rng)
+            proposal = Instruction.of(contact, np.array([*place, angle]), speed, length, dwell)
+            if _on_table(proposal, dataset):
+                found.append(proposal)
+    if not found:
+        raise NoReachablePush("no push stays on the table")
+    return found[:count]
+
+
+def _place(habits: Habits, move: FloatArray, rng: np.random.Generator) -> FloatArray:
+    """Where to begin so that a move ends in the region too; centred on it where it does not fit."""
+    low, high = habits.low - np.minimum(move, 0.0), habits.high - np.maximum(move, 0.0)
+    middle = 0.5 * (habits.low + habits.high) - 0.5 * move
+    return np.where(low < high, rng.uniform(np.minimum(low, high), np.maximum(low, high)), middle)
+
+
+def _on_table(proposal: Instruction, dataset: PushDataset) -> bool:
+    table = dataset.table
+    if table is None:
+        return True
+    way = proposal.end - proposal.begin
+    corners = dataset.grid.exterior @ turn(proposal.pose[2]).T + proposal.pose[:2]
+    points = np.vstack([corners, corners + way]) - np.asarray(table.center)
+    if table.radius is not None:
+        return bool((np.hypot(*points.T) < table.radius).all())
+    assert table.size is not None
+    return bool((np.abs(points) < 0.5 * np.asarray(table.size)).all())
 
 
 def _question(
@@ -202,54 +294,8 @@ def _question(
     return _sharpened(diagnosis.best), [(0, 1)], "pins the parameter down best"
 
 
-def push_of(told: dict[str, Any], order: float = 0.0) -> Push:
-    """The push that `next_push` told of, to be simulated; `order` is its place in the experiment."""
-    begin, end = np.array(told["tip_start"]), np.array(told["tip_end"])
-    return straight_push(np.array(told["pose"]), begin, end, told["speed"], dwell=told["dwell"], order=order)
-
-
-def _most_telling(
-    rivals: Sequence[Rival],
-    pairs: Sequence[tuple[int, int]],
-    proposals: Sequence[Proposal],
-    judge: Fitted,
-    dataset: PushDataset,
-    habits: Habits,
-    coarseness: float,
-) -> tuple[Proposal, float, list[Predictions]]:
-    """The best proposal, its separation, and what the rivals predict for it.
-
-    Pushes from which the finger slides off are left out. Among the best few, the one that stays telling
-    where the
-    object is put down a little off.
-    """
-    error, grid = judge.likelihood.error, dataset.grid
-    order = float(habits.pushes)
-    place = {pair: k for k, pair in enumerate(combinations(range(len(rivals)), 2))}
-    used = [place[pair] for pair in pairs]
-
-    def least(pushes: Sequence[Push]) -> FloatArray:
-        predicted = [predict(rival, pushes) for rival in rivals]
-        apart = separations(predicted, pushes, error, grid, habits.pose_rows, habits.force_rows)[used].min(
-            axis=0
-        )
-        kept = [all(keeps_touch(push, p.forces[b]) for p in predicted) for b, push in enumerate(pushes)]
-        return np.where(kept, apart, 0.0) if any(kept) else apart
-
-    score = least([proposal.push(order, coarseness=coarseness) for proposal in proposals])
-    finalists = np.argsort(-score, kind="stable")[:FINALISTS]
-    pushes = [
-        proposals[i].push(order, shift, coarseness=coarseness) for i in finalists for shift in MISPLACED
-    ]
-    worst = least(pushes).reshape(len(finalists), -1).min(axis=1)
-    winner = int(finalists[int(np.argmax(np.minimum(worst, score[finalists])))])
-    nominal = [proposals[winner].push(order)]
-    return proposals[winner], float(score[winner]), [predict(rival, nominal) for rival in rivals]
-
-
 def _sharpened(best: Fitted) -> list[Rival]:
-    """The model with its least certain parameter a standard deviation up and down, the rest refitted to
-    it."""
+    """The model with its least certain parameter a standard deviation down and up, the rest refitted."""
     prior = best.likelihood.prior
     equations = best.likelihood.linearise(
         best.z[None], best.offsets[None], np.ones(1), np.ones((1, len(best.offsets)))
@@ -269,9 +315,8 @@ def _sharpened(best: Fitted) -> list[Rival]:
 
 
 def _hardly_seen(diagnosis: Diagnosis, dataset: PushDataset, habits: Habits) -> list[Rival]:
-    """The model without effects, and with each of those effects at ordinary size that show least in the
-    recorded
-    pushes: a third of those that show at all."""
+    """The model without effects, and with one effect of ordinary size each: the third of those that show in
+    the recorded pushes at all which show least."""
     base = diagnosis.base
     plain = Rival.of(base)
     weight = float(plain.maps.mass.sum()) * dataset.gravity
@@ -320,21 +365,138 @@ def _as_imagined(observation: Observation) -> Push:
     return replace(push, pose_times=looks, force_times=push.h * (np.arange(steps, dtype=float) + 0.5))
 
 
+def _most_telling(
+    rivals: Sequence[Rival],
+    pairs: Sequence[tuple[int, int]],
+    proposals: Sequence[Instruction],
+    judge: Fitted,
+    dataset: PushDataset,
+    habits: Habits,
+    coarseness: float,
+) -> tuple[Instruction, float, list[Predictions]]:
+    """The best proposal, its separation, and what the rivals predict for it.
+
+    Pushes from which the finger slides off are left out. Among the best few, the one wins that still tells
+    most where the object is put down a little off.
+    """
+    error, grid = judge.likelihood.error, dataset.grid
+    order = float(habits.pushes)
+    place = {pair: k for k, pair in enumerate(combinations(range(len(rivals)), 2))}
+    used = [place[pair] for pair in pairs]
+
+    def least(pushes: Sequence[Push]) -> FloatArray:
+        predicted = [predict(rival, pushes) for rival in rivals]
+        apart = separations(predicted, pushes, error, grid, habits.pose_rows, habits.force_rows)
+        apart = apart[used].min(axis=0)
+        kept = [all(keeps_touch(push, p.forces[b]) for p in predicted) for b, push in enumerate(pushes)]
+        return np.where(kept, apart, 0.0) if any(kept) else apart
+
+    score = least([proposal.push(order, coarseness=coarseness) for proposal in proposals])
+    finalists = np.argsort(-score, kind="stable")[:_FINALISTS]
+    pushes = [
+        proposals[i].push(order, shift, coarseness=coarseness) for i in finalists for shift in MISPLACED
+    ]
+    worst = least(pushes).reshape(len(finalists), -1).min(axis=1)
+    winner = int(finalists[int(np.argmax(np.minimum(worst, score[finalists])))])
+    nominal = [proposals[winner].push(order)]
+    return proposals[winner], float(score[winner]), [predict(rival, nominal) for rival in rivals]
+
+
+def _worst_repeated(diagnosis: Diagnosis, dataset: PushDataset, habits: Habits) -> dict[str, Any] | None:
+    """The push that the model misses most, with that changed on which the residual depends."""
+    base = diagnosis.base
+    likelihood = base.likelihood
+    rows = likelihood.rows(base.z, base.offsets)
+    worth = [np.isfinite(o.push.tip).all() for o in likelihood.observations]
+    if not any(worth):
+        return None
+    norms = np.array([
+        float(np.linalg.norm(likelihood.whiteners[b](row.pose[..., None], row.force[..., None])))
+        for b, row in enumerate(rows)
+    ])  # fmt: skip
+    worst = int(np.argmax(np.where(worth, norms, -1.0)))
+    observation = likelihood.observations[worst]
+    repeated = _repeated(observation, dataset)
+    if repeated is None:
+        return None
+    depends = (diagnosis.depends_on or "").split(":")[0]
+    changed, what = _changed(repeated, depends, habits)
+    asked = changed.to_json() | {"separates": [depends or "unknown"], "separation": float(norms[worst])}
+    trial = observation.trial
+    return asked | {
+        "sentence": f"Repeat the push {trial}, which the model misses most"
+        f" ({norms[worst]:.0f} standard deviations), {what}. {_how_to(asked)}"
+        " If the miss changes with it, that is what it depends on; if not, it is not."
+    }
+
+
+def _repeated(observation: Observation, dataset: PushDataset) -> Instruction | None:
+    """A recorded push as a straight line from just before first touch to its end."""
+    push, radius = observation.push, dataset.finger_radius
+    rotation = turn(push.start_pose[2])
+    local = (push.tip - push.start_pose[:2]) @ rotation
+    gaps = shapely.distance(shapely.points(local), dataset.grid.polygon) - radius
+    near = np.flatnonzero(gaps <= 1e-3)
+    touch = int(near[0]) if len(near) else int(np.argmin(gaps))
+    way = push.tip[-1] - push.tip[touch]
+    length = float(np.hypot(*way))
+    if length < 1e-3:
+        return None
+    boundary = dataset.grid.polygon.boundary
+    nearest = boundary.interpolate(boundary.project(shapely.Point(local[touch])))
+    speed = np.hypot(*np.diff(push.tip, axis=0).T) / push.h
+    begin = push.tip[touch] - _APPROACH * way / length
+    pace = float(np.median(speed[speed > 0.2 * speed.max()]))
+    return Instruction(push.start_pose, np.array(nearest.coords[0]), begin, push.tip[-1], pace, length, 0.0)
+
+
+def _changed(push: Instruction, depends: str, habits: Habits) -> tuple[Instruction, str]:
+    """The push with one thing changed, and what it is."""
+    if "place" in depends:
+        middle = 0.5 * (habits.low + habits.high)
+        way = push.end - push.begin
+        other = np.clip(2 * middle - push.pose[:2] - way, habits.low, habits.high) - push.pose[:2]
+        pose = push.pose + np.append(other, 0.0)
+        moved = replace(push, pose=pose, begin=push.begin + other, end=push.end + other)
+        return moved, "at another place, all else the same"
+    if "direction" in depends or "object" in depends:
+        angle = np.pi / 2 if "direction" in depends else np.pi
+        rotation, origin = turn(angle), push.pose[:2]
+        begin, end = (origin + rotation @ (place - origin) for place in (push.begin, push.end))
+        turned = replace(push, pose=push.pose + np.array([0.0, 0.0, angle]), begin=begin, end=end)
+        return turned, f"with object and finger turned by {np.degrees(angle):.0f} degrees"
+    if "time" in depends:
+        return replace(push, dwell=2.0), "with a stop of 2 s half-way"
+    if "order" in depends:
+        return push, "exactly as it was, now after all others"
+    fast = habits.speeds[2] if push.speed < 0.75 * habits.speeds[2] else habits.speeds[0]
+    return replace(push, speed=fast), f"at {fast / push.speed:.1f} times its speed"
+
+
 def _sentence(
-    told: dict[str, Any], rivals: Sequence[Rival], predictions: Sequence[Predictions], why: str
+    asked: dict[str, Any], rivals: Sequence[Rival], predictions: Sequence[Predictions], why: str
 ) -> str:
     parts = []
     for rival, predicted in zip(rivals, predictions, strict=True):
-        x, y, angle = predicted.poses[0, -1] - told["pose"]
+        x, y, angle = predicted.poses[0, -1] - asked["pose"]
         force = np.hypot(*predicted.forces[0].T)
         pressed = force[force > 0.2 * force.max()]
         text = f"{rival.name}: {1e3 * np.hypot(x, y):.0f} mm, {np.degrees(angle):+.0f}°"
         parts.append(text + (f", {pressed.mean():.2g} N" if len(pressed) else ""))
     return (
-        f"{how_to(told)} It {why}: by {told['separation']:.1f} standard deviations. Predicted way,"
+        f"{_how_to(asked)} It {why}: by {asked['separation']:.1f} standard deviations. Predicted way,"
         f" turn and mean force — {'; '.join(parts)}."
     )
 
 
-def _finger_friction(fitted: Fitted) -> float:
-    return float(fitted.likelihood.prior.maps(fitted.z[None]).mu_finger[0])
+def _how_to(asked: dict[str, Any]) -> str:
+    """What to do, in a sentence."""
+    x, y, angle = asked["pose"]
+    stop = f", rest {asked['dwell']:.1g} s half-way" if asked["dwell"] else ""
+    return (
+        f"Put the object at x = {1e3 * x:.0f} mm, y = {1e3 * y:.0f} mm, turned by {np.degrees(angle):.0f}°;"
+        f" move the finger from ({1e3 * asked['tip_start'][0]:.0f}, {1e3 * asked['tip_start'][1]:.0f}) mm to"
+        f" ({1e3 * asked['tip_end'][0]:.0f}, {1e3 * asked['tip_end'][1]:.0f}) mm"
+        f" at {1e3 * asked['speed']:.0f} mm/s{stop},"
+        " and stop abruptly."
+    )

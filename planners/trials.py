@@ -1,7 +1,8 @@
-"""One trial of a campaign: what is to be done, and what came of it. Both are plain data.
+"""Trials of a campaign: what is to be done, what came of it, and estimates from many of them.
 
-Trials share nothing, each has its own seed, and outcomes are put into the order of the trials. Only the
-process that was started writes files, so a cluster needs no common disk.
+Specs and outcomes are plain data. Trials share nothing, each has its own seed, and outcomes are put into the
+order of the trials: the result is the same whether `run_trials` spreads them over local processes (joblib) or
+a cluster (Dask). Only the process that was started writes files, so a cluster needs no common disk.
 """
 
 from __future__ import annotations
@@ -47,11 +48,11 @@ class TrialSpec:
         if not self.name.strip("._-") or not all(c.isalnum() or c in "-_." for c in self.name):
             raise CampaignError(f"trial {self.name!r}: a name has letters, digits, '-', '_' and '.'")
         try:
-            self.told()
+            self.to_json()
         except (TypeError, ValueError) as error:
             raise CampaignError(f"trial {self.name}: parameters must be plain data ({error})") from error
 
-    def told(self) -> dict[str, Any]:
+    def to_json(self) -> dict[str, Any]:
         """As JSON holds it."""
         document = {
             "name": self.name,
@@ -99,7 +100,7 @@ def write_outcome(outcome: TrialOutcome, folder: Path) -> None:
     Raises:
         CampaignError: the folder cannot be written to.
     """
-    document = outcome.spec.told() | {
+    document = outcome.spec.to_json() | {
         "result": outcome.result,
         "failure": outcome.failure,
         "seconds": outcome.seconds,
@@ -126,22 +127,18 @@ def read_outcome(spec: TrialSpec, folder: Path) -> TrialOutcome | None:
     advice = "remove it or choose another folder"
     try:
         document = json.loads(path.read_text(encoding="utf-8"))
-        told = {key: document[key] for key in ("name", "function", "parameters", "seed")}
+        stored = {key: document[key] for key in ("name", "function", "parameters", "seed")}
         outcome = TrialOutcome(spec, document["result"], document["failure"], float(document["seconds"]))
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise CampaignError(f"{path} is not a readable trial ({error}); {advice}") from error
-    if told != spec.told():
-        different = [key for key, value in spec.told().items() if told[key] != value]
+    if stored != spec.to_json():
+        different = [key for key, value in spec.to_json().items() if stored[key] != value]
         raise CampaignError(f"{path} is of another campaign, its {' and '.join(different)} differ; {advice}")
     return outcome
 
 
 def _file(spec: TrialSpec, folder: Path) -> Path:
     return folder / f"{spec.name}.json"
-
-
-# Runs trials on local processes (joblib) or on a cluster (Dask). The result is the same whatever runs
-# them.
 
 
 Backend = Literal["processes", "dask"]
@@ -270,11 +267,7 @@ def _on_dask(specs: Sequence[TrialSpec], scheduler: str | None) -> Iterator[Tria
                 yield TrialOutcome(spec, None, CRASHED)
 
 
-# Numbers of a campaign with what chance leaves open of them.
-
-
-LEVEL = 0.95
-"""Of all intervals."""
+_LEVEL = 0.95  # of all intervals
 
 
 @dataclass(frozen=True)
@@ -294,9 +287,9 @@ class Estimate:
 
     def percent(self) -> str:
         """As in a table: `97 (91 to 99)`."""
-        return self.told(100.0, 0)
+        return self.text(100.0, 0)
 
-    def told(self, factor: float = 1.0, digits: int = 1) -> str:
+    def text(self, factor: float = 1.0, digits: int = 1) -> str:
         """Multiplied by a factor and rounded, such as `5.2 (4.9 to 5.5)`; a dash where there is nothing."""
         if not np.isfinite(self.value):
             return "–"
@@ -304,9 +297,9 @@ class Estimate:
         return f"{value} ({low} to {high})" if np.isfinite(self.low + self.high) else value
 
     def short(self, factor: float = 1.0, digits: int = 1) -> str:
-        """As `told`, with half the interval's width, such as `5.2 ± 0.3`."""
+        """As `text`, with half the interval's width, such as `5.2 ± 0.3`."""
         if not np.isfinite(self.high - self.low):
-            return self.told(factor, digits)
+            return self.text(factor, digits)
         return f"{factor * self.value:.{digits}f} ± {factor * (self.high - self.low) / 2:.{digits}f}"
 
     def to_json(self) -> dict[str, Any]:
@@ -324,7 +317,7 @@ def share(successes: int, count: int) -> Estimate:
 
     if count == 0 and successes == 0:
         return Estimate(float("nan"), 0.0, 1.0, 0)
-    interval = binomtest(successes, count).proportion_ci(LEVEL, method="wilson")
+    interval = binomtest(successes, count).proportion_ci(_LEVEL, method="wilson")
     return Estimate(successes / count, float(interval.low), float(interval.high), count)
 
 
@@ -339,8 +332,5 @@ def mean(values: Sequence[float]) -> Estimate:
     middle = float(data.mean())
     if count == 1:
         return Estimate(middle, float("nan"), float("nan"), 1)
-    half = float(t.ppf(0.5 + LEVEL / 2, count - 1) * data.std(ddof=1) / np.sqrt(count))
+    half = float(t.ppf(0.5 + _LEVEL / 2, count - 1) * data.std(ddof=1) / np.sqrt(count))
     return Estimate(middle, middle - half, middle + half, count)
-
-
-# Campaigns: many trials of one experiment, spread over processes or machines, and the tables they give.

@@ -56,11 +56,8 @@ class PoseMetric:
 ITERATIONS = 250
 """Of RRT*."""
 
-RANGE = 0.2
-"""Longest edge of the tree, m."""
-
-RESOLUTION = 0.02
-"""Distance of poses on an edge at which balance is looked at, m."""
+_RANGE = 0.2  # longest edge of the tree, m
+_RESOLUTION = 0.02  # distance of poses on an edge at which balance is looked at, m
 
 
 class NoWay(ValueError):
@@ -95,7 +92,7 @@ def find_waypoints(
         (n, 3) waypoints, the goal last, the start left out; angles continue from that of the start.
 
     Raises:
-        NoWay: none was found in `ITERATIONS`.
+        NoWay: none was found.
     """
 
     def falls(pose: FloatArray) -> float:
@@ -109,7 +106,7 @@ def find_waypoints(
     util.RNG.setSeed(int(rng.integers(1, 2**31)))
     information = base.SpaceInformation(space)
     information.setStateValidityChecker(lambda state: falls(_pose(state)) <= limit)
-    information.setStateValidityCheckingResolution(RESOLUTION / space.getMaximumExtent())
+    information.setStateValidityCheckingResolution(_RESOLUTION / space.getMaximumExtent())
     information.setup()
     ends = [_state(space, pose) for pose in (start, goal)]
     if information.checkMotion(*ends):
@@ -118,7 +115,7 @@ def find_waypoints(
     setup = geometric.SimpleSetup(information)
     setup.setStartAndGoalStates(*ends)
     planner = geometric.RRTstar(information)
-    planner.setRange(RANGE)
+    planner.setRange(_RANGE)
     setup.setPlanner(planner)
     setup.solve(base.PlannerTerminationCondition(_after(ITERATIONS)))
     if not setup.haveExactSolutionPath():

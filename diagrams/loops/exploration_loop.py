@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 from pydrake.geometry import Meshcat
-from pydrake.systems.framework import Diagram, DiagramBuilder, LeafSystem, System
+from pydrake.systems.framework import Context, Diagram, DiagramBuilder, LeafSystem, System
 
 from slipmap.diagrams.execution.plans import ArmChecks
 from slipmap.diagrams.execution.push_executor import ObjectWatch, PushExecutor
@@ -33,25 +33,29 @@ from slipmap.models.measurements.push_dataset import Noise
 from slipmap.models.perception.first_look import FirstPicture
 from slipmap.models.physics.cell_grid import CellGrid
 from slipmap.models.robots import FINGER_RADIUS
-from slipmap.planners.action_selection import Poke
+from slipmap.planners.action_selection import Choice
 
-# What a run of the robot's cell has recorded so far: enough for another process to go on from.
+LONGEST_STEP = 0.005
+"""s, of the hypotheses that run beside the real object; with twice that, taps end 1 mm elsewhere."""
+
+SENSORS = Noise(position=0.4e-3, angle=float(np.radians(0.2)), tip=0.1e-3, force=0.3)
+"""Of the camera's poses, the arm's joint sensors and the force taken from its torques."""
 
 
 @dataclass(frozen=True, eq=False)
-class Recorded:
-    """Pushes that were made, and what is known besides.
+class RecordedRun:
+    """What a run has recorded so far: enough for another process to go on from.
 
     Attributes:
         trials: that are complete, one or more.
-        pokes: how they were asked for; as many.
+        choices: how they were asked for; as many.
         places: where the simulated object lay after each, x and y in m, turn in degrees; None of a real one.
         grid: the object as the camera made it out.
         first: the picture from which.
     """
 
     trials: tuple[Trial, ...]
-    pokes: tuple[Poke, ...]
+    choices: tuple[Choice, ...]
     places: tuple[list[float] | None, ...]
     grid: CellGrid
     first: FirstPicture
@@ -61,20 +65,13 @@ class Recorded:
         """Whether it was recorded there, not in a simulation."""
         return self.places[-1] is None
 
-    def all_to_learn_from(self) -> Recorded:
+    def all_to_learn_from(self) -> RecordedRun:
         """The same, of which every push is learned from, also those that were made to judge."""
         return replace(self, trials=tuple(replace(trial, role="fit") for trial in self.trials))
 
 
-LONGEST_STEP = 0.005
-"""s, of the hypotheses that run beside the real object; with twice that, taps end 1 mm elsewhere."""
-
-SENSORS = Noise(position=0.4e-3, angle=float(np.radians(0.2)), tip=0.1e-3, force=0.3)
-"""Of the camera's poses, the arm's joint sensors and the force taken from its torques."""
-
-
-Wire = tuple[System, str, System, str]
-"""A system, its output port, another system, its input port."""
+Wire = tuple[Any, ...]
+"""A system, its output port, and whom it goes to: systems with an input of this name, or (system, input)."""
 
 Block = TypeVar("Block", bound=System)
 
@@ -102,16 +99,7 @@ class LoopOptions:
     effects: Sequence[str] = ()
 
 
-def exploration_loop(
-    scenario: Scenario,
-    options: LoopOptions,
-    *,
-    cell: HardwareInterface | None = None,
-    worker: Executor | None = None,
-    meshcat: Meshcat | None = None,
-    learned: Callable[[Belief, int], None] | None = None,
-    before: Recorded | None = None,
-) -> Diagram:
+def exploration_loop(scenario: Scenario, options: LoopOptions, **parts: Any) -> Diagram:
     """The station with everything that explores the object on its table.
 
     Its systems are named `station`, `perception`, `supervisor`, `exploration`, `executor`, `object_watch`,
@@ -121,22 +109,13 @@ def exploration_loop(
     Args:
         scenario: what the cell is like.
         options: what to do.
-        cell: the real cell, which takes the station's place; a guard stands between it and the executor.
-        worker: who looks at pictures, learns and plans; the diagram itself if None, which then waits.
-        meshcat: where to show it, if anywhere.
-        learned: called with every belief as it forms and the number of pushes that it comes from.
-        before: what an earlier process recorded, to go on from; the object lies where that one left it.
+        parts: keyword arguments of `add_exploration`.
 
     Raises:
-        ScenarioError: an object, a surface or a hidden effect that cannot be had.
-        ValueError: an unknown strategy.
-        RendererUnavailable: this machine cannot render pictures.
+        ScenarioError, ValueError, RendererUnavailable: see `add_exploration`.
     """
     builder = DiagramBuilder()
-    blocks = add_exploration(
-        builder, scenario, options,
-        cell=cell, worker=worker, meshcat=meshcat, learned=learned, before=before,
-    )  # fmt: skip
+    blocks = add_exploration(builder, scenario, options, **parts)
     connect(builder, blocks.wires(blocks.supervisor))
     loop = builder.Build()
     loop.set_name("exploration_loop")
@@ -162,73 +141,62 @@ class ExplorationBlocks:
     visualizer: BeliefVisualizer | None
 
     def wires(self, command: LeafSystem) -> list[Wire]:
-        """All connections, with the ports `status` and `active_push` of the system that commands the arm."""
+        """All connections; `command` is the system whose `status` and `active_push` command the arm."""
+        see, arm = self.perception, self.executor
         wires: list[Wire] = [
-            (self.station, "camera.depth_image", self.perception, "depth_image"),
-            (self.station, "camera.X_WC", self.perception, "X_WC"),
-            (self.station, "camera.age", self.perception, "image_age"),
-            (self.station, "iiwa.position_measured", self.perception, "arm_position"),
-            (self.station, "iiwa.position_measured", self.executor, "iiwa.position_measured"),
-            (self.station, "iiwa.torque_external", self.executor, "iiwa.torque_external"),
-            (self.station, "gripper.state_measured", self.executor, "gripper.state_measured"),
-            (self.perception, "object_pose", self.executor, "object_pose"),
-            (self.perception, "seen_object", self.executor, "seen_object"),
-            (self.perception, "object_pose", self.watch, "object_pose"),
-            (self.executor, "status", self.watch, "execution"),
-            (self.watch, "moved", self.executor, "moved"),
-            (self.executor, "gripper.position", self.station, "gripper.position"),
-            (self.executor, "gripper.force_limit", self.station, "gripper.force_limit"),
-            (self.perception, "object_pose", self.supervisor, "object_pose"),
-            (self.perception, "cell_grid", self.supervisor, "cell_grid"),
-            (self.exploration, "poke", self.supervisor, "poke"),
-            (self.executor, "status", self.supervisor, "execution"),
-            (self.logger, "records", self.supervisor, "records"),
-            (self.identification, "learned", self.supervisor, "learned"),
-            (command, "active_push", self.executor, "push"),
-            (self.identification, "belief", self.exploration, "belief"),
-            (self.perception, "object_pose", self.exploration, "object_pose"),
-            (self.perception, "seen_object", self.exploration, "seen_object"),
-            (self.supervisor, "status", self.exploration, "status"),
-            (self.perception, "object_pose", self.logger, "object_pose"),
-            (self.executor, "tip_pose", self.logger, "tip_pose"),
-            (self.executor, "tip_force", self.logger, "tip_force"),
-            (self.station, "iiwa.age", self.logger, "tip_age"),
-            (self.executor, "status", self.logger, "execution"),
-            (command, "status", self.logger, "status"),
-            (self.logger, "records", self.identification, "records"),
-            (self.perception, "cell_grid", self.identification, "cell_grid"),
-            (self.executor, "tip_pose", self.finger, "tip_pose"),
-            (self.executor, "status", self.finger, "execution"),
-            (self.finger, "finger", self.multiverse, "finger"),
-            (self.identification, "belief", self.multiverse, "belief"),
-            (self.perception, "object_pose", self.multiverse, "object_pose"),
-            (command, "active_push", self.multiverse, "push"),
-            (self.multiverse, "universes", self.monitor, "universes"),
-            (self.perception, "object_pose", self.monitor, "object_pose"),
-            (self.logger, "records", self.monitor, "records"),
-        ]
+            (self.station, "camera.depth_image", (see, "depth_image")),
+            (self.station, "camera.X_WC", (see, "X_WC")),
+            (self.station, "camera.age", (see, "image_age")),
+            (self.station, "iiwa.position_measured", (see, "arm_position"), arm),
+            (self.station, "iiwa.torque_external", arm),
+            (self.station, "iiwa.age", (self.logger, "tip_age")),
+            (self.station, "gripper.state_measured", arm),
+            (
+                see, "object_pose", arm, self.watch, self.supervisor, self.exploration, self.logger,
+                self.multiverse, self.monitor,
+            ),
+            (see, "seen_object", arm, self.exploration),
+            (see, "cell_grid", self.supervisor, self.identification),
+            (self.watch, "moved", arm),
+            (
+                arm, "status", (self.watch, "execution"), (self.supervisor, "execution"),
+                (self.logger, "execution"), (self.finger, "execution"),
+            ),
+            (arm, "gripper.position", self.station),
+            (arm, "gripper.force_limit", self.station),
+            (arm, "tip_pose", self.logger, self.finger),
+            (arm, "tip_force", self.logger),
+            (self.exploration, "plan", self.supervisor),
+            (self.supervisor, "status", self.exploration),
+            (command, "status", self.logger),
+            (command, "active_push", (arm, "push"), (self.multiverse, "push")),
+            (self.logger, "trials", self.supervisor, self.identification, self.monitor),
+            (self.identification, "learned", self.supervisor),
+            (self.identification, "belief", self.exploration, self.multiverse),
+            (self.finger, "finger", self.multiverse),
+            (self.multiverse, "universes", self.monitor),
+        ]  # fmt: skip
         if self.guard is None:
-            wires.append((self.executor, "iiwa.position", self.station, "iiwa.position"))
+            wires.append((arm, "iiwa.position", self.station))
         else:
             wires += [
-                (self.executor, "iiwa.position", self.guard, "iiwa.position"),
-                (self.station, "iiwa.position_measured", self.guard, "iiwa.position_measured"),
-                (self.station, "iiwa.torque_external", self.guard, "iiwa.torque_external"),
-                (self.station, "iiwa.age", self.guard, "status_age"),
-                (self.station, "iiwa.silence", self.guard, "status_silence"),
-                (self.station, "abort", self.guard, "abort"),
-                (self.station, "camera.age", self.guard, "image_age"),
-                (self.guard, "iiwa.position", self.station, "iiwa.position"),
-                (self.guard, "health", self.executor, "health"),
-                (self.guard, "health", self.station, "health"),
+                (arm, "iiwa.position", self.guard),
+                (self.station, "iiwa.position_measured", self.guard),
+                (self.station, "iiwa.torque_external", self.guard),
+                (self.station, "iiwa.age", (self.guard, "status_age")),
+                (self.station, "iiwa.silence", (self.guard, "status_silence")),
+                (self.station, "abort", self.guard),
+                (self.station, "camera.age", (self.guard, "image_age")),
+                (self.guard, "iiwa.position", self.station),
+                (self.guard, "health", arm, self.station),
             ]
         if self.visualizer is not None:
             wires += [
-                (self.identification, "belief", self.visualizer, "belief"),
-                (self.perception, "object_pose", self.visualizer, "object_pose"),
-                (self.perception, "seen_object", self.visualizer, "seen_object"),
-                (self.multiverse, "mean_pose", self.visualizer, "predicted_pose"),
-                (command, "active_push", self.visualizer, "push"),
+                (self.identification, "belief", self.visualizer),
+                (see, "object_pose", self.visualizer),
+                (see, "seen_object", self.visualizer),
+                (self.multiverse, "mean_pose", (self.visualizer, "predicted_pose")),
+                (command, "active_push", (self.visualizer, "push")),
             ]
         return wires
 
@@ -242,9 +210,25 @@ def add_exploration(
     worker: Executor | None = None,
     meshcat: Meshcat | None = None,
     learned: Callable[[Belief, int], None] | None = None,
-    before: Recorded | None = None,
+    before: RecordedRun | None = None,
 ) -> ExplorationBlocks:
-    """Add everything that explores, not yet connected; arguments and errors as of `exploration_loop`."""
+    """Add everything that explores, not yet connected.
+
+    Args:
+        builder: of the loop.
+        scenario: what the cell is like.
+        options: what to do.
+        cell: the real cell, which takes the station's place; a guard stands between it and the executor.
+        worker: who looks at pictures, learns and plans; the diagram itself if None, which then waits.
+        meshcat: where to show it, if anywhere.
+        learned: called with every belief as it forms and the number of pushes that it comes from.
+        before: what an earlier process recorded, to go on from; the object lies where that one left it.
+
+    Raises:
+        ScenarioError: an object, a surface or a hidden effect that cannot be had.
+        ValueError: an unknown strategy.
+        RendererUnavailable: this machine cannot render pictures.
+    """
     try:
         # Two runs of one scenario see other noise; the run of seed 0 sees the scenario's own.
         noise = replace(scenario.depth_noise, seed=scenario.depth_noise.seed + options.seed)
@@ -276,7 +260,7 @@ def add_exploration(
             "exploration",
             Exploration(
                 options.strategy, options.pushes, FINGER_RADIUS, scenario.pokes,
-                checks.can_push, options.seed, worker, () if before is None else before.pokes,
+                checks.can_push, options.seed, worker, () if before is None else before.choices,
             ),
         ),
         executor=add("executor", PushExecutor(model, HOME, execution, checks.table)),
@@ -298,9 +282,17 @@ def add_exploration(
 
 
 def connect(builder: DiagramBuilder, wires: Sequence[Wire]) -> None:
-    """Connect ports by their names."""
-    for source, output, target, target_input in wires:
-        builder.Connect(source.GetOutputPort(output), target.GetInputPort(target_input))
+    """Connect ports by their names, see `Wire`."""
+    for source, output, *targets in wires:
+        for target in targets:
+            system, name = target if isinstance(target, tuple) else (target, output)
+            builder.Connect(source.GetOutputPort(output), system.GetInputPort(name))
+
+
+def output_of(loop: Diagram, system: str, port: str, root: Context) -> Any:
+    """What a port of one of a loop's systems says; `root` is the Context of the loop."""
+    block = loop.GetSubsystemByName(system)
+    return block.GetOutputPort(port).Eval(block.GetMyContextFromRoot(root))
 
 
 def hypothesis_step(time_step: float) -> float:

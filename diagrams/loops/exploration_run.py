@@ -17,8 +17,14 @@ from pydrake.systems.framework import Context, Diagram, EventStatus
 
 from slipmap.diagrams.hardware.control import real_cell, stopped_by_ctrl_c
 from slipmap.diagrams.hardware.interface import HardwareInterface
-from slipmap.diagrams.loops.exploration_loop import LoopOptions, Recorded, exploration_loop, recorded_dataset
-from slipmap.diagrams.loops.run_folder import PushRecord, Recording
+from slipmap.diagrams.loops.exploration_loop import (
+    LoopOptions,
+    RecordedRun,
+    exploration_loop,
+    output_of,
+    recorded_dataset,
+)
+from slipmap.diagrams.loops.run_folder import Recording, RunFolder
 from slipmap.diagrams.station.scenario import Scenario
 from slipmap.diagrams.station.station import Station, take_fixed_steps
 from slipmap.diagrams.systems.identification import learning
@@ -110,8 +116,8 @@ def explore(
     hardware: str | HardwareInterface | None = None,
     meshcat: Meshcat | None = None,
     progress: Progress | None = None,
-    record: PushRecord | None = None,
-    before: Recorded | None = None,
+    record: RunFolder | None = None,
+    before: RecordedRun | None = None,
     learn_when_stopped: bool = True,
 ) -> ExplorationRun:
     """Explore the object of a scenario.
@@ -220,11 +226,11 @@ def run_loop(
     started = time.perf_counter()
     first_look: list[FloatArray] = []
 
-    told = loop.GetSubsystemByName(supervisor).GetOutputPort("status")
-    tells = told.get_system().GetMyContextFromRoot(context)
+    port = loop.GetSubsystemByName(supervisor).GetOutputPort("status")
+    context_of_port = port.get_system().GetMyContextFromRoot(context)
 
     def monitor(root: Context) -> EventStatus:
-        status: LoopStatus = told.Eval(tells)
+        status: LoopStatus = port.Eval(context_of_port)
         if status.mode in last:
             return EventStatus.ReachedTermination(loop.GetSubsystemByName(supervisor), status.mode)
         if simulated and not first_look and status.mode == "choosing":
@@ -260,7 +266,7 @@ def explored(
     """What was learned in a loop that has ended; None where nothing was recorded to learn from."""
     started = time.perf_counter()
     station = loop.GetSubsystemByName("station")
-    trials = output_of(loop, "logger", "records", ended.context)
+    trials = output_of(loop, "logger", "trials", ended.context)
     if not any(trial.role == "fit" for trial in trials):
         return None
     dataset = recorded_dataset(trials, output_of(loop, "perception", "cell_grid", ended.context), scenario)
@@ -275,12 +281,6 @@ def explored(
         ended.simulated,
         ended.seconds + time.perf_counter() - started,
     )
-
-
-def output_of(loop: Diagram, system: str, port: str, root: Context) -> Any:
-    """What a port of one of a loop's systems says."""
-    block = loop.GetSubsystemByName(system)
-    return block.GetOutputPort(port).Eval(block.GetMyContextFromRoot(root))
 
 
 def _frames(loop: Diagram, root: Context) -> FloatArray:

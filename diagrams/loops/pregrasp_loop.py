@@ -1,8 +1,7 @@
-"""The whole pre-grasp procedure as one Diagram: explore, push to the table's edge, grasp and lift."""
+"""The whole pre-grasp procedure as one Diagram, and its run: explore, push to the edge, grasp and lift."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from concurrent.futures import Executor
 from dataclasses import dataclass, field
 from functools import partial
@@ -15,7 +14,7 @@ from pydrake.systems.framework import Context, Diagram, DiagramBuilder
 from slipmap.diagrams.execution.plans import ArmChecks
 from slipmap.diagrams.hardware.control import real_cell
 from slipmap.diagrams.hardware.interface import HardwareInterface
-from slipmap.diagrams.loops.exploration_loop import LoopOptions, add_exploration, connect
+from slipmap.diagrams.loops.exploration_loop import LoopOptions, add_exploration, connect, output_of
 from slipmap.diagrams.loops.exploration_run import (
     DOING,
     LONGEST,
@@ -25,10 +24,9 @@ from slipmap.diagrams.loops.exploration_run import (
     ExplorationStopped,
     Progress,
     explored,
-    output_of,
     run_loop,
 )
-from slipmap.diagrams.loops.run_folder import PushRecord, Recording
+from slipmap.diagrams.loops.run_folder import Recording, RunFolder
 from slipmap.diagrams.perception.sight import Sight
 from slipmap.diagrams.station.arm import HOME
 from slipmap.diagrams.station.scenario import Scenario
@@ -36,8 +34,7 @@ from slipmap.diagrams.station.station import Station
 from slipmap.diagrams.systems.goal_and_push_planner import GoalAndPushPlanner
 from slipmap.diagrams.systems.loop_messages import LoopStatus, PregraspPlan
 from slipmap.diagrams.systems.supervisors import PATIENCE, PATIENCE_REAL, PregraspSupervisor
-from slipmap.models.geometry import compose, relative
-from slipmap.models.inference.belief import Belief
+from slipmap.models.geometry import placed, relative
 from slipmap.models.objects.true_object import TrueObject
 from slipmap.models.perception.pinhole_camera import View
 from slipmap.models.perception.seen_object import SeenObject
@@ -45,8 +42,18 @@ from slipmap.models.physics.cell_grid import FloatArray
 from slipmap.models.physics.maps import Maps
 from slipmap.planners.settings import PregraspSettings
 
-ENOUGH_SEEN = 0.85
-"""Share of the cells that the camera has to see at a goal, past the arm and inside the picture."""
+BRINGS = {
+    "planning": "planning",
+    "pushing": "pushing",
+    "recording": "recording",
+    "grasping": "grasping at the edge",
+    "lifting": "lifting",
+    "holding": "holding",
+}
+
+_ENOUGH_SEEN = 0.85  # share of the cells that the camera has to see at a goal, past the arm
+_IN_THE_AIR = 0.05  # m, height of the object's lowest point over the table from which it is truly lifted
+_FALLEN = -0.05  # m, the same below which it truly fell
 
 
 @dataclass(frozen=True)
@@ -55,7 +62,7 @@ class PregraspOptions:
 
     Attributes:
         exploration: how the object is explored; its seed is that of every draw.
-        method: of planning, one of `slipmap.planners.pregrasp.METHODS`.
+        method: of planning, one of `slipmap.planners.settings.METHODS`.
         pushes: most pushes towards the edge.
     """
 
@@ -71,7 +78,6 @@ def pregrasp_loop(
     cell: HardwareInterface | None = None,
     worker: Executor | None = None,
     meshcat: Meshcat | None = None,
-    learned: Callable[[Belief, int], None] | None = None,
 ) -> Diagram:
     """The exploration loop with everything that brings the object to the edge and lifts it.
 
@@ -82,14 +88,13 @@ def pregrasp_loop(
         options: what to do.
         cell, worker: see `exploration_loop`; a real cell knows no truth to plan with.
         meshcat: where to show it, if anywhere.
-        learned: called with every belief as it forms and the number of pushes that it comes from.
 
     Raises:
         ScenarioError, ValueError, RendererUnavailable: see `exploration_loop`.
     """
     builder = DiagramBuilder()
     blocks = add_exploration(
-        builder, scenario, options.exploration, cell=cell, worker=worker, meshcat=meshcat, learned=learned
+        builder, scenario, options.exploration, cell=cell, worker=worker, meshcat=meshcat
     )
     table = scenario.table.make()
     checks = ArmChecks(scenario.arm.models, table, scenario.execution)
@@ -108,7 +113,7 @@ def pregrasp_loop(
             method=options.method,
             can_push=checks.can_push,
             can_grasp=checks.can_grasp,
-            can_see=lambda seen, pose: sight.share(seen, pose) > ENOUGH_SEEN,
+            can_see=lambda seen, pose: sight.share(seen, pose) > _ENOUGH_SEEN,
             seed=options.exploration.seed,
             truth=truth,
             worker=worker,
@@ -120,18 +125,17 @@ def pregrasp_loop(
         builder,
         [
             *blocks.wires(commander),
-            (blocks.supervisor, "status", commander, "exploration"),
-            (blocks.supervisor, "active_push", commander, "exploring_push"),
-            (blocks.perception, "object_pose", commander, "object_pose"),
-            (planner, "plan", commander, "plan"),
-            (blocks.executor, "status", commander, "execution"),
-            (blocks.logger, "records", commander, "records"),
-            (blocks.station, "gripper.state_measured", commander, "gripper.state_measured"),
-            (commander, "active_grasp", blocks.executor, "grasp"),
-            (blocks.identification, "belief", planner, "belief"),
-            (blocks.perception, "object_pose", planner, "object_pose"),
-            (blocks.perception, "seen_object", planner, "seen_object"),
-            (commander, "status", planner, "status"),
+            (blocks.supervisor, "status", (commander, "exploration")),
+            (blocks.supervisor, "active_push", (commander, "exploring_push")),
+            (blocks.perception, "object_pose", commander, planner),
+            (blocks.perception, "seen_object", planner),
+            (blocks.identification, "belief", planner),
+            (planner, "plan", commander),
+            (blocks.executor, "status", (commander, "execution")),
+            (blocks.logger, "trials", commander),
+            (blocks.station, "gripper.state_measured", commander),
+            (commander, "active_grasp", (blocks.executor, "grasp")),
+            (commander, "status", planner),
         ],
     )
     loop = builder.Build()
@@ -151,32 +155,12 @@ def true_maps(true_object: TrueObject, pose: list[float], seen: SeenObject) -> M
         One hypothesis with the true total mass.
     """
     X_WO = np.array([pose[0], pose[1], np.radians(pose[2])])
-    X_OS = relative(X_WO, seen.first_pose)
-    centers = compose(X_OS, np.pad(seen.grid.centers, ((0, 0), (0, 1))))[:, :2]
+    centers = placed(seen.grid.centers, relative(X_WO, seen.first_pose))
     away = np.linalg.norm(centers[:, None] - true_object.grid.centers, axis=-1)
     cell = away.argmin(axis=1)
     mass = true_object.mass[cell]
     mass = mass * (true_object.total_mass / mass.sum())
     return Maps(mass[None], true_object.mu[cell][None], np.array([true_object.mu_finger]))
-
-
-# Runs the pre-grasp loop to its end and takes out what came of it.
-
-
-BRINGS = {
-    "planning": "planning",
-    "pushing": "pushing",
-    "recording": "recording",
-    "grasping": "grasping at the edge",
-    "lifting": "lifting",
-    "holding": "holding",
-}
-
-IN_THE_AIR = 0.05
-"""Height of the object's lowest point over the table from which it is truly lifted, m."""
-
-FALLEN = -0.05
-"""The same below which it truly fell, m."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -214,10 +198,10 @@ class PregraspRun:
         """
         if self.true_height is None:
             return "held" if self.held else "gave up"
-        if self.true_height < FALLEN:
+        if self.true_height < _FALLEN:
             return "fell"
         if self.held:
-            return "held" if self.true_height > IN_THE_AIR else "dropped"
+            return "held" if self.true_height > _IN_THE_AIR else "dropped"
         return "gave up"
 
     def to_json(self) -> dict[str, Any]:
@@ -263,7 +247,7 @@ def run_pregrasp(
     hardware: str | HardwareInterface | None = None,
     meshcat: Meshcat | None = None,
     progress: Progress | None = None,
-    record: PushRecord | None = None,
+    record: RunFolder | None = None,
 ) -> PregraspRun:
     """Explore the object of a scenario, bring it to the table's edge, grasp and lift it.
 
@@ -292,7 +276,7 @@ def _run(
     options: PregraspOptions,
     patience: float,
     progress: Progress | None,
-    record: PushRecord | None,
+    record: RunFolder | None,
 ) -> PregraspRun:
     """Run a loop to its end; it may take some time (s) for each push."""
     report = progress or (lambda stage, done, total: None)

@@ -1,4 +1,7 @@
-"""From messages of a cell that somebody else drives to recorded pushes, in the order of their stamps."""
+"""From messages of a cell that somebody else drives to recorded pushes, in the order of their stamps.
+
+`PushListener` hears messages and finds the pushes; `record_pushes` writes them down one by one.
+"""
 
 from __future__ import annotations
 
@@ -18,6 +21,7 @@ from slipmap.diagrams.hardware.interface import HeardCell
 from slipmap.diagrams.hardware.message_stream import TICK, Event
 from slipmap.diagrams.hardware.network import ARM, CAMERA, NEEDED
 from slipmap.diagrams.loops.exploration_loop import connect, recorded_dataset
+from slipmap.diagrams.loops.run_folder import keep_trials
 from slipmap.diagrams.perception.cell_perception import CellPerception
 from slipmap.diagrams.perception.sight import ArmAside
 from slipmap.diagrams.station.arm import arm_model
@@ -37,9 +41,9 @@ HEARD = (*ARM, *CAMERA)
 EVERY = 4
 """Every so manieth push is held out to judge by, the others are to learn from."""
 
-LONGEST_SILENCE = 2.0
-"""s that the clock goes on at most between two messages of the arm: what came before a longer silence has
-nothing to do with what comes after it."""
+# s that the clock goes on at most between two messages of the arm: what came before a longer silence has
+# nothing to do with what comes after it.
+_LONGEST_SILENCE = 2.0
 
 
 @dataclass(frozen=True)
@@ -58,7 +62,7 @@ class Heard:
 
 
 class PushListener:
-    """Hears messages, and makes out the pushes that they tell of.
+    """Hears messages, and finds the pushes that they show.
 
     Its diagram has the blocks of the exploration loop that look and write down (`CellPerception`,
     `MeasurementLogger`), and `PushFinder` where executor and supervisor are. Its clock is that of the arm's
@@ -77,7 +81,7 @@ class PushListener:
         self._status = rules(camera.width, camera.height_pixels)[network.IIWA_STATUS]
         builder = DiagramBuilder()
         self._cell = cell = builder.AddSystem(HeardCell(scenario))
-        self._perception = perception = builder.AddSystem(CellPerception(camera, cells, cell.arm_hulls))
+        self._perception = see = builder.AddSystem(CellPerception(camera, cells, cell.arm_hulls))
         sense = builder.AddSystem(FingerSense(arm_model(models=scenario.arm.models)))
         aside = builder.AddSystem(ArmAside(camera.intrinsics, cell.arm_hulls))
         self._finder = finder = builder.AddSystem(PushFinder(FINGER_RADIUS))
@@ -85,29 +89,21 @@ class PushListener:
         connect(
             builder,
             [
-                (cell, "camera.depth_image", perception, "depth_image"),
-                (cell, "camera.X_WC", perception, "X_WC"),
-                (cell, "camera.age", perception, "image_age"),
-                (cell, "iiwa.position_measured", perception, "arm_position"),
-                (cell, "iiwa.position_measured", sense, "iiwa.position_measured"),
-                (cell, "iiwa.torque_external", sense, "iiwa.torque_external"),
-                (cell, "iiwa.position_measured", aside, "arm_position"),
-                (cell, "camera.X_WC", aside, "X_WC"),
-                (perception, "object_pose", aside, "object_pose"),
-                (perception, "seen_object", aside, "seen_object"),
-                (perception, "object_pose", finder, "object_pose"),
-                (perception, "seen_object", finder, "seen_object"),
-                (aside, "aside", finder, "aside"),
-                (sense, "tip_pose", finder, "tip_pose"),
-                (cell, "iiwa.age", finder, "tip_age"),
-                (cell, "gripper.state_measured", finder, "gripper.state_measured"),
-                (logger, "records", finder, "records"),
-                (perception, "object_pose", logger, "object_pose"),
-                (sense, "tip_pose", logger, "tip_pose"),
-                (sense, "tip_force", logger, "tip_force"),
-                (cell, "iiwa.age", logger, "tip_age"),
-                (finder, "execution", logger, "execution"),
-                (finder, "status", logger, "status"),
+                (cell, "camera.depth_image", (see, "depth_image")),
+                (cell, "camera.X_WC", see, aside),
+                (cell, "camera.age", (see, "image_age")),
+                (cell, "iiwa.position_measured", (see, "arm_position"), sense, (aside, "arm_position")),
+                (cell, "iiwa.torque_external", sense),
+                (cell, "iiwa.age", (finder, "tip_age"), (logger, "tip_age")),
+                (cell, "gripper.state_measured", finder),
+                (see, "object_pose", aside, finder, logger),
+                (see, "seen_object", aside, finder),
+                (aside, "aside", finder),
+                (sense, "tip_pose", finder, logger),
+                (sense, "tip_force", logger),
+                (finder, "execution", logger),
+                (finder, "status", logger),
+                (logger, "trials", finder),
             ],
         )
         self._simulator = Simulator(builder.Build())
@@ -139,7 +135,7 @@ class PushListener:
         if not np.isfinite(self._last):
             # Half a period from the blocks' looks at their inputs, so that there is one between two messages.
             self._begin, self._last = stamp - 0.5 * PERIOD, stamp
-        self._begin += max(stamp - self._last - LONGEST_SILENCE, 0.0)
+        self._begin += max(stamp - self._last - _LONGEST_SILENCE, 0.0)
         self._last = stamp
         if self.time > 0.0 and stamp - self._begin < self.time + PERIOD - 1e-6:
             return False
@@ -169,7 +165,7 @@ class PushListener:
     @property
     def pushes(self) -> int:
         """Number of recorded pushes."""
-        return len(self._said(self._logger, "records"))
+        return len(self._said(self._logger, "trials"))
 
     def dataset(self) -> PushDataset:
         """The recorded pushes.
@@ -179,7 +175,7 @@ class PushListener:
         """
         trials = [
             replace(trial, role="heldout" if (number + 1) % EVERY == 0 else "fit")
-            for number, trial in enumerate(self._said(self._logger, "records"))
+            for number, trial in enumerate(self._said(self._logger, "trials"))
         ]
         grid = self._said(self._perception, "cell_grid")
         return replace(recorded_dataset(trials, grid, self._scenario), name=self._name)
@@ -205,13 +201,8 @@ class PushListener:
         return block.GetOutputPort(port).Eval(block.GetMyContextFromRoot(self._root))
 
 
-# Pushes of a cell that somebody else drives, written down one by one as they are heard of.
-
-
 Tell = Callable[[str], None]
-
-TOLD_EVERY = 10.0
-"""s between two lines about what is heard."""
+_TOLD_EVERY = 10.0  # s between two lines about what is heard
 
 
 def record_pushes(
@@ -239,12 +230,12 @@ def record_pushes(
         BadLog, HardwareError: of the events.
         BadInput: the disk is full or the place not writable; names the file.
     """
-    seen, told, spoke, logged, expected = False, 0, None, 0, 0
+    seen, described, spoke, logged, expected = False, 0, None, 0, 0
     for event in events:
         if stopped():
             return
         spoke = event.utime if spoke is None else spoke
-        if event.utime - spoke > 1e6 * TOLD_EVERY:
+        if event.utime - spoke > 1e6 * _TOLD_EVERY:
             spoke = event.utime
             tell(hearing(listener))
         if event.channel == TICK:
@@ -261,21 +252,13 @@ def record_pushes(
         if not seen and listener.pose.valid:
             seen = True
             tell(f"{listener.time:.1f} s: the object is seen")
-        for descent in listener.descents[told:]:
+        for descent in listener.descents[described:]:
             tell(f"{listener.time:.1f} s: {_words(descent, listener.pushes)}")
-            told += 1
+            described += 1
             if descent.kept:
-                _keep(recorder, listener)
+                keep_trials(recorder, listener.dataset())
                 if listener.pushes == most:
                     return
-
-
-def _keep(recorder: PushRecorder, listener: PushListener) -> None:
-    try:
-        recorder.keep(listener.dataset())
-    except OSError as error:
-        with writing(Path(error.filename)):
-            raise
 
 
 def _words(descent: Descent, pushes: int) -> str:

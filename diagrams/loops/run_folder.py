@@ -1,4 +1,9 @@
-"""Whose pushes a folder of results holds: those of an ended run give way to the same command alone."""
+"""The folder of a run of the robot's cell: its pushes, written while it goes on, and `run.json` about them.
+
+A `RunFolder` keeps the pushes, `PregraspFolder` and `ExplorationFolder` what their commands need besides; a
+killed exploration loses nothing and can be gone on with (`resumed`). A `Recording` has written down what a
+loop records. Pushes of an ended run give way to the same command alone (`refuse_others_files`).
+"""
 
 from __future__ import annotations
 
@@ -15,21 +20,29 @@ import numpy as np
 from pydrake.common.yaml import yaml_dump_typed
 from pydrake.systems.framework import Context, Diagram
 
-from slipmap.diagrams.loops.exploration_loop import LoopOptions, Recorded, recorded_dataset
+from slipmap.diagrams.loops.exploration_loop import LoopOptions, RecordedRun, output_of, recorded_dataset
 from slipmap.diagrams.station.scenario import ObjectSettings, Scenario, ScenarioError, read_settings
 from slipmap.models.files import BadInput, whole_file, write_json, write_text, writing
-from slipmap.models.measurements import DatasetError, Trial, read_dataset
+from slipmap.models.measurements import DatasetError, PushDataset, Trial, read_dataset
 from slipmap.models.measurements.files import read_bytes
 from slipmap.models.measurements.writing import PushRecorder, trial_text
 from slipmap.models.perception.first_look import FirstPicture
-from slipmap.planners.action_selection import Poke
+from slipmap.planners.action_selection import Choice
 from slipmap.planners.table_push import TablePush
 
-RUN, PUSHES = "run.json", "pushes"
+RUN, PUSHES, UNDER_WAY = "run.json", "pushes", "under_way.json"
+SCENARIO, PICTURE = "scenario.yaml", "first_picture.npz"
+FORMAT = "slipmap-exploration/1"
+"""Format of the `run.json` of `slipmap explore`."""
+
+PREGRASP = "slipmap-pregrasp/1"
+"""The same of `slipmap pregrasp`."""
+
+_NOTED = 20  # rows of a push under way after which it is written down, at 100 a second
 
 
 def read_run(folder: Path, format_: str) -> dict[str, Any]:
-    """What `run.json` tells of the run in a folder.
+    """What `run.json` says of the run in a folder.
 
     Raises:
         BadInput: there is none, or that of another command.
@@ -91,56 +104,39 @@ def refuse_robots_pushes(folder: Path, option: str) -> None:
         )
 
 
-def write_run(folder: Path, run: dict[str, Any]) -> None:
-    """Write `run.json`.
-
-    Raises:
-        BadInput: the place cannot be written to.
-    """
-    write_json(folder / RUN, run)
-
-
-def digests_of(trials: Sequence[Trial]) -> list[str]:
+def _digests_of(trials: Sequence[Trial]) -> list[str]:
     """Digests of trials' files, by which `run.json` knows them."""
-    return [digest(trial_text(trial).encode()) for trial in trials]
+    return [hashlib.sha256(trial_text(trial).encode()).hexdigest() for trial in trials]
 
 
-def digest(content: bytes) -> str:
-    """As 64 hexadecimal digits."""
-    return hashlib.sha256(content).hexdigest()
+def _digest_of(path: Path) -> str:
+    """Digest of a file, which may raise DatasetError."""
+    return hashlib.sha256(read_bytes(path)).hexdigest()
 
 
-def digest_of(path: Path) -> str:
-    """Digest of a file.
-
-    Raises:
-        DatasetError: it cannot be read.
-    """
-    return digest(read_bytes(path))
-
-
-def _holds(pushes: Path, told: Any) -> bool:
-    """Whether a dataset's trials are those that `run.json` tells of."""
+def _holds(pushes: Path, stored: Any) -> bool:
+    """Whether a dataset's trials are those that `run.json` lists."""
     try:
-        expected = sorted(str(push["digest"]) for push in told)
-        return sorted(digest_of(path) for path in pushes.rglob("*.json")) in (expected, [])
+        expected = sorted(str(push["digest"]) for push in stored)
+        return sorted(_digest_of(path) for path in pushes.rglob("*.json")) in (expected, [])
     except (DatasetError, KeyError, TypeError):
         return False
 
 
-# The pushes of a run of the robot's cell, written to its folder while it goes on.
+def keep_trials(recorder: PushRecorder, dataset: PushDataset) -> None:
+    """Write the trials of a dataset that are not there yet.
+
+    Raises:
+        BadInput: the disk is full or the place not writable; names the file, and what to do.
+    """
+    try:
+        recorder.keep(dataset)
+    except OSError as error:
+        with writing(Path(error.filename)):
+            raise
 
 
-UNDER_WAY = "under_way.json"
-
-PREGRASP = "slipmap-pregrasp/1"
-"""Format of the `run.json` of `slipmap pregrasp`."""
-
-NOTED = 20
-"""Rows of a push under way after which it is written down, at 100 a second."""
-
-
-class PushRecord:
+class RunFolder:
     """Keeps the pushes of a run as a dataset in its folder, and what is measured of the push under way.
 
     The latter is no trial, as nobody knows where the object comes to rest; it stays in `under_way.json` where
@@ -157,22 +153,19 @@ class PushRecord:
 
     def __init__(self, folder: Path, scenario: Scenario, kept: int = 0) -> None:
         self._folder, self._scenario = folder, scenario
+        self._run: dict[str, Any] | None = None
         try:
             self._pushes = PushRecorder(folder / PUSHES, kept)
         except DatasetError as error:
             raise BadInput(str(error)) from error
 
-    def keep(self, recorded: Recorded) -> None:
+    def keep(self, recorded: RecordedRun) -> None:
         """Write the pushes that are not there yet.
 
         Raises:
-            BadInput: the disk is full or the place not writable; names the file, and what to do.
+            BadInput: see `keep_trials`.
         """
-        try:
-            self._pushes.keep(recorded_dataset(recorded.trials, recorded.grid, self._scenario))
-        except OSError as error:
-            with writing(Path(error.filename)):
-                raise
+        keep_trials(self._pushes, recorded_dataset(recorded.trials, recorded.grid, self._scenario))
         (self._folder / UNDER_WAY).unlink(missing_ok=True)
 
     def note(self, push: int, rows: dict[str, Any]) -> None:
@@ -187,12 +180,22 @@ class PushRecord:
         """
         write_json(self._folder / UNDER_WAY, {"push": push, **rows})
 
+    def end(self) -> None:
+        """Say that the run came to its end, for better or worse: it may be replaced by another.
 
-class PregraspRecord(PushRecord):
-    """Keeps a folder of `slipmap pregrasp` in step with the run, which cannot be gone on with.
+        Raises:
+            BadInput: as `keep`.
+        """
+        if self._run is not None:
+            self._run["ended"] = True
+            write_json(self._folder / RUN, self._run)
+
+
+class PregraspFolder(RunFolder):
+    """The folder of `slipmap pregrasp`: its run cannot be gone on with.
 
     Args:
-        folder, scenario: as in `PushRecord`.
+        folder, scenario: as in `RunFolder`.
 
     Raises:
         BadInput: pushes are there that no earlier run of the command left, or of one that was cut off.
@@ -201,24 +204,17 @@ class PregraspRecord(PushRecord):
     def __init__(self, folder: Path, scenario: Scenario) -> None:
         super().__init__(folder, scenario)
         refuse_others_files(folder, PREGRASP, "slipmap pregrasp")
-        self._run: dict[str, Any] | None = None
 
-    def keep(self, recorded: Recorded) -> None:
-        """See `PushRecord.keep`."""
-        pushes = [{"digest": digest} for digest in digests_of(recorded.trials)]
+    def keep(self, recorded: RecordedRun) -> None:
+        """See `RunFolder.keep`."""
+        pushes = [{"digest": digest} for digest in _digests_of(recorded.trials)]
         self._run = {"format": PREGRASP, "ended": False, "pushes": pushes}
-        write_run(self._folder, self._run)
+        write_json(self._folder / RUN, self._run)
         super().keep(recorded)
-
-    def end(self) -> None:
-        """Say that the run came to its end, for better or worse: it may be replaced by another."""
-        if self._run is not None:
-            self._run["ended"] = True
-            write_run(self._folder, self._run)
 
 
 class Recording:
-    """Has what a loop records written down, as soon as it is there.
+    """A run that is being written: what its loop records goes to a folder as soon as it is there.
 
     Args:
         loop: that runs.
@@ -226,9 +222,9 @@ class Recording:
         before: pushes that are kept already.
     """
 
-    def __init__(self, loop: Diagram, record: PushRecord, before: Recorded | None = None) -> None:
+    def __init__(self, loop: Diagram, record: RunFolder, before: RecordedRun | None = None) -> None:
         self._loop, self._record = loop, record
-        self._pokes = () if before is None else before.pokes
+        self._choices = () if before is None else before.choices
         self._places = () if before is None else before.places
         self._noted = 0
 
@@ -236,22 +232,23 @@ class Recording:
         """Write down what is new; to be called often.
 
         Raises:
-            BadInput: see `PushRecord.keep`.
+            BadInput: see `RunFolder.keep`.
         """
-        trials = self._said("logger", "records", root)
-        if len(trials) > len(self._pokes):
-            request = self._said("exploration", "poke", root)
-            self._pokes = (*self._pokes, request.poke)
+        trials = output_of(self._loop, "logger", "trials", root)
+        if len(trials) > len(self._choices):
+            plan = output_of(self._loop, "exploration", "plan", root)
+            self._choices = (*self._choices, plan.choice)
             self._places = (*self._places, self._place(root))
-            grid, first = (self._said("perception", name, root) for name in ("cell_grid", "first_picture"))
-            self._record.keep(Recorded(trials, self._pokes, self._places, grid, first))
+            grid = output_of(self._loop, "perception", "cell_grid", root)
+            first = output_of(self._loop, "perception", "first_picture", root)
+            self._record.keep(RecordedRun(trials, self._choices, self._places, grid, first))
             self._noted = 0
             return
-        rows = self._said("logger", "under_way", root)
+        rows = output_of(self._loop, "logger", "under_way", root)
         measured = len(rows["tip_pose"])
         if measured < self._noted:
             self._noted = 0
-        if measured >= self._noted + NOTED:
+        if measured >= self._noted + _NOTED:
             self._noted = measured
             self._record.note(len(trials), rows)
 
@@ -259,25 +256,14 @@ class Recording:
         """x and y (m) and turn (degrees) of the simulated object."""
         if not self._loop.GetSubsystemByName("station").HasOutputPort("truth.object_pose"):
             return None
-        X_WO = self._said("station", "truth.object_pose", root)
+        X_WO = output_of(self._loop, "station", "truth.object_pose", root)
         x_axis = X_WO.rotation().matrix()[:, 0]
         turn = np.degrees(np.arctan2(x_axis[1], x_axis[0]))
         return [float(value) for value in (*X_WO.translation()[:2], turn)]
 
-    def _said(self, system: str, port: str, root: Context) -> Any:
-        block = self._loop.GetSubsystemByName(system)
-        return block.GetOutputPort(port).Eval(block.GetMyContextFromRoot(root))
 
-
-# The folder of an exploration, written push by push: a killed run loses nothing and can be gone on with.
-
-
-FORMAT = "slipmap-exploration/1"
-SCENARIO, PICTURE = "scenario.yaml", "first_picture.npz"
-
-
-class ExplorationRecord(PushRecord):
-    """Keeps a run's folder in step with it.
+class ExplorationFolder(RunFolder):
+    """The folder of `slipmap explore`, in step with the run.
 
     Beside the pushes it holds what another process needs to go on: scenario, options, the picture from which
     the object was cut into cells, and for each push how it was asked for. All of it names each other by
@@ -294,46 +280,37 @@ class ExplorationRecord(PushRecord):
     """
 
     def __init__(
-        self, folder: Path, scenario: Scenario, options: LoopOptions, before: Recorded | None = None
+        self, folder: Path, scenario: Scenario, options: LoopOptions, before: RecordedRun | None = None
     ) -> None:
         if before is None:
             _refuse_cut_off(folder)
         super().__init__(folder, scenario, 0 if before is None else len(before.trials))
+        self._options = options
         if before is None:
             refuse_others_files(folder, FORMAT, "slipmap explore", SCENARIO)
-        self._options = options
-        self._run: dict[str, Any] | None = None if before is None else read_run(folder, FORMAT)
+        else:
+            self._run = read_run(folder, FORMAT)
 
-    def keep(self, recorded: Recorded) -> None:
-        """Write what is not there yet.
-
-        Raises:
-            BadInput: the disk is full or the place not writable; names the file, and what to do.
-        """
+    def keep(self, recorded: RecordedRun) -> None:
+        """See `RunFolder.keep`; an error also says what is kept, and how to go on."""
         if self._run is None:
             self._run = self._begin(recorded)
         self._run["pushes"] = [
-            {"digest": digest, "poke": _poke(poke), "place": place}
-            for digest, poke, place in zip(
-                digests_of(recorded.trials), recorded.pokes, recorded.places, strict=True
+            {"digest": digest, "poke": vars(choice) | {"push": vars(choice.push)}, "place": place}
+            for digest, choice, place in zip(
+                _digests_of(recorded.trials), recorded.choices, recorded.places, strict=True
             )
         ]
         with self._going_on(len(recorded.trials) - 1):
-            write_run(self._folder, self._run)
+            write_json(self._folder / RUN, self._run)
             super().keep(recorded)
 
     def note(self, push: int, rows: dict[str, Any]) -> None:
-        """See `PushRecord.note`."""
+        """See `RunFolder.note`."""
         with self._going_on(push):
             super().note(push, rows)
 
-    def end(self) -> None:
-        """Say that the run came to its end, for better or worse: it may be replaced by another."""
-        if self._run is not None:
-            self._run["ended"] = True
-            write_run(self._folder, self._run)
-
-    def _begin(self, recorded: Recorded) -> dict[str, Any]:
+    def _begin(self, recorded: RecordedRun) -> dict[str, Any]:
         scenario = dataclasses.replace(self._scenario, object=_found_from_anywhere(self._scenario.object))
         write_text(self._folder / SCENARIO, yaml_dump_typed(scenario))
         with whole_file(self._folder / PICTURE) as part, open(part, "wb") as file:
@@ -342,7 +319,7 @@ class ExplorationRecord(PushRecord):
             "format": FORMAT,
             "ended": False,
             "options": dataclasses.asdict(self._options),
-            "digests": {name: digest_of(self._folder / name) for name in (SCENARIO, PICTURE)},
+            "digests": {name: _digest_of(self._folder / name) for name in (SCENARIO, PICTURE)},
         }
 
     @contextmanager
@@ -359,7 +336,7 @@ class ExplorationRecord(PushRecord):
             ) from error
 
 
-def resumed(folder: Path) -> tuple[Scenario, LoopOptions, Recorded]:
+def resumed(folder: Path) -> tuple[Scenario, LoopOptions, RecordedRun]:
     """What to go on with: the scenario with the simulated object where it was left, options, and pushes.
 
     Raises:
@@ -372,29 +349,29 @@ def resumed(folder: Path) -> tuple[Scenario, LoopOptions, Recorded]:
     run = read_run(folder, FORMAT)
     try:
         for name, digest in run["digests"].items():
-            if digest_of(folder / name) != digest:
+            if _digest_of(folder / name) != digest:
                 raise BadInput(f"{folder / name}: is not that of the run in {folder / RUN}; begin anew")
         scenario = read_settings(folder / SCENARIO, Scenario)
-        told = run["options"]
-        options = LoopOptions(**{**told, "effects": tuple(told.get("effects", ()))})
+        stored = run["options"]
+        options = LoopOptions(**{**stored, "effects": tuple(stored.get("effects", ()))})
         first = FirstPicture.load(folder / PICTURE)
         grid = first.seen(scenario.camera.intrinsics).grid
         dataset = read_dataset(folder / PUSHES)
         pushes = run["pushes"][: len(dataset.trials)]
-        pokes = tuple(_poke_of(push["poke"]) for push in pushes)
+        choices = tuple(_choice_of(push["poke"]) for push in pushes)
         digests = [push["digest"] for push in pushes]
         places = tuple(push["place"] for push in pushes)
     except (ScenarioError, DatasetError) as error:
         raise BadInput(str(error)) from error
     except (OSError, ValueError, KeyError, TypeError, BadZipFile) as error:
         raise BadInput(f"{folder}: the run in it cannot be gone on with ({error}); begin anew") from error
-    if digests != [digest_of(folder / PUSHES / trial.name) for trial in dataset.trials]:
+    if digests != [_digest_of(folder / PUSHES / trial.name) for trial in dataset.trials]:
         raise BadInput(f"{folder / PUSHES}: holds pushes that are not those of {folder / RUN}; begin anew")
     if not np.array_equal(grid.centers, dataset.grid.centers):
         raise BadInput(f"{folder}: this slipmap cuts the object into other cells than were recorded")
     if places[-1] is not None:
         scenario.object.pose = places[-1]
-    return scenario, options, Recorded(dataset.trials, pokes, places, grid, first)
+    return scenario, options, RecordedRun(dataset.trials, choices, places, grid, first)
 
 
 def _refuse_cut_off(folder: Path) -> None:
@@ -418,15 +395,5 @@ def _found_from_anywhere(thing: ObjectSettings) -> ObjectSettings:
     return dataclasses.replace(thing, mesh=absolute(thing.mesh), labels=absolute(thing.labels))
 
 
-def _poke(poke: Poke) -> dict[str, Any]:
-    push = {
-        "begin": poke.push.begin,
-        "end": poke.push.end,
-        "speed": poke.push.speed,
-        "creep": poke.push.creep,
-    }
-    return {"push": push, "contact": poke.contact, "direction": poke.direction}
-
-
-def _poke_of(told: dict[str, Any]) -> Poke:
-    return Poke(TablePush(**told["push"]), np.array(told["contact"]), np.array(told["direction"]))
+def _choice_of(stored: dict[str, Any]) -> Choice:
+    return Choice(TablePush(**stored["push"]), np.array(stored["contact"]), np.array(stored["direction"]))

@@ -1,4 +1,7 @@
-"""`BeliefVisualizer`: what is believed of the object, drawn over it in Meshcat."""
+"""`BeliefVisualizer`: what is believed of the object, drawn over it in Meshcat.
+
+`shown` turns a belief into colours, `legend` draws their scale; a page of the application uses them too.
+"""
 
 from __future__ import annotations
 
@@ -12,7 +15,6 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
-from pydrake.common.value import Value
 from pydrake.geometry import Meshcat
 from pydrake.math import RigidTransform, RollPitchYaw, RotationMatrix
 from pydrake.systems.framework import Context
@@ -23,9 +25,6 @@ from slipmap.diagrams.systems.unlit_meshes import arrow, billboard, painted, rib
 from slipmap.models.inference.belief import Belief
 from slipmap.models.physics.cell_grid import CellGrid, FloatArray
 from slipmap.models.physics.paper_notation import cell_poses
-
-# A belief in colours: values of its maps, their scales, and the legend.
-
 
 MAPS = ("mass", "friction", "mass x friction")
 TITLES = ("mass of a cell, g", "friction coefficient of a cell", "mass × friction: force to slide a cell, mN")
@@ -163,8 +162,7 @@ def _png(figure: Figure) -> bytes:
 MOST = 12
 """Hypotheses that can be looked at one by one; the others are in the mean."""
 
-ARROWS = 8
-"""Residual arrows, on cells spread over the object."""
+_ARROWS = 8  # residual arrows, on cells spread over the object
 
 LEAST_RESIDUAL = 3e-4
 """Shorter residuals are not drawn, m."""
@@ -185,23 +183,14 @@ MAP = "map (0: mass, 1: friction, 2: both)"
 class BeliefVisualizer(PythonSystem):
     """Draws a belief and how it fares into Meshcat.
 
-    .. pydrake_system::
-
-        name: BeliefVisualizer
-        input_ports:
-        - belief
-        - object_pose
-        - predicted_pose
-        - push
-        - seen_object
-
     Inputs, all optional:
-        belief: abstract, `Belief` or None.
-        object_pose: abstract, with `pose` (3,) and `valid`, such as an `ObservedPose`.
-        predicted_pose: (3,) x, y, θ in the world; NaN where there is none.
-        push: abstract, None, a `TablePush`, or something with one as its `push`, such as an `ActivePush`.
-        seen_object: abstract, None, or something with `cell_heights` (n,), m, such as a `SeenObject`: the
-            tiles then lie `CLEARANCE` over the highest cell instead of at `height`.
+        belief: abstract, `Belief` or None, such as of `Identification`.
+        object_pose: abstract, `ObservedPose` of the object's frame in the world, m and rad: of a camera, of a
+            `TrialLogger`, or made by `ObservedPose.of` from a pose (3,).
+        predicted_pose: (3,) x, y (m), θ (rad) in the world; NaN where there is none.
+        push: abstract, None, a `TablePush`, or an `ActivePush`, which has one as its `push`.
+        seen_object: abstract, `SeenObject` or None: the tiles then lie `CLEARANCE` over the highest of its
+            `cell_heights` (m) instead of at `height`.
 
     Over the object, where it was last seen: its cells as tiles coloured by mass, friction or their product;
     the observed outline (black) and the predicted one (orange); residual arrows from predicted to observed
@@ -222,8 +211,8 @@ class BeliefVisualizer(PythonSystem):
         period: of drawing, s.
         X_WB: pose of the board; its picture is in the plane y = 0, seen from -y. By default it stands beside
             the table and faces a camera at `VIEW`.
-        which: index of the map to begin with, see `belief_colors.MAPS`. By default it is the product,
-            the one that slow pushes show.
+        which: index of the map to begin with, see `MAPS`. By default it is the product, the one that slow
+            pushes show.
     """
 
     def __init__(
@@ -242,11 +231,9 @@ class BeliefVisualizer(PythonSystem):
         self._path = path
         self._height = height
         self._board = X_WB or RigidTransform(RollPitchYaw(-0.3, 0.0, np.pi / 4), BOARD_PLACE)
-        self._belief = self.DeclareAbstractInputPort("belief", Value[object](None))
-        self._object_pose = self.DeclareAbstractInputPort("object_pose", Value[object](None))
-        self._predicted = self.DeclareVectorInputPort("predicted_pose", 3)
-        self._push = self.DeclareAbstractInputPort("push", Value[object](None))
-        self._seen_object = self.DeclareAbstractInputPort("seen_object", Value[object](None))
+        self.declare_inputs("belief", "object_pose")
+        self.DeclareVectorInputPort("predicted_pose", 3)
+        self.declare_inputs("push", "seen_object")
         self._forget()
         for name in (HYPOTHESIS, MAP):
             meshcat.DeleteSlider(name, strict=False)
@@ -273,9 +260,8 @@ class BeliefVisualizer(PythonSystem):
 
     def _draw(self, context: Context) -> None:
         time = context.get_time()
-        ports = (self._belief, self._object_pose, self._predicted, self._push, self._seen_object)
-        values: list[Any] = [port.Eval(context) if port.HasValue(context) else None for port in ports]
-        belief, seen, predicted, push, seen_object = values
+        ports = ("belief", "object_pose", "predicted_pose", "push", "seen_object")
+        belief, seen, predicted, push, seen_object = (self.optional_input(context, name) for name in ports)
         if seen_object is not None:
             self._level = float(np.max(seen_object.cell_heights)) + CLEARANCE
         if belief is not None and not _same(belief, self._drawn_belief):
@@ -324,7 +310,7 @@ class BeliefVisualizer(PythonSystem):
             self._meshcat.SetObject(f"{self._path}/{name}/outline", outline)
             if name not in self._visible:
                 self._meshcat.SetProperty(f"{self._path}/{name}", "visible", False, 0.0)
-        self._arrows = _spread_cells(grid, ARROWS)
+        self._arrows = _spread_cells(grid, _ARROWS)
         shape = painted(arrow(1.0, 0.08, 0.3), RED)
         for k in range(len(self._arrows)):
             self._hidden(f"residuals/{k}", shape)

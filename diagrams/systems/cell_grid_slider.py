@@ -1,4 +1,8 @@
-"""`CellGridSlider`: the differentiable model of a sliding object as a Drake system, effects included."""
+"""`CellGridSlider`: the differentiable model of a sliding object as a Drake system, effects included.
+
+What a tracker reports of a model that is stepped may be late, off or out of scale where an effect says so:
+`pose_then`.
+"""
 
 from __future__ import annotations
 
@@ -14,12 +18,14 @@ from pydrake.systems.scalar_conversion import TemplateSystem
 from slipmap.diagrams.systems.python_system import HoldsOutputFunctions, WithoutOwnDict, weakly
 from slipmap.models.effects.effect import Effect
 from slipmap.models.effects.stepper import NO_FINGER, NO_WRENCH, StepModels, Stepper
+from slipmap.models.geometry import placed
 from slipmap.models.inference.belief import Belief
 from slipmap.models.physics.cell_grid import CellGrid, FloatArray
 from slipmap.models.physics.maps import Maps
 from slipmap.models.physics.rollout import Smoothing
 
-# What a tracker reports of a model that is stepped: late, off or out of scale, where an effect says so.
+MASS, FRICTION, FINGER_FRICTION, EFFECTS, PUSH = range(5)
+"""Indices of the numeric parameters in the Context."""
 
 
 def history_length(stepper: Stepper) -> int:
@@ -68,14 +74,9 @@ def values_of(numbers: Any) -> FloatArray:
 
 
 def with_gradient(values: FloatArray, jacobian: FloatArray, arguments: Any) -> Any:
-    """AutoDiffXd (M,) of values whose derivatives by the arguments (N,) are `jacobian` (M, N): the chain
-    rule."""
+    """AutoDiffXd (M,) of values whose derivatives by the arguments (N,) are `jacobian` (M, N)."""
     value: Any = values
     return InitializeAutoDiff(value, jacobian @ ExtractGradient(arguments))[:, 0]
-
-
-MASS, FRICTION, FINGER_FRICTION, EFFECTS, PUSH = range(5)
-"""Indices of the numeric parameters in the Context."""
 
 
 @TemplateSystem.define("CellGridSlider_", T_list=[float, AutoDiffXd])
@@ -84,18 +85,6 @@ def CellGridSlider_(T: type) -> type:
 
     class Impl(HoldsOutputFunctions, LeafSystem_[T], metaclass=WithoutOwnDict):
         """The cell-grid model of one object, in steps of h; it is pushed by a finger, by a wrench, or both.
-
-        .. pydrake_system::
-
-            name: CellGridSlider
-            input_ports:
-            - wrench
-            - finger
-            output_ports:
-            - object_pose
-            - object_twist
-            - cell_positions
-            - finger_force
 
         Inputs, both optional:
             wrench: (5,) force on the object (world, N), the point at which it acts (object frame, m) and a
@@ -249,10 +238,7 @@ def CellGridSlider_(T: type) -> type:
             output.SetFromVector(self._pose(context))
 
         def _output_cells(self, context: Any, output: Any) -> None:
-            x, y, theta = self._pose(context)
-            c, s = np.cos(theta), np.sin(theta)
-            rx, ry = self.stepper.grid.centers.T
-            output.SetFromVector(np.column_stack([x + c * rx - s * ry, y + s * rx + c * ry]).ravel())
+            output.SetFromVector(placed(self.stepper.grid.centers, self._pose(context)).ravel())
 
         def _output_twist(self, context: Any, output: Any) -> None:
             output.SetFromVector(context.get_discrete_state_vector().CopyToVector()[3:6])

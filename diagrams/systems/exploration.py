@@ -8,15 +8,14 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from pydrake.common.value import Value
 from pydrake.systems.framework import Context, EventStatus, State
 
 from slipmap.diagrams.execution.clearance import Obstacle
-from slipmap.diagrams.systems.loop_messages import LoopStatus, PokeRequest
+from slipmap.diagrams.systems.loop_messages import ExplorationPlan, LoopStatus
 from slipmap.diagrams.systems.python_system import PythonSystem, held, read, replace_held
 from slipmap.diagrams.systems.workers import begun
 from slipmap.models.perception.seen_object import SeenObject
-from slipmap.planners.action_selection import Poke, select_poke
+from slipmap.planners.action_selection import Choice, choose_push
 from slipmap.planners.exploration import NoReachablePush
 from slipmap.planners.settings import PokeSettings
 from slipmap.planners.table_push import TablePush
@@ -27,34 +26,25 @@ PERIOD = 0.05
 class Exploration(PythonSystem):
     """Chooses a push when the loop asks for one.
 
-    .. pydrake_system::
-
-        name: Exploration
-        input_ports:
-        - belief
-        - object_pose
-        - seen_object
-        - status
-        output_ports:
-        - poke
-
+    Inputs:
     - `belief`: `Belief | None`; `object_pose`: `ObservedPose`; `seen_object`: `SeenObject | None`.
-    - `status`: `LoopStatus`.
-    - `poke`: `PokeRequest | None`; it stands until the loop asks for another.
+    - `status`: `LoopStatus`; in the mode `choosing` a plan of its number is made.
+    Outputs:
+    - `plan`: `ExplorationPlan | None`; it stands until the loop asks for another.
 
     The draws of a push depend on the seed and the push's number alone.
 
     Args:
         strategy: one of `slipmap.planners.settings.STRATEGIES`; pushes made to judge the belief are
-            random and none of them is a tap.
+            random, and none of them is a tap.
         fit: pushes to learn from.
         finger_radius: m.
-        settings: what pokes are like.
+        settings: what pushes to learn from are like.
         allowed: whether the arm can make a push of an object that lies somewhere.
         seed: of every draw.
         worker: who computes; this process if None, and then the simulation waits. It must be able to take
             `allowed` along.
-        past: pokes that were made before.
+        past: pushes that were made before.
     """
 
     def __init__(
@@ -66,7 +56,7 @@ class Exploration(PythonSystem):
         allowed: Callable[[Obstacle, TablePush], bool],
         seed: int,
         worker: Executor | None = None,
-        past: Sequence[Poke] = (),
+        past: Sequence[Choice] = (),
     ) -> None:
         super().__init__()
         self._strategy = strategy
@@ -76,33 +66,27 @@ class Exploration(PythonSystem):
         self._allowed = allowed
         self._seed = seed
         self._worker = worker
-        for name in ("belief", "object_pose", "seen_object", "status"):
-            self.DeclareAbstractInputPort(name, Value[object](None))
-        self._request = self.DeclareAbstractState(held(None))
+        self.declare_inputs("belief", "object_pose", "seen_object", "status")
+        self._plan = self.DeclareAbstractState(held(None))
         self._past = self.DeclareAbstractState(held(tuple(past)))
         self._job = self.DeclareAbstractState(held(None))
         self.DeclarePeriodicUnrestrictedUpdateEvent(PERIOD, 0.0, self._choose)
-        self.DeclareAbstractOutputPort(
-            "poke",
-            lambda: Value[object](None),
-            lambda context, output: output.set_value(read(context, self._request)),
-            {self.abstract_state_ticket(self._request)},
-        )
+        self.declare_output_of("plan", self._plan)
 
     def _choose(self, context: Context, state: State) -> EventStatus:
         job, number, past = read(context, self._job) or (None, 0, ())
         if job is None:
-            status: LoopStatus = self.GetInputPort("status").Eval(context)
-            request: PokeRequest | None = read(context, self._request)
-            pose = self.GetInputPort("object_pose").Eval(context)
-            asked = status.mode == "choosing" and (request is None or request.number != status.number)
+            status: LoopStatus = self.input(context, "status")
+            plan: ExplorationPlan | None = read(context, self._plan)
+            pose = self.input(context, "object_pose")
+            asked = status.mode == "choosing" and (plan is None or plan.number != status.number)
             if not asked or not pose.valid:
                 return EventStatus.DidNothing()
             number, past = status.number, read(context, self._past)
             if status.attempt > 0:
                 past = past[:-1]  # the arm refused it
             strategy = self._strategy if status.push < self._fit else "random"
-            seen: SeenObject = self.GetInputPort("seen_object").Eval(context)
+            seen: SeenObject = self.input(context, "seen_object")
             job = begun(
                 self._worker,
                 _selected,
@@ -110,7 +94,7 @@ class Exploration(PythonSystem):
                 pose.pose,
                 self._finger_radius,
                 strategy=strategy,
-                belief=self.GetInputPort("belief").Eval(context),
+                belief=self.input(context, "belief"),
                 past=past,
                 settings=self._settings,
                 tap=self._settings.is_tap(status.push) and status.push < self._fit,
@@ -120,17 +104,17 @@ class Exploration(PythonSystem):
         if not job.done():
             replace_held(state, self._job, (job, number, past))
             return EventStatus.Succeeded()
-        poke, reason = job.result()
+        choice, reason = job.result()
         replace_held(state, self._job, None)
-        replace_held(state, self._request, PokeRequest(number, poke, reason))
-        if poke is not None:
-            replace_held(state, self._past, (*past, poke))
+        replace_held(state, self._plan, ExplorationPlan(number, choice, reason))
+        if choice is not None:
+            replace_held(state, self._past, (*past, choice))
         return EventStatus.Succeeded()
 
 
-def _selected(*args: Any, **kwargs: Any) -> tuple[Poke | None, str]:
-    """As `select_poke`, or why there is none."""
+def _selected(*args: Any, **kwargs: Any) -> tuple[Choice | None, str]:
+    """As `choose_push`, or why there is none."""
     try:
-        return select_poke(*args, **kwargs), ""
+        return choose_push(*args, **kwargs), ""
     except NoReachablePush as error:
         return None, str(error)

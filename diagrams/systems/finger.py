@@ -1,6 +1,8 @@
-"""The finger as the sliding model wants it: where it is and how fast while it is down, else nowhere."""
+"""The finger as blocks see it: measured, driven along pushes that are asked for, or felt through the arm."""
 
 from __future__ import annotations
+
+from collections.abc import Sequence
 
 import numpy as np
 from pydrake.common.value import Value
@@ -10,21 +12,16 @@ from pydrake.systems.framework import BasicVector, Context, EventStatus, State
 
 from slipmap.diagrams.execution.finger_kinematics import FingerKinematics, tip_force
 from slipmap.diagrams.systems.python_system import PythonSystem
+from slipmap.models.physics.cell_grid import FloatArray
+from slipmap.planners.table_push import TablePush
 
 
 class FingerMotion(PythonSystem):
     """Turns the finger's measured pose into the `finger` input of `CellGridSlider`.
 
-    .. pydrake_system::
-
-        name: FingerMotion
-        input_ports:
-        - tip_pose
-        - execution
-        output_ports:
-        - finger
-
+    Inputs:
     - `tip_pose`: X_WT; `execution`: `ExecutionStatus`.
+    Outputs:
     - `finger`: (4,) centre (m) and velocity (m/s) in the world; NaN unless the finger pushes, because above
       the table it may pass over the object.
 
@@ -36,7 +33,7 @@ class FingerMotion(PythonSystem):
         super().__init__()
         self._period = period
         self.DeclareAbstractInputPort("tip_pose", Value(RigidTransform()))
-        self.DeclareAbstractInputPort("execution", Value[object](None))
+        self.declare_inputs("execution")
         last = self.DeclareDiscreteState(np.full(4, np.nan))
         self.DeclarePeriodicDiscreteUpdateEvent(period, 0.0, self._look)
         self.DeclareVectorOutputPort("finger", 4, self._calc, {self.discrete_state_ticket(last)})
@@ -44,8 +41,8 @@ class FingerMotion(PythonSystem):
     def _look(self, context: Context, state: State) -> EventStatus:
         before = context.get_discrete_state(0).value()
         now = np.full(4, np.nan)
-        if self.GetInputPort("execution").Eval(context).mode == "pushing":
-            place = self.GetInputPort("tip_pose").Eval(context).translation()[:2]
+        if self.input(context, "execution").mode == "pushing":
+            place = self.input(context, "tip_pose").translation()[:2]
             velocity = (place - before[:2]) / self._period if np.isfinite(before[0]) else np.zeros(2)
             now = np.concatenate([place, velocity])
         state.set_value(now)
@@ -55,23 +52,56 @@ class FingerMotion(PythonSystem):
         output.SetFromVector(context.get_discrete_state(0).value())
 
 
-# Where the finger is and what force it exerts, from what the arm says, whoever drives it.
+class FingerPath(PythonSystem):
+    """A finger without an arm: makes pushes one after the other, and is nowhere between them.
+
+    Outputs:
+    - `finger`: (4,) centre (m) and velocity (m/s) in the world, as `CellGridSlider` takes it; NaN between
+      pushes.
+    - `push`: `TablePush | None`, the one that is made now, as `BeliefVisualizer` draws it.
+
+    Args:
+        pushes: in the world, in the order in which they are made.
+        h: step of the model that it drives, s; the velocity is constant over it.
+        pause: between two pushes and before the first, s.
+        rest: for which the finger is down and at rest before and after it moves, s.
+    """
+
+    def __init__(self, pushes: Sequence[TablePush], h: float, pause: float = 1.0, rest: float = 0.4) -> None:
+        super().__init__()
+        self._h = h
+        paths = [push.path(h, rest=rest) for push in pushes]
+        steps = round(pause / h)
+        begins = steps + np.cumsum([0, *(len(path) + steps for path in paths)])[:-1]
+        self._made = list(zip(begins, pushes, paths, strict=True))
+        self.end = h * float(begins[-1] + len(paths[-1]) + steps) if paths else 0.0
+        """Time at which the last push is over, with a pause after it, s."""
+        time = {self.time_ticket()}
+        self.DeclareVectorOutputPort("finger", 4, self._calc_finger, time)
+        self.DeclareAbstractOutputPort("push", lambda: Value[object](None), self._calc_push, time)
+
+    def _now(self, context: Context) -> tuple[TablePush | None, FloatArray]:
+        """The push under way and the state (4,) of the finger."""
+        step = int(context.get_time() / self._h + 1e-6)
+        for begin, push, path in self._made:
+            if begin <= step < begin + len(path) - 1:
+                here, there = path[step - begin : step - begin + 2]
+                return push, np.concatenate([here, (there - here) / self._h])
+        return None, np.full(4, np.nan)
+
+    def _calc_finger(self, context: Context, output: BasicVector) -> None:
+        output.SetFromVector(self._now(context)[1])
+
+    def _calc_push(self, context: Context, output: Value) -> None:
+        output.set_value(self._now(context)[0])
 
 
 class FingerSense(PythonSystem):
     """The finger's pose and force from joint angles and torques.
 
-    .. pydrake_system::
-
-        name: FingerSense
-        input_ports:
-        - iiwa.position_measured
-        - iiwa.torque_external
-        output_ports:
-        - tip_pose
-        - tip_force
-
+    Inputs:
     - `iiwa.position_measured` (7,) rad; `iiwa.torque_external` (7,) N m, of contact on the arm.
+    Outputs:
     - `tip_pose`: X_WT; `tip_force` (3,) N, of the finger on the object, in the world.
 
     Args:

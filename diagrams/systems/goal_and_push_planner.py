@@ -8,7 +8,6 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 
 import numpy as np
-from pydrake.common.value import Value
 from pydrake.systems.framework import Context, EventStatus, State
 
 from slipmap.diagrams.execution.clearance import Obstacle
@@ -32,11 +31,8 @@ from slipmap.planners.table_push import TablePush
 
 PERIOD = 0.05
 
-GRASPS = 12
-"""Grasps at one pose that the arm is asked about, the best; others lie beside them."""
-
-SAME_PLACE = 0.01
-"""Grasps from one side whose ends are nearer than this count as the one that was refused, m."""
+_GRASPS = 12  # at one pose that the arm is asked about, the best; others lie beside them
+_SAME_PLACE = 0.01  # m; a grasp from the same side whose end is nearer than this counts as the refused one
 
 CanPush = Callable[[Obstacle, TablePush], bool]
 CanGrasp = Callable[[ActiveGrasp], bool]
@@ -134,25 +130,25 @@ class _Procedure:
             grasps.extend(self._grasp_at(now, at, number, seen))
             return bool(grasps)
 
-        told = decide(
+        decision = decide(
             now.known, pose, now.goals, now.pursuit, self.table, self.settings, rng,
             allowed=partial(self.can_push, obstacle), good=can_be_grasped,
         )  # fmt: skip
-        goal = None if told.way is None else now.goals[told.way.goal]
-        plan = PregraspPlan(number, goal, reason=told.reason)
-        if told.reached:
+        goal = None if decision.way is None else now.goals[decision.way.goal]
+        plan = PregraspPlan(number, goal, reason=decision.reason)
+        if decision.reached:
             success, margin = self._prospects(now, pose[None])
             plan = PregraspPlan(number, goal, None, grasps[0], success, margin)
-        elif told.planned is not None:
-            success, margin = self._prospects(now, told.planned.predicted, goal)
-            plan = PregraspPlan(number, goal, told.planned, None, success, margin)
-        return replace(now, last=told, plan=plan)
+        elif decision.planned is not None:
+            success, margin = self._prospects(now, decision.planned.predicted, goal)
+            plan = PregraspPlan(number, goal, decision.planned, None, success, margin)
+        return replace(now, last=decision, plan=plan)
 
     def _grasp_at(self, now: _Planning, pose: FloatArray, number: int, seen: SeenObject) -> list[ActiveGrasp]:
         """The best grasp at a pose that the arm can make and did not refuse before; none or one."""
-        for grasp in now.thing.grasps_at(pose, self.table)[:GRASPS]:
+        for grasp in now.thing.grasps_at(pose, self.table)[:_GRASPS]:
             active = ActiveGrasp(number, grasp, pose, seen.grid, seen.cell_heights)
-            if not any(_alike(grasp, other) for other in now.refused) and self.can_grasp(active):
+            if not any(_same_place(grasp, other) for other in now.refused) and self.can_grasp(active):
                 return [active]
         return []
 
@@ -179,19 +175,10 @@ class _Procedure:
 class GoalAndPushPlanner(PythonSystem):
     """Plans a push or the grasp when the loop asks for one.
 
-    .. pydrake_system::
-
-        name: GoalAndPushPlanner
-        input_ports:
-        - belief
-        - object_pose
-        - seen_object
-        - status
-        output_ports:
-        - plan
-
+    Inputs:
     - `belief`: `Belief | None`; `object_pose`: `ObservedPose`; `seen_object`: `SeenObject | None`.
     - `status`: `LoopStatus`; in the mode `planning` a plan of its number is made.
+    Outputs:
     - `plan`: `PregraspPlan | None`; it stands until the loop asks for another.
 
     Goals are sampled at the first plan. Without a worker the simulation waits while the block computes. The
@@ -200,7 +187,7 @@ class GoalAndPushPlanner(PythonSystem):
     Args:
         settings: of the procedure.
         table: that the object lies on.
-        method: one of `slipmap.planners.pregrasp.METHODS`.
+        method: one of `slipmap.planners.settings.METHODS`.
         can_push: whether the arm can make a push of an object that lies somewhere.
         can_grasp: whether it can come in and lift.
         can_see: whether the camera sees the object at a pose (3,), which a goal needs: the push that leads
@@ -227,35 +214,24 @@ class GoalAndPushPlanner(PythonSystem):
         settings.check()
         self._procedure = _Procedure(settings, table, method, can_push, can_grasp, can_see, seed, truth)
         self._worker = worker
-        for name in ("belief", "object_pose", "seen_object", "status"):
-            self.DeclareAbstractInputPort(name, Value[object](None))
+        self.declare_inputs("belief", "object_pose", "seen_object", "status")
         self._planning = self.DeclareAbstractState(held(None))
         self._job = self.DeclareAbstractState(held(None))
         self.DeclarePeriodicUnrestrictedUpdateEvent(PERIOD, 0.0, self._update)
-        self.DeclareAbstractOutputPort(
-            "plan",
-            lambda: Value[object](None),
-            self._calc_plan,
-            {self.abstract_state_ticket(self._planning)},
-        )
-
-    def _calc_plan(self, context: Context, output: Value) -> None:
-        planning: _Planning | None = read(context, self._planning)
-        output.set_value(None if planning is None else planning.plan)
+        self.declare_output_of("plan", self._planning, lambda now: None if now is None else now.plan)
 
     def _update(self, context: Context, state: State) -> EventStatus:
         job = read(context, self._job)
         if job is None:
-            status: LoopStatus = self.GetInputPort("status").Eval(context)
+            status: LoopStatus = self.input(context, "status")
             planning: _Planning | None = read(context, self._planning)
-            pose = self.GetInputPort("object_pose").Eval(context)
+            pose = self.input(context, "object_pose")
             plan = None if planning is None else planning.plan
-            if status.mode != "planning" or (plan is not None and plan.number == status.number):
+            stands = plan is not None and plan.number == status.number
+            if status.mode != "planning" or stands or not pose.valid:
                 return EventStatus.DidNothing()
-            if not pose.valid:
-                return EventStatus.DidNothing()
-            seen: SeenObject = self.GetInputPort("seen_object").Eval(context)
-            belief: Belief = self.GetInputPort("belief").Eval(context)
+            seen: SeenObject = self.input(context, "seen_object")
+            belief: Belief = self.input(context, "belief")
             job = begun(self._worker, self._procedure.next, planning, status, belief, pose.pose, seen)
         if not job.done():
             replace_held(state, self._job, job)
@@ -265,6 +241,6 @@ class GoalAndPushPlanner(PythonSystem):
         return EventStatus.Succeeded()
 
 
-def _alike(one: Grasp, other: Grasp) -> bool:
+def _same_place(one: Grasp, other: Grasp) -> bool:
     """Whether two grasps are at the same place from the same side."""
-    return bool(np.hypot(*(one.tip - other.tip)) < SAME_PLACE and one.approach == other.approach)
+    return bool(np.hypot(*(one.tip - other.tip)) < _SAME_PLACE and one.approach == other.approach)

@@ -6,9 +6,9 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import Executor
 from functools import partial
 
-from pydrake.common.value import Value
 from pydrake.systems.framework import Context, EventStatus, State
 
+from slipmap.diagrams.systems.measurement_logger import dataset_of
 from slipmap.diagrams.systems.python_system import PythonSystem, held, read, replace_held
 from slipmap.diagrams.systems.workers import begun
 from slipmap.models.effects.registry import effects_named
@@ -16,46 +16,58 @@ from slipmap.models.inference.belief import Belief
 from slipmap.models.inference.identification import identify
 from slipmap.models.inference.results import Identification as Learned
 from slipmap.models.measurements import PushDataset, Trial
+from slipmap.models.measurements.push_dataset import Noise, Table
 from slipmap.models.physics.cell_grid import CellGrid
+from slipmap.models.robots import FINGER_RADIUS
 
 PERIOD = 0.05
 
-MakeDataset = Callable[[Sequence[Trial], CellGrid], PushDataset]
+_NO_NOISE = Noise()
 
 
 class Identification(PythonSystem):
     """Learns maps anew after each push that is to be learned from.
 
-    .. pydrake_system::
-
-        name: Identification
-        input_ports:
-        - records
-        - cell_grid
-        output_ports:
-        - belief
-        - learned
-
-    - `records`: tuple of `Trial`; `cell_grid`: `CellGrid | None`.
-    - `belief`: `Belief | None`; `learned`: number of pushes that it comes from.
+    Inputs:
+    - `trials`: abstract, tuple of `Trial`: recorded pushes, the oldest first, as of a `TrialLogger` or a
+      `MeasurementLogger`. Those with the role `fit` are learned from.
+    - `cell_grid`: abstract, `CellGrid`: the object's cells and outline in its own frame, m; the argument
+      `grid` if not connected.
+    Outputs:
+    - `belief`: abstract, `Belief`, or None before the first push.
+    - `learned`: abstract, int: number of pushes that it comes from.
 
     Without a worker the simulation waits while it computes, and to the clock of the diagram it takes no time.
     With one, the diagram goes on, and the same belief comes later.
 
     Args:
-        make_dataset: puts trials and grid together with what else is known of the cell.
+        make_dataset: makes trials and grid a dataset with all that is known of the place. If None, that is
+            what the next five arguments say.
+        grid: the object, where `cell_grid` is not connected.
+        finger_radius: m; that of the robot's own finger by default.
+        table: the table's top; unknown if None.
+        gravity: m/s².
+        noise: of the sensors; estimated from the rows where it is not given.
         method: of `identify`.
         effects: of the library, which the model is given; then `method` does not count.
         hypotheses: K.
         seed: of every draw.
-        learned: called with every belief as it forms, for progress.
+        learned: called with every belief as it forms and its number of pushes, for progress.
         worker: who computes; this process if None.
+
+    Raises:
+        EffectError: an unknown effect.
     """
 
     def __init__(
         self,
-        make_dataset: MakeDataset,
+        make_dataset: Callable[[Sequence[Trial], CellGrid], PushDataset] | None = None,
         *,
+        grid: CellGrid | None = None,
+        finger_radius: float = FINGER_RADIUS,
+        table: Table | None = None,
+        gravity: float = 9.81,
+        noise: Noise = _NO_NOISE,
         method: str = "gauss-newton",
         effects: Sequence[str] = (),
         hypotheses: int = 20,
@@ -64,37 +76,36 @@ class Identification(PythonSystem):
         worker: Executor | None = None,
     ) -> None:
         super().__init__()
-        self._make_dataset = make_dataset
-        self._learn_from = learning(effects, method)
-        self._hypotheses = hypotheses
-        self._seed = seed
+        self._make_dataset = make_dataset or partial(
+            dataset_of,
+            name="recorded",
+            finger_radius=finger_radius,
+            table=table,
+            gravity=gravity,
+            noise=noise,
+        )
+        self._grid = grid
+        self._learn_from = partial(learning(effects, method), hypotheses=hypotheses, seed=seed)
         self._learned = learned
         self._worker = worker
-        self.DeclareAbstractInputPort("records", Value[object](()))
-        self.DeclareAbstractInputPort("cell_grid", Value[object](None))
+        self.declare_inputs("trials", "cell_grid")
         self._belief = self.DeclareAbstractState(held((None, 0)))
         self._job = self.DeclareAbstractState(held(None))
         self.DeclarePeriodicUnrestrictedUpdateEvent(PERIOD, 0.0, self._learn)
-        for index, name in enumerate(("belief", "learned")):
-            self.DeclareAbstractOutputPort(
-                name,
-                lambda: Value[object](None),
-                lambda context, output, index=index: output.set_value(read(context, self._belief)[index]),
-                {self.abstract_state_ticket(self._belief)},
-            )
+        self.declare_output_of("belief", self._belief, lambda learned: learned[0])
+        self.declare_output_of("learned", self._belief, lambda learned: learned[1])
 
     def _learn(self, context: Context, state: State) -> EventStatus:
         job, count = read(context, self._job) or (None, 0)
         if job is None:
-            records: tuple[Trial, ...] = self.GetInputPort("records").Eval(context)
-            trials = [trial for trial in records if trial.role == "fit"]
+            trials = [trial for trial in self.input(context, "trials") if trial.role == "fit"]
             if len(trials) <= read(context, self._belief)[1]:
                 return EventStatus.DidNothing()
-            dataset = self._make_dataset(trials, self.GetInputPort("cell_grid").Eval(context))
+            grid = self.optional_input(context, "cell_grid") or self._grid
+            if grid is None:
+                raise ValueError("Identification: connect the port cell_grid, or give the argument grid")
             count = len(trials)
-            job = begun(
-                self._worker, self._learn_from, dataset, hypotheses=self._hypotheses, seed=self._seed,
-            )  # fmt: skip
+            job = begun(self._worker, self._learn_from, self._make_dataset(trials, grid))
         if not job.done():
             replace_held(state, self._job, (job, count))
             return EventStatus.Succeeded()

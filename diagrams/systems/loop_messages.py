@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from slipmap.diagrams.execution.requests import ActiveGrasp
-from slipmap.planners.action_selection import Poke
+from slipmap.planners.action_selection import Choice
 from slipmap.planners.goals import Goal
 from slipmap.planners.robust_push import PlannedPush
 
@@ -45,17 +45,17 @@ MODES = tuple(dict.fromkeys((*EXPLORING, *BRINGING)))
 
 
 @dataclass(frozen=True, eq=False)
-class PokeRequest:
+class ExplorationPlan:
     """A push that is asked for.
 
     Attributes:
         number: the candidate's, see `LoopStatus.number`.
-        poke: what to do; None where nothing can be done.
+        choice: what to do; None where nothing can be done.
         reason: why there is none, else empty.
     """
 
     number: int
-    poke: Poke | None
+    choice: Choice | None
     reason: str = ""
 
 

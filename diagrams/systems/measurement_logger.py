@@ -1,4 +1,9 @@
-"""Writes down what the sensors say while the arm pushes: one trial a push, in the format of every command."""
+"""Writes down what sensors say during pushes: one trial a push, in the format of every command.
+
+`MeasurementLogger` is for a robot's cell, where the arm hides the object while it pushes. `TrialLogger` is
+for a diagram of your own, in which pose, finger and force are known all the time. `dataset_of` makes trials
+a dataset.
+"""
 
 from __future__ import annotations
 
@@ -15,6 +20,7 @@ from slipmap.diagrams.systems.loop_messages import LoopStatus
 from slipmap.diagrams.systems.python_system import PythonSystem, held, read, replace_held
 from slipmap.models.measurements import PushDataset, Trial
 from slipmap.models.measurements.push_dataset import Channel, Noise, Role, Table
+from slipmap.models.perception.seen_object import ObservedPose
 from slipmap.models.physics.cell_grid import CellGrid
 
 PERIOD = 0.01
@@ -23,11 +29,10 @@ PERIOD = 0.01
 LOOKS = 6
 """Poses at rest whose mean begins a trial, and as many to end it."""
 
-RESTED = 0.15
-"""s before the arm lifts the finger from when on the object certainly rests."""
+_RESTED = 0.15  # s before the arm lifts the finger, from when on the object certainly rests
+
 MISPLACED, TURNED = 4e-3, 0.05
-"""m and rad by which a pose seen then may differ from that seen afterwards, with the arm out of the way, and
-two looks at an object at rest."""
+"""m and rad by which two looks at an object at rest may differ, also one past the arm from one without it."""
 
 Row = tuple[float, ...]
 
@@ -48,29 +53,30 @@ class _Recording:
     tips: tuple[Row, ...] = ()
     forces: tuple[Row, ...] = ()
 
+    def completed(self, role: Role, poses: Sequence[Row]) -> _Recording:
+        """With one trial more, of the push under way, and these poses."""
+        start = self.tips[0][0]
+
+        def channel(rows: Sequence[Row]) -> Channel:
+            values = np.array(rows, dtype=float)
+            return Channel(values[:, 0] - start, values[:, 1:])
+
+        name = f"trials/{len(self.trials):03d}.json"
+        forces = channel(self.forces) if self.forces else None
+        trial = Trial(name, role, channel(poses), channel(self.tips), forces)
+        return _Recording((*self.trials, trial), self.looks)
+
 
 class MeasurementLogger(PythonSystem):
     """Records pushes.
 
-    .. pydrake_system::
-
-        name: MeasurementLogger
-        input_ports:
-        - object_pose
-        - tip_pose
-        - tip_force
-        - tip_age (optional)
-        - execution
-        - status
-        output_ports:
-        - records
-        - under_way
-
+    Inputs:
     - `object_pose`: `ObservedPose`; rows without a valid pose are left out.
     - `tip_pose`: X_WT of the finger's end; `tip_force`: (3,) of the finger on the object, world, N; `tip_age`
       (1,): s since both were measured, 0 if not connected.
     - `execution`: `ExecutionStatus`; `status`: `LoopStatus`.
-    - `records`: tuple of `Trial`.
+    Outputs:
+    - `trials`: tuple of `Trial`.
     - `under_way`: dict of rows of the push that is made now, by channel as in a trial's file, but with the
       diagram's time; none before and after it.
 
@@ -88,36 +94,24 @@ class MeasurementLogger(PythonSystem):
     def __init__(self, fit: int, trials: Sequence[Trial] = ()) -> None:
         super().__init__()
         self._fit = fit
-        self.DeclareAbstractInputPort("object_pose", Value[object](None))
+        self.declare_inputs("object_pose")
         self.DeclareAbstractInputPort("tip_pose", Value(RigidTransform()))
         self.DeclareVectorInputPort("tip_force", 3)
-        self._tip_age = self.DeclareVectorInputPort("tip_age", 1)
-        self.DeclareAbstractInputPort("execution", Value[object](None))
-        self.DeclareAbstractInputPort("status", Value[object](None))
+        self.DeclareVectorInputPort("tip_age", 1)
+        self.declare_inputs("execution", "status")
         self._recording = self.DeclareAbstractState(held(_Recording(tuple(trials))))
         self.DeclarePeriodicUnrestrictedUpdateEvent(PERIOD, 0.0, self._record)
-        self.DeclareAbstractOutputPort(
-            "records",
-            lambda: Value[object](()),
-            lambda context, output: output.set_value(read(context, self._recording).trials),
-            {self.abstract_state_ticket(self._recording)},
-        )
-
-        self.DeclareAbstractOutputPort(
-            "under_way",
-            lambda: Value[object](None),
-            lambda context, output: output.set_value(_under_way(read(context, self._recording))),
-            {self.abstract_state_ticket(self._recording)},
-        )
+        self.declare_output_of("trials", self._recording, lambda recording: recording.trials)
+        self.declare_output_of("under_way", self._recording, _under_way)
 
     def _record(self, context: Context, state: State) -> EventStatus:
-        status: LoopStatus = self.GetInputPort("status").Eval(context)
-        execution = self.GetInputPort("execution").Eval(context)
+        status: LoopStatus = self.input(context, "status")
+        execution = self.input(context, "execution")
         old: _Recording = read(context, self._recording)
         new = old
         if old.tips and status.mode not in ("pushing", "recording"):
             new = replace(old, poses=(), tips=(), forces=())
-        pose = self.GetInputPort("object_pose").Eval(context)
+        pose = self.input(context, "object_pose")
         row = (pose.time, *map(float, pose.pose)) if pose is not None and pose.valid else None
         if execution.mode == "home" and status.mode != "pushing":
             if row is not None and _fresh(row, new.looks or new.tips):
@@ -133,10 +127,10 @@ class MeasurementLogger(PythonSystem):
 
     def _pushed(self, context: Context, recording: _Recording, row: Row | None) -> _Recording:
         """The recording with where the finger is, and a pose seen meanwhile, if any."""
-        age = float(self._tip_age.Eval(context)[0]) if self._tip_age.HasValue(context) else 0.0
-        time = context.get_time() - age
-        tip = self.GetInputPort("tip_pose").Eval(context).translation()
-        force = self.GetInputPort("tip_force").Eval(context)
+        age = self.optional_input(context, "tip_age")
+        time = context.get_time() - (0.0 if age is None else float(age[0]))
+        tip = self.input(context, "tip_pose").translation()
+        force = self.input(context, "tip_force")
         new = recording
         if not new.tips:
             # The finger is on its way to the object, which still rests.
@@ -156,19 +150,70 @@ class MeasurementLogger(PythonSystem):
         """The recording with the push under way as a trial, once enough poses were seen after it."""
         if not recording.tips or len(recording.looks) < LOOKS:
             return recording
-        start, end = recording.tips[0][0], recording.tips[-1][0]
+        end = recording.tips[-1][0]
         rest = _rest(recording.looks, end)
         rows = (*_credible([row for row in recording.poses if row[0] < end], rest), rest)
-        number = len(recording.trials)
-        role: Role = "fit" if number < self._fit else "heldout"
-        trial = Trial(
-            f"trials/{number:03d}.json",
-            role,
-            _channel(rows, start),
-            _channel(recording.tips, start),
-            _channel(recording.forces, start),
+        return recording.completed("fit" if len(recording.trials) < self._fit else "heldout", rows)
+
+
+class TrialLogger(PythonSystem):
+    """Records pushes where pose, finger and force are known all the time.
+
+    Inputs:
+    - `object_pose`: (3,) x, y (m), θ (rad) of the object in the world, such as that of `CellGridSlider`; θ
+      goes on beyond ±π.
+    - `finger`: (4,) centre (m) and velocity (m/s) in the world; NaN where the finger is not down.
+    - `finger_force`: (2,) of the finger on the object, world, N; without it, trials have no forces.
+    Outputs:
+    - `trials`: tuple of `Trial`, as `Identification` takes it.
+    - `observed_pose`: `ObservedPose` of now, as `BeliefVisualizer`, `MultiverseSlider` and `ModelMonitor`
+      take it.
+
+    A trial lasts from when the finger comes down, which should be free of an object at rest, until it is
+    lifted, when the object should rest again.
+
+    Args:
+        fit: so many trials are to learn from, those after them to judge; all to learn from if None.
+        period: s between two rows.
+    """
+
+    def __init__(self, fit: int | None = None, period: float = PERIOD) -> None:
+        super().__init__()
+        self._fit = fit
+        self._pose = self.DeclareVectorInputPort("object_pose", 3)
+        self.DeclareVectorInputPort("finger", 4)
+        self.DeclareVectorInputPort("finger_force", 2)
+        self._recording = self.DeclareAbstractState(held(_Recording()))
+        self.DeclarePeriodicUnrestrictedUpdateEvent(period, 0.0, self._record)
+        self.declare_output_of("trials", self._recording, lambda recording: recording.trials)
+        self.DeclareAbstractOutputPort(
+            "observed_pose",
+            lambda: Value[object](None),
+            lambda context, output: output.set_value(
+                ObservedPose.of(self._pose.Eval(context), context.get_time())
+            ),
+            {self._pose.ticket(), self.time_ticket()},
         )
-        return _Recording((*recording.trials, trial), looks=recording.looks)
+
+    def _record(self, context: Context, state: State) -> EventStatus:
+        now: _Recording = read(context, self._recording)
+        time, center = context.get_time(), self.input(context, "finger")[:2]
+        if np.isfinite(center).all():
+            now = replace(
+                now,
+                poses=(*now.poses, (time, *self._pose.Eval(context))),
+                tips=(*now.tips, (time, *center)),
+            )
+            force = self.optional_input(context, "finger_force")
+            if force is not None:
+                now = replace(now, forces=(*now.forces, (time, *force, 0.0)))
+        elif now.tips:
+            role: Role = "fit" if self._fit is None or len(now.trials) < self._fit else "heldout"
+            now = now.completed(role, now.poses)
+        else:
+            return EventStatus.DidNothing()
+        replace_held(state, self._recording, now)
+        return EventStatus.Succeeded()
 
 
 def _under_way(recording: _Recording) -> dict[str, tuple[Row, ...]]:
@@ -181,7 +226,7 @@ def _credible(poses: Sequence[Row], rest: Row) -> Sequence[Row]:
     to rest, though it rested already: then the arm hid too much of it."""
     begin, last = poses[:2], np.array(poses[-1])
     off = np.abs(last[1:] - rest[1:])
-    at_rest = last[0] > rest[0] - RESTED
+    at_rest = last[0] > rest[0] - _RESTED
     return begin if at_rest and (off > [MISPLACED, MISPLACED, TURNED]).any() else poses
 
 
@@ -201,11 +246,6 @@ def _fresh(row: Row, rows: Sequence[Row]) -> bool:
     return not rows or row[0] > rows[-1][0] + 1e-9
 
 
-def _channel(rows: Sequence[Row], start: float) -> Channel:
-    values = np.array(rows, dtype=float)
-    return Channel(values[:, 0] - start, values[:, 1:])
-
-
 def dataset_of(
     trials: Sequence[Trial],
     grid: CellGrid,
@@ -214,6 +254,7 @@ def dataset_of(
     finger_radius: float,
     noise: Noise,
     table: Table | None = None,
+    gravity: float = 9.81,
     height: float | None = None,
     description: str = "",
 ) -> PushDataset:
@@ -226,6 +267,7 @@ def dataset_of(
         finger_radius: m.
         noise: of the sensors.
         table: the table top.
+        gravity: m/s².
         height: of the object, m.
         description: free text.
 
@@ -245,7 +287,7 @@ def dataset_of(
         mass=None,
         finger_radius=finger_radius,
         table=table,
-        gravity=9.81,
+        gravity=gravity,
         noise=noise,
         trials=tuple(trials),
         fingerprint=digest.hexdigest(),

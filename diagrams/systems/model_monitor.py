@@ -31,7 +31,7 @@ LEAST_P = 0.005
 """One push is not believed to be rarer: nobody knows errors that well. An alarm takes three such pushes."""
 
 MODEL_ERROR = 0.03
-"""α, by which share of the way the model is off anyway; see `slipmap.models.inference.diagnosis.correlated`."""
+"""α, by which share of the way the model is off anyway, as in `slipmap.models.inference.diagnosis`."""
 
 FORCE_ERROR = 0.1
 """β, the same for the mean force of a push: in the simulated station without any hidden effect it was 2 to 5
@@ -62,14 +62,19 @@ class Watch:
     """What the monitor has seen.
 
     Attributes:
-        records: trials looked at.
+        trials: trials looked at.
         residual: (3,) when the object was last seen beside the hypotheses.
         judged: pushes that a belief had predicted, in order.
     """
 
-    records: int
+    trials: int
     residual: FloatArray
     judged: tuple[Judged, ...] = ()
+
+    @property
+    def misfit(self) -> float:
+        """Of the last push that was judged; NaN before."""
+        return self.judged[-1].misfit if self.judged else np.nan
 
     @property
     def evidence(self) -> float:
@@ -90,24 +95,10 @@ class Watch:
 class ModelMonitor(PythonSystem):
     """Holds the predicted pose against the observed one.
 
-    .. pydrake_system::
-
-        name: ModelMonitor
-        input_ports:
-        - universes
-        - object_pose
-        - records
-        output_ports:
-        - residual
-        - misfit
-        - evidence
-        - alarm
-        - watch
-
     Inputs:
         universes: abstract, `Universes` of a `MultiverseSlider`, moved by the same finger, or None.
-        object_pose: abstract, with `pose` (3,) and `valid`, such as an `ObservedPose`.
-        records: abstract, tuple of recorded `Trial`s, which begin and end with the object at rest.
+        object_pose: abstract, `ObservedPose`.
+        trials: abstract, tuple of recorded `Trial`s, which begin and end with the object at rest.
 
     Outputs:
         residual: (3,) observed minus predicted pose (m, m, rad) when the object was last seen; NaN before.
@@ -136,16 +127,25 @@ class ModelMonitor(PythonSystem):
         if sensors.position is None or sensors.angle is None:
             raise ValueError(f"ModelMonitor: noise of position and angle must be given, got {sensors}")
         self._error = ErrorModel(pose_noise(sensors.position, sensors.angle), model_error, FORCE_ERROR)
-        self._universes = self.DeclareAbstractInputPort("universes", Value[object](None))
-        self._observed = self.DeclareAbstractInputPort("object_pose", Value[object](None))
-        self._records = self.DeclareAbstractInputPort("records", Value[object](()))
+        self.declare_inputs("universes", "object_pose", "trials")
         self._watch = self.DeclareAbstractState(held(Watch(0, np.full(3, np.nan))))
         after = {self.abstract_state_ticket(self._watch)}
-        self.DeclareVectorOutputPort("residual", 3, self._output_residual, after)
-        self.DeclareVectorOutputPort("misfit", 1, self._output_misfit, after)
-        self.DeclareVectorOutputPort("evidence", 1, self._output_evidence, after)
-        self.DeclareAbstractOutputPort("alarm", lambda: Value[bool](False), self._output_alarm, after)
-        self.DeclareAbstractOutputPort("watch", lambda: Value[object](None), self._output_watch, after)
+        for name, size in (("residual", 3), ("misfit", 1), ("evidence", 1)):
+            self.DeclareVectorOutputPort(
+                name,
+                size,
+                lambda context, output, name=name: output.SetFromVector(
+                    np.atleast_1d(getattr(self.watch(context), name))
+                ),
+                after,
+            )
+        self.DeclareAbstractOutputPort(
+            "alarm",
+            lambda: Value[bool](False),
+            lambda context, output: output.set_value(self.watch(context).alarm),
+            after,
+        )
+        self.declare_output_of("watch", self._watch)
         self.DeclarePeriodicUnrestrictedUpdateEvent(period, 0.0, self._look)
 
     def watch(self, context: Context) -> Watch:
@@ -154,15 +154,14 @@ class ModelMonitor(PythonSystem):
 
     def _look(self, context: Context, state: State) -> None:
         before = watch = self.watch(context)
-        universes: Any = self._universes.Eval(context)
-        seen: Any = self._observed.Eval(context)
-        records: Any = self._records.Eval(context)
+        universes, seen = self.input(context, "universes"), self.input(context, "object_pose")
+        trials = self.input(context, "trials")
         if universes is not None and seen is not None and seen.valid:
             watch = replace(watch, residual=seen.pose - universes.mean_pose)
-        if len(records) > watch.records:
-            watch = replace(watch, records=len(records))
+        if len(trials) > watch.trials:
+            watch = replace(watch, trials=len(trials))
             if universes is not None:
-                judged = self._judged(len(records) - 1, records[-1], universes, watch)
+                judged = self._judged(len(trials) - 1, trials[-1], universes, watch)
                 watch = replace(watch, judged=(*watch.judged, judged))
         if watch is not before:
             replace_held(state, self._watch, watch)
@@ -180,19 +179,3 @@ class ModelMonitor(PythonSystem):
         evidence = max(watch.evidence, 1.0) * bet(max(p, LEAST_P))
         alarm = evidence >= 1.0 / LEVEL or (watch.alarm and evidence > 1.0)
         return Judged(number, misfit, p, evidence, alarm)
-
-    def _output_residual(self, context: Context, output: Any) -> None:
-        output.SetFromVector(self.watch(context).residual)
-
-    def _output_misfit(self, context: Context, output: Any) -> None:
-        judged = self.watch(context).judged
-        output.SetFromVector([judged[-1].misfit if judged else np.nan])
-
-    def _output_evidence(self, context: Context, output: Any) -> None:
-        output.SetFromVector([self.watch(context).evidence])
-
-    def _output_alarm(self, context: Any, output: Any) -> None:
-        output.set_value(self.watch(context).alarm)
-
-    def _output_watch(self, context: Any, output: Any) -> None:
-        output.set_value(self.watch(context))

@@ -6,8 +6,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from pydrake.common.value import Value
-from pydrake.systems.framework import Context, InputPort, State
+from pydrake.systems.framework import Context, State
 
 from slipmap.diagrams.systems.cell_grid_slider import history_length, pose_then
 from slipmap.diagrams.systems.python_system import PythonSystem, held, read, replace_held
@@ -82,26 +81,11 @@ def placed(
 class MultiverseSlider(PythonSystem):
     """K hypotheses of a belief under one finger, in steps of h, one call of the kernel a step.
 
-    .. pydrake_system::
-
-        name: MultiverseSlider
-        input_ports:
-        - wrench
-        - finger
-        - belief
-        - object_pose
-        - push
-        output_ports:
-        - poses
-        - mean_pose
-        - spread
-        - universes
-
     Inputs, all optional:
         wrench: (5,) and
         finger: (4,) as of `CellGridSlider`.
         belief: abstract, `Belief` or None.
-        object_pose: abstract, with `pose` (3,) and `valid`, such as an `ObservedPose`.
+        object_pose: abstract, `ObservedPose`.
         push: abstract, None or something with a `push_id`, such as an `ActivePush`.
 
     As soon as `push` has another number, all hypotheses of the `belief` are placed, at rest, where the object
@@ -122,25 +106,18 @@ class MultiverseSlider(PythonSystem):
         super().__init__()
         self.set_name("multiverse_slider")
         self._h = h
-        self._wrench = self.DeclareVectorInputPort("wrench", 5)
-        self._finger = self.DeclareVectorInputPort("finger", 4)
-        self._belief = self.DeclareAbstractInputPort("belief", Value[object](None))
-        self._object_pose = self.DeclareAbstractInputPort("object_pose", Value[object](None))
-        self._push = self.DeclareAbstractInputPort("push", Value[object](None))
+        self.DeclareVectorInputPort("wrench", 5)
+        self.DeclareVectorInputPort("finger", 4)
+        self.declare_inputs("belief", "object_pose", "push")
         first = None if belief is None else placed(belief, h, np.zeros(3))
         self._universes = self.DeclareAbstractState(held(first))
         after = {self.abstract_state_ticket(self._universes)}
-        self.DeclareAbstractOutputPort(
-            "poses", lambda: Value[object](np.zeros((0, 3))), self._output_poses, after
+        self.declare_output_of(
+            "poses", self._universes, lambda now: np.zeros((0, 3)) if now is None else now.poses
         )
         self.DeclareVectorOutputPort("mean_pose", 3, self._output_mean, after)
         self.DeclareVectorOutputPort("spread", 1, self._output_spread, after)
-        self.DeclareAbstractOutputPort(
-            "universes",
-            lambda: Value[object](None),
-            lambda context, output: output.set_value(self.universes(context)),
-            after,
-        )
+        self.declare_output_of("universes", self._universes)
         self.DeclarePeriodicUnrestrictedUpdateEvent(h, 0.0, self._step)
 
     def set_belief(self, context: Context, belief: Belief, pose: FloatArray) -> None:
@@ -156,16 +133,12 @@ class MultiverseSlider(PythonSystem):
         universes = self._restarted(context) or self.universes(context)
         if universes is None:
             return
-        wrench: Any = self._wrench.Eval(context) if self._wrench.HasValue(context) else NO_WRENCH
-        tip = NO_FINGER
-        if self._finger.HasValue(context):
-            finger: Any = self._finger.Eval(context)
-            tip = np.array([finger[:2], finger[:2] + self._h * finger[2:]])
+        wrench, finger = self.optional_input(context, "wrench"), self.optional_input(context, "finger")
         states, _ = universes.stepper.step(
             universes.models,
             universes.states,
-            wrench=wrench,
-            tip=tip,
+            wrench=NO_WRENCH if wrench is None else wrench,
+            tip=NO_FINGER if finger is None else np.array([finger[:2], finger[:2] + self._h * finger[2:]]),
             time=context.get_time() - universes.begin,
             order=universes.order,
         )
@@ -177,22 +150,18 @@ class MultiverseSlider(PythonSystem):
     def _restarted(self, context: Context) -> Universes | None:
         """The hypotheses placed anew if a new push has begun and the object is seen."""
         before = self.universes(context)
-        push = _told(self._push, context)
+        push = self.optional_input(context, "push")
         if push is None or (before is not None and before.push == push.push_id):
             return None
-        belief = _told(self._belief, context)
+        belief = self.optional_input(context, "belief")
         belief = belief if belief is not None or before is None else before.belief
         if belief is None:
             return None
-        seen = _told(self._object_pose, context)  # last, as it may have to be waited for
+        seen = self.optional_input(context, "object_pose")  # last, as it may have to be waited for
         if seen is None or not seen.valid:
             return None
         order = 0.0 if before is None or before.push is None else before.order + 1.0
         return placed(belief, self._h, seen.pose, push=push.push_id, begin=context.get_time(), order=order)
-
-    def _output_poses(self, context: Any, output: Any) -> None:
-        universes = self.universes(context)
-        output.set_value(np.zeros((0, 3)) if universes is None else universes.poses)
 
     def _output_mean(self, context: Context, output: Any) -> None:
         universes = self.universes(context)
@@ -201,8 +170,3 @@ class MultiverseSlider(PythonSystem):
     def _output_spread(self, context: Context, output: Any) -> None:
         universes = self.universes(context)
         output.SetFromVector([np.nan if universes is None else universes.spread])
-
-
-def _told(port: InputPort, context: Context) -> Any:
-    """What comes in, if anything is connected."""
-    return port.Eval(context) if port.HasValue(context) else None

@@ -15,6 +15,7 @@ from slipmap.diagrams.execution.requests import ExecutionStatus
 from slipmap.diagrams.systems.loop_messages import LoopStatus
 from slipmap.diagrams.systems.measurement_logger import PERIOD
 from slipmap.diagrams.systems.python_system import PythonSystem, held, read, replace_held
+from slipmap.models.geometry import seen_from
 from slipmap.models.perception.seen_object import ObservedPose, SeenObject
 from slipmap.models.physics.cell_grid import FloatArray
 
@@ -62,7 +63,7 @@ class _Found:
         reason: why the present descent is no push, once that is known.
         touched: whether the finger was at the object.
         rest: pose (3,) at which the object was last seen with the arm aside, since the descent before.
-        told: time at which the arm measured where it was, s.
+        measured: time at which the arm measured where it was, s.
         looked: time of the newest picture that showed the object, s.
         aside: whether the arm was aside at the last look, and is.
         descents: that are over.
@@ -74,7 +75,7 @@ class _Found:
     reason: str = ""
     touched: bool = False
     rest: FloatArray | None = None
-    told: float = -np.inf
+    measured: float = -np.inf
     looked: float = -np.inf
     aside: tuple[bool, bool] = (False, False)
     descents: tuple[Descent, ...] = ()
@@ -83,27 +84,13 @@ class _Found:
 class PushFinder(PythonSystem):
     """Says of an arm that somebody else drives when it pushes, as executor and supervisor of a loop would.
 
-    .. pydrake_system::
-
-        name: PushFinder
-        input_ports:
-        - object_pose
-        - seen_object
-        - aside
-        - tip_pose
-        - tip_age
-        - gripper.state_measured
-        - records
-        output_ports:
-        - execution
-        - status
-        - descents
-
+    Inputs:
     - `object_pose`: `ObservedPose`; `seen_object`: `SeenObject | None`; `aside`: bool, whether the arm hides
       nothing of the object.
     - `tip_pose`: X_WT of the finger's end; `tip_age` (1,): s since it was measured.
     - `gripper.state_measured` (2,): opening and its rate, m and m/s.
-    - `records`: tuple of `Trial` of the `MeasurementLogger` that listens to this.
+    - `trials`: tuple of `Trial` of the `MeasurementLogger` that listens to this.
+    Outputs:
     - `execution`: `ExecutionStatus` in `home` (the arm is aside), `pushing` (the finger is down) or
       `retreating`; `status`: `LoopStatus` in `looking`, `pushing` or `recording`.
     - `descents`: tuple of `Descent`.
@@ -119,25 +106,23 @@ class PushFinder(PythonSystem):
     def __init__(self, finger_radius: float) -> None:
         super().__init__()
         self._reach = finger_radius + TOUCH
-        for name in ("object_pose", "seen_object"):
-            self.DeclareAbstractInputPort(name, Value[object](None))
-        self.DeclareAbstractInputPort("aside", Value[object](False))
+        self.declare_inputs("object_pose", "seen_object", "aside")
         self.DeclareAbstractInputPort("tip_pose", Value(RigidTransform()))
         self.DeclareVectorInputPort("tip_age", 1)
         self.DeclareVectorInputPort("gripper.state_measured", 2)
-        self.DeclareAbstractInputPort("records", Value[object](()))
+        self.declare_inputs("trials")
         self._found = self.DeclareAbstractState(held(_Found()))
         self.DeclarePeriodicUnrestrictedUpdateEvent(PERIOD, 0.0, self._update)
         own = self.abstract_state_ticket(self._found)
-        records = self.GetInputPort("records").ticket()
+        trials = self.GetInputPort("trials").ticket()
         for name, calc in (("execution", _execution), ("status", self._status), ("descents", _descents)):
             self.DeclareAbstractOutputPort(
                 name,
                 lambda: Value[object](None),
                 lambda context, output, calc=calc: output.set_value(
-                    calc(read(context, self._found), len(self._input(context, "records")))
+                    calc(read(context, self._found), len(self.input(context, "trials")))
                 ),
-                {own, records},
+                {own, trials},
             )
 
     def given_up(self, context: Context) -> str:
@@ -148,19 +133,18 @@ class PushFinder(PythonSystem):
         return found.reason or ("the finger was still down" if found.phase == "down" else _UNSEEN)
 
     def _update(self, context: Context, state: State) -> EventStatus:
-        before: _Found = read(context, self._found)
-        replace_held(state, self._found, self._next(context, before))
+        replace_held(state, self._found, self._next(context, read(context, self._found)))
         return EventStatus.Succeeded()
 
     def _next(self, context: Context, now: _Found) -> _Found:
-        pose: ObservedPose = self._input(context, "object_pose")
-        seen: SeenObject | None = self._input(context, "seen_object")
-        tip = self._input(context, "tip_pose").translation()
-        told = context.get_time() - float(self._input(context, "tip_age")[0])
+        pose: ObservedPose = self.input(context, "object_pose")
+        seen: SeenObject | None = self.input(context, "seen_object")
+        tip = self.input(context, "tip_pose").translation()
+        measured = context.get_time() - float(self.input(context, "tip_age")[0])
         down = seen is not None and tip[2] < seen.cell_heights.max()
-        silent = told - now.told if np.isfinite(now.told) else 0.0
-        now = replace(now, told=told)
-        if now.phase == "after" and len(self._input(context, "records")) > sum(
+        silent = measured - now.measured if np.isfinite(now.measured) else 0.0
+        now = replace(now, measured=measured)
+        if now.phase == "after" and len(self.input(context, "trials")) > sum(
             descent.kept for descent in now.descents
         ):
             now = replace(_over(now, ""), rest=pose.pose if pose.valid else None)
@@ -168,19 +152,18 @@ class PushFinder(PythonSystem):
             now = replace(now, aside=(False, False))
         if not down:
             if now.phase == "down":
-                now = self._lifted(replace(now, end=told))
+                now = self._lifted(replace(now, end=measured))
             return self._looked(context, now, pose) if pose.valid else now
         assert seen is not None
         if now.phase == "after":
             now = _over(now, f"{_UNSEEN}, before the finger came down again")
         if now.phase == "up":
-            return replace(
-                now, phase="down", begin=told, end=told, touched=False, reason=self._unfit(context, now)
-            )
+            reason = self._unfit(context, now)
+            return replace(now, phase="down", begin=measured, end=measured, touched=False, reason=reason)
         reason = now.reason
         if silent > GAP:
             reason = reason or f"the arm said nothing for {silent:.2f} s"
-        if told - now.begin > LONGEST:
+        if measured - now.begin > LONGEST:
             reason = reason or f"the finger was down for more than {LONGEST:.0f} s"
         lies = pose.pose if pose.valid else now.rest
         touched = now.touched or (lies is not None and self._near(seen, lies, tip))
@@ -190,15 +173,14 @@ class PushFinder(PythonSystem):
         """Why no push can begin now."""
         if now.rest is None:
             return "the object was not seen at rest before"
-        opening = float(self._input(context, "gripper.state_measured")[0])
+        opening = float(self.input(context, "gripper.state_measured")[0])
         if not opening <= CLOSED:
             return f"the gripper was open by {1e3 * opening:.0f} mm"
         return ""
 
     def _near(self, seen: SeenObject, lies: FloatArray, tip: FloatArray) -> bool:
-        c, s = np.cos(lies[2]), np.sin(lies[2])
-        x, y = np.array([[c, s], [-s, c]]) @ (tip[:2] - lies[:2])
-        return bool(seen.grid.polygon.distance(shapely.Point(x, y)) <= self._reach)
+        point = shapely.Point(seen_from(tip[:2], lies))
+        return bool(seen.grid.polygon.distance(point) <= self._reach)
 
     def _lifted(self, now: _Found) -> _Found:
         reason = now.reason or ("" if now.touched else "the finger did not come near the object")
@@ -210,7 +192,7 @@ class PushFinder(PythonSystem):
         """With a picture that is new; one counts if the arm is aside then, and at the next."""
         if pose.time <= now.looked:
             return now
-        aside = (now.aside[1], bool(self._input(context, "aside")))
+        aside = (now.aside[1], bool(self.input(context, "aside")))
         now = replace(now, looked=pose.time, aside=aside)
         if not all(aside):
             return now
@@ -222,13 +204,10 @@ class PushFinder(PythonSystem):
             return now
         return replace(now, rest=pose.pose)
 
-    def _status(self, now: _Found, records: int) -> LoopStatus:
+    def _status(self, now: _Found, trials: int) -> LoopStatus:
         if now.phase == "down" and not now.reason:
-            return LoopStatus("pushing", records)
-        return LoopStatus("recording" if now.phase == "after" else "looking", records)
-
-    def _input(self, context: Context, name: str):  # type: ignore[no-untyped-def]
-        return self.GetInputPort(name).Eval(context)
+            return LoopStatus("pushing", trials)
+        return LoopStatus("recording" if now.phase == "after" else "looking", trials)
 
 
 def _over(now: _Found, reason: str) -> _Found:
@@ -242,11 +221,11 @@ def _over(now: _Found, reason: str) -> _Found:
     )
 
 
-def _execution(now: _Found, records: int) -> ExecutionStatus:
+def _execution(now: _Found, trials: int) -> ExecutionStatus:
     if now.phase == "down":
-        return ExecutionStatus("approaching" if now.reason else "pushing", records)
-    return ExecutionStatus("home" if all(now.aside) else "retreating", records)
+        return ExecutionStatus("approaching" if now.reason else "pushing", trials)
+    return ExecutionStatus("home" if all(now.aside) else "retreating", trials)
 
 
-def _descents(now: _Found, records: int) -> tuple[Descent, ...]:
+def _descents(now: _Found, trials: int) -> tuple[Descent, ...]:
     return now.descents

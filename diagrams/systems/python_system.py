@@ -72,17 +72,6 @@ class HoldsOutputFunctions:
         return call
 
 
-class PythonSystem(HoldsOutputFunctions, LeafSystem, metaclass=WithoutOwnDict):
-    """Base of all systems here that are written in Python."""
-
-
-class PythonDiagram(Diagram, metaclass=WithoutOwnDict):
-    """Base of all diagrams here that are classes."""
-
-
-# Values in a Context that are never changed, only replaced.
-
-
 class Held:
     """A value that copies of a Context share.
 
@@ -115,3 +104,35 @@ def read(context: Context | State, index: AbstractStateIndex) -> Any:
 def replace_held(state: State, index: AbstractStateIndex, value: Any) -> None:
     """Let an abstract state made by `held` hold another value."""
     state.get_mutable_abstract_state(int(index)).set_value(Held(value))
+
+
+class PythonSystem(HoldsOutputFunctions, LeafSystem, metaclass=WithoutOwnDict):
+    """Base of all systems here that are written in Python."""
+
+    def declare_inputs(self, *names: str) -> None:
+        """Input ports for Python's objects."""
+        for name in names:
+            self.DeclareAbstractInputPort(name, Value[object](None))
+
+    def declare_output_of(
+        self, name: str, index: AbstractStateIndex, part: Callable[[Any], Any] = lambda held: held
+    ) -> None:
+        """An output port for (a part of) what an abstract state made by `held` holds."""
+        self.DeclareAbstractOutputPort(
+            name,
+            lambda: Value[object](None),
+            lambda context, output: output.set_value(part(read(context, index))),
+            {self.abstract_state_ticket(index)},
+        )
+
+    def input(self, context: Context, name: str) -> Any:
+        """What comes in at a port."""
+        return self.GetInputPort(name).Eval(context)
+
+    def optional_input(self, context: Context, name: str) -> Any:
+        """What comes in at a port; None where it is not connected."""
+        return self.input(context, name) if self.GetInputPort(name).HasValue(context) else None
+
+
+class PythonDiagram(Diagram, metaclass=WithoutOwnDict):
+    """Base of all diagrams here that are classes."""

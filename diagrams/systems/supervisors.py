@@ -1,4 +1,8 @@
-"""The order of the exploration loop: look, choose, push, record, learn, and again."""
+"""The order of the robot's loops: what is to be done next, and when a loop gives up.
+
+`PushSupervisor` explores: look, choose, push, record, learn, and again. `PregraspSupervisor` takes over from
+it: plan, push, record, and again; at the table's edge grasp, lift and hold.
+"""
 
 from __future__ import annotations
 
@@ -28,24 +32,12 @@ PATIENCE_REAL = 100.0
 class PushSupervisor(PythonSystem):
     """Decides what the loop does next.
 
-    .. pydrake_system::
-
-        name: PushSupervisor
-        input_ports:
-        - object_pose
-        - cell_grid
-        - poke
-        - execution
-        - records
-        - learned
-        output_ports:
-        - status
-        - active_push
-
+    Inputs:
     - `object_pose`: `ObservedPose`; `cell_grid`: `CellGrid | None`, the object as first seen.
-    - `poke`: `PokeRequest | None` from the exploration.
+    - `plan`: `ExplorationPlan | None` from the exploration.
     - `execution`: `ExecutionStatus` of the arm.
-    - `records`: tuple of recorded `Trial`s; `learned`: how many of them the belief comes from.
+    - `trials`: tuple of recorded `Trial`s; `learned`: how many of them the belief comes from.
+    Outputs:
     - `status`: `LoopStatus`; `active_push`: `ActivePush | None`, what the arm is to do.
 
     Args:
@@ -60,20 +52,14 @@ class PushSupervisor(PythonSystem):
         self._patience = patience
         self._fit = fit
         self._pushes = fit + heldout
-        for name in ("object_pose", "cell_grid", "poke", "execution", "records", "learned"):
-            self.DeclareAbstractInputPort(name, Value[object](None))
+        self.declare_inputs("object_pose", "cell_grid", "plan", "execution", "trials", "learned")
         start = LoopStatus("learning", made - 1) if made else LoopStatus("looking", 0)
         self._status = self.DeclareAbstractState(held(start))
         self._active = self.DeclareAbstractState(held(None))
         self.DeclareDiscreteState(1)  # since when it waits, s
         self.DeclarePeriodicUnrestrictedUpdateEvent(PERIOD, 0.0, self._decide)
-        for name, index in (("status", self._status), ("active_push", self._active)):
-            self.DeclareAbstractOutputPort(
-                name,
-                lambda: Value[object](None),
-                lambda context, output, index=index: output.set_value(read(context, index)),
-                {self.abstract_state_ticket(index)},
-            )
+        self.declare_output_of("status", self._status)
+        self.declare_output_of("active_push", self._active)
 
     def _decide(self, context: Context, state: State) -> EventStatus:
         now: LoopStatus = read(context, self._status)
@@ -83,10 +69,10 @@ class PushSupervisor(PythonSystem):
             state.get_mutable_discrete_state(0)[0] = context.get_time()
             active = None
             if following.mode == "pushing":
-                request = self._input(context, "poke")
-                active = ActivePush(following.number, request.poke.push)
+                plan = self.input(context, "plan")
+                active = ActivePush(following.number, plan.choice.push)
             replace_held(state, self._active, active)
-        elif now.mode == "choosing" and self._input(context, "object_pose").valid:
+        elif now.mode == "choosing" and self.input(context, "object_pose").valid:
             # Choosing takes its time; patience is for an object that is out of sight.
             state.get_mutable_discrete_state(0)[0] = context.get_time()
         return EventStatus.Succeeded()
@@ -94,19 +80,19 @@ class PushSupervisor(PythonSystem):
     def _next(self, context: Context, now: LoopStatus) -> LoopStatus:
         if now.mode in ("finished", "failed"):
             return now
-        execution = self._input(context, "execution")
+        execution = self.input(context, "execution")
         if execution.mode == "stopped":
             return LoopStatus("failed", now.push, now.attempt, execution.reason)
         if now.mode == "looking":
             return self._look(context, now)
         if now.mode == "choosing":
-            request = self._input(context, "poke")
-            if request is None or request.number != now.number:
-                if self._input(context, "object_pose").valid:
+            plan = self.input(context, "plan")
+            if plan is None or plan.number != now.number:
+                if self.input(context, "object_pose").valid:
                     return now  # choosing takes its time
-                return self._patient(context, now, self._unseen(context))
-            if request.poke is None:
-                return LoopStatus("failed", now.push, now.attempt, request.reason)
+                return self._patient(context, now, _unseen(self.input(context, "object_pose")))
+            if plan.choice is None:
+                return LoopStatus("failed", now.push, now.attempt, plan.reason)
             return LoopStatus("pushing", now.push, now.attempt)
         if now.mode == "pushing":
             if execution.push_id != now.number:
@@ -117,48 +103,36 @@ class PushSupervisor(PythonSystem):
                 return LoopStatus("choosing", now.push, now.attempt + 1)
             return LoopStatus("recording", now.push) if execution.mode == "home" else now
         if now.mode == "recording":
-            if len(self._input(context, "records")) > now.push:
+            if len(self.input(context, "trials")) > now.push:
                 return LoopStatus("learning", now.push)
             return self._patient(context, now, "the object was not seen after the push")
-        if self._input(context, "learned") < min(now.push + 1, self._fit):
+        if self.input(context, "learned") < min(now.push + 1, self._fit):
             return now
         done = now.push + 1
         return LoopStatus("finished" if done >= self._pushes else "looking", done)
 
     def _look(self, context: Context, now: LoopStatus) -> LoopStatus:
-        pose = self._input(context, "object_pose")
-        if self._input(context, "cell_grid") is not None and pose is not None and pose.valid:
+        pose = self.input(context, "object_pose")
+        if self.input(context, "cell_grid") is not None and pose is not None and pose.valid:
             return LoopStatus("choosing", now.push)
-        return self._patient(context, now, self._unseen(context))
-
-    def _unseen(self, context: Context) -> str:
-        return unseen(self._input(context, "object_pose"))
+        return self._patient(context, now, _unseen(pose))
 
     def _patient(self, context: Context, now: LoopStatus, reason: str) -> LoopStatus:
         waited = context.get_time() - context.get_discrete_state(0)[0]
         return now if waited < self._patience else LoopStatus("failed", now.push, now.attempt, reason)
 
-    def _input(self, context: Context, name: str):  # type: ignore[no-untyped-def]
-        return self.GetInputPort(name).Eval(context)
 
-
-def unseen(pose: ObservedPose | None) -> str:
+def _unseen(pose: ObservedPose | None) -> str:
     """Why the camera does not see the object, in words."""
     why = "no picture" if pose is None or not pose.reason else pose.reason
     return f"the camera does not see the object: {why}"
 
 
-# The order after exploring: plan, push, record, and again; at the edge grasp, lift and hold.
-
-
 HOLD = 1.0
 """s that the object is held in the air before it counts as held."""
 
-HELD_LESS = 0.5
-"""Share of the height between the pins by which they may come closer than that while they hold."""
-
-HELD_MORE = 0.01
-"""m by which they may be further apart than that: the camera may be wrong by less."""
+_HELD_LESS = 0.5  # share of the height between the pins by which they may come closer while they hold
+_HELD_MORE = 0.01  # m by which they may be further apart than that height; the camera is wrong by less
 
 
 @dataclass(frozen=True, eq=False)
@@ -180,26 +154,12 @@ class _Bringing:
 class PregraspSupervisor(PythonSystem):
     """Takes over from the supervisor of exploration, and brings the object into the gripper.
 
-    .. pydrake_system::
-
-        name: PregraspSupervisor
-        input_ports:
-        - exploration
-        - exploring_push
-        - object_pose
-        - plan
-        - execution
-        - records
-        - gripper.state_measured
-        output_ports:
-        - status
-        - active_push
-        - active_grasp
-
+    Inputs:
     - `exploration`: `LoopStatus`, and `exploring_push`: `ActivePush | None`, of the `PushSupervisor`. Until
-      exploring is finished, `status` and `active_push` are these; then come the modes `messages.BRINGING`.
+      exploring is finished, `status` and `active_push` are these; then come the modes `BRINGING`.
     - `object_pose`: `ObservedPose`; `plan`: `PregraspPlan | None`; `execution`: `ExecutionStatus` of the arm.
-    - `records`: tuple of recorded `Trial`s; `gripper.state_measured`: (2,) opening and its rate, m and m/s.
+    - `trials`: tuple of recorded `Trial`s; `gripper.state_measured`: (2,) opening and its rate, m and m/s.
+    Outputs:
     - `status`: `LoopStatus`; pushes are counted on from those that explored.
     - `active_push`: `ActivePush | None`, `active_grasp`: `ActiveGrasp | None`: what the arm is to do.
 
@@ -213,8 +173,7 @@ class PregraspSupervisor(PythonSystem):
     def __init__(self, patience: float = PATIENCE) -> None:
         super().__init__()
         self._patience = patience
-        for name in ("exploration", "exploring_push", "object_pose", "plan", "execution", "records"):
-            self.DeclareAbstractInputPort(name, Value[object](None))
+        self.declare_inputs("exploration", "exploring_push", "object_pose", "plan", "execution", "trials")
         self.DeclareVectorInputPort("gripper.state_measured", 2)
         self._bringing = self.DeclareAbstractState(held(None))
         self.DeclarePeriodicUnrestrictedUpdateEvent(PERIOD, 0.0, self._decide)
@@ -226,7 +185,7 @@ class PregraspSupervisor(PythonSystem):
                 if now is not None:
                     output.set_value(part(now))
                 else:
-                    output.set_value(None if before is None else self._input(context, before))
+                    output.set_value(None if before is None else self.input(context, before))
 
             tickets = {own} if before is None else {own, self.GetInputPort(before).ticket()}
             self.DeclareAbstractOutputPort(name, lambda: Value[object](None), calc, tickets)
@@ -239,7 +198,7 @@ class PregraspSupervisor(PythonSystem):
         now: _Bringing | None = read(context, self._bringing)
         time = context.get_time()
         if now is None:
-            explored: LoopStatus = self._input(context, "exploration")
+            explored: LoopStatus = self.input(context, "exploration")
             if explored.mode == "finished":
                 now = _Bringing(LoopStatus("planning", explored.push), time)
             elif explored.mode == "failed":
@@ -256,7 +215,7 @@ class PregraspSupervisor(PythonSystem):
 
     def _next(self, context: Context, now: _Bringing) -> _Bringing:
         status, time = now.status, context.get_time()
-        execution: ExecutionStatus = self._input(context, "execution")
+        execution: ExecutionStatus = self.input(context, "execution")
         answered = execution.push_id == status.number
 
         def to(mode: str, reason: str = "") -> _Bringing:
@@ -268,12 +227,12 @@ class PregraspSupervisor(PythonSystem):
         if execution.mode == "stopped" and status.mode not in ("held", "failed"):
             return to("failed", execution.reason)
         if status.mode == "planning":
-            plan: PregraspPlan | None = self._input(context, "plan")
+            plan: PregraspPlan | None = self.input(context, "plan")
             if plan is None or plan.number != status.number:
-                pose: ObservedPose | None = self._input(context, "object_pose")
+                pose: ObservedPose | None = self.input(context, "object_pose")
                 if pose is not None and pose.valid:
                     return replace(now, since=time)  # planning takes its time, and the object is there
-                return patient(unseen(pose))
+                return patient(_unseen(pose))
             return _started(plan, status, time)
         if status.mode in ("pushing", "grasping") and answered and execution.mode == "refused":
             if status.attempt + 1 == MOST_ATTEMPTS:
@@ -282,9 +241,9 @@ class PregraspSupervisor(PythonSystem):
         if status.mode == "pushing":
             return to("recording") if answered and execution.mode == "home" else now
         if status.mode == "recording":
-            if len(self._input(context, "records")) > status.push:
+            if len(self.input(context, "trials")) > status.push:
                 return _Bringing(LoopStatus("planning", status.push + 1), time)
-            return patient(f"after the push {unseen(self._input(context, 'object_pose'))}")
+            return patient(f"after the push {_unseen(self.input(context, 'object_pose'))}")
         if status.mode == "grasping":
             return to("lifting") if answered and execution.mode == "lifting" else now
         if status.mode == "lifting":
@@ -297,19 +256,16 @@ class PregraspSupervisor(PythonSystem):
     def _empty(self, context: Context, now: _Bringing) -> str:
         """Why the gripper holds nothing; empty if it holds the object."""
         assert now.grasp is not None
-        between = self._input(context, "gripper.state_measured")[0] - 2 * FINGER_RADIUS
+        between = self.input(context, "gripper.state_measured")[0] - 2 * FINGER_RADIUS
         height = now.grasp.grasp.height
-        if not between > (1.0 - HELD_LESS) * height:
+        if not between > (1.0 - _HELD_LESS) * height:
             return "the pins closed on nothing"
-        if between > height + HELD_MORE:
+        if between > height + _HELD_MORE:
             return (
                 f"the gripper did not close: there are {1e3 * between:.0f} mm between its pins, and the"
                 f" object is {1e3 * height:.0f} mm high; see whether it is stuck or switched off"
             )
         return ""
-
-    def _input(self, context: Context, name: str) -> Any:
-        return self.GetInputPort(name).Eval(context)
 
 
 def _started(plan: PregraspPlan, status: LoopStatus, time: float) -> _Bringing:

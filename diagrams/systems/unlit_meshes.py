@@ -1,5 +1,4 @@
-"""Flat shapes for Meshcat that look the same from everywhere: their colours are those of a legend, whatever
-the light.
+"""Flat shapes for Meshcat whose colours are those of a legend, whatever the light and from wherever seen.
 
 They are glTF files with `KHR_materials_unlit`, held in memory.
 """
@@ -149,17 +148,8 @@ def ringed_discs(centers: FloatArray, radii: FloatArray) -> Mesh:
 def arrow(length: float, width: float, head: float) -> Triangles:
     """From the origin along x in the plane z = 0: a shaft of some width, and a head 2.6 times as wide."""
     neck, half = length - head, 0.5 * width
-    points = np.array(
-        [
-            [0, -half],
-            [neck, -half],
-            [neck, half],
-            [0, half],
-            [neck, -2.6 * half],
-            [length, 0],
-            [neck, 2.6 * half],
-        ]
-    )
+    shaft = [[0, -half], [neck, -half], [neck, half], [0, half]]
+    points = np.array([*shaft, [neck, -2.6 * half], [length, 0], [neck, 2.6 * half]])
     triangles = np.array([[0, 1, 2], [0, 2, 3], [4, 5, 6]], dtype=np.uint32)
     return np.column_stack([points, np.zeros(len(points))]), triangles
 

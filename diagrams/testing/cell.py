@@ -14,7 +14,7 @@ from slipmap.diagrams.hardware.network import open_lcm
 from slipmap.diagrams.loops.exploration_loop import LoopOptions
 from slipmap.diagrams.loops.exploration_run import DOING, ExplorationRun, explore
 from slipmap.diagrams.loops.pregrasp_loop import BRINGS, PregraspOptions, PregraspRun, run_pregrasp
-from slipmap.diagrams.loops.run_folder import ExplorationRecord, PushRecord, resumed
+from slipmap.diagrams.loops.run_folder import ExplorationFolder, RunFolder, resumed
 from slipmap.diagrams.station.scenario import Scenario
 from slipmap.diagrams.testing.command_log import CommandLog, CommandRecorder
 from slipmap.diagrams.testing.faults import Fault, RelayProcess
@@ -141,7 +141,7 @@ class Cell:
             pushes += len(before.trials)
         asked = LoopOptions(pushes=pushes, checks=checks, **options)
         self._explored = folder = self._next_folder("exploration")
-        record = ExplorationRecord(folder, self.scenario, asked)
+        record = ExplorationFolder(folder, self.scenario, asked)
         if before is not None:
             record.keep(before)
         with self._driven() as where:
@@ -165,7 +165,7 @@ class Cell:
             ExplorationFailed, HardwareError: see `slipmap.diagrams.loops.pregrasp_loop.run_pregrasp`.
         """
         asked = PregraspOptions(LoopOptions(pushes=pushes, **options), method, most)
-        record = PushRecord(self._next_folder("pregrasp"), self.scenario)
+        record = RunFolder(self._next_folder("pregrasp"), self.scenario)
         with self._driven() as where:
             return run_pregrasp(self.scenario, asked, hardware=where, progress=self._watch, record=record)
 

@@ -19,6 +19,7 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 import shapely
+from numpy.typing import ArrayLike
 from scipy.ndimage import gaussian_filter1d, median_filter
 from scipy.spatial import cKDTree
 from shapely.geometry import LinearRing, Polygon
@@ -57,6 +58,18 @@ class ObservedPose:
     valid: bool
     reason: Reason = ""
     time: float = 0.0
+
+    @staticmethod
+    def of(pose: ArrayLike, time: float = 0.0, covariance: FloatArray | None = None) -> ObservedPose:
+        """A pose from anywhere, such as a tracker of your own.
+
+        Args:
+            pose: (3,) x, y (m) and theta (rad) of O in W. Let theta go on beyond ±pi instead of jumping.
+            time: at which the object was there, s.
+            covariance: (3, 3), m², m rad, rad²; zero if None.
+        """
+        spread = np.zeros((3, 3)) if covariance is None else covariance
+        return ObservedPose(np.asarray(pose, dtype=float), spread, True, "", time)
 
     @staticmethod
     def unseen(reason: Reason, time: float = 0.0) -> ObservedPose:

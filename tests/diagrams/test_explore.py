@@ -21,7 +21,7 @@ from schemas import assert_as_described
 from slipmap.diagrams.application.command_line import run
 from slipmap.diagrams.loops.exploration_loop import LoopOptions, exploration_loop, hypothesis_step
 from slipmap.diagrams.loops.exploration_run import explore
-from slipmap.diagrams.loops.run_folder import ExplorationRecord, resumed
+from slipmap.diagrams.loops.run_folder import ExplorationFolder, resumed
 from slipmap.diagrams.station.scenario import Scenario
 from slipmap.diagrams.testing.cell import small_scenario
 from slipmap.models.inference.belief import Belief
@@ -224,7 +224,7 @@ def test_a_run_that_was_cut_off_goes_on_from_its_pushes(explored, tmp_path):
         shutil.copy(out / name, tmp_path / name)
     write_dataset(replace(explored.dataset, trials=explored.dataset.trials[:2]), tmp_path / "pushes")
     scenario, options, before = resumed(tmp_path)
-    record = ExplorationRecord(tmp_path, scenario, options, before)
+    record = ExplorationFolder(tmp_path, scenario, options, before)
     run = explore(scenario, options, record=record, before=before)
     recorded = read_dataset(tmp_path / "pushes")
     assert [trial.role for trial in recorded.trials] == ["fit", "fit", "heldout"]

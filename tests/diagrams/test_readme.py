@@ -63,9 +63,9 @@ def test_an_example_runs(example, beside_the_demo, capsys):
         found = re.match(r"it came to x = (-?\d+) mm, y = -?\d+ mm, turned by (-?\d+)°", said)
         # Pushed at the end of its handle, towards +x below its middle, the hammer turns counter-clockwise.
         assert found is not None and int(found[2]) > 10, said
-    elif "select_poke" in example.code:
+    elif "choose_push" in example.code:
         assert re.match(r"push from \[.*\] to \[.*\] at \d\.\d\d m/s", said)
-        assert given["poke"].push.end[0] < 0.4
+        assert given["choice"].push.end[0] < 0.4
     elif "(Effect)" in example.code:
         (effect,) = [kind for kind in given.values() if inspect.isclass(kind) and kind.__base__ is Effect]
         check_effect(effect(), str(example))

@@ -88,13 +88,13 @@ def measured(seconds: float, inside: bool) -> tuple[np.ndarray, float, int]:
             builder.Connect(source.get_output_port(), cell.GetInputPort(port))
         grid = builder.AddSystem(ConstantValueSource(Value[object](dataset.grid)))
         builder.Connect(grid.get_output_port(), learning.GetInputPort("cell_grid"))
-        builder.ExportInput(learning.GetInputPort("records"), "records")
+        builder.ExportInput(learning.GetInputPort("trials"), "trials")
         diagram = builder.Build()
         simulator = Simulator(diagram)
         simulator.set_target_realtime_rate(1.0)
         context = simulator.get_mutable_context()
-        records = diagram.GetInputPort("records")
-        records.FixValue(context, Value[object](()))
+        port = diagram.GetInputPort("trials")
+        port.FixValue(context, Value[object](()))
         cell.connect(context)
         ear.stamps.clear()
         standstill, last = 0.0, time.monotonic()
@@ -110,7 +110,7 @@ def measured(seconds: float, inside: bool) -> tuple[np.ndarray, float, int]:
         for count in range(1, len(trials) + 1):
             if time.monotonic() - begin > seconds:
                 break
-            records.FixValue(context, Value[object](trials[:count]))
+            port.FixValue(context, Value[object](trials[:count]))
             while len(learned) < count:
                 simulator.AdvanceTo(context.get_time() + 0.1)
         cell.close()

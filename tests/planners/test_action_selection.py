@@ -9,7 +9,7 @@ import shapely
 from slipmap.models.inference.belief import Belief
 from slipmap.models.objects.benchmark_objects import hammer
 from slipmap.models.physics.rollout import Maps, Smoothing
-from slipmap.planners.action_selection import select_poke
+from slipmap.planners.action_selection import choose_push
 from slipmap.planners.exploration import NoReachablePush
 from slipmap.planners.settings import STRATEGIES, PokeSettings
 
@@ -28,7 +28,7 @@ def a_belief(masses) -> Belief:
 
 
 def choose(seed=0, **options):
-    return select_poke(hammer()[0], POSE, RADIUS, rng=np.random.default_rng(seed), **options)
+    return choose_push(hammer()[0], POSE, RADIUS, rng=np.random.default_rng(seed), **options)
 
 
 def outline_on_table(grid, pose):
@@ -41,13 +41,13 @@ def test_a_push_begins_beside_the_object_and_runs_into_it(strategy):
     grid, truth = hammer()
     past = [choose(seed) for seed in (5, 6)]
     belief = a_belief([truth.mass[0], truth.mass[0] * 2])
-    poke = choose(strategy=strategy, past=past, belief=belief, tap=False)
+    choice = choose(strategy=strategy, past=past, belief=belief, tap=False)
     outline = outline_on_table(grid, POSE)
-    assert outline.distance(shapely.Point(poke.push.begin)) > RADIUS
-    assert outline.distance(shapely.LineString([poke.push.begin, poke.push.end])) == 0
+    assert outline.distance(shapely.Point(choice.push.begin)) > RADIUS
+    assert outline.distance(shapely.LineString([choice.push.begin, choice.push.end])) == 0
     habits = PokeSettings()
-    assert habits.shortest <= poke.push.length - habits.approach <= habits.longest
-    assert habits.slowest <= poke.push.speed <= habits.fastest
+    assert habits.shortest <= choice.push.length - habits.approach <= habits.longest
+    assert habits.slowest <= choice.push.speed <= habits.fastest
 
 
 def test_the_first_poke_is_slow_and_most_others_are_taps():
@@ -62,9 +62,9 @@ def test_the_first_poke_is_slow_and_most_others_are_taps():
 def test_the_most_different_push_is_farther_from_the_past_than_random_ones():
     past = [choose(seed) for seed in range(4)]
 
-    def nearest(poke):
+    def nearest(choice):
         return min(
-            np.hypot(*(poke.contact - p.contact)) / 0.07 + np.hypot(*(poke.direction - p.direction))
+            np.hypot(*(choice.contact - p.contact)) / 0.07 + np.hypot(*(choice.direction - p.direction))
             for p in past
         )
 
@@ -79,11 +79,11 @@ def test_the_most_distinctive_push_is_where_hypotheses_disagree():
     uniform = np.full(len(grid), truth.mass.sum() / len(grid))
     belief = a_belief([truth.mass[0], uniform])
 
-    def gap(poke):
+    def gap(choice):
         from slipmap.planners.rehearsal import straight_push
 
         out = belief.slider.rollout(
-            belief.maps, [straight_push(POSE, poke.push.begin, poke.push.end, poke.push.speed)]
+            belief.maps, [straight_push(POSE, choice.push.begin, choice.push.end, choice.push.speed)]
         )
         return np.hypot(*(out.end[0, 0, :2] - out.end[1, 0, :2])) + 0.05 * abs(
             out.end[0, 0, 2] - out.end[1, 0, 2]
@@ -112,16 +112,16 @@ def test_the_object_stays_in_its_region():
     far = np.array([0.3, 0.0, 0.2])
     grid = hammer()[0]
     for seed in range(10):
-        poke = select_poke(grid, far, RADIUS, strategy="random", rng=np.random.default_rng(seed))
+        choice = choose_push(grid, far, RADIUS, strategy="random", rng=np.random.default_rng(seed))
         c, s = np.cos(far[2]), np.sin(far[2])
         middle = far[:2] + np.array([[c, -s], [s, c]]) @ grid.centers.mean(axis=0)
-        way = poke.push.direction * (poke.push.length - PokeSettings().approach)
+        way = choice.push.direction * (choice.push.length - PokeSettings().approach)
         assert np.hypot(*(middle + way)) < np.hypot(*middle)
 
 
 def test_what_the_robot_cannot_do_is_passed_over():
-    poke = choose(allowed=lambda push: push.begin[0] > POSE[0])
-    assert poke.push.begin[0] > POSE[0]
+    choice = choose(allowed=lambda push: push.begin[0] > POSE[0])
+    assert choice.push.begin[0] > POSE[0]
     with pytest.raises(NoReachablePush, match="the robot can make none"):
         choose(allowed=lambda push: False)
 

@@ -8,7 +8,7 @@ from slipmap.models.objects import contour_cells
 from slipmap.models.objects.benchmark_objects import benchmark_object
 from slipmap.models.physics.cell_grid import CellGrid
 from slipmap.models.physics.contact import gap
-from slipmap.planners.contact_lines import ContactContour, joined, ways_of_center
+from slipmap.planners.contact_lines import ContactContour, ways_of_center
 from slipmap.planners.exploration import DESCENT, NoReachablePush
 from tests.planners.cell_world import RADIUS
 
@@ -66,7 +66,7 @@ def test_perturbed_lines_stay_near_those_that_were_chosen():
     assert len(near) > 10
     assert np.hypot(*(near.touches - lines.touches[3]).T).max() < 0.02
     assert np.abs(near.angles - lines.angles[3]).max() < 0.1
-    both = joined(lines, near)
+    both = lines.joined(near)
     assert both.places.tolist() == [*lines.places, *near.places]
 
 

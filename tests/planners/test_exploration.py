@@ -9,7 +9,7 @@ from slipmap.models.objects import cells_from_polygon, contour_cells
 from slipmap.models.physics.cell_grid import CellGrid
 from slipmap.models.physics.contact import gap
 from slipmap.models.physics.rollout import Maps, Slider
-from slipmap.planners.exploration import DESCENT, CandidatePush, NoReachablePush, candidate_pushes
+from slipmap.planners.exploration import DESCENT, Candidate, NoReachablePush, candidate_pushes
 
 RADIUS = 0.006
 
@@ -25,7 +25,7 @@ def fork(slot: float = 0.01) -> CellGrid:
     return cells_from_polygon(np.array(corners) * 0.01, width=0.01)
 
 
-def finger_places(candidate: CandidatePush, count: int = 200) -> np.ndarray:
+def finger_places(candidate: Candidate, count: int = 200) -> np.ndarray:
     """Centres of the finger on its way to first touch, the last one there."""
     back = np.linspace(candidate.approach, 0.0, count)
     return candidate.touch - back[:, None] * candidate.direction

@@ -14,7 +14,7 @@ from slipmap.models.measurements.push_dataset import Table
 from slipmap.models.objects.benchmark_objects import BENCHMARK_OBJECTS, benchmark_object
 from slipmap.models.objects.footprints import cells_from_polygon
 from slipmap.models.objects.true_object import TrueObject
-from slipmap.planners.goals import Goal, Graspable, sample_goals
+from slipmap.planners.goals import Goal, Graspable
 from slipmap.planners.grasps import Gripper
 from slipmap.planners.settings import GoalSettings
 
@@ -47,10 +47,10 @@ def case(request: pytest.FixtureRequest) -> Case:
     rng = np.random.default_rng(0)
     centers = thing.center_of_mass[:2] + rng.normal(0.0, 6e-3, (20, 2))
     probability = rng.dirichlet(np.ones(20))
-    goals = sample_goals(
-        thing.grid, thing.height, centers, probability, table, GoalSettings(samples=1000, count=1000), rng,
-        masses=np.full(20, thing.total_mass),
-    )  # fmt: skip
+    settings, masses = GoalSettings(samples=1000, count=1000), np.full(20, thing.total_mass)
+    goals = Graspable.of(
+        thing.grid, thing.height, centers, probability, settings, masses
+    ).sample_goals(table, rng)  # fmt: skip
     return Case(thing, centers, probability, table, goals)
 
 

@@ -8,7 +8,7 @@ import pytest
 
 from slipmap.models.measurements.push_dataset import Noise, PushDataset, Table
 from slipmap.planners import push_decisions
-from slipmap.planners.goals import sample_goals
+from slipmap.planners.goals import Graspable
 from slipmap.planners.pregrasp import bring_to_edge, pregrasp
 from slipmap.planners.push_decisions import NoPushLeft, PushNotMade, Way, near_enough, next_push, push_to_goal
 from slipmap.planners.robust_push import plan_push
@@ -29,9 +29,10 @@ def rng(seed=0):
 
 def some_goals(world, belief):
     settings = replace(SETTINGS.goals, count=20)
-    return sample_goals(
-        belief.grid, world.thing.height, belief.centers_of_mass, belief.probability, TABLE, settings, rng()
+    thing = Graspable.of(
+        belief.grid, world.thing.height, belief.centers_of_mass, belief.probability, settings
     )
+    return thing.sample_goals(TABLE, rng())
 
 
 @pytest.mark.parametrize(("name", "yaw"), [("hammer", 1.0), ("wrench", -2.0)])

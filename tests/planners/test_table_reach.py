@@ -9,7 +9,7 @@ from shapely import affinity
 from shapely.ops import nearest_points
 
 from slipmap.models.measurements.push_dataset import Table
-from slipmap.planners.table_push import first_on_table, towards_table
+from slipmap.planners.grasps import first_on_table, towards_table
 
 ROUND = Table("round", (0.1, -0.05), radius=0.5)
 RECTANGLE = Table("rectangle", (0.1, 0.05), size=(0.8, 0.6))

@@ -2,19 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import click
 
 from slipmap.diagrams.application.commands import options
 from slipmap.diagrams.application.terminal import Progress, note, prepare_kernels
 from slipmap.models.files import write_json, write_text
-
-if TYPE_CHECKING:
-    from slipmap.models.inference.diagnosis import Diagnosis
-    from slipmap.models.measurements import PushDataset
 
 
 @click.command()
@@ -53,10 +47,9 @@ def diagnose(
     with Progress() as progress:
         measured = options.load_dataset(dataset, object_name, progress)
         prepare_kernels()
-        from slipmap.models.inference.diagnosis import diagnose as inquire
+        from slipmap.planners.telling_push import diagnosed
 
-        result = inquire(measured, effects=effects, draws=draws, quick=quick, seed=seed, progress=progress)
-        result = _with_next_push(result, measured, progress)
+        result = diagnosed(measured, effects=effects, draws=draws, quick=quick, seed=seed, progress=progress)
         wanted = not quick or options.asked_for("output")
         if wanted:
             from slipmap.diagrams.application.reports.diagnosis_sections import diagnosis_report
@@ -68,13 +61,3 @@ def diagnose(
 
     show_diagnosis(result, measured, effects)
     note(f"report: {output}" if wanted else "no report of a quick look; -o FILE asks for one")
-
-
-def _with_next_push(result: Diagnosis, dataset: PushDataset, progress: Progress) -> Diagnosis:
-    """The diagnosis with the push that would tell most; it says None where there is nothing to find out."""
-    from slipmap.planners.telling_push import next_push
-
-    progress("planning the next push", 0, 1)
-    push = next_push(result, dataset, result.seed)
-    progress("planning the next push", 1, 1)
-    return replace(result, next_push=push)

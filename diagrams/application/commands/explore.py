@@ -27,9 +27,9 @@ from slipmap.models.files import BadInput, write_json, write_text
 from slipmap.planners.settings import STRATEGIES
 
 if TYPE_CHECKING:
-    from slipmap.diagrams.loops.exploration_loop import LoopOptions, Recorded
+    from slipmap.diagrams.loops.exploration_loop import LoopOptions, RecordedRun
     from slipmap.diagrams.loops.exploration_run import ExplorationRun
-    from slipmap.diagrams.loops.run_folder import PushRecord
+    from slipmap.diagrams.loops.run_folder import RunFolder
     from slipmap.diagrams.station.scenario import Scenario
     from slipmap.diagrams.systems.model_monitor import Watch
     from slipmap.models.inference.results import Identification
@@ -104,7 +104,7 @@ def explore(
     The robot is simulated, unless --hardware is given.
     """
     from slipmap.diagrams.loops.exploration_loop import LoopOptions
-    from slipmap.diagrams.loops.run_folder import PUSHES, ExplorationRecord, resumed
+    from slipmap.diagrams.loops.run_folder import PUSHES, ExplorationFolder, resumed
 
     before = None
     if resume is not None:
@@ -135,7 +135,7 @@ def explore(
         was = "in simulation; leave out" if hardware else "in a real cell; add"
         raise BadInput(f"{resume or after}: that run was made {was} --hardware to go on with it")
     make_folder(folder)
-    record = ExplorationRecord(folder, scenario, options, before if resume is not None else None)
+    record = ExplorationFolder(folder, scenario, options, before if resume is not None else None)
     if recording is not None:
         check_output(recording, ("html", "htm"))
     if json_file is not None:
@@ -204,8 +204,8 @@ def run_loop(
     open_meshcat: bool,
     recording: Path | None,
     *,
-    record: PushRecord | None = None,
-    before: Recorded | None = None,
+    record: RunFolder | None = None,
+    before: RecordedRun | None = None,
 ) -> tuple[ExplorationRun, str, bool]:
     """Run the loop; returns what it brought, why it ended early, if it did, and whether Ctrl-C ended it.
 

@@ -30,7 +30,7 @@ from slipmap.planners.settings import METHODS
 
 if TYPE_CHECKING:
     from slipmap.diagrams.loops.pregrasp_loop import PregraspOptions, PregraspRun
-    from slipmap.diagrams.loops.run_folder import PushRecord
+    from slipmap.diagrams.loops.run_folder import RunFolder
     from slipmap.diagrams.station.scenario import Scenario
 
 
@@ -74,7 +74,7 @@ def pregrasp(
     """
     from slipmap.diagrams.loops.exploration_loop import LoopOptions
     from slipmap.diagrams.loops.pregrasp_loop import PregraspOptions
-    from slipmap.diagrams.loops.run_folder import PregraspRecord
+    from slipmap.diagrams.loops.run_folder import PregraspFolder
 
     scenario = scenario_of(scenario_file, object_name)
     exploration = LoopOptions(pushes=pushes, seed=seed, effects=effects_of_library(effect_names))
@@ -82,7 +82,7 @@ def pregrasp(
     if hardware and method == "true":
         raise BadInput("--method true: the truth is known of a simulated object alone; choose another method")
     make_folder(folder)
-    record = PregraspRecord(folder, scenario)
+    record = PregraspFolder(folder, scenario)
     if recording is not None:
         check_output(recording, ("html", "htm"))
     if json_file is not None:
@@ -112,7 +112,7 @@ def _run(
     hardware: str | None,
     open_meshcat: bool,
     recording: Path | None,
-    record: PushRecord,
+    record: RunFolder,
 ) -> PregraspRun:
     """Run the loop to its end.
 

@@ -66,7 +66,7 @@ def main(folder: Path, task: Task) -> None:
     """Explore, or go on exploring, in a folder."""
     from slipmap.diagrams.loops.exploration_loop import LoopOptions
     from slipmap.diagrams.loops.exploration_run import DOING, ExplorationFailed, explore
-    from slipmap.diagrams.loops.run_folder import RUN, ExplorationRecord, resumed
+    from slipmap.diagrams.loops.run_folder import RUN, ExplorationFolder, resumed
     from slipmap.diagrams.testing.cell import LOCKSTEP, Faults, small_scenario
     from slipmap.diagrams.testing.lockstep import LockstepCell
 
@@ -105,7 +105,7 @@ def main(folder: Path, task: Task) -> None:
             tell(end=_KILLED, faults=[str(fault) for fault in faults.happened], time=cell.now)
             os.kill(os.getpid(), signal.SIGKILL)
 
-    record = ExplorationRecord(folder, scenario, options, before)
+    record = ExplorationFolder(folder, scenario, options, before)
     try:
         run = explore(scenario, options, hardware=cell, progress=watch, record=record, before=before)
         record.end()

@@ -15,7 +15,7 @@ from slipmap.diagrams.station.sliding_object import BODY, add_sliding_object, pl
 from slipmap.diagrams.station.table import ROUND_TABLE, TABLE_FRICTION, add_table
 from slipmap.models.objects.benchmark_objects import benchmark_object
 from slipmap.models.robots import FINGER_RADIUS, GRIPPER_OPENING
-from slipmap.planners.goals import sample_goals
+from slipmap.planners.goals import Graspable
 from slipmap.planners.settings import GoalSettings
 from slipmap.planners.table_push import TablePush
 
@@ -79,10 +79,10 @@ def cell():
 def goals(cell):
     """Where the arm can grasp, and where it cannot."""
     hammer = cell.hammer
-    found = sample_goals(
-        hammer.grid, hammer.height, hammer.center_of_mass[None, :2], [1.0], ROUND_TABLE,
-        GoalSettings(samples=300), np.random.default_rng(0), masses=[hammer.total_mass],
-    )  # fmt: skip
+    found = Graspable.of(
+        hammer.grid, hammer.height, hammer.center_of_mass[None, :2], [1.0],
+        GoalSettings(samples=300), [hammer.total_mass],
+    ).sample_goals(ROUND_TABLE, np.random.default_rng(0))  # fmt: skip
     side = [np.degrees(np.arctan2(*goal.grasp.at(goal.pose)[[1, 0]])) for goal in found]
     near = next(goal for goal, angle in zip(found, side, strict=True) if 110 < abs(angle) < 160)
     far = next(goal for goal, angle in zip(found, side, strict=True) if abs(angle) < 60)

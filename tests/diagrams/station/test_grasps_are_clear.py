@@ -13,7 +13,7 @@ from slipmap.diagrams.station.sliding_object import BODY, add_sliding_object, pl
 from slipmap.diagrams.station.table import ROUND_TABLE, TABLE_FRICTION, add_table
 from slipmap.models.objects.benchmark_objects import benchmark_object
 from slipmap.models.robots import GRIPPER_MODEL
-from slipmap.planners.goals import sample_goals
+from slipmap.planners.goals import Graspable
 from slipmap.planners.settings import GoalSettings
 
 NEAR = 0.05  # m, beyond which distances do not matter
@@ -22,10 +22,10 @@ NEAR = 0.05  # m, beyond which distances do not matter
 @pytest.mark.parametrize("name", ["box", "wrench", "snack"])
 def test_open_gripper_touches_nothing_and_the_closed_one_the_object(name: str) -> None:
     thing = benchmark_object(name)
-    goals = sample_goals(
-        thing.grid, thing.height, thing.center_of_mass[None, :2], [1.0], ROUND_TABLE,
-        GoalSettings(samples=400), np.random.default_rng(0), masses=[thing.total_mass],
-    )  # fmt: skip
+    goals = Graspable.of(
+        thing.grid, thing.height, thing.center_of_mass[None, :2], [1.0],
+        GoalSettings(samples=400), [thing.total_mass],
+    ).sample_goals(ROUND_TABLE, np.random.default_rng(0))  # fmt: skip
     builder = DiagramBuilder()
     plant, scene_graph = AddMultibodyPlant(plant_config(2e-3), builder)
     add_table(plant, ROUND_TABLE)

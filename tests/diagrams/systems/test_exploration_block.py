@@ -11,10 +11,10 @@ from driven_block import DrivenBlock, seen_at
 
 from slipmap.diagrams.systems import exploration
 from slipmap.diagrams.systems.exploration import PERIOD, Exploration
-from slipmap.diagrams.systems.loop_messages import LoopStatus, PokeRequest
+from slipmap.diagrams.systems.loop_messages import ExplorationPlan, LoopStatus
 from slipmap.models.objects import cells_from_polygon
 from slipmap.models.perception.seen_object import ObservedPose
-from slipmap.planners.action_selection import Poke
+from slipmap.planners.action_selection import Choice
 from slipmap.planners.settings import PokeSettings
 
 GRID = cells_from_polygon(np.array([[-6, -2], [6, -2], [6, 2], [-6, 2]]) * 0.01, width=0.01)
@@ -34,19 +34,19 @@ class Chooser(DrivenBlock):
         super().__init__(block, belief=None, object_pose=seen_at(*POSE), seen_object=SEEN, status=looking)
         self.advance(0.5 * PERIOD)
 
-    def step(self, **inputs) -> PokeRequest | None:
+    def step(self, **inputs) -> ExplorationPlan | None:
         self.set(**inputs)
         self.advance(PERIOD)
-        return self.read("poke")
+        return self.read("plan")
 
-    def choose(self, push: int, attempt: int = 0) -> Poke:
+    def choose(self, push: int, attempt: int = 0) -> Choice:
         request = self.step(status=LoopStatus("choosing", push, attempt))
         assert request is not None and request.number == LoopStatus("choosing", push, attempt).number
-        assert request.poke is not None
-        return request.poke
+        assert request.choice is not None
+        return request.choice
 
 
-def same(a: Poke, b: Poke) -> bool:
+def same(a: Choice, b: Choice) -> bool:
     return all(
         np.array_equal(x, y)
         for x, y in ((a.push.begin, b.push.begin), (a.push.end, b.push.end), (a.contact, b.contact))
@@ -70,7 +70,7 @@ def test_a_request_stands_until_another_is_wanted():
     first = chooser.choose(0)
     for mode in ("choosing", "pushing", "recording", "learning", "looking"):
         for _ in range(2):
-            assert chooser.step(status=LoopStatus(mode, 0), object_pose=seen_at(0.1, 0, 0)).poke is first
+            assert chooser.step(status=LoopStatus(mode, 0), object_pose=seen_at(0.1, 0, 0)).choice is first
     assert chooser.choose(1) is not first
 
 
@@ -101,16 +101,16 @@ def test_only_pushes_that_the_arm_can_make_are_asked_for():
         asked.append((obstacle, push))
         return len(asked) == 3
 
-    poke = Chooser(allowed=allowed).choose(0)
+    choice = Chooser(allowed=allowed).choose(0)
     obstacle, push = asked[-1]
-    assert len(asked) == 3 and poke.push is push
+    assert len(asked) == 3 and choice.push is push
     assert np.array_equal(obstacle.grid.centers, GRID.centers) and obstacle.pose == pytest.approx(POSE)
     assert obstacle.heights == pytest.approx(SEEN.cell_heights)
 
 
 def test_it_says_why_there_is_no_push():
     request = Chooser(allowed=lambda obstacle, push: False).step(status=LoopStatus("choosing", 2, 1))
-    assert request.poke is None and request.number == LoopStatus("choosing", 2, 1).number
+    assert request.choice is None and request.number == LoopStatus("choosing", 2, 1).number
     assert "the robot can make none" in request.reason
 
 
@@ -133,13 +133,13 @@ class Spied:
 
 @pytest.fixture
 def spied(monkeypatch):
-    spy, real = Spied(), exploration.select_poke
+    spy, real = Spied(), exploration.choose_push
 
     def select(grid, pose, finger_radius, **rest):
         spy.calls.append({"grid": grid, "pose": pose, "finger_radius": finger_radius, **rest})
         return real(grid, pose, finger_radius, **rest)
 
-    monkeypatch.setattr(exploration, "select_poke", select)
+    monkeypatch.setattr(exploration, "choose_push", select)
     return spy
 
 

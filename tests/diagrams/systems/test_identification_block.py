@@ -28,7 +28,7 @@ class Learner(DrivenBlock):
             seed=SEED,
             learned=lambda belief, count: self.told.append((belief, count)),
         )
-        super().__init__(block, records=(), cell_grid=None)
+        super().__init__(block, trials=(), cell_grid=None)
         self.advance(0.5 * PERIOD)
 
     def _dataset(self, trials, grid):
@@ -50,8 +50,8 @@ def history():
     """The block's outputs as trials come in, and the block."""
     learner = Learner()
     outputs = [learner.step(cell_grid=DATASET.grid)]
-    for records in (FIT[:1], FIT[:1], FIT, FIT + HELDOUT):
-        outputs.append(learner.step(records=records))
+    for trials in (FIT[:1], FIT[:1], FIT, FIT + HELDOUT):
+        outputs.append(learner.step(trials=trials))
     return outputs, learner
 
 
@@ -69,7 +69,7 @@ def test_it_learns_when_a_push_to_learn_from_is_recorded(history):
 
 def test_pushes_that_judge_do_not_teach():
     learner = Learner()
-    assert learner.step(cell_grid=DATASET.grid, records=HELDOUT) == (None, 0)
+    assert learner.step(cell_grid=DATASET.grid, trials=HELDOUT) == (None, 0)
     assert learner.asked == []
 
 
@@ -88,7 +88,7 @@ def test_a_model_that_is_given_an_effect_learns_it_with_the_maps():
     block = Identification(
         lambda trials, grid: replace(DATASET, trials=tuple(trials)), effects=["table_tilt"], hypotheses=2
     )
-    learner = DrivenBlock(block, records=trials, cell_grid=DATASET.grid)
+    learner = DrivenBlock(block, trials=trials, cell_grid=DATASET.grid)
     learner.advance(0.5 * PERIOD)
     belief = learner.read("belief")
     assert [effect.name for effect in belief.effects] == ["table_tilt"]

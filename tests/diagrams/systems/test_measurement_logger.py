@@ -59,7 +59,7 @@ class Cell(DrivenBlock):
 
     @property
     def trials(self) -> tuple[Trial, ...]:
-        return self.read("records")
+        return self.read("trials")
 
 
 def scattered(center, seed: int, count: int = LOOKS) -> list[tuple[float, float, float]]:

@@ -85,7 +85,7 @@ def diagram() -> Diagram:
     values = {
         "universes": universes_at,
         "object_pose": lambda time: seen(PLAYED[look(time)[0]].end),
-        "records": records_at,
+        "trials": records_at,
     }
     player = builder.AddSystem(Player({}, values))
     monitor = builder.AddSystem(ModelMonitor(SENSORS, PERIOD))

@@ -29,7 +29,7 @@ class Loop(DrivenBlock):
         super().__init__(
             PregraspSupervisor(),
             exploration=exploration, exploring_push=None, object_pose=seen_at(0, 0, 0), plan=None,
-            execution=ExecutionStatus("home", 1), records=(None, None),
+            execution=ExecutionStatus("home", 1), trials=(None, None),
             **{"gripper.state_measured": [0.0, 0.0]},
         )  # fmt: skip
         self.advance(0.5 * PERIOD)
@@ -72,7 +72,7 @@ def test_pushes_follow_until_a_grasp_and_the_object_is_held():
     assert loop.step(execution=ExecutionStatus("home", FIRST)) == "recording"
     assert loop.read("active_push") is None
     assert loop.step() == "recording"
-    assert loop.step(records=(None,) * 3) == "planning"
+    assert loop.step(trials=(None,) * 3) == "planning"
     number = FIRST + MOST_ATTEMPTS
     assert loop.read("status").number == number
     assert loop.step(plan=PregraspPlan(number, grasp=GRASP)) == "grasping"

@@ -31,7 +31,7 @@ class Cell(DrivenBlock):
             PushFinder(RADIUS),
             object_pose=ObservedPose.unseen("no object"), seen_object=BLOCK, aside=True,
             tip_pose=RigidTransform([0.3, 0, HIGH]), tip_age=[0.0],
-            records=(), **{"gripper.state_measured": [0.0, 0.0]},
+            trials=(), **{"gripper.state_measured": [0.0, 0.0]},
         )  # fmt: skip
         self.advance(0.5 * PERIOD)
 
@@ -74,7 +74,7 @@ def test_a_push_is_told_as_executor_and_supervisor_would():
     assert cell.modes[0] == "recording"
     cell.look(0.02)
     assert cell.modes == ("recording", "home")
-    cell.set(records=(object(),))
+    cell.set(trials=(object(),))
     cell.advance(2 * PERIOD)
     assert cell.modes == ("looking", "home")
     (descent,) = cell.read("descents")

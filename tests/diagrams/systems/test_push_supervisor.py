@@ -7,14 +7,14 @@ import pytest
 from driven_block import DrivenBlock, seen_at
 
 from slipmap.diagrams.execution.requests import ExecutionStatus
-from slipmap.diagrams.systems.loop_messages import MOST_ATTEMPTS, LoopStatus, PokeRequest
+from slipmap.diagrams.systems.loop_messages import MOST_ATTEMPTS, ExplorationPlan, LoopStatus
 from slipmap.diagrams.systems.supervisors import PATIENCE, PERIOD, PushSupervisor
 from slipmap.models.perception.seen_object import ObservedPose
-from slipmap.planners.action_selection import Poke
+from slipmap.planners.action_selection import Choice
 from slipmap.planners.table_push import TablePush
 
 GRID = object()  # the supervisor only asks whether there is one
-POKE = Poke(TablePush(np.zeros(2), np.array([0.1, 0.0]), 0.05), np.zeros(2), np.array([1.0, 0.0]))
+CHOICE = Choice(TablePush(np.zeros(2), np.array([0.1, 0.0]), 0.05), np.zeros(2), np.array([1.0, 0.0]))
 AT_HOME = ExecutionStatus("home")
 UNSEEN = ObservedPose.unseen("occluded")
 
@@ -25,7 +25,7 @@ class Loop(DrivenBlock):
     def __init__(self, fit: int = 1, heldout: int = 0, patience: float = PATIENCE) -> None:
         super().__init__(
             PushSupervisor(fit, heldout, patience=patience),
-            object_pose=UNSEEN, cell_grid=None, poke=None, execution=AT_HOME, records=(), learned=0,
+            object_pose=UNSEEN, cell_grid=None, plan=None, execution=AT_HOME, trials=(), learned=0,
         )  # fmt: skip
         self.advance(0.5 * PERIOD)  # decisions fall between the steps of the test
 
@@ -38,7 +38,7 @@ class Loop(DrivenBlock):
     def begin_push(self) -> LoopStatus:
         """From looking to pushing."""
         assert self.step(object_pose=seen_at(0, 0, 0), cell_grid=GRID).mode == "choosing"
-        return self.step(poke=PokeRequest(self.read("status").number, POKE))
+        return self.step(plan=ExplorationPlan(self.read("status").number, CHOICE))
 
 
 def mode(status: LoopStatus) -> tuple[str, int, int]:
@@ -55,14 +55,14 @@ def test_the_modes_follow_in_order():
     assert mode(loop.step(object_pose=seen_at(0, 0, 0))) == ("choosing", 0, 0)
     assert mode(loop.step()) == ("choosing", 0, 0)
     assert loop.read("active_push") is None
-    assert mode(loop.step(poke=PokeRequest(0, POKE))) == ("pushing", 0, 0)
+    assert mode(loop.step(plan=ExplorationPlan(0, CHOICE))) == ("pushing", 0, 0)
     for doing in ("approaching", "lowering", "pushing", "retreating"):
-        assert loop.read("active_push").push is POKE.push
+        assert loop.read("active_push").push is CHOICE.push
         assert mode(loop.step(execution=ExecutionStatus(doing, 0), object_pose=UNSEEN)) == ("pushing", 0, 0)
     assert mode(loop.step(execution=ExecutionStatus("home", 0))) == ("recording", 0, 0)
     assert loop.read("active_push") is None
     assert mode(loop.step()) == ("recording", 0, 0)
-    assert mode(loop.step(records=record)) == ("learning", 0, 0)
+    assert mode(loop.step(trials=record)) == ("learning", 0, 0)
     assert mode(loop.step()) == ("learning", 0, 0)
     assert mode(loop.step(learned=1)) == ("looking", 1, 0)
     assert loop.begin_push().push == 1
@@ -70,7 +70,7 @@ def test_the_modes_follow_in_order():
         mode(loop.step(execution=ExecutionStatus("home", loop.read("active_push").push_id)))[0] == "recording"
     )
     assert mode(loop.step()) == ("recording", 1, 0)  # the first push's record does not count for this one
-    assert mode(loop.step(records=2 * record)) == ("learning", 1, 0)
+    assert mode(loop.step(trials=2 * record)) == ("learning", 1, 0)
     assert mode(loop.step()) == ("finished", 2, 0)  # from a push that only judges, nothing is learned
     assert mode(loop.step(object_pose=seen_at(0, 0, 0))) == ("finished", 2, 0)
 
@@ -88,11 +88,11 @@ def test_only_what_was_asked_for_counts():
         assert loop.step(execution=ExecutionStatus("home", old)).mode == "pushing"
         assert loop.step(execution=ExecutionStatus("refused", old, "too far")).mode == "pushing"
     loop.step(execution=ExecutionStatus("home", 0))
-    loop.step(records=(object(),))
+    loop.step(trials=(object(),))
     assert mode(loop.step(learned=1)) == ("looking", 1, 0)
     assert mode(loop.step()) == ("choosing", 1, 0)
     assert mode(loop.step()) == ("choosing", 1, 0)  # the first push's request still stands
-    assert mode(loop.step(poke=PokeRequest(MOST_ATTEMPTS, POKE))) == ("pushing", 1, 0)
+    assert mode(loop.step(plan=ExplorationPlan(MOST_ATTEMPTS, CHOICE))) == ("pushing", 1, 0)
     assert loop.read("active_push").push_id == MOST_ATTEMPTS
     assert mode(loop.step()) == ("pushing", 1, 0)  # "home" was said of the first push
 
@@ -107,7 +107,7 @@ def test_a_refused_push_is_chosen_anew_until_attempts_run_out():
         if attempt + 1 < MOST_ATTEMPTS:
             assert mode(status) == ("choosing", 0, attempt + 1)
             assert loop.read("active_push") is None
-            assert loop.step(poke=PokeRequest(attempt + 1, POKE)).mode == "pushing"
+            assert loop.step(plan=ExplorationPlan(attempt + 1, CHOICE)).mode == "pushing"
     assert status.mode == "failed"
     assert status.reason == f"joint 4 at its limit, {MOST_ATTEMPTS - 1}"
     assert loop.step(execution=AT_HOME).mode == "failed"
@@ -117,16 +117,16 @@ def test_attempts_are_counted_for_each_push_anew():
     loop = Loop(fit=2)
     loop.begin_push()
     assert mode(loop.step(execution=ExecutionStatus("refused", 0, "too far"))) == ("choosing", 0, 1)
-    loop.step(poke=PokeRequest(1, POKE))
+    loop.step(plan=ExplorationPlan(1, CHOICE))
     assert mode(loop.step(execution=ExecutionStatus("home", 1))) == ("recording", 0, 0)
-    loop.step(records=(object(),))
+    loop.step(trials=(object(),))
     assert mode(loop.step(learned=1)) == ("looking", 1, 0)
 
 
 def test_no_push_that_can_be_made_ends_the_loop_with_its_reason():
     loop = Loop()
     loop.step(object_pose=seen_at(0, 0, 0), cell_grid=GRID)
-    status = loop.step(poke=PokeRequest(0, None, "the robot can make none of these"))
+    status = loop.step(plan=ExplorationPlan(0, None, "the robot can make none of these"))
     assert (status.mode, status.reason) == ("failed", "the robot can make none of these")
 
 
@@ -169,7 +169,7 @@ def test_an_object_that_is_lost_between_pushes_ends_the_loop():
     loop = Loop(fit=2)
     loop.begin_push()
     loop.step(execution=ExecutionStatus("home", 0))
-    loop.step(records=(object(),))
+    loop.step(trials=(object(),))
     assert loop.step(learned=1, object_pose=ObservedPose.unseen("left the table")).mode == "looking"
     status = lost(loop)
     assert status.push == 1 and "left the table" in status.reason
@@ -195,7 +195,7 @@ def test_learning_may_take_its_time():
     loop = Loop()
     loop.begin_push()
     loop.step(execution=ExecutionStatus("home", 0), object_pose=UNSEEN)
-    loop.step(records=(object(),))
+    loop.step(trials=(object(),))
     loop.advance(2 * PATIENCE)
     assert loop.read("status").mode == "learning"
 
@@ -206,11 +206,11 @@ def test_an_arm_that_was_stopped_ends_the_loop_with_its_reason(when):
     if when != "looking":
         loop.step(object_pose=seen_at(0, 0, 0), cell_grid=GRID)
     if when in ("pushing", "recording", "learning"):
-        loop.step(poke=PokeRequest(0, POKE))
+        loop.step(plan=ExplorationPlan(0, CHOICE))
     if when in ("recording", "learning"):
         loop.step(execution=ExecutionStatus("home", 0))
     if when == "learning":
-        loop.step(records=(object(),))
+        loop.step(trials=(object(),))
     assert loop.read("status").mode == when
     status = loop.step(execution=ExecutionStatus("stopped", None, "joint 4 is pushed; look why"))
     assert (status.mode, status.reason) == ("failed", "joint 4 is pushed; look why")

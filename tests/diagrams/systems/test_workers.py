@@ -50,7 +50,7 @@ def learner(worker) -> DrivenBlock:
     block = Identification(
         lambda trials, grid: replace(DATASET, trials=tuple(trials)), hypotheses=4, seed=7, worker=worker
     )
-    return DrivenBlock(block, records=DATASET.fit_trials[:2], cell_grid=DATASET.grid)
+    return DrivenBlock(block, trials=DATASET.fit_trials[:2], cell_grid=DATASET.grid)
 
 
 def chooser(worker) -> DrivenBlock:
@@ -88,10 +88,10 @@ def test_the_belief_is_the_same(pool):
 def test_the_push_is_the_same(pool):
     inside, beside = chooser(None), chooser(pool)
     inside.advance(PERIOD)
-    ours, theirs = inside.read("poke"), awaited(beside, "poke")
+    ours, theirs = inside.read("plan"), awaited(beside, "plan")
     assert ours.number == theirs.number
-    np.testing.assert_array_equal(ours.poke.push.begin, theirs.poke.push.begin)
-    np.testing.assert_array_equal(ours.poke.push.end, theirs.poke.push.end)
+    np.testing.assert_array_equal(ours.choice.push.begin, theirs.choice.push.begin)
+    np.testing.assert_array_equal(ours.choice.push.end, theirs.choice.push.end)
 
 
 def test_a_learner_does_not_begin_twice(monkeypatch):

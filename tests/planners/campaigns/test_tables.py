@@ -17,7 +17,7 @@ def test_wilsons_interval_solves_its_equation() -> None:
             assert abs(successes / count - end) == pytest.approx(z * np.sqrt(end * (1 - end) / count))
     assert share(10, 10).high == pytest.approx(1.0)
     assert share(10, 10).low == pytest.approx(10 / (10 + z**2))
-    assert share(0, 0).told() == "–"
+    assert share(0, 0).text() == "–"
 
 
 def test_interval_of_a_mean_holds_it_as_often_as_stated() -> None:
@@ -26,7 +26,7 @@ def test_interval_of_a_mean_holds_it_as_often_as_stated() -> None:
     inside = np.mean([one.low < 3.0 < one.high for one in found])
     assert inside == pytest.approx(0.95, abs=0.015)
     assert not np.isfinite(mean([1.0]).low)
-    assert mean([1.0]).told(1e3, 0) == "1000"
+    assert mean([1.0]).text(1e3, 0) == "1000"
     assert mean([1.0, 2.0]).to_json()["count"] == 2
 
 

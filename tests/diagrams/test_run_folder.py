@@ -11,15 +11,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from slipmap.diagrams.loops.exploration_loop import LoopOptions, Recorded
+from slipmap.diagrams.loops.exploration_loop import LoopOptions, RecordedRun
 from slipmap.diagrams.loops.run_folder import (
     PICTURE,
     PUSHES,
     RUN,
     SCENARIO,
     UNDER_WAY,
-    ExplorationRecord,
-    PregraspRecord,
+    ExplorationFolder,
+    PregraspFolder,
     resumed,
 )
 from slipmap.diagrams.station.scenario import Scenario
@@ -28,7 +28,7 @@ from slipmap.models.measurements import Channel, Trial, read_dataset, write_data
 from slipmap.models.measurements import writing as recording
 from slipmap.models.perception.first_look import FirstPicture
 from slipmap.models.perception.pinhole_camera import View
-from slipmap.planners.action_selection import Poke
+from slipmap.planners.action_selection import Choice
 from slipmap.planners.table_push import TablePush
 from tests.models.perception.conftest import Scene
 
@@ -44,7 +44,7 @@ def scenario() -> Scenario:
 
 
 @pytest.fixture(scope="module")
-def whole() -> Recorded:
+def whole() -> RecordedRun:
     """Four pushes, made up, of an object that a camera saw."""
     scene, camera = Scene(), scenario().camera
     scene.view = View(camera.intrinsics, camera.X_WC.GetAsMatrix4())
@@ -53,7 +53,7 @@ def whole() -> Recorded:
     first = FirstPicture(depth, scene.view.X_WC, blocked, OPTIONS.cells, noisy=True, missing=0.01)
     time = np.linspace(0.0, 1.0, 11)
     tip = np.column_stack([-0.2 + 0.1 * time, 0 * time])
-    trials, pokes = [], []
+    trials, choices = [], []
     for number in range(4):
         pose = np.column_stack([0.01 * number + 0.01 * time**2, 0 * time, 0.1 * time])
         force = np.column_stack([time, 0 * time, 0 * time])
@@ -61,18 +61,20 @@ def whole() -> Recorded:
         channels = (Channel(time, values) for values in (pose, tip, force))
         trials.append(Trial(f"trials/{number:03d}.json", role, *channels))
         push = TablePush([-0.2, 0.0], [-0.1, 0.001 * number], 0.05, creep=0.01)
-        pokes.append(Poke(push, np.array([-0.1, 0.01 * number]), np.array([1.0, 0.0])))
+        choices.append(Choice(push, np.array([-0.1, 0.01 * number]), np.array([1.0, 0.0])))
     places = tuple([0.01 * number, 0.0, 5.7] for number in range(4))
     grid = first.seen(camera.intrinsics).grid
-    return Recorded(tuple(trials), tuple(pokes), places, grid, first)
+    return RecordedRun(tuple(trials), tuple(choices), places, grid, first)
 
 
-def part(whole: Recorded, count: int) -> Recorded:
-    return replace(whole, trials=whole.trials[:count], pokes=whole.pokes[:count], places=whole.places[:count])
+def part(whole: RecordedRun, count: int) -> RecordedRun:
+    return replace(
+        whole, trials=whole.trials[:count], choices=whole.choices[:count], places=whole.places[:count]
+    )
 
 
 def recorded(folder, whole, count, first=0, before=None):
-    record = ExplorationRecord(folder, scenario(), OPTIONS, before)
+    record = ExplorationFolder(folder, scenario(), OPTIONS, before)
     for number in range(first + 1, count + 1):
         record.keep(part(whole, number))
     return record
@@ -93,7 +95,7 @@ def test_another_process_finds_all_that_it_needs(whole, tmp_path):
     assert np.array_equal(before.grid.centers, whole.grid.centers)
     assert np.array_equal(before.first.depth, whole.first.depth)
     assert (before.first.noisy, before.first.missing) == (True, 0.01)
-    for ours, theirs in zip(before.pokes, whole.pokes, strict=False):
+    for ours, theirs in zip(before.choices, whole.choices, strict=False):
         assert (ours.push.end == theirs.push.end).all() and ours.push.creep == theirs.push.creep
         assert (ours.contact == theirs.contact).all() and (ours.direction == theirs.direction).all()
     assert [trial.role for trial in before.trials] == ["fit", "fit"]
@@ -124,7 +126,7 @@ def test_going_on_ends_in_the_same_files_as_going_through(whole, tmp_path):
 def test_a_run_that_was_cut_off_is_not_overwritten_and_one_that_ended_may_be(whole, tmp_path):
     record = recorded(tmp_path, whole, 2)
     with pytest.raises(BadInput) as told:
-        ExplorationRecord(tmp_path, scenario(), OPTIONS)
+        ExplorationFolder(tmp_path, scenario(), OPTIONS)
     assert "cut off, with pushes recorded: 2" in said(told) and f"--resume {tmp_path}" in said(told)
     record.end()
     recorded(tmp_path, whole, 1)
@@ -147,7 +149,7 @@ def test_cut_off_between_the_run_file_and_the_push_the_push_did_not_happen(whole
         patch.setattr(recording.PushRecorder, "keep", cut)
         record.keep(part(whole, 2))
     before = resumed(tmp_path)[2]
-    assert len(before.trials) == len(before.pokes) == len(before.places) == 1
+    assert len(before.trials) == len(before.choices) == len(before.places) == 1
 
 
 def test_what_was_measured_of_the_push_under_way_stays_until_it_is_recorded(whole, tmp_path):
@@ -208,7 +210,7 @@ def test_files_of_two_runs_are_not_mixed(whole, tmp_path, name):
     other = scenario()
     other.table.friction = 0.9
     later = replace(whole, trials=tuple(replace(trial, ft_wrench=None) for trial in whole.trials))
-    ExplorationRecord(tmp_path / "other", other, OPTIONS).keep(part(later, 1))
+    ExplorationFolder(tmp_path / "other", other, OPTIONS).keep(part(later, 1))
     if name == PUSHES:
         shutil.rmtree(tmp_path / "one" / name)
         shutil.copytree(tmp_path / "other" / name, tmp_path / "one" / name)
@@ -234,7 +236,7 @@ def test_files_that_are_no_part_of_a_run_are_told_before_it_begins(tmp_path):
     (tmp_path / PUSHES).mkdir()
     (tmp_path / PUSHES / "notes.txt").write_text("mine")
     with pytest.raises(BadInput, match="no push dataset"):
-        ExplorationRecord(tmp_path, scenario(), OPTIONS)
+        ExplorationFolder(tmp_path, scenario(), OPTIONS)
 
 
 @pytest.mark.parametrize(
@@ -306,25 +308,25 @@ def test_a_scenario_of_ones_own_is_not_replaced(slipmap, tmp_path):
 def test_a_run_of_one_command_does_not_give_way_to_another(whole, tmp_path):
     (tmp_path / "explored").mkdir(), (tmp_path / "taken").mkdir()
     recorded(tmp_path / "explored", whole, 2).end()
-    record = PregraspRecord(tmp_path / "taken", scenario())
+    record = PregraspFolder(tmp_path / "taken", scenario())
     record.keep(part(whole, 2))
     record.end()
     for kind, folder in (
-        (PregraspRecord, "explored"),
-        (lambda f, s: ExplorationRecord(f, s, OPTIONS), "taken"),
+        (PregraspFolder, "explored"),
+        (lambda f, s: ExplorationFolder(f, s, OPTIONS), "taken"),
     ):
         with pytest.raises(BadInput, match="is not of an earlier run"):
             kind(tmp_path / folder, scenario())
 
 
 def test_a_pregrasp_that_ended_gives_way_to_the_next_and_one_that_was_cut_off_does_not(whole, tmp_path):
-    record = PregraspRecord(tmp_path, scenario())
+    record = PregraspFolder(tmp_path, scenario())
     for number in (1, 2):
         record.keep(part(whole, number))
     with pytest.raises(BadInput, match="pregrasp` that ended"):
-        PregraspRecord(tmp_path, scenario())
+        PregraspFolder(tmp_path, scenario())
     record.end()
-    PregraspRecord(tmp_path, scenario()).keep(part(whole, 1))
+    PregraspFolder(tmp_path, scenario()).keep(part(whole, 1))
     assert len(read_dataset(tmp_path / PUSHES).trials) == 1
 
 

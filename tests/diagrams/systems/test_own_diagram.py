@@ -1,0 +1,112 @@
+"""A user's own diagram: the example on the blocks works, is short, and learns what it pushes."""
+
+from __future__ import annotations
+
+import runpy
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from driven_block import DrivenBlock
+
+from slipmap.diagrams.systems.finger import FingerPath
+from slipmap.diagrams.systems.identification import PERIOD, Identification
+from slipmap.diagrams.systems.measurement_logger import TrialLogger
+from slipmap.models.measurements.push_dataset import Table
+from slipmap.models.perception.seen_object import ObservedPose
+from slipmap.planners.table_push import TablePush
+
+EXAMPLE = Path(__file__).parents[3] / "docs" / "examples" / "own_diagram.py"
+PUSH = TablePush(np.array([-0.1, 0.0]), np.array([-0.05, 0.0]), 0.05)
+H = 0.01
+
+
+@pytest.fixture(scope="module")
+def made() -> dict[str, Any]:
+    """What the example's names stand for after it has run."""
+    return runpy.run_path(str(EXAMPLE))
+
+
+def read(made: dict[str, Any], block: str, port: str) -> Any:
+    system = made[block]
+    return system.GetOutputPort(port).Eval(system.GetMyContextFromRoot(made["simulator"].get_context()))
+
+
+def test_it_has_at_most_thirty_lines_beside_its_imports() -> None:
+    lines = [line for line in EXAMPLE.read_text().splitlines() if line.strip()]
+    assert len([line for line in lines if not line.startswith(("import ", "from "))]) <= 30
+
+
+def test_every_push_is_recorded_from_rest_to_rest_and_learned_from(made: dict[str, Any]) -> None:
+    trials = read(made, "logger", "trials")
+    assert [trial.role for trial in trials] == ["fit", "fit"]
+    for trial, push in zip(trials, made["pushes"], strict=True):
+        tip, poses, forces = trial.tip_pose.values, trial.object_pose.values, trial.ft_wrench.values
+        assert tip[[0, -1]] == pytest.approx(np.array([push.begin, push.end]), abs=1e-9)
+        assert not np.ptp(poses[:20], axis=0).any() and np.ptp(poses[-5:], axis=0).max() < 1e-5
+        assert np.hypot(*(poses[-1] - poses[0])[:2]) > 0.01
+        assert np.abs(forces).max() > 0.1 and not forces[:20].any()
+    assert read(made, "learner", "learned") == 2
+
+
+def test_the_belief_knows_the_load_and_which_half_is_heavier(made: dict[str, Any]) -> None:
+    belief, truth = made["belief"], made["truth"]
+    assert len(belief) == 6 and belief.finger_radius == 0.008
+    load = float((truth.mass * truth.mu).sum() * 9.81)
+    assert belief.probability @ belief.friction_forces == pytest.approx(load, rel=0.1)
+    assert (belief.probability @ belief.centers_of_mass)[0] > 0.004
+
+
+def test_the_finger_is_nowhere_between_pushes_and_moves_as_it_says() -> None:
+    finger = DrivenBlock(FingerPath([PUSH, PUSH], H, pause=0.5))
+    places, pushing = [], []
+    while finger.time < 5.0:
+        places.append(finger.read("finger"))
+        pushing.append(finger.read("push"))
+        finger.advance(H)
+    down = np.isfinite(places).all(axis=1)
+    assert [push is PUSH for push in pushing] == down.tolist()
+    assert np.flatnonzero(np.diff(down.astype(int)) == 1).shape == (2,)
+    assert not down[:49].any()
+    first = np.array(places)[down][: len(PUSH.path(H)) - 1]
+    np.testing.assert_allclose(first[1:, :2], first[:-1, :2] + H * first[:-1, 2:], atol=1e-12)
+    assert np.linalg.norm(first[:, 2:], axis=1).max() == pytest.approx(PUSH.speed)
+
+
+def test_pushes_after_those_to_learn_from_judge_and_force_is_optional() -> None:
+    logger = DrivenBlock(TrialLogger(fit=1, period=H), object_pose=np.zeros(3), finger=np.full(4, np.nan))
+    for x in (0.1, 0.2):
+        logger.set(finger=[x, 0.0, 0.0, 0.0])
+        logger.advance(5 * H)
+        logger.set(finger=np.full(4, np.nan))
+        logger.advance(5 * H)
+    trials = logger.read("trials")
+    assert [(trial.name, trial.role) for trial in trials] == [
+        ("trials/000.json", "fit"), ("trials/001.json", "heldout"),
+    ]  # fmt: skip
+    assert trials[0].ft_wrench is None and trials[0].tip_pose.time[0] == 0.0
+    seen = logger.read("observed_pose")
+    assert seen.valid and seen.time == pytest.approx(20 * H) and not seen.pose.any()
+
+
+def test_a_pose_from_elsewhere_is_a_valid_one() -> None:
+    seen = ObservedPose.of([0.1, 0.2, 4.0], time=2.0)
+    assert seen.valid and seen.reason == "" and seen.time == 2.0
+    assert seen.pose.tolist() == [0.1, 0.2, 4.0] and not seen.covariance.any()
+
+
+def test_without_cells_it_says_what_to_connect(made: dict[str, Any]) -> None:
+    block = DrivenBlock(Identification(), trials=read(made, "logger", "trials"))
+    with pytest.raises(ValueError, match="connect the port cell_grid, or give the argument grid"):
+        block.advance(PERIOD)
+
+
+def test_it_learns_from_what_its_arguments_say(made: dict[str, Any]) -> None:
+    grid, table = made["grid"], Table("round", (0.0, 0.0), radius=0.5)
+    block = Identification(grid=grid, finger_radius=0.007, table=table, gravity=1.62, hypotheses=2)
+    learner = DrivenBlock(block, trials=read(made, "logger", "trials")[:1])
+    learner.advance(PERIOD)
+    belief = learner.read("belief")
+    assert (belief.finger_radius, belief.gravity, len(belief)) == (0.007, 1.62, 2)
+    assert belief.grid is grid
