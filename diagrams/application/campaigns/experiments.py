@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import importlib
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from slipmap.planners.trials import Estimate, TrialOutcome, TrialSpec, mean
-
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
+    from slipmap.planners.trials import TrialOutcome, TrialSpec
 
 
 ABOUT = {
@@ -105,11 +105,6 @@ def names_and_seeds(objects: Sequence[str], trials: int, seed: int) -> Iterator[
     for number in range(seed, seed + trials):
         for name in objects:
             yield name, number
-
-
-def curves_of(values: Mapping[str, Sequence[Sequence[float]]]) -> dict[str, list[Estimate]]:
-    """For each label the means over trials, one for each place along the curve."""
-    return {label: [mean(column) for column in zip(*trials, strict=True)] for label, trials in values.items()}
 
 
 # What Song and Boularias (IROS 2020) report, read off their figures and tables.

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any
@@ -14,7 +14,6 @@ from slipmap.diagrams.application.campaigns.experiments import (
     Experiment,
     Summary,
     TableText,
-    curves_of,
     names_and_seeds,
 )
 from slipmap.diagrams.application.campaigns.worlds import world_of
@@ -23,7 +22,7 @@ from slipmap.models.inference.belief import Belief
 from slipmap.models.measurements import PushDataset, Trial
 from slipmap.planners.pregrasp import learn_by_pushing
 from slipmap.planners.settings import STRATEGIES, PregraspSettings
-from slipmap.planners.trials import TrialOutcome, TrialSpec
+from slipmap.planners.trials import Estimate, TrialOutcome, TrialSpec, mean
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -145,7 +144,7 @@ def _summary(title: str, what: str, curves: dict[str, dict[str, list[list[float]
     tables, document = [], {}
     columns = (what, *map(str, range(1, PUSHES + 1)))
     for name, of_object in curves.items():
-        estimates = curves_of(of_object)
+        estimates = _curves_of(of_object)
         document[name] = {label: [one.to_json() for one in row] for label, row in estimates.items()}
         rows = [[label, *(one.short(1e3) for one in row)] for label, row in estimates.items()]
         count = max(map(len, of_object.values()))
@@ -153,10 +152,15 @@ def _summary(title: str, what: str, curves: dict[str, dict[str, list[list[float]
     return Summary(tables, remark, {"curves": document, "unit": "m"}, lambda: _figure(title, curves))
 
 
+def _curves_of(values: Mapping[str, Sequence[Sequence[float]]]) -> dict[str, list[Estimate]]:
+    """For each label the means over trials, one for each place along the curve."""
+    return {label: [mean(column) for column in zip(*trials, strict=True)] for label, trials in values.items()}
+
+
 def _figure(title: str, curves: dict[str, dict[str, list[list[float]]]]) -> list[Figure]:
     from slipmap.diagrams.application.figures.campaign_figures import curves_figure
 
-    return [curves_figure(title, {name: curves_of(labels) for name, labels in curves.items()})]
+    return [curves_figure(title, {name: _curves_of(labels) for name, labels in curves.items()})]
 
 
 FIGURE_3 = Experiment("fig3", 10, _strategy_specs, _strategy_summary)

@@ -73,9 +73,8 @@ def compare(
             comparison.compare(measured, model, seed=seed, label=label, progress=progress)
             for label, model in models.items()
         ]
-        progress("drawing", 0, 1)
-        write_text(output, report(results, measured))
-        progress("drawing", 1, 1)
+        with progress.step("drawing"):
+            write_text(output, report(results, measured))
     if json_file is not None:
         write_json(json_file, _document(results, effect_names))
     show(results)

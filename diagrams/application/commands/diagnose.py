@@ -4,17 +4,12 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import click
 
 from slipmap.diagrams.application.commands import options
 from slipmap.diagrams.application.terminal import Progress, note, prepare_kernels
 from slipmap.models.files import write_json, write_text
-
-if TYPE_CHECKING:
-    from slipmap.models.inference.diagnosis import Diagnosis
-    from slipmap.models.measurements import PushDataset
 
 
 @click.command()
@@ -24,9 +19,9 @@ if TYPE_CHECKING:
     "--quick", is_flag=True,
     help="A look at ten pushes with larger steps; no p-values, and no report unless -o asks for one.",
 )  # fmt: skip
-@click.option(
-    "--draws", type=click.IntRange(99, 100_000), default=199, show_default=True, metavar="N",
-    help="Datasets to simulate for the p-values; the smallest p is 1 / (N + 1).",
+@options.count_option(
+    "--draws", least=99, most=100_000, default=199,
+    about="Datasets to simulate for the p-values; the smallest p is 1 / (N + 1).",
 )  # fmt: skip
 @options.seed_option
 @options.report_option("diagnosis.html")
@@ -54,9 +49,12 @@ def diagnose(
         measured = options.load_dataset(dataset, object_name, progress)
         prepare_kernels()
         from slipmap.models.inference.diagnosis import diagnose as inquire
+        from slipmap.planners.telling_push import next_push
 
         result = inquire(measured, effects=effects, draws=draws, quick=quick, seed=seed, progress=progress)
-        result = _with_next_push(result, measured, progress)
+        with progress.step("planning the next push"):
+            # None where there is nothing to find out.
+            result = replace(result, next_push=next_push(result, measured, seed))
         wanted = not quick or options.asked_for("output")
         if wanted:
             from slipmap.diagrams.application.reports.diagnosis_sections import diagnosis_report
@@ -68,13 +66,3 @@ def diagnose(
 
     show_diagnosis(result, measured, effects)
     note(f"report: {output}" if wanted else "no report of a quick look; -o FILE asks for one")
-
-
-def _with_next_push(result: Diagnosis, dataset: PushDataset, progress: Progress) -> Diagnosis:
-    """The diagnosis with the push that would tell most; it says None where there is nothing to find out."""
-    from slipmap.planners.telling_push import next_push
-
-    progress("planning the next push", 0, 1)
-    push = next_push(result, dataset, result.seed)
-    progress("planning the next push", 1, 1)
-    return replace(result, next_push=push)

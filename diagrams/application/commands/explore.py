@@ -7,23 +7,21 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from slipmap.diagrams.application.commands.options import (
-    effect_option,
+from slipmap.diagrams.application.commands import options
+from slipmap.diagrams.application.commands.cell_run import (
+    CellRun,
+    Stopped,
+    cell_options,
     effects_of_library,
-    folder_option,
-    hardware_option,
-    json_in_folder_option,
-    lcm_option,
-    meshcat_option,
-    record_option,
+    leave,
+    scenario_of,
     scenario_option,
-    seed_option,
+    show_files,
     station_object_option,
 )
-from slipmap.diagrams.application.commands.view import in_view
-from slipmap.diagrams.application.outputs import check_output, make_folder
-from slipmap.diagrams.application.terminal import Progress, note, paragraph, table
-from slipmap.models.files import BadInput, write_json, write_text
+from slipmap.diagrams.application.outputs import make_folder
+from slipmap.diagrams.application.terminal import paragraph, table
+from slipmap.models.files import BadInput, write_json
 from slipmap.planners.settings import STRATEGIES
 
 if TYPE_CHECKING:
@@ -32,48 +30,36 @@ if TYPE_CHECKING:
     from slipmap.diagrams.loops.run_folder import PushRecord
     from slipmap.diagrams.station.scenario import Scenario
     from slipmap.diagrams.systems.model_monitor import Watch
-    from slipmap.models.inference.results import Identification
-    from slipmap.models.measurements import PushDataset
-
-
-class Stopped(click.ClickException):
-    """Ctrl-C, after something was kept."""
-
-    exit_code = 130
 
 
 @click.command()
 @station_object_option
 @scenario_option
-@click.option(
-    "--pushes", type=click.IntRange(0, 100), default=5, show_default=True, metavar="N",
-    help="Pushes to learn from; with --after besides those that are there.",
+@options.count_option(
+    "--pushes", least=0, most=100, default=5,
+    about="Pushes to learn from; with --after besides those that are there.",
 )  # fmt: skip
-@click.option(
-    "--checks", type=click.IntRange(0, 100), default=3, show_default=True, metavar="N",
-    help="Random pushes after these, which only judge what was learned.",
+@options.count_option(
+    "--checks", least=0, most=100, default=3,
+    about="Random pushes after these, which only judge what was learned.",
 )  # fmt: skip
 @click.option(
     "--strategy", type=click.Choice(STRATEGIES), default="most-distinctive", show_default=True,
     help="How the next push is chosen (Algorithm 2).",
 )  # fmt: skip
-@effect_option(required=False, purpose="Effect of the library to add to the model that learns")
-@hardware_option
-@lcm_option
-@meshcat_option
-@record_option
-@folder_option("exploration")
-@click.option(
-    "--resume", type=click.Path(path_type=Path), metavar="DIR",
-    help="Go on with the run in this folder that was cut off or gave up; what was asked for then holds.",
+@options.effect_option(required=False, purpose="Effect of the library to add to the model that learns")
+@cell_options("exploration")
+@options.path_option(
+    "--resume", metavar="DIR",
+    about="Go on with the run in this folder that was cut off or gave up; what was asked for then holds.",
 )  # fmt: skip
-@click.option(
-    "--after", type=click.Path(path_type=Path), metavar="DIR",
-    help="Begin with what the run in this folder recorded: all its pushes are learned from, --pushes is how"
+@options.path_option(
+    "--after", metavar="DIR",
+    about="Begin with what the run in this folder recorded: all its pushes are learned from, --pushes is how"
     " many more, and the model has the effects that are given now. The object lies where that run left it.",
 )  # fmt: skip
-@seed_option
-@json_in_folder_option
+@options.seed_option
+@options.json_in_folder_option
 @click.pass_context
 def explore(
     context: click.Context,
@@ -83,11 +69,7 @@ def explore(
     checks: int,
     strategy: str,
     effect_names: tuple[str, ...],
-    hardware: bool,
-    url: str,
-    open_meshcat: bool,
-    recording: Path | None,
-    folder: Path,
+    cell: CellRun,
     resume: Path | None,
     after: Path | None,
     seed: int,
@@ -110,14 +92,14 @@ def explore(
     if resume is not None:
         settled = ("object", "scenario", "out", "effect", "after", "pushes", "checks", "strategy", "seed")
         _refuse_beside(context, "--resume goes on as it began", *settled)
-        folder = resume
-        scenario, options, before = resumed(folder)
+        cell = cell._replace(folder=resume)
+        scenario, wanted, before = resumed(resume)
     else:
         if after is None:
             scenario = scenario_of(scenario_file, object_name)
         else:
             _refuse_beside(context, "--after takes the cell of the run before", "object", "scenario")
-            if after.resolve() == folder.resolve():
+            if after.resolve() == cell.folder.resolve():
                 raise BadInput(f"--after {after}: is where this run would go; name another folder with --out")
             scenario, _, recorded = resumed(after)
             if not pushes + checks:
@@ -130,37 +112,31 @@ def explore(
         if not pushes:
             raise BadInput("--pushes 0 leaves nothing to learn from; give 1 or more")
         effects = effects_of_library(effect_names)
-        options = LoopOptions(pushes=pushes, checks=checks, strategy=strategy, seed=seed, effects=effects)
-    if before is not None and hardware is not before.of_a_real_cell:
-        was = "in simulation; leave out" if hardware else "in a real cell; add"
+        wanted = LoopOptions(pushes=pushes, checks=checks, strategy=strategy, seed=seed, effects=effects)
+    if before is not None and cell.hardware is not before.of_a_real_cell:
+        was = "in simulation; leave out" if cell.hardware else "in a real cell; add"
         raise BadInput(f"{resume or after}: that run was made {was} --hardware to go on with it")
-    make_folder(folder)
-    record = ExplorationRecord(folder, scenario, options, before if resume is not None else None)
-    if recording is not None:
-        check_output(recording, ("html", "htm"))
-    if json_file is not None:
-        check_output(json_file)
+    make_folder(cell.folder)
+    record = ExplorationRecord(cell.folder, scenario, wanted, before if resume is not None else None)
+    cell.check_outputs(json_file)
     if before is not None and resume is None:
         record.keep(before)
-    address = url if hardware else None
-    run, failure, stopped = run_loop(
-        scenario, options, address, open_meshcat, recording, record=record, before=before
-    )
-    written = leave(run.identification, run.dataset, folder, recording)
+    run, failure, stopped = _run(scenario, wanted, cell, record, before)
+    written = leave(run.identification, run.dataset, cell.folder, cell.recording)
     record.end()
     if json_file is not None:
         write_json(json_file, {**learned_json(run), "monitor": run.watch.to_json(), "failure": failure})
     show(run)
-    for what, path in written.items():
-        note(f"{what + ':':<19}{path}")
+    show_files(written)
     if failure:
         kept = (
-            f"{failure} What was recorded until then is kept; go on with `slipmap explore --resume {folder}`."
+            f"{failure} What was recorded until then is kept; go on with `slipmap explore --resume"
+            f" {cell.folder}`."
         )
         raise Stopped(kept) if stopped else click.ClickException(kept)
 
 
-def _refuse_beside(context: click.Context, because: str, *options: str) -> None:
+def _refuse_beside(context: click.Context, because: str, *settled: str) -> None:
     """Refuse options, by their names, beside one that settles them.
 
     Raises:
@@ -169,43 +145,12 @@ def _refuse_beside(context: click.Context, because: str, *options: str) -> None:
     for parameter in context.command.params:
         name = parameter.opts[-1].removeprefix("--")
         given = context.get_parameter_source(parameter.name or "") is not click.core.ParameterSource.DEFAULT
-        if name in options and given:
+        if name in settled and given:
             raise BadInput(f"{because}; leave out --{name}")
 
 
-def scenario_of(path: Path | None, object_name: str | None) -> Scenario:
-    """The scenario of a file, if any, with another object, if any.
-
-    Raises:
-        BadInput: the file, the object's name, or an object that does not lie on the table.
-    """
-    from slipmap.diagrams.station.scenario import Scenario, ScenarioError, read_scenario
-
-    try:
-        scenario = Scenario() if path is None else read_scenario(path, object_name)
-        scenario.object.name = object_name or scenario.object.name
-        thing = scenario.object.make()
-    except ScenarioError as error:
-        raise BadInput(str(error)) from error
-    except ValueError as error:
-        where = "" if path is None or object_name is not None else f"{path}: "
-        raise BadInput(f"{where}object: {error}") from error
-    try:
-        scenario.check_placement(thing)
-    except ValueError as error:
-        raise BadInput(str(error) if path is None else f"{path}: {error}") from error
-    return scenario
-
-
-def run_loop(
-    scenario: Scenario,
-    options: LoopOptions,
-    hardware: str | None,
-    open_meshcat: bool,
-    recording: Path | None,
-    *,
-    record: PushRecord | None = None,
-    before: Recorded | None = None,
+def _run(
+    scenario: Scenario, wanted: LoopOptions, cell: CellRun, record: PushRecord, before: Recorded | None
 ) -> tuple[ExplorationRun, str, bool]:
     """Run the loop; returns what it brought, why it ended early, if it did, and whether Ctrl-C ended it.
 
@@ -216,11 +161,11 @@ def run_loop(
     from slipmap.diagrams.loops import exploration_run
 
     failure, stopped = "", False
-    with in_view(open_meshcat, recording) as (meshcat, progress):
+    with cell.in_view() as (meshcat, progress):
         try:
             run = exploration_run.explore(
-                scenario, options,
-                hardware=hardware, meshcat=meshcat, progress=progress, record=record, before=before,
+                scenario, wanted,
+                hardware=cell.address, meshcat=meshcat, progress=progress, record=record, before=before,
             )  # fmt: skip
         except exploration_run.ExplorationFailed as error:
             stopped = isinstance(error, exploration_run.ExplorationStopped)
@@ -228,25 +173,6 @@ def run_loop(
                 raise (click.Abort() if stopped else click.ClickException(str(error))) from error
             run, failure = error.run, f"{error}."
     return run, failure, stopped
-
-
-def leave(
-    identification: Identification, dataset: PushDataset, folder: Path, recording: Path | None = None
-) -> dict[str, Path]:
-    """Write belief, pictures and report beside the pushes; returns what lies where."""
-    from slipmap.diagrams.application.commands.compare import report
-    from slipmap.diagrams.application.commands.identify import keep
-    from slipmap.models.inference.comparison import compare
-
-    belief = folder / "belief.npz"
-    with Progress() as progress:
-        pictures = keep(identification, dataset, belief, None, progress)
-        comparison = compare(dataset, identification.belief, seed=0, label="model", progress=progress)
-        text = report([comparison], dataset)
-    write_text(folder / "report.html", text)
-    written = {"pushes": folder / "pushes", "belief": belief, "report": folder / "report.html"}
-    written |= {f"picture of {path.stem.removeprefix('belief.')}": path for path in pictures}
-    return written if recording is None else {**written, "recording": recording}
 
 
 def learned_json(run: ExplorationRun) -> dict[str, Any]:
@@ -270,7 +196,7 @@ def show(run: ExplorationRun) -> None:
     else:
         _show_truth(truth)
         paragraph(f"{run.simulated:.0f} s of simulated time took {run.seconds:.0f} s.")
-    paragraph(monitor_words(run.watch))
+    paragraph(_monitor_words(run.watch))
 
 
 def _show_truth(truth: dict[str, Any]) -> None:
@@ -287,7 +213,7 @@ def _show_truth(truth: dict[str, Any]) -> None:
     paragraph(f"The belief's centre of mass is {1e3 * truth['center_of_mass_error']:.1f} mm off.")
 
 
-def monitor_words(watch: Watch) -> str:
+def _monitor_words(watch: Watch) -> str:
     """What the monitor says at the end, in a sentence or two."""
     from slipmap.diagrams.systems.model_monitor import LEVEL
 

@@ -36,9 +36,7 @@ if TYPE_CHECKING:
 )
 @options.hypotheses_option
 @options.seed_option
-@click.option(
-    "--fit-pushes", type=click.IntRange(1), metavar="N", help="Learn from the first N fit pushes alone."
-)
+@options.count_option("--fit-pushes", about="Learn from the first N fit pushes alone.")
 @options.object_option
 @options.pictures_option
 @options.json_option

@@ -21,10 +21,9 @@ if TYPE_CHECKING:
 @click.command()
 @options.dataset_argument
 @options.belief_option(required=True)
-@click.option(
-    "-o", "--output", type=options.OutputFile(*options.PICTURES), default="predictions.png",
-    show_default=True, metavar="FILE",
-    help="Picture of the pushes (.png, .pdf or .svg); after each 24 pushes a further page,"
+@options.picture_option(
+    "-o", "--output", default="predictions.png",
+    about="Picture of the pushes (.png, .pdf or .svg); after each 24 pushes a further page,"
     " predictions.2.png and on.",
 )  # fmt: skip
 @options.effect_file_option
@@ -55,9 +54,8 @@ def predict(
         pushes = prediction.predict(belief, measured, progress)
         from slipmap.diagrams.application.figures import push_figures
 
-        progress("drawing", 0, 1)
-        drawn = write_figures(output, push_figures(pushes, measured))
-        progress("drawing", 1, 1)
+        with progress.step("drawing"):
+            drawn = write_figures(output, push_figures(pushes, measured))
     if json_file is not None:
         write_json(json_file, _document(belief, measured.name, pushes))
     from slipmap.diagrams.application.reports.tables import show_errors

@@ -7,24 +7,21 @@ from typing import TYPE_CHECKING
 
 import click
 
-from slipmap.diagrams.application.commands.explore import Stopped, learned_json, leave, scenario_of, show
-from slipmap.diagrams.application.commands.options import (
-    effect_option,
+from slipmap.diagrams.application.commands import options
+from slipmap.diagrams.application.commands.cell_run import (
+    CellRun,
+    Stopped,
+    cell_options,
     effects_of_library,
-    explorations_option,
-    folder_option,
-    hardware_option,
-    json_in_folder_option,
-    lcm_option,
-    meshcat_option,
-    record_option,
+    leave,
+    scenario_of,
     scenario_option,
-    seed_option,
+    show_files,
     station_object_option,
 )
-from slipmap.diagrams.application.commands.view import in_view
-from slipmap.diagrams.application.outputs import check_output, make_folder
-from slipmap.diagrams.application.terminal import note, paragraph, table
+from slipmap.diagrams.application.commands.explore import learned_json, show
+from slipmap.diagrams.application.outputs import make_folder
+from slipmap.diagrams.application.terminal import paragraph, table
 from slipmap.models.files import BadInput, write_json
 from slipmap.planners.settings import METHODS
 
@@ -37,30 +34,24 @@ if TYPE_CHECKING:
 @click.command()
 @station_object_option
 @scenario_option
-@explorations_option
+@options.explorations_option
 @click.option(
     "--method", type=click.Choice(METHODS), default="probabilistic", show_default=True,
     help="What is planned with: all hypotheses, one drawn from them, a uniform object, or the truth.",
 )  # fmt: skip
-@effect_option(required=False, purpose="Effect of the library to add to the model that learns and plans")
-@hardware_option
-@lcm_option
-@meshcat_option
-@record_option
-@folder_option("pregrasp")
-@seed_option
-@json_in_folder_option
+@options.effect_option(
+    required=False, purpose="Effect of the library to add to the model that learns and plans"
+)
+@cell_options("pregrasp")
+@options.seed_option
+@options.json_in_folder_option
 def pregrasp(
     object_name: str | None,
     scenario_file: Path | None,
     pushes: int,
     method: str,
     effect_names: tuple[str, ...],
-    hardware: bool,
-    url: str,
-    open_meshcat: bool,
-    recording: Path | None,
-    folder: Path,
+    cell: CellRun,
     seed: int,
     json_file: Path | None,
 ) -> None:
@@ -78,42 +69,31 @@ def pregrasp(
 
     scenario = scenario_of(scenario_file, object_name)
     exploration = LoopOptions(pushes=pushes, seed=seed, effects=effects_of_library(effect_names))
-    options = PregraspOptions(exploration, method=method)
-    if hardware and method == "true":
+    wanted = PregraspOptions(exploration, method=method)
+    if cell.hardware and method == "true":
         raise BadInput("--method true: the truth is known of a simulated object alone; choose another method")
-    make_folder(folder)
-    record = PregraspRecord(folder, scenario)
-    if recording is not None:
-        check_output(recording, ("html", "htm"))
-    if json_file is not None:
-        check_output(json_file)
+    make_folder(cell.folder)
+    record = PregraspRecord(cell.folder, scenario)
+    cell.check_outputs(json_file)
     try:
-        run = _run(scenario, options, url if hardware else None, open_meshcat, recording, record)
+        run = _run(scenario, wanted, cell, record)
     except BaseException:
-        if not hardware:
+        if not cell.hardware:
             record.end()  # a simulation can be made again: the same command may replace what it left
         raise
-    written = leave(run.exploration.identification, run.exploration.dataset, folder, recording)
+    written = leave(run.exploration.identification, run.exploration.dataset, cell.folder, cell.recording)
     record.end()
     if json_file is not None:
         write_json(json_file, {**learned_json(run.exploration), "pregrasp": run.to_json()})
     show(run.exploration)
     _show(run)
-    for what, path in written.items():
-        note(f"{what + ':':<19}{path}")
+    show_files(written)
     if not run.held:
-        kept = f"the object is not held: {run.reason}. What was recorded is kept in {folder}."
+        kept = f"the object is not held: {run.reason}. What was recorded is kept in {cell.folder}."
         raise Stopped(kept) if run.interrupted else click.ClickException(kept)
 
 
-def _run(
-    scenario: Scenario,
-    options: PregraspOptions,
-    hardware: str | None,
-    open_meshcat: bool,
-    recording: Path | None,
-    record: PushRecord,
-) -> PregraspRun:
+def _run(scenario: Scenario, wanted: PregraspOptions, cell: CellRun, record: PushRecord) -> PregraspRun:
     """Run the loop to its end.
 
     Raises:
@@ -123,10 +103,10 @@ def _run(
     from slipmap.diagrams.loops.exploration_run import ExplorationFailed, ExplorationStopped
     from slipmap.diagrams.loops.pregrasp_loop import run_pregrasp
 
-    with in_view(open_meshcat, recording) as (meshcat, progress):
+    with cell.in_view() as (meshcat, progress):
         try:
             return run_pregrasp(
-                scenario, options, hardware=hardware, meshcat=meshcat, progress=progress, record=record
+                scenario, wanted, hardware=cell.address, meshcat=meshcat, progress=progress, record=record
             )
         except ExplorationStopped as error:
             raise click.Abort() from error

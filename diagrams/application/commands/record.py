@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, BinaryIO
 
 import click
 
-from slipmap.diagrams.application.commands.explore import scenario_of
-from slipmap.diagrams.application.commands.options import json_option, lcm_option, scenario_option
+from slipmap.diagrams.application.commands import options
+from slipmap.diagrams.application.commands.cell_run import lcm_option, scenario_of, scenario_option
 from slipmap.diagrams.application.outputs import check_folder, check_output
 from slipmap.diagrams.application.terminal import Progress, note, paragraph, prepare_kernels, status
 from slipmap.models.files import BadInput, write_json, writing
@@ -24,16 +24,16 @@ if TYPE_CHECKING:
 @click.command()
 @lcm_option
 @scenario_option
-@click.option(
-    "-o", "--output", type=click.Path(path_type=Path), required=True, metavar="DATASET",
-    help="Folder for the dataset; there must be none yet.",
+@options.path_option(
+    "-o", "--output", required=True, metavar="DATASET",
+    about="Folder for the dataset; there must be none yet.",
 )  # fmt: skip
-@click.option(
-    "--log", "log_file", type=click.Path(path_type=Path), metavar="FILE",
-    help="Write all messages as they come to an LCM log, for `slipmap replay`; there must be none yet.",
+@options.path_option(
+    "--log", "log_file",
+    about="Write all messages as they come to an LCM log, for `slipmap replay`; there must be none yet.",
 )  # fmt: skip
-@click.option("--pushes", type=click.IntRange(1), metavar="N", help="End by itself after N pushes.")
-@json_option
+@options.count_option("--pushes", about="End by itself after N pushes.")
+@options.json_option
 def record(
     url: str,
     scenario_file: Path | None,
@@ -82,7 +82,7 @@ def record(
     lag = None
     if listener.pushes:
         dataset = listener.dataset()
-        lag = told_lag(dataset)
+        lag = shown_lag(dataset)
         note(f"pushes: {output}")
     if log_file is not None:
         note(f"messages: {log_file}")
@@ -94,7 +94,7 @@ def record(
         raise click.ClickException(f"no push was recorded: {why_none(listener)}")
 
 
-def told_lag(dataset: PushDataset) -> CameraLag | None:
+def shown_lag(dataset: PushDataset) -> CameraLag | None:
     """How late the camera is, told on stdout; None where the pushes cannot tell, or at Ctrl-C."""
     from slipmap.models.inference.camera_lag import camera_lag
 
@@ -104,11 +104,11 @@ def told_lag(dataset: PushDataset) -> CameraLag | None:
             lag = camera_lag(dataset, progress=progress)
     except KeyboardInterrupt:
         return None
-    paragraph(lag_words(lag))
+    paragraph(_lag_words(lag))
     return lag
 
 
-def lag_words(lag: CameraLag | None) -> str:
+def _lag_words(lag: CameraLag | None) -> str:
     """What is known of the camera's lag, in a sentence or two."""
     if lag is None:
         return "Camera: the pushes cannot tell whether it is late; the object was not seen while it moved."

@@ -7,14 +7,15 @@ from typing import TYPE_CHECKING
 
 import click
 
-from slipmap.diagrams.application.commands.explore import leave, scenario_of
-from slipmap.diagrams.application.commands.options import (
-    hypotheses_option,
-    json_in_folder_option,
+from slipmap.diagrams.application.commands import options
+from slipmap.diagrams.application.commands.cell_run import (
+    folder_option,
+    leave,
+    scenario_of,
     scenario_option,
-    seed_option,
+    show_files,
 )
-from slipmap.diagrams.application.commands.record import told_lag
+from slipmap.diagrams.application.commands.record import shown_lag
 from slipmap.diagrams.application.outputs import check_output, make_folder
 from slipmap.diagrams.application.terminal import Progress, note, prepare_kernels, status
 from slipmap.models.files import BadInput, write_json
@@ -26,13 +27,10 @@ if TYPE_CHECKING:
 @click.command()
 @click.argument("log", type=click.Path(path_type=Path))
 @scenario_option
-@click.option(
-    "-o", "--out", "folder", type=click.Path(path_type=Path), default="replay", show_default=True,
-    metavar="DIR", help="Folder for pushes, belief, pictures and report.",
-)  # fmt: skip
-@hypotheses_option
-@seed_option
-@json_in_folder_option
+@folder_option("replay")
+@options.hypotheses_option
+@options.seed_option
+@options.json_in_folder_option
 def replay(
     log: Path, scenario_file: Path | None, folder: Path, hypotheses: int, seed: int, json_file: Path | None
 ) -> None:
@@ -63,12 +61,11 @@ def replay(
         identification = identify(dataset, hypotheses=hypotheses, seed=seed, progress=progress)
     written = leave(identification, dataset, folder)
     show(identification, dataset)
-    lag = told_lag(dataset)
+    lag = shown_lag(dataset)
     if json_file is not None:
         found = {**listened_json(listener), "camera_lag": None if lag is None else lag.to_json()}
         write_json(json_file, {**identification.to_json(), "heard": found})
-    for what, path in written.items():
-        note(f"{what + ':':<19}{path}")
+    show_files(written)
 
 
 def _listen(log: Path, listener: PushListener, folder: Path) -> None:
