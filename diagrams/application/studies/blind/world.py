@@ -75,7 +75,7 @@ class World:
     def push(self, plan: PushPlan, *, index: int = 0, count: int = 1) -> Motion:
         """Carry out a plan as the push number `index` of `count`."""
         steps = int(np.ceil((plan.duration + 0.02) / self._step))
-        target = plan.path.positions(self._step * np.arange(steps + 2))
+        target = plan.path.positions(self._step * np.arange(steps + 2, dtype=float))
         return self._run(plan.pose, np.zeros(3), target, index, count)
 
     def coast(self, pose: FloatArray, twist: FloatArray, duration: float) -> Motion:
@@ -118,7 +118,7 @@ class World:
                 impulse[k + 1] = impulse[k] + h * np.array([contact[0], contact[1], about_hand])
                 new = self._diagram.EvalUniquePeriodicDiscreteUpdate(self._root)
                 self._root.SetDiscreteState(new)
-        return Motion(h * np.arange(steps), states[:, self._q], states[:, self._hand_q], impulse)
+        return Motion(h * np.arange(steps, dtype=float), states[:, self._q], states[:, self._hand_q], impulse)
 
     def _friction(self, now: Instant, bristles: FloatArray, blade_bristle: FloatArray) -> FloatArray:
         """(3,) of the table on the object, world frame."""
