@@ -1,4 +1,8 @@
-"""The experiments that `slipmap campaign` knows. Naming them loads nothing that is large."""
+"""The experiments that `slipmap campaign` knows, what each has, and what the paper reports of them.
+
+Naming them loads nothing that is large. The paper's numbers are read off the figures and tables of Song and
+Boularias (IROS 2020).
+"""
 
 from __future__ import annotations
 
@@ -44,9 +48,6 @@ def experiment_of(name: str) -> Experiment:
     module, attribute = _PLACES[name].split(":")
     experiment: Experiment = getattr(importlib.import_module(f"{__package__}.{module}"), attribute)
     return experiment
-
-
-# What every experiment of the paper has: trials to make, and a table and a figure of what came of them.
 
 
 @dataclass(frozen=True)
@@ -105,9 +106,6 @@ def names_and_seeds(objects: Sequence[str], trials: int, seed: int) -> Iterator[
     for number in range(seed, seed + trials):
         for name in objects:
             yield name, number
-
-
-# What Song and Boularias (IROS 2020) report, read off their figures and tables.
 
 
 STABLE_GOALS: dict[str, tuple[float, float]] = {
