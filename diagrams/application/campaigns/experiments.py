@@ -7,7 +7,7 @@ Boularias (IROS 2020).
 from __future__ import annotations
 
 import importlib
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -101,11 +101,46 @@ class Experiment:
     objects: tuple[str, ...] = ()
 
 
-def names_and_seeds(objects: Sequence[str], trials: int, seed: int) -> Iterator[tuple[str, int]]:
-    """Every object with every seed, all objects early: an unfinished campaign has something of each."""
-    for number in range(seed, seed + trials):
-        for name in objects:
-            yield name, number
+def specs_of(
+    trial: str,
+    objects: Sequence[str],
+    trials: int,
+    seed: int,
+    varied: Mapping[str, Sequence[str]],
+    more: Callable[[int], dict[str, Any]] = lambda number: {},
+) -> list[TrialSpec]:
+    """A trial for every seed, object and variant; all objects early, so that an unfinished campaign has
+    something of each.
+
+    Args:
+        trial: where its function is, `module:function`.
+        objects: names, which it takes as `object_name`.
+        trials: of each object and variant.
+        seed: the first one.
+        varied: a parameter and its values, such as the methods that are compared; or nothing.
+        more: further parameters of the trials of a seed.
+    """
+    from slipmap.planners.trials import TrialSpec
+
+    variants = [{parameter: value} for parameter, values in varied.items() for value in values] or [{}]
+    return [
+        TrialSpec(
+            "-".join([name, *(value.split()[0] for value in variant.values()), str(number)]),
+            trial,
+            {"object_name": name, **variant, **more(number)},
+            number,
+        )
+        for number in range(seed, seed + trials)
+        for name in objects
+        for variant in variants
+    ]
+
+
+def as_json(estimates: Any) -> Any:
+    """Mappings and lists of estimates for programs."""
+    if isinstance(estimates, Mapping):
+        return {name: as_json(one) for name, one in estimates.items()}
+    return [as_json(one) for one in estimates] if isinstance(estimates, list) else estimates.to_json()
 
 
 STABLE_GOALS: dict[str, tuple[float, float]] = {

@@ -17,7 +17,8 @@ from slipmap.diagrams.application.campaigns.experiments import (
     Experiment,
     Summary,
     TableText,
-    names_and_seeds,
+    as_json,
+    specs_of,
 )
 from slipmap.diagrams.application.campaigns.methods_compared import ALL, results_of
 from slipmap.diagrams.application.campaigns.pregrasp_success import FATES, brought_to_edge, result_of
@@ -64,7 +65,7 @@ def _world(object_name: str) -> PlantWorld:
 @lru_cache(maxsize=8)
 def _learned(object_name: str, seed: int) -> tuple[Belief, Belief]:
     """Beliefs of `MODELS`, from the same pushes."""
-    from slipmap.diagrams.application.campaigns.learning_curves import as_dataset, explored
+    from slipmap.diagrams.application.campaigns.worlds import as_dataset, explored
     from slipmap.models.effects.registry import effects_named
     from slipmap.models.inference.diagnosis.effect_fit import fit_effects
 
@@ -94,16 +95,10 @@ def _errors(belief: Belief, ended: Pregrasp) -> list[float]:
 def _specs(objects: Sequence[str], trials: int, seed: int, truth: str) -> list[TrialSpec]:
     if truth != "plant":
         raise CampaignError("tilt: the tilted table is simulated by plant alone; leave out --truth")
-    return [
-        TrialSpec(
-            f"{name}-{model.split()[0]}-{number}",
-            f"{__name__}:trial",
-            {"object_name": name, "model": model, "belief_seed": number // YAWS_A_BELIEF},
-            number,
-        )
-        for name, number in names_and_seeds(objects, trials, seed)
-        for model in MODELS
-    ]
+    return specs_of(
+        f"{__name__}:trial", objects, trials, seed, {"model": MODELS},
+        lambda number: {"belief_seed": number // YAWS_A_BELIEF},
+    )  # fmt: skip
 
 
 def _summary(outcomes: Sequence[TrialOutcome]) -> Summary:
@@ -132,9 +127,9 @@ def _summary(outcomes: Sequence[TrialOutcome]) -> Summary:
         "Both models learn from the same five pushes. A trial's error is the mean over its pushes.",
         {
             "tilt": TILT,
-            "success": _json(success),
-            "errors": _json(errors),
-            "pushes": {model: one.to_json() for model, one in pushes.items()},
+            "success": as_json(success),
+            "errors": as_json(errors),
+            "pushes": as_json(pushes),
             "fates": {model: dict(of) for model, of in fates.items()},
         },
         lambda: _figures(title, success, errors),
@@ -147,10 +142,6 @@ def _mean_error(results: Sequence[dict[str, Any]]) -> Estimate:
 
 def _rows(estimates: dict[str, dict[str, Estimate]], told: Any) -> list[list[str]]:
     return [[name, *(told(one) for one in of.values())] for name, of in estimates.items()]
-
-
-def _json(estimates: dict[str, dict[str, Estimate]]) -> dict[str, Any]:
-    return {name: {model: one.to_json() for model, one in of.items()} for name, of in estimates.items()}
 
 
 def _figures(
