@@ -138,15 +138,11 @@ def _learnt_twice(
     from slipmap.models.inference.diagnosis.effect_fit import fit_effects
 
     _check_fit_pushes(dataset)
-    labels = ["without effects", "with " + " and ".join(effect.name for effect in effects)]
-    beliefs = {}
-    for label, added in zip(labels, ((), tuple(effects)), strict=True):
-
-        def report(stage: str, done: int, total: int, label: str = label) -> None:
-            progress(f"{stage}, {label}", done, total)
-
-        beliefs[label] = fit_effects(dataset, added, seed=seed, progress=report).belief
-    return beliefs
+    models = {"without effects": (), "with " + " and ".join(effect.name for effect in effects): effects}
+    return {
+        label: fit_effects(dataset, added, seed=seed, progress=progress.about(label)).belief
+        for label, added in models.items()
+    }
 
 
 def _learnt(dataset: PushDataset, seed: int, progress: Progress) -> Belief:

@@ -58,11 +58,9 @@ def fit(
         from slipmap.models.inference.diagnosis.effect_fit import fit_effects
 
         result = fit_effects(measured, effects, hypotheses=hypotheses, seed=seed, progress=progress)
-
-        def without(stage: str, done: int, total: int) -> None:
-            progress(f"{stage}, without effects", done, total)
-
-        plain = fit_effects(measured, (), hypotheses=hypotheses, seed=seed, progress=without)
+        plain = fit_effects(
+            measured, (), hypotheses=hypotheses, seed=seed, progress=progress.about("without effects")
+        )
         drawn = keep(result, measured, output, pictures, progress)
     if json_file is not None:
         more = {"effects": effect_estimates(result), "without_effects": _errors(plain)}

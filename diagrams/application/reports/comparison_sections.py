@@ -26,7 +26,7 @@ from slipmap.diagrams.application.reports.html_page import Section, part, pictur
 from slipmap.models.inference.comparison import ComparedPush, Comparison
 from slipmap.models.inference.observations import Observation
 from slipmap.models.inference.push_errors import Errors
-from slipmap.models.measurements import PushDataset, Table
+from slipmap.models.measurements import PushDataset
 from slipmap.models.physics.cell_grid import FloatArray
 from slipmap.models.physics.paper_notation import add
 
@@ -68,10 +68,13 @@ def comparison_sections(comparisons: Sequence[Comparison], dataset: PushDataset)
         ValueError: none or more than two models, or models over different pushes.
     """
     check_same_pushes(comparisons)
-    sections = [error_section(comparisons), push_section(comparisons, dataset)]
-    sections.append(structure_section(comparisons, dataset))
+    sections = [
+        _error_section(comparisons),
+        _push_section(comparisons, dataset),
+        _structure_section(comparisons, dataset),
+    ]
     if comparisons[0].correlations is not None:
-        sections.append(correlation_section(comparisons))
+        sections.append(_correlation_section(comparisons))
     sections.append(Section("method", "How to read the numbers", part("method.html")))
     return sections
 
@@ -85,8 +88,7 @@ def check_same_pushes(comparisons: Sequence[Comparison]) -> None:
         raise ValueError("a report of two models needs both over the same pushes")
 
 
-def error_section(comparisons: Sequence[Comparison]) -> Section:
-    """How far off: means by role beside the baselines, and every push."""
+def _error_section(comparisons: Sequence[Comparison]) -> Section:
     rows, marked = [], []
     first = comparisons[0]
     for role, totals in first.totals.items():
@@ -144,7 +146,7 @@ def _cells(errors: Errors) -> list[str]:
     ]
 
 
-def push_section(comparisons: Sequence[Comparison], dataset: PushDataset) -> Section:
+def _push_section(comparisons: Sequence[Comparison], dataset: PushDataset) -> Section:
     """The section with its data; first shown is the worst of the pushes that count."""
     first = comparisons[0]
     role, _ = judged(first)
@@ -157,7 +159,7 @@ def push_section(comparisons: Sequence[Comparison], dataset: PushDataset) -> Sec
         "outline": [_rounded(ring) for ring in (grid.exterior, *grid.holes)],
         "centroid": _rounded(grid.centers.mean(axis=0)),
         "radius": dataset.finger_radius,
-        "table": _table(dataset.table),
+        "table": None if dataset.table is None else vars(dataset.table),
         "labels": [comparison.label for comparison in comparisons],
         "first": worst,
         "floor": None if first.floor is None else first.floor.add,
@@ -262,20 +264,13 @@ def _number(value: float, digits: int, bar: float | None = None) -> str:
     return f'<td class="{kind}" data-value="{value:.6g}">{drawn}{value:.{digits}f}</td>'
 
 
-def _table(table: Table | None) -> dict[str, Any] | None:
-    if table is None:
-        return None
-    return {"shape": table.shape, "center": table.center, "radius": table.radius, "size": table.size}
-
-
 def _rounded(values: FloatArray) -> list[Any]:
     """Numbers to a hundredth of a millimetre: the file stays small."""
     rounded: list[Any] = np.round(values, 5).tolist()
     return rounded
 
 
-def structure_section(comparisons: Sequence[Comparison], dataset: PushDataset) -> Section:
-    """Where the model fails: tests of all factors, and pictures of residuals against them."""
+def _structure_section(comparisons: Sequence[Comparison], dataset: PushDataset) -> Section:
     parts = []
     for comparison in comparisons:
         name = f"<b>{escape(comparison.label)}:</b> " if len(comparisons) > 1 else ""
@@ -344,8 +339,7 @@ def _figure(key: str, figure: Figure, comparisons: Sequence[Comparison], title: 
     return f"<figure>{drawn}<figcaption>{head}{'. '.join(lines)}</figcaption></figure>"
 
 
-def correlation_section(comparisons: Sequence[Comparison]) -> Section:
-    """Memory of the residual, and its correlation with the finger."""
+def _correlation_section(comparisons: Sequence[Comparison]) -> Section:
     found = comparisons[0].correlations
     assert found is not None
     longest = found.memory.lags[-1]
