@@ -25,9 +25,9 @@ SUCCESS, INTERNAL_FAILURE, WRONG_USE, STOPPED = 0, 1, 2, 130
 TRACEBACK = "SLIPMAP_TRACEBACK"
 _STOPPED = "stopped; nothing half-written is left behind"
 _COMMANDS = (
-    "machine:doctor", "demo", "explore", "pregrasp", "station", "record", "replay", "describe_object",
-    "identify", "predict", "view", "compare", "diagnose", "fit", "effects", "calibrate", "explore_study",
-    "campaign", "blind_test", "machine:bench", "machine:completion",
+    "machine:doctor", "demo", "explore", "explore:pregrasp", "station", "record", "record:replay",
+    "describe_object", "identify", "predict", "view", "compare", "diagnose", "identify:fit", "effects",
+    "calibrate", "explore_study", "campaign", "blind_test", "machine:bench", "machine:completion",
 )  # fmt: skip
 """Modules of commands, and the function in them where it has another name."""
 

@@ -6,15 +6,8 @@ import numpy as np
 import shapely
 from scipy.spatial.transform import Rotation
 
-from slipmap.diagrams.application.campaigns.direct_world import (
-    AT_REST,
-    LONGEST_SETTLING,
-    PERIOD,
-    DirectWorld,
-    Motion,
-    WorldNoise,
-    flat_pose,
-)
+from slipmap.diagrams.application.campaigns import direct_world
+from slipmap.diagrams.application.campaigns.direct_world import PERIOD, DirectWorld, Motion, WorldNoise
 from slipmap.diagrams.station.sliding_object import GRAVITY, spatial_inertia
 from slipmap.diagrams.station.table import ROUND_TABLE
 from slipmap.models.measurements.push_dataset import Table
@@ -119,11 +112,13 @@ class BulletWorld(DirectWorld):
         return Motion(np.array(poses), np.array(tips), np.array(forces))
 
     def _settle(self) -> None:
-        for step in range(1, round(LONGEST_SETTLING / STEP) + 1):
+        for step in range(1, round(direct_world.LONGEST_SETTLING / STEP) + 1):
             self._p.stepSimulation(**self._where)
             if step % 50 == 0:
                 velocity = np.array(self._p.getBaseVelocity(self._body, **self._where))
-                if (step >= 250 and np.abs(velocity).max() < AT_REST) or np.isnan(self._pose()).any():
+                if (step >= 250 and np.abs(velocity).max() < direct_world.AT_REST) or np.isnan(
+                    self._pose()
+                ).any():
                     return
 
     def _pose(self) -> FloatArray:
@@ -131,7 +126,7 @@ class BulletWorld(DirectWorld):
         X_WI = p.getBasePositionAndOrientation(self._body, **self._where)
         place, turn = p.multiplyTransforms(*X_WI, *self._X_IO)
         x, y, z, w = np.array(turn)
-        return flat_pose(np.array(place), w, x, y, z)
+        return direct_world.flat_pose(np.array(place), w, x, y, z)
 
     def _move_finger(self, place: FloatArray) -> None:
         for joint in (0, 1):

@@ -7,13 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from slipmap.diagrams.application.campaigns.experiments import (
-    Experiment,
-    Summary,
-    TableText,
-    as_json,
-    specs_of,
-)
+from slipmap.diagrams.application.campaigns import experiments
 from slipmap.planners.settings import STRATEGIES, PregraspSettings
 from slipmap.planners.trials import Estimate, TrialOutcome, TrialSpec, mean
 
@@ -87,14 +81,18 @@ def _pushes(world: DirectWorld, count: int, strategy: str, seed: int, series: in
 
 def _strategy_specs(objects: Sequence[str], trials: int, seed: int, truth: str) -> list[TrialSpec]:
     varied = {"strategy": STRATEGIES}
-    return specs_of(f"{__name__}:strategies_trial", objects, trials, seed, varied, lambda _: {"truth": truth})
+    return experiments.specs_of(
+        f"{__name__}:strategies_trial", objects, trials, seed, varied, lambda _: {"truth": truth}
+    )
 
 
 def _model_specs(objects: Sequence[str], trials: int, seed: int, truth: str) -> list[TrialSpec]:
-    return specs_of(f"{__name__}:models_trial", objects, trials, seed, {}, lambda _: {"truth": truth})
+    return experiments.specs_of(
+        f"{__name__}:models_trial", objects, trials, seed, {}, lambda _: {"truth": truth}
+    )
 
 
-def _strategy_summary(outcomes: Sequence[TrialOutcome]) -> Summary:
+def _strategy_summary(outcomes: Sequence[TrialOutcome]) -> experiments.Summary:
     curves: Curves = {}
     for outcome in outcomes:
         if outcome.result is not None:
@@ -108,7 +106,7 @@ def _strategy_summary(outcomes: Sequence[TrialOutcome]) -> Summary:
     return _summary("Error after N pushes chosen by a strategy (mean ADD, mm)", "strategy", curves, remark)
 
 
-def _model_summary(outcomes: Sequence[TrialOutcome]) -> Summary:
+def _model_summary(outcomes: Sequence[TrialOutcome]) -> experiments.Summary:
     curves: Curves = {}
     for outcome in outcomes:
         if outcome.result is not None:
@@ -122,7 +120,7 @@ def _model_summary(outcomes: Sequence[TrialOutcome]) -> Summary:
     return _summary("Error after N random pushes (mean ADD, mm)", "model", curves, remark)
 
 
-def _summary(title: str, what: str, curves: Curves, remark: str) -> Summary:
+def _summary(title: str, what: str, curves: Curves, remark: str) -> experiments.Summary:
     means = {
         name: {label: [mean(column) for column in zip(*trials, strict=True)] for label, trials in of.items()}
         for name, of in curves.items()
@@ -132,8 +130,10 @@ def _summary(title: str, what: str, curves: Curves, remark: str) -> Summary:
     for name, estimates in means.items():
         rows = [[label, *(one.short(1e3) for one in row)] for label, row in estimates.items()]
         count = max(map(len, curves[name].values()))
-        tables.append(TableText(f"{title}: {name}, {count} trials", columns, rows))
-    return Summary(tables, remark, {"curves": as_json(means), "unit": "m"}, lambda: _figure(title, means))
+        tables.append(experiments.TableText(f"{title}: {name}, {count} trials", columns, rows))
+    return experiments.Summary(
+        tables, remark, {"curves": experiments.as_json(means), "unit": "m"}, lambda: _figure(title, means)
+    )
 
 
 def _figure(title: str, means: dict[str, dict[str, list[Estimate]]]) -> list[Figure]:
@@ -142,5 +142,5 @@ def _figure(title: str, means: dict[str, dict[str, list[Estimate]]]) -> list[Fig
     return [curves_figure(title, means)]
 
 
-FIGURE_3 = Experiment("fig3", 10, _strategy_specs, _strategy_summary)
-FIGURE_4 = Experiment("fig4", 10, _model_specs, _model_summary)
+FIGURE_3 = experiments.Experiment("fig3", 10, _strategy_specs, _strategy_summary)
+FIGURE_4 = experiments.Experiment("fig4", 10, _model_specs, _model_summary)

@@ -7,14 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from slipmap.diagrams.application.campaigns.experiments import (
-    STABLE_GOALS,
-    Experiment,
-    Summary,
-    TableText,
-    as_json,
-    specs_of,
-)
+from slipmap.diagrams.application.campaigns import experiments
 from slipmap.models.geometry import rotated
 from slipmap.planners.settings import METHODS
 from slipmap.planners.trials import Estimate, TrialOutcome, TrialSpec, share
@@ -106,37 +99,38 @@ def _falls(world: DirectWorld, pose: FloatArray) -> bool:
 
 
 def _specs(objects: Sequence[str], trials: int, seed: int, truth: str) -> list[TrialSpec]:
-    return specs_of(f"{__name__}:trial", objects, trials, seed, {}, lambda _: {"truth": truth})
+    return experiments.specs_of(f"{__name__}:trial", objects, trials, seed, {}, lambda _: {"truth": truth})
 
 
-def _summary(outcomes: Sequence[TrialOutcome]) -> Summary:
+def _summary(outcomes: Sequence[TrialOutcome]) -> experiments.Summary:
     results: dict[str, list[dict[str, Any]]] = {}
     for outcome in outcomes:
         if outcome.result is not None:
             results.setdefault(outcome.spec.parameters["object_name"], []).append(outcome.result)
     everything = [result for of_object in results.values() for result in of_object]
-    precision, recall, rows, found_rows = {}, {}, [], []
+    precision, recall, rows, found = {}, {}, [], []
     for name, of_object in [*results.items(), ("all", everything)]:
         precision[name] = {method: _share(of_object, method, of_chosen=True) for method in METHODS}
         recall[name] = {method: _share(of_object, method, of_chosen=False) for method in METHODS}
         rows.append([name, *(one.percent() for one in precision[name].values())])
-        found_rows.append([name, *(one.percent() for one in recall[name].values())])
+        found.append([name, *(one.percent() for one in recall[name].values())])
     paper = [
-        f"{low:.0f}" if low == high else f"{low:.0f} to {high:.0f}" for low, high in STABLE_GOALS.values()
+        f"{low:.0f}" if low == high else f"{low:.0f} to {high:.0f}"
+        for low, high in experiments.STABLE_GOALS.values()
     ]
     rows.append(["paper", *paper, "–"])
     bins = _reliability(everything)
-    return Summary(
+    return experiments.Summary(
         [
-            TableText("Stable among the goals chosen, %", ("object", *METHODS), rows),
-            TableText("Chosen among stable poses with a grasp, %", ("object", *METHODS), found_rows),
+            experiments.TableText("Stable among the goals chosen, %", ("object", *METHODS), rows),
+            experiments.TableText("Chosen among stable poses with a grasp, %", ("object", *METHODS), found),
         ],
         "Poses of one trial, and draws from one belief, count as independent. The paper's objects were real.",
         {
-            "precision": as_json(precision),
-            "recall": as_json(recall),
+            "precision": experiments.as_json(precision),
+            "recall": experiments.as_json(recall),
             "reliability": [{"stated": stated, **estimate.to_json()} for stated, estimate in bins],
-            "paper": {method: list(ends) for method, ends in STABLE_GOALS.items()},
+            "paper": {method: list(ends) for method, ends in experiments.STABLE_GOALS.items()},
         },
         lambda: _figure(precision, bins),
     )  # fmt: skip
@@ -167,11 +161,11 @@ def _reliability(results: Sequence[dict[str, Any]]) -> list[tuple[float, Estimat
 def _figure(precision: dict[str, dict[str, Estimate]], bins: list[tuple[float, Estimate]]) -> list[Figure]:
     from slipmap.diagrams.application.figures.campaign_figures import reliability_figure, shares_figure
 
-    marks = {name: STABLE_GOALS for name in precision}
+    marks = {name: experiments.STABLE_GOALS for name in precision}
     return [
         shares_figure("Stable among the goals chosen", precision, marks),
         reliability_figure("Probability of staying on the table", {"all objects": bins}),
     ]
 
 
-FIGURE_5 = Experiment("fig5", 20, _specs, _summary)
+FIGURE_5 = experiments.Experiment("fig5", 20, _specs, _summary)

@@ -13,13 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from slipmap.diagrams.application.campaigns.experiments import (
-    Experiment,
-    Summary,
-    TableText,
-    as_json,
-    specs_of,
-)
+from slipmap.diagrams.application.campaigns import experiments
 from slipmap.diagrams.application.campaigns.methods_compared import ALL, results_of
 from slipmap.diagrams.application.campaigns.pregrasp_success import FATES, brought_to_edge, result_of
 from slipmap.planners.trials import CampaignError, Estimate, TrialOutcome, TrialSpec, mean, share
@@ -95,13 +89,13 @@ def _errors(belief: Belief, ended: Pregrasp) -> list[float]:
 def _specs(objects: Sequence[str], trials: int, seed: int, truth: str) -> list[TrialSpec]:
     if truth != "plant":
         raise CampaignError("tilt: the tilted table is simulated by plant alone; leave out --truth")
-    return specs_of(
+    return experiments.specs_of(
         f"{__name__}:trial", objects, trials, seed, {"model": MODELS},
         lambda number: {"belief_seed": number // YAWS_A_BELIEF},
     )  # fmt: skip
 
 
-def _summary(outcomes: Sequence[TrialOutcome]) -> Summary:
+def _summary(outcomes: Sequence[TrialOutcome]) -> experiments.Summary:
     results, every = results_of(outcomes, "model", MODELS)
     rows_of = [*results.items(), (ALL, every)]
     success = {
@@ -114,22 +108,22 @@ def _summary(outcomes: Sequence[TrialOutcome]) -> Summary:
     title = f"Brought to the edge of a table tilted by {TILT:g}°"
     rows = [["pushes, mean", *(pushes[model].short(digits=2) for model in MODELS)]]
     rows += [[fate, *(str(fates[model][fate]) for model in MODELS)] for fate in FATES]
-    return Summary(
+    return experiments.Summary(
         [
-            TableText(f"{title}, %", ("object", *MODELS), _rows(success, Estimate.percent)),
-            TableText(
+            experiments.TableText(f"{title}, %", ("object", *MODELS), _rows(success, Estimate.percent)),
+            experiments.TableText(
                 "Where pushes end off their prediction, mean, mm",
                 ("object", *MODELS),
                 _rows(errors, lambda one: one.short(1e3)),
             ),
-            TableText("Pushes, and how trials ended", ("", *MODELS), rows),
+            experiments.TableText("Pushes, and how trials ended", ("", *MODELS), rows),
         ],
         "Both models learn from the same five pushes. A trial's error is the mean over its pushes.",
         {
             "tilt": TILT,
-            "success": as_json(success),
-            "errors": as_json(errors),
-            "pushes": as_json(pushes),
+            "success": experiments.as_json(success),
+            "errors": experiments.as_json(errors),
+            "pushes": experiments.as_json(pushes),
             "fates": {model: dict(of) for model, of in fates.items()},
         },
         lambda: _figures(title, success, errors),
@@ -153,4 +147,4 @@ def _figures(
     return [off, shares_figure(title, success, {})]
 
 
-TILTED_TABLE = Experiment("tilt", 20, _specs, _summary)
+TILTED_TABLE = experiments.Experiment("tilt", 20, _specs, _summary)
