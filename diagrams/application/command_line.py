@@ -26,8 +26,8 @@ TRACEBACK = "SLIPMAP_TRACEBACK"
 _STOPPED = "stopped; nothing half-written is left behind"
 _COMMANDS = (
     "machine:doctor", "demo", "explore", "explore:pregrasp", "station", "record", "record:replay",
-    "describe_object", "identify", "predict", "view", "compare", "diagnose", "identify:fit", "effects",
-    "calibrate", "explore_study", "campaign", "blind_test", "machine:bench", "machine:completion",
+    "describe_object", "identify", "compare:predict", "view", "compare", "diagnose", "identify:fit",
+    "effects", "calibrate", "explore_study", "campaign", "blind_test", "machine:bench", "machine:completion",
 )  # fmt: skip
 """Modules of commands, and the function in them where it has another name."""
 

@@ -115,10 +115,8 @@ class BulletWorld(DirectWorld):
         for step in range(1, round(direct_world.LONGEST_SETTLING / STEP) + 1):
             self._p.stepSimulation(**self._where)
             if step % 50 == 0:
-                velocity = np.array(self._p.getBaseVelocity(self._body, **self._where))
-                if (step >= 250 and np.abs(velocity).max() < direct_world.AT_REST) or np.isnan(
-                    self._pose()
-                ).any():
+                fastest = np.abs(self._p.getBaseVelocity(self._body, **self._where)).max()
+                if (step >= 250 and fastest < direct_world.AT_REST) or np.isnan(self._pose()).any():
                     return
 
     def _pose(self) -> FloatArray:

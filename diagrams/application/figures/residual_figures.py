@@ -315,7 +315,10 @@ def _on_object(comparison: Comparison, grid: CellGrid, quantity: str) -> _Field:
 def _drawn(fields: Sequence[_Field], quantity: str, half: float) -> tuple[Figure, Axes]:
     """The first of some fields, so that all of them would have the same scales."""
     field = fields[0]
-    figure, axes = _new_figure(quantity)
+    figure = Figure(figsize=_FIELD)
+    axes = figure.add_axes((0.17, 0.16, 0.55 if quantity == "motion" else 0.74, 0.75))
+    axes.tick_params(labelsize=8)
+    axes.xaxis.set_major_locator(MaxNLocator(4, steps=[1, 2, 5, 10]))
     scale = min(_arrow_scale(other.values[:, :2], other.arrows, quantity) for other in fields)
     turning = [abs(float(value[2])) for other in fields for _, value in other.arrows if len(value) > 2]
     _draw_pieces(axes, field.place, field.values, scale * field.bin)
@@ -326,7 +329,10 @@ def _drawn(fields: Sequence[_Field], quantity: str, half: float) -> tuple[Figure
     reach = [
         float(np.abs(place + scale * field.bin * value[:2] - middle).max()) for place, value in field.arrows
     ]
-    _frame(axes, middle, max([half, *(1.05 * far for far in reach)]))
+    half = max([half, *(1.05 * far for far in reach)])
+    # With room below for the arrow that gives the scale.
+    axes.set(xlim=middle[0] + half * np.array([-1, 1]), ylim=middle[1] + half * np.array([-1.22, 1]))
+    axes.set_aspect("equal")
     _finish(figure, axes, mappable, scale, field.bin, quantity)
     return figure, axes
 
@@ -375,20 +381,6 @@ def _draw_means(
         linewidth=0.6, zorder=3, **_ARROW,
     )  # fmt: skip
     return ScalarMappable(norm, _COLOURS)
-
-
-def _new_figure(quantity: str) -> tuple[Figure, Axes]:
-    figure = Figure(figsize=_FIELD)
-    axes = figure.add_axes((0.17, 0.16, 0.55 if quantity == "motion" else 0.74, 0.75))
-    axes.tick_params(labelsize=8)
-    axes.xaxis.set_major_locator(MaxNLocator(4, steps=[1, 2, 5, 10]))
-    return figure, axes
-
-
-def _frame(axes: Axes, middle: FloatArray, half: float) -> None:
-    """Limits around what is drawn, with room below for the arrow that gives the scale."""
-    axes.set(xlim=middle[0] + half * np.array([-1, 1]), ylim=middle[1] + half * np.array([-1.22, 1]))
-    axes.set_aspect("equal")
 
 
 def _finish(
