@@ -1,4 +1,4 @@
-"""Files: what users hand in is read whole and bounded in size; what is written appears whole or not at all."""
+"""Files: what is read is bounded in size; what is written appears whole or not at all."""
 
 from __future__ import annotations
 

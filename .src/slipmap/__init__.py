@@ -7,8 +7,9 @@ What most scripts and notebooks need is offered here, each name loaded when it i
 >>> len(dataset.fit_trials), len(dataset.grid)
 (6, 23)
 
-`docs/python.md` has a line on each name; `__init__.pyi` says where each lies. The rest lies in `slipmap.models`
-(what the world is), `slipmap.planners` (what to do) and `slipmap.diagrams` (Drake blocks and the application).
+`docs/python.md` has a line on each name; `__init__.pyi` says where each lies. The rest lies in
+`slipmap.models` (what the world is), `slipmap.planners` (what to do) and `slipmap.diagrams` (Drake blocks and
+the application).
 """
 
 import lazy_loader

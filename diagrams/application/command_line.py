@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import difflib
 import errno
+import importlib
 import os
 import signal
 import sys
@@ -17,31 +18,18 @@ from collections.abc import Sequence
 
 import click
 
-from slipmap.diagrams.application.commands.blind_test import blind_test
-from slipmap.diagrams.application.commands.calibrate import calibrate
-from slipmap.diagrams.application.commands.campaign import campaign
-from slipmap.diagrams.application.commands.compare import compare
-from slipmap.diagrams.application.commands.demo import demo
-from slipmap.diagrams.application.commands.describe_object import describe_object
-from slipmap.diagrams.application.commands.diagnose import diagnose
-from slipmap.diagrams.application.commands.effects import effects
-from slipmap.diagrams.application.commands.explore import explore
-from slipmap.diagrams.application.commands.explore_study import explore_study
-from slipmap.diagrams.application.commands.fit import fit
-from slipmap.diagrams.application.commands.identify import identify
-from slipmap.diagrams.application.commands.machine import bench, completion, doctor
 from slipmap.diagrams.application.commands.options import OutputFile, keep_files_apart
-from slipmap.diagrams.application.commands.predict import predict
-from slipmap.diagrams.application.commands.pregrasp import pregrasp
-from slipmap.diagrams.application.commands.record import record
-from slipmap.diagrams.application.commands.replay import replay
-from slipmap.diagrams.application.commands.station import station
-from slipmap.diagrams.application.commands.view import view
 from slipmap.models.files import BadInput
 
 SUCCESS, INTERNAL_FAILURE, WRONG_USE, STOPPED = 0, 1, 2, 130
 TRACEBACK = "SLIPMAP_TRACEBACK"
 _STOPPED = "stopped; nothing half-written is left behind"
+_COMMANDS = (
+    "machine:doctor", "demo", "explore", "explore:pregrasp", "station", "record", "record:replay",
+    "describe_object", "identify", "compare:predict", "view", "compare", "diagnose", "identify:fit",
+    "effects", "calibrate", "explore_study", "campaign", "blind_test", "machine:bench", "machine:completion",
+)  # fmt: skip
+"""Modules of commands, and the function in them where it has another name."""
 
 
 class _Commands(click.Group):
@@ -104,29 +92,9 @@ def slipmap(ctx: click.Context) -> None:
         ctx.exit(WRONG_USE)
 
 
-for _command in (
-    doctor,
-    demo,
-    explore,
-    pregrasp,
-    station,
-    record,
-    replay,
-    describe_object,
-    identify,
-    predict,
-    view,
-    compare,
-    diagnose,
-    fit,
-    effects,
-    calibrate,
-    explore_study,
-    campaign,
-    blind_test,
-    bench,
-    completion,
-):
+for _name in _COMMANDS:
+    _module, _, _function = _name.partition(":")
+    _command = getattr(importlib.import_module(f"{__package__}.commands.{_module}"), _function or _module)
     keep_files_apart(_command)
     slipmap.add_command(_command)
 

@@ -118,7 +118,7 @@ def _packages() -> Iterator[Finding]:
 
 def _required() -> list[str]:
     """As the checkout says, which an installation may be behind of; without one, as installed."""
-    description = Path(__file__).parents[1] / "pyproject.toml"
+    description = Path(__file__).resolve().parents[2] / "pyproject.toml"
     if description.is_file():
         import tomllib
 

@@ -1,33 +1,43 @@
-"""What the commands show on a terminal: notes, progress, tables. Results go to stdout, all else to stderr."""
+"""What the commands show on a terminal: notes, progress, tables. Results go to stdout, all else to stderr.
+
+Progress is a bar for each stage on a terminal and a line now and then in a log file. `rich`, which draws bars
+and tables, is loaded when the first of them is drawn.
+"""
 
 from __future__ import annotations
 
 import sys
 import textwrap
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from datetime import timedelta
 from types import TracebackType
-from typing import TYPE_CHECKING
 
 import click
 
 from slipmap.models.files import BadInput
 
-if TYPE_CHECKING:
-    from slipmap.diagrams.application.progress_bars import Bars
-
 WIDTH = 80
 """Columns of everything that is not shown on a terminal."""
 
-WIDEST = 100
-GAP = 3  # columns between those of a table
-HEARTBEAT = 15.0
-"""Seconds after which a long stage reports again in a log file."""
+_WIDEST = 100  # columns of a table
+_GAP = 3  # columns between those of a table
+_HEARTBEAT = 15.0  # s after which a long stage reports again in a log file
+_LONGEST_STAGE = 34  # letters beside a bar; what is longer is cut
+_BAR = 16  # columns of a bar where there is room: with the numbers, 80 columns hold all
 
 
 def note(text: str) -> None:
     """A line on stderr."""
     click.echo(text, err=True)
+
+
+def wrapped(text: str, indent: str) -> str:
+    """A text in lines of 80 columns of which those after the first are indented; no word is broken."""
+    return textwrap.fill(
+        text, WIDTH, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False
+    )
 
 
 def paragraph(text: str) -> None:
@@ -38,7 +48,7 @@ def paragraph(text: str) -> None:
 
 def status(text: str) -> None:
     """A remark on stderr, broken into lines of 80 columns of which those after the first are indented."""
-    note(textwrap.fill(text, WIDTH, subsequent_indent="    ", break_long_words=False, break_on_hyphens=False))
+    note(wrapped(text, "    "))
 
 
 def wait_for_enter() -> None:
@@ -65,34 +75,6 @@ def prepare_kernels() -> None:
         note("Compiling the kernels for this machine, once (about half a minute)…")
 
 
-class Pace:
-    """How fast a stage goes: the time left, at the mean pace of the parts that were seen to be done.
-
-    Args:
-        done: parts that were done before it began, and took no time.
-    """
-
-    def __init__(self, done: int) -> None:
-        self._first = self._done = done
-        self._began = self._last = time.monotonic()
-
-    def note(self, done: int) -> bool:
-        """Note how many parts are done; returns whether these are more than before."""
-        more = done > self._done
-        if more:
-            self._done, self._last = done, time.monotonic()
-        return more
-
-    def left(self, total: int) -> float | None:
-        """Seconds until all parts are done; None until one is. It runs down while a part is at work."""
-        made = self._done - self._first
-        if made <= 0:
-            return None
-        each = (self._last - self._began) / made
-        at_work = min(time.monotonic() - self._last, each)
-        return max(each * (total - self._done) - at_work, 0.0)
-
-
 class Progress:
     """Shows progress and the time left on stderr: bars on a terminal, elsewhere a line now and then.
 
@@ -104,15 +86,12 @@ class Progress:
     def __init__(self) -> None:
         self._stage = self._doing = ""
         self._began = self._spoke = time.monotonic()
-        self._pace = Pace(0)
-        self._bars: Bars | None = None
+        self._pace = _Pace(0)
+        self._bars: _Bars | None = None
 
     def __enter__(self) -> Progress:
         if sys.stderr.isatty():
-            from slipmap.diagrams.application.progress_bars import Bars
-
-            self._bars = Bars()
-            self._bars.start()
+            self._bars = _Bars()
         return self
 
     def __exit__(
@@ -127,26 +106,37 @@ class Progress:
         stage, _, doing = stage.partition(": ")
         if stage != self._stage:
             self._finish(complete=True)
-            self._stage, self._pace = stage, Pace(done)
+            self._stage, self._pace = stage, _Pace(done)
             self._began = self._spoke = time.monotonic()
             if self._bars is not None:
                 self._bars.begin(stage, self._pace)
             else:
                 note(f"{stage} …")
         self._doing = doing
-        more = self._pace.note(done)
+        more = self._pace.note(done, total)
         if self._bars is not None:
             self._bars.show(f"{stage}: {doing}" if doing else stage, done, total)
-        elif time.monotonic() - self._spoke > HEARTBEAT or (more and doing):
+        elif time.monotonic() - self._spoke > _HEARTBEAT or (more and doing):
             self._speak(done, total)
+
+    def about(self, what: str) -> Callable[[str, int, int], None]:
+        """The same progress, in stages that say what they are about."""
+        return lambda stage, done, total: self(f"{stage}, {what}", done, total)
+
+    @contextmanager
+    def step(self, stage: str) -> Iterator[None]:
+        """A stage of one part, which is done when the block ends well."""
+        self(stage, 0, 1)
+        yield
+        self(stage, 1, 1)
 
     def _speak(self, done: int, total: int) -> None:
         """Say in a log file how far the stage is."""
         if total and done >= total:
-            return  # its end is told when it ends
+            return  # its end is reported when it ends
         self._spoke = time.monotonic()
         if total > 1:
-            text = f"{done} of {total}{_about(self._pace.left(total))}"
+            text = f"{done} of {total}{_about(self._pace.left())}"
         else:
             text = f"{time.monotonic() - self._began:.0f} s so far"
         note("; ".join(filter(None, (f"{self._stage}: {text}", self._doing))))
@@ -162,6 +152,41 @@ class Progress:
         self._stage = ""
 
 
+class _Pace:
+    """How fast a stage goes: the time left, at the mean pace of the parts that were seen to be done.
+
+    Args:
+        done: parts that were done before it began, and took no time.
+    """
+
+    def __init__(self, done: int) -> None:
+        self._first = self._done = done
+        self._total = 0
+        self._began = self._last = time.monotonic()
+
+    def note(self, done: int, total: int) -> bool:
+        """Note how many parts are done; returns whether these are more than before."""
+        self._total = total
+        more = done > self._done
+        if more:
+            self._done, self._last = done, time.monotonic()
+        return more
+
+    def left(self) -> float | None:
+        """Seconds until all parts are done; None until one is. It runs down while a part is at work."""
+        made = self._done - self._first
+        if made <= 0 or self._total <= 1:
+            return None
+        each = (self._last - self._began) / made
+        at_work = min(time.monotonic() - self._last, each)
+        return max(each * (self._total - self._done) - at_work, 0.0)
+
+    def __str__(self) -> str:
+        """The time left beside a bar, which asks for it again and again."""
+        left = self.left()
+        return "" if left is None else f"{timedelta(seconds=round(left))} left"
+
+
 def _about(seconds: float | None) -> str:
     """The time left in words, after a comma; nothing where it is not known."""
     if seconds is None:
@@ -170,6 +195,58 @@ def _about(seconds: float | None) -> str:
         if seconds > 2 * length:
             return f", about {seconds / length:.0f} {unit} left"
     return f", about {seconds:.0f} s left"
+
+
+class _Bars:
+    """One bar for each stage, those that have ended above the present one, each in one line however narrow
+    the terminal is: there the bar becomes shorter.
+    """
+
+    def __init__(self) -> None:
+        from rich.console import Console
+        from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+        from rich.table import Column
+
+        self._bars = Progress(
+            TextColumn(f"{{task.description:<{_LONGEST_STAGE}}}", markup=False),
+            BarColumn(_BAR),
+            TextColumn("{task.fields[count]}", style="progress.download", justify="right", markup=False),
+            TimeElapsedColumn(Column(no_wrap=True)),
+            TextColumn("{task.fields[left]}", style="progress.remaining", markup=False),
+            console=Console(stderr=True),
+        )
+        self._bars.start()
+
+    def begin(self, stage: str, pace: _Pace) -> None:
+        """Add a bar; it has no end until one is shown."""
+        self._task = self._bars.add_task(_cut(stage), total=None, count="", left=pace)
+
+    def show(self, text: str, done: int, total: int) -> None:
+        """How far the last bar is; one part, or 0 where their number is not known, cannot be counted."""
+        task = self._bars.tasks[self._task]
+        shown, whole = _cut(text), total if total > 1 else None
+        if (task.description, task.completed, task.total) != (shown, done, whole):
+            count = f"{done}/{total}" if total > 1 else ""
+            self._bars.update(self._task, description=shown, completed=done, total=whole, count=count)
+            if task.finished:
+                self._bars.update(self._task, left="")
+
+    def end(self, stage: str) -> None:
+        """Fill the last bar and stop its clock."""
+        whole = int(self._bars.tasks[self._task].total or 1)
+        count = f"{whole}/{whole}" if whole > 1 else ""
+        self._bars.update(
+            self._task, description=_cut(stage), completed=whole, total=whole, count=count, left=""
+        )
+        self._bars.stop_task(self._task)
+
+    def stop(self) -> None:
+        """Leave what is drawn as it is."""
+        self._bars.stop()
+
+
+def _cut(text: str) -> str:
+    return text if len(text) <= _LONGEST_STAGE else text[: _LONGEST_STAGE - 1] + "…"
 
 
 def table(
@@ -189,13 +266,13 @@ def table(
     from rich.text import Text
 
     console = Console(width=None if sys.stdout.isatty() else WIDTH, highlight=False)
-    console.width = min(console.width, WIDEST)
+    console.width = min(console.width, _WIDEST)
     texts = [list(column) for column in zip(columns, *rows, strict=True)]
     least = [
         max(len(part) for text in column for part in ([text] if index in numbers else text.split() or [""]))
         for index, column in enumerate(texts)
     ]
-    crowded = sum(least) + GAP * (len(columns) - 1) > console.width
+    crowded = sum(least) + _GAP * (len(columns) - 1) > console.width
     grid = Table(box=box.SIMPLE_HEAD, show_edge=False, pad_edge=False)
     for index, name in enumerate(columns):
         is_number = index in numbers

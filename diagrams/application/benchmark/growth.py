@@ -11,6 +11,8 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
+from slipmap.diagrams.application.benchmark.scene import make_scene, median_time
+
 CELLS = (60, 250, 1000, 2000)
 STEPS = (100, 200, 400, 800)
 MODELS = (1, 100, 1000)
@@ -41,11 +43,8 @@ def measure_growth(
         arguments = json.dumps({**size, "repeats": repeats, "seed": seed})
         child = subprocess.run(
             [sys.executable, "-m", "slipmap.diagrams.application.benchmark.growth", arguments],
-            capture_output=True,
-            text=True,
-            cwd=Path(__file__).resolve().parents[2],
-            env={**os.environ, "NUMBA_NUM_THREADS": "1"},
-        )
+            capture_output=True, text=True, env={**os.environ, "NUMBA_NUM_THREADS": "1"},
+        )  # fmt: skip
         if child.returncode:
             raise RuntimeError(f"benchmark: growth at {size} failed: {child.stderr.strip()[-500:]}")
         results.append(json.loads(child.stdout))
@@ -55,8 +54,6 @@ def measure_growth(
 
 def measure(*, cells: int, steps: int, models: int, repeats: int, seed: int) -> dict[str, Any]:
     """Time of one rollout (s) and of one cell in one evaluation (ns), peak memory of this process (MiB)."""
-    from slipmap.diagrams.application.benchmark.scene import make_scene, median_time
-
     scene = make_scene(cells=cells, models=models, steps=steps, seed=seed)
     rollouts = scene.slider.rollout(scene.maps, [scene.push])
     seconds = median_time(lambda: scene.slider.rollout(scene.maps, [scene.push]), repeats)

@@ -86,12 +86,3 @@ def median_time(
         work()
         durations.append(clock() - start)
     return statistics.median(durations)
-
-
-def median_of_runs(run: Callable[[], tuple[float, FloatArray]], repeats: int) -> tuple[float, FloatArray]:
-    """Median of the durations that some runs report, s, and what the last one returned."""
-    durations = []
-    for _ in range(repeats):
-        seconds, result = run()
-        durations.append(seconds)
-    return statistics.median(durations), result

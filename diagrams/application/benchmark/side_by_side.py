@@ -1,18 +1,36 @@
-"""All engines on the same push in one run."""
+"""All engines on the same push in one run: the compiled rollout, plain numpy, MuJoCo and Bullet."""
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from typing import Any
 
+import numba
 import numpy as np
 
-from slipmap.diagrams.application.benchmark import bullet, mujoco_engine, ours, plain_numpy
+from slipmap.diagrams.application.benchmark import plain_numpy
 from slipmap.diagrams.application.benchmark.growth import measure_growth
+from slipmap.diagrams.application.benchmark.other_engines import run_bullet, run_mujoco
 from slipmap.diagrams.application.benchmark.scene import STEP, Outcome, Scene, make_scene, median_time
 
-_ENGINES = {"MuJoCo": mujoco_engine.run, "Bullet": bullet.run}
+
+@dataclass(frozen=True)
+class KernelCost:
+    """What one rollout consists of.
+
+    Attributes:
+        evaluations_per_step: sums over all cells in a step.
+        ns_per_cell_evaluation: time of the whole rollout over cells and evaluations, ns.
+        jacobian_rollouts: time with the derivatives of all poses over the time without.
+        columns: parameters of that Jacobian.
+    """
+
+    evaluations_per_step: float
+    ns_per_cell_evaluation: float
+    jacobian_rollouts: float
+    columns: int
 
 
 def run_benchmark(
@@ -50,11 +68,11 @@ def run_benchmark(
     report = progress or (lambda stage, done, total: None)
     scene = make_scene(cells=cells, models=models, steps=steps, seed=seed)
     report("slipmap", 0, 1)
-    outcomes, kernel = ours.time_rollouts(scene, repeats)
+    outcomes, kernel = _time_rollouts(scene, repeats)
     report("plain numpy", 0, 1)
     outcomes["plain numpy"], difference = _plain_numpy(scene, repeats)
     missing = {}
-    for name, run in _ENGINES.items():
+    for name, run in (("MuJoCo", run_mujoco), ("Bullet", run_bullet)):
         report(name, 0, 1)
         try:
             outcomes[name] = run(scene, repeats)
@@ -63,14 +81,8 @@ def run_benchmark(
     growth = measure_growth(cells=cells, steps=steps, repeats=repeats, seed=seed, progress=report)
     first = next(iter(outcomes.values())).seconds
     return {
-        "scene": {
-            "cells": len(scene.slider.grid),
-            "models": models,
-            "steps": steps,
-            "step": STEP,
-            "repeats": repeats,
-            "seed": seed,
-        },
+        "scene": {"cells": len(scene.slider.grid), "models": models, "steps": steps, "step": STEP,
+                  "repeats": repeats, "seed": seed},
         "engines": [
             {
                 "name": name,
@@ -85,18 +97,51 @@ def run_benchmark(
         "kernel": asdict(kernel),
         "numpy_difference": difference,
         "growth": growth,
+    }  # fmt: skip
+
+
+def _time_rollouts(scene: Scene, repeats: int) -> tuple[dict[str, Outcome], KernelCost]:
+    """Time all models of the scene under its push; the number of threads is put back at the end."""
+    slider, maps, pushes = scene.slider, scene.maps, [scene.push]
+    models, cells = len(maps), len(slider.grid)
+    one = maps[:1]
+    threads = numba.get_num_threads()
+    # The first call compiles.
+    rollouts = slider.rollout(maps, pushes)
+    slider.rollout(maps, pushes, sensitivities=True)
+    slider.rollout(one, pushes)
+    pose = rollouts.end[0, 0, :3]
+    evaluations = float(rollouts.evaluations.mean())
+    try:
+        numba.set_num_threads(1)
+        together = median_time(lambda: slider.rollout(maps, pushes), repeats) / models
+        single = median_time(lambda: slider.rollout(one, pushes), repeats)
+        jacobian = median_time(lambda: slider.rollout(maps, pushes, sensitivities=True), repeats) / models
+        numba.set_num_threads(threads)
+        parallel = median_time(lambda: slider.rollout(maps, pushes), repeats, time.perf_counter) / models
+    finally:
+        numba.set_num_threads(threads)
+    outcomes = {
+        "slipmap, one core": Outcome(together, pose, f"{models} models in one call"),
+        f"slipmap, {threads} cores": Outcome(
+            parallel, pose, f"{models} models in one call; wall time, which needs idle cores"
+        ),
+        "slipmap, single call": Outcome(single, pose, "one model in one call, one core"),
     }
+    steps = len(scene.push.tip) - 1
+    cost = KernelCost(
+        evaluations / steps, 1e9 * together / (cells * evaluations), jacobian / together, slider.columns
+    )
+    return outcomes, cost
 
 
 def _plain_numpy(scene: Scene, repeats: int) -> tuple[Outcome, float]:
     """Outcome of plain numpy, and the largest difference of one of its poses from ours."""
     poses = plain_numpy.rollout(scene.slider, scene.maps, scene.push)
-    difference = float(np.abs(poses[1:] - ours.poses(scene)).max())
+    ours = scene.slider.rollout(scene.maps[:1], [scene.push]).poses[0]
+    difference = float(np.abs(poses[1:] - ours).max())
     seconds = median_time(lambda: plain_numpy.rollout(scene.slider, scene.maps, scene.push), repeats)
     return Outcome(seconds, poses[-1], "the same convex step, one model"), difference
-
-
-# The benchmark's result as text.
 
 
 def format_table(result: dict[str, Any]) -> str:

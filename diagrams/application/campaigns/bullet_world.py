@@ -6,13 +6,8 @@ import numpy as np
 import shapely
 from scipy.spatial.transform import Rotation
 
-from slipmap.diagrams.application.campaigns.direct_world import (
-    LONGEST_SETTLING,
-    PERIOD,
-    DirectWorld,
-    Motion,
-    WorldNoise,
-)
+from slipmap.diagrams.application.campaigns import direct_world
+from slipmap.diagrams.application.campaigns.direct_world import PERIOD, DirectWorld, Motion, WorldNoise
 from slipmap.diagrams.station.sliding_object import GRAVITY, spatial_inertia
 from slipmap.diagrams.station.table import ROUND_TABLE
 from slipmap.models.measurements.push_dataset import Table
@@ -38,9 +33,6 @@ _ITERATIONS = 50
 _CONTACTS = 4  # that Bullet keeps between two bodies
 _APART = 0.03  # m; contacts closer than 20 mm to each other it takes for one
 _TABLE, _FEET, _BLOCKS, _FINGER = 1, 2, 4, 8  # collision groups
-_AT_REST = 5e-3  # m/s and rad/s
-_TILTED = np.cos(np.radians(10.0))
-_SUNK = 5e-3  # m
 
 Pose = tuple[list[float], list[float]]
 """Place, and quaternion with the real part last."""
@@ -120,20 +112,19 @@ class BulletWorld(DirectWorld):
         return Motion(np.array(poses), np.array(tips), np.array(forces))
 
     def _settle(self) -> None:
-        for step in range(1, round(LONGEST_SETTLING / STEP) + 1):
+        for step in range(1, round(direct_world.LONGEST_SETTLING / STEP) + 1):
             self._p.stepSimulation(**self._where)
             if step % 50 == 0:
-                velocity = np.array(self._p.getBaseVelocity(self._body, **self._where))
-                if (step >= 250 and np.abs(velocity).max() < _AT_REST) or np.isnan(self._pose()).any():
+                fastest = np.abs(self._p.getBaseVelocity(self._body, **self._where)).max()
+                if (step >= 250 and fastest < direct_world.AT_REST) or np.isnan(self._pose()).any():
                     return
 
     def _pose(self) -> FloatArray:
         p = self._p
         X_WI = p.getBasePositionAndOrientation(self._body, **self._where)
-        (x, y, z), (qx, qy, qz, qw) = p.multiplyTransforms(*X_WI, *self._X_IO)
-        if 1 - 2 * (qx**2 + qy**2) < _TILTED or z < -_SUNK:
-            return np.full(3, np.nan)
-        return np.array([x, y, np.arctan2(2 * (qw * qz + qx * qy), 1 - 2 * (qy**2 + qz**2))])
+        place, turn = p.multiplyTransforms(*X_WI, *self._X_IO)
+        x, y, z, w = np.array(turn)
+        return direct_world.flat_pose(np.array(place), w, x, y, z)
 
     def _move_finger(self, place: FloatArray) -> None:
         for joint in (0, 1):
@@ -193,9 +184,8 @@ class BulletWorld(DirectWorld):
                 contactDamping=2 * np.sqrt(stiffness * mass), **where,
             )  # fmt: skip
             p.setCollisionFilterGroupMask(body, link, _FEET, _TABLE, **where)
-        for block in range(
-            n, count
-        ):  # of the prisms, which hang just above the table, only what touches counts
+        # Of the prisms, which hang just above the table, only what touches counts.
+        for block in range(n, count):
             p.changeDynamics(
                 body, block, lateralFriction=thing.mu_finger, contactProcessingThreshold=0.0, **where
             )

@@ -10,11 +10,11 @@ import shapely
 
 from slipmap.diagrams.loops.exploration_loop import SENSORS
 from slipmap.diagrams.station.table import ROUND_TABLE
+from slipmap.models.geometry import placed, seen_from
 from slipmap.models.measurements.push_dataset import Channel, Noise, Table, Trial
 from slipmap.models.objects.true_object import TrueObject
 from slipmap.models.physics.cell_grid import FloatArray
 from slipmap.models.robots import FINGER_RADIUS
-from slipmap.planners.exploration import turn
 from slipmap.planners.push_decisions import ObjectFell, PushNotMade
 from slipmap.planners.table_push import TablePush
 
@@ -25,8 +25,14 @@ RAMP = 0.1
 PERIOD = 0.01
 """s between two rows of tip and force."""
 
-WORST_MISS = 2.5  # standard deviations of control noise
-LONGEST_SETTLING = 3.0  # s
+LONGEST_SETTLING = 3.0
+"""s that an object is waited for until it rests."""
+AT_REST = 5e-3
+"""m/s and rad/s below which it does."""
+
+_WORST_MISS = 2.5  # standard deviations of control noise
+_TILTED = np.cos(np.radians(10.0))  # of an object that is not flat on the table any more
+_SUNK = 5e-3  # m; the same
 
 
 @dataclass(frozen=True)
@@ -142,7 +148,7 @@ class DirectWorld(ABC):
         except ObjectFell as error:
             raise PushNotMade(str(error)) from error
         begin, end = (self._missed(point) for point in (push.begin, push.end))
-        local = (begin - before[:2]) @ turn(before[2])
+        local = seen_from(begin, before)
         gap = float(shapely.distance(self.true_object.grid.polygon, shapely.Point(local)))
         if gap < self.finger_radius:
             raise PushNotMade(
@@ -185,12 +191,11 @@ class DirectWorld(ABC):
         return values + sigma * self._rng.standard_normal(values.shape)
 
     def _missed(self, point: FloatArray) -> FloatArray:
-        return point + self.noise.control * np.clip(self._rng.standard_normal(2), -WORST_MISS, WORST_MISS)
+        return point + self.noise.control * np.clip(self._rng.standard_normal(2), -_WORST_MISS, _WORST_MISS)
 
     def _inside(self) -> bool:
         """Whether the whole footprint lies on the table."""
-        x, y, angle = self._seen
-        corners = self.true_object.grid.exterior @ turn(angle).T + [x, y] - np.asarray(self.table.center)
+        corners = placed(self.true_object.grid.exterior, self._seen) - np.asarray(self.table.center)
         if self.table.radius is not None:
             return bool((np.hypot(*corners.T) < self.table.radius).all())
         assert self.table.size is not None
@@ -223,6 +228,15 @@ def finger_path(push: TablePush, step: float) -> FloatArray:
     pace = push.pace(push.speed / RAMP, push.speed / RAMP)
     rows = int(np.ceil((pace.duration + 2 * REST) / PERIOD)) * round(PERIOD / step)
     return push.begin + np.outer(pace.at(step * np.arange(rows + 1, dtype=float) - REST), push.direction)
+
+
+def flat_pose(place: FloatArray, w: FloatArray, x: FloatArray, y: FloatArray, z: FloatArray) -> FloatArray:
+    """(…, 3) of an object at places (…, 3) with quaternions w, x, y, z (…); NaN where it is not flat on the
+    table."""
+    angle = np.arctan2(2 * (w * z + x * y), 1 - 2 * (y**2 + z**2))
+    pose = np.stack([place[..., 0], place[..., 1], angle], axis=-1)
+    pose[(1 - 2 * (x**2 + y**2) < _TILTED) | (place[..., 2] < -_SUNK)] = np.nan
+    return pose
 
 
 def _continued(before: FloatArray, pose: FloatArray) -> FloatArray:

@@ -1,16 +1,20 @@
-"""The experiments that `slipmap campaign` knows. Naming them loads nothing that is large."""
+"""The experiments that `slipmap campaign` knows, what each has, and what the paper reports of them.
+
+Naming them loads nothing that is large. The paper's numbers are read off the figures and tables of Song and
+Boularias (IROS 2020).
+"""
 
 from __future__ import annotations
 
 import importlib
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from slipmap.planners.trials import Estimate, TrialOutcome, TrialSpec, mean
-
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
+    from slipmap.planners.trials import TrialOutcome, TrialSpec
 
 
 ABOUT = {
@@ -44,9 +48,6 @@ def experiment_of(name: str) -> Experiment:
     module, attribute = _PLACES[name].split(":")
     experiment: Experiment = getattr(importlib.import_module(f"{__package__}.{module}"), attribute)
     return experiment
-
-
-# What every experiment of the paper has: trials to make, and a table and a figure of what came of them.
 
 
 @dataclass(frozen=True)
@@ -100,19 +101,46 @@ class Experiment:
     objects: tuple[str, ...] = ()
 
 
-def names_and_seeds(objects: Sequence[str], trials: int, seed: int) -> Iterator[tuple[str, int]]:
-    """Every object with every seed, all objects early: an unfinished campaign has something of each."""
-    for number in range(seed, seed + trials):
-        for name in objects:
-            yield name, number
+def specs_of(
+    trial: str,
+    objects: Sequence[str],
+    trials: int,
+    seed: int,
+    varied: Mapping[str, Sequence[str]],
+    more: Callable[[int], dict[str, Any]] = lambda number: {},
+) -> list[TrialSpec]:
+    """A trial for every seed, object and variant; all objects early, so that an unfinished campaign has
+    something of each.
+
+    Args:
+        trial: where its function is, `module:function`.
+        objects: names, which it takes as `object_name`.
+        trials: of each object and variant.
+        seed: the first one.
+        varied: a parameter and its values, such as the methods that are compared; or nothing.
+        more: further parameters of the trials of a seed.
+    """
+    from slipmap.planners.trials import TrialSpec
+
+    variants = [{parameter: value} for parameter, values in varied.items() for value in values] or [{}]
+    return [
+        TrialSpec(
+            "-".join([name, *(value.split()[0] for value in variant.values()), str(number)]),
+            trial,
+            {"object_name": name, **variant, **more(number)},
+            number,
+        )
+        for number in range(seed, seed + trials)
+        for name in objects
+        for variant in variants
+    ]
 
 
-def curves_of(values: Mapping[str, Sequence[Sequence[float]]]) -> dict[str, list[Estimate]]:
-    """For each label the means over trials, one for each place along the curve."""
-    return {label: [mean(column) for column in zip(*trials, strict=True)] for label, trials in values.items()}
-
-
-# What Song and Boularias (IROS 2020) report, read off their figures and tables.
+def as_json(estimates: Any) -> Any:
+    """Mappings and lists of estimates for programs."""
+    if isinstance(estimates, Mapping):
+        return {name: as_json(one) for name, one in estimates.items()}
+    return [as_json(one) for one in estimates] if isinstance(estimates, list) else estimates.to_json()
 
 
 STABLE_GOALS: dict[str, tuple[float, float]] = {

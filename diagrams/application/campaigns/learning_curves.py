@@ -3,33 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
-from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from slipmap.diagrams.application.campaigns.direct_world import DirectWorld
-from slipmap.diagrams.application.campaigns.experiments import (
-    Experiment,
-    Summary,
-    TableText,
-    curves_of,
-    names_and_seeds,
-)
-from slipmap.diagrams.application.campaigns.worlds import world_of
-from slipmap.diagrams.systems.measurement_logger import dataset_of
-from slipmap.models.inference.belief import Belief
-from slipmap.models.measurements import PushDataset, Trial
-from slipmap.planners.pregrasp import learn_by_pushing
+from slipmap.diagrams.application.campaigns import experiments
 from slipmap.planners.settings import STRATEGIES, PregraspSettings
-from slipmap.planners.trials import TrialOutcome, TrialSpec
+from slipmap.planners.trials import Estimate, TrialOutcome, TrialSpec, mean
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+    from slipmap.diagrams.application.campaigns.direct_world import DirectWorld
+    from slipmap.models.inference.belief import Belief
     from slipmap.models.measurements import Trial
-
 
 PUSHES = 5
 """To learn from, at most; as many as the paper's identification has."""
@@ -38,12 +25,13 @@ CHECKS = 10
 MODELS = ("identified", "uniform", "Algorithm 1")
 """Compared in figure 4: the default method, its uniform object, and Algorithm 1 as printed."""
 
-_HERE = "slipmap.diagrams.application.campaigns.learning_curves"
+Curves = dict[str, dict[str, list[list[float]]]]
+"""Object, what is compared, and for each trial the errors (m) after 1 to `PUSHES` pushes."""
 
 
 def strategies_trial(*, seed: int, truth: str, object_name: str, strategy: str) -> dict[str, Any]:
     """Trial of figure 3: errors (m) on the same further pushes, after 1 to `PUSHES` pushes of a strategy."""
-    from slipmap.diagrams.application.campaigns.worlds import world_of
+    from slipmap.diagrams.application.campaigns.worlds import as_dataset, world_of
     from slipmap.models.inference.identification import identify
 
     world = world_of(truth, object_name)
@@ -55,7 +43,7 @@ def strategies_trial(*, seed: int, truth: str, object_name: str, strategy: str) 
 
 def models_trial(*, seed: int, truth: str, object_name: str) -> dict[str, Any]:
     """Trial of figure 4: errors (m) of every model on further pushes, after 1 to `PUSHES` random pushes."""
-    from slipmap.diagrams.application.campaigns.worlds import world_of
+    from slipmap.diagrams.application.campaigns.worlds import as_dataset, world_of
     from slipmap.models.inference.identification import identify
 
     world = world_of(truth, object_name)
@@ -77,9 +65,9 @@ def models_trial(*, seed: int, truth: str, object_name: str) -> dict[str, Any]:
 
 def _pushes(world: DirectWorld, count: int, strategy: str, seed: int, series: int) -> Sequence[Trial]:
     """Pushes of an object that is put down at the table's middle, turned at random."""
+    from slipmap.diagrams.application.campaigns.worlds import as_dataset
     from slipmap.models.inference.identification import identify
     from slipmap.planners.pregrasp import explore
-    from slipmap.planners.settings import PregraspSettings
 
     def learn(trials: Sequence[Trial]) -> Belief:
         return identify(as_dataset(world, trials), seed=seed).belief
@@ -92,27 +80,20 @@ def _pushes(world: DirectWorld, count: int, strategy: str, seed: int, series: in
 
 
 def _strategy_specs(objects: Sequence[str], trials: int, seed: int, truth: str) -> list[TrialSpec]:
-    return [
-        TrialSpec(
-            f"{name}-{strategy}-{number}",
-            f"{_HERE}:strategies_trial",
-            {"truth": truth, "object_name": name, "strategy": strategy},
-            number,
-        )
-        for name, number in names_and_seeds(objects, trials, seed)
-        for strategy in STRATEGIES
-    ]
+    varied = {"strategy": STRATEGIES}
+    return experiments.specs_of(
+        f"{__name__}:strategies_trial", objects, trials, seed, varied, lambda _: {"truth": truth}
+    )
 
 
 def _model_specs(objects: Sequence[str], trials: int, seed: int, truth: str) -> list[TrialSpec]:
-    return [
-        TrialSpec(f"{name}-{number}", f"{_HERE}:models_trial", {"truth": truth, "object_name": name}, number)
-        for name, number in names_and_seeds(objects, trials, seed)
-    ]
+    return experiments.specs_of(
+        f"{__name__}:models_trial", objects, trials, seed, {}, lambda _: {"truth": truth}
+    )
 
 
-def _strategy_summary(outcomes: Sequence[TrialOutcome]) -> Summary:
-    curves: dict[str, dict[str, list[list[float]]]] = {}
+def _strategy_summary(outcomes: Sequence[TrialOutcome]) -> experiments.Summary:
+    curves: Curves = {}
     for outcome in outcomes:
         if outcome.result is not None:
             parameters = outcome.spec.parameters
@@ -125,15 +106,13 @@ def _strategy_summary(outcomes: Sequence[TrialOutcome]) -> Summary:
     return _summary("Error after N pushes chosen by a strategy (mean ADD, mm)", "strategy", curves, remark)
 
 
-def _model_summary(outcomes: Sequence[TrialOutcome]) -> Summary:
-    curves: dict[str, dict[str, list[list[float]]]] = {}
+def _model_summary(outcomes: Sequence[TrialOutcome]) -> experiments.Summary:
+    curves: Curves = {}
     for outcome in outcomes:
         if outcome.result is not None:
-            of_object = curves.setdefault(
-                outcome.spec.parameters["object_name"], {name: [] for name in MODELS}
-            )
-            for name in MODELS:
-                of_object[name].append(outcome.result["errors"][name])
+            name = outcome.spec.parameters["object_name"]
+            for model, errors in curves.setdefault(name, {model: [] for model in MODELS}).items():
+                errors.append(outcome.result["errors"][model])
     remark = (
         "The paper's figure 4 has no numbers in its text; there, identified models predict better the more"
         " pushes they have seen."
@@ -141,78 +120,27 @@ def _model_summary(outcomes: Sequence[TrialOutcome]) -> Summary:
     return _summary("Error after N random pushes (mean ADD, mm)", "model", curves, remark)
 
 
-def _summary(title: str, what: str, curves: dict[str, dict[str, list[list[float]]]], remark: str) -> Summary:
-    tables, document = [], {}
+def _summary(title: str, what: str, curves: Curves, remark: str) -> experiments.Summary:
+    means = {
+        name: {label: [mean(column) for column in zip(*trials, strict=True)] for label, trials in of.items()}
+        for name, of in curves.items()
+    }
     columns = (what, *map(str, range(1, PUSHES + 1)))
-    for name, of_object in curves.items():
-        estimates = curves_of(of_object)
-        document[name] = {label: [one.to_json() for one in row] for label, row in estimates.items()}
+    tables = []
+    for name, estimates in means.items():
         rows = [[label, *(one.short(1e3) for one in row)] for label, row in estimates.items()]
-        count = max(map(len, of_object.values()))
-        tables.append(TableText(f"{title}: {name}, {count} trials", columns, rows))
-    return Summary(tables, remark, {"curves": document, "unit": "m"}, lambda: _figure(title, curves))
+        count = max(map(len, curves[name].values()))
+        tables.append(experiments.TableText(f"{title}: {name}, {count} trials", columns, rows))
+    return experiments.Summary(
+        tables, remark, {"curves": experiments.as_json(means), "unit": "m"}, lambda: _figure(title, means)
+    )
 
 
-def _figure(title: str, curves: dict[str, dict[str, list[list[float]]]]) -> list[Figure]:
+def _figure(title: str, means: dict[str, dict[str, list[Estimate]]]) -> list[Figure]:
     from slipmap.diagrams.application.figures.campaign_figures import curves_figure
 
-    return [curves_figure(title, {name: curves_of(labels) for name, labels in curves.items()})]
+    return [curves_figure(title, means)]
 
 
-FIGURE_3 = Experiment("fig3", 10, _strategy_specs, _strategy_summary)
-FIGURE_4 = Experiment("fig4", 10, _model_specs, _model_summary)
-
-
-# Pushes recorded in a campaign's world, and what is learned from them.
-
-
-MOST_PUSHES = 5
-"""From which an object is identified, as in the paper."""
-
-
-def as_dataset(world: DirectWorld, fit: Sequence[Trial], heldout: Sequence[Trial] = ()) -> PushDataset:
-    """Recorded trials as a dataset: those to learn from, then those to judge with.
-
-    Raises:
-        DatasetError: there is no trial.
-    """
-    trials = [
-        replace(trial, name=f"trials/{number:03d}.json", role="fit" if number < len(fit) else "heldout")
-        for number, trial in enumerate([*fit, *heldout])
-    ]
-    return dataset_of(
-        trials,
-        world.true_object.grid,
-        name=world.true_object.name,
-        finger_radius=world.finger_radius,
-        noise=world.noise.sensors,
-        table=world.table,
-        description=f"Recorded in the world of {type(world).__name__}.",
-    )
-
-
-@lru_cache(maxsize=32)
-def identified(truth: str, object_name: str, seed: int) -> Belief:
-    """What five pushes of an object in its world teach; made once in a process for each seed.
-
-    Raises:
-        ObjectFell, PushNotMade: the object could not be explored.
-    """
-    return explored(world_of(truth, object_name), seed)[0]
-
-
-def explored(world: DirectWorld, seed: int) -> tuple[Belief, tuple[Trial, ...]]:
-    """What `MOST_PUSHES` pushes teach of the object at the table's middle, and the pushes.
-
-    Raises:
-        ObjectFell, PushNotMade: the object could not be explored.
-    """
-    rng = np.random.default_rng([seed, 0])
-    world.reset(np.array([0.0, 0.0, rng.uniform(-np.pi, np.pi)]), rng)
-    return learn_by_pushing(
-        world,
-        world.true_object.grid,
-        lambda trials, grid: as_dataset(world, trials),
-        PregraspSettings(explorations=MOST_PUSHES),
-        np.random.default_rng([seed, 1]),
-    )
+FIGURE_3 = experiments.Experiment("fig3", 10, _strategy_specs, _strategy_summary)
+FIGURE_4 = experiments.Experiment("fig4", 10, _model_specs, _model_summary)

@@ -7,9 +7,9 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from slipmap.diagrams.application.campaigns.experiments import TableText, names_and_seeds
-from slipmap.planners.pregrasp import METHODS
-from slipmap.planners.trials import Estimate, TrialOutcome, TrialSpec, mean, share
+from slipmap.diagrams.application.campaigns.experiments import TableText, as_json
+from slipmap.planners.settings import METHODS
+from slipmap.planners.trials import Estimate, TrialOutcome, mean, share
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -21,38 +21,9 @@ Paper = Mapping[str, Mapping[str, float]]
 """Object, method, success in %; not every object or method need be there."""
 
 
-def specs_of_methods(
-    trial: str,
-    objects: Sequence[str],
-    trials: int,
-    seed: int,
-    more: Callable[[int], dict[str, Any]] = lambda number: {},
-) -> list[TrialSpec]:
-    """A trial for every object, seed and method.
-
-    Args:
-        trial: where its function is, `module:function`; it takes `object_name`, `method` and what `more`
-            gives.
-        objects: names.
-        trials: of each object and method.
-        seed: the first one.
-        more: parameters of the trial of a seed.
-    """
-    return [
-        TrialSpec(
-            f"{name}-{method}-{number}",
-            trial,
-            {"object_name": name, "method": method, **more(number)},
-            number,
-        )
-        for name, number in names_and_seeds(objects, trials, seed)
-        for method in METHODS
-    ]
-
-
 @dataclass(frozen=True, eq=False)
 class MethodsCompared:
-    """What the trials of `specs_of_methods` say; every trial has a `fate` and `pushes`.
+    """What trials of all `METHODS` say; each has a `fate` and `pushes`.
 
     Attributes:
         success: object, method, share of trials.
@@ -90,14 +61,8 @@ class MethodsCompared:
 
     def to_json(self, success: str) -> dict[str, Any]:
         """For programs; the shares under the key `success`."""
-        return {
-            success: {
-                name: {method: one.to_json() for method, one in of.items()}
-                for name, of in self.success.items()
-            },
-            "pushes": {method: one.to_json() for method, one in self.pushes.items()},
-            "fates": {method: dict(of) for method, of in self.fates.items()},
-        }
+        fates = {method: dict(of) for method, of in self.fates.items()}
+        return {success: as_json(self.success), "pushes": as_json(self.pushes), "fates": fates}
 
     def figures(self, title: str, paper: Paper) -> list[Figure]:
         """Bars of success, marked with the paper's."""

@@ -18,11 +18,13 @@ from pydrake.systems.primitives import TrajectorySource, VectorLogSink
 from pydrake.trajectories import PiecewisePolynomial
 
 from slipmap.diagrams.application.campaigns.direct_world import (
+    AT_REST,
     LONGEST_SETTLING,
     PERIOD,
     DirectWorld,
     Motion,
     WorldNoise,
+    flat_pose,
 )
 from slipmap.diagrams.station.hidden_effects import HiddenEffectsConfig, add_hidden_effects
 from slipmap.diagrams.station.sliding_object import (
@@ -45,9 +47,6 @@ _FINGER_HEIGHT = 2e-3  # m, of its end above the table
 _AWAY = np.array([50.0, 50.0])
 _LOOK = 0.02  # s between two looks whether the object rests or is lost
 _LEAST_SETTLING = 0.25  # s
-_AT_REST = 5e-3  # m/s and rad/s
-_TILTED = np.cos(np.radians(10.0))
-_SUNK = 5e-3  # m
 
 
 class PlantWorld(DirectWorld):
@@ -150,7 +149,7 @@ class PlantWorld(DirectWorld):
         while self._root.get_time() < begin + LONGEST_SETTLING and not self._lost():
             self._simulator.AdvanceTo(self._root.get_time() + _LOOK)
             velocity = np.abs(self._plant.GetVelocities(self._context, self._body.model_instance())).max()
-            if self._root.get_time() > begin + _LEAST_SETTLING and velocity < _AT_REST:
+            if self._root.get_time() > begin + _LEAST_SETTLING and velocity < AT_REST:
                 return
 
     def _pose(self) -> FloatArray:
@@ -166,12 +165,7 @@ class PlantWorld(DirectWorld):
     def _poses(self, states: FloatArray) -> FloatArray:
         """(T, 3) from rows of the plant's state; NaN where the object is not flat on the table."""
         start = self._body.floating_positions_start()
-        w, x, y, z, px, py, pz = states[:, start : start + 7].T
-        angle = np.arctan2(2 * (w * z + x * y), 1 - 2 * (y**2 + z**2))
-        upright = 1 - 2 * (x**2 + y**2)
-        poses = np.column_stack([px, py, angle])
-        poses[(upright < _TILTED) | (pz < -_SUNK)] = np.nan
-        return poses
+        return flat_pose(states[:, start + 4 : start + 7], *states[:, start : start + 4].T)
 
     def _tips(self, states: FloatArray) -> FloatArray:
         names = ("finger_x", "finger_y")

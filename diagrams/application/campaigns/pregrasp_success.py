@@ -12,9 +12,11 @@ from slipmap.diagrams.application.campaigns.experiments import (
     PREGRASP_SUCCESS,
     Experiment,
     Summary,
+    specs_of,
 )
-from slipmap.diagrams.application.campaigns.methods_compared import compare_methods, specs_of_methods
+from slipmap.diagrams.application.campaigns.methods_compared import compare_methods
 from slipmap.models.geometry import angle_between
+from slipmap.planners.settings import METHODS
 from slipmap.planners.trials import TrialOutcome, TrialSpec
 
 if TYPE_CHECKING:
@@ -39,8 +41,7 @@ def trial(*, seed: int, truth: str, object_name: str, method: str, belief_seed: 
     Returns:
         See `result_of`.
     """
-    from slipmap.diagrams.application.campaigns.learning_curves import identified
-    from slipmap.diagrams.application.campaigns.worlds import world_of
+    from slipmap.diagrams.application.campaigns.worlds import identified, world_of
 
     belief = identified(truth, object_name, belief_seed)
     world = world_of(truth, object_name)
@@ -85,13 +86,8 @@ def result_of(world: DirectWorld, ended: Pregrasp, yaw: float) -> dict[str, Any]
             fate = "gave up"
         else:
             fate = "success" if near(pose, ended.goal.pose) else "missed"
-    return {
-        "success": fate == "success",
-        "fate": fate,
-        "reason": ended.reason,
-        "pushes": len(ended.pushes),
-        "yaw": yaw,
-    }
+    return {"success": fate == "success", "fate": fate, "reason": ended.reason, "pushes": len(ended.pushes),
+            "yaw": yaw}  # fmt: skip
 
 
 def near(pose: FloatArray, goal: FloatArray) -> bool:
@@ -101,13 +97,10 @@ def near(pose: FloatArray, goal: FloatArray) -> bool:
 
 
 def _specs(objects: Sequence[str], trials: int, seed: int, truth: str) -> list[TrialSpec]:
-    return specs_of_methods(
-        f"{__name__}:trial",
-        objects,
-        trials,
-        seed,
+    return specs_of(
+        f"{__name__}:trial", objects, trials, seed, {"method": METHODS},
         lambda number: {"truth": truth, "belief_seed": number // YAWS_A_BELIEF},
-    )
+    )  # fmt: skip
 
 
 def _summary(outcomes: Sequence[TrialOutcome]) -> Summary:

@@ -7,14 +7,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from slipmap.diagrams.application.campaigns.experiments import (
-    STABLE_GOALS,
-    Experiment,
-    Summary,
-    TableText,
-    names_and_seeds,
-)
-from slipmap.planners.pregrasp import METHODS
+from slipmap.diagrams.application.campaigns import experiments
+from slipmap.models.geometry import rotated
+from slipmap.planners.settings import METHODS
 from slipmap.planners.trials import Estimate, TrialOutcome, TrialSpec, share
 
 if TYPE_CHECKING:
@@ -24,16 +19,14 @@ if TYPE_CHECKING:
     from slipmap.models.physics.cell_grid import FloatArray
     from slipmap.planners.goals import Graspable
 
-POSES = 10
+_POSES = 10
 """At which an object is put down in a trial."""
-DRAWS = 10
+_DRAWS = 10
 """Of the deterministic method from one belief."""
-TRIES = 20_000
+_TRIES = 20_000
 """Poses that are drawn at most to find those at which the gripper could grasp."""
-BINS = np.array([0.0, 0.05, 0.25, 0.5, 0.75, 0.95, 1.0])
+_BINS = np.array([0.0, 0.05, 0.25, 0.5, 0.75, 0.95, 1.0])
 """Of the reliability diagram; most poses are nearly certain."""
-
-_HERE = "slipmap.diagrams.application.campaigns.stable_goals"
 
 
 def trial(*, seed: int, truth: str, object_name: str) -> dict[str, Any]:
@@ -43,8 +36,7 @@ def trial(*, seed: int, truth: str, object_name: str) -> dict[str, Any]:
         `poses`; `fell` for each; `stay_probability` of the whole belief, without any safety margin; and for
         each method `chosen`: a list of its draws, each telling for every pose whether it is a goal.
     """
-    from slipmap.diagrams.application.campaigns.learning_curves import identified
-    from slipmap.diagrams.application.campaigns.worlds import world_of
+    from slipmap.diagrams.application.campaigns.worlds import identified, world_of
     from slipmap.models.physics.balance import balance_margins, fall_probability
     from slipmap.planners.goals import Graspable
     from slipmap.planners.pregrasp import planning_belief
@@ -63,7 +55,7 @@ def trial(*, seed: int, truth: str, object_name: str) -> dict[str, Any]:
     chosen = {
         method: [
             [goal is not None for goal in graspable(method).goals_at(poses, world.table)]
-            for _ in range(DRAWS if method == "deterministic" else 1)
+            for _ in range(_DRAWS if method == "deterministic" else 1)
         ]
         for method in METHODS
     }
@@ -77,25 +69,22 @@ def trial(*, seed: int, truth: str, object_name: str) -> dict[str, Any]:
 
 
 def _poses(thing: Graspable, world: DirectWorld, rng: np.random.Generator) -> FloatArray:
-    """(POSES, 3) at the edge of a round table, uniform in place, angle and how far the object is out, as far
+    """(_POSES, 3) at the edge of a round table, uniform in place, angle and how far the object is out, as far
     as the gripper could grasp the true object there; whether it stays is not asked."""
     radius = world.table.radius
     assert radius is not None
     found: list[FloatArray] = []
-    for _ in range(TRIES):
+    for _ in range(_TRIES):
         place, angle, out = rng.uniform(0, 2 * np.pi), rng.uniform(-np.pi, np.pi), rng.uniform()
         outward = np.array([np.cos(place), np.sin(place)])
-        c, s = np.cos(angle), np.sin(angle)
-        extent = thing.grid.exterior @ np.array(
-            [c * outward[0] + s * outward[1], c * outward[1] - s * outward[0]]
-        )
+        extent = thing.grid.exterior @ rotated(outward, -angle)
         rim = extent.min() + out * (extent.max() - extent.min())
         pose = np.array([*(np.asarray(world.table.center) + (radius - rim) * outward), angle])
         if thing.grasps_at(pose, world.table):
             found.append(pose)
-            if len(found) == POSES:
+            if len(found) == _POSES:
                 return np.array(found)
-    raise RuntimeError(f"of {TRIES} poses at the edge the gripper can grasp at {len(found)} only")
+    raise RuntimeError(f"of {_TRIES} poses at the edge the gripper can grasp at {len(found)} only")
 
 
 def _falls(world: DirectWorld, pose: FloatArray) -> bool:
@@ -110,40 +99,38 @@ def _falls(world: DirectWorld, pose: FloatArray) -> bool:
 
 
 def _specs(objects: Sequence[str], trials: int, seed: int, truth: str) -> list[TrialSpec]:
-    return [
-        TrialSpec(f"{name}-{number}", f"{_HERE}:trial", {"truth": truth, "object_name": name}, number)
-        for name, number in names_and_seeds(objects, trials, seed)
-    ]
+    return experiments.specs_of(f"{__name__}:trial", objects, trials, seed, {}, lambda _: {"truth": truth})
 
 
-def _summary(outcomes: Sequence[TrialOutcome]) -> Summary:
+def _summary(outcomes: Sequence[TrialOutcome]) -> experiments.Summary:
     results: dict[str, list[dict[str, Any]]] = {}
     for outcome in outcomes:
         if outcome.result is not None:
             results.setdefault(outcome.spec.parameters["object_name"], []).append(outcome.result)
     everything = [result for of_object in results.values() for result in of_object]
-    precision, recall, rows, found_rows = {}, {}, [], []
+    precision, recall, rows, found = {}, {}, [], []
     for name, of_object in [*results.items(), ("all", everything)]:
         precision[name] = {method: _share(of_object, method, of_chosen=True) for method in METHODS}
         recall[name] = {method: _share(of_object, method, of_chosen=False) for method in METHODS}
         rows.append([name, *(one.percent() for one in precision[name].values())])
-        found_rows.append([name, *(one.percent() for one in recall[name].values())])
+        found.append([name, *(one.percent() for one in recall[name].values())])
     paper = [
-        f"{low:.0f}" if low == high else f"{low:.0f} to {high:.0f}" for low, high in STABLE_GOALS.values()
+        f"{low:.0f}" if low == high else f"{low:.0f} to {high:.0f}"
+        for low, high in experiments.STABLE_GOALS.values()
     ]
     rows.append(["paper", *paper, "–"])
     bins = _reliability(everything)
-    return Summary(
+    return experiments.Summary(
         [
-            TableText("Stable among the goals chosen, %", ("object", *METHODS), rows),
-            TableText("Chosen among stable poses with a grasp, %", ("object", *METHODS), found_rows),
+            experiments.TableText("Stable among the goals chosen, %", ("object", *METHODS), rows),
+            experiments.TableText("Chosen among stable poses with a grasp, %", ("object", *METHODS), found),
         ],
         "Poses of one trial, and draws from one belief, count as independent. The paper's objects were real.",
         {
-            "precision": {name: _json(of_object) for name, of_object in precision.items()},
-            "recall": {name: _json(of_object) for name, of_object in recall.items()},
+            "precision": experiments.as_json(precision),
+            "recall": experiments.as_json(recall),
             "reliability": [{"stated": stated, **estimate.to_json()} for stated, estimate in bins],
-            "paper": {method: list(ends) for method, ends in STABLE_GOALS.items()},
+            "paper": {method: list(ends) for method, ends in experiments.STABLE_GOALS.items()},
         },
         lambda: _figure(precision, bins),
     )  # fmt: skip
@@ -164,25 +151,21 @@ def _reliability(results: Sequence[dict[str, Any]]) -> list[tuple[float, Estimat
     """For each bin that has poses the mean probability of staying, and the share that stayed."""
     stated = np.array([p for result in results for p in result["stay_probability"]])
     stayed = ~np.array([fell for result in results for fell in result["fell"]], dtype=bool)
-    places = np.clip(np.searchsorted(BINS, stated, side="right") - 1, 0, len(BINS) - 2)
+    places = np.clip(np.searchsorted(_BINS, stated, side="right") - 1, 0, len(_BINS) - 2)
     return [
         (float(stated[places == k].mean()), share(int(stayed[places == k].sum()), int((places == k).sum())))
         for k in np.unique(places)
     ]
 
 
-def _json(estimates: dict[str, Estimate]) -> dict[str, Any]:
-    return {method: estimate.to_json() for method, estimate in estimates.items()}
-
-
 def _figure(precision: dict[str, dict[str, Estimate]], bins: list[tuple[float, Estimate]]) -> list[Figure]:
     from slipmap.diagrams.application.figures.campaign_figures import reliability_figure, shares_figure
 
-    marks = {name: STABLE_GOALS for name in precision}
+    marks = {name: experiments.STABLE_GOALS for name in precision}
     return [
         shares_figure("Stable among the goals chosen", precision, marks),
         reliability_figure("Probability of staying on the table", {"all objects": bins}),
     ]
 
 
-FIGURE_5 = Experiment("fig5", 20, _specs, _summary)
+FIGURE_5 = experiments.Experiment("fig5", 20, _specs, _summary)

@@ -13,12 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from slipmap.diagrams.application.campaigns.experiments import (
-    Experiment,
-    Summary,
-    TableText,
-    names_and_seeds,
-)
+from slipmap.diagrams.application.campaigns import experiments
 from slipmap.diagrams.application.campaigns.methods_compared import ALL, results_of
 from slipmap.diagrams.application.campaigns.pregrasp_success import FATES, brought_to_edge, result_of
 from slipmap.planners.trials import CampaignError, Estimate, TrialOutcome, TrialSpec, mean, share
@@ -64,7 +59,7 @@ def _world(object_name: str) -> PlantWorld:
 @lru_cache(maxsize=8)
 def _learned(object_name: str, seed: int) -> tuple[Belief, Belief]:
     """Beliefs of `MODELS`, from the same pushes."""
-    from slipmap.diagrams.application.campaigns.learning_curves import as_dataset, explored
+    from slipmap.diagrams.application.campaigns.worlds import as_dataset, explored
     from slipmap.models.effects.registry import effects_named
     from slipmap.models.inference.diagnosis.effect_fit import fit_effects
 
@@ -94,19 +89,13 @@ def _errors(belief: Belief, ended: Pregrasp) -> list[float]:
 def _specs(objects: Sequence[str], trials: int, seed: int, truth: str) -> list[TrialSpec]:
     if truth != "plant":
         raise CampaignError("tilt: the tilted table is simulated by plant alone; leave out --truth")
-    return [
-        TrialSpec(
-            f"{name}-{model.split()[0]}-{number}",
-            f"{__name__}:trial",
-            {"object_name": name, "model": model, "belief_seed": number // YAWS_A_BELIEF},
-            number,
-        )
-        for name, number in names_and_seeds(objects, trials, seed)
-        for model in MODELS
-    ]
+    return experiments.specs_of(
+        f"{__name__}:trial", objects, trials, seed, {"model": MODELS},
+        lambda number: {"belief_seed": number // YAWS_A_BELIEF},
+    )  # fmt: skip
 
 
-def _summary(outcomes: Sequence[TrialOutcome]) -> Summary:
+def _summary(outcomes: Sequence[TrialOutcome]) -> experiments.Summary:
     results, every = results_of(outcomes, "model", MODELS)
     rows_of = [*results.items(), (ALL, every)]
     success = {
@@ -119,22 +108,22 @@ def _summary(outcomes: Sequence[TrialOutcome]) -> Summary:
     title = f"Brought to the edge of a table tilted by {TILT:g}°"
     rows = [["pushes, mean", *(pushes[model].short(digits=2) for model in MODELS)]]
     rows += [[fate, *(str(fates[model][fate]) for model in MODELS)] for fate in FATES]
-    return Summary(
+    return experiments.Summary(
         [
-            TableText(f"{title}, %", ("object", *MODELS), _rows(success, Estimate.percent)),
-            TableText(
+            experiments.TableText(f"{title}, %", ("object", *MODELS), _rows(success, Estimate.percent)),
+            experiments.TableText(
                 "Where pushes end off their prediction, mean, mm",
                 ("object", *MODELS),
                 _rows(errors, lambda one: one.short(1e3)),
             ),
-            TableText("Pushes, and how trials ended", ("", *MODELS), rows),
+            experiments.TableText("Pushes, and how trials ended", ("", *MODELS), rows),
         ],
         "Both models learn from the same five pushes. A trial's error is the mean over its pushes.",
         {
             "tilt": TILT,
-            "success": _json(success),
-            "errors": _json(errors),
-            "pushes": {model: one.to_json() for model, one in pushes.items()},
+            "success": experiments.as_json(success),
+            "errors": experiments.as_json(errors),
+            "pushes": experiments.as_json(pushes),
             "fates": {model: dict(of) for model, of in fates.items()},
         },
         lambda: _figures(title, success, errors),
@@ -149,10 +138,6 @@ def _rows(estimates: dict[str, dict[str, Estimate]], told: Any) -> list[list[str
     return [[name, *(told(one) for one in of.values())] for name, of in estimates.items()]
 
 
-def _json(estimates: dict[str, dict[str, Estimate]]) -> dict[str, Any]:
-    return {name: {model: one.to_json() for model, one in of.items()} for name, of in estimates.items()}
-
-
 def _figures(
     title: str, success: dict[str, dict[str, Estimate]], errors: dict[str, dict[str, Estimate]]
 ) -> list[Figure]:
@@ -162,4 +147,4 @@ def _figures(
     return [off, shares_figure(title, success, {})]
 
 
-TILTED_TABLE = Experiment("tilt", 20, _specs, _summary)
+TILTED_TABLE = experiments.Experiment("tilt", 20, _specs, _summary)

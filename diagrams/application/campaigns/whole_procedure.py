@@ -7,8 +7,14 @@ from typing import Any
 
 import numpy as np
 
-from slipmap.diagrams.application.campaigns.experiments import WHOLE_PROCEDURE, Experiment, Summary
-from slipmap.diagrams.application.campaigns.methods_compared import compare_methods, specs_of_methods
+from slipmap.diagrams.application.campaigns.experiments import (
+    WHOLE_PROCEDURE,
+    Experiment,
+    Summary,
+    specs_of,
+)
+from slipmap.diagrams.application.campaigns.methods_compared import compare_methods
+from slipmap.planners.settings import METHODS
 from slipmap.planners.trials import CampaignError, TrialOutcome, TrialSpec
 
 FATES = ("held", "fell", "dropped", "gave up")
@@ -51,7 +57,7 @@ def trial(*, seed: int, object_name: str, method: str) -> dict[str, Any]:
 def _specs(objects: Sequence[str], trials: int, seed: int, truth: str) -> list[TrialSpec]:
     if truth != "plant":
         raise CampaignError("fig7: the robot's cell is simulated by plant alone; leave out --truth")
-    return specs_of_methods(f"{__name__}:trial", objects, trials, seed)
+    return specs_of(f"{__name__}:trial", objects, trials, seed, {"method": METHODS})
 
 
 def _summary(outcomes: Sequence[TrialOutcome]) -> Summary:

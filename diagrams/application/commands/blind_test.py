@@ -2,43 +2,37 @@
 
 from __future__ import annotations
 
-import importlib
 import json
 import multiprocessing
 import shutil
 import signal
-import sys
 import time
 import traceback
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import click
 
 from slipmap.diagrams.application.commands import options
 from slipmap.diagrams.application.outputs import make_folder
 from slipmap.diagrams.application.terminal import note, prepare_kernels
-from slipmap.models.files import BadInput, write_json, write_text
+from slipmap.models.files import write_json, write_text
 
-TESTS = Path(__file__).resolve().parents[2] / "tests"
-RESULT, FAILURE = ".result.json", ".failure.json"
+if TYPE_CHECKING:
+    from slipmap.diagrams.application.studies.blind.scoring import Score
 
 
 @click.command("blind-test")
 @options.seed_option
-@click.option(
-    "--count", type=click.IntRange(1, 10_000), default=20, show_default=True, metavar="M",
-    help="Datasets, one for each seed from SEED on.",
-)  # fmt: skip
-@click.option(
-    "-o", "--output", type=click.Path(file_okay=False, path_type=Path), default=Path("blind-test"),
-    show_default=True, metavar="DIR", help="Folder of datasets, diagnoses and score.",
-)  # fmt: skip
-@click.option(
-    "--jobs", type=click.IntRange(1, 64), default=1, show_default=True, metavar="J",
-    help="Datasets at the same time, each in a process of its own.",
+@options.count_option(
+    "--count", most=10_000, default=20, metavar="M", about="Datasets, one for each seed from SEED on."
+)
+@options.results_option(default="blind-test", about="Folder of datasets, diagnoses and score.")
+@options.count_option(
+    "--jobs", most=64, default=1, metavar="J",
+    about="Datasets at the same time, each in a process of its own.",
 )  # fmt: skip
 def blind_test(seed: int, count: int, output: Path, jobs: int) -> None:
     """Hide effects in simulated pushes, and see what is found.
@@ -48,82 +42,69 @@ def blind_test(seed: int, count: int, output: Path, jobs: int) -> None:
     not done again, so a run that was stopped goes on; only failures are tried anew. Writes score.md and
     score.json. A dataset takes about half a minute to simulate.
     """
-    _blind("generator")
     make_folder(output)
     prepare_kernels()
-    seeds = range(seed, seed + count)
-    waiting = [number for number in seeds if not _file(output, number, RESULT).exists()]
+    cases = [_Case(output, number) for number in range(seed, seed + count)]
+    waiting = [case for case in cases if not case.result.exists()]
     if len(waiting) < count:
         note(f"{count - len(waiting)} of {count} datasets have their diagnosis in {output} already")
     if waiting:
-        note(_announcement(len(waiting), jobs))
+        at_once = f", {jobs} at a time" if jobs > 1 and len(waiting) > 1 else ""
+        what = f"{len(waiting)} dataset{'s' * (len(waiting) > 1)}"
+        note(f"{what} to simulate and diagnose{at_once}; about a minute each …")
     started = time.monotonic()
-    for done, (number, outcome) in enumerate(_run_all(output, waiting, jobs), start=1):
+    for done, (case, outcome) in enumerate(_run_all(waiting, jobs), start=1):
         left = (time.monotonic() - started) / done * (len(waiting) - done)
-        note(f"{done} of {len(waiting)}, {_duration(left)} left: {_name(number)}, {outcome}")
-    score = _score(output, seeds)
+        duration = f"{left:.0f} s" if left < 90 else f"{left / 60:.0f} min"
+        note(f"{done} of {len(waiting)}, {duration} left: {case.name}, {outcome}")
+    score = _score(cases)
     write_json(output / "score.json", score.to_json())
     write_text(output / "score.md", score.markdown())
     click.echo(score.text(), nl=False)
     note(f"score: {output / 'score.md'}")
 
 
-def _announcement(count: int, jobs: int) -> str:
-    """What the first lines of outcomes are waited for."""
-    at_once = f", {jobs} at a time" if jobs > 1 and count > 1 else ""
-    return f"{count} dataset{'s' * (count > 1)} to simulate and diagnose{at_once}; about a minute each …"
+class _Case(NamedTuple):
+    """A dataset, by its seed, and where it and its diagnosis lie."""
+
+    folder: Path
+    seed: int
+
+    @property
+    def name(self) -> str:
+        return f"blind-{self.seed:05d}"
+
+    @property
+    def result(self) -> Path:
+        return self.folder / f"{self.name}.result.json"
+
+    @property
+    def failure(self) -> Path:
+        return self.folder / f"{self.name}.failure.json"
 
 
-def _blind(module: str) -> Any:
-    """A module of the blind tests, which lie beside the packages in a checkout and in no wheel.
-
-    Raises:
-        BadInput: they are not there.
-    """
-    if not (TESTS / "blind" / "generator.py").is_file():
-        raise BadInput(
-            "the blind tests' simulator is part of slipmap's tests, which an installed package does not"
-            " hold; in a checkout of the sources, call python -m slipmap blind-test"
-        )
-    # Folders in tests/ bear the packages' names; what is imported already cannot be taken for them.
-    for package in ("models", "planners"):
-        importlib.import_module(package)
-    if str(TESTS) not in sys.path:
-        sys.path.append(str(TESTS))
-    return importlib.import_module(f"blind.{module}")
-
-
-def _name(number: int) -> str:
-    return f"blind-{number:05d}"
-
-
-def _file(folder: Path, number: int, ending: str) -> Path:
-    return folder / f"{_name(number)}{ending}"
-
-
-def _run_all(folder: Path, numbers: list[int], jobs: int) -> Iterator[tuple[int, str]]:
-    """Number and outcome of each dataset as it is done."""
-    if jobs == 1:
-        for number in numbers:
-            yield number, _run(folder, number)
+def _run_all(cases: Sequence[_Case], jobs: int) -> Iterator[tuple[_Case, str]]:
+    """Each dataset as it is done, and its outcome."""
+    if jobs == 1 or not cases:
+        yield from ((case, _run(case)) for case in cases)
         return
     # Forked processes would share the threads of numba and BLAS with this one; Ctrl-C is for this one alone.
     pool = ProcessPoolExecutor(
-        min(jobs, len(numbers) or 1),
+        min(jobs, len(cases)),
         multiprocessing.get_context("spawn"),
         initializer=signal.signal,
         initargs=(signal.SIGINT, signal.SIG_IGN),
     )
-    futures = {pool.submit(_run, folder, number): number for number in numbers}
+    futures = {pool.submit(_run, case): case for case in cases}
     try:
         for future in as_completed(futures):
-            number, error = futures[future], future.exception()
+            case, error = futures[future], future.exception()
             if error is not None:
-                _record_failure(folder, number, error)
-            yield number, f"failed: {error}" if error is not None else future.result()
+                _record_failure(case, error)
+            yield case, f"failed: {error}" if error is not None else future.result()
     except BaseException:
         pool.shutdown(wait=False, cancel_futures=True)
-        _stop_workers(folder)
+        _stop_workers(cases[0].folder)
         raise
     pool.shutdown()
 
@@ -139,65 +120,45 @@ def _stop_workers(folder: Path) -> None:
             shutil.rmtree(part) if part.is_dir() else part.unlink()
 
 
-def _run(folder: Path, number: int) -> str:
+def _run(case: _Case) -> str:
     """Generate a dataset unless it is there, diagnose it, write the result, and tell it in a few words."""
-    generator = _blind("generator")
-    dataset = folder / _name(number)
-    try:
-        # The truth is written last: where it is, the dataset is whole.
-        if generator.truth_file(dataset).exists():
-            truth = generator.Truth.read(generator.truth_file(dataset))
-        else:
-            truth = generator.generate(number, dataset)
-        result = _diagnose(dataset, number)
-        # A result that cannot be scored is a failure of its dataset, not of all at the end.
-        _blind("scoring").score([(truth, result)])
-        write_json(_file(folder, number, RESULT), result)
-    except Exception as error:
-        _record_failure(folder, number, error)
-        return f"failed: {type(error).__name__}: {' '.join(str(error).split())}"
-    _file(folder, number, FAILURE).unlink(missing_ok=True)
-    hidden = f"{truth.effect} ({truth.strength})" if truth.effect else "nothing hidden"
-    names = result.get("effects") if result["verdict"] == "ambiguous" else [result.get("effect")]
-    return f"{hidden} → {' '.join([result['verdict'], ', '.join(filter(None, names or []))]).strip()}"
-
-
-def _diagnose(folder: Path, seed: int) -> dict[str, Any]:
+    from slipmap.diagrams.application.studies.blind import generator, scoring
+    from slipmap.models.inference.diagnosis import diagnose
     from slipmap.models.measurements import read_dataset
 
-    dataset = read_dataset(folder)
-    began = time.perf_counter()
-    document = (
-        importlib.import_module("slipmap.models.inference.diagnosis").diagnose(dataset, seed=seed).to_json()
-    )
-    result = dict(json.loads(document) if isinstance(document, str) else document)
-    result.setdefault("seconds", time.perf_counter() - began)
-    return result
+    dataset = case.folder / case.name
+    try:
+        # The truth is written last: where it is, the dataset is whole.
+        file = generator.truth_file(dataset)
+        truth = generator.Truth.read(file) if file.exists() else generator.generate(case.seed, dataset)
+        result: dict[str, Any] = diagnose(read_dataset(dataset), seed=case.seed).to_json()
+        # A result that cannot be scored is a failure of its dataset, not of all at the end.
+        scoring.score([(truth, result)])
+        write_json(case.result, result)
+    except Exception as error:
+        return f"failed: {_record_failure(case, error)}"
+    case.failure.unlink(missing_ok=True)
+    hidden = f"{truth.effect} ({truth.strength})" if truth.effect else "nothing hidden"
+    names = result["effects"] if result["verdict"] == "ambiguous" else [result["effect"]]
+    return f"{hidden} → {' '.join([result['verdict'], ', '.join(filter(None, names))]).strip()}"
 
 
-def _record_failure(folder: Path, number: int, error: BaseException) -> None:
-    write_json(
-        _file(folder, number, FAILURE),
-        {
-            "error": f"{type(error).__name__}: {' '.join(str(error).split())}",
-            "traceback": "".join(traceback.format_exception(error)),
-        },
-    )
+def _record_failure(case: _Case, error: BaseException) -> str:
+    """Write an error down; returns it in a line."""
+    said = f"{type(error).__name__}: {' '.join(str(error).split())}"
+    write_json(case.failure, {"error": said, "traceback": "".join(traceback.format_exception(error))})
+    return said
 
 
-def _score(folder: Path, numbers: range) -> Any:
-    generator = _blind("generator")
+def _score(cases: Sequence[_Case]) -> Score:
+    from slipmap.diagrams.application.studies.blind.generator import Truth, truth_file
+    from slipmap.diagrams.application.studies.blind.scoring import score
+
     pairs, failed = [], {}
-    for number in numbers:
-        result = _file(folder, number, RESULT)
-        if result.exists():
-            truth = generator.Truth.read(generator.truth_file(folder / _name(number)))
-            pairs.append((truth, json.loads(result.read_text(encoding="utf-8"))))
+    for case in cases:
+        if case.result.exists():
+            truth = Truth.read(truth_file(case.folder / case.name))
+            pairs.append((truth, json.loads(case.result.read_text(encoding="utf-8"))))
         else:
-            failure = json.loads(_file(folder, number, FAILURE).read_text(encoding="utf-8"))
-            failed[_name(number)] = failure["error"]
-    return _blind("scoring").score(pairs, failed)
-
-
-def _duration(seconds: float) -> str:
-    return f"{seconds:.0f} s" if seconds < 90 else f"{seconds / 60:.0f} min"
+            failed[case.name] = json.loads(case.failure.read_text(encoding="utf-8"))["error"]
+    return score(pairs, failed)

@@ -15,24 +15,17 @@ from slipmap.models.files import write_json
 if TYPE_CHECKING:
     from slipmap.planners.calibration import CalibrationResult
 
-LEVEL = 0.9
-TELLS_NOTHING = 0.3
+_LEVEL = 0.9
+_TELLS_NOTHING = 0.3
 """Width of the 95 % range of a share that does not tell right intervals from wrong ones."""
 
 
 @click.command()
-@click.option(
-    "--objects", type=click.IntRange(1, 10_000), default=40, show_default=True, metavar="N",
-    help="Objects to simulate; the more, the sharper the answer.",
-)  # fmt: skip
-@options.seed_option
-@click.option(
-    "-o",
-    "--output",
-    type=options.OutputFile(*options.PICTURES),
-    metavar="FILE",
-    help="Picture of the reliability curves (.png, .pdf or .svg).",
+@options.count_option(
+    "--objects", most=10_000, default=40, about="Objects to simulate; the more, the sharper the answer."
 )
+@options.seed_option
+@options.picture_option("-o", "--output", about="Picture of the reliability curves (.png, .pdf or .svg).")
 @options.json_option
 def calibrate(objects: int, seed: int, output: Path | None, json_file: Path | None) -> None:
     """Check that 90 % intervals hold the truth 90 % of the time.
@@ -52,16 +45,10 @@ def calibrate(objects: int, seed: int, output: Path | None, json_file: Path | No
             write_figures(output, [calibration_figure(result)])
     rows = coverage_rows(result)
     if json_file is not None:
-        document = {
-            "objects": result.objects,
-            "seed": result.seed,
-            "seconds": result.seconds,
-            "level": LEVEL,
-            "coverage": rows,
-        }
-        write_json(json_file, {**document, "ranks": result.ranks})
+        numbers = {name: getattr(result, name) for name in ("objects", "seed", "seconds", "ranks")}
+        write_json(json_file, {**numbers, "level": _LEVEL, "coverage": rows})
     table(
-        f"Truths inside the {LEVEL:.0%} interval, {result.objects} objects in {result.seconds:.0f} s",
+        f"Truths inside the {_LEVEL:.0%} interval, {result.objects} objects in {result.seconds:.0f} s",
         ["quantity", "inside", "of", "share", "95 % range", "verdict"],
         [
             [row["name"], str(row["inside"]), str(row["of"]), f"{row['share']:.0%}",
@@ -87,18 +74,11 @@ def coverage_rows(result: CalibrationResult) -> list[dict[str, Any]]:
         hits = share * draws
         low = float(beta.ppf(0.025, hits, draws - hits + 1)) if inside else 0.0
         high = float(beta.ppf(0.975, hits + 1, draws - hits)) if inside < count else 1.0
-        verdict = "too narrow" if high < LEVEL else "too wide" if low > LEVEL else "as it should be"
-        if verdict == "as it should be" and high - low > TELLS_NOTHING:
+        verdict = "too narrow" if high < _LEVEL else "too wide" if low > _LEVEL else "as it should be"
+        if verdict == "as it should be" and high - low > _TELLS_NOTHING:
             verdict = "too few objects to tell"
         rows.append(
-            {
-                "name": name,
-                "inside": inside,
-                "of": count,
-                "share": share,
-                "low": low,
-                "high": high,
-                "verdict": verdict,
-            }
-        )
+            {"name": name, "inside": inside, "of": count, "share": share, "low": low, "high": high,
+             "verdict": verdict}
+        )  # fmt: skip
     return rows

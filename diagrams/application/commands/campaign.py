@@ -19,22 +19,19 @@ if TYPE_CHECKING:
     from slipmap.diagrams.application.campaigns.experiments import Summary
     from slipmap.planners.trials import Backend, TrialOutcome, TrialSpec
 
-SHOWN_FAILURES = 5
+_SHOWN_FAILURES = 5
 
 
 @click.command(epilog="Experiments: " + "; ".join(f"{name}, {about}" for name, about in ABOUT.items()) + ".")
 @click.argument("experiment", type=click.Choice(list(ABOUT)), metavar="EXPERIMENT")
-@click.option(
-    "--objects", "object_names", multiple=True, metavar="NAME", shell_complete=options.complete_objects,
-    help="Object; may be given several times. [default: all six; fig7: hammer]",
-)  # fmt: skip
+@options.objects_option("--objects", about="Object", default="all six; fig7: hammer")
 @click.option(
     "--methods", "methods", multiple=True, metavar="NAME",
     help="Method of fig6 and fig7; may be given several times. [default: all four]",
 )  # fmt: skip
-@click.option(
-    "--trials", type=click.IntRange(1, 100_000), metavar="N",
-    help="Trials of each object, with seeds from SEED on. [default: as the experiment needs]",
+@options.count_option(
+    "--trials", most=100_000,
+    about="Trials of each object, with seeds from SEED on. [default: as the experiment needs]",
 )  # fmt: skip
 @click.option(
     "--truth", type=click.Choice(["plant", "bullet"]), default="plant", show_default=True,
@@ -45,14 +42,8 @@ SHOWN_FAILURES = 5
     help="Where trials run: on this machine, or on a Dask cluster (extra `cluster`).",
 )  # fmt: skip
 @click.option("--scheduler", metavar="ADDRESS", help="Dask's scheduler, such as tcp://10.0.0.1:8786.")
-@click.option(
-    "--workers", type=click.IntRange(1, 1024), metavar="N",
-    help="Processes on this machine. [default: one a core]",
-)  # fmt: skip
-@click.option(
-    "-o", "--output", "folder", type=click.Path(file_okay=False, path_type=Path),
-    default=Path("campaign"), show_default=True, metavar="DIR", help="Folder of the results.",
-)  # fmt: skip
+@options.count_option("--workers", most=1024, about="Processes on this machine. [default: one a core]")
+@options.results_option("folder", default="campaign")
 @options.seed_option
 @options.json_option
 def campaign(
@@ -74,6 +65,8 @@ def campaign(
     already is not run again, so a campaign that was stopped goes on; what failed is tried again. The same
     seeds give the same table, whatever runs the trials.
     """
+    from joblib import cpu_count
+
     from slipmap.planners.trials import CampaignError, run_trials
 
     chosen = experiment_of(experiment)
@@ -89,7 +82,7 @@ def campaign(
                 specs,
                 files,
                 backend=backend,
-                workers=workers or _cores(),
+                workers=workers or cpu_count(),
                 scheduler=scheduler,
                 progress=lambda done, total: progress(f"{experiment}, trials", done, total),
             )
@@ -144,21 +137,14 @@ def _check_truth(truth: str) -> None:
         raise BadInput("Bullet is not installed; `pip install 'slipmap[bench]'` brings it")
 
 
-def _cores() -> int:
-    from joblib import cpu_count
-
-    return int(cpu_count())
-
-
 def _show(summary: Summary, outcomes: Sequence[TrialOutcome]) -> None:
     for shown in summary.tables:
-        numbers = range(1, len(shown.columns))
-        table(shown.title, shown.columns, shown.rows, numbers=list(numbers))
+        table(shown.title, shown.columns, shown.rows, numbers=range(1, len(shown.columns)))
     paragraph("Intervals hold 95 %. " + summary.remark)
     failed = [outcome for outcome in outcomes if outcome.failure is not None]
     if failed:
         note(f"{len(failed)} of {len(outcomes)} trials failed; the table leaves them out:")
-        for outcome in failed[:SHOWN_FAILURES]:
+        for outcome in failed[:_SHOWN_FAILURES]:
             note(f"  {outcome.spec.name}: {outcome.failure}")
-        if len(failed) > SHOWN_FAILURES:
+        if len(failed) > _SHOWN_FAILURES:
             note("  …")

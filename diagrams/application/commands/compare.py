@@ -1,4 +1,4 @@
-"""`slipmap compare`: how far a model is from measured pushes, and where it fails."""
+"""`slipmap predict` and `slipmap compare`: how far a model is from measured pushes, and where it fails."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from slipmap.diagrams.application.commands import options
+from slipmap.diagrams.application.outputs import write_figures
 from slipmap.diagrams.application.terminal import Progress, note, paragraph, prepare_kernels
 from slipmap.models.files import BadInput, write_json, write_text
 
@@ -16,7 +17,56 @@ if TYPE_CHECKING:
     from slipmap.models.effects.effect import Effect
     from slipmap.models.inference.belief import Belief
     from slipmap.models.inference.comparison import Comparison
+    from slipmap.models.inference.results import PushPrediction
     from slipmap.models.measurements import PushDataset
+
+
+@click.command()
+@options.dataset_argument
+@options.belief_option(required=True)
+@options.picture_option(
+    "-o", "--output", default="predictions.png",
+    about="Picture of the pushes (.png, .pdf or .svg); after each 24 pushes a further page,"
+    " predictions.2.png and on.",
+)  # fmt: skip
+@options.effect_file_option
+@options.object_option
+@options.json_option
+def predict(
+    dataset: Path,
+    belief_file: Path,
+    output: Path,
+    effect_files: tuple[Path, ...],
+    object_name: str | None,
+    json_file: Path | None,
+) -> None:
+    """Predict recorded pushes with a belief and compare.
+
+    Every push of DATASET is simulated from its first pose with every hypothesis of the belief. The picture
+    shows measured and predicted trajectories over each other; the table says how far off the ends are.
+    DATASET must be about the object and the finger of the belief, but need not be what taught it.
+    """
+    from slipmap.models.inference.belief import Belief
+
+    belief = Belief.load(belief_file, options.find_effects(effect_files))
+    with Progress() as progress:
+        measured = options.load_dataset(dataset, object_name, progress)
+        prepare_kernels()
+        from slipmap.models.inference import prediction
+
+        pushes = prediction.predict(belief, measured, progress)
+        from slipmap.diagrams.application.figures import push_figures
+
+        with progress.step("drawing"):
+            drawn = write_figures(output, push_figures(pushes, measured))
+    if json_file is not None:
+        write_json(json_file, _prediction_document(belief, measured.name, pushes))
+    from slipmap.diagrams.application.reports.tables import show_errors
+
+    click.echo(f"{measured.name}, {len(pushes)} pushes; belief learnt from {belief.dataset}\n")
+    show_errors(pushes, measured)
+    for path in drawn:
+        note(f"picture: {path}")
 
 
 @click.command()
@@ -73,13 +123,38 @@ def compare(
             comparison.compare(measured, model, seed=seed, label=label, progress=progress)
             for label, model in models.items()
         ]
-        progress("drawing", 0, 1)
-        write_text(output, report(results, measured))
-        progress("drawing", 1, 1)
+        with progress.step("drawing"):
+            write_text(output, report(results, measured))
     if json_file is not None:
-        write_json(json_file, _document(results, effect_names))
+        write_json(json_file, _comparison_document(results, effect_names))
     show(results)
     note(f"report: {output}")
+
+
+def _prediction_document(belief: Belief, dataset: str, pushes: Sequence[PushPrediction]) -> dict[str, Any]:
+    numbers = ("final_add", "spread", "no_motion_add", "uniform_add", "start_sensitivity")
+    trials = [
+        {
+            "trial": push.trial,
+            "role": push.role,
+            **{name: getattr(push, name) for name in numbers},
+            "measured_end": push.measured[-1],
+            "predicted_end": push.predicted[-1],
+            "predicted_end_hypotheses": push.hypotheses[:, -1],
+        }
+        for push in pushes
+    ]
+    means = {
+        f"{role}_error_mean": sum(push.final_add for push in group) / len(group) if group else None
+        for role, group in ((role, [p for p in pushes if p.role == role]) for role in ("fit", "heldout"))
+    }
+    return {
+        "dataset": dataset,
+        "belief_dataset": belief.dataset,
+        "probability": belief.probability,
+        "trials": trials,
+        **means,
+    }
 
 
 def report(comparisons: list[Comparison], dataset: PushDataset) -> str:
@@ -124,7 +199,7 @@ def _told(results: Sequence[Comparison]) -> list[str]:
     return [summary_of_two(*results), *findings, learnt]
 
 
-def _document(results: Sequence[Comparison], effect_names: Sequence[str]) -> dict[str, Any]:
+def _comparison_document(results: Sequence[Comparison], effect_names: Sequence[str]) -> dict[str, Any]:
     """One comparison as it is; two as `before` and `after`, with the names of the effects."""
     if len(results) == 1:
         return results[0].to_json()
@@ -139,15 +214,11 @@ def _learnt_twice(
     from slipmap.models.inference.diagnosis.effect_fit import fit_effects
 
     _check_fit_pushes(dataset)
-    labels = ["without effects", "with " + " and ".join(effect.name for effect in effects)]
-    beliefs = {}
-    for label, added in zip(labels, ((), tuple(effects)), strict=True):
-
-        def report(stage: str, done: int, total: int, label: str = label) -> None:
-            progress(f"{stage}, {label}", done, total)
-
-        beliefs[label] = fit_effects(dataset, added, seed=seed, progress=report).belief
-    return beliefs
+    models = {"without effects": (), "with " + " and ".join(effect.name for effect in effects): effects}
+    return {
+        label: fit_effects(dataset, added, seed=seed, progress=progress.about(label)).belief
+        for label, added in models.items()
+    }
 
 
 def _learnt(dataset: PushDataset, seed: int, progress: Progress) -> Belief:

@@ -19,27 +19,13 @@ if TYPE_CHECKING:
 
 
 @click.command()
-@click.option(
-    "-o", "--output", "folder", type=click.Path(path_type=Path), default="simulated-demo", show_default=True,
-    metavar="DIR", help="Folder for everything that the demo makes.",
+@options.path_option(
+    "-o", "--output", "folder", default="simulated-demo", metavar="DIR",
+    about="Folder for everything that the demo makes.",
 )  # fmt: skip
 @options.seed_option
-@click.option(
-    "--fit-pushes",
-    type=click.IntRange(1, 100),
-    default=6,
-    show_default=True,
-    metavar="N",
-    help="Pushes to learn from.",
-)
-@click.option(
-    "--heldout-pushes",
-    type=click.IntRange(0, 100),
-    default=4,
-    show_default=True,
-    metavar="N",
-    help="Pushes to judge with.",
-)
+@options.count_option("--fit-pushes", most=100, default=6, about="Pushes to learn from.")
+@options.count_option("--heldout-pushes", least=0, most=100, default=4, about="Pushes to judge with.")
 @options.json_option
 def demo(folder: Path, seed: int, fit_pushes: int, heldout_pushes: int, json_file: Path | None) -> None:
     """Show the whole way on a simulated hammer; needs no data.
@@ -54,15 +40,14 @@ def demo(folder: Path, seed: int, fit_pushes: int, heldout_pushes: int, json_fil
     place, belief = folder / "pushes", folder / "belief.npz"
     with Progress() as progress:
         prepare_kernels()
-        progress("pushing the hammer", 0, 1)
-        from slipmap.diagrams.application.demonstration import simulated_hammer
-        from slipmap.models.inference import identification
-        from slipmap.models.measurements import write_dataset
+        with progress.step("pushing the hammer"):
+            from slipmap.diagrams.application.demonstration import simulated_hammer
+            from slipmap.models.inference import identification
+            from slipmap.models.measurements import write_dataset
 
-        recorded, truth = simulated_hammer(seed, fit=fit_pushes, heldout=heldout_pushes)
-        with writing(place):
-            write_dataset(recorded, place, overwrite=True)
-        progress("pushing the hammer", 1, 1)
+            recorded, truth = simulated_hammer(seed, fit=fit_pushes, heldout=heldout_pushes)
+            with writing(place):
+                write_dataset(recorded, place, overwrite=True)
         dataset = options.load_dataset(place, None, progress)
         result = identification.identify(dataset, seed=seed, progress=progress)
         drawn = keep(result, dataset, belief, None, progress, truth)

@@ -7,46 +7,34 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from slipmap.diagrams.application.commands.options import OutputFile
+from slipmap.diagrams.application.commands.options import Option, count_option, output_option
 from slipmap.diagrams.application.terminal import note
 from slipmap.models.files import BadInput, write_text
 
 if TYPE_CHECKING:
     from slipmap.models.physics.cell_grid import CellGrid
 
-PICTURES = (".png", ".bmp", ".tif", ".tiff", ".pgm")
-POSITIVE = click.FloatRange(0.0, min_open=True)
+_PICTURES = (".png", ".bmp", ".tif", ".tiff", ".pgm")
+
+
+def _positive(name: str, unit: str, about: str, *, required: bool = False) -> Option:
+    kind = click.FloatRange(0.0, min_open=True)
+    return click.option(name, type=kind, required=required, metavar=unit, help=about)
 
 
 @click.command("object")
 @click.argument("file", type=click.Path(path_type=Path))
-@click.option(
-    "-o",
-    "--output",
-    type=OutputFile("yaml", "yml"),
-    required=True,
-    metavar="FILE",
-    help="Where the description goes, such as mug.yaml.",
+@output_option(
+    "-o", "--output", endings=("yaml", "yml"), required=True,
+    about="Where the description goes, such as mug.yaml.",
+)  # fmt: skip
+@_positive("--finger", "M", "Radius of the finger that pushes, m.", required=True)
+@_positive("--mass", "KG", "What the object weighs, if it was put on a scale.")
+@count_option("--cells", most=5000, default=60, about="About how many cells to cut the footprint into.")
+@_positive(
+    "--metres-per-unit", "M", "Of a mesh, 0.001 for millimetres; as its file says where missing, else 1."
 )
-@click.option(
-    "--finger", type=POSITIVE, required=True, metavar="M", help="Radius of the finger that pushes, m."
-)
-@click.option("--mass", type=POSITIVE, metavar="KG", help="What the object weighs, if it was put on a scale.")
-@click.option(
-    "--cells",
-    type=click.IntRange(1, 5000),
-    default=60,
-    show_default=True,
-    metavar="N",
-    help="About how many cells to cut the footprint into.",
-)
-@click.option(
-    "--metres-per-unit",
-    type=POSITIVE,
-    metavar="M",
-    help="Of a mesh, 0.001 for millimetres; as its file says where missing, else 1.",
-)
-@click.option("--metres-per-pixel", type=POSITIVE, metavar="M", help="Of a picture: side of a pixel.")
+@_positive("--metres-per-pixel", "M", "Of a picture: side of a pixel.")
 def describe_object(
     file: Path,
     output: Path,
@@ -96,13 +84,13 @@ def _shape(
     from slipmap.models.objects.meshes import upright_mesh
 
     try:
-        if file.suffix.lower() in PICTURES:
+        if file.suffix.lower() in _PICTURES:
             if metres_per_pixel is None or metres_per_unit is not None:
                 raise BadInput(f"{file} is a picture: give --metres-per-pixel and no --metres-per-unit")
             return _footprint(cells_from_label_image(str(file), metres_per_pixel, count=cells)[0])
         if metres_per_pixel is not None:
             raise BadInput(
-                f"{file} is no picture ({', '.join(PICTURES)}): --metres-per-pixel has no meaning for it"
+                f"{file} is no picture ({', '.join(_PICTURES)}): --metres-per-pixel has no meaning for it"
             )
         grid = cells_from_mesh(str(file), count=cells, metres_per_unit=metres_per_unit)
         height = float(upright_mesh(file, metres_per_unit=metres_per_unit).bounds[1, 2])

@@ -18,9 +18,9 @@ from slipmap.models.files import write_json, write_text
     "--quick", is_flag=True,
     help="A look at ten pushes with larger steps; no p-values, and no report unless -o asks for one.",
 )  # fmt: skip
-@click.option(
-    "--draws", type=click.IntRange(99, 100_000), default=199, show_default=True, metavar="N",
-    help="Datasets to simulate for the p-values; the smallest p is 1 / (N + 1).",
+@options.count_option(
+    "--draws", least=99, most=100_000, default=199,
+    about="Datasets to simulate for the p-values; the smallest p is 1 / (N + 1).",
 )  # fmt: skip
 @options.seed_option
 @options.report_option("diagnosis.html")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import textwrap
 from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -11,7 +10,7 @@ import click
 
 from slipmap.diagrams.application.commands import options
 from slipmap.diagrams.application.outputs import write_figures
-from slipmap.diagrams.application.terminal import WIDTH, note, paragraph, prepare_kernels, table
+from slipmap.diagrams.application.terminal import note, paragraph, prepare_kernels, table, wrapped
 from slipmap.models.files import BadInput, write_json
 
 if TYPE_CHECKING:
@@ -22,12 +21,7 @@ if TYPE_CHECKING:
 @click.command()
 @click.argument("name", required=False)
 @options.effect_file_option
-@click.option(
-    "--picture",
-    type=options.OutputFile(*options.PICTURES),
-    metavar="FILE",
-    help="Draw what the effect does to one push (.png, .pdf or .svg).",
-)
+@options.picture_option("--picture", about="Draw what the effect does to one push (.png, .pdf or .svg).")
 @options.json_option
 def effects(
     name: str | None, effect_files: tuple[Path, ...], picture: Path | None, json_file: Path | None
@@ -64,21 +58,21 @@ def effects(
         for path in write_figures(picture, [effect_figure(effect)]):
             note(f"picture: {path}")
     if json_file is not None:
-        write_json(json_file, document(effect, text))
-    explain(effect, text)
+        write_json(json_file, _document(effect, text))
+    _explain(effect, text)
 
 
-def explain(effect: Effect, text: Written) -> None:
+def _explain(effect: Effect, text: Written) -> None:
     """Print sentence, formula and parameters of an effect."""
-    click.echo(_wrapped(f"{effect.name}: {effect.sentence}", "") + "\n")
+    click.echo(wrapped(f"{effect.name}: {effect.sentence}", "") + "\n")
     for formula in text.formulas:
         if formula.meaning:
-            click.echo(_wrapped(f"  {formula.meaning}:", "  "))
-        click.echo(_wrapped(f"    {formula.text}", "        "))
+            click.echo(wrapped(f"  {formula.meaning}:", "  "))
+        click.echo(wrapped(f"    {formula.text}", "        "))
     if text.letters:
         click.echo("\nwhere")
         for letters, meaning in grouped((plain, meaning) for plain, _, meaning in text.letters):
-            click.echo(_wrapped(f"  {letters}: {meaning}", "      "))
+            click.echo(wrapped(f"  {letters}: {meaning}", "      "))
     if effect.memory:
         click.echo("  a prime marks what holds after the step")
     click.echo()
@@ -102,7 +96,7 @@ def grouped(letters: Iterable[tuple[str, str]]) -> list[tuple[str, str]]:
     return [(", ".join(those), meaning) for meaning, those in groups.items()]
 
 
-def document(effect: Effect, text: Written) -> dict[str, Any]:
+def _document(effect: Effect, text: Written) -> dict[str, Any]:
     """An effect for programs."""
     return {
         "name": effect.name,
@@ -111,20 +105,9 @@ def document(effect: Effect, text: Written) -> dict[str, Any]:
         "letters": {plain: meaning for plain, _, meaning in text.letters},
         "parameters": [
             {
-                "name": q.name,
                 "written": text.symbols[q.name],
-                "unit": q.unit,
-                "low": q.low,
-                "high": q.high,
-                "null": q.null,
-                "meaning": q.meaning,
+                **{key: getattr(q, key) for key in ("name", "unit", "low", "high", "null", "meaning")},
             }
             for q in effect.parameters
         ],
     }
-
-
-def _wrapped(line: str, indent: str) -> str:
-    return "\n".join(
-        textwrap.wrap(line, WIDTH, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False)
-    )

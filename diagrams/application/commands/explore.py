@@ -1,4 +1,7 @@
-"""`slipmap explore`: the robot pokes an object that it has never seen and learns its maps."""
+"""`slipmap explore` and `slipmap pregrasp`: the robot learns an object's maps by pushing it, and takes it.
+
+The second pushes the object to the table's edge after it has explored it, and grasps it there.
+"""
 
 from __future__ import annotations
 
@@ -7,73 +10,49 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from slipmap.diagrams.application.commands.options import (
-    effect_option,
-    effects_of_library,
-    folder_option,
-    hardware_option,
-    json_in_folder_option,
-    lcm_option,
-    meshcat_option,
-    record_option,
-    scenario_option,
-    seed_option,
-    station_object_option,
-)
-from slipmap.diagrams.application.commands.view import in_view
-from slipmap.diagrams.application.outputs import check_output, make_folder
-from slipmap.diagrams.application.terminal import Progress, note, paragraph, table
-from slipmap.models.files import BadInput, write_json, write_text
-from slipmap.planners.settings import STRATEGIES
+from slipmap.diagrams.application.commands import cell_run, options
+from slipmap.diagrams.application.outputs import make_folder
+from slipmap.diagrams.application.terminal import paragraph, table
+from slipmap.models.files import BadInput, write_json
+from slipmap.planners.settings import METHODS, STRATEGIES
 
 if TYPE_CHECKING:
     from slipmap.diagrams.loops.exploration_loop import LoopOptions, RecordedRun
     from slipmap.diagrams.loops.exploration_run import ExplorationRun
+    from slipmap.diagrams.loops.pregrasp_loop import PregraspOptions, PregraspRun
     from slipmap.diagrams.loops.run_folder import RunFolder
     from slipmap.diagrams.station.scenario import Scenario
     from slipmap.diagrams.systems.model_monitor import Watch
-    from slipmap.models.inference.results import Identification
-    from slipmap.models.measurements import PushDataset
-
-
-class Stopped(click.ClickException):
-    """Ctrl-C, after something was kept."""
-
-    exit_code = 130
 
 
 @click.command()
-@station_object_option
-@scenario_option
-@click.option(
-    "--pushes", type=click.IntRange(0, 100), default=5, show_default=True, metavar="N",
-    help="Pushes to learn from; with --after besides those that are there.",
+@cell_run.station_object_option
+@cell_run.scenario_option
+@options.count_option(
+    "--pushes", least=0, most=100, default=5,
+    about="Pushes to learn from; with --after besides those that are there.",
 )  # fmt: skip
-@click.option(
-    "--checks", type=click.IntRange(0, 100), default=3, show_default=True, metavar="N",
-    help="Random pushes after these, which only judge what was learned.",
+@options.count_option(
+    "--checks", least=0, most=100, default=3,
+    about="Random pushes after these, which only judge what was learned.",
 )  # fmt: skip
 @click.option(
     "--strategy", type=click.Choice(STRATEGIES), default="most-distinctive", show_default=True,
     help="How the next push is chosen (Algorithm 2).",
 )  # fmt: skip
-@effect_option(required=False, purpose="Effect of the library to add to the model that learns")
-@hardware_option
-@lcm_option
-@meshcat_option
-@record_option
-@folder_option("exploration")
-@click.option(
-    "--resume", type=click.Path(path_type=Path), metavar="DIR",
-    help="Go on with the run in this folder that was cut off or gave up; what was asked for then holds.",
+@options.effect_option(required=False, purpose="Effect of the library to add to the model that learns")
+@cell_run.cell_options("exploration")
+@options.path_option(
+    "--resume", metavar="DIR",
+    about="Go on with the run in this folder that was cut off or gave up; what was asked for then holds.",
 )  # fmt: skip
-@click.option(
-    "--after", type=click.Path(path_type=Path), metavar="DIR",
-    help="Begin with what the run in this folder recorded: all its pushes are learned from, --pushes is how"
+@options.path_option(
+    "--after", metavar="DIR",
+    about="Begin with what the run in this folder recorded: all its pushes are learned from, --pushes is how"
     " many more, and the model has the effects that are given now. The object lies where that run left it.",
 )  # fmt: skip
-@seed_option
-@json_in_folder_option
+@options.seed_option
+@options.json_in_folder_option
 @click.pass_context
 def explore(
     context: click.Context,
@@ -83,11 +62,7 @@ def explore(
     checks: int,
     strategy: str,
     effect_names: tuple[str, ...],
-    hardware: bool,
-    url: str,
-    open_meshcat: bool,
-    recording: Path | None,
-    folder: Path,
+    cell: cell_run.CellRun,
     resume: Path | None,
     after: Path | None,
     seed: int,
@@ -110,14 +85,14 @@ def explore(
     if resume is not None:
         settled = ("object", "scenario", "out", "effect", "after", "pushes", "checks", "strategy", "seed")
         _refuse_beside(context, "--resume goes on as it began", *settled)
-        folder = resume
-        scenario, options, before = resumed(folder)
+        cell = cell._replace(folder=resume)
+        scenario, wanted, before = resumed(resume)
     else:
         if after is None:
-            scenario = scenario_of(scenario_file, object_name)
+            scenario = cell_run.scenario_of(scenario_file, object_name)
         else:
             _refuse_beside(context, "--after takes the cell of the run before", "object", "scenario")
-            if after.resolve() == folder.resolve():
+            if after.resolve() == cell.folder.resolve():
                 raise BadInput(f"--after {after}: is where this run would go; name another folder with --out")
             scenario, _, recorded = resumed(after)
             if not pushes + checks:
@@ -129,38 +104,96 @@ def explore(
             pushes += len(before.trials)
         if not pushes:
             raise BadInput("--pushes 0 leaves nothing to learn from; give 1 or more")
-        effects = effects_of_library(effect_names)
-        options = LoopOptions(pushes=pushes, checks=checks, strategy=strategy, seed=seed, effects=effects)
-    if before is not None and hardware is not before.of_a_real_cell:
-        was = "in simulation; leave out" if hardware else "in a real cell; add"
+        effects = cell_run.effects_of_library(effect_names)
+        wanted = LoopOptions(pushes=pushes, checks=checks, strategy=strategy, seed=seed, effects=effects)
+    if before is not None and cell.hardware is not before.of_a_real_cell:
+        was = "in simulation; leave out" if cell.hardware else "in a real cell; add"
         raise BadInput(f"{resume or after}: that run was made {was} --hardware to go on with it")
-    make_folder(folder)
-    record = ExplorationFolder(folder, scenario, options, before if resume is not None else None)
-    if recording is not None:
-        check_output(recording, ("html", "htm"))
-    if json_file is not None:
-        check_output(json_file)
+    make_folder(cell.folder)
+    record = ExplorationFolder(cell.folder, scenario, wanted, before if resume is not None else None)
+    cell.check_outputs(json_file)
     if before is not None and resume is None:
         record.keep(before)
-    address = url if hardware else None
-    run, failure, stopped = run_loop(
-        scenario, options, address, open_meshcat, recording, record=record, before=before
-    )
-    written = leave(run.identification, run.dataset, folder, recording)
+    run, failure, stopped = _run_exploration(scenario, wanted, cell, record, before)
+    written = cell_run.leave(run.identification, run.dataset, cell.folder, cell.recording)
     record.end()
     if json_file is not None:
-        write_json(json_file, {**learned_json(run), "monitor": run.watch.to_json(), "failure": failure})
-    show(run)
-    for what, path in written.items():
-        note(f"{what + ':':<19}{path}")
+        write_json(json_file, {**_learned_json(run), "monitor": run.watch.to_json(), "failure": failure})
+    _show_exploration(run)
+    cell_run.show_files(written)
     if failure:
         kept = (
-            f"{failure} What was recorded until then is kept; go on with `slipmap explore --resume {folder}`."
+            f"{failure} What was recorded until then is kept; go on with `slipmap explore --resume"
+            f" {cell.folder}`."
         )
-        raise Stopped(kept) if stopped else click.ClickException(kept)
+        raise cell_run.Stopped(kept) if stopped else click.ClickException(kept)
 
 
-def _refuse_beside(context: click.Context, because: str, *options: str) -> None:
+@click.command()
+@cell_run.station_object_option
+@cell_run.scenario_option
+@options.explorations_option
+@click.option(
+    "--method", type=click.Choice(METHODS), default="probabilistic", show_default=True,
+    help="What is planned with: all hypotheses, one drawn from them, a uniform object, or the truth.",
+)  # fmt: skip
+@options.effect_option(
+    required=False, purpose="Effect of the library to add to the model that learns and plans"
+)
+@cell_run.cell_options("pregrasp")
+@options.seed_option
+@options.json_in_folder_option
+def pregrasp(
+    object_name: str | None,
+    scenario_file: Path | None,
+    pushes: int,
+    method: str,
+    effect_names: tuple[str, ...],
+    cell: cell_run.CellRun,
+    seed: int,
+    json_file: Path | None,
+) -> None:
+    """Let a robot take what it cannot grasp where it lies.
+
+    It explores the object as `slipmap explore` does, pushes it to where it sticks out over the table's edge
+    and certainly stays, grasps it there and lifts it. The pushes are left as a dataset; those towards the
+    edge judge what was learned. The command succeeds only where the object is held in the end.
+
+    The robot is simulated, unless --hardware is given.
+    """
+    from slipmap.diagrams.loops.exploration_loop import LoopOptions
+    from slipmap.diagrams.loops.pregrasp_loop import PregraspOptions
+    from slipmap.diagrams.loops.run_folder import PregraspFolder
+
+    scenario = cell_run.scenario_of(scenario_file, object_name)
+    exploration = LoopOptions(pushes=pushes, seed=seed, effects=cell_run.effects_of_library(effect_names))
+    wanted = PregraspOptions(exploration, method=method)
+    if cell.hardware and method == "true":
+        raise BadInput("--method true: the truth is known of a simulated object alone; choose another method")
+    make_folder(cell.folder)
+    record = PregraspFolder(cell.folder, scenario)
+    cell.check_outputs(json_file)
+    try:
+        run = _run_pregrasp(scenario, wanted, cell, record)
+    except BaseException:
+        if not cell.hardware:
+            record.end()  # a simulation can be made again: the same command may replace what it left
+        raise
+    written = cell_run.leave(
+        run.exploration.identification, run.exploration.dataset, cell.folder, cell.recording
+    )
+    record.end()
+    if json_file is not None:
+        write_json(json_file, {**_learned_json(run.exploration), "pregrasp": run.to_json()})
+    _show_exploration(run.exploration)
+    _show_pregrasp(run)
+    cell_run.show_files(written)
+    if not run.held:
+        kept = f"the object is not held: {run.reason}. What was recorded is kept in {cell.folder}."
+        raise cell_run.Stopped(kept) if run.interrupted else click.ClickException(kept)
+
+
+def _refuse_beside(context: click.Context, because: str, *settled: str) -> None:
     """Refuse options, by their names, beside one that settles them.
 
     Raises:
@@ -169,43 +202,16 @@ def _refuse_beside(context: click.Context, because: str, *options: str) -> None:
     for parameter in context.command.params:
         name = parameter.opts[-1].removeprefix("--")
         given = context.get_parameter_source(parameter.name or "") is not click.core.ParameterSource.DEFAULT
-        if name in options and given:
+        if name in settled and given:
             raise BadInput(f"{because}; leave out --{name}")
 
 
-def scenario_of(path: Path | None, object_name: str | None) -> Scenario:
-    """The scenario of a file, if any, with another object, if any.
-
-    Raises:
-        BadInput: the file, the object's name, or an object that does not lie on the table.
-    """
-    from slipmap.diagrams.station.scenario import Scenario, ScenarioError, read_scenario
-
-    try:
-        scenario = Scenario() if path is None else read_scenario(path, object_name)
-        scenario.object.name = object_name or scenario.object.name
-        thing = scenario.object.make()
-    except ScenarioError as error:
-        raise BadInput(str(error)) from error
-    except ValueError as error:
-        where = "" if path is None or object_name is not None else f"{path}: "
-        raise BadInput(f"{where}object: {error}") from error
-    try:
-        scenario.check_placement(thing)
-    except ValueError as error:
-        raise BadInput(str(error) if path is None else f"{path}: {error}") from error
-    return scenario
-
-
-def run_loop(
+def _run_exploration(
     scenario: Scenario,
-    options: LoopOptions,
-    hardware: str | None,
-    open_meshcat: bool,
-    recording: Path | None,
-    *,
-    record: RunFolder | None = None,
-    before: RecordedRun | None = None,
+    wanted: LoopOptions,
+    cell: cell_run.CellRun,
+    record: RunFolder,
+    before: RecordedRun | None,
 ) -> tuple[ExplorationRun, str, bool]:
     """Run the loop; returns what it brought, why it ended early, if it did, and whether Ctrl-C ended it.
 
@@ -216,11 +222,11 @@ def run_loop(
     from slipmap.diagrams.loops import exploration_run
 
     failure, stopped = "", False
-    with in_view(open_meshcat, recording) as (meshcat, progress):
+    with cell.in_view() as (meshcat, progress):
         try:
             run = exploration_run.explore(
-                scenario, options,
-                hardware=hardware, meshcat=meshcat, progress=progress, record=record, before=before,
+                scenario, wanted,
+                hardware=cell.address, meshcat=meshcat, progress=progress, record=record, before=before,
             )  # fmt: skip
         except exploration_run.ExplorationFailed as error:
             stopped = isinstance(error, exploration_run.ExplorationStopped)
@@ -230,39 +236,17 @@ def run_loop(
     return run, failure, stopped
 
 
-def leave(
-    identification: Identification, dataset: PushDataset, folder: Path, recording: Path | None = None
-) -> dict[str, Path]:
-    """Write belief, pictures and report beside the pushes; returns what lies where."""
-    from slipmap.diagrams.application.commands.compare import report
-    from slipmap.diagrams.application.commands.identify import keep
-    from slipmap.models.inference.comparison import compare
-
-    belief = folder / "belief.npz"
-    with Progress() as progress:
-        pictures = keep(identification, dataset, belief, None, progress)
-        comparison = compare(dataset, identification.belief, seed=0, label="model", progress=progress)
-        text = report([comparison], dataset)
-    write_text(folder / "report.html", text)
-    written = {"pushes": folder / "pushes", "belief": belief, "report": folder / "report.html"}
-    written |= {f"picture of {path.stem.removeprefix('belief.')}": path for path in pictures}
-    return written if recording is None else {**written, "recording": recording}
-
-
-def learned_json(run: ExplorationRun) -> dict[str, Any]:
-    """What was learned, effects of the model included, beside the truth that only the simulator knows."""
-    from slipmap.diagrams.application.commands.fit import effect_estimates
+def _learned_json(run: ExplorationRun) -> dict[str, Any]:
+    from slipmap.diagrams.application.commands.identify import effect_estimates
 
     learned = run.identification
     return {**learned.to_json(), "effects": effect_estimates(learned), "truth": run.truth()}
 
 
-def show(run: ExplorationRun) -> None:
-    """Print what was learned, beside the truth that only the simulator knows."""
-    from slipmap.diagrams.application.commands.fit import show_effects
-    from slipmap.diagrams.application.commands.identify import show as show_identification
+def _show_exploration(run: ExplorationRun) -> None:
+    from slipmap.diagrams.application.commands.identify import show, show_effects
 
-    show_identification(run.identification, run.dataset)
+    show(run.identification, run.dataset)
     show_effects(run.identification)
     truth = run.truth()
     if truth is None:
@@ -270,7 +254,7 @@ def show(run: ExplorationRun) -> None:
     else:
         _show_truth(truth)
         paragraph(f"{run.simulated:.0f} s of simulated time took {run.seconds:.0f} s.")
-    paragraph(monitor_words(run.watch))
+    paragraph(_monitor_words(run.watch))
 
 
 def _show_truth(truth: dict[str, Any]) -> None:
@@ -287,7 +271,7 @@ def _show_truth(truth: dict[str, Any]) -> None:
     paragraph(f"The belief's centre of mass is {1e3 * truth['center_of_mass_error']:.1f} mm off.")
 
 
-def monitor_words(watch: Watch) -> str:
+def _monitor_words(watch: Watch) -> str:
     """What the monitor says at the end, in a sentence or two."""
     from slipmap.diagrams.systems.model_monitor import LEVEL
 
@@ -306,3 +290,54 @@ def monitor_words(watch: Watch) -> str:
             " `slipmap explore --after` go on with the effect that it names."
         )
     return f"Monitor: no alarm; {numbers}, evidence at most {peak:.1f} of the {1 / LEVEL:.0f} that it takes."
+
+
+def _run_pregrasp(
+    scenario: Scenario, wanted: PregraspOptions, cell: cell_run.CellRun, record: RunFolder
+) -> PregraspRun:
+    """Run the loop to its end.
+
+    Raises:
+        BadInput: this machine cannot render pictures, or the real cell cannot be reached.
+        click.ClickException: the loop stopped before anything could be learned.
+    """
+    from slipmap.diagrams.loops.exploration_run import ExplorationFailed, ExplorationStopped
+    from slipmap.diagrams.loops.pregrasp_loop import run_pregrasp
+
+    with cell.in_view() as (meshcat, progress):
+        try:
+            return run_pregrasp(
+                scenario, wanted, hardware=cell.address, meshcat=meshcat, progress=progress, record=record
+            )
+        except ExplorationStopped as error:
+            raise click.Abort() from error
+        except ExplorationFailed as error:
+            raise click.ClickException(str(error)) from error
+
+
+def _show_pregrasp(run: PregraspRun) -> None:
+    rows = []
+    for number, push in enumerate(run.to_json()["pushes"], 1):
+        off = [1e3 * (push["after"][k] - push["goal"][k]) for k in range(2)]
+        rows.append(
+            [
+                str(number),
+                f"{(off[0] ** 2 + off[1] ** 2) ** 0.5:.0f}",
+                f"{100 * push['success_probability']:.0f}",
+                f"{100 * push['fall_probability']:.0f}",
+                f"{1e3 * push['margin']:.0f}",
+            ]
+        )
+    if rows:
+        table(
+            "Pushes towards the edge, as planned and as they went",
+            ["push", "then off the goal, mm", "at the goal, %", "falls, %", "margin, mm"],
+            rows,
+            numbers=(0, 1, 2, 3, 4),
+        )
+    if run.held:
+        paragraph(f"After {len(run.pushes)} pushes the gripper took the object at the edge, and holds it.")
+    else:
+        paragraph(f"The object is not held: {run.reason}.")
+    if run.true_height is not None and run.fate != ("held" if run.held else "gave up"):
+        paragraph(f"In truth, which only the simulator knows, it {run.fate}.")

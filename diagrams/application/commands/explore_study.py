@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from slipmap.diagrams.application.commands import options
-from slipmap.diagrams.application.commands.explore import Stopped
+from slipmap.diagrams.application.commands.cell_run import Stopped, scenario_of
 from slipmap.diagrams.application.outputs import make_folder
 from slipmap.diagrams.application.terminal import Progress, note, paragraph, prepare_kernels, table
 from slipmap.models.files import BadInput, write_json
@@ -19,23 +19,11 @@ if TYPE_CHECKING:
 
 
 @click.command("explore-study")
-@click.option(
-    "--object", "object_names", multiple=True, metavar="NAME", shell_complete=options.complete_objects,
-    help="Object to explore; may be given several times. [default: all six]",
-)  # fmt: skip
-@click.option(
-    "--runs", type=click.IntRange(1, 1000), default=10, show_default=True, metavar="N",
-    help="Runs of each object, with seeds from SEED on.",
-)  # fmt: skip
+@options.objects_option("--object", about="Object to explore")
+@options.count_option("--runs", most=1000, default=10, about="Runs of each object, with seeds from SEED on.")
 @options.explorations_option
-@click.option(
-    "--checks", type=click.IntRange(1, 100), default=10, show_default=True, metavar="N",
-    help="Random pushes after these, to judge with.",
-)  # fmt: skip
-@click.option(
-    "-o", "--output", "folder", type=click.Path(file_okay=False, path_type=Path),
-    default=Path("explore-study"), show_default=True, metavar="DIR", help="Folder of the results.",
-)  # fmt: skip
+@options.count_option("--checks", most=100, default=10, about="Random pushes after these, to judge with.")
+@options.results_option("folder", default="explore-study")
 @options.seed_option
 @options.json_option
 def explore_study(
@@ -83,7 +71,6 @@ def _row(folder: Path, name: str, seed: int, pushes: int, checks: int) -> dict[s
     path = folder / f"{name}-{seed}.json"
     if path.exists():
         return _row_of(path, pushes, checks)
-    from slipmap.diagrams.application.commands.explore import scenario_of
     from slipmap.diagrams.loops.exploration_loop import LoopOptions
     from slipmap.diagrams.loops.exploration_run import ExplorationFailed, ExplorationStopped, explore
     from slipmap.models.measurements import write_dataset

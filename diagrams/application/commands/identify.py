@@ -1,16 +1,19 @@
-"""`slipmap identify`: from recorded pushes to a belief about mass and friction."""
+"""`slipmap identify` and `slipmap fit`: from recorded pushes to a belief about mass and friction.
+
+The second adds effects to the model and learns them together with the maps.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from slipmap.diagrams.application.commands import options
 from slipmap.diagrams.application.outputs import make_folder, write_figures
-from slipmap.diagrams.application.terminal import Progress, note, prepare_kernels
+from slipmap.diagrams.application.terminal import Progress, note, paragraph, prepare_kernels
 from slipmap.models.files import BadInput, write_json
 
 if TYPE_CHECKING:
@@ -36,9 +39,7 @@ if TYPE_CHECKING:
 )
 @options.hypotheses_option
 @options.seed_option
-@click.option(
-    "--fit-pushes", type=click.IntRange(1), metavar="N", help="Learn from the first N fit pushes alone."
-)
+@options.count_option("--fit-pushes", about="Learn from the first N fit pushes alone.")
 @options.object_option
 @options.pictures_option
 @options.json_option
@@ -83,6 +84,60 @@ def identify(
     if json_file is not None:
         write_json(json_file, result.to_json())
     show(result, measured)
+    tell_files(output, drawn)
+
+
+@click.command()
+@options.dataset_argument
+@options.effect_option(required=True, purpose="Effect to add to the model")
+@options.effect_file_option
+@options.belief_output_option
+@options.hypotheses_option
+@options.seed_option
+@options.object_option
+@options.pictures_option
+@options.json_option
+def fit(
+    dataset: Path,
+    effect_names: tuple[str, ...],
+    effect_files: tuple[Path, ...],
+    output: Path,
+    hypotheses: int,
+    seed: int,
+    object_name: str | None,
+    pictures: Path | None,
+    json_file: Path | None,
+) -> None:
+    """Learn maps of mass and friction together with effects.
+
+    Adds the effects that you name, of the library or of your own files, to the model and learns their
+    parameters and the maps at the same time from the pushes of DATASET with the role `fit`; `heldout`
+    pushes only judge. `slipmap diagnose` says which effects are worth adding.
+
+    Writes a belief that `predict` and `compare` take, and the same pictures as `identify`; prints how well it
+    predicts beside a model without the effects that was learnt alike.
+    """
+    from slipmap.models.effects.registry import effects_named
+
+    effects = effects_named(effect_names, options.find_effects(effect_files))
+    with Progress() as progress:
+        measured = options.load_dataset(dataset, object_name, progress)
+        if pictures is not None:
+            make_folder(pictures)
+        prepare_kernels()
+        from slipmap.models.inference.diagnosis.effect_fit import fit_effects
+
+        result = fit_effects(measured, effects, hypotheses=hypotheses, seed=seed, progress=progress)
+        plain = fit_effects(
+            measured, (), hypotheses=hypotheses, seed=seed, progress=progress.about("without effects")
+        )
+        drawn = keep(result, measured, output, pictures, progress)
+    if json_file is not None:
+        more = {"effects": effect_estimates(result), "without_effects": _errors(plain)}
+        write_json(json_file, {**result.to_json(), **more})
+    show(result, measured)
+    show_effects(result)
+    _show_gain(result, plain)
     tell_files(output, drawn)
 
 
@@ -141,3 +196,54 @@ def _first_pushes(dataset: PushDataset, count: int) -> PushDataset:
             f" 1 to {available}"
         )
     return dataset.with_fit_pushes(count)
+
+
+def effect_estimates(result: Identification) -> dict[str, dict[str, Any]]:
+    """By effect of the model and parameter: value (median), 90 % interval, unit, whether pushes show it."""
+    facts = {quantity.name: quantity for quantity in result.quantities}
+    return {
+        effect.name: {
+            p.name: {
+                key: getattr(facts[f"{effect.name}: {p.name}"], key)
+                for key in ("value", "low", "high", "unit", "shown")
+            }
+            for p in effect.parameters
+        }
+        for effect in result.belief.effects
+    }
+
+
+def _errors(result: Identification) -> dict[str, float | None]:
+    """Mean errors at the end of the pushes of each role, m; None where there are none."""
+    errors = {role: result.errors(role) for role in ("fit", "heldout")}
+    return {f"{role}_error_mean": float(of.mean()) if len(of) else None for role, of in errors.items()}
+
+
+def _show_gain(result: Identification, plain: Identification) -> None:
+    from slipmap.diagrams.application.reports.comparison_words import millimetres
+    from slipmap.diagrams.application.reports.tables import HARDLY_BETTER
+
+    role, pushes = ("heldout", "Held-out pushes")
+    if not len(result.errors(role)):
+        role, pushes = ("fit", "The pushes that it learned from")
+    now, before = (float(learnt.errors(role).mean()) for learnt in (result, plain))
+    effects = " and ".join(effect.name for effect in result.belief.effects)
+    doubt = f" SO THEY DO NOT SPEAK FOR {effects}: its size holds only if it is there at all."
+    paragraph(
+        f"{pushes} end {millimetres(now)} mm from where they were predicted; without effects, learnt alike,"
+        f" {millimetres(before)} mm.{doubt if now > HARDLY_BETTER * before else ''}"
+    )
+
+
+def show_effects(result: Identification) -> None:
+    """Print how large the effects of the model are, each in a sentence."""
+    from slipmap.diagrams.application.reports.effect_words import effect_in_words
+    from slipmap.models.inference.diagnosis.results import ParameterEstimate
+
+    told = effect_estimates(result)
+    for effect in result.belief.effects:
+        estimates = [
+            ParameterEstimate(effect.name, name, v["unit"], v["value"], v["low"], v["high"])
+            for name, v in told[effect.name].items()
+        ]
+        paragraph(f"{effect.name}: {effect_in_words(effect.name, estimates, result.belief.grid)}.")

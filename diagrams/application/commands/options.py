@@ -1,4 +1,4 @@
-"""Arguments and options that several commands share."""
+"""Arguments and options that several commands share, and what is checked of them before any work is done."""
 
 from __future__ import annotations
 
@@ -6,22 +6,20 @@ from collections.abc import Callable, Iterator, Sequence
 from functools import wraps
 from itertools import combinations
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any
 
 import click
 from click.core import ParameterSource
 
 from slipmap.diagrams.application.outputs import check_output
 from slipmap.diagrams.application.terminal import Progress, note
-from slipmap.diagrams.hardware.network import LCM_URL
 
 if TYPE_CHECKING:
     from slipmap.models.effects.effect import Effect
     from slipmap.models.measurements import PushDataset
 
-
-PICTURES = ("png", "pdf", "svg")
-Command = TypeVar("Command", bound=Callable[..., Any])
+Option = Callable[[Any], Any]
+"""Adds an option to a command."""
 
 
 class OutputFile(click.ParamType):
@@ -39,69 +37,80 @@ class OutputFile(click.ParamType):
         return path
 
 
-dataset_argument = click.argument("dataset", type=click.Path(path_type=Path))
-json_option = click.option(
-    "--json", "json_file", type=OutputFile(), metavar="FILE", help="Write the result as JSON."
-)
-json_in_folder_option = click.option(
-    "--json", "json_file", type=click.Path(path_type=Path), metavar="FILE",
-    help="Write the result as JSON; it may go into the folder of --out.",
-)  # fmt: skip
-"""For commands that make a folder first, and check the file then."""
-seed_option = click.option(
-    "--seed",
-    type=click.IntRange(0, 2**32 - 1),
-    default=0,
-    show_default=True,
-    help="Seed of every random draw.",
-)
-object_option = click.option(
-    "--object",
-    "object_name",
-    metavar="NAME|YAML",
-    help="What was pushed, for MIT and CSV files, which do not say it: a shape of the MIT push dataset such"
-    " as rect1, or a YAML file with the keys object and finger of a dataset.yaml and, where columns have"
-    " other names or units, csv.",
-)
-effect_file_option = click.option(
-    "--effect-file", "effect_files", type=click.Path(path_type=Path), multiple=True, metavar="FILE",
-    help="Python file with effects of your own, beside those of the library; may be given several times.",
-)  # fmt: skip
+def count_option(
+    name: str, *parameter: str, least: int = 1, most: int | None = None, default: int | None = None,
+    metavar: str | None = "N", about: str,
+) -> Option:  # fmt: skip
+    """An option that takes a whole number."""
+    kind = click.IntRange(least, most)
+    return click.option(name, *parameter, type=kind, metavar=metavar, help=about, **_shown(default))
 
 
-belief_output_option = click.option(
-    "-o", "--output", type=OutputFile("npz"), required=True, metavar="FILE",
-    help="Where the belief goes, such as belief.npz.",
-)  # fmt: skip
-hypotheses_option = click.option(
-    "--hypotheses", type=click.IntRange(2, 1000), default=20, show_default=True, metavar="K",
-    help="Hypotheses to find.",
-)  # fmt: skip
-pictures_option = click.option(
-    "--pictures", type=click.Path(path_type=Path), metavar="DIR",
-    help="Folder for the pictures; beside the belief if not given.",
-)  # fmt: skip
+def path_option(
+    *names: str, default: str | None = None, required: bool = False, multiple: bool = False,
+    metavar: str = "FILE", about: str,
+) -> Option:  # fmt: skip
+    """An option that names a file or a folder, which is not checked yet."""
+    return click.option(
+        *names, type=click.Path(path_type=Path), required=required, multiple=multiple, metavar=metavar,
+        help=about, **_shown(default),
+    )  # fmt: skip
 
 
-def belief_option(*, required: bool, more: str = "") -> Callable[[Command], Command]:
+def output_option(
+    *names: str, endings: Sequence[str] = (), default: str | None = None, required: bool = False, about: str
+) -> Option:
+    """An option that names a file to be written."""
+    return click.option(
+        *names, type=OutputFile(*endings), required=required, metavar="FILE", help=about, **_shown(default)
+    )
+
+
+def _shown(default: object) -> dict[str, Any]:
+    """What an option is given for a default that its help shows; nothing where there is none."""
+    return {} if default is None else {"default": default, "show_default": True}
+
+
+def picture_option(*names: str, default: str | None = None, about: str) -> Option:
+    """An option that names a picture to be drawn."""
+    return output_option(*names, endings=("png", "pdf", "svg"), default=default, about=about)
+
+
+def results_option(*parameter: str, default: str, about: str = "Folder of the results.") -> Option:
+    """The option `--output DIR` of a study that goes on where it was stopped."""
+    return click.option(
+        "-o", "--output", *parameter, type=click.Path(file_okay=False, path_type=Path), metavar="DIR",
+        help=about, **_shown(Path(default)),
+    )  # fmt: skip
+
+
+def belief_option(*, required: bool, more: str = "") -> Option:
     """The option `--belief FILE`."""
-    return click.option(
-        "--belief", "belief_file", type=click.Path(path_type=Path), required=required, metavar="FILE",
-        help=f"Belief that `slipmap identify` or `slipmap fit` wrote{more}.",
-    )  # fmt: skip
+    about = f"Belief that `slipmap identify` or `slipmap fit` wrote{more}."
+    return path_option("--belief", "belief_file", required=required, about=about)
 
 
-def report_option(default: str) -> Callable[[Command], Command]:
+def report_option(default: str) -> Option:
     """The option `--output FILE` of a report for a browser."""
+    about = "The report, one file for any browser; it needs no network."
+    return output_option("-o", "--output", endings=("html", "htm"), default=default, about=about)
+
+
+def effect_option(*, required: bool, purpose: str) -> Option:
+    """The option `--effect NAME`, which may be given several times."""
     return click.option(
-        "-o", "--output", type=OutputFile("html", "htm"), default=default, show_default=True, metavar="FILE",
-        help="The report, one file for any browser; it needs no network.",
+        "--effect", "effect_names", multiple=True, required=required, metavar="NAME",
+        shell_complete=_completed(_effect_names),
+        help=f"{purpose}, such as table_tilt; may be given several times.",
     )  # fmt: skip
 
 
-def asked_for(option: str) -> bool:
-    """Whether an option of the command that runs was given, rather than left at its default."""
-    return click.get_current_context().get_parameter_source(option) is not ParameterSource.DEFAULT
+def objects_option(name: str, *, about: str, default: str = "all six") -> Option:
+    """An option that names some of the six objects."""
+    return click.option(
+        name, "object_names", multiple=True, metavar="NAME", shell_complete=complete_objects,
+        help=f"{about}; may be given several times. [default: {default}]",
+    )  # fmt: skip
 
 
 def _completed(names: Callable[[], Sequence[str]]) -> Callable[..., list[str]]:
@@ -122,14 +131,42 @@ def _object_names() -> Sequence[str]:
 complete_objects = _completed(_object_names)
 """The six objects, for `shell_complete`."""
 
+dataset_argument = click.argument("dataset", type=click.Path(path_type=Path))
+json_option = output_option("--json", "json_file", about="Write the result as JSON.")
+json_in_folder_option = path_option(
+    "--json", "json_file", about="Write the result as JSON; it may go into the folder of --out."
+)
+"""For commands that make a folder first, and check the file then."""
+seed_option = count_option(
+    "--seed", least=0, most=2**32 - 1, default=0, metavar=None, about="Seed of every random draw."
+)
+object_option = click.option(
+    "--object",
+    "object_name",
+    metavar="NAME|YAML",
+    help="What was pushed, for MIT and CSV files, which do not say it: a shape of the MIT push dataset such"
+    " as rect1, or a YAML file with the keys object and finger of a dataset.yaml and, where columns have"
+    " other names or units, csv.",
+)
+effect_file_option = path_option(
+    "--effect-file", "effect_files", multiple=True,
+    about="Python file with effects of your own, beside those of the library; may be given several times.",
+)  # fmt: skip
+belief_output_option = output_option(
+    "-o", "--output", endings=["npz"], required=True, about="Where the belief goes, such as belief.npz."
+)
+hypotheses_option = count_option(
+    "--hypotheses", least=2, most=1000, default=20, metavar="K", about="Hypotheses to find."
+)
+pictures_option = path_option(
+    "--pictures", metavar="DIR", about="Folder for the pictures; beside the belief if not given."
+)
+explorations_option = count_option("--pushes", most=100, default=5, about="Pushes to learn from.")
 
-def effect_option(*, required: bool, purpose: str) -> Callable[[Command], Command]:
-    """The option `--effect NAME`, which may be given several times."""
-    return click.option(
-        "--effect", "effect_names", multiple=True, required=required, metavar="NAME",
-        shell_complete=_completed(_effect_names),
-        help=f"{purpose}, such as table_tilt; may be given several times.",
-    )  # fmt: skip
+
+def asked_for(option: str) -> bool:
+    """Whether an option of the command that runs was given, rather than left at its default."""
+    return click.get_current_context().get_parameter_source(option) is not ParameterSource.DEFAULT
 
 
 def find_effects(files: Sequence[Path]) -> tuple[Effect, ...]:
@@ -141,17 +178,6 @@ def find_effects(files: Sequence[Path]) -> tuple[Effect, ...]:
     from slipmap.models.effects.registry import known_effects
 
     return known_effects(files)
-
-
-def effects_of_library(names: Sequence[str]) -> tuple[str, ...]:
-    """Names of effects of the library, as they were given.
-
-    Raises:
-        EffectError: there is no such effect, or one is named twice.
-    """
-    from slipmap.models.effects.registry import effects_named
-
-    return tuple(effect.name for effect in effects_named(names)) if names else ()
 
 
 def load_dataset(path: Path, object_name: str | None, progress: Progress) -> PushDataset:
@@ -170,53 +196,10 @@ def load_dataset(path: Path, object_name: str | None, progress: Progress) -> Pus
     return dataset
 
 
-station_object_option = click.option(
-    "--object", "object_name", metavar="NAME", shell_complete=complete_objects,
-    help="One of the six objects: book, box, hammer, wrench, snack, spray_gun. [default: hammer]",
-)  # fmt: skip
-scenario_option = click.option(
-    "--scenario", "scenario_file", type=click.Path(path_type=Path), metavar="FILE",
-    help="YAML file that describes the cell: table, camera, noise, your own object, hidden effects.",
-)  # fmt: skip
-lcm_option = click.option(
-    "--lcm", "url", default=LCM_URL, show_default=True, metavar="URL",
-    help="Address of the cell's messages; with ttl=0 they stay on this computer.",
-)  # fmt: skip
-hardware_option = click.option(
-    "--hardware", is_flag=True,
-    help="Drive a real cell, or its twin of `slipmap station`, that listens at the address of --lcm.",
-)  # fmt: skip
-explorations_option = click.option(
-    "--pushes", type=click.IntRange(1, 100), default=5, show_default=True, metavar="N",
-    help="Pushes to learn from.",
-)  # fmt: skip
-meshcat_option = click.option(
-    "--meshcat", "open_meshcat", is_flag=True,
-    help="Serve the view and print its address; wait for Enter or Ctrl-C at the end.",
-)  # fmt: skip
-record_option = click.option(
-    "--record", "recording", type=click.Path(path_type=Path), metavar="FILE",
-    help="Write the whole run as a page that plays it back without a network.",
-)  # fmt: skip
-
-
-def folder_option(default: str) -> Callable[[Command], Command]:
-    """The option `--out DIR` of what a run in the robot's cell leaves."""
-    return click.option(
-        "-o", "--out", "folder", type=click.Path(path_type=Path), default=default, show_default=True,
-        metavar="DIR", help="Folder for pushes, belief, pictures and report.",
-    )  # fmt: skip
-
-
-# What a command reads is not what it writes.
-
-
-FILES_IN_FOLDERS = ("json_file", "recording")
-FOLDERS = ("folder", "output", "pictures")
-"""Parameters that are written though their type does not say so."""
-
-MEASURED = (".yaml", ".yml", ".json", ".csv", ".h5", ".hdf5")
-"""Endings of files that may be part of a dataset."""
+# Parameters that are written though their type does not say so.
+_FILES_IN_FOLDERS = ("json_file", "recording")
+_FOLDERS = ("folder", "output", "pictures")
+_MEASURED = (".yaml", ".yml", ".json", ".csv", ".h5", ".hdf5")  # files that may be part of a dataset
 
 
 def keep_files_apart(command: click.Command) -> None:
@@ -241,9 +224,9 @@ def _check(command: click.Command, arguments: dict[str, Any]) -> None:
     read: list[Path] = []
     for param in command.params:
         for path in _paths(arguments.get(param.name or "")):
-            if isinstance(param.type, OutputFile) or param.name in FILES_IN_FOLDERS:
+            if isinstance(param.type, OutputFile) or param.name in _FILES_IN_FOLDERS:
                 written.append((param.opts[-1], path))
-            elif param.name not in FOLDERS:
+            elif param.name not in _FOLDERS:
                 read.append(path)
     for (one, path), (other, same) in combinations(written, 2):
         if path.resolve() == same.resolve():
@@ -258,7 +241,7 @@ def _check(command: click.Command, arguments: dict[str, Any]) -> None:
 
 def _is_part(path: Path, source: Path) -> bool:
     """Whether an existing file may be one of a dataset's."""
-    if not (source.is_dir() and path.is_file() and path.suffix.lower() in MEASURED):
+    if not (source.is_dir() and path.is_file() and path.suffix.lower() in _MEASURED):
         return False
     return path.resolve().is_relative_to(source.resolve())
 

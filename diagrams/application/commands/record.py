@@ -1,4 +1,7 @@
-"""`slipmap record`: pushes of a cell that somebody else drives, as a dataset."""
+"""`slipmap record` and `slipmap replay`: pushes that somebody else makes, as they happen or from a log.
+
+Both find the pushes among the messages of a robot's cell; the second learns from them.
+"""
 
 from __future__ import annotations
 
@@ -6,34 +9,34 @@ import signal
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, BinaryIO
+from typing import TYPE_CHECKING, Any, BinaryIO
 
 import click
 
-from slipmap.diagrams.application.commands.explore import scenario_of
-from slipmap.diagrams.application.commands.options import json_option, lcm_option, scenario_option
-from slipmap.diagrams.application.outputs import check_folder, check_output
+from slipmap.diagrams.application.commands import cell_run, options
+from slipmap.diagrams.application.outputs import check_folder, check_output, make_folder
 from slipmap.diagrams.application.terminal import Progress, note, paragraph, prepare_kernels, status
 from slipmap.models.files import BadInput, write_json, writing
 
 if TYPE_CHECKING:
+    from slipmap.diagrams.loops.push_listener import PushListener
     from slipmap.models.inference.camera_lag import CameraLag
     from slipmap.models.measurements import PushDataset
 
 
 @click.command()
-@lcm_option
-@scenario_option
-@click.option(
-    "-o", "--output", type=click.Path(path_type=Path), required=True, metavar="DATASET",
-    help="Folder for the dataset; there must be none yet.",
+@cell_run.lcm_option
+@cell_run.scenario_option
+@options.path_option(
+    "-o", "--output", required=True, metavar="DATASET",
+    about="Folder for the dataset; there must be none yet.",
 )  # fmt: skip
-@click.option(
-    "--log", "log_file", type=click.Path(path_type=Path), metavar="FILE",
-    help="Write all messages as they come to an LCM log, for `slipmap replay`; there must be none yet.",
+@options.path_option(
+    "--log", "log_file",
+    about="Write all messages as they come to an LCM log, for `slipmap replay`; there must be none yet.",
 )  # fmt: skip
-@click.option("--pushes", type=click.IntRange(1), metavar="N", help="End by itself after N pushes.")
-@json_option
+@options.count_option("--pushes", about="End by itself after N pushes.")
+@options.json_option
 def record(
     url: str,
     scenario_file: Path | None,
@@ -51,17 +54,10 @@ def record(
     """
     from slipmap.diagrams.hardware.message_stream import MessageStream
     from slipmap.diagrams.hardware.network import GRIPPER_COMMAND, IIWA_COMMAND, HardwareError
-    from slipmap.diagrams.loops.push_listener import (
-        HEARD,
-        PushListener,
-        hearing,
-        listened_json,
-        record_pushes,
-        why_none,
-    )
+    from slipmap.diagrams.loops.push_listener import HEARD, PushListener, hearing, record_pushes, why_none
     from slipmap.models.measurements.writing import PushRecorder, is_replaced
 
-    scenario = scenario_of(scenario_file, None)
+    scenario = cell_run.scenario_of(scenario_file, None)
     check_folder(output.resolve().parent, output)
     is_replaced(output.resolve(), overwrite=False)
     listener = PushListener(scenario, output.resolve().name)
@@ -82,19 +78,85 @@ def record(
     lag = None
     if listener.pushes:
         dataset = listener.dataset()
-        lag = told_lag(dataset)
+        lag = _shown_lag(dataset)
         note(f"pushes: {output}")
     if log_file is not None:
         note(f"messages: {log_file}")
     if json_file is not None:
-        write_json(
-            json_file, {**listened_json(listener), "camera_lag": None if lag is None else lag.to_json()}
-        )
+        write_json(json_file, _heard(listener, lag))
     if not listener.pushes:
         raise click.ClickException(f"no push was recorded: {why_none(listener)}")
 
 
-def told_lag(dataset: PushDataset) -> CameraLag | None:
+@click.command()
+@click.argument("log", type=click.Path(path_type=Path))
+@cell_run.scenario_option
+@cell_run.folder_option("replay")
+@options.hypotheses_option
+@options.seed_option
+@options.json_in_folder_option
+def replay(
+    log: Path, scenario_file: Path | None, folder: Path, hypotheses: int, seed: int, json_file: Path | None
+) -> None:
+    """Find the pushes in a log of LCM, and learn from them.
+
+    LOG is what `slipmap record --log` or LCM's `lcm-logger` wrote. It is gone through as fast as it can be,
+    by the senders' stamps, as if the cell were running. Leaves what `slipmap explore` leaves, and tells by
+    how much the camera is late.
+    """
+    from slipmap.diagrams.application.commands.identify import show
+    from slipmap.diagrams.loops.push_listener import PushListener, why_none
+    from slipmap.diagrams.loops.run_folder import refuse_robots_pushes
+
+    scenario = cell_run.scenario_of(scenario_file, None)
+    make_folder(folder)
+    refuse_robots_pushes(folder, "--out")
+    if json_file is not None:
+        check_output(json_file)
+    listener = PushListener(scenario, log.stem)
+    _listen(log, listener, folder)
+    if not listener.pushes:
+        raise BadInput(f"{log}: holds no push: {why_none(listener)}")
+    dataset = listener.dataset()
+    prepare_kernels()
+    with Progress() as progress:
+        from slipmap.models.inference.identification import identify
+
+        identification = identify(dataset, hypotheses=hypotheses, seed=seed, progress=progress)
+    written = cell_run.leave(identification, dataset, folder)
+    show(identification, dataset)
+    lag = _shown_lag(dataset)
+    if json_file is not None:
+        write_json(json_file, {**identification.to_json(), "heard": _heard(listener, lag)})
+    cell_run.show_files(written)
+
+
+def _listen(log: Path, listener: PushListener, folder: Path) -> None:
+    from slipmap.diagrams.hardware.message_stream import BadLog, LogReader
+    from slipmap.diagrams.loops.push_listener import hearing, record_pushes
+    from slipmap.diagrams.loops.run_folder import PUSHES
+    from slipmap.models.measurements.writing import PushRecorder
+
+    try:
+        with open(log, "rb") as file:
+            reader = LogReader(file, str(log))
+            record_pushes(reader, listener, PushRecorder(folder / PUSHES), status)
+    except OSError as error:
+        raise BadInput(f"{log}: cannot be read ({error.strerror})") from error
+    except BadLog as error:
+        raise BadInput(str(error)) from error
+    status(hearing(listener))
+    if reader.cut_off:
+        note(f"warning: {log} ends in the midst of a message; what comes before is used")
+
+
+def _heard(listener: PushListener, lag: CameraLag | None) -> dict[str, Any]:
+    from slipmap.diagrams.loops.push_listener import listened_json
+
+    return {**listened_json(listener), "camera_lag": None if lag is None else lag.to_json()}
+
+
+def _shown_lag(dataset: PushDataset) -> CameraLag | None:
     """How late the camera is, told on stdout; None where the pushes cannot tell, or at Ctrl-C."""
     from slipmap.models.inference.camera_lag import camera_lag
 
@@ -104,11 +166,11 @@ def told_lag(dataset: PushDataset) -> CameraLag | None:
             lag = camera_lag(dataset, progress=progress)
     except KeyboardInterrupt:
         return None
-    paragraph(lag_words(lag))
+    paragraph(_lag_words(lag))
     return lag
 
 
-def lag_words(lag: CameraLag | None) -> str:
+def _lag_words(lag: CameraLag | None) -> str:
     """What is known of the camera's lag, in a sentence or two."""
     if lag is None:
         return "Camera: the pushes cannot tell whether it is late; the object was not seen while it moved."

@@ -6,13 +6,14 @@ from pathlib import Path
 
 import click
 
-from slipmap.diagrams.application.commands.explore import scenario_of
-from slipmap.diagrams.application.commands.options import lcm_option, scenario_option, station_object_option
+from slipmap.diagrams.application.commands.cell_run import (
+    lcm_option,
+    scenario_of,
+    scenario_option,
+    station_object_option,
+)
 from slipmap.diagrams.application.terminal import note
 from slipmap.models.files import BadInput
-
-TIME_STEP = 0.005
-"""s, of the twin where no scenario says another: it must keep up with real time."""
 
 
 @click.command()
@@ -32,7 +33,7 @@ def station(url: str, scenario_file: Path | None, object_name: str | None) -> No
 
     scenario = scenario_of(scenario_file, object_name)
     if scenario_file is None:
-        scenario.simulation.time_step = TIME_STEP
+        scenario.simulation.time_step = 0.005  # s: the twin must keep up with real time
     try:
         address_settings(url)
         note(f"the cell of the {scenario.object.called} comes up at {url} …")

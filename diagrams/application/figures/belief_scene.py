@@ -23,8 +23,8 @@ from slipmap.diagrams.systems.look import INK, MAP_COLORS, styled
 from slipmap.models.inference.belief import Belief
 from slipmap.models.physics.cell_grid import CellGrid, FloatArray
 
-# Labels for the scene of a belief: PNG pictures of text and scales on a clear ground.
-
+MOST = 6
+"""Hypotheses beside the mean; the others are in the mean."""
 
 _NAMES = (
     ("mass", "of a cell, g"),
@@ -32,6 +32,11 @@ _NAMES = (
     ("mass × friction", "force to slide a cell, mN"),
 )
 _LONGEST_NAME = 36
+_PAPER = (0.965, 0.96, 0.945)
+_OPENING = 8.0  # deg, the camera's field of view from bottom to top: hardly any perspective
+_ELEVATION = np.radians(52.0)
+_SCREEN = 4 / 3  # its width to its height; wider ones have room at the sides
+_CAMERA = "/Cameras/default/rotated/<object>"
 
 
 @styled
@@ -98,16 +103,6 @@ def _png(figure: Figure) -> bytes:
     stream = BytesIO()
     figure.savefig(stream, format="png", transparent=True)
     return stream.getvalue()
-
-
-MOST = 6
-"""Hypotheses beside the mean; the others are in the mean."""
-
-_PAPER = (0.965, 0.96, 0.945)
-_OPENING = 8.0  # deg, the camera's field of view from bottom to top: hardly any perspective
-_ELEVATION = np.radians(52.0)
-_SCREEN = 4 / 3  # its width to its height; wider ones have room at the sides
-_CAMERA = "/Cameras/default/rotated/<object>"
 
 
 class _Window(ZMQWebSocketBridge):

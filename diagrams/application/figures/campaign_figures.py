@@ -1,4 +1,4 @@
-"""Pictures of a campaign: curves over the number of pushes, and shares beside the paper's."""
+"""Pictures of many trials: curves over the number of pushes, bars beside the paper's, and calibration."""
 
 from __future__ import annotations
 
@@ -13,8 +13,10 @@ from slipmap.diagrams.systems.look import BELIEF, FAINT, FINGER, INK, OTHER, PAP
 from slipmap.models.physics.cell_grid import FloatArray
 from slipmap.planners.trials import Estimate
 
-COLORS = (BELIEF, FINGER, OTHER, FAINT)
-COLUMNS = 3
+_COLORS = (BELIEF, FINGER, OTHER, FAINT)
+_COLUMNS = 3
+_LEVELS = np.linspace(0.0, 1.0, 201)  # of intervals, along a reliability curve
+_PANEL = 2.5  # inches, of one
 
 
 @styled
@@ -25,9 +27,15 @@ def curves_figure(title: str, curves: Mapping[str, Mapping[str, Sequence[Estimat
         title: above all.
         curves: object, label, and one estimate (m) after each push.
     """
-    figure, panels = _panels(title, len(curves), height=2.3)
-    for axes, (name, labels) in zip(panels, curves.items(), strict=False):
-        for (label, estimates), color in zip(labels.items(), COLORS, strict=False):
+    columns = max(1, min(_COLUMNS, len(curves)))
+    rows = max(1, -(-len(curves) // columns))
+    figure = Figure(figsize=(max(6.4, 2.7 * columns), 2.3 * rows + 0.7), layout="constrained")
+    figure.suptitle(title, fontsize=11)
+    panels = figure.subplots(rows, columns, squeeze=False)
+    for axes in panels.flat[len(curves) :]:
+        axes.set_visible(False)
+    for axes, (name, labels) in zip(panels.flat, curves.items(), strict=False):
+        for (label, estimates), color in zip(labels.items(), _COLORS, strict=False):
             x = np.arange(1, len(estimates) + 1)
             axes.plot(x, [1e3 * e.value for e in estimates], "-o", color=color, markersize=3, label=label)
             low, high = ([1e3 * value for value in ends] for ends in zip(*map(_ends, estimates), strict=True))
@@ -35,7 +43,11 @@ def curves_figure(title: str, curves: Mapping[str, Mapping[str, Sequence[Estimat
         axes.set_title(name.replace("_", " "))
         axes.set_ylim(bottom=0)
         axes.set_xticks(x)
-    _label(panels[: len(curves)], "pushes to learn from", "error, mm")
+        axes.set_xlabel("pushes to learn from")
+    for axes in panels[:, 0]:
+        axes.set_ylabel("error, mm")
+    if curves:
+        panels[0, 0].legend()
     return figure
 
 
@@ -93,7 +105,7 @@ def _bars(
     axes = figure.subplots()
     every = list(dict.fromkeys(label for labels in values.values() for label in labels))
     width = 0.8 / max(1, len(every))
-    for index, (label, color) in enumerate(zip(every, COLORS, strict=False)):
+    for index, (label, color) in enumerate(zip(every, _COLORS, strict=False)):
         for group, (name, labels) in enumerate(values.items()):
             if label not in labels or not np.isfinite(labels[label].value):
                 continue
@@ -125,7 +137,7 @@ def reliability_figure(title: str, bins: Mapping[str, Sequence[tuple[float, Esti
     figure = Figure(figsize=(4.2, 4.2), layout="constrained")
     axes = figure.subplots()
     axes.plot([0, 1], [0, 1], color=FAINT, linewidth=0.8)
-    for (label, points), color in zip(bins.items(), COLORS, strict=False):
+    for (label, points), color in zip(bins.items(), _COLORS, strict=False):
         stated = [place for place, _ in points]
         values = [estimate.value for _, estimate in points]
         off = [[e.value - e.low for _, e in points], [e.high - e.value for _, e in points]]
@@ -145,34 +157,6 @@ def _ends(estimate: Estimate) -> tuple[float, float]:
     if np.isfinite(estimate.low + estimate.high):
         return estimate.low, estimate.high
     return estimate.value, estimate.value
-
-
-def _panels(title: str, count: int, height: float) -> tuple[Figure, list[Axes]]:
-    columns = max(1, min(COLUMNS, count))
-    rows = max(1, -(-count // columns))
-    size = (max(6.4, 2.7 * columns), height * rows + 0.7)
-    figure = Figure(figsize=size, layout="constrained")
-    panels = list(figure.subplots(rows, columns, squeeze=False).flat)
-    for axes in panels[count:]:
-        axes.set_visible(False)
-    figure.suptitle(title, fontsize=11)
-    return figure, panels
-
-
-def _label(panels: Sequence[Axes], x: str, y: str) -> None:
-    for index, axes in enumerate(panels):
-        axes.set_xlabel(x)
-        if index % COLUMNS == 0:
-            axes.set_ylabel(y)
-    if panels:
-        panels[0].legend()
-
-
-# How often the truth lies inside the intervals that a belief gives: reliability curves.
-
-
-LEVELS = np.linspace(0.0, 1.0, 201)
-PANEL = 2.5  # inches
 
 
 class Calibration(Protocol):
@@ -197,17 +181,13 @@ def calibration_figure(result: Calibration) -> Figure:
     names = list(result.ranks)
     columns = min(4, max(1, len(names)))
     rows = -(-len(names) // columns)
-    figure = Figure(figsize=(max(columns * (PANEL + 0.3) + 0.6, 6.4), rows * (PANEL + 0.55) + 1.0))
+    figure = Figure(figsize=(max(columns * (_PANEL + 0.3) + 0.6, 6.4), rows * (_PANEL + 0.55) + 1.0))
     panels = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
     height = figure.get_size_inches()[1]
     figure.subplots_adjust(
-        left=0.09 if columns > 2 else 0.14,
-        right=0.98,
-        top=1 - 0.75 / height,
-        bottom=0.6 / height,
-        wspace=0.12,
-        hspace=0.3,
-    )
+        left=0.09 if columns > 2 else 0.14, right=0.98, top=1 - 0.75 / height, bottom=0.6 / height,
+        wspace=0.12, hspace=0.3,
+    )  # fmt: skip
     for axes, name in zip(panels.flat, names, strict=False):
         _curve(axes, name, np.asarray(result.ranks[name], dtype=float), result.objects)
     for axes in panels.flat[len(names) :]:
@@ -235,14 +215,14 @@ def _curve(axes: Axes, name: str, ranks: FloatArray, objects: int) -> None:
 
     count = len(ranks)
     draws = min(count, objects)  # several pushes of one object are one story
-    low, high = (binom.ppf(q, draws, LEVELS) / draws for q in (0.05, 0.95))
-    axes.fill_between(LEVELS, low, high, color=PAPER, linewidth=0)
+    low, high = (binom.ppf(q, draws, _LEVELS) / draws for q in (0.05, 0.95))
+    axes.fill_between(_LEVELS, low, high, color=PAPER, linewidth=0)
     axes.plot([0, 1], [0, 1], color=FAINT, linewidth=0.8)
-    axes.plot(LEVELS, inside_share(ranks, LEVELS), color=BELIEF, linewidth=1.6, drawstyle="steps-post")
+    axes.plot(_LEVELS, inside_share(ranks, _LEVELS), color=BELIEF, linewidth=1.6, drawstyle="steps-post")
     share = float(inside_share(ranks, np.array([0.9]))[0])
     axes.plot([0.9], [share], "o", color=INK, markersize=4)
     axes.annotate(f"{100 * share:.0f} % in the 90 % interval", (0.98, 0.05), ha="right", fontsize=8)
     axes.set_title(f"{name} ({count})", fontsize=9)
-    axes.set(xlim=(0, 1), ylim=(0, 1.02), aspect="equal", xticks=[0, 0.5, 1], yticks=[0, 0.5, 1])
-    axes.set_xticklabels(["0", "50 %", "100 %"])
-    axes.set_yticklabels(["0", "50 %", "100 %"])
+    axes.set(xlim=(0, 1), ylim=(0, 1.02), aspect="equal")
+    axes.set_xticks([0, 0.5, 1], ["0", "50 %", "100 %"])
+    axes.set_yticks([0, 0.5, 1], ["0", "50 %", "100 %"])

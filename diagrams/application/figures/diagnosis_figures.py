@@ -1,4 +1,4 @@
-"""What a diagnosis rests on: gains of all candidates, what is left on top of them, and the locked pushes."""
+"""What a diagnosis rests on, gains of all candidates and locked pushes, and the push to make next."""
 
 from __future__ import annotations
 
@@ -9,13 +9,14 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.patches import Circle, PathPatch, Rectangle
+from matplotlib.patches import Circle, Rectangle
 from matplotlib.ticker import LogLocator
 
-from slipmap.diagrams.application.figures.style import outline_path, placed, scale_bar
+from slipmap.diagrams.application.figures.style import draw_finger, draw_outline, light_grid, scale_bar
 from slipmap.diagrams.application.reports.comparison_words import short_name
 from slipmap.diagrams.application.reports.diagnosis_words import nats
 from slipmap.diagrams.systems.look import BELIEF, FAINT, FINGER, INK, OTHER, PAPER, styled
+from slipmap.models.geometry import placed
 from slipmap.models.inference.diagnosis.results import Diagnosis
 from slipmap.models.measurements import PushDataset
 from slipmap.models.physics.cell_grid import FloatArray
@@ -23,10 +24,12 @@ from slipmap.models.physics.paper_notation import add
 from slipmap.planners.rehearsal import predict
 from slipmap.planners.telling_push import push_of, rivals_of
 
-NAMES, PANEL, ROW = 1.68, 2.1, 0.235  # inches
-LOCKED, LETTER = 3.8, 0.075  # inches
-ALARM = "#a3341f"
-PALE = "#c9c5bb"
+_NAMES, _PANEL, _ROW = 1.68, 2.1, 0.235  # inches
+_LOCKED, _LETTER = 3.8, 0.075  # inches
+_ALARM = "#a3341f"
+_PALE = "#c9c5bb"
+_COLOURS = (BELIEF, OTHER, "#a03070", "#806000", "#5050a0", "#40a0c0", "#909090", "#c08080")  # of rivals
+_LEGEND_COLUMNS = 4
 
 
 @styled
@@ -37,15 +40,15 @@ def gain_figure(diagnosis: Diagnosis) -> Figure:
     the candidate's own gain, it says that little is left. Refitted gains are of another size.
     """
     candidates = diagnosis.candidates
-    height = 0.62 + ROW * len(candidates) + 0.12
+    height = 0.62 + _ROW * len(candidates) + 0.12
     bottom, top = 0.12 / height, 1 - 0.62 / height
     answered = [c.in_set or c.name in diagnosis.effects for c in candidates]
     told_of = list(zip(candidates, answered, strict=True))
     gains: list[float | None] = [c.gain for c in candidates]
     fitted = [c.fitted_gain for c in candidates]
     left = [c.remaining_gain for c in candidates]
-    plain = [OTHER if a else PALE for a in answered]
-    judged = [ALARM if c.rejected_by is not None else OTHER if a else PALE for c, a in told_of]
+    plain = [OTHER if a else _PALE for a in answered]
+    judged = [_ALARM if c.rejected_by is not None else OTHER if a else _PALE for c, a in told_of]
     first_order = _longest(gains + left)
     panels = (
         ("gain to first order", gains, plain, first_order),
@@ -53,10 +56,10 @@ def gain_figure(diagnosis: Diagnosis) -> Figure:
         ("left to gain on top of it", left, judged, first_order),
     )
     shown = [panel for panel in panels if any(value is not None for value in panel[1])]
-    width = NAMES + PANEL * len(shown)
+    width = _NAMES + _PANEL * len(shown)
     figure = Figure(figsize=(width, height))
     for k, (title, values, colours, longest) in enumerate(shown):
-        axes = figure.add_axes(((NAMES + PANEL * k) / width, bottom, 0.85 * PANEL / width, top - bottom))
+        axes = figure.add_axes(((_NAMES + _PANEL * k) / width, bottom, 0.85 * _PANEL / width, top - bottom))
         _bars(axes, values, colours, longest)
         axes.set_title(f"{title}, nats", loc="left", fontsize=9)
         if k == 0:
@@ -67,8 +70,8 @@ def gain_figure(diagnosis: Diagnosis) -> Figure:
         Line2D([], [], color=colour, linewidth=6, label=label)
         for colour, label in (
             (OTHER, "not ruled out"),
-            (PALE, "ruled out, or no more than chance"),
-            (ALARM, "another gains on top, so it is ruled out"),
+            (_PALE, "ruled out, or no more than chance"),
+            (_ALARM, "another gains on top, so it is ruled out"),
         )
         if any(colour in colours for _, _, colours, _ in shown)
     ]
@@ -114,13 +117,13 @@ def locked_figure(diagnosis: Diagnosis) -> Figure:
     order = np.argsort(before)
     height = 0.85 + 0.21 * len(order)
     names = [short_name(diagnosis.locked[b]) for b in order]
-    left = 0.25 + LETTER * max(map(len, names))
-    figure = Figure(figsize=(LOCKED, height))
-    axes = figure.add_axes((left / LOCKED, 0.45 / height, 1 - (left + 0.15) / LOCKED, 1 - 0.85 / height))
+    left = 0.25 + _LETTER * max(map(len, names))
+    figure = Figure(figsize=(_LOCKED, height))
+    axes = figure.add_axes((left / _LOCKED, 0.45 / height, 1 - (left + 0.15) / _LOCKED, 1 - 0.85 / height))
     rows = np.arange(float(len(order)))
     changed = bool(diagnosis.effect_objects)
     if changed:
-        axes.hlines(rows, before[order], after[order], color=PALE, linewidth=2.4)
+        axes.hlines(rows, before[order], after[order], color=_PALE, linewidth=2.4)
         _dots(axes, after[order], rows, OTHER, "with the answer")
     _dots(axes, before[order], rows, BELIEF, "without effects" if changed else "the model")
     if max(before.max(), after.max()) > 5 * min(before.min(), after.min()):
@@ -131,21 +134,13 @@ def locked_figure(diagnosis: Diagnosis) -> Figure:
     axes.set_xlabel("ADD over the course, mm")
     axes.set_yticks(rows, names)
     axes.set_ylim(-0.7, len(order) - 0.3)
-    axes.grid(axis="x", color="#e7e4dd", linewidth=0.6)
-    axes.set_axisbelow(True)
+    light_grid(axes, "x")
     figure.legend(loc="upper right", ncols=2, handletextpad=0.2, bbox_to_anchor=(1.0, 1.0))
     return figure
 
 
 def _dots(axes: Axes, values: FloatArray, rows: FloatArray, colour: str, label: str) -> None:
     axes.plot(values, rows, "o", color=colour, markersize=6, label=label, linestyle="none", zorder=3)
-
-
-# The push to make next, and where each model that is left says it will end.
-
-
-COLOURS = (BELIEF, OTHER, "#a03070", "#806000", "#5050a0", "#40a0c0", "#909090", "#c08080")
-LEGEND_COLUMNS = 4
 
 
 @styled
@@ -159,27 +154,24 @@ def telling_push_figure(told: dict[str, Any], diagnosis: Diagnosis, dataset: Pus
     """
     grid = dataset.grid
     push = push_of(told, float(len(dataset.trials)))
-    rivals = rivals_of(diagnosis, dataset)[: len(COLOURS)]
+    rivals = rivals_of(diagnosis, dataset)[: len(_COLOURS)]
     predictions = [predict(rival, [push]) for rival in rivals]
     figure = Figure(figsize=(8.0, 4.2))
-    rows = -(-(len(rivals) + 1) // LEGEND_COLUMNS)
+    rows = -(-(len(rivals) + 1) // _LEGEND_COLUMNS)
     top, bottom = 0.97, 0.07 + 0.05 * rows
     axes = figure.add_axes((0.05, bottom, 0.5, top - bottom))
-    axes.add_patch(
-        PathPatch(outline_path(grid, told["pose"]), facecolor=PAPER, edgecolor=FAINT, linewidth=0.8)
-    )
+    draw_outline(axes, grid, told["pose"], color=FAINT, width=0.8, fill=PAPER)
     axes.plot(*np.array([told["tip_start"], told["tip_end"]]).T, color=FINGER, linewidth=1.2)
-    for place, fill in ((told["tip_start"], "none"), (told["tip_end"], FINGER)):
-        axes.add_patch(Circle(place, dataset.finger_radius, facecolor=fill, edgecolor=FINGER, linewidth=1.0))
-    contact = placed(np.array([told["contact"]]), told["pose"])[0]
+    draw_finger(axes, told["tip_start"], told["tip_end"], dataset.finger_radius)
+    pose = np.array(told["pose"], dtype=float)
+    contact = placed(np.array(told["contact"]), pose)
     axes.plot(*contact, marker="x", color=FINGER, markersize=6)
     ends = [predicted.poses[0, -1] for predicted in predictions]
-    for pose, predicted, colour in zip(ends, predictions, COLOURS, strict=False):
-        axes.add_patch(PathPatch(outline_path(grid, pose), facecolor="none", edgecolor=colour, linewidth=1.4))
-        axes.plot(*np.vstack([told["pose"], predicted.poses[0]])[:, :2].T, color=colour, linewidth=1.0)
-    points = np.vstack(
-        [told["tip_start"], told["tip_end"], *(placed(grid.exterior, pose) for pose in (told["pose"], *ends))]
-    )
+    for end, predicted, colour in zip(ends, predictions, _COLOURS, strict=False):
+        draw_outline(axes, grid, end, color=colour, width=1.4)
+        axes.plot(*np.vstack([pose, predicted.poses[0]])[:, :2].T, color=colour, linewidth=1.0)
+    outlines = placed(grid.exterior, np.array([pose, *ends])[:, None])
+    points = np.vstack([told["tip_start"], told["tip_end"], outlines.reshape(-1, 2)])
     low, high = points.min(axis=0) - 0.015, points.max(axis=0) + 0.015
     low[1] -= 0.02
     axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal")
@@ -187,15 +179,15 @@ def telling_push_figure(told: dict[str, Any], diagnosis: Diagnosis, dataset: Pus
     _table_edge(axes, dataset)
     scale_bar(axes, low + np.array([0.008, 0.014]), float((high - low).max()))
     handles = [Line2D([], [], color=FINGER, marker="o", label="finger, filled where it stops")]
-    for rival, colour in zip(rivals, COLOURS, strict=False):
+    for rival, colour in zip(rivals, _COLOURS, strict=False):
         handles.append(Line2D([], [], color=colour, label=rival.name))
-    figure.legend(handles=handles, loc="lower center", ncols=min(len(handles), LEGEND_COLUMNS))
+    figure.legend(handles=handles, loc="lower center", ncols=min(len(handles), _LEGEND_COLUMNS))
     if len(rivals) > 1:
         times = np.asarray(push.pose_times)
         height = (top - bottom - 0.11) / 2
         lower = figure.add_axes((0.64, bottom + 0.06, 0.34, height))
         upper = figure.add_axes((0.64, top - height, 0.34, height), sharex=lower)
-        for predicted, colour in zip(predictions, COLOURS, strict=False):
+        for predicted, colour in zip(predictions, _COLOURS, strict=False):
             apart = add(predicted.poses[0], predictions[0].poses[0], grid.centers)
             upper.plot(times, 1e3 * apart, color=colour)
             lower.plot(times - times[0] / 2, np.hypot(*predicted.forces[0].T), color=colour)

@@ -8,32 +8,32 @@ from collections.abc import Sequence
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.patches import Circle, PathPatch
 
-from slipmap.diagrams.application.figures.style import outline_path, placed, scale_bar
+from slipmap.diagrams.application.figures.style import draw_finger, draw_outline, scale_bar
 from slipmap.diagrams.application.reports.effect_words import unit_text
 from slipmap.diagrams.systems.look import BELIEF, FAINT, FINGER, INK, OTHER, PAPER, styled
 from slipmap.models.effects import Effect, EffectSlider, Scene
 from slipmap.models.effects.effect import bounds, scales
 from slipmap.models.effects.written import Written, written
+from slipmap.models.geometry import placed
 from slipmap.models.physics.cell_grid import CellGrid, FloatArray
 from slipmap.models.physics.paper_notation import add
 from slipmap.models.physics.rollout import Maps, Push, Rollouts, Slider, Smoothing
 
-SHARES = (0.33, 0.66, 1.0)
+_SHARES = (0.33, 0.66, 1.0)
 """Of the amplitude at which the effect shows well."""
 
-SHOWS_WELL = 0.02
+_SHOWS_WELL = 0.02
 """m between the object with and without the effect, if its bounds allow as much."""
 
-MASS, FRICTION, FINGER_FRICTION, RADIUS = 0.8, 0.25, 0.4, 0.008
-SPEED, RAMP, WAY, OFF_CENTRE, STEP, REST = 0.15, 0.3, 0.12, 0.008, 1e-3, 0.2
-START = np.array([-0.06, -0.03, 0.3])
-ORDER = 10
-TINTS = (0.35, 0.6, 1.0)
+_MASS, _FRICTION, _FINGER_FRICTION, _RADIUS = 0.8, 0.25, 0.4, 0.008
+_SPEED, _RAMP, _WAY, _OFF_CENTRE, _STEP, _REST = 0.15, 0.3, 0.12, 0.008, 1e-3, 0.2
+_START = np.array([-0.06, -0.03, 0.3])
+_ORDER = 10
+_TINTS = (0.35, 0.6, 1.0)
 
-SIZE_LINE, MEANING, FORMULA = 0.18, 0.28, 0.42  # inches
-FARTHEST = 0.4
+_SIZE_LINE, _MEANING, _FORMULA = 0.18, 0.28, 0.42  # inches
+_FARTHEST = 0.4
 """m from the middle of the push up to which places of an effect are drawn; farther ones make it small."""
 
 
@@ -49,15 +49,15 @@ def effect_figure(effect: Effect) -> Figure:
     push = _push()
     maps = _maps(grid)
     smoothing = Smoothing(penetration=1e-4)
-    plain = Slider(grid, RADIUS, smoothing=smoothing).rollout(maps, [push])
+    plain = Slider(grid, _RADIUS, smoothing=smoothing).rollout(maps, [push])
     values = _shown_values(effect, grid, push, plain)
-    rows = np.vstack([effect.nulls + share * _above_null(effect, values) for share in SHARES])
+    rows = np.vstack([effect.nulls + share * _above_null(effect, values) for share in _SHARES])
     rows = np.where(effect.amplitudes, rows, values)
-    out = EffectSlider(grid, RADIUS, [effect], smoothing=smoothing).rollout(_with(maps, rows), [push])
+    out = EffectSlider(grid, _RADIUS, [effect], smoothing=smoothing).rollout(_with(maps, rows), [push])
 
     text = written(effect)
     size = textwrap.wrap(f"Full size: {_numbers(effect, text, values)}.", 125, break_on_hyphens=False)
-    below = 0.55 + SIZE_LINE * len(size) + sum(_heights(text))
+    below = 0.55 + _SIZE_LINE * len(size) + sum(_heights(text))
     figure = Figure(figsize=(9.0, 4.1 + below))
     height = figure.get_size_inches()[1]
     figure.text(0.02, 1 - 0.13 / height, effect.name, va="top", fontsize=12, fontweight="bold")
@@ -72,7 +72,7 @@ def effect_figure(effect: Effect) -> Figure:
     _forces(figure.add_axes((0.63, bottom + gap / 2, 0.35, middle - bottom - gap)), push, plain, out)
     begin = below - 0.42
     figure.text(0.02, begin / height, "\n".join(size), va="top", fontsize=9, linespacing=1.35)
-    _formulas(figure, text, begin - SIZE_LINE * len(size), height)
+    _formulas(figure, text, begin - _SIZE_LINE * len(size), height)
     return figure
 
 
@@ -112,7 +112,7 @@ def _brick() -> CellGrid:
 
 def _maps(grid: CellGrid) -> Maps:
     n = len(grid)
-    return Maps(np.full((1, n), MASS / n), np.full((1, n), FRICTION), np.array([FINGER_FRICTION]))
+    return Maps(np.full((1, n), _MASS / n), np.full((1, n), _FRICTION), np.array([_FINGER_FRICTION]))
 
 
 def _with(maps: Maps, rows: FloatArray) -> Maps:
@@ -126,13 +126,13 @@ def _with(maps: Maps, rows: FloatArray) -> Maps:
 def _push() -> Push:
     """Straight along the object's x from a gentle start to an abrupt stop, and a rest in which the
     object slides on."""
-    moving, rest = round((WAY / SPEED + RAMP / 2) / STEP), round(REST / STEP)
-    time = STEP * np.minimum(np.arange(moving + rest + 1), moving)
-    way = SPEED * np.where(time < RAMP, time**2 / (2 * RAMP), time - RAMP / 2)
-    local = np.column_stack([way - 0.06 - RADIUS, np.full(len(way), -OFF_CENTRE)])
-    times = STEP * np.arange(1, len(way), dtype=float)
+    moving, rest = round((_WAY / _SPEED + _RAMP / 2) / _STEP), round(_REST / _STEP)
+    time = _STEP * np.minimum(np.arange(moving + rest + 1), moving)
+    way = _SPEED * np.where(time < _RAMP, time**2 / (2 * _RAMP), time - _RAMP / 2)
+    local = np.column_stack([way - 0.06 - _RADIUS, np.full(len(way), -_OFF_CENTRE)])
+    times = _STEP * np.arange(1, len(way), dtype=float)
     return Push(
-        STEP, placed(local, START), START, pose_times=times, force_times=times - STEP / 2, order=ORDER
+        _STEP, placed(local, _START), _START, pose_times=times, force_times=times - _STEP / 2, order=_ORDER
     )
 
 
@@ -143,12 +143,12 @@ def _above_null(effect: Effect, values: FloatArray) -> FloatArray:
 def _shown_values(effect: Effect, grid: CellGrid, push: Push, plain: Rollouts) -> FloatArray:
     """(P,) parameters at which the effect shows well: of all places to start a search from, the one where it
     shows best, and the smallest power of two of its scale that suffices."""
-    weight = MASS * 9.81
-    scene = Scene((0.0, 0.0), 0.12, 0.072, SPEED, 20, weight)
+    weight = _MASS * 9.81
+    scene = Scene((0.0, 0.0), 0.12, 0.072, _SPEED, 20, weight)
     low, high = bounds([effect])
     starts = effect.start_values(scene)
     size = scales([effect], weight)
-    slider = EffectSlider(grid, RADIUS, [effect], smoothing=Smoothing(penetration=1e-4))
+    slider = EffectSlider(grid, _RADIUS, [effect], smoothing=Smoothing(penetration=1e-4))
     maps = _maps(grid)
     best, reached = starts[0], 0.0
     for doubling in range(7):
@@ -163,7 +163,7 @@ def _shown_values(effect: Effect, grid: CellGrid, push: Push, plain: Rollouts) -
         reached = float(gap.max())
         best = rows[int(np.argmax(gap))]
         # Some effects show in the force alone; it may double at most.
-        if gap.max() >= SHOWS_WELL or change.max() > 0.5:
+        if gap.max() >= _SHOWS_WELL or change.max() > 0.5:
             break
     return best
 
@@ -176,33 +176,25 @@ def _pushes(
     out: Rollouts,
     places: Sequence[tuple[str, FloatArray]],
 ) -> None:
-    def outline(pose: FloatArray, colour: str, width: float, alpha: float = 1.0, fill: str = "none") -> None:
-        shape = outline_path(grid, pose)
-        axes.add_patch(PathPatch(shape, facecolor=fill, edgecolor=colour, linewidth=width, alpha=alpha))
-
-    outline(push.start_pose, FAINT, 0.8, fill=PAPER)
+    draw_outline(axes, grid, push.start_pose, color=FAINT, width=0.8, fill=PAPER)
     axes.plot(*push.tip.T, color=FINGER, linewidth=1.0)
-    axes.add_patch(Circle(push.tip[0], RADIUS, facecolor="none", edgecolor=FINGER))
-    axes.add_patch(Circle(push.tip[-1], RADIUS, facecolor=FINGER, edgecolor=FINGER))
-    for poses, tint in zip(out.poses, TINTS, strict=True):
-        outline(poses[-1], BELIEF, 1.3, tint)
+    draw_finger(axes, push.tip[0], push.tip[-1], _RADIUS)
+    for poses, tint in zip(out.poses, _TINTS, strict=True):
+        draw_outline(axes, grid, poses[-1], color=BELIEF, width=1.3, alpha=tint)
         axes.plot(*poses[:, :2].T, color=BELIEF, alpha=tint, linewidth=1.0)
-    outline(plain.poses[0, -1], INK, 1.3)
+    draw_outline(axes, grid, plain.poses[0, -1], width=1.3)
     axes.plot(*plain.poses[0, :, :2].T, color=INK, linewidth=1.0, linestyle="--")
     drawn = [push.start_pose, plain.poses[0, -1], *out.poses[:, -1]]
     points = np.vstack([push.tip, *(placed(grid.exterior, pose) for pose in drawn)])
-    near = [(name, place) for name, place in places if np.linalg.norm(place - points.mean(axis=0)) < FARTHEST]
+    near = [
+        (name, place) for name, place in places if np.linalg.norm(place - points.mean(axis=0)) < _FARTHEST
+    ]
     for name, place in near:
         axes.plot(*place, "X", color=OTHER, markersize=8, markeredgecolor="white", zorder=4)
         axes.annotate(
-            name,
-            (place[0], place[1]),
-            (7, 4),
-            textcoords="offset points",
-            fontsize=8.5,
-            color=OTHER,
+            name, (place[0], place[1]), (7, 4), textcoords="offset points", fontsize=8.5, color=OTHER,
             zorder=4,
-        )
+        )  # fmt: skip
     points = np.vstack([points, *(place for _, place in near)])
     low, high = points.min(axis=0) - 0.015, points.max(axis=0) + 0.015
     axes.set(xlim=(low[0], high[0]), ylim=(low[1] - 0.012, high[1]), aspect="equal", xticks=[], yticks=[])
@@ -212,7 +204,7 @@ def _pushes(
 
 def _distances(axes: Axes, grid: CellGrid, push: Push, plain: Rollouts, out: Rollouts) -> None:
     times = np.asarray(push.pose_times)
-    for poses, tint in zip(out.poses, TINTS, strict=True):
+    for poses, tint in zip(out.poses, _TINTS, strict=True):
         axes.plot(
             times, 1e3 * add(poses, plain.poses[0], grid.centers), color=BELIEF, alpha=tint, linewidth=1.2
         )
@@ -227,23 +219,19 @@ def _forces(axes: Axes, push: Push, plain: Rollouts, out: Rollouts) -> None:
 
     times = np.asarray(push.force_times)
     axes.plot(times, smooth(plain.forces[0]), color=INK, linewidth=1.2, linestyle="--", label="without")
-    for forces, tint, share in zip(out.forces, TINTS, ("a third", "two thirds", "full size"), strict=True):
+    for forces, tint, share in zip(out.forces, _TINTS, ("a third", "two thirds", "full size"), strict=True):
         axes.plot(times, smooth(forces), color=BELIEF, alpha=tint, linewidth=1.2, label=share)
     every = np.array([smooth(f) for f in (plain.forces[0], *out.forces)])[:, 100:]
     axes.set(xlabel="time, s", ylabel="force, N", xlim=(0, times[-1]), ylim=(0, 1.25 * every.max()))
     axes.legend(
-        loc="lower right",
-        bbox_to_anchor=(1.0, 0.98),
-        ncols=4,
-        handlelength=1.3,
-        columnspacing=1.0,
+        loc="lower right", bbox_to_anchor=(1.0, 0.98), ncols=4, handlelength=1.3, columnspacing=1.0,
         fontsize=7.5,
-    )
+    )  # fmt: skip
 
 
 def _heights(text: Written) -> list[float]:
     """Inches that each formula needs, with the line before it that says what it is."""
-    return [FORMULA + (MEANING if formula.meaning else 0.0) for formula in text.formulas]
+    return [_FORMULA + (_MEANING if formula.meaning else 0.0) for formula in text.formulas]
 
 
 def _formulas(figure: Figure, text: Written, top: float, height: float) -> None:
@@ -251,7 +239,7 @@ def _formulas(figure: Figure, text: Written, top: float, height: float) -> None:
     for formula, needed in zip(text.formulas, _heights(text), strict=True):
         if formula.meaning:
             meaning = f"{formula.meaning[0].upper()}{formula.meaning[1:]}:"
-            figure.text(0.02, (top - 0.5 * MEANING) / height, meaning, va="center", fontsize=9)
+            figure.text(0.02, (top - 0.5 * _MEANING) / height, meaning, va="center", fontsize=9)
         top -= needed
-        middle = (top + 0.5 * FORMULA) / height
+        middle = (top + 0.5 * _FORMULA) / height
         figure.text(0.03, middle, f"${formula.latex}$", va="center", fontsize=11, parse_math=True)

@@ -12,7 +12,6 @@ from matplotlib.collections import PolyCollection
 from matplotlib.colors import LogNorm, Normalize
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.patches import PathPatch
 
 from slipmap.diagrams.application.figures.style import (
     PlainNumbers,
@@ -35,22 +34,21 @@ from slipmap.models.inference.belief import Belief
 from slipmap.models.physics.cell_grid import FloatArray
 from slipmap.models.physics.rollout import Maps
 
-LEFT, RIGHT, TOP, BOTTOM = 1.35, 1.05, 0.86, 0.5  # inches around the panels
-GAP, WIDE_GAP = 0.12, 0.34
-LARGEST_PANEL = (1.7, 1.75)
-NARROWEST_COLUMN = 1.0  # inches; titles need them
-LOG_FROM = 6.0
+_LEFT, _RIGHT, _TOP, _BOTTOM = 1.35, 1.05, 0.86, 0.5  # inches around the panels
+_GAP, _WIDE_GAP = 0.12, 0.34
+_LARGEST_PANEL = (1.7, 1.75)
+_NARROWEST_COLUMN = 1.0  # inches; titles need them
+_LOG_FROM = 6.0
 """Ratio of the columns' totals from which colours are logarithmic: a linear scale would show one map only."""
 
-
+# How centres of mass and of friction are drawn, and the centres of mass of all hypotheses.
 _MARK = {"linestyle": "none", "markerfacecolor": "none"}
-CROSS: dict[str, Any] = _MARK | {"marker": "x", "color": INK, "markersize": 6, "markeredgewidth": 1.4}
-RING: dict[str, Any] = _MARK | {"marker": "o", "color": INK, "markersize": 7.5, "markeredgewidth": 1.2}
-DOT: dict[str, Any] = {
+_CROSS: dict[str, Any] = _MARK | {"marker": "x", "color": INK, "markersize": 6, "markeredgewidth": 1.4}
+_RING: dict[str, Any] = _MARK | {"marker": "o", "color": INK, "markersize": 7.5, "markeredgewidth": 1.2}
+_DOT: dict[str, Any] = {
     "linestyle": "none", "marker": "o", "color": BELIEF, "markersize": 2.6, "markeredgewidth": 0
 }  # fmt: skip
-SEAM = 2.0
-"""How centres of mass and of friction are drawn, and the centres of mass of all hypotheses; points."""
+_SEAM = 2.0  # points
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,7 +64,7 @@ class _Row:
     def norm(self) -> Normalize:
         """One scale for all columns; a few of the largest values may lie beyond its end."""
         totals = self.values.sum(axis=1)
-        if totals.max() > LOG_FROM * totals.min() > 0:
+        if totals.max() > _LOG_FROM * totals.min() > 0:
             low, top = np.quantile(self.values, [0.02, SCALED_SHARE])
             return LogNorm(max(float(low), 1e-4 * float(top)), float(top))
         return Normalize(0.0, top_of_scale(self.values))
@@ -136,18 +134,18 @@ def _drawn(belief: Belief, columns: list[_Column], rows: list[_Row]) -> Figure:
     low, high = belief.grid.exterior.min(axis=0), belief.grid.exterior.max(axis=0)
     margin = 0.06 * float((high - low).max())
     extent = high - low + 2 * margin
-    width, height = extent * min(LARGEST_PANEL / extent)
-    spare = max(0.0, NARROWEST_COLUMN - width - GAP)
-    gaps = [0.0] + [spare + (WIDE_GAP if column.apart else GAP) for column in columns[1:]]
-    across = LEFT + len(columns) * width + sum(gaps) + RIGHT
-    down = TOP + (1 + len(rows)) * height + len(rows) * GAP + BOTTOM
+    width, height = extent * min(_LARGEST_PANEL / extent)
+    spare = max(0.0, _NARROWEST_COLUMN - width - _GAP)
+    gaps = [0.0] + [spare + (_WIDE_GAP if column.apart else _GAP) for column in columns[1:]]
+    across = _LEFT + len(columns) * width + sum(gaps) + _RIGHT
+    down = _TOP + (1 + len(rows)) * height + len(rows) * _GAP + _BOTTOM
     across_at_least = max(across, 6.4)
-    left = LEFT + (across_at_least - across) / 2
+    left = _LEFT + (across_at_least - across) / 2
     figure = Figure(figsize=(across_at_least, down))
     places = left + np.cumsum(gaps) + width * np.arange(len(columns))
 
     def axes(row: int, column: int) -> Axes:
-        bottom = down - TOP - (row + 1) * height - row * GAP
+        bottom = down - _TOP - (row + 1) * height - row * _GAP
         place = (places[column] / across_at_least, bottom / down, width / across_at_least, height / down)
         result = figure.add_axes(place)
         result.set(xlim=(low[0] - margin, high[0] + margin), ylim=(low[1] - margin, high[1] + margin))
@@ -164,10 +162,10 @@ def _drawn(belief: Belief, columns: list[_Column], rows: list[_Row]) -> Figure:
             _marks(panel, belief, column.maps, mass=r == 1, friction=r == len(rows))
     scale_bar(axes(0, len(columns) - 1), low - margin, float(extent.max()))
     for r, name in enumerate(["footprint", *(row.name for row in rows)]):
-        middle = down - TOP - (r + 0.5) * height - r * GAP
+        middle = down - _TOP - (r + 0.5) * height - r * _GAP
         figure.text((left - 0.2) / across_at_least, middle / down, name, ha="right", va="center", fontsize=10)
     for r, row in enumerate(rows, start=1):
-        bottom = down - TOP - (r + 0.94) * height - r * GAP
+        bottom = down - _TOP - (r + 0.94) * height - r * _GAP
         right = (places[-1] + width + 0.2) / across_at_least
         place = (right, bottom / down, 0.13 / across_at_least, 0.88 * height / down)
         _colour_bar(figure, place, row)
@@ -176,32 +174,28 @@ def _drawn(belief: Belief, columns: list[_Column], rows: list[_Row]) -> Figure:
 
 
 def _footprint(axes: Axes, belief: Belief, maps: Maps) -> None:
-    axes.add_patch(PathPatch(outline_path(belief.grid), facecolor=PAPER, edgecolor="none"))
-    squares = PolyCollection(_squares(belief), facecolors="none", edgecolors="#d5d0c6", linewidths=0.4)
+    draw_outline(axes, belief.grid, color="none", fill=PAPER)
+    corners = belief.grid.width / 2 * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
+    squares = PolyCollection(
+        list(belief.grid.centers[:, None] + corners), facecolors="none", edgecolors="#d5d0c6", linewidths=0.4
+    )
     squares.set_clip_path(outline_path(belief.grid), axes.transData)
     axes.add_collection(squares, autolim=False)
     draw_outline(axes, belief.grid)  # last, or the pale squares cut it up
-    cloud = centers_of_mass(belief, belief.maps)
-    axes.plot(*cloud.T, **DOT)
+    axes.plot(*belief.centers_of_mass.T, **_DOT)
     # The ground is pale, and a seam around the marks would hide the dots.
     _marks(axes, belief, maps, seam=0.0)
 
 
-def _squares(belief: Belief) -> list[FloatArray]:
-    half = belief.grid.width / 2
-    corners = half * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
-    return [center + corners for center in belief.grid.centers]
-
-
 def _marks(
-    axes: Axes, belief: Belief, maps: Maps, *, mass: bool = True, friction: bool = True, seam: float = SEAM
+    axes: Axes, belief: Belief, maps: Maps, *, mass: bool = True, friction: bool = True, seam: float = _SEAM
 ) -> None:
     """Ring and cross, with a white seam (points) that lifts them off a coloured ground."""
     marks = []
     if friction:
-        marks.append((centers_of_friction(belief, maps)[0], RING))
+        marks.append((centers_of_friction(belief, maps)[0], _RING))
     if mass:
-        marks.append((centers_of_mass(belief, maps)[0], CROSS))
+        marks.append((centers_of_mass(belief, maps)[0], _CROSS))
     for place, how in marks:
         if seam:
             wider = how["markeredgewidth"] + seam
@@ -221,9 +215,9 @@ def _colour_bar(figure: Figure, place: tuple[float, float, float, float], row: _
 
 def _legend(figure: Figure, belief: Belief) -> None:
     handles = [
-        Line2D([], [], label="centre of mass", **CROSS),
-        Line2D([], [], label="centre of friction", **RING),
-        Line2D([], [], label="centres of mass of all hypotheses", **DOT),
+        Line2D([], [], label="centre of mass", **_CROSS),
+        Line2D([], [], label="centre of friction", **_RING),
+        Line2D([], [], label="centres of mass of all hypotheses", **_DOT),
     ]
     figure.legend(handles=handles, loc="lower center", ncols=3, bbox_to_anchor=(0.5, 0.0))
     title = f"{belief.dataset}: what {len(belief)} hypotheses say (each row has one colour scale)"

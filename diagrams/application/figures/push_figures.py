@@ -1,4 +1,4 @@
-"""Pushes as measured and as a belief predicts them, drawn over each other."""
+"""Pushes as measured and as predicted: drawn over each other, and how far off models are, push by push."""
 
 from __future__ import annotations
 
@@ -9,31 +9,45 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.patches import Circle, PathPatch
 from matplotlib.patheffects import withStroke
 
-from slipmap.diagrams.application.figures.style import PlainNumbers, outline_path, placed, scale_bar
+from slipmap.diagrams.application.figures.style import (
+    PlainNumbers,
+    draw_finger,
+    draw_outline,
+    light_grid,
+    scale_bar,
+)
 from slipmap.diagrams.application.reports.comparison_words import ROLES, short_name
 from slipmap.diagrams.systems.look import BELIEF, FAINT, FINGER, INK, OTHER, PAPER, styled
-from slipmap.models.geometry import radius_of_gyration
+from slipmap.models.geometry import placed, radius_of_gyration
 from slipmap.models.inference.comparison import Comparison
 from slipmap.models.inference.results import PushPrediction
 from slipmap.models.measurements import PushDataset, Trial, finger_path
 from slipmap.models.physics.cell_grid import CellGrid, FloatArray
 
-PANELS_A_PAGE = 24
-COLUMNS = 6
-PANEL = 2.1  # inches
-OUTLINES = (
+MODEL_COLOURS = (BELIEF, OTHER)
+"""Of one model, or of two over the same pushes."""
+
+_PANELS_A_PAGE = 24
+_COLUMNS = 6
+_PANEL = 2.1  # inches
+_OUTLINES = (
     "Outlines: grey at the start, thin halfway, strong at the end. Lines between: way of the cells' centroid"
 )
 
-HEAD, FOOT, SIDE, GAP, TITLE = 0.8, 0.5, 0.15, 0.15, 0.4
-NARROWEST_PAGE = 8.4  # inches; heading and legend need them
-NEAR = 1.2
+_HEAD, _FOOT, _SIDE, _GAP, _TITLE = 0.8, 0.5, 0.15, 0.15, 0.4
+_NARROWEST_PAGE = 8.4  # inches; heading and legend need them
+_NEAR = 1.2
 """The finger's path is drawn as far as it lies within so many object sizes of the object's way."""
 
-MEANING_OF_ADD = "ADD: mean distance between the cells as predicted and as measured at the end of the push"
+_MEANING_OF_ADD = "ADD: mean distance between the cells as predicted and as measured at the end of the push"
+
+# Of the figure of errors.
+_WIDTH = 8.0  # inches
+_LEGEND_COLUMNS, _LEGEND_ROW = 3, 0.2  # columns where one row does not hold it; inches
+_LETTER = 0.07  # inches, of a push's name
+_MOST_NAMES = 40
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,7 +75,7 @@ class _Scene:
 def push_figures(
     predictions: Sequence[PushPrediction], dataset: PushDataset, *, title: str = ""
 ) -> list[Figure]:
-    """A panel for each push, `PANELS_A_PAGE` a figure; all panels of one figure have the same scale.
+    """A panel for each push, `_PANELS_A_PAGE` a figure; all panels of one figure have the same scale.
 
     Args:
         predictions: pushes of `dataset`.
@@ -70,7 +84,7 @@ def push_figures(
     """
     trials = {trial.name: trial for trial in dataset.trials}
     scenes = [_scene(push, trials[push.trial], dataset) for push in predictions]
-    pages = [scenes[k : k + PANELS_A_PAGE] for k in range(0, len(scenes), PANELS_A_PAGE)]
+    pages = [scenes[k : k + _PANELS_A_PAGE] for k in range(0, len(scenes), _PANELS_A_PAGE)]
     heading = title or f"{dataset.name}: pushes as measured and as predicted"
     return [
         _page(page, dataset, heading + (f" (page {number} of {len(pages)})" if len(pages) > 1 else ""))
@@ -85,11 +99,11 @@ def _scene(push: PushPrediction, trial: Trial, dataset: PushDataset) -> _Scene:
         way = _way(np.vstack([start, poses]), dataset.grid)
         middle = int(np.argmin(np.abs(way - 0.5 * way[-1])))
     drawn = [start, *poses[[] if middle is None else [middle]], poses[-1], *push.hypotheses[:, -1]]
-    points = np.concatenate([placed(dataset.grid.exterior, pose) for pose in drawn])
+    points = placed(dataset.grid.exterior, np.array(drawn)[:, None]).reshape(-1, 2)
     low, high = points.min(axis=0), points.max(axis=0)
     finger = np.zeros((0, 2))
     if trial.has_finger:
-        reach = NEAR * float(np.ptp(dataset.grid.exterior, axis=0).max())
+        reach = _NEAR * float(np.ptp(dataset.grid.exterior, axis=0).max())
         _, path = finger_path(trial)
         finger = path[((path > low - reach) & (path < high + reach)).all(axis=1)]
     if len(finger):
@@ -101,26 +115,26 @@ def _scene(push: PushPrediction, trial: Trial, dataset: PushDataset) -> _Scene:
 def _way(poses: FloatArray, grid: CellGrid) -> FloatArray:
     """(S,) way of the cells until each pose but the first, m: of their centroid, and turning about it."""
     centroid = grid.centers.mean(axis=0)
-    track = np.array([placed(centroid, pose) for pose in poses])
+    track = placed(centroid, poses)
     turned = radius_of_gyration(grid) * np.abs(np.diff(poses[:, 2]))
     return np.cumsum(np.hypot(*np.diff(track, axis=0).T) + turned)
 
 
 def _page(scenes: list[_Scene], dataset: PushDataset, heading: str) -> Figure:
-    columns = min(COLUMNS, max(2, int(np.ceil(np.sqrt(1.4 * len(scenes))))), max(len(scenes), 1))
+    columns = min(_COLUMNS, max(2, int(np.ceil(np.sqrt(1.4 * len(scenes))))), max(len(scenes), 1))
     rows = -(-len(scenes) // columns)
-    width = max(columns * PANEL + (columns - 1) * GAP + 2 * SIDE, NARROWEST_PAGE)
-    height = HEAD + rows * (PANEL + TITLE) + FOOT
+    width = max(columns * _PANEL + (columns - 1) * _GAP + 2 * _SIDE, _NARROWEST_PAGE)
+    height = _HEAD + rows * (_PANEL + _TITLE) + _FOOT
     figure = Figure(figsize=(width, height))
     figure.text(0.5, 1 - 0.16 / height, heading, ha="center", va="top", fontsize=11)
-    figure.text(0.5, 1 - 0.39 / height, MEANING_OF_ADD, ha="center", va="top", fontsize=8.5, color=FAINT)
-    figure.text(0.5, 1 - 0.56 / height, OUTLINES, ha="center", va="top", fontsize=8.5, color=FAINT)
+    figure.text(0.5, 1 - 0.39 / height, _MEANING_OF_ADD, ha="center", va="top", fontsize=8.5, color=FAINT)
+    figure.text(0.5, 1 - 0.56 / height, _OUTLINES, ha="center", va="top", fontsize=8.5, color=FAINT)
     span = 1.06 * max(float((scene.high - scene.low).max()) for scene in scenes)
-    left = (width - columns * PANEL - (columns - 1) * GAP) / 2
+    left = (width - columns * _PANEL - (columns - 1) * _GAP) / 2
     for k, scene in enumerate(scenes):
         row, column = divmod(k, columns)
-        bottom = height - HEAD - (row + 1) * (PANEL + TITLE)
-        place = (left + column * (PANEL + GAP)) / width, bottom / height, PANEL / width, PANEL / height
+        bottom = height - _HEAD - (row + 1) * (_PANEL + _TITLE)
+        place = (left + column * (_PANEL + _GAP)) / width, bottom / height, _PANEL / width, _PANEL / height
         axes = figure.add_axes(place)
         middle = (scene.low + scene.high) / 2
         axes.set(xlim=middle[0] + span * np.array([-0.5, 0.5]), ylim=middle[1] + span * np.array([-0.5, 0.5]))
@@ -142,30 +156,22 @@ def _page(scenes: list[_Scene], dataset: PushDataset, heading: str) -> Figure:
 
 def _panel(axes: Axes, scene: _Scene, dataset: PushDataset) -> None:
     push, grid = scene.push, dataset.grid
-
-    def outline(pose: FloatArray, colour: str, width: float, alpha: float, fill: str = "none") -> None:
-        shape = outline_path(grid, pose)
-        axes.add_patch(PathPatch(shape, facecolor=fill, edgecolor=colour, linewidth=width, alpha=alpha))
-
-    outline(scene.start, FAINT, 0.7, 1.0, PAPER)
+    draw_outline(axes, grid, scene.start, color=FAINT, width=0.7, fill=PAPER)
     faint = float(np.clip(4.0 / len(push.hypotheses), 0.12, 0.5))
     if scene.middle is not None:
         for pose in push.hypotheses[:, scene.middle]:
-            outline(pose, BELIEF, 0.8, 0.55 * faint)
-        outline(push.measured[scene.middle], INK, 0.9, 0.7)
+            draw_outline(axes, grid, pose, color=BELIEF, width=0.8, alpha=0.55 * faint)
+        draw_outline(axes, grid, push.measured[scene.middle], alpha=0.7)
     for pose in push.hypotheses[:, -1]:
-        outline(pose, BELIEF, 0.8, faint)
-    outline(push.measured[-1], INK, 1.2, 1.0)
+        draw_outline(axes, grid, pose, color=BELIEF, width=0.8, alpha=faint)
+    draw_outline(axes, grid, push.measured[-1], width=1.2)
     centroid = grid.centers.mean(axis=0)
     for poses, colour in ((push.predicted, BELIEF), (push.measured, INK)):
-        track = np.array([placed(centroid, pose) for pose in (scene.start, *poses)])
+        track = placed(centroid, np.vstack([scene.start, poses]))
         axes.plot(*track.T, color=colour, linewidth=1.1)
     if len(scene.finger):
         axes.plot(*scene.finger.T, color=FINGER, linewidth=1.0)
-        for place, fill in ((scene.finger[0], "none"), (scene.finger[-1], FINGER)):
-            axes.add_patch(
-                Circle(place, dataset.finger_radius, facecolor=fill, edgecolor=FINGER, linewidth=0.9)
-            )
+        draw_finger(axes, scene.finger[0], scene.finger[-1], dataset.finger_radius, 0.9)
     numbers = f"ADD {1e3 * push.final_add:.1f} mm, spread {1e3 * push.spread:.1f} mm"
     axes.set_title(f"{short_name(push.trial)}, {ROLES[push.role]}\n{numbers}", pad=4, fontsize=8.5)
 
@@ -186,16 +192,6 @@ def _legend(finger: bool) -> list[Line2D]:
     return handles
 
 
-# How far a model is off, push by push, beside simple ones and the noise floor.
-
-
-MODEL_COLOURS = (BELIEF, OTHER)
-WIDTH = 8.0  # inches
-LEGEND_COLUMNS, LEGEND_ROW = 3, 0.2  # columns where one row does not hold it; inches
-LETTER = 0.07  # inches, of a push's name
-MOST_NAMES = 40
-
-
 @styled
 def error_figure(comparisons: Sequence[Comparison]) -> Figure:
     """Error at the end (ADD) of each push on a logarithmic scale, fit pushes left, held-out ones right.
@@ -210,14 +206,14 @@ def error_figure(comparisons: Sequence[Comparison]) -> Figure:
     )
     pushes = [first.pushes[b] for b in order]
     entries = 2 + len(comparisons) + (first.floor is not None)
-    columns = entries if entries <= LEGEND_COLUMNS + 1 else LEGEND_COLUMNS
-    names = [short_name(push.trial) for push in pushes] if len(pushes) <= MOST_NAMES else []
+    columns = entries if entries <= _LEGEND_COLUMNS + 1 else _LEGEND_COLUMNS
+    names = [short_name(push.trial) for push in pushes] if len(pushes) <= _MOST_NAMES else []
     longest = max(map(len, names), default=0)
     upright = len(names) > 30 or longest > 4
-    below = 0.2 + LETTER * longest if upright else 0.4
-    top = 0.23 + LEGEND_ROW * -(-entries // columns)
+    below = 0.2 + _LETTER * longest if upright else 0.4
+    top = 0.23 + _LEGEND_ROW * -(-entries // columns)
     height = 2.27 + below + top
-    figure = Figure(figsize=(WIDTH, height))
+    figure = Figure(figsize=(_WIDTH, height))
     axes = figure.add_axes((0.085, below / height, 0.905, 2.27 / height))
     x = np.arange(len(pushes))
     for name, marker, colour, size in (("resting", "_", FAINT, 8.0), ("uniform", "D", FAINT, 3.6)):
@@ -257,7 +253,6 @@ def error_figure(comparisons: Sequence[Comparison]) -> Figure:
     axes.yaxis.set_minor_formatter(PlainNumbers())
     axes.set(xlim=(-0.6, len(pushes) - 0.4), ylabel="ADD at the end, mm")
     axes.set_xticks(x[: len(names)], names, rotation=90 if upright else 0, fontsize=7.5)
-    axes.grid(axis="y", color="#e7e4dd", linewidth=0.6)
-    axes.set_axisbelow(True)
+    light_grid(axes, "y")
     figure.legend(loc="upper right", ncols=columns, bbox_to_anchor=(0.995, 1.01), handletextpad=0.3)
     return figure

@@ -1,47 +1,78 @@
-"""Every picture of where a model fails."""
+"""Every picture of where a model fails: residuals against conditions, as fields, and over lags.
+
+A condition is speed, direction, phase, time or order. Fields lie over the table, or over the object where it
+was touched. Correlations over lags have bounds that whole pushes give.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
-from matplotlib.patches import PathPatch
 from matplotlib.ticker import MaxNLocator
 
 from slipmap.diagrams.application.figures.push_figures import MODEL_COLOURS
-from slipmap.diagrams.application.figures.style import outline_path, round_length
+from slipmap.diagrams.application.figures.style import draw_outline, light_grid, round_length
 from slipmap.diagrams.systems.look import FAINT, INK, PAPER, styled
+from slipmap.models.geometry import rotated
 from slipmap.models.inference.comparison import Comparison
 from slipmap.models.inference.residual_structure import FORCE_FACTORS, MOTION_FACTORS, NEGLIGIBLE, Pattern
 from slipmap.models.inference.residuals import PHASE_NAMES, Conditions, Residuals
 from slipmap.models.measurements import PushDataset
 from slipmap.models.physics.cell_grid import CellGrid, FloatArray
 
-# What pictures of residuals share: which residuals, their names, means over pushes.
+_UNITS = {"motion": "% of the speed", "force": "% of the force"}
+_NAMES = {"motion": "residual velocity", "force": "residual force"}
+_LEAST_PUSHES = 2
+
+_TITLES = {
+    "memory": ("Residual with itself later", "lag, s"),
+    "finger_along": ("Residual with the finger's velocity", "residual follows by, s"),
+    "finger_left": ("…across the finger's velocity", "residual follows by, s"),
+}
+
+_PANEL = (3.65, 2.8)  # inches
+_PUSHES_TOGETHER, _MOST_BINS = 3, 8
+"""Pushes in a row that share a bin at least, and bins of the whole experiment at most."""
+
+CONDITIONS: dict[str, tuple[str, Callable[[Conditions], FloatArray]]] = {
+    "speed": ("speed, mm/s", lambda at: np.array(1e3 * at.speed)),
+    "table_direction": ("direction of motion on the table", lambda at: np.degrees(at.table_direction)),
+    "object_direction": (
+        "direction of motion seen from the object",
+        lambda at: np.degrees(at.object_direction),
+    ),
+    "phase": ("phase of the push", lambda at: at.phase.astype(float)),
+    "time": ("time within the push, %", lambda at: np.array(100 * at.share)),
+    "order": ("push, in the order of the experiment", lambda at: np.array(1.0 + at.push)),
+}
+"""Factors with one number to draw residuals against."""
+
+_FIELD = (3.65, 3.4)  # inches
+_TABLE_BINS = 7
+_OUTLINE_BINS = 10
+_MOST_ARROWS = 60
+_COLOURS = "PuOr_r"
+_SCALED = 0.95
+"""Share of the arrows on the colour scale; a single push that turns would leave all others pale."""
+_ARROW: dict[str, Any] = {
+    "angles": "xy", "scale_units": "xy", "scale": 1, "width": 0.008, "headwidth": 3.6, "headlength": 4,
+}  # fmt: skip
 
 
-LEAST_PUSHES = 2
-UNITS = {"motion": "% of the speed", "force": "% of the force"}
-NAMES = {"motion": "residual velocity", "force": "residual force"}
-
-
-def residuals_of(comparison: Comparison, quantity: str) -> Residuals | None:
-    """Residual velocities (`motion`) or forces (`force`) of a comparison."""
+def _residuals_of(comparison: Comparison, quantity: str) -> Residuals | None:
     return comparison.motion if quantity == "motion" else comparison.force
 
 
-def wanted(comparison: Comparison, quantity: str) -> Residuals:
-    """The same.
-
-    Raises:
-        ValueError: the comparison has no such residuals.
-    """
-    residuals = residuals_of(comparison, quantity)
+def _wanted(comparison: Comparison, quantity: str) -> Residuals:
+    """Residual velocities (`motion`) or forces (`force`); ValueError where the comparison has none."""
+    residuals = _residuals_of(comparison, quantity)
     if residuals is None:
         raise ValueError(f"{comparison.label}: there are no residuals of {quantity} in these pushes")
     return residuals
@@ -55,21 +86,11 @@ def pattern_of(comparison: Comparison, factor: str, quantity: str) -> Pattern | 
     return None
 
 
-def push_means(values: FloatArray, push: np.ndarray, weights: FloatArray) -> FloatArray:
+def _push_means(values: FloatArray, push: np.ndarray, weights: FloatArray) -> FloatArray:
     """(m, c) weighted mean of each push that occurs."""
     return np.array(
         [np.average(values[push == b], axis=0, weights=weights[push == b]) for b in np.unique(push)]
     ).reshape(-1, values.shape[1])
-
-
-# Memory of the residual and its correlation with the finger's motion, with bounds that whole pushes give.
-
-
-TITLES = {
-    "memory": ("Residual with itself later", "lag, s"),
-    "finger_along": ("Residual with the finger's velocity", "residual follows by, s"),
-    "finger_left": ("…across the finger's velocity", "residual follows by, s"),
-}
 
 
 @styled
@@ -87,7 +108,7 @@ def correlation_figure(comparisons: Sequence[Comparison]) -> Figure:
     figure = Figure(figsize=(8.0, 2.7))
     panels = figure.subplots(1, 3, sharey=True)
     figure.subplots_adjust(left=0.085, right=0.99, top=0.88, bottom=0.2, wspace=0.1)
-    for axes, (name, (title, label)) in zip(panels, TITLES.items(), strict=True):
+    for axes, (name, (title, label)) in zip(panels, _TITLES.items(), strict=True):
         for k, comparison in enumerate(comparisons):
             if comparison.correlations is None:
                 continue
@@ -107,27 +128,6 @@ def correlation_figure(comparisons: Sequence[Comparison]) -> Figure:
             axes.axvline(0.0, color=PAPER, linewidth=0.8, zorder=0)
     panels[0].set_ylabel("correlation")
     return figure
-
-
-# Residuals against one condition: speed, direction, phase, time, order.
-
-
-PANEL = (3.65, 2.8)  # inches
-PUSHES_TOGETHER, MOST_BINS = 3, 8
-"""Pushes in a row that share a bin at least, and bins of the whole experiment at most."""
-
-CONDITIONS: dict[str, tuple[str, Callable[[Conditions], FloatArray]]] = {
-    "speed": ("speed, mm/s", lambda at: np.array(1e3 * at.speed)),
-    "table_direction": ("direction of motion on the table", lambda at: np.degrees(at.table_direction)),
-    "object_direction": (
-        "direction of motion seen from the object",
-        lambda at: np.degrees(at.object_direction),
-    ),
-    "phase": ("phase of the push", lambda at: at.phase.astype(float)),
-    "time": ("time within the push, %", lambda at: np.array(100 * at.share)),
-    "order": ("push, in the order of the experiment", lambda at: np.array(1.0 + at.push)),
-}
-"""Factors with one number to draw residuals against."""
 
 
 @styled
@@ -152,23 +152,22 @@ def factor_figure(comparisons: Sequence[Comparison], factor: str, quantity: str 
         raise ValueError(f"{comparisons[0].label}: {factor} of {quantity} was not looked at")
     component = pattern.strongest.split(", ")[0]
     label, condition = CONDITIONS[factor]
-    figure = Figure(figsize=PANEL)
+    figure = Figure(figsize=_PANEL)
     axes = figure.add_axes((0.16, 0.21, 0.82, 0.68))
     axes.axhline(0.0, color=INK, linewidth=0.8)
     small = 100 * NEGLIGIBLE[quantity]
     axes.axhspan(-small, small, color=PAPER, linewidth=0, zorder=0)
-    first = wanted(comparisons[0], quantity)
+    first = _wanted(comparisons[0], quantity)
     edges = _edges(factor, condition(first.at))
     for k, comparison in enumerate(comparisons):
-        residuals = wanted(comparison, quantity)
+        residuals = _wanted(comparison, quantity)
         values = 100 * _component(residuals, factor, quantity, component)
         shift = (k - 0.5 * (len(comparisons) - 1)) * 0.12
         _bins(axes, condition(residuals.at), values, residuals, edges, MODEL_COLOURS[k], shift)
     _ticks(axes, factor)
-    axes.set(xlabel=label, ylabel=UNITS[quantity])
-    axes.set_title(f"{NAMES[quantity].capitalize()}, {component}", loc="left", fontsize=9.5)
-    axes.grid(axis="y", color="#e7e4dd", linewidth=0.6)
-    axes.set_axisbelow(True)
+    axes.set(xlabel=label, ylabel=_UNITS[quantity])
+    axes.set_title(f"{_NAMES[quantity].capitalize()}, {component}", loc="left", fontsize=9.5)
+    light_grid(axes, "y")
     return figure
 
 
@@ -187,7 +186,7 @@ def _edges(factor: str, x: FloatArray) -> FloatArray:
     if factor.endswith("direction"):
         return np.linspace(-180, 180, 9)
     if factor == "order":
-        bins = int(np.clip(len(np.unique(x)) // PUSHES_TOGETHER, 1, MOST_BINS))
+        bins = int(np.clip(len(np.unique(x)) // _PUSHES_TOGETHER, 1, _MOST_BINS))
         return np.linspace(x.min() - 0.5, x.max() + 0.5, bins + 1)
     return np.unique(np.quantile(x, np.linspace(0, 1, 7)))
 
@@ -202,24 +201,18 @@ def _bins(
     for k in range(len(edges) - 1):
         here = place == k
         pairs = np.column_stack([x, values])[here]
-        at, means = push_means(pairs, residuals.at.push[here], residuals.weights[here]).T
+        at, means = _push_means(pairs, residuals.at.push[here], residuals.weights[here]).T
         if len(means) == 0:
             continue
         at = at + shift * (edges[k + 1] - edges[k])
         axes.plot(at, means, ".", color=colour, alpha=0.45, markersize=8, mew=0)
-        if len(means) < LEAST_PUSHES:
+        if len(means) < _LEAST_PUSHES:
             continue
         half = 1.96 * means.std(ddof=1) / np.sqrt(len(means))
         axes.errorbar(
-            [at.mean()],
-            [means.mean()],
-            [half],
-            fmt="o",
-            color=colour,
-            markersize=5,
-            elinewidth=1.8,
+            [at.mean()], [means.mean()], [half], fmt="o", color=colour, markersize=5, elinewidth=1.8,
             capsize=0,
-        )
+        )  # fmt: skip
     reach = float(np.quantile(np.abs(values), 0.97)) if len(values) else 1.0
     low, high = axes.get_ylim()
     axes.set_ylim(max(low, -1.6 * reach), min(high, 1.6 * reach))
@@ -235,18 +228,6 @@ def _ticks(axes: Axes, factor: str) -> None:
         axes.set_xticks([-180, -90, 0, 90, 180], ["-x", "-y", "+x", "+y", "-x"])
         axes.set_xlabel(f"direction of motion, {name}'s axes")
         axes.set_xlim(-185, 185)
-
-
-# Residual velocities and forces as fields: over the table, and over the object where it was touched.
-
-
-FIELD = (3.65, 3.4)  # inches
-TABLE_BINS = 7
-OUTLINE_BINS = 10
-MOST_ARROWS = 60
-COLOURS = "PuOr_r"
-SCALED = 0.95
-"""Share of the arrows on the colour scale; a single push that turns would leave all others pale."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -278,7 +259,7 @@ def table_figure(
     fields = [field, *(_on_table(other, quantity) for other in beside if other is not comparison)]
     figure, axes = _drawn(fields, quantity, half)
     axes.set(xlabel="table x, m", ylabel="table y, m")
-    axes.set_title(f"{NAMES[quantity].capitalize()} over the table", loc="left", fontsize=9.5)
+    axes.set_title(f"{_NAMES[quantity].capitalize()} over the table", loc="left", fontsize=9.5)
     return figure
 
 
@@ -297,58 +278,61 @@ def object_figure(
     half = 0.5 * float((field.high - field.low).max()) + 1.3 * field.bin
     fields = [field, *(_on_object(other, grid, quantity) for other in beside if other is not comparison)]
     figure, axes = _drawn(fields, quantity, half)
-    axes.add_patch(PathPatch(outline_path(grid), facecolor=PAPER, edgecolor=FAINT, linewidth=0.9, zorder=0))
+    draw_outline(axes, grid, color=FAINT, fill=PAPER, zorder=0)
     axes.set(xlabel="object x, m", ylabel="object y, m")
-    axes.set_title(f"{NAMES[quantity].capitalize()} at the contact", loc="left", fontsize=9.5)
+    axes.set_title(f"{_NAMES[quantity].capitalize()} at the contact", loc="left", fontsize=9.5)
     return figure
 
 
 def _on_table(comparison: Comparison, quantity: str) -> _Field:
-    residuals = wanted(comparison, quantity)
+    residuals = _wanted(comparison, quantity)
     at, values = residuals.at, 100 * residuals.relative
     low, high = at.place.min(axis=0), at.place.max(axis=0)
-    side = max(float((high - low).max()), 1e-3) / TABLE_BINS
+    side = max(float((high - low).max()), 1e-3) / _TABLE_BINS
     column = np.floor((at.place - low) / side).astype(int)
-    many = len(np.unique(at.push)) > MOST_ARROWS
+    many = len(np.unique(at.push)) > _MOST_ARROWS
     key = column[:, 0] * 1000 + column[:, 1] if many else at.push
     arrows = _arrows(key, at.place, values, at.push, residuals.weights, 2 if many else 1)
     return _Field(at.place, values, arrows, low, high, side)
 
 
 def _on_object(comparison: Comparison, grid: CellGrid, quantity: str) -> _Field:
-    residuals = wanted(comparison, quantity)
+    residuals = _wanted(comparison, quantity)
     touched = np.array(np.isfinite(residuals.at.contact).all(axis=1))
     if not touched.any():
         raise ValueError("no finger touches the object in these pushes")
     at = residuals.at.rows(touched)
     values = 100 * residuals.relative[touched]
-    c, s = np.cos(at.angle), np.sin(at.angle)
-    values[:, :2] = np.column_stack(
-        [c * values[:, 0] + s * values[:, 1], c * values[:, 1] - s * values[:, 0]]
-    )
+    values[:, :2] = rotated(values[:, :2], -at.angle)
     low, high = grid.exterior.min(axis=0), grid.exterior.max(axis=0)
     size = float((high - low).max())
-    place = np.floor((at.contact - low + 1e-9) / (size / OUTLINE_BINS)).astype(int)
+    place = np.floor((at.contact - low + 1e-9) / (size / _OUTLINE_BINS)).astype(int)
     key = place[:, 0] * 1000 + place[:, 1]
-    arrows = _arrows(key, at.contact, values, at.push, residuals.weights[touched], LEAST_PUSHES)
-    return _Field(at.contact, values, arrows, low, high, size / OUTLINE_BINS)
+    arrows = _arrows(key, at.contact, values, at.push, residuals.weights[touched], _LEAST_PUSHES)
+    return _Field(at.contact, values, arrows, low, high, size / _OUTLINE_BINS)
 
 
 def _drawn(fields: Sequence[_Field], quantity: str, half: float) -> tuple[Figure, Axes]:
     """The first of some fields, so that all of them would have the same scales."""
     field = fields[0]
-    figure, axes = _new_figure(quantity)
+    figure = Figure(figsize=_FIELD)
+    axes = figure.add_axes((0.17, 0.16, 0.55 if quantity == "motion" else 0.74, 0.75))
+    axes.tick_params(labelsize=8)
+    axes.xaxis.set_major_locator(MaxNLocator(4, steps=[1, 2, 5, 10]))
     scale = min(_arrow_scale(other.values[:, :2], other.arrows, quantity) for other in fields)
     turning = [abs(float(value[2])) for other in fields for _, value in other.arrows if len(value) > 2]
     _draw_pieces(axes, field.place, field.values, scale * field.bin)
-    limit = max(float(np.quantile(turning or [0.0], SCALED)), 200 * NEGLIGIBLE[quantity])
+    limit = max(float(np.quantile(turning or [0.0], _SCALED)), 200 * NEGLIGIBLE[quantity])
     mappable = _draw_means(axes, field.arrows, scale * field.bin, quantity, limit)
     middle = (field.low + field.high) / 2
     # One large residual gives a long arrow, and its point is what it says.
     reach = [
         float(np.abs(place + scale * field.bin * value[:2] - middle).max()) for place, value in field.arrows
     ]
-    _frame(axes, middle, max([half, *(1.05 * far for far in reach)]))
+    half = max([half, *(1.05 * far for far in reach)])
+    # With room below for the arrow that gives the scale.
+    axes.set(xlim=middle[0] + half * np.array([-1, 1]), ylim=middle[1] + half * np.array([-1.22, 1]))
+    axes.set_aspect("equal")
     _finish(figure, axes, mappable, scale, field.bin, quantity)
     return figure, axes
 
@@ -361,7 +345,7 @@ def _arrows(
     for bin_key in np.unique(key):
         here = key == bin_key
         if len(np.unique(push[here])) >= least:
-            means = push_means(np.hstack([place, values])[here], push[here], weights[here]).mean(axis=0)
+            means = _push_means(np.hstack([place, values])[here], push[here], weights[here]).mean(axis=0)
             arrows.append((means[:2], means[2:]))
     return arrows
 
@@ -377,10 +361,8 @@ def _draw_pieces(axes: Axes, place: FloatArray, values: FloatArray, length: floa
     if values.shape[1] == 3:
         axes.plot(*place.T, ".", color=FAINT, alpha=0.35, markersize=2.5, markeredgewidth=0)
         return
-    axes.quiver(
-        *place.T, *(length * values).T, angles="xy", scale_units="xy", scale=1, color=FAINT, alpha=0.35,
-        width=0.0022, headwidth=3.5, headlength=4,
-    )  # fmt: skip
+    thin = _ARROW | {"width": 0.0022, "headwidth": 3.5}
+    axes.quiver(*place.T, *(length * values).T, color=FAINT, alpha=0.35, **thin)
 
 
 def _draw_means(
@@ -390,30 +372,15 @@ def _draw_means(
         return None
     place = np.array([a for a, _ in arrows])
     values = np.array([v for _, v in arrows])
-    style = dict(angles="xy", scale_units="xy", scale=1, width=0.008, headwidth=3.6, headlength=4, zorder=3)
     if quantity == "force":
-        axes.quiver(*place.T, *(length * values[:, :2]).T, color=INK, **style)
+        axes.quiver(*place.T, *(length * values[:, :2]).T, color=INK, zorder=3, **_ARROW)
         return None
     norm = Normalize(-limit, limit)
     axes.quiver(
-        *place.T, *(length * values[:, :2]).T, values[:, 2], cmap=COLOURS, norm=norm, edgecolor=INK,
-        linewidth=0.6, **style,
+        *place.T, *(length * values[:, :2]).T, values[:, 2], cmap=_COLOURS, norm=norm, edgecolor=INK,
+        linewidth=0.6, zorder=3, **_ARROW,
     )  # fmt: skip
-    return ScalarMappable(norm, COLOURS)
-
-
-def _new_figure(quantity: str) -> tuple[Figure, Axes]:
-    figure = Figure(figsize=FIELD)
-    axes = figure.add_axes((0.17, 0.16, 0.55 if quantity == "motion" else 0.74, 0.75))
-    axes.tick_params(labelsize=8)
-    axes.xaxis.set_major_locator(MaxNLocator(4, steps=[1, 2, 5, 10]))
-    return figure, axes
-
-
-def _frame(axes: Axes, middle: FloatArray, half: float) -> None:
-    """Limits around what is drawn, with room below for the arrow that gives the scale."""
-    axes.set(xlim=middle[0] + half * np.array([-1, 1]), ylim=middle[1] + half * np.array([-1.22, 1]))
-    axes.set_aspect("equal")
+    return ScalarMappable(norm, _COLOURS)
 
 
 def _finish(
@@ -423,18 +390,11 @@ def _finish(
     x0, x1 = axes.get_xlim()
     y0, y1 = axes.get_ylim()
     start = np.array([x0 + 0.03 * (x1 - x0), y0 + 0.03 * (y1 - y0)])
-    axes.quiver(
-        *start, scale * cell * percent, 0, angles="xy", scale_units="xy", scale=1, color=INK, width=0.008,
-        headwidth=3.6, headlength=4,
-    )  # fmt: skip
+    axes.quiver(*start, scale * cell * percent, 0, color=INK, **_ARROW)
     axes.annotate(
-        f"{percent:g} {UNITS[quantity]}",
-        (start[0], start[1]),
-        (0, 5),
-        textcoords="offset points",
-        fontsize=8,
-        va="bottom",
-    )
+        f"{percent:g} {_UNITS[quantity]}", (start[0], start[1]), (0, 5), textcoords="offset points",
+        fontsize=8, va="bottom",
+    )  # fmt: skip
     if mappable is not None:
         bar = figure.colorbar(mappable, cax=figure.add_axes((0.755, 0.25, 0.03, 0.55)), extend="both")
         bar.locator = MaxNLocator(5, steps=[1, 2, 5, 10])
@@ -453,8 +413,8 @@ def residual_figures(comparisons: Sequence[Comparison], dataset: PushDataset) ->
     """
     figures: dict[str, Figure] = {}
     for quantity in ("motion", "force"):
-        known = [c for c in comparisons if residuals_of(c, quantity) is not None]
-        touching = [c for c in known if np.isfinite(wanted(c, quantity).at.contact).all(axis=1).any()]
+        known = [c for c in comparisons if _residuals_of(c, quantity) is not None]
+        touching = [c for c in known if np.isfinite(_wanted(c, quantity).at.contact).all(axis=1).any()]
         for comparison in known:
             ending = "" if comparison is comparisons[0] else ".second"
             figures[f"{quantity}.table_place{ending}"] = table_figure(comparison, quantity, known)

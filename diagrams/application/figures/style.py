@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Literal
 
 import matplotlib
 import numpy as np
@@ -10,15 +11,14 @@ from matplotlib.axes import Axes
 from matplotlib.collections import PolyCollection
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
-from matplotlib.patches import PathPatch
+from matplotlib.patches import Circle, PathPatch
 from matplotlib.path import Path as Curve
 from matplotlib.ticker import LogFormatter
 from numpy.typing import ArrayLike
 
-from slipmap.diagrams.systems.look import INK, STYLE
-from slipmap.models.physics.cell_grid import CellGrid, FloatArray
-
-DOTS_PER_INCH = 130
+from slipmap.diagrams.systems.look import FINGER, INK, STYLE
+from slipmap.models.geometry import placed
+from slipmap.models.physics.cell_grid import CellGrid
 
 
 class PlainNumbers(LogFormatter):
@@ -36,15 +36,12 @@ def save(figure: Figure, path: Path) -> None:
         OSError: the folder does not exist or cannot be written.
     """
     with matplotlib.rc_context(STYLE):
-        figure.savefig(path, dpi=DOTS_PER_INCH)
-
-
-# Outlines of objects and a bar of known length, shared by the pictures.
+        figure.savefig(path, dpi=130)
 
 
 def outline_path(grid: CellGrid, pose: ArrayLike = (0.0, 0.0, 0.0)) -> Curve:
     """Exterior and holes as one path, placed at a pose (3,) in the world, m and rad."""
-    rings = [placed(ring, pose) for ring in (grid.exterior, *grid.holes)]
+    rings = [placed(ring, np.asarray(pose, dtype=float)) for ring in (grid.exterior, *grid.holes)]
     return Curve.make_compound_path(*(Curve(np.vstack([ring, ring[:1]]), closed=True) for ring in rings))
 
 
@@ -56,9 +53,26 @@ def draw_outline(
     color: str = INK,
     width: float = 0.9,
     fill: str = "none",
+    alpha: float | None = None,
+    zorder: float = 1.0,
 ) -> None:
     """Outline of an object at a pose (3,) in the world, m and rad."""
-    axes.add_patch(PathPatch(outline_path(grid, pose), facecolor=fill, edgecolor=color, linewidth=width))
+    shape = outline_path(grid, pose)
+    how = {"facecolor": fill, "edgecolor": color, "linewidth": width, "alpha": alpha, "zorder": zorder}
+    axes.add_patch(PathPatch(shape, **how))
+
+
+def draw_finger(axes: Axes, begin: ArrayLike, end: ArrayLike, radius: float, width: float = 1.0) -> None:
+    """The finger of a radius (m) where a push begins, and filled where it ends, each (2,) m."""
+    for place, fill in ((begin, "none"), (end, FINGER)):
+        x, y = np.asarray(place, dtype=float)
+        axes.add_patch(Circle((x, y), radius, facecolor=fill, edgecolor=FINGER, linewidth=width))
+
+
+def light_grid(axes: Axes, axis: Literal["x", "y"]) -> None:
+    """Pale lines behind what is drawn, at the ticks of one axis."""
+    axes.grid(axis=axis, color="#e7e4dd", linewidth=0.6)
+    axes.set_axisbelow(True)
 
 
 def draw_cells(
@@ -77,20 +91,13 @@ def draw_cells(
     corners = grid.width / 2 * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
     # Edges as wide as a pixel cover the seams between squares, through which the ground would shine.
     squares = PolyCollection(
-        [placed(center + corners, pose) for center in grid.centers],
+        list(placed(grid.centers[:, None] + corners, np.asarray(pose, dtype=float))),
         array=np.asarray(values, dtype=float), cmap=colors, norm=norm, edgecolors="face", linewidths=0.8,
     )  # fmt: skip
     squares.set_clip_path(outline_path(grid, pose), axes.transData)
     axes.add_collection(squares, autolim=False)
     draw_outline(axes, grid, pose)
     return squares
-
-
-def placed(points: FloatArray, pose: ArrayLike) -> FloatArray:
-    """Object-frame points (…, 2) in the world, for one pose (3,), m and rad."""
-    x, y, angle = np.asarray(pose, dtype=float)
-    c, s = np.cos(angle), np.sin(angle)
-    return points @ np.array([[c, s], [-s, c]]) + [x, y]
 
 
 def scale_bar(axes: Axes, corner: ArrayLike, extent: float) -> None:

@@ -17,9 +17,9 @@ if TYPE_CHECKING:
 LONGEST = 14
 """Letters of a port's name in one line; longer ones are broken at a dot or an underscore."""
 
-LETTER, LINE = 0.067, 0.135  # inches, of a port's name
-BOLD = 0.075  # inches, a letter of a system's name
-GAP = 0.12  # inches between two columns or rows
+_LETTER, _LINE = 0.067, 0.135  # inches, of a port's name
+_BOLD = 0.075  # inches, a letter of a system's name
+_GAP = 0.12  # inches between two columns or rows
 
 
 @styled
@@ -41,14 +41,14 @@ def wiring_figure(diagram: Diagram) -> Figure:
         if name not in names:
             names.append(name)
     titles = [name.replace("_", "\n") for name in place]
-    wide = np.array([BOLD * max(map(len, title.split("\n"))) + 0.15 for title in titles])
+    wide = np.array([_BOLD * max(map(len, title.split("\n"))) + 0.15 for title in titles])
     high = np.array([0.2 * (1 + title.count("\n")) + 0.12 for title in titles])
     for (source, target), names in told.items():
         lines = "\n".join(names).split("\n")
-        wide[target] = max(wide[target], LETTER * max(map(len, lines)))
-        high[source] = max(high[source], LINE * len(lines))
-    x, y = (np.cumsum(size + GAP) - (size + GAP) / 2 for size in (wide, high))
-    width, height = wide.sum() + GAP * len(wide), high.sum() + GAP * len(high)
+        wide[target] = max(wide[target], _LETTER * max(map(len, lines)))
+        high[source] = max(high[source], _LINE * len(lines))
+    x, y = (np.cumsum(size + _GAP) - (size + _GAP) / 2 for size in (wide, high))
+    width, height = wide.sum() + _GAP * len(wide), high.sum() + _GAP * len(high)
     figure = Figure(figsize=(width, height))
     axes = figure.add_axes((0.0, 0.0, 1.0, 1.0))
     axes.set(xlim=(0, width), ylim=(height, 0))
@@ -62,7 +62,7 @@ def wiring_figure(diagram: Diagram) -> Figure:
             multialignment="left", linespacing=1.1, zorder=3,
         )  # fmt: skip
     for k, title in enumerate(titles):
-        w, h = BOLD * max(map(len, title.split("\n"))) + 0.15, 0.17 * (1 + title.count("\n")) + 0.14
+        w, h = _BOLD * max(map(len, title.split("\n"))) + 0.15, 0.17 * (1 + title.count("\n")) + 0.14
         corner = (x[k] - w / 2, y[k] - h / 2)
         axes.add_patch(Rectangle(corner, w, h, facecolor=PAPER, edgecolor=BELIEF, zorder=2))
         axes.text(x[k], y[k], title, fontsize=9, ha="center", va="center", zorder=4, weight="bold")

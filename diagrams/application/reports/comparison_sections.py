@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from html import escape
+from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -12,18 +13,24 @@ from slipmap.diagrams.application.figures import correlation_figure, error_figur
 from slipmap.diagrams.application.figures.residual_figures import pattern_of
 from slipmap.diagrams.application.reports.comparison_words import (
     QUANTITIES,
+    ROLES,
     finding,
+    judged,
     millimetres,
     p_text,
     role_name,
+    short_name,
     size_text,
 )
-from slipmap.diagrams.application.reports.html_page import Section, part, picture, push_section, table
-from slipmap.models.inference.comparison import Comparison
+from slipmap.diagrams.application.reports.html_page import Section, part, picture, table
+from slipmap.models.inference.comparison import ComparedPush, Comparison
+from slipmap.models.inference.observations import Observation
 from slipmap.models.inference.push_errors import Errors
 from slipmap.models.measurements import PushDataset
+from slipmap.models.physics.cell_grid import FloatArray
+from slipmap.models.physics.paper_notation import add
 
-ERROR_COLUMNS = (
+_ERROR_COLUMNS = (
     "end (ADD), mm",
     "on average (ADD), mm",
     "position, mm",
@@ -33,10 +40,18 @@ ERROR_COLUMNS = (
     "force, %",
 )
 
-FIELDS = {"table_place": ("table_drift", "table_place"), "contact_place": ("object_drift", "contact_place")}
+_COLOURS = ("var(--model)", "var(--other)")  # of models in the film of a push
+
+_COLUMNS = (("end, mm", 2), ("average, mm", 2), ("angle, °", 2), ("fit, %", 1), ("force, %", 0))
+"""Errors of one model in the table, and their digits."""
+
+_COLUMNS_OF_TWO = ("end, mm", "average, mm", "fit, %")
+_BASELINES = ("spread, mm", "uniform, mm", "no motion, mm")
+
+_FIELDS = {"table_place": ("table_drift", "table_place"), "contact_place": ("object_drift", "contact_place")}
 """Pictures of fields, and the factors that they show."""
 
-MOSTLY_UNSEEN = (
+_MOSTLY_UNSEEN = (
     "The model did not learn from most of these pushes. Errors of its maps are common to them and can show as"
     " patterns too; learn from these pushes to tell them from missing physics."
 )
@@ -53,10 +68,13 @@ def comparison_sections(comparisons: Sequence[Comparison], dataset: PushDataset)
         ValueError: none or more than two models, or models over different pushes.
     """
     check_same_pushes(comparisons)
-    sections = [error_section(comparisons), push_section(comparisons, dataset)]
-    sections.append(structure_section(comparisons, dataset))
+    sections = [
+        _error_section(comparisons),
+        _push_section(comparisons, dataset),
+        _structure_section(comparisons, dataset),
+    ]
     if comparisons[0].correlations is not None:
-        sections.append(correlation_section(comparisons))
+        sections.append(_correlation_section(comparisons))
     sections.append(Section("method", "How to read the numbers", part("method.html")))
     return sections
 
@@ -70,8 +88,7 @@ def check_same_pushes(comparisons: Sequence[Comparison]) -> None:
         raise ValueError("a report of two models needs both over the same pushes")
 
 
-def error_section(comparisons: Sequence[Comparison]) -> Section:
-    """How far off: means by role beside the baselines, and every push."""
+def _error_section(comparisons: Sequence[Comparison]) -> Section:
     rows, marked = [], []
     first = comparisons[0]
     for role, totals in first.totals.items():
@@ -82,9 +99,9 @@ def error_section(comparisons: Sequence[Comparison]) -> Section:
         rows.append([name, "uniform object", *_cells(totals.uniform)])
         rows.append([name, "object does not move", *_cells(totals.resting)])
     numbers = table(
-        ["pushes", "prediction", *ERROR_COLUMNS],
+        ["pushes", "prediction", *_ERROR_COLUMNS],
         rows,
-        numbers=range(2, 2 + len(ERROR_COLUMNS)),
+        numbers=range(2, 2 + len(_ERROR_COLUMNS)),
         caption="Means over pushes. Position, angle: of the object frame at the end. Force: root mean square"
         " while the finger presses steadily.",
     )
@@ -129,14 +146,137 @@ def _cells(errors: Errors) -> list[str]:
     ]
 
 
-def structure_section(comparisons: Sequence[Comparison], dataset: PushDataset) -> Section:
-    """Where the model fails: tests of all factors, and pictures of residuals against them."""
+def _push_section(comparisons: Sequence[Comparison], dataset: PushDataset) -> Section:
+    """The section with its data; first shown is the worst of the pushes that count."""
+    first = comparisons[0]
+    role, _ = judged(first)
+    worst = max(
+        (b for b, push in enumerate(first.pushes) if push.role == role),
+        key=lambda b: first.pushes[b].errors.final_add,
+    )
+    grid = dataset.grid
+    data = {
+        "outline": [_rounded(ring) for ring in (grid.exterior, *grid.holes)],
+        "centroid": _rounded(grid.centers.mean(axis=0)),
+        "radius": dataset.finger_radius,
+        "table": None if dataset.table is None else vars(dataset.table),
+        "labels": [comparison.label for comparison in comparisons],
+        "first": worst,
+        "floor": None if first.floor is None else first.floor.add,
+        "pushes": [
+            _push([comparison.pushes[b] for comparison in comparisons], grid.centers)
+            for b in range(len(first.pushes))
+        ],
+    }
+    legend = ["<span><i style='color:var(--ink)'></i>measured</span>"]
+    legend += [
+        f"<span><i style='color:{colour}'></i>{escape(comparison.label)}</span>"
+        for colour, comparison in zip(_COLOURS, comparisons, strict=False)
+    ]
+    body = f"""<p class="note">Point at a trace or a row to see it alone; click to load it into the film.</p>
+<div class="pushes">
+<div><h3>All pushes on the table</h3>
+<svg class="map" role="img" aria-label="Traces of all pushes"></svg></div>
+<div><h3 class="film-title">One push</h3><svg class="film" role="img" aria-label="One push"></svg></div>
+</div>
+<div class="legend">{"".join(legend)}<span><i style='color:var(--finger)'></i>finger</span></div>
+<div class="player"><button type="button">Play</button>
+<input type="range" min="0" max="1" value="1" step="1" aria-label="time within the push"></div>
+<div class="course-box"><svg class="course" role="img" aria-label="Error over time"></svg></div>
+<div class="readout"></div>
+<div class="list"><table><thead>{_heads(comparisons)}</thead>
+<tbody>{"".join(_row(comparisons, b) for b in range(len(first.pushes)))}</tbody></table></div>"""
+    return Section("pushes", "Push by push", body, data, script="pushes.js")
+
+
+def _push(told: Sequence[ComparedPush], centers: FloatArray) -> dict[str, Any]:
+    observation = told[0].observation
+    start = observation.push.start_pose
+    times = np.concatenate([[0.0], np.asarray(observation.push.pose_times)])
+    return {
+        "name": short_name(observation.trial),
+        "role": ROLES[observation.role],
+        "times": _rounded(times),
+        "measured": _rounded(np.vstack([start, observation.poses])),
+        "predicted": [_rounded(np.vstack([start, push.predicted])) for push in told],
+        "add": [
+            _rounded(np.concatenate([[0.0], add(push.predicted, observation.poses, centers)]))
+            for push in told
+        ],
+        "finger": _finger(observation, times),
+    }
+
+
+def _finger(observation: Observation, times: FloatArray) -> list[Any]:
+    push = observation.push
+    if np.isnan(push.tip).any():
+        return [None] * len(times)
+    steps = push.h * np.arange(len(push.tip))
+    return _rounded(np.column_stack([np.interp(times, steps, column) for column in push.tip.T]))
+
+
+def _columns(comparisons: Sequence[Comparison]) -> list[tuple[str, int]]:
+    return [column for column in _COLUMNS if len(comparisons) == 1 or column[0] in _COLUMNS_OF_TWO]
+
+
+def _heads(comparisons: Sequence[Comparison]) -> str:
+    columns = [name for name, _ in _columns(comparisons)]
+    group = ""
+    if len(comparisons) > 1:
+        names = "".join(
+            f'<th class="group number" colspan="{len(columns)}">{escape(comparison.label)}</th>'
+            for comparison in comparisons
+        )
+        group = f'<tr><th class="group" colspan="2"></th>{names}<th class="group" colspan="3"></th></tr>'
+    texts = "".join(f'<th tabindex="0">{name}</th>' for name in ("push", "role"))
+    numbers = "".join(
+        f'<th class="number" tabindex="0">{name}</th>' for name in (*columns * len(comparisons), *_BASELINES)
+    )
+    return f'{group}<tr class="sort">{texts}{numbers}</tr>'
+
+
+def _row(comparisons: Sequence[Comparison], b: int) -> str:
+    push = comparisons[0].pushes[b]
+    largest = max(p.errors.final_add for comparison in comparisons for p in comparison.pushes) or 1.0
+    cells = [f'<td>{escape(short_name(push.trial))}</td><td class="short">{ROLES[push.role]}</td>']
+    for comparison in comparisons:
+        errors = comparison.pushes[b].errors
+        values = {
+            "end, mm": 1e3 * errors.final_add,
+            "average, mm": 1e3 * errors.mean_add,
+            "angle, °": float(np.degrees(errors.angle)),
+            "fit, %": errors.fit,
+            "force, %": 100 * errors.force_share,
+        }
+        for name, digits in _columns(comparisons):
+            bar = errors.final_add / largest if name == "end, mm" else None
+            cells.append(_number(values[name], digits, bar))
+    for value in (push.spread, push.uniform.final_add, push.resting.final_add):
+        cells.append(_number(1e3 * value, 1))
+    return f'<tr data-push="{b}" tabindex="0">{"".join(cells)}</tr>'
+
+
+def _number(value: float, digits: int, bar: float | None = None) -> str:
+    if not np.isfinite(value):
+        return '<td class="number" data-value="">–</td>'
+    drawn = "" if bar is None else f'<i style="width:{100 * bar:.1f}%"></i>'
+    kind = "number" if bar is None else "number bar"
+    return f'<td class="{kind}" data-value="{value:.6g}">{drawn}{value:.{digits}f}</td>'
+
+
+def _rounded(values: FloatArray) -> list[Any]:
+    """Numbers to a hundredth of a millimetre: the file stays small."""
+    rounded: list[Any] = np.round(values, 5).tolist()
+    return rounded
+
+
+def _structure_section(comparisons: Sequence[Comparison], dataset: PushDataset) -> Section:
     parts = []
     for comparison in comparisons:
         name = f"<b>{escape(comparison.label)}:</b> " if len(comparisons) > 1 else ""
         parts.append(f"<p>{name}{escape(finding(comparison))}</p>")
     if any(comparison.mostly_unseen and comparison.significant for comparison in comparisons):
-        parts.append(f'<p class="note">{escape(MOSTLY_UNSEEN)}</p>')
+        parts.append(f'<p class="note">{escape(_MOSTLY_UNSEEN)}</p>')
     for comparison in comparisons:
         parts.append(_pattern_table(comparison, named=len(comparisons) > 1))
     figures = residual_figures(comparisons, dataset)
@@ -144,7 +284,7 @@ def structure_section(comparisons: Sequence[Comparison], dataset: PushDataset) -
         chosen = {key: figure for key, figure in figures.items() if key.startswith(f"{quantity}.")}
         if not chosen:
             continue
-        fields = {key: figure for key, figure in chosen.items() if key.split(".")[1] in FIELDS}
+        fields = {key: figure for key, figure in chosen.items() if key.split(".")[1] in _FIELDS}
         curves = {key: figure for key, figure in chosen.items() if key not in fields}
         parts.append(f"<h3>{title}</h3>")
         for group, kind in ((fields, "fields"), (curves, "curves")):
@@ -186,7 +326,7 @@ def _figure(key: str, figure: Figure, comparisons: Sequence[Comparison], title: 
     quantity, factor = key.split(".")[:2]
     comparison = comparisons[1] if key.endswith(".second") else comparisons[0]
     lines = []
-    for name in FIELDS.get(factor, (factor,)):
+    for name in _FIELDS.get(factor, (factor,)):
         pattern = pattern_of(comparison, name, quantity)
         if pattern is not None:
             text = f"{pattern.title}: p = {p_text(pattern.p_corrected)}, corrected".replace(
@@ -199,8 +339,7 @@ def _figure(key: str, figure: Figure, comparisons: Sequence[Comparison], title: 
     return f"<figure>{drawn}<figcaption>{head}{'. '.join(lines)}</figcaption></figure>"
 
 
-def correlation_section(comparisons: Sequence[Comparison]) -> Section:
-    """Memory of the residual, and its correlation with the finger."""
+def _correlation_section(comparisons: Sequence[Comparison]) -> Section:
     found = comparisons[0].correlations
     assert found is not None
     longest = found.memory.lags[-1]

@@ -8,20 +8,17 @@ from collections.abc import Sequence
 from slipmap.models.inference.comparison import Comparison, Totals
 from slipmap.models.inference.residual_structure import LEVEL, Pattern, smallest_p
 
-# Words that tables and pictures share.
-
-
 ROLES = {"fit": "fit", "heldout": "held out"}
 """What people read for the role of a push."""
+
+QUANTITIES = {"motion": "motion", "force": "force", "delay": "timing"}
+"""What people read for the quantity of a pattern."""
 
 
 def short_name(trial: str) -> str:
     """`trials/003.json` as `003`; a long name keeps its end, which tells it from others."""
     name = trial.rsplit("/", 1)[-1].rsplit(".", 1)[0]
     return name if len(name) <= 24 else "…" + name[-23:]
-
-
-QUANTITIES = {"motion": "motion", "force": "force", "delay": "timing"}
 
 
 def judged(comparison: Comparison) -> tuple[str, Totals]:
@@ -89,19 +86,13 @@ def sentence_part(pattern: Pattern) -> str:
     if pattern.quantity == "delay":
         late = "late" if pattern.size > 0 else "early"
         return f"measured poses come {abs(1e3 * pattern.size):.0f} ms {late}"
-    size = f"{100 * abs(pattern.size):.2g} %"
+    thing, size = f"the {pattern.quantity}", f"{100 * abs(pattern.size):.2g} %"
     if pattern.factor == "overall":
         more = {"motion": ("goes farther", "goes less far"), "force": ("is stronger", "is weaker")}
-        return (
-            f"{_thing(pattern)} {more[pattern.quantity][pattern.size < 0]} than predicted everywhere ({size})"
-        )
+        return f"{thing} {more[pattern.quantity][pattern.size < 0]} than predicted everywhere ({size})"
     if pattern.factor in ("table_drift", "object_drift"):
-        return f"{_thing(pattern)} is off {_turned(pattern)} everywhere ({size})"
-    return f"the error of {_thing(pattern)} changes with the {pattern.title} ({size})"
-
-
-def _thing(pattern: Pattern) -> str:
-    return {"motion": "the motion", "force": "the force"}[pattern.quantity]
+        return f"{thing} is off {_turned(pattern)} everywhere ({size})"
+    return f"the error of {thing} changes with the {pattern.title} ({size})"
 
 
 def _turned(pattern: Pattern) -> str:
@@ -143,6 +134,12 @@ def millimetres(metres: float) -> str:
     """Two figures below 10 mm, else tenths."""
     value = 1e3 * metres
     return "–" if not math.isfinite(value) else f"{value:.2f}" if value < 1 else f"{value:.1f}"
+
+
+def decimals(size: float) -> int:
+    """Decimals that show two figures of a number of this size, 0 to 8."""
+    size = abs(size)
+    return min(max(1 - math.floor(math.log10(size)), 0), 8) if math.isfinite(size) and size > 0 else 3
 
 
 def _pushes(count: int) -> str:

@@ -1,4 +1,4 @@
-"""What a report says of a diagnosis: the answer, the ranking, the locked pushes, and the next push."""
+"""The HTML report of a diagnosis: verdict, ranking, locked pushes, next push, both models push by push."""
 
 from __future__ import annotations
 
@@ -14,13 +14,11 @@ from slipmap.diagrams.application.reports.diagnosis_words import (
     before_label,
     evidence,
     improvement,
-    locked_rows,
-    nats,
-    p_shown,
+    locked_table,
     push_facts,
+    ranking,
     rivals_sentence,
     sizes,
-    standing,
     tried,
 )
 from slipmap.diagrams.application.reports.effect_words import effect_in_words, parameter_rows
@@ -30,127 +28,6 @@ from slipmap.models.inference.comparison import Comparison, compare
 from slipmap.models.inference.diagnosis import Diagnosis
 from slipmap.models.inference.diagnosis.effect_fit import as_diagnosed, fitted_belief
 from slipmap.models.measurements import PushDataset
-
-
-def diagnosis_sections(
-    diagnosis: Diagnosis, dataset: PushDataset, effects: Sequence[Effect]
-) -> list[Section]:
-    """The sections of a diagnosis in the order of reading, without those that compare models push by push.
-
-    Args:
-        diagnosis: of the dataset.
-        dataset: its pushes.
-        effects: all that were tried.
-    """
-    sections = []
-    if diagnosis.effects:
-        sections.append(answer_section(diagnosis, dataset, tried(diagnosis, effects)))
-    elif diagnosis.depends_on is not None:
-        sections.append(unknown_section(diagnosis))
-    sections.append(ranking_section(diagnosis))
-    if diagnosis.before is not None:
-        sections.append(locked_section(diagnosis))
-    if diagnosis.next_push is not None:
-        sections.append(next_push_section(diagnosis, dataset))
-    return sections
-
-
-def reading_section() -> Section:
-    """How to read a diagnosis."""
-    return Section("reading", "How to read the diagnosis", part("diagnosis.html"))
-
-
-def answer_section(diagnosis: Diagnosis, dataset: PushDataset, effects: Sequence[Effect]) -> Section:
-    """What each effect of the answer is, and how large."""
-    parts = []
-    for effect in effects:
-        estimates = [p for p in diagnosis.parameters if p.effect == effect.name]
-        parts.append(f"<h3>{escape(effect.name)}</h3><p>{escape(effect.sentence)}</p>")
-        if estimates:
-            words = effect_in_words(effect.name, estimates, dataset.grid)
-            parts.append(f"<p><b>{escape(words[0].upper() + words[1:])}.</b></p>")
-            columns = ["parameter", "value", "90 % interval", "meaning"]
-            parts.append(table(columns, parameter_rows([effect], estimates), numbers=(1, 2)))
-    if len(effects) > 1 and not diagnosis.together:
-        parts.append('<p class="note">Each of these alone explains the data; sizes hold for it alone.</p>')
-    return Section("answer", "What is missing", "\n".join(parts))
-
-
-def unknown_section(diagnosis: Diagnosis) -> Section:
-    """What the residual depends on where no effect explains it."""
-    text = str(diagnosis.depends_on)
-    name, _, sentence = text.partition(": ")
-    body = (
-        "<p>No effect of the library, alone or in pairs, explains what is left. Of the flexible laws that"
-        f" were tried, this one gains most: <b>{escape(sentence or name)}</b></p>"
-        '<p class="note">The pictures below, under “Where it fails”, show the residuals of the model without'
-        " effects against place, direction, speed, phase, time and order. An effect of your own, written down"
-        " in a few lines, can be tried with <code>--effect-file</code>.</p>"
-    )
-    return Section("answer", "What is left", body)
-
-
-def ranking_section(diagnosis: Diagnosis) -> Section:
-    """Every candidate with its gains, and what is left on top of it."""
-    rows = [
-        [
-            candidate.name,
-            nats(candidate.gain),
-            p_shown(candidate.p_value),
-            "–" if candidate.fitted_gain is None else nats(candidate.fitted_gain),
-            "–" if candidate.remaining_gain is None else nats(candidate.remaining_gain),
-            p_shown(candidate.remaining_p),
-            standing(candidate, diagnosis),
-        ]
-        for candidate in diagnosis.candidates
-    ]
-    columns = ["effect", "gain", "p", "refitted", "left on top", "p of that", "standing"]
-    note = f'<p class="note">{escape(QUICK)}</p>' if diagnosis.quick else ""
-    numbers = table(
-        columns, rows, numbers=range(1, 6), marked=[c.name in diagnosis.effects for c in diagnosis.candidates]
-    )
-    drawn = gain_figure(diagnosis)
-    body = (
-        f"<p>{escape(evidence(diagnosis))}</p>{note}"
-        + picture(drawn, "Gains of all candidates", wide=len(drawn.axes) > 1)
-        + f"<details><summary>All numbers</summary>{numbers}</details>"
-    )
-    return Section("ranking", "Every effect that was tried", body)
-
-
-def locked_section(diagnosis: Diagnosis) -> Section:
-    """Errors of the pushes that were locked away."""
-    rows = locked_rows(diagnosis)
-    if diagnosis.effect_objects:
-        numbers = table(["mean over pushes", "without effects", after_label(diagnosis)], rows, numbers=(1, 2))
-    else:
-        numbers = table(["mean over pushes", "the model"], [row[:2] for row in rows], numbers=(1,))
-    count = len(diagnosis.locked)
-    which = "This push was" if count == 1 else f"These {count} pushes were"
-    body = (
-        f"<p>{which} put aside before anything was fitted, and judge the answer.</p>"
-        f'<div class="beside"><div>{picture(locked_figure(diagnosis), "Error of every locked push")}</div>'
-        f"<div>{numbers}</div></div>"
-    )
-    return Section("locked", "Locked pushes", body)
-
-
-def next_push_section(diagnosis: Diagnosis, dataset: PushDataset) -> Section:
-    """The push that would tell most, drawn and in numbers."""
-    push = diagnosis.next_push
-    assert push is not None
-    facts = "".join(f"<dt>{escape(name)}</dt><dd>{escape(value)}</dd>" for name, value in push_facts(push))
-    drawn = picture(
-        telling_push_figure(push, diagnosis, dataset),
-        "The next push, and where each model says it ends",
-        wide=True,
-    )
-    body = f'<p>{escape(str(push["sentence"]))}</p>{drawn}<dl class="facts">{facts}</dl>'
-    return Section("next", "The next push", body)
-
-
-# The HTML report of a diagnosis: verdict, ranking, locked pushes, both models beside the measurements.
-
 
 Progress = Callable[[str, int, int], None]
 
@@ -177,17 +54,21 @@ def diagnosis_report(
     lead = [*sizes(diagnosis, dataset.grid), improvement(diagnosis), rivals_sentence(diagnosis)]
     if not diagnosis.effects:
         lead.append(finding(comparisons[0]))
-    text = page(
-        f"{dataset.name}: what does the model miss?",
-        subtitle,
-        [paragraph for paragraph in lead if paragraph],
-        [
-            *diagnosis_sections(diagnosis, dataset, effects),
-            *comparison_sections(comparisons, as_diagnosed(dataset, diagnosis)),
-            reading_section(),
-        ],
-        headline=diagnosis.sentence,
-    )
+    sections = []
+    if diagnosis.effects:
+        sections.append(_answer_section(diagnosis, dataset, tried(diagnosis, effects)))
+    elif diagnosis.depends_on is not None:
+        sections.append(_unknown_section(diagnosis))
+    sections.append(_ranking_section(diagnosis))
+    if diagnosis.before is not None:
+        sections.append(_locked_section(diagnosis))
+    if diagnosis.next_push is not None:
+        sections.append(_next_push_section(diagnosis, dataset))
+    sections += comparison_sections(comparisons, as_diagnosed(dataset, diagnosis))
+    sections.append(Section("reading", "How to read the diagnosis", part("diagnosis.html")))
+    lead = [paragraph for paragraph in lead if paragraph]
+    title = f"{dataset.name}: what does the model miss?"
+    text = page(title, subtitle, lead, sections, headline=diagnosis.sentence)
     report("drawing", 1, 1)
     return text
 
@@ -210,3 +91,73 @@ def compared(
         )
         for label, fitted in models
     ]
+
+
+def _answer_section(diagnosis: Diagnosis, dataset: PushDataset, effects: Sequence[Effect]) -> Section:
+    parts = []
+    for effect in effects:
+        estimates = [p for p in diagnosis.parameters if p.effect == effect.name]
+        parts.append(f"<h3>{escape(effect.name)}</h3><p>{escape(effect.sentence)}</p>")
+        if estimates:
+            words = effect_in_words(effect.name, estimates, dataset.grid)
+            parts.append(f"<p><b>{escape(words[0].upper() + words[1:])}.</b></p>")
+            columns = ["parameter", "value", "90 % interval", "meaning"]
+            parts.append(table(columns, parameter_rows([effect], estimates), numbers=(1, 2)))
+    if len(effects) > 1 and not diagnosis.together:
+        parts.append('<p class="note">Each of these alone explains the data; sizes hold for it alone.</p>')
+    return Section("answer", "What is missing", "\n".join(parts))
+
+
+def _unknown_section(diagnosis: Diagnosis) -> Section:
+    text = str(diagnosis.depends_on)
+    name, _, sentence = text.partition(": ")
+    body = (
+        "<p>No effect of the library, alone or in pairs, explains what is left. Of the flexible laws that"
+        f" were tried, this one gains most: <b>{escape(sentence or name)}</b></p>"
+        '<p class="note">The pictures below, under “Where it fails”, show the residuals of the model without'
+        " effects against place, direction, speed, phase, time and order. An effect of your own, written down"
+        " in a few lines, can be tried with <code>--effect-file</code>.</p>"
+    )
+    return Section("answer", "What is left", body)
+
+
+def _ranking_section(diagnosis: Diagnosis) -> Section:
+    columns = ["effect", "gain", "p", "refitted", "left on top", "p of that", "standing"]
+    note = f'<p class="note">{escape(QUICK)}</p>' if diagnosis.quick else ""
+    numbers = table(
+        columns, ranking(diagnosis), numbers=range(1, 6),
+        marked=[c.name in diagnosis.effects for c in diagnosis.candidates],
+    )  # fmt: skip
+    drawn = gain_figure(diagnosis)
+    body = (
+        f"<p>{escape(evidence(diagnosis))}</p>{note}"
+        + picture(drawn, "Gains of all candidates", wide=len(drawn.axes) > 1)
+        + f"<details><summary>All numbers</summary>{numbers}</details>"
+    )
+    return Section("ranking", "Every effect that was tried", body)
+
+
+def _locked_section(diagnosis: Diagnosis) -> Section:
+    names, rows = locked_table(diagnosis)
+    numbers = table(["mean over pushes", *names], rows, numbers=range(1, 1 + len(names)))
+    count = len(diagnosis.locked)
+    which = "This push was" if count == 1 else f"These {count} pushes were"
+    body = (
+        f"<p>{which} put aside before anything was fitted, and judge the answer.</p>"
+        f'<div class="beside"><div>{picture(locked_figure(diagnosis), "Error of every locked push")}</div>'
+        f"<div>{numbers}</div></div>"
+    )
+    return Section("locked", "Locked pushes", body)
+
+
+def _next_push_section(diagnosis: Diagnosis, dataset: PushDataset) -> Section:
+    push = diagnosis.next_push
+    assert push is not None
+    facts = "".join(f"<dt>{escape(name)}</dt><dd>{escape(value)}</dd>" for name, value in push_facts(push))
+    drawn = picture(
+        telling_push_figure(push, diagnosis, dataset),
+        "The next push, and where each model says it ends",
+        wide=True,
+    )
+    body = f'<p>{escape(str(push["sentence"]))}</p>{drawn}<dl class="facts">{facts}</dl>'
+    return Section("next", "The next push", body)

@@ -1,4 +1,4 @@
-"""What a diagnosis found, in words that terminal and report share."""
+"""What a diagnosis found: in words and tables that terminal and report share, and on the terminal."""
 
 from __future__ import annotations
 
@@ -47,8 +47,7 @@ def standing(candidate: CandidateResult, diagnosis: Diagnosis) -> str:
         named = f"“{probe_sentence(found)}”" if probe_sentence(found) else found
         return f"{named} on top{gain}"
     if diagnosis.verdict in ("adequate", "undecided"):
-        beyond = candidate.p_value is not None and candidate.p_value <= LEVEL
-        if beyond:
+        if candidate.p_value is not None and candidate.p_value <= LEVEL:
             alone = len(diagnosis.open_trials) == 1
             return "no other push to agree with" if alone else "the pushes do not agree on it"
         return "gains no more than chance"
@@ -105,20 +104,34 @@ def improvement(diagnosis: Diagnosis) -> str:
     )
 
 
-def locked_rows(diagnosis: Diagnosis) -> list[tuple[str, str, str]]:
-    """Error, without and with the answer, of the pushes that were locked away."""
-    before, after = diagnosis.before, diagnosis.after
-    if before is None or after is None:
-        return []
+def locked_table(diagnosis: Diagnosis) -> tuple[list[str], list[list[str]]]:
+    """What the models are called, and their errors on the pushes that were locked away; no rows where none
+    was."""
+    names, models = ["the model"], [diagnosis.before]
+    if diagnosis.effect_objects:
+        names, models = [before_label(diagnosis), after_label(diagnosis)], [diagnosis.before, diagnosis.after]
+    errors = [one for one in models if one is not None]
+    rows = [
+        ["over the course (ADD), mm", *(millimetres(float(e.path.mean())) for e in errors)],
+        ["at the end (ADD), mm", *(millimetres(float(e.final.mean())) for e in errors)],
+        ["misfit, in sensor noise (1 is perfect)", *(f"{e.total_misfit:.2f}" for e in errors)],
+    ]
+    return names, rows if errors else []
 
-    def row(name: str, number: str) -> tuple[str, str, str]:
-        errors = [millimetres(float(getattr(e, number).mean())) for e in (before, after)]
-        return name, errors[0], errors[1]
 
+def ranking(diagnosis: Diagnosis) -> list[list[str]]:
+    """Name, gain, p, refitted gain, what is left on top and its p, and standing of each candidate."""
     return [
-        row("over the course (ADD), mm", "path"),
-        row("at the end (ADD), mm", "final"),
-        ("misfit, in sensor noise (1 is perfect)", f"{before.total_misfit:.2f}", f"{after.total_misfit:.2f}"),
+        [
+            candidate.name,
+            nats(candidate.gain),
+            p_shown(candidate.p_value),
+            nats(candidate.fitted_gain),
+            nats(candidate.remaining_gain),
+            p_shown(candidate.remaining_p),
+            standing(candidate, diagnosis),
+        ]
+        for candidate in diagnosis.candidates
     ]
 
 
@@ -161,8 +174,10 @@ def _millimetre_pair(place: Sequence[float]) -> str:
     return f"x {round(1e3 * place[0])} mm, y {round(1e3 * place[1])} mm"
 
 
-def nats(gain: float) -> str:
-    """A gain with a tenth below 100."""
+def nats(gain: float | None) -> str:
+    """A gain with a tenth below 100, a dash where there is none."""
+    if gain is None:
+        return "–"
     text = f"{gain:.0f}" if abs(gain) >= 100 else f"{gain:.1f}"
     return "0.0" if text == "-0.0" else text
 
@@ -176,9 +191,6 @@ def tried(diagnosis: Diagnosis, effects: Sequence[Effect]) -> list[Effect]:
     """The effects among some that the answer names, in its order."""
     by_name = {effect.name: effect for effect in effects}
     return [by_name[name] for name in diagnosis.effects if name in by_name]
-
-
-# A diagnosis on the terminal: verdict, ranking, size, locked pushes, and what to do next.
 
 
 def show_diagnosis(diagnosis: Diagnosis, dataset: PushDataset, effects: Sequence[Effect]) -> None:
@@ -197,16 +209,7 @@ def show_diagnosis(diagnosis: Diagnosis, dataset: PushDataset, effects: Sequence
     table(
         f"Effects that were tried. {evidence(diagnosis)}",
         ["effect", "gain", "p", "refitted", "standing"],
-        [
-            [
-                candidate.name,
-                nats(candidate.gain),
-                p_shown(candidate.p_value),
-                "–" if candidate.fitted_gain is None else nats(candidate.fitted_gain),
-                standing(candidate, diagnosis),
-            ]
-            for candidate in diagnosis.candidates
-        ],
+        [[*row[:4], row[-1]] for row in ranking(diagnosis)],
         numbers=(1, 2, 3),
     )
     rows = parameter_rows(tried(diagnosis, effects), diagnosis.parameters)
@@ -223,14 +226,10 @@ def show_diagnosis(diagnosis: Diagnosis, dataset: PushDataset, effects: Sequence
 
 
 def _show_locked(diagnosis: Diagnosis) -> None:
-    rows = locked_rows(diagnosis)
+    names, rows = locked_table(diagnosis)
     if not rows:
         paragraph("No push was locked away, so there are no errors to judge by: record three pushes or more.")
         return
     count = len(diagnosis.locked)
     title = f"Error on the {count} locked {'push' if count == 1 else 'pushes'}"
-    if diagnosis.effect_objects:
-        columns = ["", "without effects", after_label(diagnosis)]
-        table(title, columns, rows, numbers=(1, 2))
-    else:
-        table(title, ["", "the model"], [row[:2] for row in rows], numbers=(1,))
+    table(title, ["", *names], rows, numbers=range(1, 1 + len(names)))

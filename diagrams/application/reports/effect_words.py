@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from slipmap.diagrams.application.reports.comparison_words import decimals
 from slipmap.models.effects.effect import Effect, Parameter
 from slipmap.models.inference.diagnosis.results import ParameterEstimate
 from slipmap.models.physics.cell_grid import CellGrid
@@ -34,6 +35,9 @@ class Reading:
         """The reading with its number and interval."""
         value, low, high = shown_numbers(self.value, self.low, self.high)
         return self.text.format(f"{value}") + f" ({low} to {high})"
+
+
+Reader = Callable[[Estimates, CellGrid], list[Reading]]
 
 
 def effect_in_words(name: str, estimates: Sequence[ParameterEstimate], grid: CellGrid) -> str:
@@ -86,8 +90,7 @@ def shown_numbers(*values: float) -> tuple[str, ...]:
     """Numbers of which the last two are an interval, with two figures of its width."""
     width = abs(values[-1] - values[-2])
     size = width if np.isfinite(width) and width > 0 else max(map(abs, values))
-    digits = int(np.clip(1 - np.floor(np.log10(size)), 0, 8)) if np.isfinite(size) and size > 0 else 3
-    return tuple(f"{value:.{digits}f}" for value in values)
+    return tuple(f"{value:.{decimals(size)}f}" for value in values)
 
 
 def _scaled(text: str, estimate: ParameterEstimate, factor: float) -> Reading:
@@ -124,7 +127,7 @@ def _tilt(p: Estimates, grid: CellGrid) -> list[Reading]:
     return [Reading("tilt {}°", *tilt), *_direction("downhill towards {}°", angle)]
 
 
-def _grain(where: str) -> Callable[[Estimates, CellGrid], list[Reading]]:
+def _grain(where: str) -> Reader:
     def read(p: Estimates, grid: CellGrid) -> list[Reading]:
         rho, angle = _polar(p["along_x"], p["along_xy"])
         ratio = [(1 + r) / (1 - r) for r in (min(r, 0.99) for r in rho)]
@@ -139,13 +142,6 @@ def _grain(where: str) -> Callable[[Estimates, CellGrid], list[Reading]]:
 def _viscous(p: Estimates, grid: CellGrid) -> list[Reading]:
     area = len(grid) * grid.width**2
     return [_scaled("drag {} N for each 100 mm/s of the whole object", p["drag_per_area"], 0.1 * area)]
-
-
-def _stribeck(p: Estimates, grid: CellGrid) -> list[Reading]:
-    return [
-        _scaled("friction at rest {} % above that of fast sliding", p["excess"], 100.0),
-        _scaled("most of it lost by {} mm/s", p["speed"], 1e3),
-    ]
 
 
 def _field(p: Estimates, grid: CellGrid) -> list[Reading]:
@@ -166,85 +162,57 @@ def _field(p: Estimates, grid: CellGrid) -> list[Reading]:
     ]
 
 
-def _tether(p: Estimates, grid: CellGrid) -> list[Reading]:
-    return [
-        _scaled("a pull of {} N for each 100 mm", p["stiffness"], 0.1),
-        _scaled("towards x {} mm", p["anchor_x"], 1e3),
-        _scaled("y {} mm", p["anchor_y"], 1e3),
-        _scaled("beyond {} mm of slack", p["slack"], 1e3),
-    ]
-
-
 def _latency(p: Estimates, grid: CellGrid) -> list[Reading]:
     if p["latency"].value < 0:
         return [_scaled("the tracker is {} ms early", p["latency"], -1e3)]
     return [_scaled("the tracker is {} ms late", p["latency"], 1e3)]
 
 
-def _drift(p: Estimates, grid: CellGrid) -> list[Reading]:
-    return [_scaled("friction changes by {} % a push", p["rate"], 100.0)]
+def _each(*readings: tuple[str, str, float]) -> Reader:
+    """Reads parameters one by one; each reading is a text, a parameter and a factor on it."""
+    return lambda p, grid: [_scaled(text, p[name], factor) for text, name, factor in readings]
 
 
-def _compliance(p: Estimates, grid: CellGrid) -> list[Reading]:
-    return [_scaled("the tip gives {} mm for each newton", p["compliance"], 1e3)]
-
-
-def _loose(p: Estimates, grid: CellGrid) -> list[Reading]:
-    return [
-        _scaled("{} % of the mass is loose", p["share"], 100.0),
-        _scaled("swinging {} times a second", p["rate"], 0.5 / np.pi),
-        _scaled("damping ratio {}", p["damping"], 1.0),
-    ]
-
-
-def _load(p: Estimates, grid: CellGrid) -> list[Reading]:
-    return [
-        _scaled("pushed {} mm above the table", p["push_height"], 1e3),
-        _scaled("centre of mass {} mm above it", p["mass_height"], 1e3),
-    ]
-
-
-def _skate(p: Estimates, grid: CellGrid) -> list[Reading]:
-    return [
-        _scaled("sideways resistance {} % of the weight", p["resistance"], 100.0),
-        _scaled("rolling along {}° of the object", p["angle"], 180.0 / np.pi),
-        _scaled("at x {} mm", p["point_x"], 1e3),
-        _scaled("y {} mm", p["point_y"], 1e3),
-    ]
-
-
-def _offset(p: Estimates, grid: CellGrid) -> list[Reading]:
-    return [
-        _scaled("the tracked frame sits {} mm along the object's x", p["x"], 1e3),
-        _scaled("{} mm along its y", p["y"], 1e3),
-        _scaled("turned by {}°", p["angle"], 180.0 / np.pi),
-    ]
-
-
-def _scale(p: Estimates, grid: CellGrid) -> list[Reading]:
-    return [_scaled("reported lengths are {} % above true ones", p["excess"], 100.0)]
-
-
-def _lean(p: Estimates, grid: CellGrid) -> list[Reading]:
-    return [_scaled("friction leans {} % as far as in Bullet", p["share"], 100.0)]
-
-
-READERS: dict[str, Callable[[Estimates, CellGrid], list[Reading]]] = {
+READERS: dict[str, Reader] = {
     "table_tilt": _tilt,
     "anisotropic_table": _grain("the table"),
     "anisotropic_object": _grain("the object"),
     "viscous_friction": _viscous,
-    "stribeck_friction": _stribeck,
+    "stribeck_friction": _each(
+        ("friction at rest {} % above that of fast sliding", "excess", 100.0),
+        ("most of it lost by {} mm/s", "speed", 1e3),
+    ),
     "table_friction_field": _field,
-    "tether": _tether,
+    "tether": _each(
+        ("a pull of {} N for each 100 mm", "stiffness", 0.1),
+        ("towards x {} mm", "anchor_x", 1e3),
+        ("y {} mm", "anchor_y", 1e3),
+        ("beyond {} mm of slack", "slack", 1e3),
+    ),
     "sensor_latency": _latency,
-    "friction_drift": _drift,
-    "finger_compliance": _compliance,
-    "loose_mass": _loose,
-    "load_transfer": _load,
-    "impulse_friction": _lean,
-    "skate": _skate,
-    "tracker_offset": _offset,
-    "tracker_scale": _scale,
+    "friction_drift": _each(("friction changes by {} % a push", "rate", 100.0)),
+    "finger_compliance": _each(("the tip gives {} mm for each newton", "compliance", 1e3)),
+    "loose_mass": _each(
+        ("{} % of the mass is loose", "share", 100.0),
+        ("swinging {} times a second", "rate", 0.5 / np.pi),
+        ("damping ratio {}", "damping", 1.0),
+    ),
+    "load_transfer": _each(
+        ("pushed {} mm above the table", "push_height", 1e3),
+        ("centre of mass {} mm above it", "mass_height", 1e3),
+    ),
+    "impulse_friction": _each(("friction leans {} % as far as in Bullet", "share", 100.0)),
+    "skate": _each(
+        ("sideways resistance {} % of the weight", "resistance", 100.0),
+        ("rolling along {}° of the object", "angle", 180.0 / np.pi),
+        ("at x {} mm", "point_x", 1e3),
+        ("y {} mm", "point_y", 1e3),
+    ),
+    "tracker_offset": _each(
+        ("the tracked frame sits {} mm along the object's x", "x", 1e3),
+        ("{} mm along its y", "y", 1e3),
+        ("turned by {}°", "angle", 180.0 / np.pi),
+    ),
+    "tracker_scale": _each(("reported lengths are {} % above true ones", "excess", 100.0)),
 }
 """Effects of the library, each with a way to say its size."""

@@ -10,6 +10,7 @@ import numpy as np
 from slipmap.diagrams.application.reports.comparison_words import (
     QUANTITIES,
     ROLES,
+    decimals,
     millimetres,
     p_text,
     short_name,
@@ -22,25 +23,23 @@ from slipmap.models.inference.push_errors import Errors, noise_floor
 from slipmap.models.inference.results import PushPrediction, Quantity
 from slipmap.models.measurements import PushDataset
 
-SENSITIVE = 10.0
+_SENSITIVE = 10.0
 """Metres that the end moves for a metre at the start, from which a push is called near to balance."""
 
-FEWEST_JUDGES = 3
+_FEWEST_JUDGES = 3
 """Held-out pushes below which nothing is said of them together."""
 
-MUCH_FARTHER = 2.0
+_MUCH_FARTHER = 2.0
 """Errors over spreads, the median of held-out pushes: 0.6 to 1.7 where the model has what made the pushes, in
 nine recorded sets; 2.2 to 3.2 with hidden effects, and on real pushes that the maps do not explain."""
 
 HARDLY_BETTER = 0.8
 
-MOST_ROWS = 30
-FEW_PATTERNS = 5
-MEASURES = ("final_add", "uniform_add", "no_motion_add")
-SHOWN_UNITS = {"m": ("mm", 1e3), "-": ("", 1.0)}
-
-
-LAW_WORDS = {
+_MOST_ROWS = 30
+_FEW_PATTERNS = 5
+_MEASURES = ("final_add", "uniform_add", "no_motion_add")
+_SHOWN_UNITS = {"m": ("mm", 1e3), "-": ("", 1.0)}
+_LAW_WORDS = {
     PLAIN: "plain (each cell carries its own weight)",
     "load_transfer": "load_transfer (pushing loads the front)",
     "impulse_friction": "impulse_friction (friction leans as in a simulator's impulses)",
@@ -55,7 +54,7 @@ def show_errors(pushes: Sequence[PushPrediction], dataset: PushDataset) -> None:
         group = [push for push in pushes if push.role == role]
         for label, average in (("mean", np.mean), ("median", np.median)):
             if group:
-                numbers = [average([getattr(push, of) for push in group]) for of in MEASURES]
+                numbers = [average([getattr(push, of) for push in group]) for of in _MEASURES]
                 rows.append([f"{len(group)} {name}", label, *map(_millimetres, numbers)])
     table(
         "Error at the end of a push (ADD: mean distance of the cells), mm",
@@ -71,7 +70,7 @@ def show_errors(pushes: Sequence[PushPrediction], dataset: PushDataset) -> None:
 def is_doubted(pushes: Sequence[PushPrediction], dataset: PushDataset) -> bool:
     """Whether held-out pushes end much farther off than a belief allows for, see `doubts`."""
     held = [push for push in pushes if push.role == "heldout"]
-    return len(held) >= FEWEST_JUDGES and _excess(held, dataset) > MUCH_FARTHER
+    return len(held) >= _FEWEST_JUDGES and _excess(held, dataset) > _MUCH_FARTHER
 
 
 def _excess(held: Sequence[PushPrediction], dataset: PushDataset) -> float:
@@ -95,14 +94,14 @@ def show_friction_laws(shares: Mapping[str, float]) -> None:
 
 def _law_in_words(name: str) -> str:
     effects = name.split(TOGETHER)
-    return LAW_WORDS[name] if len(effects) == 1 else f"{' and '.join(effects)} together"
+    return _LAW_WORDS[name] if len(effects) == 1 else f"{' and '.join(effects)} together"
 
 
 def doubts(pushes: Sequence[PushPrediction], dataset: PushDataset) -> list[str]:
     """What held-out pushes say against a belief: errors far beyond its own spread and the sensors' noise, or
     no smaller than those of a uniform object."""
     held = [push for push in pushes if push.role == "heldout"]
-    if len(held) < FEWEST_JUDGES:
+    if len(held) < _FEWEST_JUDGES:
         return []
     errors = np.array([push.final_add for push in held])
     found = []
@@ -122,9 +121,9 @@ def doubts(pushes: Sequence[PushPrediction], dataset: PushDataset) -> list[str]:
 
 
 def _show_pushes(pushes: Sequence[PushPrediction]) -> None:
-    shown, left = list(pushes), 0
-    if len(shown) > MOST_ROWS:
-        shown, left = sorted(pushes, key=lambda push: -push.final_add)[:MOST_ROWS], len(shown) - MOST_ROWS
+    shown = list(pushes)
+    if len(shown) > _MOST_ROWS:
+        shown = sorted(pushes, key=lambda push: -push.final_add)[:_MOST_ROWS]
     rows = [
         [
             short_name(push.trial),
@@ -134,11 +133,9 @@ def _show_pushes(pushes: Sequence[PushPrediction]) -> None:
         ]
         for push in shown
     ]
-    title = "Push by push, mm"
-    if left:
-        title = f"The {len(shown)} worst pushes of {len(pushes)}, mm (--json holds all)"
+    worst = f"The {len(shown)} worst pushes of {len(pushes)}, mm (--json holds all)"
     table(
-        title,
+        worst if len(shown) < len(pushes) else "Push by push, mm",
         ["push", "role", "error", "spread", "uniform", "no motion", "remark"],
         rows,
         numbers=(2, 3, 4, 5),
@@ -147,7 +144,7 @@ def _show_pushes(pushes: Sequence[PushPrediction]) -> None:
 
 def remark(push: PushPrediction) -> str:
     """What a reader should know of a push that starts near to balance; empty for others."""
-    if not push.start_sensitivity >= SENSITIVE:
+    if not push.start_sensitivity >= _SENSITIVE:
         return ""
     return f"half a millimetre decides: it moves the end by {0.5 * push.start_sensitivity:.0f} mm"
 
@@ -179,7 +176,9 @@ def show_comparison(results: Sequence[Comparison]) -> None:
 def _show_patterns(result: Comparison, head: str) -> None:
     if not result.structure:
         return
-    shown = [pattern for k, pattern in enumerate(result.structure) if k < FEW_PATTERNS or pattern.significant]
+    shown = [
+        pattern for k, pattern in enumerate(result.structure) if k < _FEW_PATTERNS or pattern.significant
+    ]
     tests = len(result.structure)
     table(
         f"What the rest hangs together with{head}: the surest of {tests} tests (* significant)",
@@ -226,7 +225,7 @@ def show_quantities(quantities: Sequence[Quantity], *, doubted: bool) -> None:
 
 def named(quantity: Quantity) -> str:
     """Name and the unit in which `shown` gives its numbers."""
-    unit, _ = SHOWN_UNITS.get(quantity.unit, (quantity.unit, 1.0))
+    unit, _ = _SHOWN_UNITS.get(quantity.unit, (quantity.unit, 1.0))
     return f"{quantity.name}, {unit}" if unit else quantity.name
 
 
@@ -235,22 +234,14 @@ def shown(quantity: Quantity, *values: float) -> tuple[str, ...]:
 
     An interval that spans decades gets two figures for each number instead.
     """
-    _, factor = SHOWN_UNITS.get(quantity.unit, (quantity.unit, 1.0))
+    _, factor = _SHOWN_UNITS.get(quantity.unit, (quantity.unit, 1.0))
     low, high = factor * quantity.low, factor * quantity.high
     decades = low > 0 and high > 5 * low
     numbers = [
-        f"{number:.{_digits(number if decades else high - low)}f}"
+        f"{number:.{decimals(number if decades else high - low)}f}"
         for number in (*(factor * value for value in values), low, high)
     ]
     return (*numbers[:-2], f"{numbers[-2]} to {numbers[-1]}")
-
-
-def _digits(size: float) -> int:
-    """Decimals that show two figures of a number of this size, 0 to 8."""
-    size = abs(size)
-    if not (np.isfinite(size) and size > 0):
-        return 3
-    return int(np.clip(1 - np.floor(np.log10(size)), 0, 8))
 
 
 def _millimetres(metres: float) -> str:

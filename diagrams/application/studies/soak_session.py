@@ -1,7 +1,7 @@
 """One process of a soak: explores in a cell in lockstep until it is done, a fault stops it, or it is killed.
 
-Started by `soak.py` as `python -m slipmap.diagrams.application.studies.soak_session FOLDER`, with a task on its standard
-input. Lines on its standard output say how far it is.
+`soak.py` starts it as `python -m slipmap.diagrams.application.studies.soak_session FOLDER`, with a task on
+its standard input. Lines on its standard output say how far it is.
 """
 
 from __future__ import annotations

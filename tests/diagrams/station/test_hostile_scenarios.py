@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from pydrake.common.yaml import yaml_dump_typed
 
-from slipmap.diagrams.application.commands.explore import scenario_of
+from slipmap.diagrams.application.commands.cell_run import scenario_of
 from slipmap.diagrams.station.scenario import Scenario, ScenarioError, read_scenario
 from slipmap.models.files import BadInput
 from tests.mutations import refusals, spoilt

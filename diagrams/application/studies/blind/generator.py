@@ -13,20 +13,34 @@ import numpy as np
 import shapely
 import yaml
 
-from blind.effects import LIBRARY, OUTSIDE, Effect, Strength
-from blind.objects import GRAVITY, FloatArray, SlidingObject, random_object
-from blind.push_plans import HELDOUT, KINDS, TABLE_SIZE, PushPlan, random_plan
-from blind.world import Motion, World
+from slipmap.diagrams.application.studies.blind.effects import LIBRARY, OUTSIDE, Chance, Effect, Strength
+from slipmap.diagrams.application.studies.blind.objects import (
+    GRAVITY,
+    FloatArray,
+    SlidingObject,
+    random_object,
+    rotation_matrix,
+)
+from slipmap.diagrams.application.studies.blind.push_plans import (
+    HELDOUT,
+    KINDS,
+    TABLE_SIZE,
+    PushPlan,
+    random_plan,
+)
+from slipmap.diagrams.application.studies.blind.world import Motion, World
+from slipmap.models.files import replaced_file
+from slipmap.models.geometry import placed
 
-RATE = 100.0  # Hz
-POSITION_NOISE, ANGLE_NOISE, TIP_NOISE, FORCE_NOISE = 2.5e-4, float(np.radians(0.15)), 5e-5, 0.05
-DROPOUTS = 0.005
-"""Share of rows that a sensor loses; their values are NaN."""
+LARGEST_OVERLAP = 0.002
+"""Depth up to which a tracker that is off may put the finger into the object at the start of a push, m."""
 
-SHARE_NONE, SHARE_OUTSIDE, SHARE_WEAK = 0.3, 0.2, 0.35
-LEAST_MOVED = 0.01  # m
-LARGEST_OVERLAP = 0.002  # m
-TRIES = 6
+_RATE = 100.0  # Hz
+_NOISE = {"position": 2.5e-4, "angle": float(np.radians(0.15)), "tip": 5e-5, "force": 0.05}  # SI
+_DROPOUTS = 0.005  # share of rows that a sensor loses; their values are NaN
+_SHARE_NONE, _SHARE_OUTSIDE, _SHARE_WEAK = 0.3, 0.2, 0.35
+_LEAST_MOVED = 0.01  # m
+_TRIES = 6
 
 
 @dataclass(frozen=True)
@@ -96,7 +110,7 @@ def generate(
     drawn_effect, drawn_strength = _draw_effect(rng)
     effect, strength = effect or drawn_effect, strength or drawn_strength
     thing = random_object(np.random.default_rng([seed, 1]))
-    hidden = effect.draw(np.random.default_rng([seed, 2]), strength, thing)
+    hidden = effect.draw(Chance(np.random.default_rng([seed, 2]), strength, thing))
     plans, plain = _plans(np.random.default_rng([seed, 3]), thing, hidden, pushes)
     changed = plain
     if hidden.changes_motion and effect is not Effect:
@@ -106,7 +120,8 @@ def generate(
         _change(thing, plan.duration, hidden, motion, before)
         for plan, motion, before in zip(plans, changed, plain, strict=True)
     ]
-    change = [1e3 * final for final, _, _ in changes]
+    final, largest, force = np.array(changes).T
+    final = 1e3 * final
     is_none = effect is Effect
     truth = Truth(
         name=folder.name,
@@ -118,13 +133,13 @@ def generate(
         strength=None if is_none else strength,
         parameters={} if is_none else _plain(hidden.parameters),
         final_change_mm={
-            "mean": round(float(np.mean(change)), 3),
-            "median": round(float(np.median(change)), 3),
-            "max": round(float(np.max(change)), 3),
-            "per_trial": [round(value, 3) for value in change],
+            "mean": round(float(final.mean()), 3),
+            "median": round(float(np.median(final)), 3),
+            "max": round(float(final.max()), 3),
+            "per_trial": [round(float(value), 3) for value in final],
         },
-        largest_change_mm=round(1e3 * max(largest for _, largest, _ in changes), 3),
-        force_change_rms=round(float(np.mean([force for _, _, force in changes])), 4),
+        largest_change_mm=round(float(1e3 * largest.max()), 3),
+        force_change_rms=round(float(force.mean()), 4),
     )
     sensors = np.random.default_rng([seed, 4])
     trials = [
@@ -138,11 +153,11 @@ def generate(
 
 
 def _draw_effect(rng: np.random.Generator) -> tuple[type[Effect], Strength]:
-    strength: Strength = "weak" if rng.random() < SHARE_WEAK else "clear"
+    strength: Strength = "weak" if rng.random() < _SHARE_WEAK else "clear"
     chance = rng.random()
-    if chance < SHARE_NONE:
+    if chance < _SHARE_NONE:
         return Effect, strength
-    group = OUTSIDE if chance < SHARE_NONE + SHARE_OUTSIDE else LIBRARY
+    group = OUTSIDE if chance < _SHARE_NONE + _SHARE_OUTSIDE else LIBRARY
     return group[rng.integers(len(group))], strength
 
 
@@ -156,12 +171,12 @@ def _plans(
     world = World(thing, Effect())
     plans, motions = [], []
     for kind in [KINDS[i % len(KINDS)] for i in rng.permutation(max(pushes, len(KINDS)))[:pushes]]:
-        for _ in range(TRIES):
+        for _ in range(_TRIES):
             plan = random_plan(rng, thing, kind)
             while _recorded_overlap(thing, plan, effect) > LARGEST_OVERLAP:
                 plan = random_plan(rng, thing, kind)
             motion = world.push(plan)
-            if _distance(thing, motion.poses[-1], motion.poses[0]) > LEAST_MOVED:
+            if _distance(thing, motion.poses[-1], motion.poses[0]) > _LEAST_MOVED:
                 break
         plans.append(plan)
         motions.append(motion)
@@ -171,8 +186,7 @@ def _plans(
 def _recorded_overlap(thing: SlidingObject, plan: PushPlan, effect: Effect) -> float:
     """Depth of the finger in the recorded object at the start, m; negative where they are apart."""
     x, y, angle = effect.reported(np.zeros(1), np.zeros(1), plan.pose[None])[0]
-    c, s = np.cos(angle), np.sin(angle)
-    finger = (plan.path.start - [x, y]) @ np.array([[c, -s], [s, c]])
+    finger = (plan.path.start - [x, y]) @ rotation_matrix(angle)
     return thing.finger_radius - shapely.Point(finger).distance(thing.footprint)
 
 
@@ -180,23 +194,18 @@ def _change(
     thing: SlidingObject, duration: float, effect: Effect, motion: Motion, plain: Motion
 ) -> tuple[float, float, float]:
     """What the effect changed: recorded pose at the end and at most, m, and force, N (root mean square)."""
-    times = np.arange(0.0, duration, 1.0 / RATE)
+    times = np.arange(0.0, duration, 1.0 / _RATE)
     recorded = effect.reported(times, motion.clock, motion.poses)
     apart = _distance(thing, recorded, Effect().reported(times, plain.clock, plain.poses))
-    every = round(motion.clock.size / (RATE * motion.clock[-1]))
-    force = RATE * np.diff((motion.impulse - plain.impulse)[::every, :2], axis=0)
+    every = round(motion.clock.size / (_RATE * motion.clock[-1]))
+    force = _RATE * np.diff((motion.impulse - plain.impulse)[::every, :2], axis=0)
     return float(apart[-1]), float(apart.max()), float(np.sqrt((force**2).sum(axis=1).mean()))
 
 
 def _distance(thing: SlidingObject, one: FloatArray, other: FloatArray) -> FloatArray:
     """(...) mean over the cells of how far they are apart at the poses (..., 3), m."""
-
-    def cells(poses: FloatArray) -> FloatArray:
-        c, s = np.cos(poses[..., 2:]), np.sin(poses[..., 2:])
-        x, y = thing.centers.T
-        return np.stack([poses[..., :1] + c * x - s * y, poses[..., 1:2] + s * x + c * y], axis=-1)
-
-    return np.linalg.norm(cells(one) - cells(other), axis=-1).mean(axis=-1)
+    cells, others = (placed(thing.centers, poses[..., None, :]) for poses in (one, other))
+    return np.linalg.norm(cells - others, axis=-1).mean(axis=-1)
 
 
 def _record(
@@ -205,29 +214,30 @@ def _record(
     """What the sensors write: at 100 Hz, each with its own first moment, independent noise and lost rows."""
 
     def stamps() -> FloatArray:
-        first = rng.uniform(0.0, 1.0 / RATE)
-        return first + np.arange(int((plan.duration - first) * RATE)) / RATE
+        first = rng.uniform(0.0, 1.0 / _RATE)
+        return first + np.arange(int((plan.duration - first) * _RATE)) / _RATE
 
     def rows(times: FloatArray, values: FloatArray, levels: list[float]) -> list[list[float]]:
         noisy = values + np.array(levels) * rng.standard_normal(values.shape)
-        noisy[rng.random(len(times)) < DROPOUTS] = np.nan
+        noisy[rng.random(len(times)) < _DROPOUTS] = np.nan
         return np.round(np.column_stack([times, noisy]), 6).tolist()
 
     def known(times: FloatArray, values: FloatArray) -> FloatArray:
         return np.column_stack([np.interp(times, motion.clock, column) for column in values.T])
 
+    tip_noise, force_noise = _NOISE["tip"], _NOISE["force"]
     t = stamps()
     poses = effect.reported(t, motion.clock, motion.poses)
-    record = {"object_pose": rows(t, poses, [POSITION_NOISE, POSITION_NOISE, ANGLE_NOISE])}
+    record = {"object_pose": rows(t, poses, [_NOISE["position"], _NOISE["position"], _NOISE["angle"]])}
     t = stamps()
     tip = np.column_stack([known(t, motion.hand), np.zeros(len(t))])
-    record["tip_pose"] = rows(t, tip, [TIP_NOISE, TIP_NOISE, 0.0])
+    record["tip_pose"] = rows(t, tip, [tip_noise, tip_noise, 0.0])
     t = stamps()
     # A force sensor's filter: the mean over the time from half a row before to half a row after.
-    half = 0.5 / RATE
+    half = 0.5 / _RATE
     low, high = np.maximum(t - half, 0.0), t + half
     wrench = (known(high, motion.impulse) - known(low, motion.impulse)) / (high - low)[:, None]
-    record["ft_wrench"] = rows(t, wrench, [FORCE_NOISE, FORCE_NOISE, FORCE_NOISE * thing.finger_radius])
+    record["ft_wrench"] = rows(t, wrench, [force_noise, force_noise, force_noise * thing.finger_radius])
     return record
 
 
@@ -248,12 +258,7 @@ def _description(name: str, thing: SlidingObject, roles: list[str]) -> dict[str,
         "finger": {"radius": round(thing.finger_radius, 5)},
         "table": {"shape": "rectangle", "center": [0.0, 0.0], "size": [TABLE_SIZE, TABLE_SIZE]},
         "gravity": GRAVITY,
-        "noise": {
-            "position": POSITION_NOISE,
-            "angle": round(ANGLE_NOISE, 9),
-            "tip": TIP_NOISE,
-            "force": FORCE_NOISE,
-        },
+        "noise": {name: round(level, 9) for name, level in _NOISE.items()},
         "trials": [{"file": f"trials/{index:03d}.json", "role": role} for index, role in enumerate(roles)],
     }
 
@@ -295,9 +300,8 @@ def _write_truth(
         }
         for plan, motion in zip(plans, plain, strict=True)
     ]
-    part = file.with_name(f".{os.getpid()}.{file.name}")
-    part.write_text(_yaml(_plain(document)), encoding="utf-8")
-    os.replace(part, file)
+    with replaced_file(file) as part:
+        part.write_text(_yaml(_plain(document)), encoding="utf-8")
 
 
 def _yaml(document: dict[str, Any]) -> str:

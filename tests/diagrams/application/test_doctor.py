@@ -124,5 +124,5 @@ def test_messages_go_round_here():
 def test_packages_are_those_that_the_project_names():
     import tomllib
 
-    text = (Path(__file__).parents[2] / "pyproject.toml").read_text()
+    text = (Path(__file__).resolve().parents[3] / "pyproject.toml").read_text()
     assert health._required() == tomllib.loads(text)["project"]["dependencies"]

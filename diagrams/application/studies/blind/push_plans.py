@@ -7,15 +7,15 @@ from dataclasses import dataclass
 import numpy as np
 import shapely
 
-from blind.objects import FloatArray, SlidingObject
+from slipmap.diagrams.application.studies.blind.objects import FloatArray, SlidingObject, rotation_matrix
 
 KINDS = ("medium",) * 7 + ("fast",) * 6 + ("slow",) * 4 + ("accelerating",) * 4 + ("strokes",) * 3
 """The kinds of the 24 pushes of a dataset, in no order."""
 
 HELDOUT = 8
 TABLE_SIZE = 1.0  # m, a square about the origin
-START_WITHIN = 0.33  # m
-SPARE = 0.1  # s that the path goes on after the recording
+_START_WITHIN = 0.33  # m
+_SPARE = 0.1  # s that the path goes on after the recording
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,17 +75,17 @@ class PushPlan:
 def random_plan(rng: np.random.Generator, thing: SlidingObject, kind: str) -> PushPlan:
     """A push of the given kind somewhere on the table, against a random place of the outline."""
     end, times, speeds = _timing(rng, kind)
-    duration = round(float(times[-1]) - SPARE, 2)
+    duration = round(float(times[-1]) - _SPARE, 2)
     curved = kind != "strokes" and rng.random() < 0.65
     curvature = float(rng.uniform(-3.5, 3.5)) if curved else 0.0
     start, heading = _approach(rng, thing)
     pose = np.array([0.0, 0.0, rng.uniform(-np.pi, np.pi)])
-    turn = _rotation(pose[2])
+    turn = rotation_matrix(pose[2])
     path = FingerPath(turn @ start, heading + pose[2], curvature, times, speeds)
     # The object is to start and to stay well within the table.
     way = path.positions(times[-1:])[0] - path.start
     for _ in range(1000):
-        place = rng.uniform(-START_WITHIN, START_WITHIN, 2)
+        place = rng.uniform(-_START_WITHIN, _START_WITHIN, 2)
         if np.abs(place + way).max() + thing.reach < 0.5 * TABLE_SIZE:
             break
     else:
@@ -113,7 +113,7 @@ def _timing(rng: np.random.Generator, kind: str) -> tuple[str, FloatArray, Float
         low, high = {"slow": (2.8, 3.6), "medium": (1.4, 2.8), "fast": (0.7, 1.3)}[kind]
         times, speeds = [0.0, rng.uniform(0.05, 0.28), rng.uniform(low, high)], [0.0, speed, speed]
     if end == "moving":
-        times, speeds = [*times, times[-1] + SPARE], [*speeds, speeds[-1]]
+        times, speeds = [*times, times[-1] + _SPARE], [*speeds, speeds[-1]]
     else:
         brake = rng.uniform(0.14, 0.36) if end == "gentle" else rng.uniform(0.008, 0.02)
         stop = times[-1] + brake
@@ -149,8 +149,3 @@ def _approach(rng: np.random.Generator, thing: SlidingObject) -> tuple[FloatArra
         free = shapely.LineString([start, touch - 1e-3 * direction]).distance(thing.footprint)
         if free > thing.finger_radius + 2e-4:
             return start, heading
-
-
-def _rotation(angle: float) -> FloatArray:
-    c, s = np.cos(angle), np.sin(angle)
-    return np.array([[c, -s], [s, c]])

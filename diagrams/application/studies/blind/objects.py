@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -11,7 +12,12 @@ from numpy.typing import NDArray
 
 FloatArray = NDArray[np.float64]
 GRAVITY = 9.81
-LEAST_MU, LARGEST_MU = 0.08, 0.6
+
+
+def rotation_matrix(angle: float) -> FloatArray:
+    """(2, 2) that turns vectors by an angle, rad."""
+    c, s = np.cos(angle), np.sin(angle)
+    return np.array([[c, -s], [s, c]])
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,6 +67,7 @@ class SlidingObject:
 
     @property
     def total_mass(self) -> float:
+        """Of all cells, kg."""
         return float(self.mass.sum())
 
     @property
@@ -80,6 +87,7 @@ class SlidingObject:
 
     @property
     def area(self) -> float:
+        """Of the footprint, m²."""
         return len(self.cells) * self.width**2
 
     @property
@@ -146,7 +154,7 @@ def random_object(rng: np.random.Generator) -> SlidingObject:
         mass[rng.integers(len(cells))] *= rng.uniform(2.5, 6.0)
     mass *= np.exp(rng.uniform(np.log(0.3), np.log(2.0))) / mass.sum()
     mu = np.exp(0.15 * _smooth_field(rng, centers) + 0.07 * rng.standard_normal(len(cells)))
-    mu = np.clip(mu * rng.uniform(0.2, 0.5) / mu.mean(), LEAST_MU, LARGEST_MU)
+    mu = np.clip(mu * rng.uniform(0.2, 0.5) / mu.mean(), 0.08, 0.6)
     return SlidingObject(
         shape=shape,
         cells=cells,
@@ -170,13 +178,9 @@ def _smooth_field(rng: np.random.Generator, centers: FloatArray) -> FloatArray:
 
 
 def _random_cells(rng: np.random.Generator) -> tuple[str, NDArray[np.int64]]:
-    shapes = {
-        "T": _t_shape, "L": _l_shape, "book": _book, "hammer": _hammer,
-        "bar": _bar, "cross": _cross, "step": _step, "wedge": _wedge,
-    }  # fmt: skip
     while True:
-        shape = str(rng.choice(list(shapes)))
-        filled = shapes[shape](rng)
+        shape = str(rng.choice(list(_SHAPES)))
+        filled = _SHAPES[shape](rng)
         if 20 <= filled.sum() <= 60:
             if rng.random() < 0.5:
                 filled = filled[::-1]
@@ -198,14 +202,6 @@ def _l_shape(rng: np.random.Generator) -> NDArray[np.bool_]:
     filled[:, :q] = True
     filled[:p, :] = True
     return filled
-
-
-def _book(rng: np.random.Generator) -> NDArray[np.bool_]:
-    return np.ones((rng.integers(5, 10), rng.integers(4, 8)), dtype=bool)
-
-
-def _bar(rng: np.random.Generator) -> NDArray[np.bool_]:
-    return np.ones((rng.integers(8, 15), rng.integers(2, 5)), dtype=bool)
 
 
 def _hammer(rng: np.random.Generator) -> NDArray[np.bool_]:
@@ -237,3 +233,15 @@ def _wedge(rng: np.random.Generator) -> NDArray[np.bool_]:
     a, b = rng.integers(7, 11), rng.integers(5, 9)
     reach = np.ceil(np.linspace(a, rng.integers(2, 5), b)).astype(int)
     return np.arange(a)[:, None] < reach
+
+
+_SHAPES: dict[str, Callable[[np.random.Generator], NDArray[np.bool_]]] = {
+    "T": _t_shape,
+    "L": _l_shape,
+    "book": lambda rng: np.ones((rng.integers(5, 10), rng.integers(4, 8)), dtype=bool),
+    "hammer": _hammer,
+    "bar": lambda rng: np.ones((rng.integers(8, 15), rng.integers(2, 5)), dtype=bool),
+    "cross": _cross,
+    "step": _step,
+    "wedge": _wedge,
+}

@@ -1,24 +1,22 @@
 """`slipmap blind-test` with a small generator and a diagnosis that is told what to say."""
 
 import json
-import sys
 from types import SimpleNamespace
 
 import pytest
 
-from slipmap.diagrams.application.commands import blind_test
+from slipmap.diagrams.application.studies.blind import generator
+from slipmap.diagrams.application.studies.blind.effects import Effect, TableTilt
 from slipmap.models.measurements import PushDataset
 
 
 @pytest.fixture
 def diagnosed(monkeypatch):
     """A diagnosis in place of the real one; the seeds it was asked for, and what it answers."""
-    generator = blind_test._blind("generator")
     generate = generator.generate
-    tilt, nothing = blind_test._blind("effects").TableTilt, blind_test._blind("effects").Effect
 
     def small(seed, folder):
-        return generate(seed, folder, effect=tilt if seed == 7 else nothing, strength="clear", pushes=1)
+        return generate(seed, folder, effect=TableTilt if seed == 7 else Effect, strength="clear", pushes=1)
 
     monkeypatch.setattr(generator, "generate", small)
     asked = []
@@ -34,7 +32,7 @@ def diagnosed(monkeypatch):
         return {"verdict": "ambiguous", "effect": None, "effects": ["tether", "table_tilt"], "seconds": 2.0}
 
     broken: set[int] = set()
-    monkeypatch.setitem(sys.modules, "slipmap.models.inference.diagnosis", SimpleNamespace(diagnose=diagnose))
+    monkeypatch.setattr("slipmap.models.inference.diagnosis.diagnose", diagnose)
     return SimpleNamespace(asked=asked, broken=broken)
 
 
@@ -81,18 +79,10 @@ def test_a_diagnosis_with_an_unheard_of_verdict_is_a_failure_and_not_the_end(
     slipmap, tmp_path, diagnosed, monkeypatch
 ):
     monkeypatch.setattr(
-        sys.modules["slipmap.models.inference.diagnosis"],
-        "diagnose",
+        "slipmap.models.inference.diagnosis.diagnose",
         lambda dataset, seed: SimpleNamespace(to_json=lambda: {"verdict": "maybe"}),
     )
     said = slipmap("blind-test", "--count", "1", "-o", tmp_path)
     assert said.code == 0
     assert "failed: ValueError: blind-00000: verdict 'maybe'" in said.err
     assert not (tmp_path / "blind-00000.result.json").exists()
-
-
-def test_an_installed_package_without_the_tests_says_so(slipmap, tmp_path, monkeypatch):
-    monkeypatch.setattr(blind_test, "TESTS", tmp_path)
-    said = slipmap("blind-test", "-o", tmp_path / "out")
-    assert said.code == 2
-    assert "checkout" in said.err and not (tmp_path / "out").exists()

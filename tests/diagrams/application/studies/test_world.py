@@ -7,7 +7,7 @@ import pytest
 import shapely
 from scipy.integrate import solve_ivp
 
-from blind.effects import (
+from slipmap.diagrams.application.studies.blind.effects import (
     AnisotropicTable,
     Effect,
     FingerCompliance,
@@ -26,9 +26,9 @@ from blind.effects import (
     TrackerScale,
     ViscousFriction,
 )
-from blind.objects import GRAVITY, SlidingObject, random_object
-from blind.push_plans import KINDS, FingerPath, PushPlan, random_plan
-from blind.world import World
+from slipmap.diagrams.application.studies.blind.objects import GRAVITY, SlidingObject, random_object
+from slipmap.diagrams.application.studies.blind.push_plans import KINDS, FingerPath, PushPlan, random_plan
+from slipmap.diagrams.application.studies.blind.world import World
 
 MU, MASS, WIDTH = 0.3, 0.8, 0.02
 

@@ -24,7 +24,7 @@ from slipmap.models.inference.diagnosis.effect_fit import fitted_belief
 from slipmap.models.inference.diagnosis.results import CandidateResult, ParameterEstimate
 from slipmap.models.objects import cells_from_polygon
 
-ROOT = Path(__file__).resolve().parents[2]
+ROOT = Path(__file__).resolve().parents[3]
 EFFECTS = effects_named(["table_tilt", "sensor_latency"])
 
 PUSH = {

@@ -13,10 +13,9 @@ import pytest
 from schemas import assert_as_described
 
 from slipmap.diagrams.application.benchmark import (
-    bullet,
     format_table,
     growth,
-    mujoco_engine,
+    other_engines,
     plain_numpy,
     run_benchmark,
 )
@@ -65,15 +64,15 @@ def test_plain_numpy_refuses_a_finger_inside_the_object() -> None:
 @pytest.mark.parametrize(
     ("package", "engine", "distance", "angle"),
     [
-        pytest.param("mujoco", mujoco_engine, 1.5e-3, np.deg2rad(1), id="mujoco"),
-        pytest.param("pybullet", bullet, 5e-4, np.deg2rad(0.6), id="bullet"),
+        pytest.param("mujoco", other_engines.run_mujoco, 1.5e-3, np.deg2rad(1), id="mujoco"),
+        pytest.param("pybullet", other_engines.run_bullet, 5e-4, np.deg2rad(0.6), id="bullet"),
     ],
 )
 def test_another_engine_ends_near_ours(package: str, engine: Any, distance: float, angle: float) -> None:
     pytest.importorskip(package, reason="comes with pip install slipmap[bench]")
     scene = make_scene(cells=24, models=1, steps=150, seed=1)
     pose = scene.slider.rollout(scene.maps, [scene.push]).poses[0, -1]
-    outcome = engine.run(scene, 1)
+    outcome = engine(scene, 1)
     assert abs(pose[2]) > np.deg2rad(10)
     assert np.linalg.norm(outcome.final_pose[:2] - pose[:2]) < distance
     assert outcome.final_pose[2] == pytest.approx(pose[2], abs=angle)

@@ -181,7 +181,7 @@ def test_holes_are_part_of_an_outline_and_turn_with_it():
     ring = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * 0.02
     grid = CellGrid(np.array([[0.015, 0.0]]), 0.01, ring, (0.5 * ring,))
     pose = [1.0, 2.0, np.pi / 2]
-    np.testing.assert_allclose(placed(np.array([0.02, 0.0]), pose), [1.0, 2.02])
+    np.testing.assert_allclose(placed(np.array([0.02, 0.0]), np.array(pose)), [1.0, 2.02])
     exterior, hole = outline_path(grid, pose).vertices.reshape(2, 5, 2)
     assert sorted(map(tuple, exterior[:4].round(9))) == [(x, y) for x in (0.98, 1.02) for y in (1.98, 2.02)]
     assert sorted(map(tuple, hole[:4].round(9))) == [(x, y) for x in (0.99, 1.01) for y in (1.99, 2.01)]

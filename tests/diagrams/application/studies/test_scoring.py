@@ -4,8 +4,8 @@ import json
 
 import pytest
 
-from blind.generator import Truth
-from blind.scoring import COLUMNS, said, score
+from slipmap.diagrams.application.studies.blind.generator import Truth
+from slipmap.diagrams.application.studies.blind.scoring import COLUMNS, said, score
 
 
 def truth(effect=None, *, strength="clear", outside=False, resembles=(), name="a"):

@@ -1,8 +1,12 @@
-"""The simulated world: Drake's multibody plant moves object and finger, friction comes from `table_friction`.
+"""The simulated world: Drake's multibody plant moves object and finger, friction comes from elastic bristles.
 
 The object slides on a planar joint, so the table holds it up without contacts. The finger is a sphere on two
-prismatic joints, driven along a prescribed path with a mass so large that no push disturbs it.
-Finger and object meet in the plant's own contact.
+prismatic joints, driven along a prescribed path with a mass so large that no push disturbs it. Finger and
+object meet in the plant's own contact.
+
+Friction of the table acts on many points, each of which holds on by a short bristle that gives way at a
+limit: the law of Coulomb with a true state of rest. A point clings within its bristle's reach of a few
+micrometres and slides beyond it at constant force. Explicit in time, with no equations to solve.
 """
 
 from __future__ import annotations
@@ -10,19 +14,9 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from pydrake.geometry import (
-    AddContactMaterial,
-    Box,
-    ProximityProperties,
-    SceneGraph,
-    Sphere,
-)
+from pydrake.geometry import AddContactMaterial, Box, ProximityProperties, SceneGraph, Sphere
 from pydrake.math import RigidTransform
-from pydrake.multibody.plant import (
-    CoulombFriction,
-    DiscreteContactApproximation,
-    MultibodyPlant,
-)
+from pydrake.multibody.plant import CoulombFriction, DiscreteContactApproximation, MultibodyPlant
 from pydrake.multibody.tree import (
     FixedOffsetFrame,
     ModelInstanceIndex,
@@ -35,18 +29,17 @@ from pydrake.multibody.tree import (
 )
 from pydrake.systems.framework import DiagramBuilder
 
-from blind.effects import Effect, Instant
-from blind.objects import FloatArray, SlidingObject
-from blind.push_plans import PushPlan
-from blind.table_friction import bristle_wrench
+from slipmap.diagrams.application.studies.blind.effects import Effect, Instant
+from slipmap.diagrams.application.studies.blind.objects import FloatArray, SlidingObject
+from slipmap.diagrams.application.studies.blind.push_plans import PushPlan
+from slipmap.models.physics.compiled import LONE_FOLDER, compiled
 
-STEP = 5e-4  # s
-HAND_MASS = 100.0  # kg
-TIP_MASS = 0.05  # kg, of a compliant finger
-CONTACT_STIFFNESS = 2e5  # N/m, of each of the two bodies
-CONTACT_DISSIPATION = 100.0  # s/m: a finger does not bounce off
-BOX_HEIGHT = 0.1  # m; a finger always meets a side
-IDENTITY = np.eye(2)
+_STEP = 5e-4  # s
+_HAND_MASS = 100.0  # kg
+_TIP_MASS = 0.05  # kg, of a compliant finger
+_BOX_HEIGHT = 0.1  # m; a finger always meets a side
+_REACH = 8e-6  # m, of a bristle
+_DAMPING_TIME = 1.5e-3  # s, force of a clinging bristle per rate, over its stiffness
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,19 +63,19 @@ class Motion:
 class World:
     """One object, one finger, one effect: built once, pushed often."""
 
-    def __init__(self, thing: SlidingObject, effect: Effect, *, step: float = STEP, spacing: float = 0.003):
+    def __init__(self, thing: SlidingObject, effect: Effect, *, step: float = _STEP, spacing: float = 0.003):
         self._thing, self._effect, self._step = thing, effect, step
         self._points, cell, share = thing.quadrature(spacing)
         self._loads = thing.mass[cell] * -effect.gravity()[2] / share
         self._limits = self._loads * thing.mu[cell]
-        self._drag = effect.drag_per_area() * thing.area / len(self._points)
+        self._drag = effect.drag() * thing.area / len(self._points)
         self._blade = effect.blade()
         self._build()
 
     def push(self, plan: PushPlan, *, index: int = 0, count: int = 1) -> Motion:
         """Carry out a plan as the push number `index` of `count`."""
         steps = int(np.ceil((plan.duration + 0.02) / self._step))
-        target = plan.path.positions(self._step * np.arange(steps + 2))
+        target = plan.path.positions(self._step * np.arange(steps + 2, dtype=float))
         return self._run(plan.pose, np.zeros(3), target, index, count)
 
     def coast(self, pose: FloatArray, twist: FloatArray, duration: float) -> Motion:
@@ -116,7 +109,7 @@ class World:
             applied[self._v] = table if own is None else table + own
             # The hand reaches its target at the end of the step, whatever pushes against it.
             wanted = (target[k + 1] - state[self._hand_q]) / h
-            applied[self._hand_v] = HAND_MASS * (wanted - state[nq + self._hand_v]) / h
+            applied[self._hand_v] = _HAND_MASS * (wanted - state[nq + self._hand_v]) / h
             force.SetFromVector(applied)
             contact = self._contact.Eval(context)
             if k + 1 < steps:
@@ -125,7 +118,7 @@ class World:
                 impulse[k + 1] = impulse[k] + h * np.array([contact[0], contact[1], about_hand])
                 new = self._diagram.EvalUniquePeriodicDiscreteUpdate(self._root)
                 self._root.SetDiscreteState(new)
-        return Motion(h * np.arange(steps), states[:, self._q], states[:, self._hand_q], impulse)
+        return Motion(h * np.arange(steps, dtype=float), states[:, self._q], states[:, self._hand_q], impulse)
 
     def _friction(self, now: Instant, bristles: FloatArray, blade_bristle: FloatArray) -> FloatArray:
         """(3,) of the table on the object, world frame."""
@@ -133,11 +126,11 @@ class World:
         grain = self._effect.grain(float(now.pose[2]))
         turn = now.rotation
         twist = np.array([*(turn.T @ now.twist[:2]), now.twist[2]])
-        fx, fy, torque = bristle_wrench(
+        fx, fy, torque = _bristle_wrench(
             bristles,
             self._points,
             self._limits if factor is None else self._limits * factor,
-            IDENTITY if grain is None else grain,
+            np.eye(2) if grain is None else grain,
             self._drag,
             turn.T @ self._effect.table_velocity(),
             twist,
@@ -146,7 +139,7 @@ class World:
         total = np.array([fx, fy, torque])
         if self._blade is not None:
             across = np.array([-np.sin(self._blade.angle), np.cos(self._blade.angle)])
-            total += bristle_wrench(
+            total += _bristle_wrench(
                 blade_bristle,
                 np.array([self._blade.place]),
                 np.array([self._blade.resistance]),
@@ -181,14 +174,14 @@ class World:
         surface = _surface(thing.mu_finger)
         for number, (center, size) in enumerate(thing.rectangles()):
             place = RigidTransform([*center, 0.0])
-            box = Box(*size, BOX_HEIGHT)
+            box = Box(*size, _BOX_HEIGHT)
             plant.RegisterCollisionGeometry(body, place, box, f"rectangle {number}", surface)
-        hand, joints = _cart(plant, finger, plant.world_body(), "hand", HAND_MASS)
+        hand, joints = _cart(plant, finger, plant.world_body(), "hand", _HAND_MASS)
         tip = hand
         spring = effect.finger_stiffness()
         if spring is not None:
-            damping = 1.4 * np.sqrt(spring * TIP_MASS)
-            tip, _ = _cart(plant, finger, hand, "tip", TIP_MASS, stiffness=spring, damping=damping)
+            damping = 1.4 * np.sqrt(spring * _TIP_MASS)
+            tip, _ = _cart(plant, finger, hand, "tip", _TIP_MASS, stiffness=spring, damping=damping)
         sphere = Sphere(thing.finger_radius)
         plant.RegisterCollisionGeometry(tip, RigidTransform(), sphere, "tip", surface)
         if loose is not None:
@@ -216,8 +209,8 @@ def _surface(mu: float) -> ProximityProperties:
     properties = ProximityProperties()
     AddContactMaterial(
         properties=properties,
-        dissipation=CONTACT_DISSIPATION,
-        point_stiffness=CONTACT_STIFFNESS,
+        dissipation=100.0,  # s/m: a finger does not bounce off
+        point_stiffness=2e5,  # N/m
         friction=CoulombFriction(mu, mu),
     )
     return properties
@@ -260,3 +253,55 @@ def _cart(
             plant.AddForceElement(PrismaticSpring(joints[-1], 0.0, stiffness))
         frame = body.body_frame()
     return body, joints
+
+
+@compiled(LONE_FOLDER)
+def _bristle_wrench(
+    bristles: FloatArray,
+    points: FloatArray,
+    limit: FloatArray,
+    grain: FloatArray,
+    drag: float,
+    table_velocity: FloatArray,
+    twist: FloatArray,
+    h: float,
+) -> tuple[float, float, float]:
+    """Move the bristles on by one step and sum up their forces.
+
+    All vectors in the object frame.
+
+    Args:
+        bristles: (p, 2) deflections, m; changed in place.
+        points: (p, 2) m.
+        limit: (p,) force at which a point slides, N.
+        grain: (2, 2) symmetric; identity where friction is the same in all directions. Power is lost at
+            the rate limit · |grain · velocity|.
+        drag: force on each point per speed, N·s/m.
+        table_velocity: (2,) of the table's top, m/s.
+        twist: (3,) of the object at its origin, m/s and rad/s.
+        h: s.
+
+    Returns:
+        Force and torque about the origin, N and N·m.
+    """
+    fx = fy = torque = 0.0
+    for p in range(len(points)):
+        x, y = points[p, 0], points[p, 1]
+        ux = twist[0] - twist[2] * y - table_velocity[0]
+        uy = twist[1] + twist[2] * x - table_velocity[1]
+        sx = grain[0, 0] * ux + grain[0, 1] * uy
+        sy = grain[1, 0] * ux + grain[1, 1] * uy
+        bx, by = bristles[p, 0] + h * sx, bristles[p, 1] + h * sy
+        size = np.sqrt(bx * bx + by * by)
+        if size > _REACH:
+            bx, by = bx * _REACH / size, by * _REACH / size
+        bristles[p, 0], bristles[p, 1] = bx, by
+        qx, qy = (bx + _DAMPING_TIME * sx) / _REACH, (by + _DAMPING_TIME * sy) / _REACH
+        size = np.sqrt(qx * qx + qy * qy)
+        share = limit[p] / max(size, 1.0)
+        px = -share * (grain[0, 0] * qx + grain[0, 1] * qy) - drag * ux
+        py = -share * (grain[1, 0] * qx + grain[1, 1] * qy) - drag * uy
+        fx += px
+        fy += py
+        torque += x * py - y * px
+    return fx, fy, torque

@@ -1,4 +1,7 @@
-"""docs/effects.md, written from the effects' code: `python -m slipmap.diagrams.application.reports.effects_page` writes it anew."""
+"""docs/effects.md, written from the effects' code.
+
+`python -m slipmap.diagrams.application.effects_page` writes it anew.
+"""
 
 from __future__ import annotations
 
@@ -9,7 +12,7 @@ from slipmap.models.effects import LIBRARY, Effect
 from slipmap.models.effects.symbols import body_names, cell_names, latex_name
 from slipmap.models.effects.written import written
 
-PAGE = Path(__file__).resolve().parents[1] / "docs" / "effects.md"
+PAGE = Path(__file__).resolve().parents[2] / "docs" / "effects.md"
 MAGNET = PAGE.parent / "examples" / "magnet.py"
 
 _HEAD = """\
@@ -20,10 +23,10 @@ stiff finger on a level table, seen by perfect sensors up to noise). `slipmap ef
 `slipmap effects tether` explains one, and `slipmap effects tether --picture tether.png` draws what it
 does to a push.
 
-This page is made from the code: `python -m slipmap.diagrams.application.reports.effects_page` writes it anew. The formulas are those
-that run. Constants that only round off corners are left out, [v]₊ is the larger of v and 0, σ(v) goes
-smoothly from 0 to 1 about v = 0. A ⁺ marks what holds after the step. An effect is nothing at the value
-under *nothing at*; parameters with a dash there only shape it.
+This page is made from the code: `python -m slipmap.diagrams.application.effects_page` writes it anew. The
+formulas are those that run. Constants that only round off corners are left out, [v]₊ is the larger of v
+and 0, σ(v) goes smoothly from 0 to 1 about v = 0. A ⁺ marks what holds after the step. An effect is
+nothing at the value under *nothing at*; parameters with a dash there only shape it.
 """
 
 _OWN = """\
@@ -64,6 +67,11 @@ a step that can be differentiated. To carry numbers from step to step, name them
 them in `remember`.
 """
 
+_METHODS = {
+    "friction": "cell, p", "drag": "cell, p", "stretch": "cell, p", "force": "body, p", "blade": "body, p",
+    "inertia": "body, p", "compliance": "body, p", "measured": "pose, p", "delay": "p",
+}  # fmt: skip
+
 
 def page() -> str:
     """The whole page in Markdown."""
@@ -95,24 +103,14 @@ def own() -> str:
     """How to write one's own."""
     body = body_names({})
     cell = [name for name in cell_names(body) if name not in body]
-    methods = ("friction", "drag", "stretch", "force", "blade", "inertia", "compliance", "measured", "delay")
     rows = []
-    for name in methods:
+    for name, arguments in _METHODS.items():
         told = " ".join((getattr(Effect, name).__doc__ or "").split())
-        arguments = {
-            "friction": "cell, p",
-            "drag": "cell, p",
-            "stretch": "cell, p",
-            "measured": "pose, p",
-            "delay": "p",
-        }
-        rows.append(f"| `{name}({arguments.get(name, 'body, p')})` | {told.replace('|', '/')} |")
-    code = MAGNET.read_text(encoding="utf-8")
-    names = [*body, "force_x", "force_y"]
+        rows.append(f"| `{name}({arguments})` | {told.replace('|', '/')} |")
     return _OWN.format(
-        code=code,
+        code=MAGNET.read_text(encoding="utf-8"),
         methods="\n".join(rows),
-        body=", ".join(f"`{name}`" for name in names),
+        body=", ".join(f"`{name}`" for name in [*body, "force_x", "force_y"]),
         cell=", ".join(f"`{name}`" for name in cell),
     )
 

@@ -7,9 +7,18 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from blind import generator
-from blind.effects import LIBRARY, OUTSIDE, Effect, SensorLatency, TableTilt, TrackerOffset, TrackerScale
-from blind.generator import (
+from slipmap.diagrams.application.studies.blind import generator
+from slipmap.diagrams.application.studies.blind.effects import (
+    LIBRARY,
+    OUTSIDE,
+    Chance,
+    Effect,
+    SensorLatency,
+    TableTilt,
+    TrackerOffset,
+    TrackerScale,
+)
+from slipmap.diagrams.application.studies.blind.generator import (
     LARGEST_OVERLAP,
     Truth,
     _draw_effect,
@@ -18,8 +27,8 @@ from blind.generator import (
     generate,
     truth_file,
 )
-from blind.objects import random_object
-from blind.world import World
+from slipmap.diagrams.application.studies.blind.objects import random_object
+from slipmap.diagrams.application.studies.blind.world import World
 from slipmap.models.measurements import read_dataset
 
 EVERY = LIBRARY + OUTSIDE
@@ -137,7 +146,7 @@ def test_a_tracker_that_is_off_leaves_the_recorded_finger_outside(monkeypatch):
     for effect in (TrackerScale, TrackerOffset):
         for seed in range(20):
             thing = random_object(np.random.default_rng(seed))
-            hidden = effect.draw(np.random.default_rng(seed), "clear", thing)
+            hidden = effect.draw(Chance(np.random.default_rng(seed), "clear", thing))
             (plan,), _ = _plans(np.random.default_rng(seed), thing, hidden, 1)
             assert _recorded_overlap(thing, plan, hidden) <= LARGEST_OVERLAP
 

@@ -11,7 +11,8 @@ from typing import Any
 import numpy as np
 from scipy.stats import beta
 
-from blind.generator import Truth
+from slipmap.diagrams.application.studies.blind.generator import Truth
+from slipmap.diagrams.application.terminal import WIDTH
 from slipmap.models.inference.diagnosis.results import VERDICTS
 
 COLUMNS = {
@@ -26,9 +27,8 @@ COLUMNS = {
 }
 """What was said, in the light of the truth: heading and meaning."""
 
-ALARMS = ("right", "near", "wrong", "in set", "not in", "unknown")
-WIDTH = 80
-OUTSIDE = " *"
+_ALARMS = ("right", "near", "wrong", "in set", "not in", "unknown")
+_OUTSIDE = " *"
 """Mark of effects that are not in the library."""
 
 
@@ -42,6 +42,7 @@ class Rate:
 
     @property
     def share(self) -> float:
+        """NaN where there was none."""
         return self.hits / self.of if self.of else float("nan")
 
     @property
@@ -52,6 +53,7 @@ class Rate:
         return low, high
 
     def text(self) -> str:
+        """Count, share and range."""
         low, high = self.range
         return f"{self.hits} of {self.of}, {self.share:.0%} ({low:.0%} to {high:.0%})"
 
@@ -75,6 +77,7 @@ class Score:
     failed: dict[str, str]
 
     def to_json(self) -> dict[str, Any]:
+        """For programs."""
         return {
             "columns": COLUMNS,
             "confusion": self.confusion,
@@ -92,10 +95,9 @@ class Score:
 
     def text(self) -> str:
         """For a terminal of 80 columns."""
-        head = ["hidden", "n", *COLUMNS]
         widths = [21, 3, *(max(len(name), 4) for name in COLUMNS)]
-        lines = [_row(head, widths), "─" * (sum(widths) + len(widths) - 1)]
-        lines += [_row(row, widths) for row in self._rows()]
+        head, *rows = (_row(row, widths) for row in self._rows())
+        lines = [head, "─" * (sum(widths) + len(widths) - 1), *rows]
         lines.append("")
         rates = self._counted()
         wide = max((len(rate.what) for rate in rates), default=0)
@@ -105,9 +107,8 @@ class Score:
 
     def markdown(self) -> str:
         """The same as Markdown."""
-        head = ["hidden", "n", *COLUMNS]
-        lines = ["| " + " | ".join(head) + " |", "| --- |" + " ---: |" * (len(head) - 1)]
-        lines += ["| " + " | ".join(row) + " |" for row in self._rows()]
+        head, *rows = ("| " + " | ".join(row) + " |" for row in self._rows())
+        lines = [head, "| --- |" + " ---: |" * (1 + len(COLUMNS)), *rows]
         lines += ["", "| figure | value (95 % range) |", "| --- | --- |"]
         lines += [f"| {rate.what} | {rate.text()} |" for rate in self._counted()]
         lines += ["", *(f"- {remark}" for remark in self._remarks())]
@@ -118,7 +119,8 @@ class Score:
         return [rate for rate in self.rates if rate.of]
 
     def _rows(self) -> list[list[str]]:
-        rows = []
+        """The headings, then what was said of each truth."""
+        rows = [["hidden", "n", *COLUMNS]]
         for truth, counts in self.confusion.items():
             numbers = [str(counts[column]) if counts[column] else "·" for column in COLUMNS]
             rows.append([truth, str(sum(counts.values())), *numbers])
@@ -126,7 +128,7 @@ class Score:
 
     def _remarks(self) -> list[str]:
         remarks = []
-        if any(label.endswith(OUTSIDE) for label in self.confusion):
+        if any(label.endswith(_OUTSIDE) for label in self.confusion):
             remarks.append("*: not in slipmap's library; `unknown` is the right verdict")
         remarks.append(
             "; ".join(f"{name} = {meaning}" for name, meaning in COLUMNS.items() if name != meaning)
@@ -166,7 +168,7 @@ def score(pairs: Iterable[tuple[Truth, Mapping[str, Any]]], failed: Mapping[str,
     confusion: dict[str, dict[str, int]] = {}
     named: dict[str, Counter[str]] = {}
     for case in cases:
-        label = case["truth"] + (OUTSIDE if case["outside"] else "")
+        label = case["truth"] + (_OUTSIDE if case["outside"] else "")
         confusion.setdefault(label, dict.fromkeys(COLUMNS, 0))[case["said"]] += 1
         if case["verdict"] == "effect":
             named.setdefault(label, Counter())[str(case["effect"])] += 1
@@ -231,7 +233,7 @@ def _rates(cases: Sequence[Mapping[str, Any]]) -> tuple[Rate, ...]:
     effect = [case for case in cases if case["verdict"] == "effect"]
     ambiguous = [case for case in inside if case["verdict"] == "ambiguous"]
     return (
-        rate("false alarms where nothing is hidden", none, *ALARMS),
+        rate("false alarms where nothing is hidden", none, *_ALARMS),
         rate("named effects that are right", effect, "right"),
         rate("ambiguous sets that hold the truth", ambiguous, "in set"),
         rate("clear effects named rightly", clear, "right"),

@@ -23,7 +23,7 @@ from slipmap.models.effects.effect_checks import check_effect
 from slipmap.models.inference.belief import Belief
 from slipmap.models.measurements import PushDataset, read_dataset
 
-ROOT = Path(__file__).resolve().parents[2]
+ROOT = Path(__file__).resolve().parents[3]
 PAGES = ("README.md", *sorted(path.relative_to(ROOT).as_posix() for path in (ROOT / "docs").glob("*.md")))
 NOTEBOOKS = tuple(sorted(path.relative_to(ROOT).as_posix() for path in (ROOT / "notebooks").glob("*.ipynb")))
 GIVEN = {"cell": Cell, "faults": Faults, "dataset": PushDataset}

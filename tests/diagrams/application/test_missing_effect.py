@@ -11,7 +11,7 @@ import pytest
 from hidden_effects import LATENCY, late_pushes
 from report_page import assert_alone
 
-from slipmap.diagrams.application.commands.fit import _show_gain
+from slipmap.diagrams.application.commands.identify import _show_gain
 from slipmap.diagrams.application.reports.comparison_words import millimetres
 from slipmap.models.measurements import write_dataset
 

@@ -7,7 +7,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-ROOT = Path(__file__).resolve().parents[2]
+SOURCES = Path(__file__).resolve().parents[3] / ".src"
 SCRIPT = """
 import hashlib
 import json
@@ -46,7 +46,7 @@ def learned_with(threads: int) -> list[str]:
     """Threads that there were, and digests of the belief, the planned push and the diagnosis."""
     result = subprocess.run(
         [sys.executable, "-c", SCRIPT],
-        env={**os.environ, "PYTHONPATH": str(ROOT), "NUMBA_NUM_THREADS": str(threads)},
+        env={**os.environ, "PYTHONPATH": str(SOURCES), "NUMBA_NUM_THREADS": str(threads)},
         capture_output=True, text=True, timeout=300,
     )  # fmt: skip
     assert result.returncode == 0, result.stderr

@@ -27,7 +27,7 @@ def hear_ctrl_c() -> None:
     signal.signal(signal.SIGINT, signal.SIG_DFL)
 
 
-ENVIRONMENT = {**os.environ, "PYTHONPATH": str(Path(__file__).resolve().parents[2])}
+ENVIRONMENT = {**os.environ, "PYTHONPATH": str(Path(__file__).resolve().parents[3] / ".src")}
 
 
 def test_help_lists_every_command_with_a_sentence(slipmap):
@@ -123,8 +123,8 @@ def test_a_misspelt_word_is_recognised(slipmap, tmp_path, monkeypatch, arguments
 @pytest.mark.parametrize(
     ("command", "loop"),
     [
-        ("explore", "slipmap.diagrams.application.commands.explore.run_loop"),
-        ("pregrasp", "slipmap.diagrams.application.commands.pregrasp._run"),
+        ("explore", "slipmap.diagrams.application.commands.explore._run_exploration"),
+        ("pregrasp", "slipmap.diagrams.application.commands.explore._run_pregrasp"),
     ],
 )
 def test_the_robot_is_told_of_effects(slipmap, tmp_path, monkeypatch, command, loop):
@@ -161,7 +161,7 @@ def test_completion_prints_a_script(slipmap, shell, part):
 def test_the_shell_is_told_words_that_fit(words, offered):
     count = str(len(words.split()))
     asked = {"COMP_WORDS": f"slipmap {words}", "COMP_CWORD": count, "_SLIPMAP_COMPLETE": "bash_complete"}
-    script = "import sys; sys.argv = ['slipmap']; from slipmap.diagrams.application.command_line import main; main()"
+    script = "import sys; sys.argv = ['slipmap']; from slipmap.__main__ import main; main()"
     command = [sys.executable, "-c", script]
     result = subprocess.run(command, env={**ENVIRONMENT, **asked}, capture_output=True, text=True)
     assert result.stdout.split() == [f"plain,{word}" for word in offered]

@@ -1,0 +1,219 @@
+"""What commands share that run, record or replay a robot's cell: options, scenario, view and results."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from functools import wraps
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import click
+
+from slipmap.diagrams.application.commands.options import Option, complete_objects, path_option
+from slipmap.diagrams.application.outputs import check_output
+from slipmap.diagrams.application.terminal import Progress, note, prepare_kernels, wait_for_enter
+from slipmap.diagrams.hardware.network import LCM_URL
+from slipmap.models.files import BadInput, write_text
+
+if TYPE_CHECKING:
+    from pydrake.geometry import Meshcat
+
+    from slipmap.diagrams.station.scenario import Scenario
+    from slipmap.models.inference.results import Identification
+    from slipmap.models.measurements import PushDataset
+
+
+class Stopped(click.ClickException):
+    """Ctrl-C, after something was kept."""
+
+    exit_code = 130
+
+
+station_object_option = click.option(
+    "--object", "object_name", metavar="NAME", shell_complete=complete_objects,
+    help="One of the six objects: book, box, hammer, wrench, snack, spray_gun. [default: hammer]",
+)  # fmt: skip
+scenario_option = path_option(
+    "--scenario", "scenario_file",
+    about="YAML file that describes the cell: table, camera, noise, your own object, hidden effects.",
+)  # fmt: skip
+lcm_option = click.option(
+    "--lcm", "url", default=LCM_URL, show_default=True, metavar="URL",
+    help="Address of the cell's messages; with ttl=0 they stay on this computer.",
+)  # fmt: skip
+
+
+def folder_option(default: str) -> Option:
+    """The option `--out DIR` of what a run leaves."""
+    about = "Folder for pushes, belief, pictures and report."
+    return path_option("-o", "--out", "folder", default=default, metavar="DIR", about=about)
+
+
+class CellRun(NamedTuple):
+    """Where a run takes place, how it is watched, and where it leaves what it brings."""
+
+    hardware: bool
+    url: str
+    open_meshcat: bool
+    recording: Path | None
+    folder: Path
+
+    @property
+    def address(self) -> str | None:
+        """Of a real cell; None for a simulated one."""
+        return self.url if self.hardware else None
+
+    def check_outputs(self, json_file: Path | None) -> None:
+        """Refuse files that could not be written; the folder must be there, as they may lie in it.
+
+        Raises:
+            BadInput: see `check_output`.
+        """
+        if self.recording is not None:
+            check_output(self.recording, ("html", "htm"))
+        if json_file is not None:
+            check_output(json_file)
+
+    @contextmanager
+    def in_view(self) -> Iterator[tuple[Meshcat | None, Progress]]:
+        """Meshcat, if it is asked for, and progress; the recording is written where the block ends well.
+
+        Raises:
+            BadInput: this machine cannot render pictures, or the scenario or the real cell cannot be had.
+        """
+        from slipmap.diagrams.hardware.network import HardwareError
+        from slipmap.diagrams.perception.renderer import RendererUnavailable
+        from slipmap.diagrams.station.scenario import ScenarioError
+
+        recording = self.recording
+        meshcat = _meshcat(self.open_meshcat) if self.open_meshcat or recording is not None else None
+        with Progress() as progress:
+            prepare_kernels()
+            if meshcat is not None and recording is not None:
+                meshcat.StartRecording(frames_per_second=15.0)
+            try:
+                yield meshcat, progress
+            except (HardwareError, RendererUnavailable, ScenarioError) as error:
+                raise BadInput(str(error)) from error
+            if meshcat is not None and recording is not None:
+                with progress.step("writing the recording"):
+                    meshcat.StopRecording()
+                    meshcat.PublishRecording()
+                    write_text(recording, str(meshcat.StaticHtml()))
+        if self.open_meshcat and meshcat is not None:
+            note(f"the view is at {meshcat.web_url()}; press Enter to end")
+            wait_for_enter()
+
+
+def _meshcat(show: bool) -> Meshcat:
+    import logging
+
+    from pydrake.geometry import Meshcat, MeshcatParams
+
+    from slipmap.diagrams.systems.belief_visualizer import VIEW
+
+    logging.getLogger("drake").setLevel(logging.WARNING)  # the address is named below, where it is of use
+    meshcat = Meshcat(MeshcatParams(host="localhost", show_stats_plot=False))
+    meshcat.SetCameraPose(*VIEW)
+    for helper in ("/Grid", "/Axes"):
+        meshcat.SetProperty(helper, "visible", False)
+    if show:
+        note(f"watch it at {meshcat.web_url()}")
+    return meshcat
+
+
+def cell_options(folder: str) -> Option:
+    """The options of a `CellRun`, which the command takes as its argument `cell`.
+
+    Args:
+        folder: where it leaves things unless told otherwise.
+    """
+    options: list[Option] = [
+        click.option(
+            "--hardware", is_flag=True,
+            help="Drive a real cell, or its twin of `slipmap station`, that listens at the address of --lcm.",
+        ),
+        lcm_option,
+        click.option(
+            "--meshcat", "open_meshcat", is_flag=True,
+            help="Serve the view and print its address; wait for Enter or Ctrl-C at the end.",
+        ),
+        path_option(
+            "--record", "recording",
+            about="Write the whole run as a page that plays it back without a network.",
+        ),
+        folder_option(folder),
+    ]  # fmt: skip
+
+    def decorate(command: Any) -> Any:
+        @wraps(command)
+        def decorated(**arguments: Any) -> Any:
+            cell = CellRun(**{name: arguments.pop(name) for name in CellRun._fields})
+            return command(cell=cell, **arguments)
+
+        for option in reversed(options):
+            decorated = option(decorated)
+        return decorated
+
+    return decorate
+
+
+def effects_of_library(names: Sequence[str]) -> tuple[str, ...]:
+    """Names of effects of the library, as they were given.
+
+    Raises:
+        EffectError: there is no such effect, or one is named twice.
+    """
+    from slipmap.models.effects.registry import effects_named
+
+    return tuple(effect.name for effect in effects_named(names)) if names else ()
+
+
+def scenario_of(path: Path | None, object_name: str | None) -> Scenario:
+    """The scenario of a file, if any, with another object, if any.
+
+    Raises:
+        BadInput: the file, the object's name, or an object that does not lie on the table.
+    """
+    from slipmap.diagrams.station.scenario import Scenario, ScenarioError, read_scenario
+
+    try:
+        scenario = Scenario() if path is None else read_scenario(path, object_name)
+        scenario.object.name = object_name or scenario.object.name
+        thing = scenario.object.make()
+    except ScenarioError as error:
+        raise BadInput(str(error)) from error
+    except ValueError as error:
+        where = "" if path is None or object_name is not None else f"{path}: "
+        raise BadInput(f"{where}object: {error}") from error
+    try:
+        scenario.check_placement(thing)
+    except ValueError as error:
+        raise BadInput(str(error) if path is None else f"{path}: {error}") from error
+    return scenario
+
+
+def leave(
+    identification: Identification, dataset: PushDataset, folder: Path, recording: Path | None = None
+) -> dict[str, Path]:
+    """Write belief, pictures and report beside the pushes; returns what lies where."""
+    from slipmap.diagrams.application.commands.compare import report
+    from slipmap.diagrams.application.commands.identify import keep
+    from slipmap.models.inference.comparison import compare
+
+    belief = folder / "belief.npz"
+    with Progress() as progress:
+        pictures = keep(identification, dataset, belief, None, progress)
+        comparison = compare(dataset, identification.belief, seed=0, label="model", progress=progress)
+        text = report([comparison], dataset)
+    write_text(folder / "report.html", text)
+    written = {"pushes": folder / "pushes", "belief": belief, "report": folder / "report.html"}
+    written |= {f"picture of {path.stem.removeprefix('belief.')}": path for path in pictures}
+    return written if recording is None else {**written, "recording": recording}
+
+
+def show_files(written: Mapping[str, Path]) -> None:
+    """Say what lies where."""
+    for what, path in written.items():
+        note(f"{what + ':':<19}{path}")
