@@ -25,7 +25,8 @@ import shapely
 from slipmap.models.effects import LIBRARY, EffectSlider, Scene
 from slipmap.models.effects.effect import Effect, bounds, scales
 from slipmap.models.geometry import angle_between
-from slipmap.models.inference.diagnosis import Diagnosis, diagnose
+from slipmap.models.inference import diagnosis as missing_effect
+from slipmap.models.inference.diagnosis import Diagnosis
 from slipmap.models.inference.diagnosis.fitting import Fitted
 from slipmap.models.inference.observations import MEASURED_CONTACT, Observation
 from slipmap.models.measurements import PushDataset
@@ -45,7 +46,7 @@ _DWELL = 0.5  # s that a finger stands still half-way
 _APPROACH = 0.01  # m between finger and object before
 
 
-def diagnosed(
+def diagnose(
     dataset: PushDataset,
     *,
     effects: Sequence[Effect] = LIBRARY,
@@ -62,7 +63,9 @@ def diagnosed(
     Raises:
         DatasetError, EffectError, ValueError: as there.
     """
-    result = diagnose(dataset, effects=effects, draws=draws, quick=quick, seed=seed, progress=progress)
+    result = missing_effect.diagnose(
+        dataset, effects=effects, draws=draws, quick=quick, seed=seed, progress=progress
+    )
     report = progress or (lambda stage, done, total: None)
     report("planning the next push", 0, 1)
     push = next_push(result, dataset, seed)

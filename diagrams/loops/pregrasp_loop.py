@@ -240,7 +240,7 @@ class PregraspRun:
         }
 
 
-def run_pregrasp(
+def pregrasp(
     scenario: Scenario,
     options: PregraspOptions,
     *,

@@ -13,7 +13,7 @@ from slipmap.diagrams.hardware.interface import HardwareInterface
 from slipmap.diagrams.hardware.network import open_lcm
 from slipmap.diagrams.loops.exploration_loop import LoopOptions
 from slipmap.diagrams.loops.exploration_run import DOING, ExplorationRun, explore
-from slipmap.diagrams.loops.pregrasp_loop import BRINGS, PregraspOptions, PregraspRun, run_pregrasp
+from slipmap.diagrams.loops.pregrasp_loop import BRINGS, PregraspOptions, PregraspRun, pregrasp
 from slipmap.diagrams.loops.run_folder import ExplorationFolder, RunFolder, resumed
 from slipmap.diagrams.station.scenario import Scenario
 from slipmap.diagrams.testing.command_log import CommandLog, CommandRecorder
@@ -162,12 +162,12 @@ class Cell:
             method: see `PregraspOptions`.
 
         Raises:
-            ExplorationFailed, HardwareError: see `slipmap.diagrams.loops.pregrasp_loop.run_pregrasp`.
+            ExplorationFailed, HardwareError: see `slipmap.diagrams.loops.pregrasp_loop.pregrasp`.
         """
         asked = PregraspOptions(LoopOptions(pushes=pushes, **options), method, most)
         record = RunFolder(self._next_folder("pregrasp"), self.scenario)
         with self._driven() as where:
-            return run_pregrasp(self.scenario, asked, hardware=where, progress=self._watch, record=record)
+            return pregrasp(self.scenario, asked, hardware=where, progress=self._watch, record=record)
 
     def _next_folder(self, what: str) -> Path:
         self._runs += 1

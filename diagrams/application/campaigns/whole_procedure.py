@@ -33,7 +33,7 @@ def trial(*, seed: int, object_name: str, method: str) -> dict[str, Any]:
     """
     from slipmap.diagrams.loops.exploration_loop import LoopOptions
     from slipmap.diagrams.loops.exploration_run import ExplorationFailed, ExplorationStopped
-    from slipmap.diagrams.loops.pregrasp_loop import PregraspOptions, run_pregrasp
+    from slipmap.diagrams.loops.pregrasp_loop import PregraspOptions, pregrasp
     from slipmap.diagrams.station.scenario import Scenario
 
     scenario = Scenario()
@@ -42,7 +42,7 @@ def trial(*, seed: int, object_name: str, method: str) -> dict[str, Any]:
     scenario.object.pose = [0.0, 0.0, yaw]
     options = PregraspOptions(LoopOptions(seed=seed), method=method)
     try:
-        run = run_pregrasp(scenario, options)
+        run = pregrasp(scenario, options)
         if run.interrupted:
             raise KeyboardInterrupt
         told = run.to_json()

@@ -47,9 +47,11 @@ def diagnose(
     with Progress() as progress:
         measured = options.load_dataset(dataset, object_name, progress)
         prepare_kernels()
-        from slipmap.planners.telling_push import diagnosed
+        from slipmap.planners import telling_push
 
-        result = diagnosed(measured, effects=effects, draws=draws, quick=quick, seed=seed, progress=progress)
+        result = telling_push.diagnose(
+            measured, effects=effects, draws=draws, quick=quick, seed=seed, progress=progress
+        )
         wanted = not quick or options.asked_for("output")
         if wanted:
             from slipmap.diagrams.application.reports.diagnosis_sections import diagnosis_report

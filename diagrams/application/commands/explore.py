@@ -302,11 +302,11 @@ def _run_pregrasp(
         click.ClickException: the loop stopped before anything could be learned.
     """
     from slipmap.diagrams.loops.exploration_run import ExplorationFailed, ExplorationStopped
-    from slipmap.diagrams.loops.pregrasp_loop import run_pregrasp
+    from slipmap.diagrams.loops import pregrasp_loop
 
     with cell.in_view() as (meshcat, progress):
         try:
-            return run_pregrasp(
+            return pregrasp_loop.pregrasp(
                 scenario, wanted, hardware=cell.address, meshcat=meshcat, progress=progress, record=record
             )
         except ExplorationStopped as error:

@@ -57,7 +57,7 @@ def test_ctrl_c_is_no_result_of_the_whole_procedure(monkeypatch, late: bool) -> 
             return SimpleNamespace(interrupted=True, to_json=lambda: {"fate": "gave up"})
         raise ExplorationStopped("stopped before anything was recorded")
 
-    monkeypatch.setattr(pregrasp_run, "run_pregrasp", stopped)
+    monkeypatch.setattr(pregrasp_run, "pregrasp", stopped)
     with pytest.raises(KeyboardInterrupt):
         whole_procedure.trial(seed=0, object_name="hammer", method="true")
 
@@ -66,6 +66,6 @@ def test_a_run_that_fails_gave_up(monkeypatch) -> None:
     def fails(scenario, options):  # type: ignore[no-untyped-def]
         raise ExplorationFailed("nothing was recorded: lost")
 
-    monkeypatch.setattr(pregrasp_run, "run_pregrasp", fails)
+    monkeypatch.setattr(pregrasp_run, "pregrasp", fails)
     told = whole_procedure.trial(seed=0, object_name="hammer", method="true")
     assert (told["fate"], told["reason"]) == ("gave up", "nothing was recorded: lost")
