@@ -8,7 +8,7 @@ PYTHON3 ?=
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.slipmap-installed
 .DEFAULT_GOAL := help
-.PHONY: help demo test lint types bench notebooks install clean
+.PHONY: help demo test quick lint types bench notebooks install clean
 
 help: ## Show this list
 	@awk -F ':.*## ' '/^[a-z]+:.*## /{printf "  make %-9s %s\n", $$1, $$2}' Makefile
@@ -18,6 +18,9 @@ demo: $(STAMP) ## Let a simulated robot take a hammer at the table's edge; resul
 
 test: $(STAMP) ## Run all tests
 	@$(BIN)/python -m pytest -q -n 2 --dist loadfile
+
+quick: $(STAMP) ## Run the tests without plant, browser or twin: two minutes, longer while kernels are compiled
+	@$(BIN)/python -m pytest -q -n 2 --dist loadfile --quick
 
 lint: $(STAMP) ## Check style, formatting, and which way imports point
 	@$(BIN)/ruff check .
@@ -60,5 +63,5 @@ $(STAMP): pyproject.toml
 	@touch $(STAMP)
 
 clean: ## Remove the demo's results, caches and build products; the environment stays
-	rm -rf demo simulated-demo notebooks/results build dist slipmap.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis
+	rm -rf demo simulated-demo notebooks/results build dist .src/slipmap.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis
 	find . -path ./$(VENV) -prune -o -name __pycache__ -type d -exec rm -rf {} +

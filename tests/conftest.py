@@ -28,11 +28,27 @@ COSTLY = (
     "test_generator.py",
 )
 
-SHARED_DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
+# What `--quick` leaves out: plants that are simulated, twins, browsers, notebooks, and what takes long without.
+NOT_QUICK_FOLDERS = (
+    "diagrams/execution", "diagrams/station", "diagrams/testing", "hardware", "notebooks", "recorded",
+)  # fmt: skip
+NOT_QUICK_FILES = (
+    *COSTLY,
+    "test_collectable.py",
+    "test_methods_compared.py",
+    "test_plant_world.py",
+    "test_world.py",
+    "test_twin_and_interface.py",
+)
+NOT_QUICK_FIXTURES = {"browser", "cell", "renderer"}
+
+TESTS = Path(__file__).resolve().parent
+SHARED_DATA = TESTS.parents[1] / "shared" / "data"
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
-    """An order of the tests that nobody chose, to find those that need another one before them."""
+    """An order of the tests that nobody chose, to find those that need another one before them; and a part."""
+    parser.addoption("--quick", action="store_true", help="leave out what takes long; see NOT_QUICK")
     parser.addoption(
         "--shuffle", type=int, metavar="SEED", help="run files, and tests within each, in random order"
     )
@@ -44,8 +60,20 @@ def pytest_configure(config: pytest.Config) -> None:
         config.option.loadscopereorder = False
 
 
+def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
+    """With --quick, what is left out is not even imported."""
+    if not config.getoption("--quick"):
+        return None
+    folders = {TESTS / folder for folder in NOT_QUICK_FOLDERS}
+    return True if collection_path in folders or collection_path.name in NOT_QUICK_FILES else None
+
+
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     """Costly files first, the others as collected; or all at random, file by file."""
+    if config.getoption("--quick"):
+        left_out = [item for item in items if not NOT_QUICK_FIXTURES.isdisjoint(item.fixturenames)]
+        config.hook.pytest_deselected(items=left_out)
+        items[:] = [item for item in items if item not in left_out]
     seed = config.getoption("--shuffle")
     if seed is not None:
         draw = random.Random(seed)

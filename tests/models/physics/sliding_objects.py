@@ -6,6 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 import shapely
+from hypothesis import strategies as st
 from numpy.typing import ArrayLike, NDArray
 
 from slipmap.models.physics.cell_grid import CellGrid
@@ -24,6 +25,15 @@ def rectangle(columns: int, rows: int, width: float = 0.01) -> CellGrid:
     centers = np.array([(a, b) for b in y for a in x])
     half = np.array([columns, rows]) * width / 2
     return CellGrid(centers, width, np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * half)
+
+
+def star(draw: st.DrawFn, most_corners: int, least_radius: float) -> tuple[FloatArray, FloatArray]:
+    """A place (2,) near the object frame's origin, and corners (k, 2) around it, convex or not."""
+    k = draw(st.integers(3, most_corners))
+    angles = (np.arange(k) + draw(st.lists(st.floats(-0.3, 0.3), min_size=k, max_size=k))) * 2 * np.pi / k
+    radii = draw(st.lists(st.floats(least_radius, 0.1), min_size=k, max_size=k))
+    middle = np.array(draw(st.tuples(st.floats(-0.05, 0.05), st.floats(-0.05, 0.05))))
+    return middle, middle + np.column_stack([radii * np.cos(angles), radii * np.sin(angles)])
 
 
 def l_shape(width: float = 0.01) -> CellGrid:

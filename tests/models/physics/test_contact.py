@@ -17,6 +17,7 @@ from sliding_objects import (
     rectangle,
     rotation,
     signed_distances,
+    star,
     to_object,
     touched_point,
     twists_between,
@@ -33,11 +34,7 @@ ONE_CELL = np.zeros((1, 2))
 @st.composite
 def outlines(draw: st.DrawFn) -> CellGrid:
     """Star-shaped outlines of 3 to 12 corners, mostly with concave ones, every other with a concave hole."""
-    k = draw(st.integers(3, 12))
-    angles = (np.arange(k) + draw(st.lists(st.floats(-0.3, 0.3), min_size=k, max_size=k))) * 2 * np.pi / k
-    radii = draw(st.lists(st.floats(0.03, 0.1), min_size=k, max_size=k))
-    middle = np.array(draw(st.tuples(st.floats(-0.05, 0.05), st.floats(-0.05, 0.05))))
-    exterior = middle + np.column_stack([radii * np.cos(angles), radii * np.sin(angles)])
+    middle, exterior = star(draw, 12, 0.03)
     # A star is visible from its middle, so its smaller copy lies inside.
     holes = (middle + 0.3 * (exterior - middle),) if draw(st.booleans()) else ()
     return CellGrid(ONE_CELL, 0.01, exterior, holes)

@@ -16,6 +16,7 @@ from sliding_objects import (
     kinetic_energy,
     random_maps,
     rotation,
+    star,
     twists_between,
     with_start,
 )
@@ -40,11 +41,7 @@ class Scene:
 @st.composite
 def grids(draw: st.DrawFn) -> CellGrid:
     """Stars with 3 to 9 corners, convex or not, somewhere about the object frame's origin."""
-    k = draw(st.integers(3, 9))
-    angles = (np.arange(k) + draw(st.lists(st.floats(-0.3, 0.3), min_size=k, max_size=k))) * 2 * np.pi / k
-    radii = draw(st.lists(st.floats(0.025, 0.1), min_size=k, max_size=k))
-    middle = np.array(draw(st.tuples(st.floats(-0.05, 0.05), st.floats(-0.05, 0.05))))
-    outline = middle + np.column_stack([radii * np.cos(angles), radii * np.sin(angles)])
+    _, outline = star(draw, 9, 0.025)
     return cells_from_polygon(outline, count=draw(st.integers(1, 60)))
 
 
