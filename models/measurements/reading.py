@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
-from slipmap.models.measurements import fields
+from slipmap.models.measurements import parsing
 from slipmap.models.measurements.csv_files import (
     CSV_ENDINGS,
     STANDARD,
@@ -16,7 +15,6 @@ from slipmap.models.measurements.csv_files import (
     parse_columns,
     read_csv_trial,
 )
-from slipmap.models.measurements.files import LARGEST_YAML, Fingerprint, parse_yaml, read_bytes
 from slipmap.models.measurements.mit_files import (
     FINGER_RADIUS,
     HDF5_ENDINGS,
@@ -28,14 +26,15 @@ from slipmap.models.measurements.mit_files import (
     read_mit_trial,
     surface_warnings,
 )
-from slipmap.models.measurements.push_dataset import DatasetError, PushDataset, Role, Trial
+from slipmap.models.measurements.parsing import Fingerprint
+from slipmap.models.measurements.push_dataset import DatasetError, PushDataset, Role, Setup, Trial
 from slipmap.models.measurements.push_format import DESCRIPTION_FILE, Progress, assembled, read_push_format
-from slipmap.models.measurements.setup_description import SETUP_KEYS, Setup, parse_setup
+from slipmap.models.measurements.setup_description import SETUP_KEYS, parse_setup
 
-YAML_ENDINGS = (".yaml", ".yml")
-MIT_ENDINGS = JSON_ENDINGS + HDF5_ENDINGS
-HELDOUT_SHARE = 4
-KINDS = (
+_YAML_ENDINGS = (".yaml", ".yml")
+_MIT_ENDINGS = JSON_ENDINGS + HDF5_ENDINGS
+_HELDOUT_SHARE = 4
+_KINDS = (
     "a push dataset (a folder with a dataset.yaml), MIT push files (.json, .h5, .hdf5) or CSV files (.csv)"
 )
 
@@ -73,10 +72,10 @@ def read_dataset(
 
 def _read(source: Path, object_name: str | None, progress: Progress | None) -> PushDataset:
     if not source.exists():
-        raise DatasetError(f"{str(source)!r}: there is no such file or folder; wanted is {KINDS}")
+        raise DatasetError(f"{str(source)!r}: there is no such file or folder; wanted is {_KINDS}")
     is_folder = source.is_dir()
     description = source / DESCRIPTION_FILE if is_folder else source
-    if (is_folder and description.exists()) or (not is_folder and _is(source, YAML_ENDINGS)):
+    if (is_folder and description.exists()) or (not is_folder and _is(source, _YAML_ENDINGS)):
         if object_name is not None:
             raise DatasetError(
                 f"{description}: a push dataset describes its object itself; name none beside it"
@@ -85,16 +84,16 @@ def _read(source: Path, object_name: str | None, progress: Progress | None) -> P
     files = _record_files(source) if is_folder else [source]
     fingerprint = Fingerprint()
     read_trial: Callable[[Path, Role, Fingerprint], tuple[Trial, list[str]]]
-    warnings: list[str] = []
     if _is(files[0], CSV_ENDINGS):
-        setup, columns = _setup(object_name, None, source, fingerprint)
+        setup, warnings, columns = _setup(object_name, None, source, fingerprint)
         read_trial = partial(read_csv_trial, columns=columns)
-    elif _is(files[0], MIT_ENDINGS):
+    elif _is(files[0], _MIT_ENDINGS):
         _refuse_part_of_a_dataset(files[0])
-        setup, _ = _setup(object_name, named_shape(files), source, fingerprint)
-        read_trial, warnings = read_mit_trial, surface_warnings(files)
+        setup, warnings, _ = _setup(object_name, named_shape(files), source, fingerprint)
+        warnings += surface_warnings(files)
+        read_trial = read_mit_trial
     else:
-        raise DatasetError(f"{source}: a file of another kind; wanted is {KINDS}")
+        raise DatasetError(f"{source}: a file of another kind; wanted is {_KINDS}")
     trials = []
     for index, (file, role) in enumerate(zip(files, _roles(len(files)), strict=True)):
         trial, doubts = read_trial(file, role, fingerprint)
@@ -113,10 +112,10 @@ def _record_files(folder: Path) -> list[Path]:
     files = sorted(
         file
         for file in folder.iterdir()
-        if _is(file, MIT_ENDINGS + CSV_ENDINGS) and not file.name.startswith(".")
+        if _is(file, _MIT_ENDINGS + CSV_ENDINGS) and not file.name.startswith(".")
     )
     if not files:
-        raise DatasetError(f"{folder}: holds no measurements; wanted is {KINDS}")
+        raise DatasetError(f"{folder}: holds no measurements; wanted is {_KINDS}")
     if len({_is(file, CSV_ENDINGS) for file in files}) > 1:
         raise DatasetError(
             f"{folder}: holds both CSV and MIT push files; put each kind into a folder of its own"
@@ -134,15 +133,18 @@ def _refuse_part_of_a_dataset(file: Path) -> None:
 
 
 def _roles(count: int) -> list[Role]:
-    heldout = count // HELDOUT_SHARE
+    heldout = count // _HELDOUT_SHARE
     fit: list[Role] = ["fit"] * (count - heldout)
     return fit + ["heldout"] * heldout
 
 
 def _setup(
     object_name: str | None, named: str | None, source: Path, fingerprint: Fingerprint
-) -> tuple[Setup, CsvColumns]:
-    """Setup of a named shape or of a YAML file; `named` is what the measurements' own names say."""
+) -> tuple[Setup, list[str], CsvColumns]:
+    """Setup of a named shape or of a YAML file, warnings, and columns of CSV files.
+
+    `named` is what the measurements' own names say.
+    """
     chosen = object_name or named
     if chosen is None:
         raise DatasetError(
@@ -151,14 +153,12 @@ def _setup(
             f" the keys object and finger of a {DESCRIPTION_FILE}"
         )
     file = Path(chosen)
-    if chosen not in MIT_SHAPES and _is(file, YAML_ENDINGS):
-        content = read_bytes(file, LARGEST_YAML)
+    if chosen not in MIT_SHAPES and _is(file, _YAML_ENDINGS):
+        content, document = parsing.read_yaml(file, chosen)
         fingerprint.add("object", content)
-        document = fields.mapping(parse_yaml(content, chosen), chosen)
-        setup = parse_setup(document, chosen, default_name=source.stem)
-        unknown = fields.unknown_keys(document, ("format", "trials", "csv", *SETUP_KEYS), chosen)
-        columns = parse_columns(document.get("csv"), f"{chosen}: csv")
-        return replace(setup, warnings=(*setup.warnings, *unknown)), columns
+        setup, warnings = parse_setup(document, chosen, default_name=source.stem)
+        warnings += parsing.unknown_keys(document, ("format", "trials", "csv", *SETUP_KEYS), chosen)
+        return setup, warnings, parse_columns(document.get("csv"), f"{chosen}: csv")
     shape = mit_shape(chosen, str(source))
     if named is not None and named != chosen:
         raise DatasetError(
@@ -170,4 +170,4 @@ def _setup(
         "object": {"outline": shape.outline.tolist(), "height": THICKNESS, "mass": shape.mass},
         "finger": {"radius": FINGER_RADIUS},
     }
-    return parse_setup(document, str(source), default_name=source.stem), STANDARD
+    return *parse_setup(document, str(source), default_name=source.stem), STANDARD
