@@ -12,6 +12,11 @@ def angle_between(one: FloatArray | float, other: FloatArray | float) -> FloatAr
     return np.remainder(np.asarray(one, dtype=float) - other + np.pi, 2 * np.pi) - np.pi
 
 
+def cross(one: FloatArray, other: FloatArray) -> FloatArray:
+    """(…) cross products of vectors (…, 2): one_x other_y - one_y other_x."""
+    return one[..., 0] * other[..., 1] - one[..., 1] * other[..., 0]
+
+
 def rotated(vectors: FloatArray, angle: FloatArray | float) -> FloatArray:
     """(…, 2) vectors turned by angles (…) in rad; leading axes broadcast."""
     c, s = np.cos(angle), np.sin(angle)

@@ -1,4 +1,4 @@
-"""The object's heights as a map, and what a camera sees of it from anywhere."""
+"""The object's heights as a map."""
 
 from __future__ import annotations
 
@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 from shapely.geometry import Polygon
 
-from slipmap.models.perception.edge_kernels import SPACING, Land, heights_seen
-from slipmap.models.perception.pinhole_camera import View
+from slipmap.models.perception.edge_kernels import SPACING, Land
 from slipmap.models.perception.table_plane import TablePlane
 from slipmap.models.physics.cell_grid import FloatArray
 
@@ -83,21 +82,8 @@ class Relief:
         read = [Relief(self.corner, field).at(points) for field in (smooth, *slopes)]
         return read[0], np.stack(read[1:], axis=-1)
 
-    def seen_at(self, pixels: FloatArray, pose: FloatArray, table: TablePlane, view: View) -> FloatArray:
-        """Heights (...) that a camera without noise sees at pixel coordinates (..., 2), m.
-
-        Args:
-            pixels: (..., 2).
-            pose: (3,) of O in W.
-            table: the table's plane.
-            view: the camera.
-        """
-        flat = np.array(pixels, dtype=float).reshape(-1, 2)
-        seen = heights_seen(view.lens, self.land(table), np.array(pose, dtype=float), flat)
-        return np.asarray(seen).reshape(pixels.shape[:-1])
-
     def land(self, table: TablePlane) -> Land:
-        """The same, on a table, for kernels."""
+        """The map, on a table, for kernels."""
         plane = np.array([table.slope_x, table.slope_y, table.height])
         heights = np.array(self.heights, np.float32, order="C")
         return Land(plane, np.array(self.corner, dtype=float), heights, float(heights.max()))
