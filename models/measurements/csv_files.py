@@ -7,13 +7,11 @@ import io
 import math
 from collections import Counter
 from collections.abc import Mapping
-from dataclasses import dataclass
-from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
 from slipmap.models.measurements import parsing
-from slipmap.models.measurements.parsing import Fingerprint
 from slipmap.models.measurements.push_dataset import CHANNELS, DatasetError, Role, Trial
 from slipmap.models.measurements.trial_tables import trial_from_tables
 from slipmap.models.physics.cell_grid import FloatArray
@@ -40,8 +38,7 @@ _OPTIONAL = CHANNELS["ft_wrench"]
 _REQUIRED = tuple(name for name in _UNITS if name not in _OPTIONAL)
 
 
-@dataclass(frozen=True)
-class CsvColumns:
+class CsvColumns(NamedTuple):
     """Columns of CSV files.
 
     Attributes:
@@ -103,7 +100,7 @@ def parse_columns(value: object, where: str) -> CsvColumns:
 
 
 def read_csv_trial(
-    path: Path, role: Role, fingerprint: Fingerprint, columns: CsvColumns = STANDARD
+    name: str, role: Role, content: bytes, where: str, columns: CsvColumns = STANDARD
 ) -> tuple[Trial, list[str]]:
     """One push file, in s, m, rad, N and N·m unless `columns` says else, the force that on the object.
 
@@ -113,24 +110,21 @@ def read_csv_trial(
         DatasetError: missing columns, cells that are no numbers, and what `trial_from_tables` refuses. Rows
             count from 0 below the header.
     """
-    content = parsing.read_bytes(path)
-    fingerprint.add(path.name, content)
-    where = str(path)
     header, numbers = _numbers(content, where, columns)
     column = {
-        name: columns.factors[name] * numbers[:, header.index(theirs)]
-        for name, theirs in columns.names.items()
+        ours: columns.factors[ours] * numbers[:, header.index(theirs)]
+        for ours, theirs in columns.names.items()
         if theirs in header
     }
-    unknown = [name for name in header if name not in columns.names.values()]
     warnings = [
-        f"{where}: the column {parsing.shown(name)} is unknown and ignored; {columns.expected}"
-        for name in unknown
+        f"{where}: the column {parsing.shown(unknown)} is unknown and ignored; {columns.expected}"
+        for unknown in header
+        if unknown not in columns.names.values()
     ]
     tables = {}
     for channel, names in CHANNELS.items():
-        if all(name in column for name in names):
-            values = np.column_stack([column[name] for name in names])
+        if all(ours in column for ours in names):
+            values = np.column_stack([column[ours] for ours in names])
             tables[channel] = np.column_stack([column["t"], values])
             untimed = np.flatnonzero(np.isnan(column["t"]) & ~np.isnan(values).all(axis=1))
             if len(untimed):
@@ -140,7 +134,7 @@ def read_csv_trial(
                 )
     if "ft_wrench" in tables and np.isnan(tables["ft_wrench"][:, 1:]).all():
         del tables["ft_wrench"]  # the columns are there, but nothing was measured
-    trial, doubts = trial_from_tables(path.name, role, tables, where)
+    trial, doubts = trial_from_tables(name, role, tables, where)
     return trial, warnings + doubts
 
 

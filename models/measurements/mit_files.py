@@ -19,7 +19,6 @@ from typing import NamedTuple
 import numpy as np
 
 from slipmap.models.measurements import parsing
-from slipmap.models.measurements.parsing import Fingerprint
 from slipmap.models.measurements.push_dataset import CHANNELS, DatasetError, Role, Trial
 from slipmap.models.measurements.trial_tables import COLUMNS, json_tables, trial_from_tables
 from slipmap.models.physics.cell_grid import FloatArray
@@ -31,22 +30,19 @@ FINGER_RADIUS = 0.00475  # m
 _MOST_NUMBERS = 8 * 2**20  # in one HDF5 channel
 
 
-def read_mit_trial(path: Path, role: Role, fingerprint: Fingerprint) -> tuple[Trial, list[str]]:
+def read_mit_trial(name: str, role: Role, content: bytes, where: str) -> tuple[Trial, list[str]]:
     """One push file; the stored force of the object on the finger is turned into that on the object.
 
     Raises:
         DatasetError: see `trial_from_tables`; the arrays `object_pose` and `tip_pose` must be there.
     """
-    content = parsing.read_bytes(path)
-    fingerprint.add(path.name, content)
-    where = str(path)
-    if path.suffix.lower() in HDF5_ENDINGS:
+    if Path(name).suffix.lower() in HDF5_ENDINGS:
         tables = _hdf5(content, where)
     else:
         tables = json_tables(parsing.mapping(parsing.parse_json(content, where), where), where)
     if "ft_wrench" in tables:
         tables["ft_wrench"] = tables["ft_wrench"] * np.array([1.0, -1.0, -1.0, -1.0])
-    return trial_from_tables(path.name, role, tables, where)
+    return trial_from_tables(name, role, tables, where)
 
 
 def named_shape(files: Sequence[Path]) -> str | None:

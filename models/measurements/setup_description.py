@@ -26,13 +26,10 @@ _FINGER = {"radius": Number("m", high=0.5, beyond=_THICK)}
 _GRAVITY = Number("m/s²", 1e-3, 1e3)
 _NOISE = {
     name: Number(unit, high=high, beyond=_DEVIATION, or_zero=True)
-    for name, unit, high in (
-        ("position", "m", 0.1),
-        ("angle", "rad", 1.0),
-        ("tip", "m", 0.1),
-        ("force", "N", 1e3),
-    )
-}
+    for name, (unit, high) in {
+        "position": ("m", 0.1), "angle": ("rad", 1.0), "tip": ("m", 0.1), "force": ("N", 1e3),
+    }.items()
+}  # fmt: skip
 
 _DEFAULT_CELLS = 60
 _STANDARD_GRAVITY = 9.81  # m/s²

@@ -15,7 +15,7 @@ import yaml
 from slipmap.models.files import replaced_file, replaced_folder
 from slipmap.models.measurements.parsing import read_yaml
 from slipmap.models.measurements.push_dataset import Channel, DatasetError, PushDataset, Trial
-from slipmap.models.measurements.push_format import DESCRIPTION_FILE, FORMAT, check_format
+from slipmap.models.measurements.reading import DESCRIPTION_FILE, FORMAT, check_format
 from slipmap.models.measurements.setup_description import setup_document
 
 

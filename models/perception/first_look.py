@@ -26,8 +26,7 @@ from slipmap.models.perception.object_mask import (
 )
 from slipmap.models.perception.pinhole_camera import DepthImage, PinholeCamera, View, pixel_size
 from slipmap.models.perception.pose_tracking import fit_edges
-from slipmap.models.perception.relief import Relief
-from slipmap.models.perception.seen_object import Outline, Reason, SeenObject, footprint, outline_of
+from slipmap.models.perception.seen_object import Outline, Reason, Relief, SeenObject, footprint, outline_of
 from slipmap.models.perception.table_plane import TablePlane, fit_table
 from slipmap.models.physics.cell_grid import CellGrid, FloatArray
 

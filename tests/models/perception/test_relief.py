@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from heights_seen import heights_seen
 
-from slipmap.models.perception.relief import Relief
+from slipmap.models.perception.seen_object import Relief
 from slipmap.models.perception.table_plane import TablePlane
 
 ELL = ((-0.1, -0.06, 0.1, 0.0, 0.03), (-0.1, 0.0, -0.03, 0.08, 0.09))
