@@ -1,4 +1,4 @@
-"""Files: what is read is bounded in size; what is written appears whole or not at all."""
+"""Files: what users hand in is bounded in size; what is written appears whole or not at all."""
 
 from __future__ import annotations
 
@@ -6,14 +6,12 @@ import errno
 import json
 import math
 import os
+import tempfile
 import zipfile
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
-
-SHARED_NAME = 40
-"""Characters that the temporary name of a file has from its own, which may be as long as a name can be."""
 
 
 class BadInput(Exception):
@@ -89,20 +87,47 @@ def _too_large(size: int, largest: int) -> UnreadableFile:
 
 
 @contextmanager
-def replaced_file(path: Path) -> Iterator[Path]:
-    """A temporary name beside `path`, renamed to it when the block ends well and removed when it does not. A
-    link stays one: the file that it names is written.
+def replaced_file(path: Path, part: Path | None = None) -> Iterator[Path]:
+    """A temporary name, renamed to `path` when the block ends well and removed when it does not. A link stays
+    one: the file that it names is written.
+
+    Args:
+        path: the file.
+        part: the temporary name, on the same disk; beside the file unless given.
 
     Raises:
         OSError: the place cannot be written to.
     """
     file = Path(os.path.realpath(path))
-    part = file.with_name(f".{os.getpid()}.{file.name[-SHARED_NAME:]}")
+    if part is None:
+        part = file.with_name(f".{os.getpid()}.{file.name[-40:]}")  # names can be as long as the disk allows
     try:
         yield part
         os.replace(part, file)
     finally:
         part.unlink(missing_ok=True)
+
+
+@contextmanager
+def replaced_folder(path: Path) -> Iterator[Path]:
+    """A temporary name for a folder that the block makes. When it ends well, the new folder takes the place
+    of the one at `path`, which is gone then; else that one stays.
+
+    Raises:
+        OSError: the place cannot be written to.
+    """
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory(prefix=f".{path.name}.", dir=path.parent) as scratch:
+        fresh, old = Path(scratch) / "new", Path(scratch) / "old"
+        yield fresh
+        if path.exists():
+            os.replace(path, old)
+        try:
+            os.replace(fresh, path)
+        except OSError:
+            if old.exists():
+                os.replace(old, path)
+            raise
 
 
 @contextmanager

@@ -12,6 +12,11 @@ def angle_between(one: FloatArray | float, other: FloatArray | float) -> FloatAr
     return np.remainder(np.asarray(one, dtype=float) - other + np.pi, 2 * np.pi) - np.pi
 
 
+def cross(one: FloatArray, other: FloatArray) -> FloatArray:
+    """(…) cross products of vectors (…, 2): one_x other_y - one_y other_x."""
+    return one[..., 0] * other[..., 1] - one[..., 1] * other[..., 0]
+
+
 def rotated(vectors: FloatArray, angle: FloatArray | float) -> FloatArray:
     """(…, 2) vectors turned by angles (…) in rad; leading axes broadcast."""
     c, s = np.cos(angle), np.sin(angle)
@@ -35,18 +40,12 @@ def seen_from(points: FloatArray, pose: FloatArray) -> FloatArray:
 
 def compose(first: FloatArray, second: FloatArray) -> FloatArray:
     """(…, 3) pose in the world of `second`, which is given in the frame `first`."""
-    c, s = np.cos(first[..., 2]), np.sin(first[..., 2])
-    x, y = second[..., 0], second[..., 1]
-    moved = [first[..., 0] + c * x - s * y, first[..., 1] + s * x + c * y, first[..., 2] + second[..., 2]]
-    return np.stack(np.broadcast_arrays(*moved), axis=-1)
+    return np.concatenate([placed(second, first), first[..., 2:] + second[..., 2:]], axis=-1)
 
 
 def relative(frame: FloatArray, pose: FloatArray) -> FloatArray:
     """(…, 3) the pose as seen from `frame`, so that compose(frame, relative(frame, pose)) is the pose."""
-    c, s = np.cos(frame[..., 2]), np.sin(frame[..., 2])
-    x, y = pose[..., 0] - frame[..., 0], pose[..., 1] - frame[..., 1]
-    seen = [c * x + s * y, c * y - s * x, pose[..., 2] - frame[..., 2]]
-    return np.stack(np.broadcast_arrays(*seen), axis=-1)
+    return np.concatenate([seen_from(pose, frame), pose[..., 2:] - frame[..., 2:]], axis=-1)
 
 
 def turned_to(pose: FloatArray, angle: float) -> FloatArray:
@@ -58,18 +57,14 @@ def turned_to(pose: FloatArray, angle: float) -> FloatArray:
 
 def at_centroid(poses: FloatArray, grid: CellGrid) -> FloatArray:
     """Poses (…, 3) of the object frame as positions of the cells' centroid, with the angle."""
-    x, y = grid.centers.mean(axis=0)
-    c, s = np.cos(poses[..., 2]), np.sin(poses[..., 2])
-    return np.stack([poses[..., 0] + c * x - s * y, poses[..., 1] + s * x + c * y, poses[..., 2]], axis=-1)
+    return compose(poses, np.append(grid.centers.mean(axis=0), 0.0))
+
+
+def from_centroid(poses: FloatArray, grid: CellGrid) -> FloatArray:
+    """Inverse of `at_centroid`."""
+    return compose(poses, np.append(-grid.centers.mean(axis=0), 0.0))
 
 
 def radius_of_gyration(grid: CellGrid) -> float:
     """Of the cells about their centroid, m; an angle times it is about as far as the cells move."""
     return float(np.sqrt(((grid.centers - grid.centers.mean(axis=0)) ** 2).sum(axis=1).mean()))
-
-
-def from_centroid(poses: FloatArray, grid: CellGrid) -> FloatArray:
-    """Inverse of `at_centroid`."""
-    x, y = grid.centers.mean(axis=0)
-    c, s = np.cos(poses[..., 2]), np.sin(poses[..., 2])
-    return np.stack([poses[..., 0] - c * x + s * y, poses[..., 1] - s * x - c * y, poses[..., 2]], axis=-1)

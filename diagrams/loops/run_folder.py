@@ -24,7 +24,7 @@ from slipmap.diagrams.loops.exploration_loop import LoopOptions, RecordedRun, ou
 from slipmap.diagrams.station.scenario import ObjectSettings, Scenario, ScenarioError, read_settings
 from slipmap.models.files import BadInput, whole_file, write_json, write_text, writing
 from slipmap.models.measurements import DatasetError, PushDataset, Trial, read_dataset
-from slipmap.models.measurements.files import read_bytes
+from slipmap.models.measurements.parsing import read_bytes
 from slipmap.models.measurements.writing import PushRecorder, trial_text
 from slipmap.models.perception.first_look import FirstPicture
 from slipmap.planners.action_selection import Choice

@@ -7,24 +7,21 @@ import io
 import math
 from collections import Counter
 from collections.abc import Mapping
-from dataclasses import dataclass
-from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
-from slipmap.models.measurements import fields
-from slipmap.models.measurements.files import Fingerprint, read_bytes, shown_error
-from slipmap.models.measurements.push_dataset import DatasetError, Role, Trial
-from slipmap.models.measurements.push_format import trial_from_tables
+from slipmap.models.measurements import parsing
+from slipmap.models.measurements.push_dataset import CHANNELS, DatasetError, Role, Trial
+from slipmap.models.measurements.trial_tables import trial_from_tables
 from slipmap.models.physics.cell_grid import FloatArray
 
-# What the columns of CSV files are called, and in which units they stand.
-
+CSV_ENDINGS = (".csv",)
 
 _LENGTHS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6}
 _ANGLES = {"rad": 1.0, "deg": 0.017453292519943295}
 _FORCES = {"N": 1.0, "mN": 1e-3, "kN": 1e3}
-UNITS: Mapping[str, Mapping[str, float]] = {
+_UNITS: Mapping[str, Mapping[str, float]] = {
     "t": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9},
     "object_x": _LENGTHS,
     "object_y": _LENGTHS,
@@ -37,12 +34,11 @@ UNITS: Mapping[str, Mapping[str, float]] = {
 }
 """Our names, and how much of the SI unit each unit is that a column may have."""
 
-OPTIONAL = ("force_x", "force_y", "force_tau")
-REQUIRED = tuple(name for name in UNITS if name not in OPTIONAL)
+_OPTIONAL = CHANNELS["ft_wrench"]
+_REQUIRED = tuple(name for name in _UNITS if name not in _OPTIONAL)
 
 
-@dataclass(frozen=True)
-class CsvColumns:
+class CsvColumns(NamedTuple):
     """Columns of CSV files.
 
     Attributes:
@@ -56,11 +52,13 @@ class CsvColumns:
     @property
     def expected(self) -> str:
         """Which columns there have to be, for error texts."""
-        required, optional = (", ".join(self.names[name] for name in group) for group in (REQUIRED, OPTIONAL))
+        required, optional = (
+            ", ".join(self.names[name] for name in group) for group in (_REQUIRED, _OPTIONAL)
+        )
         return f"expected are {required} and, where force was measured, {optional}"
 
 
-STANDARD = CsvColumns({name: name for name in UNITS}, {name: 1.0 for name in UNITS})
+STANDARD = CsvColumns({name: name for name in _UNITS}, {name: 1.0 for name in _UNITS})
 """Our own names, in s, m, rad, N and N·m."""
 
 
@@ -77,65 +75,56 @@ def parse_columns(value: object, where: str) -> CsvColumns:
     if value is None:
         return STANDARD
     names, factors = dict(STANDARD.names), dict(STANDARD.factors)
-    for name, entry in fields.mapping(value, where).items():
+    for name, entry in parsing.mapping(value, where).items():
         place = f"{where}.{name}"
-        if name not in UNITS:
-            raise DatasetError(f"{place}: there is no such quantity; there are {', '.join(UNITS)}")
-        told = {"column": entry} if isinstance(entry, str) else fields.mapping(entry, place)
+        if name not in _UNITS:
+            raise DatasetError(f"{place}: there is no such quantity; there are {', '.join(_UNITS)}")
+        told = {"column": entry} if isinstance(entry, str) else parsing.mapping(entry, place)
         for key in told:
             if key not in ("column", "unit"):
-                raise DatasetError(f"{place}: {fields.shown(key)} is unknown; there are column and unit")
-        names[name] = fields.text(told.get("column", name), f"{place}.column")
-        unit = told.get("unit", next(iter(UNITS[name])))
-        if not isinstance(unit, str) or unit not in UNITS[name]:
+                raise DatasetError(f"{place}: {parsing.shown(key)} is unknown; there are column and unit")
+        names[name] = parsing.text(told.get("column", name), f"{place}.column")
+        unit = told.get("unit", next(iter(_UNITS[name])))
+        if not isinstance(unit, str) or unit not in _UNITS[name]:
             raise DatasetError(
-                f"{place}.unit: must be one of {', '.join(UNITS[name])}, got {fields.shown(unit)}"
+                f"{place}.unit: must be one of {', '.join(_UNITS[name])}, got {parsing.shown(unit)}"
             )
-        factors[name] = UNITS[name][unit]
+        factors[name] = _UNITS[name][unit]
     for name, column in names.items():
         others = [other for other, same in names.items() if same == column and other != name]
         if others:
-            raise DatasetError(f"{where}: the column {fields.shown(column)} cannot be {name} and {others[0]}")
+            raise DatasetError(
+                f"{where}: the column {parsing.shown(column)} cannot be {name} and {others[0]}"
+            )
     return CsvColumns(names, factors)
 
 
-CSV_ENDINGS = (".csv",)
-CHANNEL_COLUMNS = {
-    "object_pose": ("object_x", "object_y", "object_theta"),
-    "tip_pose": ("tip_x", "tip_y"),
-    "ft_wrench": ("force_x", "force_y", "force_tau"),
-}
-
-
 def read_csv_trial(
-    path: Path, role: Role, fingerprint: Fingerprint, columns: CsvColumns = STANDARD
+    name: str, role: Role, content: bytes, where: str, columns: CsvColumns = STANDARD
 ) -> tuple[Trial, list[str]]:
     """One push file, in s, m, rad, N and N·m unless `columns` says else, the force that on the object.
 
     Channels share the column t and need not share rates: a channel has a row where its cells are filled.
 
     Raises:
-        DatasetError: missing columns, cells that are no numbers, and what `trial_channels` refuses. Rows are
-            counted from 0 below the header.
+        DatasetError: missing columns, cells that are no numbers, and what `trial_from_tables` refuses. Rows
+            count from 0 below the header.
     """
-    content = read_bytes(path)
-    fingerprint.add(path.name, content)
-    where = str(path)
     header, numbers = _numbers(content, where, columns)
     column = {
-        name: columns.factors[name] * numbers[:, header.index(theirs)]
-        for name, theirs in columns.names.items()
+        ours: columns.factors[ours] * numbers[:, header.index(theirs)]
+        for ours, theirs in columns.names.items()
         if theirs in header
     }
-    unknown = [name for name in header if name not in columns.names.values()]
     warnings = [
-        f"{where}: the column {fields.shown(name)} is unknown and ignored; {columns.expected}"
-        for name in unknown
+        f"{where}: the column {parsing.shown(unknown)} is unknown and ignored; {columns.expected}"
+        for unknown in header
+        if unknown not in columns.names.values()
     ]
     tables = {}
-    for channel, names in CHANNEL_COLUMNS.items():
-        if all(name in column for name in names):
-            values = np.column_stack([column[name] for name in names])
+    for channel, names in CHANNELS.items():
+        if all(ours in column for ours in names):
+            values = np.column_stack([column[ours] for ours in names])
             tables[channel] = np.column_stack([column["t"], values])
             untimed = np.flatnonzero(np.isnan(column["t"]) & ~np.isnan(values).all(axis=1))
             if len(untimed):
@@ -145,7 +134,7 @@ def read_csv_trial(
                 )
     if "ft_wrench" in tables and np.isnan(tables["ft_wrench"][:, 1:]).all():
         del tables["ft_wrench"]  # the columns are there, but nothing was measured
-    trial, doubts = trial_from_tables(path.name, role, tables, where)
+    trial, doubts = trial_from_tables(name, role, tables, where)
     return trial, warnings + doubts
 
 
@@ -154,15 +143,15 @@ def _numbers(content: bytes, where: str, columns: CsvColumns) -> tuple[list[str]
         lines = list(csv.reader(io.StringIO(content.decode("utf-8-sig"), newline="")))
     except (csv.Error, ValueError) as error:
         raise DatasetError(
-            f"{where}: not readable as CSV ({shown_error(error)}); save it as text in UTF-8"
+            f"{where}: not readable as CSV ({parsing.shown_error(error)}); save it as text in UTF-8"
         ) from None
     if not lines:
         raise DatasetError(f"{where}: the file is empty; {columns.expected}")
     header = [name.strip() for name in lines[0]]
     absent = {name for name, theirs in columns.names.items() if theirs not in header}
-    missing = [name for name in REQUIRED if name in absent]
-    if 0 < len(absent & set(OPTIONAL)) < len(OPTIONAL):
-        missing += [name for name in OPTIONAL if name in absent]
+    missing = [name for name in _REQUIRED if name in absent]
+    if 0 < len(absent & set(_OPTIONAL)) < len(_OPTIONAL):
+        missing += [name for name in _OPTIONAL if name in absent]
     if missing:
         lacking = ", ".join(columns.names[name] for name in missing)
         if len(header) == 1 and any(sign in header[0] for sign in ";\t"):
@@ -171,13 +160,13 @@ def _numbers(content: bytes, where: str, columns: CsvColumns) -> tuple[list[str]
                 " points in numbers"
             )
         raise DatasetError(
-            f"{where}: the header {fields.shown(','.join(header))} lacks {lacking}; {columns.expected}."
+            f"{where}: the header {parsing.shown(','.join(header))} lacks {lacking}; {columns.expected}."
             " Other names and units are told under the key csv of the YAML file of --object"
         )
     name, uses = Counter(header).most_common(1)[0]
     if uses > 1:
         raise DatasetError(
-            f"{where}: the header has the column {fields.shown(name)} {uses} times; {columns.expected}"
+            f"{where}: the header has the column {parsing.shown(name)} {uses} times; {columns.expected}"
         )
     rows = []
     for row, cells in enumerate(lines[1:]):
@@ -201,5 +190,5 @@ def _cell(cell: str, where: str) -> float:
         return float(stripped)
     except ValueError:
         raise DatasetError(
-            f"{where}: {fields.shown(cell)} is no number; leave the cell empty where there is none"
+            f"{where}: {parsing.shown(cell)} is no number; leave the cell empty where there is none"
         ) from None

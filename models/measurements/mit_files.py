@@ -1,9 +1,10 @@
-"""Single pushes as the MIT push dataset publishes them: bare JSON or HDF5, the object not described.
+"""Pushes and objects of the MIT push dataset (Yu, Bauza, Fazeli and Rodriguez, IROS 2016), in JSON or HDF5.
 
-Sizes, masses and the placing of the frame are those of the laboratory's own table of shapes, published
-with its software (github.com/peterkty/pnpush, pnpush_config/src/config/shape_db.py). All are stainless
-steel, 13 mm thick; area, thickness and mass agree on a density of 7.8 to 8.0 g/cm³. The butterfly `butter`
-is left out: its outline exists only as a list of measured points there.
+The files do not describe the object. Sizes, masses and the placing of the frame are those of the laboratory's
+own table of shapes, published with its software (github.com/peterkty/pnpush,
+pnpush_config/src/config/shape_db.py). All are stainless steel, 13 mm thick; area, thickness and mass agree on
+a density of 7.8 to 8.0 g/cm³. The butterfly `butter` is left out: its outline exists only as a list of
+measured points there.
 """
 
 from __future__ import annotations
@@ -11,36 +12,37 @@ from __future__ import annotations
 import io
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
 from difflib import get_close_matches
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
-from slipmap.models.measurements import fields
-from slipmap.models.measurements.files import Fingerprint, parse_json, read_bytes, shown_error
-from slipmap.models.measurements.push_dataset import DatasetError, Role, Trial
-from slipmap.models.measurements.push_format import COLUMNS, trial_from_tables
+from slipmap.models.measurements import parsing
+from slipmap.models.measurements.push_dataset import CHANNELS, DatasetError, Role, Trial
+from slipmap.models.measurements.trial_tables import COLUMNS, json_tables, trial_from_tables
 from slipmap.models.physics.cell_grid import FloatArray
 
 JSON_ENDINGS = (".json",)
 HDF5_ENDINGS = (".h5", ".hdf5")
-MOST_NUMBERS = 8 * 2**20  # in one HDF5 channel
+THICKNESS = 0.013  # m
+FINGER_RADIUS = 0.00475  # m
+_MOST_NUMBERS = 8 * 2**20  # in one HDF5 channel
 
 
-def read_mit_trial(path: Path, role: Role, fingerprint: Fingerprint) -> tuple[Trial, list[str]]:
+def read_mit_trial(name: str, role: Role, content: bytes, where: str) -> tuple[Trial, list[str]]:
     """One push file; the stored force of the object on the finger is turned into that on the object.
 
     Raises:
-        DatasetError: see `trial_channels`; the arrays `object_pose` and `tip_pose` must be there.
+        DatasetError: see `trial_from_tables`; the arrays `object_pose` and `tip_pose` must be there.
     """
-    content = read_bytes(path)
-    fingerprint.add(path.name, content)
-    where = str(path)
-    tables = _hdf5(content, where) if path.suffix.lower() in HDF5_ENDINGS else _json(content, where)
+    if Path(name).suffix.lower() in HDF5_ENDINGS:
+        tables = _hdf5(content, where)
+    else:
+        tables = json_tables(parsing.mapping(parsing.parse_json(content, where), where), where)
     if "ft_wrench" in tables:
         tables["ft_wrench"] = tables["ft_wrench"] * np.array([1.0, -1.0, -1.0, -1.0])
-    return trial_from_tables(path.name, role, tables, where)
+    return trial_from_tables(name, role, tables, where)
 
 
 def named_shape(files: Sequence[Path]) -> str | None:
@@ -73,61 +75,43 @@ def surface_warnings(files: Sequence[Path]) -> list[str]:
     ]
 
 
-def _json(content: bytes, where: str) -> dict[str, FloatArray]:
-    arrays = fields.mapping(parse_json(content, where), where)
-    return {
-        key: fields.table(arrays[key], columns, f"{where}, {key}")
-        for key, columns in COLUMNS.items()
-        if arrays.get(key) is not None
-    }
-
-
 def _hdf5(content: bytes, where: str) -> dict[str, FloatArray]:
     import h5py
 
     tables: dict[str, FloatArray] = {}
     try:
         with h5py.File(io.BytesIO(content), "r") as file:
-            for key, columns in COLUMNS.items():
+            for key in CHANNELS:
                 if isinstance(file.get(key, getlink=True), h5py.HardLink):
-                    tables[key] = _hdf5_table(file[key], columns, f"{where}, {key}")
+                    tables[key] = _hdf5_table(file[key], f"{where}, {key}")
     except DatasetError:
         raise
     except (OSError, RuntimeError, ValueError, TypeError, LookupError, OverflowError, MemoryError) as error:
         raise DatasetError(
-            f"{where}: not readable as HDF5 ({shown_error(error)}); was the file cut short?"
+            f"{where}: not readable as HDF5 ({parsing.shown_error(error)}); was the file cut short?"
         ) from None
     return tables
 
 
-def _hdf5_table(item: object, columns: int, where: str) -> FloatArray:
+def _hdf5_table(item: object, where: str) -> FloatArray:
     import h5py
 
     if not isinstance(item, h5py.Dataset) or item.is_virtual or item.external:
         raise DatasetError(f"{where}: must be an array inside the file")
     if item.dtype.kind not in "fiu":
         raise DatasetError(f"{where}: must hold numbers, has the type {item.dtype}")
-    if item.size is not None and item.size > MOST_NUMBERS:
+    if item.size is not None and item.size > _MOST_NUMBERS:
         raise DatasetError(
-            f"{where}: {item.size} numbers are more than the {MOST_NUMBERS} one channel may have"
+            f"{where}: {item.size} numbers are more than the {_MOST_NUMBERS} one channel may have"
         )
     if item.size == 0:
-        return np.empty((0, columns))
-    if item.ndim != 2 or item.shape[1] != columns:
-        raise DatasetError(f"{where}: needs rows of {columns} columns, has the shape {item.shape}")
+        return np.empty((0, COLUMNS))
+    if item.ndim != 2 or item.shape[1] != COLUMNS:
+        raise DatasetError(f"{where}: needs rows of {COLUMNS} columns, has the shape {item.shape}")
     return np.asarray(item[...], dtype=float)
 
 
-# The objects of the MIT push dataset (Yu, Bauza, Fazeli and Rodriguez, IROS 2016).
-
-
-THICKNESS = 0.013  # m
-FINGER_RADIUS = 0.00475  # m
-_ELLIPSE_CORNERS = 96  # the polygon stays within 0.05 mm of the curve
-
-
-@dataclass(frozen=True, eq=False)
-class MitShape:
+class MitShape(NamedTuple):
     """Outline (k, 2) counter-clockwise in the tracked frame, m, and mass, kg."""
 
     outline: FloatArray
@@ -162,7 +146,8 @@ def _triangle(along_x: float, along_y: float) -> FloatArray:
     return np.array([[corner, corner], [corner - along_x, corner], [corner, corner - along_y]])
 
 
-def _ellipse(along_x: float, along_y: float, corners: int = _ELLIPSE_CORNERS) -> FloatArray:
+def _ellipse(along_x: float, along_y: float, corners: int = 96) -> FloatArray:
+    """96 corners stay within 0.05 mm of the curve."""
     angle = np.arange(corners) * 2.0 * np.pi / corners
     return 0.5 * np.stack([along_x * np.cos(angle), along_y * np.sin(angle)], axis=1)
 

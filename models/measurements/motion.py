@@ -1,8 +1,9 @@
-"""Smoothing of a recorded finger track.
+"""What the rows of a record say of motion: the smooth track of a finger, and the twist with which an object
+enters a trial.
 
 A finger is stiff and smooth, its record jitters. Fed into the model as it is, jitter of 0.05 mm rattles the
 contact between no force and twice the force, and rectifies into a drift: with the true maps of a simulated
-object, pushes ended 1.4 mm off on average, and 0.5 mm off after this smoothing.
+object, pushes ended 1.4 mm off on average, and 0.5 mm off after smoothing.
 """
 
 from __future__ import annotations
@@ -12,14 +13,24 @@ from scipy.ndimage import correlate1d, maximum_filter1d, uniform_filter1d
 
 from slipmap.models.physics.cell_grid import FloatArray
 
-WINDOWS = (0.4, 0.3, 0.2, 0.14, 0.1, 0.07, 0.05)
-"""Windows of the local quadratic that are tried, s, the widest first."""
+_WINDOWS = (0.4, 0.3, 0.2, 0.14, 0.1, 0.07, 0.05)  # s; widths of the local quadratics that are tried
+_TOLERATED = 2.0  # of the noise; what a good window leaves (rms over five rows) is below
+_SMALLEST_NOISE = 2e-6  # m; rounding of the record is no noise
 
-TOLERATED = 2.0
-"""A window is good where what it leaves (rms over five rows) is below this many times the noise."""
-
-SMALLEST_NOISE = 2e-6
-"""Rounding of the record is not noise, m."""
+_WINDOW_ROWS = (6, 8, 11, 16, 23, 32, 45, 64)
+_LONGEST_WINDOW = 0.25  # s
+_SLOWEST = np.array(
+    [0.01, 0.01, 0.1]
+)  # m/s, which friction of 0.1 stops within 0.05 mm; rad/s, as fast 0.1 m off
+_SIGNIFICANCE = 10.0  # least speed in standard errors
+_GAIN_OVER_REST = 10.0  # least gain in twice the log-likelihood
+_BRIEF_REST = 0.015  # s; an onset this early is as good as motion from the start
+_TOLERATED_LOSS = 12.0  # against such an onset, which has more parameters
+_COARSE_FIT = 0.02  # misfit over travel that still counts as one smooth motion
+_FINE_FIT = 0.001  # the same for the window the estimate comes from: bounds its bias by about 1 %
+_RESOLUTION = 1e-6  # m and rad; files are rounded to about this
+_HUBER = 1.345  # residual in standard deviations above which a row counts less (Huber 1964)
+_HUBER_ITERATIONS = 8
 
 
 def smooth_track(time: FloatArray, track: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -43,17 +54,17 @@ def smooth_track(time: FloatArray, track: FloatArray) -> tuple[FloatArray, Float
     grid = np.linspace(time[0], time[-1], max(2, round((time[-1] - time[0]) / step) + 1))
     raw = np.column_stack([np.interp(grid, time, column) for column in track.T])
     third = np.abs(np.diff(raw, 3, axis=0))
-    noise = max(float((np.median(third, axis=0) / 0.6745 / np.sqrt(20.0)).max()), SMALLEST_NOISE)
+    noise = max(float((np.median(third, axis=0) / 0.6745 / np.sqrt(20.0)).max()), _SMALLEST_NOISE)
     smooth = raw.copy()
     settled = np.zeros(len(grid), dtype=bool)
-    for window in WINDOWS:
+    for window in _WINDOWS:
         rows = int(window / step) // 2 * 2 + 1
         if rows < 5 or rows > len(grid):
             continue
         fitted = _local_quadratics(raw, rows)
         left = uniform_filter1d(((raw - fitted) ** 2).mean(axis=1), 5, mode="nearest")
         worst = maximum_filter1d(np.sqrt(np.maximum(left, 0.0)), rows, mode="nearest")
-        good = (worst < TOLERATED * noise) & ~settled
+        good = (worst < _TOLERATED * noise) & ~settled
         smooth[good] = fitted[good]
         settled |= good
     return grid, smooth
@@ -72,24 +83,6 @@ def _local_quadratics(track: FloatArray, rows: int) -> FloatArray:
     fitted[:half] = weights[:half] @ track[:rows]
     fitted[-half:] = weights[-half:] @ track[-rows:]
     return fitted
-
-
-# The twist with which an object enters a trial, and the test that tells it from rest.
-
-
-WINDOW_ROWS = (6, 8, 11, 16, 23, 32, 45, 64)
-LONGEST_WINDOW = 0.25  # s
-SLOWEST_SPEED = 0.01  # m/s; friction of 0.1 stops it within 0.05 mm
-SLOWEST_TURN = 0.1  # rad/s; the same speed at the rim of an object of 0.1 m
-SIGNIFICANCE = 10.0  # least speed in standard errors
-GAIN_OVER_REST = 10.0  # least gain in twice the log-likelihood
-BRIEF_REST = 0.015  # s; an onset this early is as good as motion from the start
-TOLERATED_LOSS = 12.0  # against such an onset, which has more parameters
-COARSE_FIT = 0.02  # misfit over travel that still counts as one smooth motion
-FINE_FIT = 0.001  # the same for the window the estimate comes from: bounds its bias by about 1 %
-RESOLUTION = 1e-6  # m and rad; files are rounded to about this
-HUBER = 1.345  # residual in standard deviations above which a row counts less (Huber 1964)
-HUBER_ITERATIONS = 8
 
 
 def initial_twist(time: FloatArray, pose: FloatArray) -> FloatArray:
@@ -121,8 +114,8 @@ def initial_twist(time: FloatArray, pose: FloatArray) -> FloatArray:
         (3,) world velocity in m/s, m/s, rad/s. Zeros for fewer than six rows: too few to tell.
     """
     noise = _row_noise(time, pose)
-    within = int(np.searchsorted(time, time[0] + LONGEST_WINDOW, side="right"))
-    sizes = [size for size in WINDOW_ROWS if size <= within]
+    within = int(np.searchsorted(time, time[0] + _LONGEST_WINDOW, side="right"))
+    sizes = [size for size in _WINDOW_ROWS if size <= within]
     for position, size in enumerate(sizes):
         if _moves(time[:size] - time[0], pose[:size], noise):
             return _longest_fit(time - time[0], pose, noise, sizes[position:])
@@ -134,24 +127,21 @@ def _moves(time: FloatArray, pose: FloatArray, noise: FloatArray) -> bool:
     coefficients, residual = _huber_fit(basis, pose, noise)
     travel = np.ptp(basis @ coefficients, axis=0)
     misfit = _robust_spread(residual)
-    if np.any(misfit > np.maximum(2.0 * noise, COARSE_FIT * travel)):
+    if np.any(misfit > np.maximum(2.0 * noise, _COARSE_FIT * travel)):
         return False
     velocity = np.abs(coefficients[1])
     slope_weights = np.linalg.pinv(basis)[1]
     standard_error = np.maximum(noise, misfit) * np.linalg.norm(slope_weights)
-    fast = velocity > np.array([SLOWEST_SPEED, SLOWEST_SPEED, SLOWEST_TURN])
-    if not np.any(fast & (velocity > SIGNIFICANCE * standard_error)):
+    fast = velocity > _SLOWEST
+    if not np.any(fast & (velocity > _SIGNIFICANCE * standard_error)):
         return False
-    scale = np.maximum(np.maximum(noise, misfit), 0.5 * COARSE_FIT * travel)
+    scale = np.maximum(np.maximum(noise, misfit), 0.5 * _COARSE_FIT * travel)
     cost = _huber_cost(residual, scale)
     return all(
-        _cost_from_rest(time, pose, noise, scale, rows) > cost + _needed_gain(time[rows - 1])
+        _cost_from_rest(time, pose, noise, scale, rows)
+        > cost + (_GAIN_OVER_REST if time[rows - 1] > _BRIEF_REST else -_TOLERATED_LOSS)
         for rows in range(len(time), 1, -1)
     )
-
-
-def _needed_gain(rest: float) -> float:
-    return GAIN_OVER_REST if rest > BRIEF_REST else -TOLERATED_LOSS
 
 
 def _cost_from_rest(
@@ -172,7 +162,7 @@ def _longest_fit(time: FloatArray, pose: FloatArray, noise: FloatArray, sizes: l
         basis = _quadratic(time[:size])
         coefficients, residual = _huber_fit(basis, pose[:size], noise)
         travel = np.ptp(basis @ coefficients, axis=0)
-        fits = np.all(_robust_spread(residual) <= np.maximum(1.25 * noise, FINE_FIT * travel))
+        fits = np.all(_robust_spread(residual) <= np.maximum(1.25 * noise, _FINE_FIT * travel))
         if size > sizes[0] and not fits:
             break
         velocity = coefficients[1]
@@ -186,11 +176,11 @@ def _quadratic(time: FloatArray) -> FloatArray:
 def _row_noise(time: FloatArray, pose: FloatArray) -> FloatArray:
     """(3,) robust standard deviation of a row, from its distance to the line through its neighbours."""
     if len(time) < 3:
-        return np.full(3, RESOLUTION)
+        return np.full(3, _RESOLUTION)
     share = ((time[1:-1] - time[:-2]) / (time[2:] - time[:-2]))[:, None]
     distance = pose[1:-1] - (1.0 - share) * pose[:-2] - share * pose[2:]
     spread = _robust_spread(distance / np.sqrt(1.0 + share**2 + (1.0 - share) ** 2))
-    return np.maximum(spread, RESOLUTION)
+    return np.maximum(spread, _RESOLUTION)
 
 
 def _robust_spread(residual: FloatArray) -> FloatArray:
@@ -202,7 +192,7 @@ def _robust_spread(residual: FloatArray) -> FloatArray:
 
 def _huber_cost(residual: FloatArray, scale: FloatArray) -> float:
     size = np.abs(residual) / scale
-    return float(np.sum(np.where(size <= HUBER, size**2, 2.0 * HUBER * size - HUBER**2)))
+    return float(np.sum(np.where(size <= _HUBER, size**2, 2.0 * _HUBER * size - _HUBER**2)))
 
 
 def _huber_fit(basis: FloatArray, values: FloatArray, noise: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -210,11 +200,11 @@ def _huber_fit(basis: FloatArray, values: FloatArray, noise: FloatArray) -> tupl
     widths = np.max(np.abs(basis), axis=0)
     orthonormal, triangle = np.linalg.qr(basis / widths)
     weights = np.ones_like(values)
-    for _ in range(HUBER_ITERATIONS):
+    for _ in range(_HUBER_ITERATIONS):
         normal = np.einsum("mp,mc,mq->cpq", orthonormal, weights, orthonormal)
         right = np.einsum("mp,mc,mc->cp", orthonormal, weights, values)
         solution = np.linalg.solve(normal, right[..., None])[..., 0].T
         residual = values - orthonormal @ solution
         size = np.abs(residual) / np.maximum(_robust_spread(residual), noise)
-        weights = HUBER / np.maximum(size, HUBER)
+        weights = _HUBER / np.maximum(size, _HUBER)
     return np.linalg.solve(triangle, solution) / widths[:, None], residual

@@ -1,13 +1,14 @@
 """What was measured while a finger pushed one object over a table: channels, trials, datasets.
 
-Nothing is extrapolated and no row is moved: sensors keep their own stamps, only counted from another zero.
+Nothing is extrapolated and no row is moved: sensors keep their own stamps. `pose_times`, `finger_path` and
+`wrench_samples` only count them from another zero, the first object pose.
 """
 
 from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -17,8 +18,16 @@ from slipmap.models.measurements.motion import initial_twist
 from slipmap.models.physics.cell_grid import CellGrid, FloatArray
 
 Role = Literal["fit", "heldout"]
-FAR_AWAY = 1.0  # m
-LEAST_NOISE = {"position": 1e-6, "angle": 1e-5, "tip": 1e-6, "force": 1e-4}  # m, rad, m, N
+
+CHANNELS: Mapping[str, tuple[str, ...]] = {
+    "object_pose": ("object_x", "object_y", "object_theta"),
+    "tip_pose": ("tip_x", "tip_y"),
+    "ft_wrench": ("force_x", "force_y", "force_tau"),
+}
+"""The channels of a trial and their columns beside time; force need not be measured."""
+
+_FAR_AWAY = 1.0  # m
+_LEAST_NOISE = {"position": 1e-6, "angle": 1e-5, "tip": 1e-6, "force": 1e-4}  # m, rad, m, N
 
 
 class DatasetError(ValueError):
@@ -89,15 +98,15 @@ class Trial:
             raise DatasetError(f"{self.name}: role must be fit or heldout, got {self.role!r}")
         if len(self.object_pose.time) < 2:
             raise DatasetError(f"{self.name}: object_pose needs two rows or more, a first and a last pose")
-        for what, channel, columns in (
-            ("object_pose", self.object_pose, 3),
-            ("tip_pose", self.tip_pose, 2),
-            ("ft_wrench", self.ft_wrench, 3),
-        ):
-            if channel is not None and channel.values.shape[1] != columns:
-                raise DatasetError(
-                    f"{self.name}: {what} needs {columns} columns beside time, has {channel.values.shape[1]}"
-                )
+        for what, channel in self.channels.items():
+            columns, found = len(CHANNELS[what]), channel.values.shape[1]
+            if found != columns:
+                raise DatasetError(f"{self.name}: {what} needs {columns} columns beside time, has {found}")
+
+    @property
+    def channels(self) -> dict[str, Channel]:
+        """What was measured, by name."""
+        return {name: channel for name in CHANNELS if (channel := getattr(self, name)) is not None}
 
     @property
     def start(self) -> float:
@@ -117,13 +126,13 @@ class Trial:
     def has_finger(self) -> bool:
         """Whether the finger ever comes within 1 m of the object frame; a finger farther away is none."""
         distance = self.tip_pose.values - self.object_pose.at(self.tip_pose.time)[:, :2]
-        return bool(np.min(np.hypot(*distance.T)) < FAR_AWAY)
+        return bool(np.min(np.hypot(*distance.T)) < _FAR_AWAY)
 
     def initial_velocity(self) -> FloatArray:
         """(3,) world velocity (v_x, v_y, omega) at the first pose, m/s and rad/s.
 
         Exactly zero for `ends_only` and where the rows do not show motion from the first row on; see
-        `initial_motion.initial_twist` for the robust fit and the test of significance.
+        `initial_twist` for the robust fit and the test of significance.
         """
         if self.ends_only:
             return np.zeros(3)
@@ -134,7 +143,8 @@ class Trial:
 class Noise:
     """One standard deviation of each channel's rows, where known: m, rad, m, N.
 
-    A smaller one than `LEAST_NOISE`, as none in a simulation, counts as that: no model is as exact.
+    One below 1 µm, 10 µrad, 1 µm or 0.1 mN, such as none in a simulation, counts as that: no model is as
+    exact.
     """
 
     position: float | None = None
@@ -143,7 +153,7 @@ class Noise:
     force: float | None = None
 
     def __post_init__(self) -> None:
-        for name, least in LEAST_NOISE.items():
+        for name, least in _LEAST_NOISE.items():
             value = getattr(self, name)
             if value is not None:
                 object.__setattr__(self, name, max(value, least))
@@ -160,8 +170,8 @@ class Table:
 
 
 @dataclass(frozen=True, eq=False)
-class PushDataset:
-    """Trials of one object with one finger.
+class Setup:
+    """What is pushed, with what and on what.
 
     Attributes:
         name, description: free text.
@@ -172,12 +182,6 @@ class PushDataset:
         table: the table top, where known.
         gravity: m/s².
         noise: standard deviations, where known.
-        trials: in the order of the experiment.
-        fingerprint: sha256 of the files that were read, wherever they lie. A selection of trials keeps it.
-        warnings: what looks wrong without making the data useless.
-
-    Raises:
-        DatasetError: no trials, two of one name, or a radius, gravity, height or mass that is not positive.
     """
 
     name: str
@@ -189,6 +193,21 @@ class PushDataset:
     table: Table | None
     gravity: float
     noise: Noise
+
+
+@dataclass(frozen=True, eq=False)
+class PushDataset(Setup):
+    """Trials of one object with one finger.
+
+    Attributes:
+        trials: in the order of the experiment.
+        fingerprint: sha256 of the files that were read, wherever they lie. A selection of trials keeps it.
+        warnings: what looks wrong without making the data useless.
+
+    Raises:
+        DatasetError: no trials, two of one name, or a radius, gravity, height or mass that is not positive.
+    """
+
     trials: tuple[Trial, ...]
     fingerprint: str
     warnings: tuple[str, ...] = ()
@@ -231,9 +250,6 @@ class PushDataset:
             )
         kept = set(self.fit_trials[:count])
         return replace(self, trials=tuple(t for t in self.trials if t.role == "heldout" or t in kept))
-
-
-# Channels of one trial on one clock: time zero is the first object pose.
 
 
 def pose_times(trial: Trial) -> FloatArray:

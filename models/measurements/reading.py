@@ -1,14 +1,15 @@
-"""One entrance to every kind of push measurements."""
+"""Reading push measurements: a folder of the format push-dataset/1, which is a dataset.yaml and one JSON file a
+push, or bare files of pushes."""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
-from dataclasses import replace
+from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
+from typing import Any, NamedTuple, get_args
 
-from slipmap.models.measurements import fields
+from slipmap.models.measurements import parsing
 from slipmap.models.measurements.csv_files import (
     CSV_ENDINGS,
     STANDARD,
@@ -16,7 +17,6 @@ from slipmap.models.measurements.csv_files import (
     parse_columns,
     read_csv_trial,
 )
-from slipmap.models.measurements.files import LARGEST_YAML, Fingerprint, parse_yaml, read_bytes
 from slipmap.models.measurements.mit_files import (
     FINGER_RADIUS,
     HDF5_ENDINGS,
@@ -28,14 +28,21 @@ from slipmap.models.measurements.mit_files import (
     read_mit_trial,
     surface_warnings,
 )
-from slipmap.models.measurements.push_dataset import DatasetError, PushDataset, Role, Trial
-from slipmap.models.measurements.push_format import DESCRIPTION_FILE, Progress, assembled, read_push_format
-from slipmap.models.measurements.setup_description import SETUP_KEYS, Setup, parse_setup
+from slipmap.models.measurements.parsing import Fingerprint
+from slipmap.models.measurements.push_dataset import CHANNELS, DatasetError, PushDataset, Role, Setup, Trial
+from slipmap.models.measurements.setup_description import SETUP_KEYS, parse_setup
+from slipmap.models.measurements.trial_checks import check_trials
+from slipmap.models.measurements.trial_tables import json_tables, trial_from_tables
 
-YAML_ENDINGS = (".yaml", ".yml")
-MIT_ENDINGS = JSON_ENDINGS + HDF5_ENDINGS
-HELDOUT_SHARE = 4
-KINDS = (
+FORMAT = "push-dataset/1"
+DESCRIPTION_FILE = "dataset.yaml"
+Progress = Callable[[int, int], None]
+Entry = tuple[str, Role]
+
+_YAML_ENDINGS = (".yaml", ".yml")
+_MIT_ENDINGS = JSON_ENDINGS + HDF5_ENDINGS
+_HELDOUT_SHARE = 4
+_KINDS = (
     "a push dataset (a folder with a dataset.yaml), MIT push files (.json, .h5, .hdf5) or CSV files (.csv)"
 )
 
@@ -65,44 +72,154 @@ def read_dataset(
     Raises:
         DatasetError: for every fault in the files, naming file, trial and row.
     """
+    source = Path(path)
     try:
-        return _read(Path(path), object_name, progress)
-    except OSError as error:
-        raise DatasetError(f"{str(path)!r} cannot be read ({error})") from None
-
-
-def _read(source: Path, object_name: str | None, progress: Progress | None) -> PushDataset:
-    if not source.exists():
-        raise DatasetError(f"{str(source)!r}: there is no such file or folder; wanted is {KINDS}")
-    is_folder = source.is_dir()
-    description = source / DESCRIPTION_FILE if is_folder else source
-    if (is_folder and description.exists()) or (not is_folder and _is(source, YAML_ENDINGS)):
+        if not source.exists():
+            raise DatasetError(f"{str(source)!r}: there is no such file or folder; wanted is {_KINDS}")
+        is_folder = source.is_dir()
+        description = source / DESCRIPTION_FILE if is_folder else source
+        if not (description.exists() if is_folder else _is(source, _YAML_ENDINGS)):
+            return _read_files(source, object_name, progress)
         if object_name is not None:
             raise DatasetError(
                 f"{description}: a push dataset describes its object itself; name none beside it"
             )
-        return read_push_format(description, progress)
-    files = _record_files(source) if is_folder else [source]
-    fingerprint = Fingerprint()
-    read_trial: Callable[[Path, Role, Fingerprint], tuple[Trial, list[str]]]
-    warnings: list[str] = []
-    if _is(files[0], CSV_ENDINGS):
-        setup, columns = _setup(object_name, None, source, fingerprint)
-        read_trial = partial(read_csv_trial, columns=columns)
-    elif _is(files[0], MIT_ENDINGS):
-        _refuse_part_of_a_dataset(files[0])
-        setup, _ = _setup(object_name, named_shape(files), source, fingerprint)
-        read_trial, warnings = read_mit_trial, surface_warnings(files)
-    else:
-        raise DatasetError(f"{source}: a file of another kind; wanted is {KINDS}")
+        return _read_push_format(description, progress)
+    except OSError as error:
+        raise DatasetError(f"{str(path)!r} cannot be read ({error})") from None
+
+
+def check_format(document: dict[str, Any], where: str) -> None:
+    """Refuse a description whose `format` is missing or of another kind.
+
+    Raises:
+        DatasetError: with the format that this project reads.
+    """
+    found = parsing.required(document, "format", where, f"a push dataset says `format: {FORMAT}`")
+    if found != FORMAT:
+        raise DatasetError(f"{where}: format is {parsing.shown(found)}; only {FORMAT} can be read")
+
+
+class _Parts(NamedTuple):
+    """What the pushes of a dataset are read with."""
+
+    setup: Setup
+    fingerprint: Fingerprint
+    warnings: list[str]
+    where: str
+
+
+def _assembled(
+    parts: _Parts,
+    folder: Path,
+    entries: Sequence[Entry],
+    read: Callable[[str, Role, bytes, str], tuple[Trial, list[str]]],
+    progress: Progress | None,
+) -> PushDataset:
+    """Dataset of files in a folder; each is read by its name, role, content and path."""
+    setup, fingerprint, warnings, where = parts
     trials = []
-    for index, (file, role) in enumerate(zip(files, _roles(len(files)), strict=True)):
-        trial, doubts = read_trial(file, role, fingerprint)
+    for index, (name, role) in enumerate(entries):
+        content = parsing.read_bytes(folder / name)
+        fingerprint.add(name, content)
+        trial, doubts = read(name, role, content, str(folder / name))
         trials.append(trial)
         warnings += doubts
         if progress is not None:
-            progress(index + 1, len(files))
-    return assembled(setup, trials, fingerprint, warnings, str(source))
+            progress(index + 1, len(entries))
+    warnings += check_trials(setup, trials, where)
+    return PushDataset(
+        **vars(setup),
+        trials=tuple(trials),
+        fingerprint=fingerprint.hexdigest(),
+        warnings=tuple(warnings),
+    )
+
+
+# A folder of the format push-dataset/1.
+
+
+def _read_push_format(description: Path, progress: Progress | None) -> PushDataset:
+    where = str(description)
+    content, document = parsing.read_yaml(description, where)
+    check_format(document, where)
+    setup, warnings = parse_setup(document, where, default_name=description.resolve().parent.name)
+    warnings += parsing.unknown_keys(document, ("format", "trials", *SETUP_KEYS), where)
+    fingerprint = Fingerprint()
+    fingerprint.add(DESCRIPTION_FILE, content)
+    entries = _entries(document, description.parent, where, warnings)
+    parts = _Parts(setup, fingerprint, warnings, where)
+    return _assembled(parts, description.parent, entries, _read_record, progress)
+
+
+def _entries(document: dict[str, Any], folder: Path, where: str, warnings: list[str]) -> list[Entry]:
+    listed = parsing.required(
+        document, "trials", where, "list the trials, [{file: trials/000.json, role: fit}]"
+    )
+    if not isinstance(listed, list) or not listed:
+        raise DatasetError(
+            f"{where}: trials must be a list of one or more entries, got {parsing.shown(listed)}"
+        )
+    entries: list[Entry] = []
+    files: dict[Path, int] = {}
+    for row, value in enumerate(listed):
+        place = f"{where}: trials, row {row}"
+        entry = parsing.section(value, ("file", "role"), place, warnings)
+        name = parsing.text(parsing.required(entry, "file", place, "name the trial's file"), f"{place}: file")
+        role = entry.get("role", "fit")
+        if role not in get_args(Role):
+            raise DatasetError(f"{place}: role must be fit or heldout, got {parsing.shown(role)}")
+        file = _inside(folder, name, place)
+        if file in files:
+            raise DatasetError(f"{place}: {name} is listed twice (first in row {files[file]}); list it once")
+        files[file] = row
+        entries.append((name, role))
+    return entries
+
+
+def _inside(folder: Path, name: str, where: str) -> Path:
+    """The resolved path of a file named relative to a folder; it must not lie outside, by a link either."""
+    try:
+        path = (folder / name).resolve()
+        root = folder.resolve()
+    except (OSError, RuntimeError, ValueError) as error:
+        raise DatasetError(f"{where}: {parsing.shown(name)} is no usable file name ({error})") from None
+    if Path(name).is_absolute() or not path.is_relative_to(root):
+        raise DatasetError(
+            f"{where}: {parsing.shown(name)} lies outside the dataset's folder; trial files belong inside it"
+        )
+    return path
+
+
+def _read_record(name: str, role: Role, content: bytes, where: str) -> tuple[Trial, list[str]]:
+    arrays = parsing.mapping(parsing.parse_json(content, where), where)
+    trial, doubts = trial_from_tables(name, role, json_tables(arrays, where), where)
+    return trial, parsing.unknown_keys(arrays, CHANNELS, where) + doubts
+
+
+# Bare files of pushes, whose object is named or described elsewhere.
+
+
+def _read_files(source: Path, object_name: str | None, progress: Progress | None) -> PushDataset:
+    files = _record_files(source) if source.is_dir() else [source]
+    fingerprint = Fingerprint()
+    read: Callable[[str, Role, bytes, str], tuple[Trial, list[str]]]
+    if _is(files[0], CSV_ENDINGS):
+        setup, warnings, columns = _setup(object_name, None, source, fingerprint)
+        read = partial(read_csv_trial, columns=columns)
+    elif _is(files[0], _MIT_ENDINGS):
+        _refuse_part_of_a_dataset(files[0])
+        setup, warnings, _ = _setup(object_name, named_shape(files), source, fingerprint)
+        warnings += surface_warnings(files)
+        read = read_mit_trial
+    else:
+        raise DatasetError(f"{source}: a file of another kind; wanted is {_KINDS}")
+    learned = len(files) - len(files) // _HELDOUT_SHARE
+    entries: list[Entry] = [
+        (file.name, "fit" if index < learned else "heldout") for index, file in enumerate(files)
+    ]
+    parts = _Parts(setup, fingerprint, warnings, str(source))
+    return _assembled(parts, files[0].parent, entries, read, progress)
 
 
 def _is(file: Path, endings: tuple[str, ...]) -> bool:
@@ -113,10 +230,10 @@ def _record_files(folder: Path) -> list[Path]:
     files = sorted(
         file
         for file in folder.iterdir()
-        if _is(file, MIT_ENDINGS + CSV_ENDINGS) and not file.name.startswith(".")
+        if _is(file, _MIT_ENDINGS + CSV_ENDINGS) and not file.name.startswith(".")
     )
     if not files:
-        raise DatasetError(f"{folder}: holds no measurements; wanted is {KINDS}")
+        raise DatasetError(f"{folder}: holds no measurements; wanted is {_KINDS}")
     if len({_is(file, CSV_ENDINGS) for file in files}) > 1:
         raise DatasetError(
             f"{folder}: holds both CSV and MIT push files; put each kind into a folder of its own"
@@ -133,16 +250,13 @@ def _refuse_part_of_a_dataset(file: Path) -> None:
             )
 
 
-def _roles(count: int) -> list[Role]:
-    heldout = count // HELDOUT_SHARE
-    fit: list[Role] = ["fit"] * (count - heldout)
-    return fit + ["heldout"] * heldout
-
-
 def _setup(
     object_name: str | None, named: str | None, source: Path, fingerprint: Fingerprint
-) -> tuple[Setup, CsvColumns]:
-    """Setup of a named shape or of a YAML file; `named` is what the measurements' own names say."""
+) -> tuple[Setup, list[str], CsvColumns]:
+    """Setup of a named shape or of a YAML file, warnings, and columns of CSV files.
+
+    `named` is what the measurements' own names say.
+    """
     chosen = object_name or named
     if chosen is None:
         raise DatasetError(
@@ -151,14 +265,12 @@ def _setup(
             f" the keys object and finger of a {DESCRIPTION_FILE}"
         )
     file = Path(chosen)
-    if chosen not in MIT_SHAPES and _is(file, YAML_ENDINGS):
-        content = read_bytes(file, LARGEST_YAML)
+    if chosen not in MIT_SHAPES and _is(file, _YAML_ENDINGS):
+        content, document = parsing.read_yaml(file, chosen)
         fingerprint.add("object", content)
-        document = fields.mapping(parse_yaml(content, chosen), chosen)
-        setup = parse_setup(document, chosen, default_name=source.stem)
-        unknown = fields.unknown_keys(document, ("format", "trials", "csv", *SETUP_KEYS), chosen)
-        columns = parse_columns(document.get("csv"), f"{chosen}: csv")
-        return replace(setup, warnings=(*setup.warnings, *unknown)), columns
+        setup, warnings = parse_setup(document, chosen, default_name=source.stem)
+        warnings += parsing.unknown_keys(document, ("format", "trials", "csv", *SETUP_KEYS), chosen)
+        return setup, warnings, parse_columns(document.get("csv"), f"{chosen}: csv")
     shape = mit_shape(chosen, str(source))
     if named is not None and named != chosen:
         raise DatasetError(
@@ -170,4 +282,4 @@ def _setup(
         "object": {"outline": shape.outline.tolist(), "height": THICKNESS, "mass": shape.mass},
         "finger": {"radius": FINGER_RADIUS},
     }
-    return parse_setup(document, str(source), default_name=source.stem), STANDARD
+    return *parse_setup(document, str(source), default_name=source.stem), STANDARD

@@ -1,49 +1,48 @@
-"""The part of a dataset that is not a trial: object, finger, table, gravity and sensor noise."""
+"""The part of a dataset.yaml that is not a trial: object, finger, table, gravity and sensor noise.
+
+Its numbers are declared once, with their units and limits; reading, checking and writing go by that.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 import numpy as np
 import shapely
 
-from slipmap.models.measurements import fields
-from slipmap.models.measurements.push_dataset import DatasetError, Noise, Table
+from slipmap.models.measurements import parsing
+from slipmap.models.measurements.parsing import Number
+from slipmap.models.measurements.push_dataset import DatasetError, Noise, Setup, Table
 from slipmap.models.physics.cell_grid import CellGrid, FloatArray
 
 SETUP_KEYS = ("name", "description", "object", "finger", "table", "gravity", "noise")
-DEFAULT_CELLS = 60
-STANDARD_GRAVITY = 9.81  # m/s²
-SMALLEST_EXTENT = 1e-3  # m
-LARGEST_EXTENT = 5.0  # m; no object on a table is larger, so the numbers are mm
-LARGEST_FINGER = 0.5  # m
-LARGEST_NOISE = {"position": 0.1, "angle": 1.0, "tip": 0.1, "force": 1e3}  # m, rad, m, N
-MASSES = (1e-6, 1e6)  # kg
-GRAVITIES = (1e-3, 1e3)  # m/s²
-HEIGHT_PER_SIZE = (1e-3, 10.0)  # of a sheet of card, and of a tall bottle
-MASS_PER_AREA = (0.1, 2e4)  # kg/m²; of stiff paper, and of two metres of steel
-NEAR_GRAVITY = (1.0, 30.0)  # m/s²; from the moon to a heavy planet
+
+_DEVIATION = "{where}: a standard deviation lies in 0 to {high:g}, got {value}"
+_THICK = "{where} is {value:g} m; no finger is that thick, divide by 1000?"
+_LENGTH = Number("m")
+_OBJECT = {"height": _LENGTH, "mass": Number("kg", 1e-6, 1e6)}
+_FINGER = {"radius": Number("m", high=0.5, beyond=_THICK)}
+_GRAVITY = Number("m/s²", 1e-3, 1e3)
+_NOISE = {
+    name: Number(unit, high=high, beyond=_DEVIATION, or_zero=True)
+    for name, (unit, high) in {
+        "position": ("m", 0.1), "angle": ("rad", 1.0), "tip": ("m", 0.1), "force": ("N", 1e3),
+    }.items()
+}  # fmt: skip
+
+_DEFAULT_CELLS = 60
+_STANDARD_GRAVITY = 9.81  # m/s²
+_SMALLEST_EXTENT = 1e-3  # m
+_LARGEST_EXTENT = 5.0  # m; no object on a table is larger, so the numbers are mm
+# What is unusual, but not refused.
+_HEIGHT_PER_SIZE = (1e-3, 10.0)  # of a sheet of card, and of a tall bottle
+_MASS_PER_AREA = (0.1, 2e4)  # kg/m²; of stiff paper, and of two metres of steel
+_NEAR_GRAVITY = (1.0, 30.0)  # m/s²; from the moon to a heavy planet
 
 
-@dataclass(frozen=True, eq=False)
-class Setup:
-    """What was pushed, with what and on what; the attributes are those of PushDataset."""
-
-    name: str
-    description: str
-    grid: CellGrid
-    height: float | None
-    mass: float | None
-    finger_radius: float
-    table: Table | None
-    gravity: float
-    noise: Noise
-    warnings: tuple[str, ...]
-
-
-def parse_setup(document: dict[str, Any], where: str, default_name: str) -> Setup:
-    """Setup from the keys of a dataset.yaml.
+def parse_setup(document: dict[str, Any], where: str, default_name: str) -> tuple[Setup, list[str]]:
+    """Setup from the keys of a dataset.yaml, and what looks wrong about it.
 
     Args:
         document: the parsed mapping; keys beyond `SETUP_KEYS` are the caller's.
@@ -53,84 +52,91 @@ def parse_setup(document: dict[str, Any], where: str, default_name: str) -> Setu
     Raises:
         DatasetError: a missing key, a wrong type, a number out of range, an outline that crosses itself.
     """
-    shape = fields.mapping(
-        fields.required(document, "object", where, "give at least its outline"), f"{where}: object"
-    )
-    finger = fields.mapping(
-        fields.required(document, "finger", where, "give finger.radius in m"), f"{where}: finger"
-    )
-    warnings = fields.unknown_keys(shape, ("outline", "cells", "height", "mass"), f"{where}: object")
-    warnings += fields.unknown_keys(finger, ("radius",), f"{where}: finger")
+    warnings: list[str] = []
+    shape = parsing.required(document, "object", where, "give at least its outline")
+    shape = parsing.section(shape, ("outline", "cells", *_OBJECT), f"{where}: object", warnings)
+    finger = parsing.required(document, "finger", where, "give finger.radius in m")
+    finger = parsing.section(finger, _FINGER, f"{where}: finger", warnings)
     grid = _grid(shape, f"{where}: object", warnings)
-    radius = fields.positive(finger.get("radius"), f"{where}: finger.radius", "m")
-    if radius > LARGEST_FINGER:
-        raise DatasetError(
-            f"{where}: finger.radius is {radius:g} m; no finger is that thick, divide by 1000?"
-        )
-    gravity = fields.positive(document.get("gravity", STANDARD_GRAVITY), f"{where}: gravity", "m/s²")
-    _refuse_beyond(gravity, GRAVITIES, f"{where}: gravity", "m/s²")
-    if not NEAR_GRAVITY[0] <= gravity <= NEAR_GRAVITY[1]:
+    radius = _FINGER["radius"].read(finger.get("radius"), f"{where}: finger.radius")
+    gravity = _GRAVITY.read(document.get("gravity", _STANDARD_GRAVITY), f"{where}: gravity")
+    if not _NEAR_GRAVITY[0] <= gravity <= _NEAR_GRAVITY[1]:
         warnings.append(f"{where}: gravity is {gravity:g} m/s²; 9.81 was to be expected")
-    return Setup(
-        name=fields.text(document.get("name", default_name), f"{where}: name"),
-        description=fields.text(document.get("description", ""), f"{where}: description"),
-        grid=grid,
-        height=_height(shape, grid, f"{where}: object.height", warnings),
-        mass=_mass(shape, grid, f"{where}: object.mass", warnings),
-        finger_radius=radius,
-        table=_table(document.get("table"), f"{where}: table", warnings),
-        gravity=gravity,
-        noise=_noise(document.get("noise"), f"{where}: noise", warnings),
-        warnings=tuple(warnings),
-    )
+    name = parsing.text(document.get("name", default_name), f"{where}: name")
+    description = parsing.text(document.get("description", ""), f"{where}: description")
+    measured = _numbers(shape, _OBJECT, f"{where}: object")
+    warnings += _doubtful_object(measured, grid, f"{where}: object")
+    table = _table(document.get("table"), f"{where}: table", warnings)
+    noise = _noise(document.get("noise"), f"{where}: noise", warnings)
+    height, mass = measured.get("height"), measured.get("mass")
+    return Setup(name, description, grid, height, mass, radius, table, gravity, noise), warnings
 
 
-def _height(shape: dict[str, Any], grid: CellGrid, where: str, warnings: list[str]) -> float | None:
-    height = _optional(shape, "height", where, "m")
-    if height is None:
-        return None
-    size = float(np.ptp(grid.exterior, axis=0).max())
-    if not HEIGHT_PER_SIZE[0] <= height / size <= HEIGHT_PER_SIZE[1]:
-        warnings.append(f"{where} is {height:g} m over a footprint of {size:.3g} m; are both in m?")
-    return height
+def setup_document(setup: Setup) -> dict[str, Any]:
+    """The keys of a dataset.yaml that `parse_setup` reads a setup from, but for openings in the outline."""
+    document: dict[str, Any] = {
+        "name": setup.name,
+        "description": setup.description,
+        "object": {
+            "outline": setup.grid.exterior.tolist(),
+            "cells": {"width": float(setup.grid.width), "centers": setup.grid.centers.tolist()},
+            **_known(setup, _OBJECT),
+        },
+        "finger": {"radius": float(setup.finger_radius)},
+    }
+    if setup.table is not None:
+        center = [float(value) for value in setup.table.center]
+        document["table"] = {"shape": setup.table.shape, "center": center, **_known(setup.table, ("radius",))}
+        if setup.table.size is not None:
+            document["table"]["size"] = [float(value) for value in setup.table.size]
+    document["gravity"] = float(setup.gravity)
+    if noise := _known(setup.noise, _NOISE):
+        document["noise"] = noise
+    return document
 
 
-def _mass(shape: dict[str, Any], grid: CellGrid, where: str, warnings: list[str]) -> float | None:
-    mass = _optional(shape, "mass", where, "kg")
-    if mass is None:
-        return None
-    _refuse_beyond(mass, MASSES, where, "kg")
-    per_area = mass / float(grid.polygon.area)
-    if not MASS_PER_AREA[0] <= per_area <= MASS_PER_AREA[1]:
-        warnings.append(
-            f"{where} is {mass:g} kg on {1e4 * grid.polygon.area:.3g} cm², {per_area:.3g} kg/m²; is it in kg,"
-            " and the outline in m?"
-        )
-    return mass
+def _numbers(section: dict[str, Any], declared: Mapping[str, Number], where: str) -> dict[str, float]:
+    return {
+        key: number.read(section[key], f"{where}.{key}")
+        for key, number in declared.items()
+        if section.get(key) is not None
+    }
 
 
-def _refuse_beyond(value: float, limits: tuple[float, float], where: str, unit: str) -> None:
-    if not limits[0] <= value <= limits[1]:
-        raise DatasetError(f"{where}: lies in {limits[0]:g} to {limits[1]:g} {unit}, got {value:g}")
+def _known(source: object, names: Iterable[str]) -> dict[str, float]:
+    return {name: float(value) for name in names if (value := getattr(source, name)) is not None}
 
 
-def _optional(values: dict[str, Any], key: str, where: str, unit: str) -> float | None:
-    return None if values.get(key) is None else fields.positive(values[key], where, unit)
+def _doubtful_object(measured: dict[str, float], grid: CellGrid, where: str) -> list[str]:
+    warnings = []
+    if "height" in measured:
+        height, size = measured["height"], float(np.ptp(grid.exterior, axis=0).max())
+        if not _HEIGHT_PER_SIZE[0] <= height / size <= _HEIGHT_PER_SIZE[1]:
+            warnings.append(
+                f"{where}.height is {height:g} m over a footprint of {size:.3g} m; are both in m?"
+            )
+    if "mass" in measured:
+        mass, area = measured["mass"], float(grid.polygon.area)
+        if not _MASS_PER_AREA[0] <= mass / area <= _MASS_PER_AREA[1]:
+            warnings.append(
+                f"{where}.mass is {mass:g} kg on {1e4 * area:.3g} cm², {mass / area:.3g} kg/m²; is it in kg,"
+                " and the outline in m?"
+            )
+    return warnings
 
 
 def _grid(shape: dict[str, Any], where: str, warnings: list[str]) -> CellGrid:
-    rows = fields.required(shape, "outline", where, "give the corners of the footprint, [[x, y], ...] in m")
+    rows = parsing.required(shape, "outline", where, "give the corners of the footprint, [[x, y], ...] in m")
     outline = _outline(rows, f"{where}.outline", warnings)
     cells = shape.get("cells")
     try:
         if cells is None:
             from slipmap.models.objects.footprints import cells_from_polygon
 
-            return cells_from_polygon(outline, count=DEFAULT_CELLS)
-        cells = fields.mapping(cells, f"{where}.cells")
-        warnings += fields.unknown_keys(cells, ("width", "centers"), f"{where}.cells")
-        width = fields.positive(cells.get("width"), f"{where}.cells.width", "m")
-        centers = fields.table(cells.get("centers"), 2, f"{where}.cells.centers")
+            return cells_from_polygon(outline, count=_DEFAULT_CELLS)
+        cells = parsing.section(cells, ("width", "centers"), f"{where}.cells", warnings)
+        width = _LENGTH.read(cells.get("width"), f"{where}.cells.width")
+        centers = parsing.table(cells.get("centers"), 2, f"{where}.cells.centers")
         _refuse_extent(np.append(centers, [[width, width]], axis=0), f"{where}.cells")
         grid = CellGrid(centers, width, outline)
     except DatasetError:
@@ -142,7 +148,7 @@ def _grid(shape: dict[str, Any], where: str, warnings: list[str]) -> CellGrid:
 
 
 def _outline(rows: object, where: str, warnings: list[str]) -> FloatArray:
-    outline = fields.table(rows, 2, where)
+    outline = parsing.table(rows, 2, where)
     if not np.isfinite(outline).all():
         row = int(np.flatnonzero(~np.isfinite(outline).all(axis=1))[0])
         raise DatasetError(
@@ -162,11 +168,11 @@ def _outline(rows: object, where: str, warnings: list[str]) -> FloatArray:
 
 def _refuse_extent(points: FloatArray, where: str) -> None:
     extent = float(np.max(np.abs(points), initial=0.0))
-    if extent > LARGEST_EXTENT:
+    if extent > _LARGEST_EXTENT:
         raise DatasetError(
             f"{where}: reaches {extent:g} m from the object frame; lengths are in m, divide by 1000?"
         )
-    if 0.0 < extent < SMALLEST_EXTENT:
+    if 0.0 < extent < _SMALLEST_EXTENT:
         raise DatasetError(f"{where}: is only {extent:g} m large; lengths are in m, multiply by 1000?")
 
 
@@ -199,31 +205,22 @@ def _doubtful_cells(grid: CellGrid, where: str) -> list[str]:
 def _table(value: object, where: str, warnings: list[str]) -> Table | None:
     if value is None:
         return None
-    table = fields.mapping(value, where)
+    table = parsing.mapping(value, where)
     shape = table.get("shape")
-    center = fields.pair(table.get("center"), f"{where}.center")
+    center = parsing.pair(table.get("center"), f"{where}.center")
+    if shape not in ("round", "rectangle"):
+        raise DatasetError(f"{where}.shape: must be round or rectangle, got {parsing.shown(shape)}")
+    measure = "radius" if shape == "round" else "size"
+    warnings += parsing.unknown_keys(table, ("shape", "center", measure), where)
     if shape == "round":
-        warnings += fields.unknown_keys(table, ("shape", "center", "radius"), where)
-        return Table("round", center, radius=fields.positive(table.get("radius"), f"{where}.radius", "m"))
-    if shape == "rectangle":
-        warnings += fields.unknown_keys(table, ("shape", "center", "size"), where)
-        size = fields.pair(table.get("size"), f"{where}.size")
-        for side in size:
-            fields.positive(side, f"{where}.size", "m")
-        return Table("rectangle", center, size=size)
-    raise DatasetError(f"{where}.shape: must be round or rectangle, got {fields.shown(shape)}")
+        return Table("round", center, radius=_LENGTH.read(table.get("radius"), f"{where}.radius"))
+    size = parsing.pair(table.get("size"), f"{where}.size")
+    for side in size:
+        _LENGTH.read(side, f"{where}.size")
+    return Table("rectangle", center, size=size)
 
 
 def _noise(value: object, where: str, warnings: list[str]) -> Noise:
     if value is None:
         return Noise()
-    noise = fields.mapping(value, where)
-    known = ("position", "angle", "tip", "force")
-    warnings += fields.unknown_keys(noise, known, where)
-    levels = {key: fields.number(noise[key], f"{where}.{key}") for key in known if noise.get(key) is not None}
-    for key, level in levels.items():
-        if not 0 <= level <= LARGEST_NOISE[key]:
-            raise DatasetError(
-                f"{where}.{key}: a standard deviation lies in 0 to {LARGEST_NOISE[key]:g}, got {level}"
-            )
-    return Noise(**levels)
+    return Noise(**_numbers(parsing.section(value, _NOISE, where, warnings), _NOISE, where))

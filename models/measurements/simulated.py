@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 import shapely
 
+from slipmap.models.geometry import rotated, seen_from
 from slipmap.models.measurements.push_dataset import Channel, Noise, PushDataset, Role, Trial
 from slipmap.models.physics.cell_grid import CellGrid, FloatArray
 from slipmap.models.physics.rollout import Maps, Push, Slider
@@ -128,24 +129,20 @@ def _wrench(grid: CellGrid, push: Push, poses: Channel, forces: FloatArray, rate
     count = np.bincount(row)
     mean = np.column_stack([np.bincount(row, weights=component) / count for component in forces.T])
     time = 0.5 * (poses.time[:-1] + poses.time[1:])
-    x, y, angle = poses.at(time).T
-    tip = _at(time, _ends(push), push.tip)
-    c, s = np.cos(angle), np.sin(angle)
-    dx, dy = tip[:, 0] - x, tip[:, 1] - y
-    local = np.column_stack([c * dx + s * dy, c * dy - s * dx])
+    pose = poses.at(time)
+    local = seen_from(_at(time, _ends(push), push.tip), pose)
     outline = grid.polygon.boundary
     nearest = shapely.line_interpolate_point(
         outline, shapely.line_locate_point(outline, shapely.points(local))
     )
-    ax, ay = (shapely.get_coordinates(nearest) - local).T
-    torque = (c * ax - s * ay) * mean[:, 1] - (s * ax + c * ay) * mean[:, 0]
+    arm = rotated(shapely.get_coordinates(nearest) - local, pose[:, 2])
+    torque = arm[:, 0] * mean[:, 1] - arm[:, 1] * mean[:, 0]
     return Channel(time, np.column_stack([mean, torque]))
 
 
 def _fingerprint(trials: Sequence[Trial]) -> str:
     digest = hashlib.sha256()
     for trial in trials:
-        for channel in (trial.object_pose, trial.tip_pose, trial.ft_wrench):
-            if channel is not None:
-                digest.update(channel.time.tobytes() + channel.values.tobytes())
+        for channel in trial.channels.values():
+            digest.update(channel.time.tobytes() + channel.values.tobytes())
     return digest.hexdigest()

@@ -8,20 +8,20 @@ from collections.abc import Sequence
 import numpy as np
 import shapely
 
-from slipmap.models.measurements.push_dataset import Channel, DatasetError, Trial
-from slipmap.models.measurements.setup_description import Setup
+from slipmap.models.geometry import placed, seen_from
+from slipmap.models.measurements.push_dataset import Channel, DatasetError, Setup, Trial
 from slipmap.models.physics.cell_grid import FloatArray
 
-CALIBRATION_ERROR = 3e-3  # m; good laboratories have 2 mm
-LARGEST_SPEED = 10.0  # m/s
-SPEED_WINDOW = 0.1  # s; time stamps jitter too much for row by row speeds
-SLOWEST_RATE = 2.0  # s between rows
-NOTABLE_MOTION = 5e-3  # m
-TOUCH_RADII = 3.0  # finger radii of air beyond which a finger never touched
-EARLY_END = 0.1  # s
-SLOW_TIP = 5e-3  # m/s
-THROUGH = 0.01  # m
-MOST_ROWS = 500  # of a track that are compared with the outline
+_CALIBRATION_ERROR = 3e-3  # m; good laboratories have 2 mm
+_LARGEST_SPEED = 10.0  # m/s
+_SPEED_WINDOW = 0.1  # s; time stamps jitter too much for row by row speeds
+_SLOWEST_RATE = 2.0  # s between rows
+_NOTABLE_MOTION = 5e-3  # m
+_TOUCH_RADII = 3.0  # finger radii of air beyond which a finger never touched
+_EARLY_END = 0.1  # s
+_SLOW_TIP = 5e-3  # m/s
+_THROUGH = 0.01  # m
+_MOST_ROWS = 500  # of a track that are compared with the outline
 
 
 def check_trials(setup: Setup, trials: Sequence[Trial], where: str) -> list[str]:
@@ -52,39 +52,36 @@ def check_trials(setup: Setup, trials: Sequence[Trial], where: str) -> list[str]
 
 def _faults(setup: Setup, trial: Trial, where: str) -> list[str]:
     faults = []
-    if _fastest(trial.object_pose) > LARGEST_SPEED:
+    moved = _moved(setup, trial)
+    rows = len(trial.tip_pose.time)
+    if _fastest(trial.object_pose) > _LARGEST_SPEED:
         faults.append(
-            f"the object moves faster than {LARGEST_SPEED:g} m/s; are positions in m and times in s?"
+            f"the object moves faster than {_LARGEST_SPEED:g} m/s; are positions in m and times in s?"
         )
-    if len(trial.object_pose.time) > 10 and np.median(np.diff(trial.object_pose.time)) > SLOWEST_RATE:
-        faults.append(f"object poses are more than {SLOWEST_RATE:g} s apart; are times in s?")
-    if not trial.has_finger:
-        if _moved(setup, trial) and not trial.initial_velocity().any():
-            faults.append(
-                "a resting object begins to move, but no finger is within 1 m; is the tip given in m?"
-            )
-        return faults
-    if len(trial.tip_pose.time) == 1 and _moved(setup, trial) and not trial.initial_velocity().any():
+    if len(trial.object_pose.time) > 10 and np.median(np.diff(trial.object_pose.time)) > _SLOWEST_RATE:
+        faults.append(f"object poses are more than {_SLOWEST_RATE:g} s apart; are times in s?")
+    if moved and (rows == 1 or not trial.has_finger) and not trial.initial_velocity().any():
         faults.append(
             "a resting object begins to move, but tip_pose has one row; a finger that stays pushes nothing"
+            if trial.has_finger
+            else "a resting object begins to move, but no finger is within 1 m; is the tip given in m?"
         )
+    if not trial.has_finger:
+        return faults
     if _stands_still(setup, trial):
         faults.append(
             "the object's pose never changes though the finger goes through it; was the tracker frozen?"
         )
-    if _pulls(setup, trial):
+    if moved and _pulls(setup, trial):
         faults.append(
             "the force points against the finger's way, as if it pulled; ft_wrench is the force of the finger"
             " on the object, is it given the other way round?"
         )
     _refuse_foreign_clocks(trial, where)
     _refuse_finger_inside(setup, trial, where)
-    if _fastest(trial.tip_pose) > LARGEST_SPEED:
-        faults.append(f"the tip moves faster than {LARGEST_SPEED:g} m/s; are positions in m and times in s?")
-    if (
-        _moved(setup, trial)
-        and _clearance(setup, trial) > TOUCH_RADII * setup.finger_radius + CALIBRATION_ERROR
-    ):
+    if _fastest(trial.tip_pose) > _LARGEST_SPEED:
+        faults.append(f"the tip moves faster than {_LARGEST_SPEED:g} m/s; are positions in m and times in s?")
+    if moved and _clearance(setup, trial) > _TOUCH_RADII * setup.finger_radius + _CALIBRATION_ERROR:
         faults.append(
             "the object moves, but the tip never touches its outline; is one of them in a wrong frame?"
         )
@@ -100,12 +97,12 @@ def _stands_still(setup: Setup, trial: Trial) -> bool:
     if len(trial.object_pose.time) < 3 or np.ptp(trial.object_pose.values, axis=0).any():
         return False
     deepest = float(np.min(_signed_distance(setup, trial.tip_pose.values, trial, trial.start)))
-    return deepest < setup.finger_radius - THROUGH
+    return deepest < setup.finger_radius - _THROUGH
 
 
 def _pulls(setup: Setup, trial: Trial) -> bool:
     """Whether the force that goes along with the finger works against it over most of its way."""
-    if trial.ft_wrench is None or len(trial.tip_pose.time) < 2 or not _moved(setup, trial):
+    if trial.ft_wrench is None or len(trial.tip_pose.time) < 2:
         return False
     times, force = trial.ft_wrench.time, trial.ft_wrench.values[:, :2]
     size = np.hypot(*force.T)
@@ -119,10 +116,9 @@ def _refuse_copies(trials: Sequence[Trial], where: str) -> None:
     seen: dict[bytes, str] = {}
     for trial in trials:
         digest = hashlib.sha256()
-        for channel in (trial.object_pose, trial.tip_pose, trial.ft_wrench):
-            if channel is not None:
-                digest.update(np.round(channel.time - trial.start, 6).tobytes())
-                digest.update(channel.values.tobytes())
+        for channel in trial.channels.values():
+            digest.update(np.round(channel.time - trial.start, 6).tobytes())
+            digest.update(channel.values.tobytes())
         first = seen.setdefault(digest.digest(), trial.name)
         if first != trial.name:
             raise DatasetError(
@@ -132,12 +128,9 @@ def _refuse_copies(trials: Sequence[Trial], where: str) -> None:
 
 def _refuse_foreign_clocks(trial: Trial, where: str) -> None:
     first, last = trial.object_pose.time[[0, -1]]
-    for what, channel in (("tip_pose", trial.tip_pose), ("ft_wrench", trial.ft_wrench)):
-        if (
-            channel is not None
-            and (channel.time[-1] < first or channel.time[0] > last)
-            and len(channel.time) > 1
-        ):
+    for what, channel in trial.channels.items():
+        apart = channel.time[-1] < first or channel.time[0] > last
+        if apart and len(channel.time) > 1:
             raise DatasetError(
                 f"{where}: {trial.name}, {what}, row 0: its times run from {channel.time[0]:.3f} to"
                 f" {channel.time[-1]:.3f} s, those of object_pose from {first:.3f} to {last:.3f} s; stamp all"
@@ -150,7 +143,7 @@ def _refuse_finger_inside(setup: Setup, trial: Trial, where: str) -> None:
         _signed_distance(setup, trial.tip_pose.at([trial.start]), trial, trial.start)[0]
     )
     noise = np.hypot(setup.noise.position or 0.0, setup.noise.tip or 0.0)
-    if depth > CALIBRATION_ERROR + 3.0 * noise:
+    if depth > _CALIBRATION_ERROR + 3.0 * noise:
         raise DatasetError(
             f"{where}: {trial.name}, row 0: the finger starts {1e3 * depth:.1f} mm inside the object; check"
             " finger.radius, the outline, the frames of object_pose and tip_pose, and that theta is in rad"
@@ -163,16 +156,16 @@ def _moved(setup: Setup, trial: Trial) -> bool:
     reach = float(np.max(np.hypot(*setup.grid.exterior.T)))
     shift = np.hypot(*(pose[:, :2] - pose[0, :2]).T) + reach * np.abs(pose[:, 2] - pose[0, 2])
     noise = np.hypot(setup.noise.position or 0.0, reach * (setup.noise.angle or 0.0))
-    return bool(np.max(shift) > max(NOTABLE_MOTION, 5.0 * noise))
+    return bool(np.max(shift) > max(_NOTABLE_MOTION, 5.0 * noise))
 
 
 def _clearance(setup: Setup, trial: Trial) -> float:
     """Least distance between the finger's rim and the outline over a trial, m; negative where it overlaps."""
     if trial.ends_only:  # the finger went straight, the object is anywhere between
         track = shapely.LineString(trial.tip_pose.values[[0, *range(len(trial.tip_pose.time))]])
-        outlines = [_outline_at(setup, pose) for pose in trial.object_pose.values]
+        outlines = [shapely.Polygon(placed(setup.grid.exterior, pose)) for pose in trial.object_pose.values]
         return float(min(track.distance(outline) for outline in outlines)) - setup.finger_radius
-    chosen = np.unique(np.linspace(0, len(trial.tip_pose.time) - 1, MOST_ROWS).astype(int))
+    chosen = np.unique(np.linspace(0, len(trial.tip_pose.time) - 1, _MOST_ROWS).astype(int))
     tips = trial.tip_pose.values[chosen]
     distance = _signed_distance(setup, tips, trial, trial.tip_pose.time[chosen])
     return float(np.min(distance)) - setup.finger_radius
@@ -180,17 +173,10 @@ def _clearance(setup: Setup, trial: Trial) -> float:
 
 def _signed_distance(setup: Setup, tips: FloatArray, trial: Trial, times: FloatArray | float) -> FloatArray:
     """(k,) distance of world points (k, 2) to the object's rim at the given times, negative inside, m."""
-    x, y, theta = np.broadcast_to(trial.object_pose.at(times), (len(tips), 3)).T
-    dx, dy = tips[:, 0] - x, tips[:, 1] - y
-    cosine, sine = np.cos(theta), np.sin(theta)
-    points = shapely.points(np.stack([cosine * dx + sine * dy, cosine * dy - sine * dx], axis=1))
+    poses = np.broadcast_to(trial.object_pose.at(times), (len(tips), 3))
+    points = shapely.points(seen_from(tips, poses))
     rim = shapely.distance(setup.grid.polygon.boundary, points)
     return np.where(shapely.contains(setup.grid.polygon, points), -rim, rim)
-
-
-def _outline_at(setup: Setup, pose: FloatArray) -> shapely.Polygon:
-    cosine, sine = np.cos(pose[2]), np.sin(pose[2])
-    return shapely.Polygon(setup.grid.exterior @ np.array([[cosine, sine], [-sine, cosine]]) + pose[:2])
 
 
 def _fastest(channel: Channel) -> float:
@@ -198,7 +184,7 @@ def _fastest(channel: Channel) -> float:
     span = float(channel.time[-1] - channel.time[0])
     if span <= 0.0:
         return 0.0
-    window = min(SPEED_WINDOW, span)
+    window = min(_SPEED_WINDOW, span)
     starts = channel.time[channel.time <= channel.time[-1] - window]
     step = channel.at(starts + window) - channel.at(starts)
     return float(np.max(np.hypot(step[:, 0], step[:, 1]), initial=0.0)) / window
@@ -206,10 +192,10 @@ def _fastest(channel: Channel) -> float:
 
 def _ends_early(trial: Trial) -> bool:
     end = float(trial.tip_pose.time[-1])
-    if end > trial.object_pose.time[-1] - EARLY_END or len(trial.tip_pose.time) < 2:
+    if end > trial.object_pose.time[-1] - _EARLY_END or len(trial.tip_pose.time) < 2:
         return False
-    step = trial.tip_pose.values[-1] - trial.tip_pose.at(end - EARLY_END)
-    return bool(np.hypot(*step) > SLOW_TIP * EARLY_END)
+    step = trial.tip_pose.values[-1] - trial.tip_pose.at(end - _EARLY_END)
+    return bool(np.hypot(*step) > _SLOW_TIP * _EARLY_END)
 
 
 def _listed(names: list[str]) -> str:

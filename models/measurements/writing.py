@@ -1,22 +1,22 @@
-"""Writing a dataset as a folder of the format push-dataset/1, whole or not at all."""
+"""Writing a dataset as a folder of the format push-dataset/1, at once or push by push; always whole."""
 
 from __future__ import annotations
 
 import json
 import os
-import shutil
-import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path, PurePosixPath
-from typing import Any
 
 import numpy as np
 import yaml
 
-from slipmap.models.measurements import fields
-from slipmap.models.measurements.files import LARGEST_YAML, parse_yaml, read_bytes
+from slipmap.models.files import replaced_file, replaced_folder
+from slipmap.models.measurements.parsing import read_yaml
 from slipmap.models.measurements.push_dataset import Channel, DatasetError, PushDataset, Trial
-from slipmap.models.measurements.push_format import DESCRIPTION_FILE, FORMAT, check_format
+from slipmap.models.measurements.reading import DESCRIPTION_FILE, FORMAT, check_format
+from slipmap.models.measurements.setup_description import setup_document
 
 
 def write_dataset(dataset: PushDataset, folder: str | os.PathLike[str], *, overwrite: bool = False) -> Path:
@@ -41,19 +41,9 @@ def write_dataset(dataset: PushDataset, folder: str | os.PathLike[str], *, overw
         OSError: the disk is full or the place not writable; nothing is left behind.
     """
     target = Path(folder).resolve()
-    replaces = is_replaced(target, overwrite)
-    target.parent.mkdir(parents=True, exist_ok=True)
-    with tempfile.TemporaryDirectory(prefix=f".{target.name}.", dir=target.parent) as scratch:
-        fresh, old = Path(scratch) / "new", Path(scratch) / "old"
+    is_replaced(target, overwrite)
+    with replaced_folder(target) as fresh:
         _write_files(dataset, fresh)
-        if replaces:
-            os.replace(target, old)
-        try:
-            os.replace(fresh, target)
-        except OSError:
-            if replaces:
-                os.replace(old, target)
-            raise
     return target
 
 
@@ -77,7 +67,7 @@ def is_replaced(target: Path, overwrite: bool) -> bool:
             f"{target}: the folder holds other files and is no push dataset; choose another one"
         )
     where = str(target / DESCRIPTION_FILE)
-    document = fields.mapping(parse_yaml(read_bytes(target / DESCRIPTION_FILE, LARGEST_YAML), where), where)
+    _, document = read_yaml(target / DESCRIPTION_FILE, where)
     check_format(document, where)
     if not overwrite:
         raise DatasetError(
@@ -101,18 +91,26 @@ def _write_files(dataset: PushDataset, folder: Path) -> None:
         path = folder / name
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text(trial_text(trial), encoding="utf-8")
-    (folder / DESCRIPTION_FILE).write_text(description_text(dataset, names), encoding="utf-8")
+    (folder / DESCRIPTION_FILE).write_text(_description_text(dataset, names), encoding="utf-8")
 
 
 def trial_text(trial: Trial) -> str:
     """A trial's file."""
-    return json.dumps(_record(trial), separators=(",", ":"), allow_nan=False)
+    record = {name: _rows(channel) for name, channel in trial.channels.items()}
+    return json.dumps(record, separators=(",", ":"), allow_nan=False)
 
 
-def description_text(dataset: PushDataset, names: list[str]) -> str:
-    """The file that describes a dataset whose trials have these names."""
+def _rows(channel: Channel) -> list[list[float]]:
+    """Four columns each; the angle of a tip is 0."""
+    missing = np.zeros((len(channel.time), 3 - channel.values.shape[1]))
+    return np.column_stack([channel.time, channel.values, missing]).tolist()
+
+
+def _description_text(dataset: PushDataset, names: list[str]) -> str:
+    """The dataset.yaml of a dataset whose trials have these names."""
+    trials = [{"file": name, "role": trial.role} for name, trial in zip(names, dataset.trials, strict=True)]
     return yaml.dump(
-        _description(dataset, names), Dumper=_Dumper,
+        {"format": FORMAT, **setup_document(dataset), "trials": trials}, Dumper=_Dumper,
         sort_keys=False, allow_unicode=True, default_flow_style=None, width=110,
     )  # fmt: skip
 
@@ -137,57 +135,6 @@ def _file_names(trials: tuple[Trial, ...]) -> list[str]:
         for name in names
     )  # fmt: skip
     return names if usable else [f"trials/{index:03d}.json" for index in range(len(trials))]
-
-
-def _record(trial: Trial) -> dict[str, list[list[float]]]:
-    tip = trial.tip_pose
-    record = {
-        "object_pose": _rows(trial.object_pose),
-        "tip_pose": _rows(Channel(tip.time, np.column_stack([tip.values, np.zeros(len(tip.time))]))),
-    }
-    if trial.ft_wrench is not None:
-        record["ft_wrench"] = _rows(trial.ft_wrench)
-    return record
-
-
-def _rows(channel: Channel) -> list[list[float]]:
-    return np.column_stack([channel.time, channel.values]).tolist()
-
-
-def _description(dataset: PushDataset, names: list[str]) -> dict[str, Any]:
-    shape: dict[str, Any] = {
-        "outline": dataset.grid.exterior.tolist(),
-        "cells": {"width": float(dataset.grid.width), "centers": dataset.grid.centers.tolist()},
-    }
-    if dataset.height is not None:
-        shape["height"] = float(dataset.height)
-    if dataset.mass is not None:
-        shape["mass"] = float(dataset.mass)
-    document: dict[str, Any] = {
-        "format": FORMAT,
-        "name": dataset.name,
-        "description": dataset.description,
-        "object": shape,
-        "finger": {"radius": float(dataset.finger_radius)},
-    }
-    if dataset.table is not None:
-        table = dataset.table
-        document["table"] = {"shape": table.shape, "center": [float(value) for value in table.center]}
-        if table.radius is not None:
-            document["table"]["radius"] = float(table.radius)
-        if table.size is not None:
-            document["table"]["size"] = [float(value) for value in table.size]
-    document["gravity"] = float(dataset.gravity)
-    noise = {key: float(value) for key, value in vars(dataset.noise).items() if value is not None}
-    if noise:
-        document["noise"] = noise
-    document["trials"] = [
-        {"file": name, "role": trial.role} for name, trial in zip(names, dataset.trials, strict=True)
-    ]
-    return document
-
-
-# Writing a dataset push by push, while it is recorded.
 
 
 class PushRecorder:
@@ -222,41 +169,39 @@ class PushRecorder:
                 before is still there and opens.
         """
         if self._kept == 0 and dataset.trials:
-            self._begin(dataset)
+            self._begin(replace(dataset, trials=dataset.trials[:1]))
         for number in range(self._kept, len(dataset.trials)):
             trial = dataset.trials[number]
             self._write(self._folder / trial.name, trial_text(trial))
             whole = replace(dataset, trials=dataset.trials[: number + 1])
-            text = description_text(whole, [trial.name for trial in whole.trials])
+            text = _description_text(whole, [trial.name for trial in whole.trials])
             self._write(self._folder / DESCRIPTION_FILE, text)
             self._kept = number + 1
 
-    def _begin(self, dataset: PushDataset) -> None:
+    def _begin(self, first: PushDataset) -> None:
         """The folder with the first trial, in one step; one of an earlier run is gone after it."""
-        first = replace(dataset, trials=dataset.trials[:1])
-        old = self._folder.with_name(f".{self._folder.name}.old")
-        if self._replaces:
-            shutil.rmtree(old, ignore_errors=True)
-            os.replace(self._folder, old)
-        try:
-            write_dataset(first, self._folder)
-        except OSError as error:
-            if self._replaces:
-                os.replace(old, self._folder)
-            raise OSError(error.errno, error.strerror, str(self._folder / first.trials[0].name)) from error
-        shutil.rmtree(old, ignore_errors=True)
+        if not self._replaces:
+            is_replaced(self._folder, overwrite=False)
+        path = self._folder / first.trials[0].name
+        with _naming(path), replaced_folder(self._folder) as fresh:
+            _write_files(first, fresh)
         self._kept = 1
 
     def _write(self, path: Path, text: str) -> None:
         # Beside the folder, not in it: what a killed process leaves there would be no part of the dataset.
         part = self._folder.with_name(f".{self._folder.name}.part")
-        try:
+        with _naming(path), replaced_file(path, part):
             with open(part, "w", encoding="utf-8") as file:
                 file.write(text)
                 file.flush()
                 os.fsync(file.fileno())
             path.parent.mkdir(exist_ok=True)
-            os.replace(part, path)
-        except OSError as error:
-            part.unlink(missing_ok=True)
-            raise OSError(error.errno, error.strerror, str(path)) from error
+
+
+@contextmanager
+def _naming(path: Path) -> Iterator[None]:
+    """An error of the system names this file."""
+    try:
+        yield
+    except OSError as error:
+        raise OSError(error.errno, error.strerror, str(path)) from error

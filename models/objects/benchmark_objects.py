@@ -1,9 +1,10 @@
-"""The six objects of Song and Boularias (2020): shapes after their pictures, true masses and friction."""
+"""Objects whose truth is known: the six of Song and Boularias (2020), shaped after their pictures, and the
+demonstration's hammer."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from difflib import get_close_matches
+from typing import NamedTuple
 
 import numpy as np
 import shapely
@@ -11,7 +12,7 @@ from shapely.geometry import Point, Polygon
 from shapely.geometry.base import BaseGeometry
 
 from slipmap.models.objects import benchmark_looks as looks
-from slipmap.models.objects.footprints import cells_from_polygon
+from slipmap.models.objects.footprints import cells_from_polygon, rings_of
 from slipmap.models.objects.meshes import coloured
 from slipmap.models.objects.true_object import Block, TrueObject, cell_heights
 from slipmap.models.physics.cell_grid import CellGrid, FloatArray
@@ -21,8 +22,7 @@ MM = 1e-3
 Ring = list[tuple[float, float]]
 
 
-@dataclass(frozen=True, eq=False)
-class _Region:
+class _Region(NamedTuple):
     """A segment of the paper.
 
     Attributes:
@@ -40,13 +40,9 @@ class _Region:
     color: looks.Color
 
 
-@dataclass(frozen=True, eq=False)
-class _Spec:
-    """Regions, total mass (kg), about how many cells, friction coefficient with the finger."""
-
-    regions: tuple[_Region, ...]
-    mass: float
-    cells: int
+class _Whole(NamedTuple):
+    mass: float  # kg
+    cells: int  # about so many
     mu_finger: float
 
 
@@ -75,64 +71,42 @@ _RING = Point(259, 20.5).buffer(17, quad_segs=6)
 _WRENCH_SHANK = shapely.box(44, 13, 262, 31)
 _WRENCH_EYE = _RING.difference(Point(259, 20.5).buffer(9.5, quad_segs=3))
 
-_SPECS = {
-    "book": _Spec(
-        (
-            _Region(shapely.box(0, 0, 176, 255), 7, 0.370, 0.45, looks.ENDPAPER),
-            _Region(shapely.box(176, 0, 364, 255), 30, 4.043, 0.35, looks.IVORY),
-        ),
-        mass=1.4,
-        cells=35,
-        mu_finger=0.30,
+_REGIONS = {
+    "book": (
+        _Region(shapely.box(0, 0, 176, 255), 7, 0.370, 0.45, looks.ENDPAPER),
+        _Region(shapely.box(176, 0, 364, 255), 30, 4.043, 0.35, looks.IVORY),
     ),
-    "box": _Spec(
-        (
-            _Region(shapely.box(0, 0, 173, 129), 70, 4.871, 0.30, looks.CARDBOARD),
-            _Region(shapely.box(173, 0, 361, 129), 70, 1.508, 0.42, looks.PALE_CARDBOARD),
-        ),
-        mass=1.6,
-        cells=44,
-        mu_finger=0.35,
+    "box": (
+        _Region(shapely.box(0, 0, 173, 129), 70, 4.871, 0.30, looks.CARDBOARD),
+        _Region(shapely.box(173, 0, 361, 129), 70, 1.508, 0.42, looks.PALE_CARDBOARD),
     ),
-    "hammer": _Spec(
-        (
-            _Region(Polygon(_HAMMER_HEAD), 25, 3.320, 0.22, looks.BLACK_STEEL),
-            _Region(Polygon(_HAMMER_HANDLE), 25, 0.744, 0.45, looks.WOOD),
-        ),
-        mass=0.75,
-        cells=60,
-        mu_finger=0.25,
+    "hammer": (
+        _Region(Polygon(_HAMMER_HEAD), 25, 3.320, 0.22, looks.BLACK_STEEL),
+        _Region(Polygon(_HAMMER_HANDLE), 25, 0.744, 0.45, looks.WOOD),
     ),
-    "wrench": _Spec(
-        (
-            _Region(Polygon(_WRENCH_JAW), 8, 3.901, 0.20, looks.STEEL),
-            _Region(_WRENCH_SHANK.difference(_RING), 8, 0.005, 0.25, looks.SATIN_STEEL),
-            _Region(_WRENCH_EYE, 8, 1.611, 0.28, looks.CHROME),
-        ),
-        mass=0.28,
-        cells=62,
-        mu_finger=0.20,
+    "wrench": (
+        _Region(Polygon(_WRENCH_JAW), 8, 3.901, 0.20, looks.STEEL),
+        _Region(_WRENCH_SHANK.difference(_RING), 8, 0.005, 0.25, looks.SATIN_STEEL),
+        _Region(_WRENCH_EYE, 8, 1.611, 0.28, looks.CHROME),
     ),
-    "snack": _Spec(
-        (
-            _Region(Polygon(_SNACK_EMPTY), 20, 0.938, 0.55, looks.YELLOW),
-            _Region(Polygon(_SNACK_FULL), 45, 4.390, 0.38, looks.GREEN),
-        ),
-        mass=0.4,
-        cells=44,
-        mu_finger=0.40,
+    "snack": (
+        _Region(Polygon(_SNACK_EMPTY), 20, 0.938, 0.55, looks.YELLOW),
+        _Region(Polygon(_SNACK_FULL), 45, 4.390, 0.38, looks.GREEN),
     ),
-    "spray_gun": _Spec(
-        (
-            _Region(Polygon(_SPRAY_HEAD), 38, 0.125, 0.50, looks.RED),
-            _Region(Polygon(_SPRAY_BOTTLE), 60, 4.234, 0.30, looks.BLUE),
-        ),
-        mass=0.9,
-        cells=50,
-        mu_finger=0.30,
+    "spray_gun": (
+        _Region(Polygon(_SPRAY_HEAD), 38, 0.125, 0.50, looks.RED),
+        _Region(Polygon(_SPRAY_BOTTLE), 60, 4.234, 0.30, looks.BLUE),
     ),
 }
-BENCHMARK_OBJECTS = tuple(_SPECS)
+_WHOLES = {
+    "book": _Whole(1.4, 35, 0.30),
+    "box": _Whole(1.6, 44, 0.35),
+    "hammer": _Whole(0.75, 60, 0.25),
+    "wrench": _Whole(0.28, 62, 0.20),
+    "snack": _Whole(0.4, 44, 0.40),
+    "spray_gun": _Whole(0.9, 50, 0.30),
+}
+BENCHMARK_OBJECTS = tuple(_WHOLES)
 """Names of the paper's objects."""
 
 
@@ -147,41 +121,32 @@ def benchmark_object(name: str) -> TrueObject:
     Raises:
         ValueError: an unknown name; lists the names there are and the nearest.
     """
-    if name not in _SPECS:
+    if name not in _WHOLES:
         near = get_close_matches(str(name).lower().replace(" ", "_"), BENCHMARK_OBJECTS, n=1)
         hint = f"; did you mean {near[0]}?" if near else ""
         raise ValueError(f"object {name!r} is unknown; there are {', '.join(BENCHMARK_OBJECTS)}{hint}")
-    spec = _SPECS[name]
-    outline = shapely.union_all([region.outline for region in spec.regions], grid_size=1e-3)
-    assert isinstance(outline, Polygon)
-    origin = np.array(outline.centroid.coords[0])
-    placed = [_placed(region.outline, origin) for region in spec.regions]
-    whole = _placed(outline.simplify(0.01), origin)
-    grid = cells_from_polygon(
-        np.asarray(whole.exterior.coords)[:-1],
-        [np.asarray(hole.coords)[:-1] for hole in whole.interiors],
-        count=spec.cells,
-    )
-    centers = shapely.points(grid.centers)
-    labels = np.argmin([shapely.distance(region, centers) for region in placed], axis=0)
-    relative = np.array([region.cell_mass for region in spec.regions])[labels]
-    parts = looks.PARTS[name]([region.outline for region in spec.regions])
-    mesh = coloured(parts)
+    regions, whole = _REGIONS[name], _WHOLES[name]
+    union = shapely.union_all([region.outline for region in regions], grid_size=1e-3)
+    assert isinstance(union, Polygon)
+    origin = np.array(union.centroid.coords[0])
+    placed = [_placed(region.outline, origin) for region in regions]
+    grid = cells_from_polygon(*rings_of(_placed(union.simplify(0.01), origin)), count=whole.cells)
+    labels = np.argmin([shapely.distance(part, shapely.points(grid.centers)) for part in placed], axis=0)
+    relative = np.array([region.cell_mass for region in regions])[labels]
+    mesh = coloured(looks.PARTS[name]([region.outline for region in regions]))
     mesh.apply_translation([-origin[0], -origin[1], 0.0])
     mesh.apply_scale(MM)
     return TrueObject(
         name=name,
         grid=grid,
         labels=labels,
-        mass=spec.mass * relative / relative.sum(),
-        mu=np.array([region.mu for region in spec.regions])[labels],
-        mu_finger=spec.mu_finger,
+        mass=whole.mass * relative / relative.sum(),
+        mu=np.array([region.mu for region in regions])[labels],
+        mu_finger=whole.mu_finger,
         height=cell_heights(mesh, grid),
         mesh=mesh,
-        colors=np.array([region.color for region in spec.regions]),
-        blocks=tuple(
-            Block(part, region.height * MM) for part, region in zip(placed, spec.regions, strict=True)
-        ),
+        colors=np.array([region.color for region in regions]),
+        blocks=tuple(Block(part, region.height * MM) for part, region in zip(placed, regions, strict=True)),
     )
 
 
@@ -192,29 +157,25 @@ def _placed(outline: BaseGeometry, origin: FloatArray) -> Polygon:
     return placed
 
 
-# A hammer of two materials, the object of the demonstration: head of steel, handle of wood.
-
-
-CELL = 0.0125
 HEAD = (0.1, 0.0375, 0.025)
-"""Length across the handle, width along it and height, m."""
-HANDLE = (0.025, 0.225, 0.02)
-"""Width, length and height, m."""
-STEEL, BEECH = 7850.0, 700.0  # kg/m³
-MU_STEEL, MU_BEECH = 0.2, 0.4
-MU_FINGER = 0.3
+"""Of the demonstration's hammer: length across the handle, width along it and height, m."""
+_HANDLE = (0.025, 0.225, 0.02)  # m; width, length and height
+_STEEL, _BEECH = 7850.0, 700.0  # kg/m³
 
 
 def hammer() -> tuple[CellGrid, Maps]:
-    """60 cells, and their true maps: 0.74 kg of steel that slides easily, 0.08 kg of wood that does not.
+    """The demonstration's hammer: 60 cells and their true maps.
+
+    Its head is 0.74 kg of steel that slides easily (μ = 0.2), its handle 0.08 kg of wood that does not (0.4).
 
     The object frame lies in the middle of the whole length, y towards the head.
     """
-    half = (HEAD[1] + HANDLE[1]) / 2
+    half = (HEAD[1] + _HANDLE[1]) / 2
     joint = half - HEAD[1]
-    right = [(HANDLE[0] / 2, -half), (HANDLE[0] / 2, joint), (HEAD[0] / 2, joint), (HEAD[0] / 2, half)]
+    right = [(_HANDLE[0] / 2, -half), (_HANDLE[0] / 2, joint), (HEAD[0] / 2, joint), (HEAD[0] / 2, half)]
     outline = np.array(right + [(-x, y) for x, y in reversed(right)])
-    grid = cells_from_polygon(outline, width=CELL)
+    cell = 0.0125
+    grid = cells_from_polygon(outline, width=cell)
     is_head = grid.centers[:, 1] > joint
-    mass = CELL**2 * np.where(is_head, STEEL * HEAD[2], BEECH * HANDLE[2])
-    return grid, Maps(mass, np.where(is_head, MU_STEEL, MU_BEECH), np.array([MU_FINGER]))
+    mass = cell**2 * np.where(is_head, _STEEL * HEAD[2], _BEECH * _HANDLE[2])
+    return grid, Maps(mass, np.where(is_head, 0.2, 0.4), np.array([0.3]))

@@ -1,4 +1,5 @@
-"""Footprints cut into square cells: from an outline, or from cell centres that are already known."""
+"""Footprints cut into square cells, from an outline or from known cell centres; and the cells on the outer
+contour, where a finger can touch them."""
 
 from __future__ import annotations
 
@@ -10,15 +11,17 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import cKDTree
 from shapely.geometry import MultiPolygon, Polygon
 
+from slipmap.models.geometry import cross
 from slipmap.models.physics.cell_grid import CellGrid, FloatArray, checked_points, checked_polygon
 
-MAX_CELLS = 50_000  # finer grids than this are taken for a mistake in units
-
+_MAX_CELLS = 50_000  # finer grids than this are taken for a mistake in units
 # Of a grid centred on the bounding box: a cell's centre or a corner there, in x and in y.
 _OFFSETS = ((0.0, 0.0), (0.5, 0.5), (0.5, 0.0), (0.0, 0.5))
 _FINE_STEPS = 40
 _LATTICE_TOLERANCE = 0.1  # of a cell's width; measured centres are often rounded
 _BRIDGE = 0.05  # half the side of the bridge between diagonal neighbours, in cell widths
+_PIECES_PER_CELL = 32  # of the exterior, of which each is owned by one cell
+_LEAST_SHARE = 0.1  # of a cell's width
 
 
 def cells_from_polygon(
@@ -53,8 +56,7 @@ def cells_from_polygon(
     """
     if (count is None) == (width is None):
         raise ValueError("cell grid: give exactly one of count and width")
-    outline = checked_points(exterior, "outline")
-    openings = tuple(checked_points(hole, f"hole {j}") for j, hole in enumerate(holes))
+    outline, openings = checked_points(exterior, "outline"), _checked_holes(holes)
     polygon = checked_polygon(outline, openings)
     if count is not None:
         centers, width = _counted(polygon, _checked_count(count))
@@ -84,14 +86,12 @@ def cells_from_centres(
             outline, that do not lie on one square grid or fall into separate parts.
     """
     points = checked_points(centers, "cell centres")
-    if not (np.isfinite(width) and width > 0):
-        raise ValueError(f"cell grid: cell width must be a positive length in m, got {width}")
+    _check_width(width)
     if len(points) == 0:
         raise ValueError("cell grid: there are no cells")
     _require_apart(points, width)
     if outline is not None:
-        openings = tuple(checked_points(hole, f"hole {j}") for j, hole in enumerate(holes))
-        grid = CellGrid(points, float(width), checked_points(outline, "outline"), openings)
+        grid = CellGrid(points, float(width), checked_points(outline, "outline"), _checked_holes(holes))
         distance = np.asarray(shapely.distance(grid.polygon, shapely.points(points)))
         far = int(np.argmax(distance))
         if distance[far] > width:
@@ -102,14 +102,56 @@ def cells_from_centres(
         return grid
     if len(holes) > 0:
         raise ValueError("cell grid: holes were given without an outline")
-    polygon = _union_of_squares(points, float(width))
-    return grid_of_polygon(points, float(width), polygon)
+    border = _union_of_squares(points, float(width))
+    return CellGrid(points, float(width), *rings_of(border))
 
 
-def grid_of_polygon(centers: FloatArray, width: float, polygon: Polygon) -> CellGrid:
-    """Cell grid with a shapely polygon as its outline."""
-    rings = [np.asarray(ring.coords)[:-1] for ring in (polygon.exterior, *polygon.interiors)]
-    return CellGrid(centers, width, rings[0], tuple(rings[1:]))
+def contour_cells(grid: CellGrid) -> tuple[NDArray[np.intp], FloatArray, FloatArray]:
+    """Cells that own a stretch of the exterior, each with a contact point and the normal there.
+
+    A cell owns the part of the exterior to which it is the nearest cell. Its contact point is the point of
+    this part that lies nearest to the cell's centre; for a cell with a side on the outline, the middle of
+    that side. Cells that own less than a tenth of their width, such as the one behind a re-entrant corner,
+    are left out, unless no cell owns more. Holes have no contact cells: a finger outside cannot reach them.
+
+    Returns:
+        indices: (c,) cells in counter-clockwise order along the exterior, each once.
+        points: (c, 2) contact points on the exterior, never on a corner, object frame, m.
+        normals: (c, 2) outward unit normals of the edges they lie on, object frame.
+    """
+    start, along, edge, limits = _pieces(grid)
+    length = np.linalg.norm(along, axis=1)
+    owner = np.asarray(cKDTree(grid.centers).query(start + along / 2)[1])
+    share = np.bincount(owner, weights=length, minlength=len(grid))
+    least = min(_LEAST_SHARE * grid.width, float(share.max()))
+
+    # Nearest point of each piece to its owner, kept off the edge's ends.
+    offset = grid.centers[owner] - start
+    fraction = np.clip(np.sum(offset * along, axis=1) / length**2, *limits)
+    points = start + fraction[:, None] * along
+    distance = np.linalg.norm(points - grid.centers[owner], axis=1)
+
+    # Rounded, so that of equally near points the first is taken whatever the rounding errors.
+    key = np.round(distance / grid.width, 6)
+    order = np.lexsort((np.arange(len(owner)), key, owner))
+    cells, first = np.unique(owner[order], return_index=True)
+    chosen = order[first][share[cells] >= least]
+    chosen.sort()
+    edges = grid.edges[edge[chosen]]
+    tangent = edges[:, 2:] - edges[:, :2]
+    tangent /= np.linalg.norm(tangent, axis=1)[:, None]
+    return owner[chosen], points[chosen], np.column_stack([tangent[:, 1], -tangent[:, 0]])
+
+
+def rings_of(polygon: Polygon) -> tuple[FloatArray, tuple[FloatArray, ...]]:
+    """Corners (k, 2) of the exterior and (k_j, 2) of the holes, none repeated at the end."""
+    exterior, *holes = (np.asarray(ring.coords)[:-1] for ring in (polygon.exterior, *polygon.interiors))
+    return exterior, tuple(holes)
+
+
+def without_small_holes(polygon: Polygon, area: float) -> Polygon:
+    """The polygon with only those of its holes that are larger than an area."""
+    return Polygon(polygon.exterior, [hole for hole in polygon.interiors if Polygon(hole).area > area])
 
 
 def polygon_moments(polygon: Polygon) -> tuple[float, FloatArray, float]:
@@ -119,23 +161,22 @@ def polygon_moments(polygon: Polygon) -> tuple[float, FloatArray, float]:
     for sign, ring in ((1.0, polygon.exterior), *((-1.0, hole) for hole in polygon.interiors)):
         a = np.asarray(ring.coords)[:-1] - middle
         b = np.roll(a, -1, axis=0)
-        cross = a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]
-        sign *= float(np.sign(cross.sum()))
-        area += sign * float(cross.sum()) / 2
-        first += sign * (cross @ (a + b)) / 6
-        polar += sign * float(cross @ np.sum(a * a + a * b + b * b, axis=1)) / 12
+        twice = cross(a, b)
+        sign *= float(np.sign(twice.sum()))
+        area += sign * float(twice.sum()) / 2
+        first += sign * (twice @ (a + b)) / 6
+        polar += sign * float(twice @ np.sum(a * a + a * b + b * b, axis=1)) / 12
     shift = first / area
     return area, middle + shift, polar - area * float(shift @ shift)
 
 
 def _sized(polygon: Polygon, width: float) -> FloatArray:
-    if not (np.isfinite(width) and width > 0):
-        raise ValueError(f"cell grid: cell width must be a positive length in m, got {width}")
+    _check_width(width)
     expected = polygon.area / width**2
-    if expected > MAX_CELLS:
+    if expected > _MAX_CELLS:
         raise ValueError(
             f"cell grid: a width of {width:.4g} m cuts the outline into about {expected:.3g} cells, more "
-            f"than {MAX_CELLS}; check the units"
+            f"than {_MAX_CELLS}; check the units"
         )
     target = polygon_moments(polygon)
     interior = _Interior(polygon)
@@ -285,53 +326,18 @@ def _require_apart(centers: FloatArray, width: float) -> None:
 
 
 def _checked_count(count: int) -> int:
-    if isinstance(count, bool) or not isinstance(count, int | np.integer) or not 1 <= count <= MAX_CELLS:
-        raise ValueError(f"cell grid: count must be a whole number from 1 to {MAX_CELLS}, got {count!r}")
+    if isinstance(count, bool) or not isinstance(count, int | np.integer) or not 1 <= count <= _MAX_CELLS:
+        raise ValueError(f"cell grid: count must be a whole number from 1 to {_MAX_CELLS}, got {count!r}")
     return int(count)
 
 
-# Cells on an object's outer contour, where a finger can touch them.
+def _check_width(width: float) -> None:
+    if not (np.isfinite(width) and width > 0):
+        raise ValueError(f"cell grid: cell width must be a positive length in m, got {width}")
 
 
-_PIECES_PER_CELL = 32
-_LEAST_SHARE = 0.1  # of a cell's width
-
-
-def contour_cells(grid: CellGrid) -> tuple[NDArray[np.intp], FloatArray, FloatArray]:
-    """Cells that own a stretch of the exterior, each with a contact point and the normal there.
-
-    A cell owns the part of the exterior to which it is the nearest cell. Its contact point is the point of
-    this part that lies nearest to the cell's centre; for a cell with a side on the outline, the middle of
-    that side. Cells that own less than a tenth of their width, such as the one behind a re-entrant corner,
-    are left out, unless no cell owns more. Holes have no contact cells: a finger outside cannot reach them.
-
-    Returns:
-        indices: (c,) cells in counter-clockwise order along the exterior, each once.
-        points: (c, 2) contact points on the exterior, never on a corner, object frame, m.
-        normals: (c, 2) outward unit normals of the edges they lie on, object frame.
-    """
-    start, along, edge, limits = _pieces(grid)
-    length = np.linalg.norm(along, axis=1)
-    owner = np.asarray(cKDTree(grid.centers).query(start + along / 2)[1])
-    share = np.bincount(owner, weights=length, minlength=len(grid))
-    least = min(_LEAST_SHARE * grid.width, float(share.max()))
-
-    # Nearest point of each piece to its owner, kept off the edge's ends.
-    offset = grid.centers[owner] - start
-    fraction = np.clip(np.sum(offset * along, axis=1) / length**2, *limits)
-    points = start + fraction[:, None] * along
-    distance = np.linalg.norm(points - grid.centers[owner], axis=1)
-
-    # Rounded, so that of equally near points the first is taken whatever the rounding errors.
-    key = np.round(distance / grid.width, 6)
-    order = np.lexsort((np.arange(len(owner)), key, owner))
-    cells, first = np.unique(owner[order], return_index=True)
-    chosen = order[first][share[cells] >= least]
-    chosen.sort()
-    edges = grid.edges[edge[chosen]]
-    tangent = edges[:, 2:] - edges[:, :2]
-    tangent /= np.linalg.norm(tangent, axis=1)[:, None]
-    return owner[chosen], points[chosen], np.column_stack([tangent[:, 1], -tangent[:, 0]])
+def _checked_holes(holes: Sequence[ArrayLike]) -> tuple[FloatArray, ...]:
+    return tuple(checked_points(hole, f"hole {j}") for j, hole in enumerate(holes))
 
 
 def _pieces(grid: CellGrid) -> tuple[FloatArray, FloatArray, NDArray[np.intp], FloatArray]:

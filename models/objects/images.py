@@ -1,4 +1,5 @@
-"""Cell grids from label images: pictures from above in which each pixel names a segment of the object."""
+"""Cell grids from label images, pictures from above whose pixels name segments of the object; and the outline
+of a mask of pixels, to better than a pixel."""
 
 from __future__ import annotations
 
@@ -19,12 +20,20 @@ from scipy.spatial import cKDTree
 from shapely.geometry import LinearRing, Polygon
 
 from slipmap.models.files import UnreadableFile, read_bounded
-from slipmap.models.objects.footprints import cells_from_polygon
+from slipmap.models.geometry import cross
+from slipmap.models.objects.footprints import cells_from_polygon, rings_of, without_small_holes
 from slipmap.models.objects.meshes import LARGEST_EXTENT, SMALLEST_EXTENT
 from slipmap.models.physics.cell_grid import CellGrid, FloatArray
 
-# The outline of a mask of pixels, to better than a pixel.
+IntArray = NDArray[np.int64]
+Mask = NDArray[np.bool_]
 
+_LARGEST_FILE = 64 * 2**20  # bytes
+_MOST_PIXELS = 50_000_000
+_PNG = b"\x89PNG\r\n\x1a\n"
+_TIFF_WIDTH, _TIFF_HEIGHT = 256, 257  # tags
+_SAVE_ANEW = "save it once more, as a greyscale PNG"
+_SPECK = 0.01  # of the object's area
 
 # The borders' middles along a straight edge of any direction lie in a strip less than a pixel wide.
 _STRIP = 1.0
@@ -32,7 +41,111 @@ _FARTHEST_CORNER = 1.5
 _LEAST_TURN = np.sin(np.deg2rad(15.0))
 
 
-def traced_outline(mask: NDArray[np.bool_]) -> Polygon:
+def cells_from_label_image(
+    labels: NDArray[np.integer] | str | PathLike[str],
+    metres_per_pixel: float,
+    *,
+    count: int | None = None,
+    width: float | None = None,
+    background: int = 0,
+) -> tuple[CellGrid, IntArray]:
+    """Cell grid of the object in a label image, and the segment that each cell belongs to.
+
+    Every pixel that is not background is part of the object. The object frame has its origin at the centroid
+    of these pixels; x points to the right in the image and y up, that is, against the rows. The outline is
+    that of `traced_outline`. Further pieces and holes below 1 % of the object's area count as noise: pieces
+    are dropped, holes filled.
+
+    Args:
+        labels: (H, W) whole numbers, or the path of a picture with one channel.
+        metres_per_pixel: side of a pixel on the object's surface, m.
+        count: wanted number of cells, as in `cells_from_polygon`; or else
+        width: side of a cell, m.
+        background: label of what is not the object.
+
+    Returns:
+        The grid, and segment (n,): the label of most of a cell's object pixels (of equally many, the smallest
+        label), or of the nearest object pixel where cells are smaller than pixels.
+
+    Raises:
+        ValueError: a file that cannot be read, an image that is not one channel of whole numbers, a scale
+            that is not positive or makes the object wider than 5 m or narrower than 1 mm, no object, an
+            object in separate pieces, or wrong count or width.
+    """
+    image, source = _label_array(labels)
+    if not (np.isfinite(metres_per_pixel) and metres_per_pixel > 0):
+        raise ValueError(f"{source}: metres_per_pixel must be a positive length, got {metres_per_pixel}")
+    mask = _largest_piece(image != background, source, background)
+    rows, columns = np.nonzero(mask)
+    origin = np.array([columns.mean(), rows.mean()])
+    scale = np.array([metres_per_pixel, -metres_per_pixel])
+
+    polygon = traced_outline(mask)
+    extent = metres_per_pixel * max(int(np.ptp(rows)), int(np.ptp(columns)), 1)
+    if not SMALLEST_EXTENT <= extent <= LARGEST_EXTENT:
+        raise ValueError(
+            f"{source}: with metres_per_pixel = {metres_per_pixel:g} the object measures {extent:.4g} m; it"
+            f" must lie between {SMALLEST_EXTENT:g} and {LARGEST_EXTENT:g} m"
+        )
+    polygon = without_small_holes(polygon, _SPECK * float(mask.sum()))
+    rings = rings_of(shapely.transform(polygon, lambda pixels: (pixels - origin) * scale))
+    grid = cells_from_polygon(*rings, count=count, width=width)
+    pixels = (np.column_stack([columns, rows]) - origin) * scale
+    return grid, _majority(grid, pixels, image[rows, columns])
+
+
+def _label_array(labels: NDArray[np.integer] | str | PathLike[str]) -> tuple[IntArray, str]:
+    if isinstance(labels, str | PathLike):
+        source = f"label image {Path(labels)}"
+        try:
+            image = read_picture(Path(labels))
+        except UnreadableFile as error:
+            raise ValueError(f"{source}: {error}") from error
+    else:
+        source, image = "label image", np.asarray(labels)
+    if image.ndim != 2:
+        raise ValueError(
+            f"{source}: expected one channel (H, W) with a label in each pixel, got shape {image.shape}; "
+            f"save labels as a greyscale picture, not in colour"
+        )
+    if image.dtype != bool and not np.issubdtype(image.dtype, np.integer):
+        raise ValueError(f"{source}: labels must be whole numbers, got {image.dtype}")
+    return image.astype(np.int64), source
+
+
+def _largest_piece(mask: Mask, source: str, background: int) -> Mask:
+    if not np.any(mask):
+        raise ValueError(f"{source}: no object, every pixel has the background label {background}")
+    _, piece, stats, _ = cv2.connectedComponentsWithStats(mask.astype(np.uint8), connectivity=4)
+    areas = stats[1:, cv2.CC_STAT_AREA]
+    kept = int(np.argmax(areas))
+    others = np.delete(areas, kept)
+    if len(others) > 0 and others.max() > _SPECK * areas[kept]:
+        other = 1 + int(np.argsort(areas, kind="stable")[-2])
+        x, y = stats[other, cv2.CC_STAT_LEFT], stats[other, cv2.CC_STAT_TOP]
+        raise ValueError(
+            f"{source}: the object falls into separate pieces; besides the largest ({areas[kept]} pixels) "
+            f"there is one of {others.max()} pixels at column {x}, row {y}. An object is one connected piece "
+            f"(pixels that touch in a corner are not connected): join the pieces or set all but "
+            f"one to {background}"
+        )
+    return piece == kept + 1
+
+
+def _majority(grid: CellGrid, pixels: FloatArray, labels: IntArray) -> IntArray:
+    names, label = np.unique(labels, return_inverse=True)
+    cell = np.asarray(cKDTree(grid.centers).query(pixels)[1])
+    inside = np.abs(pixels - grid.centers[cell]).max(axis=1) <= grid.width / 2
+    votes = np.zeros((len(grid), len(names)), dtype=int)
+    np.add.at(votes, (cell[inside], label[inside]), 1)
+    segment = names[np.argmax(votes, axis=1)]
+    empty = votes.sum(axis=1) == 0
+    if np.any(empty):
+        segment[empty] = labels[cKDTree(pixels).query(grid.centers[empty])[1]]
+    return segment
+
+
+def traced_outline(mask: Mask) -> Polygon:
     """Outline with holes of one connected piece of pixels (neighbours share a side).
 
     The outline runs between the pixels, through the middles of the borders between object and background.
@@ -61,7 +174,7 @@ def traced_outline(mask: NDArray[np.bool_]) -> Polygon:
     return exact
 
 
-def border_middles(mask: NDArray[np.bool_]) -> tuple[list[FloatArray], Polygon]:
+def border_middles(mask: Mask) -> tuple[list[FloatArray], Polygon]:
     """Middles of the borders between object and background, one pixel apart, and the borders themselves.
 
     Args:
@@ -101,27 +214,14 @@ def straightened(points: FloatArray, kept: LinearRing) -> FloatArray:
         lines.append((middle, -direction if backwards else direction))
     result = []
     for corner, (p, d), (q, e) in zip(corners, lines[-1:] + lines[:-1], lines, strict=True):
-        turn = d[0] * e[1] - d[1] * e[0]
+        turn = cross(d, e)
         projected = (p + d * (d @ (corner - p)) + q + e * (e @ (corner - q))) / 2
         if abs(turn) > _LEAST_TURN:
-            meeting = p + d * (((q - p)[0] * e[1] - (q - p)[1] * e[0]) / turn)
+            meeting = p + d * (cross(q - p, e) / turn)
             if np.linalg.norm(meeting - corner) <= _FARTHEST_CORNER:
                 projected = meeting
         result.append(projected)
     return np.array(result)
-
-
-# Pictures from disk: what a file declares is checked before it is believed.
-
-
-LARGEST_FILE = 64 * 2**20
-"""Bytes."""
-
-MOST_PIXELS = 50_000_000
-
-_PNG = b"\x89PNG\r\n\x1a\n"
-_TIFF_WIDTH, _TIFF_HEIGHT = 256, 257  # tags
-_SAVE_ANEW = "save it once more, as a greyscale PNG"
 
 
 def read_picture(path: Path) -> NDArray[Any]:
@@ -131,10 +231,10 @@ def read_picture(path: Path) -> NDArray[Any]:
     file has a few bytes.
 
     Raises:
-        UnreadableFile: no such file, one that is too large, of another kind, or damaged, or more pixels than
-            `MOST_PIXELS`.
+        UnreadableFile: no such file, one that is too large, of another kind, or damaged, or more than 50
+            million pixels.
     """
-    content = read_bounded(path, LARGEST_FILE)
+    content = read_bounded(path, _LARGEST_FILE)
     try:
         width, height = _declared_size(content)
     except UnreadableFile:
@@ -145,9 +245,9 @@ def read_picture(path: Path) -> NDArray[Any]:
         ) from error
     except ValueError as error:
         raise UnreadableFile(f"is damaged or cut short ({error}); {_SAVE_ANEW}") from error
-    if not 0 < width * height <= MOST_PIXELS:
+    if not 0 < width * height <= _MOST_PIXELS:
         raise UnreadableFile(
-            f"declares {width} by {height} pixels; a picture may have up to {MOST_PIXELS / 1e6:.0f} million"
+            f"declares {width} by {height} pixels; a picture may have up to {_MOST_PIXELS / 1e6:.0f} million"
         )
     with _opencv_silent():  # what is wrong is told below
         try:
@@ -225,118 +325,3 @@ def _tiff_size(content: bytes, order: str) -> tuple[int, int]:
     if len(found) < 2:
         raise ValueError("no width and height")
     return found[_TIFF_WIDTH], found[_TIFF_HEIGHT]
-
-
-IntArray = NDArray[np.int64]
-
-_SPECK = 0.01  # of the object's area
-
-
-def cells_from_label_image(
-    labels: NDArray[np.integer] | str | PathLike[str],
-    metres_per_pixel: float,
-    *,
-    count: int | None = None,
-    width: float | None = None,
-    background: int = 0,
-) -> tuple[CellGrid, IntArray]:
-    """Cell grid of the object in a label image, and the segment that each cell belongs to.
-
-    Every pixel that is not background is part of the object. The object frame has its origin at the centroid
-    of these pixels; x points to the right in the image and y up, that is, against the rows. The outline is
-    that of `traced_outline`. Further pieces and holes below 1 % of the object's area count as noise: pieces
-    are dropped, holes filled.
-
-    Args:
-        labels: (H, W) whole numbers, or the path of a picture with one channel.
-        metres_per_pixel: side of a pixel on the object's surface, m.
-        count: wanted number of cells, as in `cells_from_polygon`; or else
-        width: side of a cell, m.
-        background: label of what is not the object.
-
-    Returns:
-        The grid, and segment (n,): the label of most of a cell's object pixels (of equally many, the smallest
-        label), or of the nearest object pixel where cells are smaller than pixels.
-
-    Raises:
-        ValueError: a file that cannot be read, an image that is not one channel of whole numbers, a scale
-            that is not positive or makes the object wider than 5 m or narrower than 1 mm, no object, an
-            object in separate pieces, or wrong count or width.
-    """
-    image, source = _label_array(labels)
-    if not (np.isfinite(metres_per_pixel) and metres_per_pixel > 0):
-        raise ValueError(f"{source}: metres_per_pixel must be a positive length, got {metres_per_pixel}")
-    mask = _largest_piece(image != background, source, background)
-    rows, columns = np.nonzero(mask)
-    origin = np.array([columns.mean(), rows.mean()])
-    scale = np.array([metres_per_pixel, -metres_per_pixel])
-
-    polygon = traced_outline(mask)
-    extent = metres_per_pixel * max(int(np.ptp(rows)), int(np.ptp(columns)), 1)
-    if not SMALLEST_EXTENT <= extent <= LARGEST_EXTENT:
-        raise ValueError(
-            f"{source}: with metres_per_pixel = {metres_per_pixel:g} the object measures {extent:.4g} m; it"
-            f" must lie between {SMALLEST_EXTENT:g} and {LARGEST_EXTENT:g} m"
-        )
-    rings = [
-        (np.asarray(ring.coords)[:-1] - origin) * scale
-        for ring in (polygon.exterior, *(hole for hole in polygon.interiors if _counts(hole, mask)))
-    ]
-    grid = cells_from_polygon(rings[0], rings[1:], count=count, width=width)
-    pixels = (np.column_stack([columns, rows]) - origin) * scale
-    return grid, _majority(grid, pixels, image[rows, columns])
-
-
-def _label_array(labels: NDArray[np.integer] | str | PathLike[str]) -> tuple[IntArray, str]:
-    if isinstance(labels, str | PathLike):
-        source = f"label image {Path(labels)}"
-        try:
-            image = read_picture(Path(labels))
-        except UnreadableFile as error:
-            raise ValueError(f"{source}: {error}") from error
-    else:
-        source, image = "label image", np.asarray(labels)
-    if image.ndim != 2:
-        raise ValueError(
-            f"{source}: expected one channel (H, W) with a label in each pixel, got shape {image.shape}; "
-            f"save labels as a greyscale picture, not in colour"
-        )
-    if image.dtype != bool and not np.issubdtype(image.dtype, np.integer):
-        raise ValueError(f"{source}: labels must be whole numbers, got {image.dtype}")
-    return image.astype(np.int64), source
-
-
-def _largest_piece(mask: NDArray[np.bool_], source: str, background: int) -> NDArray[np.bool_]:
-    if not np.any(mask):
-        raise ValueError(f"{source}: no object, every pixel has the background label {background}")
-    _, piece, stats, _ = cv2.connectedComponentsWithStats(mask.astype(np.uint8), connectivity=4)
-    areas = stats[1:, cv2.CC_STAT_AREA]
-    kept = int(np.argmax(areas))
-    others = np.delete(areas, kept)
-    if len(others) > 0 and others.max() > _SPECK * areas[kept]:
-        other = 1 + int(np.argsort(areas, kind="stable")[-2])
-        x, y = stats[other, cv2.CC_STAT_LEFT], stats[other, cv2.CC_STAT_TOP]
-        raise ValueError(
-            f"{source}: the object falls into separate pieces; besides the largest ({areas[kept]} pixels) "
-            f"there is one of {others.max()} pixels at column {x}, row {y}. An object is one connected piece "
-            f"(pixels that touch in a corner are not connected): join the pieces or set all but "
-            f"one to {background}"
-        )
-    return piece == kept + 1
-
-
-def _counts(hole: LinearRing, mask: NDArray[np.bool_]) -> bool:
-    return Polygon(hole).area > _SPECK * float(mask.sum())
-
-
-def _majority(grid: CellGrid, pixels: FloatArray, labels: IntArray) -> IntArray:
-    names, label = np.unique(labels, return_inverse=True)
-    cell = np.asarray(cKDTree(grid.centers).query(pixels)[1])
-    inside = np.abs(pixels - grid.centers[cell]).max(axis=1) <= grid.width / 2
-    votes = np.zeros((len(grid), len(names)), dtype=int)
-    np.add.at(votes, (cell[inside], label[inside]), 1)
-    segment = names[np.argmax(votes, axis=1)]
-    empty = votes.sum(axis=1) == 0
-    if np.any(empty):
-        segment[empty] = labels[cKDTree(pixels).query(grid.centers[empty])[1]]
-    return segment

@@ -1,4 +1,5 @@
-"""Cell grids from triangle meshes: the silhouette from above, cut into cells."""
+"""Triangle meshes: cell grids from their silhouettes, solids over an outline, convex pieces for collision
+engines, and OBJ text with the normals that renderers want."""
 
 from __future__ import annotations
 
@@ -11,14 +12,15 @@ from pathlib import Path
 import numpy as np
 import shapely
 import trimesh
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.sparse import csr_array
 from scipy.spatial.transform import Rotation
 from shapely.geometry import Polygon
 from shapely.geometry.base import BaseGeometry
 
 from slipmap.models.files import UnreadableFile, check_file
-from slipmap.models.objects.footprints import cells_from_polygon
+from slipmap.models.geometry import cross
+from slipmap.models.objects.footprints import cells_from_polygon, rings_of, without_small_holes
 from slipmap.models.physics.cell_grid import CellGrid, FloatArray
 
 LARGEST_EXTENT = 5.0
@@ -27,11 +29,12 @@ LARGEST_EXTENT = 5.0
 SMALLEST_EXTENT = 1e-3
 """A footprint narrower than this (m) is taken for one in a wrong unit too."""
 
-LARGEST_FILE = 256 * 2**20
-"""Bytes of a mesh's file; five million triangles as STL."""
-
+_LARGEST_FILE = 256 * 2**20  # bytes; five million triangles as STL
 _SNAP = 1e-7  # of the silhouette's extent
 _SPECK = 1e-5  # of the silhouette's area
+_BULGE = 1e-4  # m; by how much a convex piece may stand out of the polygon
+_CREASE = np.deg2rad(35.0)  # faces that meet at a larger angle show an edge
+_ROUND_STEPS = 6
 
 
 def cells_from_mesh(
@@ -76,10 +79,8 @@ def cells_from_mesh(
             f"metres_per_unit is the length of the mesh's unit in m, 0.001 for millimetres"
         )
     polygon = _silhouette(flat[np.asarray(loaded.faces)], extent, bool(loaded.is_volume), source)
-    area = polygon.area
-    holes = [ring for ring in polygon.interiors if Polygon(ring).area > _SPECK * area]
-    rings = [np.asarray(ring.coords)[:-1] for ring in (polygon.exterior, *holes)]
-    return cells_from_polygon(rings[0], rings[1:], count=count, width=width)
+    rings = rings_of(without_small_holes(polygon, _SPECK * polygon.area))
+    return cells_from_polygon(*rings, count=count, width=width)
 
 
 def upright_mesh(
@@ -103,7 +104,7 @@ def _loaded(mesh: trimesh.Trimesh | str | PathLike[str]) -> tuple[trimesh.Trimes
     if isinstance(mesh, str | PathLike):
         source = f"mesh {Path(mesh)}"
         try:
-            check_file(Path(mesh), LARGEST_FILE)
+            check_file(Path(mesh), _LARGEST_FILE)
             logging.getLogger("trimesh").setLevel(logging.CRITICAL)  # what is wrong is told below
             mesh = trimesh.load_mesh(str(mesh))
         except UnreadableFile as error:
@@ -151,8 +152,7 @@ def _turn_to_z(up: ArrayLike) -> FloatArray:
 
 def _silhouette(triangles: FloatArray, extent: float, closed: bool, source: str) -> Polygon:
     """Union of projected triangles (t, 3, 2)."""
-    a, b = triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]
-    twice_area = a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]
+    twice_area = cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
     # The upper side of a closed mesh covers its silhouette; of an open one the sides may face anywhere.
     seen = twice_area if closed else np.abs(twice_area)
     union = shapely.union_all(shapely.polygons(triangles[seen > (_SNAP * extent) ** 2]))
@@ -170,19 +170,13 @@ def _silhouette(triangles: FloatArray, extent: float, closed: bool, source: str)
     return outline
 
 
-# A polygon cut into convex pieces, which is what collision engines understand.
-
-
-BULGE = 1e-4  # m; by how much a piece may stand out of the polygon
-
-
 def convex_pieces(polygon: Polygon) -> list[Polygon]:
-    """Convex polygons that cover a polygon with corners and holes, and stand out by no more than `BULGE`.
+    """Convex polygons that cover a polygon with corners and holes, and stand out by no more than 0.1 mm.
 
     Triangles that share a side are joined, the longest common side first, as long as the result stays convex
     (the algorithm of Hertel and Mehlhorn, which finds at most four times as many pieces as needed).
     """
-    allowed = polygon.buffer(BULGE)
+    allowed = polygon.buffer(_BULGE)
     pieces = list(shapely.get_parts(shapely.constrained_delaunay_triangles(polygon)))
     joined = True
     while joined:
@@ -208,16 +202,9 @@ def _neighbours(pieces: list[Polygon]) -> list[tuple[float, int, int]]:
     return found
 
 
-# Meshes as Wavefront OBJ text with the normals that renderers want: smooth on curves, sharp at edges.
-
-
-CREASE = np.deg2rad(35.0)
-"""Faces that meet at a larger angle than this show an edge."""
-
-
 def shaded_obj(mesh: trimesh.Trimesh) -> str:
-    """OBJ text of a mesh with a normal at every corner of a face."""
-    normals, index = np.unique(np.round(corner_normals(mesh), 4), axis=0, return_inverse=True)
+    """Wavefront OBJ text with a normal at every corner of a face: smooth on curves, sharp at edges."""
+    normals, index = np.unique(np.round(_corner_normals(mesh), 4), axis=0, return_inverse=True)
     corners = np.stack([mesh.faces, index.reshape(-1, 3)], axis=2) + 1
     lines = [f"v {x:.7g} {y:.7g} {z:.7g}" for x, y, z in mesh.vertices]
     lines += [f"vn {x:.4g} {y:.4g} {z:.4g}" for x, y, z in normals]
@@ -225,25 +212,19 @@ def shaded_obj(mesh: trimesh.Trimesh) -> str:
     return "\n".join(lines) + "\n"
 
 
-def corner_normals(mesh: trimesh.Trimesh) -> FloatArray:
+def _corner_normals(mesh: trimesh.Trimesh) -> FloatArray:
     """(3 f, 3) unit normals: the mean, by area, over the faces around a corner that meet its own face in no
-    more than `CREASE`."""
+    more than 35 degrees."""
     corners = mesh.faces.reshape(-1)
     count = len(corners)
     at_vertex = csr_array((np.ones(count), (np.arange(count), corners)), shape=(count, len(mesh.vertices)))
     first, second = (at_vertex @ at_vertex.T).nonzero()
     face_normals = np.repeat(mesh.face_normals, 3, axis=0)
-    smooth = np.sum(face_normals[first] * face_normals[second], axis=1) > np.cos(CREASE)
+    smooth = np.sum(face_normals[first] * face_normals[second], axis=1) > np.cos(_CREASE)
     first, second = first[smooth], second[smooth]
     total = np.zeros((count, 3))
     np.add.at(total, first, face_normals[second] * np.repeat(mesh.area_faces, 3)[second, None])
     return total / np.maximum(np.linalg.norm(total, axis=1), 1e-300)[:, None]
-
-
-# Solids over an outline whose edges are rounded, for pictures and cameras.
-
-
-_ROUND_STEPS = 6
 
 
 def lofted(outline: BaseGeometry, profile: Sequence[tuple[float, float]]) -> trimesh.Trimesh:
@@ -254,7 +235,10 @@ def lofted(outline: BaseGeometry, profile: Sequence[tuple[float, float]]) -> tri
         profile: rows (inset, z) from below to the top, neither falling: at height z the cross-section is the
             outline less a rim of the width `inset`. Rows at which nothing is left are passed over.
     """
-    sections = [(_inset(outline, inset), inset, z) for inset, z in profile]
+    # Rounded at re-entrant corners, so that a rim of one width stays free everywhere.
+    sections = [
+        (outline if inset == 0 else outline.buffer(-inset, quad_segs=4), inset, z) for inset, z in profile
+    ]
     sections = [section for section in sections if not section[0].is_empty]
     triangles = [_cap(sections[0][0], sections[0][2])[:, ::-1]]
     for (lower, a, z0), (upper, b, z1) in pairwise(sections):
@@ -286,9 +270,13 @@ def rounded(
 def coloured(parts: Sequence[tuple[trimesh.Trimesh, ArrayLike]]) -> trimesh.Trimesh:
     """One mesh of several, each with one colour (r, g, b, a from 0 to 1) on its faces."""
     vertices = np.concatenate([part.vertices for part, _ in parts])
-    starts = np.cumsum([0, *(len(part.vertices) for part, _ in parts)])
-    faces = np.concatenate([part.faces + start for (part, _), start in zip(parts, starts, strict=False)])
-    colours = np.concatenate([np.tile(_bytes(colour), (len(part.faces), 1)) for part, colour in parts])
+    starts = np.cumsum([0, *(len(part.vertices) for part, _ in parts[:-1])])
+    faces = np.concatenate([part.faces + start for (part, _), start in zip(parts, starts, strict=True)])
+    colours = np.repeat(
+        np.round(255 * np.array([colour for _, colour in parts], dtype=float)).astype(np.uint8),
+        [len(part.faces) for part, _ in parts],
+        axis=0,
+    )
     return trimesh.Trimesh(vertices, faces, face_colors=colours, process=False)
 
 
@@ -297,20 +285,14 @@ def height_over(mesh: trimesh.Trimesh, points: FloatArray) -> FloatArray:
     corners = np.asarray(mesh.triangles)
     a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
     e, f = b - a, c - a
-    area = e[:, 0] * f[:, 1] - e[:, 1] * f[:, 0]
+    area = cross(e, f)
     flat = np.abs(area) > 1e-14
     a, e, f, area = a[flat], e[flat], f[flat], area[flat]
     offset = points[:, None, :] - a[None, :, :2]
-    u = (offset[..., 0] * f[:, 1] - offset[..., 1] * f[:, 0]) / area
-    v = (e[:, 0] * offset[..., 1] - e[:, 1] * offset[..., 0]) / area
+    u, v = cross(offset, f) / area, cross(e, offset) / area
     inside = (u >= -1e-9) & (v >= -1e-9) & (u + v <= 1 + 1e-9)
     z = np.where(inside, a[:, 2] + u * e[:, 2] + v * f[:, 2], -np.inf).max(axis=1)
     return np.where(np.isfinite(z), z, np.nan)
-
-
-def _inset(outline: BaseGeometry, inset: float) -> BaseGeometry:
-    # Rounded at re-entrant corners, so that a rim of one width stays free everywhere.
-    return outline if inset == 0 else outline.buffer(-inset, quad_segs=4)
 
 
 def _cap(section: BaseGeometry, z: float) -> FloatArray:
@@ -341,15 +323,10 @@ def _triangles(section: BaseGeometry) -> FloatArray:
     """(t, 3, 2) triangles between a section's corners, counter-clockwise."""
     found = [shapely.constrained_delaunay_triangles(polygon) for polygon in _polygons(section)]
     corners = shapely.get_coordinates(shapely.get_parts(found)).reshape(-1, 4, 2)[:, :3]
-    e, f = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
-    clockwise = e[:, 0] * f[:, 1] - e[:, 1] * f[:, 0] < 0
+    clockwise = cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]) < 0
     corners[clockwise] = corners[clockwise][:, ::-1]
     return corners
 
 
 def _polygons(section: BaseGeometry) -> list[Polygon]:
     return [p for p in shapely.get_parts(section) if isinstance(p, Polygon) and not p.is_empty]
-
-
-def _bytes(colour: ArrayLike) -> NDArray[np.uint8]:
-    return np.round(255 * np.asarray(colour, dtype=float)).astype(np.uint8)

@@ -264,11 +264,8 @@ def _regions(grid: CellGrid, labels: NDArray[np.int64]) -> list[list[Polygon]]:
 
 def _region_colors(count: int) -> FloatArray:
     """(count, 4) colours that tell regions apart."""
-    return np.array([_rgba(_PALETTE[k % len(_PALETTE)]) for k in range(count)])
-
-
-def _rgba(code: str) -> list[float]:
-    return [*(int(code[k : k + 2], 16) / 255 for k in (1, 3, 5)), 1.0]
+    codes = [_PALETTE[k % len(_PALETTE)] for k in range(count)]
+    return np.array([[*(int(code[k : k + 2], 16) / 255 for k in (1, 3, 5)), 1.0] for code in codes])
 
 
 def _positive(value: float, what: str, unit: str) -> None:

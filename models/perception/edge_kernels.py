@@ -1,6 +1,7 @@
 """What is done at every point of the outline when an object is followed, in machine code.
 
-All of it stands in one file, so that numba compiles it anew whenever something in it changes.
+It calls nothing of another file, so that numba compiles it anew whenever something in it changes. A `picture`
+is a `HeightPicture`.
 """
 
 from __future__ import annotations
@@ -30,13 +31,9 @@ _UNLIKE = 0.005  # m; a point whose height is off by more does not fit at all
 _OUTSIDE = 3.0  # pixels beyond the outline
 
 
-def _bell() -> FloatArray:
-    reach = np.arange(-int(4 * SMOOTHING / _STEP + 0.5), int(4 * SMOOTHING / _STEP + 0.5) + 1)
-    weights = np.exp(-0.5 * (reach * _STEP / SMOOTHING) ** 2)
-    return np.asarray(weights / weights.sum())
-
-
-_BELL = _bell()
+_REACH = int(4 * SMOOTHING / _STEP + 0.5)
+_BELL = np.exp(-0.5 * (np.arange(-_REACH, _REACH + 1) * _STEP / SMOOTHING) ** 2)
+_BELL /= _BELL.sum()
 
 
 class Lens(NamedTuple):
@@ -78,14 +75,6 @@ class Shape(NamedTuple):
     inner: FloatArray
     tops: FloatArray
     slopes: FloatArray
-
-
-class Heights(NamedTuple):
-    """Smoothed heights (h, w) of a part of a picture, m, NaN where nothing is seen, from a pixel on."""
-
-    values: NDArray[np.float32]
-    first_column: float
-    first_row: float
 
 
 _compiled = compiled(LONE_FOLDER, nogil=True)
@@ -135,7 +124,10 @@ def _within(begin, end, size, number):  # type: ignore[no-untyped-def]
 
 @_compiled
 def _seen(lens, land, c, s, pose, u, v):  # type: ignore[no-untyped-def]
-    """Height that a camera without noise sees at a pixel, of an object turned by an angle of cosine c."""
+    """Height that a camera without noise sees at a pixel, of an object turned by an angle of cosine c.
+
+    The ray is followed from the highest level down until the map is as high as it.
+    """
     rows, columns = land.heights.shape
     a, b = (u - lens.center_x) / lens.focal_x, (v - lens.center_y) / lens.focal_y
     R, p, plane = lens.R_WC, lens.p_WC, land.plane
@@ -174,19 +166,6 @@ def _seen(lens, land, c, s, pose, u, v):  # type: ignore[no-untyped-def]
             return level + part * step
         before = here
     return 0.0
-
-
-@_compiled
-def heights_seen(lens, land, pose, pixels):  # type: ignore[no-untyped-def]
-    """Heights (k,) that a camera without noise sees at pixels (k, 2), m.
-
-    Each ray is followed from the highest level down until the map is as high as it.
-    """
-    seen = np.empty(len(pixels))
-    c, s = np.cos(pose[2]), np.sin(pose[2])
-    for k in range(len(pixels)):
-        seen[k] = _seen(lens, land, c, s, pose, pixels[k, 0], pixels[k, 1])
-    return seen
 
 
 @_compiled

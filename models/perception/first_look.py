@@ -1,4 +1,5 @@
-"""The first look: from pictures of an object at rest to its footprint, heights and cells."""
+"""The first look: from pictures of an object at rest to its footprint, heights and cells; and its picture, kept
+for a later process."""
 
 from __future__ import annotations
 
@@ -14,7 +15,7 @@ from scipy.spatial import cKDTree
 from shapely.geometry import Polygon
 
 from slipmap.models.files import check_archive
-from slipmap.models.objects.footprints import cells_from_polygon
+from slipmap.models.objects.footprints import cells_from_polygon, rings_of
 from slipmap.models.perception.object_mask import (
     SMOOTHING,
     HeightPicture,
@@ -25,21 +26,17 @@ from slipmap.models.perception.object_mask import (
 )
 from slipmap.models.perception.pinhole_camera import DepthImage, PinholeCamera, View, pixel_size
 from slipmap.models.perception.pose_tracking import fit_edges
-from slipmap.models.perception.relief import Relief
-from slipmap.models.perception.seen_object import Outline, Reason, SeenObject, footprint, outline_of
+from slipmap.models.perception.seen_object import Outline, Reason, Relief, SeenObject, footprint, outline_of
 from slipmap.models.perception.table_plane import TablePlane, fit_table
 from slipmap.models.physics.cell_grid import CellGrid, FloatArray
 
 _OUTLINE_POINTS = 300
 _INNER_POINTS = 400
-_INSET = (
-    0.006  # m; inner points keep this distance from the outline, or half of what the object's width allows
-)
+_INSET = 0.006  # m between inner points and the outline, or half of what the object's width allows
 _RIM = 1.5e-3  # m
 _ARM_NEAR = 6  # pixels
-
-
 _REACHES = (4.0, *(3.0,) * 6)  # pixels
+_LARGEST_FILE = 2**29  # bytes, unpacked; pictures are at most 4096 by 4096
 
 
 class ObjectNotSeen(ValueError):
@@ -74,8 +71,7 @@ def first_look(
     seen_W = footprint(mask, heights, raw, table, view)
     origin = np.asarray(seen_W.polygon.centroid.coords[0])
     polygon, edge = (shapely.transform(part, lambda xy: xy - origin) for part in seen_W[:2])
-    rings = [np.asarray(ring.coords)[:-1] for ring in (polygon.exterior, *polygon.interiors)]
-    grid = cells_from_polygon(rings[0], rings[1:], count=cells)
+    grid = cells_from_polygon(*rings_of(polygon), count=cells)
     points, tops = _cloud(mask, raw, depth, view)
     points = points - origin
     relief = Relief.from_cloud(edge, points, tops, pixel_size(view))
@@ -177,13 +173,6 @@ def _outline(polygon: Polygon, traced: Outline, origin: FloatArray) -> Outline:
     return Outline(points, normals, traced.heights[nearest])
 
 
-# What the first look saw, kept so that a later process sees the same object in the same frame.
-
-
-LARGEST_FILE = 2**29
-"""Bytes, unpacked; pictures are at most 4096 by 4096."""
-
-
 @dataclass(frozen=True, eq=False)
 class FirstPicture:
     """The picture from which an object was cut into cells.
@@ -222,13 +211,9 @@ class FirstPicture:
         Raises:
             OSError, ValueError, KeyError, BadZipFile: the file cannot be read, or is another.
         """
-        check_archive(path, LARGEST_FILE)
+        check_archive(path, _LARGEST_FILE)
         with np.load(path, allow_pickle=False) as file:
+            depth, X_WC, blocked = (file[name] for name in ("depth", "X_WC", "blocked"))
             return FirstPicture(
-                file["depth"],
-                file["X_WC"],
-                file["blocked"],
-                int(file["cells"]),
-                bool(file["noisy"]),
-                float(file["missing"]),
+                depth, X_WC, blocked, int(file["cells"]), bool(file["noisy"]), float(file["missing"])
             )

@@ -1,7 +1,5 @@
-"""The pixels of the object: what stands on the table, in one piece, and is not the arm.
-
-All of it stands in one file, so that numba compiles it anew whenever something in it changes.
-"""
+"""Pixels in a height picture: those of the object, which stands on the table in one piece, and those of the
+arm, drawn as convex hulls around its links."""
 
 from __future__ import annotations
 
@@ -13,56 +11,45 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slipmap.models.perception.edge_kernels import SMOOTHING
-from slipmap.models.perception.edge_kernels import Heights as KernelHeights
 from slipmap.models.perception.pinhole_camera import View, pixel_size
 from slipmap.models.physics.cell_grid import FloatArray
 from slipmap.models.physics.compiled import LONE_FOLDER, compiled
 
-# What is done with every pixel of a mask, in machine code.
-
-
-@compiled(LONE_FOLDER, nogil=True)
-def between(mask, missing):  # type: ignore[no-untyped-def]
-    """Missing pixels in runs, along rows or columns, that end at the mask on both sides.
-
-    Args:
-        mask, missing: (H, W) pixels of a kind, and those of which nothing is known.
-
-    Returns:
-        (H, W).
-    """
-    height, width = mask.shape
-    found = np.zeros((height, width), np.bool_)
-    above = np.full(width, -1)  # last row in each column that is known, if it is of the mask
-    for row in range(height):
-        left = -1
-        for column in range(width):
-            if missing[row, column]:
-                continue
-            if mask[row, column]:
-                if left >= 0:
-                    found[row, left + 1 : column] = True
-                if above[column] >= 0:
-                    found[above[column] + 1 : row, column] = True
-                left, above[column] = column, row
-            else:
-                left, above[column] = -1, -1
-    return found
-
-
 Heights = NDArray[np.float32]
 Mask = NDArray[np.bool_]
 
-LOWEST = -0.005  # m; lower readings, beside the table, count as this: how deep the floor is does not matter
-HIGHEST = 0.3  # m; nothing that stands on the table is higher
-
-
+_LOWEST = -0.005  # m; lower readings, beside the table, count as this: how deep the floor is does not matter
+_HIGHEST = 0.3  # m; nothing that stands on the table is higher
 _LEAST_WEIGHT = 0.3  # of a smoothed pixel's neighbourhood that has readings
 _LEAST_AREA = 4e-4  # m²
 _FAINT, _CLEAR = 2.0, 4.0  # in standard deviations of the table's heights
 _FAINTEST, _CLEAREST = 2e-3, 4e-3  # m; the same for a table seen without noise
 _RAGGED = 5  # pixels; what sticks out of an edge by less, and no further along it, is noise
 _RIM = 2  # pixels; an edge blurred over less is taken at half its height
+
+_NEAREST = 0.05  # m; what is closer to the camera's plane is drawn as if at this depth, far outside
+_FARTHEST_PIXEL = 10_000
+_MANY = 8  # balls; of more, only those at the border are drawn
+_CIRCLE = np.linspace(0, 2 * np.pi, 24, endpoint=False)
+_DISC = np.column_stack([np.cos(_CIRCLE), np.sin(_CIRCLE)])
+
+
+class HeightPicture(NamedTuple):
+    """Smoothed heights (h, w) of a part of a picture from a pixel on, m; NaN where nothing is seen."""
+
+    values: Heights
+    first_column: float = 0.0
+    first_row: float = 0.0
+
+    def at(self, pixels: FloatArray) -> FloatArray:
+        """Heights (a, b) or (a,) at pixel coordinates (a, b, 2) or (a, 2), m; NaN beside missing readings."""
+        where = (pixels - np.array([self.first_column, self.first_row])).astype(np.float32)
+        flat = where.reshape(len(where), -1, 2)
+        read = cv2.remap(
+            self.values, flat[..., 0], flat[..., 1], cv2.INTER_LINEAR,
+            borderMode=cv2.BORDER_CONSTANT, borderValue=float("nan"),
+        )  # fmt: skip
+        return read.astype(float).reshape(pixels.shape[:-1])
 
 
 def smoothed_heights(heights: Heights, blocked: Mask | None = None) -> Heights:
@@ -72,9 +59,9 @@ def smoothed_heights(heights: Heights, blocked: Mask | None = None) -> Heights:
         heights: (h, w) over the table, m; NaN where there is no reading.
         blocked: (h, w) pixels to leave out: the arm.
     """
-    seen = (heights < HIGHEST) if blocked is None else (heights < HIGHEST) & ~blocked
+    seen = (heights < _HIGHEST) if blocked is None else (heights < _HIGHEST) & ~blocked
     weight = cv2.GaussianBlur(seen.astype(np.float32), (0, 0), SMOOTHING)
-    values = np.where(seen, np.maximum(heights, np.float32(LOWEST)), np.float32(0))
+    values = np.where(seen, np.maximum(heights, np.float32(_LOWEST)), np.float32(0))
     mean = cv2.GaussianBlur(values, (0, 0), SMOOTHING) / np.maximum(weight, np.float32(_LEAST_WEIGHT))
     mean[weight < _LEAST_WEIGHT] = np.nan
     if blocked is not None:
@@ -82,9 +69,9 @@ def smoothed_heights(heights: Heights, blocked: Mask | None = None) -> Heights:
     return mean
 
 
-def table_noise(heights: Heights) -> float:
+def _table_noise(heights: Heights) -> float:
     """Standard deviation of the table's smoothed heights about zero, m, from the middle half of them."""
-    table = np.abs(heights[np.abs(heights) < -0.9 * LOWEST])
+    table = np.abs(heights[np.abs(heights) < -0.9 * _LOWEST])
     return float(np.median(table) / 0.6745) if len(table) else 0.0
 
 
@@ -100,7 +87,7 @@ def object_mask(heights: Heights, view: View) -> Mask | None:
         heights: (H, W) smoothed heights of the whole picture, m.
         view: the camera.
     """
-    noise = table_noise(heights)
+    noise = _table_noise(heights)
     faint = heights > max(_FAINTEST, _FAINT * noise)
     faint = cv2.medianBlur(faint.astype(np.uint8), 3) > 0
     faint |= between(faint, np.isnan(heights))
@@ -131,43 +118,6 @@ def _without_rim(mask: Mask, heights: Heights) -> Mask:
     low = filled < cv2.dilate(filled, disc) / 2
     border = cv2.erode(mask.astype(np.uint8), disc, borderType=cv2.BORDER_CONSTANT, borderValue=1) == 0
     return mask & ~(low & border & np.isfinite(heights))
-
-
-class HeightPicture:
-    """Smoothed heights of a part of the picture, read between its pixels."""
-
-    def __init__(self, heights: Heights, first_column: int = 0, first_row: int = 0) -> None:
-        self._heights = heights
-        self._origin = np.array([first_column, first_row], dtype=float)
-
-    @property
-    def for_kernels(self) -> KernelHeights:
-        """The same for kernels."""
-        return KernelHeights(self._heights, *map(float, self._origin))
-
-    def at(self, pixels: FloatArray) -> FloatArray:
-        """Heights (a, b) or (a,) at pixel coordinates (a, b, 2) or (a, 2), m; NaN beside missing readings."""
-        where = (pixels - self._origin).astype(np.float32)
-        flat = where.reshape(len(where), -1, 2)
-        read = cv2.remap(
-            self._heights,
-            flat[..., 0],
-            flat[..., 1],
-            cv2.INTER_LINEAR,
-            borderMode=cv2.BORDER_CONSTANT,
-            borderValue=float("nan"),
-        )
-        return read.astype(float).reshape(pixels.shape[:-1])
-
-
-# The arm in the picture: convex hulls around its links, drawn where the camera sees them.
-
-
-_NEAREST = 0.05  # m; what is closer to the camera's plane is drawn as if at this depth, far outside
-_FARTHEST_PIXEL = 10_000
-_MANY = 8  # balls; of more, only those at the border are drawn
-_CIRCLE = np.linspace(0, 2 * np.pi, 24, endpoint=False)
-_DISC = np.column_stack([np.cos(_CIRCLE), np.sin(_CIRCLE)])
 
 
 class Hull(NamedTuple):
@@ -219,3 +169,32 @@ def draw_hulls(hulls: Sequence[Hull], view: View, margin: float = 0.008) -> Mask
         corners = np.round(np.clip(discs, -_FARTHEST_PIXEL, _FARTHEST_PIXEL)).astype(np.int32)
         cv2.fillConvexPoly(picture, cv2.convexHull(corners.reshape(-1, 2)), 255)
     return picture > 0
+
+
+@compiled(LONE_FOLDER, nogil=True)
+def between(mask, missing):  # type: ignore[no-untyped-def]
+    """Missing pixels in runs, along rows or columns, that end at the mask on both sides.
+
+    Args:
+        mask, missing: (H, W) pixels of a kind, and those of which nothing is known.
+
+    Returns:
+        (H, W).
+    """
+    height, width = mask.shape
+    found = np.zeros((height, width), np.bool_)
+    above = np.full(width, -1)  # last row in each column that is known, if it is of the mask
+    for row in range(height):
+        left = -1
+        for column in range(width):
+            if missing[row, column]:
+                continue
+            if mask[row, column]:
+                if left >= 0:
+                    found[row, left + 1 : column] = True
+                if above[column] >= 0:
+                    found[above[column] + 1 : row, column] = True
+                left, above[column] = column, row
+            else:
+                left, above[column] = -1, -1
+    return found

@@ -75,12 +75,12 @@ class View:
 
     @cached_property
     def lens(self) -> Lens:
-        """The same for kernels."""
+        """The camera at its place, for kernels."""
         camera, R_WC = self.camera, np.array(self.X_WC[:3, :3], order="C")
-        focal, center = (camera.focal_x, camera.focal_y), (camera.center_x, camera.center_y)
         # Whole numbers would have kernels compiled once more.
-        fx, fy, cx, cy = (float(value) for value in (*focal, *center))
-        return Lens(fx, fy, cx, cy, R_WC, np.array(self.p_WC))
+        focal_x, focal_y = float(camera.focal_x), float(camera.focal_y)
+        center_x, center_y = float(camera.center_x), float(camera.center_y)
+        return Lens(focal_x, focal_y, center_x, center_y, R_WC, np.array(self.p_WC))
 
     @cached_property
     def rays(self) -> NDArray[np.float32]:
@@ -89,9 +89,7 @@ class View:
         x = (np.arange(camera.width) - camera.center_x) / camera.focal_x
         y = (np.arange(camera.height) - camera.center_y) / camera.focal_y
         R_WC = self.X_WC[:3, :3]
-        rays = (
-            x[None, :, None] * R_WC[:, 0] + y[:, None, None] * R_WC[:, 1] + R_WC[:, 2]
-        )  # fmt: skip
+        rays = x[None, :, None] * R_WC[:, 0] + y[:, None, None] * R_WC[:, 1] + R_WC[:, 2]
         return rays.astype(np.float32)
 
     def rays_at(self, pixels: FloatArray) -> FloatArray:

@@ -11,14 +11,13 @@ Slopes inside the outline tell of the pose as well: heights read there are compa
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import cv2
 import numpy as np
 
-from slipmap.models.geometry import angle_between
+from slipmap.models.geometry import angle_between, placed
 from slipmap.models.perception.edge_kernels import (
-    Heights,
     Land,
     Lens,
     Shape,
@@ -28,135 +27,16 @@ from slipmap.models.perception.edge_kernels import (
     lines_across,
     mean_misfits,
 )
-from slipmap.models.perception.object_mask import HeightPicture, Mask, object_mask, smoothed_heights
+from slipmap.models.perception.object_mask import HeightPicture, Heights, Mask, object_mask, smoothed_heights
 from slipmap.models.perception.pinhole_camera import DepthImage, View, pixel_size
 from slipmap.models.perception.seen_object import ObservedPose, SeenObject
 from slipmap.models.physics.cell_grid import FloatArray
-
-# The pose at which the object's outline lies on the edges in a depth picture.
-
 
 _HUBER = 1.0  # pixels
 _SETTLED = 0.02  # pixels
 _UNCHANGED = 0.3  # pixels; after a smaller move, edges are expected where they were on their lines
 # Neighbouring points read the same pixels: a point every pixel, pixels smoothed over three.
 _CORRELATED = 4.0
-
-
-@dataclass(frozen=True, eq=False)
-class EdgeFit:
-    """Result of a fit.
-
-    Attributes:
-        pose: (3,) x, y, theta of O in W.
-        covariance: (3, 3), from the scatter of the edges about the fitted outline; infinite if the edges
-            that were found do not determine the pose.
-        found: share of the outline's points with an edge within reach.
-        scatter: root mean square distance of these edges from the outline, pixels.
-    """
-
-    pose: FloatArray
-    covariance: FloatArray
-    found: float
-    scatter: float
-
-
-def load_kernels() -> None:
-    """Compile what a fit calls, or load it: before the first picture, which should not have to wait."""
-    points, numbers, map_of_nothing = np.zeros((1, 2)), np.zeros(1), np.zeros((2, 2), np.float32)
-    lens = Lens(1.0, 1.0, 0.0, 0.0, np.diag([1.0, -1.0, -1.0]), np.array([0.0, 0.0, 1.0]))
-    land = Land(np.zeros(3), np.zeros(2), map_of_nothing, 0.0)
-    shape = Shape(land, points, points, numbers, numbers, points, numbers, points)
-    picture, pose = Heights(map_of_nothing, 0.0, 0.0), np.zeros(3)
-    lines = lines_across(lens, shape, pose)
-    edges_expected(lens, shape, pose, lines)
-    edges_found(picture, shape, lines, 1.0)
-    heights_off(picture, lens, shape, pose, 1.0)
-    mean_misfits(picture, lens, shape, pose[None], 1.0, 1)
-
-
-def placed(pose: FloatArray, points: FloatArray) -> FloatArray:
-    """Points (..., 2) of O in W."""
-    return turned(pose, points) + pose[:2]
-
-
-def turned(pose: FloatArray, vectors: FloatArray) -> FloatArray:
-    """Vectors (..., 2) of O in W."""
-    c, s = np.cos(pose[2]), np.sin(pose[2])
-    return vectors @ np.array([[c, s], [-s, c]])
-
-
-def fit_edges(
-    picture: HeightPicture, view: View, seen: SeenObject, start: FloatArray, reaches: Sequence[float]
-) -> EdgeFit:
-    """Fit the outline to the edges in a picture, from a pose near by.
-
-    Args:
-        picture: smoothed heights, NaN where the arm is.
-        view: the camera.
-        seen: the object.
-        start: (3,) pose to start from.
-        reaches: how far edges are searched, pixels: one step of Gauss-Newton each.
-    """
-    pose = np.array(start, dtype=float)
-    fit = EdgeFit(pose, np.full((3, 3), np.inf), 0.0, np.inf)
-    heights, lens, shape, pixel = picture.for_kernels, view.lens, seen.shape, pixel_size(view)
-    expected: FloatArray | None = None
-    moved = 0.0  # pixels, since the edges' places were predicted
-    for k, reach in enumerate(reaches):
-        lines = lines_across(lens, shape, pose)
-        if expected is None or moved > _UNCHANGED:
-            expected, moved = edges_expected(lens, shape, pose, lines), 0.0
-        distance = edges_found(heights, shape, lines, reach) - expected
-        found = np.isfinite(distance)
-        if found.sum() < 6:
-            return fit
-        off = heights_off(heights, lens, shape, pose, pixel)
-        off = off[np.isfinite(off[:, 0])]
-        d = np.concatenate([distance[found], off[:, 0]])
-        J = np.concatenate([lines[found, 4:], off[:, 1:]])
-        weight = np.minimum(1.0, max(_HUBER, reach / 4) / np.maximum(np.abs(d), 1e-9))
-        information = J.T @ (weight[:, None] * J)
-        if np.linalg.cond(information * _scale(seen)) > 1e8:
-            return fit
-        step = np.linalg.solve(information, J.T @ (weight * d))
-        pose = pose + step
-        change = float(np.abs(J @ step).max())
-        moved += change
-        scatter = float(np.sqrt(np.sum(weight * d * d) / weight.sum()))
-        fit = EdgeFit(
-            pose,
-            _CORRELATED * scatter**2 * np.linalg.inv(information),
-            float(found.mean()),
-            scatter,
-        )
-        if change < _SETTLED and moved <= _UNCHANGED and all(later >= reach for later in reaches[k + 1 :]):
-            break
-    return fit
-
-
-def misfits(
-    picture: HeightPicture, view: View, seen: SeenObject, poses: FloatArray, every: int = 1
-) -> FloatArray:
-    """How badly heights inside, and the table outside, agree with a picture.
-
-    Args:
-        picture, view, seen: as of `fit_edges`.
-        poses: (k, 3) of O in W.
-        every: which points are looked at: each, each second, …
-
-    Returns:
-        (k, 2): 0 is perfect, 1 fits nowhere; and the share of the points inside that are seen.
-    """
-    poses = np.array(poses, dtype=float)
-    return mean_misfits(picture.for_kernels, view.lens, seen.shape, poses, pixel_size(view), every)
-
-
-def _scale(seen: SeenObject) -> FloatArray:
-    """Makes the angle's part of the information comparable with that of the position."""
-    size = np.array([1.0, 1.0, 1.0 / np.sqrt(np.mean(np.sum(seen.outline.points**2, axis=1)))])
-    return np.outer(size, size)
-
 
 _NEAR_REACHES = (8.0, 5.0, *(3.0,) * 8)  # pixels
 _FAR_REACHES = (20.0, 14.0, 9.0, 6.0, 4.0, *(3.0,) * 8)
@@ -197,33 +77,6 @@ _SURE = np.array([2e-3, 2e-3, np.deg2rad(2.0)])  # standard deviations beyond wh
 _FLOOR = np.diag(np.array([3e-4, 3e-4, np.deg2rad(0.06)]) ** 2)
 
 
-@dataclass(frozen=True, eq=False)
-class _Candidate:
-    fit: EdgeFit
-    misfit: float
-    seen: float  # share of the inner points that are not hidden
-
-    @property
-    def good(self) -> bool:
-        deviation = np.sqrt(np.diag(self.fit.covariance))
-        return (
-            self.misfit < _GOOD
-            and self.seen > _LEAST_SEEN
-            and self.fit.found > _LEAST_FOUND
-            and bool(np.all(deviation < _SURE))
-        )
-
-    @property
-    def clear(self) -> bool:
-        deviation = float(np.sqrt(np.diag(self.fit.covariance)[:2].max()))
-        sure = self.misfit < _FITS_CLEARLY and deviation < _KNOWN_CLEARLY
-        return self.good and (self.seen > _SEEN_CLEARLY or (self.seen > _MOSTLY_SEEN and sure))
-
-    @property
-    def unmistakable(self) -> bool:
-        return self.good and self.seen > _LEAST_SEEN_ANYWHERE and self.fit.found > _LEAST_FOUND_ANYWHERE
-
-
 def track(
     depth: DepthImage,
     view: View,
@@ -251,152 +104,248 @@ def track(
     Raises:
         ValueError: a picture of the wrong size, or a previous pose that is not finite.
     """
-    image = view.checked_depth(depth)
+    search = _Search(view.checked_depth(depth), view, seen, blocked)
     if not np.all(np.isfinite(previous)):
         raise ValueError(f"tracking: the previous pose must be finite, got {previous}")
     previous = np.asarray(previous, dtype=float)
-    near = _near(image, view, seen, previous, blocked)
+    near = search.near(previous)
     if near is not None and near.clear:
-        return _observed(near, time)
-    tried = [found for found in (near, _beside(image, view, seen, previous, blocked)) if found is not None]
+        return near.observed(time)
+    tried = [found for found in (near, search.beside(previous)) if found is not None]
     best = min(tried, key=lambda candidate: candidate.misfit, default=None)
     if best is not None and best.good:
-        return _observed(best, time)
-    heights = smoothed_heights(seen.table.heights(image, view), blocked)
-    hidden = _hidden_share(heights, view, seen, previous)
+        return best.observed(time)
+    raw = seen.table.heights(search.image, view)
+    heights = smoothed_heights(raw, blocked)
     mask = object_mask(heights, view)
+    hidden = search.hidden_share(heights, previous) > 1 - _LEAST_SEEN
     if mask is None:
-        return ObservedPose.unseen("occluded" if hidden > 1 - _LEAST_SEEN else "left the table", time)
-    anywhere = None
-    if mask.sum() * pixel_size(view) ** 2 > _LEAST_AREA_ANYWHERE * seen.grid.polygon.area:
-        anywhere = _anywhere(HeightPicture(heights), mask, heights, view, seen, previous)
-    if anywhere is not None and (anywhere.unmistakable or _covers(anywhere, mask, view, seen)):
-        return _observed(anywhere, time)
+        return ObservedPose.unseen("occluded" if hidden else "left the table", time)
+    if search.area(mask) > _LEAST_AREA_ANYWHERE:
+        anywhere = search.anywhere(heights, mask, previous)
+        if anywhere is not None and (anywhere.unmistakable or search.covers(anywhere, mask)):
+            return anywhere.observed(time)
     around = cv2.dilate(mask.astype(np.uint8), np.ones((15, 15), np.uint8)) > 0
-    if hidden > 1 - _LEAST_SEEN or (blocked is not None and np.any(around & blocked)):
+    if hidden or (blocked is not None and np.any(around & blocked)):
         return ObservedPose.unseen("occluded", time)
-    raw = seen.table.heights(image, view)
     if np.any(around & (raw < -0.05)):  # tilts over the edge
         return ObservedPose.unseen("left the table", time)
     return ObservedPose.unseen("no object", time)
 
 
-def _observed(candidate: _Candidate, time: float) -> ObservedPose:
-    return ObservedPose(candidate.fit.pose, candidate.fit.covariance + _FLOOR, True, "", time)
+class EdgeFit(NamedTuple):
+    """Result of a fit.
+
+    Attributes:
+        pose: (3,) x, y, theta of O in W.
+        covariance: (3, 3), from the scatter of the edges about the fitted outline; infinite if the edges
+            that were found do not determine the pose.
+        found: share of the outline's points with an edge within reach.
+        scatter: root mean square distance of these edges from the outline, pixels.
+    """
+
+    pose: FloatArray
+    covariance: FloatArray
+    found: float
+    scatter: float
 
 
-def _near(
-    image: DepthImage, view: View, seen: SeenObject, previous: FloatArray, blocked: Mask | None
-) -> _Candidate | None:
-    """The pose near the previous one."""
-    picture = _around(image, view, seen, previous, blocked, _MARGIN)
-    return None if picture is None else _fitted(picture, view, seen, previous, _NEAR_REACHES)
-
-
-def _beside(
-    image: DepthImage, view: View, seen: SeenObject, previous: FloatArray, blocked: Mask | None
-) -> _Candidate | None:
-    """The best pose from starts around the previous one; a fast object may be far from it."""
-    picture = _around(image, view, seen, previous, blocked, _MARGIN_BESIDE)
-    if picture is None:
-        return None
-    starts = previous + _BESIDE
-    off, share = misfits(picture, view, seen, starts, every=3).T
-    likely = np.argsort(np.where(share > _LEAST_SEEN, off, np.inf), kind="stable")
-    candidates = [_fitted(picture, view, seen, starts[k], _BESIDE_REACHES) for k in likely[:_REFINED_BESIDE]]
-    best = min(candidates, key=lambda candidate: candidate.misfit)
-    return _fitted(picture, view, seen, best.fit.pose, _NEAR_REACHES)
-
-
-def _fitted(
+def fit_edges(
     picture: HeightPicture, view: View, seen: SeenObject, start: FloatArray, reaches: Sequence[float]
-) -> _Candidate:
-    fit = fit_edges(picture, view, seen, start, reaches)
-    ((off, share),) = misfits(picture, view, seen, fit.pose[None])
-    return _Candidate(fit, float(off), float(share))
+) -> EdgeFit:
+    """Fit the outline to the edges in a picture, from a pose near by.
 
-
-def _around(
-    image: DepthImage, view: View, seen: SeenObject, pose: FloatArray, blocked: Mask | None, margin: int
-) -> HeightPicture | None:
-    """The part of the picture around the object at a pose, and as many pixels on each side."""
-    outline_W = placed(pose, seen.outline.points)
-    corners = [
-        view.project(seen.table.lift(outline_W, h))[0] for h in (0.0, float(seen.outline.heights.max()))
-    ]
-    pixels = np.concatenate(corners)
-    if not np.all(np.isfinite(pixels)):
-        return None
-    first = np.maximum(np.floor(pixels.min(axis=0)).astype(int) - margin, 0)
-    last = np.minimum(np.ceil(pixels.max(axis=0)).astype(int) + margin, [image.shape[1], image.shape[0]])
-    if np.any(last - first < 2):
-        return None
-    rows, columns = slice(first[1], last[1]), slice(first[0], last[0])
-    heights = seen.table.heights(image, view, rows, columns)
-    part = None if blocked is None else blocked[rows, columns]
-    return HeightPicture(smoothed_heights(heights, part), first[0], first[1])
-
-
-def _anywhere(
-    picture: HeightPicture,
-    mask: Mask,
-    heights: np.ndarray,
-    view: View,
-    seen: SeenObject,
-    previous: FloatArray,
-) -> _Candidate | None:
-    """The best pose on the table, or None if the object's pixels suggest none."""
-    rows, columns = np.nonzero(mask & np.isfinite(heights))
-    pixels = np.column_stack([columns, rows]).astype(float)
-    shown = seen.table.meet(pixels, heights[rows, columns].astype(float), view)
-    middle = shown.mean(axis=0)
-    angles = previous[2] + np.pi * (2 * np.arange(_DIRECTIONS) / _DIRECTIONS - 1)
-    if mask.sum() * pixel_size(view) ** 2 < _WHOLE * seen.grid.polygon.area:
-        middles = middle + _SHIFTS[:, None] * _longest_axis(shown)
-    else:
-        middles = middle[None]
-    starts = np.array([[*place, angle] for place in middles for angle in angles])
-    off, _ = misfits(picture, view, seen, starts, every=3).T
-    chosen: list[FloatArray] = []
-    for k in np.argsort(off, kind="stable"):
-        if all(abs(angle_between(starts[k][2], other[2])) > _APART for other in chosen):
-            chosen.append(starts[k])
-        if len(chosen) == _REFINED:
+    Args:
+        picture: smoothed heights, NaN where the arm is.
+        view: the camera.
+        seen: the object.
+        start: (3,) pose to start from.
+        reaches: how far edges are searched, pixels: one step of Gauss-Newton each.
+    """
+    pose = np.array(start, dtype=float)
+    fit = EdgeFit(pose, np.full((3, 3), np.inf), 0.0, np.inf)
+    lens, shape, pixel = view.lens, seen.shape, pixel_size(view)
+    # Makes the angle's part of the information comparable with that of the position.
+    size = np.array([1.0, 1.0, 1.0 / np.sqrt(np.mean(np.sum(seen.outline.points**2, axis=1)))])
+    scale = np.outer(size, size)
+    expected: FloatArray | None = None
+    moved = 0.0  # pixels, since the edges' places were predicted
+    for k, reach in enumerate(reaches):
+        lines = lines_across(lens, shape, pose)
+        if expected is None or moved > _UNCHANGED:
+            expected, moved = edges_expected(lens, shape, pose, lines), 0.0
+        distance = edges_found(picture, shape, lines, reach) - expected
+        found = np.isfinite(distance)
+        if found.sum() < 6:
+            return fit
+        off = heights_off(picture, lens, shape, pose, pixel)
+        off = off[np.isfinite(off[:, 0])]
+        d = np.concatenate([distance[found], off[:, 0]])
+        J = np.concatenate([lines[found, 4:], off[:, 1:]])
+        weight = np.minimum(1.0, max(_HUBER, reach / 4) / np.maximum(np.abs(d), 1e-9))
+        information = J.T @ (weight[:, None] * J)
+        if np.linalg.cond(information * scale) > 1e8:
+            return fit
+        step = np.linalg.solve(information, J.T @ (weight * d))
+        pose = pose + step
+        change = float(np.abs(J @ step).max())
+        moved += change
+        scatter = float(np.sqrt(np.sum(weight * d * d) / weight.sum()))
+        covariance = _CORRELATED * scatter**2 * np.linalg.inv(information)
+        fit = EdgeFit(pose, covariance, float(found.mean()), scatter)
+        if change < _SETTLED and moved <= _UNCHANGED and all(later >= reach for later in reaches[k + 1 :]):
             break
-    candidates = []
-    for start in chosen:
-        candidate = _fitted(picture, view, seen, start, _FAR_REACHES)
-        if np.all(np.isfinite(candidate.fit.covariance)):
-            candidates.append(candidate)
-    if not candidates:
-        return None
-    least = min(candidate.misfit for candidate in candidates)
-    alike = [candidate for candidate in candidates if candidate.misfit <= least + _AS_GOOD]
-    best = min(alike, key=lambda candidate: abs(candidate.fit.pose[2] - previous[2]))
-    return _fitted(picture, view, seen, best.fit.pose, _NEAR_REACHES)  # from afar it may not have settled
+    return fit
+
+
+def load_kernels() -> None:
+    """Compile what a fit calls, or load it: before the first picture, which should not have to wait."""
+    points, numbers, map_of_nothing = np.zeros((1, 2)), np.zeros(1), np.zeros((2, 2), np.float32)
+    lens = Lens(1.0, 1.0, 0.0, 0.0, np.diag([1.0, -1.0, -1.0]), np.array([0.0, 0.0, 1.0]))
+    land = Land(np.zeros(3), np.zeros(2), map_of_nothing, 0.0)
+    shape = Shape(land, points, points, numbers, numbers, points, numbers, points)
+    picture, pose = HeightPicture(map_of_nothing), np.zeros(3)
+    lines = lines_across(lens, shape, pose)
+    edges_expected(lens, shape, pose, lines)
+    edges_found(picture, shape, lines, 1.0)
+    heights_off(picture, lens, shape, pose, 1.0)
+    mean_misfits(picture, lens, shape, pose[None], 1.0, 1)
+
+
+class _Candidate(NamedTuple):
+    fit: EdgeFit
+    misfit: float
+    seen: float  # share of the inner points that are not hidden
+
+    @property
+    def good(self) -> bool:
+        deviation = np.sqrt(np.diag(self.fit.covariance))
+        return (
+            self.misfit < _GOOD
+            and self.seen > _LEAST_SEEN
+            and self.fit.found > _LEAST_FOUND
+            and bool(np.all(deviation < _SURE))
+        )
+
+    @property
+    def clear(self) -> bool:
+        deviation = float(np.sqrt(np.diag(self.fit.covariance)[:2].max()))
+        sure = self.misfit < _FITS_CLEARLY and deviation < _KNOWN_CLEARLY
+        return self.good and (self.seen > _SEEN_CLEARLY or (self.seen > _MOSTLY_SEEN and sure))
+
+    @property
+    def unmistakable(self) -> bool:
+        return self.good and self.seen > _LEAST_SEEN_ANYWHERE and self.fit.found > _LEAST_FOUND_ANYWHERE
+
+    def observed(self, time: float) -> ObservedPose:
+        return ObservedPose(self.fit.pose, self.fit.covariance + _FLOOR, True, "", time)
+
+
+class _Search(NamedTuple):
+    """For an object in a picture that may show the arm, too."""
+
+    image: DepthImage
+    view: View
+    seen: SeenObject
+    blocked: Mask | None
+
+    def near(self, previous: FloatArray) -> _Candidate | None:
+        """The pose near the previous one."""
+        picture = self._around(previous, _MARGIN)
+        return None if picture is None else self._fitted(picture, previous, _NEAR_REACHES)
+
+    def beside(self, previous: FloatArray) -> _Candidate | None:
+        """The best pose from starts around the previous one; a fast object may be far from it."""
+        picture = self._around(previous, _MARGIN_BESIDE)
+        if picture is None:
+            return None
+        starts = previous + _BESIDE
+        off, share = self._misfits(picture, starts, every=3).T
+        likely = np.argsort(np.where(share > _LEAST_SEEN, off, np.inf), kind="stable")
+        candidates = [self._fitted(picture, starts[k], _BESIDE_REACHES) for k in likely[:_REFINED_BESIDE]]
+        best = min(candidates, key=lambda candidate: candidate.misfit)
+        return self._fitted(picture, best.fit.pose, _NEAR_REACHES)
+
+    def anywhere(self, heights: Heights, mask: Mask, previous: FloatArray) -> _Candidate | None:
+        """The best pose on the table, or None if the object's pixels suggest none."""
+        picture = HeightPicture(heights)
+        rows, columns = np.nonzero(mask & np.isfinite(heights))
+        pixels = np.column_stack([columns, rows]).astype(float)
+        shown = self.seen.table.meet(pixels, heights[rows, columns].astype(float), self.view)
+        middles = shown.mean(axis=0)[None]
+        if self.area(mask) < _WHOLE:
+            middles = middles + _SHIFTS[:, None] * _longest_axis(shown)
+        angles = previous[2] + np.pi * (2 * np.arange(_DIRECTIONS) / _DIRECTIONS - 1)
+        starts = np.array([[*place, angle] for place in middles for angle in angles])
+        off, _ = self._misfits(picture, starts, every=3).T
+        chosen: list[FloatArray] = []
+        for k in np.argsort(off, kind="stable"):
+            if all(abs(angle_between(starts[k][2], other[2])) > _APART for other in chosen):
+                chosen.append(starts[k])
+            if len(chosen) == _REFINED:
+                break
+        fitted = [self._fitted(picture, start, _FAR_REACHES) for start in chosen]
+        candidates = [one for one in fitted if np.all(np.isfinite(one.fit.covariance))]
+        if not candidates:
+            return None
+        least = min(candidate.misfit for candidate in candidates)
+        alike = [candidate for candidate in candidates if candidate.misfit <= least + _AS_GOOD]
+        best = min(alike, key=lambda candidate: abs(candidate.fit.pose[2] - previous[2]))
+        return self._fitted(picture, best.fit.pose, _NEAR_REACHES)  # from afar it may not have settled
+
+    def area(self, mask: Mask) -> float:
+        """Of the pixels that show an object, over that of the footprint."""
+        return float(mask.sum() * pixel_size(self.view) ** 2 / self.seen.grid.polygon.area)
+
+    def covers(self, candidate: _Candidate, mask: Mask) -> bool:
+        """Whether the object, most of which is seen, covers at a pose all the pixels that show an object."""
+        found = candidate.fit.found > _LEAST_FOUND_COVERING
+        if not (candidate.good and candidate.seen > _LEAST_SEEN_COVERING and found):
+            return False
+        inside = np.zeros(mask.shape, np.uint8)
+        for heights in (0.0, self.seen.outline.heights):
+            pixels = self._pixels(self.seen.outline.points, heights, candidate.fit.pose)
+            cv2.fillPoly(inside, [np.round(pixels).astype(np.int32)], 1)
+        uncovered = mask & (cv2.dilate(inside, _AROUND) == 0)
+        return bool(uncovered.sum() < _MOST_UNCOVERED * mask.sum())
+
+    def hidden_share(self, heights: Heights, pose: FloatArray) -> float:
+        """Share of the inner points, at a pose, of which the picture shows nothing."""
+        inner = self._pixels(self.seen.inner_points, self.seen.inner_heights, pose)
+        return float(np.mean(np.isnan(HeightPicture(heights).at(inner))))
+
+    def _pixels(self, points: FloatArray, heights: FloatArray | float, pose: FloatArray) -> FloatArray:
+        """(m, 2) pixel coordinates of points (m, 2) of the object at a pose."""
+        return self.view.project(self.seen.table.lift(placed(points, pose), heights))[0]
+
+    def _around(self, pose: FloatArray, margin: int) -> HeightPicture | None:
+        """The part of the picture around the object at a pose, and as many pixels on each side."""
+        outline = self.seen.outline
+        pixels = np.concatenate(
+            [self._pixels(outline.points, height, pose) for height in (0.0, float(outline.heights.max()))]
+        )
+        if not np.all(np.isfinite(pixels)):
+            return None
+        first = np.maximum(np.floor(pixels.min(axis=0)).astype(int) - margin, 0)
+        last = np.minimum(np.ceil(pixels.max(axis=0)).astype(int) + margin, self.image.shape[::-1])
+        if np.any(last - first < 2):
+            return None
+        rows, columns = slice(first[1], last[1]), slice(first[0], last[0])
+        heights = self.seen.table.heights(self.image, self.view, rows, columns)
+        part = None if self.blocked is None else self.blocked[rows, columns]
+        return HeightPicture(smoothed_heights(heights, part), *map(float, first))
+
+    def _fitted(self, picture: HeightPicture, start: FloatArray, reaches: Sequence[float]) -> _Candidate:
+        fit = fit_edges(picture, self.view, self.seen, start, reaches)
+        ((off, share),) = self._misfits(picture, fit.pose[None])
+        return _Candidate(fit, float(off), float(share))
+
+    def _misfits(self, picture: HeightPicture, poses: FloatArray, every: int = 1) -> FloatArray:
+        """See `mean_misfits`; poses (k, 3)."""
+        return mean_misfits(picture, self.view.lens, self.seen.shape, poses, pixel_size(self.view), every)
 
 
 def _longest_axis(points: FloatArray) -> FloatArray:
     """(2,) unit vector along which points (k, 2) spread most."""
     _, axes = np.linalg.eigh(np.cov(points.T))
     return np.asarray(axes[:, -1])
-
-
-def _covers(candidate: _Candidate, mask: Mask, view: View, seen: SeenObject) -> bool:
-    """Whether the object, most of which is seen, covers at a pose all the pixels that show an object."""
-    outline = seen.outline
-    found = candidate.fit.found > _LEAST_FOUND_COVERING
-    if not (candidate.good and candidate.seen > _LEAST_SEEN_COVERING and found):
-        return False
-    inside = np.zeros(mask.shape, np.uint8)
-    for heights in (np.zeros(len(outline.points)), outline.heights):
-        pixels, _ = view.project(seen.table.lift(placed(candidate.fit.pose, outline.points), heights))
-        cv2.fillPoly(inside, [np.round(pixels).astype(np.int32)], 1)
-    uncovered = mask & (cv2.dilate(inside, _AROUND) == 0)
-    return bool(uncovered.sum() < _MOST_UNCOVERED * mask.sum())
-
-
-def _hidden_share(heights: np.ndarray, view: View, seen: SeenObject, pose: FloatArray) -> float:
-    """Share of the inner points, at a pose, of which the picture shows nothing."""
-    inner = seen.table.lift(placed(pose, seen.inner_points), seen.inner_heights)
-    return float(np.mean(np.isnan(HeightPicture(heights).at(view.project(inner)[0]))))

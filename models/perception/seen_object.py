@@ -17,24 +17,48 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Literal, NamedTuple
 
+import cv2
 import numpy as np
 import shapely
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 from scipy.ndimage import gaussian_filter1d, median_filter
 from scipy.spatial import cKDTree
 from shapely.geometry import LinearRing, Polygon
 
+from slipmap.models.geometry import cross
+from slipmap.models.objects.footprints import without_small_holes
 from slipmap.models.objects.images import border_middles, straightened, traced_outline
-from slipmap.models.perception.edge_kernels import Shape
+from slipmap.models.perception.edge_kernels import SPACING, Land, Shape
 from slipmap.models.perception.object_mask import HeightPicture, Heights, Mask
 from slipmap.models.perception.picture_check import Fault
 from slipmap.models.perception.pinhole_camera import View, pixel_size
-from slipmap.models.perception.relief import Relief
 from slipmap.models.perception.table_plane import TablePlane
 from slipmap.models.physics.cell_grid import CellGrid, FloatArray
 
-# What one picture says about where the object is.
-
+_INSETS = np.array([1.0, 2.0, 3.0])  # pixels inside an edge; the highest of the heights there is the edge's
+_SPECK = 0.01  # of the object's area; smaller holes are noise
+_ACROSS = np.arange(-5.0, 4.01, 0.25)  # pixels along a line across the edge, outwards
+_FARTHEST = 1.5  # pixels by which a point is moved
+_ROUNDS = 2
+_TURNING = 1.5  # points over which the border's direction is averaged
+_STRIP = 0.5  # pixels; the half width of the strip in which an edge is straight
+_SHARPEST = 10.0  # percentile of the falls along a ring that is taken for the picture's blur,
+_BLUR = 1.1**2, 1.2**2  # but no less and no more than this variance, pixels²
+_DOUBT = 1.5e-3  # m pixels²; over the edge's height: by how much noise may widen the fall
+_QUARTILES = 1.349  # distance between the quartiles of a normal distribution, in standard deviations
+_INSIDE = 0.9  # standard deviations by which the middle of a rounded fall lies inside its foot
+_MOST_ROUND = 1.0  # pixels²
+_ALONG = 11  # points over which the width of the fall is a median
+_CUT = 4.0  # pixels; a longer edge is no cut corner
+_CORNER = 1.0  # pixels from where blur passes a corner to the corner
+_SQUARE = np.sin(np.deg2rad(30.0))  # flatter corners are not cut visibly
+_RIM = 0.75  # pixels inside the outline, where the edge's own height is read
+_RIPPLE = 4.0  # points of the outline over which its direction is averaged
+_SPACING = 1.5  # pixels between points of the outline
+_STRAIGHT = 0.15  # pixels; corners that leave the outline by less are dropped
+_NEIGHBOURS = 4  # readings whose median is a height
+_FOR_PLANE = 12  # readings through which a plane is laid at the rim
+_WALL, _STEEP = 2.0, 6.0  # a reading that is lower than one beside it by more (pixels, slope) is no top
 
 Reason = Literal["", "no object", "occluded", "left the table"] | Fault
 
@@ -77,28 +101,130 @@ class ObservedPose:
         return ObservedPose(np.full(3, np.nan), np.full((3, 3), np.nan), False, reason, time)
 
 
-# Where an object ends in a height picture, to a fraction of a pixel.
+@dataclass(frozen=True, eq=False)
+class Outline:
+    """Points along the object's outline.
+
+    Attributes:
+        points: (m, 2) m.
+        normals: (m, 2) unit vectors out of the object.
+        heights: (m,) of the object's edge over the table there, m.
+    """
+
+    points: FloatArray
+    normals: FloatArray
+    heights: FloatArray
 
 
-INSETS = np.array([1.0, 2.0, 3.0])
-"""Pixels inside an edge; the highest of the heights there is that of the edge."""
+@dataclass(frozen=True, eq=False)
+class Relief:
+    """Height of the object's top over the points of a square grid in O, 0 outside the footprint.
 
-_SPECK = 0.01  # of the object's area; smaller holes are noise
-_ACROSS = np.arange(-5.0, 4.01, 0.25)  # pixels along a line across the edge, outwards
-_FARTHEST = 1.5  # pixels by which a point is moved
-_ROUNDS = 2
-_TURNING = 1.5  # points over which the border's direction is averaged
-_STRIP = 0.5  # pixels; the half width of the strip in which an edge is straight
-_SHARPEST = 10.0  # percentile of the falls along a ring that is taken for the picture's blur,
-_BLUR = 1.1**2, 1.2**2  # but no less and no more than this variance, pixels²
-_DOUBT = 1.5e-3  # m pixels²; over the edge's height: by how much noise may widen the fall
-_QUARTILES = 1.349  # distance between the quartiles of a normal distribution, in standard deviations
-_INSIDE = 0.9  # standard deviations by which the middle of a rounded fall lies inside its foot
-_MOST_ROUND = 1.0  # pixels²
-_ALONG = 11  # points over which the width of the fall is a median
-_CUT = 4.0  # pixels; a longer edge is no cut corner
-_CORNER = 1.0  # pixels from where blur passes a corner to the corner
-_SQUARE = np.sin(np.deg2rad(30.0))  # flatter corners are not cut visibly
+    Attributes:
+        corner: (2,) the grid's first point in O, m.
+        heights: (rows, columns) m; rows along y, columns along x, 1 mm apart.
+    """
+
+    corner: FloatArray
+    heights: NDArray[np.float32]
+
+    @staticmethod
+    def from_cloud(polygon: Polygon, points: FloatArray, tops: FloatArray, pixel: float) -> Relief:
+        """Heights inside a footprint from what a camera sees.
+
+        Args:
+            polygon: the footprint in O, m.
+            points: (k, 2) of the readings in O, m.
+            tops: (k,) heights of the readings, m.
+            pixel: distance of neighbouring readings, m.
+        """
+        on_top = ~_on_flank(points, tops, pixel)
+        points, tops = points[on_top], tops[on_top]
+        tree = cKDTree(points)
+        x0, y0, x1, y1 = polygon.bounds
+        # A margin of one point, so that the distance to the outside is known everywhere.
+        x = np.arange(x0 - SPACING, x1 + 2 * SPACING, SPACING)
+        y = np.arange(y0 - SPACING, y1 + 2 * SPACING, SPACING)
+        grid = np.stack(np.meshgrid(x, y), axis=-1)
+        inside = shapely.contains_xy(polygon, grid[..., 0], grid[..., 1])
+        heights = np.zeros(inside.shape, np.float32)
+        _, index = tree.query(grid[inside], k=min(_NEIGHBOURS, len(points)))
+        heights[inside] = np.median(tops[np.asarray(index).reshape(inside.sum(), -1)], axis=1)
+        # No reading lies on the rim itself; a rounded top goes on falling up to there.
+        to_rim = cv2.distanceTransform(inside.astype(np.uint8), cv2.DIST_L2, 5) * SPACING
+        rim = inside & (to_rim < pixel)
+        if len(points) >= _FOR_PLANE and np.any(rim):
+            index = np.asarray(tree.query(grid[rim], k=_FOR_PLANE)[1])
+            heights[rim] = _on_planes(grid[rim], points[index], tops[index])
+        return Relief(np.array([x[0], y[0]]), np.maximum(heights, 0.0))
+
+    def at(self, points: FloatArray) -> FloatArray:
+        """Heights (...) of the grid points nearest to points (..., 2) in O, m; 0 beside the object."""
+        nearest = np.rint((points - self.corner) / SPACING).astype(int)
+        size = np.array(self.heights.shape[::-1])
+        columns, rows = np.moveaxis(np.clip(nearest, 0, size - 1), -1, 0)
+        beside = np.any((nearest < 0) | (nearest >= size), axis=-1)
+        return np.where(beside, 0.0, self.heights[rows, columns].astype(float))
+
+    def smooth(self, points: FloatArray, window: float) -> tuple[FloatArray, FloatArray]:
+        """Heights (k,) at points (k, 2) in O, m, and their slopes (k, 2), averaged over a window.
+
+        Args:
+            points: inside the footprint, further from its edge than the window.
+            window: standard deviation of a Gaussian, m.
+        """
+        smooth = cv2.GaussianBlur(self.heights, (0, 0), window / SPACING)
+        slopes = [cv2.Sobel(smooth, cv2.CV_32F, *axis, scale=1 / (8 * SPACING)) for axis in ((1, 0), (0, 1))]
+        read = [Relief(self.corner, field).at(points) for field in (smooth, *slopes)]
+        return read[0], np.stack(read[1:], axis=-1)
+
+    def land(self, table: TablePlane) -> Land:
+        """The map, on a table, for kernels."""
+        plane = np.array([table.slope_x, table.slope_y, table.height])
+        heights = np.array(self.heights, np.float32, order="C")
+        return Land(plane, np.array(self.corner, dtype=float), heights, float(heights.max()))
+
+
+@dataclass(frozen=True, eq=False)
+class SeenObject:
+    """An object as the camera saw it at rest, in its own frame.
+
+    The object frame O has its origin at the centroid of the footprint's area, on the table; at the first look
+    its axes are parallel to those of W, to the fraction of a degree with which a pose can be measured.
+
+    Attributes:
+        grid: cells and outline in O.
+        cell_heights: (n,) median height of the object's top over each cell, m.
+        first_pose: (3,) x, y, theta of O in W at the first look, measured in the same way as later poses, so
+            that their difference is the object's motion; theta is nearly 0.
+        outline: points along the rings in O, with the height of the edge.
+        rim_heights: (m,) of the object just inside the outline's points, m: smaller where it is rounded.
+        inner_points: (k, 2) points inside in O, m, on a square grid.
+        inner_heights: (k,) of the object's top there, m.
+        inner_slopes: (k, 2) of the top there, along O's axes.
+        relief: heights over the whole footprint.
+        table: plane of the table in W.
+    """
+
+    grid: CellGrid
+    cell_heights: FloatArray
+    first_pose: FloatArray
+    outline: Outline
+    rim_heights: FloatArray
+    inner_points: FloatArray
+    inner_heights: FloatArray
+    inner_slopes: FloatArray
+    relief: Relief
+    table: TablePlane
+
+    @cached_property
+    def shape(self) -> Shape:
+        """The object, for kernels."""
+        parts = (
+            self.outline.points, self.outline.normals, self.outline.heights, self.rim_heights,
+            self.inner_points, self.inner_heights, self.inner_slopes,
+        )  # fmt: skip
+        return Shape(self.relief.land(self.table), *(np.array(part, float, order="C") for part in parts))
 
 
 class Ring(NamedTuple):
@@ -111,6 +237,52 @@ class Ring(NamedTuple):
 
     edge: LinearRing
     foot: LinearRing
+
+
+class Footprint(NamedTuple):
+    """What an object covers of the table, in W, m.
+
+    Attributes:
+        polygon: where the object ends.
+        edge: where the picture shows its edge, which is farther inside where that is rounded.
+        outline: points along the rings of `edge`.
+    """
+
+    polygon: Polygon
+    edge: Polygon
+    outline: Outline
+
+
+def footprint(mask: Mask, heights: Heights, raw: Heights, plane: TablePlane, view: View) -> Footprint:
+    """Outline of the object in W and the height of its edges.
+
+    The outline in the picture is that of `contour`. Each of its points is carried to the world at the height
+    at which the object is seen there, not at the table's: a top 100 mm high seen 0.4 m off the axis would
+    otherwise seem moved by 40 mm.
+
+    Args:
+        mask: (H, W) pixels of the object, in one piece.
+        heights: (H, W) smoothed heights, m.
+        raw: (H, W) heights before smoothing, m, with sharp edges.
+        plane: the table.
+        view: the camera.
+    """
+    pictures = HeightPicture(heights), HeightPicture(raw)
+    rings = contour(mask, pictures[0], plane, view)
+    feet, edges = (
+        [_in_world(ring, k == 0, *pictures, plane, view) for k, ring in enumerate(side)]
+        for side in ([ring.foot for ring in rings], [ring.edge for ring in rings])
+    )
+    parts = ([getattr(edge, name) for edge in edges] for name in ("points", "normals", "heights"))
+    return Footprint(_polygon(feet, view), _polygon(edges, view), Outline(*map(np.concatenate, parts)))
+
+
+def outline_of(polygon: Polygon, spacing: float) -> tuple[FloatArray, FloatArray]:
+    """Points (m, 2) about `spacing` apart along all rings of a polygon, and normals (m, 2) out of it."""
+    parts = [_points_along(polygon.exterior, outer=True, spacing=spacing)]
+    parts += [_points_along(ring, outer=False, spacing=spacing) for ring in polygon.interiors]
+    points, normals = zip(*parts, strict=True)
+    return np.concatenate(points), np.concatenate(normals)
 
 
 def contour(mask: Mask, heights: HeightPicture, plane: TablePlane, view: View) -> list[Ring]:
@@ -135,17 +307,72 @@ def contour(mask: Mask, heights: HeightPicture, plane: TablePlane, view: View) -
         rings.append(Ring(_cornered(points), _cornered(points + inside[:, None] * normals)))
     if all(Polygon(side[0], side[1:]).is_valid for side in zip(*rings, strict=True)):
         return rings
-    traced = traced_outline(mask)  # too small for lines, a few pixels wide
-    large = [hole for hole in traced.interiors if Polygon(hole).area > _SPECK * mask.sum()]
-    return [Ring(ring, ring) for ring in (traced.exterior, *large)]
+    # Too small for lines, a few pixels wide.
+    traced = without_small_holes(traced_outline(mask), _SPECK * mask.sum())
+    return [Ring(ring, ring) for ring in (traced.exterior, *traced.interiors)]
 
 
-def edge_heights(points: FloatArray, normals: FloatArray, heights: HeightPicture) -> FloatArray:
+def _polygon(rings: list[Outline], view: View) -> Polygon:
+    shape = _simple(Polygon(rings[0].points, [ring.points for ring in rings[1:]]))
+    return _simple(shape.simplify(_STRAIGHT * pixel_size(view)))
+
+
+def _simple(shape: shapely.Geometry) -> Polygon:
+    """The largest part of a shape whose rings may have crossed themselves by a pixel."""
+    valid = shapely.make_valid(shape, method="structure", keep_collapsed=False)
+    parts = [part for part in shapely.get_parts(valid) if isinstance(part, Polygon)]
+    return max(parts, key=lambda part: part.area)
+
+
+def _in_world(
+    ring: LinearRing,
+    outer: bool,
+    smoothed: HeightPicture,
+    sharp: HeightPicture,
+    plane: TablePlane,
+    view: View,
+) -> Outline:
+    pixels, normals = _points_along(ring, outer=outer, begin=0.0)
+    # Which side an edge faces must not change with every ripple of the traced outline.
+    normals = _smooth_directions(normals, _RIPPLE)
+    edge = _edge_heights(pixels, normals, smoothed)
+    rim = sharp.at(pixels - _RIM * normals)
+    rim = _along_ring(np.where(np.isfinite(rim), rim, edge)[:, None])  # upright, unless seen to be rounded
+    foot = plane.meet(pixels, 0.0, view)
+    beyond = plane.meet(pixels + normals, 0.0, view) - foot
+    outward = beyond / np.linalg.norm(beyond, axis=1, keepdims=True)
+    # On the far side the top hides the foot, and the edge lies on the ray past the rim. On the near side the
+    # flank is seen, and the outline is where it is half as high as the object.
+    far = np.sum((foot - view.p_WC[:2]) * outward, axis=1) > 0
+    seen_at = np.where(far, np.maximum(rim, edge / 2), edge / 2)
+    return Outline(plane.meet(pixels, seen_at, view), outward, edge)
+
+
+def _points_along(
+    ring: LinearRing, *, outer: bool, spacing: float = _SPACING, begin: float = 0.5
+) -> tuple[FloatArray, FloatArray]:
+    """Points and their outward normals, on each side the first one `begin` spacings from its corner."""
+    corners = np.asarray(ring.coords)[:-1, :2]
+    if ring.is_ccw != outer:
+        corners = corners[::-1]  # the object lies to the left
+    points, normals = [], []
+    for a, b in zip(corners, np.roll(corners, -1, axis=0), strict=True):
+        length = float(np.hypot(*(b - a)))
+        if length == 0:
+            continue
+        number = max(1, round(length / spacing))
+        share = (np.arange(number) + begin) / number
+        points.append(a + share[:, None] * (b - a))
+        normals.append(np.tile(np.array([b[1] - a[1], a[0] - b[0]]) / length, (number, 1)))
+    return np.concatenate(points), np.concatenate(normals)
+
+
+def _edge_heights(points: FloatArray, normals: FloatArray, heights: HeightPicture) -> FloatArray:
     """(m,) height of the object beside points (m, 2) of its border with outward normals, m."""
-    return along_ring(heights.at(points[:, None, :] - INSETS[:, None] * normals[:, None, :]))
+    return _along_ring(heights.at(points[:, None, :] - _INSETS[:, None] * normals[:, None, :]))
 
 
-def along_ring(heights: FloatArray) -> FloatArray:
+def _along_ring(heights: FloatArray) -> FloatArray:
     """(m,) highest of heights (m, k) at each point of a ring, smoothed along it; missing ones count as 0."""
     highest = np.nanmax(np.column_stack([heights, np.zeros(len(heights))]), axis=1)
     return median_filter(highest, size=min(9, len(highest)), mode="wrap")
@@ -154,10 +381,15 @@ def along_ring(heights: FloatArray) -> FloatArray:
 def _normals(points: FloatArray, *, outer: bool) -> FloatArray:
     """(m, 2) unit vectors out of the object at the points of a ring."""
     along = np.roll(points, -1, axis=0) - np.roll(points, 1, axis=0)
-    along = gaussian_filter1d(along, min(_TURNING, len(points) / 8), axis=0, mode="wrap")
-    along /= np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-9)
+    along = _smooth_directions(along, _TURNING)
     sense = 1.0 if LinearRing(points).is_ccw == outer else -1.0
     return sense * np.column_stack([along[:, 1], -along[:, 0]])
+
+
+def _smooth_directions(vectors: FloatArray, over: float) -> FloatArray:
+    """(m, 2) unit vectors, averaged along a ring over so many points."""
+    smooth = gaussian_filter1d(vectors, min(over, len(vectors) / 8), axis=0, mode="wrap")
+    return smooth / np.maximum(np.linalg.norm(smooth, axis=1, keepdims=True), 1e-9)
 
 
 def _crossings(
@@ -165,7 +397,7 @@ def _crossings(
 ) -> FloatArray:
     """(levels, m) pixels outwards from each point to where the height falls below a share of the edge's,
     nearest to the point; NaN where it does not."""
-    edge = np.maximum(edge_heights(points, normals, heights), 1e-4)
+    edge = np.maximum(_edge_heights(points, normals, heights), 1e-4)
     fall = heights.at(points[:, None, :] + _ACROSS[:, None] * normals[:, None, :]) / edge[:, None]
     found = np.empty((len(levels), len(points)))
     for row, level in zip(found, levels, strict=True):
@@ -187,7 +419,7 @@ def _roundness(
     beyond = plane.meet(points + normals, 0.0, view) - foot
     pixel = np.linalg.norm(beyond, axis=1)
     towards_camera = np.sum((view.p_WC[:2] - foot) * beyond, axis=1) / pixel
-    top = edge_heights(points, normals, heights)
+    top = _edge_heights(points, normals, heights)
     flank = np.maximum(towards_camera, 0.0) * top / (view.p_WC[2] - top) / pixel
     variance = ((outside - inside) / _QUARTILES) ** 2 - flank**2 / 12
     known = np.isfinite(variance)
@@ -225,12 +457,10 @@ def _with_a_corner_more(corners: FloatArray, passed: cKDTree) -> list[FloatArray
             return None
         before, after = (k - 1) % len(corners), (k + 1) % len(corners)
         a, b = sides[before] / lengths[before], sides[after] / lengths[after]
-        turn = a[0] * b[1] - a[1] * b[0]
+        turn = cross(a, b)
         if abs(turn) < _SQUARE:
             continue
-        cut = sides[k]
-        onwards = (cut[0] * b[1] - cut[1] * b[0]) / turn
-        backwards = -(cut[0] * a[1] - cut[1] * a[0]) / turn
+        onwards, backwards = cross(sides[k], b) / turn, -cross(sides[k], a) / turn
         if onwards < 0 or backwards < 0:
             continue
         corner = corners[k] + onwards * a
@@ -242,184 +472,23 @@ def _with_a_corner_more(corners: FloatArray, passed: cKDTree) -> list[FloatArray
     return None
 
 
-# From the object's pixels to its footprint: an outline in the world, right also for tall objects.
+def _on_flank(points: FloatArray, tops: FloatArray, pixel: float) -> NDArray[np.bool_]:
+    """(k,) readings from an upright side: much higher ones lie right beside them."""
+    distance, index = (np.asarray(a) for a in cKDTree(points).query(points, k=min(6, len(points))))
+    rise = tops[index.reshape(len(points), -1)] - tops[:, None]
+    beside = distance.reshape(len(points), -1) < 1.5 * pixel
+    flank = np.any(beside & (rise > np.maximum(_WALL * pixel, _STEEP * distance.reshape(rise.shape))), axis=1)
+    return flank if not np.all(flank) else np.zeros_like(flank)
 
 
-_RIM = 0.75  # pixels inside the outline, where the edge's own height is read
-
-_RIPPLE = 4.0  # points of the outline over which its direction is averaged
-_SPACING = 1.5  # pixels between points of the outline
-_STRAIGHT = 0.15  # pixels; corners that leave the outline by less are dropped
-
-
-@dataclass(frozen=True, eq=False)
-class Outline:
-    """Points along the object's outline.
-
-    Attributes:
-        points: (m, 2) m.
-        normals: (m, 2) unit vectors out of the object.
-        heights: (m,) of the object's edge over the table there, m.
-    """
-
-    points: FloatArray
-    normals: FloatArray
-    heights: FloatArray
-
-
-class Footprint(NamedTuple):
-    """What an object covers of the table, in W, m.
-
-    Attributes:
-        polygon: where the object ends.
-        edge: where the picture shows its edge, which is farther inside where that is rounded.
-        outline: points along the rings of `edge`.
-    """
-
-    polygon: Polygon
-    edge: Polygon
-    outline: Outline
-
-
-def footprint(mask: Mask, heights: Heights, raw: Heights, plane: TablePlane, view: View) -> Footprint:
-    """Outline of the object in W and the height of its edges.
-
-    The outline in the picture is that of `contour`. Each of its points is carried to the world at the height
-    at which the object is seen there, not at the table's: a top 100 mm high seen 0.4 m off the axis would
-    otherwise seem moved by 40 mm.
-
-    Args:
-        mask: (H, W) pixels of the object, in one piece.
-        heights: (H, W) smoothed heights, m.
-        raw: (H, W) heights before smoothing, m, with sharp edges.
-        plane: the table.
-        view: the camera.
-    """
-    pictures = HeightPicture(heights), HeightPicture(raw)
-    rings = contour(mask, pictures[0], plane, view)
-    feet, edges = (
-        [_in_world(ring, k == 0, *pictures, plane, view) for k, ring in enumerate(side)]
-        for side in ([ring.foot for ring in rings], [ring.edge for ring in rings])
-    )
-    outline = Outline(
-        *(np.concatenate([getattr(e, n) for e in edges]) for n in ("points", "normals", "heights"))
-    )
-    return Footprint(_polygon(feet, view), _polygon(edges, view), outline)
-
-
-def _polygon(rings: list[Outline], view: View) -> Polygon:
-    shape = _simple(Polygon(rings[0].points, [ring.points for ring in rings[1:]]))
-    return _simple(shape.simplify(_STRAIGHT * pixel_size(view)))
-
-
-def _in_world(
-    ring: LinearRing,
-    outer: bool,
-    smoothed: HeightPicture,
-    sharp: HeightPicture,
-    plane: TablePlane,
-    view: View,
-) -> Outline:
-    pixels, normals = _points_along(ring, outer=outer, begin=0.0)
-    # Which side an edge faces must not change with every ripple of the traced outline.
-    normals = gaussian_filter1d(normals, min(_RIPPLE, len(normals) / 8), axis=0, mode="wrap")
-    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-9)
-    return _carried(pixels, normals, smoothed, sharp, plane, view)
-
-
-def outline_of(polygon: Polygon, spacing: float) -> tuple[FloatArray, FloatArray]:
-    """Points (m, 2) about `spacing` apart along all rings of a polygon, and normals (m, 2) out of it."""
-    parts = [_points_along(polygon.exterior, outer=True, spacing=spacing)]
-    parts += [_points_along(ring, outer=False, spacing=spacing) for ring in polygon.interiors]
-    points, normals = zip(*parts, strict=True)
-    return np.concatenate(points), np.concatenate(normals)
-
-
-def _points_along(
-    ring: LinearRing, *, outer: bool, spacing: float = _SPACING, begin: float = 0.5
-) -> tuple[FloatArray, FloatArray]:
-    """Points and their outward normals, on each side the first one `begin` spacings from its corner."""
-    corners = np.asarray(ring.coords)[:-1, :2]
-    if ring.is_ccw != outer:
-        corners = corners[::-1]  # the object lies to the left
-    points, normals = [], []
-    for a, b in zip(corners, np.roll(corners, -1, axis=0), strict=True):
-        length = float(np.hypot(*(b - a)))
-        if length == 0:
-            continue
-        number = max(1, round(length / spacing))
-        share = (np.arange(number) + begin) / number
-        points.append(a + share[:, None] * (b - a))
-        normals.append(np.tile(np.array([b[1] - a[1], a[0] - b[0]]) / length, (number, 1)))
-    return np.concatenate(points), np.concatenate(normals)
-
-
-def _carried(
-    pixels: FloatArray,
-    normals: FloatArray,
-    smoothed: HeightPicture,
-    sharp: HeightPicture,
-    plane: TablePlane,
-    view: View,
-) -> Outline:
-    """Points of one ring in pixels, with their normals, as an outline in W."""
-    edge = edge_heights(pixels, normals, smoothed)
-    rim = sharp.at(pixels - _RIM * normals)
-    rim = along_ring(np.where(np.isfinite(rim), rim, edge)[:, None])  # upright, unless seen to be rounded
-    foot = plane.meet(pixels, 0.0, view)
-    beyond = plane.meet(pixels + normals, 0.0, view) - foot
-    outward = beyond / np.linalg.norm(beyond, axis=1, keepdims=True)
-    # On the far side the top hides the foot, and the edge lies on the ray past the rim. On the near side the
-    # flank is seen, and the outline is where it is half as high as the object.
-    far = np.sum((foot - view.p_WC[:2]) * outward, axis=1) > 0
-    seen_at = np.where(far, np.maximum(rim, edge / 2), edge / 2)
-    return Outline(plane.meet(pixels, seen_at, view), outward, edge)
-
-
-def _simple(shape: shapely.Geometry) -> Polygon:
-    """The largest part of a shape whose rings may have crossed themselves by a pixel."""
-    valid = shapely.make_valid(shape, method="structure", keep_collapsed=False)
-    parts = [part for part in shapely.get_parts(valid) if isinstance(part, Polygon)]
-    return max(parts, key=lambda part: part.area)
-
-
-@dataclass(frozen=True, eq=False)
-class SeenObject:
-    """An object as the camera saw it at rest, in its own frame.
-
-    The object frame O has its origin at the centroid of the footprint's area, on the table; at the first look
-    its axes are parallel to those of W, to the fraction of a degree with which a pose can be measured.
-
-    Attributes:
-        grid: cells and outline in O.
-        cell_heights: (n,) median height of the object's top over each cell, m.
-        first_pose: (3,) x, y, theta of O in W at the first look, measured in the same way as later poses, so
-            that their difference is the object's motion; theta is nearly 0.
-        outline: points along the rings in O, with the height of the edge.
-        rim_heights: (m,) of the object just inside the outline's points, m: smaller where it is rounded.
-        inner_points: (k, 2) points inside in O, m, on a square grid.
-        inner_heights: (k,) of the object's top there, m.
-        inner_slopes: (k, 2) of the top there, along O's axes.
-        relief: heights over the whole footprint.
-        table: plane of the table in W.
-    """
-
-    grid: CellGrid
-    cell_heights: FloatArray
-    first_pose: FloatArray
-    outline: Outline
-    rim_heights: FloatArray
-    inner_points: FloatArray
-    inner_heights: FloatArray
-    inner_slopes: FloatArray
-    relief: Relief
-    table: TablePlane
-
-    @cached_property
-    def shape(self) -> Shape:
-        """The same for kernels."""
-        parts = (
-            self.outline.points, self.outline.normals, self.outline.heights, self.rim_heights,
-            self.inner_points, self.inner_heights, self.inner_slopes,
-        )  # fmt: skip
-        return Shape(self.relief.land(self.table), *(np.array(part, float, order="C") for part in parts))
+def _on_planes(at: FloatArray, points: FloatArray, tops: FloatArray) -> FloatArray:
+    """(m,) heights at (m, 2) on the planes through (m, k, 2) points with heights (m, k), between the lowest
+    and the highest of these."""
+    middle = points.mean(axis=1)
+    arm = points - middle[:, None]
+    mean = tops.mean(axis=1)
+    spread = np.einsum("mki,mkj->mij", arm, arm) + 1e-12 * np.eye(2)
+    moment = np.einsum("mki,mk->mi", arm, tops - mean[:, None])
+    slope = np.linalg.solve(spread, moment[..., None])[..., 0]
+    plane = mean + np.sum(slope * (at - middle), axis=1)
+    return np.clip(plane, tops.min(axis=1), tops.max(axis=1))

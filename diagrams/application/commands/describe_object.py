@@ -60,8 +60,8 @@ def describe_object(
     if mass is not None:
         shape["mass"] = mass
     document = {"name": file.stem, "object": shape, "finger": {"radius": finger}}
-    setup = parse_setup(document, str(file), file.stem)
-    for warning in setup.warnings:
+    setup, warnings = parse_setup(document, str(file), file.stem)
+    for warning in warnings:
         note(f"warning: {warning}")
     write_text(output, yaml.safe_dump(document, sort_keys=False, default_flow_style=None))
     low, high = setup.grid.exterior.min(axis=0), setup.grid.exterior.max(axis=0)

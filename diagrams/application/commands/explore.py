@@ -301,8 +301,8 @@ def _run_pregrasp(
         BadInput: this machine cannot render pictures, or the real cell cannot be reached.
         click.ClickException: the loop stopped before anything could be learned.
     """
-    from slipmap.diagrams.loops.exploration_run import ExplorationFailed, ExplorationStopped
     from slipmap.diagrams.loops import pregrasp_loop
+    from slipmap.diagrams.loops.exploration_run import ExplorationFailed, ExplorationStopped
 
     with cell.in_view() as (meshcat, progress):
         try:

@@ -193,7 +193,7 @@ def test_a_full_disk_at_the_first_push_leaves_the_earlier_recording(tmp_path, mo
     def full(*arguments):
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
-    monkeypatch.setattr(recording, "write_dataset", full)
+    monkeypatch.setattr(recording, "_write_files", full)
     with pytest.raises(OSError, match="No space left"):
         PushRecorder(tmp_path / "pushes").keep(growing(1, offset=1.0))
     same(read_dataset(tmp_path / "pushes"), growing(3))

@@ -3,6 +3,7 @@
 import cv2
 import numpy as np
 import pytest
+from heights_seen import heights_seen
 
 from slipmap.models.perception.first_look import first_look
 from slipmap.models.perception.pinhole_camera import PinholeCamera, View
@@ -22,7 +23,7 @@ def seen_area(depth, view):
     """Pixels that show the object as it was understood: its footprint and heights, seen from the camera."""
     seen = first_look([depth], view)
     pixels = np.stack(np.meshgrid(np.arange(0, 640, 2.0), np.arange(0, 480, 2.0)), axis=-1)
-    return seen.relief.seen_at(pixels, seen.first_pose, seen.table, view) > 0
+    return heights_seen(seen.relief, pixels, seen.first_pose, seen.table, view) > 0
 
 
 def overlap(area, label, shift):

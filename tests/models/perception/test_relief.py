@@ -1,7 +1,8 @@
 import numpy as np
 import pytest
+from heights_seen import heights_seen
 
-from slipmap.models.perception.relief import Relief
+from slipmap.models.perception.seen_object import Relief
 from slipmap.models.perception.table_plane import TablePlane
 
 ELL = ((-0.1, -0.06, 0.1, 0.0, 0.03), (-0.1, 0.0, -0.03, 0.08, 0.09))
@@ -24,7 +25,7 @@ def test_a_ray_sees_the_height_at_which_it_meets_the_boxes(scene, pose):
     meant = (scene.view.p_WC + depth[..., None] * scene.view.rays)[..., 2]
     rows, columns = np.meshgrid(np.arange(480), np.arange(640), indexing="ij")
     pixels = np.stack([columns, rows], axis=-1).astype(float)
-    seen = relief_of(ELL).seen_at(pixels, np.array(pose), TablePlane(), scene.view)
+    seen = heights_seen(relief_of(ELL), pixels, pose, TablePlane(), scene.view)
     meant[~np.isfinite(depth)] = 0.0
     on_object = meant > LEVEL
     assert on_object.sum() > 3000

@@ -1,0 +1,296 @@
+"""Measurements out of files: bytes, JSON and YAML, and the numbers, texts and tables in them.
+
+Files are bounded in size and never executed; every failure is a `DatasetError` that says where it stood.
+The checks are our own because libraries such as pydantic name field and type, but not row, unit and what
+to do.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+import reprlib
+from collections import Counter
+from collections.abc import Hashable, Iterable
+from itertools import chain
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import yaml
+
+from slipmap.models.files import UnreadableFile, read_bounded
+from slipmap.models.measurements.push_dataset import DatasetError
+from slipmap.models.physics.cell_grid import FloatArray
+
+_LARGEST_RECORD = 64 * 2**20  # bytes; ten minutes of three channels at 250 Hz are 30 MB
+_LARGEST_YAML = 4 * 2**20  # bytes; 50,000 cells are 1.5 MB
+_DEEPEST_YAML = 50
+_LONGEST_NAME = 250  # characters of a path that an error text has in full
+
+
+def read_bytes(path: Path, largest: int = _LARGEST_RECORD) -> bytes:
+    """The content of a regular file.
+
+    Raises:
+        DatasetError: missing, not a file, unreadable, or larger than `largest` bytes.
+    """
+    try:
+        return read_bounded(path, largest)
+    except UnreadableFile as error:
+        where = str(path)
+        whole = where.isprintable() and len(where) < _LONGEST_NAME
+        raise DatasetError(f"{where if whole else shown(where)}: {error}") from None
+
+
+def parse_json(content: bytes, where: str) -> Any:
+    """A JSON document; NaN is allowed, a key that stands twice is not.
+
+    Raises:
+        DatasetError: with the line and column of the fault.
+    """
+    try:
+        return json.loads(content, object_pairs_hook=_unrepeated)
+    except RecursionError:
+        raise DatasetError(f"{where}: nested too deeply to be a list of rows") from None
+    except ValueError as error:
+        raise DatasetError(
+            f"{where}: not valid JSON ({shown_error(error)}); was the file cut short?"
+        ) from None
+
+
+def _unrepeated(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    result = dict(pairs)
+    if len(result) < len(pairs):
+        name, _ = Counter(name for name, _ in pairs).most_common(1)[0]
+        raise ValueError(f"the key {shown(name)} stands there twice")
+    return result
+
+
+def read_yaml(path: Path, where: str) -> tuple[bytes, dict[str, Any]]:
+    """The content of a YAML file, and the mapping of plain data in it.
+
+    Args:
+        path: the file.
+        where: what error texts call it.
+
+    Raises:
+        DatasetError: as `read_bytes`, or with the line and column of the fault.
+    """
+    content = read_bytes(path, _LARGEST_YAML)
+    try:
+        if _depth(content) > _DEEPEST_YAML:
+            raise DatasetError(f"{where}: nested too deeply for a description of a dataset")
+        document = yaml.load(content, Loader=_PlainLoader)
+    except (yaml.YAMLError, ValueError, TypeError, AttributeError, LookupError, OverflowError) as error:
+        raise DatasetError(f"{where}: not valid YAML ({shown_error(error)})") from None
+    return content, mapping(document, where)
+
+
+def _depth(content: bytes) -> int:
+    """How deeply a YAML document is nested, up to one more than may be. The compiled loader would crash."""
+    depth = 0
+    try:
+        for event in yaml.parse(content, Loader=_Loader):
+            if isinstance(event, yaml.CollectionStartEvent):
+                depth += 1
+                if depth > _DEEPEST_YAML:
+                    break
+            elif isinstance(event, yaml.CollectionEndEvent):
+                depth -= 1
+    except yaml.MarkedYAMLError as error:
+        # libyaml from 0.2.6 on has a limit of its own, far above ours, and meets it while it looks ahead.
+        if "nesting depth" in (error.problem or ""):
+            return _DEEPEST_YAML + 1
+        raise
+    return depth
+
+
+_Loader: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
+
+
+class _PlainLoader(_Loader):
+    """Safe loader without merge keys, which can grow without bound, and without repeated keys."""
+
+    def flatten_mapping(self, node: yaml.MappingNode) -> None:
+        for key, _ in node.value:
+            if key.tag == "tag:yaml.org,2002:merge":
+                raise yaml.constructor.ConstructorError(problem="merge keys (<<) are not part of the format")
+        super().flatten_mapping(node)
+
+    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Hashable, Any]:
+        names: set[str] = set()
+        for key, _ in node.value:
+            if isinstance(key, yaml.ScalarNode):
+                if key.value in names:
+                    line = key.start_mark.line + 1
+                    raise yaml.constructor.ConstructorError(
+                        problem=f"the key {shown(key.value)} stands there twice, again in line {line}"
+                    )
+                names.add(key.value)
+        return super().construct_mapping(node, deep)
+
+
+class Fingerprint:
+    """sha256 over named contents in the order in which they are added."""
+
+    def __init__(self) -> None:
+        self._digest = hashlib.sha256()
+
+    def add(self, name: str, content: bytes) -> None:
+        """Add a file under a name that does not depend on where the dataset lies."""
+        encoded = name.encode("utf-8", "surrogatepass")
+        self._digest.update(f"{len(encoded)} {len(content)} ".encode() + encoded)
+        self._digest.update(content)
+
+    def hexdigest(self) -> str:
+        """The fingerprint so far, 64 hexadecimal digits."""
+        return self._digest.hexdigest()
+
+
+def mapping(value: object, where: str) -> dict[str, Any]:
+    """A mapping with text keys."""
+    if not isinstance(value, dict):
+        raise DatasetError(f"{where}: must be a mapping of keys to values, got {shown(value)}")
+    for key in value:
+        if not isinstance(key, str):
+            raise DatasetError(f"{where}: keys must be text, got {shown(key)}")
+    return value
+
+
+def required(fields: dict[str, Any], key: str, where: str, hint: str) -> Any:
+    """The value of a key that must be there."""
+    if fields.get(key) is None:
+        raise DatasetError(f"{where}: `{key}` is missing; {hint}")
+    return fields[key]
+
+
+def section(value: object, known: Iterable[str], where: str, warnings: list[str]) -> dict[str, Any]:
+    """A mapping, with a warning for each key that has no meaning there."""
+    fields = mapping(value, where)
+    warnings += unknown_keys(fields, known, where)
+    return fields
+
+
+def unknown_keys(fields: Iterable[str], known: Iterable[str], where: str) -> list[str]:
+    """One warning for each key that has no meaning here, most likely a slip of the pen."""
+    known = sorted(known)
+    return [
+        f"{where}: the key {shown(key)} is unknown and ignored (known: {', '.join(known)})"
+        for key in sorted(set(fields) - set(known))
+    ]
+
+
+def text(value: object, where: str) -> str:
+    """A text."""
+    if not isinstance(value, str):
+        raise DatasetError(f"{where}: must be text, got {shown(value)}")
+    return value
+
+
+def number(value: object, where: str) -> float:
+    """A finite number."""
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        hint = ""
+        if isinstance(value, str) and "e" in value.lower() and len(value) < 40:
+            hint = "; YAML reads 5e-3 and 1.e6 as text, write 5.0e-3 and 1.0e+6"
+        raise DatasetError(f"{where}: must be a number, got {shown(value)}{hint}")
+    result = _as_float(value, where)
+    if not math.isfinite(result):
+        raise DatasetError(f"{where}: must be a finite number, got {result}")
+    return result
+
+
+class Number(NamedTuple):
+    """What a number in a description may be.
+
+    Attributes:
+        unit: for error texts.
+        low, high: its limits.
+        beyond: what is said where it lies beyond them; a format of the attributes, `where` and `value`.
+        or_zero: whether it may be 0; otherwise only positive numbers are allowed.
+    """
+
+    unit: str
+    low: float = 0.0
+    high: float = math.inf
+    beyond: str = "{where}: lies in {low:g} to {high:g} {unit}, got {value:g}"
+    or_zero: bool = False
+
+    def read(self, value: object, where: str) -> float:
+        """A parsed value as such a number."""
+        result = number(value, where)
+        if result <= 0 and not self.or_zero:
+            raise DatasetError(f"{where}: must be positive ({self.unit}), got {result}")
+        if not self.low <= result <= self.high:
+            raise DatasetError(self.beyond.format(where=where, value=result, **self._asdict()))
+        return result
+
+
+def pair(value: object, where: str) -> tuple[float, float]:
+    """Two finite numbers."""
+    if not isinstance(value, list) or len(value) != 2:
+        raise DatasetError(f"{where}: must be two numbers [a, b], got {shown(value)}")
+    return number(value[0], where), number(value[1], where)
+
+
+_CELLS = {int, float, type(None)}
+
+
+def table(value: object, columns: int, where: str) -> FloatArray:
+    """(n, columns) numbers from a list of rows; None becomes NaN, as JSON has no word for it."""
+    if not isinstance(value, list):
+        raise DatasetError(f"{where}: must be a list of rows, got {shown(value)}")
+    if set(map(type, value)) - {list}:
+        row = next(row for row, cells in enumerate(value) if not isinstance(cells, list))
+        raise DatasetError(
+            f"{where}, row {row}: must be a list of {columns} numbers, got {shown(value[row])}"
+        )
+    if set(map(len, value)) - {columns}:
+        row = next(row for row, cells in enumerate(value) if len(cells) != columns)
+        raise DatasetError(f"{where}, row {row}: needs {columns} columns, has {len(value[row])}")
+    if set(map(type, chain.from_iterable(value))) - _CELLS:
+        row, cell = next(
+            (row, cell) for row, cells in enumerate(value) for cell in cells if type(cell) not in _CELLS
+        )
+        raise DatasetError(f"{where}, row {row}: must hold numbers, got {shown(cell)}")
+    try:
+        return np.array(value, dtype=float).reshape(-1, columns)
+    except OverflowError:
+        for row, cells in enumerate(value):
+            for cell in cells:
+                _as_float(cell or 0, f"{where}, row {row}")
+        raise
+
+
+def _as_float(value: int | float, where: str) -> float:
+    try:
+        return float(value)
+    except OverflowError:
+        raise DatasetError(f"{where}: {shown(value)} is beyond what a measured number can be") from None
+
+
+class _Short(reprlib.Repr):
+    """Values cut to a few dozen characters, however large or nested they are."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.maxlevel = 2
+        self.maxlist = self.maxdict = 4
+        self.maxstring = self.maxother = 60
+
+    def repr_int(self, value: int, level: int) -> str:
+        """An integer; the text of one beyond 64 bits would not help, and can be refused by Python."""
+        return repr(value) if value.bit_length() <= 64 else f"an integer of {value.bit_length()} bits"
+
+
+def shown(value: object) -> str:
+    """A value for an error text, on a few dozen characters."""
+    return _Short().repr(value)
+
+
+def shown_error(error: Exception) -> str:
+    """The message of a library's exception on one line of bounded length; the file is named elsewhere."""
+    message = " ".join(str(error).replace('in "<byte string>", ', "").split())
+    return message if len(message) <= 200 else message[:197] + "..."
