@@ -90,7 +90,7 @@ class PushListener:
             builder,
             [
                 (cell, "camera.depth_image", (see, "depth_image")),
-                (cell, "camera.X_WC", see, aside),
+                (cell, "camera.X_WC", (see, "X_WC"), (aside, "X_WC")),
                 (cell, "camera.age", (see, "image_age")),
                 (cell, "iiwa.position_measured", (see, "arm_position"), sense, (aside, "arm_position")),
                 (cell, "iiwa.torque_external", sense),
