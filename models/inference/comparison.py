@@ -13,30 +13,16 @@ import numpy as np
 
 from slipmap.models.inference.belief import Belief
 from slipmap.models.inference.observations import Observation, observe_all
-from slipmap.models.inference.prediction import (
-    PredictedMotion,
-    PredictMotion,
-    check_same_object,
-    predicted_motion,
-    uniform_motion,
-)
-from slipmap.models.inference.push_errors import (
-    Errors,
-    NoiseFloor,
-    motion_errors,
-    noise_floor,
-    resting_errors,
-)
+from slipmap.models.inference.prediction import Motion, check_same_object, predicted_motion, uniform_motion
+from slipmap.models.inference.push_errors import Errors, NoiseFloor, errors, noise_floor, resting_errors
 from slipmap.models.inference.residual_correlations import Correlations, correlations, delay_pattern
-from slipmap.models.inference.residual_structure import LEVEL, Pattern, corrected, factor_patterns, smallest_p
+from slipmap.models.inference.residual_structure import LEVEL, Pattern, corrected, factor_patterns
 from slipmap.models.inference.residuals import Residuals, force_residuals, motion_residuals
+from slipmap.models.inference.sign_flips import smallest_p
 from slipmap.models.measurements import PushDataset
 from slipmap.models.physics.cell_grid import FloatArray
 from slipmap.models.physics.paper_notation import add
-
-Progress = Callable[[str, int, int], None]
-
-ROLES = ("fit", "heldout")
+from slipmap.models.progress import Progress, silent
 
 
 @dataclass(frozen=True, eq=False)
@@ -130,7 +116,7 @@ class Comparison:
         floor: error below which models cannot be told apart, or None where nothing tells.
         motion: residual velocities, or None where nothing moves.
         force: residual forces, or None where force was not measured.
-        structure: what residuals hang together with, the surest first.
+        structure: what residuals depend on, the surest first.
         correlations: over time, or None where too few pushes show their course.
         seed: of every random draw.
     """
@@ -192,7 +178,7 @@ def compare(
     seed: int = 0,
     label: str = "model",
     progress: Progress | None = None,
-    predict: PredictMotion = predicted_motion,
+    predict: Callable[[Belief, Sequence[Observation]], Sequence[Motion]] = predicted_motion,
 ) -> Comparison:
     """Hold a belief against every push of a dataset.
 
@@ -208,13 +194,14 @@ def compare(
         BeliefError: the dataset has another finger or another object.
     """
     check_same_object(belief, dataset)
-    report = progress or (lambda stage, done, total: None)
+    report = progress or silent
     report("comparing", 0, 2)
     grid = belief.grid
     observations = observe_all(dataset)
     motions = predict(belief, observations)
     report("comparing", 1, 2)
-    pushes = _pushes(observations, motions, uniform_motion(belief, observations), belief)
+    uniform = uniform_motion(belief, observations)
+    pushes = tuple(_compared(*push, belief) for push in zip(observations, motions, uniform, strict=True))
     report("comparing", 2, 2)
 
     rng = np.random.default_rng(seed)
@@ -232,12 +219,13 @@ def compare(
     report("looking for patterns", 3, 4)
     together = correlations(observations, motions, grid, rng)
     report("looking for patterns", 4, 4)
+    roles = [role for role in ("fit", "heldout") if any(push.role == role for push in pushes)]
     return Comparison(
         label=label,
         dataset=dataset.name,
         learnt_from=belief.dataset,
         pushes=pushes,
-        totals={role: totals(group) for role in ROLES if (group := [p for p in pushes if p.role == role])},
+        totals={role: totals([p for p in pushes if p.role == role]) for role in roles},
         floor=floor,
         motion=motion,
         force=force,
@@ -268,23 +256,14 @@ def _mean(errors: Sequence[Errors]) -> Errors:
     return Errors(**{name: mean(name) for name in asdict(errors[0])})
 
 
-def _pushes(
-    observations: Sequence[Observation],
-    motions: Sequence[PredictedMotion],
-    uniform: Sequence[PredictedMotion],
-    belief: Belief,
-) -> tuple[ComparedPush, ...]:
+def _compared(observation: Observation, motion: Motion, uniform: Motion, belief: Belief) -> ComparedPush:
     grid = belief.grid
-    ours, theirs = (motion_errors(observations, told, grid) for told in (motions, uniform))
-    middles = [motion.middle_poses(grid) for motion in motions]
-    return tuple(
-        ComparedPush(
-            observation=observation,
-            predicted=middles[b],
-            errors=ours[b],
-            uniform=theirs[b],
-            resting=resting_errors(observation, grid),
-            spread=float(motion.probability @ add(motion.poses[:, -1], middles[b][-1], grid.centers)),
-        )
-        for b, (observation, motion) in enumerate(zip(observations, motions, strict=True))
+    middle = motion.middle_poses(grid)
+    return ComparedPush(
+        observation=observation,
+        predicted=middle,
+        errors=errors(observation, middle, motion.mean_forces, grid),
+        uniform=errors(observation, uniform.middle_poses(grid), uniform.mean_forces, grid),
+        resting=resting_errors(observation, grid),
+        spread=float(motion.probability @ add(motion.poses[:, -1], middle[-1], grid.centers)),
     )

@@ -9,12 +9,8 @@ from matplotlib.patches import PathPatch
 
 from slipmap.diagrams.application.figures import telling_push_figure
 from slipmap.models.effects.registry import effects_named
-from slipmap.models.inference.diagnosis.correlated import (
-    CorrelatedLikelihood,
-    ErrorModel,
-    MeasuredPushes,
-    sensor_noise,
-)
+from slipmap.models.inference.diagnosis.correlated import CorrelatedLikelihood, FitData
+from slipmap.models.inference.diagnosis.error_model import ErrorModel, sensor_noise
 from slipmap.models.inference.diagnosis.fitting import Fitted, Fitter
 from slipmap.models.inference.diagnosis.results import Diagnosis
 from slipmap.models.inference.observations import observe_all
@@ -40,7 +36,7 @@ def test_outlines_of_the_start_and_of_every_rivals_end():
         z = np.zeros(prior.size)
         z[prior.plain :] = prior.effect_coordinates(np.array(values))
         likelihood = CorrelatedLikelihood(
-            prior, MeasuredPushes(observations, prior.slider.grid), ErrorModel(noise, 0.03, 0.05)
+            prior, FitData(observations, prior.slider.grid), ErrorModel(noise, 0.03, 0.05)
         )
         return Fitted(effects, likelihood, z, np.zeros(prior.size), np.zeros((3, 3)), 0.0)
 

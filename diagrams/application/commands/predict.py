@@ -15,7 +15,7 @@ from slipmap.models.files import write_json
 
 if TYPE_CHECKING:
     from slipmap.models.inference.belief import Belief
-    from slipmap.models.inference.results import PushPrediction
+    from slipmap.models.inference.results import Prediction
 
 
 @click.command()
@@ -68,7 +68,7 @@ def predict(
         note(f"picture: {path}")
 
 
-def _document(belief: Belief, dataset: str, pushes: Sequence[PushPrediction]) -> dict[str, Any]:
+def _document(belief: Belief, dataset: str, pushes: Sequence[Prediction]) -> dict[str, Any]:
     numbers = ("final_add", "spread", "no_motion_add", "uniform_add", "start_sensitivity")
     trials = [
         {

@@ -5,13 +5,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
+import numpy as np
+
 from slipmap.models.effects.effect import Effect, bounds
 from slipmap.models.inference.diagnosis.fitting import Fitted
 from slipmap.models.inference.diagnosis.locked import LockedErrors
 from slipmap.models.physics.cell_grid import FloatArray
 
 VERDICTS = ("adequate", "effect", "ambiguous", "unknown", "undecided")
-
 
 QUICK_COARSENESS = 2.0
 """How many times longer the steps of a quick look are."""
@@ -40,18 +41,10 @@ def estimates_of(
     """Parameters (P,) with the 90 % intervals of their standard deviations (P,), cut at the allowed range."""
     spread = 1.645 * deviations
     low, high = bounds(effects)
-    every = [(effect.name, parameter) for effect in effects for parameter in effect.parameters]
-    return tuple(
-        ParameterEstimate(
-            name,
-            parameter.name,
-            parameter.unit,
-            float(value),
-            float(max(value - s, lo)),
-            float(min(value + s, hi)),
-        )
-        for (name, parameter), value, s, lo, hi in zip(every, values, spread, low, high, strict=True)
-    )
+    lows, highs = np.maximum(values - spread, low), np.minimum(values + spread, high)
+    every = [(effect.name, p.name, p.unit) for effect in effects for p in effect.parameters]
+    numbers = zip(values.tolist(), lows.tolist(), highs.tolist(), strict=True)
+    return tuple(ParameterEstimate(*names, *own) for names, own in zip(every, numbers, strict=True))
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,6 +101,7 @@ class Diagnosis:
         quick: whether calibration was skipped.
         seconds: it took.
         seed: of all draws.
+        rivals: fitted models of the effects in the answer.
         next_push: what to do next as plain numbers, filled in by a planner; None where nothing is to be
             told apart.
     """
@@ -173,16 +167,7 @@ class Diagnosis:
             "p_value": self.p_value,
             "depends_on": self.depends_on,
             "candidates": [
-                {
-                    "name": c.name,
-                    "gain": c.gain,
-                    "p_value": c.p_value,
-                    "fitted_gain": c.fitted_gain,
-                    "rejected_by": c.rejected_by,
-                    "remaining_gain": c.remaining_gain,
-                    "remaining_p": c.remaining_p,
-                    "in_set": c.in_set,
-                }
+                {name: value for name, value in vars(c).items() if name != "parameters"}
                 for c in self.candidates
             ],
             "open_trials": list(self.open_trials),

@@ -5,13 +5,13 @@ by the effects already in, and by every candidate. The gain of a candidate is th
 score on pushes left out. What gains come about by chance is simulated: residuals drawn from the error
 model, the largest gain over all candidates taken.
 
-Every model, with or without a candidate, may have every effect to a negligible amount (`TOLERANCE`), so
+Every model, with or without a candidate, may have every effect to a negligible amount (`_TOLERANCE`), so
 that a table that is level to a tenth of a degree counts as level.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -20,14 +20,16 @@ from slipmap.models.effects.effect import Effect, EffectError, Scene
 from slipmap.models.effects.library import LIBRARY
 from slipmap.models.effects.probes import PROBES
 from slipmap.models.inference.diagnosis.correlated import CorrelatedLikelihood
-from slipmap.models.inference.diagnosis.fitting import Fitted, Fitter, PushEquations, whitened_rows
+from slipmap.models.inference.diagnosis.fitting import Fitted, Fitter
+from slipmap.models.inference.diagnosis.predictive import PushEquations, whitened_rows
 from slipmap.models.physics.cell_grid import FloatArray
 from slipmap.models.physics.rollout import RolloutError
+from slipmap.models.progress import StageProgress
 
-TOLERANCE = 1.0 / 30.0
+_TOLERANCE = 1.0 / 30.0
 """Negligible amount of an effect, in scales of its amplitudes."""
 
-FREE = 3.0
+_FREE = 3.0
 """Standard deviation of a candidate's amplitudes, in their scales."""
 
 
@@ -59,15 +61,9 @@ class Screening:
         """Gains by the candidates' names, nats."""
         return {c.name: float(gain) for c, gain in zip(self.candidates, self.gain, strict=True)}
 
-    @property
-    def largest_by_chance(self) -> FloatArray:
-        """(D,) largest gain over all candidates in each simulated dataset."""
-        return self.chance.max(axis=0)
-
     def p_value(self, gain: float) -> float:
-        """Share of simulated datasets whose largest gain is at least this one, the data themselves
-        counted."""
-        largest = self.largest_by_chance
+        """Share of simulated datasets whose largest gain is at least this one, the data among them."""
+        largest = self.chance.max(axis=0)
         return float((1 + (largest >= gain).sum()) / (1 + len(largest)))
 
     def p_of_agreement(self) -> float:
@@ -84,7 +80,7 @@ def screen(
     scene: Scene,
     draws: int,
     rng: np.random.Generator,
-    progress: Callable[[int, int], None] | None = None,
+    progress: StageProgress | None = None,
 ) -> Screening:
     """Gains of all effects on top of a fitted model.
 
@@ -151,7 +147,7 @@ def screen(
     tolerated = [i for i in candidates if i < named]
     spare = np.concatenate([np.zeros(0, dtype=np.int64), *(own_columns[i][0] for i in tolerated)])
 
-    small = rng.standard_normal((len(spare), draws)) * TOLERANCE
+    small = rng.standard_normal((len(spare), draws)) * _TOLERANCE
     signs = rng.choice([-1.0, 1.0], (len(residuals), draws))
     signs[:, 0] = 1.0
     drawn = [
@@ -167,10 +163,10 @@ def screen(
     def score(candidate: int | None, g: int) -> FloatArray:
         others = [own_columns[i][0] for i in tolerated if i != candidate]
         columns = [base_columns, *others]
-        precision = [np.ones(len(base_columns)), *(np.full(len(c), TOLERANCE**-2.0) for c in others)]
+        precision = [np.ones(len(base_columns)), *(np.full(len(c), _TOLERANCE**-2.0) for c in others)]
         if candidate is not None:
             columns.append(own_columns[candidate][g])
-            precision.append(np.full(len(columns[-1]), FREE**-2.0))
+            precision.append(np.full(len(columns[-1]), _FREE**-2.0))
         joined = np.concatenate(columns)
         hold = np.zeros(len(joined))
         hold[: len(pull)] = pull
@@ -197,7 +193,7 @@ def screen(
         turned.append(totals[:, 1 + draws :].max(axis=0))
         both = np.concatenate([base_columns, own_columns[i][best]])
         width = len(base_columns)
-        precision = np.concatenate([np.ones(width), np.full(len(both) - width, FREE**-2.0)])
+        precision = np.concatenate([np.ones(width), np.full(len(both) - width, _FREE**-2.0)])
         covariance = np.linalg.inv(total[both[:, None], both] + np.diag(precision))
         sharpness.append(float(np.sqrt(np.diagonal(covariance)[width:].min())))
     report(guesses + 1, guesses + 1)
