@@ -77,9 +77,8 @@ class Belief:
 
     def __post_init__(self) -> None:
         if self.maps.mass.shape[1] != len(self.grid):
-            raise BeliefError(
-                f"belief: maps of {self.maps.mass.shape[1]} cells on a grid of {len(self.grid)}"
-            )
+            cells = self.maps.mass.shape[1]
+            raise BeliefError(f"belief: maps of {cells} cells on a grid of {len(self.grid)}")
         wanted = sum(len(effect.parameters) for effect in self.effects)
         if self.maps.effects.shape[1] != wanted:
             raise BeliefError(

@@ -63,15 +63,9 @@ class ComparedPush:
 
     def to_json(self) -> dict[str, object]:
         """All numbers."""
-        return {
-            "trial": self.trial,
-            "role": self.role,
-            "ends_only": self.ends_only,
-            "spread": self.spread,
-            "model": self.errors.to_json(),
-            "uniform": self.uniform.to_json(),
-            "no_motion": self.resting.to_json(),
-        }
+        names = ("trial", "role", "ends_only", "spread")
+        errors = _errors_to_json(self.errors, self.uniform, self.resting)
+        return {name: getattr(self, name) for name in names} | errors
 
 
 @dataclass(frozen=True)
@@ -94,13 +88,12 @@ class Totals:
 
     def to_json(self) -> dict[str, object]:
         """All numbers."""
-        return {
-            "pushes": self.pushes,
-            "median_final_add": self.median_add,
-            "model": self.model.to_json(),
-            "uniform": self.uniform.to_json(),
-            "no_motion": self.resting.to_json(),
-        }
+        errors = _errors_to_json(self.model, self.uniform, self.resting)
+        return {"pushes": self.pushes, "median_final_add": self.median_add} | errors
+
+
+def _errors_to_json(model: Errors, uniform: Errors, resting: Errors) -> dict[str, object]:
+    return {"model": model.to_json(), "uniform": uniform.to_json(), "no_motion": resting.to_json()}
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,11 +13,10 @@ from __future__ import annotations
 import numpy as np
 from scipy.special import chdtrc, fdtrc
 
-from slipmap.models.geometry import radius_of_gyration
+from slipmap.models.geometry import at_centroid, radius_of_gyration
 from slipmap.models.inference.belief import Belief
 from slipmap.models.inference.diagnosis.error_model import ErrorModel, SensorNoise, travelled
 from slipmap.models.inference.observations import Observation
-from slipmap.models.inference.residuals import centroid_tracks
 from slipmap.models.physics.cell_grid import CellGrid, FloatArray
 from slipmap.models.physics.rollout import Push
 
@@ -28,11 +27,11 @@ def pose_noise(position: float, angle: float) -> SensorNoise:
     return SensorNoise(position, angle, 0.0, declared=True)
 
 
-def observation_of(push: Push, poses: FloatArray, name: str = "push") -> Observation:
+def observation_of(push: Push, poses: FloatArray) -> Observation:
     """A push with poses (S, 3) observed at its `pose_times`, without forces."""
     none = np.zeros(0)
     return Observation(
-        name, "heldout", push, poses, np.ones(len(poses)), 1, np.zeros((0, 2)), none, none.astype(bool)
+        "push", "heldout", push, poses, np.ones(len(poses)), 1, np.zeros((0, 2)), none, none.astype(bool)
     )
 
 
@@ -90,17 +89,14 @@ def resting_misfit(
     Returns:
         The misfit, about 1 where nothing is missing, and p, the probability of one as large then.
     """
-    mean = (probability @ predicted)[None]
+    scale = np.array([1.0, 1.0, radius_of_gyration(grid)])
+    mean = probability @ predicted
+    middle = at_centroid(mean, grid) * scale
+    r = at_centroid(observed, grid) * scale - middle
+    spread = at_centroid(predicted, grid) * scale - middle
     push = Push(1.0, np.full((2, 2), np.nan), start, pose_times=np.ones(1))
-
-    def residual(pose: FloatArray) -> FloatArray:
-        _, measured, expected = centroid_tracks(observation_of(push, pose[None]), mean, grid)
-        return (measured - expected)[1]
-
-    r = residual(observed)
-    spread = np.array([residual(pose) for pose in predicted])
     # One row: the factors are standard deviations.
-    sigma = whitening_factors(observation_of(push, mean), error, grid)[:, 0, 0]
+    sigma = whitening_factors(observation_of(push, mean[None]), error, grid)[:, 0, 0]
     if forces is not None:
         measured, every = forces
         expected = probability @ every

@@ -115,14 +115,7 @@ def delay_pattern(
     grid: CellGrid,
     rng: np.random.Generator,
 ) -> Pattern | None:
-    """Whether measured poses come late: slope of the residual over the predicted velocity, minus the delay.
-
-    Args:
-        observations: B pushes.
-        motions: their predictions.
-        grid: cells.
-        rng: of the sign flips.
-    """
+    """Whether measured poses come late: the delay is minus the slope of residual over predicted velocity."""
     scores, powers = [], []
     for observation, motion in zip(observations, motions, strict=True):
         if len(observation.poses) < 3:

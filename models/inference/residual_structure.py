@@ -250,11 +250,7 @@ def factor_patterns(
 ) -> list[Pattern]:
     """Test residual velocities (`quantity` motion) or forces (`force`) on every factor; not yet corrected.
 
-    Args:
-        residuals: velocities or forces of B pushes.
-        quantity: `motion` or `force`.
-        rng: of the sign flips.
-        whole_pushes: only ends of pushes are known, so factors within a push are left out.
+    With `whole_pushes` only ends of pushes are known, and factors within a push are left out.
     """
     factors = MOTION_FACTORS if quantity == "motion" else FORCE_FACTORS
     tempered = replace(
@@ -305,10 +301,7 @@ def described(
         test: of the scores.
         scores: (B, d) sums of feature times residual.
         power: (B, d) sums of squared features, so that the slope is the ratio of both sums over pushes.
-        names: (d,) of the coordinates.
-        factor: key.
-        title: for a person.
-        quantity: `motion`, `force` or `delay`.
+        names: (d,) of the coordinates; factor, title and quantity are as in `Pattern`.
     """
     j = test.strongest
     whole = max(float(power[:, j].sum()), 1e-300)

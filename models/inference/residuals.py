@@ -212,14 +212,7 @@ class Residuals:
 def motion_residuals(
     observations: Sequence[Observation], motions: Sequence[Motion], grid: CellGrid, radius: float
 ) -> Residuals | None:
-    """Residual velocities of pushes, or None where nothing moves.
-
-    Args:
-        observations: B pushes.
-        motions: their predictions.
-        grid: cells and outline.
-        radius: of the finger, m.
-    """
+    """Residual velocities of pushes, or None where nothing moves; `radius` of the finger, m."""
     parts, values, weights = [], [], []
     scale = np.ones(len(observations))
     for b, (observation, motion) in enumerate(zip(observations, motions, strict=True)):
@@ -269,13 +262,8 @@ def force_residuals(
 def centroid_tracks(
     observation: Observation, predicted: FloatArray, grid: CellGrid
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Times (S + 1,) from the start on, and measured and predicted (x, y, ρ θ) of the cells' centroid.
-
-    Args:
-        observation: one push.
-        predicted: (S, 3) poses.
-        grid: cells.
-    """
+    """Times (S + 1,) from the start on, and measured and predicted (x, y, ρ θ) of the cells' centroid, from
+    predicted poses (S, 3)."""
     assert observation.push.pose_times is not None
     scale = np.array([1.0, 1.0, radius_of_gyration(grid)])
     start = observation.push.start_pose

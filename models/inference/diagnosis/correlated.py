@@ -163,13 +163,8 @@ class Linearised:
 
 
 class CorrelatedLikelihood:
-    """Costs of K hypotheses against B observed pushes under an `ErrorModel`.
-
-    Args:
-        prior: coordinates of maps and effects.
-        measured: B pushes.
-        error: error model.
-    """
+    """Costs of K hypotheses, in the prior's coordinates of maps and effects, against B pushes under an
+    `ErrorModel`."""
 
     def __init__(self, prior: MapPrior, measured: FitData, error: ErrorModel) -> None:
         self.prior = prior

@@ -164,10 +164,7 @@ def _effect_facts(belief: Belief, effects: Sequence[Effect], information: Fits) 
 def fitted_belief(fitted: Fitted, dataset: PushDataset, seed: int) -> Belief:
     """A fitted model as a belief that is certain of it, so that whatever compares and predicts can use it.
 
-    Args:
-        fitted: the model.
-        dataset: whose pushes it was fitted to.
-        seed: of what fitted it.
+    The dataset is the one whose pushes it was fitted to, the seed that of what fitted it.
     """
     likelihood = fitted.likelihood
     prior, error = likelihood.prior, likelihood.error

@@ -65,13 +65,7 @@ class Fitted:
 
 
 class Fitter:
-    """Fits models to the same open pushes.
-
-    Args:
-        dataset: what was measured.
-        observations: the open pushes.
-        noise: of the sensors.
-    """
+    """Fits models to the same open pushes of a dataset."""
 
     def __init__(self, dataset: PushDataset, observations: Sequence[Observation], noise: SensorNoise) -> None:
         self.dataset = dataset

@@ -110,26 +110,19 @@ def diagnose(
     elif outcome.effects and locked_pushes_stay_off(before, after):
         outcome, after = outcomes.no_help_to_locked_pushes(outcome, inquiry.base, inquiry.first), before
     return Diagnosis(
-        verdict=outcome.verdict,
-        sentence=outcome.sentence,
-        effects=outcome.effects,
-        together=outcome.together,
+        **vars(outcome),
         candidates=tuple(inquiry.candidates(outcome.best)),
         p_value=inquiry.p_value,
-        depends_on=outcome.depends_on,
         open_trials=tuple(o.trial for o in observations),
         locked=tuple(locked),
         before=before,
         after=after,
         base=inquiry.base,
-        best=outcome.best,
-        effect_objects=outcome.best.effects,
         motion_error=inquiry.error.motion,
         force_error=inquiry.error.force,
         quick=quick,
         seconds=time.perf_counter() - started,
         seed=seed,
-        rivals=outcome.rivals,
     )
 
 

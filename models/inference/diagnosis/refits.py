@@ -57,18 +57,10 @@ def refit_candidates(
     quick: bool,
     progress: StageProgress,
 ) -> Refits:
-    """Refit all candidates, then again under the error model of the best of them.
+    """Refit the effects among the candidates screened, then again under the error model of the best.
 
-    All, since the first order misleads where the model without the effect had to bend its maps far.
-
-    Args:
-        fitter: knows the data.
-        base: model without effects.
-        first: gains on top of it.
-        effects: that are refitted.
-        scene: for their starts.
-        quick: whether to take a few alone.
-        progress: called with the number of candidates done and that of all.
+    All, since the first order misleads where the model without the effect had to bend its maps far; with
+    `quick` a short search leaves a few.
     """
     error = base.likelihood.error
     named = [i for i in np.argsort(-first.gain) if first.candidates[i] in effects]
@@ -125,15 +117,7 @@ def better_base(fitter: Fitter, base: Fitted, refits: Refits) -> Fitted | None:
 def pairs(
     fitter: Fitter, first: Fitted, rest: Screening, effects: Sequence[Effect], scene: Scene
 ) -> Iterator[Fitted]:
-    """Fits of two effects at once, the second being one that gains most on top of the first.
-
-    Args:
-        fitter: knows the data.
-        first: model with the first effect.
-        rest: gains on top of it.
-        effects: that may be the second.
-        scene: for its start.
-    """
+    """Fits of two effects at once, the second being one of `effects` that gains most on top of the first."""
     order = [i for i in np.argsort(-rest.gain) if rest.candidates[i] in effects][:_SECONDS_TRIED]
     for i in order:
         if rest.gain[i] < _SECOND_SHARE * rest.gain.max():

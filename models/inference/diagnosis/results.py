@@ -10,6 +10,7 @@ import numpy as np
 from slipmap.models.effects.effect import Effect, bounds
 from slipmap.models.inference.diagnosis.fitting import Fitted
 from slipmap.models.inference.diagnosis.locked import LockedErrors
+from slipmap.models.inference.diagnosis.outcomes import Outcome
 from slipmap.models.physics.cell_grid import FloatArray
 
 VERDICTS = ("adequate", "effect", "ambiguous", "unknown", "undecided")
@@ -77,56 +78,45 @@ class CandidateResult:
     parameters: tuple[ParameterEstimate, ...] = ()
 
 
-@dataclass(frozen=True, eq=False)
-class Diagnosis:
-    """Result of `diagnose`.
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Diagnosis(Outcome):
+    """Result of `diagnose`: the verdict and what it rests on.
 
     Attributes:
-        verdict: one of `VERDICTS`.
-        sentence: the verdict for a person.
-        effects: what the data cannot rule out, best first; together if `together`.
-        together: whether the effects are needed at the same time.
         candidates: all that were tried, best first.
         p_value: of the largest gain; None where nothing was simulated.
-        depends_on: sentence of the probe that finds structure that no effect explains, or None.
         open_trials: pushes that were fitted.
         locked: names of those locked away.
         before: their errors without any effect; None where none was locked.
         after: their errors with the best effects; the same as before where there is none.
         base: fitted model without effects.
-        best: fitted model with the best effects, or without.
-        effect_objects: the effects of `best`.
         motion_error: α of the final error model.
         force_error: β of the final error model.
         quick: whether calibration was skipped.
         seconds: it took.
         seed: of all draws.
-        rivals: fitted models of the effects in the answer.
         next_push: what to do next as plain numbers, filled in by a planner; None where nothing is to be
             told apart.
     """
 
-    verdict: str
-    sentence: str
-    effects: tuple[str, ...]
-    together: bool
     candidates: tuple[CandidateResult, ...]
     p_value: float | None
-    depends_on: str | None
     open_trials: tuple[str, ...]
     locked: tuple[str, ...]
     before: LockedErrors | None
     after: LockedErrors | None
     base: Fitted
-    best: Fitted
-    effect_objects: tuple[Effect, ...]
     motion_error: float
     force_error: float
     quick: bool
     seconds: float
     seed: int
-    rivals: tuple[Fitted, ...] = ()
     next_push: dict[str, object] | None = field(default=None)
+
+    @property
+    def effect_objects(self) -> tuple[Effect, ...]:
+        """The effects of `best`."""
+        return self.best.effects
 
     @property
     def coarseness(self) -> float:
