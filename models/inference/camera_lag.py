@@ -9,7 +9,7 @@ from slipmap.models.inference.diagnosis.effect_fit import fit_effects
 from slipmap.models.measurements import DatasetError, PushDataset
 from slipmap.models.progress import Progress
 
-CERTAIN = 0.01
+_CERTAIN = 0.01
 """s up to which a lag may be none: poses that are seen past the arm may be half a millimetre too far along,
 as if an object that is pushed at 50 mm/s were 10 ms early."""
 
@@ -20,7 +20,7 @@ class CameraLag:
 
     Attributes:
         value: s; negative where poses are early.
-        low, high: 90 % interval over refits, widened by `CERTAIN`, s.
+        low, high: 90 % interval over refits, widened by `_CERTAIN`, s.
         pushes: that show it.
     """
 
@@ -60,4 +60,4 @@ def camera_lag(dataset: PushDataset, *, seed: int = 0, progress: Progress | None
     except DatasetError:
         return None
     latency = next(q for q in found.quantities if q.name == "sensor_latency: latency")
-    return CameraLag(latency.value, latency.low - CERTAIN, latency.high + CERTAIN, len(trials))
+    return CameraLag(latency.value, latency.low - _CERTAIN, latency.high + _CERTAIN, len(trials))

@@ -106,7 +106,7 @@ class Comparison:
         learnt_from: name of the dataset that taught the belief.
         pushes: one by one.
         totals: by role; a role without pushes is missing.
-        floor: error below which models cannot be told apart, or None where nothing tells.
+        floor: error below which models cannot be told apart, or None where it is not known.
         motion: residual velocities, or None where nothing moves.
         force: residual forces, or None where force was not measured.
         structure: what residuals depend on, the surest first.

@@ -117,15 +117,11 @@ def fit_laws(
     Returns:
         The laws that have a share, the largest first; shares sum to one.
     """
-
-    def prior_of(effects: tuple[Effect, ...]) -> MapPrior:
-        own = effect_prior(effects, dataset.height) if effects else None
-        return MapPrior(slider_for(dataset, effects), settings, dataset.mass, effect_prior=own)
-
     combinations: list[tuple[Effect, ...]] = [()] if plain_only else _combinations(dataset)
     laws: list[Law] = []
     for place, effects in enumerate(combinations):
-        prior = prior_of(effects)
+        own = effect_prior(effects, dataset.height) if effects else None
+        prior = MapPrior(slider_for(dataset, effects), settings, dataset.mass, effect_prior=own)
         begin = np.array([prior.start(friction) for friction in finger_frictions])
         if effects:
             best = laws[0].ladder[-1][1]

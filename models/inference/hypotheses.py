@@ -75,8 +75,8 @@ def fit_with_trust(
     for rung, alpha in enumerate(MODEL_ERRORS):
         likelihood = Likelihood(prior, observations, noise, trusting(alpha))
         center = None if mean is None else np.repeat(mean[None], len(starts), axis=0)
-        told = part_of(progress, rung, len(MODEL_ERRORS))
-        best = fit(likelihood, starts, prior_mean=center, offsets=offsets, progress=told).best()
+        own = part_of(progress, rung, len(MODEL_ERRORS))
+        best = fit(likelihood, starts, prior_mean=center, offsets=offsets, progress=own).best()
         evidence = log_evidence(likelihood, best) - float(np.log(alpha))
         if evidence < highest:
             break
@@ -104,7 +104,7 @@ def log_evidence(likelihood: Likelihood, found: Fits) -> float:
     return float(-found.cost[0] - 0.5 * maps + 0.5 * starts - likelihood.log_widths())
 
 
-STRENGTHS = (0.8, 2.5)
+_STRENGTHS = (0.8, 2.5)
 """Range of the factor on the prior's map variation, drawn log-uniformly for each hypothesis, see
 `MapPrior.spreads`."""
 
@@ -156,7 +156,7 @@ def trusted(ladder: Ladder) -> dict[str, Any]:
     """Settings of the fits, for the record."""
     closest, _ = ladder[0]
     return {
-        "strengths": list(STRENGTHS),
+        "strengths": list(_STRENGTHS),
         "model_errors": [likelihood.settings.model_error for likelihood, _ in ladder],
         "prior": asdict(closest.prior.settings),
         "likelihood": asdict(closest.settings),
@@ -177,7 +177,7 @@ def refits(
     weights = rng.gamma(shape, 1.0 / shape, (hypotheses, B))
     center = np.zeros(prior.size) if mean is None else mean
     prior_mean = center + rng.standard_normal((hypotheses, prior.size))
-    strength = np.exp(rng.uniform(np.log(STRENGTHS[0]), np.log(STRENGTHS[1]), hypotheses))
+    strength = np.exp(rng.uniform(np.log(_STRENGTHS[0]), np.log(_STRENGTHS[1]), hypotheses))
     # The first hypothesis is the plain best fit.
     weights[0], prior_mean[0], strength[0] = 1.0, center, 1.0
     z = np.empty((hypotheses, prior.size))

@@ -61,8 +61,8 @@ def identify(
     fitted = [observation for observation in observations if observation.role == "fit"]
 
     def laws_with(settings: PriorSettings) -> list[Law]:
-        told = partial(report, "fitting")
-        return fit_laws(dataset, fitted, settings, FINGER_STARTS, told, plain_only=not friction_laws)
+        own = partial(report, "fitting")
+        return fit_laws(dataset, fitted, settings, FINGER_STARTS, own, plain_only=not friction_laws)
 
     if method == "paper":
         from slipmap.models.inference.paper_method import identify_by_algorithm_1

@@ -78,8 +78,7 @@ def observe(trial: Trial, order: int = 0, coarseness: float = 1.0) -> Observatio
     times = pose_times(trial)
     duration = float(times[-1])
     twist = trial.initial_velocity()
-    track_time, track = finger_path(trial)
-    track_time, track = smooth_track(track_time, track)
+    track_time, track = smooth_track(*finger_path(trial))
     speed = _fast_speed(track_time, track) if trial.has_finger else 0.0
     step = min(LONGEST_STEP, LONGEST_STRIDE / speed) if speed > 0 else LONGEST_STEP
     if twist.any():
@@ -88,9 +87,7 @@ def observe(trial: Trial, order: int = 0, coarseness: float = 1.0) -> Observatio
     steps = max(8, int(np.ceil(duration / step)))
     step = duration / steps
     ends = step * np.arange(steps + 1)
-    tip = np.column_stack([np.interp(ends, track_time, column) for column in track.T])
-    if not trial.has_finger:
-        tip[:] = np.nan
+    tip = interpolated(ends, track_time, track) if trial.has_finger else np.full((steps + 1, 2), np.nan)
 
     start, start_rows = trial.object_pose.values[0].copy(), 1
     if not trial.ends_only and not twist.any():
@@ -121,12 +118,17 @@ def observe_all(
     return [observe(trial, order.get(trial.name, 0), coarseness) for trial in chosen]
 
 
+def interpolated(wanted: np.ndarray, times: np.ndarray, values: FloatArray) -> FloatArray:
+    """(N, c) values (M, c) of ascending times (M,) at wanted times (N,), linear in between."""
+    return np.column_stack([np.interp(wanted, times, column) for column in values.T])
+
+
 def _fast_speed(time: FloatArray, track: FloatArray) -> float:
     """Speed that the finger hardly exceeds (98th percentile), over 50 ms so that jitter does not count."""
     grid = np.arange(time[0], time[-1], 0.01)
     if len(grid) < 7:
         return float(np.hypot(*(track[-1] - track[0])) / max(time[-1] - time[0], 1e-9))
-    x, y = (np.interp(grid, time, column) for column in track.T)
+    x, y = interpolated(grid, time, track).T
     return float(np.percentile(np.hypot(x[5:] - x[:-5], y[5:] - y[:-5]) / 0.05, 98))
 
 

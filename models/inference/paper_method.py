@@ -39,6 +39,7 @@ import numpy as np
 
 from slipmap.models.geometry import rotated
 from slipmap.models.inference.belief import Belief
+from slipmap.models.inference.observations import interpolated
 from slipmap.models.inference.prior import slider_for
 from slipmap.models.measurements import DatasetError, PushDataset, Trial, finger_path, pose_times
 from slipmap.models.measurements.motion import smooth_track
@@ -47,7 +48,7 @@ from slipmap.models.physics.paper_notation import cell_poses
 from slipmap.models.physics.rollout import Maps, Push, Slider
 from slipmap.models.progress import Progress, StageProgress, silent
 
-STEPS = 20
+_STEPS = 20
 """Time steps a trial is cut into. In shorter ones the object moves less than trackers err."""
 
 
@@ -97,23 +98,22 @@ class EqualSteps:
 def observe_steps(trial: Trial) -> EqualSteps:
     """A trial of three poses or more at equal times, linear between rows, the finger's track smoothed."""
     times = pose_times(trial)
-    steps = min(STEPS, len(times) - 1)
+    steps = min(_STEPS, len(times) - 1)
     ends = np.linspace(0.0, times[-1], steps + 1)
-    track_times, track = smooth_track(*finger_path(trial))
-    tip = np.column_stack([np.interp(ends, track_times, column) for column in track.T])
-    if not trial.has_finger:
-        tip[:] = np.nan
+    tip = np.full((steps + 1, 2), np.nan)
+    if trial.has_finger:
+        tip = interpolated(ends, *smooth_track(*finger_path(trial)))
     return EqualSteps(float(times[-1]) / steps, trial.object_pose.at(trial.start + ends), tip)
 
 
 FLOOR = 1e-4
 """Lower bound of masses and frictions as a share of their upper bounds."""
 
-EPOCHS = 10
-RATE = 0.03
+_EPOCHS = 10
+_RATE = 0.03
 """Learning rate times the mean |W|²: about the share of a step's error that one update removes."""
 
-TEMPERATURE = 0.01
+_TEMPERATURE = 0.01
 """Soft-max temperature as a share of the loss of an object that never moves."""
 
 _NOMINAL_MASS = 1.0  # kg, of an object that nobody weighed
@@ -247,7 +247,7 @@ def identify_by_algorithm_1(
     Each push is cut into equal steps, see `observe_steps`. A cell's mass is at most twice
     the object's mass (`_NOMINAL_MASS` where nobody weighed it) over n, so that the first half of the models
     start from the known mass; nothing holds them to it. Learning rate and temperature follow from the
-    pushes, see `RATE` and `TEMPERATURE`. Forces are not used.
+    pushes, see `_RATE` and `_TEMPERATURE`. Forces are not used.
 
     Args:
         dataset: measured pushes. Trials with fewer than three poses show no time steps and are left out.
@@ -276,13 +276,13 @@ def identify_by_algorithm_1(
             f"dataset {dataset.name}: no fit push moves the object, so there is nothing to learn from; give "
             "pushes in which the finger reaches the outline"
         )
-    parameters |= {"learning_rate": RATE / square, "temperature": TEMPERATURE * still}
+    parameters |= {"learning_rate": _RATE / square, "temperature": _TEMPERATURE * still}
     maps, loss, probability = algorithm_1(
         slider,
         pushes,
         hypotheses=hypotheses,
         **parameters,
-        epochs=EPOCHS,
+        epochs=_EPOCHS,
         progress=partial(progress or silent, "Algorithm 1"),
     )
     return Belief.learnt(
@@ -296,10 +296,10 @@ def identify_by_algorithm_1(
         settings={
             "left_out": [trial.name for trial in dataset.fit_trials if trial not in trials],
             "steps": [len(push.poses) - 1 for push in pushes],
-            "epochs": EPOCHS,
+            "epochs": _EPOCHS,
             "floor": FLOOR,
-            "rate": RATE,
-            "temperature_share": TEMPERATURE,
+            "rate": _RATE,
+            "temperature_share": _TEMPERATURE,
             **parameters,
             "loss": loss.tolist(),
             "loss_of_rest": still,

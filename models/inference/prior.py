@@ -147,6 +147,14 @@ class MapPrior:
         """z_p of effect parameters (…, P)."""
         return (values - self.effect_centers) / self.effect_scales
 
+    def effect_deviations(self, hessian: FloatArray) -> FloatArray:
+        """(P,) standard deviations of the effects' parameters, everything else being refitted with them.
+
+        The Hessian (size, size) is the data's at the best fit, to which that of the prior is added.
+        """
+        covariance = np.linalg.inv(hessian + np.eye(self.size))
+        return np.sqrt(np.diagonal(covariance)[self.plain :]) * self.effect_scales
+
     def spreads(self, strength: FloatArray) -> tuple[FloatArray, FloatArray]:
         """σ_load and σ_split of maps that vary more than usual by a factor, or less.
 

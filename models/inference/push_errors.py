@@ -9,7 +9,7 @@ from dataclasses import asdict, dataclass
 import numpy as np
 
 from slipmap.models.geometry import at_centroid, radius_of_gyration
-from slipmap.models.inference.observations import Observation
+from slipmap.models.inference.observations import Observation, interpolated
 from slipmap.models.measurements import Noise
 from slipmap.models.physics.cell_grid import CellGrid, FloatArray
 from slipmap.models.physics.paper_notation import add
@@ -164,7 +164,7 @@ def _track(observation: Observation) -> FloatArray | None:
     if np.isnan(push.tip).any() or push.start_twist.any():
         return None
     rows = np.linspace(0, len(push.tip) - 1, 21)
-    tip = np.column_stack([np.interp(rows, np.arange(len(push.tip)), column) for column in push.tip.T])
+    tip = interpolated(rows, np.arange(len(push.tip)), push.tip)
     return _seen_from(push.start_pose, tip)
 
 

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from slipmap.models.inference.observations import Observation
+from slipmap.models.inference.observations import Observation, interpolated
 from slipmap.models.inference.prediction import Motion
 from slipmap.models.inference.residual_structure import NEGLIGIBLE, OUTLYING, Pattern, described
 from slipmap.models.inference.residuals import centroid_tracks
@@ -158,8 +158,8 @@ def _track(observation: Observation, motion: Motion, grid: CellGrid) -> _Track |
         return None
     push = observation.push
     steps = push.h * np.arange(len(push.tip))
-    residual = np.column_stack([np.interp(even, times, column) for column in (measured - predicted).T])
-    tip = np.column_stack([np.interp(even, steps, column) for column in push.tip.T])
+    residual = interpolated(even, times, measured - predicted)
+    tip = interpolated(even, steps, push.tip)
     size = np.sqrt((residual**2).sum(axis=1).mean())
     finger = np.gradient(tip, _LAG_STEP, axis=0)
     speed = np.sqrt((finger**2).sum(axis=1).mean())

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slipmap.models.geometry import at_centroid, radius_of_gyration, seen_from
-from slipmap.models.inference.observations import SAMPLES, Observation
+from slipmap.models.inference.observations import SAMPLES, Observation, interpolated
 from slipmap.models.inference.prediction import Motion
 from slipmap.models.physics.cell_grid import CellGrid, FloatArray
 
@@ -117,7 +117,7 @@ def conditions(
     assert observation.push.pose_times is not None
     times = np.concatenate([[0.0], observation.push.pose_times])
     track = np.vstack([observation.push.start_pose, poses])
-    first, last = _at(times, track, begin), _at(times, track, end)
+    first, last = interpolated(begin, times, track), interpolated(end, times, track)
     radius = radius_of_gyration(grid)
     before, after = at_centroid(first, grid), at_centroid(last, grid)
     velocity = (after - before) * [1, 1, radius] / (end - begin)[:, None]
@@ -150,7 +150,7 @@ def _touch(
     if np.isnan(push.tip).any():
         return contact, phase
     steps = np.array(push.h * np.arange(len(push.tip)))
-    path = [_at(steps, push.tip, time) for time in (begin, end)]
+    path = [interpolated(time, steps, push.tip) for time in (begin, end)]
     tips = [seen_from(tip, pose) for pose, tip in zip((first, last), path, strict=True)]
     gaps, feet = zip(*(_nearest(tip, grid) for tip in tips), strict=True)
     touching = [gap < radius + 5e-4 for gap in gaps]  # m
@@ -169,10 +169,6 @@ def _touch(
     phase[touching[1]] = np.where(sliding, Phase.SLIDING, Phase.STICKING)[touching[1]]
     phase[touching[1] & ~touching[0]] = Phase.FIRST_TOUCH
     return contact, phase
-
-
-def _at(times: FloatArray, values: FloatArray, wanted: FloatArray) -> FloatArray:
-    return np.column_stack([np.interp(wanted, times, column) for column in values.T])
 
 
 def _nearest(points: FloatArray, grid: CellGrid) -> tuple[FloatArray, FloatArray]:

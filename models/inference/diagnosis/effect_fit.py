@@ -68,8 +68,7 @@ def effect_sizes(fitted: Fitted, noise: Noise) -> tuple[ParameterEstimate, ...]:
         _, found = _forgiving_fits(fitted, noise)[-1]
     except (RolloutError, np.linalg.LinAlgError):
         return parameter_estimates(fitted)
-    covariance = np.linalg.inv(found.hessian[0] + np.eye(prior.size))
-    deviations = np.sqrt(np.diagonal(covariance)[prior.plain :]) * prior.effect_scales
+    deviations = prior.effect_deviations(found.hessian[0])
     return estimates_of(fitted.effects, prior.maps(found.z).effects[0], deviations)
 
 

@@ -49,14 +49,10 @@ class Fitted:
     @property
     def standard_deviations(self) -> FloatArray:
         """(P,) of the parameters, everything else being refitted with them."""
-        prior = self.likelihood.prior
-        if not self.effects:
-            return np.zeros(0)
         equations = self.likelihood.linearise(
             self.z[None], self.offsets[None], np.ones(1), np.ones((1, len(self.offsets)))
         )
-        covariance = np.linalg.inv(equations.hessian[0] + np.eye(prior.size))
-        return np.sqrt(np.diagonal(covariance)[prior.plain :]) * prior.effect_scales
+        return self.likelihood.prior.effect_deviations(equations.hessian[0])
 
     @property
     def values(self) -> FloatArray:
