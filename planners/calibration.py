@@ -15,8 +15,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from slipmap.models.inference.identification import identify
-from slipmap.models.inference.prediction import interval
 from slipmap.models.inference.results import Identification
+from slipmap.models.inference.summaries import interval
 from slipmap.models.measurements.simulated import record_pushes
 from slipmap.models.objects import cells_from_polygon
 from slipmap.models.physics.cell_grid import CellGrid, FloatArray

@@ -11,14 +11,14 @@ from pydrake.systems.framework import Context, State
 
 from slipmap.diagrams.systems.multiverse_slider import Universes
 from slipmap.diagrams.systems.python_system import PythonSystem, held, read, replace_held
-from slipmap.models.inference.diagnosis.correlated import ErrorModel
+from slipmap.models.inference.diagnosis.error_model import ErrorModel
 from slipmap.models.inference.observations import observe
 from slipmap.models.inference.push_misfit import (
     bet,
     pose_noise,
+    predicted_steady_forces,
     resting_misfit,
     steady_force,
-    steady_forces_told,
 )
 from slipmap.models.measurements import Trial
 from slipmap.models.measurements.push_dataset import Noise
@@ -173,7 +173,7 @@ class ModelMonitor(PythonSystem):
         force = steady_force(observation)
         misfit, p = resting_misfit(
             start, end, universes.poses, belief.probability, self._error, belief.grid,
-            None if force is None else (force, steady_forces_told(belief, observation)),
+            None if force is None else (force, predicted_steady_forces(belief, observation)),
             taught=belief.taught,
         )  # fmt: skip
         evidence = max(watch.evidence, 1.0) * bet(max(p, LEAST_P))

@@ -15,17 +15,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from slipmap.models.effects.effect import Effect
 from slipmap.models.effects.library import LIBRARY
-from slipmap.models.effects.slider import EffectSlider
 from slipmap.models.files import UnreadableFile, check_archive, replaced_file
+from slipmap.models.inference.prior import effects_of, slider_with
 from slipmap.models.measurements import PushDataset
-from slipmap.models.physics.cell_grid import CellGrid
+from slipmap.models.physics.cell_grid import CellGrid, FloatArray
 from slipmap.models.physics.rollout import Maps, Slider, Smoothing
-
-FloatArray = NDArray[np.float64]
 
 FORMAT = "slipmap-belief/1"
 LARGEST_FILE = 2**29
@@ -80,21 +77,16 @@ class Belief:
 
     def __post_init__(self) -> None:
         if self.maps.mass.shape[1] != len(self.grid):
-            raise BeliefError(
-                f"belief: maps of {self.maps.mass.shape[1]} cells on a grid of {len(self.grid)}"
-            )
+            cells = self.maps.mass.shape[1]
+            raise BeliefError(f"belief: maps of {cells} cells on a grid of {len(self.grid)}")
         wanted = sum(len(effect.parameters) for effect in self.effects)
         if self.maps.effects.shape[1] != wanted:
             raise BeliefError(
                 f"belief: maps with {self.maps.effects.shape[1]} effect parameters, its effects have {wanted}"
             )
         p = np.asarray(self.probability, dtype=float)
-        if (
-            p.shape != (len(self.maps),)
-            or not np.isfinite(p).all()
-            or (p < 0).any()
-            or abs(p.sum() - 1) > 1e-6
-        ):
+        numbers = p.shape == (len(self.maps),) and np.isfinite(p).all()
+        if not numbers or (p < 0).any() or abs(p.sum() - 1) > 1e-6:
             raise BeliefError(
                 "belief: probabilities must be one number a hypothesis, none negative, summing to 1"
             )
@@ -147,7 +139,7 @@ class Belief:
                 "known_mass": dataset.mass,
                 **settings,
             },
-            effects=slider.effects if isinstance(slider, EffectSlider) else (),
+            effects=effects_of(slider),
         )
 
     def __len__(self) -> int:
@@ -156,9 +148,7 @@ class Belief:
     @property
     def slider(self) -> Slider:
         """The model that the maps belong to, with its effects."""
-        if self.effects:
-            return EffectSlider(self.grid, self.finger_radius, self.effects, self.gravity, self.smoothing)
-        return Slider(self.grid, self.finger_radius, self.gravity, self.smoothing)
+        return slider_with(self.effects, self.grid, self.finger_radius, self.gravity, self.smoothing)
 
     @property
     def centers_of_mass(self) -> FloatArray:
@@ -202,7 +192,6 @@ class Belief:
             raise BeliefError(f"cannot write the belief to {path}: {error.strerror or error}") from error
 
     def _arrays(self) -> dict[str, FloatArray]:
-        holes = {f"hole_{i}": hole for i, hole in enumerate(self.grid.holes)}
         return {
             "centers": self.grid.centers,
             "exterior": self.grid.exterior,
@@ -211,7 +200,7 @@ class Belief:
             "mu_finger": self.maps.mu_finger,
             "probability": self.probability,
             **({"effects": self.maps.effects} if self.effects else {}),
-            **holes,
+            **{f"hole_{i}": hole for i, hole in enumerate(self.grid.holes)},
         }
 
     @classmethod
@@ -246,11 +235,10 @@ class Belief:
                 if not isinstance(meta, dict) or meta.get("format") != FORMAT:
                     found = meta.get("format") if isinstance(meta, dict) else None
                     raise BeliefError(f"{path} has format {found!r}, this version reads {FORMAT!r}; {_ANEW}")
-                names = ["centers", "exterior", "mass", "mu", "mu_finger", "probability"]
-                names += [f"hole_{i}" for i in range(int(meta["holes"]))]
+                holes = [f"hole_{i}" for i in range(int(meta["holes"]))]
                 carried = [str(name) for name in meta.get("effects", [])]
-                names += ["effects"] if carried else []
-                arrays = {name: archive[name] for name in names}
+                names = ["centers", "exterior", "mass", "mu", "mu_finger", "probability", *holes]
+                arrays = {name: archive[name] for name in (*names, *(["effects"] if carried else []))}
             if _checksum(arrays) != meta["checksum"]:
                 raise BeliefError(f"{path} is damaged: its numbers do not match their checksum; {_ANEW}")
             by_name = {effect.name: effect for effect in known}
@@ -260,9 +248,9 @@ class Belief:
                         f"{path} carries the effect {name!r}, which the library does not have; give the file"
                         " that defines it with --effect-file"
                     )
-            holes = tuple(arrays[f"hole_{i}"] for i in range(int(meta["holes"])))
+            width, outline = float(meta["cell_width"]), arrays["exterior"]
             return cls(
-                grid=CellGrid(arrays["centers"], float(meta["cell_width"]), arrays["exterior"], holes),
+                grid=CellGrid(arrays["centers"], width, outline, tuple(arrays[hole] for hole in holes)),
                 finger_radius=float(meta["finger_radius"]),
                 gravity=float(meta["gravity"]),
                 maps=Maps(

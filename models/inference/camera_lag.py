@@ -1,20 +1,15 @@
-"""By how much the camera's clock seems late beside the arm's, told from how finger and object move."""
+"""By how much the camera's clock seems late beside the arm's, from how finger and object move."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 from slipmap.models.effects.library import SensorLatency
 from slipmap.models.inference.diagnosis.effect_fit import fit_effects
 from slipmap.models.measurements import DatasetError, PushDataset
+from slipmap.models.progress import Progress
 
-Progress = Callable[[str, int, int], None]
-
-HYPOTHESES = 8
-"""Refits from which the spread comes; they take most of the time."""
-
-CERTAIN = 0.01
+_CERTAIN = 0.01
 """s up to which a lag may be none: poses that are seen past the arm may be half a millimetre too far along,
 as if an object that is pushed at 50 mm/s were 10 ms early."""
 
@@ -25,8 +20,8 @@ class CameraLag:
 
     Attributes:
         value: s; negative where poses are early.
-        low, high: 90 % interval over refits, widened by `CERTAIN`, s.
-        pushes: from which it was told.
+        low, high: 90 % interval over refits, widened by `_CERTAIN`, s.
+        pushes: that show it.
     """
 
     value: float
@@ -41,8 +36,7 @@ class CameraLag:
 
     def to_json(self) -> dict[str, float | int | bool]:
         """All fields, and whether there certainly is a lag."""
-        fields = {"value": self.value, "low": self.low, "high": self.high, "pushes": self.pushes}
-        return {**fields, "shown": self.shown}
+        return {**vars(self), "shown": self.shown}
 
 
 def camera_lag(dataset: PushDataset, *, seed: int = 0, progress: Progress | None = None) -> CameraLag | None:
@@ -60,11 +54,10 @@ def camera_lag(dataset: PushDataset, *, seed: int = 0, progress: Progress | None
     if not trials:
         return None
     try:
-        found = fit_effects(
-            replace(dataset, trials=trials), [SensorLatency()],
-            hypotheses=HYPOTHESES, seed=seed, progress=progress,
-        )  # fmt: skip
+        # The spread comes from refits, which take most of the time: eight will do.
+        pushes = replace(dataset, trials=trials)
+        found = fit_effects(pushes, [SensorLatency()], hypotheses=8, seed=seed, progress=progress)
     except DatasetError:
         return None
     latency = next(q for q in found.quantities if q.name == "sensor_latency: latency")
-    return CameraLag(latency.value, latency.low - CERTAIN, latency.high + CERTAIN, len(trials))
+    return CameraLag(latency.value, latency.low - _CERTAIN, latency.high + _CERTAIN, len(trials))

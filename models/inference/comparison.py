@@ -13,30 +13,16 @@ import numpy as np
 
 from slipmap.models.inference.belief import Belief
 from slipmap.models.inference.observations import Observation, observe_all
-from slipmap.models.inference.prediction import (
-    PredictedMotion,
-    PredictMotion,
-    check_same_object,
-    predicted_motion,
-    uniform_motion,
-)
-from slipmap.models.inference.push_errors import (
-    Errors,
-    NoiseFloor,
-    motion_errors,
-    noise_floor,
-    resting_errors,
-)
+from slipmap.models.inference.prediction import Motion, check_same_object, predicted_motion, uniform_motion
+from slipmap.models.inference.push_errors import Errors, NoiseFloor, errors, noise_floor, resting_errors
 from slipmap.models.inference.residual_correlations import Correlations, correlations, delay_pattern
-from slipmap.models.inference.residual_structure import LEVEL, Pattern, corrected, factor_patterns, smallest_p
+from slipmap.models.inference.residual_structure import LEVEL, Pattern, corrected, factor_patterns
 from slipmap.models.inference.residuals import Residuals, force_residuals, motion_residuals
+from slipmap.models.inference.sign_flips import smallest_p
 from slipmap.models.measurements import PushDataset
 from slipmap.models.physics.cell_grid import FloatArray
 from slipmap.models.physics.paper_notation import add
-
-Progress = Callable[[str, int, int], None]
-
-ROLES = ("fit", "heldout")
+from slipmap.models.progress import Progress, silent
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,15 +63,9 @@ class ComparedPush:
 
     def to_json(self) -> dict[str, object]:
         """All numbers."""
-        return {
-            "trial": self.trial,
-            "role": self.role,
-            "ends_only": self.ends_only,
-            "spread": self.spread,
-            "model": self.errors.to_json(),
-            "uniform": self.uniform.to_json(),
-            "no_motion": self.resting.to_json(),
-        }
+        names = ("trial", "role", "ends_only", "spread")
+        errors = _errors_to_json(self.errors, self.uniform, self.resting)
+        return {name: getattr(self, name) for name in names} | errors
 
 
 @dataclass(frozen=True)
@@ -108,13 +88,12 @@ class Totals:
 
     def to_json(self) -> dict[str, object]:
         """All numbers."""
-        return {
-            "pushes": self.pushes,
-            "median_final_add": self.median_add,
-            "model": self.model.to_json(),
-            "uniform": self.uniform.to_json(),
-            "no_motion": self.resting.to_json(),
-        }
+        errors = _errors_to_json(self.model, self.uniform, self.resting)
+        return {"pushes": self.pushes, "median_final_add": self.median_add} | errors
+
+
+def _errors_to_json(model: Errors, uniform: Errors, resting: Errors) -> dict[str, object]:
+    return {"model": model.to_json(), "uniform": uniform.to_json(), "no_motion": resting.to_json()}
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,10 +106,10 @@ class Comparison:
         learnt_from: name of the dataset that taught the belief.
         pushes: one by one.
         totals: by role; a role without pushes is missing.
-        floor: error below which models cannot be told apart, or None where nothing tells.
+        floor: error below which models cannot be told apart, or None where it is not known.
         motion: residual velocities, or None where nothing moves.
         force: residual forces, or None where force was not measured.
-        structure: what residuals hang together with, the surest first.
+        structure: what residuals depend on, the surest first.
         correlations: over time, or None where too few pushes show their course.
         seed: of every random draw.
     """
@@ -192,7 +171,7 @@ def compare(
     seed: int = 0,
     label: str = "model",
     progress: Progress | None = None,
-    predict: PredictMotion = predicted_motion,
+    predict: Callable[[Belief, Sequence[Observation]], Sequence[Motion]] = predicted_motion,
 ) -> Comparison:
     """Hold a belief against every push of a dataset.
 
@@ -208,13 +187,14 @@ def compare(
         BeliefError: the dataset has another finger or another object.
     """
     check_same_object(belief, dataset)
-    report = progress or (lambda stage, done, total: None)
+    report = progress or silent
     report("comparing", 0, 2)
     grid = belief.grid
     observations = observe_all(dataset)
     motions = predict(belief, observations)
     report("comparing", 1, 2)
-    pushes = _pushes(observations, motions, uniform_motion(belief, observations), belief)
+    uniform = uniform_motion(belief, observations)
+    pushes = tuple(_compared(*push, belief) for push in zip(observations, motions, uniform, strict=True))
     report("comparing", 2, 2)
 
     rng = np.random.default_rng(seed)
@@ -232,12 +212,13 @@ def compare(
     report("looking for patterns", 3, 4)
     together = correlations(observations, motions, grid, rng)
     report("looking for patterns", 4, 4)
+    roles = [role for role in ("fit", "heldout") if any(push.role == role for push in pushes)]
     return Comparison(
         label=label,
         dataset=dataset.name,
         learnt_from=belief.dataset,
         pushes=pushes,
-        totals={role: totals(group) for role in ROLES if (group := [p for p in pushes if p.role == role])},
+        totals={role: totals([p for p in pushes if p.role == role]) for role in roles},
         floor=floor,
         motion=motion,
         force=force,
@@ -268,23 +249,14 @@ def _mean(errors: Sequence[Errors]) -> Errors:
     return Errors(**{name: mean(name) for name in asdict(errors[0])})
 
 
-def _pushes(
-    observations: Sequence[Observation],
-    motions: Sequence[PredictedMotion],
-    uniform: Sequence[PredictedMotion],
-    belief: Belief,
-) -> tuple[ComparedPush, ...]:
+def _compared(observation: Observation, motion: Motion, uniform: Motion, belief: Belief) -> ComparedPush:
     grid = belief.grid
-    ours, theirs = (motion_errors(observations, told, grid) for told in (motions, uniform))
-    middles = [motion.middle_poses(grid) for motion in motions]
-    return tuple(
-        ComparedPush(
-            observation=observation,
-            predicted=middles[b],
-            errors=ours[b],
-            uniform=theirs[b],
-            resting=resting_errors(observation, grid),
-            spread=float(motion.probability @ add(motion.poses[:, -1], middles[b][-1], grid.centers)),
-        )
-        for b, (observation, motion) in enumerate(zip(observations, motions, strict=True))
+    middle = motion.middle_poses(grid)
+    return ComparedPush(
+        observation=observation,
+        predicted=middle,
+        errors=errors(observation, middle, motion.mean_forces, grid),
+        uniform=errors(observation, uniform.middle_poses(grid), uniform.mean_forces, grid),
+        resting=resting_errors(observation, grid),
+        spread=float(motion.probability @ add(motion.poses[:, -1], middle[-1], grid.centers)),
     )

@@ -1,9 +1,9 @@
 """What friction may follow besides the plain law, and how much the pushes speak for it.
 
-The plain model lets each cell carry the weight of its mass, whoever pushes it, and slide against Coulomb's
+The plain model lets each cell carry the weight of its mass, however it is pushed, and slide against Coulomb's
 friction. Two things are left out that hold for some recorded pushes and not for others:
 
-- who pushes an object above the table loads its front, by about the height of the finger times friction. How
+- a finger that pushes above the table loads the object's front, by about its height times friction. How
   high the finger was is seldom recorded; half the object's height is the guess;
 - a simulator that solves for friction impulse by impulse makes it lean to the axis of the world along which
   an impulse meets more mass, as Bullet's solver for articulated bodies does.
@@ -13,14 +13,14 @@ from where the plain law led, and hypotheses of a belief are shared out among th
 
     evidence^(1/T),    T = TEMPERATURE α / 0.5 %
 
-with the evidence of `trust`. It is tempered because it holds errors along a push for as independent as
+with the evidence of `hypotheses`. It is tempered because it holds errors along a push for as independent as
 the likelihood does, and the likelihood's model for the right one; neither is so, the less the further the
 best law is off, by a share α of the way.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -28,23 +28,22 @@ import numpy as np
 
 from slipmap.models.effects.effect import Effect, bounds
 from slipmap.models.effects.library import LIBRARY
-from slipmap.models.effects.slider import EffectSlider
 from slipmap.models.inference.belief import Belief
 from slipmap.models.inference.hypotheses import (
     MODEL_ERRORS,
     Ladder,
-    Progress,
     fit_with_trust,
     gathered_belief,
     log_evidence,
     refits,
     trusted,
 )
-from slipmap.models.inference.observations import MEASURED_CONTACT, Observation
-from slipmap.models.inference.prior import MapPrior, PriorSettings
+from slipmap.models.inference.observations import Observation
+from slipmap.models.inference.prior import MapPrior, PriorSettings, effects_of, slider_for, slider_with
 from slipmap.models.measurements import PushDataset
 from slipmap.models.physics.cell_grid import FloatArray
-from slipmap.models.physics.rollout import Maps, RolloutError, Slider
+from slipmap.models.physics.rollout import Maps, RolloutError
+from slipmap.models.progress import Progress, StageProgress, part_of
 
 PLAIN = "plain"
 
@@ -56,7 +55,7 @@ TEMPERATURE = 4.0
 LEAST_SHARE = 0.05
 """A law with less than this is left out."""
 
-EXPECTED = {
+_EXPECTED = {
     "push_height": (0.5, 0.15),
     "mass_height": (0.5, 0.05),
     "share": (1.0, 0.01),
@@ -89,14 +88,10 @@ class Law:
 
 def effect_prior(effects: Sequence[Effect], height: float | None) -> tuple[FloatArray, FloatArray]:
     """Prior means and standard deviations (P,) of the laws' parameters, for an object of some height, m."""
-    rows = []
-    for parameter in (parameter for effect in effects for parameter in effect.parameters):
-        unit = 1.0
-        if parameter.unit == "m":
-            assert height is not None
-            unit = height
-        rows.append(unit * np.array(EXPECTED[parameter.name]))
-    means, deviations = np.array(rows).T
+    every = [parameter for effect in effects for parameter in effect.parameters]
+    units = [height if parameter.unit == "m" else 1.0 for parameter in every]
+    rows = np.array([_EXPECTED[parameter.name] for parameter in every])
+    means, deviations = (rows * np.array(units, dtype=float)[:, None]).T
     return np.clip(means, *bounds(effects)), deviations
 
 
@@ -105,7 +100,7 @@ def fit_laws(
     observations: Sequence[Observation],
     settings: PriorSettings,
     finger_frictions: Sequence[float],
-    progress: Callable[[int, int], None],
+    progress: StageProgress,
     *,
     plain_only: bool,
 ) -> list[Law]:
@@ -122,27 +117,16 @@ def fit_laws(
     Returns:
         The laws that have a share, the largest first; shares sum to one.
     """
-
-    def prior_of(effects: tuple[Effect, ...]) -> MapPrior:
-        common = (dataset.grid, dataset.finger_radius)
-        if not effects:
-            return MapPrior(Slider(*common, dataset.gravity, MEASURED_CONTACT), settings, dataset.mass)
-        slider = EffectSlider(*common, effects, dataset.gravity, MEASURED_CONTACT)
-        return MapPrior(slider, settings, dataset.mass, effect_prior=effect_prior(effects, dataset.height))
-
     combinations: list[tuple[Effect, ...]] = [()] if plain_only else _combinations(dataset)
-    total = len(combinations)
     laws: list[Law] = []
     for place, effects in enumerate(combinations):
-        prior = prior_of(effects)
+        own = effect_prior(effects, dataset.height) if effects else None
+        prior = MapPrior(slider_for(dataset, effects), settings, dataset.mass, effect_prior=own)
         begin = np.array([prior.start(friction) for friction in finger_frictions])
         if effects:
             best = laws[0].ladder[-1][1]
             begin = np.concatenate([best.z, np.zeros((1, prior.size - prior.plain))], axis=1)
-
-        def report(done: int, of: int, place: int = place) -> None:
-            progress(place * of + done, total * of)
-
+        report = part_of(progress, place, len(combinations))
         try:
             ladder = fit_with_trust(prior, observations, dataset.noise, begin, report)
         except (RolloutError, np.linalg.LinAlgError):
@@ -188,9 +172,6 @@ def _combinations(dataset: PushDataset) -> list[tuple[Effect, ...]]:
     return [(), (lean,), (transfer,), (transfer, lean)]
 
 
-# A belief whose hypotheses follow several laws of friction, each with its share.
-
-
 def mixed_belief(
     dataset: PushDataset,
     laws: Sequence[Law],
@@ -209,12 +190,12 @@ def mixed_belief(
     shares = np.array([law.share for law in laws]) / sum(law.share for law in laws)
     counts = _counts(shares, hypotheses)
     rng = np.random.default_rng(seed)
-    of_law = [_effects_of(law) for law in laws]
     parts: list[tuple[Maps, tuple[Effect, ...]]] = []
     probability: list[FloatArray] = []
     kept: dict[str, float] = {}
     done = 0
-    for law, effects, count, share in zip(laws, of_law, counts, shares, strict=True):
+    for law, count, share in zip(laws, counts, shares, strict=True):
+        effects = effects_of(law.ladder[0][0].prior.slider)
 
         def progress(made: int, total: int, done: int = done, count: int = count) -> None:
             report("hypotheses", total * done + count * made, total * hypotheses)
@@ -236,35 +217,15 @@ def mixed_belief(
     used = tuple(effect for effect in LIBRARY if any(effect in effects for _, effects in parts))
     carried = [_with_parameters(maps, effects, used) for maps, effects in parts]
     heaviest = laws[0].ladder
-    slider: Slider = heaviest[0][0].prior.slider
-    common = (slider.gravity, slider.smoothing)
-    if used:
-        slider = EffectSlider(slider.grid, slider.finger_radius, used, *common)
-    else:
-        slider = Slider(slider.grid, slider.finger_radius, *common)
+    own = heaviest[0][0].prior.slider
+    slider = slider_with(used, own.grid, own.finger_radius, own.gravity, own.smoothing)
+    names = ("mass", "mu", "mu_finger", "effects")
+    together = Maps(*(np.concatenate([getattr(maps, name) for maps in carried]) for name in names))
+    of_laws = {"friction_laws": {name: share / total for name, share in kept.items()}}
+    record = {**settings, **trusted(heaviest), **of_laws}
     return gathered_belief(
-        dataset,
-        slider,
-        Maps(
-            *(
-                np.concatenate([getattr(maps, name) for maps in carried])
-                for name in ("mass", "mu", "mu_finger", "effects")
-            )
-        ),
-        np.concatenate(probability) / total,
-        heaviest,
-        seed,
-        {
-            **settings,
-            **trusted(heaviest),
-            "friction_laws": {name: share / total for name, share in kept.items()},
-        },
+        dataset, slider, together, np.concatenate(probability) / total, heaviest, seed, record
     )
-
-
-def _effects_of(law: Law) -> tuple[Effect, ...]:
-    slider = law.ladder[0][0].prior.slider
-    return slider.effects if isinstance(slider, EffectSlider) else ()
 
 
 def _with_parameters(maps: Maps, effects: Sequence[Effect], used: Sequence[Effect]) -> Maps:

@@ -7,7 +7,7 @@ several starts, refits with pushes left out, and randomised refits.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -17,17 +17,11 @@ import scipy.linalg
 from slipmap.models.inference.likelihood import NormalEquations
 from slipmap.models.inference.observations import Observation
 from slipmap.models.physics.cell_grid import FloatArray
-
-LONGEST_STEP = 1.5
-"""Largest change of a coordinate in one iteration, in standard deviations of the prior."""
-
-FARTHEST_OFFSET = 4.0
-"""Largest start offset, in its standard deviations."""
+from slipmap.models.progress import StageProgress
 
 
 class Linearisable(Protocol):
-    """Costs of B pushes that can be minimised: `Likelihood`, or
-    `diagnosis.correlated.CorrelatedLikelihood`."""
+    """Costs of B pushes that can be minimised: `Likelihood` or `CorrelatedLikelihood`."""
 
     @property
     def observations(self) -> Sequence[Observation]:
@@ -53,7 +47,6 @@ class Fits:
         cost: (K,) weighted cost, prior included.
         push_cost: (K, B) cost of each push, unweighted.
         hessian: (K, d, d) of the weighted data cost; add the identity for the prior.
-        iterations: how many were made.
     """
 
     z: FloatArray
@@ -61,15 +54,11 @@ class Fits:
     cost: FloatArray
     push_cost: FloatArray
     hessian: FloatArray
-    iterations: int
 
     def best(self) -> Fits:
         """The one of lowest cost."""
-        best = int(np.argmin(self.cost))
-        k = slice(best, best + 1)
-        return Fits(
-            self.z[k], self.offsets[k], self.cost[k], self.push_cost[k], self.hessian[k], self.iterations
-        )
+        k = [int(np.argmin(self.cost))]
+        return Fits(self.z[k], self.offsets[k], self.cost[k], self.push_cost[k], self.hessian[k])
 
 
 def fit(
@@ -82,7 +71,7 @@ def fit(
     offsets: FloatArray | None = None,
     iterations: int = 25,
     tolerance: float = 1e-3,
-    progress: Callable[[int, int], None] | None = None,
+    progress: StageProgress | None = None,
 ) -> Fits:
     """Minimise  Σ_b weight_b cost_b(z) + ½ |z - prior_mean|²  from each start.
 
@@ -108,11 +97,9 @@ def fit(
     def total(push_cost: FloatArray, at: FloatArray, who: np.ndarray) -> FloatArray:
         return (weights[who] * push_cost).sum(axis=1) + 0.5 * ((at - mean[who]) ** 2).sum(axis=1)
 
-    everyone = np.arange(K)
+    active = np.arange(K)
     equations = likelihood.linearise(z, shift, strength, weights)
-    cost = total(equations.cost, z, everyone)
-    active = everyone
-    done = 0
+    cost = total(equations.cost, z, active)
     for done in range(1, iterations + 1):
         step = np.zeros_like(z)
         for k in active:
@@ -133,7 +120,7 @@ def fit(
             progress(done, iterations)
         if len(active) == 0:
             break
-    return Fits(z, shift, cost, equations.cost, equations.hessian, done)
+    return Fits(z, shift, cost, equations.cost, equations.hessian)
 
 
 def _damped_step(equations: NormalEquations, k: int, from_mean: FloatArray, damping: float) -> FloatArray:
@@ -142,18 +129,20 @@ def _damped_step(equations: NormalEquations, k: int, from_mean: FloatArray, damp
     np.fill_diagonal(system, diagonal * (1.0 + damping))
     factor = scipy.linalg.cho_factor(system, overwrite_a=True, check_finite=False)
     step = -scipy.linalg.cho_solve(factor, equations.gradient[k] + from_mean, check_finite=False)
-    return step * min(1.0, LONGEST_STEP / max(float(np.abs(step).max()), 1e-12))
+    # No coordinate changes by more than so many standard deviations of the prior.
+    longest = 1.5
+    return step * min(1.0, longest / max(float(np.abs(step).max()), 1e-12))
 
 
 def _shifted(
     equations: NormalEquations, who: np.ndarray, step: FloatArray, shift: FloatArray, sigma: FloatArray
 ) -> FloatArray:
-    """Start offsets that go with a step of the maps, kept within bounds."""
+    """Start offsets that go with a step of the maps, kept within four standard deviations."""
     result = shift.copy()
     for b in range(shift.shape[1]):
         slope = equations.start_gradient[b, who] + np.einsum("kdj,kd->kj", equations.coupling[b, who], step)
         result[:, b] -= np.einsum("kij,kj->ki", equations.start_gain[b, who], slope)
-    return np.clip(result, -FARTHEST_OFFSET * sigma, FARTHEST_OFFSET * sigma)
+    return np.clip(result, -4.0 * sigma, 4.0 * sigma)
 
 
 def _overwrite(old: NormalEquations, who: np.ndarray, new: NormalEquations, rows: np.ndarray) -> None:

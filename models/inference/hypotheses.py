@@ -3,29 +3,29 @@
 A fit to one set of pushes is one answer; the belief holds many. Each hypothesis is fitted anew to pushes
 weighted at random (the Bayesian bootstrap of Rubin, 1981, but with gamma distributed weights that vary a
 little more than his exponentials: with those the variance of a mean of B pushes comes out as
-(B - 1) / (B + 1) of what it should be, two thirds with five pushes)
-and pulled towards maps drawn from the prior. Refits to the weights show what the pushes disagree about, be
-it noise or what no such model knows; refits towards random maps show what the pushes leave open. Neither
-needs the errors to be independent or the model to be right, which for recorded pushes they are not. And the
-hypotheses take turns in how far off they hold the model to be, up to what the pushes speak for (`trust`):
-who believes every millimetre takes the model's faults for the object's, who believes few learns little, and
-their mixture predicts better than either.
+(B - 1) / (B + 1) of what it should be, two thirds with five pushes) and pulled towards maps drawn from the
+prior. Refits to the weights show what the pushes disagree about, be it noise or what no such model knows;
+refits towards random maps show what the pushes leave open. Neither needs the errors to be independent or the
+model to be right, which for recorded pushes they are not.
 
 The likelihood counts the model off by a share α of the way travelled. On an object that is as the model has
-it, α is half a percent; in another simulator, or on a worn table, it is ten times that, and who trusts the
-pushes all the same takes the model's errors for the object's maps. How large α can be is told by the
+it, α is half a percent; in another simulator, or on a worn table, it is ten times that, and a fit that trusts
+the pushes all the same takes the model's errors for the object's maps. How large α can be follows from the
 evidence, by Laplace's approximation around the best fit,
 
     log p(data | α) ≈ -cost(α) - ½ log det(1 + H) - Σ_b ½ log det(1 + σ H_b σ) - Σ log σ_row(α),
 
 with H the curvature of the data's cost over the maps, H_b over the start of a push, and p(α) ∝ 1/α per
-logarithm of α, so that a larger one has to be shown.
+logarithm of α, so that a larger one has to be shown. The hypotheses take turns between all α up to the one of
+the largest evidence: one that believes every millimetre takes the model's faults for the object's, one that
+believes few learns little, and their mixture predicts better than either.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -38,9 +38,7 @@ from slipmap.models.inference.prior import MapPrior
 from slipmap.models.measurements import Noise, PushDataset
 from slipmap.models.physics.cell_grid import FloatArray
 from slipmap.models.physics.rollout import Maps, Slider
-
-# How far data are trusted: the error of the best model, learnt from the pushes themselves.
-
+from slipmap.models.progress import Progress, StageProgress, part_of
 
 Ladder = list[tuple[Likelihood, Fits]]
 """Fits under likelihoods that trust the data ever less."""
@@ -48,17 +46,13 @@ Ladder = list[tuple[Likelihood, Fits]]
 MODEL_ERRORS = (0.005, 0.015, 0.04, 0.1)
 """α to choose from, ascending."""
 
-FORCE_ERROR = 10.0
-LARGEST_FORCE_ERROR = 0.4
-"""Error of the best model's force, as a share of the force: by α, and at most."""
-
 
 def fit_with_trust(
     prior: MapPrior,
     observations: Sequence[Observation],
     noise: Noise,
     starts: FloatArray,
-    progress: Callable[[int, int], None],
+    progress: StageProgress,
     mean: FloatArray | None = None,
 ) -> Ladder:
     """The best fit under every α up to the one of the largest evidence.
@@ -81,11 +75,8 @@ def fit_with_trust(
     for rung, alpha in enumerate(MODEL_ERRORS):
         likelihood = Likelihood(prior, observations, noise, trusting(alpha))
         center = None if mean is None else np.repeat(mean[None], len(starts), axis=0)
-
-        def told(done: int, total: int, rung: int = rung) -> None:
-            progress(rung * total + done, len(MODEL_ERRORS) * total)
-
-        best = fit(likelihood, starts, prior_mean=center, offsets=offsets, progress=told).best()
+        own = part_of(progress, rung, len(MODEL_ERRORS))
+        best = fit(likelihood, starts, prior_mean=center, offsets=offsets, progress=own).best()
         evidence = log_evidence(likelihood, best) - float(np.log(alpha))
         if evidence < highest:
             break
@@ -99,9 +90,7 @@ def trusting(alpha: float) -> LikelihoodSettings:
 
     Its force is held to be off by ten times that share, 40 % at most.
     """
-    return replace(
-        LikelihoodSettings(), model_error=alpha, force_error=min(FORCE_ERROR * alpha, LARGEST_FORCE_ERROR)
-    )
+    return replace(LikelihoodSettings(), model_error=alpha, force_error=min(10.0 * alpha, 0.4))
 
 
 def log_evidence(likelihood: Likelihood, found: Fits) -> float:
@@ -115,11 +104,9 @@ def log_evidence(likelihood: Likelihood, found: Fits) -> float:
     return float(-found.cost[0] - 0.5 * maps + 0.5 * starts - likelihood.log_widths())
 
 
-STRENGTHS = (0.8, 2.5)
+_STRENGTHS = (0.8, 2.5)
 """Range of the factor on the prior's map variation, drawn log-uniformly for each hypothesis, see
 `MapPrior.spreads`."""
-
-Progress = Callable[[str, int, int], None]
 
 
 def refitted_belief(
@@ -136,18 +123,15 @@ def refitted_belief(
 
     Args:
         dataset: whose pushes were fitted.
-        ladder: of `trust.fit_with_trust`.
+        ladder: of `fit_with_trust`.
         hypotheses: K.
         seed: of the draws.
         report: called with (stage, done, total).
         mean: (d,) centre of the prior, zeros if None.
         settings: what else the belief keeps on record.
     """
-
-    def progress(done: int, total: int) -> None:
-        report("hypotheses", done, total)
-
-    maps, probability = refits(ladder, hypotheses, np.random.default_rng(seed), progress, mean)
+    rng = np.random.default_rng(seed)
+    maps, probability = refits(ladder, hypotheses, rng, partial(report, "hypotheses"), mean)
     slider = ladder[0][0].prior.slider
     return gathered_belief(dataset, slider, maps, probability, ladder, seed, {**settings, **trusted(ladder)})
 
@@ -162,15 +146,9 @@ def gathered_belief(
     settings: Mapping[str, Any],
 ) -> Belief:
     """A belief of hypotheses, with the pushes of a ladder as those that taught."""
+    trials = [observation.trial for observation in ladder[0][0].observations]
     return Belief.learnt(
-        dataset,
-        slider,
-        maps,
-        probability,
-        method="gauss-newton",
-        seed=seed,
-        trials=[observation.trial for observation in ladder[0][0].observations],
-        settings=settings,
+        dataset, slider, maps, probability, method="gauss-newton", seed=seed, trials=trials, settings=settings
     )
 
 
@@ -178,7 +156,7 @@ def trusted(ladder: Ladder) -> dict[str, Any]:
     """Settings of the fits, for the record."""
     closest, _ = ladder[0]
     return {
-        "strengths": list(STRENGTHS),
+        "strengths": list(_STRENGTHS),
         "model_errors": [likelihood.settings.model_error for likelihood, _ in ladder],
         "prior": asdict(closest.prior.settings),
         "likelihood": asdict(closest.settings),
@@ -189,7 +167,7 @@ def refits(
     ladder: Ladder,
     hypotheses: int,
     rng: np.random.Generator,
-    report: Callable[[int, int], None],
+    report: StageProgress,
     mean: FloatArray | None,
 ) -> tuple[Maps, FloatArray]:
     """Maps of K hypotheses and their probabilities (K,), see `refitted_belief`."""
@@ -199,7 +177,7 @@ def refits(
     weights = rng.gamma(shape, 1.0 / shape, (hypotheses, B))
     center = np.zeros(prior.size) if mean is None else mean
     prior_mean = center + rng.standard_normal((hypotheses, prior.size))
-    strength = np.exp(rng.uniform(np.log(STRENGTHS[0]), np.log(STRENGTHS[1]), hypotheses))
+    strength = np.exp(rng.uniform(np.log(_STRENGTHS[0]), np.log(_STRENGTHS[1]), hypotheses))
     # The first hypothesis is the plain best fit.
     weights[0], prior_mean[0], strength[0] = 1.0, center, 1.0
     z = np.empty((hypotheses, prior.size))
@@ -217,15 +195,11 @@ def refits(
             offsets=np.repeat(first.offsets, len(who), axis=0),
             iterations=15,
             tolerance=3e-3,
-            progress=_part(report, rung, len(rungs)),
+            progress=part_of(report, rung, len(rungs)),
         )
         z[who] = found.z
         probability[who] = accuracy_weights(found.push_cost.sum(axis=1)) * len(who) / hypotheses
     return prior.maps(z, strength), probability
-
-
-def _part(report: Callable[[int, int], None], part: int, parts: int) -> Callable[[int, int], None]:
-    return lambda done, total: report(part * total + done, parts * total)
 
 
 def accuracy_weights(cost: FloatArray) -> FloatArray:

@@ -16,21 +16,13 @@ import numpy as np
 from slipmap.models.inference.belief import Belief
 from slipmap.models.inference.gauss_newton import Fits, fit
 from slipmap.models.inference.likelihood import Likelihood
-from slipmap.models.inference.prediction import interval
 from slipmap.models.inference.results import Quantity
+from slipmap.models.inference.summaries import interval
 from slipmap.models.physics.cell_grid import FloatArray
 from slipmap.models.physics.rollout import Maps, Slider
 
 SHOWN_SHARE = 0.25
 """Largest share of the prior's variance that a quantity keeps that counts as shown."""
-
-REGIONS = 3
-DIFFERENCE = 1e-4
-
-HARDLY_TURNED = np.radians(10.0)
-
-POOR_MODEL = 0.04
-"""α, error of the model as a share of the way, from which it is the model that leaves quantities open."""
 
 
 @dataclass(frozen=True)
@@ -81,7 +73,7 @@ class _Seen:
 
     def unless_missed(self, reason: str) -> str:
         """A reason why pushes leave something open, unless it is that the model explains them badly."""
-        if self.missed < POOR_MODEL:
+        if self.missed < 0.04:
             return reason
         return f"the model itself is off by {100 * self.missed:.0f} % of the way"
 
@@ -108,28 +100,20 @@ def quantities(belief: Belief, likelihood: Likelihood, information: Fits | None)
         value, low, high = interval(measure.of(belief.maps), belief.probability, log=measure.log)
         if measure.share:
             low, high = max(low, 0.0), min(high, 1.0)
-        results.append(
-            Quantity(
-                measure.name,
-                measure.unit,
-                value,
-                low,
-                high,
-                shown,
-                measure.shown if shown else measure.open,
-            )
-        )
+        reason = measure.shown if shown else measure.open
+        results.append(Quantity(measure.name, measure.unit, value, low, high, shown, reason))
     return tuple(results)
 
 
 def _gradient(measure: _Measure, likelihood: Likelihood, z: FloatArray) -> FloatArray:
     """Central differences over the coordinates (maps are cheap; the rollouts' part is in the Hessian)."""
     prior = likelihood.prior
-    shifts = DIFFERENCE * np.eye(prior.size)
+    difference = 1e-4
+    shifts = difference * np.eye(prior.size)
     values = measure.of(prior.maps(np.concatenate([z + shifts, z - shifts])))
     if measure.log:
         values = np.log(values)
-    return (values[: prior.size] - values[prior.size :]) / (2.0 * DIFFERENCE)
+    return (values[: prior.size] - values[prior.size :]) / (2.0 * difference)
 
 
 def _measures(slider: Slider, seen: _Seen, weighed: bool) -> list[_Measure]:
@@ -169,7 +153,7 @@ def _measures(slider: Slider, seen: _Seen, weighed: bool) -> list[_Measure]:
         else "motion is so slow that friction outweighs inertia; what coasts or starts fast would tell"
     )
     hardly_turned = "the object hardly turns in these pushes"
-    no_turn = hardly_turned if seen.turned < HARDLY_TURNED else "it turns in these pushes too much alike"
+    no_turn = hardly_turned if seen.turned < np.radians(10.0) else "it turns in these pushes too much alike"
     no_axis = "no push turns the object about this direction"
     no_contact = (
         "the contact sticks in all pushes, or slides in all alike" if seen.touched else "no finger touches it"
@@ -215,16 +199,12 @@ def _sum(of: Callable[[Maps], FloatArray], cells: np.ndarray) -> Callable[[Maps]
 
 
 def _regions(slider: Slider) -> list[tuple[str, np.ndarray]]:
-    """The footprint cut into `REGIONS` equal lengths along its longer side."""
+    """The footprint cut into three equal lengths along its longer side."""
     centers = slider.grid.centers
-    if len(centers) < 2 * REGIONS:
+    if len(centers) < 6:
         return []
     axis = int(np.argmax(np.ptp(centers, axis=0)))
     low, high = centers[:, axis].min(), centers[:, axis].max()
-    place = np.clip(((centers[:, axis] - low) / (high - low + 1e-12) * REGIONS).astype(int), 0, REGIONS - 1)
-    names = ("low", "middle", "high")
-    return [
-        (f"{names[k]} {'xy'[axis]} third", np.flatnonzero(place == k))
-        for k in range(REGIONS)
-        if (place == k).any()
-    ]
+    place = np.clip(((centers[:, axis] - low) / (high - low + 1e-12) * 3).astype(int), 0, 2)
+    thirds = [(name, np.flatnonzero(place == k)) for k, name in enumerate(("low", "middle", "high"))]
+    return [(f"{name} {'xy'[axis]} third", cells) for name, cells in thirds if len(cells)]

@@ -3,25 +3,23 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from functools import partial
 
 from slipmap.models.inference.friction_laws import Law, fit_laws, mixed_belief
 from slipmap.models.inference.hypotheses import MODEL_ERRORS
 from slipmap.models.inference.identifiability import quantities
 from slipmap.models.inference.likelihood import Likelihood, LikelihoodSettings
-from slipmap.models.inference.observations import MEASURED_CONTACT, observe_all
+from slipmap.models.inference.observations import observe_all
 from slipmap.models.inference.prediction import predict_observations
-from slipmap.models.inference.prior import SINGLE_CELLS, MapPrior, PriorSettings
+from slipmap.models.inference.prior import SINGLE_CELLS, MapPrior, PriorSettings, slider_for
 from slipmap.models.inference.results import Identification
 from slipmap.models.measurements import DatasetError, PushDataset
-from slipmap.models.physics.rollout import Slider
+from slipmap.models.progress import Progress, silent
 
 METHODS = ("gauss-newton", "paper")
 
 FINGER_STARTS = (0.12, 0.35, 1.0)
 """Finger frictions to start from: contact that sticks and contact that slides are different valleys."""
-
-Progress = Callable[[str, int, int], None]
 
 
 def identify(
@@ -45,8 +43,8 @@ def identify(
         prior_settings: how strongly maps are held together before any push; if None, as in `PriorSettings`,
             or as in `SINGLE_CELLS` where the best law is off by more than the smallest of `MODEL_ERRORS`.
         friction_laws: whether other laws of friction than the plain one take part, each as much as the
-            pushes speak for it (`slipmap.models.inference.friction_laws`); takes about four times as long. The
-            method `paper` knows the plain one alone.
+            pushes speak for it (see `friction_laws`); takes about four times as long. The method `paper`
+            knows the plain one alone.
 
     Raises:
         DatasetError: there is no push to fit.
@@ -56,37 +54,29 @@ def identify(
         raise ValueError(f"unknown method {method!r}; choose one of {', '.join(METHODS)}")
     check_request(dataset, hypotheses)
     started = time.perf_counter()
-    report = progress or (lambda stage, done, total: None)
+    report = progress or silent
     report("preparing pushes", 0, 1)
     observations = observe_all(dataset)
     report("preparing pushes", 1, 1)
     fitted = [observation for observation in observations if observation.role == "fit"]
 
     def laws_with(settings: PriorSettings) -> list[Law]:
-        return fit_laws(
-            dataset,
-            fitted,
-            settings,
-            FINGER_STARTS,
-            lambda done, total: report("fitting", done, total),
-            plain_only=not friction_laws,
-        )
+        own = partial(report, "fitting")
+        return fit_laws(dataset, fitted, settings, FINGER_STARTS, own, plain_only=not friction_laws)
 
     if method == "paper":
         from slipmap.models.inference.paper_method import identify_by_algorithm_1
 
         belief = identify_by_algorithm_1(dataset, hypotheses=hypotheses, seed=seed, progress=progress)
-        slider = Slider(dataset.grid, dataset.finger_radius, dataset.gravity, MEASURED_CONTACT)
-        prior = MapPrior(slider, prior_settings or PriorSettings(), dataset.mass)
+        prior = MapPrior(slider_for(dataset), prior_settings or PriorSettings(), dataset.mass)
         likelihood, information = Likelihood(prior, fitted, dataset.noise, LikelihoodSettings()), None
     else:
         laws = laws_with(prior_settings or SINGLE_CELLS)
         if prior_settings is None and laws[0].model_error == MODEL_ERRORS[0]:
             laws = laws_with(PriorSettings())
         likelihood, information = laws[0].ladder[-1]
-        belief = mixed_belief(
-            dataset, laws, hypotheses, seed, report, settings={"finger_starts": list(FINGER_STARTS)}
-        )
+        record = {"finger_starts": list(FINGER_STARTS)}
+        belief = mixed_belief(dataset, laws, hypotheses, seed, report, settings=record)
     predictions = predict_observations(belief, observations, progress)
     facts = quantities(belief, likelihood, information)
     shares = belief.settings.get("friction_laws", {})

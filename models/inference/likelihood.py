@@ -1,4 +1,4 @@
-"""How badly a model misses the measured pushes, and which way to go: robust costs and their normal equations.
+"""The forgiving likelihood: how badly a model misses measured pushes, and which way to go.
 
 Poses are compared at the cells' centroid as (dx, dy, ρ dθ), ρ being the cells' radius of gyration, so that
 its norm is close to ADD. A rollout of the right model misses a measured push by the sensors' noise and by
@@ -6,8 +6,8 @@ what no such model knows, which grows with the way travelled:
 
     σ² = σ_noise² + σ_0² + (α travel)²
 
-Residuals along a push are one story told many times, so a push counts as a few independent poses, however
-densely it was sampled. Huber's cost keeps a push that the model cannot explain from deciding everything.
+Residuals along a push are correlated, so a push counts as a few independent poses, however densely it was
+sampled. Huber's cost keeps a push that the model cannot explain from deciding everything.
 The start pose of each push is known only as well as the tracker sees it; its offset is solved for along
 with the maps and eliminated from their equations (Schur complement).
 """
@@ -19,7 +19,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from slipmap.models.geometry import radius_of_gyration
+from slipmap.models.geometry import radius_of_gyration, rotated
 from slipmap.models.inference.observations import Observation
 from slipmap.models.inference.prior import MapPrior
 from slipmap.models.measurements import Noise
@@ -80,7 +80,7 @@ class Likelihood:
         prior: coordinates of the maps.
         observations: B pushes.
         noise: of the sensors, where declared.
-        settings: trust.
+        settings: what the data are trusted with.
     """
 
     def __init__(
@@ -105,6 +105,7 @@ class Likelihood:
         self.start_sigma = start
         self._pushes = [observation.push for observation in self.observations]
         self._starts = np.array([push.start_pose for push in self._pushes])
+        self._twists = np.array([push.start_twist for push in self._pushes])
 
     def _pose_sigma(self, observation: Observation, noise: Noise) -> FloatArray:
         s = self.settings
@@ -115,8 +116,7 @@ class Likelihood:
     def _force_sigma(self, observation: Observation, noise: Noise) -> float:
         if not observation.sliding.any():
             return np.inf
-        typical = float(np.median(np.hypot(*observation.forces[observation.sliding].T)))
-        return float(np.hypot(self.settings.force_error * typical, noise.force or 0.0))
+        return float(np.hypot(self.settings.force_error * observation.typical_force, noise.force or 0.0))
 
     def log_widths(self) -> float:
         """Σ log σ of all residuals, counted as often as in the costs; its negative normalises densities."""
@@ -130,27 +130,6 @@ class Likelihood:
                 total += 2.0 * min(s.independent_forces, observation.sliding.sum()) * float(np.log(force))
         return total
 
-    def residuals(self, rollouts: Rollouts, push: int) -> FloatArray:
-        """(K, S, 3) predicted minus measured, (dx, dy, ρ dθ) at the cells' centroid, m."""
-        measured = self.observations[push].poses
-        predicted = rollouts.poses_of(push)
-        here, there = self._at_centroid(predicted), self._at_centroid(measured)
-        return np.concatenate(
-            [here - there, self._radius * (predicted[..., 2:] - measured[..., 2:])], axis=-1
-        )
-
-    def _at_centroid(self, poses: FloatArray) -> FloatArray:
-        return poses[..., :2] + self._arm(poses)
-
-    def _arm(self, poses: FloatArray) -> FloatArray:
-        c, s = np.cos(poses[..., 2]), np.sin(poses[..., 2])
-        x, y = self._centroid
-        return np.stack([c * x - s * y, s * x + c * y], axis=-1)
-
-    def cost(self, z: FloatArray, offsets: FloatArray, strength: FloatArray) -> FloatArray:
-        """(K, B) costs alone."""
-        return self._evaluate(z, offsets, strength, None)[0]
-
     def linearise(
         self, z: FloatArray, offsets: FloatArray, strength: FloatArray, weights: FloatArray
     ) -> NormalEquations:
@@ -162,61 +141,29 @@ class Likelihood:
             strength: (K,) see `MapPrior.maps`.
             weights: (K, B) weight of each push in each hypothesis' equations; 0 leaves it out.
         """
-        cost, equations = self._evaluate(z, offsets, strength, weights)
-        assert equations is not None
-        return NormalEquations(cost, *equations)
-
-    def _evaluate(
-        self, z: FloatArray, offsets: FloatArray, strength: FloatArray, weights: FloatArray | None
-    ) -> tuple[FloatArray, tuple[FloatArray, ...] | None]:
         prior = self.prior
         K, d, B = len(z), prior.size, len(self.observations)
         maps = prior.maps(z, strength)
-        starts = self._starts[None] + offsets
-        twists = np.broadcast_to(np.array([push.start_twist for push in self._pushes]), (K, B, 3))
-        derive = weights is not None
         rollouts = prior.slider.rollout(
-            maps, self._pushes, sensitivities=derive, start_poses=starts, start_twists=twists
+            maps,
+            self._pushes,
+            sensitivities=True,
+            start_poses=self._starts[None] + offsets,
+            start_twists=np.broadcast_to(self._twists, (K, B, 3)),
         )
         scaled_offsets = offsets / self.start_sigma
         cost = 0.5 * (scaled_offsets**2).sum(axis=-1)
-        if weights is not None:
-            # Normal equations by the rollout's own columns, which are fewer than the coordinates.
-            columns, start = prior.columns(maps, strength), prior.start_columns
-            by_column = columns.transpose(0, 2, 1)
-            P = columns.shape[1]
-            reduced_hessian, reduced_gradient = np.zeros((K, P, P)), np.zeros((K, P))
-            gains = np.empty((B, K, 3, 3))
-            start_gradients = np.empty((B, K, 3))
-            couplings = np.empty((B, K, d, 3))
-        for b, observation in enumerate(self.observations):
-            error = self.residuals(rollouts, b)
-            share = min(1.0, self.settings.independent / error.shape[1])
-            weight, push_cost = self._robust(np.linalg.norm(error, axis=-1) / self._sigmas[b])
-            cost[:, b] += share * push_cost.sum(axis=1)
-            sliding = observation.sliding
-            if sliding.any():
-                force_error = rollouts.forces_of(b)[:, sliding] - observation.forces[sliding]
-                force_share = min(1.0, self.settings.independent_forces / sliding.sum())
-                force_weight, force_cost = self._robust(
-                    np.linalg.norm(force_error, axis=-1) / self._force_sigmas[b]
-                )
-                cost[:, b] += force_share * force_cost.sum(axis=1)
-            if weights is None:
-                continue
-            root = np.sqrt(share * weight) / self._sigmas[b]
-            J = rollouts.d_poses[:, rollouts.pose_at[b] : rollouts.pose_at[b + 1]].copy()
-            arm = self._arm(rollouts.poses_of(b))
-            J[:, :, 0] -= arm[..., 1:] * J[:, :, 2]
-            J[:, :, 1] += arm[..., :1] * J[:, :, 2]
-            J[:, :, 2] *= self._radius
-            J = (J * root[..., None, None]).reshape(K, -1, J.shape[-1])
-            r = (error * root[..., None]).reshape(K, -1)
-            if sliding.any():
-                root = np.sqrt(force_share * force_weight) / self._force_sigmas[b]
-                JF = rollouts.d_forces[:, rollouts.force_at[b] : rollouts.force_at[b + 1]][:, sliding]
-                J = np.concatenate([J, (JF * root[..., None, None]).reshape(K, -1, J.shape[-1])], axis=1)
-                r = np.concatenate([r, (force_error * root[..., None]).reshape(K, -1)], axis=1)
+        # Normal equations by the rollout's own columns, which are fewer than the coordinates.
+        columns, start = prior.columns(maps, strength), prior.start_columns
+        by_column = columns.transpose(0, 2, 1)
+        P = columns.shape[1]
+        reduced_hessian, reduced_gradient = np.zeros((K, P, P)), np.zeros((K, P))
+        gains, start_gradients = np.empty((B, K, 3, 3)), np.empty((B, K, 3))
+        couplings = np.empty((B, K, d, 3))
+        for b in range(B):
+            J, r, costs = self._whitened(rollouts, b)
+            for part in costs:
+                cost[:, b] += part
             transposed = J.transpose(0, 2, 1)
             full = transposed @ J
             slope = (transposed @ r[..., None])[..., 0]
@@ -228,11 +175,39 @@ class Likelihood:
             reduced_hessian += w[:, None, None] * (full - coupling @ gain @ coupling.transpose(0, 2, 1))
             reduced_gradient += w[:, None] * (slope - (coupling @ gain @ start_gradient[..., None])[..., 0])
             gains[b], start_gradients[b], couplings[b] = gain, start_gradient, by_column @ coupling
-        if weights is None:
-            return cost, None
         hessian = by_column @ reduced_hessian @ columns
         gradient = (by_column @ reduced_gradient[..., None])[..., 0]
-        return cost, (hessian, gradient, gains, start_gradients, couplings)
+        return NormalEquations(cost, hessian, gradient, gains, start_gradients, couplings)
+
+    def _whitened(self, rollouts: Rollouts, b: int) -> tuple[FloatArray, FloatArray, list[FloatArray]]:
+        """Jacobians (K, R, P) and residuals (K, R) of one push, over standard deviations and with Huber's
+        weights; and the costs (K,) of its poses and, where any count, of its forces."""
+        observation, settings = self.observations[b], self.settings
+        measured, predicted = observation.poses, rollouts.poses_of(b)
+        arm = rotated(self._centroid, predicted[..., 2])
+        here, there = predicted[..., :2] + arm, measured[..., :2] + rotated(self._centroid, measured[..., 2])
+        turn = self._radius * (predicted[..., 2:] - measured[..., 2:])
+        error = np.concatenate([here - there, turn], axis=-1)
+        by_object = rollouts.d_poses[:, rollouts.pose_at[b] : rollouts.pose_at[b + 1]]
+        slopes = slopes_at_centroid(by_object, arm, self._radius)
+        groups: list[tuple[FloatArray, FloatArray, FloatArray | float, float]] = [
+            (error, slopes, self._sigmas[b], settings.independent)
+        ]
+        sliding = observation.sliding
+        if sliding.any():
+            error = rollouts.forces_of(b)[:, sliding] - observation.forces[sliding]
+            slopes = rollouts.d_forces[:, rollouts.force_at[b] : rollouts.force_at[b + 1]][:, sliding]
+            groups.append((error, slopes, self._force_sigmas[b], settings.independent_forces))
+        jacobians, residuals, costs = [], [], []
+        K, P = len(predicted), slopes.shape[-1]
+        for error, slopes, sigma, independent in groups:
+            share = min(1.0, independent / error.shape[1])
+            weight, cost = self._robust(np.linalg.norm(error, axis=-1) / sigma)
+            root = np.sqrt(share * weight) / sigma
+            jacobians.append((slopes * root[..., None, None]).reshape(K, -1, P))
+            residuals.append((error * root[..., None]).reshape(K, -1))
+            costs.append(share * cost.sum(axis=1))
+        return np.concatenate(jacobians, axis=1), np.concatenate(residuals, axis=1), costs
 
     def _robust(self, scaled: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Huber's weight and cost of residual norms in standard deviations."""
@@ -240,3 +215,18 @@ class Likelihood:
         beyond = scaled > limit
         weight = np.where(beyond, limit / np.maximum(scaled, 1e-300), 1.0)
         return weight, np.where(beyond, limit * (scaled - 0.5 * limit), 0.5 * scaled**2)
+
+
+def slopes_at_centroid(slopes: FloatArray, arm: FloatArray, radius: float) -> FloatArray:
+    """(K, S, 3, P) derivatives of (x, y, ρ θ) of the cells' centroid, from those of the object frame's pose.
+
+    Args:
+        slopes: (K, S, 3, P) of x, y, θ.
+        arm: (K, S, 2) from the frame's origin to the centroid, world, m.
+        radius: ρ, m.
+    """
+    result = slopes.copy()
+    result[:, :, 0] -= arm[..., 1:] * result[:, :, 2]
+    result[:, :, 1] += arm[..., :1] * result[:, :, 2]
+    result[:, :, 2] *= radius
+    return result

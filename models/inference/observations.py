@@ -1,4 +1,4 @@
-"""From a recorded trial to what identification compares: a push to simulate, poses and forces to match."""
+"""From a trial to what inference compares of it: a push to simulate, poses and forces to match."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.ndimage import binary_erosion, uniform_filter1d
 
+from slipmap.models.geometry import rotated
 from slipmap.models.measurements import PushDataset, Trial, finger_path, pose_times, wrench_samples
 from slipmap.models.measurements.motion import smooth_track
 from slipmap.models.physics.cell_grid import FloatArray
@@ -20,13 +21,9 @@ SAMPLES = 30
 AVERAGED, DENSE = 5, 100
 """Rows of the tracker that an observed pose is the mean of, in trials of more than so many rows."""
 
-_APART = 2
-"""Rows of force between one that counts and the touch or the stop: a sensor that reports means over 20 ms
-moves what happens within a few into the next row."""
-
 LONGEST_STEP = 0.01  # s
 LONGEST_STRIDE = 6e-4  # m that the finger may move in a step
-SLIDING_STEP = 2e-3  # s, for an object that starts in motion
+_SLIDING_STEP = 2e-3  # s, for an object that starts in motion
 
 MEASURED_CONTACT = Smoothing(penetration=1e-4, relaxation=1.2e-2)
 """Contact for recorded fingers: a tenth of a millimetre of give, as fingers have, lets the rest of the jitter
@@ -64,6 +61,11 @@ class Observation:
         """(S,) ADD between each measured pose and the start, m."""
         return add(self.poses, self.push.start_pose, centers)
 
+    @property
+    def typical_force(self) -> float:
+        """Median size of the forces that count, of which there are some, N."""
+        return float(np.median(np.hypot(*self.forces[self.sliding].T)))
+
 
 def observe(trial: Trial, order: int = 0, coarseness: float = 1.0) -> Observation:
     """Prepare one trial: smooth the finger's track, choose the step, average rows, mask forces.
@@ -76,19 +78,16 @@ def observe(trial: Trial, order: int = 0, coarseness: float = 1.0) -> Observatio
     times = pose_times(trial)
     duration = float(times[-1])
     twist = trial.initial_velocity()
-    track_time, track = finger_path(trial)
-    track_time, track = smooth_track(track_time, track)
+    track_time, track = smooth_track(*finger_path(trial))
     speed = _fast_speed(track_time, track) if trial.has_finger else 0.0
     step = min(LONGEST_STEP, LONGEST_STRIDE / speed) if speed > 0 else LONGEST_STEP
     if twist.any():
-        step = min(step, SLIDING_STEP)
+        step = min(step, _SLIDING_STEP)
     step *= coarseness
     steps = max(8, int(np.ceil(duration / step)))
     step = duration / steps
     ends = step * np.arange(steps + 1)
-    tip = np.column_stack([np.interp(ends, track_time, column) for column in track.T])
-    if not trial.has_finger:
-        tip[:] = np.nan
+    tip = interpolated(ends, track_time, track) if trial.has_finger else np.full((steps + 1, 2), np.nan)
 
     start, start_rows = trial.object_pose.values[0].copy(), 1
     if not trial.ends_only and not twist.any():
@@ -96,12 +95,11 @@ def observe(trial: Trial, order: int = 0, coarseness: float = 1.0) -> Observatio
     rows = np.unique(np.linspace(0, len(times) - 1, SAMPLES + 1).astype(int))[1:]
     poses, pose_rows = _averaged_rows(trial.object_pose.values, rows)
     force_times, forces, force_rows = _force_rows(trial)
-    c, s = np.cos(start[2]), np.sin(start[2])
     push = Push(
         step,
         tip,
         start,
-        np.array([c * twist[0] + s * twist[1], c * twist[1] - s * twist[0], twist[2]]),
+        np.append(rotated(twist[:2], -start[2]), twist[2]),
         pose_times=np.minimum(times[rows], steps * step),
         force_times=np.minimum(force_times, steps * step),
         order=float(order),
@@ -120,18 +118,23 @@ def observe_all(
     return [observe(trial, order.get(trial.name, 0), coarseness) for trial in chosen]
 
 
+def interpolated(wanted: np.ndarray, times: np.ndarray, values: FloatArray) -> FloatArray:
+    """(N, c) values (M, c) of ascending times (M,) at wanted times (N,), linear in between."""
+    return np.column_stack([np.interp(wanted, times, column) for column in values.T])
+
+
 def _fast_speed(time: FloatArray, track: FloatArray) -> float:
     """Speed that the finger hardly exceeds (98th percentile), over 50 ms so that jitter does not count."""
     grid = np.arange(time[0], time[-1], 0.01)
     if len(grid) < 7:
         return float(np.hypot(*(track[-1] - track[0])) / max(time[-1] - time[0], 1e-9))
-    x, y = (np.interp(grid, time, column) for column in track.T)
+    x, y = interpolated(grid, time, track).T
     return float(np.percentile(np.hypot(x[5:] - x[:-5], y[5:] - y[:-5]) / 0.05, 98))
 
 
 def _resting_pose(poses: FloatArray) -> tuple[FloatArray, int]:
     """Mean of the rows before the object moves, so that noise of the first row does not shift the push; and
-    how many they are."""
+    their number."""
     jitter = 3.0 * float(np.median(np.abs(np.diff(poses[:, :2], axis=0)))) + 1e-4
     calm = uniform_filter1d(poses, 5, axis=0, mode="nearest")
     moved = np.hypot(*(calm[:, :2] - calm[0, :2]).T) + 0.03 * np.abs(calm[:, 2] - calm[0, 2])
@@ -141,8 +144,7 @@ def _resting_pose(poses: FloatArray) -> tuple[FloatArray, int]:
 
 
 def _averaged_rows(poses: FloatArray, rows: np.ndarray) -> tuple[FloatArray, FloatArray]:
-    """Poses at some rows, each the mean of several where rows are dense, and of how many; the mean keeps
-    their time."""
+    """Poses at some rows, each the mean of several around it where rows are dense, and of how many."""
     half = AVERAGED // 2 if len(poses) > DENSE else 0
     inner = (rows >= half) & (rows < len(poses) - half)
     reach = np.where(inner, half, 0)
@@ -165,7 +167,7 @@ def _force_rows(trial: Trial) -> tuple[FloatArray, FloatArray, FloatArray]:
 
 
 def _sliding(push: Push, forces: FloatArray) -> np.ndarray:
-    """Rows of force in steady pushing: finger fast, force present, and so in the rows around."""
+    """Which rows of force are of steady pushing: finger fast, force present, and so in the rows around."""
     if len(forces) == 0 or np.isnan(push.tip).any():
         return np.zeros(len(forces), dtype=bool)
     speed = np.hypot(*np.diff(push.tip, axis=0).T) / push.h
@@ -173,4 +175,6 @@ def _sliding(push: Push, forces: FloatArray) -> np.ndarray:
     at = np.clip((push.force_times / push.h).astype(int), 0, len(speed) - 1)
     size = np.hypot(*forces.T)
     steady = (speed[at] > 0.2 * speed.max()) & (size > 0.2 * np.percentile(size, 90))
-    return binary_erosion(steady, np.ones(2 * _APART + 1))
+    # A sensor that reports means over 20 ms moves what happens within a few into the next row.
+    apart = 2
+    return binary_erosion(steady, np.ones(2 * apart + 1))

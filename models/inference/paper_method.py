@@ -29,31 +29,32 @@ of whole trajectories.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import partial
 
 import numba
 import numpy as np
 
+from slipmap.models.geometry import rotated
 from slipmap.models.inference.belief import Belief
-from slipmap.models.inference.observations import MEASURED_CONTACT
+from slipmap.models.inference.observations import interpolated
+from slipmap.models.inference.prior import slider_for
 from slipmap.models.measurements import DatasetError, PushDataset, Trial, finger_path, pose_times
 from slipmap.models.measurements.motion import smooth_track
 from slipmap.models.physics.cell_grid import FloatArray
 from slipmap.models.physics.paper_notation import cell_poses
 from slipmap.models.physics.rollout import Maps, Push, Slider
+from slipmap.models.progress import Progress, StageProgress, silent
 
-# A recorded push as equal time steps and velocities between them: what Algorithm 1 learns from.
-
-
-STEPS = 20
-"""Time steps a recorded push is cut into. In shorter ones the object moves less than trackers err."""
+_STEPS = 20
+"""Time steps a trial is cut into. In shorter ones the object moves less than trackers err."""
 
 
 @dataclass(frozen=True, eq=False)
-class ObservedPush:
-    """A recorded push at T + 1 times, dt apart.
+class EqualSteps:
+    """A trial at T + 1 times, dt apart: what Algorithm 1 learns from.
 
     Attributes:
         dt: s.
@@ -83,9 +84,8 @@ class ObservedPush:
     def twists(self) -> FloatArray:
         """(T, 3) ẋ^g_t in the object frame: the constant twist that moves pose t to pose t + 1 in dt."""
         half = 0.5 * np.diff(self.poses[:, 2])
-        dx, dy = np.diff(self.poses[:, :2], axis=0).T / np.sinc(half / np.pi)
-        c, s = np.cos(self.poses[:-1, 2] + half), np.sin(self.poses[:-1, 2] + half)
-        return np.stack([c * dx + s * dy, c * dy - s * dx, 2.0 * half], axis=-1) / self.dt
+        chord = np.diff(self.poses[:, :2], axis=0) / np.sinc(half / np.pi)[:, None]
+        return np.column_stack([rotated(chord, -(self.poses[:-1, 2] + half)), 2.0 * half]) / self.dt
 
     def transitions(self) -> list[Push]:
         """T - 1 single steps: number t starts in the observed (x_{t+1}, ẋ_t) and predicts x_{t+2}."""
@@ -95,35 +95,28 @@ class ObservedPush:
         ]
 
 
-def observe_steps(trial: Trial) -> ObservedPush:
+def observe_steps(trial: Trial) -> EqualSteps:
     """A trial of three poses or more at equal times, linear between rows, the finger's track smoothed."""
     times = pose_times(trial)
-    steps = min(STEPS, len(times) - 1)
+    steps = min(_STEPS, len(times) - 1)
     ends = np.linspace(0.0, times[-1], steps + 1)
-    track_times, track = smooth_track(*finger_path(trial))
-    tip = np.column_stack([np.interp(ends, track_times, column) for column in track.T])
-    if not trial.has_finger:
-        tip[:] = np.nan
-    return ObservedPush(float(times[-1]) / steps, trial.object_pose.at(trial.start + ends), tip)
+    tip = np.full((steps + 1, 2), np.nan)
+    if trial.has_finger:
+        tip = interpolated(ends, *smooth_track(*finger_path(trial)))
+    return EqualSteps(float(times[-1]) / steps, trial.object_pose.at(trial.start + ends), tip)
 
-
-HYPOTHESES = 20
 
 FLOOR = 1e-4
 """Lower bound of masses and frictions as a share of their upper bounds."""
 
-EPOCHS = 10
-RATE = 0.03
+_EPOCHS = 10
+_RATE = 0.03
 """Learning rate times the mean |W|²: about the share of a step's error that one update removes."""
 
-TEMPERATURE = 0.01
+_TEMPERATURE = 0.01
 """Soft-max temperature as a share of the loss of an object that never moves."""
 
-MU_MAX = 1.0
-MU_FINGER = 0.35
-NOMINAL_MASS = 1.0  # kg, of an object that nobody weighed
-
-Progress = Callable[[int, int], None]
+_NOMINAL_MASS = 1.0  # kg, of an object that nobody weighed
 
 
 def bound_schedule(hypotheses: int, mass_max: float, mu_max: float) -> tuple[FloatArray, FloatArray]:
@@ -168,18 +161,18 @@ def _one_thread() -> Iterator[None]:
 @_one_thread()
 def algorithm_1(
     slider: Slider,
-    pushes: Sequence[ObservedPush],
+    pushes: Sequence[EqualSteps],
     *,
-    hypotheses: int = HYPOTHESES,
+    hypotheses: int = 20,
     mass_max: float,
     mu_max: float,
     mu_finger: float,
     learning_rate: float,
     temperature: float,
     epochs: int = 1,
-    progress: Progress | None = None,
+    progress: StageProgress | None = None,
 ) -> tuple[Maps, FloatArray, FloatArray]:
-    """K models of an object from recorded pushes; the head of this file tells how the printed lines are read.
+    """K models of an object from recorded pushes; the head of this file says how the printed lines are read.
 
     Args:
         slider: the object and its step V.
@@ -245,16 +238,16 @@ def algorithm_1(
 def identify_by_algorithm_1(
     dataset: PushDataset,
     *,
-    hypotheses: int = HYPOTHESES,
+    hypotheses: int = 20,
     seed: int = 0,
-    progress: Callable[[str, int, int], None] | None = None,
+    progress: Progress | None = None,
 ) -> Belief:
     """Algorithm 1 on the fit pushes of a dataset, with parameters that suit small and heavy objects alike.
 
     Each push is cut into equal steps, see `observe_steps`. A cell's mass is at most twice
-    the object's mass (`NOMINAL_MASS` where nobody weighed it) over n, so that the first half of the models
+    the object's mass (`_NOMINAL_MASS` where nobody weighed it) over n, so that the first half of the models
     start from the known mass; nothing holds them to it. Learning rate and temperature follow from the
-    pushes, see `RATE` and `TEMPERATURE`. Forces are not used.
+    pushes, see `_RATE` and `_TEMPERATURE`. Forces are not used.
 
     Args:
         dataset: measured pushes. Trials with fewer than three poses show no time steps and are left out.
@@ -272,10 +265,10 @@ def identify_by_algorithm_1(
             f"dataset {dataset.name}: Algorithm 1 compares single time steps and needs a fit push with three "
             "poses or more; use the method gauss-newton for pushes of which only the ends are known"
         )
-    slider = Slider(dataset.grid, dataset.finger_radius, dataset.gravity, MEASURED_CONTACT)
+    slider = slider_for(dataset)
     pushes = [observe_steps(trial) for trial in trials]
-    total = dataset.mass if dataset.mass is not None else NOMINAL_MASS
-    parameters = {"mass_max": 2.0 * total / len(dataset.grid), "mu_max": MU_MAX, "mu_finger": MU_FINGER}
+    total = dataset.mass if dataset.mass is not None else _NOMINAL_MASS
+    parameters = {"mass_max": 2.0 * total / len(dataset.grid), "mu_max": 1.0, "mu_finger": 0.35}
     still = _loss_of_rest(pushes, dataset.grid.centers)
     square = _mean_square_weight(slider, pushes, **parameters)
     if still == 0 or square == 0:
@@ -283,15 +276,14 @@ def identify_by_algorithm_1(
             f"dataset {dataset.name}: no fit push moves the object, so there is nothing to learn from; give "
             "pushes in which the finger reaches the outline"
         )
-    parameters |= {"learning_rate": RATE / square, "temperature": TEMPERATURE * still}
-    report = progress or (lambda stage, done, total: None)
+    parameters |= {"learning_rate": _RATE / square, "temperature": _TEMPERATURE * still}
     maps, loss, probability = algorithm_1(
         slider,
         pushes,
         hypotheses=hypotheses,
         **parameters,
-        epochs=EPOCHS,
-        progress=lambda done, total: report("Algorithm 1", done, total),
+        epochs=_EPOCHS,
+        progress=partial(progress or silent, "Algorithm 1"),
     )
     return Belief.learnt(
         dataset,
@@ -304,10 +296,10 @@ def identify_by_algorithm_1(
         settings={
             "left_out": [trial.name for trial in dataset.fit_trials if trial not in trials],
             "steps": [len(push.poses) - 1 for push in pushes],
-            "epochs": EPOCHS,
+            "epochs": _EPOCHS,
             "floor": FLOOR,
-            "rate": RATE,
-            "temperature_share": TEMPERATURE,
+            "rate": _RATE,
+            "temperature_share": _TEMPERATURE,
             **parameters,
             "loss": loss.tolist(),
             "loss_of_rest": still,
@@ -315,14 +307,14 @@ def identify_by_algorithm_1(
     )
 
 
-def _loss_of_rest(pushes: Sequence[ObservedPush], centers: FloatArray) -> float:
+def _loss_of_rest(pushes: Sequence[EqualSteps], centers: FloatArray) -> float:
     """The loss of line 20 for an object that stays where it is first seen."""
     x = [cell_poses(push.poses, centers) for push in pushes]
     return float(sum(np.linalg.norm(poses[2:] - poses[1], axis=1).sum() for poses in x))
 
 
 def _mean_square_weight(
-    slider: Slider, pushes: Sequence[ObservedPush], *, mass_max: float, mu_max: float, mu_finger: float
+    slider: Slider, pushes: Sequence[EqualSteps], *, mass_max: float, mu_max: float, mu_finger: float
 ) -> float:
     """Mean of |W|² (Frobenius) over all steps of a uniform object, W by maps in units of their bounds."""
     n = len(slider.grid)

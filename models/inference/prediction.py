@@ -1,78 +1,29 @@
-"""Predict recorded pushes from their first pose, and judge the prediction against two simple ones.
+"""Predict recorded pushes from their first pose: poses and forces of all hypotheses of a belief.
 
-Hypotheses of a belief can part ways, where a push goes to one side of balance or to the other. Their mean
-then lies where none of them is, and follows those that go farthest astray. What is judged is ADD, a distance,
-and the expected distance is least at the geometric median.
-
-Everything that compares with measurements takes its predictions from here.
-
-Hypotheses are few, so that quantiles of them are too coarse. They are taken for draws from a normal
-distribution, with their weighted moments, and both are those for another draw: Student's interval and
-Hotelling's ellipse, for as many draws as the weights p leave, 1 / Σ p².
+Whatever compares with measurements takes its predictions from here. `predict` judges them by where the object
+ends, beside an object that does not move and a uniform one.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.special import stdtrit
-from scipy.stats import f
 
-from slipmap.models.geometry import at_centroid, from_centroid, radius_of_gyration
 from slipmap.models.inference.belief import Belief, BeliefError
 from slipmap.models.inference.observations import Observation, observe_all
-from slipmap.models.inference.results import PushPrediction
+from slipmap.models.inference.results import Prediction
+from slipmap.models.inference.summaries import middle_poses
 from slipmap.models.measurements import PushDataset
 from slipmap.models.physics.cell_grid import CellGrid, FloatArray
 from slipmap.models.physics.maps import Maps
 from slipmap.models.physics.paper_notation import add
 from slipmap.models.physics.pushes import Push
-
-# One pose for many that are believed: the one from which the true one is expected to be least far.
-
-
-_CLOSE = 1e-4  # m; nearer than this, a hypothesis pulls ever less
-_SETTLED = 1e-6  # m
-_STEPS = 100
+from slipmap.models.progress import Progress, silent
 
 
-def middle_poses(poses: FloatArray, probability: FloatArray, grid: CellGrid) -> FloatArray:
-    """Geometric median of planar poses, by the iteration of Weiszfeld (1937).
-
-    Distances are those of (x, y, ρ θ) at the cells' centroid, ρ being their radius of gyration: nearly ADD.
-
-    Args:
-        poses: (K, …, 3) of the object frame, m and rad; angles of one place do not wrap.
-        probability: (K,) sums to one.
-        grid: cells of the object.
-
-    Returns:
-        (…, 3) poses.
-    """
-    scale = np.array([1.0, 1.0, radius_of_gyration(grid)])
-    points = at_centroid(poses, grid) * scale
-    weight = probability.reshape(-1, *[1] * (points.ndim - 1))
-    middle = (weight * points).sum(axis=0)
-    for _ in range(_STEPS):
-        distance = np.linalg.norm(points - middle, axis=-1, keepdims=True)
-        pull = weight / np.sqrt(distance**2 + _CLOSE**2)
-        before, middle = middle, (pull * points).sum(axis=0) / pull.sum(axis=0)
-        if np.abs(middle - before).max(initial=0.0) < _SETTLED:
-            break
-    return from_centroid(middle / scale, grid)
-
-
-SIDEWAYS_SHIFT = 5e-4
-"""Shift of the start by which nearness to balance is judged, m."""
-
-Progress = Callable[[str, int, int], None]
-
-
-def predict(
-    belief: Belief, dataset: PushDataset, progress: Progress | None = None
-) -> tuple[PushPrediction, ...]:
+def predict(belief: Belief, dataset: PushDataset, progress: Progress | None = None) -> tuple[Prediction, ...]:
     """Roll every hypothesis out along every recorded push, from the push's first pose.
 
     Args:
@@ -104,13 +55,11 @@ def check_same_object(belief: Belief, dataset: PushDataset) -> None:
 
 def predict_observations(
     belief: Belief, observations: Sequence[Observation], progress: Progress | None = None
-) -> tuple[PushPrediction, ...]:
-    """The same for observations that are prepared already."""
-    slider = belief.slider
-    centers = belief.grid.centers
-    maps = belief.maps
+) -> tuple[Prediction, ...]:
+    """`predict` for observations that are prepared already."""
+    slider, centers, maps = belief.slider, belief.grid.centers, belief.maps
     pushes = [observation.push for observation in observations]
-    report = progress or (lambda stage, done, total: None)
+    report = progress or silent
     report("predicting", 0, 3)
     rollouts = slider.rollout(maps, pushes)
     report("predicting", 1, 3)
@@ -118,7 +67,8 @@ def predict_observations(
     report("predicting", 2, 3)
     best = int(np.argmax(belief.probability))
     likeliest = maps[best : best + 1]
-    shifted = [slider.rollout(likeliest, _shifted(pushes, sign)).end[0, :, :3] for sign in (-1.0, 1.0)]
+    shift = 5e-4  # m by which the start is shifted, to judge how near to balance it is
+    shifted = [slider.rollout(likeliest, _shifted(pushes, s * shift)).end[0, :, :3] for s in (-1.0, 1.0)]
     ends = slider.rollout(likeliest, pushes).end[0, :, :3]
     report("predicting", 3, 3)
     results = []
@@ -126,8 +76,9 @@ def predict_observations(
         hypotheses = rollouts.poses_of(b)
         middle = middle_poses(hypotheses, belief.probability, belief.grid)
         last = observation.poses[-1]
+        moved = float(np.mean([add(end[b], ends[b], centers) for end in shifted]) / shift)
         results.append(
-            PushPrediction(
+            Prediction(
                 trial=observation.trial,
                 role=observation.role,
                 times=np.asarray(observation.push.pose_times),
@@ -138,9 +89,7 @@ def predict_observations(
                 spread=float(belief.probability @ add(hypotheses[:, -1], middle[-1], centers)),
                 no_motion_add=float(add(observation.push.start_pose, last, centers)),
                 uniform_add=float(add(uniform.poses_of(b)[0, -1], last, centers)),
-                start_sensitivity=float(
-                    np.mean([add(end[b], ends[b], centers) for end in shifted]) / SIDEWAYS_SHIFT
-                ),
+                start_sensitivity=moved,
             )
         )
     return tuple(results)
@@ -158,26 +107,21 @@ def uniform_maps(belief: Belief) -> Maps:
     return Maps(np.full((1, n), mass / n), np.full((1, n), load / mass), np.array([finger]), effects[None])
 
 
-def _shifted(pushes: Sequence[Push], sign: float) -> list[Push]:
+def _shifted(pushes: Sequence[Push], shift: float) -> list[Push]:
     """The same pushes with the finger moved sideways of its path, which is as good as moving the object."""
     result = []
     for push in pushes:
         path = push.tip[-1] - push.tip[0]
         length = float(np.hypot(*path))
-        if not np.isfinite(length) or length == 0.0:
-            result.append(push)
-            continue
-        sideways = np.array([-path[1], path[0]]) / length * SIDEWAYS_SHIFT * sign
-        result.append(replace(push, tip=push.tip + sideways))
+        if np.isfinite(length) and length > 0.0:
+            push = replace(push, tip=push.tip + np.array([-path[1], path[0]]) / length * shift)
+        result.append(push)
     return result
 
 
-# What a model says of recorded pushes: poses and forces of all its hypotheses, and of the two baselines.
-
-
 @dataclass(frozen=True, eq=False)
-class PredictedMotion:
-    """One push as K hypotheses predict it from its first pose.
+class Motion:
+    """What K hypotheses say of one push from its first pose on.
 
     Attributes:
         poses: (K, S, 3) world poses at the observation's pose times, m and rad.
@@ -190,7 +134,7 @@ class PredictedMotion:
     probability: FloatArray
 
     def middle_poses(self, grid: CellGrid) -> FloatArray:
-        """(S, 3) in the middle of the hypotheses: the prediction that is judged, see `middle_pose`."""
+        """(S, 3) in the middle of the hypotheses: the prediction that is judged."""
         return middle_poses(self.poses, self.probability, grid)
 
     @property
@@ -204,73 +148,19 @@ class PredictedMotion:
         return self.poses[int(np.argmax(self.probability))]
 
 
-PredictMotion = Callable[[Belief, Sequence[Observation]], tuple[PredictedMotion, ...]]
-"""What `compare` asks for predictions: every hypothesis of a belief along every push."""
-
-
-def predicted_motion(belief: Belief, observations: Sequence[Observation]) -> tuple[PredictedMotion, ...]:
+def predicted_motion(belief: Belief, observations: Sequence[Observation]) -> tuple[Motion, ...]:
     """Every hypothesis of a belief, rolled out along every push from its first pose."""
     return _motion(belief, belief.maps, belief.probability, observations)
 
 
-def uniform_motion(belief: Belief, observations: Sequence[Observation]) -> tuple[PredictedMotion, ...]:
-    """The baseline of a uniform object with the belief's mass, friction and finger."""
+def uniform_motion(belief: Belief, observations: Sequence[Observation]) -> tuple[Motion, ...]:
+    """The same of the baseline, a uniform object with the belief's mass, friction and finger."""
     return _motion(belief, uniform_maps(belief), np.ones(1), observations)
 
 
 def _motion(
     belief: Belief, maps: Maps, probability: FloatArray, observations: Sequence[Observation]
-) -> tuple[PredictedMotion, ...]:
-    rollouts = belief.slider.rollout(maps, [observation.push for observation in observations])
-    return tuple(
-        PredictedMotion(rollouts.poses_of(b), rollouts.forces_of(b), probability)
-        for b in range(len(observations))
-    )
-
-
-# Where a quantity lies by what the hypotheses say of it: intervals on a line, regions in the plane.
-
-
-def interval(
-    values: FloatArray, probability: FloatArray, *, level: float = 0.9, log: bool = False
-) -> tuple[float, float, float]:
-    """Weighted median and central interval of draws.
-
-    Args:
-        values: (K,).
-        probability: (K,) weights.
-        level: share of cases in which the truth shall lie inside.
-        log: whether it is the logarithm that is normally distributed.
-    """
-    x = np.log(np.maximum(values, 1e-300)) if log else values
-    mean = float(probability @ x)
-    effective = max(2.0, _effective_number(probability))
-    variance = float(probability @ (x - mean) ** 2) * effective / (effective - 1.0)
-    width = float(stdtrit(effective - 1.0, 0.5 + 0.5 * level)) * np.sqrt(variance * (1.0 + 1.0 / effective))
-    order = np.argsort(x)
-    middle = float(x[order][np.searchsorted(np.cumsum(probability[order]), 0.5)])
-    low, high = mean - width, mean + width
-    return (float(np.exp(middle)), float(np.exp(low)), float(np.exp(high))) if log else (middle, low, high)
-
-
-def in_region(point: FloatArray, points: FloatArray, probability: FloatArray, *, level: float = 0.9) -> bool:
-    """Whether a point lies in the ellipse that draws suggest; with hardly more than two, any does.
-
-    Args:
-        point: (2,).
-        points: (K, 2) draws.
-        probability: (K,) weights.
-        level: share of cases in which the truth shall lie inside.
-    """
-    count = _effective_number(probability)
-    if count <= 3.0:
-        return True  # so few say nothing of their spread
-    mean = probability @ points
-    off, around = point - mean, points - mean
-    spread = around.T @ (around * probability[:, None]) * count / (count - 1.0)
-    limit = 2.0 * (count**2 - 1.0) / (count * (count - 2.0)) * f.ppf(level, 2, count - 2.0)
-    return bool(off @ np.linalg.solve(spread, off) < limit)
-
-
-def _effective_number(probability: FloatArray) -> float:
-    return 1.0 / float(probability @ probability)
+) -> tuple[Motion, ...]:
+    found = belief.slider.rollout(maps, [observation.push for observation in observations])
+    every = range(len(observations))
+    return tuple(Motion(found.poses_of(b), found.forces_of(b), probability) for b in every)

@@ -1,4 +1,5 @@
-"""How far a prediction is off, push by push: ADD, position, angle, fit in percent, force."""
+"""How far a prediction of one push is off: ADD, position, angle, fit in percent, force; and how far any would
+be, as sensors or repeated pushes tell."""
 
 from __future__ import annotations
 
@@ -8,8 +9,7 @@ from dataclasses import asdict, dataclass
 import numpy as np
 
 from slipmap.models.geometry import at_centroid, radius_of_gyration
-from slipmap.models.inference.observations import Observation
-from slipmap.models.inference.prediction import PredictedMotion
+from slipmap.models.inference.observations import Observation, interpolated
 from slipmap.models.measurements import Noise
 from slipmap.models.physics.cell_grid import CellGrid, FloatArray
 from slipmap.models.physics.paper_notation import add
@@ -80,16 +80,6 @@ def resting_errors(observation: Observation, grid: CellGrid) -> Errors:
     return errors(observation, still, None, grid)
 
 
-def motion_errors(
-    observations: Sequence[Observation], motions: Sequence[PredictedMotion], grid: CellGrid
-) -> list[Errors]:
-    """Errors of the judged prediction of each push."""
-    return [
-        errors(observation, motion.middle_poses(grid), motion.mean_forces, grid)
-        for observation, motion in zip(observations, motions, strict=True)
-    ]
-
-
 def nrmse_fit(measured: FloatArray, predicted: FloatArray) -> float:
     """Fit in percent of predicted rows (S, c); NaN where the measured rows do not vary (one row)."""
     spread = float(np.linalg.norm(measured - measured.mean(axis=0)))
@@ -100,19 +90,6 @@ def nrmse_fit(measured: FloatArray, predicted: FloatArray) -> float:
 
 def _rms(vectors: FloatArray) -> float:
     return float(np.sqrt((vectors**2).sum(axis=-1).mean()))
-
-
-# How well any model could do: the ADD that sensors alone, or repeated pushes among themselves, leave.
-
-
-SAME_PATH = 1.5e-3
-"""Two pushes are repeats where the fingers' tracks, seen from the objects' start, never part by more, m."""
-
-SAME_DURATION = 0.05
-"""…and where their durations differ by no more than this share."""
-
-POINTS = 21
-DRAWS = 2000
 
 
 @dataclass(frozen=True)
@@ -150,48 +127,44 @@ def noise_floor(
         return NoiseFloor(float(np.mean(scatter)), "repeats", len(scatter), names)
     if noise.position is None and noise.angle is None:
         return None
-    errors = rng.normal(size=(DRAWS, 3)) * [noise.position or 0.0, noise.position or 0.0, noise.angle or 0.0]
+    errors = rng.normal(size=(2000, 3)) * [noise.position or 0.0, noise.position or 0.0, noise.angle or 0.0]
     return NoiseFloor(float(add(errors, np.zeros(3), grid.centers).mean()), "declared noise", 0, ())
 
 
 def repeated_pushes(observations: Sequence[Observation]) -> list[list[int]]:
-    """Groups of pushes (two or more) that do the same to the object: same start and same finger path.
+    """Groups of pushes (two or more) that do the same to the object: the fingers' tracks, seen from the
+    objects' start, never part by more than 1.5 mm, and durations differ by no more than 5 %.
 
     Each push joins the first group whose first push it repeats.
     """
     groups: list[list[int]] = []
     tracks = [_track(observation) for observation in observations]
-    for b, track in enumerate(tracks):
-        if track is None:
-            continue
-        for group in groups:
-            if _same(observations[group[0]], tracks[group[0]], observations[b], track):
-                group.append(b)
-                break
-        else:
+    durations = [observation.push.h * (len(observation.push.tip) - 1) for observation in observations]
+
+    def repeats(b: int, first: int) -> bool:
+        one, other = tracks[b], tracks[first]
+        if one is None or other is None:
+            return False
+        if max(durations[b], durations[first]) > 1.05 * min(durations[b], durations[first]):
+            return False
+        return bool(np.hypot(*(other - one).T).max() < 1.5e-3)
+
+    for b in range(len(observations)):
+        group = next((group for group in groups if repeats(b, group[0])), None)
+        if group is None:
             groups.append([b])
+        else:
+            group.append(b)
     return [group for group in groups if len(group) > 1]
 
 
-def _same(first: Observation, track: FloatArray | None, other: Observation, repeat: FloatArray) -> bool:
-    assert track is not None
-    long, short = max(_duration(first), _duration(other)), min(_duration(first), _duration(other))
-    if long > (1 + SAME_DURATION) * short:
-        return False
-    return bool(np.hypot(*(track - repeat).T).max() < SAME_PATH)
-
-
-def _duration(observation: Observation) -> float:
-    return observation.push.h * (len(observation.push.tip) - 1)
-
-
 def _track(observation: Observation) -> FloatArray | None:
-    """(POINTS, 2) finger as seen from the object's start pose, evenly in time; None without a finger."""
+    """(21, 2) finger as seen from the object's start pose, evenly in time; None without a finger."""
     push = observation.push
     if np.isnan(push.tip).any() or push.start_twist.any():
         return None
-    rows = np.linspace(0, len(push.tip) - 1, POINTS)
-    tip = np.column_stack([np.interp(rows, np.arange(len(push.tip)), column) for column in push.tip.T])
+    rows = np.linspace(0, len(push.tip) - 1, 21)
+    tip = interpolated(rows, np.arange(len(push.tip)), push.tip)
     return _seen_from(push.start_pose, tip)
 
 

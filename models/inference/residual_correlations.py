@@ -1,4 +1,4 @@
-"""Memory of the residual, and what it has to do with the finger's motion.
+"""Memory of the residual, its correlation with the finger's motion, and the delay of measured poses.
 
 Within a push neighbouring residuals are alike, so the usual bounds ±1.96/√samples would find correlation
 anywhere. Here the bounds come from whole pushes: for the autocorrelation from pairing each push with
@@ -14,30 +14,31 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from slipmap.models.inference.observations import Observation
-from slipmap.models.inference.prediction import PredictedMotion
-from slipmap.models.inference.residual_structure import (
-    NEGLIGIBLE,
-    OUTLYING,
-    Pattern,
-    beyond,
-    described,
-    random_signs,
-    sign_flip_test,
-)
+from slipmap.models.inference.observations import Observation, interpolated
+from slipmap.models.inference.prediction import Motion
+from slipmap.models.inference.residual_structure import NEGLIGIBLE, OUTLYING, Pattern, described
 from slipmap.models.inference.residuals import centroid_tracks
+from slipmap.models.inference.sign_flips import beyond, random_signs, sign_flip_test
 from slipmap.models.physics.cell_grid import CellGrid, FloatArray
 
-LAG_STEP = 0.05
-"""Step between lags, s."""
+_LAG_STEP, _LONGEST_LAG = 0.05, 1.0  # s
+_DRAWS = 1999
+_LEAST_PUSHES = 4
 
-LONGEST_LAG = 1.0
-DRAWS = 1999
-LEAST_PUSHES = 4
+
+class _Fields:
+    def to_json(self) -> dict[str, object]:
+        """All fields."""
+        values = vars(self).items()
+        return {key: v.to_json() if isinstance(v, Correlation) else _plain(v) for key, v in values}
+
+
+def _plain(value: object) -> object:
+    return value.tolist() if isinstance(value, np.ndarray) else value
 
 
 @dataclass(frozen=True, eq=False)
-class Correlation:
+class Correlation(_Fields):
     """Correlation over lags, with what chance gives.
 
     Attributes:
@@ -54,15 +55,9 @@ class Correlation:
     bounds: FloatArray
     p: float
 
-    def to_json(self) -> dict[str, object]:
-        """All fields."""
-        return {
-            key: value.tolist() if hasattr(value, "tolist") else value for key, value in vars(self).items()
-        }
-
 
 @dataclass(frozen=True, eq=False)
-class Correlations:
+class Correlations(_Fields):
     """All correlations of one comparison.
 
     Attributes:
@@ -79,13 +74,6 @@ class Correlations:
     memory_time: float
     independent: float
 
-    def to_json(self) -> dict[str, object]:
-        """All fields."""
-        return {
-            key: value.to_json() if isinstance(value, Correlation) else value
-            for key, value in vars(self).items()
-        }
-
 
 @dataclass(frozen=True, eq=False)
 class _Track:
@@ -97,24 +85,21 @@ class _Track:
 
 def correlations(
     observations: Sequence[Observation],
-    motions: Sequence[PredictedMotion],
+    motions: Sequence[Motion],
     grid: CellGrid,
     rng: np.random.Generator,
 ) -> Correlations | None:
     """Correlations over all pushes whose course was measured; None where there are too few."""
-    tracks = [
-        track
-        for observation, motion in zip(observations, motions, strict=True)
-        if (track := _track(observation, motion, grid)) is not None
-    ]
-    if len(tracks) < LEAST_PUSHES:
+    found = [_track(o, motion, grid) for o, motion in zip(observations, motions, strict=True)]
+    tracks = [track for track in found if track is not None]
+    if len(tracks) < _LEAST_PUSHES:
         return None
     typical = int(np.median([len(track.residual) for track in tracks]))
-    most = max(2, min(round(LONGEST_LAG / LAG_STEP), typical // 2))
+    most = max(2, min(round(_LONGEST_LAG / _LAG_STEP), typical // 2))
     memory = _memory(tracks, most, rng)
     below = np.flatnonzero(memory.values < np.exp(-1.0))
     time = float(memory.lags[below[0]]) if len(below) else float("nan")
-    duration = LAG_STEP * float(np.mean([len(track.residual) for track in tracks]))
+    duration = _LAG_STEP * float(np.mean([len(track.residual) for track in tracks]))
     return Correlations(
         memory=memory,
         finger_along=_with_finger(tracks, most, "finger_along", rng),
@@ -126,18 +111,11 @@ def correlations(
 
 def delay_pattern(
     observations: Sequence[Observation],
-    motions: Sequence[PredictedMotion],
+    motions: Sequence[Motion],
     grid: CellGrid,
     rng: np.random.Generator,
 ) -> Pattern | None:
-    """Whether measured poses come late: slope of the residual over the predicted velocity, minus the delay.
-
-    Args:
-        observations: B pushes.
-        motions: their predictions.
-        grid: cells.
-        rng: of the sign flips.
-    """
+    """Whether measured poses come late: the delay is minus the slope of residual over predicted velocity."""
     scores, powers = [], []
     for observation, motion in zip(observations, motions, strict=True):
         if len(observation.poses) < 3:
@@ -152,7 +130,7 @@ def delay_pattern(
         residual, motion_now = (_without_trend(values, times) for values in (measured - predicted, velocity))
         scores.append((residual * motion_now).sum() / speed**2 / len(times))
         powers.append((motion_now**2).sum() / speed**2 / len(times))
-    if len(scores) < LEAST_PUSHES:
+    if len(scores) < _LEAST_PUSHES:
         return None
     values = -np.array(scores)[:, None]
     sizes = np.abs(values[:, 0])
@@ -171,19 +149,19 @@ def _without_trend(values: FloatArray, times: FloatArray) -> FloatArray:
     return values - basis @ np.linalg.lstsq(basis, values, rcond=None)[0]
 
 
-def _track(observation: Observation, motion: PredictedMotion, grid: CellGrid) -> _Track | None:
+def _track(observation: Observation, motion: Motion, grid: CellGrid) -> _Track | None:
     if len(observation.poses) < 3 or np.isnan(observation.push.tip).any():
         return None
     times, measured, predicted = centroid_tracks(observation, motion.middle_poses(grid), grid)
-    even = np.arange(0.0, times[-1], LAG_STEP)
+    even = np.arange(0.0, times[-1], _LAG_STEP)
     if len(even) < 4:
         return None
     push = observation.push
     steps = push.h * np.arange(len(push.tip))
-    residual = np.column_stack([np.interp(even, times, column) for column in (measured - predicted).T])
-    tip = np.column_stack([np.interp(even, steps, column) for column in push.tip.T])
+    residual = interpolated(even, times, measured - predicted)
+    tip = interpolated(even, steps, push.tip)
     size = np.sqrt((residual**2).sum(axis=1).mean())
-    finger = np.gradient(tip, LAG_STEP, axis=0)
+    finger = np.gradient(tip, _LAG_STEP, axis=0)
     speed = np.sqrt((finger**2).sum(axis=1).mean())
     if size == 0.0 or speed == 0.0:
         return None
@@ -204,8 +182,8 @@ def _memory(tracks: list[_Track], most: int, rng: np.random.Generator) -> Correl
         [np.einsum("asc,bsc->ab", padded[:, : longest - k], padded[:, k:]) / total for k in lags]
     )
     values = pairs[:, np.arange(B), np.arange(B)].sum(axis=1)
-    chance = np.empty((DRAWS, len(lags)))
-    for draw in range(DRAWS):
+    chance = np.empty((_DRAWS, len(lags)))
+    for draw in range(_DRAWS):
         order = rng.permutation(B)
         signs = 1.0 - 2.0 * rng.integers(0, 2, B)
         chance[draw] = (pairs[:, order, np.roll(order, 1)] * signs).sum(axis=1)
@@ -225,7 +203,7 @@ def _with_finger(tracks: list[_Track], most: int, name: str, rng: np.random.Gene
                 continue
             later, now = (slice(k, n), slice(0, n - k)) if k >= 0 else (slice(0, n + k), slice(-k, n))
             per_push[b, j] = (track.residual[later, :2] * finger[now]).sum() / n
-    chance = random_signs(DRAWS, len(tracks), rng) @ per_push / len(tracks)
+    chance = random_signs(_DRAWS, len(tracks), rng) @ per_push / len(tracks)
     return _bounded(name, lags, per_push.mean(axis=0), chance)
 
 
@@ -238,4 +216,4 @@ def _bounded(
     largest = (np.abs(chance) / scale)[:, skip:].max(axis=1)
     found = float((np.abs(values) / scale)[skip:].max())
     p = (1 + int((largest >= found).sum())) / (1 + len(chance))
-    return Correlation(name, np.array(LAG_STEP * lags), values, float(np.quantile(largest, 0.95)) * scale, p)
+    return Correlation(name, np.array(_LAG_STEP * lags), values, float(np.quantile(largest, 0.95)) * scale, p)

@@ -1,27 +1,15 @@
-"""Where a model fails: which conditions the residual velocity and the residual force hang together with.
+"""Where a model fails: the conditions on which the residual velocity and the residual force depend.
 
-Each factor is tested with whole pushes as the unit of evidence (`push_tests`), and all tests of one
-comparison are corrected together (Holm). Size and test are about the coordinate that deviates most, and the
-question is whether it is more than a negligible size.
+A factor is a set of products feature × component. A component is a residual in some frame (along the motion,
+towards the table's x, counter-clockwise …); a feature is a number that the conditions give. The factor
+matters where the sum of such a product over pushes is larger than chance explains. Each factor is tested with
+whole pushes as the unit of evidence (`sign_flips`), and all tests of one comparison are corrected together
+(Holm). Size and test are about the coordinate that deviates most, and the question is whether it is more than
+a negligible size.
 
 Learning from some of the pushes makes their residuals smaller than chance, and those of the others larger,
 since the errors of the maps are common to them. Over all pushes together the first outweighs the second as
 long as no more pushes are held out than fitted, so that the tests then err to the safe side.
-
-A factor is a set of products feature × component. A component is a residual in some frame (along the
-motion, towards the table's x, counter-clockwise …); a feature is a number that the conditions give. The
-factor matters where the sum of such a product over pushes is larger than chance explains.
-
-Residuals along a push are one story told many times, so samples are never counted. A test sums, for each
-push b, the scores g_b = Σ_i φ(x_i) y_i of residuals y_i on features φ of their conditions x_i. If nothing
-is wrong but chance, the residuals of a whole push could as well have had the other sign, however they hang
-together within the push. Hence the distribution of
-
-    max_j |Σ_b g_bj| / √(Σ_b g_bj²)
-
-under random signs of whole pushes gives its p-value, without any assumption on correlation or variance
-inside pushes (sign-flipping score test; Hemerik, Goeman and Finos, 2020). The maximum over coordinates j
-takes care of their number.
 """
 
 from __future__ import annotations
@@ -30,17 +18,18 @@ from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from slipmap.models.geometry import rotated
 from slipmap.models.inference.residuals import PHASE_NAMES, Conditions, Phase, Residuals
+from slipmap.models.inference.sign_flips import SignFlipTest, beyond, holm, push_sums, sign_flip_test
 from slipmap.models.physics.cell_grid import FloatArray
 
-# What residuals may hang together with: the conditions that are looked at, as features and components.
-
-
 Columns = dict[str, FloatArray]
+"""Numbers (N,) of N pieces of pushes, by name."""
 
-LEAST_SPREAD = 1e-9
+_Components = Callable[[Residuals], Columns]
+
+_ALWAYS = "always"
 
 
 @dataclass(frozen=True)
@@ -50,13 +39,15 @@ class Factor:
     Attributes:
         name: key, such as `table_direction`.
         title: for a person, such as `direction of motion on the table`.
-        blocks: pairs of (features, components); all their products are tested together.
+        features: numbers that the conditions give.
+        components: of the residuals; all products of the two are tested together.
         along_the_push: whether it compares parts of one push, which a push known by its ends cannot show.
     """
 
     name: str
     title: str
-    blocks: tuple[tuple[Callable[[Conditions], Columns], Callable[[Residuals], Columns]], ...]
+    features: Callable[[Conditions], Columns]
+    components: _Components
     along_the_push: bool = False
 
     def products(self, residuals: Residuals) -> tuple[list[str], FloatArray, FloatArray]:
@@ -65,14 +56,13 @@ class Factor:
         Features that vary with the conditions have mean 0 and mean square 1 over all pieces.
         """
         names, left, right = [], [], []
-        for features, components in self.blocks:
-            for what, values in components(residuals).items():
-                for when, feature in features(residuals.at).items():
-                    scaled = feature if when == ALWAYS else _standard(feature, residuals.weights)
-                    if scaled is not None:
-                        names.append(what if when == ALWAYS else f"{what}, {when}")
-                        left.append(scaled)
-                        right.append(values)
+        for what, values in self.components(residuals).items():
+            for when, feature in self.features(residuals.at).items():
+                scaled = feature if when == _ALWAYS else _standard(feature, residuals.weights)
+                if scaled is not None:
+                    names.append(what if when == _ALWAYS else f"{what}, {when}")
+                    left.append(scaled)
+                    right.append(values)
         if not names:
             return [], np.zeros((len(residuals.at), 0)), np.zeros((len(residuals.at), 0))
         return names, np.column_stack(left), np.column_stack(right)
@@ -85,14 +75,11 @@ def _standard(feature: FloatArray, weights: FloatArray) -> FloatArray | None:
     w = weights[known] / weights[known].sum()
     centred = np.where(known, feature - w @ feature[known], 0.0)
     spread = np.sqrt(w @ centred[known] ** 2)
-    return centred / spread if spread > LEAST_SPREAD else None
-
-
-ALWAYS = "always"
+    return centred / spread if spread > 1e-9 else None
 
 
 def _always(at: Conditions) -> Columns:
-    return {ALWAYS: np.ones(len(at))}
+    return {_ALWAYS: np.ones(len(at))}
 
 
 def _table_place(at: Conditions) -> Columns:
@@ -138,24 +125,20 @@ def _order(at: Conditions) -> Columns:
     return {"more in later pushes": at.push.astype(float)}
 
 
-def world(residuals: Residuals) -> Columns:
-    """Components towards the table's axes."""
+def _world(residuals: Residuals) -> Columns:
     return {"towards table x": residuals.relative[:, 0], "towards table y": residuals.relative[:, 1]}
 
 
-def in_object(residuals: Residuals) -> Columns:
-    """Components towards the object's axes."""
-    x, y = residuals.relative[:, :2].T
-    c, s = np.cos(residuals.at.angle), np.sin(residuals.at.angle)
-    return {"towards object x": c * x + s * y, "towards object y": c * y - s * x}
+def _in_object(residuals: Residuals) -> Columns:
+    x, y = rotated(residuals.relative, -residuals.at.angle).T
+    return {"towards object x": x, "towards object y": y}
 
 
-def turning(residuals: Residuals) -> Columns:
-    """Turning, counter-clockwise."""
+def _turning(residuals: Residuals) -> Columns:
     return {"turning counter-clockwise": residuals.relative[:, 2]}
 
 
-def onward(residuals: Residuals) -> Columns:
+def _onward(residuals: Residuals) -> Columns:
     """Along the motion of the centroid and, for residual motion, in the sense of its turning."""
     unit = residuals.at.velocity / np.maximum(residuals.at.speed, 1e-12)[:, None]
     if residuals.values.shape[1] == 2:
@@ -166,137 +149,45 @@ def onward(residuals: Residuals) -> Columns:
     }
 
 
-def sideways(residuals: Residuals) -> Columns:
-    """To the left of the motion."""
+def _sideways(residuals: Residuals) -> Columns:
     unit = residuals.at.velocity[:, :2] / np.maximum(residuals.at.speed, 1e-12)[:, None]
     x, y = residuals.relative[:, :2].T
     return {"to the left of the motion": unit[:, 0] * y - unit[:, 1] * x}
 
 
-def _join(*components: Callable[[Residuals], Columns]) -> Callable[[Residuals], Columns]:
+def _join(*components: _Components) -> _Components:
     return lambda residuals: {name: v for part in components for name, v in part(residuals).items()}
 
 
-MOTION_FACTORS = (
-    Factor("overall", "everywhere alike: too far or too short", ((_always, onward),)),
-    Factor("table_drift", "one direction of the table", ((_always, _join(world, turning)),)),
-    Factor("object_drift", "one direction of the object", ((_always, in_object),)),
-    Factor("table_place", "place on the table", ((_table_place, _join(world, turning, onward)),)),
-    Factor("contact_place", "place of contact on the object", ((_contact_place, _join(in_object, turning)),)),
-    Factor("speed", "speed", ((_speed, onward),)),
-    Factor(
-        "table_direction",
-        "direction of motion on the table",
-        ((_table_direction, _join(onward, sideways, turning)),),
-    ),
-    Factor(
-        "object_direction",
-        "direction of motion seen from the object",
-        ((_object_direction, _join(onward, sideways, turning)),),
-    ),
-    Factor("phase", "phase of the push", ((_phase, onward),), along_the_push=True),
-    Factor("time", "time within the push", ((_time, onward),), along_the_push=True),
-    Factor("order", "order of the pushes", ((_order, _join(onward, world, turning)),)),
+def _factors(
+    amiss: str, *turned: _Components, place: _Components, contact: _Components
+) -> tuple[Factor, ...]:
+    """All conditions that residuals are held against; `turned` are further components, of motion alone."""
+    directed = _join(_onward, _sideways, *turned)
+    return (
+        Factor("overall", f"everywhere alike: {amiss}", _always, _onward),
+        Factor("table_drift", "one direction of the table", _always, _join(_world, *turned)),
+        Factor("object_drift", "one direction of the object", _always, _in_object),
+        Factor("table_place", "place on the table", _table_place, place),
+        Factor("contact_place", "place of contact on the object", _contact_place, contact),
+        Factor("speed", "speed", _speed, _onward),
+        Factor("table_direction", "direction of motion on the table", _table_direction, directed),
+        Factor("object_direction", "direction of motion seen from the object", _object_direction, directed),
+        Factor("phase", "phase of the push", _phase, _onward, along_the_push=True),
+        Factor("time", "time within the push", _time, _onward, along_the_push=True),
+        Factor("order", "order of the pushes", _order, _join(_onward, _world, *turned)),
+    )
+
+
+MOTION_FACTORS = _factors(
+    "too far or too short",
+    _turning,
+    contact=_join(_in_object, _turning),
+    place=_join(_world, _turning, _onward),
 )
-
-FORCE_FACTORS = (
-    Factor("overall", "everywhere alike: too strong or too weak", ((_always, onward),)),
-    Factor("table_drift", "one direction of the table", ((_always, world),)),
-    Factor("object_drift", "one direction of the object", ((_always, in_object),)),
-    Factor("table_place", "place on the table", ((_table_place, _join(world, onward)),)),
-    Factor("contact_place", "place of contact on the object", ((_contact_place, _join(in_object, onward)),)),
-    Factor("speed", "speed", ((_speed, onward),)),
-    Factor(
-        "table_direction", "direction of motion on the table", ((_table_direction, _join(onward, sideways)),)
-    ),
-    Factor(
-        "object_direction",
-        "direction of motion seen from the object",
-        ((_object_direction, _join(onward, sideways)),),
-    ),
-    Factor("phase", "phase of the push", ((_phase, onward),), along_the_push=True),
-    Factor("time", "time within the push", ((_time, onward),), along_the_push=True),
-    Factor("order", "order of the pushes", ((_order, _join(onward, world)),)),
+FORCE_FACTORS = _factors(
+    "too strong or too weak", contact=_join(_in_object, _onward), place=_join(_world, _onward)
 )
-
-
-# Tests whose unit of evidence is the push: sign flips of whole pushes, and Holm's correction.
-
-
-FLIPS = 9999
-EXHAUSTIVE = 12
-"""With so few pushes all patterns of signs are tried."""
-
-
-@dataclass(frozen=True, eq=False)
-class SignFlipTest:
-    """Result of one test.
-
-    Attributes:
-        z: (d,) standardised sum of each coordinate.
-        p: probability of so large a maximum by chance alone.
-    """
-
-    z: FloatArray
-    p: float
-
-    @property
-    def strongest(self) -> int:
-        """Coordinate that deviates most."""
-        return int(np.argmax(np.abs(self.z)))
-
-
-def sign_flip_test(scores: FloatArray, rng: np.random.Generator, flips: int = FLIPS) -> SignFlipTest:
-    """Test scores (B, d) of B pushes against sign flips of whole pushes."""
-    scores = scores[(scores != 0).any(axis=1)]
-    B, d = scores.shape
-    scale = np.sqrt((scores**2).sum(axis=0))
-    if B == 0 or not (scale > 0).any():
-        return SignFlipTest(np.zeros(d), 1.0)
-    scores = scores / np.where(scale > 0, scale, 1.0)
-    z = scores.sum(axis=0)
-    largest = np.abs(z).max()
-    signs = all_signs(B) if B <= EXHAUSTIVE else random_signs(flips, B, rng)
-    beyond = int((np.abs(signs @ scores).max(axis=1) >= largest * (1 - 1e-9)).sum())
-    # All patterns hold the observed one; random ones need it added for the test to be exact.
-    p = beyond / len(signs) if B <= EXHAUSTIVE else (1 + beyond) / (1 + len(signs))
-    return SignFlipTest(z, float(p))
-
-
-def all_signs(count: int) -> FloatArray:
-    """(2^count, count) every pattern of signs."""
-    bits = (np.arange(2**count)[:, None] >> np.arange(count)) & 1
-    return np.where(bits == 1, -1.0, 1.0)
-
-
-def random_signs(draws: int, count: int, rng: np.random.Generator) -> FloatArray:
-    """(draws, count) random signs."""
-    return np.where(rng.integers(0, 2, size=(draws, count)) == 1, -1.0, 1.0)
-
-
-def smallest_p(pushes: int) -> float:
-    """The smallest p-value that so many pushes can give: all signs equal, or all turned."""
-    if pushes == 0:
-        return 1.0
-    return 2.0 ** (1 - pushes) if pushes <= EXHAUSTIVE else 1.0 / (FLIPS + 1)
-
-
-def holm(p: FloatArray) -> FloatArray:
-    """(m,) p-values of m tests corrected so that 5 % is the chance of any false alarm (Holm, 1979)."""
-    p = np.asarray(p, dtype=float)
-    order = np.argsort(p)
-    steps = p[order] * np.arange(len(p), 0, -1)
-    corrected = np.empty(len(p))
-    corrected[order] = np.minimum(1.0, np.maximum.accumulate(steps))
-    return corrected
-
-
-def push_sums(rows: FloatArray, push: NDArray[np.int64], count: int) -> FloatArray:
-    """(count, d) sums of rows (N, d) over each push."""
-    sums = np.zeros((count, rows.shape[1]))
-    np.add.at(sums, push, rows)
-    return sums
-
 
 LEVEL = 0.05
 """Chance of any false alarm in one comparison."""
@@ -312,7 +203,7 @@ OUTLYING = 2.0
 
 @dataclass(frozen=True)
 class Pattern:
-    """One factor, how strongly residuals hang together with it, and whether chance explains that.
+    """How strongly residuals depend on one factor, and whether chance explains that.
 
     Attributes:
         factor: key of the factor, such as `table_direction`.
@@ -359,21 +250,14 @@ def factor_patterns(
 ) -> list[Pattern]:
     """Test residual velocities (`quantity` motion) or forces (`force`) on every factor; not yet corrected.
 
-    Args:
-        residuals: velocities or forces of B pushes.
-        quantity: `motion` or `force`.
-        rng: of the sign flips.
-        whole_pushes: only ends of pushes are known, so factors within a push are left out.
+    With `whole_pushes` only ends of pushes are known, and factors within a push are left out.
     """
     factors = MOTION_FACTORS if quantity == "motion" else FORCE_FACTORS
     tempered = replace(
         residuals, values=residuals.values * push_weights(residuals)[residuals.at.push][:, None]
     )
-    patterns = [
-        _pattern(factor, tempered, quantity, rng)
-        for factor in factors
-        if not (whole_pushes and factor.along_the_push)
-    ]
+    tested = [factor for factor in factors if not (whole_pushes and factor.along_the_push)]
+    patterns = [_pattern(factor, tempered, quantity, rng) for factor in tested]
     return [pattern for pattern in patterns if pattern is not None]
 
 
@@ -407,19 +291,6 @@ def _pattern(factor: Factor, residuals: Residuals, quantity: str, rng: np.random
     return described(test, scores, power, names, factor.name, factor.title, quantity)
 
 
-def beyond(scores: FloatArray, power: FloatArray, slope: float) -> FloatArray:
-    """Scores (B, d) less those of a pattern of a negligible size, so that only larger ones show in a test.
-
-    Args:
-        scores: (B, d) sums of feature times residual.
-        power: (B, d) sums of squared features.
-        slope: what is negligible. Coordinates whose own slope is smaller become 0.
-    """
-    total = scores.sum(axis=0)
-    larger = np.abs(total) > slope * power.sum(axis=0)
-    return np.where(larger, scores - np.sign(total) * slope * power, 0.0)
-
-
 def described(
     test: SignFlipTest, scores: FloatArray, power: FloatArray, names: Sequence[str], factor: str, title: str,
     quantity: str,
@@ -430,10 +301,7 @@ def described(
         test: of the scores.
         scores: (B, d) sums of feature times residual.
         power: (B, d) sums of squared features, so that the slope is the ratio of both sums over pushes.
-        names: (d,) of the coordinates.
-        factor: key.
-        title: for a person.
-        quantity: `motion`, `force` or `delay`.
+        names: (d,) of the coordinates; factor, title and quantity are as in `Pattern`.
     """
     j = test.strongest
     whole = max(float(power[:, j].sum()), 1e-300)

@@ -19,22 +19,10 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from slipmap.models.geometry import at_centroid, radius_of_gyration
-from slipmap.models.inference.observations import SAMPLES, Observation
-from slipmap.models.inference.prediction import PredictedMotion
+from slipmap.models.geometry import at_centroid, radius_of_gyration, seen_from
+from slipmap.models.inference.observations import SAMPLES, Observation, interpolated
+from slipmap.models.inference.prediction import Motion
 from slipmap.models.physics.cell_grid import CellGrid, FloatArray
-
-# Under which conditions a piece of a push happened: where, which way, how fast, touching how.
-
-
-TOUCHING = 5e-4
-"""The finger touches where it is nearer to the outline than this, m."""
-
-CREEP = 0.15
-"""Contact slides where it moves along the outline by more than this share of the finger's way."""
-
-FIRST_WAY = 1.5e-3
-"""First touch lasts until the object has moved so far, m."""
 
 
 class Phase(IntEnum):
@@ -56,7 +44,7 @@ PHASE_NAMES = {
 
 @dataclass(frozen=True, eq=False)
 class Conditions:
-    """N pieces of pushes.
+    """Conditions of N pieces of pushes: where, which way, how fast, touching how.
 
     Attributes:
         push: (N,) index of the push.
@@ -129,14 +117,15 @@ def conditions(
     assert observation.push.pose_times is not None
     times = np.concatenate([[0.0], observation.push.pose_times])
     track = np.vstack([observation.push.start_pose, poses])
-    first, last = _at(times, track, begin), _at(times, track, end)
+    first, last = interpolated(begin, times, track), interpolated(end, times, track)
     radius = radius_of_gyration(grid)
     before, after = at_centroid(first, grid), at_centroid(last, grid)
     velocity = (after - before) * [1, 1, radius] / (end - begin)[:, None]
     contact, phase = _touch(observation, first, last, begin, end, grid, finger_radius)
     way = np.linalg.norm((at_centroid(first, grid) - at_centroid(track[0], grid)) * [1, 1, radius], axis=1)
     pressing = (phase == Phase.STICKING) | (phase == Phase.SLIDING)
-    phase[pressing & (way < FIRST_WAY)] = Phase.FIRST_TOUCH
+    # First touch lasts until the object has moved so far, m.
+    phase[pressing & (way < 1.5e-3)] = Phase.FIRST_TOUCH
     return Conditions(
         push=np.full(len(begin), push, dtype=np.int64),
         time=0.5 * (begin + end),
@@ -153,7 +142,7 @@ def _touch(
     observation: Observation, first: FloatArray, last: FloatArray, begin: FloatArray, end: FloatArray,
     grid: CellGrid, radius: float,
 ) -> tuple[FloatArray, NDArray[np.int64]]:  # fmt: skip
-    """Contact place (N, 2) and phase (N,), first touch told only where the finger arrives."""
+    """Contact place (N, 2) and phase (N,), which is first touch only where the finger arrives."""
     N = len(begin)
     push = observation.push
     phase = np.full(N, Phase.COASTING, dtype=np.int64)
@@ -161,10 +150,10 @@ def _touch(
     if np.isnan(push.tip).any():
         return contact, phase
     steps = np.array(push.h * np.arange(len(push.tip)))
-    path = [_at(steps, push.tip, time) for time in (begin, end)]
-    tips = [_seen(pose, tip) for pose, tip in zip((first, last), path, strict=True)]
+    path = [interpolated(time, steps, push.tip) for time in (begin, end)]
+    tips = [seen_from(tip, pose) for pose, tip in zip((first, last), path, strict=True)]
     gaps, feet = zip(*(_nearest(tip, grid) for tip in tips), strict=True)
-    touching = [gap < radius + TOUCHING for gap in gaps]
+    touching = [gap < radius + 5e-4 for gap in gaps]  # m
     for there, foot in zip(touching, feet, strict=True):
         contact[there] = np.where(np.isnan(contact[there]), foot[there], 0.5 * (contact[there] + foot[there]))
     # Contact slides by the way of the finger's surface relative to the object's, along the outline. The
@@ -175,21 +164,11 @@ def _touch(
     tangent = np.column_stack([-normal[:, 1], normal[:, 0]])
     slip = (tangent * (tips[1] - tips[0])).sum(axis=1) - turn[:, 0] * np.linalg.norm(arm, axis=1)
     way = np.linalg.norm(path[1] - path[0], axis=1)
-    sliding = np.abs(slip) > CREEP * np.maximum(way, 1e-9)
+    creep = 0.15  # share of the finger's way, up to which contact that moves along the outline sticks
+    sliding = np.abs(slip) > creep * np.maximum(way, 1e-9)
     phase[touching[1]] = np.where(sliding, Phase.SLIDING, Phase.STICKING)[touching[1]]
     phase[touching[1] & ~touching[0]] = Phase.FIRST_TOUCH
     return contact, phase
-
-
-def _at(times: FloatArray, values: FloatArray, wanted: FloatArray) -> FloatArray:
-    return np.column_stack([np.interp(wanted, times, column) for column in values.T])
-
-
-def _seen(poses: FloatArray, points: FloatArray) -> FloatArray:
-    """World points (N, 2) in the object frames at poses (N, 3)."""
-    c, s = np.cos(poses[:, 2]), np.sin(poses[:, 2])
-    x, y = (points - poses[:, :2]).T
-    return np.column_stack([c * x + s * y, c * y - s * x])
 
 
 def _nearest(points: FloatArray, grid: CellGrid) -> tuple[FloatArray, FloatArray]:
@@ -201,16 +180,6 @@ def _nearest(points: FloatArray, grid: CellGrid) -> tuple[FloatArray, FloatArray
     edge = distance.argmin(axis=1)
     rows = np.arange(len(points))
     return distance[rows, edge], feet[rows, edge]
-
-
-STRIDE = 2
-"""Samples from one increment to the next."""
-
-LEAST_WAY = 3e-4
-"""An interval counts where the object moves farther, as measured or as predicted, m…"""
-
-LEAST_SHARE = 0.1
-"""…and farther than this share of the push's fastest interval."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -237,25 +206,19 @@ class Residuals:
 
 
 def motion_residuals(
-    observations: Sequence[Observation], motions: Sequence[PredictedMotion], grid: CellGrid, radius: float
+    observations: Sequence[Observation], motions: Sequence[Motion], grid: CellGrid, radius: float
 ) -> Residuals | None:
-    """Residual velocities of pushes, or None where nothing moves.
-
-    Args:
-        observations: B pushes.
-        motions: their predictions.
-        grid: cells and outline.
-        radius: of the finger, m.
-    """
+    """Residual velocities of pushes, or None where nothing moves; `radius` of the finger, m."""
     parts, values, weights = [], [], []
     scale = np.ones(len(observations))
     for b, (observation, motion) in enumerate(zip(observations, motions, strict=True)):
         times, measured, predicted = centroid_tracks(observation, motion.middle_poses(grid), grid)
-        edges = np.unique([*range(0, len(times), STRIDE), len(times) - 1])
+        edges = np.unique([*range(0, len(times), 2), len(times) - 1])
         steps = [np.diff(track[edges], axis=0) for track in (measured, predicted)]
         duration = np.diff(times[edges])
         way = np.maximum(*(np.linalg.norm(step, axis=1) for step in steps))
-        moving = (way > max(LEAST_WAY, LEAST_SHARE * way.max())) & (duration > 0)
+        # The object moves farther than 0.3 mm, and than a tenth of the push's fastest interval.
+        moving = (way > max(3e-4, 0.1 * way.max())) & (duration > 0)
         if not moving.any():
             continue
         begin, end = times[edges[:-1]][moving], times[edges[1:]][moving]
@@ -269,7 +232,7 @@ def motion_residuals(
 
 
 def force_residuals(
-    observations: Sequence[Observation], motions: Sequence[PredictedMotion], grid: CellGrid, radius: float
+    observations: Sequence[Observation], motions: Sequence[Motion], grid: CellGrid, radius: float
 ) -> Residuals | None:
     """Residual forces where the finger presses steadily, or None where force was not measured."""
     parts, values, sizes = [], [], []
@@ -288,26 +251,19 @@ def force_residuals(
     if not parts:
         return None
     joined = np.concatenate(values)
-    typical = float(np.median(np.concatenate(sizes)))
-    return Residuals(
-        Conditions.joined(parts), joined, np.ones(len(joined)), np.full(len(observations), typical)
-    )
+    scale = np.full(len(observations), np.median(np.concatenate(sizes)))
+    return Residuals(Conditions.joined(parts), joined, np.ones(len(joined)), scale)
 
 
 def centroid_tracks(
     observation: Observation, predicted: FloatArray, grid: CellGrid
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Times (S + 1,) from the start on, and measured and predicted (x, y, ρ θ) of the cells' centroid.
-
-    Args:
-        observation: one push.
-        predicted: (S, 3) poses.
-        grid: cells.
-    """
+    """Times (S + 1,) from the start on, and measured and predicted (x, y, ρ θ) of the cells' centroid, from
+    predicted poses (S, 3)."""
     assert observation.push.pose_times is not None
     scale = np.array([1.0, 1.0, radius_of_gyration(grid)])
     start = observation.push.start_pose
-    measured, told = (
+    tracks = [
         at_centroid(np.vstack([start, poses]), grid) * scale for poses in (observation.poses, predicted)
-    )
-    return np.concatenate([[0.0], observation.push.pose_times]), measured, told
+    ]
+    return np.concatenate([[0.0], observation.push.pose_times]), tracks[0], tracks[1]

@@ -6,15 +6,13 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
 from slipmap.models.inference.belief import Belief
-
-FloatArray = NDArray[np.float64]
+from slipmap.models.physics.cell_grid import FloatArray
 
 
 @dataclass(frozen=True, eq=False)
-class PushPrediction:
+class Prediction:
     """One push as measured and as a belief predicts it from its first pose.
 
     Attributes:
@@ -23,7 +21,7 @@ class PushPrediction:
         times: (S,) s after the first pose.
         measured: (S, 3) poses of the object.
         hypotheses: (K, S, 3) predicted poses.
-        predicted: (S, 3) in the middle of the hypotheses, see `middle_pose`.
+        predicted: (S, 3) in the middle of the hypotheses, see `summaries.middle_poses`.
         final_add: mean distance of the cells at the end between `predicted` and measured, m.
         spread: probability-weighted mean ADD of the hypotheses from `predicted` at the end, m.
         no_motion_add: final ADD of an object that does not move, m.
@@ -82,12 +80,12 @@ class Identification:
         pushes: as measured and as predicted, those that taught and those that judge.
         quantities: what the pushes show, and what not.
         seconds: that it took.
-        friction_laws: share of the belief by law of friction, the largest first, see `friction_laws.py`;
-            `plain` alone where no other was tried, empty where none was chosen among.
+        friction_laws: share of the belief by law of friction, the largest first; `plain` alone where no
+            other was tried, empty where none was chosen among.
     """
 
     belief: Belief
-    pushes: tuple[PushPrediction, ...]
+    pushes: tuple[Prediction, ...]
     quantities: tuple[Quantity, ...]
     seconds: float
     friction_laws: Mapping[str, float] = field(default_factory=dict)
@@ -103,24 +101,16 @@ class Identification:
             return float(values.mean()) if len(values) else None
 
         heldout = self.errors("heldout")
+        of_trial = (
+            "trial", "role", "final_add", "spread", "no_motion_add", "uniform_add", "start_sensitivity"
+        )  # fmt: skip
         return {
             "fit_error_mean": mean(self.errors("fit")),
             "heldout_error_mean": mean(heldout),
             "heldout_error_median": float(np.median(heldout)) if len(heldout) else None,
             "no_motion_error_mean": mean(self.errors("heldout", "no_motion_add")),
             "uniform_error_mean": mean(self.errors("heldout", "uniform_add")),
-            "trials": [
-                {
-                    "trial": push.trial,
-                    "role": push.role,
-                    "final_add": push.final_add,
-                    "spread": push.spread,
-                    "no_motion_add": push.no_motion_add,
-                    "uniform_add": push.uniform_add,
-                    "start_sensitivity": push.start_sensitivity,
-                }
-                for push in self.pushes
-            ],
+            "trials": [{name: getattr(push, name) for name in of_trial} for push in self.pushes],
             "hypotheses": [
                 {
                     "probability": float(self.belief.probability[k]),

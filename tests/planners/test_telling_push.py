@@ -12,14 +12,8 @@ import numpy as np
 import pytest
 
 from slipmap.models.effects.registry import effects_named
-from slipmap.models.inference.diagnosis.correlated import (
-    FORCE_MEMORY,
-    MEMORY,
-    CorrelatedLikelihood,
-    ErrorModel,
-    MeasuredPushes,
-    sensor_noise,
-)
+from slipmap.models.inference.diagnosis.correlated import FORCE_MEMORY, CorrelatedLikelihood, FitData
+from slipmap.models.inference.diagnosis.error_model import MEMORY, ErrorModel, sensor_noise
 from slipmap.models.inference.diagnosis.fitting import Fitted, Fitter
 from slipmap.models.inference.observations import observe_all
 from slipmap.models.measurements.push_dataset import Table
@@ -69,9 +63,7 @@ class World:
         z[prior.plain - 2] = np.log(friction / 0.3) / prior.settings.friction_scale
         if name:
             z[prior.plain :] = prior.effect_coordinates(np.array(values))
-        likelihood = CorrelatedLikelihood(
-            prior, MeasuredPushes(self.observations, prior.slider.grid), self.error
-        )
+        likelihood = CorrelatedLikelihood(prior, FitData(self.observations, prior.slider.grid), self.error)
         offsets = np.zeros((len(self.observations), 3))
         return Fitted(tuple(effects), likelihood, z, np.zeros(prior.size), offsets, 0.0)
 

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from slipmap.models.effects.effect import Effect
     from slipmap.models.inference.belief import Belief
     from slipmap.models.inference.comparison import Comparison
-    from slipmap.models.inference.results import PushPrediction
+    from slipmap.models.inference.results import Prediction
     from slipmap.models.measurements import PushDataset
 
 
@@ -131,7 +131,7 @@ def compare(
     note(f"report: {output}")
 
 
-def _prediction_document(belief: Belief, dataset: str, pushes: Sequence[PushPrediction]) -> dict[str, Any]:
+def _prediction_document(belief: Belief, dataset: str, pushes: Sequence[Prediction]) -> dict[str, Any]:
     numbers = ("final_add", "spread", "no_motion_add", "uniform_add", "start_sensitivity")
     trials = [
         {

@@ -111,7 +111,7 @@ def _row_of(path: Path, pushes: int, checks: int) -> dict[str, Any]:
 def _judged(run: ExplorationRun) -> dict[str, Any]:
     import numpy as np
 
-    from slipmap.models.inference.prediction import in_region
+    from slipmap.models.inference.summaries import in_region
 
     found = run.identification
     centers, p = found.belief.centers_of_mass, found.belief.probability

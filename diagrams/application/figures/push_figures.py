@@ -22,7 +22,7 @@ from slipmap.diagrams.application.reports.comparison_words import ROLES, short_n
 from slipmap.diagrams.systems.look import BELIEF, FAINT, FINGER, INK, OTHER, PAPER, styled
 from slipmap.models.geometry import placed, radius_of_gyration
 from slipmap.models.inference.comparison import Comparison
-from slipmap.models.inference.results import PushPrediction
+from slipmap.models.inference.results import Prediction
 from slipmap.models.measurements import PushDataset, Trial, finger_path
 from slipmap.models.physics.cell_grid import CellGrid, FloatArray
 
@@ -63,7 +63,7 @@ class _Scene:
         high: (2,) upper corner, m.
     """
 
-    push: PushPrediction
+    push: Prediction
     start: FloatArray
     middle: int | None
     finger: FloatArray
@@ -72,9 +72,7 @@ class _Scene:
 
 
 @styled
-def push_figures(
-    predictions: Sequence[PushPrediction], dataset: PushDataset, *, title: str = ""
-) -> list[Figure]:
+def push_figures(predictions: Sequence[Prediction], dataset: PushDataset, *, title: str = "") -> list[Figure]:
     """A panel for each push, `_PANELS_A_PAGE` a figure; all panels of one figure have the same scale.
 
     Args:
@@ -92,7 +90,7 @@ def push_figures(
     ]
 
 
-def _scene(push: PushPrediction, trial: Trial, dataset: PushDataset) -> _Scene:
+def _scene(push: Prediction, trial: Trial, dataset: PushDataset) -> _Scene:
     start, poses = trial.object_pose.values[0], push.measured
     middle = None
     if len(poses) > 2:

@@ -173,11 +173,7 @@ def factor_figure(comparisons: Sequence[Comparison], factor: str, quantity: str 
 
 def _component(residuals: Residuals, factor: str, quantity: str, component: str) -> FloatArray:
     (chosen,) = [f for f in (MOTION_FACTORS if quantity == "motion" else FORCE_FACTORS) if f.name == factor]
-    for _, components in chosen.blocks:
-        columns = components(residuals)
-        if component in columns:
-            return columns[component]
-    raise ValueError(f"{factor} has no component {component!r}")
+    return chosen.components(residuals)[component]
 
 
 def _edges(factor: str, x: FloatArray) -> FloatArray:

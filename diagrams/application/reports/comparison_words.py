@@ -6,7 +6,8 @@ import math
 from collections.abc import Sequence
 
 from slipmap.models.inference.comparison import Comparison, Totals
-from slipmap.models.inference.residual_structure import LEVEL, Pattern, smallest_p
+from slipmap.models.inference.residual_structure import LEVEL, Pattern
+from slipmap.models.inference.sign_flips import smallest_p
 
 ROLES = {"fit": "fit", "heldout": "held out"}
 """What people read for the role of a push."""

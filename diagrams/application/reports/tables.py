@@ -20,7 +20,7 @@ from slipmap.diagrams.application.terminal import paragraph, table
 from slipmap.models.inference.comparison import Comparison
 from slipmap.models.inference.friction_laws import PLAIN, TOGETHER
 from slipmap.models.inference.push_errors import Errors, noise_floor
-from slipmap.models.inference.results import PushPrediction, Quantity
+from slipmap.models.inference.results import Prediction, Quantity
 from slipmap.models.measurements import PushDataset
 
 _SENSITIVE = 10.0
@@ -47,7 +47,7 @@ _LAW_WORDS = {
 """Laws of `slipmap.models.inference.friction_laws` with at most one effect, for a person."""
 
 
-def show_errors(pushes: Sequence[PushPrediction], dataset: PushDataset) -> None:
+def show_errors(pushes: Sequence[Prediction], dataset: PushDataset) -> None:
     """How far off predicted ends are: by role, against two baselines, push by push, and what that means."""
     rows = []
     for role, name in ROLES.items():
@@ -67,13 +67,13 @@ def show_errors(pushes: Sequence[PushPrediction], dataset: PushDataset) -> None:
         paragraph(doubt)
 
 
-def is_doubted(pushes: Sequence[PushPrediction], dataset: PushDataset) -> bool:
+def is_doubted(pushes: Sequence[Prediction], dataset: PushDataset) -> bool:
     """Whether held-out pushes end much farther off than a belief allows for, see `doubts`."""
     held = [push for push in pushes if push.role == "heldout"]
     return len(held) >= _FEWEST_JUDGES and _excess(held, dataset) > _MUCH_FARTHER
 
 
-def _excess(held: Sequence[PushPrediction], dataset: PushDataset) -> float:
+def _excess(held: Sequence[Prediction], dataset: PushDataset) -> float:
     """Median of the errors over what hypotheses differ by and sensors err."""
     floor = noise_floor([], dataset.noise, dataset.grid, np.random.default_rng(0))
     expected = [np.hypot(push.spread, floor.add if floor else 0.0) for push in held]
@@ -97,7 +97,7 @@ def _law_in_words(name: str) -> str:
     return _LAW_WORDS[name] if len(effects) == 1 else f"{' and '.join(effects)} together"
 
 
-def doubts(pushes: Sequence[PushPrediction], dataset: PushDataset) -> list[str]:
+def doubts(pushes: Sequence[Prediction], dataset: PushDataset) -> list[str]:
     """What held-out pushes say against a belief: errors far beyond its own spread and the sensors' noise, or
     no smaller than those of a uniform object."""
     held = [push for push in pushes if push.role == "heldout"]
@@ -120,7 +120,7 @@ def doubts(pushes: Sequence[PushPrediction], dataset: PushDataset) -> list[str]:
     return found
 
 
-def _show_pushes(pushes: Sequence[PushPrediction]) -> None:
+def _show_pushes(pushes: Sequence[Prediction]) -> None:
     shown = list(pushes)
     if len(shown) > _MOST_ROWS:
         shown = sorted(pushes, key=lambda push: -push.final_add)[:_MOST_ROWS]
@@ -142,7 +142,7 @@ def _show_pushes(pushes: Sequence[PushPrediction]) -> None:
     )
 
 
-def remark(push: PushPrediction) -> str:
+def remark(push: Prediction) -> str:
     """What a reader should know of a push that starts near to balance; empty for others."""
     if not push.start_sensitivity >= _SENSITIVE:
         return ""

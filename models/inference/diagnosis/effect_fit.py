@@ -1,26 +1,24 @@
-"""A belief with effects: maps and the effects' parameters, learnt together from the pushes with the role
-`fit`.
+"""A belief with effects: maps and the effects' parameters, learnt together from the pushes to fit.
 
-The strict likelihood of the diagnosis finds the effects. The hypotheses are those of an identification,
-refits under the forgiving likelihood with the effects in the model (`effect_size` tells why).
-
-The strict likelihood that finds effects believes every row of every force, and holds a total mass for sure
-that a force model 2 % off moves by a third; what is in proportion to mass, as a tilt is, goes with it. So
-sizes are told by the forgiving likelihood of the identification, from where the strict one led.
+The strict likelihood of the diagnosis finds the effects. It believes every row of every force, and holds a
+total mass for sure that a force model 2 % off moves by a third; what is in proportion to mass, as a tilt is,
+goes with it. So the sizes of effects, and the hypotheses of a belief, come from refits under the forgiving
+likelihood of the identification, from where the strict one led.
 """
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, replace
+from functools import partial
 
 import numpy as np
 
-from slipmap.models.effects.effect import Effect, Scene
+from slipmap.models.effects.effect import Effect
 from slipmap.models.effects.library import LIBRARY
 from slipmap.models.inference.belief import Belief
-from slipmap.models.inference.diagnosis.correlated import sensor_noise
+from slipmap.models.inference.diagnosis.error_model import sensor_noise
 from slipmap.models.inference.diagnosis.fitting import Fitted, Fitter, estimate_errors
 from slipmap.models.inference.diagnosis.results import (
     Diagnosis,
@@ -30,21 +28,20 @@ from slipmap.models.inference.diagnosis.results import (
 )
 from slipmap.models.inference.diagnosis.screening import screen
 from slipmap.models.inference.gauss_newton import Fits
-from slipmap.models.inference.hypotheses import fit_with_trust, refitted_belief
+from slipmap.models.inference.hypotheses import Ladder, fit_with_trust, refitted_belief
 from slipmap.models.inference.identifiability import SHOWN_SHARE, quantities
 from slipmap.models.inference.identification import check_request
-from slipmap.models.inference.likelihood import Likelihood
 from slipmap.models.inference.observations import observe_all
-from slipmap.models.inference.prediction import interval, predict_observations
+from slipmap.models.inference.prediction import predict_observations
 from slipmap.models.inference.results import Identification, Quantity
+from slipmap.models.inference.summaries import interval
 from slipmap.models.measurements import DatasetError, Noise, PushDataset
 from slipmap.models.physics.cell_grid import FloatArray
 from slipmap.models.physics.rollout import RolloutError
+from slipmap.models.progress import Progress, part_of, silent
 
-# How large an effect is, once it was found: its parameters, no surer than the model is right.
 
-
-def forgiving_prior_mean(fitted: Fitted) -> FloatArray:
+def _forgiving_prior_mean(fitted: Fitted) -> FloatArray:
     """(d,) where the prior of forgiving refits is centred: as the fit's, but effects at what was found.
 
     They were found, so nothing pulls them to their nulls any more where the forgiving likelihood sees little
@@ -54,15 +51,10 @@ def forgiving_prior_mean(fitted: Fitted) -> FloatArray:
     return np.concatenate([fitted.prior_mean[:plain], fitted.z[plain:]])
 
 
-def forgiving_fits(fitted: Fitted, noise: Noise) -> list[tuple[Likelihood, Fits]]:
-    """The model fitted again under the likelihoods of `fit_with_trust`, from where it is."""
+def _forgiving_fits(fitted: Fitted, noise: Noise) -> Ladder:
+    likelihood, mean = fitted.likelihood, _forgiving_prior_mean(fitted)
     return fit_with_trust(
-        fitted.likelihood.prior,
-        fitted.likelihood.observations,
-        noise,
-        fitted.z[None],
-        lambda done, total: None,
-        forgiving_prior_mean(fitted),
+        likelihood.prior, likelihood.observations, noise, fitted.z[None], partial(silent, ""), mean
     )
 
 
@@ -73,15 +65,11 @@ def effect_sizes(fitted: Fitted, noise: Noise) -> tuple[ParameterEstimate, ...]:
     """
     prior = fitted.likelihood.prior
     try:
-        _, found = forgiving_fits(fitted, noise)[-1]
+        _, found = _forgiving_fits(fitted, noise)[-1]
     except (RolloutError, np.linalg.LinAlgError):
         return parameter_estimates(fitted)
-    covariance = np.linalg.inv(found.hessian[0] + np.eye(prior.size))
-    deviations = np.sqrt(np.diagonal(covariance)[prior.plain :]) * prior.effect_scales
+    deviations = prior.effect_deviations(found.hessian[0])
     return estimates_of(fitted.effects, prior.maps(found.z).effects[0], deviations)
-
-
-Progress = Callable[[str, int, int], None]
 
 
 def fit_effects(
@@ -108,7 +96,7 @@ def fit_effects(
     """
     check_request(dataset, hypotheses)
     started = time.perf_counter()
-    report = progress or (lambda stage, done, total: None)
+    report = progress or silent
     rng = np.random.default_rng(seed)
     report("preparing pushes", 0, 1)
     every = observe_all(dataset)
@@ -116,48 +104,39 @@ def fit_effects(
     report("fitting", 0, 3)
     noise = sensor_noise(dataset)
     fitter = Fitter(dataset, observations, noise)
-    fitted = fitter.from_scratch(lambda done, total: report("fitting", done, 3 * total))
+    fitted = fitter.from_scratch(part_of(partial(report, "fitting"), 0, 3))
     report("fitting", 1, 3)
-    scene = fitter.scene(fitted)
     if effects:
-        fitted = _added(fitter, fitted, effects, scene, rng)
+        fitted = _added(fitter, fitted, effects, rng)
     report("fitting", 2, 3)
     error = estimate_errors(fitted, noise)
-    again = (
-        fitter.with_effects(effects, error, fitted, fitted.values) if effects else fitter.base(error, fitted)
-    )
-    fitted = again or fitted
+    if effects:
+        fitted = fitter.with_effects(effects, error, fitted, fitted.values) or fitted
+    else:
+        fitted = fitter.base(error, fitted)
     report("fitting", 3, 3)
-    ladder = forgiving_fits(fitted, dataset.noise)
+    ladder = _forgiving_fits(fitted, dataset.noise)
     likelihood, information = ladder[-1]
+    errors = {"motion_error": error.motion, "force_error": error.force}
     belief = refitted_belief(
-        dataset,
-        ladder,
-        hypotheses,
-        seed,
-        report,
-        mean=forgiving_prior_mean(fitted),
-        settings={"motion_error": error.motion, "force_error": error.force},
+        dataset, ladder, hypotheses, seed, report, mean=_forgiving_prior_mean(fitted), settings=errors
     )
     predictions = predict_observations(belief, every, progress)
     facts = (*quantities(belief, likelihood, information), *_effect_facts(belief, effects, information))
     return Identification(belief, predictions, facts, time.perf_counter() - started)
 
 
-def _added(
-    fitter: Fitter, base: Fitted, effects: Sequence[Effect], scene: Scene, rng: np.random.Generator
-) -> Fitted:
+def _added(fitter: Fitter, base: Fitted, effects: Sequence[Effect], rng: np.random.Generator) -> Fitted:
     """Fit with the effects, each started where it gains most to first order."""
-    guesses = []
-    known = (*effects, *(effect for effect in LIBRARY if effect.name not in {e.name for e in effects}))
-    screening = screen(fitter, base, known, len(known), scene, 1, rng)
-    for effect in effects:
-        place = screening.candidates.index(effect)
-        guesses.append(effect.start_values(scene)[int(screening.start[place])])
+    scene = fitter.scene(base)
+    names = [effect.name for effect in effects]
+    known = (*effects, *(effect for effect in LIBRARY if effect.name not in names))
+    starts = screen(fitter, base, known, len(known), scene, 1, rng).start
+    guesses = [effect.start_values(scene)[int(start)] for effect, start in zip(effects, starts, strict=False)]
     fitted = fitter.with_effects(effects, base.likelihood.error, base, np.concatenate(guesses), afresh=True)
     if fitted is None:
         raise DatasetError(
-            f"the model with {', '.join(e.name for e in effects)} cannot be fitted to dataset"
+            f"the model with {', '.join(names)} cannot be fitted to dataset"
             f" {fitter.dataset.name}: its rollouts do not converge"
         )
     return fitted
@@ -172,35 +151,22 @@ def _effect_facts(belief: Belief, effects: Sequence[Effect], information: Fits) 
     for (effect, parameter), values, share in zip(named, belief.maps.effects.T, left, strict=True):
         shown = bool(share < SHOWN_SHARE)
         middle, low, high = interval(values, belief.probability)
-        facts.append(
-            Quantity(
-                f"{effect}: {parameter.name}",
-                parameter.unit,
-                middle,
-                max(low, parameter.low),
-                min(high, parameter.high),
-                shown,
-                "the pushes pin it down, if it is there"
-                if shown
-                else "left open by these pushes; the prior decides",
-            )
-        )
+        reason = "the pushes pin it down, if it is there"
+        if not shown:
+            reason = "left open by these pushes; the prior decides"
+        low, high = max(low, parameter.low), min(high, parameter.high)
+        name = f"{effect}: {parameter.name}"
+        facts.append(Quantity(name, parameter.unit, middle, low, high, shown, reason))
     return facts
 
 
-# Fitted models as beliefs, so that whatever compares and predicts can use them.
-
-
 def fitted_belief(fitted: Fitted, dataset: PushDataset, seed: int) -> Belief:
-    """A fitted model as a belief that is certain of it.
+    """A fitted model as a belief that is certain of it, so that whatever compares and predicts can use it.
 
-    Args:
-        fitted: the model.
-        dataset: whose pushes it was fitted to.
-        seed: of what fitted it.
+    The dataset is the one whose pushes it was fitted to, the seed that of what fitted it.
     """
     likelihood = fitted.likelihood
-    prior = likelihood.prior
+    prior, error = likelihood.prior, likelihood.error
     return Belief.learnt(
         dataset,
         prior.slider,
@@ -209,11 +175,7 @@ def fitted_belief(fitted: Fitted, dataset: PushDataset, seed: int) -> Belief:
         method="gauss-newton",
         seed=seed,
         trials=[observation.trial for observation in likelihood.observations],
-        settings={
-            "prior": asdict(prior.settings),
-            "motion_error": likelihood.error.motion,
-            "force_error": likelihood.error.force,
-        },
+        settings={"prior": asdict(prior.settings), "motion_error": error.motion, "force_error": error.force},
     )
 
 

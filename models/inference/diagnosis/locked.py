@@ -7,16 +7,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from slipmap.models.inference.diagnosis.correlated import CorrelatedLikelihood, MeasuredPushes
+from slipmap.models.inference.diagnosis.correlated import CorrelatedLikelihood, FitData
 from slipmap.models.inference.diagnosis.fitting import Fitted
 from slipmap.models.inference.observations import Observation
 from slipmap.models.measurements import PushDataset, pose_times
 from slipmap.models.physics.cell_grid import FloatArray
 from slipmap.models.physics.paper_notation import add
-from slipmap.models.physics.pushes import Push
-
-LOCKED_SHARE = 0.3
-"""Share of the pushes that is locked away where the dataset has no held-out ones."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,7 +42,7 @@ class LockedErrors:
 
 
 def locked_trials(dataset: PushDataset, rng: np.random.Generator) -> list[str]:
-    """Names of the trials to lock away: those held out, else a share of all, at least one where there are
+    """Names of the trials to lock away: those held out, else three in ten, one at least where there are
     three."""
     heldout = [trial.name for trial in dataset.heldout_trials]
     if heldout:
@@ -54,22 +50,19 @@ def locked_trials(dataset: PushDataset, rng: np.random.Generator) -> list[str]:
     names = [trial.name for trial in dataset.trials]
     if len(names) < 3:
         return []
-    count = max(1, round(LOCKED_SHARE * len(names)))
+    count = max(1, round(0.3 * len(names)))
     return sorted(rng.choice(names, count, replace=False).tolist())
 
 
 def locked_errors(fitted: Fitted, dataset: PushDataset, observations: Sequence[Observation]) -> LockedErrors:
     """Predict locked pushes from their first pose and compare with every row that was measured."""
     prior = fitted.likelihood.prior
-    likelihood = CorrelatedLikelihood(
-        prior, MeasuredPushes(observations, dataset.grid), fitted.likelihood.error
-    )
+    likelihood = CorrelatedLikelihood(prior, FitData(observations, dataset.grid), fitted.likelihood.error)
     trials = {trial.name: trial for trial in dataset.trials}
-    times = [pose_times(trials[o.trial]) for o in observations]
-    pushes: list[Push] = []
-    for o, t in zip(observations, times, strict=True):
-        end = (len(o.push.tip) - 1) * o.push.h
-        pushes.append(replace(o.push, pose_times=np.minimum(t, end)))
+    pushes = [
+        replace(o.push, pose_times=np.minimum(pose_times(trials[o.trial]), (len(o.push.tip) - 1) * o.push.h))
+        for o in observations
+    ]
     rollouts = prior.slider.rollout(prior.maps(fitted.z[None]), pushes)
     rows = likelihood.rows(fitted.z, np.zeros((len(observations), 3)))
     centers = prior.slider.grid.centers

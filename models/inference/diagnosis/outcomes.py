@@ -123,7 +123,7 @@ def two_at_once(found: Sequence[Fitted]) -> Outcome:
 
 
 def unknown(base: Fitted, screening: Screening) -> Outcome:
-    """Structure is left; told by the probe that gains most in a screening."""
+    """Structure is left, described by the probe that gains most in a screening."""
     probes = [(g, c) for g, c in zip(screening.gain, screening.candidates, strict=True) if c in PROBES]
     _, probe = max(probes, key=lambda pair: pair[0])
     return Outcome(

@@ -9,15 +9,13 @@
    leaves nothing to gain; an impostor leaves the true one. Those that pass are the answer: one, or a set.
 5. Where none passes, pairs are tried; where no pair passes, the effect is unknown to the library.
 
-The steps from the second on are those of `inquiry`.
-
-What counts is said in `verdict_rules`, what it comes to in `outcomes`.
+`verdict_rules` says what counts, `outcomes` what it comes to.
 """
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from functools import partial
 
 import numpy as np
@@ -26,8 +24,8 @@ from slipmap.models.effects.effect import Effect
 from slipmap.models.effects.library import LIBRARY
 from slipmap.models.effects.probes import PROBES
 from slipmap.models.inference.diagnosis import outcomes
-from slipmap.models.inference.diagnosis.correlated import sensor_noise
 from slipmap.models.inference.diagnosis.effect_fit import effect_sizes
+from slipmap.models.inference.diagnosis.error_model import sensor_noise
 from slipmap.models.inference.diagnosis.fitting import Fitted, Fitter
 from slipmap.models.inference.diagnosis.locked import locked_errors, locked_trials
 from slipmap.models.inference.diagnosis.outcomes import Outcome
@@ -59,18 +57,77 @@ from slipmap.models.inference.diagnosis.verdict_rules import (
 )
 from slipmap.models.inference.observations import Observation, observe_all
 from slipmap.models.measurements import DatasetError, PushDataset
+from slipmap.models.progress import Progress, StageProgress, silent
 
-# What open pushes miss: the steps of `procedure` that go from them to an answer, and what they find.
+
+def diagnose(
+    dataset: PushDataset,
+    *,
+    effects: Sequence[Effect] = LIBRARY,
+    draws: int = 199,
+    quick: bool = False,
+    seed: int = 0,
+    progress: Progress | None = None,
+) -> Diagnosis:
+    """Find out whether, and which, physical effect the model misses on a dataset.
+
+    Args:
+        dataset: measured pushes.
+        effects: candidates.
+        draws: simulated datasets for the p-values.
+        quick: do not simulate any; gains are judged by a fixed threshold. Fewer pushes, larger steps.
+        seed: of every random draw.
+        progress: called with (stage, done, total).
+
+    Raises:
+        DatasetError: no push is left to fit.
+        EffectError: a candidate's formula cannot be used.
+        ValueError: fewer draws than the level of the test needs.
+    """
+    if not quick and draws < FEWEST_DRAWS:
+        raise ValueError(f"draws must be at least {FEWEST_DRAWS} to reach p <= {LEVEL}, got {draws}")
+    started = time.perf_counter()
+    report = progress or silent
+    rng = np.random.default_rng(seed)
+    report("preparing pushes", 0, 1)
+    locked = locked_trials(dataset, rng)
+    open_trials = [trial for trial in dataset.trials if trial.name not in locked]
+    if quick and len(open_trials) > 10:
+        # A quick look takes ten, spread evenly over all.
+        kept = np.linspace(0, len(open_trials) - 1, 10).round().astype(int)
+        open_trials = [open_trials[b] for b in kept]
+    if not open_trials:
+        raise DatasetError(f"dataset {dataset.name} has no push left to fit; give at least one the role fit")
+    coarseness = QUICK_COARSENESS if quick else 1.0
+    observations = observe_all(dataset, open_trials, coarseness)
+    held = observe_all(dataset, [trial for trial in dataset.trials if trial.name in locked], coarseness)
+    inquiry = Inquiry(dataset, observations, tuple(effects), 0 if quick else draws, rng, report)
+    outcome = inquiry.run()
+    before = locked_errors(inquiry.base, dataset, held) if held else None
+    after = locked_errors(outcome.best, dataset, held) if held and outcome.best.effects else before
+    if outcome.effects and locked_pushes_object(inquiry.error.motion, before, after):
+        outcome, after = outcomes.refuted_by_locked_pushes(outcome, inquiry.base), before
+    elif outcome.effects and locked_pushes_stay_off(before, after):
+        outcome, after = outcomes.no_help_to_locked_pushes(outcome, inquiry.base, inquiry.first), before
+    return Diagnosis(
+        **vars(outcome),
+        candidates=tuple(inquiry.candidates(outcome.best)),
+        p_value=inquiry.p_value,
+        open_trials=tuple(o.trial for o in observations),
+        locked=tuple(locked),
+        before=before,
+        after=after,
+        base=inquiry.base,
+        motion_error=inquiry.error.motion,
+        force_error=inquiry.error.force,
+        quick=quick,
+        seconds=time.perf_counter() - started,
+        seed=seed,
+    )
 
 
-MOST_ASKED = 5
-MOST_ASKED_QUICKLY = 2
-"""Candidates that are asked what they leave."""
-
-FIRSTS_TRIED = 2
+_FIRSTS_TRIED = 2
 """Candidates to which a second effect is added."""
-
-Progress = Callable[[str, int, int], None]
 
 
 class Inquiry:
@@ -135,7 +192,7 @@ class Inquiry:
             return outcomes.too_faint(self.base)
         return outcomes.unknown(self.base, next(iter(rest.values())))
 
-    def _screen(self, fitted: Fitted, progress: Callable[[int, int], None] | None = None) -> Screening:
+    def _screen(self, fitted: Fitted, progress: StageProgress | None = None) -> Screening:
         everything = (*self.effects, *PROBES)
         return screen(
             self.fitter, fitted, everything, len(self.effects), self.scene, max(self.draws, 1), self.rng,
@@ -191,8 +248,7 @@ class Inquiry:
         gains = self.refits.gains
         order = self.refits.order
         best = gains[order[0]]
-        asked = [name for name in order if worth_asking(gains[name], best)]
-        asked = asked[: MOST_ASKED if self.draws else MOST_ASKED_QUICKLY]
+        asked = [name for name in order if worth_asking(gains[name], best)][: 5 if self.draws else 2]
         rest: dict[str, Screening] = {}
         for step, name in enumerate(asked):
             self.report("asking what is left", step, len(asked))
@@ -212,10 +268,10 @@ class Inquiry:
         gains = self.refits.gains
         best = max(gains.values(), default=0.0)
         found: list[Fitted] = []
-        for step, name in enumerate(list(rest)[:FIRSTS_TRIED]):
+        for step, name in enumerate(list(rest)[:_FIRSTS_TRIED]):
             if found and not self.rules.rivals_the_best(gains[name], best):
                 break
-            self.report("trying pairs", step, FIRSTS_TRIED)
+            self.report("trying pairs", step, _FIRSTS_TRIED)
             first = self.refits.fits[name]
             for pair in pairs(self.fitter, first, rest[name], self.effects, self.scene):
                 together, second = self.base.cost - pair.cost, first.cost - pair.cost
@@ -255,82 +311,3 @@ class Inquiry:
         return sorted(
             results, key=lambda c: (-(c.fitted_gain if c.fitted_gain is not None else -np.inf), -c.gain)
         )
-
-
-QUICK_PUSHES = 10
-"""Pushes that a quick look takes, spread evenly over all that are open."""
-
-
-def diagnose(
-    dataset: PushDataset,
-    *,
-    effects: Sequence[Effect] = LIBRARY,
-    draws: int = 199,
-    quick: bool = False,
-    seed: int = 0,
-    progress: Progress | None = None,
-) -> Diagnosis:
-    """Find out whether, and which, physical effect the model misses on a dataset.
-
-    Args:
-        dataset: measured pushes.
-        effects: candidates.
-        draws: simulated datasets for the p-values.
-        quick: do not simulate any; gains are judged by a fixed threshold. Fewer pushes, larger steps.
-        seed: of every random draw.
-        progress: called with (stage, done, total).
-
-    Raises:
-        DatasetError: no push is left to fit.
-        EffectError: a candidate's formula cannot be used.
-        ValueError: fewer draws than the level of the test needs.
-    """
-    if not quick and draws < FEWEST_DRAWS:
-        raise ValueError(f"draws must be at least {FEWEST_DRAWS} to reach p <= {LEVEL}, got {draws}")
-    started = time.perf_counter()
-    report = progress or (lambda stage, done, total: None)
-    rng = np.random.default_rng(seed)
-    report("preparing pushes", 0, 1)
-    locked = locked_trials(dataset, rng)
-    open_trials = [trial for trial in dataset.trials if trial.name not in locked]
-    if quick and len(open_trials) > QUICK_PUSHES:
-        kept = np.linspace(0, len(open_trials) - 1, QUICK_PUSHES).round().astype(int)
-        open_trials = [open_trials[b] for b in kept]
-    if not open_trials:
-        raise DatasetError(f"dataset {dataset.name} has no push left to fit; give at least one the role fit")
-    coarseness = QUICK_COARSENESS if quick else 1.0
-    observations = observe_all(dataset, open_trials, coarseness)
-    held = observe_all(dataset, [trial for trial in dataset.trials if trial.name in locked], coarseness)
-    inquiry = Inquiry(dataset, observations, tuple(effects), 0 if quick else draws, rng, report)
-    outcome = inquiry.run()
-    before = locked_errors(inquiry.base, dataset, held) if held else None
-    after = locked_errors(outcome.best, dataset, held) if held and outcome.best.effects else before
-    if outcome.effects and locked_pushes_object(inquiry.error.motion, before, after):
-        outcome, after = outcomes.refuted_by_locked_pushes(outcome, inquiry.base), before
-    elif outcome.effects and locked_pushes_stay_off(before, after):
-        outcome, after = outcomes.no_help_to_locked_pushes(outcome, inquiry.base, inquiry.first), before
-    return Diagnosis(
-        verdict=outcome.verdict,
-        sentence=outcome.sentence,
-        effects=outcome.effects,
-        together=outcome.together,
-        candidates=tuple(inquiry.candidates(outcome.best)),
-        p_value=inquiry.p_value,
-        depends_on=outcome.depends_on,
-        open_trials=tuple(o.trial for o in observations),
-        locked=tuple(locked),
-        before=before,
-        after=after,
-        base=inquiry.base,
-        best=outcome.best,
-        effect_objects=outcome.best.effects,
-        motion_error=inquiry.error.motion,
-        force_error=inquiry.error.force,
-        quick=quick,
-        seconds=time.perf_counter() - started,
-        seed=seed,
-        rivals=outcome.rivals,
-    )
-
-
-__all__ = ["diagnose"]

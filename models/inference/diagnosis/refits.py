@@ -2,34 +2,29 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from slipmap.models.effects.effect import Effect, Scene
-from slipmap.models.inference.diagnosis.correlated import ErrorModel
+from slipmap.models.inference.diagnosis.error_model import ErrorModel
 from slipmap.models.inference.diagnosis.fitting import Fitted, Fitter, estimate_errors
 from slipmap.models.inference.diagnosis.screening import Screening
+from slipmap.models.progress import StageProgress
 
-QUICK_FORGIVING = 6
-QUICK_ITERATIONS = 1
-QUICK_REFITS = 3
-"""Where chance was not simulated, a short search and one step of the full fit choose what is refitted in
-full, so many besides the favourite."""
+_QUICK_REFITS = 3
+"""Candidates besides the favourite that are refitted in full where chance was not simulated; a short search
+and one step of the full fit choose them."""
 
-WORTH_REFITTING = 0.7
-WORTH_REFITTING_GAIN = 30.0
+_WORTH_REFITTING, _WORTH_REFITTING_GAIN = 0.7, 30.0
 """Share of the best fall of the cost, or nats, by which a candidate may be behind to be refitted again."""
 
-BETTER_BASE = 5.0
+_BETTER_BASE = 5.0
 """Fall of the cost, in nats, by which other maps of the model without effects are better."""
 
-SECONDS_TRIED = 2
-SECOND_SHARE = 0.3
+_SECONDS_TRIED, _SECOND_SHARE = 2, 0.3
 """Second effects that are tried with a first: so many, with at least this share of the largest gain."""
-
-Step = Callable[[int, int], None]
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,20 +55,12 @@ def refit_candidates(
     scene: Scene,
     *,
     quick: bool,
-    progress: Step,
+    progress: StageProgress,
 ) -> Refits:
-    """Refit all candidates, then again under the error model of the best of them.
+    """Refit the effects among the candidates screened, then again under the error model of the best.
 
-    All, since the first order misleads where the model without the effect had to bend its maps far.
-
-    Args:
-        fitter: knows the data.
-        base: model without effects.
-        first: gains on top of it.
-        effects: that are refitted.
-        scene: for their starts.
-        quick: whether to take a few alone.
-        progress: called with the number of candidates done and that of all.
+    All, since the first order misleads where the model without the effect had to bend its maps far; with
+    `quick` a short search leaves a few.
     """
     error = base.likelihood.error
     named = [i for i in np.argsort(-first.gain) if first.candidates[i] in effects]
@@ -84,9 +71,8 @@ def refit_candidates(
         guess = effect.start_values(scene)[int(first.start[i])]
         if quick:
             fitted = fitter.with_effects(
-                (effect,), error, None, guess, afresh=True,
-                iterations=QUICK_ITERATIONS, forgiving=QUICK_FORGIVING,
-            )  # fmt: skip
+                (effect,), error, None, guess, afresh=True, iterations=1, forgiving=6
+            )
         else:
             fitted = fitter.with_effects((effect,), error, base, guess, afresh=True)
         if fitted is not None:
@@ -96,13 +82,13 @@ def refit_candidates(
     favourite = first.candidates[named[0]].name
     if quick:
         # One step does not bring every candidate near its optimum: the first-order favourite stays in.
-        ahead = sorted(found, key=lambda name: found[name].cost)[:QUICK_REFITS]
+        ahead = sorted(found, key=lambda name: found[name].cost)[:_QUICK_REFITS]
         found = {name: fit for name, fit in found.items() if name in ahead or name == favourite}
     best = min(found.values(), key=lambda fitted: fitted.cost)
     progress(len(named), len(named) + 2)
     error = estimate_errors(best, fitter.noise)
     plain = fitter.base(error, base)
-    ceiling = best.cost + WORTH_REFITTING * max(base.cost - best.cost, WORTH_REFITTING_GAIN)
+    ceiling = best.cost + _WORTH_REFITTING * max(base.cost - best.cost, _WORTH_REFITTING_GAIN)
     fits = {}
     for name, fitted in found.items():
         if fitted.cost > ceiling and not (quick and name == favourite):
@@ -123,7 +109,7 @@ def better_base(fitter: Fitter, base: Fitted, refits: Refits) -> Fitted | None:
         return None
     best = min(refits.fits.values(), key=lambda fitted: fitted.cost)
     again = fitter.base(refits.error, best)
-    if again.cost > fitter.base(refits.error, base).cost - BETTER_BASE:
+    if again.cost > fitter.base(refits.error, base).cost - _BETTER_BASE:
         return None
     return fitter.base(estimate_errors(again, fitter.noise), again)
 
@@ -131,18 +117,10 @@ def better_base(fitter: Fitter, base: Fitted, refits: Refits) -> Fitted | None:
 def pairs(
     fitter: Fitter, first: Fitted, rest: Screening, effects: Sequence[Effect], scene: Scene
 ) -> Iterator[Fitted]:
-    """Fits of two effects at once, the second being one that gains most on top of the first.
-
-    Args:
-        fitter: knows the data.
-        first: model with the first effect.
-        rest: gains on top of it.
-        effects: that may be the second.
-        scene: for its start.
-    """
-    order = [i for i in np.argsort(-rest.gain) if rest.candidates[i] in effects][:SECONDS_TRIED]
+    """Fits of two effects at once, the second being one of `effects` that gains most on top of the first."""
+    order = [i for i in np.argsort(-rest.gain) if rest.candidates[i] in effects][:_SECONDS_TRIED]
     for i in order:
-        if rest.gain[i] < SECOND_SHARE * rest.gain.max():
+        if rest.gain[i] < _SECOND_SHARE * rest.gain.max():
             continue
         second = rest.candidates[i]
         guess = second.start_values(scene)[int(rest.start[i])]

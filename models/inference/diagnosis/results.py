@@ -5,13 +5,15 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
+import numpy as np
+
 from slipmap.models.effects.effect import Effect, bounds
 from slipmap.models.inference.diagnosis.fitting import Fitted
 from slipmap.models.inference.diagnosis.locked import LockedErrors
+from slipmap.models.inference.diagnosis.outcomes import Outcome
 from slipmap.models.physics.cell_grid import FloatArray
 
 VERDICTS = ("adequate", "effect", "ambiguous", "unknown", "undecided")
-
 
 QUICK_COARSENESS = 2.0
 """How many times longer the steps of a quick look are."""
@@ -40,18 +42,10 @@ def estimates_of(
     """Parameters (P,) with the 90 % intervals of their standard deviations (P,), cut at the allowed range."""
     spread = 1.645 * deviations
     low, high = bounds(effects)
-    every = [(effect.name, parameter) for effect in effects for parameter in effect.parameters]
-    return tuple(
-        ParameterEstimate(
-            name,
-            parameter.name,
-            parameter.unit,
-            float(value),
-            float(max(value - s, lo)),
-            float(min(value + s, hi)),
-        )
-        for (name, parameter), value, s, lo, hi in zip(every, values, spread, low, high, strict=True)
-    )
+    lows, highs = np.maximum(values - spread, low), np.minimum(values + spread, high)
+    every = [(effect.name, p.name, p.unit) for effect in effects for p in effect.parameters]
+    numbers = zip(values.tolist(), lows.tolist(), highs.tolist(), strict=True)
+    return tuple(ParameterEstimate(*names, *own) for names, own in zip(every, numbers, strict=True))
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,25 +78,18 @@ class CandidateResult:
     parameters: tuple[ParameterEstimate, ...] = ()
 
 
-@dataclass(frozen=True, eq=False)
-class Diagnosis:
-    """Result of `diagnose`.
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Diagnosis(Outcome):
+    """Result of `diagnose`: the verdict and what it rests on.
 
     Attributes:
-        verdict: one of `VERDICTS`.
-        sentence: the verdict for a person.
-        effects: what the data cannot rule out, best first; together if `together`.
-        together: whether the effects are needed at the same time.
         candidates: all that were tried, best first.
         p_value: of the largest gain; None where nothing was simulated.
-        depends_on: sentence of the probe that finds structure that no effect explains, or None.
         open_trials: pushes that were fitted.
         locked: names of those locked away.
         before: their errors without any effect; None where none was locked.
         after: their errors with the best effects; the same as before where there is none.
         base: fitted model without effects.
-        best: fitted model with the best effects, or without.
-        effect_objects: the effects of `best`.
         motion_error: α of the final error model.
         force_error: β of the final error model.
         quick: whether calibration was skipped.
@@ -112,27 +99,24 @@ class Diagnosis:
             told apart.
     """
 
-    verdict: str
-    sentence: str
-    effects: tuple[str, ...]
-    together: bool
     candidates: tuple[CandidateResult, ...]
     p_value: float | None
-    depends_on: str | None
     open_trials: tuple[str, ...]
     locked: tuple[str, ...]
     before: LockedErrors | None
     after: LockedErrors | None
     base: Fitted
-    best: Fitted
-    effect_objects: tuple[Effect, ...]
     motion_error: float
     force_error: float
     quick: bool
     seconds: float
     seed: int
-    rivals: tuple[Fitted, ...] = ()
     next_push: dict[str, object] | None = field(default=None)
+
+    @property
+    def effect_objects(self) -> tuple[Effect, ...]:
+        """The effects of `best`."""
+        return self.best.effects
 
     @property
     def coarseness(self) -> float:
@@ -173,16 +157,7 @@ class Diagnosis:
             "p_value": self.p_value,
             "depends_on": self.depends_on,
             "candidates": [
-                {
-                    "name": c.name,
-                    "gain": c.gain,
-                    "p_value": c.p_value,
-                    "fitted_gain": c.fitted_gain,
-                    "rejected_by": c.rejected_by,
-                    "remaining_gain": c.remaining_gain,
-                    "remaining_p": c.remaining_p,
-                    "in_set": c.in_set,
-                }
+                {name: value for name, value in vars(c).items() if name != "parameters"}
                 for c in self.candidates
             ],
             "open_trials": list(self.open_trials),

@@ -5,14 +5,15 @@ by the effects already in, and by every candidate. The gain of a candidate is th
 score on pushes left out. What gains come about by chance is simulated: residuals drawn from the error
 model, the largest gain over all candidates taken.
 
-Every model, with or without a candidate, may have every effect to a negligible amount (`TOLERANCE`), so
+Every model, with or without a candidate, may have every effect to a negligible amount (`_TOLERANCE`), so
 that a table that is level to a tenth of a degree counts as level.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -20,14 +21,16 @@ from slipmap.models.effects.effect import Effect, EffectError, Scene
 from slipmap.models.effects.library import LIBRARY
 from slipmap.models.effects.probes import PROBES
 from slipmap.models.inference.diagnosis.correlated import CorrelatedLikelihood
-from slipmap.models.inference.diagnosis.fitting import Fitted, Fitter, PushEquations, whitened_rows
+from slipmap.models.inference.diagnosis.fitting import Fitted, Fitter
+from slipmap.models.inference.diagnosis.predictive import PushEquations, whitened_rows
 from slipmap.models.physics.cell_grid import FloatArray
 from slipmap.models.physics.rollout import RolloutError
+from slipmap.models.progress import StageProgress
 
-TOLERANCE = 1.0 / 30.0
+_TOLERANCE = 1.0 / 30.0
 """Negligible amount of an effect, in scales of its amplitudes."""
 
-FREE = 3.0
+_FREE = 3.0
 """Standard deviation of a candidate's amplitudes, in their scales."""
 
 
@@ -39,7 +42,6 @@ class Screening:
         candidates: the effects that were tried.
         gain: (C,) best gain of each over its starts, in nats.
         start: (C,) which start it was.
-        per_push: (C, B) its parts.
         chance: (C, D) the same gains for simulated data without any missing effect.
         turned: (C, D) the same for the data with the residuals of whole pushes turned round at random; the
             first are the data as they are.
@@ -49,7 +51,6 @@ class Screening:
     candidates: tuple[Effect, ...]
     gain: FloatArray
     start: np.ndarray
-    per_push: FloatArray
     chance: FloatArray
     turned: FloatArray
     sharpness: FloatArray
@@ -59,15 +60,9 @@ class Screening:
         """Gains by the candidates' names, nats."""
         return {c.name: float(gain) for c, gain in zip(self.candidates, self.gain, strict=True)}
 
-    @property
-    def largest_by_chance(self) -> FloatArray:
-        """(D,) largest gain over all candidates in each simulated dataset."""
-        return self.chance.max(axis=0)
-
     def p_value(self, gain: float) -> float:
-        """Share of simulated datasets whose largest gain is at least this one, the data themselves
-        counted."""
-        largest = self.largest_by_chance
+        """Share of simulated datasets whose largest gain is at least this one, the data among them."""
+        largest = self.chance.max(axis=0)
         return float((1 + (largest >= gain).sum()) / (1 + len(largest)))
 
     def p_of_agreement(self) -> float:
@@ -84,7 +79,7 @@ def screen(
     scene: Scene,
     draws: int,
     rng: np.random.Generator,
-    progress: Callable[[int, int], None] | None = None,
+    progress: StageProgress | None = None,
 ) -> Screening:
     """Gains of all effects on top of a fitted model.
 
@@ -98,60 +93,15 @@ def screen(
         rng: of the draws.
         progress: called with the number of parts done and that of all.
     """
-    prior = fitter.prior(everything)
-    likelihood = CorrelatedLikelihood(prior, fitter.measured, fitted.likelihood.error)
-    plain = prior.plain
-    at = np.cumsum([0, *(len(effect.parameters) for effect in everything)])
-    names = [effect.name for effect in everything]
-    present = [names.index(effect.name) for effect in fitted.effects]
-    candidates = [i for i in range(len(everything)) if i not in present]
-    starts = [effect.start_values(scene) for effect in everything]
-    values = fitted.values
-    for effect, i in zip(fitted.effects, present, strict=True):
-        starts[i] = values[None, : len(effect.parameters)]
-        values = values[len(effect.parameters) :]
-
-    own_columns: list[list[np.ndarray]] = [[] for _ in everything]
-    base_columns: np.ndarray = np.zeros(0, dtype=np.int64)
-    residuals: list[FloatArray] = []
-    jacobians: list[list[FloatArray]] = [[] for _ in fitter.observations]
-    width = 0
-    guesses = max(len(starts[i]) for i in candidates)
     report = progress or (lambda done, total: None)
-    for g in range(guesses):
-        report(g, guesses + 1)  # the last part, all scores, takes about as long as a few of the others
-        guess = np.concatenate([start[min(g, len(start) - 1)] for start in starts])
-        z = np.concatenate([fitted.z[: fitted.likelihood.prior.plain], prior.effect_coordinates(guess)])
-        taken = []
-        if g == 0:
-            kept = [np.arange(plain), *(np.arange(plain + at[i], plain + at[i + 1]) for i in present)]
-            taken.append(np.concatenate(kept))
-            base_columns = np.arange(len(taken[0]))
-            width = len(base_columns)
-        for i in candidates:
-            if g < len(starts[i]):
-                columns = plain + at[i] + np.flatnonzero(everything[i].amplitudes)
-                taken.append(columns)
-                own_columns[i].append(np.arange(width, width + len(columns)))
-                width += len(columns)
-        chosen = np.concatenate(taken)
-        try:
-            rows = [push.by(chosen) for push in likelihood.rows(z, fitted.offsets)]
-        except RolloutError as error:
-            own = [e.name for e in everything if e not in LIBRARY and e not in PROBES]
-            model = f"the model with {', '.join(own) or 'all effects'}"
-            raise EffectError(f"{model} cannot be computed on these pushes: {error}") from error
-        white, rest = whitened_rows(likelihood, rows)
-        if g == 0:
-            residuals = rest
-        for b, J in enumerate(white):
-            jacobians[b].append(J)
+    jacobians, residuals, base_columns, own_columns = _stacked(fitter, fitted, everything, scene, report)
+    candidates = [i for i, columns in enumerate(own_columns) if columns]
+    guesses = max(len(own_columns[i]) for i in candidates)
     report(guesses, guesses + 1)
-    stacked = [np.concatenate(parts, axis=1) for parts in jacobians]
     tolerated = [i for i in candidates if i < named]
     spare = np.concatenate([np.zeros(0, dtype=np.int64), *(own_columns[i][0] for i in tolerated)])
 
-    small = rng.standard_normal((len(spare), draws)) * TOLERANCE
+    small = rng.standard_normal((len(spare), draws)) * _TOLERANCE
     signs = rng.choice([-1.0, 1.0], (len(residuals), draws))
     signs[:, 0] = 1.0
     drawn = [
@@ -159,18 +109,18 @@ def screen(
             [r[:, None], rng.standard_normal((len(r), draws)) + J[:, spare] @ small, r[:, None] * turn],
             axis=1,
         )
-        for J, r, turn in zip(stacked, residuals, signs, strict=True)
+        for J, r, turn in zip(jacobians, residuals, signs, strict=True)
     ]
-    equations = PushEquations.of(stacked, drawn)
+    equations = PushEquations.of(jacobians, drawn)
     pull = fitted.z - fitted.prior_mean
 
     def score(candidate: int | None, g: int) -> FloatArray:
         others = [own_columns[i][0] for i in tolerated if i != candidate]
         columns = [base_columns, *others]
-        precision = [np.ones(len(base_columns)), *(np.full(len(c), TOLERANCE**-2.0) for c in others)]
+        precision = [np.ones(len(base_columns)), *(np.full(len(c), _TOLERANCE**-2.0) for c in others)]
         if candidate is not None:
             columns.append(own_columns[candidate][g])
-            precision.append(np.full(len(columns[-1]), FREE**-2.0))
+            precision.append(np.full(len(columns[-1]), _FREE**-2.0))
         joined = np.concatenate(columns)
         hold = np.zeros(len(joined))
         hold[: len(pull)] = pull
@@ -184,20 +134,19 @@ def screen(
 
     without = np.zeros(0)
     without = score(None, 0)
-    gain, start, per_push, chance, turned, sharpness = [], [], [], [], [], []
+    gain, start, chance, turned, sharpness = [], [], [], [], []
     total = equations.normal.sum(axis=0)
     for i in candidates:
-        tried = np.array([score(i, g) - without for g in range(len(starts[i]))])
+        tried = np.array([score(i, g) - without for g in range(len(own_columns[i]))])
         totals = tried.sum(axis=1)
         best = int(np.argmax(totals[:, 0]))
         gain.append(totals[best, 0])
         start.append(best)
-        per_push.append(tried[best, :, 0])
         chance.append(totals[:, 1 : 1 + draws].max(axis=0))
         turned.append(totals[:, 1 + draws :].max(axis=0))
         both = np.concatenate([base_columns, own_columns[i][best]])
         width = len(base_columns)
-        precision = np.concatenate([np.ones(width), np.full(len(both) - width, FREE**-2.0)])
+        precision = np.concatenate([np.ones(width), np.full(len(both) - width, _FREE**-2.0)])
         covariance = np.linalg.inv(total[both[:, None], both] + np.diag(precision))
         sharpness.append(float(np.sqrt(np.diagonal(covariance)[width:].min())))
     report(guesses + 1, guesses + 1)
@@ -205,8 +154,71 @@ def screen(
         tuple(everything[i] for i in candidates),
         np.array(gain),
         np.array(start),
-        np.array(per_push),
         np.array(chance),
         np.array(turned),
         np.array(sharpness),
     )
+
+
+class _Stacked(NamedTuple):
+    """Whitened derivatives of all pushes by everything that may be among a model's coordinates.
+
+    Attributes:
+        jacobians: (R_b, W) of each push.
+        residuals: (R_b,) of each push.
+        base_columns: of the fitted model.
+        own_columns: of each effect, for each of its starts; of those in the model none.
+    """
+
+    jacobians: list[FloatArray]
+    residuals: list[FloatArray]
+    base_columns: np.ndarray
+    own_columns: list[list[np.ndarray]]
+
+
+def _stacked(
+    fitter: Fitter, fitted: Fitted, everything: Sequence[Effect], scene: Scene, report: StageProgress
+) -> _Stacked:
+    prior = fitter.prior(everything)
+    likelihood = CorrelatedLikelihood(prior, fitter.measured, fitted.likelihood.error)
+    plain = prior.plain
+    at = plain + np.cumsum([0, *(len(effect.parameters) for effect in everything)])
+    names = [effect.name for effect in everything]
+    present = [names.index(effect.name) for effect in fitted.effects]
+    candidates = [i for i in range(len(everything)) if i not in present]
+    starts = [effect.start_values(scene) for effect in everything]
+    values = fitted.values
+    for effect, i in zip(fitted.effects, present, strict=True):
+        starts[i] = values[None, : len(effect.parameters)]
+        values = values[len(effect.parameters) :]
+
+    taken = [np.arange(plain), *(np.arange(at[i], at[i + 1]) for i in present)]
+    width = sum(len(columns) for columns in taken)
+    base_columns = np.arange(width)
+    own_columns: list[list[np.ndarray]] = [[] for _ in everything]
+    residuals: list[FloatArray] = []
+    jacobians: list[list[FloatArray]] = [[] for _ in fitter.observations]
+    guesses = max(len(starts[i]) for i in candidates)
+    for g in range(guesses):
+        report(g, guesses + 1)  # the last part, all scores, takes about as long as a few of the others
+        guess = np.concatenate([start[min(g, len(start) - 1)] for start in starts])
+        z = np.concatenate([fitted.z[: fitted.likelihood.prior.plain], prior.effect_coordinates(guess)])
+        for i in candidates:
+            if g < len(starts[i]):
+                columns = at[i] + np.flatnonzero(everything[i].amplitudes)
+                taken.append(columns)
+                own_columns[i].append(np.arange(width, width + len(columns)))
+                width += len(columns)
+        chosen, taken = np.concatenate(taken), []
+        try:
+            rows = [push.by(chosen) for push in likelihood.rows(z, fitted.offsets)]
+        except RolloutError as error:
+            own = [e.name for e in everything if e not in LIBRARY and e not in PROBES]
+            model = f"the model with {', '.join(own) or 'all effects'}"
+            raise EffectError(f"{model} cannot be computed on these pushes: {error}") from error
+        white, rest = whitened_rows(likelihood, rows)
+        residuals = residuals or rest
+        for parts, J in zip(jacobians, white, strict=True):
+            parts.append(J)
+    stacked = [np.concatenate(parts, axis=1) for parts in jacobians]
+    return _Stacked(stacked, residuals, base_columns, own_columns)

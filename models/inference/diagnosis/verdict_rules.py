@@ -17,13 +17,13 @@ LEVEL = 0.01
 FEWEST_DRAWS = 99
 """Simulated datasets without which no p-value could reach the level."""
 
-QUICK_GAIN = 8.0
+_QUICK_GAIN = 8.0
 """Gain, in nats, that counts where chance was not simulated."""
 
-MATERIAL = 0.03
+_MATERIAL = 0.03
 """What gains less than this share on top of an effect's own gain is a matter of its exact form."""
 
-MATERIAL_BY_FAR = 0.01
+_MATERIAL_BY_FAR = 0.01
 """The same where it gains more than `PROBE_GAIN`: effects that act like the hidden one and are not it left 28
 nats and more, 1 to 3 % of their own; hidden effects themselves left up to 13, or less than 0.5 %."""
 
@@ -40,29 +40,29 @@ PAIR_GAIN = 2 * UNKNOWN_GAIN
 """Gain, in nats, that two effects have to have together when refitted. Each may hide the other from the first
 question, but a faint finding that no effect explains is not two effects."""
 
-FAR_OFF = 2.0
+_FAR_OFF = 2.0
 """Misfit of locked pushes, in sensor noise, that calls for an explanation."""
 
-LEAST_HELP = 0.1
+_LEAST_HELP = 0.1
 """Share by which an answer has to lower it. The true effect lowers it several times over; one that bends to
 a few open pushes does not."""
 
-REST_GAIN = 8.0
+_REST_GAIN = 8.0
 """The same for all that is found on top of an effect, where it may come from the effect's exact form."""
 
-CLEARLY_WORSE = 0.02
+_CLEARLY_WORSE = 0.02
 CLEARLY_WORSE_GAIN = 40.0
 """A candidate whose gain is smaller than the best one's by this share and by so many nats is ruled out by
 that alone."""
 
-CLEARLY_WORSE_QUICKLY = 0.1
+_CLEARLY_WORSE_QUICKLY = 0.1
 """The share where chance was not simulated: searches are cut short then."""
 
-NEARLY = 0.05
+_NEARLY = 0.05
 """The share for one that predicts pushes left out better than the best."""
 
-FAR_WORSE = 0.6
-FAR_WORSE_GAIN = 10.0
+_FAR_WORSE = 0.6
+_FAR_WORSE_GAIN = 10.0
 """The same share and nats for one that is not even asked what it leaves."""
 
 ROUGH = 0.03
@@ -74,7 +74,7 @@ AGREEMENT = 0.05
 FEWEST_PUSHES = 4
 """Pushes below which nothing found does not mean that nothing is there."""
 
-BLIND = 1.0
+_BLIND = 1.0
 """Standard deviation, in scales, above which the pushes could not have shown an effect of ordinary size."""
 
 
@@ -114,7 +114,7 @@ class Rules:
 
     def beyond_chance(self, screening: Screening, gain: float) -> bool:
         """Whether chance hardly gains as much."""
-        return screening.p_value(gain) <= LEVEL if self.simulated else gain > QUICK_GAIN
+        return screening.p_value(gain) <= LEVEL if self.simulated else gain > _QUICK_GAIN
 
     def found(self, screening: Screening, floor: float, probe_floor: float) -> int | None:
         """Index of the candidate whose gain counts most, or None where all of it may be chance.
@@ -138,10 +138,10 @@ class Rules:
 
     def remainder(self, rest: Screening, own_gain: float) -> Remainder:
         """What is left to gain on top of a candidate that gains `own_gain` nats when refitted."""
-        found = self.found(rest, REST_GAIN, REST_GAIN)
+        found = self.found(rest, _REST_GAIN, _REST_GAIN)
         top = int(np.argmax(rest.gain)) if found is None else found
         gain = float(rest.gain[top])
-        share = MATERIAL_BY_FAR if gain > PROBE_GAIN else MATERIAL
+        share = _MATERIAL_BY_FAR if gain > PROBE_GAIN else _MATERIAL
         material = found is not None and gain >= share * own_gain
         return Remainder(
             rest.candidates[top].name if material else None, gain, self.p_value(rest, gain), found is None
@@ -160,25 +160,25 @@ class Rules:
 
         What is left must be small beside the gain of the second effect, not only of both.
         """
-        found = self.found(rest, REST_GAIN, REST_GAIN)
-        enough = found is None or rest.gain[found] < 2 * MATERIAL * second_gain
+        found = self.found(rest, _REST_GAIN, _REST_GAIN)
+        enough = found is None or rest.gain[found] < 2 * _MATERIAL * second_gain
         return second_gain > PROBE_GAIN and bool(enough)
 
     def rivals_the_best(self, gain: float, best: float) -> bool:
         """Whether a refitted candidate explains about as much as the best one."""
-        share = CLEARLY_WORSE if self.simulated else CLEARLY_WORSE_QUICKLY
+        share = _CLEARLY_WORSE if self.simulated else _CLEARLY_WORSE_QUICKLY
         return gain > best - max(CLEARLY_WORSE_GAIN, share * best)
 
     def blind(self, first: Screening) -> bool:
         """Whether the pushes could not have shown most effects of ordinary size."""
         pairs = zip(first.candidates, first.sharpness, strict=True)
         seen = [sharpness for effect, sharpness in pairs if effect in self.effects]
-        return sum(1 for sharpness in seen if sharpness > BLIND) > len(seen) / 2
+        return sum(1 for sharpness in seen if sharpness > _BLIND) > len(seen) / 2
 
 
 def worth_asking(gain: float, best: float) -> bool:
     """Whether a refitted candidate is near enough to the best one to be asked what it leaves."""
-    return gain > best - max(FAR_WORSE_GAIN, FAR_WORSE * best)
+    return gain > best - max(_FAR_WORSE_GAIN, _FAR_WORSE * best)
 
 
 def not_outdone(
@@ -203,7 +203,7 @@ def not_outdone(
     if not clean:
         return list(accepted)
     first = max(clean, key=lambda name: gains[name])
-    least = gains[first] - max(REST_GAIN, CLEARLY_WORSE * gains[first])
+    least = gains[first] - max(_REST_GAIN, _CLEARLY_WORSE * gains[first])
 
     def stays(name: str) -> bool:
         return left[name].clean or gains[name] > least or predicted[name] > predicted[first]
@@ -228,7 +228,7 @@ def with_better_predictors(
     best = max(accepted, key=lambda name: gains[name])
 
     def joins(name: str) -> bool:
-        return gains[name] > (1.0 - NEARLY) * gains[best] and predicted[name] > predicted[best]
+        return gains[name] > (1.0 - _NEARLY) * gains[best] and predicted[name] > predicted[best]
 
     return [*accepted, *(name for name in gains if name not in accepted and joins(name))]
 
@@ -244,6 +244,6 @@ def locked_pushes_object(
 
 def locked_pushes_stay_off(before: LockedErrors | None, after: LockedErrors | None) -> bool:
     """Whether pushes that were locked away, and are far off, are nearly as far off with the answer."""
-    if before is None or after is None or before.total_misfit < FAR_OFF:
+    if before is None or after is None or before.total_misfit < _FAR_OFF:
         return False
-    return after.typical_misfit > (1 - LEAST_HELP) * before.typical_misfit
+    return after.typical_misfit > (1 - _LEAST_HELP) * before.typical_misfit

@@ -203,7 +203,7 @@ def test_pushes_locked_by_lot_are_shown_as_held_out(tilted):
 
 def test_reports_of_the_other_verdicts(tilted, capsys):
     dataset, found = tilted
-    plain = dict(effects=(), best=found.base, effect_objects=(), after=found.before, rivals=())
+    plain = dict(effects=(), best=found.base, after=found.before, rivals=())
     unknown = replace(
         found, verdict="unknown", depends_on="friction_by_speed: Friction that depends on speed.", **plain
     )

@@ -26,7 +26,7 @@ from slipmap.diagrams.application.figures.maps import centers_of_friction, cente
 from slipmap.diagrams.application.figures.style import PlainNumbers, outline_path, placed, round_length
 from slipmap.diagrams.systems.look import top_of_scale
 from slipmap.models.effects import LIBRARY
-from slipmap.models.inference.results import PushPrediction
+from slipmap.models.inference.results import Prediction
 from slipmap.models.measurements.simulated import record_pushes
 from slipmap.models.physics.cell_grid import CellGrid
 from slipmap.models.physics.rollout import Maps
@@ -130,7 +130,7 @@ def pushes_of(belief, count):
         poses = trial.object_pose.values[10::20]
         hypotheses = np.stack([poses + np.array([0.0, 0.001 * (k + 1), 0.0]) for k in range(4)])
         predictions.append(
-            PushPrediction(trial.name, trial.role, trial.object_pose.time[10::20], poses, hypotheses,
+            Prediction(trial.name, trial.role, trial.object_pose.time[10::20], poses, hypotheses,
                            hypotheses[1], 0.0123, 0.0045, 0.1, 0.05, 1.0)
         )  # fmt: skip
     return predictions, dataset

@@ -29,7 +29,7 @@ from slipmap.diagrams.application.reports.tables import (
 )
 from slipmap.diagrams.application.terminal import Progress, table
 from slipmap.models.files import BadInput, whole_file, write_json
-from slipmap.models.inference.results import PushPrediction, Quantity
+from slipmap.models.inference.results import Prediction, Quantity
 from slipmap.models.measurements import Noise
 from slipmap.models.objects import cells_from_polygon
 
@@ -43,7 +43,7 @@ def prediction(trial="trials/000.json", role="fit", **numbers):
         "uniform_add": 0.05,
         "start_sensitivity": 1.0,
     }
-    return PushPrediction(trial, role, np.array([0.1, 0.2]), poses, poses[None], poses, **values | numbers)
+    return Prediction(trial, role, np.array([0.1, 0.2]), poses, poses[None], poses, **values | numbers)
 
 
 def recorded_by(noise):

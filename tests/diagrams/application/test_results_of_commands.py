@@ -12,7 +12,7 @@ from refusals import files_in
 
 from slipmap import planners
 from slipmap.models.inference.belief import Belief
-from slipmap.models.inference.prediction import middle_poses
+from slipmap.models.inference.summaries import middle_poses
 from slipmap.models.measurements import read_dataset
 
 

@@ -9,12 +9,8 @@ from matplotlib.patches import PathPatch
 
 from slipmap.diagrams.application.figures import telling_push_figure
 from slipmap.models.effects.registry import effects_named
-from slipmap.models.inference.diagnosis.correlated import (
-    CorrelatedLikelihood,
-    ErrorModel,
-    MeasuredPushes,
-    sensor_noise,
-)
+from slipmap.models.inference.diagnosis.correlated import CorrelatedLikelihood, FitData
+from slipmap.models.inference.diagnosis.error_model import ErrorModel, sensor_noise
 from slipmap.models.inference.diagnosis.fitting import Fitted, Fitter
 from slipmap.models.inference.diagnosis.results import Diagnosis
 from slipmap.models.inference.observations import observe_all
@@ -40,14 +36,15 @@ def test_outlines_of_the_start_and_of_every_rivals_end():
         z = np.zeros(prior.size)
         z[prior.plain :] = prior.effect_coordinates(np.array(values))
         likelihood = CorrelatedLikelihood(
-            prior, MeasuredPushes(observations, prior.slider.grid), ErrorModel(noise, 0.03, 0.05)
+            prior, FitData(observations, prior.slider.grid), ErrorModel(noise, 0.03, 0.05)
         )
         return Fitted(effects, likelihood, z, np.zeros(prior.size), np.zeros((3, 3)), 0.0)
 
     rivals = (model(["table_tilt"], [0.08, 0.0]), model(["skate"], [0.3, 0.5, 0.0, 0.0]))
     diagnosis = Diagnosis(
-        "ambiguous", "", ("table_tilt", "skate"), False, (), None, None, (), (), None, None, model([], []),
-        rivals[0], rivals[0].effects, 0.03, 0.05, True, 0.0, 0, rivals=rivals,
+        "ambiguous", "", rivals[0], ("table_tilt", "skate"), rivals=rivals, candidates=(), p_value=None,
+        open_trials=(), locked=(), before=None, after=None, base=model([], []), motion_error=0.03,
+        force_error=0.05, quick=True, seconds=0.0, seed=0,
     )  # fmt: skip
     told = next_push(diagnosis, dataset)
     figure = telling_push_figure(told, diagnosis, dataset)

@@ -20,7 +20,7 @@ from slipmap.diagrams.testing import (
     assert_quiet,
 )
 from slipmap.models.inference.belief import Belief
-from slipmap.models.inference.results import Identification, PushPrediction
+from slipmap.models.inference.results import Identification, Prediction
 from slipmap.models.robots import SPEED_LIMITS
 
 
@@ -53,7 +53,7 @@ def test_limits_of_joints_and_finger():
 
 def learned(*errors: float) -> Identification:
     pushes = [
-        PushPrediction(f"trials/{k:03d}.json", "heldout", *[np.zeros(0)] * 4, error, 0.001, 0.05, 0.02, 1.0)
+        Prediction(f"trials/{k:03d}.json", "heldout", *[np.zeros(0)] * 4, error, 0.001, 0.05, 0.02, 1.0)
         for k, error in enumerate(errors)
     ]
     return Identification(SimpleNamespace(spec=Belief), tuple(pushes), (), 0.0)  # type: ignore[arg-type]

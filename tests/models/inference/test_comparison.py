@@ -11,7 +11,7 @@ from slipmap.models.inference.belief import Belief, BeliefError
 from slipmap.models.inference.comparison import compare
 from slipmap.models.inference.identification import identify
 from slipmap.models.inference.observations import MEASURED_CONTACT
-from slipmap.models.inference.prediction import PredictedMotion, predicted_motion
+from slipmap.models.inference.prediction import Motion, predicted_motion
 from slipmap.models.measurements import Channel, read_dataset
 from slipmap.models.physics.rollout import Maps
 
@@ -88,7 +88,7 @@ def test_predictions_come_from_one_place(recorded, truth):
 
     def stronger(belief, observations):
         return tuple(
-            PredictedMotion(motion.poses, motion.forces + np.array([1.0, 0.0]), motion.probability)
+            Motion(motion.poses, motion.forces + np.array([1.0, 0.0]), motion.probability)
             for motion in predicted_motion(belief, observations)
         )
 

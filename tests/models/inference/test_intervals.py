@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from slipmap.models.inference.prediction import in_region, interval
+from slipmap.models.inference.summaries import in_region, interval
 
 
 def test_interval_of_many_draws_is_the_normal_one():

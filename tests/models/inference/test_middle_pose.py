@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize
 
-from slipmap.models.inference.prediction import middle_poses
+from slipmap.models.inference.summaries import middle_poses
 from slipmap.models.objects import cells_from_polygon
 from slipmap.models.physics.paper_notation import add
 

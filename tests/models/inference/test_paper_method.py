@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from slipmap.models.inference.paper_method import FLOOR, ObservedPush, algorithm_1, bound_schedule, soft_max
+from slipmap.models.inference.paper_method import FLOOR, EqualSteps, algorithm_1, bound_schedule, soft_max
 from slipmap.models.physics.cell_grid import CellGrid
 from slipmap.models.physics.newton import SPIN_RADIUS
 from slipmap.models.physics.rollout import Maps, Push, Slider
@@ -22,16 +22,16 @@ def row_of_cells(n: int, width: float = 0.02) -> Slider:
     return Slider(CellGrid(np.column_stack([x, 0 * x]), width, outline), 0.005, G)
 
 
-def free(poses: np.ndarray) -> ObservedPush:
+def free(poses: np.ndarray) -> EqualSteps:
     """Poses of an object that no finger touches."""
-    return ObservedPush(DT, poses, np.full((len(poses), 2), np.nan))
+    return EqualSteps(DT, poses, np.full((len(poses), 2), np.nan))
 
 
-def gliding(y: list[float] | np.ndarray) -> ObservedPush:
+def gliding(y: list[float] | np.ndarray) -> EqualSteps:
     return free(np.array([[0.0, value, 0.0] for value in y]))
 
 
-def run(slider: Slider, push: ObservedPush, **changes) -> tuple[Maps, np.ndarray, np.ndarray]:
+def run(slider: Slider, push: EqualSteps, **changes) -> tuple[Maps, np.ndarray, np.ndarray]:
     parameters = {
         "hypotheses": 1,
         "mass_max": MASS_MAX,
@@ -175,7 +175,7 @@ def test_under_a_finger_both_maps_descend_the_gradient_of_the_squared_error():
     turn = np.array([0, 0.05, 0.13, 0.19, 0.27])
     poses = np.column_stack([0.03 * turn**2, 0.08 * turn, turn])
     tip = np.column_stack([np.full(5, 0.021), -0.0155 + 0.005 * np.arange(5)])
-    push = ObservedPush(DT, poses, tip)
+    push = EqualSteps(DT, poses, tip)
     rate = 0.3
     maps, _, _ = run(slider, push, learning_rate=rate)
     steps = [Push(DT, tip[t : t + 2], poses[t], push.twists[t - 1]) for t in range(1, 4)]
@@ -224,13 +224,13 @@ def test_neither_the_order_of_cells_nor_the_world_frame_matters():
     slider = row_of_cells(3)
     poses = np.array([[0, 0, 0], [0.0002, 0.004, 0.05], [0.0006, 0.0085, 0.13], [0.0012, 0.0135, 0.22]])
     tip = np.column_stack([np.full(4, 0.021), -0.0155 + 0.005 * np.arange(4)])
-    reference, loss, _ = run(slider, ObservedPush(DT, poses, tip), learning_rate=2.0, hypotheses=2)
+    reference, loss, _ = run(slider, EqualSteps(DT, poses, tip), learning_rate=2.0, hypotheses=2)
     assert np.ptp(reference.mu[0]) > 1e-4
 
     order = [2, 0, 1]
     grid = slider.grid
     permuted = Slider(CellGrid(grid.centers[order], grid.width, grid.exterior), slider.finger_radius, G)
-    maps, same_loss, _ = run(permuted, ObservedPush(DT, poses, tip), learning_rate=2.0, hypotheses=2)
+    maps, same_loss, _ = run(permuted, EqualSteps(DT, poses, tip), learning_rate=2.0, hypotheses=2)
     np.testing.assert_allclose(maps.mu, reference.mu[:, order], rtol=1e-7)
     np.testing.assert_allclose(maps.mass, reference.mass[:, order], rtol=1e-7)
     np.testing.assert_allclose(same_loss, loss, rtol=1e-7)
@@ -239,7 +239,7 @@ def test_neither_the_order_of_cells_nor_the_world_frame_matters():
     shift = np.array([1.0, -2.0])
     moved = np.column_stack([poses[:, :2] @ turn + shift, poses[:, 2] + np.arctan2(turn[0, 1], turn[0, 0])])
     maps, same_loss, _ = run(
-        slider, ObservedPush(DT, moved, tip @ turn + shift), learning_rate=2.0, hypotheses=2
+        slider, EqualSteps(DT, moved, tip @ turn + shift), learning_rate=2.0, hypotheses=2
     )
     np.testing.assert_allclose(maps.mu, reference.mu, rtol=1e-7)
     np.testing.assert_allclose(maps.mass, reference.mass, rtol=1e-7)
@@ -270,6 +270,6 @@ def test_pushes_that_cannot_be_used_are_refused():
     with pytest.raises(ValueError, match="T >= 2"):
         gliding([0, 0.1])
     with pytest.raises(ValueError, match=r"tip must have shape \(3, 2\)"):
-        ObservedPush(DT, np.zeros((3, 3)), np.zeros((2, 2)))
+        EqualSteps(DT, np.zeros((3, 3)), np.zeros((2, 2)))
     with pytest.raises(ValueError, match="dt must be positive"):
-        ObservedPush(0.0, np.zeros((3, 3)), np.zeros((3, 2)))
+        EqualSteps(0.0, np.zeros((3, 3)), np.zeros((3, 2)))

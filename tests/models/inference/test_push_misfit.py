@@ -6,18 +6,21 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import scipy.linalg
 
 from slipmap.models.inference.belief import Belief
-from slipmap.models.inference.diagnosis.correlated import ErrorModel
+from slipmap.models.inference.diagnosis.error_model import ErrorModel
+from slipmap.models.inference.observations import Observation
 from slipmap.models.inference.push_misfit import (
     bet,
-    observed_push,
+    observation_of,
     pose_noise,
-    push_misfit,
+    predicted_steady_forces,
     resting_misfit,
     steady_force,
-    steady_forces_told,
+    whitening_factors,
 )
+from slipmap.models.inference.residuals import centroid_tracks
 from slipmap.models.objects import cells_from_polygon
 from slipmap.models.physics.paper_notation import add
 from slipmap.models.physics.rollout import Maps, Push, Smoothing
@@ -47,6 +50,16 @@ def at_thirty_times(push: Push) -> Push:
     return Push(push.h, push.tip, push.start_pose, pose_times=times)
 
 
+def push_misfit(observation: Observation, predicted: np.ndarray) -> float:
+    """Root mean square of the whitened residuals against poses predicted from the observed start."""
+    _, measured, expected = centroid_tracks(observation, predicted, GRID)
+    residual = (measured - expected)[1:]
+    # The way is taken from the prediction: noise of the observed poses would lengthen it.
+    factors = whitening_factors(replace(observation, poses=predicted), ERROR, GRID)
+    white = [scipy.linalg.solve_triangular(factors[i], residual[:, i], lower=True) for i in range(3)]
+    return float(np.sqrt(np.mean(np.square(white))))
+
+
 def test_noise_alone_misfits_by_one(belief: Belief, pushes: list[Push]) -> None:
     """White noise of each pose and of the start that the prediction begins from."""
     rng = np.random.default_rng(2)
@@ -57,11 +70,11 @@ def test_noise_alone_misfits_by_one(belief: Belief, pushes: list[Push]) -> None:
     for _ in range(200):
         start = noise * rng.normal(size=3)
         observed = poses + noise * rng.normal(size=(30, 3))
-        misfits.append(push_misfit(observed_push(push, observed), poses + start, ERROR, GRID))
+        misfits.append(push_misfit(observation_of(push, observed), poses + start))
     # Without a wrong speed there is a little less than the model expects.
     assert 0.85 < np.sqrt(np.mean(np.square(misfits))) < 1.0
     too_far = poses + (poses - push.start_pose) * [0.4, 0.4, 0.0]
-    assert push_misfit(observed_push(push, too_far), poses, ERROR, GRID) > 2.0
+    assert push_misfit(observation_of(push, too_far), poses) > 2.0
 
 
 def test_p_of_an_end_is_uniform_if_errors_are_as_told() -> None:
@@ -150,7 +163,7 @@ def test_the_steady_force_is_that_of_a_push_and_not_of_a_tap(belief: Belief, pus
     times = push.h * (np.arange(20) + 0.5) * (len(push.tip) - 1) / 20
     timed = replace(push, force_times=times)
     forces = belief.slider.rollout(belief.maps[1], [timed]).forces[0]
-    still = observed_push(timed, push.start_pose[None])
+    still = observation_of(timed, push.start_pose[None])
     for steady in (6, 5):
         counts = np.arange(20) < steady
         seen = replace(still, forces=forces, force_rows=np.ones(20), sliding=counts)
@@ -160,7 +173,7 @@ def test_the_steady_force_is_that_of_a_push_and_not_of_a_tap(belief: Belief, pus
         found = steady_force(seen)
         assert found is not None
         assert found == pytest.approx(forces[:6].mean(axis=0))
-        assert steady_forces_told(belief, seen)[1] == pytest.approx(found)
+        assert predicted_steady_forces(belief, seen)[1] == pytest.approx(found)
 
 
 def test_bets_are_fair() -> None:

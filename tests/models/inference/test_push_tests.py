@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.stats import binom, ttest_1samp
 
-from slipmap.models.inference.residual_structure import (
+from slipmap.models.inference.sign_flips import (
     all_signs,
     holm,
     push_sums,

@@ -5,7 +5,7 @@ import pytest
 
 from slipmap.models.geometry import at_centroid, radius_of_gyration
 from slipmap.models.inference.observations import Observation
-from slipmap.models.inference.prediction import PredictedMotion
+from slipmap.models.inference.prediction import Motion
 from slipmap.models.inference.residual_correlations import correlations, delay_pattern
 from slipmap.models.inference.residuals import Phase, conditions, force_residuals, motion_residuals
 from slipmap.models.objects import cells_from_polygon
@@ -42,7 +42,7 @@ def push_of(poses, tip=None, times=TIMES, forces=None):
 
 def told(poses, forces=None):
     forces = np.zeros((0, 2)) if forces is None else np.asarray(forces, dtype=float)
-    return PredictedMotion(poses[None, 1:], forces[None], np.ones(1))
+    return Motion(poses[None, 1:], forces[None], np.ones(1))
 
 
 def straight(velocity, start=(0.0, 0.0, 0.0)):

@@ -7,13 +7,9 @@ import pytest
 
 from slipmap.models.effects.library import LIBRARY
 from slipmap.models.effects.slider import EffectSlider
-from slipmap.models.inference.diagnosis.correlated import (
-    CorrelatedLikelihood,
-    ErrorModel,
-    MeasuredPushes,
-    sensor_noise,
-)
-from slipmap.models.inference.diagnosis.fitting import whitened_rows
+from slipmap.models.inference.diagnosis.correlated import CorrelatedLikelihood, FitData
+from slipmap.models.inference.diagnosis.error_model import ErrorModel, sensor_noise
+from slipmap.models.inference.diagnosis.predictive import whitened_rows
 from slipmap.models.inference.observations import MEASURED_CONTACT, observe_all
 from slipmap.models.inference.prior import MapPrior, PriorSettings
 from slipmap.models.measurements.push_dataset import Channel
@@ -27,7 +23,7 @@ def likelihood(recorded) -> CorrelatedLikelihood:
     prior = MapPrior(slider, PriorSettings(modes=6), d.mass, 8.0)
     observations = [o for o in observe_all(d) if o.role == "fit"]
     return CorrelatedLikelihood(
-        prior, MeasuredPushes(observations, prior.slider.grid), ErrorModel(sensor_noise(d), 0.02, 0.05)
+        prior, FitData(observations, prior.slider.grid), ErrorModel(sensor_noise(d), 0.02, 0.05)
     )
 
 
@@ -88,7 +84,7 @@ def test_whitened_residuals_of_the_truth_are_of_size_one(recorded, thinned) -> N
     noise = sensor_noise(d)
     prior = MapPrior(recorded.slider, PriorSettings(), d.mass)
     likelihood = CorrelatedLikelihood(
-        prior, MeasuredPushes(observations, prior.slider.grid), ErrorModel(noise, 1e-4, 1e-3)
+        prior, FitData(observations, prior.slider.grid), ErrorModel(noise, 1e-4, 1e-3)
     )
     # The true maps in the prior's coordinates, with all modes kept: log of the maps is linear in them.
     basis, s = prior.basis, prior.settings

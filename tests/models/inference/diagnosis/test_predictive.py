@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.stats import multivariate_normal
 
-from slipmap.models.inference.diagnosis.fitting import PushEquations
+from slipmap.models.inference.diagnosis.predictive import PushEquations
 
 
 @pytest.fixture

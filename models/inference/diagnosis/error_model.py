@@ -1,0 +1,124 @@
+"""What residuals of one push are like if the model is right: noise of each row, and errors that last.
+
+A pose is off by the sensor's noise, fresh in each row, and by what the best model of its kind does not know:
+its speed is wrong by a share α of the way travelled, by an error that lasts a stretch ℓ of way,
+
+    cov(e(T), e(T')) = α² ∫₀^T ∫₀^T' exp(-|a - b| / ℓ) da db.
+
+The force is off by the sensor's noise and by a share β of the push's typical force that lasts a time. Rows of
+a push are thus correlated; different pushes are independent.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.ndimage import uniform_filter1d
+
+from slipmap.models.inference.observations import DENSE, Observation
+from slipmap.models.measurements import PushDataset
+from slipmap.models.physics.cell_grid import FloatArray
+from slipmap.models.physics.paper_notation import add
+
+MEMORY = 0.03
+"""ℓ, m of way travelled by the cells."""
+
+_FORCE_MEMORY = 0.3  # s that an error of the force lasts
+
+
+@dataclass(frozen=True)
+class SensorNoise:
+    """Standard deviations of one row of a sensor, m, rad, N.
+
+    Attributes:
+        position: of x and y each.
+        angle: of θ.
+        force: of each component of the force.
+        declared: whether the dataset says so; else they were estimated from the scatter of neighbouring rows.
+    """
+
+    position: float
+    angle: float
+    force: float
+    declared: bool
+
+
+@dataclass(frozen=True)
+class ErrorModel:
+    """Sensor noise, and what the best model of its kind is off by.
+
+    Attributes:
+        noise: of the sensors.
+        motion: α.
+        force: β.
+    """
+
+    noise: SensorNoise
+    motion: float
+    force: float
+
+    def pose_covariance(self, observation: Observation, travel: FloatArray, radius: float) -> FloatArray:
+        """(3, S, S) of x, y and ρ θ of one push, which are independent of each other.
+
+        Args:
+            observation: the push.
+            travel: (S,) way travelled by the cells up to each pose, m, ascending.
+            radius: ρ, by which angles are multiplied, m.
+        """
+        n = self.noise
+        lasting = self.motion**2 * _accumulated(travel)
+        rows = [
+            np.diag(sigma**2 / observation.pose_rows) for sigma in (n.position, n.position, radius * n.angle)
+        ]
+        return lasting + np.array(rows)
+
+    def force_covariance(self, observation: Observation) -> FloatArray:
+        """(T, T) of a component of the forces of one push that count."""
+        times = np.asarray(observation.push.force_times)[observation.sliding]
+        if len(times) == 0:
+            return np.zeros((0, 0))
+        fresh = self.noise.force**2 / observation.force_rows[observation.sliding]
+        apart = np.abs(times[:, None] - times[None])
+        lasting = (self.force * observation.typical_force) ** 2 * np.exp(-apart / _FORCE_MEMORY)
+        return lasting + np.diag(fresh)
+
+
+def _accumulated(travel: FloatArray) -> FloatArray:
+    """(S, S) double integral of exp(-|a - b|/ℓ) over [0, T] × [0, T'], in closed form, m²."""
+    low = np.minimum(travel[:, None], travel[None])
+    end = np.exp(-travel / MEMORY)
+    gap = np.exp(-np.abs(travel[:, None] - travel[None]) / MEMORY)
+    return MEMORY * (2.0 * low - MEMORY * (1.0 - end[:, None] - end[None] + gap))
+
+
+def travelled(observation: Observation, centers: FloatArray) -> FloatArray:
+    """(S,) way of the cells along the measured poses, m; from pose to pose, hence ascending."""
+    poses = np.concatenate([observation.push.start_pose[None], observation.poses])
+    return np.cumsum(add(poses[1:], poses[:-1], centers))
+
+
+def sensor_noise(dataset: PushDataset) -> SensorNoise:
+    """Noise of the rows of poses and forces: as declared, else from the scatter of neighbouring rows."""
+    declared = dataset.noise
+    position, angle, force = declared.position, declared.angle, declared.force
+    known = position is not None and angle is not None
+    if position is None or angle is None:
+        dense = [trial.object_pose for trial in dataset.trials if len(trial.object_pose.time) > DENSE]
+        typical = np.median([_white(channel.values) for channel in dense] or np.zeros((1, 3)), axis=0)
+        # A sensor that repeats rows seems to have no noise at all.
+        position = max(float(np.hypot(typical[0], typical[1])) / np.sqrt(2.0), 1e-4)
+        angle = max(float(typical[2]), 1e-3)
+    if force is None:
+        wrenches = [trial.ft_wrench for trial in dataset.trials if trial.ft_wrench is not None]
+        found = [_white(channel.values[:, :2]).mean() for channel in wrenches if len(channel.time) > 5]
+        force = max(float(np.median(found)), 0.02) if found else 0.1
+    return SensorNoise(position, angle, force, known)
+
+
+def _white(values: FloatArray) -> FloatArray:
+    """Standard deviation of white noise in each column, from the median of second differences: of white noise
+    they have six times its variance, and the median leaves real acceleration out."""
+    second = values[2:] - 2.0 * values[1:-1] + values[:-2]
+    smooth = uniform_filter1d(second, 5, axis=0)
+    return np.median(np.abs(second - smooth), axis=0) / 0.6745 / np.sqrt(6.0 * 0.8)

@@ -1,0 +1,20 @@
+"""How work that takes long says how far it has come."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+Progress = Callable[[str, int, int], None]
+"""Called with (stage, done, total)."""
+
+StageProgress = Callable[[int, int], None]
+"""The same for one stage: called with (done, total)."""
+
+
+def silent(stage: str, done: int, total: int) -> None:
+    """The progress that nobody asked for."""
+
+
+def part_of(progress: StageProgress, place: int, parts: int) -> StageProgress:
+    """Progress of one of several parts that take about equally long, counted over all of them."""
+    return lambda done, total: progress(place * total + done, parts * total)
