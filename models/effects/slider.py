@@ -5,22 +5,24 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from slipmap.models.effects.effect import Effect
 from slipmap.models.effects.program import program_of
 from slipmap.models.physics.cell_grid import CellGrid, FloatArray
+from slipmap.models.physics.effect_cells import CONSTANTS
 from slipmap.models.physics.effect_kernel import effect_rollout_all
+from slipmap.models.physics.kernel_arguments import Formulas, empty_results
 from slipmap.models.physics.maps import Maps
-from slipmap.models.physics.pushes import JoinedPushes, Push
+from slipmap.models.physics.pushes import Push, join_pushes
 from slipmap.models.physics.rollout import Rollouts, Slider, Smoothing, finished
 
 
 class EffectSlider(Slider):
     """A `Slider` whose maps carry the parameters of effects; at their nulls it is the plain one.
 
-    Start poses are those that the tracker reports, as the poses of the results are: a tracker that is off
-        or late
-    is an effect too.
+    Start poses are those that the tracker reports, as the poses of the results are: a tracker that is off or
+    late is an effect too.
 
     Args:
         grid: cells and outline.
@@ -54,6 +56,11 @@ class EffectSlider(Slider):
         """Reduced parameters of the plain model, then the effects' own."""
         return super().columns + self.program.parameters
 
+    @property
+    def nulls(self) -> FloatArray:
+        """(P,) parameters of the effects at which they vanish."""
+        return np.concatenate([np.zeros(0), *(effect.nulls for effect in self.effects)])
+
     def rollout(
         self,
         maps: Maps,
@@ -69,37 +76,27 @@ class EffectSlider(Slider):
             ValueError: maps of another grid or of other effects.
             RolloutError: a step was not solved; names the model and the push.
         """
-        K = len(maps)
-        program = self.program
+        K, program = len(maps), self.program
         values = maps.effects
         if values.shape[1] == 0:
-            values = np.repeat(np.concatenate([effect.nulls for effect in self.effects])[None], K, axis=0)
+            values = np.repeat(self.nulls[None], K, axis=0)
         if values.shape[1] != program.parameters:
             raise ValueError(
                 f"maps have {values.shape[1]} effect parameters, the effects"
                 f" {', '.join(effect.name for effect in self.effects)} have {program.parameters}"
             )
-        joined = JoinedPushes(pushes, K, start_poses, start_twists)
+        joined = join_pushes(pushes, K, start_poses, start_twists)
         true_starts, by_measured, by_effect = self._true_starts(joined.start_poses, values)
         delays, delay_slopes = np.zeros(K), np.zeros((K, program.parameters))
         if program.delay is not None:
             for k in range(K):
                 delays[k], delay_slopes[k] = program.delay(values[k])
-        load = self._loads(maps)
-        columns = self.columns if sensitivities else 0
-        S, F = joined.sample_at[-1], joined.force_at[-1]
-        poses, rates, forces = np.empty((K, S, 3)), np.empty((K, S, 3)), np.empty((K, F, 2))
-        d_poses, d_forces = np.empty((K, S, 3, columns)), np.empty((K, F, 2, columns))
-        end = np.empty((K, len(pushes), 7))
-        effect_rollout_all(
-            load, self._centers[0], self._centers[1], self.inertia(maps.mass), maps.mu_finger,
-            self.grid.width, self.grid.edges, self.finger_radius, self._size, self._smoothing,
-            joined.h, joined.tip, joined.tip_at, joined.wrench, joined.wrench_at,
-            true_starts, joined.start_twists, joined.sample_time, joined.sample_at, delays,
-            joined.force_step, joined.force_at,
-            program.addresses, program.sizes, self._constants(joined), np.ascontiguousarray(values),
-            np.zeros(program.memory), poses, rates, forces, d_poses, d_forces, end,
-        )  # fmt: skip
+        constants = self._constants(joined.h, [push.order for push in pushes])
+        formulas = Formulas(program.addresses, program.sizes, constants, np.ascontiguousarray(values), delays)
+        results = empty_results(K, joined, self.columns if sensitivities else 0)
+        true = joined._replace(start_poses=true_starts)
+        effect_rollout_all(self._common, self._reduced(maps), true, formulas, results)
+        poses, rates, _, d_poses, d_forces, end = results
         P = program.parameters
         if sensitivities and program.delay is not None:
             d_poses[..., -P:] -= rates[..., None] * delay_slopes[:, None, None]
@@ -119,30 +116,27 @@ class EffectSlider(Slider):
                 if sensitivities:
                     d_poses[k] = by_pose @ d_poses[k]
                     d_poses[k][..., -P:] += by_p
-        return finished(joined, poses, forces, d_poses, d_forces, end)
+        return finished(joined, results)
 
-    def _constants(self, joined: JoinedPushes) -> FloatArray:
-        """(B, CONSTANTS) of each push, see `effect_layout`."""
+    def _constants(self, h: ArrayLike, order: ArrayLike) -> FloatArray:
+        """(B, CONSTANTS) of pushes with steps h (B,) at places `order` (B,) in the experiment; time is 0."""
         centers = self.grid.centers
         centroid = centers.mean(axis=0)
         arms = centers - centroid
         second = arms.T @ arms / len(arms) + np.eye(2) * self.grid.width**2 / 12.0
         inverse = np.linalg.inv(second)
         shared = [self.gravity, self.grid.width, *centroid, inverse[0, 0], inverse[0, 1], inverse[1, 1]]
-        return np.array(
-            [
-                [0.0, h, order, *shared, float(len(centers))]
-                for h, order in zip(joined.h, joined.order, strict=True)
-            ]
-        )
+        result = np.empty((np.size(h), CONSTANTS))
+        result[:, 0], result[:, 1], result[:, 2] = 0.0, h, order
+        result[:, 3:] = [*shared, float(len(centers))]
+        return result
 
     def _true_starts(
         self, reported: FloatArray, values: FloatArray
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Where the object is when the tracker reports poses (K, B, 3), and derivatives by report and
-        parameters.
+        """True poses where the tracker reports some (K, B, 3), and derivatives by report and parameters.
 
-        The formulas give the report of a true pose; Newton's method turns them round.
+        The formulas give the report of a true pose; Newton's method inverts them.
         """
         K, B, _ = reported.shape
         P = values.shape[1]
