@@ -12,14 +12,15 @@ from slipmap.models.effects.program import program_of
 from slipmap.models.physics.cell_grid import CellGrid, FloatArray
 from slipmap.models.physics.effect_cells import CONSTANTS
 from slipmap.models.physics.effect_kernel import effect_rollout_all
-from slipmap.models.physics.kernel_arguments import Formulas, empty_results
+from slipmap.models.physics.kernel_arguments import Formulas, JoinedPushes, Results
 from slipmap.models.physics.maps import Maps
-from slipmap.models.physics.pushes import Push, join_pushes
-from slipmap.models.physics.rollout import Rollouts, Slider, Smoothing, finished
+from slipmap.models.physics.pushes import Push
+from slipmap.models.physics.rollout import Slider, Smoothing
+from slipmap.models.physics.step import INERTIA_COLUMNS
 
 
 class EffectSlider(Slider):
-    """A `Slider` whose maps carry the parameters of effects; at their nulls it is the plain one.
+    """A `Slider` whose maps carry the parameters of effects; without any, all effects vanish.
 
     Start poses are those that the tracker reports, as the poses of the results are: a tracker that is off or
     late is an effect too.
@@ -61,21 +62,7 @@ class EffectSlider(Slider):
         """(P,) parameters of the effects at which they vanish."""
         return np.concatenate([np.zeros(0), *(effect.nulls for effect in self.effects)])
 
-    def rollout(
-        self,
-        maps: Maps,
-        pushes: Sequence[Push],
-        *,
-        sensitivities: bool = False,
-        start_poses: FloatArray | None = None,
-        start_twists: FloatArray | None = None,
-    ) -> Rollouts:
-        """See `Slider.rollout`; maps without effects' parameters are those where all effects vanish.
-
-        Raises:
-            ValueError: maps of another grid or of other effects.
-            RolloutError: a step was not solved; names the model and the push.
-        """
+    def _fill(self, results: Results, maps: Maps, pushes: Sequence[Push], joined: JoinedPushes) -> None:
         K, program = len(maps), self.program
         values = maps.effects
         if values.shape[1] == 0:
@@ -85,38 +72,47 @@ class EffectSlider(Slider):
                 f"maps have {values.shape[1]} effect parameters, the effects"
                 f" {', '.join(effect.name for effect in self.effects)} have {program.parameters}"
             )
-        joined = join_pushes(pushes, K, start_poses, start_twists)
-        true_starts, by_measured, by_effect = self._true_starts(joined.start_poses, values)
+        starts = self._true_starts(joined.start_poses, values)
         delays, delay_slopes = np.zeros(K), np.zeros((K, program.parameters))
         if program.delay is not None:
             for k in range(K):
                 delays[k], delay_slopes[k] = program.delay(values[k])
         constants = self._constants(joined.h, [push.order for push in pushes])
         formulas = Formulas(program.addresses, program.sizes, constants, np.ascontiguousarray(values), delays)
-        results = empty_results(K, joined, self.columns if sensitivities else 0)
-        true = joined._replace(start_poses=true_starts)
+        true = joined._replace(start_poses=starts[0])
         effect_rollout_all(self._common, self._reduced(maps), true, formulas, results)
-        poses, rates, _, d_poses, d_forces, end = results
-        P = program.parameters
-        if sensitivities and program.delay is not None:
-            d_poses[..., -P:] -= rates[..., None] * delay_slopes[:, None, None]
-        if sensitivities and program.measured is not None:
-            n = len(self.grid)
-            starts = slice(n + 5, n + 8)
-            for b in range(len(pushes)):
-                for d, at in ((d_poses, joined.sample_at), (d_forces, joined.force_at)):
-                    rows = d[:, at[b] : at[b + 1]]
-                    by_start = rows[..., starts].copy()
-                    rows[..., -P:] += np.einsum("ksij,kjp->ksip", by_start, by_effect[:, b])
-                    rows[..., starts] = np.einsum("ksij,kjl->ksil", by_start, by_measured[:, b])
+        if results.d_poses.shape[-1] > 0 and program.delay is not None:
+            late = results.rates[..., None] * delay_slopes[:, None, None]
+            results.d_poses[..., -program.parameters :] -= late
         if program.measured is not None:
-            for k in range(K):
-                poses[k], by_pose, by_p = program.measured(*poses[k].T, values[k])
-                end[k, :, :3] = program.measured(*end[k, :, :3].T, values[k])[0]
-                if sensitivities:
-                    d_poses[k] = by_pose @ d_poses[k]
-                    d_poses[k][..., -P:] += by_p
-        return finished(joined, results)
+            self._report(results, joined, values, *starts[1:])
+
+    def _report(
+        self,
+        results: Results,
+        joined: JoinedPushes,
+        values: FloatArray,
+        by_measured: FloatArray,
+        by_effect: FloatArray,
+    ) -> None:
+        """Turn true poses into reported ones, and derivatives by true starts into those by reported ones."""
+        poses, _, _, d_poses, d_forces, end = results
+        assert self.program.measured is not None
+        n, P = len(self.grid), self.program.parameters
+        derive = d_poses.shape[-1] > 0
+        starts = slice(n + INERTIA_COLUMNS + 1, n + INERTIA_COLUMNS + 4)
+        for b in range(len(joined.h) if derive else 0):
+            for d, at in ((d_poses, joined.sample_at), (d_forces, joined.force_at)):
+                rows = d[:, at[b] : at[b + 1]]
+                by_start = rows[..., starts].copy()
+                rows[..., -P:] += np.einsum("ksij,kjp->ksip", by_start, by_effect[:, b])
+                rows[..., starts] = np.einsum("ksij,kjl->ksil", by_start, by_measured[:, b])
+        for k in range(len(poses)):
+            poses[k], by_pose, by_p = self.program.measured(*poses[k].T, values[k])
+            end[k, :, :3] = self.program.measured(*end[k, :, :3].T, values[k])[0]
+            if derive:
+                d_poses[k] = by_pose @ d_poses[k]
+                d_poses[k][..., -P:] += by_p
 
     def _constants(self, h: ArrayLike, order: ArrayLike) -> FloatArray:
         """(B, CONSTANTS) of pushes with steps h (B,) at places `order` (B,) in the experiment; time is 0."""

@@ -1,7 +1,7 @@
 """The cell-grid model one step at a time, differentiated by all that a step depends on.
 
-A rollout knows all of its push beforehand. Who steps the model from outside, as a simulation does, keeps its
-state himself: pose, twist, the finger's last force and what the effects remember.
+A rollout knows all of its push beforehand. A caller that steps the model from outside, as a simulation does,
+keeps the state itself: pose, twist, the finger's last force and what the effects remember.
 """
 
 from __future__ import annotations
@@ -164,8 +164,7 @@ class Stepper(EffectSlider):
     def reported(
         self, poses: FloatArray, parameters: FloatArray
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """What the tracker reports of true poses (…, 3), its derivatives by them (…, 3, 3), and by the
-        effects' parameters (…, 3, P)."""
+        """Reports of true poses (…, 3), and derivatives by them (…, 3, 3) and by parameters (…, 3, P)."""
         if self.program.measured is None:
             shape = poses.shape[:-1]
             identity = np.broadcast_to(np.eye(3), (*shape, 3, 3))

@@ -9,7 +9,8 @@ from typing import NamedTuple
 
 from slipmap.models.physics.compiled import compiled
 from slipmap.models.physics.kernel_tools import Turn, joined, turn_by, turned
-from slipmap.models.physics.step import Frame
+from slipmap.models.physics.newton import Minimum
+from slipmap.models.physics.step import Frame, Solved, solve_step, solved_step
 
 
 class Applied(NamedTuple):
@@ -79,9 +80,39 @@ def bent_frame(frame, bend_x, bend_y, h):  # type: ignore[no-untyped-def]
     return Frame(frame.cos, frame.sin, frame.tip_x, frame.tip_y, frame.speed_x, frame.speed_y, x, y)
 
 
+class Taken(NamedTuple):
+    """A step that was taken.
+
+    Attributes:
+        new: twist after it.
+        minimum: see `Solution`.
+        solved: see `Solved`.
+        impulse_x, impulse_y: of the finger on the object, middle frame, N s.
+        way: see `Way`.
+        evaluations: see `Solution`.
+    """
+
+    new: tuple[float, float, float]
+    minimum: Minimum
+    solved: Solved
+    impulse_x: float
+    impulse_y: float
+    way: Way
+    evaluations: int
+
+
 @compiled(forceinline=True)
-def finger_impulse(solved):  # type: ignore[no-untyped-def]
-    """Impulse of the finger on the object (N s), middle frame."""
+def take_step(step, start, derive, cos, sin):  # type: ignore[no-untyped-def]
+    """`Taken` of a step from an angle with this cosine and sine; `start` is a guess of the new twist."""
+    solution = solve_step(step, start, derive)
+    new, minimum, evaluations = solution
+    solved = solved_step(step, new, minimum)
+    x, y = _finger_impulse(solved)
+    return Taken(new, minimum, solved, x, y, _way_of(new, cos, sin, step.h), evaluations)
+
+
+@compiled(forceinline=True)
+def _finger_impulse(solved):  # type: ignore[no-untyped-def]
     first, second, impulse1, impulse2 = solved.first, solved.second, solved.impulse1, solved.impulse2
     x = -first.nx * impulse1.normal - first.ny * impulse1.tangential
     x -= second.nx * impulse2.normal + second.ny * impulse2.tangential
@@ -91,7 +122,7 @@ def finger_impulse(solved):  # type: ignore[no-untyped-def]
 
 
 @compiled(forceinline=True)
-def way_of(new, cos, sin, h):  # type: ignore[no-untyped-def]
+def _way_of(new, cos, sin, h):  # type: ignore[no-untyped-def]
     """`Way` of the twist v⁺ from an angle with this cosine and sine."""
     quarter = turn_by(0.25 * h * new[2])
     half_cos, half_sin = joined(quarter.cos, quarter.sin, quarter.cos, quarter.sin)

@@ -19,8 +19,7 @@ from slipmap.models.physics.around_step import (
     applied_impulse,
     bent_frame,
     best_weights,
-    finger_impulse,
-    way_of,
+    take_step,
     weighted,
 )
 from slipmap.models.physics.compiled import address_of, call_address, call_compiled, compiled
@@ -81,8 +80,6 @@ from slipmap.models.physics.step import (
     contact_of,
     free_momentum,
     middle_frame,
-    solve_step,
-    solved_step,
     step_derivative,
     touching,
 )
@@ -200,18 +197,13 @@ def _effect_rollout_one(job, common, maps, pushes, formulas, results):  # type: 
         scaled = (kappa * body[0], kappa * body[1], kappa * body[2], kappa * body[3])
         step = Step(cells, scaled, star, h, first, second, count, cone, size, v, quarter, frame)
 
-        solution = solve_step(step, weighted(weights, past), derive)
-        new = (solution.vx, solution.vy, solution.omega)
+        taken = take_step(step, weighted(weights, past), derive, cos, sin)
+        new, minimum, solved, way = taken.new, taken.minimum, taken.solved, taken.way
         weights = best_weights(new, past, size)
         past = (new, past[0], past[1])
-        minimum = solution.minimum
-        evaluations += solution.evaluations
-        failed = failed or solution.evaluations > MAX_EVALUATIONS
-
-        solved = solved_step(step, new, minimum)
-        force_x, force_y = finger_impulse(solved)
-        force = turned(frame.cos, frame.sin, force_x / h, force_y / h)
-        way = way_of(new, cos, sin, h)
+        evaluations += taken.evaluations
+        failed = failed or taken.evaluations > MAX_EVALUATIONS
+        force = turned(frame.cos, frame.sin, taken.impulse_x / h, taken.impulse_y / h)
         length, wx, wy = way.length, way.wx, way.wy
         next_x, next_y, next_theta = x + length * wx, yy + length * wy, theta + h * new[2]
 

@@ -26,9 +26,8 @@ from slipmap.models.physics.around_step import (
     add_applied_turning,
     applied_impulse,
     best_weights,
-    finger_impulse,
+    take_step,
     way_by_spin,
-    way_of,
     weighted,
 )
 from slipmap.models.physics.compiled import address_of, call_compiled, compiled
@@ -53,8 +52,6 @@ from slipmap.models.physics.step import (
     contact_of,
     free_momentum,
     middle_frame,
-    solve_step,
-    solved_step,
     step_derivative,
     touching,
 )
@@ -288,18 +285,13 @@ def rollout_one(job, common, maps, pushes, results):  # type: ignore[no-untyped-
         star = (star_x, star_y, star_w)
         step = Step(cells, body, star, h, first, second, count, cone, size, v, quarter, frame)
 
-        solution = solve_step(step, weighted(weights, past), derive)
-        new = (solution.vx, solution.vy, solution.omega)
+        taken = take_step(step, weighted(weights, past), derive, cos, sin)
+        new, minimum, way = taken.new, taken.minimum, taken.way
         weights = best_weights(new, past, size)
         past = (new, past[0], past[1])
-        minimum = solution.minimum
-        evaluations += solution.evaluations
-        failed = failed or solution.evaluations > MAX_EVALUATIONS
-
-        solved = solved_step(step, new, minimum)
-        force_x, force_y = finger_impulse(solved)
-        world_force = turned(frame.cos, frame.sin, force_x, force_y)
-        way = way_of(new, cos, sin, h)
+        evaluations += taken.evaluations
+        failed = failed or taken.evaluations > MAX_EVALUATIONS
+        world_force = turned(frame.cos, frame.sin, taken.impulse_x, taken.impulse_y)
         length, wx, wy = way.length, way.wx, way.wy
 
         first_sample = sample
@@ -314,13 +306,13 @@ def rollout_one(job, common, maps, pushes, results):  # type: ignore[no-untyped-
         wants_force = force_sample < force_step.shape[0] and force_step[force_sample] == i
 
         if derive:
-            step_derivative(solved, slopes)
+            step_derivative(taken.solved, slopes)
             add_applied_turning(slopes.A, applied, h)
             if needs_before or wants_force:
                 copy_into(before, S)
             moment = first.nw * minimum.first.normal - first.tw * minimum.first.tangential
             moment += second.nw * minimum.second.normal - second.tw * minimum.second.tangential
-            share_of_load = (force_x / load_sum, force_y / load_sum, -moment / load_sum)
+            share_of_load = (taken.impulse_x / load_sum, taken.impulse_y / load_sum, -moment / load_sum)
             propagate(S, step, new, minimum, slopes, pose_update(way, h), share_of_load)
             for s in range(first_sample, sample):
                 store_pose(S, before, push.sample_fraction[s], n, result.d_poses[s])

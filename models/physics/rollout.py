@@ -168,8 +168,12 @@ class Slider:
         """
         joined = join_pushes(pushes, len(maps), start_poses, start_twists)
         results = empty_results(len(maps), joined, self.columns if sensitivities else 0)
+        self._fill(results, maps, pushes, joined)
+        return _finished(joined, results)
+
+    def _fill(self, results: Results, maps: Maps, pushes: Sequence[Push], joined: JoinedPushes) -> None:
+        """Simulate, and fill in the results."""
         rollout_all(self._common, self._reduced(maps), joined, results)
-        return finished(joined, results)
 
     def _reduced(self, maps: Maps) -> tuple[FloatArray, ...]:
         """Fields of `ReducedMaps`, of maps that are checked."""
@@ -181,7 +185,7 @@ class Slider:
         return tuple(ReducedMaps(load, self.inertia(maps.mass), maps.mu_finger))
 
 
-def finished(joined: JoinedPushes, results: Results) -> Rollouts:
+def _finished(joined: JoinedPushes, results: Results) -> Rollouts:
     """What a kernel filled in, as `Rollouts`.
 
     Raises:
@@ -199,4 +203,4 @@ def finished(joined: JoinedPushes, results: Results) -> Rollouts:
     )
 
 
-__all__ = ["Maps", "Push", "RolloutError", "Rollouts", "Slider", "Smoothing", "finished"]
+__all__ = ["Maps", "Push", "RolloutError", "Rollouts", "Slider", "Smoothing"]

@@ -23,9 +23,8 @@ from slipmap.models.physics.around_step import (
     Applied,
     add_applied_turning,
     bent_frame,
-    finger_impulse,
+    take_step,
     way_by_spin,
-    way_of,
 )
 from slipmap.models.physics.compiled import call_address, compiled
 from slipmap.models.physics.contact import CONTACT_COLUMNS, MAX_CONTACTS, SEPARATE, cone_of
@@ -67,8 +66,6 @@ from slipmap.models.physics.step import (
     contact_of,
     free_momentum,
     middle_frame,
-    solve_step,
-    solved_step,
     step_derivative,
     touching,
 )
@@ -161,13 +158,9 @@ def _single_step(model, common, maps, formulas, drive, state, next_out, jacobian
     scaled = (kappa * body[0], kappa * body[1], kappa * body[2], kappa * body[3])
     derive = jacobian_out.shape[1] > 0
     step = Step(cells, scaled, star, h, first, second, count, cone, size, v, quarter, frame)
-    solution = solve_step(step, v, derive)
-    new = (solution.vx, solution.vy, solution.omega)
-    minimum = solution.minimum
-    solved = solved_step(step, new, minimum)
-    force_x, force_y = finger_impulse(solved)
-    world_x, world_y = turned(frame.cos, frame.sin, force_x / h, force_y / h)
-    way = way_of(new, cos, sin, h)
+    taken = take_step(step, v, derive, cos, sin)
+    new, minimum, solved, way = taken.new, taken.minimum, taken.solved, taken.way
+    world_x, world_y = turned(frame.cos, frame.sin, taken.impulse_x / h, taken.impulse_y / h)
     length, wx, wy = way.length, way.wx, way.wy
     next_out[0], next_out[1], next_out[2] = x + length * wx, yy + length * wy, theta + h * new[2]
     next_out[3], next_out[4], next_out[5] = new
@@ -177,8 +170,8 @@ def _single_step(model, common, maps, formulas, drive, state, next_out, jacobian
         remembered = np.zeros(own)
         call_address(addresses[3], (y, constants, next_out[:AFTER].copy(), remembered, down))
         copy_into(next_out[AFTER : AFTER + own], remembered)
-    failed = solution.evaluations > MAX_EVALUATIONS
-    next_out[AFTER + own] = -1.0 if failed else float(solution.evaluations)
+    failed = taken.evaluations > MAX_EVALUATIONS
+    next_out[AFTER + own] = -1.0 if failed else float(taken.evaluations)
     if not derive:
         return
 

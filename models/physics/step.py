@@ -130,9 +130,7 @@ class Solution(NamedTuple):
     `evaluations` is above `MAX_EVALUATIONS` if the minimum was not reached.
     """
 
-    vx: float
-    vy: float
-    omega: float
+    new: tuple[float, float, float]
     minimum: Minimum
     evaluations: int
 
@@ -204,7 +202,7 @@ def solve_step(step, start, exact_hessian):  # type: ignore[no-untyped-def]
         else:
             v, model, bend = trial, trial_model, trial_bend
         if evaluations > MAX_EVALUATIONS:
-            return Solution(v[0], v[1], v[2], minimum, evaluations)
+            return Solution(v, minimum, evaluations)
     if exact_hessian and change > _HESSIAN_TOLERANCE:
         model, _ = _smooth_part(step, trial)
         evaluations += 1
@@ -214,7 +212,7 @@ def solve_step(step, start, exact_hessian):  # type: ignore[no-untyped-def]
         minimum = minimum_of(model, impulse1, impulse2)
     if _size_of(trial, size) < _REST:
         trial = (0.0, 0.0, 0.0)
-    return Solution(trial[0], trial[1], trial[2], minimum, evaluations)
+    return Solution(trial, minimum, evaluations)
 
 
 @compiled(forceinline=True, fastmath={"contract"})
