@@ -1,8 +1,9 @@
 """What an effect is: a name, a sentence, parameters, and formulas in SymPy for what it changes.
 
 A subclass gives `name`, `sentence` and `parameters` and overrides one or more of the methods below. Each gets
-SymPy symbols (`slipmap.models.effects.symbols`) and the effect's parameters as attributes of `p`, and returns SymPy
-expressions. Derivatives and machine code are made from them; nothing is differentiated by hand.
+SymPy symbols (see `symbols.py`) and the effect's parameters as attributes of `p`, and returns SymPy
+expressions. Derivatives and machine code are made from them; nothing is differentiated by hand. Where a
+method fails, an `EffectError` names the file and the line.
 """
 
 from __future__ import annotations
@@ -18,55 +19,11 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-# What goes wrong in the code of effects, told with the file and the line in it.
-
-
-LONGEST = 400
-"""Characters of what an error in an effect's code may say."""
+from slipmap.models.physics.cell_grid import FloatArray
 
 
 class EffectError(ValueError):
     """An effect that cannot be used; the message names the effect, and file and line where known."""
-
-
-def failing_line(error: BaseException) -> str:
-    """`file, line n` of the innermost frame of an error that is outside this package and its libraries."""
-    frames = traceback.extract_tb(error.__traceback__)
-    here = Path(__file__).parent
-    for frame in reversed(frames):
-        path = Path(frame.filename)
-        if frame.filename.startswith("<"):  # of Python itself, as "<frozen _sitebuiltins>"
-            continue
-        if "site-packages" not in path.parts and (path.parent != here or path.name == "library.py"):
-            return f"{path.name}, line {frame.lineno}"
-    return "unknown place"
-
-
-def told(error: BaseException) -> str:
-    """Where and with what an effect's code failed."""
-    try:
-        said = " ".join(str(error).split())
-    except Exception:  # an error of the user's own may fail to tell itself
-        said = "no text"
-    said = said if len(said) <= LONGEST else f"{said[: LONGEST - 3]}..."
-    return f"{failing_line(error)}: {type(error).__name__}: {said}"
-
-
-def call_formula(effect: Effect, method: str, *arguments: Any) -> Any:
-    """Result of one of the effect's methods.
-
-    Raises:
-        EffectError: it raised, or wanted to end the program; names the effect, the method, file and line.
-    """
-    try:
-        return getattr(effect, method)(*arguments)
-    except (EffectError, KeyboardInterrupt):
-        raise
-    except BaseException as error:  # as by sys.exit(), which would end the program without a word
-        raise EffectError(f"effect {effect.name}: {method}() failed in {told(error)}") from error
-
-
-FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -156,8 +113,7 @@ class Effect:
         return None
 
     def blade(self, body: Any, p: Any) -> Any:
-        """(F, n_x, n_y, r_x, r_y): motion of the object's point r along its unit vector n is resisted by F
-        newtons."""
+        """(F, n_x, n_y, r_x, r_y): F newtons resist motion of the object's point r along a unit vector n."""
         return None
 
     def inertia(self, body: Any, p: Any) -> Any:
@@ -196,12 +152,11 @@ class Effect:
 
     @property
     def signs(self) -> FloatArray:
-        """(P,) 1 or -1 where a parameter's null is the end of its range and it can only grow or fall, else
-        0."""
+        """(P,) 1 or -1 where a parameter's null is an end of its range: it can only grow or fall; else 0."""
         return np.array([float(p.center == p.low) - float(p.center == p.high) for p in self.parameters])
 
     def guesses(self, scene: Scene) -> list[dict[str, float]]:
-        """What `starts` says, held against the parameters.
+        """What `starts` returns, checked against the parameters.
 
         Raises:
             EffectError: starts() failed, or gives something else than guesses of this effect's parameters.
@@ -213,16 +168,15 @@ class Effect:
                 f" names of parameters to numbers, got {given!r}"
             )
         names = [parameter.name for parameter in self.parameters]
-        for guess in given:
-            for name, value in guess.items():
-                if name not in names:
-                    raise EffectError(
-                        f"effect {self.name}: starts() names {name!r}; its parameters are {', '.join(names)}"
-                    )
-                if not (isinstance(value, Real) and math.isfinite(value)):
-                    raise EffectError(
-                        f"effect {self.name}: starts() gives {name} = {value!r}; it must be a finite number"
-                    )
+        for name, value in (item for guess in given for item in guess.items()):
+            if name not in names:
+                raise EffectError(
+                    f"effect {self.name}: starts() names {name!r}; its parameters are {', '.join(names)}"
+                )
+            if not (isinstance(value, Real) and math.isfinite(value)):
+                raise EffectError(
+                    f"effect {self.name}: starts() gives {name} = {value!r}; it must be a finite number"
+                )
         return [dict(guess) for guess in given]
 
     def start_values(self, scene: Scene) -> FloatArray:
@@ -231,13 +185,8 @@ class Effect:
         Raises:
             EffectError: as `guesses`.
         """
-        guesses = self.guesses(scene)
-        names = [parameter.name for parameter in self.parameters]
-        rows = np.repeat(self.nulls[None], len(guesses), axis=0)
-        for row, guess in zip(rows, guesses, strict=True):
-            for name, value in guess.items():
-                row[names.index(name)] = value
-        return np.clip(rows, *bounds([self]))
+        rows = [[guess.get(p.name, p.center) for p in self.parameters] for guess in self.guesses(scene)]
+        return np.clip(np.array(rows, dtype=float), *bounds([self]))
 
 
 def bounds(effects: Sequence[Effect]) -> tuple[FloatArray, FloatArray]:
@@ -249,3 +198,42 @@ def bounds(effects: Sequence[Effect]) -> tuple[FloatArray, FloatArray]:
 def scales(effects: Sequence[Effect], weight: float) -> FloatArray:
     """(P,) prior standard deviations of the parameters for an object of some weight, N."""
     return np.array([p.scale * weight**p.weight_power for effect in effects for p in effect.parameters])
+
+
+def call_formula(effect: Effect, method: str, *arguments: Any) -> Any:
+    """Result of one of the effect's methods.
+
+    Raises:
+        EffectError: it raised, or wanted to end the program; names the effect, the method, file and line.
+    """
+    try:
+        return getattr(effect, method)(*arguments)
+    except (EffectError, KeyboardInterrupt):
+        raise
+    except BaseException as error:  # as by sys.exit(), which would end the program without a word
+        raise EffectError(f"effect {effect.name}: {method}() failed in {failure(error)}") from error
+
+
+def failure(error: BaseException) -> str:
+    """Where and with what an effect's code failed: `file, line n: Kind: text`."""
+    try:
+        said = " ".join(str(error).split())
+    except Exception:  # an error of the user's own may fail to describe itself
+        said = "no text"
+    said = said if len(said) <= _LONGEST else f"{said[: _LONGEST - 3]}..."
+    return f"{_failing_line(error)}: {type(error).__name__}: {said}"
+
+
+def _failing_line(error: BaseException) -> str:
+    """`file, line n` of the innermost frame of an error that is outside this package and its libraries."""
+    here = Path(__file__).parent
+    for frame in reversed(traceback.extract_tb(error.__traceback__)):
+        path = Path(frame.filename)
+        if frame.filename.startswith("<"):  # of Python itself, as "<frozen _sitebuiltins>"
+            continue
+        if "site-packages" not in path.parts and (path.parent != here or path.name == "library.py"):
+            return f"{path.name}, line {frame.lineno}"
+    return "unknown place"
+
+
+_LONGEST = 400  # characters of what an error in an effect's code may say

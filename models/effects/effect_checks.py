@@ -13,226 +13,25 @@ import numpy as np
 import sympy as sp
 
 from slipmap.models.effects.effect import Effect, EffectError, Parameter, Scene
-from slipmap.models.effects.program import Slots
+from slipmap.models.effects.formulas import Slots, derivative
 from slipmap.models.effects.symbols import FORCE_NAMES, body_names, cell_names, memory_name, parameter_name
 from slipmap.models.effects.written import QUANTITIES
-from slipmap.models.physics.effect_cells import BODY_OUTPUTS
 
-# What the class of an effect must declare: name, parameters, a formula, and where a search begins.
+Values = dict[sp.Symbol, float]
 
-
-UNITS = re.compile(r"^(1|([a-zA-Z]+(\^-?\d+)?)([ /][a-zA-Z]+(\^-?\d+)?)*|1(/[a-zA-Z]+(\^\d+)?)+)$")
-KNOWN_UNITS = {"m", "s", "kg", "N", "rad", "push", "J", "W", "Hz", "Pa"}
 FORMULAS = tuple(QUANTITIES)
-METHODS = (*FORMULAS, "remember", "starts")
-SCENES = (
+
+# Pushes as they may have been recorded: places, sizes and weights that differ.
+_SCENES = (
     Scene((0.0, 0.0), 0.12, 0.07, 0.05, 20, 5.0),
     Scene((0.6, -0.2), 0.3, 0.15, 0.1, 8, 20.0),
     Scene((-1.2, 1.0), 0.05, 0.03, 0.02, 3, 1.0),
 )
-"""Pushes as they may have been recorded: places, sizes and weights that differ."""
-
-
-def check_declaration(effect: Effect) -> None:
-    """Refuse an effect whose class is declared wrongly.
-
-    Raises:
-        EffectError: what is wrong and what to do.
-    """
-    _check_methods(type(effect))
-    for attribute in ("name", "sentence", "parameters"):
-        if not getattr(effect, attribute, None):
-            raise EffectError(f"it has no {attribute}")
-    if not (isinstance(effect.name, str) and re.fullmatch(r"[a-z][a-z0-9_]*", effect.name)):
-        raise EffectError(f"name {effect.name!r} must be lower case letters, digits and underscores")
-    if not isinstance(effect.sentence, str):
-        raise EffectError(f"sentence must be text, got {effect.sentence!r}")
-    _check_names("memory", effect.memory)
-    taken = [name for name in effect.memory if name in cell_names(body_names({})) or name in FORCE_NAMES]
-    if taken or len(set(effect.memory)) < len(effect.memory):
-        raise EffectError(
-            f"memory {effect.memory}: every name must be given once, and not be one that body or cell have"
-        )
-    if not isinstance(effect.parameters, tuple | list):
-        raise EffectError(f"parameters must be a tuple of Parameter, got {effect.parameters!r}")
-    for parameter in effect.parameters:
-        if not isinstance(parameter, Parameter):
-            raise EffectError(f"parameters must be a tuple of Parameter, got {parameter!r}")
-        problem = _faulty(parameter)
-        if problem:
-            raise EffectError(f"parameter {parameter.name}: {problem}")
-    if len({parameter.name for parameter in effect.parameters}) < len(effect.parameters):
-        raise EffectError("two parameters have one name")
-    if not effect.amplitudes.any():
-        raise EffectError("no parameter has a null; give one a value at which the effect vanishes (null=0.0)")
-
-
-def check_starts(effect: Effect) -> None:
-    """Refuse guesses that fail, are no numbers, or leave their parameter's range wherever the pushes were.
-
-    Raises:
-        EffectError: what is wrong and what to do.
-    """
-    given = [[guess for guess in effect.guesses(scene)] for scene in SCENES]
-    for parameter in effect.parameters:
-        values = [[guess.get(parameter.name, parameter.center) for guess in scene] for scene in given]
-        # Places follow the pushes, and a range may be meant for those of one table.
-        if all(any(not parameter.low <= v <= parameter.high for v in scene) for scene in values):
-            beyond = next(v for v in values[0] if not parameter.low <= v <= parameter.high)
-            raise EffectError(
-                f"starts() gives {parameter.name} = {beyond:g}; it must lie within {parameter.low:g} and"
-                f" {parameter.high:g}"
-            )
-
-
-def _check_methods(kind: type[Effect]) -> None:
-    own = {name: value for base in kind.__mro__ if base is not Effect for name, value in vars(base).items()}
-    for name, value in own.items():
-        if name.startswith("_") or not inspect.isroutine(value) or hasattr(Effect, name):
-            continue
-        near = difflib.get_close_matches(name, METHODS, n=1)
-        hint = f"did you mean {near[0]}()?" if near else f"there are {', '.join(METHODS)}."
-        raise EffectError(
-            f"{name}() is no method of an effect; {hint} A helper's name begins with an underscore"
-        )
-    if not any(getattr(kind, name) is not getattr(Effect, name) for name in FORMULAS):
-        raise EffectError(f"it has no formula; write one or more of {', '.join(FORMULAS)}")
-
-
-def _check_names(attribute: str, names: object) -> None:
-    if not (isinstance(names, tuple | list) and all(isinstance(n, str) and n.isidentifier() for n in names)):
-        raise EffectError(f'{attribute} must be a tuple of names, as ("lag_x", "lag_y"), got {names!r}')
-
-
-def _faulty(parameter: Parameter) -> str | None:
-    """What is wrong with a parameter, or None."""
-    if not (isinstance(parameter.name, str) and parameter.name.isidentifier()):
-        return "its name must be a Python identifier"
-    for attribute in ("unit", "meaning"):
-        text = getattr(parameter, attribute)
-        if not isinstance(text, str):
-            return f"{attribute} must be text, got {text!r}"
-    low, high = parameter.low, parameter.high
-    numbers = (low, high, parameter.scale, parameter.center, parameter.start, parameter.weight_power)
-    if not all(isinstance(value, Real) and math.isfinite(value) for value in numbers):
-        return f"low, high, scale, null, start and weight_power must be finite numbers, got {numbers}"
-    if not low < high:
-        return f"low {low} must be below high {high}"
-    if not parameter.scale > 0:
-        return f"scale must be positive, got {parameter.scale}"
-    if not low <= parameter.center <= high:
-        return f"its null or start {parameter.center} must lie within {low} and {high}"
-    # A start that was not given is 0; one besides a null means nothing, but must not be a slip either.
-    if parameter.start != 0 and not low <= parameter.start <= high:
-        return f"its start {parameter.start} must lie within {low} and {high}"
-    unknown = set(re.findall(r"[a-zA-Z]+", parameter.unit)) - KNOWN_UNITS
-    if not UNITS.fullmatch(parameter.unit) or unknown:
-        return (
-            f"unit {parameter.unit!r} is not SI as slipmap writes it: 1, m, s, N/m, rad/s, N s/m^3 …"
-            f" from {', '.join(sorted(KNOWN_UNITS))}"
-        )
-    return None
-
-
-# Points at which a formula has no value: where what it divides by, or takes the logarithm of, vanishes.
-
-
-STARTS = 4
-"""Random states from which each zero is searched."""
-
-ZERO = 1e-10
-"""A divisor so small, against its size elsewhere, is a zero."""
-
-HUGE = 1e6
-"""Times its size elsewhere; a value beyond is none."""
-
-DIGITS = 6
-"""Decimals of a zero; most zeros are where a state is nothing, or equal to a parameter."""
-
-Values = dict[sp.Symbol, float]
-
-
-def singular_point(
-    outputs: Sequence[sp.Expr], states: Sequence[sp.Symbol], values: Values, rng: np.random.Generator
-) -> Values | None:
-    """A state at which some output is not finite because a divisor vanishes; None if none is found.
-
-    Args:
-        outputs: formulas.
-        states: symbols that may have any value.
-        values: of all symbols, states included; the others keep theirs. At these all outputs are finite.
-        rng: of the states from which zeros are searched.
-    """
-    usual = 1.0 + max(abs(_value(entry, values)) for entry in outputs)
-    moving = [state for state in states if str(state).startswith("v_")]
-    for divisor in _divisors(outputs):
-        users = [entry for entry in outputs if entry.has(divisor)]
-        # First at rest: a place at which an object lies says more than one that it passes.
-        at_rest = [state for state in moving if state in divisor.free_symbols]
-        for still in [at_rest, []] if at_rest else [[]]:
-            begin = {**values, **dict.fromkeys(still, 0.0)}
-            free = [state for state in states if state in divisor.free_symbols and state not in still]
-            others = {symbol: value for symbol, value in begin.items() if symbol not in free}
-            function = sp.lambdify([free], divisor.subs(others), modules="math")
-            for _ in range(STARTS):
-                zero = _zero(function, rng.normal(scale=0.1, size=len(free)))
-                if zero is None:
-                    continue
-                for place in (np.round(zero, DIGITS) + 0.0, zero):
-                    at = {**begin, **dict(zip(free, map(float, place), strict=True))}
-                    if not all(_is_value(entry, at, HUGE * usual) for entry in users):
-                        return {state: round(at[state], DIGITS) + 0.0 for state in (*free, *still)}
-    return None
-
-
-def _divisors(outputs: Sequence[sp.Expr]) -> list[sp.Expr]:
-    """What outputs divide by or take the logarithm of, unless it is always positive."""
-    found = []
-    for entry in outputs:
-        for node in sp.preorder_traversal(entry):
-            divides = isinstance(node, sp.Pow) and node.exp.is_negative
-            if (divides or isinstance(node, sp.log)) and not node.args[0].is_positive:
-                found.append(node.args[0])
-    return list(dict.fromkeys(found))
-
-
-def _zero(function, start: np.ndarray) -> np.ndarray | None:  # type: ignore[no-untyped-def]
-    """Where a function of states vanishes, searched from `start`; None where it does not."""
-
-    def size(place: np.ndarray) -> float:
-        try:
-            return abs(function(place))
-        except (ArithmeticError, ValueError):
-            return np.inf
-
-    if len(start) == 0 or size(start) == 0.0:
-        return start if size(start) == 0.0 else None
-    from scipy.optimize import minimize  # needed for new formulas alone, and slow to import
-
-    options = {"xatol": 1e-12, "fatol": 1e-24, "maxiter": 400 * len(start)}
-    best = minimize(size, start, method="Nelder-Mead", options=options)
-    return best.x if best.fun < ZERO * max(1.0, size(start)) else None
-
-
-def _is_value(entry: sp.Expr, values: Values, largest: float) -> bool:
-    try:
-        return bool(abs(_value(entry, values)) < largest)
-    except (ArithmeticError, ValueError, TypeError):
-        return False
-
-
-def _value(entry: sp.Expr, values: Values) -> float:
-    symbols = sorted(entry.free_symbols, key=str)
-    return float(sp.lambdify(symbols, entry, modules="math")(*(values[s] for s in symbols)))
-
-
-POINTS = 20
-VANISHES = 1e-12
-FIXED = {
+# An object that could be, its cells and its push, in SI units.
+_FIXED = {
     "m": 1.0, "J": 0.02, "s_x": 0.03, "s_y": -0.02, "gravity": 9.81, "h": 0.005, "width": 0.01, "n": 60.0,
     "c_x": 0.02, "c_y": -0.01, "g_xx": 300.0, "g_xy": 40.0, "g_yy": 500.0, "time": 0.4, "order": 2.0,
 }  # fmt: skip
-"""Of an object that could be, its cells and its push, as in SI."""
 
 
 def check_effect(effect: Effect, where: str) -> None:
@@ -262,9 +61,7 @@ def _check_that_it_acts(effect: Effect, slots: Slots) -> None:
     within = {str(symbol) for output in outputs for symbol in sp.sympify(output).free_symbols}
     names = [p.name for p in effect.parameters if p.null is not None]
     if not within & {parameter_name(effect.name, name) for name in names}:
-        written = [
-            f"{name}()" for name in FORMULAS if getattr(type(effect), name) is not getattr(Effect, name)
-        ]
+        written = [f"{name}()" for name in FORMULAS if _overrides(type(effect), name)]
         raise EffectError(
             f"what {' and '.join(written)} return does not depend on {' or '.join(names)}: a formula without"
             " `return` gives nothing (None), and one without a parameter is no effect"
@@ -274,24 +71,19 @@ def _check_that_it_acts(effect: Effect, slots: Slots) -> None:
 def _check_values(effect: Effect, slots: Slots) -> None:
     """Evaluate the formulas at random states, with the effect at its null and at random parameters."""
     rng = np.random.default_rng(0)
-    outputs = [*slots.body, *slots.cell, slots.delay, *slots.measured]
-    outputs = [sp.sympify(entry) for entry in outputs]
-    plain = [0, 0, 0, 1, 0, *[None] * (4 * slots.blades), 1, 0, 1, 0, 1, 0, None, None, None]
-    # A blade is nothing where its force is nothing, wherever it stands.
-    for blade in range(slots.blades):
-        plain[BODY_OUTPUTS + 4 * blade] = 0
+    outputs = [sp.sympify(entry) for entry in (*slots.body, *slots.cell, slots.delay, *slots.measured)]
     symbols = sorted({s for entry in outputs for s in entry.free_symbols}, key=str)
     evaluate = sp.lambdify(symbols, outputs, modules="math")
     parameters = {parameter_name(effect.name, p.name): p for p in effect.parameters}
     own = {memory_name(effect.name, name) for name in effect.memory} | set(FORCE_NAMES)
-    for trial in range(POINTS):
+    for trial in range(20):
         null = trial % 2 == 0
         values = {}
         for symbol in symbols:
             parameter = parameters.get(str(symbol))
             if parameter is None:
                 drawn = rng.normal(scale=0.1)
-                values[symbol] = FIXED.get(str(symbol), 0.0 if null and str(symbol) in own else drawn)
+                values[symbol] = _FIXED.get(str(symbol), 0.0 if null and str(symbol) in own else drawn)
             elif null and parameter.null is not None:
                 values[symbol] = parameter.null
             else:
@@ -301,37 +93,41 @@ def _check_values(effect: Effect, slots: Slots) -> None:
             results = [float(value) for value in evaluate(*(values[symbol] for symbol in symbols))]
         except (ArithmeticError, ValueError, TypeError, NameError) as error:
             raise EffectError(
-                f"the formula cannot be evaluated: {type(error).__name__}: {error}; {_told(values)}"
+                f"the formula cannot be evaluated: {type(error).__name__}: {error}; {_listed(values)}"
             ) from error
         if not np.isfinite(results).all():
-            raise EffectError(f"the formula is not finite at {_told(values)}")
+            raise EffectError(f"the formula is not finite at {_listed(values)}")
         if trial == 1:
-            states = [symbol for symbol in symbols if str(symbol) not in {*parameters, *FIXED}]
-            place = singular_point(outputs, states, values, rng)
+            states = [symbol for symbol in symbols if str(symbol) not in {*parameters, *_FIXED}]
+            place = _singular_point(outputs, states, values, rng)
             if place is not None:
                 raise EffectError(
-                    f"the formula has no value at {_told(place)}: it divides by what is 0 there; keep"
+                    f"the formula has no value at {_listed(place)}: it divides by what is 0 there; keep"
                     " that away from 0, as in sqrt(x**2 + y**2 + 0.01**2)"
                 )
-        if not null:
-            continue
-        pose = [values.get(symbol, 0.0) for symbol in sp.symbols("pose_x pose_y pose_theta", real=True)]
-        expected = [*plain[:-3], *pose]
-        if not slots.measures:
-            results, expected = results[:-3], expected[:-3]
-        for value, wanted in zip(results, expected, strict=True):
-            if wanted is not None and abs(value - wanted) > VANISHES * max(1.0, abs(wanted)):
-                nulls = [f"{p.name} = {p.null}" for p in effect.parameters if p.null is not None]
-                raise EffectError(
-                    f"the effect does not vanish when its parameters are at their nulls ({', '.join(nulls)}):"
-                    f" it gives {value:.6g} instead of {wanted:g}"
-                )
+        if null:
+            pose = [values.get(symbol, 0.0) for symbol in sp.symbols("pose_x pose_y pose_theta", real=True)]
+            _check_vanished(effect, results, slots.blades, pose)
+
+
+def _check_vanished(effect: Effect, results: Sequence[float], blades: int, pose: Sequence[float]) -> None:
+    """Refuse values at the null that differ from those without effects, as `_check_values` orders them."""
+    # A blade is nothing where its force is nothing, wherever it stands.
+    blade = (0, None, None, None)
+    wrench, cell = (0, 0, 0), (1, 0, 1, 0, 1)
+    inertia, compliance, delay = 1, 0, 0
+    plain = (*wrench, inertia, compliance, *(blades * blade), *cell, delay, *pose)
+    for value, wanted in zip(results, plain, strict=True):
+        if wanted is not None and abs(value - wanted) > 1e-12 * max(1.0, abs(wanted)):
+            nulls = [f"{p.name} = {p.null}" for p in effect.parameters if p.null is not None]
+            raise EffectError(
+                f"the effect does not vanish when its parameters are at their nulls ({', '.join(nulls)}):"
+                f" it gives {value:.6g} instead of {wanted:g}"
+            )
 
 
 def _check_slopes(effect: Effect, slots: Slots) -> None:
     """Refuse formulas without a finite derivative where an object lies still, as every push begins."""
-    from slipmap.models.effects.formulas import derivative
-
     rng = np.random.default_rng(1)
     parameters = {parameter_name(effect.name, p.name): p for p in effect.parameters}
     remembered = (memory_name(effect.name, name) for name in effect.memory)
@@ -343,7 +139,7 @@ def _check_slopes(effect: Effect, slots: Slots) -> None:
         if (parameter := parameters.get(str(symbol))) is not None:
             low, high = parameter.low, parameter.high
             drawn = float(np.clip(parameter.center + parameter.scale * (0.5 + abs(drawn)), low, high))
-        values[symbol] = 0.0 if str(symbol) in still else FIXED.get(str(symbol), drawn)
+        values[symbol] = 0.0 if str(symbol) in still else _FIXED.get(str(symbol), drawn)
     symbols = list(values)
     at_rest = {symbol: 0.0 for symbol in symbols if str(symbol) in still}
     for symbol in slots.y:
@@ -360,11 +156,200 @@ def _check_slopes(effect: Effect, slots: Slots) -> None:
             ) from error
         if not finite:
             raise EffectError(
-                f"the formula has no derivative where the object lies still ({_told(at_rest)}): keep what"
+                f"the formula has no derivative where the object lies still ({_listed(at_rest)}): keep what"
                 " stands under a root away from 0, as in sqrt(vx**2 + vy**2 + 1e-4**2)"
             )
 
 
-def _told(values: dict[sp.Symbol, float]) -> str:
+def check_declaration(effect: Effect) -> None:
+    """Refuse an effect whose class is declared wrongly.
+
+    Raises:
+        EffectError: what is wrong and what to do.
+    """
+    _check_methods(type(effect))
+    for attribute in ("name", "sentence", "parameters"):
+        if not getattr(effect, attribute, None):
+            raise EffectError(f"it has no {attribute}")
+    if not (isinstance(effect.name, str) and re.fullmatch(r"[a-z][a-z0-9_]*", effect.name)):
+        raise EffectError(f"name {effect.name!r} must be lower case letters, digits and underscores")
+    if not isinstance(effect.sentence, str):
+        raise EffectError(f"sentence must be text, got {effect.sentence!r}")
+    memory = effect.memory
+    if not (
+        isinstance(memory, tuple | list) and all(isinstance(n, str) and n.isidentifier() for n in memory)
+    ):
+        raise EffectError(f'memory must be a tuple of names, as ("lag_x", "lag_y"), got {memory!r}')
+    taken = [name for name in effect.memory if name in cell_names(body_names({})) or name in FORCE_NAMES]
+    if taken or len(set(effect.memory)) < len(effect.memory):
+        raise EffectError(
+            f"memory {effect.memory}: every name must be given once, and not be one that body or cell have"
+        )
+    if not isinstance(effect.parameters, tuple | list):
+        raise EffectError(f"parameters must be a tuple of Parameter, got {effect.parameters!r}")
+    for parameter in effect.parameters:
+        if not isinstance(parameter, Parameter):
+            raise EffectError(f"parameters must be a tuple of Parameter, got {parameter!r}")
+        problem = _faulty(parameter)
+        if problem:
+            raise EffectError(f"parameter {parameter.name}: {problem}")
+    if len({parameter.name for parameter in effect.parameters}) < len(effect.parameters):
+        raise EffectError("two parameters have one name")
+    if not effect.amplitudes.any():
+        raise EffectError("no parameter has a null; give one a value at which the effect vanishes (null=0.0)")
+
+
+def check_starts(effect: Effect) -> None:
+    """Refuse guesses that fail, are no numbers, or leave their parameter's range wherever the pushes were.
+
+    Raises:
+        EffectError: what is wrong and what to do.
+    """
+    given = [effect.guesses(scene) for scene in _SCENES]
+    for parameter in effect.parameters:
+        values = [[guess.get(parameter.name, parameter.center) for guess in scene] for scene in given]
+        # Places follow the pushes, and a range may be meant for those of one table.
+        if all(any(not parameter.low <= v <= parameter.high for v in scene) for scene in values):
+            beyond = next(v for v in values[0] if not parameter.low <= v <= parameter.high)
+            raise EffectError(
+                f"starts() gives {parameter.name} = {beyond:g}; it must lie within {parameter.low:g} and"
+                f" {parameter.high:g}"
+            )
+
+
+def _check_methods(kind: type[Effect]) -> None:
+    own = {name: value for base in kind.__mro__ if base is not Effect for name, value in vars(base).items()}
+    for name, value in own.items():
+        if name.startswith("_") or not inspect.isroutine(value) or hasattr(Effect, name):
+            continue
+        methods = (*FORMULAS, "remember", "starts")
+        near = difflib.get_close_matches(name, methods, n=1)
+        hint = f"did you mean {near[0]}()?" if near else f"there are {', '.join(methods)}."
+        raise EffectError(
+            f"{name}() is no method of an effect; {hint} A helper's name begins with an underscore"
+        )
+    if not any(_overrides(kind, name) for name in FORMULAS):
+        raise EffectError(f"it has no formula; write one or more of {', '.join(FORMULAS)}")
+
+
+def _overrides(kind: type[Effect], method: str) -> bool:
+    return getattr(kind, method) is not getattr(Effect, method)
+
+
+def _faulty(parameter: Parameter) -> str | None:
+    """What is wrong with a parameter, or None."""
+    if not (isinstance(parameter.name, str) and parameter.name.isidentifier()):
+        return "its name must be a Python identifier"
+    for attribute in ("unit", "meaning"):
+        text = getattr(parameter, attribute)
+        if not isinstance(text, str):
+            return f"{attribute} must be text, got {text!r}"
+    low, high = parameter.low, parameter.high
+    numbers = (low, high, parameter.scale, parameter.center, parameter.start, parameter.weight_power)
+    if not all(isinstance(value, Real) and math.isfinite(value) for value in numbers):
+        return f"low, high, scale, null, start and weight_power must be finite numbers, got {numbers}"
+    if not low < high:
+        return f"low {low} must be below high {high}"
+    if not parameter.scale > 0:
+        return f"scale must be positive, got {parameter.scale}"
+    if not low <= parameter.center <= high:
+        return f"its null or start {parameter.center} must lie within {low} and {high}"
+    # A start that was not given is 0; one besides a null means nothing, but must not be a slip either.
+    if parameter.start != 0 and not low <= parameter.start <= high:
+        return f"its start {parameter.start} must lie within {low} and {high}"
+    unknown = set(re.findall(r"[a-zA-Z]+", parameter.unit)) - _KNOWN_UNITS
+    if not _UNITS.fullmatch(parameter.unit) or unknown:
+        return (
+            f"unit {parameter.unit!r} is not SI as slipmap writes it: 1, m, s, N/m, rad/s, N s/m^3 …"
+            f" from {', '.join(sorted(_KNOWN_UNITS))}"
+        )
+    return None
+
+
+_UNITS = re.compile(r"^(1|([a-zA-Z]+(\^-?\d+)?)([ /][a-zA-Z]+(\^-?\d+)?)*|1(/[a-zA-Z]+(\^\d+)?)+)$")
+_KNOWN_UNITS = {"m", "s", "kg", "N", "rad", "push", "J", "W", "Hz", "Pa"}
+
+
+_STARTS = 4  # random states from which each zero is searched
+_ZERO = 1e-10  # a divisor so small, against its size elsewhere, is a zero
+_HUGE = 1e6  # times its size elsewhere; a value beyond is none
+_DIGITS = 6  # decimals of a zero; most zeros are where a state is nothing, or equal to a parameter
+
+
+def _singular_point(
+    outputs: Sequence[sp.Expr], states: Sequence[sp.Symbol], values: Values, rng: np.random.Generator
+) -> Values | None:
+    """A state at which some output is not finite because a divisor vanishes; None if none is found.
+
+    Args:
+        outputs: formulas.
+        states: symbols that may have any value.
+        values: of all symbols, states included; the others keep theirs. At these all outputs are finite.
+        rng: of the states from which zeros are searched.
+    """
+    usual = 1.0 + max(abs(_value(entry, values)) for entry in outputs)
+    moving = [state for state in states if str(state).startswith("v_")]
+    for divisor in _divisors(outputs):
+        users = [entry for entry in outputs if entry.has(divisor)]
+        # First at rest: a place at which an object lies says more than one that it passes.
+        at_rest = [state for state in moving if state in divisor.free_symbols]
+        for still in [at_rest, []] if at_rest else [[]]:
+            begin = {**values, **dict.fromkeys(still, 0.0)}
+            free = [state for state in states if state in divisor.free_symbols and state not in still]
+            others = {symbol: value for symbol, value in begin.items() if symbol not in free}
+            function = sp.lambdify([free], divisor.subs(others), modules="math")
+            for _ in range(_STARTS):
+                zero = _zero(function, rng.normal(scale=0.1, size=len(free)))
+                if zero is None:
+                    continue
+                for place in (np.round(zero, _DIGITS) + 0.0, zero):
+                    at = {**begin, **dict(zip(free, map(float, place), strict=True))}
+                    if not all(_is_value(entry, at, _HUGE * usual) for entry in users):
+                        return {state: round(at[state], _DIGITS) + 0.0 for state in (*free, *still)}
+    return None
+
+
+def _divisors(outputs: Sequence[sp.Expr]) -> list[sp.Expr]:
+    """What outputs divide by or take the logarithm of, unless it is always positive."""
+    found = []
+    for entry in outputs:
+        for node in sp.preorder_traversal(entry):
+            divides = isinstance(node, sp.Pow) and node.exp.is_negative
+            if (divides or isinstance(node, sp.log)) and not node.args[0].is_positive:
+                found.append(node.args[0])
+    return list(dict.fromkeys(found))
+
+
+def _zero(function, start: np.ndarray) -> np.ndarray | None:  # type: ignore[no-untyped-def]
+    """Where a function of states vanishes, searched from `start`; None where it does not."""
+
+    def size(place: np.ndarray) -> float:
+        try:
+            return abs(function(place))
+        except (ArithmeticError, ValueError):
+            return np.inf
+
+    if len(start) == 0 or size(start) == 0.0:
+        return start if size(start) == 0.0 else None
+    from scipy.optimize import minimize  # needed for new formulas alone, and slow to import
+
+    options = {"xatol": 1e-12, "fatol": 1e-24, "maxiter": 400 * len(start)}
+    best = minimize(size, start, method="Nelder-Mead", options=options)
+    return best.x if best.fun < _ZERO * max(1.0, size(start)) else None
+
+
+def _is_value(entry: sp.Expr, values: Values, largest: float) -> bool:
+    try:
+        return bool(abs(_value(entry, values)) < largest)
+    except (ArithmeticError, ValueError, TypeError):
+        return False
+
+
+def _value(entry: sp.Expr, values: Values) -> float:
+    symbols = sorted(entry.free_symbols, key=str)
+    return float(sp.lambdify(symbols, entry, modules="math")(*(values[s] for s in symbols)))
+
+
+def _listed(values: dict[sp.Symbol, float]) -> str:
     names = (str(symbol).removeprefix("p_").replace("_P_", ".") for symbol in values)
     return ", ".join(f"{name} = {value:.3g}" for name, value in zip(names, values.values(), strict=True))

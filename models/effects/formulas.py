@@ -1,283 +1,141 @@
-"""Python source of the functions that the kernel calls, written from the effects' formulas.
+"""Formulas of effects: asked of their methods, summed up, and written as source that the kernels call.
 
 All formulas become expressions of y and the constants (see `slipmap.models.physics.effect_cells`); common
 subexpressions are taken out, those that do not depend on the cell in front of the loop over cells.
-
-What the gradient of a step changes with is a sum over cells,
-
-    G_aj = Σ_i Σ_c g_cai ∂e_c(b(y), r_i)/∂y_j ,
-
-with the formulas e_c of a cell at r, and b all that they use and that is the same for every cell. Each
-formula is cut into small assignments. The loop goes through them forwards, for their values and local
-derivatives, and then backwards with the three rows of g, which gives Σ_i Σ_c g_cai ∂e_c/∂b_k; the chain by
-∂b_k/∂y_j is left for after the loop. Going forwards with every y_j took three to five times the arithmetic.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
+from functools import partial
 from typing import Any
 
 import sympy as sp
 from sympy.printing.numpy import NumPyPrinter
 from sympy.printing.pycode import PythonCodePrinter
 
-from slipmap.models.effects.effect import Effect
-from slipmap.models.effects.program import Slots
-from slipmap.models.effects.symbols import CONSTANT_NAMES, real
-
-# Derivatives of the cells' formulas: backwards through their common parts, in one loop over the cells.
-
-
-ROWS = 3
-"""Rows of g and G: the gradient by v_x, v_y, omega."""
-
-
-@dataclass(frozen=True)
-class BackwardLoop:
-    """Code lines, not indented, of the loop and of what comes around it.
-
-    Attributes:
-        before: assigns b.
-        within: for one cell; adds to the sums.
-        after: adds to G from the sums.
-        sums: names of the sums.
-    """
-
-    before: list[str]
-    within: list[str]
-    after: list[str]
-    sums: list[str]
+from slipmap.models.effects.backward_loop import backward_loop
+from slipmap.models.effects.effect import Effect, EffectError, call_formula
+from slipmap.models.effects.symbols import (
+    AFTER_SYMBOLS,
+    CONSTANT_NAMES,
+    FORCE_NAMES,
+    INERTIA_NAMES,
+    STATE_NAMES,
+    Names,
+    after_names,
+    body_names,
+    cell_names,
+    memory_name,
+    parameter_name,
+    real,
+)
 
 
-def backward_loop(
-    formulas: Sequence[tuple[str, Any]],
-    y: Sequence[Any],
-    place: Sequence[Any],
-    derivative: Callable[[Any, Any], Any],
-    printed: Callable[[Any], str],
-) -> BackwardLoop:
-    """Write the loop for some formulas of a cell.
-
-    Args:
-        formulas: the stem of the names of g_c0, g_c1 and g_c2, and e_c.
-        y: symbols to differentiate by, in the order of G's columns.
-        place: symbols that differ from cell to cell, r_x and r_y.
-        derivative: of an expression by a symbol.
-        printed: code of an expression.
-    """
-    # What stands in a case may have no value outside of it, and is computed there alone.
-    cases = {c: sp.Dummy(real=True) for _, e in formulas for c in _outermost_cases(e)}
-    steps, ends = sp.cse(
-        [e.xreplace(cases) for _, e in formulas], symbols=sp.numbered_symbols("t", real=True), order="none"
-    )
-    parts = _Parts(set(place))
-    for case, symbol in cases.items():
-        parts.define(symbol, case)
-    for symbol, expression in steps:
-        parts.define(symbol, expression)
-    last = [(sp.Symbol(stem), parts.small(e)) for (stem, _), e in zip(formulas, ends, strict=True)]
-    slopes = {
-        (name, j): slope
-        for name, value in parts.names.items()
-        for j, symbol in enumerate(y)
-        if (slope := derivative(value, symbol)) != 0
-    }
-    wanted = {name for name, _ in slopes}
-
-    forwards, partials = _forwards(parts.steps, last, wanted, derivative, printed)
-    symbols = [symbol for symbol, _ in (*parts.steps, *last)]
-    backwards, inflow = _backwards(symbols, len(parts.steps), partials, printed)
-    totals = {
-        sp.Symbol(f"sum_{name}_{a}"): (name, a, total)
-        for name in parts.names
-        if name in wanted and name in inflow
-        for a, total in enumerate(_together(inflow[name]).rows())
-    }
-    columns = [
-        (f"G[{a * len(y) + j}] +=", symbol * slopes[name, j])
-        for symbol, (name, a, _) in totals.items()
-        for j in range(len(y))
-        if (name, j) in slopes
-    ]
-    return BackwardLoop(
-        before=_straight_backwards([(f"{name} =", e) for name, e in parts.names.items()], "f", printed),
-        within=[
-            *forwards,
-            *backwards,
-            *(f"{symbol} += {printed(e)}" for symbol, (_, _, e) in totals.items()),
-        ],
-        after=_straight_backwards(columns, "z", printed),
-        sums=[str(symbol) for symbol in totals],
-    )
-
-
-def _outermost_cases(expression: Any) -> list[Any]:
-    """Piecewise parts of an expression that are not inside of another."""
-    if isinstance(expression, sp.Piecewise):
-        return [expression]
-    return [case for argument in expression.args for case in _outermost_cases(argument)]
-
-
-def _forwards(
-    steps: Sequence[tuple[Any, Any]],
-    last: Sequence[tuple[Any, Any]],
-    wanted: set[Any],
-    derivative: Callable[[Any, Any], Any],
-    printed: Callable[[Any], str],
-) -> tuple[list[str], list[list[tuple[Any, Any]]]]:
-    """Lines that compute the steps, and the derivatives of steps and formulas by what they are made of as far
-    as that depends on what is wanted: for each, symbols and derivatives."""
-    lines: list[str] = []
-    partials: list[list[tuple[Any, Any]]] = []
-    active = set(wanted)
-    for number, (symbol, expression) in enumerate([*steps, *last]):
-        by = sorted(expression.free_symbols & active, key=str)
-        local = [derivative(expression, s) for s in by]
-        named = [sp.Symbol(f"d{number}_{k}") if e.free_symbols else e for k, e in enumerate(local)]
-        targets = [(f"{n} =", e) for n, e in zip(named, local, strict=True) if n is not e]
-        if number < len(steps):
-            targets.insert(0, (f"{symbol} =", expression))
-            if by:
-                active.add(symbol)
-        lines += _straight_backwards(targets, f"w{number}_", printed)
-        partials.append(list(zip(by, named, strict=True)))
-    return lines, partials
-
-
-def _backwards(
-    symbols: Sequence[Any],
-    formulas_from: int,
-    partials: Sequence[list[tuple[Any, Any]]],
-    printed: Callable[[Any], str],
-) -> tuple[list[str], dict[Any, list[_Flow]]]:
-    """Lines that go from the formulas, last of the symbols, back to the first step; and what flows into each
-    symbol."""
-    lines: list[str] = []
-    inflow: dict[Any, list[_Flow]] = {}
-    for number in range(len(symbols) - 1, -1, -1):
-        symbol = symbols[number]
-        if number >= formulas_from:
-            flow = _Flow(str(symbol), [sp.Integer(1)])
-        elif symbol not in inflow:
-            continue
-        else:
-            total = _together(inflow[symbol])
-            names = [sp.Symbol(f"a{number}_{k}") for k in range(len(total.parts))]
-            lines += [f"{name} = {printed(e)}" for name, e in zip(names, total.parts, strict=True)]
-            flow = _Flow(total.formula, names)
-        for s, partial in partials[number]:
-            inflow.setdefault(s, []).append(_Flow(flow.formula, [partial * part for part in flow.parts]))
-    return lines, inflow
-
-
-@dataclass(frozen=True)
-class _Flow:
-    """Derivative of Σ_c g_ca e_c by a symbol.
+class Slots:
+    """Everything that some effects change, summed up, as SymPy expressions.
 
     Attributes:
-        formula: stem of the g of the only formula that depends on the symbol, or None where there are more.
-        parts: that formula's derivative, to be multiplied by g_0, g_1, g_2; or the three rows.
+        parameters: symbols of all parameters.
+        memory: symbols of what is carried along; empty, or the last force and the effects' own.
+        y: all that the formulas are differentiated by.
+        body: the first entries of `effect_cells.BODY_OUTPUTS`, then four for each blade.
+        factor: of a cell's friction.
+        drag: of a cell.
+        stretch: q_xx, q_xy, q_yy of a cell.
+        renewed: the effects' own memory after the step.
+        measured: x, y, theta as reported, or None.
+        delay: s, or None.
     """
 
-    formula: str | None
-    parts: list[Any]
+    def __init__(self, effects: Sequence[Effect]) -> None:
+        one, zero = sp.Integer(1), sp.Integer(0)
+        force = [real(name) for name in FORCE_NAMES]
+        pose = [real("pose_x"), real("pose_y"), real("pose_theta")]
+        self.factor, self.drag, self.delay = one, zero, zero
+        self.renewed: list[Any] = []
+        self.measured = list(pose)
+        wrench, stretch, inertia, compliance = [zero, zero, zero], [one, zero, one], one, zero
+        blades: list[Any] = []
+        for e in effects:
+            ask = partial(_ask, e)
+            p = Names(
+                f"effect {e.name}: p", {q.name: real(parameter_name(e.name, q.name)) for q in e.parameters}
+            )
+            memory = {name: real(memory_name(e.name, name)) for name in e.memory}
+            known = body_names(memory | dict(zip(FORCE_NAMES, force, strict=True)))
+            body = Names(f"effect {e.name}: body", known)
+            cell = Names(f"effect {e.name}: cell", cell_names(known))
+            self.factor *= (ask("friction", 1, cell, p) or [one])[0]
+            self.drag += (ask("drag", 1, cell, p) or [zero])[0]
+            shape = ask("stretch", 3, cell, p) or [one, zero, one]
+            stretch = [
+                total + value - base for total, value, base in zip(stretch, shape, (1, 0, 1), strict=True)
+            ]
+            fx, fy, torque = ask("force", 3, body, p) or [zero, zero, zero]
+            cos, sin = known["cos"], known["sin"]
+            turned = (cos * fx + sin * fy, cos * fy - sin * fx, torque)
+            wrench = [total + value for total, value in zip(wrench, turned, strict=True)]
+            blade = ask("blade", 5, body, p)
+            if blade:
+                strength, nx, ny, rx, ry = blade
+                blades += [strength, nx, ny, rx * ny - ry * nx]
+            inertia *= (ask("inertia", 1, body, p) or [one])[0]
+            compliance += (ask("compliance", 1, body, p) or [zero])[0]
+            after = Names(f"effect {e.name}: after", after_names())
+            renewed = ask("remember", len(e.memory), body, after, p) or []
+            if len(renewed) != len(e.memory):
+                raise EffectError(
+                    f"effect {e.name}: it has memory {e.memory} but no remember() that renews it"
+                )
+            self.renewed += renewed
+            reported = Names("pose", dict(zip(("x", "y", "theta"), self.measured, strict=True)))
+            self.measured = ask("measured", 3, reported, p) or self.measured
+            self.delay += (ask("delay", 1, p) or [zero])[0]
+        self.blades = len(blades) // 4
+        self.body = [*wrench, inertia, compliance, *blades]
+        self.stretch = [sp.sympify(entry) for entry in stretch]
+        self.measures = self.measured != pose
+        self.stretches = self.stretch != [one, zero, one]
+        formulas = [*self.body, *self.cell, *self.renewed, *self.measured]
+        asked = {symbol for formula in formulas for symbol in sp.sympify(formula).free_symbols}
+        needs_memory = bool(self.renewed) or compliance != zero or bool(asked & set(force))
+        own = [real(memory_name(e.name, name)) for e in effects for name in e.memory]
+        self.parameters = [real(parameter_name(e.name, p.name)) for e in effects for p in e.parameters]
+        self.memory = [*force, *own] if needs_memory else []
+        inertia_symbols = [real(name) for name in INERTIA_NAMES]
+        self.y = [*(real(name) for name in STATE_NAMES), *self.memory, *inertia_symbols, *self.parameters]
+        given = (*CONSTANT_NAMES, "r_x", "r_y", *AFTER_SYMBOLS)
+        strangers = (asked | sp.sympify(self.delay).free_symbols) - {*self.y, *pose, *map(real, given)}
+        if strangers:
+            names = ", ".join(e.name for e in effects)
+            raise EffectError(
+                f"effects {names}: the formula holds symbols that are neither its parameters nor given to"
+                f" it: {', '.join(sorted(map(str, strangers)))}"
+            )
 
-    def rows(self) -> list[Any]:
-        """The three rows."""
-        if self.formula is None:
-            return self.parts
-        return [self.parts[0] * sp.Symbol(f"{self.formula}{a}") for a in range(ROWS)]
+    @property
+    def cell(self) -> list[Any]:
+        """Everything that is changed of a cell: factor, drag, stretch."""
+        return [self.factor, self.drag, *self.stretch]
 
 
-def _together(flows: Sequence[_Flow]) -> _Flow:
-    """The sum of flows; three rows only where it takes several formulas."""
-    formulas = {flow.formula for flow in flows}
-    if len(formulas) == 1 and None not in formulas:
-        return _Flow(flows[0].formula, [sp.Add(*(flow.parts[0] for flow in flows))])
-    return _Flow(None, [sp.Add(*row) for row in zip(*(flow.rows() for flow in flows), strict=True)])
-
-
-class _Parts:
-    """Formulas of a cell cut into small steps; what is the same for all cells has names of its own.
-
-    Attributes:
-        names: symbols under which the loop uses what is the same for all cells, and their values.
-        steps: symbols that differ from cell to cell, and each in terms of earlier ones and of names.
-    """
-
-    def __init__(self, place: set[Any]) -> None:
-        self.names: dict[Any, Any] = {}
-        self.steps: list[tuple[Any, Any]] = []
-        self._moving = place
-        self._stands_for: dict[Any, Any] = {}
-        self._symbols: dict[Any, Any] = {}
-
-    def define(self, symbol: Any, expression: Any) -> None:
-        """Let a symbol of later expressions stand for this one."""
-        if self._moves(expression):
-            self._stands_for[symbol] = self._symbol(self.small(expression))
-        else:
-            self._stands_for[symbol] = expression.xreplace(self._stands_for)
-
-    def small(self, expression: Any) -> Any:
-        """The expression as one operation on symbols, those of its parts being defined by steps."""
-        if not self._moves(expression):
-            return self._name(expression)
-        if expression.is_Symbol:
-            return self._stands_for.get(expression, expression)
-        if expression.is_Add or expression.is_Mul:
-            same = [a for a in expression.args if not a.is_number and not self._moves(a)]
-            named = [self._name(expression.func(*same))] if same else []
-            numbers = [a for a in expression.args if a.is_number]
-            rest = [self.small(a) for a in expression.args if self._moves(a)]
-            return expression.func(*numbers, *named, *(self._operand(e, expression.is_Add) for e in rest))
-        if all(isinstance(a, sp.Expr) for a in expression.args):
-            return expression.func(*(self._operand(self.small(a), False) for a in expression.args))
-        # Cases stay whole: a condition is no number that a symbol could stand for.
-        return expression.xreplace({symbol: self.small(symbol) for symbol in expression.free_symbols})
-
-    def _operand(self, expression: Any, products: bool) -> Any:
-        """A symbol or number for a small expression; products of symbols stay where they are, if wished."""
-        if products and expression.is_Mul and all(a.is_Symbol or a.is_number for a in expression.args):
-            return expression
-        return expression if expression.is_Symbol or expression.is_number else self._symbol(expression)
-
-    def _symbol(self, expression: Any) -> Any:
-        if expression.is_Symbol:
-            return expression
-        if expression not in self._symbols:
-            symbol = self._symbols[expression] = sp.Symbol(f"s{len(self.steps)}", real=True)
-            self._moving = self._moving | {symbol}
-            self.steps.append((symbol, expression))
-        return self._symbols[expression]
-
-    def _moves(self, expression: Any) -> bool:
-        return any(
-            symbol in self._moving or self._stands_for.get(symbol) in self._moving
-            for symbol in expression.free_symbols
+def _ask(effect: Effect, method: str, length: int, *arguments: Any) -> list[Any] | None:
+    value = call_formula(effect, method, *arguments)
+    if value is None:
+        return None
+    values = list(value) if isinstance(value, (tuple, list)) else [value]
+    try:
+        values = [sp.sympify(entry, strict=True) for entry in values]
+    except sp.SympifyError as error:
+        raise EffectError(
+            f"effect {effect.name}: {method}() must return SymPy expressions: {error}"
+        ) from error
+    if len(values) != length:
+        raise EffectError(
+            f"effect {effect.name}: {method}() must return {length} expressions, got {len(values)}"
         )
-
-    def _name(self, expression: Any) -> Any:
-        value = expression.xreplace(self._stands_for)
-        if value.is_number:
-            return value
-        if value not in self._symbols:
-            self._symbols[value] = sp.Symbol(f"b{len(self.names)}", real=True)
-            self.names[self._symbols[value]] = value
-        return self._symbols[value]
-
-
-def _straight_backwards(
-    targets: Sequence[tuple[str, Any]], stem: str, printed: Callable[[Any], str]
-) -> list[str]:
-    """Lines that assign expressions to targets, their common parts first."""
-    steps, reduced = sp.cse(
-        [e for _, e in targets], symbols=sp.numbered_symbols(stem, real=True), order="none"
-    )
-    lines = [f"{symbol} = {printed(expression)}" for symbol, expression in steps]
-    return lines + [f"{target} {printed(e)}" for (target, _), e in zip(targets, reduced, strict=True)]
+    return values
 
 
 _HEADER = '''"""Formulas of effects, made by slipmap; safe to delete."""
@@ -291,8 +149,8 @@ from numba import cfunc, types
 _P = types.CPointer(types.float64)
 '''
 
+# What the compiler may do to sums and quotients, so that several cells are computed at once.
 _FAST = ("arcp", "contract", "nsz", "reassoc")
-"""What the compiler may do to sums and quotients, so that several cells are computed at once."""
 
 
 class _Printer(PythonCodePrinter):
@@ -317,50 +175,53 @@ def derivative(expression: Any, symbol: sp.Symbol) -> Any:
     return result.rewrite(sp.Piecewise) if result.has(sp.Heaviside, sp.sign, sp.Abs) else result
 
 
-def _assignments(
-    printer: Any, targets: Sequence[tuple[str, Any]], loop: set[sp.Symbol], indent: int = 4
-) -> tuple[list[str], list[str]]:
+Targets = Sequence[tuple[str, Any]]
+"""Left sides of assignments, and the expressions that are assigned."""
+
+
+def _slopes(place: str, expressions: Sequence[Any], symbols: Sequence[Any]) -> list[tuple[str, Any]]:
+    """Targets for derivatives that are not 0; `place` names row k and column j, or `at` if stored flat."""
+    return [
+        (f"{place.format(k=k, j=j, at=k * len(symbols) + j)} =", slope)
+        for k, expression in enumerate(expressions)
+        for j, symbol in enumerate(symbols)
+        if (slope := derivative(expression, symbol)) != 0
+    ]
+
+
+def _assignments(printer: Any, targets: Targets, loop: set[sp.Symbol]) -> tuple[list[str], list[str]]:
     """Lines that assign expressions to targets: those in front of the loop over cells, and those in it."""
-    kept = [(target, expression) for target, expression in targets]
-    steps, reduced = sp.cse(
-        [expression for _, expression in kept], symbols=sp.numbered_symbols("t"), order="none"
-    )
+    steps, reduced = sp.cse([e for _, e in targets], symbols=sp.numbered_symbols("t"), order="none")
     before: list[str] = []
     within: list[str] = []
     moving = set(loop)
-    pad = " " * indent
     for symbol, expression in steps:
+        line = f"    {symbol} = {printer.doprint(expression)}"
         if expression.free_symbols & moving:
             moving.add(symbol)
-            within.append(f"{pad}    {symbol} = {printer.doprint(expression)}")
+            within.append(f"    {line}")
         else:
-            before.append(f"{pad}{symbol} = {printer.doprint(expression)}")
-    for (target, _), expression in zip(kept, reduced, strict=True):
-        within.append(f"{pad}    {target} {printer.doprint(expression)}")
+            before.append(line)
+    for (target, _), expression in zip(targets, reduced, strict=True):
+        within.append(f"        {target} {printer.doprint(expression)}")
     return before, within
 
 
-def _arguments(slots: Slots, after: bool = False) -> list[str]:
-    lines = [f"    {symbol} = y[{k}]" for k, symbol in enumerate(slots.y)]
-    lines += [f"    {name} = c[{k}]" for k, name in enumerate(CONSTANT_NAMES)]
-    if after:
-        lines += [f"    after_{k} = after[{k}]" for k in range(8)]
-    return lines
-
-
-def _function(name: str, arguments: str, lines: Sequence[str]) -> str:
-    count = arguments.count(",") + 1
-    kinds = ", ".join(["_P"] * count)
-    fast = ", ".join(map(repr, _FAST))
-    # Division by zero gives infinity, which the kernel notices; checks would be branches in the loop.
-    decorator = f'@cfunc(types.void({kinds}), cache=True, error_model="numpy", fastmath={{{fast}}})'
-    return "\n".join(["", "", decorator, f"def {name}({arguments}):", *lines, ""])
-
-
-def _straight(printer: Any, targets: Sequence[tuple[str, Any]]) -> list[str]:
+def _straight(printer: Any, targets: Targets) -> list[str]:
     """Lines that assign expressions to targets, where no loop is."""
     before, within = _assignments(printer, targets, set())
     return before + [line[4:] for line in within]
+
+
+def _function(name: str, arguments: str, slots: Slots, lines: Sequence[str]) -> str:
+    """A function for the kernels whose first arguments are y and the constants."""
+    kinds = ", ".join(["_P"] * (arguments.count(",") + 1))
+    fast = ", ".join(map(repr, _FAST))
+    # Division by zero gives infinity, which the kernel notices; checks would be branches in the loop.
+    decorator = f'@cfunc(types.void({kinds}), cache=True, error_model="numpy", fastmath={{{fast}}})'
+    read = [f"    {symbol} = y[{k}]" for k, symbol in enumerate(slots.y)]
+    read += [f"    {name} = c[{k}]" for k, name in enumerate(CONSTANT_NAMES)]
+    return "\n".join(["", "", decorator, f"def {name}({arguments}):", *read, *lines, ""])
 
 
 def module_source(effects: Sequence[Effect]) -> str:
@@ -371,16 +232,9 @@ def module_source(effects: Sequence[Effect]) -> str:
     """
     slots = Slots(effects)
     printer = _Printer({"fully_qualified_modules": True})
-    Y = len(slots.y)
     targets = [(f"out[{k}] =", e) for k, e in enumerate(slots.body)]
-    targets += [
-        (f"dout[{k * Y + j}] =", d)
-        for k, e in enumerate(slots.body)
-        for j, symbol in enumerate(slots.y)
-        if (d := derivative(e, symbol)) != 0
-    ]
-    text = _HEADER + _function("body", "y, c, out, dout", [*_arguments(slots), *_straight(printer, targets)])
-
+    targets += _slopes("dout[{at}]", slots.body, slots.y)
+    text = _HEADER + _function("body", "y, c, out, dout", slots, _straight(printer, targets))
     cells = slots.factor != 1 or slots.drag != 0 or slots.stretches
     if cells:
         text += _cell_functions(slots, printer)
@@ -388,8 +242,7 @@ def module_source(effects: Sequence[Effect]) -> str:
         text += _memory_function(slots, printer)
     text += _measurement(slots)
     sizes = (len(slots.memory), len(slots.parameters), slots.blades, int(cells), int(slots.stretches))
-    text += f"\n\nSIZES = {sizes}\nMEASURES = {slots.measures}\nDELAYS = {slots.delay != 0}\n"
-    return text
+    return text + f"\n\nSIZES = {sizes}\nMEASURES = {slots.measures}\nDELAYS = {slots.delay != 0}\n"
 
 
 def _cell_functions(slots: Slots, printer: Any) -> str:
@@ -400,56 +253,36 @@ def _cell_functions(slots: Slots, printer: Any) -> str:
     if slots.stretches:
         targets += [(f"{name}[i] =", e) for name, e in zip(("qxx", "qxy", "qyy"), slots.stretch, strict=True)]
     before, within = _assignments(printer, targets, loop)
-    text = _function(
-        "cells", "y, c, rx, ry, factor, drag, qxx, qxy, qyy", [*_arguments(slots), *before, *start, *within]
-    )
+    arguments = "y, c, rx, ry, factor, drag, qxx, qxy, qyy"
+    text = _function("cells", arguments, slots, [*before, *start, *within])
 
     # What a cell has that changes: the array of the gradient's derivatives by it, its place there.
     changed = [("gl", 0, slots.factor), ("gd", 0, slots.drag)]
     changed += [("gq", q, e) for q, e in enumerate(slots.stretch) if slots.stretches]
     changed = [entry for entry in changed if entry[2].free_symbols & {*slots.y}]
-    code = backward_loop(
-        [(f"{name}{place}", e) for name, place, e in changed],
-        slots.y,
-        (real("r_x"), real("r_y")),
-        derivative,
-        printer.doprint,
-    )
+    formulas = [(f"{name}{place}", e) for name, place, e in changed]
+    code = backward_loop(formulas, slots.y, (real("r_x"), real("r_y")), derivative, printer.doprint)
     rows = [
         f"{name}{place}{a} = {name}[{3 * place + a} * int(n) + i]"
         for name, place, _ in changed
         for a in range(3)
     ]
     # Summed up in numbers of their own: what is stored within a loop, the compiler does not compute at once.
-    around = [*code.before, *(f"{name} = 0.0" for name in code.sums)]
-    text += _function(
-        "cell_slopes",
-        "y, c, rx, ry, gl, gd, gq, G",
-        [
-            *_arguments(slots),
-            *(f"    {line}" for line in around),
-            *start,
-            *(f"        {line}" for line in [*rows, *code.within]),
-            *(f"    {line}" for line in code.after),
-        ],
-    )
-    return text
+    lines = [
+        *(f"    {line}" for line in [*code.before, *(f"{name} = 0.0" for name in code.sums)]),
+        *start,
+        *(f"        {line}" for line in [*rows, *code.within]),
+        *(f"    {line}" for line in code.after),
+    ]
+    return text + _function("cell_slopes", "y, c, rx, ry, gl, gd, gq, G", slots, lines)
 
 
 def _memory_function(slots: Slots, printer: Any) -> str:
     """The function `memory`."""
-    width = len(slots.y) + 8
-    inputs = [*slots.y, *(real(f"after_{k}") for k in range(8))]
+    read = [f"    {name} = after[{k}]" for k, name in enumerate(AFTER_SYMBOLS)]
     targets = [(f"own[{k}] =", e) for k, e in enumerate(slots.renewed)]
-    targets += [
-        (f"down[{k * width + j}] =", d)
-        for k, e in enumerate(slots.renewed)
-        for j, symbol in enumerate(inputs)
-        if (d := derivative(e, symbol)) != 0
-    ]
-    return _function(
-        "memory", "y, c, after, own, down", [*_arguments(slots, True), *_straight(printer, targets)]
-    )
+    targets += _slopes("down[{at}]", slots.renewed, [*slots.y, *map(real, AFTER_SYMBOLS)])
+    return _function("memory", "y, c, after, own, down", slots, [*read, *_straight(printer, targets)])
 
 
 def _measurement(slots: Slots) -> str:
@@ -458,31 +291,27 @@ def _measurement(slots: Slots) -> str:
     pose = [real("pose_x"), real("pose_y"), real("pose_theta")]
     read = [f"    {symbol} = p[{k}]" for k, symbol in enumerate(slots.parameters)]
     P = len(slots.parameters)
-    lines = ["", "", "def measured(pose_x, pose_y, pose_theta, p):", *read]
-    lines += [
-        "    shape = numpy.shape(pose_x)",
-        "    out = numpy.zeros((*shape, 3))",
-        "    by_pose = numpy.zeros((*shape, 3, 3))",
-        f"    by_p = numpy.zeros((*shape, 3, {P}))",
-    ]
     targets = [(f"out[..., {k}] =", e) for k, e in enumerate(slots.measured)]
     targets += [
         (f"by_pose[..., {k}, {j}] =", derivative(e, s))
         for k, e in enumerate(slots.measured)
         for j, s in enumerate(pose)
     ]
-    targets += [
-        (f"by_p[..., {k}, {j}] =", d)
-        for k, e in enumerate(slots.measured)
-        for j, s in enumerate(slots.parameters)
-        if (d := derivative(e, s)) != 0
+    targets += _slopes("by_p[..., {k}, {j}]", slots.measured, slots.parameters)
+    lines = [
+        "",
+        "",
+        "def measured(pose_x, pose_y, pose_theta, p):",
+        *read,
+        "    shape = numpy.shape(pose_x)",
+        "    out = numpy.zeros((*shape, 3))",
+        "    by_pose = numpy.zeros((*shape, 3, 3))",
+        f"    by_p = numpy.zeros((*shape, 3, {P}))",
+        *_straight(printer, targets),
+        "    return out, by_pose, by_p",
     ]
-    before, within = _assignments(printer, targets, set())
-    lines += [*before, *(line[4:] for line in within), "    return out, by_pose, by_p"]
     lines += ["", "", "def delay(p):", *read, f"    slopes = numpy.zeros({P})"]
-    for j, symbol in enumerate(slots.parameters):
-        slope = derivative(slots.delay, symbol)
-        if slope != 0:
-            lines.append(f"    slopes[{j}] = {printer.doprint(slope)}")
+    for target, slope in _slopes("slopes[{j}]", [slots.delay], slots.parameters):
+        lines.append(f"    {target} {printer.doprint(slope)}")
     lines.append(f"    return float({printer.doprint(slots.delay)}), slopes")
     return "\n".join([*lines, ""])

@@ -1,6 +1,4 @@
-"""The effects that slipmap knows, one small class each; formulas in the symbols of
-`slipmap.models.effects.symbols`.
-"""
+"""The effects that slipmap knows, one small class each; formulas are in the symbols of `symbols.py`."""
 
 from __future__ import annotations
 
@@ -9,9 +7,7 @@ from typing import Any
 import numpy as np
 
 from slipmap.models.effects.effect import Effect, Parameter, Scene
-from slipmap.models.effects.symbols import REST_SPEED, positive_part, smooth_step, sp
-
-# Effects of the tracker: it reports other poses than the object has, or reports them late.
+from slipmap.models.effects.symbols import REST_SPEED, force_at_mass_center, positive_part, smooth_step, sp
 
 
 class SensorLatency(Effect):
@@ -78,8 +74,11 @@ class StribeckFriction(Effect):
 
 
 def _ellipse(a: Any, b: Any) -> tuple[Any, Any, Any]:
-    """Q with eigenvalues (1 + ρ)/(1 - ρ) and its inverse, ρ = hypot(a, b), the first at the angle atan2(b,
-    a)/2; friction along these directions is their square roots times Coulomb's."""
+    """Q with eigenvalues (1 + ρ)/(1 - ρ) and its inverse, where ρ = hypot(a, b).
+
+    The first is at the angle atan2(b, a)/2; friction along these directions is their square roots times
+    Coulomb's.
+    """
     square = a**2 + b**2
     return (1 + square + 2 * a) / (1 - square), 2 * b / (1 - square), (1 + square - 2 * a) / (1 - square)
 
@@ -120,8 +119,7 @@ class TableTilt(Effect):
     )
 
     def force(self, body: Any, p: Any) -> Any:
-        fx, fy = body.weight * p.down_x, body.weight * p.down_y
-        return fx, fy, body.com_x * fy - body.com_y * fx
+        return force_at_mass_center(body, body.weight * p.down_x, body.weight * p.down_y)
 
 
 class TableFrictionField(Effect):
@@ -228,8 +226,7 @@ class LooseMass(Effect):
 
     def force(self, body: Any, p: Any) -> Any:
         ax, ay = self._pull(body, p)
-        fx, fy = -p.share * body.mass * ax, -p.share * body.mass * ay
-        return fx, fy, body.com_x * fy - body.com_y * fx
+        return force_at_mass_center(body, -p.share * body.mass * ax, -p.share * body.mass * ay)
 
     def remember(self, before: Any, after: Any, p: Any) -> Any:
         ax, ay = self._pull(before, p)
@@ -300,8 +297,10 @@ class ImpulseFriction(Effect):
     )
 
     def _lean(self, cell: Any, p: Any) -> Any:
-        """d: an impulse at an arm a from the centre of mass, radius of gyration ρ, meets masses in the ratio
-        (1 + d) / (1 - d) along the world's x and y."""
+        """d, for an impulse that meets masses in the ratio (1 + d) / (1 - d) along the world's x and y.
+
+        It acts at an arm a from the centre of mass of an object with radius of gyration ρ.
+        """
         arm_x = cell.cos * cell.rx - cell.sin * cell.ry - cell.com_x
         arm_y = cell.sin * cell.rx + cell.cos * cell.ry - cell.com_y
         radius2 = cell.moment / cell.mass - cell.com_x**2 - cell.com_y**2

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from slipmap.models.effects.effect import Effect, Parameter, Scene
-from slipmap.models.effects.symbols import REST_SPEED, sp
+from slipmap.models.effects.symbols import REST_SPEED, force_at_mass_center, sp
 
 
 def _amplitudes(prefix: str, count: int, scale: float, unit: str = "1") -> tuple[Parameter, ...]:
@@ -21,17 +21,14 @@ def _amplitudes(prefix: str, count: int, scale: float, unit: str = "1") -> tuple
     )
 
 
-def _values(p: Any, prefix: str, count: int) -> list[Any]:
-    return [getattr(p, f"{prefix}{k}") for k in range(count)]
+def _combined(p: Any, prefix: str, terms: Sequence[Any]) -> Any:
+    """Sum of terms times the amplitudes with this prefix."""
+    return sum(getattr(p, f"{prefix}{k}") * term for k, term in enumerate(terms))
 
 
-def _combined(values: Sequence[Any], terms: Sequence[Any]) -> Any:
-    return sum(a * t for a, t in zip(values, terms, strict=True))
-
-
-def _factor(values: Sequence[Any], terms: Sequence[Any]) -> Any:
-    """exp of a combination, kept between e⁻³ and e³."""
-    return sp.exp(3 * sp.tanh(_combined(values, terms) / 3))
+def _factor(exponent: Any) -> Any:
+    """exp of an exponent, kept between e⁻³ and e³."""
+    return sp.exp(3 * sp.tanh(exponent / 3))
 
 
 class ForceByPlace(Effect):
@@ -42,9 +39,8 @@ class ForceByPlace(Effect):
     def force(self, body: Any, p: Any) -> Any:
         u, v = body.x / 0.2, body.y / 0.2
         terms = (1, u, v, u * u, u * v, v * v)
-        fx = body.weight * _combined(_values(p, "x", 6), terms)
-        fy = body.weight * _combined(_values(p, "y", 6), terms)
-        return fx, fy, body.com_x * fy - body.com_y * fx
+        fx, fy = body.weight * _combined(p, "x", terms), body.weight * _combined(p, "y", terms)
+        return force_at_mass_center(body, fx, fy)
 
 
 class FrictionByPlace(Effect):
@@ -55,7 +51,7 @@ class FrictionByPlace(Effect):
     def friction(self, cell: Any, p: Any) -> Any:
         u, v = cell.x / 0.3, cell.y / 0.3
         terms = (u, v, u * u, u * v, v * v, u**3, u * u * v, u * v * v, v**3)
-        return _factor(_values(p, "a", 9), terms)
+        return _factor(_combined(p, "a", terms))
 
 
 class FrictionBySpeed(Effect):
@@ -65,7 +61,7 @@ class FrictionBySpeed(Effect):
 
     def friction(self, cell: Any, p: Any) -> Any:
         u = sp.log(1 + cell.speed / 0.01)
-        return _factor(_values(p, "a", 4), [(u / 2) ** k for k in range(1, 5)])
+        return _factor(_combined(p, "a", [(u / 2) ** k for k in range(1, 5)]))
 
 
 class FrictionByDirection(Effect):
@@ -76,8 +72,8 @@ class FrictionByDirection(Effect):
     def friction(self, cell: Any, p: Any) -> Any:
         cx, cy = cell.ux / cell.speed, cell.uy / cell.speed
         ox, oy = cell.along_x / cell.speed, cell.along_y / cell.speed
-        terms = (cx, cy, cx * cx - cy * cy, 2 * cx * cy, ox, oy, ox * ox - oy * oy, 2 * ox * oy)
-        return _factor(_values(p, "t", 4) + _values(p, "o", 4), terms)
+        on_table = _combined(p, "t", (cx, cy, cx * cx - cy * cy, 2 * cx * cy))
+        return _factor(on_table + _combined(p, "o", (ox, oy, ox * ox - oy * oy, 2 * ox * oy)))
 
 
 class FrictionByTime(Effect):
@@ -87,7 +83,7 @@ class FrictionByTime(Effect):
 
     def friction(self, cell: Any, p: Any) -> Any:
         t = cell.time / 2
-        return _factor(_values(p, "a", 3), [t**k for k in range(1, 4)])
+        return _factor(_combined(p, "a", [t**k for k in range(1, 4)]))
 
 
 class FrictionByOrder(Effect):
@@ -97,7 +93,7 @@ class FrictionByOrder(Effect):
 
     def friction(self, cell: Any, p: Any) -> Any:
         k = cell.order / 20
-        return _factor(_values(p, "a", 4), [k**i for i in range(1, 5)])
+        return _factor(_combined(p, "a", [k**i for i in range(1, 5)]))
 
 
 class ForceByTime(Effect):
@@ -112,7 +108,7 @@ class ForceByTime(Effect):
     def force(self, body: Any, p: Any) -> Any:
         c, s = sp.cos(p.rate * body.time), sp.sin(p.rate * body.time)
         fx, fy = body.weight * (p.x0 * c + p.x1 * s), body.weight * (p.y0 * c + p.y1 * s)
-        return fx, fy, body.com_x * fy - body.com_y * fx
+        return force_at_mass_center(body, fx, fy)
 
     def starts(self, scene: Scene) -> list[dict[str, float]]:
         return [{"rate": rate} for rate in (1.5, 3.0, 5.0, 8.0, 12.0, 20.0)]
@@ -143,7 +139,7 @@ class ForceBySpeed(Effect):
         across = p.a2 * speed / 0.1 + p.a3 * body.omega
         fx = body.weight * (along * ux - across * uy)
         fy = body.weight * (along * uy + across * ux)
-        return fx, fy, body.com_x * fy - body.com_y * fx
+        return force_at_mass_center(body, fx, fy)
 
 
 PROBES: tuple[Effect, ...] = (

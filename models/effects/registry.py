@@ -9,12 +9,11 @@ import sys
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
-from slipmap.models.effects.effect import Effect, EffectError, told
+from slipmap.models.effects.effect import Effect, EffectError, failure
 from slipmap.models.effects.library import LIBRARY
 from slipmap.models.files import UnreadableFile, check_file
 
-LARGEST = 2**20
-"""Bytes of a file with effects."""
+_LARGEST = 2**20  # bytes of a file with effects
 
 
 def load_effects(path: str | Path) -> tuple[Effect, ...]:
@@ -26,7 +25,7 @@ def load_effects(path: str | Path) -> tuple[Effect, ...]:
     """
     path = Path(path)
     try:
-        check_file(path, LARGEST)
+        check_file(path, _LARGEST)
     except UnreadableFile as error:
         raise EffectError(f"effect file {path}: {error}") from error
     before, null, _ = path.read_bytes().partition(b"\0")
@@ -49,7 +48,7 @@ def load_effects(path: str | Path) -> tuple[Effect, ...]:
     except KeyboardInterrupt:
         raise
     except BaseException as error:  # as by sys.exit(), which would end the program without a word
-        said = told(error)
+        said = failure(error)
         place = said.removeprefix(path.name) if said.startswith(f"{path.name}, line") else f": {said}"
         raise EffectError(f"effect file {path}{place}") from error
     classes = [
@@ -74,7 +73,7 @@ def _made(kind: type[Effect], path: Path) -> Effect:
     except KeyboardInterrupt:
         raise
     except BaseException as error:
-        raise EffectError(f"effect file {where}: {kind.__name__}() failed in {told(error)}") from error
+        raise EffectError(f"effect file {where}: {kind.__name__}() failed in {failure(error)}") from error
     check_effect(effect, where)
     return effect
 

@@ -5,22 +5,25 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from slipmap.models.effects.effect import Effect
 from slipmap.models.effects.program import program_of
 from slipmap.models.physics.cell_grid import CellGrid, FloatArray
+from slipmap.models.physics.effect_cells import CONSTANTS
 from slipmap.models.physics.effect_kernel import effect_rollout_all
+from slipmap.models.physics.kernel_arguments import Formulas, JoinedPushes, Results
 from slipmap.models.physics.maps import Maps
-from slipmap.models.physics.pushes import JoinedPushes, Push
-from slipmap.models.physics.rollout import Rollouts, Slider, Smoothing, finished
+from slipmap.models.physics.pushes import Push
+from slipmap.models.physics.rollout import Slider, Smoothing
+from slipmap.models.physics.step import INERTIA_COLUMNS
 
 
 class EffectSlider(Slider):
-    """A `Slider` whose maps carry the parameters of effects; at their nulls it is the plain one.
+    """A `Slider` whose maps carry the parameters of effects; without any, all effects vanish.
 
-    Start poses are those that the tracker reports, as the poses of the results are: a tracker that is off
-        or late
-    is an effect too.
+    Start poses are those that the tracker reports, as the poses of the results are: a tracker that is off or
+    late is an effect too.
 
     Args:
         grid: cells and outline.
@@ -54,95 +57,82 @@ class EffectSlider(Slider):
         """Reduced parameters of the plain model, then the effects' own."""
         return super().columns + self.program.parameters
 
-    def rollout(
-        self,
-        maps: Maps,
-        pushes: Sequence[Push],
-        *,
-        sensitivities: bool = False,
-        start_poses: FloatArray | None = None,
-        start_twists: FloatArray | None = None,
-    ) -> Rollouts:
-        """See `Slider.rollout`; maps without effects' parameters are those where all effects vanish.
+    @property
+    def nulls(self) -> FloatArray:
+        """(P,) parameters of the effects at which they vanish."""
+        return np.concatenate([np.zeros(0), *(effect.nulls for effect in self.effects)])
 
-        Raises:
-            ValueError: maps of another grid or of other effects.
-            RolloutError: a step was not solved; names the model and the push.
-        """
-        K = len(maps)
-        program = self.program
+    def _fill(self, results: Results, maps: Maps, pushes: Sequence[Push], joined: JoinedPushes) -> None:
+        K, program = len(maps), self.program
         values = maps.effects
         if values.shape[1] == 0:
-            values = np.repeat(np.concatenate([effect.nulls for effect in self.effects])[None], K, axis=0)
+            values = np.repeat(self.nulls[None], K, axis=0)
         if values.shape[1] != program.parameters:
             raise ValueError(
                 f"maps have {values.shape[1]} effect parameters, the effects"
                 f" {', '.join(effect.name for effect in self.effects)} have {program.parameters}"
             )
-        joined = JoinedPushes(pushes, K, start_poses, start_twists)
-        true_starts, by_measured, by_effect = self._true_starts(joined.start_poses, values)
+        starts = self._true_starts(joined.start_poses, values)
         delays, delay_slopes = np.zeros(K), np.zeros((K, program.parameters))
         if program.delay is not None:
             for k in range(K):
                 delays[k], delay_slopes[k] = program.delay(values[k])
-        load = self._loads(maps)
-        columns = self.columns if sensitivities else 0
-        S, F = joined.sample_at[-1], joined.force_at[-1]
-        poses, rates, forces = np.empty((K, S, 3)), np.empty((K, S, 3)), np.empty((K, F, 2))
-        d_poses, d_forces = np.empty((K, S, 3, columns)), np.empty((K, F, 2, columns))
-        end = np.empty((K, len(pushes), 7))
-        effect_rollout_all(
-            load, self._centers[0], self._centers[1], self.inertia(maps.mass), maps.mu_finger,
-            self.grid.width, self.grid.edges, self.finger_radius, self._size, self._smoothing,
-            joined.h, joined.tip, joined.tip_at, joined.wrench, joined.wrench_at,
-            true_starts, joined.start_twists, joined.sample_time, joined.sample_at, delays,
-            joined.force_step, joined.force_at,
-            program.addresses, program.sizes, self._constants(joined), np.ascontiguousarray(values),
-            np.zeros(program.memory), poses, rates, forces, d_poses, d_forces, end,
-        )  # fmt: skip
-        P = program.parameters
-        if sensitivities and program.delay is not None:
-            d_poses[..., -P:] -= rates[..., None] * delay_slopes[:, None, None]
-        if sensitivities and program.measured is not None:
-            n = len(self.grid)
-            starts = slice(n + 5, n + 8)
-            for b in range(len(pushes)):
-                for d, at in ((d_poses, joined.sample_at), (d_forces, joined.force_at)):
-                    rows = d[:, at[b] : at[b + 1]]
-                    by_start = rows[..., starts].copy()
-                    rows[..., -P:] += np.einsum("ksij,kjp->ksip", by_start, by_effect[:, b])
-                    rows[..., starts] = np.einsum("ksij,kjl->ksil", by_start, by_measured[:, b])
+        constants = self._constants(joined.h, [push.order for push in pushes])
+        formulas = Formulas(program.addresses, program.sizes, constants, np.ascontiguousarray(values), delays)
+        true = joined._replace(start_poses=starts[0])
+        effect_rollout_all(self._common, self._reduced(maps), true, formulas, results)
+        if results.d_poses.shape[-1] > 0 and program.delay is not None:
+            late = results.rates[..., None] * delay_slopes[:, None, None]
+            results.d_poses[..., -program.parameters :] -= late
         if program.measured is not None:
-            for k in range(K):
-                poses[k], by_pose, by_p = program.measured(*poses[k].T, values[k])
-                end[k, :, :3] = program.measured(*end[k, :, :3].T, values[k])[0]
-                if sensitivities:
-                    d_poses[k] = by_pose @ d_poses[k]
-                    d_poses[k][..., -P:] += by_p
-        return finished(joined, poses, forces, d_poses, d_forces, end)
+            self._report(results, joined, values, *starts[1:])
 
-    def _constants(self, joined: JoinedPushes) -> FloatArray:
-        """(B, CONSTANTS) of each push, see `effect_layout`."""
+    def _report(
+        self,
+        results: Results,
+        joined: JoinedPushes,
+        values: FloatArray,
+        by_measured: FloatArray,
+        by_effect: FloatArray,
+    ) -> None:
+        """Turn true poses into reported ones, and derivatives by true starts into those by reported ones."""
+        poses, _, _, d_poses, d_forces, end = results
+        assert self.program.measured is not None
+        n, P = len(self.grid), self.program.parameters
+        derive = d_poses.shape[-1] > 0
+        starts = slice(n + INERTIA_COLUMNS + 1, n + INERTIA_COLUMNS + 4)
+        for b in range(len(joined.h) if derive else 0):
+            for d, at in ((d_poses, joined.sample_at), (d_forces, joined.force_at)):
+                rows = d[:, at[b] : at[b + 1]]
+                by_start = rows[..., starts].copy()
+                rows[..., -P:] += np.einsum("ksij,kjp->ksip", by_start, by_effect[:, b])
+                rows[..., starts] = np.einsum("ksij,kjl->ksil", by_start, by_measured[:, b])
+        for k in range(len(poses)):
+            poses[k], by_pose, by_p = self.program.measured(*poses[k].T, values[k])
+            end[k, :, :3] = self.program.measured(*end[k, :, :3].T, values[k])[0]
+            if derive:
+                d_poses[k] = by_pose @ d_poses[k]
+                d_poses[k][..., -P:] += by_p
+
+    def _constants(self, h: ArrayLike, order: ArrayLike) -> FloatArray:
+        """(B, CONSTANTS) of pushes with steps h (B,) at places `order` (B,) in the experiment; time is 0."""
         centers = self.grid.centers
         centroid = centers.mean(axis=0)
         arms = centers - centroid
         second = arms.T @ arms / len(arms) + np.eye(2) * self.grid.width**2 / 12.0
         inverse = np.linalg.inv(second)
         shared = [self.gravity, self.grid.width, *centroid, inverse[0, 0], inverse[0, 1], inverse[1, 1]]
-        return np.array(
-            [
-                [0.0, h, order, *shared, float(len(centers))]
-                for h, order in zip(joined.h, joined.order, strict=True)
-            ]
-        )
+        result = np.empty((np.size(h), CONSTANTS))
+        result[:, 0], result[:, 1], result[:, 2] = 0.0, h, order
+        result[:, 3:] = [*shared, float(len(centers))]
+        return result
 
     def _true_starts(
         self, reported: FloatArray, values: FloatArray
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Where the object is when the tracker reports poses (K, B, 3), and derivatives by report and
-        parameters.
+        """True poses where the tracker reports some (K, B, 3), and derivatives by report and parameters.
 
-        The formulas give the report of a true pose; Newton's method turns them round.
+        The formulas give the report of a true pose; Newton's method inverts them.
         """
         K, B, _ = reported.shape
         P = values.shape[1]

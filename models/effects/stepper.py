@@ -1,7 +1,7 @@
 """The cell-grid model one step at a time, differentiated by all that a step depends on.
 
-A rollout knows all of its push beforehand. Who steps the model from outside, as a simulation does, keeps its
-state himself: pose, twist, the finger's last force and what the effects remember.
+A rollout knows all of its push beforehand. A caller that steps the model from outside, as a simulation does,
+keeps the state itself: pose, twist, the finger's last force and what the effects remember.
 """
 
 from __future__ import annotations
@@ -14,15 +14,15 @@ import numpy as np
 from slipmap.models.effects.effect import Effect
 from slipmap.models.effects.slider import EffectSlider
 from slipmap.models.physics.cell_grid import CellGrid, FloatArray
-from slipmap.models.physics.effect_cells import AFTER, CONSTANTS, FORCE
+from slipmap.models.physics.effect_cells import AFTER, FORCE
 from slipmap.models.physics.maps import Maps
-from slipmap.models.physics.pushes import JoinedPushes, Push
 from slipmap.models.physics.rollout import RolloutError, Smoothing
 from slipmap.models.physics.single_step import INPUTS, single_steps
 from slipmap.models.physics.step import EXTRA_COLUMNS
 
 NO_FINGER = np.full((2, 2), np.nan)
 NO_WRENCH = np.zeros(5)
+_NO_DELAY = np.zeros(0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,13 +31,11 @@ class StepModels:
 
     Attributes:
         maps: with the parameters of all effects.
-        load: (K, n) friction loads, N.
-        inertia: (K, 4) m, s_x, s_y, J.
+        reduced: fields of `ReducedMaps`.
     """
 
     maps: Maps
-    load: FloatArray
-    inertia: FloatArray
+    reduced: tuple[FloatArray, ...]
 
 
 class Stepper(EffectSlider):
@@ -68,7 +66,7 @@ class Stepper(EffectSlider):
             raise ValueError(f"the step h must be positive, got {h} s")
         super().__init__(grid, finger_radius, effects, gravity, smoothing)
         self.h = float(h)
-        self._per_step = self._constants_of(self.h, 0.0)
+        self._per_step = self._constants(self.h, 0.0)
 
     def __reduce__(self) -> tuple[object, ...]:
         return Stepper, (
@@ -79,11 +77,6 @@ class Stepper(EffectSlider):
     def size(self) -> int:
         """Z: numbers in the state of one model."""
         return AFTER + max(0, self.program.memory - FORCE)
-
-    @property
-    def nulls(self) -> FloatArray:
-        """(P,) parameters of the effects at which they vanish."""
-        return np.concatenate([np.zeros(0), *(effect.nulls for effect in self.effects)])
 
     def models(self, maps: Maps) -> StepModels:
         """Prepare K models.
@@ -99,7 +92,7 @@ class Stepper(EffectSlider):
                 f"maps have {effects.shape[1]} effect parameters, the model has {self.program.parameters}"
             )
         maps = Maps(maps.mass, maps.mu, maps.mu_finger, effects)
-        return StepModels(maps, self._loads(maps), self.inertia(maps.mass))
+        return StepModels(maps, self._reduced(maps))
 
     def start(self, models: StepModels, poses: FloatArray, twists: FloatArray | None = None) -> FloatArray:
         """(K, Z) states at rest or with twists (K, 3), where the tracker reports `poses` (K, 3) or (3,)."""
@@ -144,15 +137,13 @@ class Stepper(EffectSlider):
         states, wrench, tip = (np.ascontiguousarray(a, dtype=float) for a in (states, wrench, tip))
         K, Z = states.shape
         constants = self._per_step.copy()
-        constants[0], constants[2] = time + 0.5 * self.h, order
+        constants[0, 0], constants[0, 2] = time + 0.5 * self.h, order
         columns = len(self.grid) + EXTRA_COLUMNS + self.program.parameters + Z - 6 + INPUTS if derive else 0
         after, jacobian = np.empty((K, Z + 1)), np.empty((K, Z, columns))
-        single_steps(
-            models.load, self._centers[0], self._centers[1], models.inertia, models.maps.mu_finger,
-            self.grid.width, self.grid.edges, self.finger_radius, self._size, self._smoothing, self.h,
-            states, tip, wrench, self.program.addresses, self.program.sizes, constants,
-            models.maps.effects, after, jacobian,
-        )  # fmt: skip
+        # Fields of `Formulas` and of `Drive`.
+        formulas = (self.program.addresses, self.program.sizes, constants, models.maps.effects, _NO_DELAY)
+        drive = (self.h, tip, wrench)
+        single_steps(self._common, models.reduced, formulas, drive, states, after, jacobian)
         if not (after[:, Z].min() >= 0 and np.isfinite(after).all()):
             model = int(np.flatnonzero((after[:, Z] < 0) | ~np.isfinite(after).all(axis=1))[0])
             raise RolloutError(f"model {model}: the step from t = {time:.6g} s was not solved")
@@ -173,20 +164,12 @@ class Stepper(EffectSlider):
     def reported(
         self, poses: FloatArray, parameters: FloatArray
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """What the tracker reports of true poses (…, 3), its derivatives by them (…, 3, 3), and by the
-        effects' parameters (…, 3, P)."""
+        """Reports of true poses (…, 3), and derivatives by them (…, 3, 3) and by parameters (…, 3, P)."""
         if self.program.measured is None:
             shape = poses.shape[:-1]
             identity = np.broadcast_to(np.eye(3), (*shape, 3, 3))
             return poses, identity, np.zeros((*shape, 3, self.program.parameters))
         return self.program.measured(poses[..., 0], poses[..., 1], poses[..., 2], parameters)
-
-    def _constants_of(self, h: float, order: float) -> FloatArray:
-        """(CONSTANTS,) of a step, its time left open."""
-        push = Push(h, np.full((2, 2), np.nan), np.zeros(3), order=order)
-        constants = self._constants(JoinedPushes([push], 1))[0]
-        assert constants.shape == (CONSTANTS,)
-        return constants
 
 
 __all__ = ["NO_FINGER", "NO_WRENCH", "StepModels", "Stepper"]

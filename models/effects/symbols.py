@@ -10,10 +10,7 @@ from contextlib import contextmanager
 from contextvars import ContextVar
 from typing import TYPE_CHECKING, Any
 
-# SymPy, imported when a formula is first looked at: that takes half a second, and where all formulas are
-# compiled already nothing of it is needed.
-
-
+# SymPy takes half a second to import, and is not needed where all formulas are compiled already.
 if TYPE_CHECKING:
     import sympy as sp
 else:
@@ -26,13 +23,13 @@ else:
 
     sp = _SympyOnUse()
 
-__all__ = ["sp"]
-
-
 STATE_NAMES = ("q_x", "q_y", "q_theta", "v_x", "v_y", "omega")
 FORCE_NAMES = ("force_x", "force_y")
 INERTIA_NAMES = ("m", "s_x", "s_y", "J")
 CONSTANT_NAMES = ("time", "h", "order", "gravity", "width", "c_x", "c_y", "g_xx", "g_xy", "g_yy", "n")
+
+AFTER_SYMBOLS = tuple(f"after_{k}" for k in range(8))
+"""Names of the symbols of `after_names`."""
 
 REST_SPEED = 1e-4
 """Speeds are smoothed below this, m/s."""
@@ -70,8 +67,7 @@ def memory_name(effect: str, name: str) -> str:
 def body_names(memory: Mapping[str, sp.Symbol]) -> dict[str, Any]:
     """What formulas may use of the object as a whole, as expressions of the kernel's arguments.
 
-    x, y (m), theta: pose of the object frame in the world. vx, vy: velocity of its origin in the world,
-    omega.
+    x, y (m), theta: pose of the object frame in the world. vx, vy, omega: velocity of its origin, world.
     com_x, com_y: centre of mass less the origin, com_vx, com_vy its velocity, world. mass, moment (about the
     origin), gravity, weight. time within the push (s), step (s), order: place of the push in the experiment,
     from 0. force_x, force_y: last force of the finger on the object, world, N. centroid_x, centroid_y: of the
@@ -143,7 +139,7 @@ def cell_names(body: Mapping[str, Any]) -> dict[str, Any]:
 def after_names() -> dict[str, Any]:
     """What `remember` may use of the moment after a step: x, y, theta, vx, vy, omega, com_vx, com_vy,
     force_x, force_y (world), as in `body_names`."""
-    x, y, theta, vx, vy, omega, fx, fy = (real(f"after_{k}") for k in range(8))
+    x, y, theta, vx, vy, omega, fx, fy = (real(name) for name in AFTER_SYMBOLS)
     m, sx, sy, _ = (real(name) for name in INERTIA_NAMES)
     c, s = sp.cos(theta), sp.sin(theta)
     wx, wy = c * vx - s * vy, s * vx + c * vy
@@ -193,13 +189,17 @@ _WRITING = ContextVar("writing", default=False)
 
 @contextmanager
 def writing() -> Iterator[None]:
-    """While this lasts, formulas are made to be read: `positive_part` and `smooth_step` stand by
-    themselves."""
+    """While this lasts, `positive_part` and `smooth_step` stand by themselves, to be read."""
     token = _WRITING.set(True)
     try:
         yield
     finally:
         _WRITING.reset(token)
+
+
+def force_at_mass_center(body: Any, fx: Any, fy: Any) -> tuple[Any, Any, Any]:
+    """What `Effect.force` returns for a force (world, N) that acts at the centre of mass."""
+    return fx, fy, body.com_x * fy - body.com_y * fx
 
 
 def positive_part(value: Any, width: float) -> Any:

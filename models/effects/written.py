@@ -1,4 +1,4 @@
-"""Formulas of an effect as people read them: LaTeX and one line of text, made from the effect's own code.
+"""Formulas of an effect to be read: LaTeX and one line of text, made from the effect's own code.
 
 Roundings that only serve the computer are left out: constants below 1e-5 in sums, and the soft corners of
 `positive_part`. Long formulas are split into shorter ones that name the repeated parts k₁, k₂ ….
@@ -18,14 +18,9 @@ from sympy.printing.str import StrPrinter
 from slipmap.models.effects.effect import Effect, EffectError, call_formula
 from slipmap.models.effects.symbols import Names, latex_name, real, writing, written_names
 
-ROUNDING = 1e-5
-"""Constants below this in a sum are there for the computer."""
-
-LONG = 14
-"""Operations beyond which repeated parts of formulas get names of their own."""
-
-SIMPLIFIED = 100
-"""Operations up to which squares of sines and cosines are brought together."""
+_ROUNDING = 1e-5  # constants below this in a sum are there for the computer
+_LONG = 14  # operations beyond which repeated parts of formulas get names of their own
+_SIMPLIFIED = 100  # operations up to which squares of sines and cosines are brought together
 
 QUANTITIES = {
     "friction": ((r"s",), "factor on the friction of a cell"),
@@ -175,14 +170,14 @@ def _read(expression: Any) -> Any:
     )
     expression = expression.replace(lambda e: e.is_Float, _short)
     # Takes minutes on long expressions, and only squares have something to gain.
-    short = sp.count_ops(expression) <= SIMPLIFIED
+    short = sp.count_ops(expression) <= _SIMPLIFIED
     if short and any(power.base.func in (sp.cos, sp.sin) for power in expression.atoms(sp.Pow)):
         expression = sp.trigsimp(expression)
     return sp.factor_terms(expression)
 
 
 def _tiny(term: Any) -> bool:
-    return bool(term.is_number and abs(term) <= ROUNDING)
+    return bool(term.is_number and abs(term) <= _ROUNDING)
 
 
 def _short(number: Any) -> Any:
@@ -192,7 +187,7 @@ def _short(number: Any) -> Any:
 
 def _split(expressions: Sequence[Any], begin: int) -> tuple[list[tuple[Any, Any]], list[Any]]:
     """Named parts, last ones first, and what is left; nothing is named in short formulas."""
-    if max(sp.count_ops(expression) for expression in expressions) <= LONG:
+    if max(sp.count_ops(expression) for expression in expressions) <= _LONG:
         return [], list(expressions)
     names = (real(f"k_{{{number}}}") for number in range(begin + 1, begin + 100))
     helpers, reduced = sp.cse(expressions, symbols=names, order="none")
@@ -266,11 +261,8 @@ def plain_text(latex: str) -> str:
     return re.sub(r"_\{([^}]*)\}", r"_\1", text)
 
 
-# SymPy functions that stand for themselves in formulas that people read.
-
-
 class PositivePart(sp.Function):
-    """max(value, 0), unevaluated unless the value is a number."""
+    """max(value, 0) in formulas that are read, unevaluated unless the value is a number."""
 
     @classmethod
     def eval(cls, value: Any) -> Any:
@@ -285,7 +277,7 @@ class PositivePart(sp.Function):
 
 
 class SmoothStep(sp.Function):
-    """0 below -width, 1 above width."""
+    """0 below -width and 1 above width, in formulas that are read."""
 
     def _latex(self, printer: Any, **_: Any) -> str:
         value, width = (printer.doprint(argument) for argument in self.args)

@@ -1,6 +1,6 @@
-"""What a rollout does around each solved step: given forces before it, the finger's force and the way after.
+"""What is done around each solved step: given forces and a first guess before it, force and way after it.
 
-Shared by `kernel.py` and `effect_kernel.py`, inlined into the loop of each.
+Shared by the rollouts of `kernel.py` and `effect_kernel.py` and by `single_step.py`, inlined into each.
 """
 
 from __future__ import annotations
@@ -9,15 +9,15 @@ from typing import NamedTuple
 
 from slipmap.models.physics.compiled import compiled
 from slipmap.models.physics.kernel_tools import Turn, joined, turn_by, turned
-from slipmap.models.physics.step import Frame
+from slipmap.models.physics.newton import Minimum
+from slipmap.models.physics.step import Frame, Solved, solve_step, solved_step
 
 
 class Applied(NamedTuple):
     """Impulse of given forces in a step, middle frame.
 
     Attributes:
-        x: N s.
-        y: the same, y.
+        x, y: N s.
         turning: derivative of its moment about the origin by the object's angle, N m s.
         spin: its moment about the origin, N m s.
     """
@@ -33,12 +33,9 @@ class Way(NamedTuple):
 
     Attributes:
         quarter: `Turn` by h omega/4.
-        half_cos: cosine of h omega/2.
-        half_sin: its sine.
-        cos: cosine of the angle half-way.
-        sin: its sine.
-        wx: direction times speed, world.
-        wy: the same, y.
+        half_cos, half_sin: of h omega/2.
+        cos, sin: of the angle half-way.
+        wx, wy: direction times speed, world.
         length: h sinc(h omega/2), s.
     """
 
@@ -58,10 +55,8 @@ def applied_impulse(row, cos, sin, half_cos, half_sin, h):  # type: ignore[no-un
 
     Args:
         row: (5,) force (world, N), its point (object frame, m) and a torque (N m).
-        cos: cosine of the object's angle before the step.
-        sin: its sine.
-        half_cos: cosine of the turn to the middle frame.
-        half_sin: its sine.
+        cos, sin: of the object's angle before the step.
+        half_cos, half_sin: of the turn to the middle frame.
         h: step, s.
     """
     c, s = joined(cos, sin, half_cos, half_sin)
@@ -72,13 +67,7 @@ def applied_impulse(row, cos, sin, half_cos, half_sin, h):  # type: ignore[no-un
 
 @compiled(forceinline=True)
 def add_applied_turning(A, applied, h):  # type: ignore[no-untyped-def]
-    """Derivatives of the step's gradient by angle and spin before it, as given forces keep their direction.
-
-    Args:
-        A: (3, 6) gradient by the state before the step, changed in place.
-        applied: `Applied`.
-        h: step, s.
-    """
+    """Add to A, see `Slopes`, the derivatives by angle and spin, as given forces keep their direction."""
     for row, lever in enumerate((applied.y, -applied.x, applied.turning)):
         A[row, 2] -= lever
         A[row, 5] -= 0.5 * h * lever
@@ -91,9 +80,40 @@ def bent_frame(frame, bend_x, bend_y, h):  # type: ignore[no-untyped-def]
     return Frame(frame.cos, frame.sin, frame.tip_x, frame.tip_y, frame.speed_x, frame.speed_y, x, y)
 
 
+class Taken(NamedTuple):
+    """A step that was taken.
+
+    Attributes:
+        new: twist after it.
+        minimum: see `Solution`.
+        solved: see `Solved`.
+        impulse_x, impulse_y: of the finger on the object, middle frame, N s.
+        way: see `Way`.
+        evaluations: see `Solution`.
+    """
+
+    new: tuple[float, float, float]
+    minimum: Minimum
+    solved: Solved
+    impulse_x: float
+    impulse_y: float
+    way: Way
+    evaluations: int
+
+
 @compiled(forceinline=True)
-def finger_impulse(first, second, impulse1, impulse2):  # type: ignore[no-untyped-def]
-    """Impulse of the finger on the object (N s), middle frame."""
+def take_step(step, start, derive, cos, sin):  # type: ignore[no-untyped-def]
+    """`Taken` of a step from an angle with this cosine and sine; `start` is a guess of the new twist."""
+    solution = solve_step(step, start, derive)
+    new, minimum, evaluations = solution
+    solved = solved_step(step, new, minimum)
+    x, y = _finger_impulse(solved)
+    return Taken(new, minimum, solved, x, y, _way_of(new, cos, sin, step.h), evaluations)
+
+
+@compiled(forceinline=True)
+def _finger_impulse(solved):  # type: ignore[no-untyped-def]
+    first, second, impulse1, impulse2 = solved.first, solved.second, solved.impulse1, solved.impulse2
     x = -first.nx * impulse1.normal - first.ny * impulse1.tangential
     x -= second.nx * impulse2.normal + second.ny * impulse2.tangential
     y = first.nx * impulse1.tangential - first.ny * impulse1.normal
@@ -102,7 +122,7 @@ def finger_impulse(first, second, impulse1, impulse2):  # type: ignore[no-untype
 
 
 @compiled(forceinline=True)
-def way_of(new, cos, sin, h):  # type: ignore[no-untyped-def]
+def _way_of(new, cos, sin, h):  # type: ignore[no-untyped-def]
     """`Way` of the twist v⁺ from an angle with this cosine and sine."""
     quarter = turn_by(0.25 * h * new[2])
     half_cos, half_sin = joined(quarter.cos, quarter.sin, quarter.cos, quarter.sin)
@@ -121,12 +141,12 @@ def way_by_spin(way, h):  # type: ignore[no-untyped-def]
     return slope * way.wx - bend * way.wy, slope * way.wy + bend * way.wx
 
 
-# Guess of the next twist from the last ones: where a push is smooth it saves Newton's second evaluation.
-
-
 @compiled(forceinline=True, fastmath={"contract"})
 def weighted(weights, past):  # type: ignore[no-untyped-def]
-    """Weighted sum of the last three twists, the newest first."""
+    """Guess of the next twist: weighted sum of the last three, the newest first.
+
+    Where a push is smooth it saves Newton's second evaluation.
+    """
     a, b, c = weights
     last, second, third = past
     return (

@@ -41,10 +41,12 @@ class CellGrid:
         exterior = checked_points(self.exterior, "outline")
         holes = tuple(checked_points(hole, "hole") for hole in self.holes)
         polygon = checked_polygon(exterior, holes)
-        object.__setattr__(self, "centers", centers)
-        object.__setattr__(self, "exterior", _oriented(exterior, counter_clockwise=True))
-        object.__setattr__(self, "holes", tuple(_oriented(h, counter_clockwise=False) for h in holes))
-        object.__setattr__(self, "_polygon", polygon)
+        self.__dict__.update(
+            centers=centers,
+            exterior=_oriented(exterior, counter_clockwise=True),
+            holes=tuple(_oriented(hole, counter_clockwise=False) for hole in holes),
+            _polygon=polygon,
+        )
 
     def __len__(self) -> int:
         return len(self.centers)

@@ -3,9 +3,9 @@
 Numba's own cache looks at the file of the outermost function alone and would go on using stale code after a
 change in a file that this one calls. Here the cache's folder carries a hash of all kernel files instead.
 
-Formulas made at run time are called inside kernels that were compiled before them. And a large function is
-compiled once: numba puts a copy of what is called by name into each caller, and optimises all of it again;
-a parallel loop alone holds three.
+A large function is compiled once and called by its address, a number that a kernel gets as an argument:
+numba puts a copy of what is called by name into each caller, and optimises all of it again; a parallel loop
+alone holds three. Formulas made at run time are called so too, inside kernels that were compiled before them.
 """
 
 from __future__ import annotations
@@ -41,7 +41,6 @@ def _cache_root() -> Path:
 CACHE_FOLDER = _cache_root() / f"kernels-{_source_hash()}"
 """Where compiled kernels are kept; under SLIPMAP_CACHE or XDG_CACHE_HOME if set, else under ~/.cache."""
 
-
 LONE_FOLDER = CACHE_FOLDER.parent / "lone-kernels"
 """Where those of other folders are kept; each file of them stands alone, calling nothing of another."""
 
@@ -49,12 +48,10 @@ LONE_FOLDER = CACHE_FOLDER.parent / "lone-kernels"
 def compiled(folder: Path = CACHE_FOLDER, **options: Any) -> Callable[[Callable[..., Any]], Any]:
     """Decorator: compile on first call and keep the result; options are numba's.
 
-    Nothing is compiled for callers in C, which there are none of.
-
     Args:
         folder: where it is kept. In `LONE_FOLDER` only a change of a function's own file is noticed.
     """
-    options["no_cfunc_wrapper"] = True
+    options["no_cfunc_wrapper"] = True  # nothing in C calls kernels
 
     def decorate(function: Callable[..., Any]) -> Any:
         before = numba.config.CACHE_DIR
@@ -70,9 +67,6 @@ def compiled(folder: Path = CACHE_FOLDER, **options: Any) -> Callable[[Callable[
 def needs_compiling() -> bool:
     """Whether the next call of a kernel will compile it first, which takes about half a minute."""
     return not any(CACHE_FOLDER.glob("**/*.nbc"))
-
-
-# Calls of compiled functions by their address, which is a number that a kernel gets as an argument.
 
 
 _addresses: dict[tuple[Any, bytes], int] = {}

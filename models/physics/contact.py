@@ -67,16 +67,12 @@ class Contact(NamedTuple):
     n_x v_x + n_y v_y + n_w omega along the normal and -n_y v_x + n_x v_y + t_w omega along the tangent.
 
     Attributes:
-        nx: normal, out of the object, x.
-        ny: normal, y.
-        x: point of contact, m.
-        y: point of contact, m.
-        nw: n_w, m.
-        tw: t_w, m.
+        nx, ny: normal, out of the object.
+        x, y: point of contact, m.
+        nw, tw: n_w and t_w, m.
         closing: normal speed at which the step would just end in touch, m/s.
         drag: tangential speed of the finger, m/s.
-        turn: see `CONTACT_COLUMNS`, 1/m.
-        slide: see `CONTACT_COLUMNS`.
+        turn, slide: see `CONTACT_COLUMNS`.
         gap: at the start of the step, as seen from its middle, m.
         stiffening: 1 + τ/h.
         normal: 1/R_n, kg.
@@ -108,9 +104,8 @@ def find_contacts(px, py, radius, margin, edges, out):  # type: ignore[no-untype
     nearest point of the outline alone.
 
     Args:
-        px: centre of the disc in the object frame, x, m.
-        py: the same, y, m.
-        radius: radius of the disc, m.
+        px, py: centre of the disc in the object frame, m.
+        radius: of the disc, m.
         margin: largest gap that is still of interest, m.
         edges: (E, 4) outline edges, the object to the left.
         out: (MAX_CONTACTS, CONTACT_COLUMNS) result, see `CONTACT_COLUMNS`; normals point out of the object.
@@ -148,9 +143,8 @@ def find_contacts(px, py, radius, margin, edges, out):  # type: ignore[no-untype
         if 0.0 <= along <= 1.0 and side > 0.0:
             inverse = 1.0 / math.sqrt(length2)
             gap = side * inverse - radius
-            count = _keep_nearest(
-                out, count, ey * inverse, -ex * inverse, ax + along * ex, ay + along * ey, gap, 0.0, 1.0
-            )
+            x, y = ax + along * ex, ay + along * ey
+            count = _keep_nearest(out, count, (ey * inverse, -ex * inverse, x, y, gap, 0.0, 1.0))
         elif along > 1.0:
             following = _following_edge(edges, e)
             fx = edges[following, 2] - edges[following, 0]
@@ -162,17 +156,9 @@ def find_contacts(px, py, radius, margin, edges, out):  # type: ignore[no-untype
             if cx * fx + cy * fy < 0.0 and bend > -1e-9 * math.sqrt(length2 * (fx * fx + fy * fy)):
                 distance = math.sqrt(distance2)
                 if distance > 0.0:
-                    count = _keep_nearest(
-                        out,
-                        count,
-                        cx / distance,
-                        cy / distance,
-                        edges[e, 2],
-                        edges[e, 3],
-                        distance - radius,
-                        1.0 / distance,
-                        0.0,
-                    )
+                    x, y, gap = edges[e, 2], edges[e, 3], distance - radius
+                    corner = (cx / distance, cy / distance, x, y, gap, 1.0 / distance, 0.0)
+                    count = _keep_nearest(out, count, corner)
     if inside and nearest > 0.0:
         e = nearest_edge
         ax = edges[e, 0]
@@ -183,11 +169,12 @@ def find_contacts(px, py, radius, margin, edges, out):  # type: ignore[no-untype
         along = ((px - ax) * ex + (py - ay) * ey) / (length * length)
         depth = math.sqrt(nearest)
         if 0.0 <= along <= 1.0:
-            x, y, turn, slide = ax + along * ex, ay + along * ey, 0.0, 1.0
-            _fill(out, 0, ey / length, -ex / length, x, y, -depth - radius, turn, slide)
+            x, y = ax + along * ex, ay + along * ey
+            _fill(out, 0, (ey / length, -ex / length, x, y, -depth - radius, 0.0, 1.0))
         else:
             x, y = (ax, ay) if along < 0.0 else (edges[e, 2], edges[e, 3])
-            _fill(out, 0, (x - px) / depth, (y - py) / depth, x, y, -depth - radius, -1.0 / depth, 0.0)
+            nx, ny, gap = (x - px) / depth, (y - py) / depth, -depth - radius
+            _fill(out, 0, (nx, ny, x, y, gap, -1.0 / depth, 0.0))
         count = 1
     return count
 
@@ -195,13 +182,9 @@ def find_contacts(px, py, radius, margin, edges, out):  # type: ignore[no-untype
 @compiled(forceinline=True)
 def _following_edge(edges, e):  # type: ignore[no-untyped-def]
     """Edge that starts where edge `e` ends; rings are stored one after the other."""
-    following = e + 1
-    if (
-        following < edges.shape[0]
-        and edges[following, 0] == edges[e, 2]
-        and edges[following, 1] == edges[e, 3]
-    ):
-        return following
+    after = e + 1
+    if after < edges.shape[0] and edges[after, 0] == edges[e, 2] and edges[after, 1] == edges[e, 3]:
+        return after
     for first in range(edges.shape[0]):
         if edges[first, 0] == edges[e, 2] and edges[first, 1] == edges[e, 3]:
             return first
@@ -209,19 +192,14 @@ def _following_edge(edges, e):  # type: ignore[no-untyped-def]
 
 
 @compiled(forceinline=True)
-def _fill(out, row, nx, ny, rx, ry, gap, turn, slide):  # type: ignore[no-untyped-def]
-    out[row, 0] = nx
-    out[row, 1] = ny
-    out[row, 2] = rx
-    out[row, 3] = ry
-    out[row, 4] = gap
-    out[row, 5] = turn
-    out[row, 6] = slide
+def _fill(out, row, contact):  # type: ignore[no-untyped-def]
+    out[row, 0], out[row, 1], out[row, 2], out[row, 3], out[row, 4], out[row, 5], out[row, 6] = contact
 
 
 @compiled(forceinline=True)
-def _keep_nearest(out, count, nx, ny, rx, ry, gap, turn, slide):  # type: ignore[no-untyped-def]
+def _keep_nearest(out, count, contact):  # type: ignore[no-untyped-def]
     """Insert a candidate so that rows stay sorted by gap; a copy of a kept normal and place is dropped."""
+    nx, ny, _, _, gap, _, _ = contact
     for row in range(count):
         same = out[row, 0] * nx + out[row, 1] * ny > 1.0 - 1e-9
         if same and abs(out[row, 4] - gap) < 1e-9:
@@ -235,21 +213,13 @@ def _keep_nearest(out, count, nx, ny, rx, ry, gap, turn, slide):  # type: ignore
     for row in range(last, place, -1):
         for column in range(CONTACT_COLUMNS):
             out[row, column] = out[row - 1, column]
-    _fill(out, place, nx, ny, rx, ry, gap, turn, slide)
+    _fill(out, place, contact)
     return min(count + 1, MAX_CONTACTS)
 
 
 @compiled(forceinline=True)
 def cone_of(mu, smoothing, load_sum, compliance, h):  # type: ignore[no-untyped-def]
-    """`Cone` of a step.
-
-    Args:
-        mu: friction with the finger.
-        smoothing: (4,) slip speed ε, stick_speed, penetration, relaxation; see `Smoothing`.
-        load_sum: friction load of all cells, N.
-        compliance: of the finger, m/N.
-        h: step, s.
-    """
+    """`Cone` of a step of length h; smoothing (4,) as in `Common`, load_sum (N) of all cells."""
     tangential = h * h / (h * smoothing[1] / load_sum + compliance)
     give, ramp = smoothing[2] / load_sum, 0.5 * smoothing[2]
     return Cone(mu, give, compliance, tangential, smoothing[3] / h, ramp)

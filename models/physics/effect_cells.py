@@ -1,21 +1,20 @@
-"""Friction of cells under effects: an ellipse instead of a circle, drag, and lines that resist sideways
-motion.
+"""Friction of cells under effects: an ellipse instead of a circle, drag, and blades.
 
 A cell of load f_i under a friction factor s_i dissipates f_i s_i φ_i with
 
     φ_i = sqrt(uᵀ Q_i u + (ρ omega)² + ε²),
 
-Q_i being symmetric and positive; Q = 1 is Coulomb's law of `friction.py`. Drag adds ½
-D_i (|u_i|² + w²/6 omega²), and a blade F sqrt((b·v)² + ε²) with b = (n_x, n_y, r × n), where it resists
-with F along n. All of them are convex in the twist v, so the step stays what it is.
+Q_i being symmetric and positive; Q = 1 is Coulomb's law of `newton.py`. Drag adds
+½ D_i (|u_i|² + w²/6 omega²), and a blade, which resists with F along n, F sqrt((b·v)² + ε²) with
+b = (n_x, n_y, r × n). All of them are convex in the twist v, so the step stays what it is.
 
-What they are evaluated at, y, joins
+What the formulas of effects are evaluated at, y (Y,), joins
 
     the state before the step: x, y, θ (world), v_x, v_y, omega (object frame);
     memory: nothing, or the last force of the finger on the object (world, N) and the effects' own numbers;
     m, s_x, s_y, J;  and the effects' parameters.
 
-`slipmap.models.effects.program` writes functions that keep to it, `effect_kernel.py` calls them.
+`slipmap.models.effects.formulas` writes functions that keep to it; rollouts and single steps call them.
 """
 
 from __future__ import annotations
@@ -29,6 +28,28 @@ from numpy.typing import NDArray
 from slipmap.models.physics.compiled import compiled
 from slipmap.models.physics.newton import Quadratic, register_cells
 
+# Order of the numbers that formulas are evaluated at, and of those that they fill in.
+STATE = 6
+FORCE = 2
+INERTIA = 4
+
+BODY_OUTPUTS = 5
+"""Wrench (middle frame: 2 forces, torque about the origin), inertia factor, compliance of the finger (m/N);
+each blade adds F, b_x, b_y, b_omega."""
+
+INERTIA_FACTOR = 3
+COMPLIANCE = 4
+
+STRETCH = 3
+"""Entries of a cell's Q: q_xx, q_xy, q_yy."""
+
+CONSTANTS = 11
+"""Time in the middle of the step, h, order of the push in the experiment, gravity, cell width, the cells'
+centroid (2), the inverse of their second moments about it (xx, xy, yy; 1/m²), and their number."""
+
+AFTER = 8
+"""What memory is renewed from besides y: x, y, θ, v_x, v_y, omega after the step and the force in it."""
+
 _FAST = {"reassoc", "contract", "arcp", "nsz"}
 
 
@@ -37,13 +58,9 @@ class EffectCells(NamedTuple):
 
     Attributes:
         load: (n,) friction loads times their factors, f_i s_i, N.
-        rx: (n,) cell centres, object frame, m.
-        ry: the same, y.
-        rho2: ρ², m².
-        eps2: ε², m²/s².
-        qxx: (n,) q_xx of each cell's Q, object frame.
-        qxy: (n,) the same, q_xy.
-        qyy: (n,) the same, q_yy.
+        rx, ry: (n,) cell centres, object frame, m.
+        rho2, eps2: ρ², m², and ε², m²/s².
+        qxx, qxy, qyy: (n,) each cell's Q, object frame.
         longest: largest eigenvalue of all Q, or 1 if that is larger.
         drag: (4,) Σ D, Σ D r_x, Σ D r_y, Σ D (|r|² + w²/6).
         blades: (k, 4) F, b.
@@ -64,8 +81,11 @@ class EffectCells(NamedTuple):
 
 @compiled(fastmath=_FAST)
 def _moments(cells, vx, vy, omega):  # type: ignore[no-untyped-def]
-    """Sums over cells: gradient Σ a g (3), Hessian Σ a (JᵀQJ + ρ²) - Σ b g gᵀ (6: xx, xy, yy, xω, yω, ωω),
-    and Σ f/φ², with a = f/φ, b = f/φ³ and g = Jᵀ Q u + (0, 0, ρ² omega)."""
+    """Sums over cells: gradient, Hessian and Σ f/φ².
+
+    These are Σ a g (3) and Σ a (JᵀQJ + ρ²) - Σ b g gᵀ (6: xx, xy, yy, xω, yω, ωω), with a = f/φ, b = f/φ³ and
+    g = Jᵀ Q u + (0, 0, ρ² omega).
+    """
     load, rx, ry = cells.load, cells.rx, cells.ry
     qxx, qxy, qyy = cells.qxx, cells.qxy, cells.qyy
     spin = cells.rho2 * omega
@@ -176,8 +196,7 @@ def drag_moments(drag, rx, ry, cell_width, out):  # type: ignore[no-untyped-def]
 
 @compiled(fastmath={"contract"})
 def load_gradients(cells, v, by_load):  # type: ignore[no-untyped-def]
-    """Fill by_load (3, n): derivatives of the friction's gradient at the twist v by each cell's load f_i
-    s_i."""
+    """Fill by_load (3, n): derivatives of friction's gradient at the twist v by each cell's load f_i s_i."""
     vx, vy, omega = v
     qxx, qxy, qyy = cells.qxx, cells.qxy, cells.qyy
     spin = cells.rho2 * omega
@@ -235,28 +254,3 @@ def stretch_gradients(cells, v, by_stretch):  # type: ignore[no-untyped-def]
         by_stretch[2, 0, i] = -by_yy * px
         by_stretch[2, 1, i] = a * uy - by_yy * py
         by_stretch[2, 2, i] = a * x * uy - by_yy * pw
-
-
-# What the formulas of effects are evaluated at and what they fill in: the order of the numbers.
-
-
-STATE = 6
-FORCE = 2
-INERTIA = 4
-
-BODY_OUTPUTS = 5
-"""Wrench (middle frame: 2 forces, torque about the origin), inertia factor, compliance of the finger (m/N);
-each blade adds F, b_x, b_y, b_omega."""
-
-INERTIA_FACTOR = 3
-COMPLIANCE = 4
-
-STRETCH = 3
-"""Entries of a cell's Q: q_xx, q_xy, q_yy."""
-
-CONSTANTS = 11
-"""Time in the middle of the step, h, order of the push in the experiment, gravity, cell width, the cells'
-centroid (2), the inverse of their second moments about it (xx, xy, yy; 1/m²), and their number."""
-
-AFTER = 8
-"""What memory is renewed from besides y: x, y, θ, v_x, v_y, omega after the step and the force in it."""

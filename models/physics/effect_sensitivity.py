@@ -1,21 +1,28 @@
 """The Jacobian of a rollout with effects, carried from step to step.
 
-As in `sensitivity.py` it is kept in blocks of `LANES` parameters, flat in memory, with 9 + E rows each:
+As in `kernel.py` it is kept in blocks of `LANES` parameters, flat in memory, with 9 + E rows each:
 
     0 … 5   d(state)/d(parameter)
     6 … 8   direct derivative of the step's gradient by the parameter
     9 …     d(memory)/d(parameter), of the E entries of memory
 
 Parameters are in the order in which they are given out: loads, m, s_x, s_y, J, finger friction, start (6),
-effects. G (3, Y) is the derivative of a step's gradient by what the formulas are evaluated at
-(`effect_layout.py`).
+effects. In the functions here
+
+    S, before    are the blocks after a step, as far as they are carried over it, and before it;
+    G (3, Y)     is the derivative of the step's gradient by what formulas are evaluated at;
+    dout         (BODY_OUTPUTS + …, Y) that of the body formulas;
+    F            blocks of two rows, the Jacobian of the finger's force (world, N) in the step;
+    down         (E - FORCE, Y + AFTER) derivatives of the memory formulas.
 """
 
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from slipmap.models.physics.compiled import compiled
 from slipmap.models.physics.contact import SEPARATE, SLIDE_FORWARD, STICK, springs
@@ -28,14 +35,50 @@ from slipmap.models.physics.effect_cells import (
     STATE,
     STRETCH,
 )
-from slipmap.models.physics.kernel import advance
+from slipmap.models.physics.kernel import advance, flat
 from slipmap.models.physics.newton import LANES
-from slipmap.models.physics.step import EXTRA_COLUMNS, add_column
+from slipmap.models.physics.step import EXTRA_COLUMNS, add_column, contact_change
 
 _DIRECT = STATE
 
 FIXED_ROWS = _DIRECT + 3
 """Rows of a block besides those of memory, which follow them."""
+
+
+class Layout(NamedTuple):
+    """How many parameters a Jacobian has, and of which kinds.
+
+    Attributes:
+        memory: E.
+        n: number of cells.
+        columns: number of parameters, 0 where no Jacobian is wanted.
+    """
+
+    memory: int
+    n: int
+    columns: int
+
+
+class ContactSlopes(NamedTuple):
+    """Derivatives of a step's gradient g (3) and of the contact's impulse f (2, middle frame) at fixed v⁺.
+
+    Attributes:
+        scale_g: (3, 2) by Σ f and by the finger's compliance, through the contact's stiffness.
+        scale_f: (2, 2) the same.
+        spring_g: (3, 3) by the last force (world, two columns) and by the compliance: these bend the finger.
+        spring_f: (2, 3) the same.
+    """
+
+    scale_g: NDArray[np.float64]
+    scale_f: NDArray[np.float64]
+    spring_g: NDArray[np.float64]
+    spring_f: NDArray[np.float64]
+
+
+@compiled()
+def no_contact_slopes():  # type: ignore[no-untyped-def]
+    """`ContactSlopes` of zeros."""
+    return ContactSlopes(np.zeros((3, 2)), np.zeros((2, 2)), np.zeros((3, 3)), np.zeros((2, 3)))
 
 
 @compiled(forceinline=True)
@@ -51,13 +94,13 @@ def empty_blocks(columns, rows):  # type: ignore[no-untyped-def]
 
 
 @compiled()
-def first_blocks(memory, n, columns):  # type: ignore[no-untyped-def]
+def first_blocks(layout):  # type: ignore[no-untyped-def]
     """Blocks before the first step: the state is the start's; none where no Jacobian is wanted."""
-    rows = FIXED_ROWS + memory
-    S = empty_blocks(columns, rows)
-    if columns > 0:
+    rows = FIXED_ROWS + layout.memory
+    S = empty_blocks(layout.columns, rows)
+    if layout.columns > 0:
         for k in range(STATE):
-            S[_place(n + INERTIA + 1 + k, k, rows)] = 1.0
+            S[_place(layout.n + INERTIA + 1 + k, k, rows)] = 1.0
     return S
 
 
@@ -65,13 +108,7 @@ def first_blocks(memory, n, columns):  # type: ignore[no-untyped-def]
 def set_body_slopes(G, body, new, free, dout, h):  # type: ignore[no-untyped-def]
     """Set G to what the wrench and the inertia factor do to the gradient.
 
-    Args:
-        G: (3, Y) result.
-        body: m, s_x, s_y, J without the inertia factor.
-        new: twist after the step.
-        free: momentum of the free motion.
-        dout: (BODY_OUTPUTS + …, Y) derivatives of the body formulas.
-        h: step, s.
+    `body` is m, s_x, s_y, J without the inertia factor, `free` the momentum of the free motion.
     """
     momentum = (
         body[0] * new[0] - body[2] * new[2] - free[0],
@@ -85,8 +122,11 @@ def set_body_slopes(G, body, new, free, dout, h):  # type: ignore[no-untyped-def
 
 @compiled(forceinline=True)
 def weigh_cells(load, factor, h, by_load, by_drag, by_stretch, weighted_load):  # type: ignore[no-untyped-def]
-    """What friction factors, drags and Q of the cells do to the gradient: by_drag (3, n) and by_stretch (3,
-    3, n or none) in place, weighted_load (3, n) from by_load, zero where a factor was cut at 0."""
+    """What friction factors, drags and Q of the cells do to the gradient.
+
+    by_drag (3, n) and by_stretch (3, 3, n or none) are scaled in place; weighted_load (3, n) is set from
+    by_load, to zero where a factor was cut at 0.
+    """
     for i in range(load.shape[0]):
         share = h * load[i] if factor[i] > 0.0 else 0.0
         for a in range(3):
@@ -99,46 +139,32 @@ def weigh_cells(load, factor, h, by_load, by_drag, by_stretch, weighted_load):  
 
 
 @compiled(forceinline=True)
-def add_contact_slopes(G, A, scale_g, spring_A, dout, bends):  # type: ignore[no-untyped-def]
-    """Add what the state before the step does without effects, the finger's compliance, and the last force.
-
-    Args:
-        G: (3, Y) changed in place.
-        A: (3, 6) see `step_derivative`.
-        scale_g: (3, 2) see `add_contact_scale`.
-        spring_A: (3, 3) see `add_spring_columns`.
-        dout: (BODY_OUTPUTS + …, Y) derivatives of the body formulas.
-        bends: whether there is a last force.
-    """
+def add_contact_slopes(G, A, contact, dout, bends):  # type: ignore[no-untyped-def]
+    """Add to G what the state does without effects (A), the compliance, and the last force if it `bends`."""
+    scale, spring = contact.scale_g, contact.spring_g
     for a in range(3):
         for k in range(STATE):
             G[a, k] += A[a, k]
     for a in range(3):
         for k in range(G.shape[1]):
-            G[a, k] += scale_g[a, 1] * dout[COMPLIANCE, k]
+            G[a, k] += scale[a, 1] * dout[COMPLIANCE, k]
     if bends:
         for a in range(3):
-            G[a, STATE] += spring_A[a, 0]
-            G[a, STATE + 1] += spring_A[a, 1]
+            G[a, STATE] += spring[a, 0]
+            G[a, STATE + 1] += spring[a, 1]
             for k in range(G.shape[1]):
-                G[a, k] += spring_A[a, 2] * dout[COMPLIANCE, k]
+                G[a, k] += spring[a, 2] * dout[COMPLIANCE, k]
 
 
 @compiled(fastmath={"contract"})
-def fill_load_slopes(S, by_load, share, memory, h, scale):  # type: ignore[no-untyped-def]
+def fill_load_slopes(S, layout, by_load, share, h, scale_g):  # type: ignore[no-untyped-def]
     """Set the direct rows of the loads: derivative of the step's gradient by them, the state being held.
 
-    It does so for the cells that fill up as well; `fill_other_slopes` is called afterwards.
-
-    Args:
-        S: blocks, changed in place.
-        by_load: (3, …) see `load_gradients`, of cells filled up to a multiple of `LANES`.
-        share: (…,) friction factors, not below 0.
-        memory: E.
-        h: step, s.
-        scale: (3,) gradient by the sum of loads, through the contact's stiffness.
+    It does so for the cells that fill up as well; `fill_other_slopes` is called afterwards. by_load (3, …) is
+    that of `load_gradients`, share (…,) the friction factors, not below 0.
     """
-    size = (FIXED_ROWS + memory) * LANES
+    size = (FIXED_ROWS + layout.memory) * LANES
+    scale = (scale_g[0, 0], scale_g[1, 0], scale_g[2, 0])
     for b in range(share.shape[0] // LANES):
         here = slice(b * LANES, (b + 1) * LANES)
         shares = share[here]
@@ -150,18 +176,10 @@ def fill_load_slopes(S, by_load, share, memory, h, scale):  # type: ignore[no-un
 
 
 @compiled()
-def fill_other_slopes(S, G, memory, n, columns, extra):  # type: ignore[no-untyped-def]
-    """Set the direct rows of all other parameters.
-
-    Args:
-        S: blocks, changed in place.
-        G: (3, Y) by what the formulas are evaluated at.
-        memory: E.
-        n: number of cells.
-        columns: number of parameters.
-        extra: (3, …) gradient by inertia and finger friction.
-    """
-    rows, inertia_at = FIXED_ROWS + memory, STATE + memory
+def fill_other_slopes(S, layout, G, extra):  # type: ignore[no-untyped-def]
+    """Set the direct rows of all other parameters; `extra` is that of `Slopes`."""
+    n = layout.n
+    rows, inertia_at = FIXED_ROWS + layout.memory, STATE + layout.memory
     for a in range(3):
         row = _DIRECT + a
         for k in range(INERTIA):
@@ -169,27 +187,15 @@ def fill_other_slopes(S, G, memory, n, columns, extra):  # type: ignore[no-untyp
         S[_place(n + INERTIA, row, rows)] = extra[a, INERTIA]
         for j in range(n + INERTIA + 1, n + EXTRA_COLUMNS):
             S[_place(j, row, rows)] = 0.0
-        for k in range(columns - n - EXTRA_COLUMNS):
+        for k in range(layout.columns - n - EXTRA_COLUMNS):
             S[_place(n + EXTRA_COLUMNS + k, row, rows)] = G[a, inertia_at + INERTIA + k]
 
 
 @compiled(fastmath={"contract"})
-def advance_state(S, G, memory, inverse, pose, h):  # type: ignore[no-untyped-def]
-    """Carry the rows of the state over a step, in place; the direct rows are used up.
-
-    Args:
-        S: blocks.
-        G: (3, Y) derivative of the step's gradient by state and memory, and more.
-        memory: E.
-        inverse: upper triangle of the inverse Hessian.
-        pose: `PoseUpdate`.
-        h: step, s.
-    """
-    A = (
-        G[0, 0], G[0, 1], G[0, 2], G[0, 3], G[0, 4], G[0, 5],
-        G[1, 0], G[1, 1], G[1, 2], G[1, 3], G[1, 4], G[1, 5],
-        G[2, 0], G[2, 1], G[2, 2], G[2, 3], G[2, 4], G[2, 5],
-    )  # fmt: skip
+def advance_state(S, layout, G, minimum, pose, h):  # type: ignore[no-untyped-def]
+    """Carry the rows of the state over a step, in place; the direct rows are used up."""
+    A = flat(G)
+    memory = layout.memory
     size = (FIXED_ROWS + memory) * LANES
     for b in range(S.shape[0] // size):
         block = S[b * size : (b + 1) * size]
@@ -200,13 +206,12 @@ def advance_state(S, G, memory, inverse, pose, h):  # type: ignore[no-untyped-de
             gx = block[lane + _DIRECT * LANES]
             gy = block[lane + (_DIRECT + 1) * LANES]
             gw = block[lane + (_DIRECT + 2) * LANES]
-            advance(block, lane, A, inverse, pose, h, gx, gy, gw)
+            advance(block, lane, A, minimum, pose, h, gx, gy, gw)
 
 
 @compiled(forceinline=True)
 def _add_rows(target, row, slopes, first, count, source, begin):  # type: ignore[no-untyped-def]
-    """Add to a row of a block the `count` rows of another, or of the same, from `begin` on, times the slopes
-    from `first` on.
+    """Add to a row of a block `count` rows of a source from `begin` on, times the slopes from `first` on.
 
     The lanes have names of their own, or the compiler would write and read the row for each slope.
     """
@@ -234,36 +239,20 @@ def _add_rows(target, row, slopes, first, count, source, begin):  # type: ignore
 
 
 @compiled(fastmath={"contract"})
-def fill_force(  # type: ignore[no-untyped-def]
-    F, S, before, memory, n, columns, frame, h, force, dforce, spring_force, scale_f, dout, slopes
-):  # fmt: skip
-    """Fill F, blocks of two rows, with the Jacobian of the finger's force (world, N).
-
-    Args:
-        F: result.
-        S: blocks after the step, as far as the state.
-        before: blocks before it.
-        memory: E.
-        n: number of cells.
-        columns: number of parameters.
-        frame: middle frame of the step.
-        h: step, s.
-        force: of the finger, world, N.
-        dforce: (2, 10) see `step_derivative`.
-        spring_force: (2, 3) see `add_spring_columns`.
-        scale_f: (2, 2) see `add_contact_scale`.
-        dout: (BODY_OUTPUTS + …, Y) derivatives of the body formulas.
-        slopes: (2, 6 + E) room for numbers.
-    """
+def fill_force(F, S, before, layout, step, force, dforce, contact, dout):  # type: ignore[no-untyped-def]
+    """Fill F; `force` is that of the finger (world, N), `dforce` that of `Slopes`."""
+    memory, n, columns = layout
+    frame, h, scale_f, spring_f = step.frame, step.h, contact.scale_f, contact.spring_f
     size, inertia_at = (FIXED_ROWS + memory) * LANES, STATE + memory
+    slopes = np.zeros((2, STATE + memory))
     bends = False
     for a in range(2):
         # The compliance may depend on any of the formula's arguments.
-        stiff = scale_f[a, 1] + spring_force[a, 2]
+        stiff = scale_f[a, 1] + spring_f[a, 2]
         for k in range(STATE + memory):
             slopes[a, k] = stiff * dout[COMPLIANCE, k]
             if STATE <= k < STATE + FORCE:
-                slopes[a, k] += spring_force[a, k - STATE]
+                slopes[a, k] += spring_f[a, k - STATE]
             bends = bends or slopes[a, k] != 0.0
         for i in range(n):
             F[_place(i, a, 2)] = scale_f[a, 0]
@@ -291,18 +280,9 @@ def fill_force(  # type: ignore[no-untyped-def]
 
 
 @compiled(fastmath={"contract"})
-def advance_memory(S, before, F, down, memory, n, columns):  # type: ignore[no-untyped-def]
-    """Rows of memory after a step, from those of state and force.
-
-    Args:
-        S: blocks, whose state has been carried over the step.
-        before: blocks before the step.
-        F: blocks of the force in the step, see `fill_force`.
-        down: (E - FORCE, Y + AFTER) derivatives of the memory formulas.
-        memory: E.
-        n: number of cells.
-        columns: number of parameters.
-    """
+def advance_memory(S, before, F, layout, down):  # type: ignore[no-untyped-def]
+    """Set the rows of memory after a step, from those of state and force."""
+    memory, n, columns = layout
     rows = FIXED_ROWS + memory
     size, inertia_at = rows * LANES, STATE + memory
     Y = down.shape[1] - AFTER
@@ -328,15 +308,7 @@ def advance_memory(S, before, F, down, memory, n, columns):  # type: ignore[no-u
 
 @compiled()
 def store_rows(S, before, share, rows, out):  # type: ignore[no-untyped-def]
-    """Copy the first rows of blocks into out (rows wanted, columns), at a share of the step.
-
-    Args:
-        S: blocks after the step.
-        before: blocks before it.
-        share: place in the step, 0 to 1.
-        rows: of a block.
-        out: result.
-    """
+    """Copy the first rows of blocks into out (rows wanted, columns), at the place `share` of the step."""
     for i in range(out.shape[0]):
         for b in range((out.shape[1] + LANES - 1) // LANES):
             at = (b * rows + i) * LANES
@@ -346,20 +318,11 @@ def store_rows(S, before, share, rows, out):  # type: ignore[no-untyped-def]
                 target[lane] = old + share * (S[at + lane] - old)
 
 
-# Partial derivatives of a step's gradient by what effects add to it: blades, and a finger that bends.
-
-
 @compiled()
 def blade_slopes(blades, dblades, v, eps2, h, G):  # type: ignore[no-untyped-def]
-    """Add to G (3, Y) the derivative of Σ_k h F w/φ b, with w = b·v and φ = sqrt(w² + ε²).
+    """Add to G the derivative of Σ_k h F w/φ b, with w = b·v and φ = sqrt(w² + ε²).
 
-    Args:
-        blades: (k, 4) F, b.
-        dblades: (4 k, Y) their derivatives.
-        v: twist after the step.
-        eps2: ε².
-        h: step, s.
-        G: (3, Y).
+    Blades (k, 4) are F and b, dblades (4 k, Y) their derivatives, v is the twist after the step.
     """
     for k in range(blades.shape[0]):
         force = blades[k, 0]
@@ -395,34 +358,20 @@ def _by_stiffness(contact, impulse, cone, v, dnormal, dtangential):  # type: ign
 
 
 @compiled()
-def add_contact_scale(  # type: ignore[no-untyped-def]
-    first, second, impulse1, impulse2, cone, v, h, stick_speed, load_sum, scale_g, scale_f
-):  # fmt: skip
-    """Derivatives of the contact's part by the sum of loads and by the finger's compliance, at fixed v⁺.
+def set_contact_scale(solved, stick_speed, load_sum, slopes):  # type: ignore[no-untyped-def]
+    """Set the derivatives of the contact's part by the sum of loads and by the finger's compliance.
 
     With 1/R_n = h²/(give/s + C), s the contact's stiffening by damping, and 1/R_t = h²/(h creep + C), where
     give and creep = stick_speed / Σ f fall with the sum of loads.
-
-    Args:
-        first: nearest contact.
-        second: next contact.
-        impulse1: solved `Impulse` of the first.
-        impulse2: the same of the second.
-        cone: law of the contacts.
-        v: twist after the step.
-        h: step, s.
-        stick_speed: see `Smoothing`, m/s.
-        load_sum: Σ f, N.
-        scale_g: (3, 2) result, gradient by Σ f and by C.
-        scale_f: (2, 2) result, impulse on the object (middle frame) by the same.
     """
+    h, cone, scale_g, scale_f = solved.h, solved.cone, slopes.scale_g, slopes.scale_f
     scale_g[:, :] = 0.0
     scale_f[:, :] = 0.0
     by_creep = -cone.tangential * cone.tangential / (h * h)
     creep = stick_speed / load_sum
     for k in range(2):
-        contact = first if k == 0 else second
-        impulse = impulse1 if k == 0 else impulse2
+        contact = solved.first if k == 0 else solved.second
+        impulse = solved.impulse1 if k == 0 else solved.impulse2
         by_give = -contact.normal * contact.normal / (h * h)
         give = cone.give / contact.stiffening
         for column in range(2):
@@ -430,7 +379,7 @@ def add_contact_scale(  # type: ignore[no-untyped-def]
                 dn, dt = -by_give * give / load_sum, -by_creep * h * creep / load_sum
             else:
                 dn, dt = by_give, by_creep
-            dgn, dgt = _by_stiffness(contact, impulse, cone, v, dn, dt)
+            dgn, dgt = _by_stiffness(contact, impulse, cone, solved.new, dn, dt)
             scale_g[0, column] += contact.nx * dgn + contact.ny * dgt
             scale_g[1, column] += contact.ny * dgn - contact.nx * dgt
             scale_g[2, column] += contact.nw * dgn - contact.tw * dgt
@@ -439,39 +388,25 @@ def add_contact_scale(  # type: ignore[no-untyped-def]
 
 
 @compiled()
-def add_spring_columns(  # type: ignore[no-untyped-def]
-    v, new, h, cone, frame, first, second, impulse1, impulse2, last, compliance, A, dforce
-):  # fmt: skip
-    """Derivatives by the last force (world, two columns) and by the compliance that bent the finger with it.
+def set_spring_columns(solved, last, slopes):  # type: ignore[no-untyped-def]
+    """Set the derivatives by the last force and by the compliance that bent the finger with it.
 
-    The bent finger stands compliance · force off its record and would straighten within the step.
-
-    Args:
-        v: twist before the step.
-        new: twist after it.
-        h: step, s.
-        cone: law of the contacts.
-        frame: middle frame, with the finger as bent.
-        first: nearest contact.
-        second: next contact.
-        impulse1: solved `Impulse` of the first.
-        impulse2: the same of the second.
-        last: last force on the object, world, N.
-        compliance: C, m/N.
-        A: (3, 3) result, gradient.
-        dforce: (2, 3) result, impulse in the middle frame.
+    The bent finger stands compliance · force off its record and would straighten within the step. `last` is
+    the last force on the object, world, N.
     """
-    A[:, :] = 0.0
-    dforce[:, :] = 0.0
+    h, frame, compliance = solved.h, solved.frame, solved.cone.compliance
+    slopes.spring_g[:, :] = 0.0
+    slopes.spring_f[:, :] = 0.0
+    none = (0.0, 0.0)
     for k in range(2):
-        contact = first if k == 0 else second
-        impulse = impulse1 if k == 0 else impulse2
+        contact = solved.first if k == 0 else solved.second
+        impulse = solved.impulse1 if k == 0 else solved.impulse2
         if impulse.state == SEPARATE:
             continue
-        common = (v, new, h, cone, frame, contact, impulse, A, dforce)
+        change = contact_change(solved, contact, impulse, slopes.spring_g, slopes.spring_f)
         for j in range(3):
             fx = compliance if j == 0 else (last[0] if j == 2 else 0.0)
             fy = compliance if j == 1 else (last[1] if j == 2 else 0.0)
             dx = frame.cos * fx + frame.sin * fy
             dy = frame.cos * fy - frame.sin * fx
-            add_column(j, -dx, -dy, 0.0, 0.0, dx / h, dy / h, 0.0, 0.0, common)
+            add_column(j, (-dx, -dy), none, (dx / h, dy / h), none, change)

@@ -1,7 +1,7 @@
-"""Copies between arrays in kernels, without the slice assignments of numba.
+"""What kernels share: copies of arrays, small rotations, and jobs, which are pushes of models.
 
-Each kind of slice assignment brings along code that writes the shapes into an error message, which takes
-three seconds to compile.
+Numba's own slice assignments bring along code that writes the shapes into an error message, which takes three
+seconds to compile for each kind of them.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slipmap.models.physics.compiled import compiled
+from slipmap.models.physics.kernel_arguments import FloatArray, IntArray, Results
 
 
 @compiled(forceinline=True)
@@ -37,20 +38,15 @@ def add_columns(target, first, source, count):  # type: ignore[no-untyped-def]
             target[a, first + k] += source[a, k]
 
 
-# Small rotations: a step turns the object by hundredths of a radian; its angles are multiples of one.
-
-
 _SMALL = 0.1  # rad; up to here the series below are exact to rounding
 
 
 class Turn(NamedTuple):
-    """Rotation by an angle α.
+    """Rotation by an angle α, as by the hundredths of a radian of a step.
 
     Attributes:
-        cos: cos α.
-        sin: sin α.
-        sinc: sin(α)/α.
-        sinc_slope: derivative of sin(α)/α by α.
+        cos, sin: of α.
+        sinc, sinc_slope: sin(α)/α and its derivative by α.
     """
 
     cos: float
@@ -85,7 +81,50 @@ def turned(c, s, x, y):  # type: ignore[no-untyped-def]
     return c * x - s * y, s * x + c * y
 
 
-# In which order jobs are handed to threads, so that all are busy to the end.
+class OnePush(NamedTuple):
+    """One push of one model, its attributes as in `JoinedPushes`."""
+
+    h: float
+    tip: FloatArray
+    wrench: FloatArray
+    start_pose: FloatArray
+    start_twist: FloatArray
+    sample_step: IntArray
+    sample_fraction: FloatArray
+    sample_time: FloatArray
+    force_step: IntArray
+
+
+@compiled(forceinline=True)
+def push_of(pushes, k, b):  # type: ignore[no-untyped-def]
+    """`OnePush` b of model k."""
+    samples = slice(pushes.sample_at[b], pushes.sample_at[b + 1])
+    return OnePush(
+        pushes.h[b],
+        pushes.tip[pushes.tip_at[b] : pushes.tip_at[b + 1]],
+        pushes.wrench[pushes.wrench_at[b] : pushes.wrench_at[b + 1]],
+        pushes.start_poses[k, b],
+        pushes.start_twists[k, b],
+        pushes.sample_step[samples],
+        pushes.sample_fraction[samples],
+        pushes.sample_time[samples],
+        pushes.force_step[pushes.force_at[b] : pushes.force_at[b + 1]],
+    )
+
+
+@compiled(forceinline=True)
+def results_of(results, pushes, k, b):  # type: ignore[no-untyped-def]
+    """`Results` of push b of model k alone, without their first axes."""
+    samples = slice(pushes.sample_at[b], pushes.sample_at[b + 1])
+    forces = slice(pushes.force_at[b], pushes.force_at[b + 1])
+    return Results(
+        results.poses[k, samples],
+        results.rates[k, samples],
+        results.forces[k, forces],
+        results.d_poses[k, samples],
+        results.d_forces[k, forces],
+        results.end[k, b],
+    )
 
 
 def evenly_dealt(steps: NDArray[np.int64], models: int, threads: int | None = None) -> NDArray[np.int64]:

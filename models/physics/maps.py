@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
+from slipmap.models.physics.cell_grid import FloatArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,8 +27,7 @@ class Maps:
     effects: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
 
     def __post_init__(self) -> None:
-        mass = np.atleast_2d(np.ascontiguousarray(self.mass, dtype=float))
-        mu = np.atleast_2d(np.ascontiguousarray(self.mu, dtype=float))
+        mass, mu = (np.atleast_2d(np.ascontiguousarray(a, dtype=float)) for a in (self.mass, self.mu))
         finger = np.atleast_1d(np.ascontiguousarray(self.mu_finger, dtype=float))
         if mass.ndim != 2 or mass.shape != mu.shape or finger.shape != (len(mass),):
             raise ValueError(
@@ -47,10 +46,7 @@ class Maps:
             raise ValueError(
                 f"maps: effects must be finite and of shape ({len(mass)}, P), got {effects.shape}"
             )
-        object.__setattr__(self, "effects", effects)
-        object.__setattr__(self, "mass", mass)
-        object.__setattr__(self, "mu", mu)
-        object.__setattr__(self, "mu_finger", finger)
+        self.__dict__.update(mass=mass, mu=mu, mu_finger=finger, effects=effects)
 
     def __len__(self) -> int:
         return len(self.mass)

@@ -27,9 +27,6 @@ from numpy.typing import NDArray
 from slipmap.models.physics.compiled import compiled
 from slipmap.models.physics.contact import SEPARATE, cone_matrix, cone_state, springs
 
-# Base friction of all cells at once: the sums that the convex step and its derivatives need.
-
-
 SPIN_RADIUS = 1.0 / math.sqrt(12.0)
 """Radius of gyration ρ of a cell's own friction, in cell widths."""
 
@@ -44,10 +41,8 @@ class Cells(NamedTuple):
 
     Attributes:
         load: (n,) friction loads f_i, N; n is a multiple of `LANES`.
-        rx: (n,) cell centres, x, m.
-        ry: the same, y, m.
-        rho2: ρ², m².
-        eps2: ε², m²/s².
+        rx, ry: (n,) cell centres, m.
+        rho2, eps2: ρ², m², and ε², m²/s².
     """
 
     load: NDArray[np.float64]
@@ -73,16 +68,6 @@ def friction_moments(load, rx, ry, vx, vy, omega, rho2, eps2):  # type: ignore[n
 
     With s = 1/φ, a = f s, b = f s³ and g = Jᵀu = (u_x, u_y, r × u + ρ² omega), the gradient is
     Σ a g and the Hessian Σ a JᵀJ - Σ b g gᵀ. The loop holds nothing but sums, so that it vectorises.
-
-    Args:
-        load: (n,) friction loads f_i, N.
-        rx: (n,) cell centres, x, m.
-        ry: (n,) cell centres, y, m.
-        vx: twist of the object frame's origin, x, m/s.
-        vy: the same, y, m/s.
-        omega: angular velocity, rad/s.
-        rho2: ρ², m².
-        eps2: ε², m²/s².
 
     Returns:
         Σ f φ, Σ a, Σ a r_x, Σ a r_y, Σ a |r|², then Σ b g gᵀ as xx, xy, yy, xω, yω, ωω, and last Σ f s²,
@@ -169,11 +154,10 @@ class Minimum(NamedTuple):
 
 
 def smooth_model(cells, inertia, star, h, v):  # type: ignore[no-untyped-def]
-    """Inertia and friction at the twist v, all but the contact; chosen when compiled, by the class of
-    `cells`.
+    """Inertia and friction at the twist v, all but the contact; chosen by the class of `cells` when compiled.
 
     Args:
-        cells: `Cells`, or another class for which an implementation is registered (`slipmap.models.effects.cells`).
+        cells: `Cells`, or another class for which an implementation is registered, as `EffectCells`.
         inertia: m, s_x, s_y, J.
         star: momentum of the free motion: two components, N s, and the angular one, N m s.
         h: step, s.

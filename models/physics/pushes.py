@@ -10,7 +10,8 @@ from itertools import accumulate
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-FloatArray = NDArray[np.float64]
+from slipmap.models.physics.cell_grid import FloatArray
+from slipmap.models.physics.kernel_arguments import JoinedPushes
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,7 +121,12 @@ class Push:
         return cls(h, nowhere, np.asarray(start_pose), np.asarray(start_twist), wrench=wrench)
 
 
-class JoinedPushes:
+def join_pushes(
+    pushes: Sequence[Push],
+    models: int,
+    start_poses: FloatArray | None = None,
+    start_twists: FloatArray | None = None,
+) -> JoinedPushes:
     """Pushes end to end, as the kernels take them.
 
     Args:
@@ -132,43 +138,36 @@ class JoinedPushes:
     Raises:
         ValueError: there is no push, or starts of another shape.
     """
+    if not pushes:
+        raise ValueError("rollout: needs at least one push")
+    wrenches = [_NO_WRENCH if push.wrench is None else push.wrench for push in pushes]
+    samples = [push.pose_samples for push in pushes]
+    return JoinedPushes(
+        np.array([push.h for push in pushes]),
+        np.concatenate([push.tip for push in pushes]),
+        _offsets([len(push.tip) for push in pushes]),
+        np.concatenate(wrenches),
+        _offsets([len(wrench) for wrench in wrenches]),
+        _starts("start_poses", start_poses, [push.start_pose for push in pushes], models),
+        _starts("start_twists", start_twists, [push.start_twist for push in pushes], models),
+        np.concatenate([step for step, _ in samples]),
+        np.concatenate([fraction for _, fraction in samples]),
+        np.concatenate([np.asarray(push.pose_times) for push in pushes]),
+        _offsets([len(step) for step, _ in samples]),
+        np.concatenate([push.force_steps for push in pushes]),
+        _offsets([len(push.force_steps) for push in pushes]),
+    )
 
-    def __init__(
-        self,
-        pushes: Sequence[Push],
-        models: int,
-        start_poses: FloatArray | None = None,
-        start_twists: FloatArray | None = None,
-    ) -> None:
-        K, B = models, len(pushes)
-        if B == 0:
-            raise ValueError("rollout: needs at least one push")
-        for name, value in (("start_poses", start_poses), ("start_twists", start_twists)):
-            if value is not None and (np.shape(value) != (K, B, 3) or not np.isfinite(value).all()):
-                raise ValueError(
-                    f"rollout: {name} must be finite and of shape ({K}, {B}, 3), got {np.shape(value)}"
-                )
-        if start_poses is None:
-            start_poses = _of_all_models([p.start_pose for p in pushes], K)
-        if start_twists is None:
-            start_twists = _of_all_models([p.start_twist for p in pushes], K)
-        # Of one kind: arrays that must not be written would have the kernels compiled once more.
-        self.start_poses = np.require(start_poses, float, ("C", "W"))
-        self.start_twists = np.require(start_twists, float, ("C", "W"))
-        self.h = np.array([push.h for push in pushes])
-        self.tip = np.concatenate([push.tip for push in pushes])
-        self.tip_at = _offsets([len(push.tip) for push in pushes])
-        wrenches = [_NO_WRENCH if push.wrench is None else push.wrench for push in pushes]
-        self.wrench = np.concatenate(wrenches)
-        self.wrench_at = _offsets([len(w) for w in wrenches])
-        samples = [push.pose_samples for push in pushes]
-        self.sample_step = np.concatenate([step for step, _ in samples])
-        self.sample_fraction = np.concatenate([fraction for _, fraction in samples])
-        self.sample_time = np.concatenate([np.asarray(push.pose_times) for push in pushes])
-        self.sample_at = _offsets([len(step) for step, _ in samples])
-        self.force_step = np.concatenate([push.force_steps for push in pushes])
-        self.force_at = _offsets([len(push.force_steps) for push in pushes])
-        self.order = np.array([push.order for push in pushes], dtype=float)
+
+def _starts(name: str, given: FloatArray | None, own: Sequence[FloatArray], models: int) -> FloatArray:
+    """(K, B, 3) starts that were given, checked, or the pushes' own for all models."""
+    if given is None:
+        return np.repeat(np.array([own]), models, axis=0)
+    shape = (models, len(own), 3)
+    if np.shape(given) != shape or not np.isfinite(given).all():
+        raise ValueError(f"rollout: {name} must be finite and of shape {shape}, got {np.shape(given)}")
+    # Of one kind: arrays that must not be written would have the kernels compiled once more.
+    return np.require(given, float, ("C", "W"))
 
 
 def _sample_steps(h: float, steps: int, times: FloatArray | None) -> tuple[NDArray[np.int64], FloatArray]:
@@ -180,11 +179,6 @@ def _sample_steps(h: float, steps: int, times: FloatArray | None) -> tuple[NDArr
 
 def _offsets(lengths: Sequence[int]) -> NDArray[np.int64]:
     return np.array([0, *accumulate(lengths)], dtype=np.int64)
-
-
-def _of_all_models(starts: Sequence[FloatArray], models: int) -> FloatArray:
-    """(models, B, 3) the same starts (B of (3,)) for each model."""
-    return np.repeat(np.array([starts]), models, axis=0)
 
 
 _NO_WRENCH = np.zeros((0, 5))

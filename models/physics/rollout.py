@@ -1,4 +1,4 @@
-"""Roll out many models times many pushes, with exact sensitivities if wanted: door to the compiled kernel."""
+"""Rollouts of many models under many pushes, with exact sensitivities if wanted."""
 
 from __future__ import annotations
 
@@ -9,13 +9,18 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from slipmap.models.physics.cell_grid import CellGrid
-from slipmap.models.physics.kernel import rollout_all, rollout_one
+from slipmap.models.physics.cell_grid import CellGrid, FloatArray
+from slipmap.models.physics.kernel import rollout_all
+from slipmap.models.physics.kernel_arguments import (
+    Common,
+    JoinedPushes,
+    ReducedMaps,
+    Results,
+    empty_results,
+)
 from slipmap.models.physics.maps import Maps
-from slipmap.models.physics.pushes import JoinedPushes, Push
-from slipmap.models.physics.step import EXTRA_COLUMNS
-
-FloatArray = NDArray[np.float64]
+from slipmap.models.physics.pushes import Push, join_pushes
+from slipmap.models.physics.step import EXTRA_COLUMNS, INERTIA_COLUMNS
 
 
 @dataclass(frozen=True)
@@ -100,10 +105,11 @@ class Slider:
         self.finger_radius = float(finger_radius)
         self.gravity = float(gravity)
         self.smoothing = smoothing or Smoothing()
-        s = self.smoothing
-        self._centers = np.ascontiguousarray(grid.centers.T)
-        self._smoothing = np.array([s.slip_speed, s.stick_speed, s.penetration, s.relaxation])
-        self._size = float(np.linalg.norm(grid.exterior, axis=1).max())
+        size = float(np.linalg.norm(grid.exterior, axis=1).max())
+        smooth = np.array([*vars(self.smoothing).values()])
+        rx, ry = np.ascontiguousarray(grid.centers.T)
+        common = Common(rx, ry, float(grid.width), grid.edges, self.finger_radius, size, smooth)
+        self._common = tuple(common)
 
     @property
     def columns(self) -> int:
@@ -134,9 +140,9 @@ class Slider:
         shape = (len(maps),) + (1,) * (d_reduced.ndim - 2) + (n,)
         by_load = d_reduced[..., :n]
         by_mass = by_load * (maps.mu * self.gravity).reshape(shape)
-        by_mass += d_reduced[..., n : n + 4] @ self.inertia_basis.T
+        by_mass += d_reduced[..., n : n + INERTIA_COLUMNS] @ self.inertia_basis.T
         by_mu = by_load * (maps.mass * self.gravity).reshape(shape)
-        return np.concatenate([by_mass, by_mu, d_reduced[..., n + 4 :]], axis=-1)
+        return np.concatenate([by_mass, by_mu, d_reduced[..., n + INERTIA_COLUMNS :]], axis=-1)
 
     def rollout(
         self,
@@ -160,68 +166,41 @@ class Slider:
             ValueError: maps of another grid.
             RolloutError: a step was not solved; names the model and the push.
         """
-        K = len(maps)
-        joined = JoinedPushes(pushes, K, start_poses, start_twists)
-        load = self._loads(maps)
-        columns = self.columns if sensitivities else 0
-        poses = np.empty((K, joined.sample_at[-1], 3))
-        forces = np.empty((K, joined.force_at[-1], 2))
-        d_poses = np.empty((K, joined.sample_at[-1], 3, columns))
-        d_forces = np.empty((K, joined.force_at[-1], 2, columns))
-        end = np.empty((K, len(pushes), 7))
-        arguments = (
-            load, self._centers[0], self._centers[1], self.inertia(maps.mass), maps.mu_finger,
-            self.grid.width, self.grid.edges, self.finger_radius, self._size, self._smoothing,
-            joined.h, joined.tip, joined.tip_at, joined.wrench, joined.wrench_at,
-            joined.start_poses, joined.start_twists,
-            joined.sample_step, joined.sample_fraction, joined.sample_at, joined.force_step, joined.force_at,
-            poses, forces, d_poses, d_forces, end,
-        )  # fmt: skip
-        # A single job is not worth waking the other threads.
-        if end.size == 7:
-            rollout_one(0, *arguments)
-        else:
-            rollout_all(*arguments)
-        return finished(joined, poses, forces, d_poses, d_forces, end)
+        joined = join_pushes(pushes, len(maps), start_poses, start_twists)
+        results = empty_results(len(maps), joined, self.columns if sensitivities else 0)
+        self._fill(results, maps, pushes, joined)
+        return _finished(joined, results)
 
-    def _loads(self, maps: Maps) -> FloatArray:
-        """(K, n) friction loads f_i, checked."""
+    def _fill(self, results: Results, maps: Maps, pushes: Sequence[Push], joined: JoinedPushes) -> None:
+        """Simulate, and fill in the results."""
+        rollout_all(self._common, self._reduced(maps), joined, results)
+
+    def _reduced(self, maps: Maps) -> tuple[FloatArray, ...]:
+        """Fields of `ReducedMaps`, of maps that are checked."""
         if maps.mass.shape[1] != len(self.grid):
             raise ValueError(f"maps have {maps.mass.shape[1]} cells, the grid has {len(self.grid)}")
         load = np.ascontiguousarray(maps.mass * maps.mu * self.gravity)
         if not (load.sum(axis=1) > 0).all():
             raise ValueError("maps: a model without any friction cannot be simulated")
-        return load
+        return tuple(ReducedMaps(load, self.inertia(maps.mass), maps.mu_finger))
 
 
-def finished(
-    joined: JoinedPushes,
-    poses: FloatArray,
-    forces: FloatArray,
-    d_poses: FloatArray,
-    d_forces: FloatArray,
-    end: FloatArray,
-) -> Rollouts:
+def _finished(joined: JoinedPushes, results: Results) -> Rollouts:
     """What a kernel filled in, as `Rollouts`.
 
     Raises:
         RolloutError: a step was not solved; names the model and the push. Or a derivative is not finite.
     """
+    poses, _, forces, d_poses, d_forces, end = results
     if not (np.isfinite(end).all() and end[..., 6].min() >= 0):
         model, push = np.argwhere((end[..., 6] < 0) | ~np.isfinite(end).all(axis=-1))[0]
         raise RolloutError(f"model {model}, push {push}: a step did not converge")
     if not (np.isfinite(d_poses).all() and np.isfinite(d_forces).all()):
         raise RolloutError("a derivative is not finite, as where an effect's formula has none")
+    evaluations = end[..., 6].astype(np.int64)
     return Rollouts(
-        poses,
-        forces,
-        end[..., :6],
-        end[..., 6].astype(np.int64),
-        joined.sample_at,
-        joined.force_at,
-        d_poses,
-        d_forces,
+        poses, forces, end[..., :6], evaluations, joined.sample_at, joined.force_at, d_poses, d_forces
     )
 
 
-__all__ = ["Maps", "Push", "RolloutError", "Rollouts", "Slider", "Smoothing", "finished"]
+__all__ = ["Maps", "Push", "RolloutError", "Rollouts", "Slider", "Smoothing"]

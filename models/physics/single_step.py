@@ -14,9 +14,18 @@ and the columns of its Jacobian are, in this order,
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
+from slipmap.models.physics.around_step import (
+    Applied,
+    add_applied_turning,
+    bent_frame,
+    take_step,
+    way_by_spin,
+)
 from slipmap.models.physics.compiled import call_address, compiled
 from slipmap.models.physics.contact import CONTACT_COLUMNS, MAX_CONTACTS, SEPARATE, cone_of
 from slipmap.models.physics.effect_cells import (
@@ -36,23 +45,27 @@ from slipmap.models.physics.effect_cells import (
     stretch_gradients,
 )
 from slipmap.models.physics.effect_sensitivity import (
-    add_contact_scale,
-    add_spring_columns,
     blade_slopes,
+    no_contact_slopes,
     set_body_slopes,
+    set_contact_scale,
+    set_spring_columns,
     weigh_cells,
 )
+from slipmap.models.physics.kernel_arguments import Common, Formulas, ReducedMaps
 from slipmap.models.physics.kernel_tools import add_columns, copy_into, joined, turn_by, turned
 from slipmap.models.physics.newton import SPIN_RADIUS
 from slipmap.models.physics.step import (
     EXTRA_COLUMNS,
     MAX_EVALUATIONS,
     Frame,
+    Slopes,
+    Step,
     add_column,
+    contact_change,
     contact_of,
     free_momentum,
     middle_frame,
-    solve_step,
     step_derivative,
     touching,
 )
@@ -61,22 +74,27 @@ INPUTS = 9
 """Columns of what drives the step: wrench (5), finger before and after the step (4)."""
 
 
-@compiled(inline="always")
-def single_step(  # type: ignore[no-untyped-def]
-    load, rx, ry, inertia, mu, cell_width, edges, radius, size, smoothing, h, state, tip, wrench,
-    addresses, sizes, constants, parameters, next_out, jacobian_out,
-):  # fmt: skip
-    """One step of one model; arguments that `effect_kernel.effect_rollout` has too are described there.
+class Drive(NamedTuple):
+    """What drives a single step.
 
-    Args:
-        state: (Z,) before the step, Z = 8 + the effects' own memory.
+    Attributes:
+        h: its length, s.
         tip: (2, 2) finger before and after the step, world, m; NaN for no finger.
         wrench: (5,) force (world, N), its point (object frame, m) and a torque (N m).
-        constants: (CONSTANTS,) with the time in the middle of the step.
-        next_out: (Z + 1,) result: state after the step, and the number of evaluations, negative if the step
-            was not solved.
-        jacobian_out: (Z, columns) result, or an array without columns for none.
     """
+
+    h: float
+    tip: NDArray[np.float64]
+    wrench: NDArray[np.float64]
+
+
+@compiled(inline="always")
+def _single_step(model, common, maps, formulas, drive, state, next_out, jacobian_out):  # type: ignore[no-untyped-def]
+    """One step of a model by its number; see `single_steps`."""
+    h, tip, wrench = drive
+    load, inertia, smoothing, size = maps.load[model], maps.inertia[model], common.smoothing, common.size
+    rx, ry, cell_width = common.rx, common.ry, common.cell_width
+    addresses, sizes, constants = formulas.addresses, formulas.sizes, formulas.constants[0]
     n = load.shape[0]
     E, P, blade_count, with_cells, with_stretch = sizes[0], sizes[1], sizes[2], sizes[3], sizes[4]
     own = max(0, E - FORCE)
@@ -85,7 +103,7 @@ def single_step(  # type: ignore[no-untyped-def]
     y = np.zeros(Y)
     copy_into(y[:after_memory], state[:after_memory])
     copy_into(y[after_memory : after_memory + INERTIA], inertia)
-    copy_into(y[after_memory + INERTIA :], parameters)
+    copy_into(y[after_memory + INERTIA :], formulas.parameters[model])
     out = np.zeros(BODY_OUTPUTS + 4 * blade_count)
     dout = np.zeros((BODY_OUTPUTS + 4 * blade_count, Y))
     factor, drag, drag_sums = np.ones(n), np.zeros(n), np.zeros(4)
@@ -105,7 +123,7 @@ def single_step(  # type: ignore[no-untyped-def]
     rho2 = (SPIN_RADIUS * cell_width) ** 2
     cells = EffectCells(loads, rx, ry, rho2, eps2, qxx, qxy, qyy, longest, drag_sums, blades)
     load_sum = load.sum()
-    cone = cone_of(mu, smoothing, load_sum, compliance, h)
+    cone = cone_of(maps.mu[model], smoothing, load_sum, compliance, h)
     body = (inertia[0], inertia[1], inertia[2], inertia[3])
     about_center = inertia[3] - (inertia[1] * inertia[1] + inertia[2] * inertia[2]) / inertia[0]
 
@@ -131,32 +149,19 @@ def single_step(  # type: ignore[no-untyped-def]
         tip0 = (tip[0, 0] - bend_x, tip[0, 1] - bend_y)
         tip1 = (tip[1, 0] - bend_x, tip[1, 1] - bend_y)
         frame = middle_frame(x, yy, cos, sin, quarter, v, h, tip0, tip1)
-        spring_x, spring_y = turned(frame.cos, -frame.sin, bend_x / h, bend_y / h)
-        frame = Frame(
-            frame.cos, frame.sin, frame.tip_x, frame.tip_y, frame.speed_x, frame.speed_y, spring_x, spring_y
-        )
-        count = touching(frame, v, h, radius, size, edges, rows, gain + abs(spring_x) + abs(spring_y))
+        frame = bent_frame(frame, bend_x, bend_y, h)
+        gain = gain + abs(frame.spring_x) + abs(frame.spring_y)
+        count = touching(frame, v, h, common, rows, gain)
     first = contact_of(rows, 0, frame, v, h, cone)
     second = contact_of(rows, 1, frame, v, h, cone)
     star = (kappa * free_x + added_x, kappa * free_y + added_y, kappa * free_w + added_w)
     scaled = (kappa * body[0], kappa * body[1], kappa * body[2], kappa * body[3])
     derive = jacobian_out.shape[1] > 0
-    solution = solve_step(cells, scaled, star, h, first, second, count, cone, size, v, derive)
-    new = (solution.vx, solution.vy, solution.omega)
-    minimum = solution.minimum
-    impulse1, impulse2 = minimum.first, minimum.second
-    force_x = -first.nx * impulse1.normal - first.ny * impulse1.tangential
-    force_x -= second.nx * impulse2.normal + second.ny * impulse2.tangential
-    force_y = first.nx * impulse1.tangential - first.ny * impulse1.normal
-    force_y += second.nx * impulse2.tangential - second.ny * impulse2.normal
-    world_x, world_y = turned(frame.cos, frame.sin, force_x / h, force_y / h)
-
-    # The pose moves along the screw of v⁺, as in `kernel.rollout`.
-    turn = turn_by(0.25 * h * new[2])
-    half_cos, half_sin = joined(turn.cos, turn.sin, turn.cos, turn.sin)
-    mid_cos, mid_sin = joined(cos, sin, half_cos, half_sin)
-    wx, wy = turned(mid_cos, mid_sin, new[0], new[1])
-    length = h * turn.sinc * turn.cos
+    step = Step(cells, scaled, star, h, first, second, count, cone, size, v, quarter, frame)
+    taken = take_step(step, v, derive, cos, sin)
+    new, minimum, solved, way = taken.new, taken.minimum, taken.solved, taken.way
+    world_x, world_y = turned(frame.cos, frame.sin, taken.impulse_x / h, taken.impulse_y / h)
+    length, wx, wy = way.length, way.wx, way.wy
     next_out[0], next_out[1], next_out[2] = x + length * wx, yy + length * wy, theta + h * new[2]
     next_out[3], next_out[4], next_out[5] = new
     next_out[6], next_out[7] = world_x, world_y
@@ -165,22 +170,18 @@ def single_step(  # type: ignore[no-untyped-def]
         remembered = np.zeros(own)
         call_address(addresses[3], (y, constants, next_out[:AFTER].copy(), remembered, down))
         copy_into(next_out[AFTER : AFTER + own], remembered)
-    failed = solution.evaluations > MAX_EVALUATIONS
-    next_out[AFTER + own] = -1.0 if failed else float(solution.evaluations)
+    failed = taken.evaluations > MAX_EVALUATIONS
+    next_out[AFTER + own] = -1.0 if failed else float(taken.evaluations)
     if not derive:
         return
 
     # Direct derivatives of the step's gradient g and of the finger's impulse f at fixed v⁺: first by y (with
     # the state and the memory), then sorted into the columns.
-    A, extra, dforce = np.zeros((3, 6)), np.zeros((3, EXTRA_COLUMNS)), np.zeros((2, 10))
-    step_derivative(
-        v, new, h, scaled, cone, frame, quarter, first, second, impulse1, impulse2, A, extra, dforce
-    )
+    slopes = Slopes(np.zeros((3, 6)), np.zeros((3, EXTRA_COLUMNS)), np.zeros((2, 10)))
+    step_derivative(solved, slopes)
+    A, extra, dforce = slopes
     lever_x, lever_y = h * fx, h * fy
-    turning = -h * (px * fx + py * fy)
-    for row, lever in enumerate((lever_y, -lever_x, turning)):
-        A[row, 2] -= lever
-        A[row, 5] -= 0.5 * h * lever
+    add_applied_turning(A, Applied(lever_x, lever_y, -h * (px * fx + py * fy), 0.0), h)
     by_load = np.zeros((3, n))
     load_gradients(cells, new, by_load)
     G, F = np.zeros((3, Y)), np.zeros((2, Y))
@@ -194,16 +195,11 @@ def single_step(  # type: ignore[no-untyped-def]
         stretch_gradients(cells, new, by_stretch)
         weigh_cells(load, factor, h, by_load, by_drag, by_stretch, weighted_load)
         call_address(addresses[2], (y, constants, rx, ry, weighted_load, by_drag, by_stretch, G))
-    scale_g, scale_f = np.zeros((3, 2)), np.zeros((2, 2))
-    add_contact_scale(
-        first, second, impulse1, impulse2, cone, new, h, smoothing[1], load_sum, scale_g, scale_f
-    )
-    spring_g, spring_f = np.zeros((3, 3)), np.zeros((2, 3))
+    contact_slopes = no_contact_slopes()
+    scale_g, scale_f, spring_g, spring_f = contact_slopes
+    set_contact_scale(solved, smoothing[1], load_sum, contact_slopes)
     if E > 0:
-        last = (y[STATE], y[STATE + 1])
-        add_spring_columns(
-            v, new, h, cone, frame, first, second, impulse1, impulse2, last, compliance, spring_g, spring_f
-        )
+        set_spring_columns(solved, (y[STATE], y[STATE + 1]), contact_slopes)
         add_columns(G, STATE, spring_g, FORCE)
         add_columns(F, STATE, spring_f, FORCE)
     for k in range(Y):
@@ -248,23 +244,22 @@ def single_step(  # type: ignore[no-untyped-def]
     g[2, at_wrench + 1] = h * (py * ss - px * cc)
     g[2, at_wrench + 2], g[2, at_wrench + 3], g[2, at_wrench + 4] = -lever_y, lever_x, -h
     tip_g, tip_f = np.zeros((3, 4)), np.zeros((2, 4))
-    for k in range(2):
-        contact = first if k == 0 else second
-        impulse = impulse1 if k == 0 else impulse2
+    none = (0.0, 0.0)
+    for i in range(2):
+        contact = first if i == 0 else second
+        impulse = minimum.first if i == 0 else minimum.second
         if impulse.state != SEPARATE:
-            common = (v, new, h, cone, frame, contact, impulse, tip_g, tip_f)
+            change = contact_change(solved, contact, impulse, tip_g, tip_f)
             c, s = frame.cos, frame.sin
             for end in range(2):
                 sign = (-1.0 if end == 0 else 1.0) / h
-                add_column(2 * end, 0.5 * c, -0.5 * s, sign * c, -sign * s, 0.0, 0.0, 0.0, 0.0, common)
-                add_column(2 * end + 1, 0.5 * s, 0.5 * c, sign * s, sign * c, 0.0, 0.0, 0.0, 0.0, common)
+                add_column(2 * end, (0.5 * c, -0.5 * s), (sign * c, -sign * s), none, none, change)
+                add_column(2 * end + 1, (0.5 * s, 0.5 * c), (sign * s, sign * c), none, none, change)
     add_columns(g, at_tip, tip_g, INPUTS - 5)
     add_columns(f, at_tip, tip_f, INPUTS - 5)
 
     # Implicit function theorem: dv⁺ = -H⁻¹ dg; then the pose, the force and the memory.
-    slope = 0.25 * h * h * (turn.sinc_slope * turn.cos - turn.sinc * turn.sin)
-    bend = 0.5 * h * length
-    to_x, to_y = slope * wx - bend * wy, slope * wy + bend * wx
+    to_x, to_y = way_by_spin(way, h)
     J = jacobian_out
     for j in range(columns):
         gx, gy, gw = g[0, j], g[1, j], g[2, j]
@@ -274,8 +269,8 @@ def single_step(  # type: ignore[no-untyped-def]
         dx = 1.0 if j == at_state else 0.0
         dy = 1.0 if j == at_state + 1 else 0.0
         dtheta = 1.0 if j == at_state + 2 else 0.0
-        J[0, j] = dx + length * (-wy * dtheta + mid_cos * dvx - mid_sin * dvy) + to_x * dw
-        J[1, j] = dy + length * (wx * dtheta + mid_sin * dvx + mid_cos * dvy) + to_y * dw
+        J[0, j] = dx + length * (-wy * dtheta + way.cos * dvx - way.sin * dvy) + to_x * dw
+        J[1, j] = dy + length * (wx * dtheta + way.sin * dvx + way.cos * dvy) + to_y * dw
         J[2, j] = dtheta + h * dw
         J[3, j], J[4, j], J[5, j] = dvx, dvy, dw
         dfx = f[0, j] + dforce[0, 6] * dvx + dforce[0, 7] * dvy + dforce[0, 8] * dw
@@ -293,20 +288,19 @@ def single_step(  # type: ignore[no-untyped-def]
 
 
 @compiled()
-def single_steps(  # type: ignore[no-untyped-def]
-    load, rx, ry, inertia, mu, cell_width, edges, radius, size, smoothing, h, state, tip, wrench,
-    addresses, sizes, constants, parameters, next_out, jacobian_out,
-):  # fmt: skip
+def single_steps(common, maps, formulas, drive, state, next_out, jacobian_out):  # type: ignore[no-untyped-def]
     """One step of K models, one after the other: waking other threads takes longer than the steps.
 
-    Shapes: load (K, n), inertia (K, 4), mu (K,), state (K, Z), parameters (K, P), next_out (K, Z + 1),
-    jacobian_out (K, Z, columns); the others as in `single_step`.
+    Args:
+        common: fields of `Common`.
+        maps: fields of `ReducedMaps`.
+        formulas: fields of `Formulas`; its constants have one row, with the time in the middle of the step.
+        drive: fields of `Drive`.
+        state: (K, Z) before the step, Z = 8 + the effects' own memory.
+        next_out: (K, Z + 1) result: state after the step, and the number of evaluations, negative if the step
+            was not solved.
+        jacobian_out: (K, Z, columns) result, or an array without columns for none.
     """
-    for k in range(load.shape[0]):
-        single_step(
-            load[k], rx, ry, inertia[k], mu[k], cell_width, edges, radius, size, smoothing, h, state[k], tip,
-            wrench, addresses, sizes, constants, parameters[k], next_out[k], jacobian_out[k],
-        )  # fmt: skip
-
-
-__all__ = ["INPUTS", "single_steps"]
+    common, maps, formulas, drive = Common(*common), ReducedMaps(*maps), Formulas(*formulas), Drive(*drive)
+    for k in range(len(state)):
+        _single_step(k, common, maps, formulas, drive, state[k], next_out[k], jacobian_out[k])

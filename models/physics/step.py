@@ -4,7 +4,7 @@ Over a step of length h the object's twist v (object frame, at the frame's origi
 
     v⁺ = argmin  ½ (v - v*)ᵀ M (v - v*)  +  h Σ_i f_i φ_i(v)  +  ℓ_contact(v)
 
-with the free motion v*, the friction loads f_i = mu_i N_i and norms φ_i of `friction.py`, and the contact of
+with the free motion v*, the friction loads f_i = mu_i N_i and norms φ_i of `newton.py`, and the contact of
 `contact.py`. The masses enter through total mass m, first moment s = Σ m_i r_i and second moment
 J = Σ m_i (|r_i|² + w²/6) alone: the rigid reduction of the paper's 3n equations.
 
@@ -21,19 +21,23 @@ Where a contact is at the edge between sticking, sliding and apart, derivatives 
 the solution was found (one-sided).
 
 For each friction load f_i the gradient's derivative is h times φ_i's own gradient, less the contact impulse
-over Σ f, as the contact's stiffness grows with Σ f; `sensitivity.py` adds it cell by cell.
+over Σ f, as the contact's stiffness grows with Σ f; rollouts add it cell by cell.
 """
 
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
 
 from slipmap.models.physics.compiled import compiled
 from slipmap.models.physics.contact import (
     SEPARATE,
     SLIDE_BACK,
     SLIDE_FORWARD,
+    Cone,
     Contact,
     cone_matrix,
     find_contacts,
@@ -41,8 +45,9 @@ from slipmap.models.physics.contact import (
     stiffening_of,
     stiffening_slope,
 )
-from slipmap.models.physics.kernel_tools import joined, turned
+from slipmap.models.physics.kernel_tools import Turn, joined, turned
 from slipmap.models.physics.newton import (
+    Impulse,
     Minimum,
     minimum_of,
     slope_along,
@@ -51,38 +56,31 @@ from slipmap.models.physics.newton import (
     with_contact,
 )
 
-START_COLUMNS = 6
 INERTIA_COLUMNS = 4
-EXTRA_COLUMNS = INERTIA_COLUMNS + 1 + START_COLUMNS
+EXTRA_COLUMNS = INERTIA_COLUMNS + 1 + 6
 """Columns after the n loads: inertia, finger friction, start."""
 
 MAX_EVALUATIONS = 60
-CONTACT_MARGIN = 1e-3
-"""Gaps larger than this, and than what the step can close, are left out of the step (m)."""
 
-VELOCITY_TOLERANCE = 1e-14
-"""Newton stops when the error left is below this speed (m/s, rotation counted at the object's radius)."""
-
-REST = 1e-60
-"""Speeds below this are zero (m/s): subnormal numbers slow a processor down a hundredfold."""
-
-HESSIAN_TOLERANCE = 1e-8
-"""Relative error of the Hessian that the derivatives may inherit."""
+# Gaps larger than this, and than what the step can close, are left out of the step, m.
+_CONTACT_MARGIN = 1e-3
+# Newton stops when the error left is below this speed, m/s, rotation counted at the object's radius.
+_VELOCITY_TOLERANCE = 1e-14
+# Speeds below this are zero, m/s: subnormal numbers slow a processor down a hundredfold.
+_REST = 1e-60
+# Relative error of the Hessian that the derivatives may inherit.
+_HESSIAN_TOLERANCE = 1e-8
 
 
 class Frame(NamedTuple):
     """Middle frame of a step, in which its problem is written, and the finger seen from it.
 
     Attributes:
-        cos: cosine of its angle in the world.
-        sin: the sine.
-        tip_x: finger centre in the middle of the step, m.
-        tip_y: the same, y.
-        speed_x: velocity of the finger, m/s.
-        speed_y: the same, y.
-        spring_x: speed at which a finger that bends (see `slipmap.models.effects`) would straighten within the step
-            if nothing held it, m/s; 0 for a rigid one.
-        spring_y: the same, y.
+        cos, sin: of its angle in the world.
+        tip_x, tip_y: finger centre in the middle of the step, m.
+        speed_x, speed_y: velocity of the finger, m/s.
+        spring_x, spring_y: speed at which a finger that bends would straighten within the step if nothing
+            held it, m/s; 0 for a rigid one.
     """
 
     cos: float
@@ -95,31 +93,53 @@ class Frame(NamedTuple):
     spring_y: float
 
 
+class Step(NamedTuple):
+    """One step before it is solved.
+
+    Attributes:
+        cells: `Cells`, or another class registered with `newton.register_cells`.
+        inertia: m, s_x, s_y, J.
+        star: momentum of the free motion and of applied forces: p_x, p_y and L about the frame's origin.
+        h: its length, s.
+        first, second: nearest contact and the next.
+        contacts: how many of them there are.
+        cone: law of the contacts.
+        size: radius of the object, m, at which rotation counts.
+        v: twist before it, object frame.
+        quarter: `Turn` by h omega / 4.
+        frame: its middle frame.
+    """
+
+    cells: Any
+    inertia: tuple[float, float, float, float]
+    star: tuple[float, float, float]
+    h: float
+    first: Contact
+    second: Contact
+    contacts: int
+    cone: Cone
+    size: float
+    v: tuple[float, float, float]
+    quarter: Turn
+    frame: Frame
+
+
 class Solution(NamedTuple):
     """Solved step: the new twist, the last Newton iteration, and how often the cells were summed over.
 
     `evaluations` is above `MAX_EVALUATIONS` if the minimum was not reached.
     """
 
-    vx: float
-    vy: float
-    omega: float
+    new: tuple[float, float, float]
     minimum: Minimum
     evaluations: int
 
 
 @compiled(forceinline=True, fastmath={"contract"})
 def free_momentum(inertia, v, cos, sin):  # type: ignore[no-untyped-def]
-    """Momentum of the free motion, in the new frame: the linear part turns by -h omega, the spin stays.
+    """Momentum p_x, p_y, L of the free motion from the last twist v, about the new frame's origin.
 
-    Args:
-        inertia: m, s_x, s_y, J.
-        v: twist of the last step.
-        cos: cosine of h omega.
-        sin: sine of h omega.
-
-    Returns:
-        p_x, p_y and L about the frame's origin.
+    Seen from that frame the linear part turns by -h omega, whose cosine and sine are given; the spin stays.
     """
     m, sx, sy, J = inertia
     vx, vy, omega = v
@@ -148,70 +168,65 @@ def _change_of_hessian(minimum, bend, d, h, size):  # type: ignore[no-untyped-de
 
 
 @compiled(forceinline=True, fastmath={"contract"})
-def solve_step(cells, inertia, star, h, first, second, count, cone, size, start, exact_hessian):  # type: ignore[no-untyped-def]
-    """Minimise the step's function.
+def solve_step(step, start, exact_hessian):  # type: ignore[no-untyped-def]
+    """`Solution` of a step: the minimum of its function.
 
     Newton on the smooth part, with the contact kept exact in every iteration (`solve_with_contacts`). Steps
     that overshoot are left to `_bracketed`. Half the relative change of the Hessian along a Newton step,
     times that step, bounds the error after it: where that is small, nothing needs to be evaluated there.
 
     Args:
-        cells: see `Cells`.
-        inertia: m, s_x, s_y, J.
-        star: momentum of the free motion and of applied forces.
-        h: step, s.
-        first: nearest contact.
-        second: next contact.
-        count: number of contacts.
-        cone: law of the contacts.
-        size: radius of the object, m.
+        step: `Step`.
         start: guess of the new twist.
         exact_hessian: whether the inverse Hessian must be that at the solution.
-
-    Returns:
-        `Solution`.
     """
+    size = step.size
     v = start
-    model, bend = smooth_model(cells, inertia, star, h, v)
+    model, bend = _smooth_part(step, v)
     evaluations = 1
     try_rest = True
     while True:
-        minimum = solve_with_contacts(model, v, first, second, count, cone)
+        minimum = solve_with_contacts(model, v, step.first, step.second, step.contacts, step.cone)
         d = (minimum.dx, minimum.dy, minimum.dw)
         trial = (v[0] + d[0], v[1] + d[1], v[2] + d[2])
-        change = _change_of_hessian(minimum, bend, d, h, size)
-        if 0.5 * change * _size_of(d, size) < VELOCITY_TOLERANCE:
+        change = _change_of_hessian(minimum, bend, d, step.h, size)
+        if 0.5 * change * _size_of(d, size) < _VELOCITY_TOLERANCE:
             break
-        slope = slope_along(model, v, d, first, second, count, cone)
-        trial_model, trial_bend = smooth_model(cells, inertia, star, h, trial)
+        slope = _slope(step, model, v, d)
+        trial_model, trial_bend = _smooth_part(step, trial)
         evaluations += 1
-        new_slope = slope_along(trial_model, trial, d, first, second, count, cone)
+        new_slope = _slope(step, trial_model, trial, d)
         if new_slope > 0.0 and new_slope > -0.5 * slope:
-            v, model, bend, evaluations = _bracketed(
-                cells, inertia, star, h, first, second, count, cone, size, v, d, slope, new_slope,
-                evaluations, try_rest,
-            )  # fmt: skip
+            v, model, bend, evaluations = _bracketed(step, v, d, slope, new_slope, evaluations, try_rest)
             try_rest = False
         else:
             v, model, bend = trial, trial_model, trial_bend
         if evaluations > MAX_EVALUATIONS:
-            return Solution(v[0], v[1], v[2], minimum, evaluations)
-    if exact_hessian and change > HESSIAN_TOLERANCE:
-        model, _ = smooth_model(cells, inertia, star, h, trial)
+            return Solution(v, minimum, evaluations)
+    if exact_hessian and change > _HESSIAN_TOLERANCE:
+        model, _ = _smooth_part(step, trial)
         evaluations += 1
         impulse1, impulse2 = minimum.first, minimum.second
-        model = with_contact(model, first, cone, impulse1.state, 0.0, 0.0)
-        model = with_contact(model, second, cone, impulse2.state, 0.0, 0.0)
+        model = with_contact(model, step.first, step.cone, impulse1.state, 0.0, 0.0)
+        model = with_contact(model, step.second, step.cone, impulse2.state, 0.0, 0.0)
         minimum = minimum_of(model, impulse1, impulse2)
-    if _size_of(trial, size) < REST:
+    if _size_of(trial, size) < _REST:
         trial = (0.0, 0.0, 0.0)
-    return Solution(trial[0], trial[1], trial[2], minimum, evaluations)
+    return Solution(trial, minimum, evaluations)
+
+
+@compiled(forceinline=True, fastmath={"contract"})
+def _smooth_part(step, v):  # type: ignore[no-untyped-def]
+    return smooth_model(step.cells, step.inertia, step.star, step.h, v)
+
+
+@compiled(forceinline=True, fastmath={"contract"})
+def _slope(step, model, v, d):  # type: ignore[no-untyped-def]
+    return slope_along(model, v, d, step.first, step.second, step.contacts, step.cone)
 
 
 @compiled()
-def _bracketed(  # type: ignore[no-untyped-def]
-    cells, inertia, star, h, first, second, count, cone, size, v, d, slope, high_slope, evaluations, try_rest
-):  # fmt: skip
+def _bracketed(step, v, d, slope, high_slope, evaluations, try_rest):  # type: ignore[no-untyped-def]
     """Point along d, where the full step overshoots, at which the slope has fallen to half.
 
     Along a descent direction the slope of a convex function grows, so the minimum is bracketed. An overshoot
@@ -223,19 +238,20 @@ def _bracketed(  # type: ignore[no-untyped-def]
     """
     if try_rest:
         rest = (0.0, 0.0, 0.0)
-        model, bend = smooth_model(cells, inertia, star, h, rest)
+        model, bend = _smooth_part(step, rest)
         evaluations += 1
-        minimum = solve_with_contacts(model, rest, first, second, count, cone)
-        if _size_of((minimum.dx, minimum.dy, minimum.dw), size) < 2.0 * math.sqrt(cells.eps2):
+        minimum = solve_with_contacts(model, rest, step.first, step.second, step.contacts, step.cone)
+        way = (minimum.dx, minimum.dy, minimum.dw)
+        if _size_of(way, step.size) < 2.0 * math.sqrt(step.cells.eps2):
             return rest, model, bend, evaluations
     low, low_slope, high = 0.0, slope, 1.0
     while True:
         secant = low + (high - low) * low_slope / (low_slope - high_slope)
         t = 0.5 * (min(max(secant, low), high) + 0.5 * (low + high))
         trial = (v[0] + t * d[0], v[1] + t * d[1], v[2] + t * d[2])
-        model, bend = smooth_model(cells, inertia, star, h, trial)
+        model, bend = _smooth_part(step, trial)
         evaluations += 1
-        new_slope = slope_along(model, trial, d, first, second, count, cone)
+        new_slope = _slope(step, model, trial, d)
         found = abs(new_slope) <= -0.5 * slope or high - low < 1e-9
         if found or evaluations > MAX_EVALUATIONS:
             return trial, model, bend, evaluations
@@ -250,15 +266,12 @@ def middle_frame(x, y, cos, sin, quarter, v, h, tip0, tip1):  # type: ignore[no-
     """`Frame` at the middle of the step, predicted from the last twist.
 
     Args:
-        x: object's origin before the step, world, m.
-        y: the same, y.
-        cos: cosine of its angle.
-        sin: sine of its angle.
+        x, y: object's origin before the step, world, m.
+        cos, sin: of its angle.
         quarter: `Turn` by h omega / 4.
         v: last twist, object frame.
         h: step, s.
-        tip0: finger centre at the start of the step, world, m.
-        tip1: the same at its end.
+        tip0, tip1: finger centre at the start of the step and at its end, world, m.
     """
     half_cos = quarter.cos * quarter.cos - quarter.sin * quarter.sin
     half_sin = 2.0 * quarter.cos * quarter.sin
@@ -274,28 +287,17 @@ def middle_frame(x, y, cos, sin, quarter, v, h, tip0, tip1):  # type: ignore[no-
 
 
 @compiled(forceinline=True, fastmath={"contract"})
-def touching(frame, v, h, radius, size, edges, rows, gain):  # type: ignore[no-untyped-def]
-    """Find the contacts of a step.
+def touching(frame, v, h, common, rows, gain):  # type: ignore[no-untyped-def]
+    """Number of contacts of a step, which are written into rows (MAX_CONTACTS, CONTACT_COLUMNS).
 
-    Args:
-        frame: the step's middle frame.
-        v: last twist.
-        h: step, s.
-        radius: finger radius, m.
-        size: radius of the object, m.
-        edges: (E, 4) outline.
-        rows: (MAX_CONTACTS, CONTACT_COLUMNS) room for `find_contacts`.
-        gain: most speed that applied forces give any point of the object in the step, m/s.
-
-    Returns:
-        Number of contacts; they are in `rows`.
+    `gain` is the most speed, m/s, that applied forces give any point of the object in the step.
     """
-    speeds = abs(frame.speed_x) + abs(frame.speed_y) + _size_of(v, size) + gain
-    reach = CONTACT_MARGIN + 2.0 * h * speeds
-    far = size + radius + reach
+    speeds = abs(frame.speed_x) + abs(frame.speed_y) + _size_of(v, common.size) + gain
+    reach = _CONTACT_MARGIN + 2.0 * h * speeds
+    far = common.size + common.radius + reach
     if frame.tip_x * frame.tip_x + frame.tip_y * frame.tip_y > far * far:
         return 0
-    return find_contacts(frame.tip_x, frame.tip_y, radius, reach, edges, rows)
+    return find_contacts(frame.tip_x, frame.tip_y, common.radius, reach, common.edges, rows)
 
 
 @compiled(forceinline=True, fastmath={"contract"})
@@ -315,47 +317,71 @@ def contact_of(rows, k, frame, v, h, cone):  # type: ignore[no-untyped-def]
     return Contact(nx, ny, x, y, nw, tw, closing, drag, turn, slide, gap, stiffening, normal, ratio)
 
 
-# Partial derivatives of one step at its solution, by the state before it and by what all cells share.
+class Solved(NamedTuple):
+    """A solved step, as its derivatives need it; attributes as in `Step`, and
 
-
-@compiled()
-def step_derivative(  # type: ignore[no-untyped-def]
-    v, new, h, inertia, cone, frame, quarter, first, second, impulse1, impulse2, A, extra, dforce
-):  # fmt: skip
-    """Partial derivatives of the step's gradient and of the contact force at the solution.
-
-    Args:
-        v: twist before the step.
+    Attributes:
         new: solution v⁺.
-        h: step, s.
-        inertia: m, s_x, s_y, J.
-        cone: law of the contacts.
-        frame: middle `Frame` of the step.
-        quarter: `Turn` by h omega / 4.
-        first: nearest contact.
-        second: next contact.
-        impulse1: solved `Impulse` of the first contact, without state where it is absent.
-        impulse2: the same of the second.
-        A: (3, 6) result: d(gradient)/d(x, y, θ, v_x, v_y, omega).
-        extra: (3, n) result, first five columns: d(gradient)/d(m, s_x, s_y, J, mu).
-        dforce: (2, 10) result: d(force impulse, middle frame) by x, y, θ, v_x, v_y, omega, then v⁺ (3), then
-            mu; for each f_i it is force / Σ f.
+        impulse1, impulse2: solved `Impulse` of the two contacts, without state where one is absent.
     """
-    for i in range(3):
-        A[i, 0] = A[i, 1] = A[i, 2] = extra[i, 4] = 0.0
-    for j in range(10):
-        dforce[0, j] = dforce[1, j] = 0.0
-    _free_motion(v, new, h, inertia, quarter, A, extra)
-    if impulse1.state != SEPARATE:
-        _contact(v, new, h, cone, frame, quarter, first, impulse1, A, extra, dforce)
-    if impulse2.state != SEPARATE:
-        _contact(v, new, h, cone, frame, quarter, second, impulse2, A, extra, dforce)
+
+    v: tuple[float, float, float]
+    new: tuple[float, float, float]
+    h: float
+    inertia: tuple[float, float, float, float]
+    cone: Cone
+    frame: Frame
+    quarter: Turn
+    first: Contact
+    second: Contact
+    impulse1: Impulse
+    impulse2: Impulse
 
 
 @compiled(forceinline=True)
-def _free_motion(v, new, h, inertia, quarter, A, extra):  # type: ignore[no-untyped-def]
+def solved_step(step, new, minimum):  # type: ignore[no-untyped-def]
+    """`Solved` of a step whose solution v⁺ is known, with the `Minimum` there."""
+    return Solved(
+        step.v, new, step.h, step.inertia, step.cone, step.frame, step.quarter, step.first, step.second,
+        minimum.first, minimum.second,
+    )  # fmt: skip
+
+
+class Slopes(NamedTuple):
+    """Partial derivatives of a solved step, filled in by `step_derivative`.
+
+    Attributes:
+        A: (3, 6) d(gradient)/d(x, y, θ, v_x, v_y, omega).
+        extra: (3, …) first five columns: d(gradient)/d(m, s_x, s_y, J, mu).
+        force: (2, 10) d(force impulse, middle frame) by x, y, θ, v_x, v_y, omega, then v⁺ (3), then mu; for
+            each f_i it is force / Σ f.
+    """
+
+    A: NDArray[np.float64]
+    extra: NDArray[np.float64]
+    force: NDArray[np.float64]
+
+
+@compiled()
+def step_derivative(solved, slopes):  # type: ignore[no-untyped-def]
+    """Fill in the `Slopes` of a `Solved` step."""
+    for i in range(3):
+        slopes.A[i, 0] = slopes.A[i, 1] = slopes.A[i, 2] = slopes.extra[i, 4] = 0.0
+    for j in range(10):
+        slopes.force[0, j] = slopes.force[1, j] = 0.0
+    _free_motion(solved, slopes)
+    if solved.impulse1.state != SEPARATE:
+        _contact(solved, solved.first, solved.impulse1, slopes)
+    if solved.impulse2.state != SEPARATE:
+        _contact(solved, solved.second, solved.impulse2, slopes)
+
+
+@compiled(forceinline=True)
+def _free_motion(solved, slopes):  # type: ignore[no-untyped-def]
     """Momentum of v⁺ less that of the free motion: linear in the inertia, turned by -h omega."""
-    m, sx, sy, J = inertia
+    v, new, h, quarter = solved.v, solved.new, solved.h, solved.quarter
+    A, extra = slopes.A, slopes.extra
+    m, sx, sy, J = solved.inertia
     half_cos, half_sin = joined(quarter.cos, quarter.sin, quarter.cos, quarter.sin)
     c, s = joined(half_cos, half_sin, half_cos, half_sin)
     px = m * v[0] - sy * v[2]
@@ -390,8 +416,15 @@ def _free_motion(v, new, h, inertia, quarter, A, extra):  # type: ignore[no-unty
 
 
 @compiled(forceinline=True)
-def _contact(v, new, h, cone, frame, quarter, contact, impulse, A, extra, dforce):  # type: ignore[no-untyped-def]
+def contact_change(solved, contact, impulse, A, dforce):  # type: ignore[no-untyped-def]
+    """What `add_column` needs of one contact of a `Solved` step, and the arrays that it adds to."""
+    return solved.v, solved.new, solved.h, solved.cone, solved.frame, contact, impulse, A, dforce
+
+
+@compiled(forceinline=True)
+def _contact(solved, contact, impulse, slopes):  # type: ignore[no-untyped-def]
     """Add one contact's part."""
+    h, v, quarter, frame = solved.h, solved.v, solved.quarter, solved.frame
     y, x = contact.y, contact.x
     cos, sin = frame.cos, frame.sin
     vfx, vfy = frame.speed_x, frame.speed_y
@@ -399,39 +432,40 @@ def _contact(v, new, h, cone, frame, quarter, contact, impulse, A, extra, dforce
     way = 0.5 * h * quarter.sinc
     wx, wy = turned(quarter.cos, -quarter.sin, v[0], v[1])
     stretch = 0.125 * h * h * quarter.sinc_slope
-    common = (v, new, h, cone, frame, contact, impulse, A, dforce)
+    change = contact_change(solved, contact, impulse, slopes.A, slopes.force)
     bx, by = frame.spring_x, frame.spring_y
-    add_column(0, -cos, sin, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, common)
-    add_column(1, -sin, -cos, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, common)
-    add_column(2, way * wy + frame.tip_y, -way * wx - frame.tip_x, vfy, -vfx, by, -bx, 0.0, 0.0, common)
-    add_column(3, -way * quarter.cos, way * quarter.sin, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, common)
-    add_column(4, -way * quarter.sin, -way * quarter.cos, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0, common)
+    none = (0.0, 0.0)
+    add_column(0, (-cos, sin), none, none, none, change)
+    add_column(1, (-sin, -cos), none, none, none, change)
+    place = (way * wy + frame.tip_y, -way * wx - frame.tip_x)
+    add_column(2, place, (vfy, -vfx), (by, -bx), none, change)
+    add_column(3, (-way * quarter.cos, way * quarter.sin), none, none, (1.0, 0.0), change)
+    add_column(4, (-way * quarter.sin, -way * quarter.cos), none, none, (0.0, 1.0), change)
     half = 0.5 * h
     dpx = half * (0.5 * way * wy + frame.tip_y) - stretch * wx
     dpy = -half * (0.5 * way * wx + frame.tip_x) - stretch * wy
-    add_column(5, dpx, dpy, half * vfy, -half * vfx, half * by, -half * bx, -y, x, common)
-    _by_new_twist(cone, contact, impulse, dforce)
+    add_column(5, (dpx, dpy), (half * vfy, -half * vfx), (half * by, -half * bx), (-y, x), change)
+    _by_new_twist(solved.cone, contact, impulse, slopes.force)
     if impulse.state == SLIDE_FORWARD or impulse.state == SLIDE_BACK:
-        _by_finger_friction(new, cone, contact, impulse, extra, dforce)
+        _by_finger_friction(solved.new, solved.cone, contact, impulse, slopes)
 
 
 @compiled(forceinline=True, fastmath={"contract", "nnan", "nsz"})
-def add_column(j, dpx, dpy, dvfx, dvfy, dbx, dby, dux, duy, common):  # type: ignore[no-untyped-def]
-    """Add to column j of A and dforce what follows from three changes, all in the middle frame.
+def add_column(j, place, speed, spring, twist, change):  # type: ignore[no-untyped-def]
+    """Add to column j of A and dforce what follows from four changes (x, y), all in the middle frame.
 
     Args:
         j: column.
-        dpx: change of the finger's place in the middle of the step, x.
-        dpy: the same, y.
-        dvfx: change of its velocity, x.
-        dvfy: the same, y.
-        dbx: change of the speed at which a bent finger would straighten, x.
-        dby: the same, y.
-        dux: change of the last twist's velocity at the contact, x.
-        duy: the same, y.
-        common: what all columns share.
+        place, speed: change of the finger's place in the middle of the step, and of its velocity.
+        spring: of the speed at which a bent finger would straighten.
+        twist: of the last twist's velocity at the contact.
+        change: see `contact_change`.
     """
-    v, new, h, cone, frame, contact, impulse, A, dforce = common
+    v, new, h, cone, frame, contact, impulse, A, dforce = change
+    dpx, dpy = place
+    dvfx, dvfy = speed
+    dbx, dby = spring
+    dux, duy = twist
     gamma_n, gamma_t = impulse.normal, impulse.tangential
     nx, ny, x, y = contact.nx, contact.ny, contact.x, contact.y
     tx, ty = -ny, nx
@@ -496,8 +530,9 @@ def _by_new_twist(cone, contact, impulse, dforce):  # type: ignore[no-untyped-de
 
 
 @compiled(forceinline=True)
-def _by_finger_friction(new, cone, contact, impulse, extra, dforce):  # type: ignore[no-untyped-def]
+def _by_finger_friction(new, cone, contact, impulse, slopes):  # type: ignore[no-untyped-def]
     """Add the change of gradient and force of a sliding contact by mu."""
+    extra, dforce = slopes.extra, slopes.force
     nx, ny = contact.nx, contact.ny
     sign = 1.0 if impulse.state == SLIDE_FORWARD else -1.0
     _, y_t = springs(contact, cone, new[0], new[1], new[2])

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 import sympy as sp
 
-from slipmap.models.effects.formulas import _Printer, backward_loop, derivative
+from slipmap.models.effects.backward_loop import backward_loop
+from slipmap.models.effects.formulas import _Printer, derivative
 
 RX, RY = sp.symbols("r_x r_y", real=True)
 Y = sp.symbols("y0:5", real=True)

@@ -3,13 +3,13 @@
 import time
 
 import numpy as np
+import paper_reference as paper
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
 from slipmap.models.objects import cells_from_polygon
-from slipmap.models.physics import paper_notation as paper
 
 W = 0.02
 L_CELLS = W * np.array([[0, 0], [1, 0], [2, 0], [0, 1], [0, 2], [1, 2], [0, 3]], dtype=float) + [0.013, -0.04]

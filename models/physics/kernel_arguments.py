@@ -1,0 +1,125 @@
+"""What the compiled kernels take and fill in, by name.
+
+Numba needs about a microsecond to recognise a named tuple in a call from Python, and none for a plain one. So
+kernels are handed plain tuples, and give the fields their names again: `Common(*common)`.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+
+class Common(NamedTuple):
+    """What all hypotheses and pushes have in common: object, finger and smoothing.
+
+    Attributes:
+        rx, ry: (n,) cell centres, object frame, m.
+        cell_width: w, m.
+        edges: (E, 4) outline, the object to the left.
+        radius: finger radius, m.
+        size: largest distance of an outline corner from the object frame's origin, m.
+        smoothing: (4,) slip speed ε, stick_speed, penetration, relaxation; see `Smoothing`.
+    """
+
+    rx: FloatArray
+    ry: FloatArray
+    cell_width: float
+    edges: FloatArray
+    radius: float
+    size: float
+    smoothing: FloatArray
+
+
+class ReducedMaps(NamedTuple):
+    """K hypotheses, as far as a step depends on them.
+
+    Attributes:
+        load: (K, n) friction loads f_i, N.
+        inertia: (K, 4) m, s_x, s_y, J.
+        mu: (K,) finger friction.
+    """
+
+    load: FloatArray
+    inertia: FloatArray
+    mu: FloatArray
+
+
+class JoinedPushes(NamedTuple):
+    """B pushes end to end; `*_at` (B + 1,) are the offsets at which they begin.
+
+    Attributes:
+        h: (B,) steps, s.
+        tip, wrench: as in `Push`; a push without a wrench has no rows there.
+        start_poses, start_twists: (K, B, 3) world; object frame.
+        sample_step, sample_fraction: (S,) ascending steps in whose course poses are wanted; place in it.
+        sample_time: (S,) the same as times from the start of the push, s.
+        force_step: (T,) ascending steps whose contact force is wanted.
+    """
+
+    h: FloatArray
+    tip: FloatArray
+    tip_at: IntArray
+    wrench: FloatArray
+    wrench_at: IntArray
+    start_poses: FloatArray
+    start_twists: FloatArray
+    sample_step: IntArray
+    sample_fraction: FloatArray
+    sample_time: FloatArray
+    sample_at: IntArray
+    force_step: IntArray
+    force_at: IntArray
+
+
+class Formulas(NamedTuple):
+    """Compiled formulas of effects and what they are evaluated at besides the state.
+
+    Attributes:
+        addresses: (4,) of the functions body, cells, cell slopes, memory.
+        sizes: (5,) numbers of memory entries, parameters, blades; whether cells are changed; whether Q is.
+        constants: (B, CONSTANTS), see there; a rollout fills in the first.
+        parameters: (K, P) of the effects.
+        delay: (K,) of the tracker, s.
+    """
+
+    addresses: IntArray
+    sizes: IntArray
+    constants: FloatArray
+    parameters: FloatArray
+    delay: FloatArray
+
+
+class Results(NamedTuple):
+    """What rollouts of K hypotheses under B pushes fill in.
+
+    Attributes:
+        poses: (K, S, 3) world.
+        rates: (K, S, 3) velocity of the poses, of rollouts with effects alone; zero where the tracker's delay
+            reaches beyond the push.
+        forces: (K, T, 2) of the finger on the object, world, N.
+        d_poses: (K, S, 3, P) derivatives, or P = 0 for none.
+        d_forces: (K, T, 2, P) the same.
+        end: (K, B, 7) last pose, last twist (object frame), and the number of evaluations, negative if a step
+            did not converge.
+    """
+
+    poses: FloatArray
+    rates: FloatArray
+    forces: FloatArray
+    d_poses: FloatArray
+    d_forces: FloatArray
+    end: FloatArray
+
+
+def empty_results(models: int, pushes: JoinedPushes, columns: int) -> Results:
+    """Room for the results of K models; `columns` is P."""
+    K, S, T = models, pushes.sample_at[-1], pushes.force_at[-1]
+    poses, rates, forces = np.empty((K, S, 3)), np.empty((K, S, 3)), np.empty((K, T, 2))
+    d_poses, d_forces = np.empty((K, S, 3, columns)), np.empty((K, T, 2, columns))
+    return Results(poses, rates, forces, d_poses, d_forces, np.empty((K, len(pushes.h), 7)))
