@@ -90,7 +90,7 @@ def _one_object(rng: np.random.Generator, index: int) -> list[tuple[str, float]]
     ]
     dataset = record_pushes(slider, truth, pushes, rng, heldout=_HELDOUT_PUSHES, mass=float(truth.mass.sum()))
     exact = slider.rollout(truth, pushes)
-    result = identify(dataset, seed=index, friction_laws=True)
+    result = identify(dataset, seed=index)
     belief = result.belief
     com = (truth.mass @ grid.centers / truth.mass.sum(axis=1, keepdims=True))[0]
     friction = float((truth.mass * truth.mu).sum() * slider.gravity)

@@ -96,7 +96,9 @@ def learn_by_pushing(
     seed = int(rng.integers(2**31))
 
     def learn(trials: Sequence[Trial]) -> Belief:
-        return identify(make_dataset(trials, grid), hypotheses=settings.hypotheses, seed=seed).belief
+        return identify(
+            make_dataset(trials, grid), hypotheses=settings.hypotheses, seed=seed, friction_laws=False
+        ).belief
 
     trials = explore(world, grid, settings, rng, learn=learn, allowed=allowed)
     return learn(trials), trials

@@ -44,6 +44,7 @@ from .models.effects.library import LIBRARY as LIBRARY
 from .models.effects.registry import load_effects as load_effects
 from .models.inference.belief import Belief as Belief
 from .models.inference.comparison import compare as compare
+from .models.inference.diagnosis.effect_fit import compare_with_effects as compare_with_effects
 from .models.inference.diagnosis.effect_fit import fit as fit
 from .models.inference.identification import identify as identify
 from .models.inference.prediction import predict as predict

@@ -124,7 +124,7 @@ def learning(effects: Sequence[str] = (), method: str = "gauss-newton") -> Calla
         EffectError: an unknown effect.
     """
     if not effects:
-        return partial(identify, method=method)
+        return partial(identify, method=method, friction_laws=False)
     from slipmap.models.inference.diagnosis.effect_fit import fit_effects
 
     return partial(fit_effects, effects=effects_named(list(effects)))

@@ -48,7 +48,7 @@ def falling_error_figure(name: str, errors: dict[int, np.ndarray], resting: floa
 def main(folder: str, picture: str) -> None:
     dataset = read_dataset(folder)
     found = {
-        count: identify(dataset.with_fit_pushes(count), seed=0)
+        count: identify(dataset.with_fit_pushes(count), seed=0, friction_laws=False)
         for count in range(1, len(dataset.fit_trials) + 1)
     }
     errors = {count: 1e3 * result.errors("heldout") for count, result in found.items()}

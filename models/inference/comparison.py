@@ -12,6 +12,7 @@ from dataclasses import asdict, dataclass
 import numpy as np
 
 from slipmap.models.inference.belief import Belief
+from slipmap.models.inference.identification import identify
 from slipmap.models.inference.observations import Observation, observe_all
 from slipmap.models.inference.prediction import Motion, check_same_object, predicted_motion, uniform_motion
 from slipmap.models.inference.push_errors import Errors, NoiseFloor, errors, noise_floor, resting_errors
@@ -166,7 +167,7 @@ class Comparison:
 
 def compare(
     dataset: PushDataset,
-    belief: Belief,
+    belief: Belief | None = None,
     *,
     seed: int = 0,
     label: str = "model",
@@ -177,7 +178,7 @@ def compare(
 
     Args:
         dataset: pushes of the object that the belief is about.
-        belief: what was learnt, from this or another dataset.
+        belief: what was learnt, from this or another dataset; without one, `identify` learns it first.
         seed: of every random draw (sign flips, pairings, draws of noise).
         label: what to call the model.
         progress: called with (stage, done, total).
@@ -185,7 +186,9 @@ def compare(
 
     Raises:
         BeliefError: the dataset has another finger or another object.
+        DatasetError: there is neither a belief nor a push to learn one from.
     """
+    belief = belief or identify(dataset, seed=seed, progress=progress).belief
     check_same_object(belief, dataset)
     report = progress or silent
     report("comparing", 0, 2)

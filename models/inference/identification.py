@@ -30,7 +30,7 @@ def identify(
     seed: int = 0,
     progress: Progress | None = None,
     prior_settings: PriorSettings | None = None,
-    friction_laws: bool = False,
+    friction_laws: bool = True,
 ) -> Identification:
     """Learn the maps of mass and friction from a dataset's `fit` pushes; judge them on all pushes.
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
@@ -82,6 +83,7 @@ class Identification:
         seconds: that it took.
         friction_laws: share of the belief by law of friction, the largest first; `plain` alone where no
             other was tried, empty where none was chosen among.
+        without_effects: of `fit`, what the model without the effects learnt from the same pushes.
     """
 
     belief: Belief
@@ -89,10 +91,26 @@ class Identification:
     quantities: tuple[Quantity, ...]
     seconds: float
     friction_laws: Mapping[str, float] = field(default_factory=dict)
+    without_effects: Identification | None = None
 
     def errors(self, role: str, of: str = "final_add") -> FloatArray:
         """Final ADD (m) of all pushes with a role; `of` may also be `no_motion_add` or `uniform_add`."""
         return np.array([getattr(push, of) for push in self.pushes if push.role == role])
+
+    @property
+    def effect_estimates(self) -> dict[str, dict[str, dict[str, Any]]]:
+        """By effect and parameter: value (median), 90 % interval, unit, and whether the pushes show it."""
+        facts = {quantity.name: quantity for quantity in self.quantities}
+        return {
+            effect.name: {
+                p.name: {
+                    key: getattr(facts[f"{effect.name}: {p.name}"], key)
+                    for key in ("value", "low", "high", "unit", "shown")
+                }
+                for p in effect.parameters
+            }
+            for effect in self.belief.effects
+        }
 
     def to_json(self) -> dict[str, object]:
         """The machine-readable result; lengths in m, null where there is nothing to average."""
@@ -100,6 +118,12 @@ class Identification:
         def mean(values: FloatArray) -> float | None:
             return float(values.mean()) if len(values) else None
 
+        more: dict[str, object] = {}
+        if self.without_effects is not None:
+            plain = {
+                f"{role}_error_mean": mean(self.without_effects.errors(role)) for role in ("fit", "heldout")
+            }
+            more = {"effects": self.effect_estimates, "without_effects": plain}
         heldout = self.errors("heldout")
         of_trial = (
             "trial", "role", "final_add", "spread", "no_motion_add", "uniform_add", "start_sensitivity"
@@ -125,4 +149,5 @@ class Identification:
             "identifiable": [vars(quantity) for quantity in self.quantities],
             "seconds": self.seconds,
             "seed": self.belief.seed,
+            **more,
         }

@@ -37,7 +37,10 @@ def strategies_trial(*, seed: int, truth: str, object_name: str, strategy: str) 
     world = world_of(truth, object_name)
     checks = _pushes(world, CHECKS, "random", seed, 0)
     trials = _pushes(world, PUSHES, strategy, seed, 1)
-    found = [identify(as_dataset(world, trials[:count], checks), seed=seed) for count in range(1, PUSHES + 1)]
+    found = [
+        identify(as_dataset(world, trials[:count], checks), seed=seed, friction_laws=False)
+        for count in range(1, PUSHES + 1)
+    ]
     return {"errors": [float(one.errors("heldout").mean()) for one in found]}
 
 
@@ -52,7 +55,7 @@ def models_trial(*, seed: int, truth: str, object_name: str) -> dict[str, Any]:
     errors: dict[str, list[float]] = {name: [] for name in MODELS}
     for count in range(1, PUSHES + 1):
         dataset = as_dataset(world, trials[:count], checks)
-        ours = identify(dataset, seed=seed)
+        ours = identify(dataset, seed=seed, friction_laws=False)
         paper = identify(dataset, method="paper", seed=seed)
         for name, values in (
             ("identified", ours.errors("heldout")),
@@ -70,7 +73,7 @@ def _pushes(world: DirectWorld, count: int, strategy: str, seed: int, series: in
     from slipmap.planners.pregrasp import explore
 
     def learn(trials: Sequence[Trial]) -> Belief:
-        return identify(as_dataset(world, trials), seed=seed).belief
+        return identify(as_dataset(world, trials), seed=seed, friction_laws=False).belief
 
     rng = np.random.default_rng([seed, series, 0])
     world.reset(np.array([0.0, 0.0, rng.uniform(-np.pi, np.pi)]), rng)

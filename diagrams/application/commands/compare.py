@@ -14,7 +14,6 @@ from slipmap.diagrams.application.terminal import Progress, note, paragraph, pre
 from slipmap.models.files import BadInput, write_json, write_text
 
 if TYPE_CHECKING:
-    from slipmap.models.effects.effect import Effect
     from slipmap.models.inference.belief import Belief
     from slipmap.models.inference.comparison import Comparison
     from slipmap.models.inference.results import Prediction
@@ -111,18 +110,16 @@ def compare(
     with Progress() as progress:
         measured = options.load_dataset(dataset, object_name, progress)
         prepare_kernels()
-        if belief is not None:
-            models = {"model": belief}
-        elif effects:
-            models = _learnt_twice(measured, effects, seed, progress)
-        else:
-            models = {"model": _learnt(measured, seed, progress)}
         from slipmap.models.inference import comparison
+        from slipmap.models.inference.diagnosis.effect_fit import compare_with_effects
 
-        results = [
-            comparison.compare(measured, model, seed=seed, label=label, progress=progress)
-            for label, model in models.items()
-        ]
+        if belief is None:
+            _check_fit_pushes(measured)
+        results = (
+            [*compare_with_effects(measured, effects, seed=seed, progress=progress)]
+            if effects
+            else [comparison.compare(measured, belief, seed=seed, progress=progress)]
+        )
         with progress.step("drawing"):
             write_text(output, report(results, measured))
     if json_file is not None:
@@ -205,27 +202,6 @@ def _comparison_document(results: Sequence[Comparison], effect_names: Sequence[s
         return results[0].to_json()
     before, after = (result.to_json() for result in results)
     return {"before": before, "after": after, "effects": list(effect_names)}
-
-
-def _learnt_twice(
-    dataset: PushDataset, effects: Sequence[Effect], seed: int, progress: Progress
-) -> dict[str, Belief]:
-    """Beliefs without and with the effects, learnt alike, by the names that the report gives them."""
-    from slipmap.models.inference.diagnosis.effect_fit import fit_effects
-
-    _check_fit_pushes(dataset)
-    models = {"without effects": (), "with " + " and ".join(effect.name for effect in effects): effects}
-    return {
-        label: fit_effects(dataset, added, seed=seed, progress=progress.about(label)).belief
-        for label, added in models.items()
-    }
-
-
-def _learnt(dataset: PushDataset, seed: int, progress: Progress) -> Belief:
-    from slipmap.models.inference import identification
-
-    _check_fit_pushes(dataset)
-    return identification.identify(dataset, seed=seed, progress=progress, friction_laws=True).belief
 
 
 def _check_fit_pushes(dataset: PushDataset) -> None:

@@ -237,10 +237,8 @@ def _run_exploration(
 
 
 def _learned_json(run: ExplorationRun) -> dict[str, Any]:
-    from slipmap.diagrams.application.commands.identify import effect_estimates
-
     learned = run.identification
-    return {**learned.to_json(), "effects": effect_estimates(learned), "truth": run.truth()}
+    return {**learned.to_json(), "effects": learned.effect_estimates, "truth": run.truth()}
 
 
 def _show_exploration(run: ExplorationRun) -> None:

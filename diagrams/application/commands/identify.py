@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 
@@ -125,19 +125,15 @@ def fit(
         if pictures is not None:
             make_folder(pictures)
         prepare_kernels()
-        from slipmap.models.inference.diagnosis.effect_fit import fit_effects
+        from slipmap.models.inference.diagnosis import effect_fit
 
-        result = fit_effects(measured, effects, hypotheses=hypotheses, seed=seed, progress=progress)
-        plain = fit_effects(
-            measured, (), hypotheses=hypotheses, seed=seed, progress=progress.about("without effects")
-        )
+        result = effect_fit.fit(measured, effects, hypotheses=hypotheses, seed=seed, progress=progress)
         drawn = keep(result, measured, output, pictures, progress)
     if json_file is not None:
-        more = {"effects": effect_estimates(result), "without_effects": _errors(plain)}
-        write_json(json_file, {**result.to_json(), **more})
+        write_json(json_file, result.to_json())
     show(result, measured)
     show_effects(result)
-    _show_gain(result, plain)
+    _show_gain(result)
     tell_files(output, drawn)
 
 
@@ -198,35 +194,15 @@ def _first_pushes(dataset: PushDataset, count: int) -> PushDataset:
     return dataset.with_fit_pushes(count)
 
 
-def effect_estimates(result: Identification) -> dict[str, dict[str, Any]]:
-    """By effect of the model and parameter: value (median), 90 % interval, unit, whether pushes show it."""
-    facts = {quantity.name: quantity for quantity in result.quantities}
-    return {
-        effect.name: {
-            p.name: {
-                key: getattr(facts[f"{effect.name}: {p.name}"], key)
-                for key in ("value", "low", "high", "unit", "shown")
-            }
-            for p in effect.parameters
-        }
-        for effect in result.belief.effects
-    }
-
-
-def _errors(result: Identification) -> dict[str, float | None]:
-    """Mean errors at the end of the pushes of each role, m; None where there are none."""
-    errors = {role: result.errors(role) for role in ("fit", "heldout")}
-    return {f"{role}_error_mean": float(of.mean()) if len(of) else None for role, of in errors.items()}
-
-
-def _show_gain(result: Identification, plain: Identification) -> None:
+def _show_gain(result: Identification) -> None:
     from slipmap.diagrams.application.reports.comparison_words import millimetres
     from slipmap.diagrams.application.reports.tables import HARDLY_BETTER
 
     role, pushes = ("heldout", "Held-out pushes")
     if not len(result.errors(role)):
         role, pushes = ("fit", "The pushes that it learned from")
-    now, before = (float(learnt.errors(role).mean()) for learnt in (result, plain))
+    assert result.without_effects is not None
+    now, before = (float(learnt.errors(role).mean()) for learnt in (result, result.without_effects))
     effects = " and ".join(effect.name for effect in result.belief.effects)
     doubt = f" SO THEY DO NOT SPEAK FOR {effects}: its size holds only if it is there at all."
     paragraph(
@@ -240,7 +216,7 @@ def show_effects(result: Identification) -> None:
     from slipmap.diagrams.application.reports.effect_words import effect_in_words
     from slipmap.models.inference.diagnosis.results import ParameterEstimate
 
-    told = effect_estimates(result)
+    told = result.effect_estimates
     for effect in result.belief.effects:
         estimates = [
             ParameterEstimate(effect.name, name, v["unit"], v["value"], v["low"], v["high"])

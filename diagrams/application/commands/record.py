@@ -122,7 +122,9 @@ def replay(
     with Progress() as progress:
         from slipmap.models.inference.identification import identify
 
-        identification = identify(dataset, hypotheses=hypotheses, seed=seed, progress=progress)
+        identification = identify(
+            dataset, hypotheses=hypotheses, seed=seed, progress=progress, friction_laws=False
+        )
     written = cell_run.leave(identification, dataset, folder)
     show(identification, dataset)
     lag = _shown_lag(dataset)

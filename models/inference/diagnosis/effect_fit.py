@@ -17,7 +17,9 @@ import numpy as np
 
 from slipmap.models.effects.effect import Effect
 from slipmap.models.effects.library import LIBRARY
+from slipmap.models.effects.registry import effects_named
 from slipmap.models.inference.belief import Belief
+from slipmap.models.inference.comparison import Comparison, compare
 from slipmap.models.inference.diagnosis.error_model import sensor_noise
 from slipmap.models.inference.diagnosis.fitting import Fitted, Fitter, estimate_errors
 from slipmap.models.inference.diagnosis.results import (
@@ -38,7 +40,7 @@ from slipmap.models.inference.summaries import interval
 from slipmap.models.measurements import DatasetError, Noise, PushDataset
 from slipmap.models.physics.cell_grid import FloatArray
 from slipmap.models.physics.rollout import RolloutError
-from slipmap.models.progress import Progress, part_of, silent
+from slipmap.models.progress import Progress, about, part_of, silent
 
 
 def _forgiving_prior_mean(fitted: Fitted) -> FloatArray:
@@ -70,6 +72,67 @@ def effect_sizes(fitted: Fitted, noise: Noise) -> tuple[ParameterEstimate, ...]:
         return parameter_estimates(fitted)
     deviations = prior.effect_deviations(found.hessian[0])
     return estimates_of(fitted.effects, prior.maps(found.z).effects[0], deviations)
+
+
+def fit(
+    dataset: PushDataset,
+    effects: Sequence[Effect | str],
+    *,
+    hypotheses: int = 20,
+    seed: int = 0,
+    progress: Progress | None = None,
+) -> Identification:
+    """Learn maps together with some effects, and without them, from the same pushes: `slipmap fit`.
+
+    Args:
+        dataset: measured pushes.
+        effects: to add to the model; those of the library may be given by name.
+        hypotheses, seed, progress: as in `fit_effects`.
+
+    Returns:
+        What was learnt with the effects; its `without_effects` holds the other model.
+
+    Raises:
+        DatasetError, ValueError, EffectError: as `fit_effects`; an EffectError also for an unknown name.
+    """
+    result = fit_effects(dataset, _named(effects), hypotheses=hypotheses, seed=seed, progress=progress)
+    plain = fit_effects(
+        dataset, (), hypotheses=hypotheses, seed=seed, progress=about("without effects", progress or silent)
+    )
+    return replace(result, without_effects=plain)
+
+
+def compare_with_effects(
+    dataset: PushDataset, effects: Sequence[Effect | str], *, seed: int = 0, progress: Progress | None = None
+) -> tuple[Comparison, Comparison]:
+    """The models without and with some effects, learnt from the same pushes, each held against all pushes.
+
+    Args:
+        dataset: measured pushes.
+        effects: to add to the model; those of the library may be given by name.
+        seed: of every random draw.
+        progress: called with (stage, done, total).
+
+    Raises:
+        DatasetError, EffectError: as `fit`.
+    """
+    added = _named(effects)
+    models = {"without effects": (), "with " + " and ".join(effect.name for effect in added): added}
+    beliefs = {
+        label: fit_effects(dataset, given, seed=seed, progress=about(label, progress or silent)).belief
+        for label, given in models.items()
+    }
+    before, after = (
+        compare(dataset, belief, seed=seed, label=label, progress=progress)
+        for label, belief in beliefs.items()
+    )
+    return before, after
+
+
+def _named(effects: Sequence[Effect | str]) -> tuple[Effect, ...]:
+    own = [effect for effect in effects if not isinstance(effect, str)]
+    names = [effect if isinstance(effect, str) else effect.name for effect in effects]
+    return effects_named(names, (*LIBRARY, *own))
 
 
 def fit_effects(

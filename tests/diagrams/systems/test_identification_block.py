@@ -75,7 +75,7 @@ def test_pushes_that_judge_do_not_teach():
 
 def test_its_belief_is_that_of_the_command(history):
     outputs, _ = history
-    expected = identify(replace(DATASET, trials=FIT), hypotheses=K, seed=SEED).belief
+    expected = identify(replace(DATASET, trials=FIT), hypotheses=K, seed=SEED, friction_laws=False).belief
     belief = outputs[-1][0]
     assert len(belief) == K
     assert np.array_equal(belief.maps.mass, expected.maps.mass)

@@ -29,4 +29,4 @@ def test_five_pokes_tell_how_others_end(explored, pushes, cell):
     assert_better_than_uniform(explored)
     assert_limits_kept(cell.commands, cell.scenario.guard)
 
-    assert_predicts(identify(pushes, seed=1), within=0.010)
+    assert_predicts(identify(pushes, seed=1, friction_laws=False), within=0.010)

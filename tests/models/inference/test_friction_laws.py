@@ -57,7 +57,7 @@ def test_pushes_speak_for_the_law_that_made_them(recorded, names) -> None:  # ty
     assert share > 0.6
     assert sum(found.friction_laws.values()) == pytest.approx(1.0)
     assert found.to_json()["friction_laws"] == found.friction_laws
-    plain = identify(dataset, hypotheses=8)
+    plain = identify(dataset, hypotheses=8, friction_laws=False)
     assert plain.friction_laws == {"plain": 1.0}
     held, held_plain = found.errors("heldout").mean(), plain.errors("heldout").mean()
     assert held < 1.5e-3

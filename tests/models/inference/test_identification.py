@@ -16,7 +16,7 @@ from slipmap.models.measurements import DatasetError, read_dataset
 
 @pytest.fixture(scope="module")
 def result(recorded):
-    return identify(recorded.dataset, hypotheses=12, seed=3)
+    return identify(recorded.dataset, hypotheses=12, seed=3, friction_laws=False)
 
 
 def test_the_truth_is_found(recorded, result):
@@ -35,9 +35,9 @@ def test_predictions_beat_both_baselines_by_far(result):
 
 
 def test_same_seed_same_belief_other_seed_other_belief(recorded, result):
-    again = identify(recorded.dataset, hypotheses=12, seed=3)
+    again = identify(recorded.dataset, hypotheses=12, seed=3, friction_laws=False)
     assert np.array_equal(again.belief.maps.mass, result.belief.maps.mass)
-    other = identify(recorded.dataset, hypotheses=12, seed=4)
+    other = identify(recorded.dataset, hypotheses=12, seed=4, friction_laws=False)
     assert not np.array_equal(other.belief.maps.mass, result.belief.maps.mass)
 
 
@@ -45,7 +45,9 @@ def test_without_force_the_scale_of_friction_is_reported_open(recorded):
     blind = replace(
         recorded.dataset, trials=tuple(replace(trial, ft_wrench=None) for trial in recorded.dataset.trials)
     )
-    facts = {quantity.name: quantity for quantity in identify(blind, hypotheses=8).quantities}
+    facts = {
+        quantity.name: quantity for quantity in identify(blind, hypotheses=8, friction_laws=False).quantities
+    }
     assert not facts["total friction"].shown and "no force" in facts["total friction"].reason
     assert facts["total friction"].high > 1.5 * facts["total friction"].low
     assert facts["centre of friction, x"].shown and facts["finger friction"].shown
@@ -63,7 +65,9 @@ def test_a_weighed_mass_is_not_left_open(recorded, result):
     facts = {quantity.name: quantity for quantity in result.quantities}
     assert facts["total mass"].shown and facts["total mass"].reason == "weighed beforehand"
     unknown = replace(recorded.dataset, mass=None, trials=recorded.dataset.fit_trials[:2])
-    (mass,) = [q for q in identify(unknown, hypotheses=2).quantities if q.name == "total mass"]
+    (mass,) = [
+        q for q in identify(unknown, hypotheses=2, friction_laws=False).quantities if q.name == "total mass"
+    ]
     assert mass.reason != "weighed beforehand"
 
 
@@ -78,7 +82,7 @@ def test_units_of_mass_do_not_matter(recorded, result):
             for trial in recorded.dataset.trials
         ),
     )
-    scaled = identify(heavy, hypotheses=12, seed=3)
+    scaled = identify(heavy, hypotheses=12, seed=3, friction_laws=False)
     assert scaled.errors("heldout") == pytest.approx(result.errors("heldout"), abs=5e-5)
     assert scaled.belief.maps.mass / 1000.0 == pytest.approx(result.belief.maps.mass, rel=1e-3)
 
@@ -95,7 +99,7 @@ def test_result_is_json(result):
 
 def test_no_heldout_pushes_give_null(recorded):
     fit_only = replace(recorded.dataset, trials=recorded.dataset.fit_trials[:2])
-    document = identify(fit_only, hypotheses=2).to_json()
+    document = identify(fit_only, hypotheses=2, friction_laws=False).to_json()
     assert document["heldout_error_mean"] is None and document["uniform_error_mean"] is None
     assert document["fit_error_mean"] is not None
 
@@ -104,9 +108,9 @@ def test_wrong_use_is_named(recorded):
     with pytest.raises(ValueError, match="gauss-newton, paper"):
         identify(recorded.dataset, method="newton")
     with pytest.raises(ValueError, match="at least 2"):
-        identify(recorded.dataset, hypotheses=1)
+        identify(recorded.dataset, hypotheses=1, friction_laws=False)
     with pytest.raises(DatasetError, match="role fit"):
-        identify(replace(recorded.dataset, trials=recorded.dataset.heldout_trials))
+        identify(replace(recorded.dataset, trials=recorded.dataset.heldout_trials), friction_laws=False)
 
 
 def test_prediction_refuses_another_object_or_finger(recorded, result):
@@ -136,7 +140,7 @@ def test_accuracy_weights_punish_the_misfit_alone():
     ],
 )
 def test_measured_pushes(shared_data, name, limit, measure):
-    document = identify(read_dataset(shared_data / name)).to_json()
+    document = identify(read_dataset(shared_data / name), friction_laws=False).to_json()
     assert document[measure] < limit
     assert document["heldout_error_mean"] < document["uniform_error_mean"]
 
