@@ -191,7 +191,8 @@ def _placed(outline: BaseGeometry, origin: FloatArray) -> Polygon:
 
 HEAD = (0.1, 0.0375, 0.025)
 """Of the demonstration's hammer: length across the handle, width along it and height, m."""
-_HANDLE = (0.025, 0.225, 0.02)  # m; width, length and height
+HANDLE = (0.025, 0.225, 0.02)
+"""Its width, length and height, m."""
 _STEEL_DENSITY, _BEECH_DENSITY = 7850.0, 700.0  # kg/m³
 
 
@@ -202,14 +203,14 @@ def hammer() -> tuple[CellGrid, Maps]:
 
     The object frame lies in the middle of the whole length, y towards the head.
     """
-    half = (HEAD[1] + _HANDLE[1]) / 2
+    half = (HEAD[1] + HANDLE[1]) / 2
     joint = half - HEAD[1]
-    right = [(_HANDLE[0] / 2, -half), (_HANDLE[0] / 2, joint), (HEAD[0] / 2, joint), (HEAD[0] / 2, half)]
+    right = [(HANDLE[0] / 2, -half), (HANDLE[0] / 2, joint), (HEAD[0] / 2, joint), (HEAD[0] / 2, half)]
     outline = np.array(right + [(-x, y) for x, y in reversed(right)])
     cell = 0.0125
     grid = cells_from_polygon(outline, width=cell)
     is_head = grid.centers[:, 1] > joint
-    mass = cell**2 * np.where(is_head, _STEEL_DENSITY * HEAD[2], _BEECH_DENSITY * _HANDLE[2])
+    mass = cell**2 * np.where(is_head, _STEEL_DENSITY * HEAD[2], _BEECH_DENSITY * HANDLE[2])
     return grid, Maps(mass, np.where(is_head, 0.2, 0.4), np.array([0.3]))
 
 
