@@ -159,11 +159,7 @@ def writing(path: Path) -> Iterator[None]:
 
 
 def write_json(path: Path, document: Mapping[str, Any]) -> None:
-    """Write a JSON document, keys sorted; a number that is not finite becomes null.
-
-    Raises:
-        BadInput: the place cannot be written to.
-    """
+    """Write a JSON document as `write_text`, keys sorted; a number that is not finite becomes null."""
     text = json.dumps(plain(document), indent=2, sort_keys=True, ensure_ascii=False, allow_nan=False)
     write_text(path, text + "\n")
 

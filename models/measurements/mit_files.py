@@ -20,7 +20,7 @@ import numpy as np
 
 from slipmap.models.measurements import parsing
 from slipmap.models.measurements.push_dataset import CHANNELS, DatasetError, Role, Trial
-from slipmap.models.measurements.trial_tables import COLUMNS, json_tables, trial_from_tables
+from slipmap.models.measurements.trial_checks import COLUMNS, json_tables, trial_from_tables
 from slipmap.models.physics.cell_grid import FloatArray
 
 JSON_ENDINGS = (".json",)
@@ -46,11 +46,7 @@ def read_mit_trial(name: str, role: Role, content: bytes, where: str) -> tuple[T
 
 
 def named_shape(files: Sequence[Path]) -> str | None:
-    """The shape that the file names agree on, as in motion_surface=abs_shape=rect1_v=20.json.
-
-    Raises:
-        DatasetError: two shapes; a dataset is about one object.
-    """
+    """The shape that file names agree on, as in motion_surface=abs_shape=rect1_v=20.json; two are refused."""
     found: dict[str, Path] = {}
     for file in files:
         match = re.search(r"shape=([A-Za-z0-9]+)", file.name)
@@ -119,11 +115,7 @@ class MitShape(NamedTuple):
 
 
 def mit_shape(name: str, where: str) -> MitShape:
-    """A shape of the MIT push dataset by its name there.
-
-    Raises:
-        DatasetError: another name.
-    """
+    """A shape of the MIT push dataset by its name there; others are refused."""
     if name not in MIT_SHAPES:
         near = get_close_matches(name, MIT_SHAPES, n=1)
         hint = f" Did you mean {near[0]}?" if near else ""

@@ -31,11 +31,7 @@ _LONGEST_NAME = 250  # characters of a path that an error text has in full
 
 
 def read_bytes(path: Path, largest: int = _LARGEST_RECORD) -> bytes:
-    """The content of a regular file.
-
-    Raises:
-        DatasetError: missing, not a file, unreadable, or larger than `largest` bytes.
-    """
+    """The content of a regular file of at most `largest` bytes."""
     try:
         return read_bounded(path, largest)
     except UnreadableFile as error:
@@ -45,11 +41,7 @@ def read_bytes(path: Path, largest: int = _LARGEST_RECORD) -> bytes:
 
 
 def parse_json(content: bytes, where: str) -> Any:
-    """A JSON document; NaN is allowed, a key that stands twice is not.
-
-    Raises:
-        DatasetError: with the line and column of the fault.
-    """
+    """A JSON document; NaN is allowed, a key that stands twice is not."""
     try:
         return json.loads(content, object_pairs_hook=_unrepeated)
     except RecursionError:
@@ -69,15 +61,7 @@ def _unrepeated(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
 
 
 def read_yaml(path: Path, where: str) -> tuple[bytes, dict[str, Any]]:
-    """The content of a YAML file, and the mapping of plain data in it.
-
-    Args:
-        path: the file.
-        where: what error texts call it.
-
-    Raises:
-        DatasetError: as `read_bytes`, or with the line and column of the fault.
-    """
+    """The content of a YAML file, and the mapping of plain data in it; `where` is its name in error texts."""
     content = read_bytes(path, _LARGEST_YAML)
     try:
         if _depth(content) > _DEEPEST_YAML:

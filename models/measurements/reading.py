@@ -1,5 +1,5 @@
-"""Reading push measurements: a folder of the format push-dataset/1, which is a dataset.yaml and one JSON file a
-push, or bare files of pushes."""
+"""Reading push measurements: a folder of the format push-dataset/1, which is a dataset.yaml and one JSON file
+a push; or bare files of pushes."""
 
 from __future__ import annotations
 
@@ -31,8 +31,7 @@ from slipmap.models.measurements.mit_files import (
 from slipmap.models.measurements.parsing import Fingerprint
 from slipmap.models.measurements.push_dataset import CHANNELS, DatasetError, PushDataset, Role, Setup, Trial
 from slipmap.models.measurements.setup_description import SETUP_KEYS, parse_setup
-from slipmap.models.measurements.trial_checks import check_trials
-from slipmap.models.measurements.trial_tables import json_tables, trial_from_tables
+from slipmap.models.measurements.trial_checks import check_trials, json_tables, trial_from_tables
 
 FORMAT = "push-dataset/1"
 DESCRIPTION_FILE = "dataset.yaml"

@@ -44,10 +44,8 @@ def record_pushes(
         noise: standard deviations; None is no noise. The torque has that of the force times the radius.
         heldout: so many of the last pushes are for judging, the others for learning.
         rate: rows a second of every channel.
-        name: of the dataset.
-        description: free text.
-        height: of the object, m, if it is to be told.
-        mass: of the object, kg, if it is to be told.
+        name, description: of the dataset.
+        height, mass: of the object, m and kg, if the dataset is to tell them.
 
     Raises:
         ValueError: several models, a push without a finger, a number of held-out pushes that does not fit, or
@@ -67,7 +65,7 @@ def record_pushes(
     for index, push in enumerate(timed):
         assert push.pose_times is not None
         role: Role = "heldout" if index >= len(pushes) - heldout else "fit"
-        tip = _at(push.pose_times, _ends(push), push.tip)
+        tip = Channel(_ends(push), push.tip).at(push.pose_times)
         poses = Channel(push.pose_times, rollouts.poses_of(index)[0])
         wrench = _wrench(slider.grid, push, poses, rollouts.forces_of(index)[0], rate)
         force = noise.force or 0.0
@@ -114,10 +112,6 @@ def _ends(push: Push) -> FloatArray:
     return push.h * np.arange(len(push.tip), dtype=float)
 
 
-def _at(times: FloatArray, known: FloatArray, values: FloatArray) -> FloatArray:
-    return np.column_stack([np.interp(times, known, column) for column in values.T])
-
-
 def _measured(rng: np.random.Generator, true: Channel, levels: Sequence[float | None]) -> Channel:
     sigma = np.array([level or 0.0 for level in levels])
     return Channel(true.time, true.values + sigma * rng.standard_normal(true.values.shape))
@@ -130,7 +124,7 @@ def _wrench(grid: CellGrid, push: Push, poses: Channel, forces: FloatArray, rate
     mean = np.column_stack([np.bincount(row, weights=component) / count for component in forces.T])
     time = 0.5 * (poses.time[:-1] + poses.time[1:])
     pose = poses.at(time)
-    local = seen_from(_at(time, _ends(push), push.tip), pose)
+    local = seen_from(Channel(_ends(push), push.tip).at(time), pose)
     outline = grid.polygon.boundary
     nearest = shapely.line_interpolate_point(
         outline, shapely.line_locate_point(outline, shapely.points(local))

@@ -175,10 +175,7 @@ def traced_outline(mask: Mask) -> Polygon:
 
 
 def border_middles(mask: Mask) -> tuple[list[FloatArray], Polygon]:
-    """Middles of the borders between object and background, one pixel apart, and the borders themselves.
-
-    Args:
-        mask: (H, W) one connected piece of pixels.
+    """Middles of the borders of one piece of pixels (H, W), one pixel apart, and the borders themselves.
 
     Returns:
         Rings of points (m, 2), the exterior first, (column, row); and the exact outline of the pixels.

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Sequence
-from itertools import pairwise
+from itertools import combinations, pairwise
 from os import PathLike
 from pathlib import Path
 
@@ -193,13 +193,10 @@ def convex_pieces(polygon: Polygon) -> list[Polygon]:
 
 def _neighbours(pieces: list[Polygon]) -> list[tuple[float, int, int]]:
     """Pairs of pieces with a common side: its length, first, second."""
-    found = []
-    for first, piece in enumerate(pieces):
-        for second in range(first + 1, len(pieces)):
-            length = shapely.length(shapely.intersection(piece.boundary, pieces[second].boundary))
-            if length > 0:
-                found.append((float(length), first, second))
-    return found
+    borders = [piece.boundary for piece in pieces]
+    pairs = combinations(range(len(pieces)), 2)
+    sides = [(float(shapely.length(shapely.intersection(borders[i], borders[j]))), i, j) for i, j in pairs]
+    return [side for side in sides if side[0] > 0]
 
 
 def shaded_obj(mesh: trimesh.Trimesh) -> str:

@@ -134,11 +134,8 @@ def object_from_mesh(
     Args:
         path: a file that trimesh can load.
         mass: of the whole object, kg.
-        mu: friction coefficient with the table.
-        mu_finger: friction coefficient with the finger.
-        count: wanted number of cells.
-        up: (3,) direction away from the table, in the mesh frame.
-        metres_per_unit: length of the mesh's unit; as stated in the file where missing, else 1.
+        mu, mu_finger: friction coefficients with the table and with the finger.
+        count, up, metres_per_unit: as of `cells_from_mesh`.
 
     Raises:
         ValueError: a file that cannot be used (see `cells_from_mesh`), a mesh that is flat, or a mass or

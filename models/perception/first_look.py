@@ -1,5 +1,5 @@
-"""The first look: from pictures of an object at rest to its footprint, heights and cells; and its picture, kept
-for a later process."""
+"""The first look: from pictures of an object at rest to its footprint, heights and cells; and the picture,
+kept for a later process."""
 
 from __future__ import annotations
 

@@ -53,11 +53,9 @@ class HeightPicture(NamedTuple):
 
 
 def smoothed_heights(heights: Heights, blocked: Mask | None = None) -> Heights:
-    """Heights averaged with their neighbours; small gaps are filled, larger ones and the arm stay NaN.
+    """Heights (h, w) over the table, m, averaged with their neighbours; those the arm blocks are left out.
 
-    Args:
-        heights: (h, w) over the table, m; NaN where there is no reading.
-        blocked: (h, w) pixels to leave out: the arm.
+    NaN is no reading; small gaps are filled, larger ones stay.
     """
     seen = (heights < _HIGHEST) if blocked is None else (heights < _HIGHEST) & ~blocked
     weight = cv2.GaussianBlur(seen.astype(np.float32), (0, 0), SMOOTHING)
@@ -76,16 +74,12 @@ def _table_noise(heights: Heights) -> float:
 
 
 def object_mask(heights: Heights, view: View) -> Mask | None:
-    """(H, W) pixels of the object, or None if nothing stands on the table.
+    """(H, W) pixels of the object in smoothed heights (H, W), m; None if nothing stands on the table.
 
     A pixel belongs to it if it is faintly higher than the table and joined to one that is so clearly; of
     several pieces the largest is the object. Pixels without a reading count if they lie between two of the
     object in their row or column, as on shiny metal; those along one side of it do not: the shadow that a
     tall object casts in stereo. An edge is taken at half the height that the object has beside it.
-
-    Args:
-        heights: (H, W) smoothed heights of the whole picture, m.
-        view: the camera.
     """
     noise = _table_noise(heights)
     faint = heights > max(_FAINTEST, _FAINT * noise)
@@ -173,14 +167,7 @@ def draw_hulls(hulls: Sequence[Hull], view: View, margin: float = 0.008) -> Mask
 
 @compiled(LONE_FOLDER, nogil=True)
 def between(mask, missing):  # type: ignore[no-untyped-def]
-    """Missing pixels in runs, along rows or columns, that end at the mask on both sides.
-
-    Args:
-        mask, missing: (H, W) pixels of a kind, and those of which nothing is known.
-
-    Returns:
-        (H, W).
-    """
+    """(H, W) missing pixels in runs, along rows or columns, that end at the mask on both sides."""
     height, width = mask.shape
     found = np.zeros((height, width), np.bool_)
     above = np.full(width, -1)  # last row in each column that is known, if it is of the mask

@@ -141,13 +141,11 @@ class EdgeFit(NamedTuple):
         covariance: (3, 3), from the scatter of the edges about the fitted outline; infinite if the edges
             that were found do not determine the pose.
         found: share of the outline's points with an edge within reach.
-        scatter: root mean square distance of these edges from the outline, pixels.
     """
 
     pose: FloatArray
     covariance: FloatArray
     found: float
-    scatter: float
 
 
 def fit_edges(
@@ -157,13 +155,12 @@ def fit_edges(
 
     Args:
         picture: smoothed heights, NaN where the arm is.
-        view: the camera.
-        seen: the object.
+        view, seen: the camera and the object.
         start: (3,) pose to start from.
         reaches: how far edges are searched, pixels: one step of Gauss-Newton each.
     """
     pose = np.array(start, dtype=float)
-    fit = EdgeFit(pose, np.full((3, 3), np.inf), 0.0, np.inf)
+    fit = EdgeFit(pose, np.full((3, 3), np.inf), 0.0)
     lens, shape, pixel = view.lens, seen.shape, pixel_size(view)
     # Makes the angle's part of the information comparable with that of the position.
     size = np.array([1.0, 1.0, 1.0 / np.sqrt(np.mean(np.sum(seen.outline.points**2, axis=1)))])
@@ -190,9 +187,9 @@ def fit_edges(
         pose = pose + step
         change = float(np.abs(J @ step).max())
         moved += change
-        scatter = float(np.sqrt(np.sum(weight * d * d) / weight.sum()))
+        scatter = float(np.sqrt(np.sum(weight * d * d) / weight.sum()))  # pixels
         covariance = _CORRELATED * scatter**2 * np.linalg.inv(information)
-        fit = EdgeFit(pose, covariance, float(found.mean()), scatter)
+        fit = EdgeFit(pose, covariance, float(found.mean()))
         if change < _SETTLED and moved <= _UNCHANGED and all(later >= reach for later in reaches[k + 1 :]):
             break
     return fit
@@ -242,7 +239,7 @@ class _Candidate(NamedTuple):
 
 
 class _Search(NamedTuple):
-    """For an object in a picture that may show the arm, too."""
+    """The search for an object in a picture (H, W), m, of which the arm may block some."""
 
     image: DepthImage
     view: View

@@ -130,14 +130,7 @@ class Relief:
 
     @staticmethod
     def from_cloud(polygon: Polygon, points: FloatArray, tops: FloatArray, pixel: float) -> Relief:
-        """Heights inside a footprint from what a camera sees.
-
-        Args:
-            polygon: the footprint in O, m.
-            points: (k, 2) of the readings in O, m.
-            tops: (k,) heights of the readings, m.
-            pixel: distance of neighbouring readings, m.
-        """
+        """Heights inside a footprint in O, from readings (k,) at points (k, 2) about a pixel apart, m."""
         on_top = ~_on_flank(points, tops, pixel)
         points, tops = points[on_top], tops[on_top]
         tree = cKDTree(points)
@@ -167,11 +160,9 @@ class Relief:
         return np.where(beside, 0.0, self.heights[rows, columns].astype(float))
 
     def smooth(self, points: FloatArray, window: float) -> tuple[FloatArray, FloatArray]:
-        """Heights (k,) at points (k, 2) in O, m, and their slopes (k, 2), averaged over a window.
+        """Heights (k,) at points (k, 2) in O, m, and slopes (k, 2), averaged with a Gaussian.
 
-        Args:
-            points: inside the footprint, further from its edge than the window.
-            window: standard deviation of a Gaussian, m.
+        The points lie farther inside the footprint than its standard deviation, the window, m.
         """
         smooth = cv2.GaussianBlur(self.heights, (0, 0), window / SPACING)
         slopes = [cv2.Sobel(smooth, cv2.CV_32F, *axis, scale=1 / (8 * SPACING)) for axis in ((1, 0), (0, 1))]
@@ -254,18 +245,11 @@ class Footprint(NamedTuple):
 
 
 def footprint(mask: Mask, heights: Heights, raw: Heights, plane: TablePlane, view: View) -> Footprint:
-    """Outline of the object in W and the height of its edges.
+    """Outline in W, and the height of its edges, of the object whose pixels are a mask (H, W), in one piece.
 
     The outline in the picture is that of `contour`. Each of its points is carried to the world at the height
     at which the object is seen there, not at the table's: a top 100 mm high seen 0.4 m off the axis would
-    otherwise seem moved by 40 mm.
-
-    Args:
-        mask: (H, W) pixels of the object, in one piece.
-        heights: (H, W) smoothed heights, m.
-        raw: (H, W) heights before smoothing, m, with sharp edges.
-        plane: the table.
-        view: the camera.
+    otherwise seem moved by 40 mm. For that, heights (H, W) are smoothed or, with sharp edges, raw, m.
     """
     pictures = HeightPicture(heights), HeightPicture(raw)
     rings = contour(mask, pictures[0], plane, view)
@@ -288,11 +272,7 @@ def outline_of(polygon: Polygon, spacing: float) -> tuple[FloatArray, FloatArray
 def contour(mask: Mask, heights: HeightPicture, plane: TablePlane, view: View) -> list[Ring]:
     """Rings of the object, the exterior first; openings below 1 % of the object's area are left out.
 
-    Args:
-        mask: (H, W) pixels of the object, in one piece.
-        heights: smoothed heights.
-        plane: the table.
-        view: the camera.
+    The mask (H, W) has the object's pixels, in one piece; the heights are smoothed, the plane is the table.
     """
     rings = []
     for k, points in enumerate(border_middles(mask)[0]):

@@ -16,7 +16,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from slipmap.models.measurements import DatasetError, read_dataset
-from slipmap.models.measurements.trial_tables import unwrapped
+from slipmap.models.measurements.trial_checks import unwrapped
 
 SETTINGS = settings(
     max_examples=100, derandomize=True, deadline=None, suppress_health_check=list(HealthCheck)
