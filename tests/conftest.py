@@ -28,17 +28,26 @@ COSTLY = (
     "test_generator.py",
 )
 
-# What `--quick` leaves out: plants that are simulated, twins, browsers, notebooks, and what takes long without.
+# What `--quick` leaves out: plants, twins, browsers, notebooks, many processes, and long computations.
 NOT_QUICK_FOLDERS = (
     "diagrams/execution", "diagrams/station", "diagrams/testing", "hardware", "notebooks", "recorded",
 )  # fmt: skip
 NOT_QUICK_FILES = (
     *COSTLY,
     "test_collectable.py",
+    "test_command_line.py",
+    "test_explore_stopped.py",
+    "test_explore_study.py",
+    "test_friction_laws.py",
+    "test_installed.py",
     "test_methods_compared.py",
+    "test_other_engines.py",
     "test_plant_world.py",
-    "test_world.py",
+    "test_push_listener.py",
+    "test_threads.py",
     "test_twin_and_interface.py",
+    "test_view.py",
+    "test_world.py",
 )
 NOT_QUICK_FIXTURES = {"browser", "cell", "renderer"}
 
@@ -47,7 +56,7 @@ SHARED_DATA = TESTS.parents[1] / "shared" / "data"
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
-    """An order of the tests that nobody chose, to find those that need another one before them; and a part."""
+    """Options for a random order, which finds tests that need another one before them, and for a quick part."""
     parser.addoption("--quick", action="store_true", help="leave out what takes long; see NOT_QUICK")
     parser.addoption(
         "--shuffle", type=int, metavar="SEED", help="run files, and tests within each, in random order"

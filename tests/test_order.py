@@ -1,0 +1,9 @@
+"""Tests that take long are named by their files, which may be renamed."""
+
+from tests.conftest import COSTLY, NOT_QUICK_FILES, NOT_QUICK_FOLDERS, TESTS
+
+
+def test_what_is_begun_first_or_left_out_is_there():
+    files = {path.name for path in TESTS.rglob("test_*.py")}
+    assert {*COSTLY, *NOT_QUICK_FILES} <= files
+    assert all((TESTS / folder).is_dir() for folder in NOT_QUICK_FOLDERS)
