@@ -3,14 +3,10 @@
 import numpy as np
 from pydrake.all import DiagramBuilder, Simulator, StartMeshcat
 
-from slipmap.diagrams.systems.belief_visualizer import BeliefVisualizer
-from slipmap.diagrams.systems.cell_grid_slider import CellGridSlider
-from slipmap.diagrams.systems.finger import FingerPath
-from slipmap.diagrams.systems.identification import Identification
-from slipmap.diagrams.systems.measurement_logger import TrialLogger
-from slipmap.models.objects import cells_from_polygon
-from slipmap.models.physics.rollout import Maps
-from slipmap.planners.table_push import TablePush
+from slipmap import (
+    BeliefVisualizer, CellGridSlider, FingerPath, Identification, Maps, TablePush, TrialLogger,
+    cells_from_polygon,
+)  # fmt: skip
 
 grid = cells_from_polygon(np.array([[-6, -3], [6, -3], [6, 3], [-6, 3]]) * 0.01, count=18)
 mass = 0.5 * np.where(grid.centers[:, :1].T > 0, 3.0, 1.0) / len(grid)  # kg; its right half is heavier

@@ -16,11 +16,13 @@ from slipmap.diagrams.application.figures.residual_figures import (
     residual_figures,
     table_figure,
 )
-from slipmap.diagrams.application.figures.style import save
+from slipmap.diagrams.application.figures.style import draw_cells, draw_outline, save
 
 __all__ = [
     "calibration_figure",
     "correlation_figure",
+    "draw_cells",
+    "draw_outline",
     "effect_figure",
     "error_figure",
     "factor_figure",
