@@ -4,7 +4,13 @@ import numpy as np
 from pydrake.all import DiagramBuilder, Simulator, StartMeshcat
 
 from slipmap import (
-    BeliefVisualizer, CellGridSlider, FingerPath, Identification, Maps, TablePush, TrialLogger,
+    BeliefVisualizer,
+    CellGridSlider,
+    FingerPath,
+    Identification,
+    Maps,
+    TablePush,
+    TrialLogger,
     cells_from_polygon,
 )  # fmt: skip
 
