@@ -138,21 +138,15 @@ class TableFrictionField(Effect):
         distance = sp.sqrt((cell.x - p.patch_x) ** 2 + (cell.y - p.patch_y) ** 2 + 1e-12)
         # The share of a cell that lies inside, for an edge that is sharper than cells are small.
         inside = smooth_step(p.patch_radius - distance, cell.width)
-        slope = positive_part(1 + p.gradient_x * cell.x + p.gradient_y * cell.y, 0.02) / positive_part(
-            1, 0.02
-        )
-        return slope * sp.exp(p.patch * inside)
+        rise = 1 + p.gradient_x * cell.x + p.gradient_y * cell.y
+        return positive_part(rise, 0.02) / positive_part(1, 0.02) * sp.exp(p.patch * inside)
 
     def starts(self, scene: Scene) -> list[dict[str, float]]:
         places = np.array([-0.6, 0.0, 0.6]) * scene.reach
+        x0, y0 = scene.center
+        radius = 0.45 * scene.reach
         return [
-            {
-                "patch_x": scene.center[0] + x,
-                "patch_y": scene.center[1] + y,
-                "patch_radius": 0.45 * scene.reach,
-            }
-            for x in places
-            for y in places
+            {"patch_x": x0 + x, "patch_y": y0 + y, "patch_radius": radius} for x in places for y in places
         ]
 
 
@@ -177,13 +171,16 @@ class Tether(Effect):
         return pull * dx, pull * dy, pull * (arm_x * dy - arm_y * dx)
 
     def starts(self, scene: Scene) -> list[dict[str, float]]:
-        result = []
-        for angle in np.arange(0.0, 2 * np.pi, np.pi / 3):
-            for far, slack in ((0.6, 0.0), (1.5, 1.2)):
-                x = scene.center[0] + far * scene.reach * np.cos(angle)
-                y = scene.center[1] + far * scene.reach * np.sin(angle)
-                result.append({"anchor_x": x, "anchor_y": y, "slack": slack * scene.reach})
-        return result
+        (x, y), reach = scene.center, scene.reach
+        return [
+            {
+                "anchor_x": x + far * reach * np.cos(angle),
+                "anchor_y": y + far * reach * np.sin(angle),
+                "slack": slack * reach,
+            }
+            for angle in np.arange(0.0, 2 * np.pi, np.pi / 3)
+            for far, slack in ((0.6, 0.0), (1.5, 1.2))
+        ]
 
 
 class FrictionDrift(Effect):

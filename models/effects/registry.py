@@ -32,8 +32,7 @@ def load_effects(path: str | Path) -> tuple[Effect, ...]:
     if null:  # Pythons before 3.11.4 name no line
         row = before.count(b"\n") + 1
         raise EffectError(f"effect file {path}, line {row}: it holds a null byte; save it as UTF-8 text")
-    # SymPy formulas are keyed by their file; a module of the same name elsewhere must not be taken for this
-    # one.
+    # SymPy formulas are keyed by their file; a module of the same name elsewhere must not be taken for it.
     name = f"slipmap_effect_file_{abs(hash(path.resolve()))}"
     spec = importlib.util.spec_from_file_location(name, path)
     if spec is None or spec.loader is None:

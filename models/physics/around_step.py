@@ -101,18 +101,18 @@ class Taken(NamedTuple):
     evaluations: int
 
 
-@compiled(forceinline=True)
+@compiled(inline="always")
 def take_step(step, start, derive, cos, sin):  # type: ignore[no-untyped-def]
     """`Taken` of a step from an angle with this cosine and sine; `start` is a guess of the new twist."""
-    solution = solve_step(step, start, derive)
-    new, minimum, evaluations = solution
+    new, minimum, evaluations = solve_step(step, start, derive)
     solved = solved_step(step, new, minimum)
-    x, y = _finger_impulse(solved)
-    return Taken(new, minimum, solved, x, y, _way_of(new, cos, sin, step.h), evaluations)
+    x, y = finger_impulse(solved)
+    return Taken(new, minimum, solved, x, y, way_of(new, cos, sin, step.h), evaluations)
 
 
 @compiled(forceinline=True)
-def _finger_impulse(solved):  # type: ignore[no-untyped-def]
+def finger_impulse(solved):  # type: ignore[no-untyped-def]
+    """Impulse of the finger on the object (N s), middle frame."""
     first, second, impulse1, impulse2 = solved.first, solved.second, solved.impulse1, solved.impulse2
     x = -first.nx * impulse1.normal - first.ny * impulse1.tangential
     x -= second.nx * impulse2.normal + second.ny * impulse2.tangential
@@ -122,7 +122,7 @@ def _finger_impulse(solved):  # type: ignore[no-untyped-def]
 
 
 @compiled(forceinline=True)
-def _way_of(new, cos, sin, h):  # type: ignore[no-untyped-def]
+def way_of(new, cos, sin, h):  # type: ignore[no-untyped-def]
     """`Way` of the twist v⁺ from an angle with this cosine and sine."""
     quarter = turn_by(0.25 * h * new[2])
     half_cos, half_sin = joined(quarter.cos, quarter.sin, quarter.cos, quarter.sin)

@@ -22,6 +22,9 @@ the solution was found (one-sided).
 
 For each friction load f_i the gradient's derivative is h times φ_i's own gradient, less the contact impulse
 over Σ f, as the contact's stiffness grows with Σ f; rollouts add it cell by cell.
+
+The last bits of results depend on the order of fields and arguments here: by it the compiler sorts the two
+products of a sum, of which one is rounded and the other fused with the addition.
 """
 
 from __future__ import annotations
