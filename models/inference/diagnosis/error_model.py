@@ -24,7 +24,8 @@ from slipmap.models.physics.paper_notation import add
 MEMORY = 0.03
 """ℓ, m of way travelled by the cells."""
 
-_FORCE_MEMORY = 0.3  # s that an error of the force lasts
+FORCE_MEMORY = 0.3
+"""s that an error of the force lasts."""
 
 
 @dataclass(frozen=True)
@@ -80,7 +81,7 @@ class ErrorModel:
             return np.zeros((0, 0))
         fresh = self.noise.force**2 / observation.force_rows[observation.sliding]
         apart = np.abs(times[:, None] - times[None])
-        lasting = (self.force * observation.typical_force) ** 2 * np.exp(-apart / _FORCE_MEMORY)
+        lasting = (self.force * observation.typical_force) ** 2 * np.exp(-apart / FORCE_MEMORY)
         return lasting + np.diag(fresh)
 
 
