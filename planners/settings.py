@@ -6,29 +6,14 @@ A user tunes them in a scenario file. This module loads quickly, so that help te
 # Annotations stay objects: Drake's YAML reader looks at them.
 from dataclasses import dataclass, field
 
+from slipmap.models.settings import check_ranges, within
+
 STRATEGIES = ("random", "most-different", "most-distinctive")
 """Of Algorithm 2, see `slipmap.planners.action_selection`."""
 
 METHODS = ("probabilistic", "deterministic", "uniform", "true")
 """Of planning, see `slipmap.planners.pregrasp.planning_belief`: with all hypotheses; with one of them, drawn;
 with every cell the same; with the truth."""
-
-
-def check_ranges(settings: object, called: str, **ranges: tuple[float, float]) -> None:
-    """Refuse settings with a field outside of its range, which is (least, largest).
-
-    Args:
-        settings: whose fields are checked.
-        called: what stands before a field's name in the message.
-        ranges: by the field's name.
-
-    Raises:
-        ValueError: names the field.
-    """
-    for name, (least, largest) in ranges.items():
-        value = getattr(settings, name)
-        if not least <= value <= largest:
-            raise ValueError(f"{called}{name} must lie between {least} and {largest}, got {value}")
 
 
 @dataclass
@@ -48,31 +33,19 @@ class GoalSettings:
         mass: what the object is taken to weigh where no mass is given, kg.
     """
 
-    epsilon: float = 0.1
-    margin: float = 0.005
-    samples: int = 2000
-    count: int = 100
-    clearance: float = 0.005
-    least_contact: float = 0.015
-    tolerance: float = 0.003
-    friction: float = 0.2
-    mass: float = 1.0
+    epsilon: float = within(0.1, 0.0, 0.5)
+    margin: float = within(0.005, 0.0, 0.1)
+    samples: int = within(2000, 1, 1_000_000)
+    count: int = within(100, 1, 1_000_000)
+    clearance: float = within(0.005, 0.001, 0.05)
+    least_contact: float = within(0.015, 0.005, 0.1)
+    tolerance: float = within(0.003, 0.0, 0.02)
+    friction: float = within(0.2, 0.01, 2.0)
+    mass: float = within(1.0, 0.001, 100.0)
 
     def check(self) -> None:
         """Raise ValueError, naming the field, where a number makes no sense."""
-        check_ranges(
-            self,
-            "goals: ",
-            epsilon=(0.0, 0.5),
-            margin=(0.0, 0.1),
-            samples=(1, 1_000_000),
-            count=(1, 1_000_000),
-            clearance=(0.001, 0.05),
-            least_contact=(0.005, 0.1),
-            tolerance=(0.0, 0.02),
-            friction=(0.01, 2.0),
-            mass=(0.001, 100.0),
-        )
+        check_ranges(self, "goals: ")
 
 
 @dataclass
@@ -96,12 +69,12 @@ class PokeSettings:
     longest: float = 0.08
     slowest: float = 0.04
     fastest: float = 0.08
-    taps: float = 0.8
-    tap_speed: float = 0.3
-    approach: float = 0.015
-    cone: float = 25.0
-    candidates: int = 60
-    region: float = 0.1
+    taps: float = within(0.8, 0.0, 1.0)
+    tap_speed: float = within(0.3, 0.05, 2.0)
+    approach: float = within(0.015, 1e-3, 0.1)
+    cone: float = within(25.0, 0.0, 80.0)
+    candidates: int = within(60, 1, 10_000)
+    region: float = within(0.1, 0.01, 1.0)
     center: list[float] = field(default_factory=lambda: [0.0, 0.0])
 
     def is_tap(self, number: int) -> bool:
@@ -116,16 +89,7 @@ class PokeSettings:
                     f"pokes: {low} and {high} must be positive, in this order and below 10, got"
                     f" {getattr(self, low)} and {getattr(self, high)}"
                 )
-        check_ranges(
-            self,
-            "pokes: ",
-            taps=(0.0, 1.0),
-            tap_speed=(0.05, 2.0),
-            approach=(1e-3, 0.1),
-            cone=(0.0, 80.0),
-            candidates=(1, 10_000),
-            region=(0.01, 1.0),
-        )
+        check_ranges(self, "pokes: ")
         if len(self.center) != 2 or not all(abs(value) < 10.0 for value in self.center):
             raise ValueError(f"pokes: center must be x and y in m, got {self.center}")
 
@@ -153,41 +117,24 @@ class PushSettings:
         fall_cost: pushes that are as bad as a fall.
     """
 
-    candidates: int = 64
-    refinements: int = 32
-    cone: float = 25.0
-    longest: float = 0.28
-    lengths: int = 28
-    approach: float = 0.02
-    speed: float = 0.08
-    scenarios: int = 20
-    position_noise: float = 0.002
-    angle_noise: float = 1.0
-    tolerance: float = 0.018
-    tolerance_angle: float = 13.5
-    margin: float = 0.005
-    fall_cost: float = 30.0
+    candidates: int = within(64, 4, 10_000)
+    refinements: int = within(32, 0, 10_000)
+    cone: float = within(25.0, 0.0, 80.0)
+    longest: float = within(0.28, 0.01, 1.0)
+    lengths: int = within(28, 2, 500)
+    approach: float = within(0.02, 1e-3, 0.1)
+    speed: float = within(0.08, 1e-3, 1.0)
+    scenarios: int = within(20, 1, 1000)
+    position_noise: float = within(0.002, 0.0, 0.05)
+    angle_noise: float = within(1.0, 0.0, 20.0)
+    tolerance: float = within(0.018, 1e-3, 0.5)
+    tolerance_angle: float = within(13.5, 0.1, 180.0)
+    margin: float = within(0.005, 0.0, 0.1)
+    fall_cost: float = within(30.0, 0.0, 1e6)
 
     def check(self) -> None:
         """Raise ValueError, naming the field, where a number makes no sense."""
-        check_ranges(
-            self,
-            "push.",
-            candidates=(4, 10_000),
-            refinements=(0, 10_000),
-            cone=(0.0, 80.0),
-            longest=(0.01, 1.0),
-            lengths=(2, 500),
-            approach=(1e-3, 0.1),
-            speed=(1e-3, 1.0),
-            scenarios=(1, 1000),
-            position_noise=(0.0, 0.05),
-            angle_noise=(0.0, 20.0),
-            tolerance=(1e-3, 0.5),
-            tolerance_angle=(0.1, 180.0),
-            margin=(0.0, 0.1),
-            fall_cost=(0.0, 1e6),
-        )
+        check_ranges(self, "push.")
 
 
 @dataclass
@@ -206,27 +153,19 @@ class PregraspSettings:
         refusals: most pushes that the robot may refuse in a row.
     """
 
-    explorations: int = 5
+    explorations: int = within(5, 1, 1000)
     strategy: str = "most-distinctive"
-    hypotheses: int = 20
+    hypotheses: int = within(20, 2, 10_000)
     poke: PokeSettings = field(default_factory=PokeSettings)
     goals: GoalSettings = field(default_factory=GoalSettings)
     push: PushSettings = field(default_factory=PushSettings)
-    pushes: int = 20
-    patience: int = 6
-    refusals: int = 10
+    pushes: int = within(20, 1, 1000)
+    patience: int = within(6, 1, 1000)
+    refusals: int = within(10, 1, 1000)
 
     def check(self) -> None:
         """Raise ValueError, naming the field, where a number makes no sense."""
-        check_ranges(
-            self,
-            "pregrasp.",
-            explorations=(1, 1000),
-            hypotheses=(2, 10_000),
-            pushes=(1, 1000),
-            patience=(1, 1000),
-            refusals=(1, 1000),
-        )
+        check_ranges(self, "pregrasp.")
         if self.strategy not in STRATEGIES:
             raise ValueError(
                 f"pregrasp.strategy must be one of {', '.join(STRATEGIES)}, got {self.strategy!r}"

@@ -1,136 +1,90 @@
-"""Runs the commands of `commands.py` and keeps what they say.
+"""Keeps what the commands say; `python -m tests.recorded.recording [NAME ...]` records cases anew.
 
-A recording is a JSON file for each command line: exit code, standard output, standard error, and the JSON
-that the command wrote. What differs from run to run (times, versions) is masked.
-`python -m tests.recorded.recording` records anew.
+Without names it records all.
+
+A recording is `outputs/NAME.json`. Look at `git diff tests/recorded/outputs` before it is committed: every
+line of it is something that a user will see changed.
 """
 
 from __future__ import annotations
 
-import contextlib
-import io
 import json
-import math
-import os
 import re
-import shlex
+import sys
 import tempfile
-from collections.abc import Iterator
+import time
 from pathlib import Path
 from typing import Any
 
-from slipmap.diagrams.application.command_line import run
-from tests.recorded.commands import CASES
+from tests.recorded.cases import CASES
+from tests.recorded.inputs import write_inputs
+from tests.recorded.masking import doctor_document, doctor_lines, masked_document, masked_lines
+from tests.recorded.running import run
 
-FOLDER = Path(__file__).parent / "outputs"
-
-RELATIVE = 1e-5
-"""Numbers of a JSON document may differ by this share, as another processor rounds otherwise."""
-
-_TIME = re.compile(r"\b\d+(\.\d+)? (s|min)\b")
-_NUMBER = re.compile(r"-?\d+(?:\.\d+)?(?:e-?\d+)?")
-_MASKED_KEYS = {"seconds", "versions", "version"}
+OUTPUTS = Path(__file__).parent / "outputs"
 
 
-def said(arguments: str) -> dict[str, Any]:
-    """Exit code, output and JSON of one command line, run in this process and folder."""
-    words = shlex.split(arguments)
-    out, err = io.StringIO(), io.StringIO()
-    with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
-        code = run(words)
-    result: dict[str, Any] = {
-        "arguments": arguments,
-        "code": code,
-        "out": masked(out.getvalue()),
-        "err": [line for line in masked(err.getvalue()).splitlines() if not _is_progress(line)],
-    }
-    if "--json" in words and code == 0:
-        document = json.loads(Path(words[words.index("--json") + 1]).read_text(encoding="utf-8"))
-        result["json"] = without(document)
-    return result
+class Recorder:
+    """Runs cases in one folder, each once, and before it those that write what it reads."""
 
+    def __init__(self, folder: Path) -> None:
+        write_inputs(folder)
+        self._folder = folder
+        self._done: dict[str, dict[str, Any]] = {}
 
-def _is_progress(line: str) -> bool:
-    """Whether a line says how far a stage is: how many there are depends on the machine's pace."""
-    return line.endswith("…") or "TIME" in line or line.startswith("Compiling")
+    def of(self, name: str) -> dict[str, Any]:
+        """What the case does now, masked as it is recorded."""
+        if name not in self._done:
+            for earlier in CASES[name].after:
+                self.of(earlier)
+            self._done[name] = self._recording(name)
+        return self._done[name]
 
-
-def prepare(folder: Path) -> None:
-    """Write what the commands read: a mesh of a block, in metres."""
-    corners = [(x, y, z) for x in (0, 0.1) for y in (0, 0.06) for z in (0, 0.04)]
-    faces = ["1 2 4 3", "5 7 8 6", "1 5 6 2", "3 4 8 7", "1 3 7 5", "2 6 8 4"]
-    lines = [f"v {x} {y} {z}" for x, y, z in corners] + [f"f {face}" for face in faces]
-    (folder / "block.obj").write_text("\n".join(lines) + "\n", encoding="utf-8")
-
-
-def masked(text: str) -> str:
-    """A text without times."""
-    return _TIME.sub("TIME", text)
-
-
-def without(document: Any) -> Any:
-    """A JSON document without what differs from run to run."""
-    if isinstance(document, dict):
-        return {key: None if key in _MASKED_KEYS else without(value) for key, value in document.items()}
-    return [without(value) for value in document] if isinstance(document, list) else document
-
-
-def differences(wanted: Any, got: Any, where: str = "") -> Iterator[str]:
-    """What differs between two recordings, each a line that names the place."""
-    if isinstance(wanted, dict) and isinstance(got, dict):
-        for key in sorted({*wanted, *got}):
-            if key not in wanted or key not in got:
-                yield f"{where}/{key}: {'new' if key not in wanted else 'missing'}"
-            else:
-                yield from differences(wanted[key], got[key], f"{where}/{key}")
-    elif isinstance(wanted, list) and isinstance(got, list):
-        if len(wanted) != len(got):
-            yield f"{where}: {len(wanted)} entries wanted, got {len(got)}: {wanted!r:.300} and {got!r:.300}"
-        for number, (one, other) in enumerate(zip(wanted, got, strict=False)):
-            yield from differences(one, other, f"{where}[{number}]")
-    elif isinstance(wanted, str) and isinstance(got, str):
-        for number, (one, other) in enumerate(zip(wanted.splitlines(), got.splitlines(), strict=False)):
-            if not _same_text(one, other):
-                yield f"{where}, line {number + 1}: wanted {one!r}, got {other!r}"
-        if len(wanted.splitlines()) != len(got.splitlines()):
-            yield f"{where}: {len(wanted.splitlines())} lines wanted, got {len(got.splitlines())}"
-    elif isinstance(wanted, float) and isinstance(got, float | int):
-        if not math.isclose(wanted, got, rel_tol=RELATIVE, abs_tol=1e-9):
-            yield f"{where}: wanted {wanted}, got {got}"
-    elif wanted != got:
-        yield f"{where}: wanted {wanted!r}, got {got!r}"
-
-
-def _same_text(one: str, other: str) -> bool:
-    """Whether two lines are the same but for the last digit of their numbers."""
-    if one == other:
-        return True
-    if _NUMBER.split(one) != _NUMBER.split(other):
-        return False
-    pairs = zip(_NUMBER.findall(one), _NUMBER.findall(other), strict=True)
-    return all(a == b or ("." in a and abs(float(a) - float(b)) <= 1.01 * _last_digit(a)) for a, b in pairs)
-
-
-def _last_digit(number: str) -> float:
-    """What one unit of a number's last digit is worth."""
-    digits, _, power = number.partition("e")
-    return 10.0 ** (int(power or 0) - len(digits.partition(".")[2]))
+    def _recording(self, name: str) -> dict[str, Any]:
+        case = CASES[name]
+        said = run(case.line, self._folder, case.environment)
+        recording: dict[str, Any] = {
+            "line": case.line,
+            "code": said.code,
+            "out": masked_lines(said.out, self._folder),
+            "err": masked_lines(said.err, self._folder),
+            "wrote": said.wrote,
+            "texts": {file: masked_lines(text, self._folder) for file, text in said.texts.items()},
+            "json": masked_document(said.document, self._folder),
+        }
+        if name == "doctor":
+            recording["out"] = doctor_lines(recording["out"])
+            recording["json"] = doctor_document(recording["json"])
+        return recording
 
 
 def recorded(name: str) -> dict[str, Any]:
-    """What was recorded of the case `name`."""
-    return json.loads((FOLDER / f"{name}.json").read_text(encoding="utf-8"))
+    """What was recorded of a case."""
+    return dict(json.loads((OUTPUTS / f"{name}.json").read_text(encoding="utf-8")))
+
+
+def as_text(recording: dict[str, Any]) -> str:
+    """A recording as it is kept: lists of numbers in one line."""
+    text = json.dumps(recording, indent=1, ensure_ascii=False)
+    numbers = re.compile(r"\[\s+(-?\d[-\d.e+]*(?:,\s+-?\d[-\d.e+]*)*)\s+\]")
+    return numbers.sub(lambda found: "[" + " ".join(found[1].split()) + "]", text) + "\n"
 
 
 def main() -> None:
-    """Record all cases anew."""
-    FOLDER.mkdir(exist_ok=True)
-    os.environ["COLUMNS"] = "80"
-    with tempfile.TemporaryDirectory() as folder, contextlib.chdir(folder):
-        prepare(Path(folder))
-        for name, arguments in CASES.items():
-            text = json.dumps(said(arguments), indent=1, ensure_ascii=False, sort_keys=True)
-            (FOLDER / f"{name}.json").write_text(text + "\n", encoding="utf-8")
+    """Record cases anew."""
+    names = sys.argv[1:] or list(CASES)
+    OUTPUTS.mkdir(exist_ok=True)
+    with tempfile.TemporaryDirectory() as folder:
+        recorder = Recorder(Path(folder))
+        for name in names:
+            began, cpu = time.monotonic(), time.process_time()
+            recording = recorder.of(name)
+            (OUTPUTS / f"{name}.json").write_text(as_text(recording), encoding="utf-8")
+            took = f"{time.monotonic() - began:6.1f} s, {time.process_time() - cpu:6.1f} s of processor"
+            print(f"{name:<32} exit code {recording['code']:<3} {took}", flush=True)
+    for path in OUTPUTS.glob("*.json"):
+        if path.stem not in CASES:
+            path.unlink()
 
 
 if __name__ == "__main__":
