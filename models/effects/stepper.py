@@ -134,7 +134,8 @@ class Stepper(EffectSlider):
             RolloutError: a model's step was not solved; names the model.
         """
         # One layout, so that the kernel is compiled once.
-        states, wrench, tip = (np.ascontiguousarray(a, dtype=float) for a in (states, wrench, tip))
+        states = np.ascontiguousarray(states, dtype=float)
+        wrench, tip = np.ascontiguousarray(wrench, dtype=float), np.ascontiguousarray(tip, dtype=float)
         K, Z = states.shape
         constants = self._per_step.copy()
         constants[0, 0], constants[0, 2] = time + 0.5 * self.h, order

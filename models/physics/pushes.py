@@ -162,7 +162,8 @@ def join_pushes(
 def _starts(name: str, given: FloatArray | None, own: Sequence[FloatArray], models: int) -> FloatArray:
     """(K, B, 3) starts that were given, checked, or the pushes' own for all models."""
     if given is None:
-        return np.repeat(np.array([own]), models, axis=0)
+        starts = np.array([own])
+        return starts if models == 1 else np.repeat(starts, models, axis=0)
     shape = (models, len(own), 3)
     if np.shape(given) != shape or not np.isfinite(given).all():
         raise ValueError(f"rollout: {name} must be finite and of shape {shape}, got {np.shape(given)}")
