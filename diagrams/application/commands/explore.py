@@ -107,7 +107,7 @@ def explore(
         effects = cell_run.effects_of_library(effect_names)
         wanted = LoopOptions(pushes=pushes, checks=checks, strategy=strategy, seed=seed, effects=effects)
     if before is not None and cell.hardware is not before.of_a_real_cell:
-        was = "in simulation; cell_run.leave out" if cell.hardware else "in a real cell; add"
+        was = "in simulation; leave out" if cell.hardware else "in a real cell; add"
         raise BadInput(f"{resume or after}: that run was made {was} --hardware to go on with it")
     make_folder(cell.folder)
     record = ExplorationRecord(cell.folder, scenario, wanted, before if resume is not None else None)
@@ -203,7 +203,7 @@ def _refuse_beside(context: click.Context, because: str, *settled: str) -> None:
         name = parameter.opts[-1].removeprefix("--")
         given = context.get_parameter_source(parameter.name or "") is not click.core.ParameterSource.DEFAULT
         if name in settled and given:
-            raise BadInput(f"{because}; cell_run.leave out --{name}")
+            raise BadInput(f"{because}; leave out --{name}")
 
 
 def _run_exploration(
