@@ -56,7 +56,7 @@ SHARED_DATA = TESTS.parents[1] / "shared" / "data"
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
-    """Options for a random order, which finds tests that need another one before them, and for a quick part."""
+    """A random order, which finds tests that need another one before them; and a quick part of the tests."""
     parser.addoption("--quick", action="store_true", help="leave out what takes long; see NOT_QUICK")
     parser.addoption(
         "--shuffle", type=int, metavar="SEED", help="run files, and tests within each, in random order"

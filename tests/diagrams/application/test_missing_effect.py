@@ -66,9 +66,9 @@ def test_from_a_model_that_fails_to_one_that_has_the_effect(slipmap, tmp_path):
     ("after", "doubted"), [(0.5e-3, False), (0.7e-3, False), (0.9e-3, True), (4e-3, True)]
 )
 def test_an_effect_that_predicts_no_better_is_not_spoken_for(capsys, after, doubted) -> None:  # type: ignore[no-untyped-def]
-    def learnt(error: float) -> Any:
+    def learnt(error: float, without: Any = None) -> Any:
         belief = SimpleNamespace(effects=[SimpleNamespace(name="table_tilt")])
-        return SimpleNamespace(errors=lambda role: np.full(4, error), belief=belief)
+        return SimpleNamespace(errors=lambda role: np.full(4, error), belief=belief, without_effects=without)
 
-    _show_gain(learnt(after), learnt(1e-3))
+    _show_gain(learnt(after, learnt(1e-3)))
     assert ("DO NOT SPEAK FOR table_tilt" in " ".join(capsys.readouterr().out.split())) == doubted
