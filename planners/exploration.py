@@ -113,6 +113,14 @@ def candidate_pushes(
     Raises:
         ValueError: a number out of range; the message names it.
         NoReachablePush: the finger fits nowhere, for instance because it is too thick.
+
+    Example:
+        >>> import numpy as np
+        >>> import slipmap
+        >>> grid, _ = slipmap.hammer()
+        >>> candidates = slipmap.candidate_pushes(grid, 0.008, np.random.default_rng(0), 3)
+        >>> len(candidates), candidates[0].push([0, 0, 0]).tip.shape[1]
+        (3, 2)
     """
     _check(finger_radius, count, length, speed, cone, approach)
     cells, points, normals = contour_cells(grid)

@@ -32,6 +32,12 @@ class TablePush:
     Raises:
         ValueError: a number that is not finite, a speed that is not positive, no way to go, or a creep that
             takes up all of it.
+
+    Example:
+        >>> import slipmap
+        >>> push = slipmap.TablePush(begin=[-0.06, 0.0], end=[0.04, 0.0], speed=0.05)
+        >>> push.path(0.01).shape[1]
+        2
     """
 
     begin: FloatArray

@@ -62,6 +62,12 @@ def diagnose(
 
     Raises:
         DatasetError, EffectError, ValueError: as there.
+
+    Example:
+        >>> import slipmap
+        >>> dataset, _ = slipmap.simulated_hammer(seed=1, fit=3, heldout=1)
+        >>> slipmap.diagnose(dataset, quick=True, draws=99).verdict
+        'undecided'
     """
     result = missing_effect.diagnose(
         dataset, effects=effects, draws=draws, quick=quick, seed=seed, progress=progress

@@ -23,6 +23,12 @@ def simulated_hammer(seed: int = 0, *, fit: int = 6, heldout: int = 4) -> tuple[
         seed: of the pushes and of the sensors' noise.
         fit: pushes to learn from.
         heldout: pushes to judge with.
+
+    Example:
+        >>> import slipmap
+        >>> dataset, truth = slipmap.simulated_hammer(seed=1, fit=3, heldout=1)
+        >>> [trial.role for trial in dataset.trials], truth.mass.shape
+        (['fit', 'fit', 'fit', 'heldout'], (1, 60))
     """
     grid, truth = hammer()
     slider = Slider(grid, FINGER_RADIUS)

@@ -88,6 +88,11 @@ class LoopOptions:
         hypotheses: K.
         seed: of every draw.
         effects: of the library, which the model is given.
+
+    Example:
+        >>> import slipmap
+        >>> slipmap.LoopOptions(pushes=3, checks=1).strategy
+        'most-distinctive'
     """
 
     pushes: int = 5

@@ -139,6 +139,14 @@ def explore(
         ExplorationStopped: Ctrl-C; it has what was recorded until then, where that is learned from.
         ValueError, RendererUnavailable: see `exploration_loop`.
         HardwareError: the real cell cannot be reached.
+
+    Example:
+        >>> import slipmap
+        >>> scenario = slipmap.Scenario()
+        >>> scenario.simulation.time_step = 0.005
+        >>> run = slipmap.explore(scenario, slipmap.LoopOptions(pushes=1, cells=30, hypotheses=4))
+        >>> len(run.dataset.trials), len(run.identification.belief)
+        (1, 4)
     """
     report = progress or (lambda stage, done, total: None)
     pushes = options.pushes + options.checks

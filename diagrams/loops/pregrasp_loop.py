@@ -64,6 +64,11 @@ class PregraspOptions:
         exploration: how the object is explored; its seed is that of every draw.
         method: of planning, one of `slipmap.planners.settings.METHODS`.
         pushes: most pushes towards the edge.
+
+    Example:
+        >>> import slipmap
+        >>> slipmap.PregraspOptions(slipmap.LoopOptions(pushes=3), method="probabilistic").method
+        'probabilistic'
     """
 
     exploration: LoopOptions = field(default_factory=LoopOptions)
@@ -263,6 +268,13 @@ def pregrasp(
         ExplorationFailed: before there was anything to learn from; `ExplorationStopped` where by Ctrl-C.
         ValueError, ScenarioError, RendererUnavailable: see `exploration_loop`.
         HardwareError: the real cell cannot be reached.
+
+    Example:
+        >>> import slipmap
+        >>> options = slipmap.PregraspOptions(slipmap.LoopOptions(pushes=3))
+        >>> run = slipmap.pregrasp(slipmap.Scenario(), options)  # doctest: +SKIP (takes a minute)
+        >>> run.held  # doctest: +SKIP
+        True
     """
     with real_cell(scenario, hardware, options.exploration.effects) as (cell, worker):
         loop = pregrasp_loop(scenario, options, cell=cell, worker=worker, meshcat=meshcat)

@@ -190,6 +190,12 @@ class CellPerception(PythonSystem):
 
     Raises:
         ValueError: a number of cells below 1.
+
+    Example:
+        >>> import slipmap
+        >>> perception = slipmap.CellPerception(slipmap.Scenario().camera)
+        >>> [perception.get_output_port(i).get_name() for i in range(perception.num_output_ports())]
+        ['object_pose', 'cell_grid', 'seen_object', 'first_picture']
     """
 
     def __init__(

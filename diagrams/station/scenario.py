@@ -221,6 +221,13 @@ class Scenario:
         goals: where at the table's edge it may be left.
         pushes: how it is pushed there.
         simulation: how the world is stepped.
+
+    Example:
+        >>> import slipmap
+        >>> scenario = slipmap.Scenario()
+        >>> scenario.camera.rate = 5.0
+        >>> scenario.table.radius
+        0.5
     """
 
     object: ObjectSettings = field(default_factory=ObjectSettings)

@@ -70,6 +70,12 @@ class Station(PythonDiagram):
     Raises:
         ValueError: an object or a surface that cannot be had.
         RendererUnavailable: this machine cannot render pictures.
+
+    Example:
+        >>> import slipmap
+        >>> station = slipmap.Station(slipmap.Scenario())
+        >>> station.HasOutputPort("camera.depth_image")
+        True
     """
 
     def __init__(self, scenario: Scenario, meshcat: Meshcat | None = None) -> None:

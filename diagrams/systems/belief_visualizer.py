@@ -213,6 +213,13 @@ class BeliefVisualizer(PythonSystem):
             the table and faces a camera at `VIEW`.
         which: index of the map to begin with, see `MAPS`. By default it is the product, the one that slow
             pushes show.
+
+    Example:
+        >>> import slipmap
+        >>> from pydrake.geometry import Meshcat
+        >>> visualizer = slipmap.BeliefVisualizer(Meshcat())
+        >>> visualizer.HasInputPort("belief"), visualizer.HasInputPort("object_pose")
+        (True, True)
     """
 
     def __init__(

@@ -119,6 +119,13 @@ def CellGridSlider_(T: type) -> type:
 
         Raises:
             ValueError: maps of another grid, of other effects, or of more than one model.
+
+        Example:
+            >>> import slipmap
+            >>> grid, truth = slipmap.hammer()
+            >>> slider = slipmap.CellGridSlider(grid, truth, finger_radius=0.008, h=0.005)
+            >>> [slider.get_output_port(i).get_name() for i in range(slider.num_output_ports())]
+            ['object_pose', 'object_twist', 'cell_positions', 'finger_force']
         """
 
         def _construct(

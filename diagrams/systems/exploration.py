@@ -45,6 +45,13 @@ class Exploration(PythonSystem):
         worker: who computes; this process if None, and then the simulation waits. It must be able to take
             `allowed` along.
         past: pushes that were made before.
+
+    Example:
+        >>> import slipmap
+        >>> settings = slipmap.Scenario().pokes
+        >>> block = slipmap.Exploration("random", 3, 0.008, settings, lambda obstacle, push: True, seed=0)
+        >>> [block.get_output_port(i).get_name() for i in range(block.num_output_ports())]
+        ['plan']
     """
 
     def __init__(

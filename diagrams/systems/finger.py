@@ -27,6 +27,12 @@ class FingerMotion(PythonSystem):
 
     Args:
         period: s over which the velocity is taken; the step of the model that it drives.
+
+    Example:
+        >>> import slipmap
+        >>> motion = slipmap.FingerMotion(0.005)
+        >>> [motion.get_output_port(i).get_name() for i in range(motion.num_output_ports())]
+        ['finger']
     """
 
     def __init__(self, period: float) -> None:
@@ -65,6 +71,12 @@ class FingerPath(PythonSystem):
         h: step of the model that it drives, s; the velocity is constant over it.
         pause: between two pushes and before the first, s.
         rest: for which the finger is down and at rest before and after it moves, s.
+
+    Example:
+        >>> import slipmap
+        >>> push = slipmap.TablePush([-0.06, 0.0], [0.04, 0.0], 0.05)
+        >>> slipmap.FingerPath([push], h=0.005).GetOutputPort("finger").get_name()
+        'finger'
     """
 
     def __init__(self, pushes: Sequence[TablePush], h: float, pause: float = 1.0, rest: float = 0.4) -> None:

@@ -195,6 +195,14 @@ class GoalAndPushPlanner(PythonSystem):
         seed: of every draw.
         truth: the true maps over the cells seen, which only the method `true` asks for.
         worker: who computes; this process if None. It must be able to take the functions along.
+
+    Example:
+        >>> import slipmap
+        >>> from slipmap.planners.settings import PregraspSettings
+        >>> table = slipmap.Table("round", (0.0, 0.0), radius=0.5)
+        >>> planner = slipmap.GoalAndPushPlanner(PregraspSettings(), table)
+        >>> [planner.get_output_port(i).get_name() for i in range(planner.num_output_ports())]
+        ['plan']
     """
 
     def __init__(

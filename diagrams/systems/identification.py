@@ -57,6 +57,13 @@ class Identification(PythonSystem):
 
     Raises:
         EffectError: an unknown effect.
+
+    Example:
+        >>> import slipmap
+        >>> grid, _ = slipmap.hammer()
+        >>> learner = slipmap.Identification(grid=grid, finger_radius=0.008, hypotheses=6)
+        >>> [learner.get_output_port(i).get_name() for i in range(learner.num_output_ports())]
+        ['belief', 'learned']
     """
 
     def __init__(

@@ -89,6 +89,12 @@ class MeasurementLogger(PythonSystem):
     Args:
         fit: so many trials are to learn from, those after them to judge.
         trials: that were recorded before.
+
+    Example:
+        >>> import slipmap
+        >>> logger = slipmap.MeasurementLogger(fit=3)
+        >>> [logger.get_output_port(i).get_name() for i in range(logger.num_output_ports())]
+        ['trials', 'under_way']
     """
 
     def __init__(self, fit: int, trials: Sequence[Trial] = ()) -> None:
@@ -175,6 +181,12 @@ class TrialLogger(PythonSystem):
     Args:
         fit: so many trials are to learn from, those after them to judge; all to learn from if None.
         period: s between two rows.
+
+    Example:
+        >>> import slipmap
+        >>> logger = slipmap.TrialLogger()
+        >>> [logger.get_output_port(i).get_name() for i in range(logger.num_output_ports())]
+        ['trials', 'observed_pose']
     """
 
     def __init__(self, fit: int | None = None, period: float = PERIOD) -> None:

@@ -119,6 +119,13 @@ class ModelMonitor(PythonSystem):
 
     Raises:
         ValueError: the noise of position or angle is not given.
+
+    Example:
+        >>> import slipmap
+        >>> dataset, _ = slipmap.simulated_hammer(fit=1, heldout=0)
+        >>> monitor = slipmap.ModelMonitor(dataset.noise)
+        >>> [monitor.get_output_port(i).get_name() for i in range(monitor.num_output_ports())]
+        ['residual', 'misfit', 'evidence', 'alarm', 'watch']
     """
 
     def __init__(self, sensors: Noise, period: float = 0.05, model_error: float = MODEL_ERROR) -> None:

@@ -208,6 +208,15 @@ def open_cell(
     Raises:
         HardwareError: a process could not be started, or a malformed address.
         ValueError, RendererUnavailable: as `Station`.
+
+    Example:
+        >>> import pathlib
+        >>> import tempfile
+        >>> import slipmap
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     with slipmap.open_cell("lockstep", pathlib.Path(folder)) as cell:
+        ...         cell.scenario.object.name
+        'hammer'
     """
     scenario = scenario or small_scenario(where)
     folder.mkdir(parents=True, exist_ok=True)

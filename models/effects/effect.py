@@ -42,6 +42,12 @@ class Parameter:
         start: first guess of a parameter that shapes; its prior is centred there.
         weight_power: the scale is multiplied by this power of the object's weight in newtons, so that forces
             are as likely for a heavy object as for a light one.
+
+    Example:
+        >>> import slipmap
+        >>> thrust = slipmap.Parameter("thrust", "N", "of the air", -5.0, 5.0, 0.2, null=0.0)
+        >>> thrust.unit, thrust.null
+        ('N', 0.0)
     """
 
     name: str
@@ -89,6 +95,17 @@ class Effect:
         sentence: what it is, for a person.
         parameters: at least one with a null value.
         memory: names of numbers that the effect carries from step to step; they start at 0.
+
+    Example:
+        >>> import slipmap
+        >>> class Fan(slipmap.Effect):
+        ...     name = "fan"
+        ...     sentence = "A fan blows along x."
+        ...     parameters = (slipmap.Parameter("thrust", "N", "of the air", -5.0, 5.0, 0.2, null=0.0),)
+        ...     def force(self, body, p):
+        ...         return p.thrust, 0, -body.com_y * p.thrust
+        >>> Fan().name
+        'fan'
     """
 
     name: ClassVar[str]

@@ -17,11 +17,25 @@ _LARGEST = 2**20  # bytes of a file with effects
 
 
 def load_effects(path: str | Path) -> tuple[Effect, ...]:
-    """Effects that a Python file defines: one of each subclass of `Effect` in it, checked.
+    r"""Effects that a Python file defines: one of each subclass of `Effect` in it, checked.
 
     Raises:
         EffectError: the file cannot be read or run, defines no effect, or one that is faulty; names file
             and line.
+
+    Example:
+        >>> import pathlib
+        >>> import tempfile
+        >>> import slipmap
+        >>> text = 'from slipmap import Effect, Parameter\n'
+        >>> text += 'class Fan(Effect):\n    name = "fan"\n    sentence = "A fan blows."\n'
+        >>> text += '    parameters = (Parameter("thrust", "N", "of the air", -5.0, 5.0, 0.2, null=0.0),)\n'
+        >>> text += '    def force(self, body, p):\n        return p.thrust, 0, 0\n'
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     path = pathlib.Path(folder) / "fan.py"
+        ...     characters = path.write_text(text)
+        ...     [effect.name for effect in slipmap.load_effects(path)]
+        ['fan']
     """
     path = Path(path)
     try:
@@ -106,6 +120,11 @@ def effects_named(names: Sequence[str], known: Sequence[Effect] = LIBRARY) -> tu
 
     Raises:
         EffectError: an unknown name, with the nearest known ones; or a name given twice.
+
+    Example:
+        >>> import slipmap
+        >>> [effect.sentence for effect in slipmap.effects_named(["table_tilt"])]
+        ['The table is not level: gravity has a component along it.']
     """
     by_name = {effect.name: effect for effect in known}
     for name in names:

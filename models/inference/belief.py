@@ -59,6 +59,17 @@ class Belief:
         settings: everything else that shaped the result, JSON-able.
         versions: of slipmap and of the libraries that compute.
         effects: that the model has; the maps carry their parameters.
+
+    Example:
+        >>> import tempfile
+        >>> import slipmap
+        >>> dataset, _ = slipmap.simulated_hammer(seed=1, fit=1, heldout=0)
+        >>> belief = slipmap.identify(dataset, hypotheses=2, friction_laws=False).belief
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     belief.save(folder + "/belief.npz")
+        ...     again = slipmap.Belief.load(folder + "/belief.npz")
+        >>> len(again), again.maps.mass.shape
+        (2, (2, 60))
     """
 
     grid: CellGrid

@@ -187,6 +187,14 @@ def compare(
     Raises:
         BeliefError: the dataset has another finger or another object.
         DatasetError: there is neither a belief nor a push to learn one from.
+
+    Example:
+        >>> import slipmap
+        >>> dataset, _ = slipmap.simulated_hammer(seed=1, fit=1, heldout=2)
+        >>> belief = slipmap.identify(dataset, hypotheses=2, friction_laws=False).belief
+        >>> comparison = slipmap.compare(dataset, belief)
+        >>> comparison.label, len(comparison.pushes)
+        ('model', 3)
     """
     belief = belief or identify(dataset, seed=seed, progress=progress).belief
     check_same_object(belief, dataset)

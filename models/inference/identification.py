@@ -49,6 +49,13 @@ def identify(
     Raises:
         DatasetError: there is no push to fit.
         ValueError: an unknown method or too few hypotheses.
+
+    Example:
+        >>> import slipmap
+        >>> dataset, _ = slipmap.simulated_hammer(seed=1, fit=2, heldout=1)
+        >>> result = slipmap.identify(dataset, hypotheses=4, friction_laws=False)
+        >>> len(result.belief), result.errors("heldout").shape
+        (4, (1,))
     """
     if method not in METHODS:
         raise ValueError(f"unknown method {method!r}; choose one of {', '.join(METHODS)}")

@@ -33,6 +33,13 @@ def predict(belief: Belief, dataset: PushDataset, progress: Progress | None = No
 
     Raises:
         BeliefError: the dataset has another finger or another object.
+
+    Example:
+        >>> import slipmap
+        >>> dataset, _ = slipmap.simulated_hammer(seed=1, fit=1, heldout=2)
+        >>> belief = slipmap.identify(dataset, hypotheses=2, friction_laws=False).belief
+        >>> [push.role for push in slipmap.predict(belief, dataset)]
+        ['fit', 'heldout', 'heldout']
     """
     check_same_object(belief, dataset)
     return predict_observations(belief, observe_all(dataset), progress)

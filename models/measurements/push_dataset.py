@@ -85,6 +85,12 @@ class Trial:
 
     Raises:
         DatasetError: an unknown role, a wrong number of columns, or fewer than two object poses.
+
+    Example:
+        >>> import slipmap
+        >>> trial = slipmap.simulated_hammer(fit=1, heldout=0)[0].trials[0]
+        >>> trial.name, trial.role, trial.object_pose.values.shape[1]
+        ('trials/000.json', 'fit', 3)
     """
 
     name: str
@@ -161,7 +167,14 @@ class Noise:
 
 @dataclass(frozen=True)
 class Table:
-    """The table top in the world frame: round with a radius, or a rectangle with sides along x and y, m."""
+    """The table top in the world frame: round with a radius, or a rectangle with sides along x and y, m.
+
+    Example:
+        >>> import slipmap
+        >>> table = slipmap.Table("round", (0.0, 0.0), radius=0.5)
+        >>> table.radius
+        0.5
+    """
 
     shape: Literal["round", "rectangle"]
     center: tuple[float, float]
@@ -206,6 +219,12 @@ class PushDataset(Setup):
 
     Raises:
         DatasetError: no trials, two of one name, or a radius, gravity, height or mass that is not positive.
+
+    Example:
+        >>> import slipmap
+        >>> dataset, _ = slipmap.simulated_hammer(fit=3, heldout=1)
+        >>> dataset.name, dataset.finger_radius, len(dataset.fit_trials), len(dataset.heldout_trials)
+        ('hammer', 0.008, 3, 1)
     """
 
     trials: tuple[Trial, ...]

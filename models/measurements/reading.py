@@ -70,6 +70,15 @@ def read_dataset(
 
     Raises:
         DatasetError: for every fault in the files, naming file, trial and row.
+
+    Example:
+        >>> import tempfile
+        >>> import slipmap
+        >>> dataset, _ = slipmap.simulated_hammer(fit=2, heldout=0)
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     path = slipmap.write_dataset(dataset, folder + "/pushes")
+        ...     [trial.name for trial in slipmap.read_dataset(path).trials]
+        ['trials/000.json', 'trials/001.json']
     """
     source = Path(path)
     try:

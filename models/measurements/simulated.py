@@ -50,6 +50,16 @@ def record_pushes(
     Raises:
         ValueError: several models, a push without a finger, a number of held-out pushes that does not fit, or
             a rate that is not positive.
+
+    Example:
+        >>> import numpy as np
+        >>> import slipmap
+        >>> grid, truth = slipmap.hammer()
+        >>> push = slipmap.candidate_pushes(grid, 0.008, np.random.default_rng(0), 1)[0].push([0, 0, 0])
+        >>> slider = slipmap.Slider(grid, finger_radius=0.008)
+        >>> dataset = slipmap.record_pushes(slider, truth, [push], np.random.default_rng(0))
+        >>> dataset.trials[0].role
+        'fit'
     """
     if len(maps) != 1:
         raise ValueError(f"recording: wants the true maps alone, one model, got {len(maps)}")

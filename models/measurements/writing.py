@@ -39,6 +39,15 @@ def write_dataset(dataset: PushDataset, folder: str | os.PathLike[str], *, overw
     Raises:
         DatasetError: the target is a file, a dataset and `overwrite` is not set, or anything else.
         OSError: the disk is full or the place not writable; nothing is left behind.
+
+    Example:
+        >>> import tempfile
+        >>> import slipmap
+        >>> dataset, _ = slipmap.simulated_hammer(fit=2, heldout=0)
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     path = slipmap.write_dataset(dataset, folder + "/pushes")
+        ...     sorted(file.name for file in path.iterdir())
+        ['dataset.yaml', 'trials']
     """
     target = Path(folder).resolve()
     is_replaced(target, overwrite)

@@ -152,6 +152,12 @@ def benchmark_object(name: str) -> TrueObject:
 
     Raises:
         ValueError: an unknown name; lists the names there are and the nearest.
+
+    Example:
+        >>> import slipmap
+        >>> wrench = slipmap.benchmark_object("wrench")
+        >>> len(wrench.grid), round(float(wrench.mass.sum()), 2)
+        (62, 0.28)
     """
     if name not in _WHOLES:
         near = get_close_matches(str(name).lower().replace(" ", "_"), BENCHMARK_OBJECTS, n=1)
@@ -202,6 +208,12 @@ def hammer() -> tuple[CellGrid, Maps]:
     Its head is 0.74 kg of steel that slides easily (μ = 0.2), its handle 0.08 kg of wood that does not (0.4).
 
     The object frame lies in the middle of the whole length, y towards the head.
+
+    Example:
+        >>> import slipmap
+        >>> grid, truth = slipmap.hammer()
+        >>> len(grid), round(float(truth.mass.sum()), 2)
+        (60, 0.81)
     """
     half = (HEAD[1] + HANDLE[1]) / 2
     joint = half - HEAD[1]

@@ -53,6 +53,12 @@ def cells_from_polygon(
     Raises:
         ValueError: not exactly one of count and width, one of them out of range, an outline that is not a
             simple polygon, or a width so large that no centre lies inside.
+
+    Example:
+        >>> import slipmap
+        >>> grid = slipmap.cells_from_polygon([[0, 0], [0.1, 0], [0.1, 0.06], [0, 0.06]], count=15)
+        >>> len(grid), round(grid.width, 4)
+        (15, 0.02)
     """
     if (count is None) == (width is None):
         raise ValueError("cell grid: give exactly one of count and width")

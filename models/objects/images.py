@@ -71,6 +71,15 @@ def cells_from_label_image(
         ValueError: a file that cannot be read, an image that is not one channel of whole numbers, a scale
             that is not positive or makes the object wider than 5 m or narrower than 1 mm, no object, an
             object in separate pieces, or wrong count or width.
+
+    Example:
+        >>> import numpy as np
+        >>> import slipmap
+        >>> labels = np.zeros((40, 60), dtype=int)
+        >>> labels[10:30, 10:50] = 1
+        >>> grid, segments = slipmap.cells_from_label_image(labels, 0.002, count=18)
+        >>> len(grid), set(segments.tolist())
+        (18, {1})
     """
     image, source = _label_array(labels)
     if not (np.isfinite(metres_per_pixel) and metres_per_pixel > 0):

@@ -63,6 +63,13 @@ def cells_from_mesh(
         ValueError: a file that cannot be read, a mesh without triangles or with vertices that are not finite,
             a silhouette without area, in separate parts, wider than 5 m or narrower than 1 mm, or a wrong up,
             unit, count or width.
+
+    Example:
+        >>> import slipmap
+        >>> import trimesh
+        >>> grid = slipmap.cells_from_mesh(trimesh.creation.box((0.1, 0.06, 0.04)), count=15)
+        >>> len(grid), round(grid.width, 4)
+        (15, 0.02)
     """
     loaded, source = _loaded(mesh)
     vertices = np.asarray(loaded.vertices, dtype=float) * _unit(loaded, metres_per_unit, source)

@@ -25,6 +25,12 @@ class CellGrid:
     Raises:
         ValueError: no cells, a non-finite number, a width that is not positive, or an outline that
             crosses itself or has no area.
+
+    Example:
+        >>> import slipmap
+        >>> grid, _ = slipmap.hammer()
+        >>> len(grid), grid.centers.shape, grid.exterior.shape
+        (60, (60, 2), (8, 2))
     """
 
     centers: FloatArray

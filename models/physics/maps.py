@@ -19,6 +19,13 @@ class Maps:
         mu: (K, n) friction coefficients with the table.
         mu_finger: (K,) friction coefficients with the finger.
         effects: (K, P) parameters of the effects of an `slipmap.models.effects.EffectSlider`; P is 0 without.
+
+    Example:
+        >>> import numpy as np
+        >>> import slipmap
+        >>> maps = slipmap.Maps(np.full((2, 15), 0.02), np.full((2, 15), 0.4), np.array([0.3, 0.2]))
+        >>> len(maps)
+        2
     """
 
     mass: FloatArray

@@ -31,6 +31,14 @@ class Push:
     Raises:
         ValueError: shapes that do not fit, a step that is not positive, times that lie outside the push or
             do not ascend.
+
+    Example:
+        >>> import numpy as np
+        >>> import slipmap
+        >>> way = np.linspace([-0.06, 0.02], [0.04, 0.02], 101)
+        >>> push = slipmap.Push(0.01, way, start_pose=np.zeros(3))
+        >>> push.tip.shape
+        (101, 2)
     """
 
     h: float

@@ -92,6 +92,15 @@ class Slider:
         finger_radius: m.
         gravity: m/s².
         smoothing: see `Smoothing`.
+
+    Example:
+        >>> import numpy as np
+        >>> import slipmap
+        >>> grid, truth = slipmap.hammer()
+        >>> push = slipmap.candidate_pushes(grid, 0.008, np.random.default_rng(0), 1)[0].push([0, 0, 0])
+        >>> rollouts = slipmap.Slider(grid, finger_radius=0.008).rollout(truth, [push])
+        >>> rollouts.end.shape
+        (1, 1, 6)
     """
 
     def __init__(

@@ -38,6 +38,13 @@ def gain_figure(diagnosis: Diagnosis) -> Figure:
 
     What another still gains is to first order too, and drawn on the scale of the first panel: short beside
     the candidate's own gain, it says that little is left. Refitted gains are of another size.
+
+    Example:
+        >>> import slipmap
+        >>> dataset, _ = slipmap.simulated_hammer(seed=1, fit=3, heldout=1)
+        >>> diagnosis = slipmap.diagnose(dataset, quick=True, draws=99)
+        >>> type(slipmap.gain_figure(diagnosis)).__name__
+        'Figure'
     """
     candidates = diagnosis.candidates
     height = 0.62 + _ROW * len(candidates) + 0.12

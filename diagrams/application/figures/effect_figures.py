@@ -44,6 +44,12 @@ def effect_figure(effect: Effect) -> Figure:
 
     Raises:
         EffectError: the formula cannot be used.
+
+    Example:
+        >>> import slipmap
+        >>> (tilt,) = slipmap.effects_named(["table_tilt"])
+        >>> type(slipmap.effect_figure(tilt)).__name__
+        'Figure'
     """
     grid = _brick()
     push = _push()

@@ -92,6 +92,13 @@ def maps_figure(belief: Belief, *, truth: Maps | None = None, hypotheses: int = 
         belief: what to draw.
         truth: true maps (one model), drawn in a column of their own where they are known.
         hypotheses: how many to show, most probable first.
+
+    Example:
+        >>> import slipmap
+        >>> dataset, truth = slipmap.simulated_hammer(seed=1, fit=1, heldout=0)
+        >>> belief = slipmap.identify(dataset, hypotheses=2, friction_laws=False).belief
+        >>> len(slipmap.maps_figure(belief, truth=truth).axes) > 3
+        True
     """
     columns = _columns(belief, truth, hypotheses)
     mass = np.concatenate([column.maps.mass for column in columns])

@@ -79,6 +79,13 @@ def push_figures(predictions: Sequence[Prediction], dataset: PushDataset, *, tit
         predictions: pushes of `dataset`.
         dataset: for the outline and the finger's path.
         title: heading; the dataset's name where empty.
+
+    Example:
+        >>> import slipmap
+        >>> dataset, _ = slipmap.simulated_hammer(seed=1, fit=1, heldout=1)
+        >>> result = slipmap.identify(dataset, hypotheses=2, friction_laws=False)
+        >>> len(slipmap.push_figures(result.pushes, dataset))
+        1
     """
     trials = {trial.name: trial for trial in dataset.trials}
     scenes = [_scene(push, trials[push.trial], dataset) for push in predictions]
@@ -196,6 +203,13 @@ def error_figure(comparisons: Sequence[Comparison]) -> Figure:
 
     Args:
         comparisons: one model, or two over the same pushes; the first one's error gives the order.
+
+    Example:
+        >>> import slipmap
+        >>> dataset, _ = slipmap.simulated_hammer(seed=1, fit=1, heldout=1)
+        >>> belief = slipmap.identify(dataset, hypotheses=2, friction_laws=False).belief
+        >>> type(slipmap.error_figure([slipmap.compare(dataset, belief)])).__name__
+        'Figure'
     """
     first = comparisons[0]
     order = sorted(

@@ -249,6 +249,13 @@ def table_figure(
 
     Raises:
         ValueError: the comparison has no such residuals.
+
+    Example:
+        >>> import slipmap
+        >>> dataset, _ = slipmap.simulated_hammer(seed=1, fit=1, heldout=1)
+        >>> belief = slipmap.identify(dataset, hypotheses=2, friction_laws=False).belief
+        >>> type(slipmap.table_figure(slipmap.compare(dataset, belief))).__name__
+        'Figure'
     """
     field = _on_table(comparison, quantity)
     half = max(float((field.high - field.low).max()) / 2 + 0.6 * field.bin, 1e-3)

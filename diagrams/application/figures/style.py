@@ -34,6 +34,17 @@ def save(figure: Figure, path: Path) -> None:
 
     Raises:
         OSError: the folder does not exist or cannot be written.
+
+    Example:
+        >>> import pathlib
+        >>> import tempfile
+        >>> import slipmap
+        >>> import matplotlib.pyplot as plt
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     path = pathlib.Path(folder) / "empty.png"
+        ...     slipmap.save(plt.figure(), path)
+        ...     path.exists()
+        True
     """
     with matplotlib.rc_context(STYLE):
         figure.savefig(path, dpi=130)
@@ -56,7 +67,17 @@ def draw_outline(
     alpha: float | None = None,
     zorder: float = 1.0,
 ) -> None:
-    """Outline of an object at a pose (3,) in the world, m and rad."""
+    """Outline of an object at a pose (3,) in the world, m and rad.
+
+    Example:
+        >>> import slipmap
+        >>> import matplotlib.pyplot as plt
+        >>> grid, _ = slipmap.hammer()
+        >>> axes = plt.figure().add_subplot()
+        >>> slipmap.draw_outline(axes, grid, [0.1, 0.0, 0.5])
+        >>> len(axes.patches)
+        1
+    """
     shape = outline_path(grid, pose)
     how = {"facecolor": fill, "edgecolor": color, "linewidth": width, "alpha": alpha, "zorder": zorder}
     axes.add_patch(PathPatch(shape, **how))
@@ -87,6 +108,15 @@ def draw_cells(
     """Cells coloured by values (n,), cut off at the outline, with it, at a pose (3,) in the world, m and rad.
 
     Limits of the axes are left alone. Returns the squares, of which `Figure.colorbar` makes a scale.
+
+    Example:
+        >>> import slipmap
+        >>> import matplotlib.pyplot as plt
+        >>> grid, truth = slipmap.hammer()
+        >>> axes = plt.figure().add_subplot()
+        >>> cells = slipmap.draw_cells(axes, grid, truth.mu[0])
+        >>> len(cells.get_paths()) == len(grid)
+        True
     """
     corners = grid.width / 2 * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
     # Edges as wide as a pixel cover the seams between squares, through which the ground would shine.

@@ -94,6 +94,13 @@ def fit(
 
     Raises:
         DatasetError, ValueError, EffectError: as `fit_effects`; an EffectError also for an unknown name.
+
+    Example:
+        >>> import slipmap
+        >>> dataset, _ = slipmap.simulated_hammer(seed=1, fit=2, heldout=1)
+        >>> result = slipmap.fit(dataset, ["table_tilt"], hypotheses=2)
+        >>> sorted(result.effect_estimates["table_tilt"])
+        ['down_x', 'down_y']
     """
     result = fit_effects(dataset, _named(effects), hypotheses=hypotheses, seed=seed, progress=progress)
     plain = fit_effects(
@@ -115,6 +122,12 @@ def compare_with_effects(
 
     Raises:
         DatasetError, EffectError: as `fit`.
+
+    Example:
+        >>> import slipmap
+        >>> dataset, _ = slipmap.simulated_hammer(seed=1, fit=2, heldout=1)
+        >>> [comparison.label for comparison in slipmap.compare_with_effects(dataset, ["table_tilt"])]
+        ['without effects', 'with table_tilt']
     """
     added = _named(effects)
     models = {"without effects": (), "with " + " and ".join(effect.name for effect in added): added}

@@ -1,0 +1,59 @@
+"""The front door: what `import slipmap` offers, how fast, and that every example in a docstring is true."""
+
+from __future__ import annotations
+
+import doctest
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import matplotlib
+import pytest
+
+import slipmap
+
+ROOT = Path(__file__).parents[1]
+ROOMS = {"diagrams", "models", "planners"}
+OFFERED = sorted(set(slipmap.__all__) - ROOMS)
+PLAIN = {"LIBRARY"}  # a tuple, with nowhere to put a docstring
+
+
+def test_every_name_is_there_and_listed() -> None:
+    assert set(OFFERED) <= set(dir(slipmap))
+    for name in OFFERED:
+        assert getattr(slipmap, name) is not None
+
+
+def test_an_unknown_name_is_an_attribute_error() -> None:
+    with pytest.raises(AttributeError):
+        slipmap.identfy  # noqa: B018
+
+
+def test_it_loads_neither_drake_nor_numpy() -> None:
+    script = (
+        "import sys, slipmap; print(sorted({'pydrake', 'numpy', 'numba', 'matplotlib'} & set(sys.modules)))"
+    )
+    said = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
+    assert said.stdout.strip() == "[]"
+
+
+def test_the_page_of_the_docs_names_all() -> None:
+    page = (ROOT / "docs" / "python.md").read_text(encoding="utf-8")
+    assert set(OFFERED) <= set(re.findall(r"`(\w+)`", page))
+
+
+@pytest.mark.parametrize("name", sorted(set(OFFERED) - PLAIN))
+def test_its_docstring_has_an_example_that_is_true(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    matplotlib.use("Agg")
+    offered = getattr(slipmap, name)
+    examples = doctest.DocTestParser().get_doctest(offered.__doc__ or "", {}, name, None, None)
+    assert examples.examples
+    said: list[str] = []
+    results = doctest.DocTestRunner(optionflags=doctest.NORMALIZE_WHITESPACE).run(examples, out=said.append)
+    assert results.failed == 0, "".join(said)
+
+
+def test_the_docstring_of_the_package_is_true() -> None:
+    results = doctest.testmod(slipmap)
+    assert results.attempted and not results.failed
