@@ -5,7 +5,7 @@ What most scripts and notebooks need is offered here, each name loaded when it i
 >>> import slipmap
 >>> dataset, truth = slipmap.simulated_hammer(seed=1)
 >>> len(dataset.fit_trials), len(dataset.grid)
-(6, 23)
+(6, 60)
 
 `docs/python.md` has a line on each name; `__init__.pyi` says where each lies. The rest lies in
 `slipmap.models` (what the world is), `slipmap.planners` (what to do) and `slipmap.diagrams` (Drake blocks and

@@ -269,10 +269,10 @@ def pregrasp(
         ValueError, ScenarioError, RendererUnavailable: see `exploration_loop`.
         HardwareError: the real cell cannot be reached.
 
-    Example:
+    Example, which takes a minute and is not run by the tests:
         >>> import slipmap
         >>> options = slipmap.PregraspOptions(slipmap.LoopOptions(pushes=3))
-        >>> run = slipmap.pregrasp(slipmap.Scenario(), options)  # doctest: +SKIP (takes a minute)
+        >>> run = slipmap.pregrasp(slipmap.Scenario(), options)  # doctest: +SKIP
         >>> run.held  # doctest: +SKIP
         True
     """
