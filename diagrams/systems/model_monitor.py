@@ -31,7 +31,7 @@ LEAST_P = 0.005
 """One push is not believed to be rarer: nobody knows errors that well. An alarm takes three such pushes."""
 
 MODEL_ERROR = 0.03
-"""α, by which share of the way the model is off anyway, as in `slipmap.models.inference.diagnosis`."""
+"""α, by which share of the way the model is off anyway."""
 
 FORCE_ERROR = 0.1
 """β, the same for the mean force of a push: in the simulated station without any hidden effect it was 2 to 5
