@@ -13,7 +13,7 @@ from pydrake.geometry import Capsule, Cylinder, Role, SceneGraph, Shape, Sphere
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import BodyIndex, ModelInstanceIndex
 
-from slipmap.diagrams.execution.motion import MotionRefused, Plan
+from slipmap.diagrams.execution.arm_motion import MotionRefused, Plan
 from slipmap.diagrams.perception.sight import moved
 from slipmap.diagrams.station.arm import STAND_RADIUS, default_arm_base, lone_arm, stand_head
 from slipmap.diagrams.station.table import THICKNESS

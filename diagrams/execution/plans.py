@@ -11,9 +11,7 @@ import numpy as np
 from pydrake.math import RigidTransform
 from pydrake.trajectories import PiecewisePolynomial, Trajectory
 
-from slipmap.diagrams.execution.clearance import ArmClearance, Obstacle, Surroundings
-from slipmap.diagrams.execution.finger_kinematics import FingerKinematics, OutOfReach
-from slipmap.diagrams.execution.motion import (
+from slipmap.diagrams.execution.arm_motion import (
     MotionRefused,
     Phase,
     Plan,
@@ -25,6 +23,8 @@ from slipmap.diagrams.execution.motion import (
     paced,
     smooth,
 )
+from slipmap.diagrams.execution.clearance import ArmClearance, Obstacle, Surroundings
+from slipmap.diagrams.execution.finger_kinematics import FingerKinematics, OutOfReach
 from slipmap.diagrams.execution.requests import ActiveGrasp
 from slipmap.diagrams.execution.settings import ExecutionConfig
 from slipmap.diagrams.station.arm import HOME, arm_model

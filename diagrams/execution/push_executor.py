@@ -11,9 +11,9 @@ from pydrake.math import RigidTransform
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.systems.framework import BasicVector, Context, EventStatus, InputPort, State
 
+from slipmap.diagrams.execution.arm_motion import MotionRefused, Phase, Plan
 from slipmap.diagrams.execution.clearance import ArmClearance, Obstacle, Surroundings
 from slipmap.diagrams.execution.finger_kinematics import FingerKinematics, tip_force
-from slipmap.diagrams.execution.motion import MotionRefused, Phase, Plan
 from slipmap.diagrams.execution.plans import ArmPlanner
 from slipmap.diagrams.execution.requests import ActiveGrasp, ActivePush, ExecutionStatus, Health
 from slipmap.diagrams.execution.settings import ExecutionConfig

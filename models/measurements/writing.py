@@ -41,12 +41,10 @@ def write_dataset(dataset: PushDataset, folder: str | os.PathLike[str], *, overw
         OSError: the disk is full or the place not writable; nothing is left behind.
 
     Example:
-        >>> import tempfile
-        >>> import slipmap
-        >>> dataset, _ = slipmap.simulated_hammer(fit=2, heldout=0)
-        >>> with tempfile.TemporaryDirectory() as folder:
-        ...     path = slipmap.write_dataset(dataset, folder + "/pushes")
-        ...     sorted(file.name for file in path.iterdir())
+        >>> import slipmap, tempfile
+        >>> place = tempfile.TemporaryDirectory()
+        >>> path = slipmap.write_dataset(slipmap.simulated_hammer(fit=2)[0], place.name + "/pushes")
+        >>> sorted(file.name for file in path.iterdir())
         ['dataset.yaml', 'trials']
     """
     target = Path(folder).resolve()

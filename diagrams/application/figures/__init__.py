@@ -7,7 +7,7 @@ from slipmap.diagrams.application.figures.diagnosis_figures import (
     telling_push_figure,
 )
 from slipmap.diagrams.application.figures.effect_figures import effect_figure
-from slipmap.diagrams.application.figures.maps import maps_figure
+from slipmap.diagrams.application.figures.map_figures import maps_figure
 from slipmap.diagrams.application.figures.push_figures import error_figure, push_figures
 from slipmap.diagrams.application.figures.residual_figures import (
     correlation_figure,

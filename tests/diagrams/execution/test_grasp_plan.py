@@ -6,9 +6,9 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
+from slipmap.diagrams.execution.arm_motion import MotionRefused
 from slipmap.diagrams.execution.clearance import ArmClearance, Obstacle
 from slipmap.diagrams.execution.finger_kinematics import FingerKinematics
-from slipmap.diagrams.execution.motion import MotionRefused
 from slipmap.diagrams.execution.plans import CLEAR, CLOSE, LIFT, ArmPlanner
 from slipmap.diagrams.execution.requests import ActiveGrasp
 from slipmap.diagrams.execution.settings import ExecutionConfig

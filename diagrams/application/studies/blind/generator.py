@@ -13,7 +13,6 @@ import numpy as np
 import shapely
 import yaml
 
-from slipmap.diagrams.application.studies.blind.effects import LIBRARY, OUTSIDE, Chance, Effect, Strength
 from slipmap.diagrams.application.studies.blind.objects import (
     GRAVITY,
     FloatArray,
@@ -27,6 +26,13 @@ from slipmap.diagrams.application.studies.blind.push_plans import (
     TABLE_SIZE,
     PushPlan,
     random_plan,
+)
+from slipmap.diagrams.application.studies.blind.secret_effects import (
+    LIBRARY,
+    OUTSIDE,
+    Chance,
+    Effect,
+    Strength,
 )
 from slipmap.diagrams.application.studies.blind.world import Motion, World
 from slipmap.models.files import replaced_file

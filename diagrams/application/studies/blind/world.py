@@ -29,9 +29,9 @@ from pydrake.multibody.tree import (
 )
 from pydrake.systems.framework import DiagramBuilder
 
-from slipmap.diagrams.application.studies.blind.effects import Effect, Instant
 from slipmap.diagrams.application.studies.blind.objects import FloatArray, SlidingObject
 from slipmap.diagrams.application.studies.blind.push_plans import PushPlan
+from slipmap.diagrams.application.studies.blind.secret_effects import Effect, Instant
 from slipmap.models.physics.compiled import LONE_FOLDER, compiled
 
 _STEP = 5e-4  # s

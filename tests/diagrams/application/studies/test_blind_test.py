@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import pytest
 
 from slipmap.diagrams.application.studies.blind import generator
-from slipmap.diagrams.application.studies.blind.effects import Effect, TableTilt
+from slipmap.diagrams.application.studies.blind.secret_effects import Effect, TableTilt
 from slipmap.models.measurements import PushDataset
 
 

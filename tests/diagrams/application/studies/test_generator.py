@@ -8,16 +8,6 @@ import numpy as np
 import pytest
 
 from slipmap.diagrams.application.studies.blind import generator
-from slipmap.diagrams.application.studies.blind.effects import (
-    LIBRARY,
-    OUTSIDE,
-    Chance,
-    Effect,
-    SensorLatency,
-    TableTilt,
-    TrackerOffset,
-    TrackerScale,
-)
 from slipmap.diagrams.application.studies.blind.generator import (
     LARGEST_OVERLAP,
     Truth,
@@ -28,6 +18,16 @@ from slipmap.diagrams.application.studies.blind.generator import (
     truth_file,
 )
 from slipmap.diagrams.application.studies.blind.objects import random_object
+from slipmap.diagrams.application.studies.blind.secret_effects import (
+    LIBRARY,
+    OUTSIDE,
+    Chance,
+    Effect,
+    SensorLatency,
+    TableTilt,
+    TrackerOffset,
+    TrackerScale,
+)
 from slipmap.diagrams.application.studies.blind.world import World
 from slipmap.models.measurements import read_dataset
 

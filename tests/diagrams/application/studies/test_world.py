@@ -7,7 +7,9 @@ import pytest
 import shapely
 from scipy.integrate import solve_ivp
 
-from slipmap.diagrams.application.studies.blind.effects import (
+from slipmap.diagrams.application.studies.blind.objects import GRAVITY, SlidingObject, random_object
+from slipmap.diagrams.application.studies.blind.push_plans import KINDS, FingerPath, PushPlan, random_plan
+from slipmap.diagrams.application.studies.blind.secret_effects import (
     AnisotropicTable,
     Effect,
     FingerCompliance,
@@ -26,8 +28,6 @@ from slipmap.diagrams.application.studies.blind.effects import (
     TrackerScale,
     ViscousFriction,
 )
-from slipmap.diagrams.application.studies.blind.objects import GRAVITY, SlidingObject, random_object
-from slipmap.diagrams.application.studies.blind.push_plans import KINDS, FingerPath, PushPlan, random_plan
 from slipmap.diagrams.application.studies.blind.world import World
 
 MU, MASS, WIDTH = 0.3, 0.8, 0.02
