@@ -9,7 +9,6 @@ as `slipmap identify` does, with several laws of friction.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -21,13 +20,12 @@ from slipmap.models.measurements.simulated import record_pushes
 from slipmap.models.objects import cells_from_polygon
 from slipmap.models.physics.cell_grid import CellGrid, FloatArray
 from slipmap.models.physics.rollout import Maps, Slider
+from slipmap.models.progress import Progress, silent
 from slipmap.planners.exploration import candidate_pushes
 
 LEVEL = 0.9
 _CELLS, _FIT_PUSHES, _HELDOUT_PUSHES = 40, 6, 4
 QUANTITIES = ("centre of mass, x", "centre of mass, y", "total friction", "predicted position")
-
-Progress = Callable[[str, int, int], None]
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,7 +63,7 @@ def calibrate(*, objects: int = 40, seed: int = 0, progress: Progress | None = N
         raise ValueError(f"objects must be at least 1, got {objects}")
     started = time.perf_counter()
     ranks: dict[str, list[float]] = {name: [] for name in QUANTITIES}
-    report = progress or (lambda stage, done, total: None)
+    report = progress or silent
     report("identifying simulated objects", 0, objects)
     for index in range(objects):
         rng = np.random.default_rng([seed, index])

@@ -14,7 +14,7 @@ Proposed pushes are like the recorded ones in place, length and speed (`Habits`)
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 from typing import Any
@@ -33,6 +33,7 @@ from slipmap.models.measurements import PushDataset
 from slipmap.models.physics.cell_grid import FloatArray
 from slipmap.models.physics.maps import Maps
 from slipmap.models.physics.rollout import Push
+from slipmap.models.progress import Progress, silent
 from slipmap.planners.exploration import Candidate, NoReachablePush, candidate_pushes, turn
 from slipmap.planners.rehearsal import Predictions, Rival, keeps_touch, predict, separations, straight_push
 
@@ -53,7 +54,7 @@ def diagnose(
     draws: int = 199,
     quick: bool = False,
     seed: int = 0,
-    progress: Callable[[str, int, int], None] | None = None,
+    progress: Progress | None = None,
 ) -> Diagnosis:
     """The diagnosis of a dataset with `next_push` filled: all that `slipmap diagnose` finds out.
 
@@ -72,7 +73,7 @@ def diagnose(
     result = missing_effect.diagnose(
         dataset, effects=effects, draws=draws, quick=quick, seed=seed, progress=progress
     )
-    report = progress or (lambda stage, done, total: None)
+    report = progress or silent
     report("planning the next push", 0, 1)
     push = next_push(result, dataset, seed)
     report("planning the next push", 1, 1)

@@ -11,7 +11,7 @@ import importlib
 import json
 import time
 import traceback
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, Literal
@@ -19,6 +19,7 @@ from typing import Any, Literal
 import numpy as np
 
 from slipmap.models.files import replaced_file
+from slipmap.models.progress import StageProgress
 
 
 class CampaignError(ValueError):
@@ -144,8 +145,6 @@ def _file(spec: TrialSpec, folder: Path) -> Path:
 Backend = Literal["processes", "dask"]
 CRASHED = "the process that made the trial died"
 
-Progress = Callable[[int, int], None]
-
 
 def run_trials(
     specs: Sequence[TrialSpec],
@@ -154,7 +153,7 @@ def run_trials(
     backend: Backend = "processes",
     workers: int = 1,
     scheduler: str | None = None,
-    progress: Progress | None = None,
+    progress: StageProgress | None = None,
 ) -> list[TrialOutcome]:
     """Make all trials that are not on file, and return the outcomes of all, in their order.
 

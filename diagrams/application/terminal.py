@@ -9,7 +9,7 @@ from __future__ import annotations
 import sys
 import textwrap
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from datetime import timedelta
 from types import TracebackType
@@ -118,10 +118,6 @@ class Progress:
             self._bars.show(f"{stage}: {doing}" if doing else stage, done, total)
         elif time.monotonic() - self._spoke > _HEARTBEAT or (more and doing):
             self._speak(done, total)
-
-    def about(self, what: str) -> Callable[[str, int, int], None]:
-        """The same progress, in stages that say what they are about."""
-        return lambda stage, done, total: self(f"{stage}, {what}", done, total)
 
     @contextmanager
     def step(self, stage: str) -> Iterator[None]:

@@ -34,6 +34,7 @@ from slipmap.models.inference.results import Identification
 from slipmap.models.measurements import PushDataset
 from slipmap.models.objects.true_object import TrueObject
 from slipmap.models.physics.cell_grid import FloatArray
+from slipmap.models.progress import Progress, silent
 from slipmap.planners.exploration import turn
 
 LONGEST = 60.0
@@ -49,8 +50,6 @@ DOING = {
     "recording": "recording",
     "learning": "learning",
 }
-
-Progress = Callable[[str, int, int], None]
 
 
 class ExplorationFailed(RuntimeError):
@@ -148,7 +147,7 @@ def explore(
         >>> len(run.dataset.trials), len(run.identification.belief)
         (1, 4)
     """
-    report = progress or (lambda stage, done, total: None)
+    report = progress or silent
     pushes = options.pushes + options.checks
 
     def watch(status: LoopStatus, context: Context) -> None:

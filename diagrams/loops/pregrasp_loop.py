@@ -40,6 +40,7 @@ from slipmap.models.perception.pinhole_camera import View
 from slipmap.models.perception.seen_object import SeenObject
 from slipmap.models.physics.cell_grid import FloatArray
 from slipmap.models.physics.maps import Maps
+from slipmap.models.progress import silent
 from slipmap.planners.settings import PregraspSettings
 
 BRINGS = {
@@ -291,7 +292,7 @@ def _run(
     record: RunFolder | None,
 ) -> PregraspRun:
     """Run a loop to its end; it may take some time (s) for each push."""
-    report = progress or (lambda stage, done, total: None)
+    report = progress or silent
     first = options.exploration.pushes + options.exploration.checks
     plans: dict[int, PregraspPlan] = {}
     recording = None if record is None else Recording(loop, record)

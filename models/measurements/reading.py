@@ -32,10 +32,10 @@ from slipmap.models.measurements.parsing import Fingerprint
 from slipmap.models.measurements.push_dataset import CHANNELS, DatasetError, PushDataset, Role, Setup, Trial
 from slipmap.models.measurements.setup_description import SETUP_KEYS, parse_setup
 from slipmap.models.measurements.trial_checks import check_trials, json_tables, trial_from_tables
+from slipmap.models.progress import StageProgress
 
 FORMAT = "push-dataset/1"
 DESCRIPTION_FILE = "dataset.yaml"
-Progress = Callable[[int, int], None]
 Entry = tuple[str, Role]
 
 _YAML_ENDINGS = (".yaml", ".yml")
@@ -47,7 +47,7 @@ _KINDS = (
 
 
 def read_dataset(
-    path: str | os.PathLike[str], *, object_name: str | None = None, progress: Progress | None = None
+    path: str | os.PathLike[str], *, object_name: str | None = None, progress: StageProgress | None = None
 ) -> PushDataset:
     """Read push measurements.
 
@@ -122,7 +122,7 @@ def _assembled(
     folder: Path,
     entries: Sequence[Entry],
     read: Callable[[str, Role, bytes, str], tuple[Trial, list[str]]],
-    progress: Progress | None,
+    progress: StageProgress | None,
 ) -> PushDataset:
     """Dataset of files in a folder; each is read by its name, role, content and path."""
     setup, fingerprint, warnings, where = parts
@@ -147,7 +147,7 @@ def _assembled(
 # A folder of the format push-dataset/1.
 
 
-def _read_push_format(description: Path, progress: Progress | None) -> PushDataset:
+def _read_push_format(description: Path, progress: StageProgress | None) -> PushDataset:
     where = str(description)
     content, document = parsing.read_yaml(description, where)
     check_format(document, where)
@@ -208,7 +208,7 @@ def _read_record(name: str, role: Role, content: bytes, where: str) -> tuple[Tri
 # Bare files of pushes, whose object is named or described elsewhere.
 
 
-def _read_files(source: Path, object_name: str | None, progress: Progress | None) -> PushDataset:
+def _read_files(source: Path, object_name: str | None, progress: StageProgress | None) -> PushDataset:
     files = _record_files(source) if source.is_dir() else [source]
     fingerprint = Fingerprint()
     read: Callable[[str, Role, bytes, str], tuple[Trial, list[str]]]

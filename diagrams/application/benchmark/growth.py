@@ -7,11 +7,12 @@ import os
 import resource
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 from slipmap.diagrams.application.benchmark.scene import make_scene, median_time
+from slipmap.models.progress import Progress
 
 CELLS = (60, 250, 1000, 2000)
 STEPS = (100, 200, 400, 800)
@@ -29,7 +30,7 @@ def sizes(cells: int, steps: int) -> Iterator[dict[str, int]]:
 
 
 def measure_growth(
-    *, cells: int, steps: int, repeats: int, seed: int, progress: Callable[[str, int, int], None]
+    *, cells: int, steps: int, repeats: int, seed: int, progress: Progress
 ) -> list[dict[str, Any]]:
     """Measurements of all `sizes`, see `measure`; `progress` is called with (stage, done, total).
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -14,6 +13,7 @@ from slipmap.diagrams.application.benchmark import plain_numpy
 from slipmap.diagrams.application.benchmark.growth import measure_growth
 from slipmap.diagrams.application.benchmark.other_engines import run_bullet, run_mujoco
 from slipmap.diagrams.application.benchmark.scene import STEP, Outcome, Scene, make_scene, median_time
+from slipmap.models.progress import Progress, silent
 
 
 @dataclass(frozen=True)
@@ -40,7 +40,7 @@ def run_benchmark(
     steps: int = 200,
     repeats: int = 5,
     seed: int = 0,
-    progress: Callable[[str, int, int], None] | None = None,
+    progress: Progress | None = None,
 ) -> dict[str, Any]:
     """Compare the compiled rollout with plain numpy, MuJoCo and Bullet, and see how it grows.
 
@@ -65,7 +65,7 @@ def run_benchmark(
     """
     if repeats < 1:
         raise ValueError(f"benchmark: repeats must be at least 1, got {repeats}")
-    report = progress or (lambda stage, done, total: None)
+    report = progress or silent
     scene = make_scene(cells=cells, models=models, steps=steps, seed=seed)
     report("slipmap", 0, 1)
     outcomes, kernel = _time_rollouts(scene, repeats)

@@ -38,9 +38,9 @@ def blind_test(seed: int, count: int, output: Path, jobs: int) -> None:
     """Hide effects in simulated pushes, and see what is found.
 
     An independent simulator, which shares no physics with the model, draws an object, 24 pushes and a hidden
-    effect, or none, from each seed. Every dataset is diagnosed and compared with its truth. What is in DIR already is
-    not done again, so a run that was stopped goes on; only failures are tried anew. Writes score.md and
-    score.json. A dataset takes about half a minute to simulate.
+    effect, or none, from each seed. Every dataset is diagnosed and compared with its truth. What is in DIR
+    already is not done again, so a run that was stopped goes on; only failures are tried anew. Writes
+    score.md and score.json. A dataset takes about half a minute to simulate.
     """
     make_folder(output)
     prepare_kernels()

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from html import escape
 
 from slipmap.diagrams.application.figures import gain_figure, locked_figure, telling_push_figure
@@ -28,8 +28,7 @@ from slipmap.models.inference.comparison import Comparison, compare
 from slipmap.models.inference.diagnosis import Diagnosis
 from slipmap.models.inference.diagnosis.effect_fit import as_diagnosed, fitted_belief
 from slipmap.models.measurements import PushDataset
-
-Progress = Callable[[str, int, int], None]
+from slipmap.models.progress import Progress, silent
 
 
 def diagnosis_report(
@@ -44,7 +43,7 @@ def diagnosis_report(
         progress: called with (stage, done, total).
     """
     comparisons = compared(diagnosis, dataset, progress)
-    report = progress or (lambda stage, done, total: None)
+    report = progress or silent
     report("drawing", 0, 1)
     count = len(dataset.trials)
     subtitle = (
