@@ -10,10 +10,8 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
-from slipmap.diagrams.application.figures import save
+from slipmap import identify, read_dataset, save
 from slipmap.diagrams.systems.look import BELIEF, FAINT, styled
-from slipmap.models.inference.identification import identify
-from slipmap.models.measurements import read_dataset
 
 
 @styled
@@ -27,7 +25,7 @@ def falling_error_figure(name: str, errors: dict[int, np.ndarray], resting: floa
     )
     for level, label, beside, side in (
         (resting, "it stays where it is", 1.06, "bottom"),
-        (uniform, "alike all over, same mass and friction", 0.9, "top"),
+        (uniform, "a uniform object", 0.9, "top"),
     ):
         axes.axhline(level, color=FAINT, linewidth=1.0, linestyle="--")
         axes.text(counts[-1] + 0.35, level * beside, label, ha="right", va=side, fontsize=8)

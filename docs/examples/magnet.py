@@ -2,7 +2,7 @@
 
 import sympy as sp
 
-from slipmap.models.effects import Effect, Parameter
+from slipmap import Effect, Parameter
 
 
 class Magnet(Effect):
