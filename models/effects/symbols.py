@@ -205,7 +205,7 @@ def force_at_mass_center(body: Any, fx: Any, fy: Any) -> tuple[Any, Any, Any]:
 def positive_part(value: Any, width: float) -> Any:
     """max(value, 0), rounded within about `width` of 0."""
     if _WRITING.get():
-        from slipmap.models.effects.written import PositivePart
+        from slipmap.models.effects.read_functions import PositivePart
 
         return PositivePart(sp.sympify(value))
     return (value + sp.sqrt(value**2 + width**2)) / 2
@@ -214,7 +214,7 @@ def positive_part(value: Any, width: float) -> Any:
 def smooth_step(value: Any, width: float) -> Any:
     """From 0 to 1 as value passes 0, mostly within ± `width`."""
     if _WRITING.get():
-        from slipmap.models.effects.written import SmoothStep
+        from slipmap.models.effects.read_functions import SmoothStep
 
         return SmoothStep(value, width)
     return (1 + sp.tanh(2 * value / width)) / 2
