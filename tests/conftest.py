@@ -34,19 +34,28 @@ NOT_QUICK_FOLDERS = (
 )  # fmt: skip
 NOT_QUICK_FILES = (
     *COSTLY,
+    "test_benchmark.py",
+    "test_campaign_command.py",
     "test_collectable.py",
     "test_command_line.py",
+    "test_effect_fit.py",
+    "test_effects_page.py",
+    "test_explore_after.py",
     "test_explore_stopped.py",
     "test_explore_study.py",
     "test_friction_laws.py",
+    "test_front_door.py",
+    "test_hostile_effect_files.py",
     "test_installed.py",
     "test_methods_compared.py",
     "test_other_engines.py",
     "test_plant_world.py",
     "test_push_listener.py",
+    "test_running.py",
     "test_threads.py",
     "test_twin_and_interface.py",
     "test_view.py",
+    "test_workers.py",
     "test_world.py",
 )
 NOT_QUICK_FIXTURES = {"browser", "cell", "renderer"}
