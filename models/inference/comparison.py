@@ -196,7 +196,8 @@ def compare(
         >>> comparison.label, len(comparison.pushes)
         ('model', 3)
     """
-    belief = belief or identify(dataset, seed=seed, progress=progress).belief
+    if belief is None:
+        belief = identify(dataset, seed=seed, progress=progress).belief
     check_same_object(belief, dataset)
     report = progress or silent
     report("comparing", 0, 2)

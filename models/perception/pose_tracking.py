@@ -239,7 +239,7 @@ class _Candidate(NamedTuple):
 
 
 class _Search(NamedTuple):
-    """The search for an object in a picture (H, W), m, of which the arm may block some."""
+    """The search for an object in a picture (H, W), m, part of which the arm may hide."""
 
     image: DepthImage
     view: View
@@ -307,7 +307,7 @@ class _Search(NamedTuple):
         return bool(uncovered.sum() < _MOST_UNCOVERED * mask.sum())
 
     def hidden_share(self, heights: Heights, pose: FloatArray) -> float:
-        """Share of the inner points, at a pose, of which the picture shows nothing."""
+        """Share of the inner points that the picture does not show when the object lies at a pose."""
         inner = self._pixels(self.seen.inner_points, self.seen.inner_heights, pose)
         return float(np.mean(np.isnan(HeightPicture(heights).at(inner))))
 
