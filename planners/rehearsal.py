@@ -14,8 +14,8 @@ import numpy as np
 import scipy.linalg
 
 from slipmap.models.geometry import radius_of_gyration, rotated
-from slipmap.models.inference.diagnosis.error_model import ErrorModel, travelled
 from slipmap.models.inference.diagnosis.fitting import Fitted
+from slipmap.models.inference.error_model import ErrorModel, travelled
 from slipmap.models.inference.observations import LONGEST_STEP, LONGEST_STRIDE, SAMPLES, Observation
 from slipmap.models.physics.cell_grid import CellGrid, FloatArray
 from slipmap.models.physics.rollout import Maps, Push, RolloutError, Slider

@@ -25,9 +25,9 @@ import shapely
 from slipmap.models.effects import LIBRARY, EffectSlider, Scene
 from slipmap.models.effects.effect import Effect, bounds, scales
 from slipmap.models.geometry import angle_between
-from slipmap.models.inference import diagnosis as missing_effect
-from slipmap.models.inference.diagnosis import Diagnosis
+from slipmap.models.inference.diagnosis import procedure
 from slipmap.models.inference.diagnosis.fitting import Fitted
+from slipmap.models.inference.diagnosis.results import Diagnosis
 from slipmap.models.inference.observations import MEASURED_CONTACT, Observation
 from slipmap.models.measurements import PushDataset
 from slipmap.models.physics.cell_grid import FloatArray
@@ -70,7 +70,7 @@ def diagnose(
         >>> slipmap.diagnose(dataset, quick=True, draws=99).verdict
         'undecided'
     """
-    result = missing_effect.diagnose(
+    result = procedure.diagnose(
         dataset, effects=effects, draws=draws, quick=quick, seed=seed, progress=progress
     )
     report = progress or silent

@@ -60,8 +60,8 @@ from .models.effects.registry import effects_named as effects_named
 from .models.effects.registry import load_effects as load_effects
 from .models.inference.belief import Belief as Belief
 from .models.inference.comparison import compare as compare
-from .models.inference.diagnosis.effect_fit import compare_with_effects as compare_with_effects
-from .models.inference.diagnosis.effect_fit import fit as fit
+from .models.inference.comparison import compare_with_effects as compare_with_effects
+from .models.inference.identification import fit as fit
 from .models.inference.identification import identify as identify
 from .models.inference.prediction import predict as predict
 from .models.measurements.push_dataset import PushDataset as PushDataset

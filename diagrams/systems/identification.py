@@ -125,13 +125,9 @@ class Identification(PythonSystem):
 
 
 def learning(effects: Sequence[str] = (), method: str = "gauss-newton") -> Callable[..., Learned]:
-    """`identify`, or `fit_effects` with effects of the library; arguments beside these are still to be given.
+    """`identify`, with effects of the library if any; arguments beside these are still to be given.
 
     Raises:
         EffectError: an unknown effect.
     """
-    if not effects:
-        return partial(identify, method=method, friction_laws=False)
-    from slipmap.models.inference.diagnosis.effect_fit import fit_effects
-
-    return partial(fit_effects, effects=effects_named(list(effects)))
+    return partial(identify, effects=effects_named(list(effects)), method=method, friction_laws=False)

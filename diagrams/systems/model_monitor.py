@@ -11,7 +11,7 @@ from pydrake.systems.framework import Context, State
 
 from slipmap.diagrams.systems.multiverse_slider import Universes
 from slipmap.diagrams.systems.python_system import PythonSystem, held, read, replace_held
-from slipmap.models.inference.diagnosis.error_model import ErrorModel
+from slipmap.models.inference.error_model import ErrorModel
 from slipmap.models.inference.observations import observe
 from slipmap.models.inference.push_misfit import (
     bet,

@@ -11,7 +11,7 @@ from slipmap.diagrams.loops.exploration_run import ExplorationRun
 from slipmap.diagrams.loops.pregrasp_loop import PregraspRun
 from slipmap.diagrams.systems.model_monitor import LEVEL, Watch
 from slipmap.diagrams.testing.command_log import CommandLog
-from slipmap.models.inference.diagnosis import Diagnosis
+from slipmap.models.inference.diagnosis.results import Diagnosis
 from slipmap.models.inference.results import Identification
 from slipmap.models.robots import ARM_JOINTS, SPEED_LIMITS
 

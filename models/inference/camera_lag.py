@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 from slipmap.models.effects.library import SensorLatency
-from slipmap.models.inference.diagnosis.effect_fit import fit_effects
+from slipmap.models.inference.identification import identify
 from slipmap.models.measurements import DatasetError, PushDataset
 from slipmap.models.progress import Progress
 
@@ -56,7 +56,9 @@ def camera_lag(dataset: PushDataset, *, seed: int = 0, progress: Progress | None
     try:
         # The spread comes from refits, which take most of the time: eight will do.
         pushes = replace(dataset, trials=trials)
-        found = fit_effects(pushes, [SensorLatency()], hypotheses=8, seed=seed, progress=progress)
+        found = identify(
+            pushes, [SensorLatency()], hypotheses=8, seed=seed, progress=progress, friction_laws=False
+        )
     except DatasetError:
         return None
     latency = next(q for q in found.quantities if q.name == "sensor_latency: latency")

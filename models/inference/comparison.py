@@ -6,67 +6,29 @@ after an effect was added) are shown side by side by whoever draws them.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 
 import numpy as np
 
+from slipmap.models.effects.effect import Effect
 from slipmap.models.inference.belief import Belief
-from slipmap.models.inference.identification import identify
-from slipmap.models.inference.observations import Observation, observe_all
-from slipmap.models.inference.prediction import Motion, check_same_object, predicted_motion, uniform_motion
-from slipmap.models.inference.push_errors import Errors, NoiseFloor, errors, noise_floor, resting_errors
+from slipmap.models.inference.error_model import sensor_noise
+from slipmap.models.inference.identification import identify, named
+from slipmap.models.inference.observations import observe_all
+from slipmap.models.inference.prediction import (
+    Prediction,
+    Predictor,
+    check_same_object,
+    predict_observations,
+)
+from slipmap.models.inference.push_errors import Errors, NoiseFloor, noise_floor
 from slipmap.models.inference.residual_correlations import Correlations, correlations, delay_pattern
 from slipmap.models.inference.residual_structure import LEVEL, Pattern, corrected, factor_patterns
 from slipmap.models.inference.residuals import Residuals, force_residuals, motion_residuals
 from slipmap.models.inference.sign_flips import smallest_p
 from slipmap.models.measurements import PushDataset
-from slipmap.models.physics.cell_grid import FloatArray
-from slipmap.models.physics.paper_notation import add
-from slipmap.models.progress import Progress, silent
-
-
-@dataclass(frozen=True, eq=False)
-class ComparedPush:
-    """One push as measured, as predicted, and how far apart they are.
-
-    Attributes:
-        observation: what was measured.
-        predicted: (S, 3) middle of the hypotheses at the observation's pose times, m and rad.
-        errors: of the prediction.
-        uniform: errors of a uniform object with the belief's mass, friction and finger.
-        resting: errors of an object that does not move.
-        spread: probability-weighted mean ADD of the hypotheses from their middle at the end, m.
-    """
-
-    observation: Observation
-    predicted: FloatArray
-    errors: Errors
-    uniform: Errors
-    resting: Errors
-    spread: float
-
-    @property
-    def trial(self) -> str:
-        """Name of the trial."""
-        return self.observation.trial
-
-    @property
-    def role(self) -> str:
-        """`fit` or `heldout`."""
-        return self.observation.role
-
-    @property
-    def ends_only(self) -> bool:
-        """Whether only the first and the last pose were measured; the first may be written twice."""
-        before, start = self.observation.poses[:-1], self.observation.push.start_pose
-        return bool(np.allclose(before, start, rtol=0.0, atol=1e-12))
-
-    def to_json(self) -> dict[str, object]:
-        """All numbers."""
-        names = ("trial", "role", "ends_only", "spread")
-        errors = _errors_to_json(self.errors, self.uniform, self.resting)
-        return {name: getattr(self, name) for name in names} | errors
+from slipmap.models.progress import Progress, about, silent
 
 
 @dataclass(frozen=True)
@@ -91,6 +53,13 @@ class Totals:
         """All numbers."""
         errors = _errors_to_json(self.model, self.uniform, self.resting)
         return {"pushes": self.pushes, "median_final_add": self.median_add} | errors
+
+
+def _push_to_json(push: Prediction) -> dict[str, object]:
+    names = ("trial", "role", "ends_only", "spread")
+    return {name: getattr(push, name) for name in names} | _errors_to_json(
+        push.errors, push.uniform, push.resting
+    )
 
 
 def _errors_to_json(model: Errors, uniform: Errors, resting: Errors) -> dict[str, object]:
@@ -118,7 +87,7 @@ class Comparison:
     label: str
     dataset: str
     learnt_from: str
-    pushes: tuple[ComparedPush, ...]
+    pushes: tuple[Prediction, ...]
     totals: dict[str, Totals]
     floor: NoiseFloor | None
     motion: Residuals | None
@@ -157,7 +126,7 @@ class Comparison:
             "learnt_from": self.learnt_from,
             "totals": {role: totals.to_json() for role, totals in self.totals.items()},
             "noise_floor": None if self.floor is None else self.floor.to_json(),
-            "pushes": [push.to_json() for push in self.pushes],
+            "pushes": [_push_to_json(push) for push in self.pushes],
             "structure": [pattern.to_json() for pattern in self.structure],
             "structure_testable": self.testable,
             "correlations": None if self.correlations is None else self.correlations.to_json(),
@@ -172,7 +141,7 @@ def compare(
     seed: int = 0,
     label: str = "model",
     progress: Progress | None = None,
-    predict: Callable[[Belief, Sequence[Observation]], Sequence[Motion]] = predicted_motion,
+    predictor: Predictor | None = None,
 ) -> Comparison:
     """Hold a belief against every push of a dataset.
 
@@ -182,7 +151,7 @@ def compare(
         seed: of every random draw (sign flips, pairings, draws of noise).
         label: what to call the model.
         progress: called with (stage, done, total).
-        predict: where poses and forces of the belief's hypotheses come from.
+        predictor: what moves the belief's hypotheses; `predicted_motion` if None.
 
     Raises:
         BeliefError: the dataset has another finger or another object.
@@ -200,14 +169,10 @@ def compare(
         belief = identify(dataset, seed=seed, progress=progress).belief
     check_same_object(belief, dataset)
     report = progress or silent
-    report("comparing", 0, 2)
     grid = belief.grid
     observations = observe_all(dataset)
-    motions = predict(belief, observations)
-    report("comparing", 1, 2)
-    uniform = uniform_motion(belief, observations)
-    pushes = tuple(_compared(*push, belief) for push in zip(observations, motions, uniform, strict=True))
-    report("comparing", 2, 2)
+    pushes = predict_observations(belief, observations, sensor_noise(dataset), progress, predictor)
+    motions = [push.motion for push in pushes]
 
     rng = np.random.default_rng(seed)
     report("looking for patterns", 0, 4)
@@ -240,7 +205,40 @@ def compare(
     )
 
 
-def totals(pushes: Sequence[ComparedPush]) -> Totals:
+def compare_with_effects(
+    dataset: PushDataset, effects: Sequence[Effect | str], *, seed: int = 0, progress: Progress | None = None
+) -> tuple[Comparison, Comparison]:
+    """The models without and with some effects, learnt from the same pushes, each held against all pushes.
+
+    Args:
+        dataset: measured pushes.
+        effects: to add to the model; those of the library may be given by name.
+        seed: of every random draw.
+        progress: called with (stage, done, total).
+
+    Raises:
+        DatasetError, EffectError: as `identify`.
+
+    Example:
+        >>> import slipmap
+        >>> dataset, _ = slipmap.simulated_hammer(seed=1, fit=2, heldout=1)
+        >>> [comparison.label for comparison in slipmap.compare_with_effects(dataset, ["table_tilt"])]
+        ['without effects', 'with table_tilt']
+    """
+    added = named(effects)
+    models = {"without effects": (), "with " + " and ".join(effect.name for effect in added): added}
+    beliefs = {
+        label: identify(dataset, given, seed=seed, progress=about(label, progress or silent)).belief
+        for label, given in models.items()
+    }
+    before, after = (
+        compare(dataset, belief, seed=seed, label=label, progress=progress)
+        for label, belief in beliefs.items()
+    )
+    return before, after
+
+
+def totals(pushes: Sequence[Prediction]) -> Totals:
     """Means over some pushes, at least one."""
     return Totals(
         pushes=len(pushes),
@@ -259,16 +257,3 @@ def _mean(errors: Sequence[Errors]) -> Errors:
         return float(np.mean(known)) if known else float("nan")
 
     return Errors(**{name: mean(name) for name in asdict(errors[0])})
-
-
-def _compared(observation: Observation, motion: Motion, uniform: Motion, belief: Belief) -> ComparedPush:
-    grid = belief.grid
-    middle = motion.middle_poses(grid)
-    return ComparedPush(
-        observation=observation,
-        predicted=middle,
-        errors=errors(observation, middle, motion.mean_forces, grid),
-        uniform=errors(observation, uniform.middle_poses(grid), uniform.mean_forces, grid),
-        resting=resting_errors(observation, grid),
-        spread=float(motion.probability @ add(motion.poses[:, -1], middle[-1], grid.centers)),
-    )

@@ -22,7 +22,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -33,7 +33,6 @@ from slipmap.models.inference.hypotheses import (
     MODEL_ERRORS,
     Ladder,
     fit_with_trust,
-    gathered_belief,
     log_evidence,
     refits,
     trusted,
@@ -44,6 +43,9 @@ from slipmap.models.measurements import PushDataset
 from slipmap.models.physics.cell_grid import FloatArray
 from slipmap.models.physics.rollout import Maps, RolloutError
 from slipmap.models.progress import Progress, StageProgress, part_of
+
+if TYPE_CHECKING:
+    from slipmap.models.inference.diagnosis.fitting import Fitted
 
 PLAIN = "plain"
 
@@ -89,6 +91,8 @@ class Law:
 def effect_prior(effects: Sequence[Effect], height: float | None) -> tuple[FloatArray, FloatArray]:
     """Prior means and standard deviations (P,) of the laws' parameters, for an object of some height, m."""
     every = [parameter for effect in effects for parameter in effect.parameters]
+    if not every:
+        return np.zeros(0), np.zeros(0)
     units = [height if parameter.unit == "m" else 1.0 for parameter in every]
     rows = np.array([_EXPECTED[parameter.name] for parameter in every])
     means, deviations = (rows * np.array(units, dtype=float)[:, None]).T
@@ -101,6 +105,7 @@ def fit_laws(
     settings: PriorSettings,
     finger_frictions: Sequence[float],
     progress: StageProgress,
+    found: Fitted | None = None,
     *,
     plain_only: bool,
 ) -> list[Law]:
@@ -112,20 +117,30 @@ def fit_laws(
         settings: strength of the prior of the maps.
         finger_frictions: of the uniform objects for the plain law to start from.
         progress: called with (done, total).
+        found: fit of the model with effects, which all laws then have too, around the values that it found:
+            nothing pulls them to their nulls any more where the forgiving likelihood sees little of them.
         plain_only: whether to leave the other laws alone.
 
     Returns:
         The laws that have a share, the largest first; shares sum to one.
     """
-    combinations: list[tuple[Effect, ...]] = [()] if plain_only else _combinations(dataset)
+    given = () if found is None else found.effects
+    combinations: list[tuple[Effect, ...]] = [()] if plain_only else _combinations(dataset, given)
     laws: list[Law] = []
     for place, effects in enumerate(combinations):
-        own = effect_prior(effects, dataset.height) if effects else None
-        prior = MapPrior(slider_for(dataset, effects), settings, dataset.mass, effect_prior=own)
-        begin = np.array([prior.start(friction) for friction in finger_frictions])
+        means, deviations = effect_prior(effects, dataset.height)
+        if found is not None:
+            means = np.concatenate([found.values, means])
+            deviations = np.concatenate([found.likelihood.prior.effect_scales, deviations])
+        slider = slider_for(dataset, (*given, *effects))
+        prior = MapPrior(slider, settings, dataset.mass, effect_prior=(means, deviations))
         if effects:
             best = laws[0].ladder[-1][1]
-            begin = np.concatenate([best.z, np.zeros((1, prior.size - prior.plain))], axis=1)
+            begin = np.concatenate([best.z, np.zeros((1, prior.size - best.z.shape[1]))], axis=1)
+        else:
+            begin = np.array([prior.start(friction) for friction in finger_frictions])
+            if found is not None:
+                begin = np.concatenate([begin, prior.near(found.maps)])
         report = part_of(progress, place, len(combinations))
         try:
             ladder = fit_with_trust(prior, observations, dataset.noise, begin, report)
@@ -133,8 +148,8 @@ def fit_laws(
             if not effects:
                 raise
             continue
-        likelihood, found = ladder[-1]
-        evidence = log_evidence(likelihood, found) - float(np.log(likelihood.settings.model_error))
+        likelihood, last = ladder[-1]
+        evidence = log_evidence(likelihood, last) - float(np.log(likelihood.settings.model_error))
         laws.append(Law(TOGETHER.join(effect.name for effect in effects) or PLAIN, ladder, evidence, 1.0))
     progress(1, 1)
     return shared_out(laws, _temperature(laws))
@@ -161,30 +176,43 @@ def shared_out(laws: Sequence[Law], temperature: float = TEMPERATURE) -> list[La
     return sorted(kept, key=lambda law: -law.share)
 
 
-def _combinations(dataset: PushDataset) -> list[tuple[Effect, ...]]:
-    """Effects of each law that the dataset can be asked about, the plain one first."""
+def _combinations(dataset: PushDataset, given: Sequence[Effect]) -> list[tuple[Effect, ...]]:
+    """Effects of each law that the dataset can be asked about beside the given ones, the plain one first."""
     known = {effect.name: effect for effect in LIBRARY}
     transfer, lean = known["load_transfer"], known["impulse_friction"]
     # The load shifts by height times force over weight: of an object that nobody weighed, other faults of the
     # model would be taken for a small weight.
     if dataset.height is None or dataset.mass is None:
-        return [(), (lean,)]
-    return [(), (lean,), (transfer,), (transfer, lean)]
+        laws: list[tuple[Effect, ...]] = [(), (lean,)]
+    else:
+        laws = [(), (lean,), (transfer,), (transfer, lean)]
+    return [law for law in laws if not set(law) & set(given)]
 
 
 def mixed_belief(
     dataset: PushDataset,
     laws: Sequence[Law],
+    given: Sequence[Effect],
     hypotheses: int,
     seed: int,
     report: Progress,
     *,
     settings: Mapping[str, Any],
 ) -> Belief:
-    """`refitted_belief` of several laws of friction, each with its share of the hypotheses.
+    """Randomised refits under several laws of friction, each with its share of the hypotheses.
 
-    The hypotheses carry the parameters of all effects that any law has, at their nulls where their own has
-    not.
+    Args:
+        dataset: whose pushes were fitted.
+        laws: of `fit_laws`.
+        given: effects that all laws have.
+        hypotheses: K.
+        seed: of the draws.
+        report: called with (stage, done, total).
+        settings: what else the belief keeps on record.
+
+    Returns:
+        Hypotheses that carry the parameters of the given effects, then those of all that any law has, at
+        their nulls where their own has not.
     """
     laws = laws[:hypotheses]
     shares = np.array([law.share for law in laws]) / sum(law.share for law in laws)
@@ -202,10 +230,10 @@ def mixed_belief(
 
         done += count
         try:
-            maps, weights = refits(law.ladder, count, rng, progress, None)
+            maps, weights = refits(law.ladder, count, rng, progress)
         except (RolloutError, np.linalg.LinAlgError):
             # Refits lead to wilder maps than fits do; the other laws can do without this one.
-            if not effects:
+            if len(effects) == len(given):
                 raise
             continue
         parts.append((maps, effects))
@@ -214,17 +242,24 @@ def mixed_belief(
     if not kept:
         raise RolloutError("no law of friction could be fitted to the pushes weighted at random")
     total = sum(kept.values())
-    used = tuple(effect for effect in LIBRARY if any(effect in effects for _, effects in parts))
+    of_laws = [e for e in LIBRARY if e not in given and any(e in effects for _, effects in parts)]
+    used = (*given, *of_laws)
     carried = [_with_parameters(maps, effects, used) for maps, effects in parts]
     heaviest = laws[0].ladder
     own = heaviest[0][0].prior.slider
     slider = slider_with(used, own.grid, own.finger_radius, own.gravity, own.smoothing)
     names = ("mass", "mu", "mu_finger", "effects")
     together = Maps(*(np.concatenate([getattr(maps, name) for maps in carried]) for name in names))
-    of_laws = {"friction_laws": {name: share / total for name, share in kept.items()}}
-    record = {**settings, **trusted(heaviest), **of_laws}
-    return gathered_belief(
-        dataset, slider, together, np.concatenate(probability) / total, heaviest, seed, record
+    shared = {"friction_laws": {name: share / total for name, share in kept.items()}}
+    return Belief.learnt(
+        dataset,
+        slider,
+        together,
+        np.concatenate(probability) / total,
+        method="gauss-newton",
+        seed=seed,
+        trials=[observation.trial for observation in heaviest[0][0].observations],
+        settings={**settings, **trusted(heaviest), **shared},
     )
 
 

@@ -23,22 +23,20 @@ believes few learns little, and their mixture predicts better than either.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, replace
-from functools import partial
 from typing import Any
 
 import numpy as np
 
-from slipmap.models.inference.belief import Belief
 from slipmap.models.inference.gauss_newton import Fits, fit
 from slipmap.models.inference.likelihood import Likelihood, LikelihoodSettings
 from slipmap.models.inference.observations import Observation
 from slipmap.models.inference.prior import MapPrior
-from slipmap.models.measurements import Noise, PushDataset
+from slipmap.models.measurements import Noise
 from slipmap.models.physics.cell_grid import FloatArray
-from slipmap.models.physics.rollout import Maps, Slider
-from slipmap.models.progress import Progress, StageProgress, part_of
+from slipmap.models.physics.rollout import Maps
+from slipmap.models.progress import StageProgress, part_of
 
 Ladder = list[tuple[Likelihood, Fits]]
 """Fits under likelihoods that trust the data ever less."""
@@ -53,7 +51,6 @@ def fit_with_trust(
     noise: Noise,
     starts: FloatArray,
     progress: StageProgress,
-    mean: FloatArray | None = None,
 ) -> Ladder:
     """The best fit under every α up to the one of the largest evidence.
 
@@ -65,7 +62,6 @@ def fit_with_trust(
         noise: of the sensors, where declared.
         starts: (K, d) coordinates to start from.
         progress: called with (done, total); often it ends before all is done.
-        mean: (d,) centre of the prior, zeros if None.
 
     Returns:
         For each α, ascending: the likelihood with that α in its settings, and the fit, one hypothesis.
@@ -74,9 +70,8 @@ def fit_with_trust(
     highest, offsets = -np.inf, None
     for rung, alpha in enumerate(MODEL_ERRORS):
         likelihood = Likelihood(prior, observations, noise, trusting(alpha))
-        center = None if mean is None else np.repeat(mean[None], len(starts), axis=0)
         own = part_of(progress, rung, len(MODEL_ERRORS))
-        best = fit(likelihood, starts, prior_mean=center, offsets=offsets, progress=own).best()
+        best = fit(likelihood, starts, offsets=offsets, progress=own).best()
         evidence = log_evidence(likelihood, best) - float(np.log(alpha))
         if evidence < highest:
             break
@@ -109,49 +104,6 @@ _STRENGTHS = (0.8, 2.5)
 `MapPrior.spreads`."""
 
 
-def refitted_belief(
-    dataset: PushDataset,
-    ladder: Ladder,
-    hypotheses: int,
-    seed: int,
-    report: Progress,
-    *,
-    mean: FloatArray | None = None,
-    settings: Mapping[str, Any],
-) -> Belief:
-    """Randomised refits around the best fits, under each likelihood of the ladder in turn.
-
-    Args:
-        dataset: whose pushes were fitted.
-        ladder: of `fit_with_trust`.
-        hypotheses: K.
-        seed: of the draws.
-        report: called with (stage, done, total).
-        mean: (d,) centre of the prior, zeros if None.
-        settings: what else the belief keeps on record.
-    """
-    rng = np.random.default_rng(seed)
-    maps, probability = refits(ladder, hypotheses, rng, partial(report, "hypotheses"), mean)
-    slider = ladder[0][0].prior.slider
-    return gathered_belief(dataset, slider, maps, probability, ladder, seed, {**settings, **trusted(ladder)})
-
-
-def gathered_belief(
-    dataset: PushDataset,
-    slider: Slider,
-    maps: Maps,
-    probability: FloatArray,
-    ladder: Ladder,
-    seed: int,
-    settings: Mapping[str, Any],
-) -> Belief:
-    """A belief of hypotheses, with the pushes of a ladder as those that taught."""
-    trials = [observation.trial for observation in ladder[0][0].observations]
-    return Belief.learnt(
-        dataset, slider, maps, probability, method="gauss-newton", seed=seed, trials=trials, settings=settings
-    )
-
-
 def trusted(ladder: Ladder) -> dict[str, Any]:
     """Settings of the fits, for the record."""
     closest, _ = ladder[0]
@@ -168,18 +120,26 @@ def refits(
     hypotheses: int,
     rng: np.random.Generator,
     report: StageProgress,
-    mean: FloatArray | None,
 ) -> tuple[Maps, FloatArray]:
-    """Maps of K hypotheses and their probabilities (K,), see `refitted_belief`."""
+    """Randomised refits around the best fits, under each likelihood of a ladder in turn.
+
+    Args:
+        ladder: of `fit_with_trust`.
+        hypotheses: K.
+        rng: of the draws.
+        report: called with (done, total).
+
+    Returns:
+        Maps of K hypotheses and their probabilities (K,).
+    """
     closest, _ = ladder[0]
     prior, B = closest.prior, len(closest.observations)
     shape = max(B - 1, 1) / (B + 1)
     weights = rng.gamma(shape, 1.0 / shape, (hypotheses, B))
-    center = np.zeros(prior.size) if mean is None else mean
-    prior_mean = center + rng.standard_normal((hypotheses, prior.size))
+    prior_mean = rng.standard_normal((hypotheses, prior.size))
     strength = np.exp(rng.uniform(np.log(_STRENGTHS[0]), np.log(_STRENGTHS[1]), hypotheses))
     # The first hypothesis is the plain best fit.
-    weights[0], prior_mean[0], strength[0] = 1.0, center, 1.0
+    weights[0], prior_mean[0], strength[0] = 1.0, 0.0, 1.0
     z = np.empty((hypotheses, prior.size))
     probability = np.empty(hypotheses)
     # Where they are fewer than likelihoods, those of the larger evidence count.

@@ -8,11 +8,12 @@ half its width, or where it was measured beforehand.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
+from slipmap.models.effects.effect import Effect
 from slipmap.models.inference.belief import Belief
 from slipmap.models.inference.gauss_newton import Fits, fit
 from slipmap.models.inference.likelihood import Likelihood
@@ -103,6 +104,27 @@ def quantities(belief: Belief, likelihood: Likelihood, information: Fits | None)
         reason = measure.shown if shown else measure.open
         results.append(Quantity(measure.name, measure.unit, value, low, high, shown, reason))
     return tuple(results)
+
+
+def effect_quantities(
+    belief: Belief, effects: Sequence[Effect], likelihood: Likelihood, information: Fits
+) -> list[Quantity]:
+    """The same for parameters of effects, the first that the belief has; intervals from the hypotheses, cut
+    at the allowed range."""
+    prior = likelihood.prior
+    named = [(effect.name, parameter) for effect in effects for parameter in effect.parameters]
+    left = np.diagonal(np.linalg.inv(information.hessian[0] + np.eye(prior.size)))[prior.plain :]
+    facts = []
+    for (effect, parameter), values, share in zip(named, belief.maps.effects.T, left, strict=False):
+        shown = bool(share < SHOWN_SHARE)
+        middle, low, high = interval(values, belief.probability)
+        reason = "the pushes pin it down, if it is there"
+        if not shown:
+            reason = "left open by these pushes; the prior decides"
+        low, high = max(low, float(parameter.low)), min(high, float(parameter.high))
+        name = f"{effect}: {parameter.name}"
+        facts.append(Quantity(name, parameter.unit, middle, low, high, shown, reason))
+    return facts
 
 
 def _gradient(measure: _Measure, likelihood: Likelihood, z: FloatArray) -> FloatArray:

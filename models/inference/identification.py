@@ -1,20 +1,41 @@
-"""From pushes to a belief: several starts, Gauss-Newton on whole trajectories, randomised refits."""
+"""From pushes to a belief: several starts, Gauss-Newton on whole trajectories, randomised refits.
+
+One estimator serves every door. `identify` learns the maps, with effects too where some are given; `fit` sets
+the two beside each other, with effects and without; a diagnosis judges its answer by the same two.
+
+The strict likelihood of the diagnosis finds where effects act (`effect_search`). It believes every row of
+every force, and is sure of a total mass that a force model 2 % off moves by a third; what is in proportion to
+mass, as a tilt is, goes with it. So sizes of effects, too, come from the forgiving likelihood, whose prior is
+centred where the strict one led.
+"""
 
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
+from dataclasses import replace
 from functools import partial
+from typing import TYPE_CHECKING
 
+import numpy as np
+
+from slipmap.models.effects.effect import Effect
+from slipmap.models.effects.library import LIBRARY
+from slipmap.models.effects.registry import effects_named
+from slipmap.models.inference.error_model import sensor_noise
 from slipmap.models.inference.friction_laws import Law, fit_laws, mixed_belief
 from slipmap.models.inference.hypotheses import MODEL_ERRORS
-from slipmap.models.inference.identifiability import quantities
+from slipmap.models.inference.identifiability import effect_quantities, quantities
 from slipmap.models.inference.likelihood import Likelihood, LikelihoodSettings
-from slipmap.models.inference.observations import observe_all
+from slipmap.models.inference.observations import Observation, observe_all
 from slipmap.models.inference.prediction import predict_observations
 from slipmap.models.inference.prior import SINGLE_CELLS, MapPrior, PriorSettings, slider_for
 from slipmap.models.inference.results import Identification
 from slipmap.models.measurements import DatasetError, PushDataset
-from slipmap.models.progress import Progress, silent
+from slipmap.models.progress import Progress, about, silent
+
+if TYPE_CHECKING:
+    from slipmap.models.inference.diagnosis.fitting import Fitted
 
 METHODS = ("gauss-newton", "paper")
 
@@ -24,6 +45,7 @@ FINGER_STARTS = (0.12, 0.35, 1.0)
 
 def identify(
     dataset: PushDataset,
+    effects: Sequence[Effect | str] = (),
     *,
     method: str = "gauss-newton",
     hypotheses: int = 20,
@@ -36,7 +58,8 @@ def identify(
 
     Args:
         dataset: measured pushes.
-        method: `gauss-newton`, or `paper` for Algorithm 1 as printed.
+        effects: to add to the model and to learn along; those of the library may be given by name.
+        method: `gauss-newton`, or `paper` for Algorithm 1 as printed, which knows no effects.
         hypotheses: K, at least 2.
         seed: of every random draw.
         progress: called with (stage, done, total).
@@ -47,8 +70,9 @@ def identify(
             knows the plain one alone.
 
     Raises:
-        DatasetError: there is no push to fit.
-        ValueError: an unknown method or too few hypotheses.
+        DatasetError: there is no push to fit, or the model with the effects cannot be fitted.
+        ValueError: an unknown method, one that knows no effects, or too few hypotheses.
+        EffectError: an unknown effect, or a formula that cannot be used.
 
     Example:
         >>> import slipmap
@@ -59,35 +83,131 @@ def identify(
     """
     if method not in METHODS:
         raise ValueError(f"unknown method {method!r}; choose one of {', '.join(METHODS)}")
+    if effects and method == "paper":
+        raise ValueError("the method paper knows no effects; use gauss-newton")
     check_request(dataset, hypotheses)
     started = time.perf_counter()
     report = progress or silent
     report("preparing pushes", 0, 1)
     observations = observe_all(dataset)
     report("preparing pushes", 1, 1)
+    if method == "paper":
+        return _by_algorithm_1(dataset, observations, hypotheses, seed, report, started)
+    found = None
+    if effects:
+        from slipmap.models.inference.diagnosis.effect_search import find_effects
+
+        fitted = [observation for observation in observations if observation.role == "fit"]
+        found = find_effects(dataset, fitted, named(effects), np.random.default_rng(seed), report)
+    return learn(
+        dataset, observations, found, hypotheses=hypotheses, seed=seed, report=report,
+        prior_settings=prior_settings, friction_laws=friction_laws, started=started,
+    )  # fmt: skip
+
+
+def learn(
+    dataset: PushDataset,
+    observations: Sequence[Observation],
+    found: Fitted | None,
+    *,
+    hypotheses: int = 20,
+    seed: int = 0,
+    report: Progress = silent,
+    prior_settings: PriorSettings | None = None,
+    friction_laws: bool = True,
+    started: float | None = None,
+) -> Identification:
+    """`identify` from pushes that are prepared, with the effects of a fit from where it led.
+
+    Args:
+        dataset: whose pushes they are.
+        observations: all its pushes; those with the role `fit` teach.
+        found: fit of the model with effects; None for the model without.
+        hypotheses, seed, prior_settings, friction_laws: as in `identify`.
+        report: called with (stage, done, total).
+        started: reading of `time.perf_counter` when the work began; now if None.
+    """
+    started = time.perf_counter() if started is None else started
     fitted = [observation for observation in observations if observation.role == "fit"]
 
     def laws_with(settings: PriorSettings) -> list[Law]:
         own = partial(report, "fitting")
-        return fit_laws(dataset, fitted, settings, FINGER_STARTS, own, plain_only=not friction_laws)
+        return fit_laws(dataset, fitted, settings, FINGER_STARTS, own, found, plain_only=not friction_laws)
 
-    if method == "paper":
-        from slipmap.models.inference.paper_method import identify_by_algorithm_1
-
-        belief = identify_by_algorithm_1(dataset, hypotheses=hypotheses, seed=seed, progress=progress)
-        prior = MapPrior(slider_for(dataset), prior_settings or PriorSettings(), dataset.mass)
-        likelihood, information = Likelihood(prior, fitted, dataset.noise, LikelihoodSettings()), None
-    else:
-        laws = laws_with(prior_settings or SINGLE_CELLS)
-        if prior_settings is None and laws[0].model_error == MODEL_ERRORS[0]:
-            laws = laws_with(PriorSettings())
-        likelihood, information = laws[0].ladder[-1]
-        record = {"finger_starts": list(FINGER_STARTS)}
-        belief = mixed_belief(dataset, laws, hypotheses, seed, report, settings=record)
-    predictions = predict_observations(belief, observations, progress)
+    laws = laws_with(prior_settings or SINGLE_CELLS)
+    if prior_settings is None and laws[0].model_error == MODEL_ERRORS[0]:
+        laws = laws_with(PriorSettings())
+    effects = () if found is None else found.effects
+    record = {"finger_starts": list(FINGER_STARTS)}
+    belief = mixed_belief(dataset, laws, effects, hypotheses, seed, report, settings=record)
+    predictions = predict_observations(belief, observations, sensor_noise(dataset), report)
+    likelihood, information = laws[0].ladder[-1]
     facts = quantities(belief, likelihood, information)
-    shares = belief.settings.get("friction_laws", {})
+    facts = (*facts, *effect_quantities(belief, effects, likelihood, information))
+    shares = belief.settings["friction_laws"]
     return Identification(belief, predictions, facts, time.perf_counter() - started, shares)
+
+
+def _by_algorithm_1(
+    dataset: PushDataset,
+    observations: Sequence[Observation],
+    hypotheses: int,
+    seed: int,
+    report: Progress,
+    started: float,
+) -> Identification:
+    from slipmap.models.inference.paper_method import identify_by_algorithm_1
+
+    belief = identify_by_algorithm_1(dataset, hypotheses=hypotheses, seed=seed, progress=report)
+    prior = MapPrior(slider_for(dataset), PriorSettings(), dataset.mass)
+    fitted = [observation for observation in observations if observation.role == "fit"]
+    likelihood = Likelihood(prior, fitted, dataset.noise, LikelihoodSettings())
+    predictions = predict_observations(belief, observations, sensor_noise(dataset), report)
+    facts = quantities(belief, likelihood, None)
+    return Identification(belief, predictions, facts, time.perf_counter() - started)
+
+
+def fit(
+    dataset: PushDataset,
+    effects: Sequence[Effect | str],
+    *,
+    hypotheses: int = 20,
+    seed: int = 0,
+    progress: Progress | None = None,
+) -> Identification:
+    """Learn maps together with some effects, and without them, from the same pushes: `slipmap fit`.
+
+    Args:
+        dataset, effects, hypotheses, seed, progress: as in `identify`.
+
+    Returns:
+        What was learnt with the effects; its `without_effects` holds what `identify` learns without.
+
+    Raises:
+        DatasetError, ValueError, EffectError: as `identify`.
+
+    Example:
+        >>> import slipmap
+        >>> dataset, _ = slipmap.simulated_hammer(seed=1, fit=2, heldout=1)
+        >>> result = slipmap.fit(dataset, ["table_tilt"], hypotheses=2)
+        >>> sorted(result.effect_estimates["table_tilt"])
+        ['down_x', 'down_y']
+    """
+    result = identify(dataset, effects, hypotheses=hypotheses, seed=seed, progress=progress)
+    own = about("without effects", progress or silent)
+    plain = identify(dataset, hypotheses=hypotheses, seed=seed, progress=own)
+    return replace(result, without_effects=plain)
+
+
+def named(effects: Sequence[Effect | str]) -> tuple[Effect, ...]:
+    """Effects, those of the library given by name or not.
+
+    Raises:
+        EffectError: an unknown name.
+    """
+    own = [effect for effect in effects if not isinstance(effect, str)]
+    names = [effect if isinstance(effect, str) else effect.name for effect in effects]
+    return effects_named(names, (*LIBRARY, *own))
 
 
 def check_request(dataset: PushDataset, hypotheses: int) -> None:

@@ -1,26 +1,152 @@
-"""Predict recorded pushes from their first pose: poses and forces of all hypotheses of a belief.
+"""Predict recorded pushes from their first pose, and judge the predictions.
 
-Whatever compares with measurements takes its predictions from here. `predict` judges them by where the object
-ends, beside an object that does not move and a uniform one.
+Whatever is said of a model's errors comes from here: the middle of a belief's hypotheses against the measured
+poses, beside an object that does not move and a uniform one. One belief and one push give one number,
+whichever command says it.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
+from slipmap.models.geometry import radius_of_gyration
 from slipmap.models.inference.belief import Belief, BeliefError
+from slipmap.models.inference.error_model import SensorNoise, sensor_noise
 from slipmap.models.inference.observations import Observation, observe_all
-from slipmap.models.inference.results import Prediction
-from slipmap.models.inference.summaries import middle_poses
+from slipmap.models.inference.push_errors import Errors, errors, resting_errors
+from slipmap.models.inference.summaries import interval, middle_poses
 from slipmap.models.measurements import PushDataset
 from slipmap.models.physics.cell_grid import CellGrid, FloatArray
 from slipmap.models.physics.maps import Maps
 from slipmap.models.physics.paper_notation import add
 from slipmap.models.physics.pushes import Push
 from slipmap.models.progress import Progress, silent
+
+
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """What K hypotheses say of one push from its first pose on.
+
+    Attributes:
+        poses: (K, S, 3) world poses at the observation's pose times, m and rad.
+        forces: (K, T, 2) forces of the finger on the object at its force times, world, N.
+        probability: (K,) of the hypotheses.
+        grid: cells of the object.
+    """
+
+    poses: FloatArray
+    forces: FloatArray
+    probability: FloatArray
+    grid: CellGrid
+
+    @cached_property
+    def middle_poses(self) -> FloatArray:
+        """(S, 3) in the middle of the hypotheses: the prediction that is judged."""
+        return middle_poses(self.poses, self.probability, self.grid)
+
+    @property
+    def mean_forces(self) -> FloatArray:
+        """(T, 2) probability-weighted mean, N."""
+        return np.einsum("k,ktc->tc", self.probability, self.forces)
+
+    @property
+    def likeliest_poses(self) -> FloatArray:
+        """(S, 3) of the most probable hypothesis, whose contact with the finger is one model's."""
+        return self.poses[int(np.argmax(self.probability))]
+
+
+@dataclass(frozen=True, eq=False)
+class Prediction:
+    """One push as measured, as a belief predicts it from its first pose, and how far apart they are.
+
+    Attributes:
+        observation: what was measured.
+        motion: what the hypotheses say.
+        errors: of `predicted`.
+        uniform: errors of a uniform object with the belief's mass, friction and finger.
+        resting: errors of an object that does not move.
+        spread: probability-weighted mean ADD of the hypotheses from `predicted` at the end, m.
+        start_sensitivity: how many metres the predicted end moves (ADD) for a metre of sideways shift of
+            the start; large where the push starts near to balance and half a millimetre decides.
+        end_interval: (2, 3) lower and upper end of the 90 % interval of each of x, y, θ of the end as the
+            tracker would measure it: the hypotheses' spread, what the model is off by, and the tracker's
+            noise.
+    """
+
+    observation: Observation
+    motion: Motion
+    errors: Errors
+    uniform: Errors
+    resting: Errors
+    spread: float
+    start_sensitivity: float
+    end_interval: FloatArray
+
+    @property
+    def trial(self) -> str:
+        """Name of the trial."""
+        return self.observation.trial
+
+    @property
+    def role(self) -> str:
+        """`fit` or `heldout`."""
+        return self.observation.role
+
+    @property
+    def measured(self) -> FloatArray:
+        """(S, 3) measured poses."""
+        return self.observation.poses
+
+    @property
+    def predicted(self) -> FloatArray:
+        """(S, 3) in the middle of the hypotheses, see `summaries.middle_poses`."""
+        return self.motion.middle_poses
+
+    @property
+    def hypotheses(self) -> FloatArray:
+        """(K, S, 3) predicted poses."""
+        return self.motion.poses
+
+    @property
+    def final_add(self) -> float:
+        """Mean distance of the cells at the end between `predicted` and measured, m."""
+        return self.errors.final_add
+
+    @property
+    def uniform_add(self) -> float:
+        """The same of the uniform object."""
+        return self.uniform.final_add
+
+    @property
+    def no_motion_add(self) -> float:
+        """The same of an object that does not move."""
+        return self.resting.final_add
+
+    @property
+    def ends_only(self) -> bool:
+        """Whether only the first and the last pose were measured; the first may be written twice."""
+        before, start = self.measured[:-1], self.observation.push.start_pose
+        return bool(np.allclose(before, start, rtol=0.0, atol=1e-12))
+
+    def to_json(self) -> dict[str, object]:
+        """All numbers of the end; lengths in m, poses x, y (m), θ (rad) in the world."""
+        names = ("trial", "role", "final_add", "spread", "no_motion_add", "uniform_add", "start_sensitivity")
+        low, high = self.end_interval
+        return {name: getattr(self, name) for name in names} | {
+            "path_add": self.errors.mean_add,
+            "misfit": self.errors.misfit,
+            "measured_end": self.measured[-1].tolist(),
+            "predicted_end": self.predicted[-1].tolist(),
+            "predicted_end_low": low.tolist(),
+            "predicted_end_high": high.tolist(),
+        }
+
+
+Predictor = Callable[[Belief, Sequence[Observation]], Sequence[Motion]]
 
 
 def predict(belief: Belief, dataset: PushDataset, progress: Progress | None = None) -> tuple[Prediction, ...]:
@@ -42,7 +168,7 @@ def predict(belief: Belief, dataset: PushDataset, progress: Progress | None = No
         ['fit', 'heldout', 'heldout']
     """
     check_same_object(belief, dataset)
-    return predict_observations(belief, observe_all(dataset), progress)
+    return predict_observations(belief, observe_all(dataset), sensor_noise(dataset), progress)
 
 
 def check_same_object(belief: Belief, dataset: PushDataset) -> None:
@@ -61,45 +187,62 @@ def check_same_object(belief: Belief, dataset: PushDataset) -> None:
 
 
 def predict_observations(
-    belief: Belief, observations: Sequence[Observation], progress: Progress | None = None
+    belief: Belief,
+    observations: Sequence[Observation],
+    noise: SensorNoise,
+    progress: Progress | None = None,
+    predictor: Predictor | None = None,
 ) -> tuple[Prediction, ...]:
-    """`predict` for observations that are prepared already."""
-    slider, centers, maps = belief.slider, belief.grid.centers, belief.maps
+    """`predict` for observations that are prepared already.
+
+    Args:
+        belief: what was learnt.
+        observations: B pushes.
+        noise: of the sensors that measured them.
+        progress: called with (stage, done, total).
+        predictor: what moves the hypotheses; `predicted_motion` if None.
+    """
+    grid, slider = belief.grid, belief.slider
     pushes = [observation.push for observation in observations]
     report = progress or silent
     report("predicting", 0, 3)
-    rollouts = slider.rollout(maps, pushes)
+    motions = (predictor or predicted_motion)(belief, observations)
     report("predicting", 1, 3)
-    uniform = slider.rollout(uniform_maps(belief), pushes)
+    uniform = _motions(belief, uniform_maps(belief), np.ones(1), observations)
     report("predicting", 2, 3)
     best = int(np.argmax(belief.probability))
-    likeliest = maps[best : best + 1]
+    likeliest = belief.maps[best : best + 1]
     shift = 5e-4  # m by which the start is shifted, to judge how near to balance it is
     shifted = [slider.rollout(likeliest, _shifted(pushes, s * shift)).end[0, :, :3] for s in (-1.0, 1.0)]
-    ends = slider.rollout(likeliest, pushes).end[0, :, :3]
-    report("predicting", 3, 3)
     results = []
-    for b, observation in enumerate(observations):
-        hypotheses = rollouts.poses_of(b)
-        middle = middle_poses(hypotheses, belief.probability, belief.grid)
-        last = observation.poses[-1]
-        moved = float(np.mean([add(end[b], ends[b], centers) for end in shifted]) / shift)
+    for b, (observation, motion) in enumerate(zip(observations, motions, strict=True)):
+        middle = motion.middle_poses
+        end = motion.likeliest_poses[-1]
+        even = uniform[b]
         results.append(
             Prediction(
-                trial=observation.trial,
-                role=observation.role,
-                times=np.asarray(observation.push.pose_times),
-                measured=observation.poses,
-                hypotheses=hypotheses,
-                predicted=middle,
-                final_add=float(add(middle[-1], last, centers)),
-                spread=float(belief.probability @ add(hypotheses[:, -1], middle[-1], centers)),
-                no_motion_add=float(add(observation.push.start_pose, last, centers)),
-                uniform_add=float(add(uniform.poses_of(b)[0, -1], last, centers)),
-                start_sensitivity=moved,
+                observation=observation,
+                motion=motion,
+                errors=errors(observation, middle, motion.mean_forces, grid, noise),
+                uniform=errors(observation, even.poses[0], even.forces[0], grid, noise),
+                resting=resting_errors(observation, grid, noise),
+                spread=float(motion.probability @ add(motion.poses[:, -1], middle[-1], grid.centers)),
+                start_sensitivity=float(np.mean([add(s[b], end, grid.centers) for s in shifted]) / shift),
+                end_interval=_end_interval(belief, observation, motion, noise),
             )
         )
+    report("predicting", 3, 3)
     return tuple(results)
+
+
+def _end_interval(belief: Belief, observation: Observation, motion: Motion, noise: SensorNoise) -> FloatArray:
+    """See `Prediction.end_interval`; a model is off by a share of the way (`hypotheses.MODEL_ERRORS`)."""
+    ends = motion.poses[:, -1]
+    travel = motion.probability @ add(ends, observation.push.start_pose, belief.grid.centers)
+    missed = max(belief.settings.get("model_errors", [0.0])) * travel
+    off = [missed, missed, missed / radius_of_gyration(belief.grid)]
+    sigma = np.hypot(off, [noise.position, noise.position, noise.angle])
+    return np.array([interval(ends[:, i], motion.probability, more=float(sigma[i]))[1:] for i in range(3)]).T
 
 
 def uniform_maps(belief: Belief) -> Maps:
@@ -126,48 +269,14 @@ def _shifted(pushes: Sequence[Push], shift: float) -> list[Push]:
     return result
 
 
-@dataclass(frozen=True, eq=False)
-class Motion:
-    """What K hypotheses say of one push from its first pose on.
-
-    Attributes:
-        poses: (K, S, 3) world poses at the observation's pose times, m and rad.
-        forces: (K, T, 2) forces of the finger on the object at its force times, world, N.
-        probability: (K,) of the hypotheses.
-    """
-
-    poses: FloatArray
-    forces: FloatArray
-    probability: FloatArray
-
-    def middle_poses(self, grid: CellGrid) -> FloatArray:
-        """(S, 3) in the middle of the hypotheses: the prediction that is judged."""
-        return middle_poses(self.poses, self.probability, grid)
-
-    @property
-    def mean_forces(self) -> FloatArray:
-        """(T, 2) probability-weighted mean, N."""
-        return np.einsum("k,ktc->tc", self.probability, self.forces)
-
-    @property
-    def likeliest_poses(self) -> FloatArray:
-        """(S, 3) of the most probable hypothesis, whose contact with the finger is one model's."""
-        return self.poses[int(np.argmax(self.probability))]
-
-
 def predicted_motion(belief: Belief, observations: Sequence[Observation]) -> tuple[Motion, ...]:
     """Every hypothesis of a belief, rolled out along every push from its first pose."""
-    return _motion(belief, belief.maps, belief.probability, observations)
+    return _motions(belief, belief.maps, belief.probability, observations)
 
 
-def uniform_motion(belief: Belief, observations: Sequence[Observation]) -> tuple[Motion, ...]:
-    """The same of the baseline, a uniform object with the belief's mass, friction and finger."""
-    return _motion(belief, uniform_maps(belief), np.ones(1), observations)
-
-
-def _motion(
+def _motions(
     belief: Belief, maps: Maps, probability: FloatArray, observations: Sequence[Observation]
 ) -> tuple[Motion, ...]:
     found = belief.slider.rollout(maps, [observation.push for observation in observations])
     every = range(len(observations))
-    return tuple(Motion(found.poses_of(b), found.forces_of(b), probability) for b in every)
+    return tuple(Motion(found.poses_of(b), found.forces_of(b), probability, belief.grid) for b in every)

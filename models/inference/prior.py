@@ -143,6 +143,27 @@ class MapPrior:
         z[self.plain - 1] = finger
         return z
 
+    def near(self, maps: Maps) -> FloatArray:
+        """(K, size) coordinates of some maps as well as the basis can have them; those of effects are 0."""
+        s, K = self.settings, len(maps)
+        of_load, of_split = self.spreads(np.ones(1))
+        log_mass, log_mu = np.log(maps.mass), np.log(maps.mu)
+
+        def projected(spread: float, rows: FloatArray) -> tuple[FloatArray, FloatArray]:
+            """Coordinates (K, r) of rows (K, n) up to a constant, and the rows that they give."""
+            columns = np.column_stack([spread * self.basis, np.ones(self.basis.shape[0])])
+            z = np.asarray(np.linalg.lstsq(columns, rows.T, rcond=None)[0][:-1].T, dtype=np.float64)
+            return z, z @ columns[:, :-1].T
+
+        z_load, load = projected(float(of_load[0]), log_mass + log_mu)
+        z_split, split = projected(float(of_split[0]), log_mass - s.mass_share * load)
+        level = (log_mu - (1.0 - s.mass_share) * load + split).mean(axis=1)
+        total = np.log(maps.mass.sum(axis=1) / self.total_mass) / self.total_spread
+        scale = (level - np.log(s.friction_mean)) / s.friction_scale
+        finger = np.log(maps.mu_finger / s.finger_friction_mean) / s.finger_friction
+        others = np.column_stack([total, scale, finger, np.zeros((K, len(self.effect_scales)))])
+        return np.concatenate([z_load, z_split, others], axis=1)
+
     def effect_coordinates(self, values: FloatArray) -> FloatArray:
         """z_p of effect parameters (…, P)."""
         return (values - self.effect_centers) / self.effect_scales

@@ -7,8 +7,10 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 
 import numpy as np
+from scipy.special import stdtrit
 
 from slipmap.models.geometry import at_centroid, radius_of_gyration
+from slipmap.models.inference.error_model import SensorNoise
 from slipmap.models.inference.observations import Observation, interpolated
 from slipmap.models.measurements import Noise
 from slipmap.models.physics.cell_grid import CellGrid, FloatArray
@@ -31,6 +33,8 @@ class Errors:
         fit_theta: for the angle.
         force: root mean square of the force error where the finger presses steadily, N.
         force_share: the same over the root mean square of the measured force.
+        misfit: root mean square over all poses, and over forces where the finger presses steadily, of the
+            error in standard deviations of the sensors' noise; 1 is perfect.
     """
 
     final_add: float
@@ -43,13 +47,20 @@ class Errors:
     fit_theta: float
     force: float
     force_share: float
+    misfit: float
 
     def to_json(self) -> dict[str, float]:
         """All numbers by name."""
         return asdict(self)
 
 
-def errors(observation: Observation, poses: FloatArray, forces: FloatArray | None, grid: CellGrid) -> Errors:
+def errors(
+    observation: Observation,
+    poses: FloatArray,
+    forces: FloatArray | None,
+    grid: CellGrid,
+    noise: SensorNoise,
+) -> Errors:
     """Compare predicted poses (S, 3) and forces (T, 2) with one push; no forces where None."""
     measured = observation.poses
     distance = add(poses, measured, grid.centers)
@@ -58,6 +69,12 @@ def errors(observation: Observation, poses: FloatArray, forces: FloatArray | Non
     if forces is not None and used.any():
         force = _rms(forces[used] - observation.forces[used])
         share = force / _rms(observation.forces[used])
+    sigma = np.array([noise.position, noise.position, noise.angle])
+    # What a mean of rows lacks of the noise of one row is put back.
+    square = ((poses - measured) / sigma) ** 2 + (1.0 - 1.0 / observation.pose_rows)[:, None]
+    squares = [square.ravel()]
+    if forces is not None and used.any():
+        squares.append(((forces[used] - observation.forces[used]) ** 2).ravel() / noise.force**2)
     radius = radius_of_gyration(grid)
     scaled, wanted = at_centroid(poses, grid), at_centroid(measured, grid)
     return Errors(
@@ -71,13 +88,54 @@ def errors(observation: Observation, poses: FloatArray, forces: FloatArray | Non
         fit_theta=nrmse_fit(measured[:, 2:], poses[:, 2:]),
         force=force,
         force_share=share,
+        misfit=float(np.sqrt(np.concatenate(squares).mean())),
     )
 
 
-def resting_errors(observation: Observation, grid: CellGrid) -> Errors:
+@dataclass(frozen=True)
+class Paired:
+    """How two models' misfits of the same pushes compare, push by push.
+
+    Attributes:
+        ratio: geometric mean over pushes of the second model's misfit over the first one's; one push that
+            starts near to balance does not decide it.
+        low: lower end of its 90 % interval, from the scatter over pushes (Student's t of the logarithms); 0
+            where there are fewer than two.
+        high: upper end; infinite where there are fewer than two.
+    """
+
+    ratio: float
+    low: float
+    high: float
+
+    @classmethod
+    def of(cls, first: FloatArray, second: FloatArray) -> Paired:
+        """Of misfits (L,) of the two models, at least one push."""
+        logs = np.log(second) - np.log(first)
+        mean = float(logs.mean())
+        if len(logs) < 2:
+            return cls(float(np.exp(mean)), 0.0, float("inf"))
+        width = float(stdtrit(len(logs) - 1, 0.95) * logs.std(ddof=1) / np.sqrt(len(logs)))
+        return cls(*(float(np.exp(value)) for value in (mean, mean - width, mean + width)))
+
+    @property
+    def verdict(self) -> str:
+        """What the pushes say of the second model: `for`, `against`, or `undecided`."""
+        if self.high < 1.0:
+            return "for"
+        return "against" if self.low > 1.0 else "undecided"
+
+    def to_json(self) -> dict[str, float | str | None]:
+        """All fields, null where an end is not known, and the verdict."""
+        known = np.isfinite(self.high)
+        ends = {"low": self.low if known else None, "high": self.high if known else None}
+        return {"ratio": self.ratio, **ends, "verdict": self.verdict}
+
+
+def resting_errors(observation: Observation, grid: CellGrid, noise: SensorNoise) -> Errors:
     """The baseline of an object that does not move."""
     still = np.broadcast_to(observation.push.start_pose, observation.poses.shape)
-    return errors(observation, still, None, grid)
+    return errors(observation, still, None, grid, noise)
 
 
 def nrmse_fit(measured: FloatArray, predicted: FloatArray) -> float:

@@ -15,7 +15,7 @@ from scipy.special import chdtrc, fdtrc
 
 from slipmap.models.geometry import at_centroid, radius_of_gyration
 from slipmap.models.inference.belief import Belief
-from slipmap.models.inference.diagnosis.error_model import ErrorModel, SensorNoise, travelled
+from slipmap.models.inference.error_model import ErrorModel, SensorNoise, travelled
 from slipmap.models.inference.observations import Observation
 from slipmap.models.physics.cell_grid import CellGrid, FloatArray
 from slipmap.models.physics.rollout import Push

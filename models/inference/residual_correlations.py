@@ -120,7 +120,7 @@ def delay_pattern(
     for observation, motion in zip(observations, motions, strict=True):
         if len(observation.poses) < 3:
             continue
-        times, measured, predicted = centroid_tracks(observation, motion.middle_poses(grid), grid)
+        times, measured, predicted = centroid_tracks(observation, motion.middle_poses, grid)
         velocity = np.gradient(predicted, np.maximum.accumulate(times + 1e-9 * np.arange(len(times))), axis=0)
         speed = np.sqrt((velocity**2).sum(axis=1).mean())
         if speed == 0.0:
@@ -152,7 +152,7 @@ def _without_trend(values: FloatArray, times: FloatArray) -> FloatArray:
 def _track(observation: Observation, motion: Motion, grid: CellGrid) -> _Track | None:
     if len(observation.poses) < 3 or np.isnan(observation.push.tip).any():
         return None
-    times, measured, predicted = centroid_tracks(observation, motion.middle_poses(grid), grid)
+    times, measured, predicted = centroid_tracks(observation, motion.middle_poses, grid)
     even = np.arange(0.0, times[-1], _LAG_STEP)
     if len(even) < 4:
         return None

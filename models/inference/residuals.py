@@ -212,7 +212,7 @@ def motion_residuals(
     parts, values, weights = [], [], []
     scale = np.ones(len(observations))
     for b, (observation, motion) in enumerate(zip(observations, motions, strict=True)):
-        times, measured, predicted = centroid_tracks(observation, motion.middle_poses(grid), grid)
+        times, measured, predicted = centroid_tracks(observation, motion.middle_poses, grid)
         edges = np.unique([*range(0, len(times), 2), len(times) - 1])
         steps = [np.diff(track[edges], axis=0) for track in (measured, predicted)]
         duration = np.diff(times[edges])

@@ -9,39 +9,9 @@ from typing import Any
 import numpy as np
 
 from slipmap.models.inference.belief import Belief
+from slipmap.models.inference.prediction import Prediction
+from slipmap.models.inference.push_errors import Paired
 from slipmap.models.physics.cell_grid import FloatArray
-
-
-@dataclass(frozen=True, eq=False)
-class Prediction:
-    """One push as measured and as a belief predicts it from its first pose.
-
-    Attributes:
-        trial: name of the trial.
-        role: `fit` or `heldout`.
-        times: (S,) s after the first pose.
-        measured: (S, 3) poses of the object.
-        hypotheses: (K, S, 3) predicted poses.
-        predicted: (S, 3) in the middle of the hypotheses, see `summaries.middle_poses`.
-        final_add: mean distance of the cells at the end between `predicted` and measured, m.
-        spread: probability-weighted mean ADD of the hypotheses from `predicted` at the end, m.
-        no_motion_add: final ADD of an object that does not move, m.
-        uniform_add: final ADD of the uniform object, m.
-        start_sensitivity: how many metres the predicted end moves (ADD) for a metre of sideways shift of
-            the start; large where the push starts near to balance and half a millimetre decides.
-    """
-
-    trial: str
-    role: str
-    times: FloatArray
-    measured: FloatArray
-    hypotheses: FloatArray
-    predicted: FloatArray
-    final_add: float
-    spread: float
-    no_motion_add: float
-    uniform_add: float
-    start_sensitivity: float
 
 
 @dataclass(frozen=True)
@@ -98,8 +68,24 @@ class Identification:
         return np.array([getattr(push, of) for push in self.pushes if push.role == role])
 
     @property
+    def judges(self) -> str:
+        """Role of the pushes that judge: `heldout`, or `fit` where none was held out."""
+        return "heldout" if any(push.role == "heldout" for push in self.pushes) else "fit"
+
+    @property
+    def with_and_without(self) -> Paired | None:
+        """Of `fit`: how the effects change the misfit of the pushes that judge."""
+        if self.without_effects is None:
+            return None
+        first, second = (
+            np.array([push.errors.misfit for push in learnt.pushes if push.role == self.judges])
+            for learnt in (self.without_effects, self)
+        )
+        return Paired.of(first, second)
+
+    @property
     def effect_estimates(self) -> dict[str, dict[str, dict[str, Any]]]:
-        """By effect and parameter: value (median), 90 % interval, unit, and whether the pushes show it."""
+        """By effect that was asked for and parameter: value (median), 90 % interval, unit, whether shown."""
         facts = {quantity.name: quantity for quantity in self.quantities}
         return {
             effect.name: {
@@ -110,6 +96,7 @@ class Identification:
                 for p in effect.parameters
             }
             for effect in self.belief.effects
+            if any(f"{effect.name}: {p.name}" in facts for p in effect.parameters)
         }
 
     def to_json(self) -> dict[str, object]:
@@ -123,18 +110,21 @@ class Identification:
             plain = {
                 f"{role}_error_mean": mean(self.without_effects.errors(role)) for role in ("fit", "heldout")
             }
-            more = {"effects": self.effect_estimates, "without_effects": plain}
+            paired = self.with_and_without
+            assert paired is not None
+            more = {
+                "effects": self.effect_estimates,
+                "without_effects": plain,
+                "misfit_with_over_without": paired.to_json(),
+            }
         heldout = self.errors("heldout")
-        of_trial = (
-            "trial", "role", "final_add", "spread", "no_motion_add", "uniform_add", "start_sensitivity"
-        )  # fmt: skip
         return {
             "fit_error_mean": mean(self.errors("fit")),
             "heldout_error_mean": mean(heldout),
             "heldout_error_median": float(np.median(heldout)) if len(heldout) else None,
             "no_motion_error_mean": mean(self.errors("heldout", "no_motion_add")),
             "uniform_error_mean": mean(self.errors("heldout", "uniform_add")),
-            "trials": [{name: getattr(push, name) for name in of_trial} for push in self.pushes],
+            "trials": [push.to_json() for push in self.pushes],
             "hypotheses": [
                 {
                     "probability": float(self.belief.probability[k]),

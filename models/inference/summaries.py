@@ -48,7 +48,12 @@ def middle_poses(poses: FloatArray, probability: FloatArray, grid: CellGrid) -> 
 
 
 def interval(
-    values: FloatArray, probability: FloatArray, *, level: float = 0.9, log: bool = False
+    values: FloatArray,
+    probability: FloatArray,
+    *,
+    level: float = 0.9,
+    log: bool = False,
+    more: float = 0.0,
 ) -> tuple[float, float, float]:
     """Weighted median and central interval of draws.
 
@@ -57,15 +62,17 @@ def interval(
         probability: (K,) weights.
         level: share of cases in which the truth shall lie inside.
         log: whether it is the logarithm that is normally distributed.
+        more: standard deviation of what comes on top of each draw.
     """
     x = np.log(np.maximum(values, 1e-300)) if log else values
     mean = float(probability @ x)
     effective = max(2.0, _effective_number(probability))
     variance = float(probability @ (x - mean) ** 2) * effective / (effective - 1.0)
-    width = float(stdtrit(effective - 1.0, 0.5 + 0.5 * level)) * np.sqrt(variance * (1.0 + 1.0 / effective))
+    spread = np.sqrt(variance * (1.0 + 1.0 / effective) + more**2)
+    width = float(stdtrit(effective - 1.0, 0.5 + 0.5 * level)) * spread
     order = np.argsort(x)
     middle = float(x[order][np.searchsorted(np.cumsum(probability[order]), 0.5)])
-    low, high = mean - width, mean + width
+    low, high = float(mean - width), float(mean + width)
     return (float(np.exp(middle)), float(np.exp(low)), float(np.exp(high))) if log else (middle, low, high)
 
 

@@ -13,8 +13,8 @@ import pytest
 
 from slipmap.models.effects.registry import effects_named
 from slipmap.models.inference.diagnosis.correlated import CorrelatedLikelihood, FitData
-from slipmap.models.inference.diagnosis.error_model import FORCE_MEMORY, MEMORY, ErrorModel, sensor_noise
 from slipmap.models.inference.diagnosis.fitting import Fitted, Fitter
+from slipmap.models.inference.error_model import FORCE_MEMORY, MEMORY, ErrorModel, sensor_noise
 from slipmap.models.inference.observations import observe_all
 from slipmap.models.measurements.push_dataset import Table
 from slipmap.models.measurements.simulated import record_pushes

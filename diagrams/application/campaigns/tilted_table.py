@@ -60,12 +60,11 @@ def _world(object_name: str) -> PlantWorld:
 def _learned(object_name: str, seed: int) -> tuple[Belief, Belief]:
     """Beliefs of `MODELS`, from the same pushes."""
     from slipmap.diagrams.application.campaigns.worlds import as_dataset, explored
-    from slipmap.models.effects.registry import effects_named
-    from slipmap.models.inference.diagnosis.effect_fit import fit_effects
+    from slipmap.models.inference.identification import identify
 
     world = _world(object_name)
     plain, trials = explored(world, seed)
-    tilted = fit_effects(as_dataset(world, trials), effects_named(["table_tilt"]), seed=seed)
+    tilted = identify(as_dataset(world, trials), ["table_tilt"], seed=seed)
     return plain, tilted.belief
 
 

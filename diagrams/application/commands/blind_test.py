@@ -123,7 +123,7 @@ def _stop_workers(folder: Path) -> None:
 def _run(case: _Case) -> str:
     """Generate a dataset unless it is there, diagnose it, write the result, and tell it in a few words."""
     from slipmap.diagrams.application.studies.blind import generator, scoring
-    from slipmap.models.inference.diagnosis import diagnose
+    from slipmap.models.inference.diagnosis.procedure import diagnose
     from slipmap.models.measurements import read_dataset
 
     dataset = case.folder / case.name

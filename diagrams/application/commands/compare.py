@@ -16,7 +16,7 @@ from slipmap.models.files import BadInput, write_json, write_text
 if TYPE_CHECKING:
     from slipmap.models.inference.belief import Belief
     from slipmap.models.inference.comparison import Comparison
-    from slipmap.models.inference.results import Prediction
+    from slipmap.models.inference.prediction import Prediction
     from slipmap.models.measurements import PushDataset
 
 
@@ -111,12 +111,11 @@ def compare(
         measured = options.load_dataset(dataset, object_name, progress)
         prepare_kernels()
         from slipmap.models.inference import comparison
-        from slipmap.models.inference.diagnosis.effect_fit import compare_with_effects
 
         if belief is None:
             _check_fit_pushes(measured)
         results = (
-            [*compare_with_effects(measured, effects, seed=seed, progress=progress)]
+            [*comparison.compare_with_effects(measured, effects, seed=seed, progress=progress)]
             if effects
             else [comparison.compare(measured, belief, seed=seed, progress=progress)]
         )

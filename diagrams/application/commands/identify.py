@@ -5,6 +5,7 @@ The second adds effects to the model and learns them together with the maps.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -125,9 +126,9 @@ def fit(
         if pictures is not None:
             make_folder(pictures)
         prepare_kernels()
-        from slipmap.models.inference.diagnosis import effect_fit
+        from slipmap.models.inference import identification
 
-        result = effect_fit.fit(measured, effects, hypotheses=hypotheses, seed=seed, progress=progress)
+        result = identification.fit(measured, effects, hypotheses=hypotheses, seed=seed, progress=progress)
         drawn = keep(result, measured, output, pictures, progress)
     if json_file is not None:
         write_json(json_file, result.to_json())
@@ -194,32 +195,38 @@ def _first_pushes(dataset: PushDataset, count: int) -> PushDataset:
     return dataset.with_fit_pushes(count)
 
 
+_SAID = {
+    "for": "They speak for {effects}.",
+    "against": "THEY SPEAK AGAINST {effects}.",
+    "undecided": "They do not tell whether {effects} is there; its size holds only if it is.",
+}
+"""What pushes say of effects, by `Paired.verdict`."""
+
+
 def _show_gain(result: Identification) -> None:
     from slipmap.diagrams.application.reports.comparison_words import millimetres
-    from slipmap.diagrams.application.reports.tables import HARDLY_BETTER
 
-    role, pushes = ("heldout", "Held-out pushes")
-    if not len(result.errors(role)):
-        role, pushes = ("fit", "The pushes that it learned from")
-    assert result.without_effects is not None
+    role = result.judges
+    pushes = "Held-out pushes" if role == "heldout" else "The pushes that it learned from"
+    paired = result.with_and_without
+    assert result.without_effects is not None and paired is not None
     now, before = (float(learnt.errors(role).mean()) for learnt in (result, result.without_effects))
-    effects = " and ".join(effect.name for effect in result.belief.effects)
-    doubt = f" SO THEY DO NOT SPEAK FOR {effects}: its size holds only if it is there at all."
+    effects = " and ".join(
+        effect.name for effect in result.belief.effects if effect.name in result.effect_estimates
+    )
+    change = f"Push by push, their misfit is {paired.ratio:.2g} times what it is without"
+    if math.isfinite(paired.high):
+        change += f" (90 % interval {paired.low:.2g} to {paired.high:.2g})"
     paragraph(
-        f"{pushes} end {millimetres(now)} mm from where they were predicted; without effects, learnt alike,"
-        f" {millimetres(before)} mm.{doubt if now > HARDLY_BETTER * before else ''}"
+        f"{pushes} end {millimetres(now)} mm from where they were predicted; without effects"
+        f" {millimetres(before)} mm. {change}. {_SAID[paired.verdict].format(effects=effects)}"
     )
 
 
 def show_effects(result: Identification) -> None:
     """Print how large the effects of the model are, each in a sentence."""
     from slipmap.diagrams.application.reports.effect_words import effect_in_words
-    from slipmap.models.inference.diagnosis.results import ParameterEstimate
+    from slipmap.models.inference.diagnosis.results import estimates_by_effect
 
-    told = result.effect_estimates
-    for effect in result.belief.effects:
-        estimates = [
-            ParameterEstimate(effect.name, name, v["unit"], v["value"], v["low"], v["high"])
-            for name, v in told[effect.name].items()
-        ]
-        paragraph(f"{effect.name}: {effect_in_words(effect.name, estimates, result.belief.grid)}.")
+    for name, estimates in estimates_by_effect(result).items():
+        paragraph(f"{name}: {effect_in_words(name, estimates, result.belief.grid)}.")

@@ -22,7 +22,7 @@ from slipmap.diagrams.application.reports.comparison_words import ROLES, short_n
 from slipmap.diagrams.systems.look import BELIEF, FAINT, FINGER, INK, OTHER, PAPER, styled
 from slipmap.models.geometry import placed, radius_of_gyration
 from slipmap.models.inference.comparison import Comparison
-from slipmap.models.inference.results import Prediction
+from slipmap.models.inference.prediction import Prediction
 from slipmap.models.measurements import PushDataset, Trial, finger_path
 from slipmap.models.physics.cell_grid import CellGrid, FloatArray
 

@@ -23,8 +23,9 @@ from slipmap.diagrams.application.reports.comparison_words import (
     size_text,
 )
 from slipmap.diagrams.application.reports.html_page import Section, part, picture, table
-from slipmap.models.inference.comparison import ComparedPush, Comparison
+from slipmap.models.inference.comparison import Comparison
 from slipmap.models.inference.observations import Observation
+from slipmap.models.inference.prediction import Prediction
 from slipmap.models.inference.push_errors import Errors
 from slipmap.models.measurements import PushDataset
 from slipmap.models.physics.cell_grid import FloatArray
@@ -189,7 +190,7 @@ def _push_section(comparisons: Sequence[Comparison], dataset: PushDataset) -> Se
     return Section("pushes", "Push by push", body, data, script="pushes.js")
 
 
-def _push(told: Sequence[ComparedPush], centers: FloatArray) -> dict[str, Any]:
+def _push(told: Sequence[Prediction], centers: FloatArray) -> dict[str, Any]:
     observation = told[0].observation
     start = observation.push.start_pose
     times = np.concatenate([[0.0], np.asarray(observation.push.pose_times)])

@@ -25,8 +25,8 @@ from slipmap.diagrams.application.reports.effect_words import effect_in_words, p
 from slipmap.diagrams.application.reports.html_page import Section, page, part, picture, table
 from slipmap.models.effects.effect import Effect
 from slipmap.models.inference.comparison import Comparison, compare
-from slipmap.models.inference.diagnosis import Diagnosis
-from slipmap.models.inference.diagnosis.effect_fit import as_diagnosed, fitted_belief
+from slipmap.models.inference.diagnosis.locked import with_locked
+from slipmap.models.inference.diagnosis.results import Diagnosis
 from slipmap.models.measurements import PushDataset
 from slipmap.models.progress import Progress, silent
 
@@ -63,7 +63,7 @@ def diagnosis_report(
         sections.append(_locked_section(diagnosis))
     if diagnosis.next_push is not None:
         sections.append(_next_push_section(diagnosis, dataset))
-    sections += comparison_sections(comparisons, as_diagnosed(dataset, diagnosis))
+    sections += comparison_sections(comparisons, with_locked(dataset, diagnosis.locked))
     sections.append(Section("reading", "How to read the diagnosis", part("diagnosis.html")))
     lead = [paragraph for paragraph in lead if paragraph]
     title = f"{dataset.name}: what does the model miss?"
@@ -76,19 +76,13 @@ def compared(
     diagnosis: Diagnosis, dataset: PushDataset, progress: Progress | None = None
 ) -> list[Comparison]:
     """The model without effects, and the best one where it differs, against all pushes."""
-    pushes = as_diagnosed(dataset, diagnosis)
-    models = [(before_label(diagnosis), diagnosis.base)]
-    if diagnosis.effect_objects:
-        models.append((after_label(diagnosis), diagnosis.best))
+    pushes = with_locked(dataset, diagnosis.locked)
+    models = [(before_label(diagnosis), diagnosis.without_effects)]
+    if diagnosis.with_effects is not None:
+        models.append((after_label(diagnosis), diagnosis.with_effects))
     return [
-        compare(
-            pushes,
-            fitted_belief(fitted, dataset, diagnosis.seed),
-            seed=diagnosis.seed,
-            label=label,
-            progress=progress,
-        )
-        for label, fitted in models
+        compare(pushes, learnt.belief, seed=diagnosis.seed, label=label, progress=progress)
+        for label, learnt in models
     ]
 
 

@@ -12,8 +12,7 @@ from slipmap.diagrams.application.reports.effect_words import effect_in_words, p
 from slipmap.diagrams.application.terminal import paragraph, table
 from slipmap.models.effects.effect import Effect
 from slipmap.models.effects.probes import PROBES
-from slipmap.models.inference.diagnosis import Diagnosis
-from slipmap.models.inference.diagnosis.results import CandidateResult
+from slipmap.models.inference.diagnosis.results import CandidateResult, Diagnosis
 from slipmap.models.inference.diagnosis.verdict_rules import LEVEL
 from slipmap.models.measurements import PushDataset
 from slipmap.models.physics.cell_grid import CellGrid

@@ -19,8 +19,9 @@ from slipmap.diagrams.application.reports.comparison_words import (
 from slipmap.diagrams.application.terminal import paragraph, table
 from slipmap.models.inference.comparison import Comparison
 from slipmap.models.inference.friction_laws import PLAIN, TOGETHER
+from slipmap.models.inference.prediction import Prediction
 from slipmap.models.inference.push_errors import Errors, noise_floor
-from slipmap.models.inference.results import Prediction, Quantity
+from slipmap.models.inference.results import Quantity
 from slipmap.models.measurements import PushDataset
 
 _SENSITIVE = 10.0

@@ -14,7 +14,7 @@ import scipy.linalg
 from numpy.typing import NDArray
 
 from slipmap.models.geometry import radius_of_gyration, rotated
-from slipmap.models.inference.diagnosis.error_model import ErrorModel, SensorNoise, travelled
+from slipmap.models.inference.error_model import ErrorModel, SensorNoise, travelled
 from slipmap.models.inference.likelihood import NormalEquations, slopes_at_centroid
 from slipmap.models.inference.observations import AVERAGED, SAMPLES, Observation
 from slipmap.models.inference.prior import MapPrior

@@ -11,15 +11,15 @@ import numpy as np
 
 from slipmap.models.effects.effect import Effect, Scene
 from slipmap.models.inference.diagnosis.correlated import CorrelatedLikelihood, FitData
-from slipmap.models.inference.diagnosis.error_model import ErrorModel, SensorNoise
 from slipmap.models.inference.diagnosis.predictive import PushEquations, log_determinant, whitened_rows
+from slipmap.models.inference.error_model import ErrorModel, SensorNoise
 from slipmap.models.inference.gauss_newton import fit
 from slipmap.models.inference.likelihood import Likelihood, LikelihoodSettings
 from slipmap.models.inference.observations import Observation
 from slipmap.models.inference.prior import MapPrior, PriorSettings, slider_for
 from slipmap.models.measurements import PushDataset
 from slipmap.models.physics.cell_grid import FloatArray
-from slipmap.models.physics.rollout import RolloutError
+from slipmap.models.physics.rollout import Maps, RolloutError
 from slipmap.models.progress import StageProgress, part_of
 
 MODES = 20
@@ -55,9 +55,14 @@ class Fitted:
         return self.likelihood.prior.effect_deviations(equations.hessian[0])
 
     @property
+    def maps(self) -> Maps:
+        """One hypothesis."""
+        return self.likelihood.prior.maps(self.z[None])
+
+    @property
     def values(self) -> FloatArray:
         """(P,) parameters of the effects."""
-        return self.likelihood.prior.maps(self.z[None]).effects[0]
+        return self.maps.effects[0]
 
 
 class Fitter:

@@ -24,16 +24,16 @@ from slipmap.models.effects.effect import Effect
 from slipmap.models.effects.library import LIBRARY
 from slipmap.models.effects.probes import PROBES
 from slipmap.models.inference.diagnosis import outcomes
-from slipmap.models.inference.diagnosis.effect_fit import effect_sizes
-from slipmap.models.inference.diagnosis.error_model import sensor_noise
 from slipmap.models.inference.diagnosis.fitting import Fitted, Fitter
-from slipmap.models.inference.diagnosis.locked import locked_errors, locked_trials
+from slipmap.models.inference.diagnosis.locked import locked_errors, locked_trials, with_locked
 from slipmap.models.inference.diagnosis.outcomes import Outcome
 from slipmap.models.inference.diagnosis.refits import Refits, better_base, pairs, refit_candidates
 from slipmap.models.inference.diagnosis.results import (
     QUICK_COARSENESS,
     CandidateResult,
     Diagnosis,
+    ParameterEstimate,
+    estimates_by_effect,
     parameter_estimates,
 )
 from slipmap.models.inference.diagnosis.screening import Screening, screen
@@ -55,9 +55,12 @@ from slipmap.models.inference.diagnosis.verdict_rules import (
     with_better_predictors,
     worth_asking,
 )
+from slipmap.models.inference.error_model import sensor_noise
+from slipmap.models.inference.identification import identify, learn
 from slipmap.models.inference.observations import Observation, observe_all
+from slipmap.models.inference.results import Identification
 from slipmap.models.measurements import DatasetError, PushDataset
-from slipmap.models.progress import Progress, StageProgress, silent
+from slipmap.models.progress import Progress, StageProgress, about, silent
 
 
 def diagnose(
@@ -100,23 +103,31 @@ def diagnose(
         raise DatasetError(f"dataset {dataset.name} has no push left to fit; give at least one the role fit")
     coarseness = QUICK_COARSENESS if quick else 1.0
     observations = observe_all(dataset, open_trials, coarseness)
-    held = observe_all(dataset, [trial for trial in dataset.trials if trial.name in locked], coarseness)
     inquiry = Inquiry(dataset, observations, tuple(effects), 0 if quick else draws, rng, report)
     outcome = inquiry.run()
-    before = locked_errors(inquiry.base, dataset, held) if held else None
-    after = locked_errors(outcome.best, dataset, held) if held and outcome.best.effects else before
+    # The answer is judged by what `identify` and `fit` learn from the same pushes.
+    divided = with_locked(dataset, locked)
+    everything = observe_all(divided)
+    own = about("without effects", report)
+    without = identify(divided, seed=seed, progress=own)
+    learnt = [
+        learn(divided, everything, rival, seed=seed, report=about("with effects", report))
+        for rival in outcome.rivals
+    ]
+    before = locked_errors(without)
+    after = locked_errors(learnt[0]) if learnt else before
     if outcome.effects and locked_pushes_object(inquiry.error.motion, before, after):
-        outcome, after = outcomes.refuted_by_locked_pushes(outcome, inquiry.base), before
+        outcome, learnt = outcomes.refuted_by_locked_pushes(outcome, inquiry.base), []
     elif outcome.effects and locked_pushes_stay_off(before, after):
-        outcome, after = outcomes.no_help_to_locked_pushes(outcome, inquiry.base, inquiry.first), before
+        outcome, learnt = outcomes.no_help_to_locked_pushes(outcome, inquiry.base, inquiry.first), []
     return Diagnosis(
         **vars(outcome),
-        candidates=tuple(inquiry.candidates(outcome.best)),
+        candidates=tuple(inquiry.candidates(learnt)),
         p_value=inquiry.p_value,
         open_trials=tuple(o.trial for o in observations),
         locked=tuple(locked),
-        before=before,
-        after=after,
+        without_effects=without,
+        with_effects=learnt[0] if learnt else None,
         base=inquiry.base,
         motion_error=inquiry.error.motion,
         force_error=inquiry.error.force,
@@ -281,20 +292,20 @@ class Inquiry:
         found.sort(key=lambda pair: pair.cost)
         return [pair for pair in found if pair.cost < found[0].cost + CLEARLY_WORSE_GAIN]
 
-    def candidates(self, answer: Fitted) -> list[CandidateResult]:
-        """All named candidates, best first; two effects found together have the parameters of their fit."""
-        noise = self.fitter.dataset.noise
-        together = effect_sizes(answer, noise) if len(answer.effects) > 1 else ()
+    def candidates(self, learnt: Sequence[Identification]) -> list[CandidateResult]:
+        """All named candidates, best first; those of the answer have the parameters that were learnt."""
+        told: dict[str, tuple[ParameterEstimate, ...]] = {}
+        for one in learnt:
+            told = estimates_by_effect(one) | told
         results = []
         for i, effect in enumerate(self.first.candidates):
             if effect not in self.effects:
                 continue
             name, gain = effect.name, float(self.first.gain[i])
             fitted, left = self.refits.fits.get(name), self.left.get(name)
-            own = tuple(estimate for estimate in together if estimate.effect == name)
+            own = told.get(name, ())
             if not own and fitted is not None:
-                found = name in self.accepted
-                own = effect_sizes(fitted, noise) if found else parameter_estimates(fitted)
+                own = parameter_estimates(fitted)
             results.append(
                 CandidateResult(
                     name=name,

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from slipmap.models.effects.effect import Effect, Scene
-from slipmap.models.inference.diagnosis.error_model import ErrorModel
 from slipmap.models.inference.diagnosis.fitting import Fitted, Fitter, estimate_errors
 from slipmap.models.inference.diagnosis.screening import Screening
+from slipmap.models.inference.error_model import ErrorModel
 from slipmap.models.progress import StageProgress
 
 _QUICK_REFITS = 3

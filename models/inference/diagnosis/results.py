@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from slipmap.models.effects.effect import Effect, bounds
 from slipmap.models.inference.diagnosis.fitting import Fitted
-from slipmap.models.inference.diagnosis.locked import LockedErrors
+from slipmap.models.inference.diagnosis.locked import LockedErrors, locked_errors
 from slipmap.models.inference.diagnosis.outcomes import Outcome
-from slipmap.models.physics.cell_grid import FloatArray
+from slipmap.models.inference.results import Identification
 
 VERDICTS = ("adequate", "effect", "ambiguous", "unknown", "undecided")
 
@@ -33,19 +32,23 @@ class ParameterEstimate:
 
 def parameter_estimates(fitted: Fitted) -> tuple[ParameterEstimate, ...]:
     """Parameters of a fitted model with their 90 % intervals, cut at the allowed range."""
-    return estimates_of(fitted.effects, fitted.values, fitted.standard_deviations)
-
-
-def estimates_of(
-    effects: Sequence[Effect], values: FloatArray, deviations: FloatArray
-) -> tuple[ParameterEstimate, ...]:
-    """Parameters (P,) with the 90 % intervals of their standard deviations (P,), cut at the allowed range."""
-    spread = 1.645 * deviations
-    low, high = bounds(effects)
+    values, spread = fitted.values, 1.645 * fitted.standard_deviations
+    low, high = bounds(fitted.effects)
     lows, highs = np.maximum(values - spread, low), np.minimum(values + spread, high)
-    every = [(effect.name, p.name, p.unit) for effect in effects for p in effect.parameters]
+    every = [(effect.name, p.name, p.unit) for effect in fitted.effects for p in effect.parameters]
     numbers = zip(values.tolist(), lows.tolist(), highs.tolist(), strict=True)
     return tuple(ParameterEstimate(*names, *own) for names, own in zip(every, numbers, strict=True))
+
+
+def estimates_by_effect(learnt: Identification) -> dict[str, tuple[ParameterEstimate, ...]]:
+    """Parameters of each effect that was learnt with a belief, with their 90 % intervals."""
+    return {
+        effect: tuple(
+            ParameterEstimate(effect, name, v["unit"], v["value"], v["low"], v["high"])
+            for name, v in parameters.items()
+        )
+        for effect, parameters in learnt.effect_estimates.items()
+    }
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,8 +90,8 @@ class Diagnosis(Outcome):
         p_value: of the largest gain; None where nothing was simulated.
         open_trials: pushes that were fitted.
         locked: names of those locked away.
-        before: their errors without any effect; None where none was locked.
-        after: their errors with the best effects; the same as before where there is none.
+        without_effects: what `identify` learns from the open pushes.
+        with_effects: the same with the best effects; None where there is none.
         base: fitted model without effects.
         motion_error: α of the final error model.
         force_error: β of the final error model.
@@ -103,8 +106,8 @@ class Diagnosis(Outcome):
     p_value: float | None
     open_trials: tuple[str, ...]
     locked: tuple[str, ...]
-    before: LockedErrors | None
-    after: LockedErrors | None
+    without_effects: Identification
+    with_effects: Identification | None
     base: Fitted
     motion_error: float
     force_error: float
@@ -112,6 +115,16 @@ class Diagnosis(Outcome):
     seconds: float
     seed: int
     next_push: dict[str, object] | None = field(default=None)
+
+    @property
+    def before(self) -> LockedErrors | None:
+        """Errors on locked pushes without any effect; None where none was locked."""
+        return locked_errors(self.without_effects)
+
+    @property
+    def after(self) -> LockedErrors | None:
+        """Errors on locked pushes with the best effects; the same as before where there is none."""
+        return self.before if self.with_effects is None else locked_errors(self.with_effects)
 
     @property
     def effect_objects(self) -> tuple[Effect, ...]:

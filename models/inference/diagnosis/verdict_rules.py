@@ -10,6 +10,7 @@ import numpy as np
 from slipmap.models.effects.effect import Effect
 from slipmap.models.inference.diagnosis.locked import LockedErrors
 from slipmap.models.inference.diagnosis.screening import Screening
+from slipmap.models.inference.push_errors import Paired
 
 LEVEL = 0.01
 """Gains that come about by chance more seldom than this count."""
@@ -239,11 +240,11 @@ def locked_pushes_object(
     """Whether pushes that scatter, and were locked away, become worse with the answer."""
     if before is None or after is None or motion_error <= ROUGH:
         return False
-    return after.total_misfit > before.total_misfit
+    return Paired.of(before.misfit, after.misfit).ratio > 1.0
 
 
 def locked_pushes_stay_off(before: LockedErrors | None, after: LockedErrors | None) -> bool:
     """Whether pushes that were locked away, and are far off, are nearly as far off with the answer."""
     if before is None or after is None or before.total_misfit < _FAR_OFF:
         return False
-    return after.typical_misfit > (1 - _LEAST_HELP) * before.typical_misfit
+    return Paired.of(before.misfit, after.misfit).ratio > 1.0 - _LEAST_HELP

@@ -10,7 +10,7 @@ from hidden_effects import tilted_pushes
 from report_page import Page
 
 from slipmap.models.effects.registry import effects_named
-from slipmap.models.inference.diagnosis import diagnose
+from slipmap.models.inference.diagnosis.procedure import diagnose
 from slipmap.models.measurements import write_dataset
 
 ENDINGS = {"predict": "out.png", "fit": "out.npz"}

@@ -11,6 +11,7 @@ import pytest
 from browser import assert_legible
 from hidden_effects import tilted_pushes
 from report_page import assert_alone
+from slipmap.models.inference.diagnosis.effect_fit import fitted_belief
 
 from slipmap.diagrams.application.figures import gain_figure, locked_figure
 from slipmap.diagrams.application.reports.diagnosis_sections import compared, diagnosis_report
@@ -19,8 +20,7 @@ from slipmap.diagrams.application.reports.effect_words import READERS, effect_in
 from slipmap.models.effects import LIBRARY
 from slipmap.models.effects.registry import effects_named
 from slipmap.models.inference.belief import Belief
-from slipmap.models.inference.diagnosis import diagnose
-from slipmap.models.inference.diagnosis.effect_fit import fitted_belief
+from slipmap.models.inference.diagnosis.procedure import diagnose
 from slipmap.models.inference.diagnosis.results import CandidateResult, ParameterEstimate
 from slipmap.models.objects import cells_from_polygon
 

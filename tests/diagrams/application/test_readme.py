@@ -83,9 +83,9 @@ def test_most_examples_run():
 
 def test_a_wrong_example_is_noticed():
     for code in (
-        "from slipmap.models.inference.diagnosis import diagnosed",
-        "from slipmap.models.inference.diagnosis import diagnose\ndiagnose(dataset, speed=0)",
-        "from slipmap.models.inference.diagnosis import diagnose\nresult = diagnose(dataset)\nresult.culprit",
+        "from slipmap import diagnosed",
+        "from slipmap import diagnose\ndiagnose(dataset, speed=0)",
+        "from slipmap import diagnose\nresult = diagnose(dataset)\nresult.culprit",
         "faults.when('pushing')",
         "cells.explore(pushes=3)",
     ):

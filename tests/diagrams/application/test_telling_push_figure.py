@@ -10,9 +10,9 @@ from matplotlib.patches import PathPatch
 from slipmap.diagrams.application.figures import telling_push_figure
 from slipmap.models.effects.registry import effects_named
 from slipmap.models.inference.diagnosis.correlated import CorrelatedLikelihood, FitData
-from slipmap.models.inference.diagnosis.error_model import ErrorModel, sensor_noise
 from slipmap.models.inference.diagnosis.fitting import Fitted, Fitter
 from slipmap.models.inference.diagnosis.results import Diagnosis
+from slipmap.models.inference.error_model import ErrorModel, sensor_noise
 from slipmap.models.inference.observations import observe_all
 from slipmap.models.measurements.simulated import record_pushes
 from slipmap.models.objects import cells_from_polygon

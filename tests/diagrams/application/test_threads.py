@@ -15,7 +15,7 @@ import numba
 import numpy as np
 from slipmap.diagrams.application.demonstration import simulated_hammer
 from slipmap.models.effects.registry import effects_named
-from slipmap.models.inference.diagnosis import diagnose
+from slipmap.models.inference.diagnosis.procedure import diagnose
 from slipmap.models.inference.identification import identify
 from slipmap.models.measurements.push_dataset import Table
 from slipmap.planners.settings import PushSettings

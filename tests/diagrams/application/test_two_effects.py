@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from hidden_effects import DRAG, TILT, tilted_and_oily_pushes
 
-from slipmap.models.inference.diagnosis import diagnose
+from slipmap.models.inference.diagnosis.procedure import diagnose
 from slipmap.models.inference.diagnosis.results import Diagnosis
 
 

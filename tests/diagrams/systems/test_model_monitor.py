@@ -15,7 +15,7 @@ from pydrake.systems.framework import Context, Diagram, DiagramBuilder
 from slipmap.diagrams.systems.model_monitor import LEVEL, ModelMonitor
 from slipmap.diagrams.systems.multiverse_slider import Universes, placed
 from slipmap.models.effects.registry import effects_named
-from slipmap.models.inference.diagnosis.error_model import ErrorModel
+from slipmap.models.inference.error_model import ErrorModel
 from slipmap.models.inference.push_misfit import pose_noise, resting_misfit
 from slipmap.models.measurements import Trial
 from slipmap.models.measurements.push_dataset import Channel, Noise

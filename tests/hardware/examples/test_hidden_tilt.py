@@ -3,7 +3,7 @@
 import pytest
 
 from slipmap.diagrams.testing import assert_alarm, assert_names, assert_quiet
-from slipmap.models.inference.diagnosis import diagnose
+from slipmap.models.inference.diagnosis.procedure import diagnose
 
 pytestmark = pytest.mark.twin
 

@@ -9,7 +9,7 @@ import pytest
 import scipy.linalg
 
 from slipmap.models.inference.belief import Belief
-from slipmap.models.inference.diagnosis.error_model import ErrorModel
+from slipmap.models.inference.error_model import ErrorModel
 from slipmap.models.inference.observations import Observation
 from slipmap.models.inference.push_misfit import (
     bet,

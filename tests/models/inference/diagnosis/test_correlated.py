@@ -8,8 +8,8 @@ import pytest
 from slipmap.models.effects.library import LIBRARY
 from slipmap.models.effects.slider import EffectSlider
 from slipmap.models.inference.diagnosis.correlated import CorrelatedLikelihood, FitData
-from slipmap.models.inference.diagnosis.error_model import ErrorModel, sensor_noise
 from slipmap.models.inference.diagnosis.predictive import whitened_rows
+from slipmap.models.inference.error_model import ErrorModel, sensor_noise
 from slipmap.models.inference.observations import MEASURED_CONTACT, observe_all
 from slipmap.models.inference.prior import MapPrior, PriorSettings
 from slipmap.models.measurements.push_dataset import Channel

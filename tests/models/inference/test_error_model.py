@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from slipmap.models.inference.diagnosis.error_model import (
+from slipmap.models.inference.error_model import (
     MEMORY,
     ErrorModel,
     SensorNoise,
