@@ -109,15 +109,23 @@ def quantities(belief: Belief, likelihood: Likelihood, information: Fits | None)
 def effect_quantities(
     belief: Belief, effects: Sequence[Effect], likelihood: Likelihood, information: Fits
 ) -> list[Quantity]:
-    """The same for parameters of effects, the first that the belief has; intervals from the hypotheses, cut
-    at the allowed range."""
+    """The same for parameters of effects, the first that the belief has; cut at the allowed range.
+
+    Intervals are as wide as the hypotheses or the curvature of the cost say, whichever says more: refits show
+    what pushes disagree about, which is less than the likelihood allows for where the model is good.
+    """
     prior = likelihood.prior
+    deviations = prior.effect_deviations(information.hessian[0])
     named = [(effect.name, parameter) for effect in effects for parameter in effect.parameters]
     left = np.diagonal(np.linalg.inv(information.hessian[0] + np.eye(prior.size)))[prior.plain :]
     facts = []
-    for (effect, parameter), values, share in zip(named, belief.maps.effects.T, left, strict=False):
+    for (effect, parameter), values, share, deviation in zip(
+        named, belief.maps.effects.T, left, deviations, strict=False
+    ):
         shown = bool(share < SHOWN_SHARE)
-        middle, low, high = interval(values, belief.probability)
+        scatter = float(belief.probability @ (values - belief.probability @ values) ** 2)
+        more = np.sqrt(max(float(deviation) ** 2 - scatter, 0.0))
+        middle, low, high = interval(values, belief.probability, more=more)
         reason = "the pushes pin it down, if it is there"
         if not shown:
             reason = "left open by these pushes; the prior decides"

@@ -11,7 +11,6 @@ import pytest
 from browser import assert_legible
 from hidden_effects import tilted_pushes
 from report_page import assert_alone
-from slipmap.models.inference.diagnosis.effect_fit import fitted_belief
 
 from slipmap.diagrams.application.figures import gain_figure, locked_figure
 from slipmap.diagrams.application.reports.diagnosis_sections import compared, diagnosis_report
@@ -203,14 +202,17 @@ def test_pushes_locked_by_lot_are_shown_as_held_out(tilted):
 
 def test_reports_of_the_other_verdicts(tilted, capsys):
     dataset, found = tilted
-    plain = dict(effects=(), best=found.base, after=found.before, rivals=())
+    plain = dict(effects=(), best=found.base, with_effects=None, rivals=())
     unknown = replace(
         found, verdict="unknown", depends_on="friction_by_speed: Friction that depends on speed.", **plain
     )
     page = assert_alone(diagnosis_report(unknown, dataset, EFFECTS))
     assert "Friction that depends on speed." in page.text and "--effect-file" in page.text
     assert json.loads(page.scripts[0][1])["pushes"]["labels"] == ["the model"]
-    nothing = replace(found, verdict="adequate", before=None, locked=(), **{**plain, "after": None})
+    taught = replace(
+        found.without_effects, pushes=tuple(p for p in found.without_effects.pushes if p.role == "fit")
+    )
+    nothing = replace(found, verdict="adequate", without_effects=taught, locked=(), **plain)
     page = assert_alone(diagnosis_report(nothing, dataset, EFFECTS))
     assert "locked" not in page.ids
     show_diagnosis(nothing, dataset, EFFECTS)
@@ -256,9 +258,9 @@ def test_what_is_left_is_drawn_on_the_scale_of_the_gain(tilted):
 
 
 def test_a_belief_of_a_diagnosis_survives_its_file(tilted, tmp_path):
-    dataset, found = tilted
-    belief = fitted_belief(found.best, dataset, found.seed)
+    _, found = tilted
+    belief = found.with_effects.belief
     belief.save(tmp_path / "b.npz")
     again = Belief.load(tmp_path / "b.npz")
-    assert [effect.name for effect in again.effects] == ["table_tilt"]
-    np.testing.assert_array_equal(again.maps.effects, found.best.values[None])
+    assert again.effects[0].name == "table_tilt"
+    np.testing.assert_array_equal(again.maps.effects, belief.maps.effects)

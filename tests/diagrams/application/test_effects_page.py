@@ -10,7 +10,7 @@ import pytest
 from slipmap.diagrams.application.effects_page import MAGNET, PAGE, page
 from slipmap.models.effects import LIBRARY, EffectSlider
 from slipmap.models.effects.registry import load_effects
-from slipmap.models.inference.diagnosis.effect_fit import fit_effects
+from slipmap.models.inference.identification import identify
 from slipmap.models.measurements.simulated import record_pushes
 from slipmap.models.objects import cells_from_polygon
 from slipmap.models.physics.rollout import Maps
@@ -49,8 +49,8 @@ def recorded():
 def test_the_magnet_is_found_in_pushes_over_it(recorded):
     """The error on pushes held out falls to the noise, and strength and place come out right."""
     (magnet,) = load_effects(MAGNET)
-    without = fit_effects(recorded, [], hypotheses=2)
-    found = fit_effects(recorded, [magnet], hypotheses=2)
+    without = identify(recorded, hypotheses=2, friction_laws=False)
+    found = identify(recorded, [magnet], hypotheses=2, friction_laws=False)
     before, after = (result.errors("heldout").mean() for result in (without, found))
     assert before > 2e-3
     assert after < 0.35 * before

@@ -26,12 +26,12 @@ from slipmap.diagrams.application.figures.map_figures import centers_of_friction
 from slipmap.diagrams.application.figures.style import PlainNumbers, outline_path, placed, round_length
 from slipmap.diagrams.systems.look import top_of_scale
 from slipmap.models.effects import LIBRARY
-from slipmap.models.inference.results import Prediction
 from slipmap.models.measurements.simulated import record_pushes
 from slipmap.models.physics.cell_grid import CellGrid
 from slipmap.models.physics.rollout import Maps
 from slipmap.planners.exploration import candidate_pushes
 from slipmap.planners.trials import Estimate
+from tests.made_predictions import made_prediction
 
 
 def coloured(figure):
@@ -130,9 +130,16 @@ def pushes_of(belief, count):
         poses = trial.object_pose.values[10::20]
         hypotheses = np.stack([poses + np.array([0.0, 0.001 * (k + 1), 0.0]) for k in range(4)])
         predictions.append(
-            Prediction(trial.name, trial.role, trial.object_pose.time[10::20], poses, hypotheses,
-                           hypotheses[1], 0.0123, 0.0045, 0.1, 0.05, 1.0)
-        )  # fmt: skip
+            made_prediction(
+                trial.name,
+                trial.role,
+                times=trial.object_pose.time[10::20],
+                measured=poses,
+                hypotheses=hypotheses,
+                final_add=0.0123,
+                spread=0.0045,
+            )
+        )
     return predictions, dataset
 
 
@@ -233,7 +240,8 @@ def test_names_are_shown_as_they_are(belief, tmp_path):
     predictions, dataset = pushes_of(belief, 2)
     trials = (replace(dataset.trials[0], name=COSTLY), dataset.trials[1])
     dataset = replace(dataset, name=COSTLY, trials=trials)
-    predictions[0] = replace(predictions[0], trial=COSTLY)
+    seen = replace(predictions[0].observation, trial=COSTLY)
+    predictions[0] = replace(predictions[0], observation=seen)
     (figure,) = push_figures(predictions, dataset)
     written = words(figure, tmp_path / "pushes.svg")
     assert f"{COSTLY}: pushes as measured and as predicted" in written

@@ -29,21 +29,10 @@ from slipmap.diagrams.application.reports.tables import (
 )
 from slipmap.diagrams.application.terminal import Progress, table
 from slipmap.models.files import BadInput, whole_file, write_json
-from slipmap.models.inference.results import Prediction, Quantity
+from slipmap.models.inference.results import Quantity
 from slipmap.models.measurements import Noise
 from slipmap.models.objects import cells_from_polygon
-
-
-def prediction(trial="trials/000.json", role="fit", **numbers):
-    poses = np.zeros((2, 3))
-    values = {
-        "final_add": 0.001,
-        "spread": 0.002,
-        "no_motion_add": 0.1,
-        "uniform_add": 0.05,
-        "start_sensitivity": 1.0,
-    }
-    return Prediction(trial, role, np.array([0.1, 0.2]), poses, poses[None], poses, **values | numbers)
+from tests.made_predictions import made_prediction as prediction
 
 
 def recorded_by(noise):

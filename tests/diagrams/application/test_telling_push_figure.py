@@ -43,8 +43,8 @@ def test_outlines_of_the_start_and_of_every_rivals_end():
     rivals = (model(["table_tilt"], [0.08, 0.0]), model(["skate"], [0.3, 0.5, 0.0, 0.0]))
     diagnosis = Diagnosis(
         "ambiguous", "", rivals[0], ("table_tilt", "skate"), rivals=rivals, candidates=(), p_value=None,
-        open_trials=(), locked=(), before=None, after=None, base=model([], []), motion_error=0.03,
-        force_error=0.05, quick=True, seconds=0.0, seed=0,
+        open_trials=(), locked=(), without_effects=None, with_effects=None, base=model([], []),
+        motion_error=0.03, force_error=0.05, quick=True, seconds=0.0, seed=0,
     )  # fmt: skip
     told = next_push(diagnosis, dataset)
     figure = telling_push_figure(told, diagnosis, dataset)

@@ -20,8 +20,9 @@ from slipmap.diagrams.testing import (
     assert_quiet,
 )
 from slipmap.models.inference.belief import Belief
-from slipmap.models.inference.results import Identification, Prediction
+from slipmap.models.inference.results import Identification
 from slipmap.models.robots import SPEED_LIMITS
+from tests.made_predictions import made_prediction
 
 
 def log(share: float, joint: int = 6, n: int = 50) -> CommandLog:
@@ -53,7 +54,7 @@ def test_limits_of_joints_and_finger():
 
 def learned(*errors: float) -> Identification:
     pushes = [
-        Prediction(f"trials/{k:03d}.json", "heldout", *[np.zeros(0)] * 4, error, 0.001, 0.05, 0.02, 1.0)
+        made_prediction(f"trials/{k:03d}.json", "heldout", final_add=error, uniform_add=0.02)
         for k, error in enumerate(errors)
     ]
     return Identification(SimpleNamespace(spec=Belief), tuple(pushes), (), 0.0)  # type: ignore[arg-type]

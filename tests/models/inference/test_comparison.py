@@ -88,11 +88,11 @@ def test_predictions_come_from_one_place(recorded, truth):
 
     def stronger(belief, observations):
         return tuple(
-            Motion(motion.poses, motion.forces + np.array([1.0, 0.0]), motion.probability)
+            Motion(motion.poses, motion.forces + np.array([1.0, 0.0]), motion.probability, motion.grid)
             for motion in predicted_motion(belief, observations)
         )
 
-    found = compare(recorded.dataset, truth, predict=stronger)
+    found = compare(recorded.dataset, truth, predictor=stronger)
     first = found.structure[0]
     assert (first.quantity, first.factor, first.strongest) == ("force", "table_drift", "towards table x")
     assert first.size * found.force.scale[0] == pytest.approx(-1.0, rel=0.1)

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from slipmap.models.geometry import radius_of_gyration
+from slipmap.models.inference.error_model import SensorNoise
 from slipmap.models.inference.observations import Observation
 from slipmap.models.inference.push_errors import (
     errors,
@@ -17,6 +18,7 @@ from slipmap.models.objects import cells_from_polygon
 from slipmap.models.physics.rollout import Push
 
 GRID = cells_from_polygon(np.array([[-3, -2], [3, -2], [3, 2], [-3, 2]]) * 0.01, width=0.01)
+NOISE = SensorNoise(1e-3, 1e-2, 0.1, True)
 
 
 def observed(poses, start=(0.0, 0.0, 0.0), tip=None, forces=(), name="trials/000.json", duration=1.0):
@@ -47,7 +49,7 @@ def observed(poses, start=(0.0, 0.0, 0.0), tip=None, forces=(), name="trials/000
 def test_a_shift_is_its_own_length():
     measured = [[0.01, 0, 0], [0.02, 0, 0], [0.03, 0, 0]]
     told = np.add(measured, [[0.001, 0, 0], [0.002, 0, 0], [0.003, 0.004, 0]])
-    found = errors(observed(measured), told, None, GRID)
+    found = errors(observed(measured), told, None, GRID, NOISE)
     assert found.final_add == pytest.approx(0.005)
     assert found.mean_add == pytest.approx((0.001 + 0.002 + 0.005) / 3)
     assert found.position == pytest.approx(0.005)
@@ -65,7 +67,7 @@ def test_nrmse_is_matlabs():
 
 
 def test_a_push_known_by_its_end_has_no_fit_but_an_error():
-    found = errors(observed([[0.02, 0, 0.1]]), np.array([[0.02, 0, 0.3]]), None, GRID)
+    found = errors(observed([[0.02, 0, 0.1]]), np.array([[0.02, 0, 0.3]]), None, GRID, NOISE)
     assert found.final_add == found.mean_add > 0
     assert found.angle == pytest.approx(0.2)
     assert np.isnan(found.fit)
@@ -75,9 +77,9 @@ def test_the_angle_counts_in_the_fit_with_the_radius_of_gyration():
     turns = np.array([[0, 0, 0.1], [0, 0, 0.2], [0, 0, 0.6]])
     slides = turns[:, [2, 0, 0]] * radius_of_gyration(GRID)
     shift = np.array([0.0, 0.0, 0.05])
-    by_turning = errors(observed(turns), turns + shift, None, GRID).fit
+    by_turning = errors(observed(turns), turns + shift, None, GRID, NOISE).fit
     by_sliding = errors(
-        observed(slides), slides + shift[[2, 0, 0]] * radius_of_gyration(GRID), None, GRID
+        observed(slides), slides + shift[[2, 0, 0]] * radius_of_gyration(GRID), None, GRID, NOISE
     ).fit
     assert by_turning == pytest.approx(by_sliding)
 
@@ -86,13 +88,13 @@ def test_forces_are_compared_where_they_count():
     observation = observed([[0, 0, 0]], forces=[[3, 4], [3, 4], [50, 0]])
     observation.sliding[2] = False
     told = np.array([[3, 5], [3, 3], [0, 0]], dtype=float)
-    found = errors(observation, observation.poses, told, GRID)
+    found = errors(observation, observation.poses, told, GRID, NOISE)
     assert found.force == pytest.approx(1.0)
     assert found.force_share == pytest.approx(0.2)
 
 
 def test_an_object_at_rest_errs_by_the_whole_way():
-    found = resting_errors(observed([[0.03, 0.04, 0.0]]), GRID)
+    found = resting_errors(observed([[0.03, 0.04, 0.0]]), GRID, NOISE)
     assert found.final_add == pytest.approx(0.05)
 
 

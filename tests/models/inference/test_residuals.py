@@ -42,7 +42,7 @@ def push_of(poses, tip=None, times=TIMES, forces=None):
 
 def told(poses, forces=None):
     forces = np.zeros((0, 2)) if forces is None else np.asarray(forces, dtype=float)
-    return Motion(poses[None, 1:], forces[None], np.ones(1))
+    return Motion(poses[None, 1:], forces[None], np.ones(1), GRID)
 
 
 def straight(velocity, start=(0.0, 0.0, 0.0)):

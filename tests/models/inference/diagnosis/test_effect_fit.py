@@ -9,8 +9,8 @@ import numpy as np
 import yaml
 
 from slipmap.models.effects.registry import effects_named
-from slipmap.models.inference.diagnosis.effect_fit import fit_effects
 from slipmap.models.inference.diagnosis.procedure import diagnose
+from slipmap.models.inference.identification import identify
 from slipmap.models.measurements import read_dataset
 
 
@@ -19,7 +19,7 @@ def test_intervals_hold_the_truth(shared_data: Path) -> None:
     truth = yaml.safe_load(folder.with_name("public-latency.truth.yaml").read_text())["object"]
     dataset = read_dataset(folder)
     few = replace(dataset, trials=dataset.trials[:8])
-    fitted = fit_effects(few, effects_named(["sensor_latency"]), hypotheses=10)
+    fitted = identify(few, ["sensor_latency"], hypotheses=10)
     told = {quantity.name: quantity for quantity in fitted.quantities}
     values = {
         "sensor_latency: latency": 0.06,

@@ -1,0 +1,68 @@
+"""One dataset, one division of its pushes, one seed: one number for the model without effects."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import slipmap
+from slipmap.models.inference.diagnosis.procedure import diagnose
+from slipmap.models.inference.push_errors import Paired
+
+
+@pytest.fixture(scope="module")
+def dataset():
+    return slipmap.simulated_hammer(seed=3, fit=4, heldout=3)[0]
+
+
+@pytest.fixture(scope="module")
+def learnt(dataset):
+    return slipmap.identify(dataset, seed=5)
+
+
+@pytest.fixture(scope="module")
+def fitted(dataset):
+    return slipmap.fit(dataset, ["table_tilt"], seed=5)
+
+
+def test_every_door_says_the_same_without_effects(dataset, learnt, fitted):
+    ends = learnt.errors("heldout")
+    paths = np.array([push.errors.mean_add for push in learnt.pushes if push.role == "heldout"])
+    assert ends.min() > 0
+    assert fitted.without_effects.errors("heldout").tolist() == ends.tolist()
+    compared = slipmap.compare(dataset, seed=5).totals["heldout"].model
+    assert (compared.final_add, compared.mean_add) == (ends.mean(), paths.mean())
+    predicted = slipmap.predict(learnt.belief, dataset)
+    assert [push.final_add for push in predicted if push.role == "heldout"] == ends.tolist()
+    before, _ = slipmap.compare_with_effects(dataset, ["table_tilt"], seed=5)
+    assert before.totals["heldout"].model.final_add == ends.mean()
+    diagnosed = diagnose(dataset, quick=True, seed=5)
+    assert diagnosed.before.final.tolist() == ends.tolist()
+    assert diagnosed.before.path.tolist() == paths.tolist()
+    assert diagnosed.to_json()["heldout_final_error_before"] == ends.mean()
+
+
+def test_an_effect_that_is_not_there_is_not_spoken_for(fitted):
+    """The table is level; fits of it do not help pushes that were held out."""
+    assert fitted.with_and_without.verdict != "for"
+    tilt = fitted.effect_estimates["table_tilt"]
+    assert all(axis["low"] < 0.0 < axis["high"] for axis in tilt.values())
+
+
+def test_the_ratio_of_misfits_is_paired_over_pushes():
+    """All pushes halved: the pushes speak, though they differ a hundredfold among each other."""
+    first = np.array([1.0, 10.0, 100.0, 30.0])
+    halved = Paired.of(first, first * [0.5, 0.48, 0.52, 0.5])
+    assert halved.ratio == pytest.approx(0.5, rel=0.01) and halved.verdict == "for"
+    assert Paired.of(first, first * [0.5, 2.1, 0.4, 2.2]).verdict == "undecided"
+    assert Paired.of(first * [0.5, 0.48, 0.52, 0.5], first).verdict == "against"
+    alone = Paired.of(first[:1], 0.1 * first[:1])
+    assert alone.verdict == "undecided" and alone.to_json()["high"] is None
+
+
+def test_ends_and_their_intervals_are_told(learnt):
+    for push, told in zip(learnt.pushes, learnt.to_json()["trials"], strict=True):
+        low, high = np.array(told["predicted_end_low"]), np.array(told["predicted_end_high"])
+        assert told["measured_end"] == push.measured[-1].tolist()
+        assert told["predicted_end"] == push.predicted[-1].tolist()
+        assert (low < told["predicted_end"]).all() and (told["predicted_end"] < high).all()
