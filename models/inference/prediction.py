@@ -235,13 +235,36 @@ def predict_observations(
     return tuple(results)
 
 
+END_ERRORS = "end_errors"
+"""Under this name a belief keeps what `end_errors` says of the pushes that taught it."""
+
+
+def end_errors(belief: Belief, observations: Sequence[Observation], noise: SensorNoise) -> list[float]:
+    """By how much predicted ends of pushes are off beyond the sensors' noise, as shares of the way.
+
+    Returns:
+        Root mean squares of x and y, and of ρ θ. Few pushes are fitted more closely than new ones will be
+        predicted; the factor is that of the scatter of a mean and one more draw around it.
+    """
+    radius = radius_of_gyration(belief.grid)
+    squares = []
+    for observation, motion in zip(observations, predicted_motion(belief, observations), strict=True):
+        off = (motion.middle_poses[-1] - observation.poses[-1]) * [1.0, 1.0, radius]
+        floor = np.array([noise.position, noise.position, radius * noise.angle])
+        travel = max(float(observation.travel(belief.grid.centers)[-1]), 1e-3)
+        squares.append((off**2 - floor**2) / travel**2)
+    B = len(squares)
+    place, place_too, turn = np.mean(squares, axis=0) * (B + 1) / max(B - 1, 1)
+    return [float(np.sqrt(max(value, 0.0))) for value in (0.5 * (place + place_too), turn)]
+
+
 def _end_interval(belief: Belief, observation: Observation, motion: Motion, noise: SensorNoise) -> FloatArray:
-    """See `Prediction.end_interval`; a model is off by a share of the way (`hypotheses.MODEL_ERRORS`)."""
+    """See `Prediction.end_interval`."""
     ends = motion.poses[:, -1]
     travel = motion.probability @ add(ends, observation.push.start_pose, belief.grid.centers)
-    missed = max(belief.settings.get("model_errors", [0.0])) * travel
-    off = [missed, missed, missed / radius_of_gyration(belief.grid)]
-    sigma = np.hypot(off, [noise.position, noise.position, noise.angle])
+    place, turn = belief.settings.get(END_ERRORS, [0.0, 0.0])
+    sigma = travel * np.array([place, place, turn / radius_of_gyration(belief.grid)])
+    sigma = np.hypot(sigma, [noise.position, noise.position, noise.angle])
     return np.array([interval(ends[:, i], motion.probability, more=float(sigma[i]))[1:] for i in range(3)]).T
 
 
