@@ -128,18 +128,7 @@ def compare(
 
 
 def _prediction_document(belief: Belief, dataset: str, pushes: Sequence[Prediction]) -> dict[str, Any]:
-    numbers = ("final_add", "spread", "no_motion_add", "uniform_add", "start_sensitivity")
-    trials = [
-        {
-            "trial": push.trial,
-            "role": push.role,
-            **{name: getattr(push, name) for name in numbers},
-            "measured_end": push.measured[-1],
-            "predicted_end": push.predicted[-1],
-            "predicted_end_hypotheses": push.hypotheses[:, -1],
-        }
-        for push in pushes
-    ]
+    trials = [{**push.to_json(), "predicted_end_hypotheses": push.hypotheses[:, -1]} for push in pushes]
     means = {
         f"{role}_error_mean": sum(push.final_add for push in group) / len(group) if group else None
         for role, group in ((role, [p for p in pushes if p.role == role]) for role in ("fit", "heldout"))

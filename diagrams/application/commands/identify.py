@@ -18,6 +18,7 @@ from slipmap.diagrams.application.terminal import Progress, note, paragraph, pre
 from slipmap.models.files import BadInput, write_json
 
 if TYPE_CHECKING:
+    from slipmap.models.inference.prediction import Prediction
     from slipmap.models.inference.results import Identification
     from slipmap.models.measurements import PushDataset
     from slipmap.models.physics.rollout import Maps
@@ -116,7 +117,7 @@ def fit(
     pushes only judge. `slipmap diagnose` says which effects are worth adding.
 
     Writes a belief that `predict` and `compare` take, and the same pictures as `identify`; prints how well it
-    predicts beside a model without the effects that was learnt alike.
+    predicts beside what `identify` learns without the effects, and whether the pushes speak for them.
     """
     from slipmap.models.effects.registry import effects_named
 
@@ -154,9 +155,31 @@ def keep(
     progress("drawing", 0, 2)
     paths = write_figures(folder / f"{output.stem}.maps.png", [maps_figure(result.belief, truth=truth)])
     progress("drawing", 1, 2)
-    paths += write_figures(folder / f"{output.stem}.pushes.png", push_figures(result.pushes, dataset))
+    shown = _chosen(result.pushes)
+    title = "" if len(shown) == len(result.pushes) else _choice(shown, result.pushes, dataset)
+    paths += write_figures(folder / f"{output.stem}.pushes.png", push_figures(shown, dataset, title=title))
     progress("drawing", 2, 2)
+    if title:
+        note(f"the picture of pushes shows {title.partition(': ')[2]}; --json holds all")
     return paths
+
+
+_MOST_DRAWN, _CHOSEN = 48, 12
+"""Pushes that are all drawn; more are shown by a dozen."""
+
+
+def _chosen(pushes: Sequence[Prediction]) -> Sequence[Prediction]:
+    """All pushes where they are few, else a dozen that judge, from the best to the worst predicted."""
+    if len(pushes) <= _MOST_DRAWN:
+        return pushes
+    judges = [push for push in pushes if push.role == "heldout"] or list(pushes)
+    ranked = sorted(judges, key=lambda push: push.final_add)
+    count = min(_CHOSEN, len(ranked))
+    return [ranked[round(k * (len(ranked) - 1) / max(count - 1, 1))] for k in range(count)]
+
+
+def _choice(shown: Sequence[Prediction], pushes: Sequence[Prediction], dataset: PushDataset) -> str:
+    return f"{dataset.name}: {len(shown)} of {len(pushes)} pushes, from the best to the worst predicted"
 
 
 def show(result: Identification, dataset: PushDataset) -> None:
