@@ -99,6 +99,10 @@ def log_evidence(likelihood: Likelihood, found: Fits) -> float:
     return float(-found.cost[0] - 0.5 * maps + 0.5 * starts - likelihood.log_widths())
 
 
+_EQUATIONS = 2**29
+"""Bytes that the normal equations of hypotheses fitted together may take, of which most are for the pushes'
+starts."""
+
 _STRENGTHS = (0.8, 2.5)
 """Range of the factor on the prior's map variation, drawn log-uniformly for each hypothesis, see
 `MapPrior.spreads`."""
@@ -144,21 +148,27 @@ def refits(
     probability = np.empty(hypotheses)
     # Where they are fewer than likelihoods, those of the larger evidence count.
     rungs = ladder[-hypotheses:]
+    together = max(1, _EQUATIONS // (96 * B * prior.size))
     for rung, (likelihood, first) in enumerate(rungs):
-        who = np.arange(rung, hypotheses, len(rungs))
-        found = fit(
-            likelihood,
-            prior.rescaled(first.z[0], strength[who]),
-            weights=weights[who],
-            prior_mean=prior_mean[who],
-            strength=strength[who],
-            offsets=np.repeat(first.offsets, len(who), axis=0),
-            iterations=15,
-            tolerance=3e-3,
-            progress=part_of(report, rung, len(rungs)),
-        )
-        z[who] = found.z
-        probability[who] = accuracy_weights(found.push_cost.sum(axis=1)) * len(who) / hypotheses
+        own = np.arange(rung, hypotheses, len(rungs))
+        cost = np.empty(len(own))
+        stage = part_of(report, rung, len(rungs))
+        parts = np.split(np.arange(len(own)), np.arange(together, len(own), together))
+        for place, part in enumerate(parts):
+            who = own[part]
+            found = fit(
+                likelihood,
+                prior.rescaled(first.z[0], strength[who]),
+                weights=weights[who],
+                prior_mean=prior_mean[who],
+                strength=strength[who],
+                offsets=np.repeat(first.offsets, len(who), axis=0),
+                iterations=15,
+                tolerance=3e-3,
+                progress=part_of(stage, place, len(parts)),
+            )
+            z[who], cost[part] = found.z, found.push_cost.sum(axis=1)
+        probability[own] = accuracy_weights(cost) * len(own) / hypotheses
     return prior.maps(z, strength), probability
 
 

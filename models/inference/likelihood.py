@@ -14,7 +14,7 @@ with the maps and eliminated from their equations (Schur complement).
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -24,7 +24,10 @@ from slipmap.models.inference.observations import Observation
 from slipmap.models.inference.prior import MapPrior
 from slipmap.models.measurements import Noise
 from slipmap.models.physics.cell_grid import FloatArray
-from slipmap.models.physics.rollout import Rollouts
+from slipmap.models.physics.rollout import Maps, Rollouts
+
+_JACOBIANS = 2**28
+"""Bytes that the Jacobians of pushes rolled out together may take."""
 
 
 @dataclass(frozen=True)
@@ -144,13 +147,6 @@ class Likelihood:
         prior = self.prior
         K, d, B = len(z), prior.size, len(self.observations)
         maps = prior.maps(z, strength)
-        rollouts = prior.slider.rollout(
-            maps,
-            self._pushes,
-            sensitivities=True,
-            start_poses=self._starts[None] + offsets,
-            start_twists=np.broadcast_to(self._twists, (K, B, 3)),
-        )
         scaled_offsets = offsets / self.start_sigma
         cost = 0.5 * (scaled_offsets**2).sum(axis=-1)
         # Normal equations by the rollout's own columns, which are fewer than the coordinates.
@@ -160,8 +156,8 @@ class Likelihood:
         reduced_hessian, reduced_gradient = np.zeros((K, P, P)), np.zeros((K, P))
         gains, start_gradients = np.empty((B, K, 3, 3)), np.empty((B, K, 3))
         couplings = np.empty((B, K, d, 3))
-        for b in range(B):
-            J, r, costs = self._whitened(rollouts, b)
+        for b, rollouts, place in self._rolled_out(maps, offsets, P):
+            J, r, costs = self._whitened(rollouts, b, place)
             for part in costs:
                 cost[:, b] += part
             transposed = J.transpose(0, 2, 1)
@@ -179,24 +175,45 @@ class Likelihood:
         gradient = (by_column @ reduced_gradient[..., None])[..., 0]
         return NormalEquations(cost, hessian, gradient, gains, start_gradients, couplings)
 
-    def _whitened(self, rollouts: Rollouts, b: int) -> tuple[FloatArray, FloatArray, list[FloatArray]]:
-        """Jacobians (K, R, P) and residuals (K, R) of one push, over standard deviations and with Huber's
+    def _rolled_out(
+        self, maps: Maps, offsets: FloatArray, columns: int
+    ) -> Iterator[tuple[int, Rollouts, int]]:
+        """Each push b, rollouts that it is among, and its place there; so many pushes at a time that their
+        Jacobians by P columns, `_JACOBIANS` bytes, do not fill the memory."""
+        K, B = len(maps), len(self.observations)
+        rows = np.array([3 * len(o.poses) + 2 * len(o.forces) for o in self.observations])
+        parts = np.cumsum(8 * K * columns * rows) // _JACOBIANS
+        for part in np.split(np.arange(B), np.flatnonzero(np.diff(parts)) + 1):
+            rollouts = self.prior.slider.rollout(
+                maps,
+                [self._pushes[b] for b in part],
+                sensitivities=True,
+                start_poses=self._starts[part] + offsets[:, part],
+                start_twists=np.broadcast_to(self._twists[part], (K, len(part), 3)),
+            )
+            for place, b in enumerate(part.tolist()):
+                yield b, rollouts, place
+
+    def _whitened(
+        self, rollouts: Rollouts, b: int, place: int
+    ) -> tuple[FloatArray, FloatArray, list[FloatArray]]:
+        """Jacobians (K, R, P) and residuals (K, R) of push b, over standard deviations and with Huber's
         weights; and the costs (K,) of its poses and, where any count, of its forces."""
         observation, settings = self.observations[b], self.settings
-        measured, predicted = observation.poses, rollouts.poses_of(b)
+        measured, predicted = observation.poses, rollouts.poses_of(place)
         arm = rotated(self._centroid, predicted[..., 2])
         here, there = predicted[..., :2] + arm, measured[..., :2] + rotated(self._centroid, measured[..., 2])
         turn = self._radius * (predicted[..., 2:] - measured[..., 2:])
         error = np.concatenate([here - there, turn], axis=-1)
-        by_object = rollouts.d_poses[:, rollouts.pose_at[b] : rollouts.pose_at[b + 1]]
+        by_object = rollouts.d_poses[:, rollouts.pose_at[place] : rollouts.pose_at[place + 1]]
         slopes = slopes_at_centroid(by_object, arm, self._radius)
         groups: list[tuple[FloatArray, FloatArray, FloatArray | float, float]] = [
             (error, slopes, self._sigmas[b], settings.independent)
         ]
         sliding = observation.sliding
         if sliding.any():
-            error = rollouts.forces_of(b)[:, sliding] - observation.forces[sliding]
-            slopes = rollouts.d_forces[:, rollouts.force_at[b] : rollouts.force_at[b + 1]][:, sliding]
+            error = rollouts.forces_of(place)[:, sliding] - observation.forces[sliding]
+            slopes = rollouts.d_forces[:, rollouts.force_at[place] : rollouts.force_at[place + 1]][:, sliding]
             groups.append((error, slopes, self._force_sigmas[b], settings.independent_forces))
         jacobians, residuals, costs = [], [], []
         K, P = len(predicted), slopes.shape[-1]
