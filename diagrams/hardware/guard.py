@@ -8,9 +8,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from pydrake.common.value import Value
 from pydrake.multibody.plant import MultibodyPlant
-from pydrake.systems.framework import BasicVector, Context, EventStatus, State
+from pydrake.systems.framework import Context, EventStatus, State
 
 from slipmap.diagrams.execution.finger_kinematics import FingerKinematics
 from slipmap.diagrams.execution.requests import Health
@@ -293,8 +292,8 @@ class CommandGuard(PythonSystem):
         self._guarded = self.DeclareAbstractState(held(start))
         self.DeclarePeriodicUnrestrictedUpdateEvent(PERIOD, 0.0, self._update)
         own = self.abstract_state_ticket(self._guarded)
-        self.DeclareVectorOutputPort("iiwa.position", 7, self._calc_position, {own, self._measured.ticket()})
-        self.DeclareAbstractOutputPort("health", lambda: Value[object](None), self._calc_health, {own})
+        self.declare_vector_output("iiwa.position", 7, self._position, {own, self._measured.ticket()})
+        self.declare_output_of("health", self._guarded, lambda guarded: guarded.health)
 
     def _update(self, context: Context, state: State) -> EventStatus:
         replace_held(state, self._guarded, self._next(read(context, self._guarded), self._inputs(context)))
@@ -359,12 +358,9 @@ class CommandGuard(PythonSystem):
             duration = max(duration, float((_BACK * np.abs(rest - q) / SPEED_LIMITS).max()))
         return _Stop(q, v, rest, inputs.time - PERIOD, duration, back)
 
-    def _calc_position(self, context: Context, output: BasicVector) -> None:
+    def _position(self, context: Context) -> FloatArray:
         commands = read(context, self._guarded).commands
-        output.SetFromVector(commands[-1] if len(commands) else self._measured.Eval(context))
-
-    def _calc_health(self, context: Context, output: Value) -> None:
-        output.set_value(read(context, self._guarded).health)
+        return commands[-1] if len(commands) else self._measured.Eval(context)
 
 
 def _is_age(age: float, most: float) -> bool:

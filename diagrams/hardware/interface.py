@@ -11,7 +11,7 @@ from collections.abc import Callable, Mapping
 import numpy as np
 from drake import lcmt_drake_signal, lcmt_iiwa_command, lcmt_schunk_wsg_command
 from pydrake.common.eigen_geometry import Quaternion
-from pydrake.common.value import AbstractValue, Value
+from pydrake.common.value import Value
 from pydrake.lcm import DrakeLcmInterface
 from pydrake.manipulation import (
     IiwaCommandSender,
@@ -21,7 +21,7 @@ from pydrake.manipulation import (
     SchunkWsgStatusReceiver,
 )
 from pydrake.math import RigidTransform
-from pydrake.systems.framework import BasicVector, Context, Diagram, DiagramBuilder, EventStatus, LeafSystem
+from pydrake.systems.framework import Context, Diagram, DiagramBuilder, EventStatus, LeafSystem
 from pydrake.systems.primitives import PassThrough
 from pydrake.systems.sensors import LcmImageArrayToImages
 
@@ -124,16 +124,15 @@ def export_outputs(builder: DiagramBuilder, system: Diagram) -> None:
 class _PoseReceiver(PythonSystem):
     def __init__(self) -> None:
         super().__init__()
-        self.DeclareAbstractInputPort("received", Value[object](None))
-        self.DeclareAbstractOutputPort("pose", lambda: Value(RigidTransform()), self._calc)
+        self.declare_inputs("received")
+        self.declare_output("pose", self._pose, {self.all_input_ports_ticket()}, Value(RigidTransform()))
 
-    def _calc(self, context: Context, output: AbstractValue) -> None:
-        data = self.get_input_port().Eval(context).data
-        pose = RigidTransform()
-        if data:
-            numbers = np.array(lcmt_drake_signal.decode(data).val)
-            pose = RigidTransform(Quaternion(numbers[3:] / np.linalg.norm(numbers[3:])), numbers[:3])
-        output.set_value(pose)
+    def _pose(self, context: Context) -> RigidTransform:
+        data = self.input(context, "received").data
+        if not data:
+            return RigidTransform()
+        numbers = np.array(lcmt_drake_signal.decode(data).val)
+        return RigidTransform(Quaternion(numbers[3:] / np.linalg.norm(numbers[3:])), numbers[:3])
 
 
 _SAME_CLOCK = 1.0  # s by which arm and camera may seem apart; by more, their stamps are of different clocks
@@ -150,16 +149,16 @@ class _PictureAge(PythonSystem):
         super().__init__()
         for name in ("arm_stamp", "arm_age", "picture_stamp", "picture_age"):
             self.DeclareVectorInputPort(name, 1)
-        self.DeclareVectorOutputPort("age", 1, self._calc)
+        self.declare_vector_output("age", 1, self._age, {self.all_input_ports_ticket()})
 
-    def _calc(self, context: Context, output: BasicVector) -> None:
+    def _age(self, context: Context) -> list[float]:
         arm_stamp, arm_age, picture_stamp, since = (
             float(self.get_input_port(index).Eval(context)[0]) for index in range(4)
         )
         age = arm_stamp + arm_age - picture_stamp
         if not abs(age - since) < _SAME_CLOCK:
             age = since
-        output.SetFromVector([max(age, 0.0)])
+        return [max(age, 0.0)]
 
 
 class HardwareInterface(PythonDiagram):
@@ -296,12 +295,12 @@ class _Abort(PythonSystem):
 
     def __init__(self) -> None:
         super().__init__()
-        self.DeclareAbstractInputPort("received", Value[object](None))
-        self.DeclareVectorOutputPort("abort", 1, self._calc)
+        self.declare_inputs("received")
+        self.declare_vector_output("abort", 1, self._abort, {self.all_input_ports_ticket()})
 
-    def _calc(self, context: Context, output: BasicVector) -> None:
-        data = self.get_input_port().Eval(context).data
-        output.SetFromVector([lcmt_drake_signal.decode(data).val[0] if data else 0.0])
+    def _abort(self, context: Context) -> list[float]:
+        data = self.input(context, "received").data
+        return [lcmt_drake_signal.decode(data).val[0] if data else 0.0]
 
 
 class _StreamSender(PythonSystem):

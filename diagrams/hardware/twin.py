@@ -26,7 +26,7 @@ from pydrake.manipulation import (
 )
 from pydrake.math import RigidTransform
 from pydrake.systems.analysis import Simulator
-from pydrake.systems.framework import BasicVector, Context, DiagramBuilder, EventStatus, State
+from pydrake.systems.framework import Context, DiagramBuilder, EventStatus, State
 from pydrake.systems.lcm import LcmPublisherSystem
 from pydrake.systems.primitives import ConstantVectorSource
 from pydrake.systems.sensors import ImageToLcmImageArrayT, PixelType
@@ -178,7 +178,8 @@ class _Paced(PythonSystem):
         self.DeclareVectorInputPort("stamp", 1)
         self._played = self.DeclareAbstractState(held((CommandBuffer(_PLAYED_LATER), np.nan, None)))
         self.DeclarePeriodicUnrestrictedUpdateEvent(network.ARM_PERIOD, 0.0, self._play)
-        self.DeclareVectorOutputPort("paced", 7, self._calc)
+        after = {self.abstract_state_ticket(self._played), self.GetInputPort("position").ticket()}
+        self.declare_vector_output("paced", 7, self._paced, after)
 
     def _play(self, context: Context, state: State) -> EventStatus:
         before, last, _ = read(context, self._played)
@@ -191,9 +192,9 @@ class _Paced(PythonSystem):
         replace_held(state, self._played, (buffer, stamp, q))
         return EventStatus.Succeeded()
 
-    def _calc(self, context: Context, output: BasicVector) -> None:
+    def _paced(self, context: Context) -> FloatArray:
         q = read(context, self._played)[2]
-        output.SetFromVector(self.GetInputPort("position").Eval(context) if q is None else q)
+        return self.GetInputPort("position").Eval(context) if q is None else q
 
 
 class _PoseSender(PythonSystem):

@@ -198,12 +198,9 @@ class TrialLogger(PythonSystem):
         self._recording = self.DeclareAbstractState(held(_Recording()))
         self.DeclarePeriodicUnrestrictedUpdateEvent(period, 0.0, self._record)
         self.declare_output_of("trials", self._recording, lambda recording: recording.trials)
-        self.DeclareAbstractOutputPort(
+        self.declare_output(
             "observed_pose",
-            lambda: Value[object](None),
-            lambda context, output: output.set_value(
-                ObservedPose.of(self._pose.Eval(context), context.get_time())
-            ),
+            lambda context: ObservedPose.of(self._pose.Eval(context), context.get_time()),
             {self._pose.ticket(), self.time_ticket()},
         )
 

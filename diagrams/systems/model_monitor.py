@@ -137,21 +137,10 @@ class ModelMonitor(PythonSystem):
         self.declare_inputs("universes", "object_pose", "trials")
         self._watch = self.DeclareAbstractState(held(Watch(0, np.full(3, np.nan))))
         after = {self.abstract_state_ticket(self._watch)}
-        for name, size in (("residual", 3), ("misfit", 1), ("evidence", 1)):
-            self.DeclareVectorOutputPort(
-                name,
-                size,
-                lambda context, output, name=name: output.SetFromVector(
-                    np.atleast_1d(getattr(self.watch(context), name))
-                ),
-                after,
-            )
-        self.DeclareAbstractOutputPort(
-            "alarm",
-            lambda: Value[bool](False),
-            lambda context, output: output.set_value(self.watch(context).alarm),
-            after,
-        )
+        self.declare_vector_output("residual", 3, lambda context: self.watch(context).residual, after)
+        self.declare_vector_output("misfit", 1, lambda context: [self.watch(context).misfit], after)
+        self.declare_vector_output("evidence", 1, lambda context: [self.watch(context).evidence], after)
+        self.declare_output("alarm", lambda context: self.watch(context).alarm, after, Value[bool](False))
         self.declare_output_of("watch", self._watch)
         self.DeclarePeriodicUnrestrictedUpdateEvent(period, 0.0, self._look)
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from pydrake.systems.framework import Context, State
@@ -115,8 +114,8 @@ class MultiverseSlider(PythonSystem):
         self.declare_output_of(
             "poses", self._universes, lambda now: np.zeros((0, 3)) if now is None else now.poses
         )
-        self.DeclareVectorOutputPort("mean_pose", 3, self._output_mean, after)
-        self.DeclareVectorOutputPort("spread", 1, self._output_spread, after)
+        self.declare_vector_output("mean_pose", 3, self._mean_pose, after)
+        self.declare_vector_output("spread", 1, self._spread, after)
         self.declare_output_of("universes", self._universes)
         self.DeclarePeriodicUnrestrictedUpdateEvent(h, 0.0, self._step)
 
@@ -163,10 +162,10 @@ class MultiverseSlider(PythonSystem):
         order = 0.0 if before is None or before.push is None else before.order + 1.0
         return placed(belief, self._h, seen.pose, push=push.push_id, begin=context.get_time(), order=order)
 
-    def _output_mean(self, context: Context, output: Any) -> None:
+    def _mean_pose(self, context: Context) -> FloatArray:
         universes = self.universes(context)
-        output.SetFromVector(np.full(3, np.nan) if universes is None else universes.mean_pose)
+        return np.full(3, np.nan) if universes is None else universes.mean_pose
 
-    def _output_spread(self, context: Context, output: Any) -> None:
+    def _spread(self, context: Context) -> list[float]:
         universes = self.universes(context)
-        output.SetFromVector([np.nan if universes is None else universes.spread])
+        return [np.nan if universes is None else universes.spread]

@@ -118,11 +118,31 @@ class PythonSystem(HoldsOutputFunctions, LeafSystem, metaclass=WithoutOwnDict):
         self, name: str, index: AbstractStateIndex, part: Callable[[Any], Any] = lambda held: held
     ) -> None:
         """An output port for (a part of) what an abstract state made by `held` holds."""
+        own = {self.abstract_state_ticket(index)}
+        self.declare_output(name, lambda context: part(read(context, index)), own)
+
+    def declare_output(
+        self, name: str, value: Callable[[Context], Any], after: set[Any], model: AbstractValue | None = None
+    ) -> None:
+        """An output port for what a function makes of a Context.
+
+        Args:
+            name: of the port.
+            value: the function.
+            after: tickets of all that it depends on.
+            model: of another type than Python's objects; the port then fits Drake's own of this type.
+        """
+        alloc = (lambda: Value[object](None)) if model is None else model.Clone
         self.DeclareAbstractOutputPort(
-            name,
-            lambda: Value[object](None),
-            lambda context, output: output.set_value(part(read(context, index))),
-            {self.abstract_state_ticket(index)},
+            name, alloc, lambda context, output: output.set_value(value(context)), after
+        )
+
+    def declare_vector_output(
+        self, name: str, size: int, value: Callable[[Context], Any], after: set[Any]
+    ) -> None:
+        """The same for numbers (size,)."""
+        self.DeclareVectorOutputPort(
+            name, size, lambda context, output: output.SetFromVector(value(context)), after
         )
 
     def input(self, context: Context, name: str) -> Any:

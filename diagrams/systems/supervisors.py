@@ -10,7 +10,6 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
-from pydrake.common.value import Value
 from pydrake.systems.framework import Context, EventStatus, State
 
 from slipmap.diagrams.execution.requests import ActiveGrasp, ActivePush, ExecutionStatus
@@ -180,15 +179,14 @@ class PregraspSupervisor(PythonSystem):
         own = self.abstract_state_ticket(self._bringing)
 
         def port(name: str, before: str | None, part: Callable[[_Bringing], object]) -> None:
-            def calc(context: Context, output: Any) -> None:
+            def value(context: Context) -> Any:
                 now: _Bringing | None = read(context, self._bringing)
                 if now is not None:
-                    output.set_value(part(now))
-                else:
-                    output.set_value(None if before is None else self.input(context, before))
+                    return part(now)
+                return None if before is None else self.input(context, before)
 
             tickets = {own} if before is None else {own, self.GetInputPort(before).ticket()}
-            self.DeclareAbstractOutputPort(name, lambda: Value[object](None), calc, tickets)
+            self.declare_output(name, value, tickets)
 
         port("status", "exploration", lambda now: now.status)
         port("active_push", "exploring_push", lambda now: now.push)
