@@ -33,7 +33,7 @@ from pydrake.systems.lcm import LcmPublisherSystem, _Serializer_
 from slipmap.diagrams.hardware import network
 from slipmap.diagrams.hardware.message_stream import LARGEST
 from slipmap.diagrams.perception.camera import CameraConfig
-from slipmap.diagrams.systems.python_system import PythonSystem, held, read, replace_held
+from slipmap.diagrams.systems.python_system import PythonSystem, held, read, replace_held, weakly
 from slipmap.models.physics.cell_grid import FloatArray
 from slipmap.models.robots import POSITION_LIMITS, SPEED_LIMITS, TORQUE_LIMITS
 
@@ -269,23 +269,31 @@ def _listened(now: Received, clock: float, *, new: bool) -> Received:
     return replace(now, silence=0.0 if new else now.silence + passed, looked=clock)
 
 
+class Channels(dict[str, CheckedMessages]):
+    """The `CheckedMessages` of some channels, by their names."""
+
+    def received(self, root: Context) -> dict[str, Received]:
+        """What came on each channel until now, and what of it was dropped."""
+        return {name: system.received(system.GetMyContextFromRoot(root)) for name, system in self.items()}
+
+    def subscribe(self, lcm: DrakeLcmInterface) -> None:
+        """Have a connection hand them its messages."""
+        for name, system in self.items():
+            lcm.Subscribe(name, weakly(system.hear))
+
+
 def add_checked(
     builder: DiagramBuilder,
     camera: CameraConfig,
     channels: Iterable[str],
     clocks: Mapping[str, Callable[[], float] | None] = MappingProxyType({}),
-) -> dict[str, CheckedMessages]:
+) -> Channels:
     """Add the `CheckedMessages` of some channels, each named like its channel, with clocks for some."""
     rule = rules(camera.width, camera.height_pixels)
-    return {
-        channel: builder.AddNamedSystem(channel, CheckedMessages(channel, rule[channel], clocks.get(channel)))
-        for channel in channels
-    }
-
-
-def all_received(checked: Mapping[str, CheckedMessages], root: Context) -> dict[str, Received]:
-    """What came on each channel until now, and what of it was dropped."""
-    return {name: system.received(system.GetMyContextFromRoot(root)) for name, system in checked.items()}
+    return Channels(
+        (name, builder.AddNamedSystem(name, CheckedMessages(name, rule[name], clocks.get(name))))
+        for name in channels
+    )
 
 
 def publish(

@@ -29,11 +29,10 @@ from slipmap.diagrams.execution.requests import Health
 from slipmap.diagrams.hardware import network
 from slipmap.diagrams.hardware.checked_messages import (
     ABORT_COORDINATES,
-    CheckedMessages,
+    Channels,
     MessagePump,
     Received,
     add_checked,
-    all_received,
     publish,
 )
 from slipmap.diagrams.hardware.command_stream import CommandStream
@@ -41,7 +40,7 @@ from slipmap.diagrams.hardware.network import ARM, CAMERA, NEEDED
 from slipmap.diagrams.perception.sight import ArmHulls
 from slipmap.diagrams.station.arm import IIWA_OUTPUTS, lone_arm
 from slipmap.diagrams.station.scenario import Scenario
-from slipmap.diagrams.systems.python_system import PythonDiagram, PythonSystem, weakly
+from slipmap.diagrams.systems.python_system import PythonDiagram, PythonSystem
 
 PATIENCE = 10.0
 """s that the cell has for its first messages."""
@@ -75,7 +74,7 @@ class HeardCell(PythonDiagram):
 
     def received(self, root: Context) -> dict[str, Received]:
         """What came on each channel until now, and what of it was dropped."""
-        return all_received(self.checked, root)
+        return self.checked.received(root)
 
     def _export_arm(self, builder: DiagramBuilder) -> None:
         status = builder.AddSystem(IiwaStatusReceiver())
@@ -201,10 +200,9 @@ class HardwareInterface(PythonDiagram):
         abort = builder.AddSystem(_Abort())
         builder.Connect(self._stop.GetOutputPort("received"), abort.get_input_port())
         builder.ExportOutput(abort.get_output_port(), "abort")
-        self._everyone: dict[str, CheckedMessages] = {**self._checked, network.ABORT: self._stop}
+        self._everyone = Channels({**self._checked, network.ABORT: self._stop})
         if not alone:
-            for channel, system in self._everyone.items():
-                self._lcm.Subscribe(channel, weakly(system.hear))
+            self._everyone.subscribe(self._lcm)
         export_outputs(builder, self._heard)
         self._add_arm_commands(builder, alone)
         self._add_gripper_commands(builder)

@@ -264,7 +264,6 @@ def dataset_of(
     noise: Noise,
     table: Table | None = None,
     gravity: float = 9.81,
-    height: float | None = None,
     description: str = "",
 ) -> PushDataset:
     """Recorded trials as a dataset, like one that was read from a folder.
@@ -277,7 +276,6 @@ def dataset_of(
         noise: of the sensors.
         table: the table top.
         gravity: m/s².
-        height: of the object, m.
         description: free text.
 
     Raises:
@@ -292,7 +290,7 @@ def dataset_of(
         name=name,
         description=description,
         grid=grid,
-        height=height,
+        height=None,
         mass=None,
         finger_radius=finger_radius,
         table=table,

@@ -63,9 +63,9 @@ class Motion:
 class World:
     """One object, one finger, one effect: built once, pushed often."""
 
-    def __init__(self, thing: SlidingObject, effect: Effect, *, step: float = _STEP, spacing: float = 0.003):
+    def __init__(self, thing: SlidingObject, effect: Effect, *, step: float = _STEP):
         self._thing, self._effect, self._step = thing, effect, step
-        self._points, cell, share = thing.quadrature(spacing)
+        self._points, cell, share = thing.quadrature()
         self._loads = thing.mass[cell] * -effect.gravity[2] / share
         self._limits = self._loads * thing.mu[cell]
         self._drag = effect.drag * thing.area / len(self._points)
