@@ -8,7 +8,7 @@ import numpy as np
 from pydrake.common.value import Value
 from pydrake.math import RigidTransform
 from pydrake.multibody.plant import MultibodyPlant
-from pydrake.systems.framework import Context, EventStatus, State
+from pydrake.systems.framework import Context
 
 from slipmap.diagrams.execution.arm_motion import MotionRefused, Phase, Plan
 from slipmap.diagrams.execution.clearance import ArmClearance, Obstacle, Surroundings
@@ -16,7 +16,7 @@ from slipmap.diagrams.execution.finger_kinematics import FingerKinematics, tip_f
 from slipmap.diagrams.execution.plans import ArmPlanner
 from slipmap.diagrams.execution.requests import ActiveGrasp, ActivePush, ExecutionStatus, Health
 from slipmap.diagrams.execution.settings import ExecutionConfig
-from slipmap.diagrams.systems.python_system import PythonSystem, held, read, replace_held
+from slipmap.diagrams.systems.python_system import PythonSystem, held, read
 from slipmap.models.geometry import angle_between
 from slipmap.models.measurements.push_dataset import Table
 from slipmap.models.perception.seen_object import ObservedPose, SeenObject
@@ -126,7 +126,7 @@ class PushExecutor(PythonSystem):
         self._gripper = self.DeclareVectorInputPort("gripper.state_measured", 2)
         self.declare_inputs("object_pose", "seen_object")
         self._execution = self.DeclareAbstractState(held(_Execution(ExecutionStatus("home"))))
-        self.DeclarePeriodicUnrestrictedUpdateEvent(PERIOD, 0.0, self._update)
+        self.declare_steps(PERIOD, self._execution, self._next)
 
         motion = {self.time_ticket(), self.abstract_state_ticket(self._execution)}
         measured, torque = self._measured.ticket(), self._torque.ticket()
@@ -137,13 +137,6 @@ class PushExecutor(PythonSystem):
         self.declare_output("tip_pose", self._tip_pose, {measured}, Value(RigidTransform()))
         self.declare_vector_output("tip_force", 3, self._tip_force, {measured, torque})
         self.declare_output("status", self._status, motion)
-
-    def _update(self, context: Context, state: State) -> EventStatus:
-        now: _Execution = read(context, self._execution)
-        following = self._next(context, now)
-        if following is not now:
-            replace_held(state, self._execution, following)
-        return EventStatus.Succeeded()
 
     def _next(self, context: Context, now: _Execution) -> _Execution:
         time = context.get_time()
@@ -281,22 +274,18 @@ class ObjectWatch(PythonSystem):
         super().__init__()
         self.declare_inputs("object_pose", "execution")
         self._aim = self.DeclareAbstractState(held(_Aim()))
-        self.DeclarePeriodicUnrestrictedUpdateEvent(PERIOD, 0.0, self._update)
+        self.declare_steps(PERIOD, self._aim, self._next)
         self.declare_output_of("moved", self._aim, lambda aim: aim.moved)
 
-    def _update(self, context: Context, state: State) -> EventStatus:
-        aim: _Aim = read(context, self._aim)
+    def _next(self, context: Context, aim: _Aim) -> _Aim:
         execution: ExecutionStatus = self.input(context, "execution")
         observed: ObservedPose | None = self.input(context, "object_pose")
-        following = aim
         if observed is not None and observed.valid:
             if execution.mode in ("home", "refused"):
-                following = _Aim(observed.pose, last=observed.time)
-            elif execution.mode in ("approaching", "lowering") and observed.time > aim.last:
-                following = _looked_again(aim, observed)
-        if following is not aim:
-            replace_held(state, self._aim, following)
-        return EventStatus.Succeeded()
+                return _Aim(observed.pose, last=observed.time)
+            if execution.mode in ("approaching", "lowering") and observed.time > aim.last:
+                return _looked_again(aim, observed)
+        return aim
 
 
 def _looked_again(aim: _Aim, observed: ObservedPose) -> _Aim:

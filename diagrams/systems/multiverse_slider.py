@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from pydrake.systems.framework import Context, State
+from pydrake.systems.framework import Context
 
 from slipmap.diagrams.systems.cell_grid_slider import history_length, pose_then
 from slipmap.diagrams.systems.python_system import PythonSystem, held, read, replace_held
@@ -117,7 +117,7 @@ class MultiverseSlider(PythonSystem):
         self.declare_vector_output("mean_pose", 3, self._mean_pose, after)
         self.declare_vector_output("spread", 1, self._spread, after)
         self.declare_output_of("universes", self._universes)
-        self.DeclarePeriodicUnrestrictedUpdateEvent(h, 0.0, self._step)
+        self.declare_steps(h, self._universes, self._step)
 
     def set_belief(self, context: Context, belief: Belief, pose: FloatArray) -> None:
         """Place all hypotheses of a belief at rest where a tracker reports `pose` (3,)."""
@@ -128,10 +128,10 @@ class MultiverseSlider(PythonSystem):
         """The hypotheses in motion."""
         return read(context, self._universes)
 
-    def _step(self, context: Context, state: State) -> None:
-        universes = self._restarted(context) or self.universes(context)
+    def _step(self, context: Context, now: Universes | None) -> Universes | None:
+        universes = self._restarted(context) or now
         if universes is None:
-            return
+            return None
         wrench, finger = self.optional_input(context, "wrench"), self.optional_input(context, "finger")
         states, _ = universes.stepper.step(
             universes.models,
@@ -144,7 +144,7 @@ class MultiverseSlider(PythonSystem):
         history = universes.history
         if history.shape[1]:
             history = np.concatenate([universes.states[:, None, :3], history[:, :-1]], axis=1)
-        replace_held(state, self._universes, replace(universes, states=states, history=history))
+        return replace(universes, states=states, history=history)
 
     def _restarted(self, context: Context) -> Universes | None:
         """The hypotheses placed anew if a new push has begun and the object is seen."""

@@ -8,13 +8,13 @@ import numpy as np
 import shapely
 from pydrake.common.value import Value
 from pydrake.math import RigidTransform
-from pydrake.systems.framework import Context, EventStatus, State
+from pydrake.systems.framework import Context
 
 from slipmap.diagrams.execution.push_executor import CLOSED
 from slipmap.diagrams.execution.requests import ExecutionStatus
 from slipmap.diagrams.systems.loop_messages import LoopStatus
 from slipmap.diagrams.systems.measurement_logger import PERIOD
-from slipmap.diagrams.systems.python_system import PythonSystem, held, read, replace_held
+from slipmap.diagrams.systems.python_system import PythonSystem, held, read
 from slipmap.models.geometry import seen_from
 from slipmap.models.perception.seen_object import ObservedPose, SeenObject
 from slipmap.models.physics.cell_grid import FloatArray
@@ -112,7 +112,7 @@ class PushFinder(PythonSystem):
         self.DeclareVectorInputPort("gripper.state_measured", 2)
         self.declare_inputs("trials")
         self._found = self.DeclareAbstractState(held(_Found()))
-        self.DeclarePeriodicUnrestrictedUpdateEvent(PERIOD, 0.0, self._update)
+        self.declare_steps(PERIOD, self._found, self._next)
         after = {self.abstract_state_ticket(self._found), self.GetInputPort("trials").ticket()}
         self.declare_output("execution", lambda context: _execution(*self._now(context)), after)
         self.declare_output("status", lambda context: _status(*self._now(context)), after)
@@ -128,10 +128,6 @@ class PushFinder(PythonSystem):
         if found.phase == "up":
             return ""
         return found.reason or ("the finger was still down" if found.phase == "down" else _UNSEEN)
-
-    def _update(self, context: Context, state: State) -> EventStatus:
-        replace_held(state, self._found, self._next(context, read(context, self._found)))
-        return EventStatus.Succeeded()
 
     def _next(self, context: Context, now: _Found) -> _Found:
         pose: ObservedPose = self.input(context, "object_pose")

@@ -21,7 +21,7 @@ from typing import Any
 from weakref import WeakMethod, ref
 
 from pydrake.common.value import AbstractValue, Value
-from pydrake.systems.framework import AbstractStateIndex, Context, Diagram, LeafSystem, State
+from pydrake.systems.framework import AbstractStateIndex, Context, Diagram, EventStatus, LeafSystem, State
 
 
 def weakly(method: Callable[..., None]) -> Callable[..., None]:
@@ -113,6 +113,28 @@ class PythonSystem(HoldsOutputFunctions, LeafSystem, metaclass=WithoutOwnDict):
         """Input ports for Python's objects."""
         for name in names:
             self.DeclareAbstractInputPort(name, Value[object](None))
+
+    def declare_steps(
+        self, period: float, index: AbstractStateIndex, following: Callable[[Context, Any], Any]
+    ) -> None:
+        """Have an abstract state made by `held` go on; one of a system at most.
+
+        Args:
+            period: s between two steps.
+            index: of the state.
+            following: what comes after a Context and what the state holds, which it returns where nothing
+                is to change.
+        """
+        self._stepped, self._following = index, following
+        self.DeclarePeriodicUnrestrictedUpdateEvent(period, 0.0, self._take_step)
+
+    def _take_step(self, context: Context, state: State) -> EventStatus:
+        now = read(context, self._stepped)
+        following = self._following(context, now)
+        if following is now:
+            return EventStatus.DidNothing()
+        replace_held(state, self._stepped, following)
+        return EventStatus.Succeeded()
 
     def declare_output_of(
         self, name: str, index: AbstractStateIndex, part: Callable[[Any], Any] = lambda held: held
