@@ -59,7 +59,7 @@ $(STAMP): pyproject.toml
 	fi
 	@echo "installing slipmap and what it needs into $(VENV), once; this can take some minutes"
 	@$(BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[test]'
-	@$(BIN)/python -m slipmap.diagrams.perception.system_libraries
+	@$(BIN)/python .ci/system_libraries.py
 	@touch $(STAMP)
 
 clean: ## Remove the demo's results, caches and build products; the environment stays

@@ -108,13 +108,11 @@ class Graspable:
         return Graspable(grid, centers, p, lines, settings)
 
     @staticmethod
-    def of_belief(
-        belief: Belief, heights: ArrayLike, settings: GoalSettings, gripper: Gripper | None = None
-    ) -> Graspable:
+    def of_belief(belief: Belief, heights: ArrayLike, settings: GoalSettings) -> Graspable:
         """As `of`, with grid, centres of mass, masses and probabilities of a belief."""
         masses = belief.maps.mass.sum(axis=1)
         return Graspable.of(
-            belief.grid, heights, belief.centers_of_mass, belief.probability, settings, masses, gripper
+            belief.grid, heights, belief.centers_of_mass, belief.probability, settings, masses
         )
 
     def goals_at(self, poses: ArrayLike, table: Table) -> list[Goal | None]:

@@ -6,7 +6,7 @@ A user tunes them in a scenario file. This module loads quickly, so that help te
 # Annotations stay objects: Drake's YAML reader looks at them.
 from dataclasses import dataclass, field
 
-from slipmap.models.settings import check_ranges, within
+from slipmap.models.settings import CheckedSettings, check_ranges, within
 
 STRATEGIES = ("random", "most-different", "most-distinctive")
 """Of Algorithm 2, see `slipmap.planners.action_selection`."""
@@ -17,7 +17,7 @@ with every cell the same; with the truth."""
 
 
 @dataclass
-class GoalSettings:
+class GoalSettings(CheckedSettings):
     """Which poses at the edge are goals.
 
     Attributes:
@@ -33,6 +33,8 @@ class GoalSettings:
         mass: what the object is taken to weigh where no mass is given, kg.
     """
 
+    _section = "goals: "
+
     epsilon: float = within(0.1, 0.0, 0.5)
     margin: float = within(0.005, 0.0, 0.1)
     samples: int = within(2000, 1, 1_000_000)
@@ -42,10 +44,6 @@ class GoalSettings:
     tolerance: float = within(0.003, 0.0, 0.02)
     friction: float = within(0.2, 0.01, 2.0)
     mass: float = within(1.0, 0.001, 100.0)
-
-    def check(self) -> None:
-        """Raise ValueError, naming the field, where a number makes no sense."""
-        check_ranges(self, "goals: ")
 
 
 @dataclass
@@ -95,7 +93,7 @@ class PokeSettings:
 
 
 @dataclass
-class PushSettings:
+class PushSettings(CheckedSettings):
     """How a push towards a goal is chosen (Algorithm 3).
 
     Attributes:
@@ -117,6 +115,8 @@ class PushSettings:
         fall_cost: pushes that are as bad as a fall.
     """
 
+    _section = "push."
+
     candidates: int = within(64, 4, 10_000)
     refinements: int = within(32, 0, 10_000)
     cone: float = within(25.0, 0.0, 80.0)
@@ -131,10 +131,6 @@ class PushSettings:
     tolerance_angle: float = within(13.5, 0.1, 180.0)
     margin: float = within(0.005, 0.0, 0.1)
     fall_cost: float = within(30.0, 0.0, 1e6)
-
-    def check(self) -> None:
-        """Raise ValueError, naming the field, where a number makes no sense."""
-        check_ranges(self, "push.")
 
 
 @dataclass

@@ -55,12 +55,7 @@ class TrialSpec:
 
     def to_json(self) -> dict[str, Any]:
         """As JSON holds it."""
-        document = {
-            "name": self.name,
-            "function": self.function,
-            "parameters": dict(self.parameters),
-            "seed": self.seed,
-        }
+        document = vars(self) | {"parameters": dict(self.parameters)}
         return dict(json.loads(json.dumps(document, allow_nan=False)))
 
     def run(self) -> TrialOutcome:

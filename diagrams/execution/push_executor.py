@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from pydrake.common.value import Value
 from pydrake.math import RigidTransform
 from pydrake.multibody.plant import MultibodyPlant
-from pydrake.systems.framework import BasicVector, Context, EventStatus, InputPort, State
+from pydrake.systems.framework import Context
 
 from slipmap.diagrams.execution.arm_motion import MotionRefused, Phase, Plan
 from slipmap.diagrams.execution.clearance import ArmClearance, Obstacle, Surroundings
@@ -17,7 +16,7 @@ from slipmap.diagrams.execution.finger_kinematics import FingerKinematics, tip_f
 from slipmap.diagrams.execution.plans import ArmPlanner
 from slipmap.diagrams.execution.requests import ActiveGrasp, ActivePush, ExecutionStatus, Health
 from slipmap.diagrams.execution.settings import ExecutionConfig
-from slipmap.diagrams.systems.python_system import PythonSystem, held, read, replace_held
+from slipmap.diagrams.systems.python_system import PythonSystem, held, read
 from slipmap.models.geometry import angle_between
 from slipmap.models.measurements.push_dataset import Table
 from slipmap.models.perception.seen_object import ObservedPose, SeenObject
@@ -120,41 +119,28 @@ class PushExecutor(PythonSystem):
         self._kinematics = FingerKinematics(model)
         self._config = config or ExecutionConfig()
         self._planner = ArmPlanner(self._kinematics, self._config, np.asarray(home, dtype=float))
-        self._push = self.DeclareAbstractInputPort("push", Value[object](None))
-        self._grasp = self.DeclareAbstractInputPort("grasp", Value[object](None))
+        self.declare_inputs("push", "grasp")
         self._measured = self.DeclareVectorInputPort("iiwa.position_measured", 7)
         self._torque = self.DeclareVectorInputPort("iiwa.torque_external", 7)
-        self._abort = self.DeclareAbstractInputPort("abort", Value[object](False))
-        self._moved = self.DeclareAbstractInputPort("moved", Value[object](""))
-        self._health = self.DeclareAbstractInputPort("health", Value[object](None))
+        self.declare_inputs("abort", "moved", "health")
         self._gripper = self.DeclareVectorInputPort("gripper.state_measured", 2)
-        self._pose = self.DeclareAbstractInputPort("object_pose", Value[object](None))
-        self._seen = self.DeclareAbstractInputPort("seen_object", Value[object](None))
+        self.declare_inputs("object_pose", "seen_object")
         self._execution = self.DeclareAbstractState(held(_Execution(ExecutionStatus("home"))))
-        self.DeclarePeriodicUnrestrictedUpdateEvent(PERIOD, 0.0, self._update)
+        self.declare_steps(PERIOD, self._execution, self._next)
 
         motion = {self.time_ticket(), self.abstract_state_ticket(self._execution)}
         measured, torque = self._measured.ticket(), self._torque.ticket()
         # Before the first plan it is where the arm is; to depend on that would double each step's work.
-        self.DeclareVectorOutputPort("iiwa.position", 7, self._calc_position, motion)
-        self.DeclareVectorOutputPort("gripper.position", 1, self._calc_opening, motion)
-        self.DeclareVectorOutputPort("gripper.force_limit", 1, self._calc_force, motion)
-        self.DeclareAbstractOutputPort(
-            "tip_pose", lambda: Value(RigidTransform()), self._calc_tip_pose, {measured}
-        )
-        self.DeclareVectorOutputPort("tip_force", 3, self._calc_tip_force, {measured, torque})
-        self.DeclareAbstractOutputPort("status", lambda: Value[object](None), self._calc_status, motion)
-
-    def _update(self, context: Context, state: State) -> EventStatus:
-        now: _Execution = read(context, self._execution)
-        following = self._next(context, now)
-        if following is not now:
-            replace_held(state, self._execution, following)
-        return EventStatus.Succeeded()
+        self.declare_vector_output("iiwa.position", 7, self._position, motion)
+        self.declare_vector_output("gripper.position", 1, self._opening, motion)
+        self.declare_vector_output("gripper.force_limit", 1, self._force, motion)
+        self.declare_output("tip_pose", self._tip_pose, {measured}, Value(RigidTransform()))
+        self.declare_vector_output("tip_force", 3, self._tip_force, {measured, torque})
+        self.declare_output("status", self._status, motion)
 
     def _next(self, context: Context, now: _Execution) -> _Execution:
         time = context.get_time()
-        health: Health | None = _optional(self._health, context)
+        health: Health | None = self.optional_input(context, "health")
         if now.status.mode == "stopped" or (health is not None and health.mode == "waiting"):
             return now
         if health is not None and not health.ok:
@@ -164,16 +150,17 @@ class PushExecutor(PythonSystem):
         if now.plan is None:
             plan = self._planner.retreat(self._measured.Eval(context), np.zeros(7))
             return replace(now, plan=plan, begin=time)
-        abort = _optional(self._abort, context)
+        abort = self.optional_input(context, "abort")
         if now.running(time):
             if abort and not now.aborted and now.status.mode != "home":
                 return self._aborted(now, time)
-            moved = _optional(self._moved, context)
+            moved = self.optional_input(context, "moved")
             if moved and now.plan.at(time - now.begin)[0] in ("approaching", "lowering"):
                 back = self._planner.retreat(*now.plan.motion(time - now.begin))
                 return _Execution(replace(now.status, reason=moved), back, time, True, last="refused")
             return now
-        request: ActivePush | ActiveGrasp | None = _optional(self._grasp, context) or self._push.Eval(context)
+        request: ActivePush | ActiveGrasp | None
+        request = self.optional_input(context, "grasp") or self.input(context, "push")
         if abort or request is None or request.push_id == now.status.push_id:
             return now
         if now.plan.phases[-1].mode == "holding":
@@ -199,10 +186,10 @@ class PushExecutor(PythonSystem):
         return self._planner.grasp(self._clearance, request, q)
 
     def _obstacle(self, context: Context) -> Obstacle | None:
-        if not (self._pose.HasValue(context) and self._seen.HasValue(context)):
+        if not all(self.GetInputPort(name).HasValue(context) for name in ("object_pose", "seen_object")):
             return None
-        pose: ObservedPose = self._pose.Eval(context)
-        seen: SeenObject | None = self._seen.Eval(context)
+        pose: ObservedPose = self.input(context, "object_pose")
+        seen: SeenObject | None = self.input(context, "seen_object")
         if seen is None or not pose.valid:
             raise MotionRefused(
                 f"where the object lies is not known, so that the arm might hit it: {pose.reason}"
@@ -228,33 +215,32 @@ class PushExecutor(PythonSystem):
         )
         return replace(now, status=ExecutionStatus("stopped", push_id, reason), stopped=time)
 
-    def _calc_position(self, context: Context, output: BasicVector) -> None:
+    def _position(self, context: Context) -> FloatArray:
         now: _Execution = read(context, self._execution)
         if now.plan is None:
-            output.SetFromVector(self._measured.Eval(context))
-        else:
-            output.SetFromVector(now.plan.at(now.since(context.get_time()))[1])
+            return self._measured.Eval(context)
+        return now.plan.at(now.since(context.get_time()))[1]
 
-    def _calc_opening(self, context: Context, output: BasicVector) -> None:
+    def _opening(self, context: Context) -> list[float]:
         phase, since = self._phase(context)
-        output.SetFromVector([0.0 if phase is None else phase.opening_at(since)])
+        return [0.0 if phase is None else phase.opening_at(since)]
 
-    def _calc_force(self, context: Context, output: BasicVector) -> None:
+    def _force(self, context: Context) -> list[float]:
         phase, _ = self._phase(context)
-        output.SetFromVector([GRIP_FORCE / 2 if phase is None else phase.force])
+        return [GRIP_FORCE / 2 if phase is None else phase.force]
 
     def _phase(self, context: Context) -> tuple[Phase | None, float]:
         now: _Execution = read(context, self._execution)
         return (None, 0.0) if now.plan is None else now.plan.phase(now.since(context.get_time()))
 
-    def _calc_tip_pose(self, context: Context, output: Value) -> None:
-        output.set_value(self._kinematics.pose(self._measured.Eval(context)))
+    def _tip_pose(self, context: Context) -> RigidTransform:
+        return self._kinematics.pose(self._measured.Eval(context))
 
-    def _calc_tip_force(self, context: Context, output: BasicVector) -> None:
+    def _tip_force(self, context: Context) -> FloatArray:
         jacobian = self._kinematics.jacobian(self._measured.Eval(context))
-        output.SetFromVector(tip_force(jacobian, self._torque.Eval(context)))
+        return tip_force(jacobian, self._torque.Eval(context))
 
-    def _calc_status(self, context: Context, output: Value) -> None:
+    def _status(self, context: Context) -> ExecutionStatus:
         now: _Execution = read(context, self._execution)
         status, time = now.status, context.get_time()
         if status.mode not in ("home", "refused", "stopped"):
@@ -263,11 +249,7 @@ class PushExecutor(PythonSystem):
             if not now.running(time) and mode != "holding":
                 mode = now.last
             status = replace(status, mode=mode)
-        output.set_value(status)
-
-
-def _optional(port: InputPort, context: Context) -> Any:
-    return port.Eval(context) if port.HasValue(context) else None
+        return status
 
 
 @dataclass(frozen=True, eq=False)
@@ -290,29 +272,20 @@ class ObjectWatch(PythonSystem):
 
     def __init__(self) -> None:
         super().__init__()
-        self._pose = self.DeclareAbstractInputPort("object_pose", Value[object](None))
-        self._execution = self.DeclareAbstractInputPort("execution", Value[object](None))
+        self.declare_inputs("object_pose", "execution")
         self._aim = self.DeclareAbstractState(held(_Aim()))
-        self.DeclarePeriodicUnrestrictedUpdateEvent(PERIOD, 0.0, self._update)
-        own = self.abstract_state_ticket(self._aim)
-        self.DeclareAbstractOutputPort("moved", lambda: Value[object](""), self._calc_moved, {own})
+        self.declare_steps(PERIOD, self._aim, self._next)
+        self.declare_output_of("moved", self._aim, lambda aim: aim.moved)
 
-    def _calc_moved(self, context: Context, output: Value) -> None:
-        output.set_value(read(context, self._aim).moved)
-
-    def _update(self, context: Context, state: State) -> EventStatus:
-        aim: _Aim = read(context, self._aim)
-        execution: ExecutionStatus = self._execution.Eval(context)
-        observed: ObservedPose | None = self._pose.Eval(context)
-        following = aim
+    def _next(self, context: Context, aim: _Aim) -> _Aim:
+        execution: ExecutionStatus = self.input(context, "execution")
+        observed: ObservedPose | None = self.input(context, "object_pose")
         if observed is not None and observed.valid:
             if execution.mode in ("home", "refused"):
-                following = _Aim(observed.pose, last=observed.time)
-            elif execution.mode in ("approaching", "lowering") and observed.time > aim.last:
-                following = _looked_again(aim, observed)
-        if following is not aim:
-            replace_held(state, self._aim, following)
-        return EventStatus.Succeeded()
+                return _Aim(observed.pose, last=observed.time)
+            if execution.mode in ("approaching", "lowering") and observed.time > aim.last:
+                return _looked_again(aim, observed)
+        return aim
 
 
 def _looked_again(aim: _Aim, observed: ObservedPose) -> _Aim:

@@ -25,15 +25,15 @@ from drake import (
     lcmt_schunk_wsg_command,
     lcmt_schunk_wsg_status,
 )
-from pydrake.common.value import AbstractValue, Value
+from pydrake.common.value import AbstractValue
 from pydrake.lcm import DrakeLcmInterface
-from pydrake.systems.framework import BasicVector, Context, DiagramBuilder, EventStatus, State
+from pydrake.systems.framework import Context, DiagramBuilder, EventStatus, State
 from pydrake.systems.lcm import LcmPublisherSystem, _Serializer_
 
 from slipmap.diagrams.hardware import network
 from slipmap.diagrams.hardware.message_stream import LARGEST
 from slipmap.diagrams.perception.camera import CameraConfig
-from slipmap.diagrams.systems.python_system import PythonSystem, held, read, replace_held
+from slipmap.diagrams.systems.python_system import PythonSystem, held, read, replace_held, weakly
 from slipmap.models.physics.cell_grid import FloatArray
 from slipmap.models.robots import POSITION_LIMITS, SPEED_LIMITS, TORQUE_LIMITS
 
@@ -195,10 +195,10 @@ class CheckedMessages(PythonSystem):
         self.DeclareAbstractOutputPort(
             "message", self._serializer.CreateDefaultValue, self._calc_message, {own}
         )
-        self.DeclareVectorOutputPort("stamp", 1, self._calc_stamp, {own})
-        self.DeclareVectorOutputPort("age", 1, self._calc_age, {own, self.time_ticket()})
-        self.DeclareVectorOutputPort("silence", 1, self._calc_silence, {own})
-        self.DeclareAbstractOutputPort("received", lambda: Value[object](None), self._calc_received, {own})
+        self.declare_vector_output("stamp", 1, lambda context: [self.received(context).stamp], {own})
+        self.declare_vector_output("age", 1, self._age, {own, self.time_ticket()})
+        self.declare_vector_output("silence", 1, lambda context: [self.received(context).silence], {own})
+        self.declare_output_of("received", self._received)
 
     def received(self, context: Context) -> Received:
         """What came until now, of this system's Context."""
@@ -259,18 +259,9 @@ class CheckedMessages(PythonSystem):
         else:
             output.SetFrom(self._serializer.CreateDefaultValue())
 
-    def _calc_stamp(self, context: Context, output: BasicVector) -> None:
-        output.SetFromVector([self.received(context).stamp])
-
-    def _calc_silence(self, context: Context, output: BasicVector) -> None:
-        output.SetFromVector([self.received(context).silence])
-
-    def _calc_received(self, context: Context, output: AbstractValue) -> None:
-        output.set_value(self.received(context))
-
-    def _calc_age(self, context: Context, output: BasicVector) -> None:
+    def _age(self, context: Context) -> list[float]:
         now = self.received(context)
-        output.SetFromVector([context.get_time() - now.offset - now.stamp if now.good else np.inf])
+        return [context.get_time() - now.offset - now.stamp if now.good else np.inf]
 
 
 def _listened(now: Received, clock: float, *, new: bool) -> Received:
@@ -278,23 +269,31 @@ def _listened(now: Received, clock: float, *, new: bool) -> Received:
     return replace(now, silence=0.0 if new else now.silence + passed, looked=clock)
 
 
+class Channels(dict[str, CheckedMessages]):
+    """The `CheckedMessages` of some channels, by their names."""
+
+    def received(self, root: Context) -> dict[str, Received]:
+        """What came on each channel until now, and what of it was dropped."""
+        return {name: system.received(system.GetMyContextFromRoot(root)) for name, system in self.items()}
+
+    def subscribe(self, lcm: DrakeLcmInterface) -> None:
+        """Have a connection hand them its messages."""
+        for name, system in self.items():
+            lcm.Subscribe(name, weakly(system.hear))
+
+
 def add_checked(
     builder: DiagramBuilder,
     camera: CameraConfig,
     channels: Iterable[str],
     clocks: Mapping[str, Callable[[], float] | None] = MappingProxyType({}),
-) -> dict[str, CheckedMessages]:
+) -> Channels:
     """Add the `CheckedMessages` of some channels, each named like its channel, with clocks for some."""
     rule = rules(camera.width, camera.height_pixels)
-    return {
-        channel: builder.AddNamedSystem(channel, CheckedMessages(channel, rule[channel], clocks.get(channel)))
-        for channel in channels
-    }
-
-
-def all_received(checked: Mapping[str, CheckedMessages], root: Context) -> dict[str, Received]:
-    """What came on each channel until now, and what of it was dropped."""
-    return {name: system.received(system.GetMyContextFromRoot(root)) for name, system in checked.items()}
+    return Channels(
+        (name, builder.AddNamedSystem(name, CheckedMessages(name, rule[name], clocks.get(name))))
+        for name in channels
+    )
 
 
 def publish(

@@ -25,13 +25,12 @@ class Child:
         what: it is, for messages.
         function: of a module; it calls `be_ready`, and ends when its standard input does.
         arguments: of the function.
-        first: what it gets on its standard input before it is ready.
 
     Raises:
         HardwareError: it did not start; it says why on the standard error.
     """
 
-    def __init__(self, what: str, function: Callable[..., None], *arguments: str, first: bytes = b"") -> None:
+    def __init__(self, what: str, function: Callable[..., None], *arguments: str) -> None:
         self._what = what
         target = f"{function.__module__}:{function.__qualname__}"
         # In a session of its own it does not hear Ctrl-C, which is meant for its user.
@@ -39,8 +38,6 @@ class Child:
             [sys.executable, "-m", __name__, target, *arguments],
             stdin=subprocess.PIPE, stdout=subprocess.PIPE, bufsize=0, start_new_session=True,
         )  # fmt: skip
-        if first:
-            self.write(first)
         if self.output.readline() != _READY:
             self.close()
             raise HardwareError(f"{self._what} did not start; it says why above")

@@ -14,7 +14,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 from typing import IO
 
@@ -27,7 +27,7 @@ from slipmap.models.effects.registry import effects_named
 from slipmap.models.effects.slider import EffectSlider
 from slipmap.models.effects.stepper import Stepper
 from slipmap.models.files import BadInput, writing
-from slipmap.models.objects import cells_from_centres
+from slipmap.models.physics.cell_grid import CellGrid
 from slipmap.models.physics.rollout import Maps, Push, Slider
 
 # By this process: to the system its own locks are not in its way, and closing such a file frees the lock.
@@ -104,24 +104,33 @@ def _holder(file: IO[str]) -> str:
         return "another process"
 
 
-@contextmanager
-def stopped_by_ctrl_c(cell: HardwareInterface) -> Iterator[Callable[[], bool]]:
-    """In the block Ctrl-C, or a signal to end, stops the arm, which holds; the second one is Ctrl-C as ever.
-    Yields whether it came."""
-    pressed: list[int] = []
+def stopped_by_ctrl_c(cell: HardwareInterface) -> AbstractContextManager[Callable[[], bool]]:
+    """In the block Ctrl-C, or a signal to end, stops the arm, which holds; see `until_ctrl_c`."""
 
-    def stop(number: int, frame: object) -> None:
-        if pressed:
-            raise KeyboardInterrupt
-        pressed.append(number)
+    def stop(number: int) -> None:
         cell.abort()
         reason = "Ctrl-C" if number == signal.SIGINT else "told to end"
         print(f"{reason}: the arm stops and holds; once more ends at once", file=sys.stderr, flush=True)
 
+    return until_ctrl_c(stop)
+
+
+@contextmanager
+def until_ctrl_c(stop: Callable[[int], None] = lambda number: None) -> Iterator[Callable[[], bool]]:
+    """In the block Ctrl-C, or a signal to end, calls a function with its number; the second one is Ctrl-C as
+    ever. Yields whether it came."""
+    pressed: list[int] = []
+
+    def press(number: int, frame: object) -> None:
+        if pressed:
+            raise KeyboardInterrupt
+        pressed.append(number)
+        stop(number)
+
     if threading.current_thread() is not threading.main_thread():  # others hear no signals
         yield lambda: False
         return
-    before = {number: signal.signal(number, stop) for number in (signal.SIGINT, signal.SIGTERM)}
+    before = {number: signal.signal(number, press) for number in (signal.SIGINT, signal.SIGTERM)}
     try:
         yield lambda: bool(pressed)
     finally:
@@ -169,7 +178,8 @@ def real_cell(
 def _load_model(effects: Sequence[str]) -> None:
     """Have the code of the model's steps and rollouts in this process: the first would else hold the diagram
     up for a second, with the arm under way."""
-    grid, found = cells_from_centres(np.zeros((1, 2)), 0.02), effects_named(list(effects))
+    square = 0.01 * np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
+    grid, found = CellGrid(np.zeros((1, 2)), 0.02, square), effects_named(list(effects))
     Stepper(grid, 0.01, 0.01, found).load()
     slider = EffectSlider(grid, 0.01, found) if found else Slider(grid, 0.01)
     push = Push(0.01, np.full((9, 2), 0.1), np.zeros(3), force_times=np.full(1, 0.04))

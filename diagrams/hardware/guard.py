@@ -8,15 +8,14 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from pydrake.common.value import Value
 from pydrake.multibody.plant import MultibodyPlant
-from pydrake.systems.framework import BasicVector, Context, EventStatus, State
+from pydrake.systems.framework import Context
 
 from slipmap.diagrams.execution.finger_kinematics import FingerKinematics
 from slipmap.diagrams.execution.requests import Health
 from slipmap.diagrams.execution.settings import ExecutionConfig
 from slipmap.diagrams.hardware.command_stream import braking_time
-from slipmap.diagrams.systems.python_system import PythonSystem, held, read, replace_held
+from slipmap.diagrams.systems.python_system import PythonSystem, held, read
 from slipmap.models.physics.cell_grid import FloatArray
 from slipmap.models.robots import ARM_JOINTS, POSITION_LIMITS, SPEED_LIMITS
 from slipmap.models.settings import CheckedSettings, within
@@ -291,14 +290,10 @@ class CommandGuard(PythonSystem):
         self._abort = self.DeclareVectorInputPort("abort", 1)
         start = _Guarded(Health("waiting"), np.zeros((0, 7)), np.zeros(7))
         self._guarded = self.DeclareAbstractState(held(start))
-        self.DeclarePeriodicUnrestrictedUpdateEvent(PERIOD, 0.0, self._update)
+        self.declare_steps(PERIOD, self._guarded, lambda context, now: self._next(now, self._inputs(context)))
         own = self.abstract_state_ticket(self._guarded)
-        self.DeclareVectorOutputPort("iiwa.position", 7, self._calc_position, {own, self._measured.ticket()})
-        self.DeclareAbstractOutputPort("health", lambda: Value[object](None), self._calc_health, {own})
-
-    def _update(self, context: Context, state: State) -> EventStatus:
-        replace_held(state, self._guarded, self._next(read(context, self._guarded), self._inputs(context)))
-        return EventStatus.Succeeded()
+        self.declare_vector_output("iiwa.position", 7, self._position, {own, self._measured.ticket()})
+        self.declare_output_of("health", self._guarded, lambda guarded: guarded.health)
 
     def _inputs(self, context: Context) -> _Inputs:
         image_age = self._image_age.Eval(context)[0] if self._image_age.HasValue(context) else np.inf
@@ -359,12 +354,9 @@ class CommandGuard(PythonSystem):
             duration = max(duration, float((_BACK * np.abs(rest - q) / SPEED_LIMITS).max()))
         return _Stop(q, v, rest, inputs.time - PERIOD, duration, back)
 
-    def _calc_position(self, context: Context, output: BasicVector) -> None:
+    def _position(self, context: Context) -> FloatArray:
         commands = read(context, self._guarded).commands
-        output.SetFromVector(commands[-1] if len(commands) else self._measured.Eval(context))
-
-    def _calc_health(self, context: Context, output: Value) -> None:
-        output.set_value(read(context, self._guarded).health)
+        return commands[-1] if len(commands) else self._measured.Eval(context)
 
 
 def _is_age(age: float, most: float) -> bool:

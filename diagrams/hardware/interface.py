@@ -11,7 +11,7 @@ from collections.abc import Callable, Mapping
 import numpy as np
 from drake import lcmt_drake_signal, lcmt_iiwa_command, lcmt_schunk_wsg_command
 from pydrake.common.eigen_geometry import Quaternion
-from pydrake.common.value import AbstractValue, Value
+from pydrake.common.value import Value
 from pydrake.lcm import DrakeLcmInterface
 from pydrake.manipulation import (
     IiwaCommandSender,
@@ -21,7 +21,7 @@ from pydrake.manipulation import (
     SchunkWsgStatusReceiver,
 )
 from pydrake.math import RigidTransform
-from pydrake.systems.framework import BasicVector, Context, Diagram, DiagramBuilder, EventStatus, LeafSystem
+from pydrake.systems.framework import Context, Diagram, DiagramBuilder, EventStatus, LeafSystem
 from pydrake.systems.primitives import PassThrough
 from pydrake.systems.sensors import LcmImageArrayToImages
 
@@ -29,11 +29,10 @@ from slipmap.diagrams.execution.requests import Health
 from slipmap.diagrams.hardware import network
 from slipmap.diagrams.hardware.checked_messages import (
     ABORT_COORDINATES,
-    CheckedMessages,
+    Channels,
     MessagePump,
     Received,
     add_checked,
-    all_received,
     publish,
 )
 from slipmap.diagrams.hardware.command_stream import CommandStream
@@ -41,7 +40,7 @@ from slipmap.diagrams.hardware.network import ARM, CAMERA, NEEDED
 from slipmap.diagrams.perception.sight import ArmHulls
 from slipmap.diagrams.station.arm import IIWA_OUTPUTS, lone_arm
 from slipmap.diagrams.station.scenario import Scenario
-from slipmap.diagrams.systems.python_system import PythonDiagram, PythonSystem, weakly
+from slipmap.diagrams.systems.python_system import PythonDiagram, PythonSystem
 
 PATIENCE = 10.0
 """s that the cell has for its first messages."""
@@ -75,7 +74,7 @@ class HeardCell(PythonDiagram):
 
     def received(self, root: Context) -> dict[str, Received]:
         """What came on each channel until now, and what of it was dropped."""
-        return all_received(self.checked, root)
+        return self.checked.received(root)
 
     def _export_arm(self, builder: DiagramBuilder) -> None:
         status = builder.AddSystem(IiwaStatusReceiver())
@@ -124,16 +123,15 @@ def export_outputs(builder: DiagramBuilder, system: Diagram) -> None:
 class _PoseReceiver(PythonSystem):
     def __init__(self) -> None:
         super().__init__()
-        self.DeclareAbstractInputPort("received", Value[object](None))
-        self.DeclareAbstractOutputPort("pose", lambda: Value(RigidTransform()), self._calc)
+        self.declare_inputs("received")
+        self.declare_output("pose", self._pose, {self.all_input_ports_ticket()}, Value(RigidTransform()))
 
-    def _calc(self, context: Context, output: AbstractValue) -> None:
-        data = self.get_input_port().Eval(context).data
-        pose = RigidTransform()
-        if data:
-            numbers = np.array(lcmt_drake_signal.decode(data).val)
-            pose = RigidTransform(Quaternion(numbers[3:] / np.linalg.norm(numbers[3:])), numbers[:3])
-        output.set_value(pose)
+    def _pose(self, context: Context) -> RigidTransform:
+        data = self.input(context, "received").data
+        if not data:
+            return RigidTransform()
+        numbers = np.array(lcmt_drake_signal.decode(data).val)
+        return RigidTransform(Quaternion(numbers[3:] / np.linalg.norm(numbers[3:])), numbers[:3])
 
 
 _SAME_CLOCK = 1.0  # s by which arm and camera may seem apart; by more, their stamps are of different clocks
@@ -150,16 +148,16 @@ class _PictureAge(PythonSystem):
         super().__init__()
         for name in ("arm_stamp", "arm_age", "picture_stamp", "picture_age"):
             self.DeclareVectorInputPort(name, 1)
-        self.DeclareVectorOutputPort("age", 1, self._calc)
+        self.declare_vector_output("age", 1, self._age, {self.all_input_ports_ticket()})
 
-    def _calc(self, context: Context, output: BasicVector) -> None:
+    def _age(self, context: Context) -> list[float]:
         arm_stamp, arm_age, picture_stamp, since = (
             float(self.get_input_port(index).Eval(context)[0]) for index in range(4)
         )
         age = arm_stamp + arm_age - picture_stamp
         if not abs(age - since) < _SAME_CLOCK:
             age = since
-        output.SetFromVector([max(age, 0.0)])
+        return [max(age, 0.0)]
 
 
 class HardwareInterface(PythonDiagram):
@@ -202,10 +200,9 @@ class HardwareInterface(PythonDiagram):
         abort = builder.AddSystem(_Abort())
         builder.Connect(self._stop.GetOutputPort("received"), abort.get_input_port())
         builder.ExportOutput(abort.get_output_port(), "abort")
-        self._everyone: dict[str, CheckedMessages] = {**self._checked, network.ABORT: self._stop}
+        self._everyone = Channels({**self._checked, network.ABORT: self._stop})
         if not alone:
-            for channel, system in self._everyone.items():
-                self._lcm.Subscribe(channel, weakly(system.hear))
+            self._everyone.subscribe(self._lcm)
         export_outputs(builder, self._heard)
         self._add_arm_commands(builder, alone)
         self._add_gripper_commands(builder)
@@ -296,12 +293,12 @@ class _Abort(PythonSystem):
 
     def __init__(self) -> None:
         super().__init__()
-        self.DeclareAbstractInputPort("received", Value[object](None))
-        self.DeclareVectorOutputPort("abort", 1, self._calc)
+        self.declare_inputs("received")
+        self.declare_vector_output("abort", 1, self._abort, {self.all_input_ports_ticket()})
 
-    def _calc(self, context: Context, output: BasicVector) -> None:
-        data = self.get_input_port().Eval(context).data
-        output.SetFromVector([lcmt_drake_signal.decode(data).val[0] if data else 0.0])
+    def _abort(self, context: Context) -> list[float]:
+        data = self.input(context, "received").data
+        return [lcmt_drake_signal.decode(data).val[0] if data else 0.0]
 
 
 class _StreamSender(PythonSystem):

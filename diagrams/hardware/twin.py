@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import os
-import pickle
 import select
-import struct
 import sys
 import time
 from collections.abc import Callable, Mapping
@@ -16,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from drake import lcmt_drake_signal, lcmt_iiwa_status, lcmt_image_array, lcmt_schunk_wsg_status
 from pydrake.common.value import AbstractValue, Value
+from pydrake.common.yaml import yaml_dump_typed, yaml_load_typed
 from pydrake.lcm import DrakeLcmInterface
 from pydrake.manipulation import (
     IiwaCommandReceiver,
@@ -26,7 +25,7 @@ from pydrake.manipulation import (
 )
 from pydrake.math import RigidTransform
 from pydrake.systems.analysis import Simulator
-from pydrake.systems.framework import BasicVector, Context, DiagramBuilder, EventStatus, State
+from pydrake.systems.framework import Context, DiagramBuilder, EventStatus, State
 from pydrake.systems.lcm import LcmPublisherSystem
 from pydrake.systems.primitives import ConstantVectorSource
 from pydrake.systems.sensors import ImageToLcmImageArrayT, PixelType
@@ -34,11 +33,11 @@ from pydrake.systems.sensors import ImageToLcmImageArrayT, PixelType
 from slipmap.diagrams.hardware import network
 from slipmap.diagrams.hardware.checked_messages import (
     POSE_COORDINATES,
+    Channels,
     CheckedMessages,
     MessagePump,
     Received,
     add_checked,
-    all_received,
     publish,
 )
 from slipmap.diagrams.hardware.child import Child, be_ready, have_priority
@@ -51,7 +50,6 @@ from slipmap.diagrams.systems.python_system import (
     held,
     read,
     replace_held,
-    weakly,
 )
 from slipmap.models.physics.cell_grid import FloatArray
 from slipmap.models.robots import GRIP_FORCE
@@ -61,7 +59,6 @@ LATE = 0.1
 
 _REPORT_EVERY = 10.0  # s
 _PLAYED_LATER = 0.015  # s; messages do not come quite evenly
-_LENGTH = struct.Struct("<Q")
 
 
 class CellTwin(PythonDiagram):
@@ -89,13 +86,12 @@ class CellTwin(PythonDiagram):
         super().__init__()
         builder = DiagramBuilder()
         self.station: Station = builder.AddSystem(Station(scenario))
-        self._checked: dict[str, CheckedMessages] = {}
+        self._checked = Channels()
         if arm:
             builder.AddSystem(MessagePump(lcm))
             commands = (network.IIWA_COMMAND, network.GRIPPER_COMMAND)
             self._checked = add_checked(builder, scenario.camera, commands)
-            for channel, system in self._checked.items():
-                lcm.Subscribe(channel, weakly(system.hear))
+            self._checked.subscribe(lcm)
             _add_arm(builder, self.station, lcm, self._checked[network.IIWA_COMMAND])
             _add_gripper(builder, self.station, lcm, self._checked[network.GRIPPER_COMMAND])
         if camera:
@@ -105,7 +101,7 @@ class CellTwin(PythonDiagram):
 
     def received(self, root: Context) -> dict[str, Received]:
         """What came on each channel until now, and what of it was dropped."""
-        return all_received(self._checked, root)
+        return self._checked.received(root)
 
 
 def _add_arm(
@@ -178,7 +174,8 @@ class _Paced(PythonSystem):
         self.DeclareVectorInputPort("stamp", 1)
         self._played = self.DeclareAbstractState(held((CommandBuffer(_PLAYED_LATER), np.nan, None)))
         self.DeclarePeriodicUnrestrictedUpdateEvent(network.ARM_PERIOD, 0.0, self._play)
-        self.DeclareVectorOutputPort("paced", 7, self._calc)
+        after = {self.abstract_state_ticket(self._played), self.GetInputPort("position").ticket()}
+        self.declare_vector_output("paced", 7, self._paced, after)
 
     def _play(self, context: Context, state: State) -> EventStatus:
         before, last, _ = read(context, self._played)
@@ -191,9 +188,9 @@ class _Paced(PythonSystem):
         replace_held(state, self._played, (buffer, stamp, q))
         return EventStatus.Succeeded()
 
-    def _calc(self, context: Context, output: BasicVector) -> None:
+    def _paced(self, context: Context) -> FloatArray:
         q = read(context, self._played)[2]
-        output.SetFromVector(self.GetInputPort("position").Eval(context) if q is None else q)
+        return self.GetInputPort("position").Eval(context) if q is None else q
 
 
 class _PoseSender(PythonSystem):
@@ -221,9 +218,8 @@ class TwinCamera(Child):
     """
 
     def __init__(self, scenario: Scenario, url: str) -> None:
-        data = pickle.dumps(scenario)
-        first = _LENGTH.pack(len(data)) + data
-        super().__init__("the process that renders pictures", _take_pictures, url, first=first)
+        what = "the process that renders pictures"
+        super().__init__(what, _take_pictures, url, yaml_dump_typed(scenario))
 
     def take(self, time: float, positions: FloatArray) -> None:
         """Have a picture taken of the plant with some positions, stamped with a time, s; earlier ones that
@@ -231,10 +227,10 @@ class TwinCamera(Child):
         self.write(np.array([time, *positions], "<f8").tobytes())
 
 
-def _take_pictures(url: str) -> None:
+def _take_pictures(url: str, scenario: str) -> None:
     source = sys.stdin.fileno()
-    scenario: Scenario = pickle.loads(_read(source, _LENGTH.unpack(_read(source, _LENGTH.size))[0]))
-    twin = CellTwin(scenario, network.open_lcm(url, listens=False), arm=False)
+    settings: Scenario = yaml_load_typed(schema=Scenario, data=scenario)
+    twin = CellTwin(settings, network.open_lcm(url, listens=False), arm=False)
     root = Simulator(twin).get_mutable_context()
     plant = twin.station.plant
     state = plant.GetMyMutableContextFromRoot(root)

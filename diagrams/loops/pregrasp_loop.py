@@ -34,11 +34,11 @@ from slipmap.diagrams.station.station import Station
 from slipmap.diagrams.systems.goal_and_push_planner import GoalAndPushPlanner
 from slipmap.diagrams.systems.loop_messages import LoopStatus, PregraspPlan
 from slipmap.diagrams.systems.supervisors import PATIENCE, PATIENCE_REAL, PregraspSupervisor
+from slipmap.models.files import plain
 from slipmap.models.geometry import placed, relative
 from slipmap.models.objects.true_object import TrueObject
 from slipmap.models.perception.pinhole_camera import View
 from slipmap.models.perception.seen_object import SeenObject
-from slipmap.models.physics.cell_grid import FloatArray
 from slipmap.models.physics.maps import Maps
 from slipmap.models.progress import silent
 from slipmap.planners.settings import PregraspSettings
@@ -220,11 +220,11 @@ class PregraspRun:
             before, after = trial.object_pose.values[0], trial.object_pose.values[-1]
             rows.append(
                 {
-                    "begin": _plain(plan.push.push.begin),
-                    "end": _plain(plan.push.push.end),
-                    "before": _plain(before),
-                    "after": _plain(after),
-                    "goal": _plain(plan.goal.pose),
+                    "begin": plain(plan.push.push.begin),
+                    "end": plain(plan.push.push.end),
+                    "before": plain(before),
+                    "after": plain(after),
+                    "goal": plain(plan.goal.pose),
                     "fall_probability": plan.push.fall_probability,
                     "success_probability": plan.success_probability,
                     "margin": plan.margin,
@@ -239,7 +239,7 @@ class PregraspRun:
             "reason": self.reason,
             "explorations": self.options.exploration.pushes,
             "pushes": rows,
-            "grasp": None if not grasps else _plain(grasps[-1].grasp.at(grasps[-1].pose)),
+            "grasp": None if not grasps else plain(grasps[-1].grasp.at(grasps[-1].pose)),
             "true_height": self.true_height,
             "simulated": self.exploration.simulated,
             "seconds": self.exploration.seconds,
@@ -325,7 +325,3 @@ def _run(
         height = float(output_of(loop, "station", "truth.object_pose", ended.context).translation()[2])
     made = [plans[number] for number in sorted(plans)]
     return PregraspRun(exploration, options, held, reason, tuple(made), height, ended.interrupted)
-
-
-def _plain(values: FloatArray) -> list[float]:
-    return [float(value) for value in np.asarray(values)]

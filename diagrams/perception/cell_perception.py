@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
-from pydrake.common.value import AbstractValue, Value
+from pydrake.common.value import AbstractValue
 from pydrake.math import RigidTransform
 from pydrake.systems.sensors import ImageDepth32F
 
@@ -227,18 +227,12 @@ class CellPerception(PythonSystem):
             start = replace(start, history=history, seen=seen, first=first, last_pose=last_pose)
         self._memory = memory = self.DeclareAbstractState(held(start))
         self._job = self.DeclareAbstractState(held(_NO_JOB))
-        ticket = {self.abstract_state_ticket(memory)}
-
-        def port(name: str, part: Callable[[_Memory], object]) -> None:
-            def write(context: Any, output: Any) -> None:
-                output.set_value(part(read(context, memory)))
-
-            self.DeclareAbstractOutputPort(name, lambda: Value[object](), write, ticket)
-
-        port("object_pose", lambda memory: memory.observed)
-        port("cell_grid", lambda memory: None if memory.seen is None else memory.seen.grid)
-        port("seen_object", lambda memory: memory.seen)
-        port("first_picture", lambda memory: memory.first)
+        self.declare_output_of("object_pose", memory, lambda memory: memory.observed)
+        self.declare_output_of(
+            "cell_grid", memory, lambda memory: None if memory.seen is None else memory.seen.grid
+        )
+        self.declare_output_of("seen_object", memory, lambda memory: memory.seen)
+        self.declare_output_of("first_picture", memory, lambda memory: memory.first)
         period = 1.0 / config.rate
         self.DeclarePeriodicUnrestrictedUpdateEvent(period, 0.0, self._look)
         self.DeclarePeriodicUnrestrictedUpdateEvent(period, _KNOWN_AFTER * period, self._take)

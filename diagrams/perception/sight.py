@@ -81,16 +81,15 @@ class ArmAside(PythonSystem):
         self._pose = self.DeclareAbstractInputPort("object_pose", Value[object](None))
         self._seen = self.DeclareAbstractInputPort("seen_object", Value[object](None))
         inputs = {port.ticket() for port in (self._arm, self._X_WC, self._pose, self._seen)}
-        self.DeclareAbstractOutputPort("aside", lambda: Value[object](False), self._calc, inputs)
+        self.declare_output("aside", self._aside, inputs)
 
-    def _calc(self, context: Context, output: Value) -> None:
+    def _aside(self, context: Context) -> bool:
         pose, seen = self._pose.Eval(context), self._seen.Eval(context)
         if seen is None or not pose.valid:
-            output.set_value(False)
-            return
+            return False
         view = view_from(self._camera, self._X_WC.Eval(context).GetAsMatrix4().tobytes())
         sight = Sight(view, self._arm_hulls(np.asarray(self._arm.Eval(context))))
-        output.set_value(sight.share(seen, pose.pose) == 1.0)
+        return sight.share(seen, pose.pose) == 1.0
 
 
 _CORNERS = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], dtype=float)

@@ -16,7 +16,7 @@ from pydrake.math import RigidTransform, RollPitchYaw, RotationMatrix
 from pydrake.multibody.parsing import LoadModelDirectivesFromString, Parser, ProcessModelDirectives
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import FixedOffsetFrame, FrameIndex, ModelInstanceIndex
-from pydrake.systems.framework import BasicVector, Context, DiagramBuilder
+from pydrake.systems.framework import Context, DiagramBuilder
 from pydrake.systems.primitives import SharedPointerSystem
 
 from slipmap.diagrams.systems.python_system import PythonSystem
@@ -200,12 +200,12 @@ class _Squeeze(PythonSystem):
 
     def __init__(self) -> None:
         super().__init__()
-        self.DeclareVectorInputPort("opening", 1)
-        self.DeclareVectorOutputPort("desired", 1, self._calc)
+        opening = self.DeclareVectorInputPort("opening", 1)
+        self.declare_vector_output("desired", 1, self._desired, {opening.ticket()})
 
-    def _calc(self, context: Context, output: BasicVector) -> None:
+    def _desired(self, context: Context) -> list[float]:
         (opening,) = self.get_input_port().Eval(context)
-        output.SetFromVector([opening if opening > 0.0 else -_SQUEEZE])
+        return [opening if opening > 0.0 else -_SQUEEZE]
 
 
 def _arm_url(models: str) -> str:

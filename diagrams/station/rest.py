@@ -16,7 +16,7 @@ from pydrake.math import RigidTransform
 from pydrake.multibody.math import SpatialVelocity
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import BodyIndex, ModelInstanceIndex
-from pydrake.systems.framework import BasicVector, Context, DiscreteValues
+from pydrake.systems.framework import Context, DiscreteValues
 
 from slipmap.diagrams.station.sliding_object import BODY, STICTION
 from slipmap.diagrams.systems.python_system import PythonSystem
@@ -68,7 +68,7 @@ class RestWatch(PythonSystem):
         # the arm was from each of its own, m. One number for all would hide one that comes behind another.
         state = self.DeclareDiscreteState(1 + _PLACE + len(self._corners) * len(self._low))
         self.DeclarePeriodicDiscreteUpdateEvent(PERIOD, 0.0, self._look)
-        self.DeclareVectorOutputPort("at_rest", 1, self._calc, {self.discrete_state_ticket(state)})
+        self.declare_vector_output("at_rest", 1, self._at_rest, {self.discrete_state_ticket(state)})
 
     def _look(self, context: Context, values: DiscreteValues) -> None:
         V_WO = self.GetInputPort("body_spatial_velocities").Eval(context)[self._object]
@@ -98,9 +98,8 @@ class RestWatch(PythonSystem):
         low, high = points.min(axis=1)[:, None], points.max(axis=1)[:, None]
         return np.maximum(low - self._high, self._low - high).max(axis=-1).ravel()
 
-    def _calc(self, context: Context, output: BasicVector) -> None:
-        still_for = context.get_discrete_state_vector().GetAtIndex(0)
-        output.SetFromVector([float(still_for > QUIET)])
+    def _at_rest(self, context: Context) -> list[float]:
+        return [float(context.get_discrete_state_vector().GetAtIndex(0) > QUIET)]
 
 
 class Hold:

@@ -155,9 +155,10 @@ def _export_truth(builder: DiagramBuilder, plant: MultibodyPlant, body: BodyInde
 class _BodyPose(PythonSystem):
     def __init__(self, body: BodyIndex) -> None:
         super().__init__()
-        self._body = body
         poses = self.DeclareAbstractInputPort("body_poses", Value[List[RigidTransform]]())
-        self.DeclareAbstractOutputPort("X_WO", lambda: Value(RigidTransform()), self._calc, {poses.ticket()})
-
-    def _calc(self, context: Context, output: Value) -> None:
-        output.set_value(self.get_input_port().Eval(context)[self._body])
+        self.declare_output(
+            "X_WO",
+            lambda context: self.get_input_port().Eval(context)[body],
+            {poses.ticket()},
+            Value(RigidTransform()),
+        )

@@ -22,9 +22,9 @@ from pydrake.systems.framework import Context
 from slipmap.diagrams.systems.look import FAINT, INK, MAP_COLORS, beyond, styled, top_of_scale
 from slipmap.diagrams.systems.python_system import PythonSystem
 from slipmap.diagrams.systems.unlit_meshes import arrow, billboard, painted, ribbon, ringed_discs, tiles
+from slipmap.models.geometry import placed
 from slipmap.models.inference.belief import Belief
 from slipmap.models.physics.cell_grid import CellGrid, FloatArray
-from slipmap.models.physics.paper_notation import cell_poses
 
 MAPS = ("mass", "friction", "mass x friction")
 TITLES = ("mass of a cell, g", "friction coefficient of a cell", "mass × friction: force to slide a cell, mN")
@@ -353,8 +353,9 @@ class BeliefVisualizer(PythonSystem):
         if observed is not None:
             self._show("observed", "observed", time)
             meshcat.SetTransform(f"{self._path}/observed", self._pose(observed, 0.0), time)
-            meshcat.SetTransform(f"{self._path}/observed/outline", _shifted(0.0, 0.0, 6e-4), time)
-            meshcat.SetTransform(f"{self._path}/observed/centers of mass", _shifted(0.0, 0.0, 9e-4), time)
+            for part, above in (("outline", 6e-4), ("centers of mass", 9e-4)):
+                lifted = RigidTransform(np.array([0.0, 0.0, above]))
+                meshcat.SetTransform(f"{self._path}/observed/{part}", lifted, time)
         self._show("predicted", "predicted" if predicted is not None else "", time)
         if predicted is not None:
             meshcat.SetTransform(f"{self._path}/predicted", self._pose(predicted, 1.2e-3), time)
@@ -367,7 +368,7 @@ class BeliefVisualizer(PythonSystem):
         begin = end = np.zeros((len(self._arrows), 2))
         if observed is not None and predicted is not None:
             cells = self._outlined.centers[self._arrows]
-            begin, end = (_positions(pose, cells) for pose in (predicted, observed))
+            begin, end = (placed(cells, pose) for pose in (predicted, observed))
         for k, way in enumerate(end - begin):
             length = float(np.hypot(*way))
             name = f"residuals/{k}"
@@ -401,16 +402,6 @@ def _same(belief: Belief, other: Belief | None) -> bool:
         return belief is other
     pairs = ((belief.maps.mass, other.maps.mass), (belief.maps.mu, other.maps.mu))
     return all(np.array_equal(a, b) for a, b in (*pairs, (belief.probability, other.probability)))
-
-
-def _shifted(x: float, y: float, z: float) -> RigidTransform:
-    place: Any = [x, y, z]
-    return RigidTransform(place)
-
-
-def _positions(pose: FloatArray, cells: FloatArray) -> FloatArray:
-    """(k, 2) cells at a pose."""
-    return cell_poses(pose, cells).reshape(-1, 3)[:, :2]
 
 
 def _spread_cells(grid: CellGrid, count: int) -> np.ndarray:

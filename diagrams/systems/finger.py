@@ -8,7 +8,7 @@ import numpy as np
 from pydrake.common.value import Value
 from pydrake.math import RigidTransform
 from pydrake.multibody.plant import MultibodyPlant
-from pydrake.systems.framework import BasicVector, Context, EventStatus, State
+from pydrake.systems.framework import Context, EventStatus, State
 
 from slipmap.diagrams.execution.finger_kinematics import FingerKinematics, tip_force
 from slipmap.diagrams.systems.python_system import PythonSystem
@@ -42,7 +42,8 @@ class FingerMotion(PythonSystem):
         self.declare_inputs("execution")
         last = self.DeclareDiscreteState(np.full(4, np.nan))
         self.DeclarePeriodicDiscreteUpdateEvent(period, 0.0, self._look)
-        self.DeclareVectorOutputPort("finger", 4, self._calc, {self.discrete_state_ticket(last)})
+        after = {self.discrete_state_ticket(last)}
+        self.declare_vector_output("finger", 4, lambda context: context.get_discrete_state(0).value(), after)
 
     def _look(self, context: Context, state: State) -> EventStatus:
         before = context.get_discrete_state(0).value()
@@ -53,9 +54,6 @@ class FingerMotion(PythonSystem):
             now = np.concatenate([place, velocity])
         state.set_value(now)
         return EventStatus.Succeeded()
-
-    def _calc(self, context: Context, output: BasicVector) -> None:
-        output.SetFromVector(context.get_discrete_state(0).value())
 
 
 class FingerPath(PythonSystem):
@@ -89,8 +87,8 @@ class FingerPath(PythonSystem):
         self.end = h * float(begins[-1] + len(paths[-1]) + steps) if paths else 0.0
         """Time at which the last push is over, with a pause after it, s."""
         time = {self.time_ticket()}
-        self.DeclareVectorOutputPort("finger", 4, self._calc_finger, time)
-        self.DeclareAbstractOutputPort("push", lambda: Value[object](None), self._calc_push, time)
+        self.declare_vector_output("finger", 4, lambda context: self._now(context)[1], time)
+        self.declare_output("push", lambda context: self._now(context)[0], time)
 
     def _now(self, context: Context) -> tuple[TablePush | None, FloatArray]:
         """The push under way and the state (4,) of the finger."""
@@ -100,12 +98,6 @@ class FingerPath(PythonSystem):
                 here, there = path[step - begin : step - begin + 2]
                 return push, np.concatenate([here, (there - here) / self._h])
         return None, np.full(4, np.nan)
-
-    def _calc_finger(self, context: Context, output: BasicVector) -> None:
-        output.SetFromVector(self._now(context)[1])
-
-    def _calc_push(self, context: Context, output: Value) -> None:
-        output.set_value(self._now(context)[0])
 
 
 class FingerSense(PythonSystem):
@@ -126,14 +118,12 @@ class FingerSense(PythonSystem):
         self._position = self.DeclareVectorInputPort("iiwa.position_measured", 7)
         self._torque = self.DeclareVectorInputPort("iiwa.torque_external", 7)
         position, torque = self._position.ticket(), self._torque.ticket()
-        self.DeclareAbstractOutputPort(
-            "tip_pose", lambda: Value(RigidTransform()), self._calc_pose, {position}
-        )
-        self.DeclareVectorOutputPort("tip_force", 3, self._calc_force, {position, torque})
+        self.declare_output("tip_pose", self._pose, {position}, Value(RigidTransform()))
+        self.declare_vector_output("tip_force", 3, self._force, {position, torque})
 
-    def _calc_pose(self, context: Context, output: Value) -> None:
-        output.set_value(self._kinematics.pose(self._position.Eval(context)))
+    def _pose(self, context: Context) -> RigidTransform:
+        return self._kinematics.pose(self._position.Eval(context))
 
-    def _calc_force(self, context: Context, output: BasicVector) -> None:
+    def _force(self, context: Context) -> FloatArray:
         jacobian = self._kinematics.jacobian(self._position.Eval(context))
-        output.SetFromVector(tip_force(jacobian, self._torque.Eval(context)))
+        return tip_force(jacobian, self._torque.Eval(context))

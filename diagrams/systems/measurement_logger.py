@@ -14,10 +14,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from pydrake.common.value import Value
 from pydrake.math import RigidTransform
-from pydrake.systems.framework import Context, EventStatus, State
+from pydrake.systems.framework import Context
 
 from slipmap.diagrams.systems.loop_messages import LoopStatus
-from slipmap.diagrams.systems.python_system import PythonSystem, held, read, replace_held
+from slipmap.diagrams.systems.python_system import PythonSystem, held
 from slipmap.models.measurements import PushDataset, Trial
 from slipmap.models.measurements.push_dataset import Channel, Noise, Role, Table
 from slipmap.models.perception.seen_object import ObservedPose
@@ -106,30 +106,26 @@ class MeasurementLogger(PythonSystem):
         self.DeclareVectorInputPort("tip_age", 1)
         self.declare_inputs("execution", "status")
         self._recording = self.DeclareAbstractState(held(_Recording(tuple(trials))))
-        self.DeclarePeriodicUnrestrictedUpdateEvent(PERIOD, 0.0, self._record)
+        self.declare_steps(PERIOD, self._recording, self._record)
         self.declare_output_of("trials", self._recording, lambda recording: recording.trials)
         self.declare_output_of("under_way", self._recording, _under_way)
 
-    def _record(self, context: Context, state: State) -> EventStatus:
+    def _record(self, context: Context, now: _Recording) -> _Recording:
         status: LoopStatus = self.input(context, "status")
         execution = self.input(context, "execution")
-        old: _Recording = read(context, self._recording)
-        new = old
-        if old.tips and status.mode not in ("pushing", "recording"):
-            new = replace(old, poses=(), tips=(), forces=())
+        if now.tips and status.mode not in ("pushing", "recording"):
+            now = replace(now, poses=(), tips=(), forces=())
         pose = self.input(context, "object_pose")
         row = (pose.time, *map(float, pose.pose)) if pose is not None and pose.valid else None
         if execution.mode == "home" and status.mode != "pushing":
-            if row is not None and _fresh(row, new.looks or new.tips):
-                before = new.looks if _lies_there(row, new.looks) else ()
-                new = replace(new, looks=(*before, row)[-LOOKS:])
+            if row is not None and _fresh(row, now.looks or now.tips):
+                before = now.looks if _lies_there(row, now.looks) else ()
+                now = replace(now, looks=(*before, row)[-LOOKS:])
                 if status.mode == "recording":
-                    new = self._completed(new)
+                    now = self._completed(now)
         elif execution.mode == "pushing":
-            new = self._pushed(context, new, row)
-        if new is not old:
-            replace_held(state, self._recording, new)
-        return EventStatus.Succeeded()
+            now = self._pushed(context, now, row)
+        return now
 
     def _pushed(self, context: Context, recording: _Recording, row: Row | None) -> _Recording:
         """The recording with where the finger is, and a pose seen meanwhile, if any."""
@@ -196,19 +192,15 @@ class TrialLogger(PythonSystem):
         self.DeclareVectorInputPort("finger", 4)
         self.DeclareVectorInputPort("finger_force", 2)
         self._recording = self.DeclareAbstractState(held(_Recording()))
-        self.DeclarePeriodicUnrestrictedUpdateEvent(period, 0.0, self._record)
+        self.declare_steps(period, self._recording, self._record)
         self.declare_output_of("trials", self._recording, lambda recording: recording.trials)
-        self.DeclareAbstractOutputPort(
+        self.declare_output(
             "observed_pose",
-            lambda: Value[object](None),
-            lambda context, output: output.set_value(
-                ObservedPose.of(self._pose.Eval(context), context.get_time())
-            ),
+            lambda context: ObservedPose.of(self._pose.Eval(context), context.get_time()),
             {self._pose.ticket(), self.time_ticket()},
         )
 
-    def _record(self, context: Context, state: State) -> EventStatus:
-        now: _Recording = read(context, self._recording)
+    def _record(self, context: Context, now: _Recording) -> _Recording:
         time, center = context.get_time(), self.input(context, "finger")[:2]
         if np.isfinite(center).all():
             now = replace(
@@ -222,10 +214,7 @@ class TrialLogger(PythonSystem):
         elif now.tips:
             role: Role = "fit" if self._fit is None or len(now.trials) < self._fit else "heldout"
             now = now.completed(role, now.poses)
-        else:
-            return EventStatus.DidNothing()
-        replace_held(state, self._recording, now)
-        return EventStatus.Succeeded()
+        return now
 
 
 def _under_way(recording: _Recording) -> dict[str, tuple[Row, ...]]:
@@ -267,7 +256,6 @@ def dataset_of(
     noise: Noise,
     table: Table | None = None,
     gravity: float = 9.81,
-    height: float | None = None,
     description: str = "",
 ) -> PushDataset:
     """Recorded trials as a dataset, like one that was read from a folder.
@@ -280,7 +268,6 @@ def dataset_of(
         noise: of the sensors.
         table: the table top.
         gravity: m/s².
-        height: of the object, m.
         description: free text.
 
     Raises:
@@ -295,7 +282,7 @@ def dataset_of(
         name=name,
         description=description,
         grid=grid,
-        height=height,
+        height=None,
         mass=None,
         finger_radius=finger_radius,
         table=table,

@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 from pydrake.common.value import Value
-from pydrake.systems.framework import Context, State
+from pydrake.systems.framework import Context
 
 from slipmap.diagrams.systems.multiverse_slider import Universes
-from slipmap.diagrams.systems.python_system import PythonSystem, held, read, replace_held
+from slipmap.diagrams.systems.python_system import PythonSystem, held, read
 from slipmap.models.inference.error_model import ErrorModel
 from slipmap.models.inference.observations import observe
 from slipmap.models.inference.push_misfit import (
@@ -137,30 +137,18 @@ class ModelMonitor(PythonSystem):
         self.declare_inputs("universes", "object_pose", "trials")
         self._watch = self.DeclareAbstractState(held(Watch(0, np.full(3, np.nan))))
         after = {self.abstract_state_ticket(self._watch)}
-        for name, size in (("residual", 3), ("misfit", 1), ("evidence", 1)):
-            self.DeclareVectorOutputPort(
-                name,
-                size,
-                lambda context, output, name=name: output.SetFromVector(
-                    np.atleast_1d(getattr(self.watch(context), name))
-                ),
-                after,
-            )
-        self.DeclareAbstractOutputPort(
-            "alarm",
-            lambda: Value[bool](False),
-            lambda context, output: output.set_value(self.watch(context).alarm),
-            after,
-        )
+        self.declare_vector_output("residual", 3, lambda context: self.watch(context).residual, after)
+        self.declare_vector_output("misfit", 1, lambda context: [self.watch(context).misfit], after)
+        self.declare_vector_output("evidence", 1, lambda context: [self.watch(context).evidence], after)
+        self.declare_output("alarm", lambda context: self.watch(context).alarm, after, Value[bool](False))
         self.declare_output_of("watch", self._watch)
-        self.DeclarePeriodicUnrestrictedUpdateEvent(period, 0.0, self._look)
+        self.declare_steps(period, self._watch, self._look)
 
     def watch(self, context: Context) -> Watch:
         """What has been seen so far."""
         return read(context, self._watch)
 
-    def _look(self, context: Context, state: State) -> None:
-        before = watch = self.watch(context)
+    def _look(self, context: Context, watch: Watch) -> Watch:
         universes, seen = self.input(context, "universes"), self.input(context, "object_pose")
         trials = self.input(context, "trials")
         if universes is not None and seen is not None and seen.valid:
@@ -170,8 +158,7 @@ class ModelMonitor(PythonSystem):
             if universes is not None:
                 judged = self._judged(len(trials) - 1, trials[-1], universes, watch)
                 watch = replace(watch, judged=(*watch.judged, judged))
-        if watch is not before:
-            replace_held(state, self._watch, watch)
+        return watch
 
     def _judged(self, number: int, trial: Trial, universes: Universes, watch: Watch) -> Judged:
         belief = universes.belief

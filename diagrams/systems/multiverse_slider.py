@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
-from pydrake.systems.framework import Context, State
+from pydrake.systems.framework import Context
 
 from slipmap.diagrams.systems.cell_grid_slider import history_length, pose_then
 from slipmap.diagrams.systems.python_system import PythonSystem, held, read, replace_held
@@ -115,10 +114,10 @@ class MultiverseSlider(PythonSystem):
         self.declare_output_of(
             "poses", self._universes, lambda now: np.zeros((0, 3)) if now is None else now.poses
         )
-        self.DeclareVectorOutputPort("mean_pose", 3, self._output_mean, after)
-        self.DeclareVectorOutputPort("spread", 1, self._output_spread, after)
+        self.declare_vector_output("mean_pose", 3, self._mean_pose, after)
+        self.declare_vector_output("spread", 1, self._spread, after)
         self.declare_output_of("universes", self._universes)
-        self.DeclarePeriodicUnrestrictedUpdateEvent(h, 0.0, self._step)
+        self.declare_steps(h, self._universes, self._step)
 
     def set_belief(self, context: Context, belief: Belief, pose: FloatArray) -> None:
         """Place all hypotheses of a belief at rest where a tracker reports `pose` (3,)."""
@@ -129,10 +128,10 @@ class MultiverseSlider(PythonSystem):
         """The hypotheses in motion."""
         return read(context, self._universes)
 
-    def _step(self, context: Context, state: State) -> None:
-        universes = self._restarted(context) or self.universes(context)
+    def _step(self, context: Context, now: Universes | None) -> Universes | None:
+        universes = self._restarted(context) or now
         if universes is None:
-            return
+            return None
         wrench, finger = self.optional_input(context, "wrench"), self.optional_input(context, "finger")
         states, _ = universes.stepper.step(
             universes.models,
@@ -145,7 +144,7 @@ class MultiverseSlider(PythonSystem):
         history = universes.history
         if history.shape[1]:
             history = np.concatenate([universes.states[:, None, :3], history[:, :-1]], axis=1)
-        replace_held(state, self._universes, replace(universes, states=states, history=history))
+        return replace(universes, states=states, history=history)
 
     def _restarted(self, context: Context) -> Universes | None:
         """The hypotheses placed anew if a new push has begun and the object is seen."""
@@ -163,10 +162,10 @@ class MultiverseSlider(PythonSystem):
         order = 0.0 if before is None or before.push is None else before.order + 1.0
         return placed(belief, self._h, seen.pose, push=push.push_id, begin=context.get_time(), order=order)
 
-    def _output_mean(self, context: Context, output: Any) -> None:
+    def _mean_pose(self, context: Context) -> FloatArray:
         universes = self.universes(context)
-        output.SetFromVector(np.full(3, np.nan) if universes is None else universes.mean_pose)
+        return np.full(3, np.nan) if universes is None else universes.mean_pose
 
-    def _output_spread(self, context: Context, output: Any) -> None:
+    def _spread(self, context: Context) -> list[float]:
         universes = self.universes(context)
-        output.SetFromVector([np.nan if universes is None else universes.spread])
+        return [np.nan if universes is None else universes.spread]

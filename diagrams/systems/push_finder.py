@@ -8,13 +8,13 @@ import numpy as np
 import shapely
 from pydrake.common.value import Value
 from pydrake.math import RigidTransform
-from pydrake.systems.framework import Context, EventStatus, State
+from pydrake.systems.framework import Context
 
 from slipmap.diagrams.execution.push_executor import CLOSED
 from slipmap.diagrams.execution.requests import ExecutionStatus
 from slipmap.diagrams.systems.loop_messages import LoopStatus
 from slipmap.diagrams.systems.measurement_logger import PERIOD
-from slipmap.diagrams.systems.python_system import PythonSystem, held, read, replace_held
+from slipmap.diagrams.systems.python_system import PythonSystem, held, read
 from slipmap.models.geometry import seen_from
 from slipmap.models.perception.seen_object import ObservedPose, SeenObject
 from slipmap.models.physics.cell_grid import FloatArray
@@ -112,18 +112,15 @@ class PushFinder(PythonSystem):
         self.DeclareVectorInputPort("gripper.state_measured", 2)
         self.declare_inputs("trials")
         self._found = self.DeclareAbstractState(held(_Found()))
-        self.DeclarePeriodicUnrestrictedUpdateEvent(PERIOD, 0.0, self._update)
-        own = self.abstract_state_ticket(self._found)
-        trials = self.GetInputPort("trials").ticket()
-        for name, calc in (("execution", _execution), ("status", self._status), ("descents", _descents)):
-            self.DeclareAbstractOutputPort(
-                name,
-                lambda: Value[object](None),
-                lambda context, output, calc=calc: output.set_value(
-                    calc(read(context, self._found), len(self.input(context, "trials")))
-                ),
-                {own, trials},
-            )
+        self.declare_steps(PERIOD, self._found, self._next)
+        after = {self.abstract_state_ticket(self._found), self.GetInputPort("trials").ticket()}
+        self.declare_output("execution", lambda context: _execution(*self._now(context)), after)
+        self.declare_output("status", lambda context: _status(*self._now(context)), after)
+        self.declare_output_of("descents", self._found, lambda found: found.descents)
+
+    def _now(self, context: Context) -> tuple[_Found, int]:
+        """What was found, and the number of recorded trials."""
+        return read(context, self._found), len(self.input(context, "trials"))
 
     def given_up(self, context: Context) -> str:
         """Why the push under way, if any, is not a push yet; empty where there is none."""
@@ -131,10 +128,6 @@ class PushFinder(PythonSystem):
         if found.phase == "up":
             return ""
         return found.reason or ("the finger was still down" if found.phase == "down" else _UNSEEN)
-
-    def _update(self, context: Context, state: State) -> EventStatus:
-        replace_held(state, self._found, self._next(context, read(context, self._found)))
-        return EventStatus.Succeeded()
 
     def _next(self, context: Context, now: _Found) -> _Found:
         pose: ObservedPose = self.input(context, "object_pose")
@@ -204,11 +197,6 @@ class PushFinder(PythonSystem):
             return now
         return replace(now, rest=pose.pose)
 
-    def _status(self, now: _Found, trials: int) -> LoopStatus:
-        if now.phase == "down" and not now.reason:
-            return LoopStatus("pushing", trials)
-        return LoopStatus("recording" if now.phase == "after" else "looking", trials)
-
 
 def _over(now: _Found, reason: str) -> _Found:
     """The present descent is over."""
@@ -227,5 +215,7 @@ def _execution(now: _Found, trials: int) -> ExecutionStatus:
     return ExecutionStatus("home" if all(now.aside) else "retreating", trials)
 
 
-def _descents(now: _Found, trials: int) -> tuple[Descent, ...]:
-    return now.descents
+def _status(now: _Found, trials: int) -> LoopStatus:
+    if now.phase == "down" and not now.reason:
+        return LoopStatus("pushing", trials)
+    return LoopStatus("recording" if now.phase == "after" else "looking", trials)

@@ -21,7 +21,7 @@ from typing import Any
 from weakref import WeakMethod, ref
 
 from pydrake.common.value import AbstractValue, Value
-from pydrake.systems.framework import AbstractStateIndex, Context, Diagram, LeafSystem, State
+from pydrake.systems.framework import AbstractStateIndex, Context, Diagram, EventStatus, LeafSystem, State
 
 
 def weakly(method: Callable[..., None]) -> Callable[..., None]:
@@ -114,15 +114,57 @@ class PythonSystem(HoldsOutputFunctions, LeafSystem, metaclass=WithoutOwnDict):
         for name in names:
             self.DeclareAbstractInputPort(name, Value[object](None))
 
+    def declare_steps(
+        self, period: float, index: AbstractStateIndex, following: Callable[[Context, Any], Any]
+    ) -> None:
+        """Have an abstract state made by `held` go on; one of a system at most.
+
+        Args:
+            period: s between two steps.
+            index: of the state.
+            following: what comes after a Context and what the state holds, which it returns where nothing
+                is to change.
+        """
+        self._stepped, self._following = index, following
+        self.DeclarePeriodicUnrestrictedUpdateEvent(period, 0.0, self._take_step)
+
+    def _take_step(self, context: Context, state: State) -> EventStatus:
+        now = read(context, self._stepped)
+        following = self._following(context, now)
+        if following is now:
+            return EventStatus.DidNothing()
+        replace_held(state, self._stepped, following)
+        return EventStatus.Succeeded()
+
     def declare_output_of(
         self, name: str, index: AbstractStateIndex, part: Callable[[Any], Any] = lambda held: held
     ) -> None:
         """An output port for (a part of) what an abstract state made by `held` holds."""
+        own = {self.abstract_state_ticket(index)}
+        self.declare_output(name, lambda context: part(read(context, index)), own)
+
+    def declare_output(
+        self, name: str, value: Callable[[Context], Any], after: set[Any], model: AbstractValue | None = None
+    ) -> None:
+        """An output port for what a function makes of a Context.
+
+        Args:
+            name: of the port.
+            value: the function.
+            after: tickets of all that it depends on.
+            model: of another type than Python's objects; the port then fits Drake's own of this type.
+        """
+        alloc = (lambda: Value[object](None)) if model is None else model.Clone
         self.DeclareAbstractOutputPort(
-            name,
-            lambda: Value[object](None),
-            lambda context, output: output.set_value(part(read(context, index))),
-            {self.abstract_state_ticket(index)},
+            name, alloc, lambda context, output: output.set_value(value(context)), after
+        )
+
+    def declare_vector_output(
+        self, name: str, size: int, value: Callable[[Context], Any], after: set[Any]
+    ) -> None:
+        """The same for numbers (size,)."""
+        self.DeclareVectorOutputPort(
+            name, size, lambda context, output: output.SetFromVector(value(context)), after
         )
 
     def input(self, context: Context, name: str) -> Any:

@@ -10,7 +10,6 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
-from pydrake.common.value import Value
 from pydrake.systems.framework import Context, EventStatus, State
 
 from slipmap.diagrams.execution.requests import ActiveGrasp, ActivePush, ExecutionStatus
@@ -176,42 +175,30 @@ class PregraspSupervisor(PythonSystem):
         self.declare_inputs("exploration", "exploring_push", "object_pose", "plan", "execution", "trials")
         self.DeclareVectorInputPort("gripper.state_measured", 2)
         self._bringing = self.DeclareAbstractState(held(None))
-        self.DeclarePeriodicUnrestrictedUpdateEvent(PERIOD, 0.0, self._decide)
+        self.declare_steps(PERIOD, self._bringing, self._decided)
         own = self.abstract_state_ticket(self._bringing)
 
         def port(name: str, before: str | None, part: Callable[[_Bringing], object]) -> None:
-            def calc(context: Context, output: Any) -> None:
+            def value(context: Context) -> Any:
                 now: _Bringing | None = read(context, self._bringing)
                 if now is not None:
-                    output.set_value(part(now))
-                else:
-                    output.set_value(None if before is None else self.input(context, before))
+                    return part(now)
+                return None if before is None else self.input(context, before)
 
             tickets = {own} if before is None else {own, self.GetInputPort(before).ticket()}
-            self.DeclareAbstractOutputPort(name, lambda: Value[object](None), calc, tickets)
+            self.declare_output(name, value, tickets)
 
         port("status", "exploration", lambda now: now.status)
         port("active_push", "exploring_push", lambda now: now.push)
         port("active_grasp", None, lambda now: now.grasp)
 
-    def _decide(self, context: Context, state: State) -> EventStatus:
-        now: _Bringing | None = read(context, self._bringing)
-        time = context.get_time()
-        if now is None:
-            explored: LoopStatus = self.input(context, "exploration")
-            if explored.mode == "finished":
-                now = _Bringing(LoopStatus("planning", explored.push), time)
-            elif explored.mode == "failed":
-                now = _Bringing(explored, time)
-            else:
-                return EventStatus.DidNothing()
-            replace_held(state, self._bringing, now)
-            return EventStatus.Succeeded()
-        following = self._next(context, now)
-        if following is now:
-            return EventStatus.DidNothing()
-        replace_held(state, self._bringing, following)
-        return EventStatus.Succeeded()
+    def _decided(self, context: Context, now: _Bringing | None) -> _Bringing | None:
+        if now is not None:
+            return self._next(context, now)
+        explored: LoopStatus = self.input(context, "exploration")
+        if explored.mode == "finished":
+            return _Bringing(LoopStatus("planning", explored.push), context.get_time())
+        return _Bringing(explored, context.get_time()) if explored.mode == "failed" else None
 
     def _next(self, context: Context, now: _Bringing) -> _Bringing:
         status, time = now.status, context.get_time()

@@ -18,6 +18,7 @@ from slipmap.models.physics.cell_grid import CellGrid, FloatArray
 
 _FLOAT, _INDEX = 5126, 5125
 _VERTICES, _INDICES = 34962, 34963
+_THICKNESS = 2e-3  # m, of tiles
 
 Triangles = tuple[FloatArray, NDArray[np.uint32]]
 """Vertices (v, 3) in m and triangles (t, 3)."""
@@ -97,15 +98,14 @@ def painted(shape: Triangles, color: tuple[float, float, float]) -> Mesh:
     return unlit_mesh(vertices, triangles, np.tile(color, (len(vertices), 1)))
 
 
-def tiles(grid: CellGrid, colors: FloatArray, thickness: float = 2e-3, share: float = 0.92) -> Mesh:
-    """One flat box a cell in its colour (n, 3), top at z = 0; their sides are darker. They cover `share` of
-    the cells' width."""
-    half = 0.5 * share * grid.width
+def tiles(grid: CellGrid, colors: FloatArray) -> Mesh:
+    """One flat box a cell in its colour (n, 3), top at z = 0; their sides are darker. They leave seams."""
+    half = 0.46 * grid.width
     corners = half * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
     ring = (grid.centers[:, None] + corners).reshape(-1, 4, 2)
     n = len(grid)
     top = np.concatenate([ring, np.zeros((n, 4, 1))], axis=2)
-    low = np.concatenate([ring, np.full((n, 4, 1), -thickness)], axis=2)
+    low = np.concatenate([ring, np.full((n, 4, 1), -_THICKNESS)], axis=2)
     # Twelve corners a cell: the top's, and those of the sides.
     vertices = np.concatenate([top, top, low], axis=1).reshape(-1, 3)
     shades = np.concatenate(
@@ -127,7 +127,7 @@ def ribbon(edges: FloatArray, width: float) -> Triangles:
     corners = np.stack(
         [begin - along - across, end + along - across, end + along + across, begin - along + across], axis=1
     )
-    return _quads(corners)
+    return quads(np.concatenate([corners, np.zeros((len(corners), 4, 1))], axis=2))
 
 
 def ringed_discs(centers: FloatArray, radii: FloatArray) -> Mesh:
@@ -164,9 +164,8 @@ def billboard(picture: bytes, width: float, height: float) -> Mesh:
     return unlit_mesh(corners, triangles, picture=picture, places=places)
 
 
-def _quads(corners: FloatArray) -> Triangles:
-    """Four-cornered faces (k, 4, 2) in the plane z = 0."""
-    k = len(corners)
-    flat = np.column_stack([corners.reshape(-1, 2), np.zeros(4 * k)])
-    triangles = (4 * np.arange(k)[:, None, None] + np.array([[0, 1, 2], [0, 2, 3]])).reshape(-1, 3)
-    return flat, triangles.astype(np.uint32)
+def quads(corners: FloatArray) -> Triangles:
+    """Four-cornered faces (k, 4, 3), m."""
+    begin = 4 * np.arange(len(corners))[:, None, None]
+    triangles = (begin + np.array([[0, 1, 2], [0, 2, 3]])).reshape(-1, 3)
+    return corners.reshape(-1, 3), triangles.astype(np.uint32)

@@ -22,11 +22,10 @@ class TwinProcess(Child):
     Args:
         scenario: what the cell is like.
         folder: in which the scenario is left for it.
-        url: where it can be reached; one of its own on this computer if None.
     """
 
-    def __init__(self, scenario: Scenario, folder: Path, url: str | None = None) -> None:
-        self.url = url or free_url()
+    def __init__(self, scenario: Scenario, folder: Path) -> None:
+        self.url = free_url()
         path = folder / "cell.yaml"
         path.write_text(yaml_dump_typed(scenario), encoding="utf-8")
         super().__init__("the twin", _run, self.url, str(path))

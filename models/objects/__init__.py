@@ -1,4 +1,4 @@
-"""Objects as cell grids: from an outline, cell centres, a label image or a mesh.
+"""Objects as cell grids: from an outline, a label image or a mesh.
 
 What is named here is imported when it is first asked for: meshes and images need libraries that take long to
 load, and pushes need neither.
@@ -10,20 +10,18 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from slipmap.models.objects.footprints import cells_from_centres, cells_from_polygon, contour_cells
+    from slipmap.models.objects.footprints import cells_from_polygon, contour_cells
     from slipmap.models.objects.images import cells_from_label_image
     from slipmap.models.objects.meshes import cells_from_mesh
 
 _PLACES = {
     "contour_cells": "footprints",
-    "cells_from_centres": "footprints",
     "cells_from_polygon": "footprints",
     "cells_from_label_image": "images",
     "cells_from_mesh": "meshes",
 }
 
 __all__ = [
-    "cells_from_centres",
     "cells_from_label_image",
     "cells_from_mesh",
     "cells_from_polygon",

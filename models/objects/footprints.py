@@ -1,5 +1,5 @@
-"""Footprints cut into square cells, from an outline or from known cell centres; and the cells on the outer
-contour, where a finger can touch them."""
+"""Footprints cut into square cells, from an outline; and the cells on the outer contour, where a finger can
+touch them."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 import shapely
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import cKDTree
-from shapely.geometry import MultiPolygon, Polygon
+from shapely.geometry import Polygon
 
 from slipmap.models.geometry import cross
 from slipmap.models.physics.cell_grid import CellGrid, FloatArray, checked_points, checked_polygon
@@ -18,8 +18,6 @@ _MAX_CELLS = 50_000  # finer grids than this are taken for a mistake in units
 # Of a grid centred on the bounding box: a cell's centre or a corner there, in x and in y.
 _OFFSETS = ((0.0, 0.0), (0.5, 0.5), (0.5, 0.0), (0.0, 0.5))
 _FINE_STEPS = 40
-_LATTICE_TOLERANCE = 0.1  # of a cell's width; measured centres are often rounded
-_BRIDGE = 0.05  # half the side of the bridge between diagonal neighbours, in cell widths
 _PIECES_PER_CELL = 32  # of the exterior, of which each is owned by one cell
 _LEAST_SHARE = 0.1  # of a cell's width
 
@@ -62,7 +60,7 @@ def cells_from_polygon(
     """
     if (count is None) == (width is None):
         raise ValueError("cell grid: give exactly one of count and width")
-    outline, openings = checked_points(exterior, "outline"), _checked_holes(holes)
+    outline, openings = checked_points(exterior, "outline"), checked_holes(holes)
     polygon = checked_polygon(outline, openings)
     if count is not None:
         centers, width = _counted(polygon, _checked_count(count))
@@ -70,46 +68,6 @@ def cells_from_polygon(
         assert width is not None
         centers = _sized(polygon, width)
     return CellGrid(centers, float(width), outline, openings)
-
-
-def cells_from_centres(
-    centers: ArrayLike, width: float, outline: ArrayLike | None = None, holes: Sequence[ArrayLike] = ()
-) -> CellGrid:
-    """Cells at given centres, for instance those listed in a dataset.
-
-    Without an outline it is the border of the union of the squares. Gaps and overlaps up to a tenth of a cell
-    (rounded centres) close up. Two cells that touch in a corner only are joined by a square bridge with sides
-    of a tenth of a cell, so that the outline stays one simple ring.
-
-    Args:
-        centers: (n, 2) cell centres in the object frame, m.
-        width: side of a cell, m.
-        outline: (k, 2) outline in the object frame, m.
-        holes: rings (k_j, 2) of openings, m; only together with `outline`.
-
-    Raises:
-        ValueError: cells that overlap, that lie more than a cell outside the given outline, or, without an
-            outline, that do not lie on one square grid or fall into separate parts.
-    """
-    points = checked_points(centers, "cell centres")
-    _check_width(width)
-    if len(points) == 0:
-        raise ValueError("cell grid: there are no cells")
-    _require_apart(points, width)
-    if outline is not None:
-        grid = CellGrid(points, float(width), checked_points(outline, "outline"), _checked_holes(holes))
-        distance = np.asarray(shapely.distance(grid.polygon, shapely.points(points)))
-        far = int(np.argmax(distance))
-        if distance[far] > width:
-            raise ValueError(
-                f"cell grid: cell {far} at {points[far].tolist()} lies {distance[far]:.4g} m outside the "
-                f"outline, more than a cell ({width:.4g} m); check that both use the same frame and unit"
-            )
-        return grid
-    if len(holes) > 0:
-        raise ValueError("cell grid: holes were given without an outline")
-    border = _union_of_squares(points, float(width))
-    return CellGrid(points, float(width), *rings_of(border))
 
 
 def contour_cells(grid: CellGrid) -> tuple[NDArray[np.intp], FloatArray, FloatArray]:
@@ -177,7 +135,7 @@ def polygon_moments(polygon: Polygon) -> tuple[float, FloatArray, float]:
 
 
 def _sized(polygon: Polygon, width: float) -> FloatArray:
-    _check_width(width)
+    check_width(width)
     expected = polygon.area / width**2
     if expected > _MAX_CELLS:
         raise ValueError(
@@ -276,73 +234,20 @@ def _mismatch(centers: FloatArray, width: float, target: tuple[float, FloatArray
     return round(abs(len(centers) * cell_area / area - 1) + abs(second / polar - 1) + shift, 9)
 
 
-def _union_of_squares(centers: FloatArray, width: float) -> Polygon:
-    relative = (centers - centers[0]) / width
-    index = np.round(relative)
-    # The grid's origin is free: measure the residual about its own middle.
-    residual = relative - index
-    residual -= (residual.max(axis=0) + residual.min(axis=0)) / 2
-    worst = int(np.argmax(np.abs(residual).max(axis=1)))
-    if np.abs(residual[worst]).max() > _LATTICE_TOLERANCE:
-        raise ValueError(
-            f"cell grid: cell {worst} at {centers[worst].tolist()} is {np.abs(residual[worst]).max():.2f} "
-            f"cells off the square grid of width {width:.4g} m along x and y; correct the width or give the "
-            f"outline"
-        )
-    squares = shapely.box(*(2 * index - 1).T, *(2 * index + 1).T)  # whole numbers: their union is exact
-    union = shapely.unary_union([*squares, *_bridges(index)])
-    if isinstance(union, MultiPolygon):
-        part = min(union.geoms, key=lambda p: p.area)
-        inside = np.flatnonzero(shapely.intersects_xy(part, 2 * index[:, 0], 2 * index[:, 1]))
-        raise ValueError(
-            f"cell grid: the cells fall into {len(union.geoms)} separate parts; the smallest has "
-            f"{len(inside)} of {len(centers)} cells, among them cell {inside[0]} at "
-            f"{centers[inside[0]].tolist()}; an object is one connected piece: add the missing cells or give "
-            f"the outline"
-        )
-    origin = np.mean(centers - index * width, axis=0)
-    outline = union.simplify(0.0)
-    assert isinstance(outline, Polygon)
-    return shapely.transform(outline, lambda xy: xy * (width / 2) + origin)
-
-
-def _bridges(index: FloatArray) -> list[Polygon]:
-    """Squares over the corners at which two diagonal neighbours meet alone, in half cells."""
-    occupied = {(int(i), int(j)) for i, j in index}
-    bridges = []
-    for i, j in sorted(occupied):
-        for dj in (1, -1):
-            if (i + 1, j + dj) in occupied and not {(i + 1, j), (i, j + dj)} & occupied:
-                x, y, half = 2 * i + 1, 2 * j + dj, 2 * _BRIDGE
-                bridges.append(shapely.box(x - half, y - half, x + half, y + half))
-    return bridges
-
-
-def _require_apart(centers: FloatArray, width: float) -> None:
-    if len(centers) < 2:
-        return
-    distance, neighbour = (np.asarray(a) for a in cKDTree(centers).query(centers, k=2))
-    close = int(np.argmin(distance[:, 1]))
-    if distance[close, 1] < width / 2:
-        other = int(neighbour[close][neighbour[close] != close][0])
-        raise ValueError(
-            f"cell grid: cells {close} and {other} overlap; their centres are {distance[close, 1]:.4g} m "
-            f"apart, the cell width is {width:.4g} m"
-        )
-
-
 def _checked_count(count: int) -> int:
     if isinstance(count, bool) or not isinstance(count, int | np.integer) or not 1 <= count <= _MAX_CELLS:
         raise ValueError(f"cell grid: count must be a whole number from 1 to {_MAX_CELLS}, got {count!r}")
     return int(count)
 
 
-def _check_width(width: float) -> None:
+def check_width(width: float) -> None:
+    """Raise ValueError unless it is a length that cells can have."""
     if not (np.isfinite(width) and width > 0):
         raise ValueError(f"cell grid: cell width must be a positive length in m, got {width}")
 
 
-def _checked_holes(holes: Sequence[ArrayLike]) -> tuple[FloatArray, ...]:
+def checked_holes(holes: Sequence[ArrayLike]) -> tuple[FloatArray, ...]:
+    """Rings (k_j, 2) of openings, or ValueError, which names the one that is none."""
     return tuple(checked_points(hole, f"hole {j}") for j, hole in enumerate(holes))
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from dataclasses import asdict, dataclass
 from typing import Any
 
 import numba
@@ -14,23 +13,6 @@ from slipmap.diagrams.application.benchmark.growth import measure_growth
 from slipmap.diagrams.application.benchmark.other_engines import run_bullet, run_mujoco
 from slipmap.diagrams.application.benchmark.scene import STEP, Outcome, Scene, make_scene, median_time
 from slipmap.models.progress import Progress, silent
-
-
-@dataclass(frozen=True)
-class KernelCost:
-    """What one rollout consists of.
-
-    Attributes:
-        evaluations_per_step: sums over all cells in a step.
-        ns_per_cell_evaluation: time of the whole rollout over cells and evaluations, ns.
-        jacobian_rollouts: time with the derivatives of all poses over the time without.
-        columns: parameters of that Jacobian.
-    """
-
-    evaluations_per_step: float
-    ns_per_cell_evaluation: float
-    jacobian_rollouts: float
-    columns: int
 
 
 def run_benchmark(
@@ -56,7 +38,7 @@ def run_benchmark(
 
     Returns:
         A dict that JSON can hold: `scene`; `engines`, a list with name, seconds per rollout, ratio to the
-        first, final_pose (m, m, rad) and remark; `missing`, notes by name; `kernel`, see `KernelCost`;
+        first, final_pose (m, m, rad) and remark; `missing`, notes by name; `kernel`, see `_time_rollouts`;
         `numpy_difference`, the largest difference of a pose from plain numpy (m, rad); `growth`, a list of
         what `growth.measure` returns.
 
@@ -94,14 +76,21 @@ def run_benchmark(
             for name, outcome in outcomes.items()
         ],
         "missing": missing,
-        "kernel": asdict(kernel),
+        "kernel": kernel,
         "numpy_difference": difference,
         "growth": growth,
     }  # fmt: skip
 
 
-def _time_rollouts(scene: Scene, repeats: int) -> tuple[dict[str, Outcome], KernelCost]:
-    """Time all models of the scene under its push; the number of threads is put back at the end."""
+def _time_rollouts(scene: Scene, repeats: int) -> tuple[dict[str, Outcome], dict[str, float]]:
+    """Time all models of the scene under its push; the number of threads is put back at the end.
+
+    Returns:
+        The outcomes, and what one rollout consists of: `evaluations_per_step`, sums over all cells in a step;
+        `ns_per_cell_evaluation`, time of the whole rollout over cells and evaluations, ns;
+        `jacobian_rollouts`, time with the derivatives of all poses over the time without; `columns`,
+        parameters of that Jacobian.
+    """
     slider, maps, pushes = scene.slider, scene.maps, [scene.push]
     models, cells = len(maps), len(slider.grid)
     one = maps[:1]
@@ -129,10 +118,12 @@ def _time_rollouts(scene: Scene, repeats: int) -> tuple[dict[str, Outcome], Kern
         "slipmap, single call": Outcome(single, pose, "one model in one call, one core"),
     }
     steps = len(scene.push.tip) - 1
-    cost = KernelCost(
-        evaluations / steps, 1e9 * together / (cells * evaluations), jacobian / together, slider.columns
-    )
-    return outcomes, cost
+    return outcomes, {
+        "evaluations_per_step": evaluations / steps,
+        "ns_per_cell_evaluation": 1e9 * together / (cells * evaluations),
+        "jacobian_rollouts": jacobian / together,
+        "columns": slider.columns,
+    }
 
 
 def _plain_numpy(scene: Scene, repeats: int) -> tuple[Outcome, float]:

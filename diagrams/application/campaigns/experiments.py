@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import importlib
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -88,52 +88,62 @@ class Experiment:
 
     Attributes:
         name: of the figure, such as `fig3`.
-        trials: of each object, unless told otherwise.
-        specs: trials of (objects, number of trials, first seed, truth).
+        trials: of each object and variant, unless told otherwise.
+        trial: function of one, which takes `seed`, `object_name`, `truth` unless there is but one, and what
+            the next two say.
         summary: of their outcomes; failed ones have no result.
+        varied: a parameter and its values, such as the methods that are compared; or nothing.
+        seeds_a_belief: trials with one and the same belief, of whose seed they are told as `belief_seed`; 0
+            where each has its own.
+        plant_alone: what is simulated by Drake's plant alone; empty where any truth will do.
         objects: that are tried, unless told otherwise; all six where empty.
     """
 
     name: str
     trials: int
-    specs: Callable[[Sequence[str], int, int, str], list[TrialSpec]]
+    trial: Callable[..., dict[str, Any]]
     summary: Callable[[Sequence[TrialOutcome]], Summary]
+    varied: Mapping[str, Sequence[str]] = field(default_factory=dict)
+    seeds_a_belief: int = 0
+    plant_alone: str = ""
     objects: tuple[str, ...] = ()
 
+    def specs(self, objects: Sequence[str], trials: int, seed: int, truth: str) -> list[TrialSpec]:
+        """A trial for every seed, object and variant; all objects early, so that an unfinished campaign has
+        something of each.
 
-def specs_of(
-    trial: str,
-    objects: Sequence[str],
-    trials: int,
-    seed: int,
-    varied: Mapping[str, Sequence[str]],
-    more: Callable[[int], dict[str, Any]] = lambda number: {},
-) -> list[TrialSpec]:
-    """A trial for every seed, object and variant; all objects early, so that an unfinished campaign has
-    something of each.
+        Args:
+            objects: names.
+            trials: of each object and variant.
+            seed: the first one.
+            truth: one of `worlds.TRUTHS`.
 
-    Args:
-        trial: where its function is, `module:function`.
-        objects: names, which it takes as `object_name`.
-        trials: of each object and variant.
-        seed: the first one.
-        varied: a parameter and its values, such as the methods that are compared; or nothing.
-        more: further parameters of the trials of a seed.
-    """
-    from slipmap.planners.trials import TrialSpec
+        Raises:
+            CampaignError: a truth that the experiment cannot have.
+        """
+        from slipmap.planners.trials import CampaignError, TrialSpec
 
-    variants = [{parameter: value} for parameter, values in varied.items() for value in values] or [{}]
-    return [
-        TrialSpec(
-            "-".join([name, *(value.split()[0] for value in variant.values()), str(number)]),
-            trial,
-            {"object_name": name, **variant, **more(number)},
-            number,
-        )
-        for number in range(seed, seed + trials)
-        for name in objects
-        for variant in variants
-    ]
+        if self.plant_alone and truth != "plant":
+            raise CampaignError(
+                f"{self.name}: {self.plant_alone} is simulated by plant alone; leave out --truth"
+            )
+        fixed = {} if self.plant_alone else {"truth": truth}
+        variants = [{key: value} for key, values in self.varied.items() for value in values] or [{}]
+
+        def belief(number: int) -> dict[str, int]:
+            return {"belief_seed": number // self.seeds_a_belief} if self.seeds_a_belief else {}
+
+        return [
+            TrialSpec(
+                "-".join([name, *(value.split()[0] for value in variant.values()), str(number)]),
+                f"{self.trial.__module__}:{self.trial.__name__}",
+                {"object_name": name, **variant, **fixed, **belief(number)},
+                number,
+            )
+            for number in range(seed, seed + trials)
+            for name in objects
+            for variant in variants
+        ]
 
 
 def as_json(estimates: Any) -> Any:

@@ -9,7 +9,7 @@ import numpy as np
 
 from slipmap.diagrams.application.campaigns import experiments
 from slipmap.planners.settings import STRATEGIES, PregraspSettings
-from slipmap.planners.trials import Estimate, TrialOutcome, TrialSpec, mean
+from slipmap.planners.trials import Estimate, TrialOutcome, mean
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -82,19 +82,6 @@ def _pushes(world: DirectWorld, count: int, strategy: str, seed: int, series: in
     return explore(world, grid, settings, choices, learn=learn)
 
 
-def _strategy_specs(objects: Sequence[str], trials: int, seed: int, truth: str) -> list[TrialSpec]:
-    varied = {"strategy": STRATEGIES}
-    return experiments.specs_of(
-        f"{__name__}:strategies_trial", objects, trials, seed, varied, lambda _: {"truth": truth}
-    )
-
-
-def _model_specs(objects: Sequence[str], trials: int, seed: int, truth: str) -> list[TrialSpec]:
-    return experiments.specs_of(
-        f"{__name__}:models_trial", objects, trials, seed, {}, lambda _: {"truth": truth}
-    )
-
-
 def _strategy_summary(outcomes: Sequence[TrialOutcome]) -> experiments.Summary:
     curves: Curves = {}
     for outcome in outcomes:
@@ -145,5 +132,5 @@ def _figure(title: str, means: dict[str, dict[str, list[Estimate]]]) -> list[Fig
     return [curves_figure(title, means)]
 
 
-FIGURE_3 = experiments.Experiment("fig3", 10, _strategy_specs, _strategy_summary)
-FIGURE_4 = experiments.Experiment("fig4", 10, _model_specs, _model_summary)
+FIGURE_3 = experiments.Experiment("fig3", 10, strategies_trial, _strategy_summary, {"strategy": STRATEGIES})
+FIGURE_4 = experiments.Experiment("fig4", 10, models_trial, _model_summary)

@@ -23,17 +23,24 @@ Paper = Mapping[str, Mapping[str, float]]
 
 @dataclass(frozen=True, eq=False)
 class MethodsCompared:
-    """What trials of all `METHODS` say; each has a `fate` and `pushes`.
+    """What trials with each of some methods or models say; each has a `fate` and `pushes`.
 
     Attributes:
+        results: object, method, results of trials, the row `ALL` included if wanted.
         success: object, method, share of trials.
         pushes: method, their mean number.
         fates: method, how many trials had which.
     """
 
+    results: dict[str, dict[str, list[dict[str, Any]]]]
     success: dict[str, dict[str, Estimate]]
     pushes: dict[str, Estimate]
     fates: dict[str, Counter[str]]
+
+    @property
+    def methods(self) -> tuple[str, ...]:
+        """In the order of the columns."""
+        return tuple(self.pushes)
 
     def success_table(self, title: str, paper: Paper) -> TableText:
         """Success in %, with the paper's below."""
@@ -42,22 +49,21 @@ class MethodsCompared:
             rows.append([name, *(one.percent() for one in of_methods.values())])
             if name in paper:
                 theirs = paper[name]
-                rows.append(["  paper", *(f"{theirs[m]:.0f}" if m in theirs else "–" for m in METHODS)])
-        return TableText(title, ("object", *METHODS), rows)
+                rows.append(["  paper", *(f"{theirs[m]:.0f}" if m in theirs else "–" for m in self.methods)])
+        return TableText(title, ("object", *self.methods), rows)
 
     def ways_table(
         self, title: str, label: str, fates: Sequence[str], paper: Mapping[str, float] | None = None
     ) -> TableText:
         """Pushes, with the paper's below, and how many trials had each of the fates."""
-        rows = [[label, *(self.pushes[method].short(digits=2) for method in METHODS)]]
+        rows = [[label, *(one.short(digits=2) for one in self.pushes.values())]]
         if paper is not None:
-            rows.append(["  paper", *(f"{paper[method]:.2f}" for method in METHODS)])
-        tried = {method: bool(self.fates[method]) for method in METHODS}
+            rows.append(["  paper", *(f"{paper[method]:.2f}" for method in self.methods)])
         rows += [
-            [fate, *(str(self.fates[method][fate]) if tried[method] else "–" for method in METHODS)]
+            [fate, *(str(counts[fate]) if counts else "–" for counts in self.fates.values())]
             for fate in fates
         ]
-        return TableText(title, ("", *METHODS), rows)
+        return TableText(title, ("", *self.methods), rows)
 
     def to_json(self, success: str) -> dict[str, Any]:
         """For programs; the shares under the key `success`."""
@@ -72,27 +78,14 @@ class MethodsCompared:
         return [shares_figure(title, self.success, marks)]
 
 
-def results_of(
-    outcomes: Sequence[TrialOutcome], parameter: str, values: Sequence[str]
-) -> tuple[dict[str, dict[str, list[dict[str, Any]]]], dict[str, list[dict[str, Any]]]]:
-    """Results by object and by the value of a trial's parameter, and those of all objects together.
-
-    Args:
-        outcomes: of the trials; failed ones have no result and are left out.
-        parameter: such as `method`.
-        values: that it may have, in the order of the columns.
-    """
-    results: dict[str, dict[str, list[dict[str, Any]]]] = {}
-    for outcome in outcomes:
-        if outcome.result is not None:
-            told = outcome.spec.parameters
-            of_object = results.setdefault(told["object_name"], {value: [] for value in values})
-            of_object[told[parameter]].append(outcome.result)
-    return results, {value: [one for of in results.values() for one in of[value]] for value in values}
-
-
 def compare_methods(
-    outcomes: Sequence[TrialOutcome], *, good: str, pushes: Callable[[Any], int], together: bool = False
+    outcomes: Sequence[TrialOutcome],
+    *,
+    good: str,
+    pushes: Callable[[Any], int],
+    together: bool = False,
+    parameter: str = "method",
+    methods: Sequence[str] = METHODS,
 ) -> MethodsCompared:
     """Sum up trials; failed ones have no result and do not count.
 
@@ -101,17 +94,27 @@ def compare_methods(
         good: the fate that is success.
         pushes: number of them, of a result.
         together: whether to add a row `ALL`.
+        parameter: of a trial, which says its method.
+        methods: in the order of the columns.
     """
-    results, every = results_of(outcomes, "method", METHODS)
-    rows = [*results.items(), (ALL, every)] if together else list(results.items())
+    results: dict[str, dict[str, list[dict[str, Any]]]] = {}
+    for outcome in outcomes:
+        if outcome.result is not None:
+            told = outcome.spec.parameters
+            of_object = results.setdefault(told["object_name"], {method: [] for method in methods})
+            of_object[told[parameter]].append(outcome.result)
+    every = {method: [one for of in results.values() for one in of[method]] for method in methods}
+    if together:
+        results[ALL] = every
     return MethodsCompared(
+        results,
         {
             name: {
                 method: share(sum(one["fate"] == good for one in of[method]), len(of[method]))
-                for method in METHODS
+                for method in methods
             }
-            for name, of in rows
+            for name, of in results.items()
         },
-        {method: mean([pushes(one) for one in every[method]]) for method in METHODS},
-        {method: Counter(one["fate"] for one in every[method]) for method in METHODS},
+        {method: mean([pushes(one) for one in every[method]]) for method in methods},
+        {method: Counter(one["fate"] for one in every[method]) for method in methods},
     )

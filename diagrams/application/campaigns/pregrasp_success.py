@@ -12,12 +12,11 @@ from slipmap.diagrams.application.campaigns.experiments import (
     PREGRASP_SUCCESS,
     Experiment,
     Summary,
-    specs_of,
 )
 from slipmap.diagrams.application.campaigns.methods_compared import compare_methods
 from slipmap.models.geometry import angle_between
 from slipmap.planners.settings import METHODS
-from slipmap.planners.trials import TrialOutcome, TrialSpec
+from slipmap.planners.trials import TrialOutcome
 
 if TYPE_CHECKING:
     from slipmap.diagrams.application.campaigns.direct_world import DirectWorld
@@ -96,13 +95,6 @@ def near(pose: FloatArray, goal: FloatArray) -> bool:
     return bool(np.hypot(*(pose[:2] - goal[:2])) <= NEAR and abs(angle) <= np.radians(NEAR_ANGLE))
 
 
-def _specs(objects: Sequence[str], trials: int, seed: int, truth: str) -> list[TrialSpec]:
-    return specs_of(
-        f"{__name__}:trial", objects, trials, seed, {"method": METHODS},
-        lambda number: {"truth": truth, "belief_seed": number // YAWS_A_BELIEF},
-    )  # fmt: skip
-
-
 def _summary(outcomes: Sequence[TrialOutcome]) -> Summary:
     compared = compare_methods(
         outcomes, good="success", pushes=lambda result: result["pushes"], together=True
@@ -118,4 +110,4 @@ def _summary(outcomes: Sequence[TrialOutcome]) -> Summary:
     )
 
 
-FIGURE_6 = Experiment("fig6", 100, _specs, _summary)
+FIGURE_6 = Experiment("fig6", 100, trial, _summary, {"method": METHODS}, YAWS_A_BELIEF)

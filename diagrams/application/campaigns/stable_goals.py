@@ -10,7 +10,7 @@ import numpy as np
 from slipmap.diagrams.application.campaigns import experiments
 from slipmap.models.geometry import rotated
 from slipmap.planners.settings import METHODS
-from slipmap.planners.trials import Estimate, TrialOutcome, TrialSpec, share
+from slipmap.planners.trials import Estimate, TrialOutcome, share
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -98,10 +98,6 @@ def _falls(world: DirectWorld, pose: FloatArray) -> bool:
     return False
 
 
-def _specs(objects: Sequence[str], trials: int, seed: int, truth: str) -> list[TrialSpec]:
-    return experiments.specs_of(f"{__name__}:trial", objects, trials, seed, {}, lambda _: {"truth": truth})
-
-
 def _summary(outcomes: Sequence[TrialOutcome]) -> experiments.Summary:
     results: dict[str, list[dict[str, Any]]] = {}
     for outcome in outcomes:
@@ -168,4 +164,4 @@ def _figure(precision: dict[str, dict[str, Estimate]], bins: list[tuple[float, E
     ]
 
 
-FIGURE_5 = experiments.Experiment("fig5", 20, _specs, _summary)
+FIGURE_5 = experiments.Experiment("fig5", 20, trial, _summary)

@@ -6,7 +6,6 @@ it can learn, the other has; then each brings the object from the middle to the 
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Sequence
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any
@@ -14,9 +13,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from slipmap.diagrams.application.campaigns import experiments
-from slipmap.diagrams.application.campaigns.methods_compared import ALL, results_of
+from slipmap.diagrams.application.campaigns.methods_compared import compare_methods
 from slipmap.diagrams.application.campaigns.pregrasp_success import FATES, brought_to_edge, result_of
-from slipmap.planners.trials import CampaignError, Estimate, TrialOutcome, TrialSpec, mean, share
+from slipmap.planners.trials import Estimate, TrialOutcome, mean
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -85,47 +84,29 @@ def _errors(belief: Belief, ended: Pregrasp) -> list[float]:
     return errors
 
 
-def _specs(objects: Sequence[str], trials: int, seed: int, truth: str) -> list[TrialSpec]:
-    if truth != "plant":
-        raise CampaignError("tilt: the tilted table is simulated by plant alone; leave out --truth")
-    return experiments.specs_of(
-        f"{__name__}:trial", objects, trials, seed, {"model": MODELS},
-        lambda number: {"belief_seed": number // YAWS_A_BELIEF},
-    )  # fmt: skip
-
-
 def _summary(outcomes: Sequence[TrialOutcome]) -> experiments.Summary:
-    results, every = results_of(outcomes, "model", MODELS)
-    rows_of = [*results.items(), (ALL, every)]
-    success = {
-        name: {model: share(sum(one["success"] for one in of[model]), len(of[model])) for model in MODELS}
-        for name, of in rows_of
+    compared = compare_methods(
+        outcomes, good="success", pushes=lambda result: result["pushes"], together=True,
+        parameter="model", methods=MODELS,
+    )  # fmt: skip
+    errors = {
+        name: {model: _mean_error(results) for model, results in of.items()}
+        for name, of in compared.results.items()
     }
-    errors = {name: {model: _mean_error(of[model]) for model in MODELS} for name, of in rows_of}
-    pushes = {model: mean([one["pushes"] for one in every[model]]) for model in MODELS}
-    fates = {model: Counter(one["fate"] for one in every[model]) for model in MODELS}
     title = f"Brought to the edge of a table tilted by {TILT:g}°"
-    rows = [["pushes, mean", *(pushes[model].short(digits=2) for model in MODELS)]]
-    rows += [[fate, *(str(fates[model][fate]) for model in MODELS)] for fate in FATES]
+    off = [[name, *(one.short(1e3) for one in of.values())] for name, of in errors.items()]
+    told = compared.to_json("success")
     return experiments.Summary(
         [
-            experiments.TableText(f"{title}, %", ("object", *MODELS), _rows(success, Estimate.percent)),
+            compared.success_table(f"{title}, %", {}),
             experiments.TableText(
-                "Where pushes end off their prediction, mean, mm",
-                ("object", *MODELS),
-                _rows(errors, lambda one: one.short(1e3)),
+                "Where pushes end off their prediction, mean, mm", ("object", *MODELS), off
             ),
-            experiments.TableText("Pushes, and how trials ended", ("", *MODELS), rows),
+            compared.ways_table("Pushes, and how trials ended", "pushes, mean", FATES),
         ],
         "Both models learn from the same five pushes. A trial's error is the mean over its pushes.",
-        {
-            "tilt": TILT,
-            "success": experiments.as_json(success),
-            "errors": experiments.as_json(errors),
-            "pushes": experiments.as_json(pushes),
-            "fates": {model: dict(of) for model, of in fates.items()},
-        },
-        lambda: _figures(title, success, errors),
+        {"tilt": TILT, "success": told.pop("success"), "errors": experiments.as_json(errors), **told},
+        lambda: [_error_figure(errors), *compared.figures(title, {})],
     )
 
 
@@ -133,17 +114,12 @@ def _mean_error(results: Sequence[dict[str, Any]]) -> Estimate:
     return mean([float(np.mean(one["errors"])) for one in results if one["errors"]])
 
 
-def _rows(estimates: dict[str, dict[str, Estimate]], told: Any) -> list[list[str]]:
-    return [[name, *(told(one) for one in of.values())] for name, of in estimates.items()]
+def _error_figure(errors: dict[str, dict[str, Estimate]]) -> Figure:
+    from slipmap.diagrams.application.figures.campaign_figures import means_figure
+
+    return means_figure("Where pushes end off their prediction", errors, 1e3, "mm")
 
 
-def _figures(
-    title: str, success: dict[str, dict[str, Estimate]], errors: dict[str, dict[str, Estimate]]
-) -> list[Figure]:
-    from slipmap.diagrams.application.figures.campaign_figures import means_figure, shares_figure
-
-    off = means_figure("Where pushes end off their prediction", errors, 1e3, "mm")
-    return [off, shares_figure(title, success, {})]
-
-
-TILTED_TABLE = experiments.Experiment("tilt", 20, _specs, _summary)
+TILTED_TABLE = experiments.Experiment(
+    "tilt", 20, trial, _summary, {"model": MODELS}, YAWS_A_BELIEF, plant_alone="the tilted table"
+)

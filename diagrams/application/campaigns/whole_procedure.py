@@ -11,11 +11,10 @@ from slipmap.diagrams.application.campaigns.experiments import (
     WHOLE_PROCEDURE,
     Experiment,
     Summary,
-    specs_of,
 )
 from slipmap.diagrams.application.campaigns.methods_compared import compare_methods
 from slipmap.planners.settings import METHODS
-from slipmap.planners.trials import CampaignError, TrialOutcome, TrialSpec
+from slipmap.planners.trials import TrialOutcome
 
 FATES = ("held", "fell", "dropped", "gave up")
 
@@ -54,12 +53,6 @@ def trial(*, seed: int, object_name: str, method: str) -> dict[str, Any]:
     return {key: value for key, value in told.items() if key != "seconds"} | {"yaw": yaw}
 
 
-def _specs(objects: Sequence[str], trials: int, seed: int, truth: str) -> list[TrialSpec]:
-    if truth != "plant":
-        raise CampaignError("fig7: the robot's cell is simulated by plant alone; leave out --truth")
-    return specs_of(f"{__name__}:trial", objects, trials, seed, {"method": METHODS})
-
-
 def _summary(outcomes: Sequence[TrialOutcome]) -> Summary:
     compared = compare_methods(outcomes, good="held", pushes=lambda result: len(result["pushes"]))
     title = "Explored, brought to the edge, grasped and lifted"
@@ -76,4 +69,6 @@ def _summary(outcomes: Sequence[TrialOutcome]) -> Summary:
     )
 
 
-FIGURE_7 = Experiment("fig7", 10, _specs, _summary, ("hammer",))
+FIGURE_7 = Experiment(
+    "fig7", 10, trial, _summary, {"method": METHODS}, plant_alone="the robot's cell", objects=("hammer",)
+)

@@ -5,8 +5,7 @@ Both find the pushes among the messages of a robot's cell; the second learns fro
 
 from __future__ import annotations
 
-import signal
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO
@@ -52,6 +51,7 @@ def record(
     it. Every fourth push is held out to judge by. It runs until Ctrl-C, and then tells by how much the camera
     is late.
     """
+    from slipmap.diagrams.hardware.control import until_ctrl_c
     from slipmap.diagrams.hardware.message_stream import MessageStream
     from slipmap.diagrams.hardware.network import GRIPPER_COMMAND, IIWA_COMMAND, HardwareError
     from slipmap.diagrams.loops.push_listener import HEARD, PushListener, hearing, record_pushes, why_none
@@ -68,7 +68,7 @@ def record(
             stream = MessageStream(url, [*HEARD, *commands])
             stack.callback(stream.close)
             note(f"listening at {url}; Ctrl-C ends it")
-            with _until_stopped() as stopped:
+            with until_ctrl_c() as stopped:
                 record_pushes(
                     stream, listener, PushRecorder(output), status, log=log, most=pushes, stopped=stopped
                 )
@@ -194,21 +194,3 @@ def _new_log(path: Path) -> Iterator[BinaryIO]:
         raise BadInput(f"{path}: is there already; choose another name")
     with writing(path), open(path, "xb") as file:
         yield file
-
-
-@contextmanager
-def _until_stopped() -> Iterator[Callable[[], bool]]:
-    """Whether Ctrl-C was pressed, or the process asked to end; a second time ends it at once."""
-    asked: list[int] = []
-
-    def ask(number: int, frame: object) -> None:
-        if asked:
-            raise KeyboardInterrupt
-        asked.append(number)
-
-    before = {number: signal.signal(number, ask) for number in (signal.SIGINT, signal.SIGTERM)}
-    try:
-        yield lambda: bool(asked)
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)

@@ -20,6 +20,7 @@ from meshcat.servers.zmqserver import ZMQWebSocketBridge
 
 from slipmap.diagrams.systems.belief_visualizer import MAPS, RED, Shown, rests_on, shown
 from slipmap.diagrams.systems.look import INK, MAP_COLORS, styled
+from slipmap.diagrams.systems.unlit_meshes import quads
 from slipmap.models.inference.belief import Belief
 from slipmap.models.physics.cell_grid import CellGrid, FloatArray
 
@@ -311,22 +312,15 @@ def _prisms(grid: CellGrid, heights: FloatArray, colors: FloatArray) -> g.Triang
         ends = [k, (k + 1) % 4]
         faces.append(np.concatenate([low[:, ends], top[:, ends[::-1]]], axis=1))
         shades.append(np.full(4, 0.78 if k % 2 == 0 else 0.6))
-    vertices = np.concatenate(faces, axis=1).reshape(-1, 3)
+    corners = np.concatenate(faces, axis=1).reshape(-1, 4, 3)
     shade = np.concatenate(shades)
-    return _quads(vertices, (colors[:, None] * shade[:, None]).reshape(-1, 3))
+    return g.TriangularMeshGeometry(*quads(corners), (colors[:, None] * shade[:, None]).reshape(-1, 3))
 
 
 def _rim(grid: CellGrid, height: float) -> g.TriangularMeshGeometry:
     """A low wall along the outline."""
     low = np.concatenate([grid.edges.reshape(-1, 2, 2), np.zeros((len(grid.edges), 2, 1))], axis=2)
-    return _quads(np.concatenate([low, low[:, ::-1] + [0.0, 0.0, height]], axis=1).reshape(-1, 3))
-
-
-def _quads(vertices: FloatArray, colors: FloatArray | None = None) -> g.TriangularMeshGeometry:
-    """Four-cornered faces, four rows of `vertices` each."""
-    begin = 4 * np.arange(len(vertices) // 4)[:, None, None]
-    triangles = (begin + np.array([[0, 1, 2], [0, 2, 3]])).reshape(-1, 3)
-    return g.TriangularMeshGeometry(vertices, triangles, colors)
+    return g.TriangularMeshGeometry(*quads(np.concatenate([low, low[:, ::-1] + [0.0, 0.0, height]], axis=1)))
 
 
 def _add_panel(place: meshcat.Visualizer, picture: bytes, size: FloatArray, at: FloatArray) -> None:

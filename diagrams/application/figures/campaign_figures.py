@@ -64,10 +64,7 @@ def shares_figure(
         shares: object, method, share.
         paper: object, method, and the paper's share from and to, in per cent, where it has one.
     """
-    percent = {
-        name: {label: _scaled(one, 100.0) for label, one in labels.items()} for name, labels in shares.items()
-    }
-    figure = _bars(title, percent, paper)
+    figure = _bars(title, shares, 100.0, paper)
     figure.axes[0].set(ylim=(0, 104), ylabel="%")
     return figure
 
@@ -82,25 +79,20 @@ def means_figure(title: str, means: Mapping[str, Mapping[str, Estimate]], factor
         factor: that turns them into the unit.
         unit: that is shown.
     """
-    shown = {
-        name: {label: _scaled(one, factor) for label, one in labels.items()} for name, labels in means.items()
-    }
-    figure = _bars(title, shown, {})
+    figure = _bars(title, means, factor, {})
     figure.axes[0].set(ylabel=unit)
     figure.axes[0].set_ylim(bottom=0.0)
     return figure
 
 
-def _scaled(estimate: Estimate, factor: float) -> Estimate:
-    return Estimate(factor * estimate.value, factor * estimate.low, factor * estimate.high, estimate.count)
-
-
 def _bars(
     title: str,
     values: Mapping[str, Mapping[str, Estimate]],
+    factor: float,
     marks: Mapping[str, Mapping[str, tuple[float, float]]],
 ) -> Figure:
-    """Bars with intervals, a group for each object and a colour for each label, and the paper's marks."""
+    """Bars with intervals, all times a factor, a group for each object and a colour for each label, and the
+    paper's marks."""
     figure = Figure(figsize=(max(6.4, 1.6 * len(values) + 1.0), 3.4), layout="constrained")
     axes = figure.subplots()
     every = list(dict.fromkeys(label for labels in values.values() for label in labels))
@@ -109,12 +101,12 @@ def _bars(
         for group, (name, labels) in enumerate(values.items()):
             if label not in labels or not np.isfinite(labels[label].value):
                 continue
-            one = labels[label]
+            value, low, high = factor * np.array([labels[label].value, labels[label].low, labels[label].high])
             x = group - 0.4 + (index + 0.5) * width
-            axes.bar(x, one.value, 0.92 * width, color=color, alpha=0.8)
-            if np.isfinite(one.low + one.high):
-                off = [[max(one.value - one.low, 0.0)], [max(one.high - one.value, 0.0)]]
-                axes.errorbar(x, one.value, off, color=INK, linewidth=0.8)
+            axes.bar(x, value, 0.92 * width, color=color, alpha=0.8)
+            if np.isfinite(low + high):
+                off = [[max(value - low, 0.0)], [max(high - value, 0.0)]]
+                axes.errorbar(x, value, off, color=INK, linewidth=0.8)
             if label in marks.get(name, {}):
                 axes.plot([x, x], marks[name][label], "_", color=INK, markersize=9)
         axes.bar(0.0, 0.0, color=color, alpha=0.8, label=label)

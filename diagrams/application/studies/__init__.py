@@ -1,1 +1,1 @@
-"""Studies that take long: soaks of a cell, and blind tests of the diagnosis."""
+"""Studies that take long: blind tests of the diagnosis."""

@@ -6,8 +6,8 @@ import re
 
 import numpy as np
 import pytest
+from effects_page import MAGNET, PAGE, page
 
-from slipmap.diagrams.application.effects_page import MAGNET, PAGE, page
 from slipmap.models.effects import LIBRARY, EffectSlider
 from slipmap.models.effects.registry import load_effects
 from slipmap.models.inference.identification import identify
@@ -20,9 +20,7 @@ TRUE = (0.6, 0.06, -0.04)
 
 
 def test_the_page_is_up_to_date():
-    assert PAGE.read_text(encoding="utf-8") == page(), (
-        "run python -m slipmap.diagrams.application.effects_page"
-    )
+    assert PAGE.read_text(encoding="utf-8") == page(), "run python tests/diagrams/application/effects_page.py"
 
 
 def test_the_page_holds_every_effect_and_parameter():

@@ -3,7 +3,7 @@
 from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import Adder, ConstantVectorSource, Gain, Integrator
 
-from slipmap.diagrams.application.figures.wiring import broken, wiring_figure
+from notebooks.wiring import broken, wiring_figure
 
 
 def texts_of(figure, names):

@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 import shapely
+from centred_cells import cells_from_centres
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 from shapely.geometry import Polygon
 
 from slipmap.models.objects import (
-    cells_from_centres,
     cells_from_label_image,
     cells_from_polygon,
     contour_cells,

@@ -6,12 +6,13 @@ import numpy as np
 import pytest
 import shapely
 import yaml
+from centred_cells import cells_from_centres
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 from shapely.geometry import Point, Polygon
 
-from slipmap.models.objects import cells_from_centres, cells_from_polygon
+from slipmap.models.objects import cells_from_polygon
 from slipmap.models.objects.footprints import polygon_moments
 
 SQUARE = np.array([[0.0, 0.0], [0.1, 0.0], [0.1, 0.1], [0.0, 0.1]])

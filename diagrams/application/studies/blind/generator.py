@@ -30,9 +30,12 @@ from slipmap.diagrams.application.studies.blind.push_plans import (
 from slipmap.diagrams.application.studies.blind.secret_effects import (
     LIBRARY,
     OUTSIDE,
+    PLAIN,
     Chance,
     Effect,
+    Kind,
     Strength,
+    exact,
 )
 from slipmap.diagrams.application.studies.blind.world import Motion, World
 from slipmap.models.files import replaced_file
@@ -97,7 +100,7 @@ def generate(
     seed: int,
     folder: Path,
     *,
-    effect: type[Effect] | None = None,
+    effect: Kind | None = None,
     strength: Strength | None = None,
     pushes: int = len(KINDS),
 ) -> Truth:
@@ -108,7 +111,7 @@ def generate(
     Args:
         seed: of every draw.
         folder: of the dataset; its name is the dataset's.
-        effect: instead of a random one; `Effect` itself for none.
+        effect: instead of a random one; `PLAIN` for none.
         strength: instead of a random one.
         pushes: number of them.
     """
@@ -116,10 +119,10 @@ def generate(
     drawn_effect, drawn_strength = _draw_effect(rng)
     effect, strength = effect or drawn_effect, strength or drawn_strength
     thing = random_object(np.random.default_rng([seed, 1]))
-    hidden = effect.draw(Chance(np.random.default_rng([seed, 2]), strength, thing))
+    hidden = effect.drawn(Chance(np.random.default_rng([seed, 2]), strength, thing))
     plans, plain = _plans(np.random.default_rng([seed, 3]), thing, hidden, pushes)
     changed = plain
-    if hidden.changes_motion and effect is not Effect:
+    if hidden.changes_motion:
         world = World(thing, hidden)
         changed = [world.push(plan, index=i, count=pushes) for i, plan in enumerate(plans)]
     changes = [
@@ -128,16 +131,16 @@ def generate(
     ]
     final, largest, force = np.array(changes).T
     final = 1e3 * final
-    is_none = effect is Effect
+    is_none = effect is PLAIN
     truth = Truth(
         name=folder.name,
         seed=seed,
         verdict="none" if is_none else "effect",
-        effect=None if is_none else hidden.name,
-        in_library=hidden.in_library and not is_none,
-        resembles=hidden.resembles,
+        effect=None if is_none else effect.name,
+        in_library=effect.in_library and not is_none,
+        resembles=effect.resembles,
         strength=None if is_none else strength,
-        parameters={} if is_none else _plain(hidden.parameters),
+        parameters=_plain(hidden.parameters),
         final_change_mm={
             "mean": round(float(final.mean()), 3),
             "median": round(float(np.median(final)), 3),
@@ -158,11 +161,11 @@ def generate(
     return truth
 
 
-def _draw_effect(rng: np.random.Generator) -> tuple[type[Effect], Strength]:
+def _draw_effect(rng: np.random.Generator) -> tuple[Kind, Strength]:
     strength: Strength = "weak" if rng.random() < _SHARE_WEAK else "clear"
     chance = rng.random()
     if chance < _SHARE_NONE:
-        return Effect, strength
+        return PLAIN, strength
     group = OUTSIDE if chance < _SHARE_NONE + _SHARE_OUTSIDE else LIBRARY
     return group[rng.integers(len(group))], strength
 
@@ -202,7 +205,7 @@ def _change(
     """What the effect changed: recorded pose at the end and at most, m, and force, N (root mean square)."""
     times = np.arange(0.0, duration, 1.0 / _RATE)
     recorded = effect.reported(times, motion.clock, motion.poses)
-    apart = _distance(thing, recorded, Effect().reported(times, plain.clock, plain.poses))
+    apart = _distance(thing, recorded, exact(times, plain.clock, plain.poses))
     every = round(motion.clock.size / (_RATE * motion.clock[-1]))
     force = _RATE * np.diff((motion.impulse - plain.impulse)[::every, :2], axis=0)
     return float(apart[-1]), float(apart.max()), float(np.sqrt((force**2).sum(axis=1).mean()))

@@ -1,15 +1,16 @@
 """Hidden effects: what each may change in the simulated world, and how strong it is drawn by chance.
 
 Most of them are in slipmap's library too and were written here without it; five are in no library. Places and
-velocities are in the world frame, m and m/s, unless said otherwise. Fields of an effect are the parameters
-that the truth file tells, in SI; names with a leading underscore are its memory.
+velocities are in the world frame, m and m/s, unless said otherwise. A function makes each effect; its
+arguments are the parameters that the truth file tells, in SI. `LIBRARY` and `OUTSIDE` say how they are drawn.
 """
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, field
+from collections.abc import Callable
+from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any, ClassVar, Literal, NamedTuple, Self
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
@@ -118,509 +119,398 @@ class Chance(NamedTuple):
         return float(x), float(y)
 
 
-@dataclass
+def exact(times: FloatArray, clock: FloatArray, poses: FloatArray) -> FloatArray:
+    """(T, 3) what an exact tracker reports at `times` of the true `poses`, which are known at `clock`."""
+    return np.column_stack([np.interp(times, clock, column) for column in poses.T])
+
+
+def _level() -> FloatArray:
+    return np.array([0.0, 0.0, -GRAVITY])
+
+
+Factor = FloatArray | float | None
+Report = Callable[[FloatArray, FloatArray, FloatArray], FloatArray]
+
+
+@dataclass(eq=False)
 class Effect:
-    """The plain world. Subclasses change one thing each."""
+    """What an effect changes; all else is that of the plain world.
 
-    name: ClassVar[str] = "none"
-    in_library: ClassVar[bool] = True
-    resembles: ClassVar[tuple[str, ...]] = ()
-    """Effects of the library that act alike; naming one of them is a near miss, not a blunder."""
+    Attributes:
+        parameters: by name, SI; none in the plain world.
+        gravity: (3,) m/s².
+        loose_mass: the part of the mass that is not fixed to the object.
+        blade: under the object.
+        finger_stiffness: of a spring between the recorded position of the finger and its tip, N/m.
+        drag: force per speed and area, N·s/m³.
+        table_velocity: (2,) of the table's top.
+        begin: called with number of the push, number of all and number of points that the object rests on.
+        grain: (2, 2) metric of friction in the frame of an object at an angle; None where it is round.
+        friction_factor: (p,) or one factor on every point's friction; None for 1.
+        force: (3,) on the object and torque about its origin; None for no force.
+        reported: see `exact`.
+    """
 
-    kind: ClassVar[str] = ""
-    """Tells effects of one name apart."""
-
-    changes_motion: ClassVar[bool] = True
-    """False for sensors, which change what is recorded alone."""
-
-    @classmethod
-    def draw(cls, chance: Chance) -> Self:
-        """An effect of that strength."""
-        return cls()
+    parameters: dict[str, Any] = field(default_factory=dict)
+    gravity: FloatArray = field(default_factory=_level)
+    loose_mass: LooseMass | None = None
+    blade: Blade | None = None
+    finger_stiffness: float | None = None
+    drag: float = 0.0
+    table_velocity: FloatArray = field(default_factory=lambda: np.zeros(2))
+    begin: Callable[[int, int, int], None] = lambda push, pushes, points: None
+    grain: Callable[[float], FloatArray | None] = lambda angle: None
+    friction_factor: Callable[[Instant], Factor] = lambda now: None
+    force: Callable[[Instant], FloatArray | None] = lambda now: None
+    reported: Report = exact
 
     @property
-    def parameters(self) -> dict[str, Any]:
-        """Its fields by name, SI."""
-        fields = {name: value for name, value in asdict(self).items() if not name.startswith("_")}
-        return {"kind": self.kind, **fields} if self.kind else fields
-
-    def begin(self, push: int, pushes: int, points: int) -> None:
-        """A push begins, on an object that rests on so many points."""
-
-    def gravity(self) -> FloatArray:
-        """(3,) m/s²."""
-        return np.array([0.0, 0.0, -GRAVITY])
-
-    def loose_mass(self) -> LooseMass | None:
-        """The part of the mass that is not fixed to the object."""
-        return None
-
-    def blade(self) -> Blade | None:
-        """A blade under the object."""
-        return None
-
-    def finger_stiffness(self) -> float | None:
-        """Of a spring between the recorded position of the finger and its tip, N/m."""
-        return None
-
-    def drag(self) -> float:
-        """Force per speed and area, N·s/m³."""
-        return 0.0
-
-    def grain(self, angle: float) -> FloatArray | None:
-        """(2, 2) metric of friction in the frame of an object at that angle; None where it is round."""
-        return None
-
-    def table_velocity(self) -> FloatArray:
-        """(2,) of the table's top."""
-        return np.zeros(2)
-
-    def friction_factor(self, now: Instant) -> FloatArray | float | None:
-        """(p,) or one factor on every point's friction; None for 1."""
-        return None
-
-    def force(self, now: Instant) -> FloatArray | None:
-        """(3,) force on the object and torque about its origin; None for no force."""
-        return None
-
-    def reported(self, times: FloatArray, clock: FloatArray, poses: FloatArray) -> FloatArray:
-        """(T, 3) what an exact tracker reports at `times` of the true `poses`, which are known at `clock`."""
-        return np.column_stack([np.interp(times, clock, column) for column in poses.T])
+    def changes_motion(self) -> bool:
+        """False for sensors, which change what is recorded alone, and for the plain world."""
+        return bool(self.parameters) and self.reported is exact
 
 
 # Forces that pull, drag or carry the object.
 
 
-@dataclass
-class TableTilt(Effect):
+def table_tilt(tilt: float, direction: float) -> Effect:
     """Gravity pulls downhill, towards `direction`."""
-
-    name = "table_tilt"
-    tilt: float = 0.0
-    direction: float = 0.0
-
-    @classmethod
-    def draw(cls, chance: Chance) -> Self:
-        return cls(chance.size((0.035, 0.065), (0.01, 0.02)), chance.direction())
-
-    def gravity(self) -> FloatArray:
-        flat = np.sin(self.tilt)
-        return GRAVITY * np.array(
-            [flat * np.cos(self.direction), flat * np.sin(self.direction), -np.cos(self.tilt)]
-        )
+    flat = np.sin(tilt)
+    down = np.array([flat * np.cos(direction), flat * np.sin(direction), -np.cos(tilt)])
+    return Effect(gravity=GRAVITY * down)
 
 
-@dataclass
-class Tether(Effect):
+def tether(anchor: Vector, stiffness: float, slack: float) -> Effect:
     """A cable from the object frame's origin pulls towards `anchor` when longer than `slack`."""
 
-    name = "tether"
-    anchor: Vector = (0.0, 0.0)
-    stiffness: float = 0.0
-    slack: float = 0.0
-
-    @classmethod
-    def draw(cls, chance: Chance) -> Self:
-        anchor, slack = chance.place(0.4), chance.between(0.05, 0.15)
-        farthest = 0.4 + np.hypot(*anchor) - slack
-        share = chance.size((0.5, 0.75), (0.12, 0.2))
-        return cls(anchor, share * chance.thing.friction_force / farthest, slack)
-
-    def force(self, now: Instant) -> FloatArray | None:
-        towards = np.array(self.anchor) - now.pose[:2]
+    def force(now: Instant) -> FloatArray | None:
+        towards = np.array(anchor) - now.pose[:2]
         length = float(np.hypot(*towards))
-        if length <= self.slack:
+        if length <= slack:
             return None
-        pull = self.stiffness * (length - self.slack) / length * towards
+        pull = stiffness * (length - slack) / length * towards
         return np.array([*pull, 0.0])
 
+    return Effect(force=force)
 
-@dataclass
-class ViscousFriction(Effect):
+
+def viscous_friction(drag_per_area: float) -> Effect:
     """Drag proportional to speed and area."""
-
-    name = "viscous_friction"
-    drag_per_area: float = 0.0
-
-    @classmethod
-    def draw(cls, chance: Chance) -> Self:
-        at_10_cm_per_s = chance.size((0.5, 1.0), (0.1, 0.2))
-        return cls(at_10_cm_per_s * chance.thing.friction_force / 0.1 / chance.thing.area)
-
-    def drag(self) -> float:
-        return self.drag_per_area
+    return Effect(drag=drag_per_area)
 
 
-@dataclass
-class Gusts(Effect):
+def gusts(strength: float, direction: float, period: float, phases: tuple[float, ...]) -> Effect:
     """A force towards `direction` that swells and ebbs with `period`; each push meets it at another phase."""
+    phase = 0.0
 
-    name = "gusts"
-    in_library = False
-    resembles = ("table_tilt",)
-    strength: float = 0.0
-    direction: float = 0.0
-    period: float = 0.5
-    phases: tuple[float, ...] = ()
-    _phase: float = field(default=0.0, repr=False)
+    def begin(push: int, pushes: int, points: int) -> None:
+        nonlocal phase
+        phase = phases[push % len(phases)]
 
-    @classmethod
-    def draw(cls, chance: Chance) -> Self:
-        share = chance.size((0.6, 0.85), (0.15, 0.25))
-        phases = tuple(float(phase) for phase in chance.rng.uniform(0, 2 * np.pi, 24))
-        return cls(share * chance.thing.friction_force, chance.direction(), chance.between(0.4, 1.0), phases)
+    def force(now: Instant) -> FloatArray:
+        size = strength * np.sin(2 * np.pi * now.time / period + phase)
+        return size * np.array([np.cos(direction), np.sin(direction), 0.0])
 
-    def begin(self, push: int, pushes: int, points: int) -> None:
-        self._phase = self.phases[push % len(self.phases)] if self.phases else 0.0
-
-    def force(self, now: Instant) -> FloatArray | None:
-        size = self.strength * np.sin(2 * np.pi * now.time / self.period + self._phase)
-        return size * np.array([np.cos(self.direction), np.sin(self.direction), 0.0])
+    return Effect(begin=begin, force=force)
 
 
-@dataclass
-class MovingTable(Effect):
+def moving_table(velocity: Vector) -> Effect:
     """The table is a belt that creeps along at a constant velocity."""
-
-    name = "moving_table"
-    in_library = False
-    velocity: Vector = (0.0, 0.0)
-
-    @classmethod
-    def draw(cls, chance: Chance) -> Self:
-        return cls(chance.vector((4e-3, 8e-3), (5e-4, 1e-3)))
-
-    def table_velocity(self) -> FloatArray:
-        return np.array(self.velocity)
+    return Effect(table_velocity=np.array(velocity))
 
 
 # Friction by speed, direction and push, or with the load.
 
 
-@dataclass
-class StribeckFriction(Effect):
+def stribeck_friction(static: float, speed: float) -> Effect:
     """Friction is `static` times larger at rest and falls to its value within about `speed`."""
-
-    name = "stribeck_friction"
-    static: float = 1.0
-    speed: float = 0.05
-
-    @classmethod
-    def draw(cls, chance: Chance) -> Self:
-        return cls(1.0 + chance.size((0.5, 0.9), (0.12, 0.2)), chance.between(0.03, 0.08))
-
-    def friction_factor(self, now: Instant) -> FloatArray | float | None:
-        return 1.0 + (self.static - 1.0) * np.exp(-now.speeds / self.speed)
+    return Effect(friction_factor=lambda now: 1.0 + (static - 1.0) * np.exp(-now.speeds / speed))
 
 
-@dataclass
-class AnisotropicTable(Effect):
+def anisotropic_table(along: float, across: float, angle: float) -> Effect:
     """Friction is `along` times larger along the table's grain at `angle`, and `across` times across it."""
 
-    name = "anisotropic_table"
-    along: float = 1.0
-    across: float = 1.0
-    angle: float = 0.0
+    def grain(turned: float) -> FloatArray:
+        axes = rotation_matrix(angle - turned)
+        return axes @ np.diag([along, across]) @ axes.T
 
-    @classmethod
-    def draw(cls, chance: Chance) -> Self:
-        root = np.sqrt(chance.size((1.25, 1.5), (1.06, 1.12)))
-        return cls(1.0 / root, root, chance.between(0.0, np.pi))
-
-    def grain(self, angle: float) -> FloatArray | None:
-        axes = rotation_matrix(self.angle - angle)
-        return axes @ np.diag([self.along, self.across]) @ axes.T
+    return Effect(grain=grain)
 
 
-@dataclass
-class AnisotropicObject(AnisotropicTable):
+def anisotropic_object(along: float, across: float, angle: float) -> Effect:
     """The same with the grain fixed to the object."""
-
-    name = "anisotropic_object"
-
-    def grain(self, angle: float) -> FloatArray | None:
-        return super().grain(0.0)
+    fixed = anisotropic_table(along, across, angle).grain(0.0)
+    return Effect(grain=lambda turned: fixed)
 
 
-@dataclass
-class FrictionDrift(Effect):
+def friction_drift(change: float) -> Effect:
     """Friction of all pushes together changes by `change` from the first to the last, its mean kept."""
+    share = 0.0
 
-    name = "friction_drift"
-    change: float = 0.0
-    _share: float = field(default=0.0, repr=False)
+    def begin(push: int, pushes: int, points: int) -> None:
+        nonlocal share
+        share = push / max(pushes - 1, 1) - 0.5
 
-    @classmethod
-    def draw(cls, chance: Chance) -> Self:
-        return cls(chance.signed((0.4, 0.7), (0.1, 0.18)))
-
-    def begin(self, push: int, pushes: int, points: int) -> None:
-        self._share = push / max(pushes - 1, 1) - 0.5
-
-    def friction_factor(self, now: Instant) -> FloatArray | float | None:
-        return 1.0 + self.change * self._share
+    return Effect(begin=begin, friction_factor=lambda now: 1.0 + change * share)
 
 
-@dataclass
-class LoadTransfer(Effect):
+def load_transfer(push_height: float, mass_height: float) -> Effect:
     """A push `push_height` above the table and braking with the mass at `mass_height` shift the load."""
 
-    name = "load_transfer"
-    push_height: float = 0.0
-    mass_height: float = 0.0
-
-    @classmethod
-    def draw(cls, chance: Chance) -> Self:
-        share, thing = chance.size((0.6, 1.0), (0.12, 0.2)), chance.thing
-        reach = 0.5 * thing.reach / float(thing.friction_force / (GRAVITY * thing.total_mass))
-        height = min(share * max(thing.height, 0.06), share * reach)
-        return cls(height, 0.5 * height)
-
-    def friction_factor(self, now: Instant) -> FloatArray | float | None:
+    def factor(now: Instant) -> FloatArray:
         push = now.rotation.T @ now.contact[:2]
         # The weight bounds the force, which the first touch would raise to a short spike.
         push *= min(1.0, now.loads.sum() / max(float(np.hypot(*push)), 1e-9))
         inertial = push + now.rotation.T @ now.friction[:2]
-        moment = push * self.push_height - inertial * self.mass_height
+        moment = push * push_height - inertial * mass_height
         arms = now.points - now.points.mean(axis=0)
         shift = arms @ np.linalg.solve(arms.T @ arms, moment)
         return np.clip(1.0 + shift / now.loads, 0.0, 3.0)
 
+    return Effect(friction_factor=factor)
 
-@dataclass
-class Ageing(Effect):
+
+def ageing(rise: float, memory: float) -> Effect:
     """Contacts strengthen while they rest and are renewed over `memory` of sliding (Dieterich's law).
 
     The factor is 1 + rise · log10(1 + age / 0.01 s).
     """
+    age = np.zeros(0)
 
-    name = "ageing"
-    in_library = False
-    resembles = ("stribeck_friction",)
-    rise: float = 0.0
-    memory: float = 0.005
-    _age: FloatArray = field(default_factory=lambda: np.zeros(0), repr=False)
+    def begin(push: int, pushes: int, points: int) -> None:
+        nonlocal age
+        age = np.ones(points)
 
-    @classmethod
-    def draw(cls, chance: Chance) -> Self:
-        return cls(chance.size((0.35, 0.6), (0.08, 0.14)), chance.between(0.003, 0.01))
+    def factor(now: Instant) -> FloatArray:
+        nonlocal age
+        age = (age + now.step) / (1.0 + now.step * now.speeds / memory)
+        return 1.0 + rise * np.log10(1.0 + age / 0.01)
 
-    def begin(self, push: int, pushes: int, points: int) -> None:
-        self._age = np.ones(points)
-
-    def friction_factor(self, now: Instant) -> FloatArray | float | None:
-        self._age = (self._age + now.step) / (1.0 + now.step * now.speeds / self.memory)
-        return 1.0 + self.rise * np.log10(1.0 + self._age / 0.01)
+    return Effect(begin=begin, friction_factor=factor)
 
 
 # Friction by the place on the table.
 
 
-@dataclass
-class LinearFrictionField(Effect):
+def linear_friction_field(gradient: Vector, center: Vector) -> Effect:
     """Friction grows across the table by `gradient` (1/m), and is the object's own at `center`."""
-
-    name = "table_friction_field"
-    kind = "linear"
-    gradient: Vector = (0.0, 0.0)
-    center: Vector = (0.0, 0.0)
-
-    @classmethod
-    def draw(cls, chance: Chance) -> Self:
-        return cls(chance.vector((1.2, 2.0), (0.3, 0.5)), chance.place(0.1))
-
-    def friction_factor(self, now: Instant) -> FloatArray | float | None:
-        return np.maximum(1.0 + (now.places - self.center) @ np.array(self.gradient), 0.15)
+    return Effect(
+        friction_factor=lambda now: np.maximum(1.0 + (now.places - center) @ np.array(gradient), 0.15)
+    )
 
 
-@dataclass
-class PatchFrictionField(Effect):
+def patch_friction_field(center: Vector, radius: float, edge: float, factor: float) -> Effect:
     """A round patch of the table multiplies friction by `factor`, with a border `edge` wide."""
 
-    name = "table_friction_field"
-    kind = "patch"
-    center: Vector = (0.0, 0.0)
-    radius: float = 0.15
-    edge: float = 0.006
-    factor: float = 1.0
+    def local(now: Instant) -> FloatArray:
+        distance = np.hypot(*(now.places - center).T)
+        inside = np.clip(0.5 - (distance - radius) / edge, 0.0, 1.0)
+        return 1.0 + (factor - 1.0) * inside
 
-    @classmethod
-    def draw(cls, chance: Chance) -> Self:
-        rise = chance.size((0.9, 1.5), (0.2, 0.35))
-        factor = 1.0 + rise if chance.rng.random() < 0.6 else 1.0 / (1.0 + rise)
-        return cls(chance.place(0.15), chance.between(0.13, 0.22), factor=factor)
-
-    def friction_factor(self, now: Instant) -> FloatArray | float | None:
-        distance = np.hypot(*(now.places - self.center).T)
-        inside = np.clip(0.5 - (distance - self.radius) / self.edge, 0.0, 1.0)
-        return 1.0 + (self.factor - 1.0) * inside
+    return Effect(friction_factor=local)
 
 
-@dataclass
-class Magnet(Effect):
+def magnet(center: Vector, radius: float, pressure: float, area: float) -> Effect:
     """A magnet under the table at `center` adds load within about `radius`: `pressure`, Pa, at its middle."""
 
-    name = "magnet"
-    in_library = False
-    resembles = ("table_friction_field",)
-    center: Vector = (0.0, 0.0)
-    radius: float = 0.1
-    pressure: float = 0.0
-    area: float = 0.0
-
-    @classmethod
-    def draw(cls, chance: Chance) -> Self:
-        share, area = chance.size((1.5, 2.5), (0.5, 0.8)), chance.thing.area
-        pressure = share * GRAVITY * chance.thing.total_mass / area
-        return cls(chance.place(0.2), chance.between(0.06, 0.12), pressure, area)
-
-    def friction_factor(self, now: Instant) -> FloatArray | float | None:
-        square = ((now.places - self.center) ** 2).sum(axis=1)
-        extra = self.pressure * np.exp(-0.5 * square / self.radius**2) * self.area / len(now.points)
+    def factor(now: Instant) -> FloatArray:
+        square = ((now.places - center) ** 2).sum(axis=1)
+        extra = pressure * np.exp(-0.5 * square / radius**2) * area / len(now.points)
         return 1.0 + extra / now.loads
 
+    return Effect(friction_factor=factor)
 
-@dataclass
-class StickyLine(Effect):
+
+def sticky_line(center: Vector, angle: float, width: float, factor: float) -> Effect:
     """A strip of glue on the table, `width` wide, through `center` along `angle`, multiplies friction."""
 
-    name = "sticky_line"
-    in_library = False
-    resembles = ("table_friction_field",)
-    center: Vector = (0.0, 0.0)
-    angle: float = 0.0
-    width: float = 0.03
-    factor: float = 1.0
+    def local(now: Instant) -> FloatArray:
+        across = (now.places - center) @ np.array([-np.sin(angle), np.cos(angle)])
+        return np.where(np.abs(across) < 0.5 * width, factor, 1.0)
 
-    @classmethod
-    def draw(cls, chance: Chance) -> Self:
-        factor = 1.0 + chance.size((3.0, 6.0), (1.0, 1.6))
-        return cls(chance.place(0.1), chance.between(0, np.pi), chance.between(0.02, 0.04), factor)
-
-    def friction_factor(self, now: Instant) -> FloatArray | float | None:
-        across = (now.places - self.center) @ np.array([-np.sin(self.angle), np.cos(self.angle)])
-        return np.where(np.abs(across) < 0.5 * self.width, self.factor, 1.0)
+    return Effect(friction_factor=local)
 
 
 # Bodies and springs: in the finger, in the object and under it.
 
 
-@dataclass
-class FingerCompliance(Effect):
+def finger_compliance(compliance: float) -> Effect:
     """The recorded position is that of the hand; the tip hangs on it by a spring, `compliance` in m/N."""
-
-    name = "finger_compliance"
-    compliance: float = 0.0
-
-    @classmethod
-    def draw(cls, chance: Chance) -> Self:
-        bend = chance.size((4e-3, 8e-3), (1e-3, 2e-3))
-        return cls(bend / (0.6 * chance.thing.friction_force))
-
-    def finger_stiffness(self) -> float | None:
-        return 1.0 / self.compliance
+    return Effect(finger_stiffness=1.0 / compliance)
 
 
-@dataclass
-class LooseMassInside(Effect):
+def loose_mass(share: float, frequency: float, damping_ratio: float, place: Vector, mass: float) -> Effect:
     """`share` of every cell's mass is one body on a spring and a damper; the floor's load stays as it is."""
-
-    name = "loose_mass"
-    share: float = 0.0
-    frequency: float = 2.0
-    damping_ratio: float = 0.2
-    place: Vector = (0.0, 0.0)
-    mass: float = 0.0
-
-    @classmethod
-    def draw(cls, chance: Chance) -> Self:
-        share = chance.size((0.5, 0.7), (0.15, 0.25))
-        x, y = chance.thing.center_of_mass
-        frequency, ratio = chance.between(1.2, 2.5), chance.between(0.1, 0.4)
-        return cls(share, frequency, ratio, (float(x), float(y)), share * chance.thing.total_mass)
-
-    def loose_mass(self) -> LooseMass | None:
-        omega = 2 * np.pi * self.frequency
-        damping = 2 * self.damping_ratio * self.mass * omega
-        return LooseMass(self.mass, self.place, self.mass * omega**2, damping)
+    omega = 2 * np.pi * frequency
+    return Effect(loose_mass=LooseMass(mass, place, mass * omega**2, 2 * damping_ratio * mass * omega))
 
 
-@dataclass
-class Skate(Effect):
+def skate(place: Vector, angle: float, resistance: float) -> Effect:
     """A blade at `place` of the object rolls along `angle` and resists sideways with `resistance` in N."""
-
-    name = "skate"
-    place: Vector = (0.0, 0.0)
-    angle: float = 0.0
-    resistance: float = 0.0
-
-    @classmethod
-    def draw(cls, chance: Chance) -> Self:
-        x, y = chance.thing.centers[chance.rng.integers(len(chance.thing.centers))]
-        share = chance.size((0.35, 0.6), (0.06, 0.12))
-        return cls((float(x), float(y)), chance.between(0, np.pi), share * chance.thing.friction_force)
-
-    def blade(self) -> Blade | None:
-        return Blade(self.place, self.angle, self.resistance)
+    return Effect(blade=Blade(place, angle, resistance))
 
 
 # The tracker, which changes what is recorded alone.
 
 
-@dataclass
-class SensorLatency(Effect):
+def sensor_latency(latency: float) -> Effect:
     """The tracker reports a pose `latency` late."""
-
-    name = "sensor_latency"
-    changes_motion = False
-    latency: float = 0.0
-
-    @classmethod
-    def draw(cls, chance: Chance) -> Self:
-        return cls(chance.size((0.05, 0.08), (0.015, 0.025)))
-
-    def reported(self, times: FloatArray, clock: FloatArray, poses: FloatArray) -> FloatArray:
-        return super().reported(times - self.latency, clock, poses)
+    return Effect(reported=lambda times, clock, poses: exact(times - latency, clock, poses))
 
 
-@dataclass
-class TrackerOffset(Effect):
+def tracker_offset(x: float, y: float) -> Effect:
     """The tracked frame lies at (`x`, `y`) of the object frame."""
 
-    name = "tracker_offset"
-    changes_motion = False
-    x: float = 0.0
-    y: float = 0.0
+    def reported(times: FloatArray, clock: FloatArray, poses: FloatArray) -> FloatArray:
+        poses = exact(times, clock, poses)
+        return np.column_stack([poses[:, :2] + rotated(np.array([x, y]), poses[:, 2]), poses[:, 2]])
 
-    @classmethod
-    def draw(cls, chance: Chance) -> Self:
-        return cls(*chance.vector((4e-3, 8e-3), (1e-3, 2e-3)))
-
-    def reported(self, times: FloatArray, clock: FloatArray, poses: FloatArray) -> FloatArray:
-        poses = super().reported(times, clock, poses)
-        shift = rotated(np.array([self.x, self.y]), poses[:, 2])
-        return np.column_stack([poses[:, :2] + shift, poses[:, 2]])
+    return Effect(reported=reported)
 
 
-@dataclass
-class TrackerScale(Effect):
+def tracker_scale(scale: float) -> Effect:
     """The tracker's lengths, from the middle of the table, are `scale` times the true ones."""
-
-    name = "tracker_scale"
-    changes_motion = False
-    scale: float = 1.0
-
-    @classmethod
-    def draw(cls, chance: Chance) -> Self:
-        return cls(1.0 + chance.signed((0.02, 0.04), (0.005, 0.01)))
-
-    def reported(self, times: FloatArray, clock: FloatArray, poses: FloatArray) -> FloatArray:
-        return super().reported(times, clock, poses) * [self.scale, self.scale, 1.0]
+    return Effect(reported=lambda times, clock, poses: exact(times, clock, poses) * [scale, scale, 1.0])
 
 
-LIBRARY: tuple[type[Effect], ...] = (
-    TableTilt, Tether, ViscousFriction, StribeckFriction, AnisotropicTable, AnisotropicObject,
-    LinearFrictionField, PatchFrictionField, FrictionDrift, FingerCompliance, LooseMassInside, LoadTransfer,
-    Skate, SensorLatency, TrackerOffset, TrackerScale,
+# How they are drawn: the arguments, in the order in which chance is asked for them.
+
+
+def _tether(c: Chance) -> dict[str, Any]:
+    anchor, slack = c.place(0.4), c.between(0.05, 0.15)
+    farthest = 0.4 + np.hypot(*anchor) - slack
+    share = c.size((0.5, 0.75), (0.12, 0.2))
+    return {"anchor": anchor, "stiffness": share * c.thing.friction_force / farthest, "slack": slack}
+
+
+def _viscous_friction(c: Chance) -> dict[str, Any]:
+    at_10_cm_per_s = c.size((0.5, 1.0), (0.1, 0.2))
+    return {"drag_per_area": at_10_cm_per_s * c.thing.friction_force / 0.1 / c.thing.area}
+
+
+def _gusts(c: Chance) -> dict[str, Any]:
+    share = c.size((0.6, 0.85), (0.15, 0.25))
+    phases = tuple(float(phase) for phase in c.rng.uniform(0, 2 * np.pi, 24))
+    strength = share * c.thing.friction_force
+    return {
+        "strength": strength, "direction": c.direction(), "period": c.between(0.4, 1.0), "phases": phases
+    }  # fmt: skip
+
+
+def _anisotropy(c: Chance) -> dict[str, Any]:
+    root = np.sqrt(c.size((1.25, 1.5), (1.06, 1.12)))
+    return {"along": 1.0 / root, "across": root, "angle": c.between(0.0, np.pi)}
+
+
+def _load_transfer(c: Chance) -> dict[str, Any]:
+    share, thing = c.size((0.6, 1.0), (0.12, 0.2)), c.thing
+    reach = 0.5 * thing.reach / float(thing.friction_force / (GRAVITY * thing.total_mass))
+    height = min(share * max(thing.height, 0.06), share * reach)
+    return {"push_height": height, "mass_height": 0.5 * height}
+
+
+def _patch(c: Chance) -> dict[str, Any]:
+    rise = c.size((0.9, 1.5), (0.2, 0.35))
+    factor = 1.0 + rise if c.rng.random() < 0.6 else 1.0 / (1.0 + rise)
+    return {"center": c.place(0.15), "radius": c.between(0.13, 0.22), "edge": 0.006, "factor": factor}
+
+
+def _magnet(c: Chance) -> dict[str, Any]:
+    share, area = c.size((1.5, 2.5), (0.5, 0.8)), c.thing.area
+    pressure = share * GRAVITY * c.thing.total_mass / area
+    return {"center": c.place(0.2), "radius": c.between(0.06, 0.12), "pressure": pressure, "area": area}
+
+
+def _sticky_line(c: Chance) -> dict[str, Any]:
+    factor = 1.0 + c.size((3.0, 6.0), (1.0, 1.6))
+    line = {"center": c.place(0.1), "angle": c.between(0, np.pi), "width": c.between(0.02, 0.04)}
+    return {**line, "factor": factor}
+
+
+def _finger_compliance(c: Chance) -> dict[str, Any]:
+    return {"compliance": c.size((4e-3, 8e-3), (1e-3, 2e-3)) / (0.6 * c.thing.friction_force)}
+
+
+def _loose_mass(c: Chance) -> dict[str, Any]:
+    share = c.size((0.5, 0.7), (0.15, 0.25))
+    x, y = c.thing.center_of_mass
+    spring = {"frequency": c.between(1.2, 2.5), "damping_ratio": c.between(0.1, 0.4)}
+    return {"share": share, **spring, "place": (float(x), float(y)), "mass": share * c.thing.total_mass}
+
+
+def _skate(c: Chance) -> dict[str, Any]:
+    x, y = c.thing.centers[c.rng.integers(len(c.thing.centers))]
+    share = c.size((0.35, 0.6), (0.06, 0.12))
+    resistance = share * c.thing.friction_force
+    return {"place": (float(x), float(y)), "angle": c.between(0, np.pi), "resistance": resistance}
+
+
+class Kind(NamedTuple):
+    """An effect before it is drawn.
+
+    Attributes:
+        name: of it in the library, if it is there.
+        make: its function.
+        draw: gives the arguments of the function.
+        kind: tells effects of one name apart.
+        resembles: effects of the library that act alike; naming one of them is a near miss, not a blunder.
+    """
+
+    name: str
+    make: Callable[..., Effect]
+    draw: Callable[[Chance], dict[str, Any]]
+    kind: str = ""
+    resembles: tuple[str, ...] = ()
+
+    @property
+    def in_library(self) -> bool:
+        """Whether slipmap has it, too."""
+        return self not in OUTSIDE
+
+    def drawn(self, chance: Chance) -> Effect:
+        """An effect of that strength."""
+        arguments = self.draw(chance)
+        effect = self.make(**arguments)
+        effect.parameters = {"kind": self.kind, **arguments} if self.kind else arguments
+        return effect
+
+
+PLAIN = Kind("none", Effect, lambda c: {})
+"""The plain world."""
+
+_FIELD = "table_friction_field"
+LIBRARY = (
+    Kind("table_tilt", table_tilt, lambda c: {
+        "tilt": c.size((0.035, 0.065), (0.01, 0.02)), "direction": c.direction()
+    }),
+    Kind("tether", tether, _tether),
+    Kind("viscous_friction", viscous_friction, _viscous_friction),
+    Kind("stribeck_friction", stribeck_friction, lambda c: {
+        "static": 1.0 + c.size((0.5, 0.9), (0.12, 0.2)), "speed": c.between(0.03, 0.08)
+    }),
+    Kind("anisotropic_table", anisotropic_table, _anisotropy),
+    Kind("anisotropic_object", anisotropic_object, _anisotropy),
+    Kind(_FIELD, linear_friction_field, lambda c: {
+        "gradient": c.vector((1.2, 2.0), (0.3, 0.5)), "center": c.place(0.1)
+    }, "linear"),
+    Kind(_FIELD, patch_friction_field, _patch, "patch"),
+    Kind("friction_drift", friction_drift, lambda c: {"change": c.signed((0.4, 0.7), (0.1, 0.18))}),
+    Kind("finger_compliance", finger_compliance, _finger_compliance),
+    Kind("loose_mass", loose_mass, _loose_mass),
+    Kind("load_transfer", load_transfer, _load_transfer),
+    Kind("skate", skate, _skate),
+    Kind("sensor_latency", sensor_latency, lambda c: {"latency": c.size((0.05, 0.08), (0.015, 0.025))}),
+    Kind("tracker_offset", tracker_offset, lambda c: dict(
+        zip("xy", c.vector((4e-3, 8e-3), (1e-3, 2e-3)), strict=True)
+    )),
+    Kind("tracker_scale", tracker_scale, lambda c: {"scale": 1.0 + c.signed((0.02, 0.04), (0.005, 0.01))}),
 )  # fmt: skip
-OUTSIDE: tuple[type[Effect], ...] = (Gusts, Magnet, StickyLine, Ageing, MovingTable)
+OUTSIDE = (
+    Kind("gusts", gusts, _gusts, resembles=("table_tilt",)),
+    Kind("magnet", magnet, _magnet, resembles=(_FIELD,)),
+    Kind("sticky_line", sticky_line, _sticky_line, resembles=(_FIELD,)),
+    Kind("ageing", ageing, lambda c: {
+        "rise": c.size((0.35, 0.6), (0.08, 0.14)), "memory": c.between(0.003, 0.01)
+    }, resembles=("stribeck_friction",)),
+    Kind("moving_table", moving_table, lambda c: {"velocity": c.vector((4e-3, 8e-3), (5e-4, 1e-3))}),
+)  # fmt: skip

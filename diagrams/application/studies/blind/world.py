@@ -63,13 +63,13 @@ class Motion:
 class World:
     """One object, one finger, one effect: built once, pushed often."""
 
-    def __init__(self, thing: SlidingObject, effect: Effect, *, step: float = _STEP, spacing: float = 0.003):
+    def __init__(self, thing: SlidingObject, effect: Effect, *, step: float = _STEP):
         self._thing, self._effect, self._step = thing, effect, step
-        self._points, cell, share = thing.quadrature(spacing)
-        self._loads = thing.mass[cell] * -effect.gravity()[2] / share
+        self._points, cell, share = thing.quadrature()
+        self._loads = thing.mass[cell] * -effect.gravity[2] / share
         self._limits = self._loads * thing.mu[cell]
-        self._drag = effect.drag() * thing.area / len(self._points)
-        self._blade = effect.blade()
+        self._drag = effect.drag * thing.area / len(self._points)
+        self._blade = effect.blade
         self._build()
 
     def push(self, plan: PushPlan, *, index: int = 0, count: int = 1) -> Motion:
@@ -132,7 +132,7 @@ class World:
             self._limits if factor is None else self._limits * factor,
             np.eye(2) if grain is None else grain,
             self._drag,
-            turn.T @ self._effect.table_velocity(),
+            turn.T @ self._effect.table_velocity,
             twist,
             now.step,
         )
@@ -165,9 +165,9 @@ class World:
             plant.get_geometry_pose_output_port(), scene.get_source_pose_port(plant.get_source_id())
         )
         builder.Connect(scene.get_query_output_port(), plant.get_geometry_query_input_port())
-        plant.mutable_gravity_field().set_gravity_vector(effect.gravity())
+        plant.mutable_gravity_field().set_gravity_vector(effect.gravity)
         pushed, finger = plant.AddModelInstance("object"), plant.AddModelInstance("finger")
-        loose = effect.loose_mass()
+        loose = effect.loose_mass
         fixed = replace(thing, mass=thing.mass * (1.0 - (loose.mass / thing.total_mass if loose else 0.0)))
         body = plant.AddRigidBody("object", pushed, _flat_inertia(fixed))
         slide = plant.AddJoint(PlanarJoint("slide", plant.world_frame(), body.body_frame(), np.zeros(3)))
@@ -178,7 +178,7 @@ class World:
             plant.RegisterCollisionGeometry(body, place, box, f"rectangle {number}", surface)
         hand, joints = _cart(plant, finger, plant.world_body(), "hand", _HAND_MASS)
         tip = hand
-        spring = effect.finger_stiffness()
+        spring = effect.finger_stiffness
         if spring is not None:
             damping = 1.4 * np.sqrt(spring * _TIP_MASS)
             tip, _ = _cart(plant, finger, hand, "tip", _TIP_MASS, stiffness=spring, damping=damping)

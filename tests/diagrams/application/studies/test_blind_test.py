@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import pytest
 
 from slipmap.diagrams.application.studies.blind import generator
-from slipmap.diagrams.application.studies.blind.secret_effects import Effect, TableTilt
+from slipmap.diagrams.application.studies.blind.secret_effects import LIBRARY, PLAIN
 from slipmap.models.measurements import PushDataset
 
 
@@ -16,7 +16,7 @@ def diagnosed(monkeypatch):
     generate = generator.generate
 
     def small(seed, folder):
-        return generate(seed, folder, effect=TableTilt if seed == 7 else Effect, strength="clear", pushes=1)
+        return generate(seed, folder, effect=LIBRARY[0] if seed == 7 else PLAIN, strength="clear", pushes=1)
 
     monkeypatch.setattr(generator, "generate", small)
     asked = []

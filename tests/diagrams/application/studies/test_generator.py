@@ -21,24 +21,25 @@ from slipmap.diagrams.application.studies.blind.objects import random_object
 from slipmap.diagrams.application.studies.blind.secret_effects import (
     LIBRARY,
     OUTSIDE,
+    PLAIN,
     Chance,
-    Effect,
-    SensorLatency,
-    TableTilt,
-    TrackerOffset,
-    TrackerScale,
+    sensor_latency,
+    table_tilt,
+    tracker_offset,
+    tracker_scale,
 )
 from slipmap.diagrams.application.studies.blind.world import World
 from slipmap.models.measurements import read_dataset
 
 EVERY = LIBRARY + OUTSIDE
+KINDS = {kind.make: kind for kind in EVERY}
 
 
 @pytest.fixture(scope="module")
 def plain(tmp_path_factory):
     """Three pushes without an effect."""
     folder = tmp_path_factory.mktemp("plain") / "quiet"
-    return folder, generate(4, folder, effect=Effect, pushes=3)
+    return folder, generate(4, folder, effect=PLAIN, pushes=3)
 
 
 @pytest.fixture(scope="module")
@@ -54,7 +55,7 @@ def plain_pushes_once(motions, monkeypatch):
 
     class Remembering(World):
         def push(self, plan, **number):
-            if type(self._effect) is not Effect:
+            if self._effect.parameters:
                 return super().push(plan, **number)
             key = pickle.dumps((self._thing, plan))
             if key not in motions:
@@ -67,14 +68,14 @@ def plain_pushes_once(motions, monkeypatch):
 def test_a_seed_gives_the_same_files_to_the_last_bit(plain, tmp_path):
     folder, truth = plain
     again = tmp_path / "quiet"
-    assert generate(4, again, effect=Effect, pushes=3) == truth
+    assert generate(4, again, effect=PLAIN, pushes=3) == truth
     names = [path.relative_to(folder) for path in sorted(folder.rglob("*")) if path.is_file()]
     assert len(names) == 4
     for name in names:
         assert (again / name).read_bytes() == (folder / name).read_bytes()
     assert truth_file(again).read_bytes() == truth_file(folder).read_bytes()
     other = tmp_path / "other" / "quiet"
-    generate(5, other, effect=Effect, pushes=1)
+    generate(5, other, effect=PLAIN, pushes=1)
     assert (other / "dataset.yaml").read_bytes() != (folder / "dataset.yaml").read_bytes()
 
 
@@ -118,7 +119,7 @@ def test_the_truth_lies_beside_and_tells_how_much_the_effect_changed(plain, tmp_
     assert Truth.read(truth_file(folder)) == quiet
     assert quiet.verdict == "none" and quiet.effect is None
     assert quiet.final_change_mm["max"] == 0.0 and quiet.force_change_rms == 0.0
-    tilted = generate(4, tmp_path / "tilted", effect=TableTilt, strength="clear", pushes=1)
+    tilted = generate(4, tmp_path / "tilted", effect=KINDS[table_tilt], strength="clear", pushes=1)
     assert tilted.effect == "table_tilt" and tilted.strength == "clear"
     assert 0.03 < tilted.parameters["tilt"] < 0.07
     assert tilted.final_change_mm["max"] > 0.5
@@ -130,7 +131,7 @@ def test_the_truth_lies_beside_and_tells_how_much_the_effect_changed(plain, tmp_
 
 
 def test_a_late_tracker_changes_poses_and_no_forces(plain, tmp_path):
-    late = generate(4, tmp_path / "late", effect=SensorLatency, strength="clear", pushes=1)
+    late = generate(4, tmp_path / "late", effect=KINDS[sensor_latency], strength="clear", pushes=1)
     assert late.force_change_rms == 0.0 and late.largest_change_mm > 1.0
     one, other = (
         json.loads((path / "trials/000.json").read_text()) for path in (plain[0], tmp_path / "late")
@@ -143,16 +144,16 @@ def test_a_tracker_that_is_off_leaves_the_recorded_finger_outside(monkeypatch):
     """Where the finger starts is settled before anything moves; here every push moves the object."""
     moved = SimpleNamespace(poses=np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0]]))
     monkeypatch.setattr(generator, "World", lambda *_: SimpleNamespace(push=lambda plan: moved))
-    for effect in (TrackerScale, TrackerOffset):
+    for effect in (tracker_scale, tracker_offset):
         for seed in range(20):
             thing = random_object(np.random.default_rng(seed))
-            hidden = effect.draw(Chance(np.random.default_rng(seed), "clear", thing))
+            hidden = KINDS[effect].drawn(Chance(np.random.default_rng(seed), "clear", thing))
             (plan,), _ = _plans(np.random.default_rng(seed), thing, hidden, 1)
             assert _recorded_overlap(thing, plan, hidden) <= LARGEST_OVERLAP
 
 
 @pytest.mark.usefixtures("plain_pushes_once")
-@pytest.mark.parametrize("effect", EVERY, ids=lambda effect: effect.__name__)
+@pytest.mark.parametrize("effect", EVERY, ids=lambda effect: effect.make.__name__)
 def test_every_effect_can_be_drawn_simulated_and_read(effect, tmp_path):
     truth = generate(32, tmp_path / "set", effect=effect, strength="clear", pushes=1)
     assert truth.effect == effect.name and truth.in_library == (effect in LIBRARY)
@@ -163,7 +164,7 @@ def test_every_effect_can_be_drawn_simulated_and_read(effect, tmp_path):
 @pytest.mark.usefixtures("plain_pushes_once")
 def test_weak_effects_are_weaker(tmp_path):
     clear, weak = (
-        generate(21, tmp_path / strength, effect=TableTilt, strength=strength, pushes=1)
+        generate(21, tmp_path / strength, effect=KINDS[table_tilt], strength=strength, pushes=1)
         for strength in ("clear", "weak")
     )
     assert weak.parameters["tilt"] < 0.5 * clear.parameters["tilt"]
@@ -172,7 +173,7 @@ def test_weak_effects_are_weaker(tmp_path):
 
 def test_seeds_hide_nothing_a_third_of_the_time_and_everything_else_in_turn():
     drawn = [_draw_effect(np.random.default_rng([seed, 0x51EB])) for seed in range(600)]
-    share = np.mean([effect is Effect for effect, _ in drawn])
+    share = np.mean([effect is PLAIN for effect, _ in drawn])
     assert 0.24 < share < 0.36
-    assert {effect for effect, _ in drawn} == {Effect, *EVERY}
+    assert {effect for effect, _ in drawn} == {PLAIN, *EVERY}
     assert 0.28 < np.mean([strength == "weak" for _, strength in drawn]) < 0.42

@@ -10,23 +10,23 @@ from scipy.integrate import solve_ivp
 from slipmap.diagrams.application.studies.blind.objects import GRAVITY, SlidingObject, random_object
 from slipmap.diagrams.application.studies.blind.push_plans import KINDS, FingerPath, PushPlan, random_plan
 from slipmap.diagrams.application.studies.blind.secret_effects import (
-    AnisotropicTable,
     Effect,
-    FingerCompliance,
-    FrictionDrift,
-    Gusts,
-    LinearFrictionField,
-    LooseMassInside,
-    MovingTable,
-    PatchFrictionField,
-    SensorLatency,
-    Skate,
-    StribeckFriction,
-    TableTilt,
-    Tether,
-    TrackerOffset,
-    TrackerScale,
-    ViscousFriction,
+    anisotropic_table,
+    finger_compliance,
+    friction_drift,
+    gusts,
+    linear_friction_field,
+    loose_mass,
+    moving_table,
+    patch_friction_field,
+    sensor_latency,
+    skate,
+    stribeck_friction,
+    table_tilt,
+    tether,
+    tracker_offset,
+    tracker_scale,
+    viscous_friction,
 )
 from slipmap.diagrams.application.studies.blind.world import World
 
@@ -144,19 +144,19 @@ def test_halving_the_step_moves_no_push_by_more_than_a_twentieth_of_a_millimetre
 
 def test_tilt_changes_the_way_to_rest_by_its_part_of_gravity_and_holds_at_rest():
     tilt = 0.1
-    down = coasted(TableTilt(tilt, 0.0), [0.5, 0.0, 0.0])
+    down = coasted(table_tilt(tilt, 0.0), [0.5, 0.0, 0.0])
     braking = GRAVITY * (MU * np.cos(tilt) - np.sin(tilt))
     assert down.poses[-1, 0] == pytest.approx(0.5**2 / (2 * braking), abs=3e-4)
-    across = coasted(TableTilt(0.4, np.pi / 2), [0.0, 0.0, 0.0], 0.2)  # steeper than friction holds
+    across = coasted(table_tilt(0.4, np.pi / 2), [0.0, 0.0, 0.0], 0.2)  # steeper than friction holds
     falling = GRAVITY * (np.sin(0.4) - MU * np.cos(0.4))
     acceleration = 2 * np.polyfit(across.clock[20:], across.poses[20:, 1], 2)[0]
     assert acceleration == pytest.approx(falling, rel=1e-3)
-    assert np.abs(coasted(TableTilt(0.2, 1.0), [0, 0, 0]).poses[-1]).max() < 2e-5
+    assert np.abs(coasted(table_tilt(0.2, 1.0), [0, 0, 0]).poses[-1]).max() < 2e-5
 
 
 def test_drag_brakes_exponentially_beside_friction():
     thing = block()
-    effect = ViscousFriction(400.0)
+    effect = viscous_friction(400.0)
     rate = 400.0 * thing.area / MASS
     # v' = -μ g - rate v from v0
     v0, level = 0.6, MU * GRAVITY / rate
@@ -166,7 +166,7 @@ def test_drag_brakes_exponentially_beside_friction():
 
 
 def test_an_anisotropic_table_brakes_each_way_by_its_own_friction():
-    effect = AnisotropicTable(along=0.8, across=1.3, angle=np.pi / 2)
+    effect = anisotropic_table(along=0.8, across=1.3, angle=np.pi / 2)
     for direction, factor in (((0.6, 0.0), 1.3), ((0.0, 0.6), 0.8)):
         motion = coasted(effect, [*direction, 0.0])
         assert np.hypot(*motion.poses[-1, :2]) == pytest.approx(
@@ -175,22 +175,22 @@ def test_an_anisotropic_table_brakes_each_way_by_its_own_friction():
 
 
 def test_a_blade_resists_sideways_motion_and_turns_the_object_about_itself():
-    along = coasted(Skate((0.0, 0.0), 0.0, 1.0), [0.6, 0, 0])
+    along = coasted(skate((0.0, 0.0), 0.0, 1.0), [0.6, 0, 0])
     assert along.poses[-1, 0] == pytest.approx(0.6**2 / (2 * MU * GRAVITY), abs=3e-4)
-    across = coasted(Skate((0.0, 0.0), np.pi / 2, 1.0), [0.6, 0, 0])
+    across = coasted(skate((0.0, 0.0), np.pi / 2, 1.0), [0.6, 0, 0])
     assert across.poses[-1, 0] == pytest.approx(0.6**2 / (2 * (MU * GRAVITY + 1.0 / MASS)), abs=3e-4)
-    ahead = coasted(Skate((0.04, 0.0), 0.0, 1.0), [0.0, 0.6, 0])  # the front is held back
+    ahead = coasted(skate((0.04, 0.0), 0.0, 1.0), [0.0, 0.6, 0])  # the front is held back
     assert ahead.poses[-1, 2] < -0.02
 
 
 def test_friction_that_depends_on_place_and_on_the_push():
-    linear = LinearFrictionField(gradient=(4.0, 0.0))
+    linear = linear_friction_field(gradient=(4.0, 0.0), center=(0.0, 0.0))
     # Energy: μ g (x + 2 x²) = v² / 2 with the middle of a block that does not turn.
     way = (-1 + np.sqrt(1 + 4 * 2 * 0.6**2 / (2 * MU * GRAVITY))) / 4
     assert coasted(linear, [0.6, 0, 0]).poses[-1, 0] == pytest.approx(way, abs=3e-4)
-    inside = PatchFrictionField(center=(0.05, 0.0), radius=0.3, factor=2.0)
+    inside = patch_friction_field(center=(0.05, 0.0), radius=0.3, edge=0.006, factor=2.0)
     assert coasted(inside, [0.6, 0, 0]).poses[-1, 0] == pytest.approx(0.6**2 / (4 * MU * GRAVITY), abs=3e-4)
-    world = World(block(), FrictionDrift(change=0.5))
+    world = World(block(), friction_drift(change=0.5))
     ends = []
     for index in (0, 2):
         motion = world.push(straight(0.05, 0.6), index=index, count=3)
@@ -199,30 +199,30 @@ def test_friction_that_depends_on_place_and_on_the_push():
 
 
 def test_stribeck_friction_takes_the_force_that_its_law_says():
-    motion = World(block(), StribeckFriction(static=1.6, speed=0.05)).push(straight(0.04, 0.8))
+    motion = World(block(), stribeck_friction(static=1.6, speed=0.05)).push(straight(0.04, 0.8))
     force = np.diff(motion.impulse[-300:, 0]).mean() / 5e-4
     assert force == pytest.approx(MU * MASS * GRAVITY * (1 + 0.6 * np.exp(-0.04 / 0.05)), rel=5e-3)
 
 
 def test_a_tether_a_belt_and_gusts_move_what_friction_does_not_hold():
-    held = coasted(Tether(anchor=(0.3, 0.0), stiffness=5.0, slack=0.1), [0, 0, 0])
+    held = coasted(tether(anchor=(0.3, 0.0), stiffness=5.0, slack=0.1), [0, 0, 0])
     assert np.abs(held.poses[-1]).max() < 2e-5
-    tether = Tether(anchor=(-0.3, 0.0), stiffness=5.0, slack=0.3)
+    caught = tether(anchor=(-0.3, 0.0), stiffness=5.0, slack=0.3)
     # Energy: μ m g x + k x² / 2 = m v² / 2
     a, b = 2.5, MU * MASS * GRAVITY
     way = (-b + np.sqrt(b**2 + 4 * a * 0.5 * MASS * 0.6**2)) / (2 * a)
-    assert coasted(tether, [0.6, 0, 0]).poses[:, 0].max() == pytest.approx(way, abs=3e-4)
-    belt = coasted(MovingTable((0.0, 0.05)), [0, 0, 0])
+    assert coasted(caught, [0.6, 0, 0]).poses[:, 0].max() == pytest.approx(way, abs=3e-4)
+    belt = coasted(moving_table((0.0, 0.05)), [0, 0, 0])
     drawn_in = 0.05**2 / (2 * MU * GRAVITY)
     assert belt.poses[-1, 1] == pytest.approx(0.05 * belt.clock[-1] - drawn_in, abs=1e-4)
-    gusts = Gusts(strength=2 * MU * MASS * GRAVITY, direction=0.0, period=0.8, phases=(0.0,))
-    assert coasted(gusts, [0, 0, 0]).poses[-1, 0] > 0.01
-    assert np.abs(coasted(replace(gusts, strength=1.0), [0, 0, 0]).poses[-1]).max() < 2e-5
+    strong, mild = (gusts(size, 0.0, period=0.8, phases=(0.0,)) for size in (2 * MU * MASS * GRAVITY, 1.0))
+    assert coasted(strong, [0, 0, 0]).poses[-1, 0] > 0.01
+    assert np.abs(coasted(mild, [0, 0, 0]).poses[-1]).max() < 2e-5
 
 
 def test_a_compliant_finger_lags_by_force_times_compliance():
     stiff, soft = (
-        World(block(), effect).push(straight(0.05, 1.0)) for effect in (Effect(), FingerCompliance(2e-3))
+        World(block(), effect).push(straight(0.05, 1.0)) for effect in (Effect(), finger_compliance(2e-3))
     )
     lag = stiff.poses[-1, 0] - soft.poses[-1, 0]
     assert lag == pytest.approx(2e-3 * MU * MASS * GRAVITY, rel=0.02)
@@ -230,7 +230,7 @@ def test_a_compliant_finger_lags_by_force_times_compliance():
 
 
 def test_a_loose_mass_swings_at_its_frequency_while_the_object_rests():
-    effect = LooseMassInside(share=0.5, frequency=3.0, damping_ratio=0.0, mass=0.5 * MASS)
+    effect = loose_mass(share=0.5, frequency=3.0, damping_ratio=0.0, place=(0.0, 0.0), mass=0.5 * MASS)
     stopped = straight(0.05, 1.6)
     stopped = replace(
         stopped,
@@ -251,10 +251,10 @@ def test_sensors_change_the_record_alone():
     poses = np.column_stack([clock, 2 * clock, np.full(101, np.pi / 2)])
     t = np.array([0.005, 0.5, 1.0])
     np.testing.assert_allclose(
-        SensorLatency(0.1).reported(t, clock, poses)[:, 0], [0.0, 0.4, 0.9], atol=1e-12
+        sensor_latency(0.1).reported(t, clock, poses)[:, 0], [0.0, 0.4, 0.9], atol=1e-12
     )
-    np.testing.assert_allclose(TrackerScale(1.1).reported(t, clock, poses)[1], [0.55, 1.1, np.pi / 2])
-    np.testing.assert_allclose(TrackerOffset(0.01, 0.0).reported(t, clock, poses)[1], [0.5, 1.01, np.pi / 2])
+    np.testing.assert_allclose(tracker_scale(1.1).reported(t, clock, poses)[1], [0.55, 1.1, np.pi / 2])
+    np.testing.assert_allclose(tracker_offset(0.01, 0.0).reported(t, clock, poses)[1], [0.5, 1.01, np.pi / 2])
 
 
 def test_random_objects_are_whole_and_every_side_lies_on_a_rectangle():

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from hidden_effects import tilted_pushes
+from soak import PASSING, STOPPING, Account, checked, drawn_faults
+from soak_session import Task
 
-from slipmap.diagrams.application.studies.soak import PASSING, STOPPING, Account, checked, drawn_faults
-from slipmap.diagrams.application.studies.soak_session import Task
 from slipmap.models.measurements import write_dataset
+from tests.diagrams.hidden_effects import tilted_pushes
 
 
 def test_faults_are_drawn_by_the_seed_and_none_comes_after_one_that_stops():

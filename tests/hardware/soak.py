@@ -1,6 +1,6 @@
 """A soak: the robot explores for a long time in a cell where things go wrong.
 
-    python -m slipmap.diagrams.application.studies.soak --minutes 60 --seed 0 -o soak
+    python tests/hardware/soak.py --minutes 60 --seed 0 -o soak
 
 The cell is the twin in lockstep (`slipmap.diagrams.testing.lockstep`), behind all messages and checks, with
 the guard's own limits: minutes are those of the simulation. Each session is a process that explores until it
@@ -21,9 +21,9 @@ from typing import Any
 
 import click
 import numpy as np
+from soak_session import COMMANDS, Task, commands_of
 
 from slipmap.diagrams.application.outputs import make_folder
-from slipmap.diagrams.application.studies.soak_session import COMMANDS, Task, commands_of
 from slipmap.diagrams.application.terminal import note, paragraph, table
 from slipmap.diagrams.station.scenario import Scenario
 from slipmap.diagrams.testing.faults import Fault
@@ -147,7 +147,7 @@ def _session(folder: Path, task: Task) -> list[dict[str, Any]]:
     (folder / COMMANDS).unlink(missing_ok=True)
     with open(folder / "said.log", "a", encoding="utf-8") as log:
         done = subprocess.run(
-            [sys.executable, "-m", "slipmap.diagrams.application.studies.soak_session", str(folder)],
+            [sys.executable, str(Path(__file__).with_name("soak_session.py")), str(folder)],
             input=task.to_json() + "\n", stdout=subprocess.PIPE, stderr=log, text=True, check=False,
         )  # fmt: skip
     said = [json.loads(line) for line in done.stdout.splitlines() if line.startswith("{")]

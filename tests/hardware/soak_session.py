@@ -1,6 +1,6 @@
 """One process of a soak: explores in a cell in lockstep until it is done, a fault stops it, or it is killed.
 
-`soak.py` starts it as `python -m slipmap.diagrams.application.studies.soak_session FOLDER`, with a task on
+`soak.py` starts it as `python soak_session.py FOLDER`, with a task on
 its standard input. Lines on its standard output say how far it is.
 """
 

@@ -1,6 +1,6 @@
 """docs/effects.md, written from the effects' code.
 
-`python -m slipmap.diagrams.application.effects_page` writes it anew.
+`python tests/diagrams/application/effects_page.py` writes it anew.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from slipmap.models.effects import LIBRARY, Effect
 from slipmap.models.effects.symbols import body_names, cell_names, latex_name
 from slipmap.models.effects.written import written
 
-PAGE = Path(__file__).resolve().parents[2] / "docs" / "effects.md"
+PAGE = Path(__file__).resolve().parents[3] / "docs" / "effects.md"
 MAGNET = PAGE.parent / "examples" / "magnet.py"
 
 _HEAD = """\
@@ -23,7 +23,7 @@ stiff finger on a level table, seen by perfect sensors up to noise). `slipmap ef
 `slipmap effects tether` explains one, and `slipmap effects tether --picture tether.png` draws what it
 does to a push.
 
-This page is made from the code: `python -m slipmap.diagrams.application.effects_page` writes it anew. The
+This page is made from the code: `python tests/diagrams/application/effects_page.py` writes it anew. The
 formulas are those that run. Constants that only round off corners are left out, [v]₊ is the larger of v
 and 0, σ(v) goes smoothly from 0 to 1 about v = 0. A ⁺ marks what holds after the step. An effect is
 nothing at the value under *nothing at*; parameters with a dash there only shape it.
