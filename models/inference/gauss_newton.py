@@ -7,34 +7,14 @@ several starts, refits with pushes left out, and randomised refits.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 import scipy.linalg
 
-from slipmap.models.inference.likelihood import NormalEquations
-from slipmap.models.inference.observations import Observation
+from slipmap.models.inference.likelihood import NormalEquations, PushLikelihood
 from slipmap.models.physics.cell_grid import FloatArray
 from slipmap.models.progress import StageProgress
-
-
-class Linearisable(Protocol):
-    """Costs of B pushes that can be minimised: `Likelihood` or `CorrelatedLikelihood`."""
-
-    @property
-    def observations(self) -> Sequence[Observation]:
-        """The pushes."""
-
-    @property
-    def start_sigma(self) -> FloatArray:
-        """(3,) or (B, 3) standard deviations of start offsets."""
-
-    def linearise(
-        self, z: FloatArray, offsets: FloatArray, strength: FloatArray, weights: FloatArray
-    ) -> NormalEquations:
-        """See `Likelihood.linearise`."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,7 +42,7 @@ class Fits:
 
 
 def fit(
-    likelihood: Linearisable,
+    likelihood: PushLikelihood,
     start: FloatArray,
     *,
     weights: FloatArray | None = None,

@@ -94,7 +94,8 @@ def log_evidence(likelihood: Likelihood, found: Fits) -> float:
     equations = likelihood.linearise(found.z, found.offsets, one, np.ones((1, len(likelihood.observations))))
     maps = np.linalg.slogdet(equations.hessian[0] + np.eye(found.z.shape[1]))[1]
     # The gain is the inverse of 1 / σ² + H_b.
-    scale = np.outer(likelihood.start_sigma, likelihood.start_sigma)
+    sigma = np.broadcast_to(likelihood.start_sigma, (len(likelihood.observations), 3))
+    scale = sigma[:, :, None] * sigma[:, None]
     starts = np.linalg.slogdet(equations.start_gain[:, 0] / scale)[1].sum()
     return float(-found.cost[0] - 0.5 * maps + 0.5 * starts - likelihood.log_widths())
 

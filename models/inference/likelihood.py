@@ -24,7 +24,7 @@ from slipmap.models.inference.observations import Observation
 from slipmap.models.inference.prior import MapPrior
 from slipmap.models.measurements import Noise
 from slipmap.models.physics.cell_grid import FloatArray
-from slipmap.models.physics.rollout import Maps, Rollouts
+from slipmap.models.physics.rollout import Maps, Push, Rollouts
 
 _JACOBIANS = 2**28
 """Bytes that the Jacobians of pushes rolled out together may take."""
@@ -76,62 +76,31 @@ class NormalEquations:
     coupling: FloatArray
 
 
-class Likelihood:
-    """Costs of K hypotheses against B observed pushes.
+class PushLikelihood:
+    """Costs of K hypotheses against B observed pushes, whatever residuals are taken to be like.
 
     Args:
         prior: coordinates of the maps.
         observations: B pushes.
-        noise: of the sensors, where declared.
-        settings: what the data are trusted with.
+        pushes: what to roll out of them, with the times at which a residual is needed.
+        start_sigma: (B, 3) standard deviations of start offsets, m and rad.
     """
 
     def __init__(
         self,
         prior: MapPrior,
         observations: Sequence[Observation],
-        noise: Noise,
-        settings: LikelihoodSettings,
+        pushes: Sequence[Push],
+        start_sigma: FloatArray,
     ) -> None:
         self.prior = prior
         self.observations: Sequence[Observation] = list(observations)
-        self.settings = settings
+        self.start_sigma = start_sigma
         grid = prior.slider.grid
         self._centroid, self._radius = grid.centers.mean(axis=0), radius_of_gyration(grid)
-        self._sigmas = [self._pose_sigma(observation, noise) for observation in self.observations]
-        self._force_sigmas = [self._force_sigma(observation, noise) for observation in self.observations]
-        start = np.array([settings.start_position, settings.start_position, settings.start_angle])
-        if noise.position is not None and noise.angle is not None:
-            # Where there are many rows the start is a mean of several, hence better known than a row.
-            single = any(len(observation.poses) == 1 for observation in self.observations)
-            start = (1.0 if single else 0.4) * np.array([noise.position, noise.position, noise.angle])
-        self.start_sigma = start
-        self._pushes = [observation.push for observation in self.observations]
-        self._starts = np.array([push.start_pose for push in self._pushes])
-        self._twists = np.array([push.start_twist for push in self._pushes])
-
-    def _pose_sigma(self, observation: Observation, noise: Noise) -> FloatArray:
-        s = self.settings
-        measured = noise.position or 0.0
-        travel = observation.travel(self.prior.slider.grid.centers)
-        return np.sqrt(measured**2 + s.base_error**2 + (s.model_error * travel) ** 2)
-
-    def _force_sigma(self, observation: Observation, noise: Noise) -> float:
-        if not observation.sliding.any():
-            return np.inf
-        return float(np.hypot(self.settings.force_error * observation.typical_force, noise.force or 0.0))
-
-    def log_widths(self) -> float:
-        """Σ log σ of all residuals, counted as often as in the costs; its negative normalises densities."""
-        s = self.settings
-        total = 0.0
-        for observation, sigma, force in zip(
-            self.observations, self._sigmas, self._force_sigmas, strict=True
-        ):
-            total += 3.0 * min(s.independent, len(sigma)) * float(np.log(sigma).mean())
-            if observation.sliding.any():
-                total += 2.0 * min(s.independent_forces, observation.sliding.sum()) * float(np.log(force))
-        return total
+        self._pushes = list(pushes)
+        self._starts = np.array([push.start_pose for push in pushes])
+        self._twists = np.array([push.start_twist for push in pushes])
 
     def linearise(
         self, z: FloatArray, offsets: FloatArray, strength: FloatArray, weights: FloatArray
@@ -157,14 +126,13 @@ class Likelihood:
         gains, start_gradients = np.empty((B, K, 3, 3)), np.empty((B, K, 3))
         couplings = np.empty((B, K, d, 3))
         for b, rollouts, place in self._rolled_out(maps, offsets, P):
-            J, r, costs = self._whitened(rollouts, b, place)
-            for part in costs:
-                cost[:, b] += part
+            J, r, own = self._whitened(rollouts, b, place)
+            cost[:, b] += own
             transposed = J.transpose(0, 2, 1)
             full = transposed @ J
             slope = (transposed @ r[..., None])[..., 0]
-            start_hessian = full[:, start, start] + np.diag(self.start_sigma**-2.0)
-            start_gradient = slope[:, start] + scaled_offsets[:, b] / self.start_sigma
+            start_hessian = full[:, start, start] + np.diag(self.start_sigma[b] ** -2.0)
+            start_gradient = slope[:, start] + scaled_offsets[:, b] / self.start_sigma[b]
             coupling = full[:, :, start]
             gain = np.linalg.inv(start_hessian)
             w = weights[:, b]
@@ -181,7 +149,8 @@ class Likelihood:
         """Each push b, rollouts that it is among, and its place there; so many pushes at a time that their
         Jacobians by P columns, `_JACOBIANS` bytes, do not fill the memory."""
         K, B = len(maps), len(self.observations)
-        rows = np.array([3 * len(o.poses) + 2 * len(o.forces) for o in self.observations])
+        forces = [0 if p.force_times is None else len(p.force_times) for p in self._pushes]
+        rows = 3 * np.array([len(o.poses) for o in self.observations]) + 2 * np.array(forces)
         parts = np.cumsum(8 * K * columns * rows) // _JACOBIANS
         for part in np.split(np.arange(B), np.flatnonzero(np.diff(parts)) + 1):
             rollouts = self.prior.slider.rollout(
@@ -194,19 +163,77 @@ class Likelihood:
             for place, b in enumerate(part.tolist()):
                 yield b, rollouts, place
 
-    def _whitened(
-        self, rollouts: Rollouts, b: int, place: int
-    ) -> tuple[FloatArray, FloatArray, list[FloatArray]]:
-        """Jacobians (K, R, P) and residuals (K, R) of push b, over standard deviations and with Huber's
-        weights; and the costs (K,) of its poses and, where any count, of its forces."""
-        observation, settings = self.observations[b], self.settings
-        measured, predicted = observation.poses, rollouts.poses_of(place)
+    def _pose_errors(self, rollouts: Rollouts, b: int, place: int) -> tuple[FloatArray, FloatArray]:
+        """Predicted minus measured (x, y, ρ θ) of the cells' centroid (K, S, 3), m, and derivatives
+        (K, S, 3, P) by the rollout's own columns."""
+        measured, predicted = self.observations[b].poses, rollouts.poses_of(place)
         arm = rotated(self._centroid, predicted[..., 2])
         here, there = predicted[..., :2] + arm, measured[..., :2] + rotated(self._centroid, measured[..., 2])
         turn = self._radius * (predicted[..., 2:] - measured[..., 2:])
-        error = np.concatenate([here - there, turn], axis=-1)
         by_object = rollouts.d_poses[:, rollouts.pose_at[place] : rollouts.pose_at[place + 1]]
         slopes = slopes_at_centroid(by_object, arm, self._radius)
+        return np.concatenate([here - there, turn], axis=-1), slopes
+
+    def _whitened(self, rollouts: Rollouts, b: int, place: int) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Jacobians (K, R, P) and residuals (K, R) of push b, which is at a place among the rollouts, in
+        standard deviations and with the weights of a robust cost; and that cost (K,)."""
+        raise NotImplementedError
+
+
+class Likelihood(PushLikelihood):
+    """The forgiving likelihood.
+
+    Args:
+        prior: coordinates of the maps.
+        observations: B pushes.
+        noise: of the sensors, where declared.
+        settings: what the data are trusted with.
+    """
+
+    def __init__(
+        self,
+        prior: MapPrior,
+        observations: Sequence[Observation],
+        noise: Noise,
+        settings: LikelihoodSettings,
+    ) -> None:
+        start = np.array([settings.start_position, settings.start_position, settings.start_angle])
+        if noise.position is not None and noise.angle is not None:
+            # Where there are many rows the start is a mean of several, hence better known than a row.
+            single = any(len(observation.poses) == 1 for observation in observations)
+            start = (1.0 if single else 0.4) * np.array([noise.position, noise.position, noise.angle])
+        pushes = [observation.push for observation in observations]
+        super().__init__(prior, observations, pushes, np.tile(start, (len(pushes), 1)))
+        self.settings = settings
+        self._sigmas = [self._pose_sigma(observation, noise) for observation in self.observations]
+        self._force_sigmas = [self._force_sigma(observation, noise) for observation in self.observations]
+
+    def _pose_sigma(self, observation: Observation, noise: Noise) -> FloatArray:
+        s = self.settings
+        measured = noise.position or 0.0
+        travel = observation.travel(self.prior.slider.grid.centers)
+        return np.sqrt(measured**2 + s.base_error**2 + (s.model_error * travel) ** 2)
+
+    def _force_sigma(self, observation: Observation, noise: Noise) -> float:
+        if not observation.sliding.any():
+            return np.inf
+        return float(np.hypot(self.settings.force_error * observation.typical_force, noise.force or 0.0))
+
+    def log_widths(self) -> float:
+        """Σ log σ of all residuals, counted as often as in the costs; its negative normalises densities."""
+        s = self.settings
+        total = 0.0
+        for observation, sigma, force in zip(
+            self.observations, self._sigmas, self._force_sigmas, strict=True
+        ):
+            total += 3.0 * min(s.independent, len(sigma)) * float(np.log(sigma).mean())
+            if observation.sliding.any():
+                total += 2.0 * min(s.independent_forces, observation.sliding.sum()) * float(np.log(force))
+        return total
+
+    def _whitened(self, rollouts: Rollouts, b: int, place: int) -> tuple[FloatArray, FloatArray, FloatArray]:
+        observation, settings = self.observations[b], self.settings
+        error, slopes = self._pose_errors(rollouts, b, place)
         groups: list[tuple[FloatArray, FloatArray, FloatArray | float, float]] = [
             (error, slopes, self._sigmas[b], settings.independent)
         ]
@@ -215,15 +242,15 @@ class Likelihood:
             error = rollouts.forces_of(place)[:, sliding] - observation.forces[sliding]
             slopes = rollouts.d_forces[:, rollouts.force_at[place] : rollouts.force_at[place + 1]][:, sliding]
             groups.append((error, slopes, self._force_sigmas[b], settings.independent_forces))
-        jacobians, residuals, costs = [], [], []
-        K, P = len(predicted), slopes.shape[-1]
+        K, P = len(error), slopes.shape[-1]
+        jacobians, residuals, costs = [], [], np.zeros(K)
         for error, slopes, sigma, independent in groups:
             share = min(1.0, independent / error.shape[1])
             weight, cost = self._robust(np.linalg.norm(error, axis=-1) / sigma)
             root = np.sqrt(share * weight) / sigma
             jacobians.append((slopes * root[..., None, None]).reshape(K, -1, P))
             residuals.append((error * root[..., None]).reshape(K, -1))
-            costs.append(share * cost.sum(axis=1))
+            costs += share * cost.sum(axis=1)
         return np.concatenate(jacobians, axis=1), np.concatenate(residuals, axis=1), costs
 
     def _robust(self, scaled: FloatArray) -> tuple[FloatArray, FloatArray]:
