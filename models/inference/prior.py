@@ -24,7 +24,6 @@ from functools import cached_property
 import numpy as np
 
 from slipmap.models.effects.effect import Effect, bounds, scales
-from slipmap.models.effects.slider import EffectSlider
 from slipmap.models.inference.observations import MEASURED_CONTACT
 from slipmap.models.measurements import PushDataset
 from slipmap.models.physics.cell_grid import CellGrid, FloatArray
@@ -75,9 +74,7 @@ def slider_with(
     effects: Sequence[Effect], grid: CellGrid, finger_radius: float, gravity: float, smoothing: Smoothing
 ) -> Slider:
     """The model with some effects; the plain one where there are none."""
-    if effects:
-        return EffectSlider(grid, finger_radius, effects, gravity, smoothing)
-    return Slider(grid, finger_radius, gravity, smoothing)
+    return Slider(grid, finger_radius, gravity, smoothing, effects)
 
 
 def slider_for(dataset: PushDataset, effects: Sequence[Effect] = ()) -> Slider:
@@ -87,7 +84,7 @@ def slider_for(dataset: PushDataset, effects: Sequence[Effect] = ()) -> Slider:
 
 def effects_of(slider: Slider) -> tuple[Effect, ...]:
     """Effects that a model has."""
-    return slider.effects if isinstance(slider, EffectSlider) else ()
+    return slider.effects
 
 
 class MapPrior:

@@ -22,7 +22,7 @@ from numba import njit, typeof, types
 from numba._dispatcher import compute_fingerprint
 from numba.core.cgutils import if_unlikely
 from numba.core.errors import TypingError
-from numba.extending import intrinsic
+from numba.extending import intrinsic, overload
 
 
 def _source_hash() -> str:
@@ -62,6 +62,23 @@ def compiled(folder: Path = CACHE_FOLDER, **options: Any) -> Callable[[Callable[
             numba.config.CACHE_DIR = before
 
     return decorate
+
+
+def without_or_with(without: Any, given: Any) -> Any:
+    """A function for kernels that is `without` where its first argument is None, and `given` where it is not.
+
+    The choice is made when a kernel is compiled, so that their results may be of different kinds.
+    """
+
+    def choice(first: Any, *others: Any) -> Any:
+        raise TypeError("this function runs in compiled code alone")
+
+    @overload(choice, jit_options={"forceinline": True})
+    def chosen(first, *others):  # type: ignore[no-untyped-def]
+        function = without if isinstance(first, types.NoneType) else given
+        return lambda first, *others: function(first, *others)
+
+    return choice
 
 
 def needs_compiling() -> bool:

@@ -1,16 +1,17 @@
-"""Compiled rollouts: one push of one model, step by step, with the Jacobian carried along.
+"""One step of the model, and rollouts of many: the compiled loop, with the Jacobian carried along.
 
-`rollout.py` is the door to this file; nothing else needs to call it.
+A step goes, in the order of this file,
 
-The Jacobian is kept in blocks of `LANES` parameters, flat in memory, with nine rows each:
+    terms_at     what effects change in this step, by their formulas at the state before it
+    take_step    free motion and given forces, the finger, contacts, the minimum, the way along it
+    set_slopes   direct derivatives of its gradient and of the finger's impulse
+    carry        the Jacobian over the step
 
-    0 … 5   d(state)/d(parameter), the state being x, y, θ (world) and v_x, v_y, omega (object frame)
-    6, 7    where the parameter is a load: the cell's centre r_x, r_y
-    6 … 8   where it is another: the direct derivative of the step's gradient
+`_roll` repeats it; `rollout_all` and `single_steps` are the doors, from `rollout.py` and `stepper.py`. A
+single step is a rollout of one step that is differentiated by what drives it, too.
 
-The loads fill the first blocks (with the cells that fill up), the other parameters, from m to the start's
-omega, the last two. As a block is one piece of memory, the compiler sees that its lanes are independent and
-computes them at once.
+`effects` is None where the model is the plain one, and `single` None in rollouts: the branches that follow
+from that are chosen when it is compiled, so that what is absent costs nothing.
 """
 
 from __future__ import annotations
@@ -20,205 +21,619 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numba import prange
+from numpy.typing import NDArray
 
-from slipmap.models.physics.around_step import (
-    Applied,
-    add_applied_turning,
-    applied_impulse,
-    best_weights,
-    take_step,
-    way_by_spin,
-    weighted,
+from slipmap.models.physics.blocks import (
+    FIXED_ROWS,
+    Layout,
+    carry_direct,
+    carry_memory,
+    carry_plain_loads,
+    empty_blocks,
+    fill_force,
+    first_blocks,
+    padded,
+    pose_update,
+    set_load_slopes,
+    set_other_slopes,
+    store_rows,
 )
-from slipmap.models.physics.compiled import address_of, call_compiled, compiled
-from slipmap.models.physics.contact import CONTACT_COLUMNS, MAX_CONTACTS, cone_of
-from slipmap.models.physics.kernel_arguments import Common, JoinedPushes, ReducedMaps, Results
+from slipmap.models.physics.compiled import address_of, call_address, call_compiled, compiled, without_or_with
+from slipmap.models.physics.contact import CONTACT_COLUMNS, MAX_CONTACTS, Cone, cone_of
+from slipmap.models.physics.friction import (
+    AFTER,
+    BODY_OUTPUTS,
+    COMPLIANCE,
+    FORCE,
+    INERTIA,
+    INERTIA_FACTOR,
+    STATE,
+    STRETCH,
+    EffectCells,
+    drag_gradients,
+    drag_sums,
+    load_gradients,
+    longest_axis,
+    stretch_gradients,
+    weigh_cells,
+)
+from slipmap.models.physics.kernel_arguments import Common, Formulas, JoinedPushes, ReducedMaps, Results
 from slipmap.models.physics.kernel_tools import (
+    OnePush,
+    Turn,
     copy_into,
     evenly_dealt,
     joined,
     push_of,
     results_of,
+    step_of,
     turn_by,
     turned,
 )
-from slipmap.models.physics.newton import LANES, padded_cells
+from slipmap.models.physics.newton import LANES, Cells, Minimum, padded_cells
+from slipmap.models.physics.slopes import (
+    Solved,
+    add_applied_turning,
+    add_formula_slopes,
+    blade_slopes,
+    by_load_sum,
+    by_stiffness,
+    finger_impulse,
+    no_slopes,
+    set_bending,
+    set_body_slopes,
+    set_input_slopes,
+    step_derivative,
+)
 from slipmap.models.physics.step import (
-    INERTIA_COLUMNS,
     MAX_EVALUATIONS,
+    Applied,
     Frame,
-    Slopes,
     Step,
+    Way,
+    applied_impulse,
+    bent_frame,
+    best_weights,
     contact_of,
     free_momentum,
     middle_frame,
-    step_derivative,
+    solve_step,
     touching,
+    way_of,
+    weighted,
 )
 
-_EXTRA_LANES = 16  # room for the parameters after the loads
-_BLOCK = 9 * LANES
+INPUTS = 9
+"""Last columns of a single step's Jacobian: wrench (5), finger before and after (4), which drive it."""
 
 
-class PoseUpdate(NamedTuple):
-    """Derivatives of x and y after a step by θ before it and by v⁺, world frame; those of θ are 1 and h."""
+class Model(NamedTuple):
+    """One hypothesis under one push.
 
-    x_theta: float
-    x_vx: float
-    x_vy: float
-    x_omega: float
-    y_theta: float
-    y_vx: float
-    y_vy: float
-    y_omega: float
+    Attributes:
+        load: (n,) friction loads, N, and their sum.
+        cells: the same as `Cells`.
+        body: m, s_x, s_y, J.
+        about_center: moment of inertia about the centre of mass, kg m².
+        cone: law of the contacts with a rigid finger.
+        stick_speed: see `Smoothing`.
+        cell_width: m.
+        size: see `Common`.
+    """
+
+    load: NDArray[np.float64]
+    load_sum: float
+    cells: Cells
+    body: tuple[float, float, float, float]
+    about_center: float
+    cone: Cone
+    stick_speed: float
+    cell_width: float
+    size: float
 
 
-@compiled(forceinline=True)
-def pose_update(way, h):  # type: ignore[no-untyped-def]
-    """`PoseUpdate` of the way of a step."""
-    x_omega, y_omega = way_by_spin(way, h)
-    return PoseUpdate(
-        -way.length * way.wy, way.length * way.cos, -way.length * way.sin, x_omega,
-        way.length * way.wx, way.length * way.sin, way.length * way.cos, y_omega,
+class Effects(NamedTuple):
+    """Formulas of effects, and room for what they are evaluated at and give, as in `friction.py`.
+
+    Attributes:
+        addresses: as in `Formulas`.
+        memory, parameters: E, P.
+        blades: how many there are.
+        cells, stretch: whether cells are changed; whether Q is.
+        delay: of the tracker, s.
+        begin: time before the first step, s.
+        y: (Y,) what formulas are evaluated at, of which the memory is kept there from step to step.
+        c: (CONSTANTS,).
+        out, dout: (BODY_OUTPUTS + 4 blades,) and (…, Y) of the body.
+        blade: (blades, 4) part of `out`.
+        factor, drag: (n,) of the cells, or without entries.
+        q: (STRETCH, n) Q of the cells, filled up, or without entries.
+        share, load: (n,) factors, not below 0, and loads times them, filled up.
+        by_load: (3, n) see `load_gradients`, filled up.
+        by_factor, by_drag, by_stretch: (3, n), (3, n), (3, 3, n) what `weigh_cells` and others fill in.
+        after: (AFTER,).
+        own, down: (E - FORCE,) and (…, Y + AFTER) of the effects' own memory.
+        G: (3, Y) derivative of the gradient by y.
+    """
+
+    addresses: NDArray[np.int64]
+    memory: int
+    parameters: int
+    blades: int
+    cells: bool
+    stretch: bool
+    delay: float
+    begin: float
+    y: NDArray[np.float64]
+    c: NDArray[np.float64]
+    out: NDArray[np.float64]
+    dout: NDArray[np.float64]
+    blade: NDArray[np.float64]
+    factor: NDArray[np.float64]
+    drag: NDArray[np.float64]
+    q: NDArray[np.float64]
+    share: NDArray[np.float64]
+    load: NDArray[np.float64]
+    by_load: NDArray[np.float64]
+    by_factor: NDArray[np.float64]
+    by_drag: NDArray[np.float64]
+    by_stretch: NDArray[np.float64]
+    after: NDArray[np.float64]
+    own: NDArray[np.float64]
+    down: NDArray[np.float64]
+    G: NDArray[np.float64]
+
+
+class Motion(NamedTuple):
+    """Pose in the world with the angle's cosine and sine, twist (object frame), and `Turn` by h omega/4."""
+
+    x: float
+    y: float
+    theta: float
+    cos: float
+    sin: float
+    v: tuple[float, float, float]
+    quarter: Turn
+
+
+class Terms(NamedTuple):
+    """What of a step effects change.
+
+    Attributes:
+        cells: `Cells`, or `EffectCells`.
+        kappa: factor on the inertia.
+        compliance: of the finger, m/N.
+        added: impulse of given forces, middle frame: two components, N s, and moment about the origin, N m s.
+        bend: how far the finger stands off its record, world, m.
+    """
+
+    cells: Any
+    kappa: float
+    compliance: float
+    added: tuple[float, float, float]
+    bend: tuple[float, float]
+
+
+class Taken(NamedTuple):
+    """A step that was taken.
+
+    Attributes:
+        new: twist after it.
+        minimum: see `Solution`.
+        solved: see `Solved`.
+        free: momentum of the free motion.
+        applied: given forces of the push.
+        impulse: of the finger on the object, middle frame, N s.
+        way: see `Way`.
+        evaluations: see `Solution`.
+    """
+
+    new: tuple[float, float, float]
+    minimum: Minimum
+    solved: Solved
+    free: tuple[float, float, float]
+    applied: Applied
+    impulse: tuple[float, float]
+    way: Way
+    evaluations: int
+
+
+class Single(NamedTuple):
+    """What a step that stands alone has besides.
+
+    Attributes:
+        state: (Z,) state before it, the finger's last force (world, N), the effects' own memory.
+        jacobian: (Z, columns) derivative of the same after it, or without columns.
+    """
+
+    state: NDArray[np.float64]
+    jacobian: NDArray[np.float64]
+
+
+@compiled()
+def _model_of(common, maps, k, h):  # type: ignore[no-untyped-def]
+    """`Model` k for steps of length h."""
+    load, inertia, smoothing = maps.load[k], maps.inertia[k], common.smoothing
+    load_sum = load.sum()
+    m, sx, sy, J = inertia[0], inertia[1], inertia[2], inertia[3]
+    cells = padded_cells(load, common.rx, common.ry, common.cell_width, smoothing[0])
+    cone = cone_of(maps.mu[k], smoothing, load_sum, 0.0, h)
+    about_center = J - (sx * sx + sy * sy) / m
+    return Model(
+        load, load_sum, cells, (m, sx, sy, J), about_center, cone, smoothing[1], common.cell_width,
+        common.size,
     )  # fmt: skip
 
 
 @compiled()
-def first_blocks(cells, first_start):  # type: ignore[no-untyped-def]
-    """Blocks before the first step: only the start depends on parameters, those from `first_start` on."""
-    n = cells.rx.shape[0]
-    S = np.zeros((n + _EXTRA_LANES) // LANES * _BLOCK)
-    for i in range(n):
-        at = i // LANES * _BLOCK + i % LANES
-        S[at + 6 * LANES] = cells.rx[i]
-        S[at + 7 * LANES] = cells.ry[i]
-    for i in range(6):
-        column = n + first_start + i
-        S[column // LANES * _BLOCK + i * LANES + column % LANES] = 1.0
-    return S
+def _no_effects(formulas, k, b, inertia, model, derive):  # type: ignore[no-untyped-def]
+    return None
 
 
-@compiled(forceinline=True)
-def advance(block, lane, A, minimum, pose, h, gx, gy, gw):  # type: ignore[no-untyped-def]
-    """Carry one parameter over one step; (gx, gy, gw) is the direct derivative of the step's gradient."""
-    x, y, theta = block[lane], block[lane + LANES], block[lane + 2 * LANES]
-    vx, vy, omega = block[lane + 3 * LANES], block[lane + 4 * LANES], block[lane + 5 * LANES]
-    gx += A[0] * x + A[1] * y + A[2] * theta + A[3] * vx + A[4] * vy + A[5] * omega
-    gy += A[6] * x + A[7] * y + A[8] * theta + A[9] * vx + A[10] * vy + A[11] * omega
-    gw += A[12] * x + A[13] * y + A[14] * theta + A[15] * vx + A[16] * vy + A[17] * omega
-    vx = -(minimum.xx * gx + minimum.xy * gy + minimum.xw * gw)
-    vy = -(minimum.xy * gx + minimum.yy * gy + minimum.yw * gw)
-    omega = -(minimum.xw * gx + minimum.yw * gy + minimum.ww * gw)
-    block[lane] = x + pose.x_theta * theta + pose.x_vx * vx + pose.x_vy * vy + pose.x_omega * omega
-    block[lane + LANES] = y + pose.y_theta * theta + pose.y_vx * vx + pose.y_vy * vy + pose.y_omega * omega
-    block[lane + 2 * LANES] = theta + h * omega
-    block[lane + 3 * LANES] = vx
-    block[lane + 4 * LANES] = vy
-    block[lane + 5 * LANES] = omega
-
-
-@compiled(fastmath={"contract"})
-def propagate(S, step, new, minimum, slopes, pose, wrench):  # type: ignore[no-untyped-def]
-    """Carry the blocks S over one step, in place: dv⁺ = -H⁻¹ (∂g + A d(state)), then the pose.
-
-    `wrench` is the impulse of the contact over Σ f, about the frame's origin.
-    """
-    A = flat(slopes.A)
-    extra, cells, h = slopes.extra, step.cells, step.h
-    vx, vy, omega = new
-    fx, fy, fw = wrench
-    spin = cells.rho2 * omega
-    constant = spin * omega + cells.eps2
-    blocks = cells.rx.shape[0] // LANES
-    for b in range(blocks):
-        block = S[b * _BLOCK : (b + 1) * _BLOCK]
-        for lane in range(LANES):
-            x = block[lane + 6 * LANES]
-            y = block[lane + 7 * LANES]
-            ux = vx - omega * y
-            uy = vy + omega * x
-            k = h / math.sqrt(ux * ux + uy * uy + constant)
-            gw = k * (x * uy - y * ux + spin) - fw
-            advance(block, lane, A, minimum, pose, h, k * ux - fx, k * uy - fy, gw)
-    for b in range(_EXTRA_LANES // LANES):
-        block = S[(blocks + b) * _BLOCK : (blocks + b + 1) * _BLOCK]
-        for row in range(3):
-            for lane in range(LANES):
-                block[lane + (6 + row) * LANES] = extra[row, b * LANES + lane]
-        for lane in range(LANES):
-            gx, gy, gw = block[lane + 6 * LANES], block[lane + 7 * LANES], block[lane + 8 * LANES]
-            advance(block, lane, A, minimum, pose, h, gx, gy, gw)
-
-
-@compiled(forceinline=True)
-def flat(A):  # type: ignore[no-untyped-def]
-    """The first six columns of three rows as numbers, row by row."""
-    return (
-        A[0, 0], A[0, 1], A[0, 2], A[0, 3], A[0, 4], A[0, 5],
-        A[1, 0], A[1, 1], A[1, 2], A[1, 3], A[1, 4], A[1, 5],
-        A[2, 0], A[2, 1], A[2, 2], A[2, 3], A[2, 4], A[2, 5],
+@compiled()
+def _some_effects(formulas, k, b, inertia, model, derive):  # type: ignore[no-untyped-def]
+    """`Effects` of model k under push b from the fields of `Formulas`."""
+    given = Formulas(*formulas)
+    sizes = given.sizes
+    E, P, blades, cells, stretch = sizes[0], sizes[1], sizes[2], sizes[3], sizes[4]
+    known = STATE + E
+    Y = known + INERTIA + P
+    n, filled = model.load.shape[0], model.cells.rx.shape[0]
+    y, c = np.zeros(Y), given.constants[b].copy()
+    copy_into(y[known : known + INERTIA], inertia)
+    copy_into(y[known + INERTIA :], given.parameters[k])
+    out = np.zeros(BODY_OUTPUTS + 4 * blades)
+    changed = n if cells else 0
+    share = np.ones(filled)
+    slopes = 3 if derive else 0
+    own = max(0, E - FORCE)
+    return Effects(
+        given.addresses, E, P, blades, cells != 0, stretch != 0,
+        given.delay[k] if given.delay.shape[0] > 0 else 0.0, c[0], y, c,
+        out, np.zeros((out.shape[0], Y)), out[BODY_OUTPUTS:].reshape(blades, 4),
+        np.ones(changed), np.zeros(changed), np.zeros((STRETCH, filled if stretch else 0)),
+        share, model.cells.load.copy() if cells else model.cells.load,
+        np.zeros((slopes, filled)), np.zeros((slopes, changed)), np.zeros((slopes, changed)),
+        np.zeros((slopes, 3, n if stretch else 0)),
+        np.zeros(AFTER), np.zeros(own), np.zeros((own, Y + AFTER)), np.zeros((3, Y)),
     )  # fmt: skip
 
 
-@compiled()
-def store_pose(S, before, share, n, out):  # type: ignore[no-untyped-def]
-    """Write d(pose)/d(parameters) at the place `share` (0 to 1) of a step into out (3, P).
-
-    `before` holds the blocks before the step, and is not read where share is 1; n is the number of loads.
-    """
-    extra_at = (n + LANES - 1) // LANES * _BLOCK
-    for i in range(3):
-        _store_row(S, before, share, i * LANES, out[i, :n])
-        _store_row(S, before, share, extra_at + i * LANES, out[i, n:])
+effects_of = without_or_with(_no_effects, _some_effects)
 
 
 @compiled(forceinline=True)
-def _store_row(S, before, share, at, out):  # type: ignore[no-untyped-def]
-    """Copy one row of as many blocks as `out` holds, the first one at `at`."""
-    full = out.shape[0] // LANES
-    for b in range(full + 1):
-        end = min(out.shape[0], (b + 1) * LANES)
-        target = out[b * LANES : end]
-        new = S[at + b * _BLOCK : at + b * _BLOCK + LANES]
-        old = before[at + b * _BLOCK : at + b * _BLOCK + LANES]
-        if b < full:
-            for lane in range(LANES):
-                target[lane] = new[lane] if share == 1.0 else old[lane] + share * (new[lane] - old[lane])
-        else:
-            for lane in range(target.shape[0]):
-                target[lane] = new[lane] if share == 1.0 else old[lane] + share * (new[lane] - old[lane])
+def _plain_terms(effects, model, motion, number, h):  # type: ignore[no-untyped-def]
+    return Terms(model.cells, 1.0, 0.0, (0.0, 0.0, 0.0), (0.0, 0.0))
+
+
+@compiled(forceinline=True)
+def _changed_terms(effects, model, motion, number, h):  # type: ignore[no-untyped-def]
+    """`Terms` of the step with this number, from this motion."""
+    y, c, out, plain = effects.y, effects.c, effects.out, model.cells
+    c[0] = effects.begin + (number + 0.5) * h
+    y[0], y[1], y[2] = motion.x, motion.y, motion.theta
+    y[3], y[4], y[5] = motion.v
+    call_address(effects.addresses[0], (y, c, out, effects.dout))
+    qxx, qxy, qyy = effects.q[0], effects.q[1], effects.q[2]
+    longest = 1.0
+    drag = (0.0, 0.0, 0.0, 0.0)
+    if effects.cells:
+        arrays = (y, c, plain.rx, plain.ry, effects.factor, effects.drag, qxx, qxy, qyy)
+        call_address(effects.addresses[1], arrays)
+        for i in range(model.load.shape[0]):
+            effects.share[i] = max(effects.factor[i], 0.0)
+            effects.load[i] = model.load[i] * effects.share[i]
+        drag = drag_sums(effects.drag, plain.rx, plain.ry, model.cell_width)
+        if effects.stretch:
+            longest = longest_axis(qxx, qxy, qyy)
+    cells = EffectCells(
+        effects.load, plain.rx, plain.ry, plain.rho2, plain.eps2, effects.stretch, qxx, qxy, qyy, longest,
+        drag, effects.blade,
+    )  # fmt: skip
+    compliance = out[COMPLIANCE]
+    bend = (0.0, 0.0)
+    if effects.memory > 0:
+        bend = (compliance * y[STATE], compliance * y[STATE + 1])
+    return Terms(cells, out[INERTIA_FACTOR], compliance, (h * out[0], h * out[1], h * out[2]), bend)
+
+
+terms_at = without_or_with(_plain_terms, _changed_terms)
+
+
+@compiled(forceinline=True)
+def _cone_at(effects, model, compliance, h):  # type: ignore[no-untyped-def]
+    """Law of the contacts with a finger of this compliance, m/N."""
+    if effects is None:
+        return model.cone
+    mu, give, _, _, damping, ramp = model.cone
+    tangential = h * h / (h * model.stick_speed / model.load_sum + compliance)
+    return Cone(mu, give, compliance, tangential, damping, ramp)
+
+
+@compiled(forceinline=True)
+def _bent(effects, frame, bend, h):  # type: ignore[no-untyped-def]
+    return frame if effects is None else bent_frame(frame, bend[0], bend[1], h)
+
+
+@compiled(inline="always")
+def take_step(effects, model, common, push, number, terms, motion, guess, rows, derive):  # type: ignore[no-untyped-def]
+    """`Taken`, the step with this number from this motion; `guess` is one of the new twist."""
+    h, v, cos, sin, quarter = push.h, motion.v, motion.cos, motion.sin, motion.quarter
+    half_cos, half_sin = joined(quarter.cos, quarter.sin, quarter.cos, quarter.sin)
+    full_cos, full_sin = joined(half_cos, half_sin, half_cos, half_sin)
+    free = free_momentum(model.body, v, full_cos, full_sin)
+    middle_cos, middle_sin = joined(cos, sin, half_cos, half_sin)
+    applied = Applied(0.0, 0.0, 0.0, 0.0)
+    added_x, added_y, added_w = terms.added
+    if push.wrench.shape[0] > 0:
+        applied = applied_impulse(push.wrench[number], middle_cos, middle_sin, h)
+        added_x += applied.x
+        added_y += applied.y
+        added_w += applied.spin
+    kappa, body = terms.kappa, model.body
+    star = (kappa * free[0] + added_x, kappa * free[1] + added_y, kappa * free[2] + added_w)
+    inertia = (kappa * body[0], kappa * body[1], kappa * body[2], kappa * body[3])
+
+    bend_x, bend_y = terms.bend
+    tip0 = (push.tip[number, 0] - bend_x, push.tip[number, 1] - bend_y)
+    tip1 = (push.tip[number + 1, 0] - bend_x, push.tip[number + 1, 1] - bend_y)
+    frame = Frame(middle_cos, middle_sin, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    count = 0
+    if not math.isnan(tip0[0]) and not math.isnan(tip1[0]):
+        frame = middle_frame(motion.x, motion.y, cos, sin, quarter, v, h, tip0, tip1)
+        frame = _bent(effects, frame, terms.bend, h)
+        gain = abs(frame.spring_x) + abs(frame.spring_y)
+        if added_x != 0.0 or added_y != 0.0 or added_w != 0.0:
+            gain += math.hypot(added_x, added_y) / body[0] + model.size * abs(added_w) / model.about_center
+        count = touching(frame, v, h, common, rows, gain)
+    cone = _cone_at(effects, model, terms.compliance, h)
+    first = contact_of(rows, 0, frame, v, h, cone)
+    second = contact_of(rows, 1, frame, v, h, cone)
+
+    step = Step(terms.cells, inertia, star, h, first, second, count, cone, model.size, v, quarter, frame)
+    new, minimum, evaluations = solve_step(step, guess, derive)
+    solved = Solved(
+        v, new, h, inertia, cone, frame, quarter, first, second, minimum.first, minimum.second
+    )  # fmt: skip
+    way = way_of(new, cos, sin, h)
+    return Taken(new, minimum, solved, free, applied, finger_impulse(solved), way, evaluations)
+
+
+@compiled(forceinline=True)
+def _moved(motion, taken, h):  # type: ignore[no-untyped-def]
+    """`Motion` after a step."""
+    way = taken.way
+    cos, sin = joined(way.cos, way.sin, way.half_cos, way.half_sin)
+    x, y = motion.x + way.length * way.wx, motion.y + way.length * way.wy
+    return Motion(x, y, motion.theta + h * taken.new[2], cos, sin, taken.new, way.quarter)
+
+
+@compiled(forceinline=True)
+def _remember(effects, motion, force):  # type: ignore[no-untyped-def]
+    """Evaluate the effects' own memory after a step with this motion after it and this force, world, N."""
+    if effects is not None and effects.memory > FORCE:
+        after = effects.after
+        after[0], after[1], after[2] = motion.x, motion.y, motion.theta
+        after[3], after[4], after[5] = motion.v
+        after[6], after[7] = force
+        call_address(effects.addresses[3], (effects.y, effects.c, after, effects.own, effects.down))
+
+
+@compiled(forceinline=True)
+def _keep(effects, force):  # type: ignore[no-untyped-def]
+    """Put what is remembered where the next step looks for it."""
+    if effects is not None and effects.memory > 0:
+        effects.y[STATE], effects.y[STATE + 1] = force
+        for e in range(effects.own.shape[0]):
+            effects.y[STATE + FORCE + e] = effects.own[e]
+
+
+@compiled(forceinline=True)
+def set_slopes(effects, single, model, push, number, terms, taken, slopes):  # type: ignore[no-untyped-def]
+    """Set the `Slopes` of a step; returns the derivatives of its gradient (3) and impulse (2) by Σ f."""
+    step_derivative(taken.solved, slopes)
+    add_applied_turning(slopes.state_g, taken.applied, push.h)
+    by_sum = by_load_sum(taken.solved, model.load_sum)
+    if effects is not None:
+        by_sum = _add_effect_slopes(effects, model, terms, taken, slopes, by_sum)
+    if single is not None:
+        at = single.jacobian.shape[1] - model.load.shape[0] - INPUTS
+        set_input_slopes(taken.solved, taken.applied, push.wrench[number], at, slopes)
+    return by_sum
+
+
+@compiled(forceinline=True)
+def _add_effect_slopes(effects, model, terms, taken, slopes, by_sum):  # type: ignore[no-untyped-def]
+    """Add what effects do to the slopes of a step, and to those by Σ f."""
+    solved, new, G, dout = taken.solved, taken.new, effects.G, effects.dout
+    h, cells, rx, ry = solved.h, terms.cells, model.cells.rx, model.cells.ry
+    set_body_slopes(G, model.body, new, taken.free, dout, h)
+    if effects.blades > 0:
+        blade_slopes(effects.blade, dout[BODY_OUTPUTS:], new, cells.eps2, h, G)
+    if effects.cells:
+        load_gradients(cells, new, effects.by_load)
+        drag_gradients(cells, new, h, model.cell_width, effects.by_drag)
+        stretch_gradients(cells, new, h, effects.by_stretch)
+        weigh_cells(model.load, effects.factor, h, effects.by_load, effects.by_factor)
+        arrays = (effects.y, effects.c, rx, ry, effects.by_factor, effects.by_drag, effects.by_stretch, G)
+        call_address(effects.addresses[2], arrays)
+    if effects.memory > 0:
+        last = (effects.y[STATE], effects.y[STATE + 1])
+        by_compliance = by_stiffness(solved, False, model.stick_speed, model.load_sum)
+        set_bending(solved, last, by_compliance, slopes)
+        by_sum = by_stiffness(solved, True, model.stick_speed, model.load_sum)
+    add_formula_slopes(slopes, G, dout, terms.kappa)
+    return by_sum
+
+
+@compiled(forceinline=True)
+def carry(effects, S, layout, model, terms, taken, slopes, by_sum):  # type: ignore[no-untyped-def]
+    """Carry the state's rows of the Jacobian over a step, in place."""
+    h, minimum, pose = taken.solved.h, taken.minimum, pose_update(taken.way, taken.solved.h)
+    first = padded(layout.n) // LANES
+    if _has_plain_loads(effects):
+        carry_plain_loads(S, model.cells, taken.new, h, slopes, by_sum, minimum, pose)
+    else:
+        _set_load_slopes(effects, S, layout, terms, taken, by_sum)
+        first = 0
+    set_other_slopes(S, layout, slopes.other_g)
+    carry_direct(S, first, layout, slopes, minimum, pose, h)
+
+
+@compiled(forceinline=True)
+def _has_plain_loads(effects):  # type: ignore[no-untyped-def]
+    """Whether the blocks of loads are those of the plain model."""
+    if effects is None:
+        return True
+    return effects.memory == 0 and not effects.cells
+
+
+@compiled(forceinline=True)
+def _set_load_slopes(effects, S, layout, terms, taken, by_sum):  # type: ignore[no-untyped-def]
+    if effects is not None:
+        if not effects.cells:
+            load_gradients(terms.cells, taken.new, effects.by_load)
+        set_load_slopes(S, layout, effects.by_load, effects.share, taken.solved.h, by_sum)
+
+
+@compiled(forceinline=True)
+def _carry_memory(effects, S, before, F, layout):  # type: ignore[no-untyped-def]
+    if effects is not None:
+        carry_memory(S, before, F, layout, effects.down)
+
+
+@compiled(forceinline=True)
+def _layout(effects, model, columns):  # type: ignore[no-untyped-def]
+    """`Layout` of a Jacobian with so many columns."""
+    n = model.load.shape[0]
+    others = columns - n if columns > 0 else 0
+    if effects is None:
+        return Layout(n, others, 0, 0)
+    return Layout(n, others, effects.memory, effects.parameters)
+
+
+@compiled(forceinline=True)
+def _begin(effects, single):  # type: ignore[no-untyped-def]
+    """Put the memory before a single step where the step looks for it."""
+    if effects is not None and single is not None:
+        copy_into(effects.y[STATE : STATE + effects.memory], single.state[STATE : STATE + effects.memory])
+
+
+@compiled(forceinline=True)
+def _end(effects, single, S, layout, end):  # type: ignore[no-untyped-def]
+    """Give out what only single steps do: memory, and the other rows of the Jacobian."""
+    if effects is not None and single is not None:
+        own = effects.own.shape[0]
+        copy_into(end[AFTER : AFTER + own], effects.own)
+        if layout.others > 0:
+            n, rows, jacobian = layout.n, FIXED_ROWS + layout.memory, single.jacobian
+            store_rows(S, S, 1.0, rows, 3, n, jacobian[3:STATE])
+            store_rows(S, S, 1.0, rows, FIXED_ROWS + FORCE, n, jacobian[AFTER : AFTER + own])
+
+
+@compiled(forceinline=True)
+def _sample_place(effects, push, sample):  # type: ignore[no-untyped-def]
+    """Step in whose course a pose is wanted, and the place in it, 0 to 1."""
+    if effects is None or effects.delay == 0.0:
+        return push.sample_step[sample], push.sample_fraction[sample]
+    return step_of(push.sample_time[sample] - effects.delay, push.h, push.tip.shape[0] - 1)
+
+
+@compiled(forceinline=True)
+def _set_rate(effects, push, sample, way, new, rate):  # type: ignore[no-untyped-def]
+    """Set the velocity of a pose that is reported late; none where it lies outside of the push."""
+    if effects is not None:
+        time, h = push.sample_time[sample] - effects.delay, push.h
+        moves = 0.0 < time < (push.tip.shape[0] - 1) * h * (1.0 + 1e-9)
+        rate[0] = way.length * way.wx / h if moves else 0.0
+        rate[1] = way.length * way.wy / h if moves else 0.0
+        rate[2] = new[2] if moves else 0.0
+
+
+@compiled(inline="always")
+def _roll(model, effects, single, common, push, result, columns):  # type: ignore[no-untyped-def]
+    """Simulate one push of one model into the result, whose derivatives have so many columns."""
+    h, size, steps = push.h, common.size, push.tip.shape[0] - 1
+    force_step = push.force_step
+    n, derive = model.load.shape[0], columns > 0
+    layout = _layout(effects, model, columns)
+    remembers = layout.memory > 0
+    block_rows = FIXED_ROWS + layout.memory
+    S = first_blocks(layout, model.cells.rx, model.cells.ry)
+    before, F = np.zeros_like(S), empty_blocks(layout, 2)
+    slopes = no_slopes(layout.memory, padded(layout.others))
+    rows = np.zeros((MAX_CONTACTS, CONTACT_COLUMNS))
+    _begin(effects, single)
+
+    pose, twist = push.start_pose, push.start_twist
+    v = (twist[0], twist[1], twist[2])
+    turn = turn_by(0.25 * h * v[2])
+    motion = Motion(pose[0], pose[1], pose[2], math.cos(pose[2]), math.sin(pose[2]), v, turn)
+    past = (v, v, v)
+    weights = (1.0, 0.0, 0.0)
+    evaluations = sample = force_sample = 0
+    failed = False
+
+    for number in range(steps):
+        terms = terms_at(effects, model, motion, number, h)
+        guess = weighted(weights, past)
+        taken = take_step(effects, model, common, push, number, terms, motion, guess, rows, derive)
+        new, way, frame = taken.new, taken.way, taken.solved.frame
+        weights = best_weights(new, past, size)
+        past = (new, past[0], past[1])
+        evaluations += taken.evaluations
+        failed = failed or taken.evaluations > MAX_EVALUATIONS
+        impulse = turned(frame.cos, frame.sin, taken.impulse[0], taken.impulse[1])
+        force = (impulse[0] / h, impulse[1] / h)
+        following = _moved(motion, taken, h)
+        _remember(effects, following, force)
+
+        first_sample = sample
+        between = False
+        while sample < result.poses.shape[0]:
+            at, share = _sample_place(effects, push, sample)
+            if at != number:
+                break
+            result.poses[sample, 0] = motion.x + share * way.length * way.wx
+            result.poses[sample, 1] = motion.y + share * way.length * way.wy
+            result.poses[sample, 2] = motion.theta + share * h * new[2]
+            between = between or share < 1.0
+            if result.rates.shape[0] > 0:
+                _set_rate(effects, push, sample, way, new, result.rates[sample])
+            sample += 1
+        first_force = force_sample
+        while force_sample < force_step.shape[0] and force_step[force_sample] == number:
+            result.forces[force_sample, 0], result.forces[force_sample, 1] = force
+            force_sample += 1
+
+        if derive:
+            wants_force = remembers or force_sample > first_force
+            if between or wants_force:
+                copy_into(before, S)
+            by_sum = set_slopes(effects, single, model, push, number, terms, taken, slopes)
+            carry(effects, S, layout, model, terms, taken, slopes, by_sum)
+            if wants_force:
+                fill_force(F, S, before, layout, slopes, by_sum, frame, force, h)
+            if remembers:
+                _carry_memory(effects, S, before, F, layout)
+            for s in range(first_sample, sample):
+                share = _sample_place(effects, push, s)[1]
+                store_rows(S, before, share, block_rows, 0, n, result.d_poses[s])
+            for s in range(first_force, force_sample):
+                store_rows(F, F, 1.0, 2, 0, n, result.d_forces[s])
+        _keep(effects, force)
+        motion = following
+
+    end = result.end
+    end[0], end[1], end[2] = motion.x, motion.y, motion.theta
+    end[3], end[4], end[5] = motion.v
+    end[end.shape[0] - 1] = -1.0 if failed else float(evaluations)
+    _end(effects, single, S, layout, end)
 
 
 @compiled()
-def store_force(S, before, n, step, force, wrench, dforce, out):  # type: ignore[no-untyped-def]
-    """Write d(force)/d(parameters) of a step into out (2, P).
-
-    `force` is the impulse of the finger in the world frame, N s; `wrench` that over Σ f in the middle frame.
-    """
-    frame, h = step.frame, step.h
-    extra_at = (n + LANES - 1) // LANES * LANES
-    for j in range(out.shape[1]):
-        column = j if j < n else extra_at + j - n
-        at = column // LANES * _BLOCK + column % LANES
-        px = 0.0
-        py = 0.0
-        if j < n:
-            px, py = wrench[0], wrench[1]
-        elif j == n + 4:
-            px, py = dforce[0, 9], dforce[1, 9]
-        for i in range(6):
-            px += dforce[0, i] * before[at + i * LANES]
-            py += dforce[1, i] * before[at + i * LANES]
-        for i in range(3):
-            px += dforce[0, 6 + i] * S[at + (3 + i) * LANES]
-            py += dforce[1, 6 + i] * S[at + (3 + i) * LANES]
-        turning = before[at + 2 * LANES] + 0.5 * h * before[at + 5 * LANES]
-        out[0, j] = (frame.cos * px - frame.sin * py - force[1] * turning) / h
-        out[1, j] = (frame.sin * px + frame.cos * py + force[0] * turning) / h
-
-
-@compiled()
-def rollout_one(job, common, maps, pushes, results):  # type: ignore[no-untyped-def]
+def rollout_one(job, common, maps, pushes, formulas, results):  # type: ignore[no-untyped-def]
     """Job number k B + b: push b of model k.
 
     Args:
@@ -226,140 +641,74 @@ def rollout_one(job, common, maps, pushes, results):  # type: ignore[no-untyped-
         common: fields of `Common`.
         maps: fields of `ReducedMaps`.
         pushes: fields of `JoinedPushes`.
+        formulas: fields of `Formulas`, or None for the plain model.
         results: fields of `Results`, where those of the push are filled in.
     """
     common, maps = Common(*common), ReducedMaps(*maps)
     pushes, results = JoinedPushes(*pushes), Results(*results)
     k, b = job // len(pushes.h), job % len(pushes.h)
     push, result = push_of(pushes, k, b), results_of(results, pushes, k, b)
-    load, inertia, smoothing, size = maps.load[k], maps.inertia[k], common.smoothing, common.size
-    h, tip, wrench = push.h, push.tip, push.wrench
-    sample_step, force_step = push.sample_step, push.force_step
-    n = load.shape[0]
-    derive = result.d_poses.shape[2] > 0
-    cells = padded_cells(load, common.rx, common.ry, common.cell_width, smoothing[0])
-    load_sum = load.sum()
-    cone = cone_of(maps.mu[k], smoothing, load_sum, 0.0, h)
-    body = (inertia[0], inertia[1], inertia[2], inertia[3])
-    rows = np.zeros((MAX_CONTACTS, CONTACT_COLUMNS))
-    forced = wrench.shape[0] > 0
-    about_center = inertia[3] - (inertia[1] * inertia[1] + inertia[2] * inertia[2]) / inertia[0]
-
-    slopes = Slopes(np.zeros((3, 6)), np.zeros((3, _EXTRA_LANES)), np.zeros((2, 10)))
-    S = first_blocks(cells, INERTIA_COLUMNS + 1) if derive else np.zeros(0)
-    before = np.zeros_like(S)
-
-    q0, v0 = push.start_pose, push.start_twist
-    x, y, theta = q0[0], q0[1], q0[2]
-    cos, sin = math.cos(theta), math.sin(theta)
-    v = (v0[0], v0[1], v0[2])
-    quarter = turn_by(0.25 * h * v[2])
-    past = (v, v, v)
-    weights = (1.0, 0.0, 0.0)
-    evaluations = 0
-    failed = False
-    sample = 0
-    force_sample = 0
-
-    for i in range(tip.shape[0] - 1):
-        half_cos, half_sin = joined(quarter.cos, quarter.sin, quarter.cos, quarter.sin)
-        full_cos, full_sin = joined(half_cos, half_sin, half_cos, half_sin)
-        star_x, star_y, star_w = free_momentum(body, v, full_cos, full_sin)
-        applied = Applied(0.0, 0.0, 0.0, 0.0)
-        gain = 0.0
-        if forced:
-            applied = applied_impulse(wrench[i], cos, sin, half_cos, half_sin, h)
-            star_x += applied.x
-            star_y += applied.y
-            star_w += applied.spin
-            gain = math.hypot(applied.x, applied.y) / body[0] + size * abs(applied.spin) / about_center
-        count = 0
-        frame = Frame(1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-        tip0 = (tip[i, 0], tip[i, 1])
-        tip1 = (tip[i + 1, 0], tip[i + 1, 1])
-        if not math.isnan(tip0[0]) and not math.isnan(tip1[0]):
-            frame = middle_frame(x, y, cos, sin, quarter, v, h, tip0, tip1)
-            count = touching(frame, v, h, common, rows, gain)
-        first = contact_of(rows, 0, frame, v, h, cone)
-        second = contact_of(rows, 1, frame, v, h, cone)
-        star = (star_x, star_y, star_w)
-        step = Step(cells, body, star, h, first, second, count, cone, size, v, quarter, frame)
-
-        taken = take_step(step, weighted(weights, past), derive, cos, sin)
-        new, minimum, way = taken.new, taken.minimum, taken.way
-        weights = best_weights(new, past, size)
-        past = (new, past[0], past[1])
-        evaluations += taken.evaluations
-        failed = failed or taken.evaluations > MAX_EVALUATIONS
-        world_force = turned(frame.cos, frame.sin, taken.impulse_x, taken.impulse_y)
-        length, wx, wy = way.length, way.wx, way.wy
-
-        first_sample = sample
-        needs_before = False
-        while sample < sample_step.shape[0] and sample_step[sample] == i:
-            share = push.sample_fraction[sample]
-            result.poses[sample, 0] = x + share * length * wx
-            result.poses[sample, 1] = y + share * length * wy
-            result.poses[sample, 2] = theta + share * h * new[2]
-            needs_before = needs_before or share < 1.0
-            sample += 1
-        wants_force = force_sample < force_step.shape[0] and force_step[force_sample] == i
-
-        if derive:
-            step_derivative(taken.solved, slopes)
-            add_applied_turning(slopes.A, applied, h)
-            if needs_before or wants_force:
-                copy_into(before, S)
-            moment = first.nw * minimum.first.normal - first.tw * minimum.first.tangential
-            moment += second.nw * minimum.second.normal - second.tw * minimum.second.tangential
-            share_of_load = (taken.impulse_x / load_sum, taken.impulse_y / load_sum, -moment / load_sum)
-            propagate(S, step, new, minimum, slopes, pose_update(way, h), share_of_load)
-            for s in range(first_sample, sample):
-                store_pose(S, before, push.sample_fraction[s], n, result.d_poses[s])
-
-        while force_sample < force_step.shape[0] and force_step[force_sample] == i:
-            result.forces[force_sample, 0] = world_force[0] / h
-            result.forces[force_sample, 1] = world_force[1] / h
-            if derive:
-                store_force(
-                    S,
-                    before,
-                    n,
-                    step,
-                    world_force,
-                    share_of_load,
-                    slopes.force,
-                    result.d_forces[force_sample],
-                )
-            force_sample += 1
-
-        x += length * wx
-        y += length * wy
-        theta += h * new[2]
-        cos, sin = joined(way.cos, way.sin, way.half_cos, way.half_sin)
-        v = new
-        quarter = way.quarter
-
-    end = result.end
-    end[0], end[1], end[2] = x, y, theta
-    end[3], end[4], end[5] = v
-    end[6] = -1.0 if failed else float(evaluations)
+    columns = result.d_poses.shape[2]
+    model = _model_of(common, maps, k, push.h)
+    effects = effects_of(formulas, k, b, maps.inertia[k], model, columns > 0)
+    _roll(model, effects, None, common, push, result, columns)
 
 
 @compiled(parallel=True)
-def _all_jobs(address, order, common, maps, pushes, results):  # type: ignore[no-untyped-def]
+def _all_jobs(address, order, common, maps, pushes, formulas, results):  # type: ignore[no-untyped-def]
     for place in prange(len(order)):
-        call_compiled(rollout_one, address, (order[place], common, maps, pushes, results))
+        arguments = (order[place], common, maps, pushes, formulas, results)
+        call_compiled(rollout_one, address, arguments)
 
 
 def rollout_all(
-    common: tuple[Any, ...], maps: tuple[Any, ...], pushes: JoinedPushes, results: Results
+    common: tuple[Any, ...],
+    maps: tuple[Any, ...],
+    pushes: JoinedPushes,
+    formulas: Formulas | None,
+    results: Results,
 ) -> None:
     """All models times all pushes, on all threads; `common` and `maps` as in `rollout_one`."""
-    arguments = (common, maps, tuple(pushes), tuple(results))
+    plain = None if formulas is None else tuple(formulas)
+    arguments = (common, maps, tuple(pushes), plain, tuple(results))
     # A single job is not worth waking the other threads.
     if results.end.size == 7:
         rollout_one(0, *arguments)
     else:
         order = evenly_dealt(np.diff(pushes.tip_at), len(results.end))
         _all_jobs(address_of(rollout_one, (0, *arguments)), order, *arguments)
+
+
+@compiled()
+def single_steps(common, maps, formulas, drive, states, after, jacobian):  # type: ignore[no-untyped-def]
+    """One step of K models, one after the other: waking other threads takes longer than the steps.
+
+    A state is that of `Single`. The columns of a Jacobian are
+
+        f_1 … f_n, m, s_x, s_y, J, mu_finger, x, y, θ, v_x, v_y, omega, the effects' parameters (as in a
+        rollout), last force, memory, wrench, finger before and after (world).
+
+    Args:
+        common: fields of `Common`.
+        maps: fields of `ReducedMaps`.
+        formulas: fields of `Formulas`; its constants have one row, with the time before the step.
+        drive: h, tip (2, 2), NaN for no finger, and wrench (1, 5), as in `Push`.
+        states: (K, Z) before the step, Z = 8 + the effects' own memory.
+        after: (K, Z + 1) result: state after the step, and the number of evaluations, negative if the step
+            was not solved.
+        jacobian: (K, Z, columns) result, or an array without columns for none.
+    """
+    common, maps = Common(*common), ReducedMaps(*maps)
+    h, tip, wrench = drive
+    at, whole, time, columns = np.zeros(1, np.int64), np.ones(1), np.full(1, h), jacobian.shape[2]
+    rates = np.zeros((0, 3))
+    for k in range(len(states)):
+        state, here = states[k], slice(k, k + 1)
+        push = OnePush(h, tip, wrench, state[:3], state[3:STATE], at, whole, time, at)
+        poses, forces = after[here, :3], after[here, STATE:AFTER]
+        result = Results(
+            poses, rates, forces, jacobian[here, :3], jacobian[here, STATE:AFTER], after[k]
+        )  # fmt: skip
+        model = _model_of(common, maps, k, h)
+        effects = effects_of(formulas, k, 0, maps.inertia[k], model, columns > 0)
+        _roll(model, effects, Single(state, jacobian[k]), common, push, result, columns)
