@@ -38,7 +38,15 @@ from slipmap.models.physics.blocks import (
     set_other_slopes,
     store_rows,
 )
-from slipmap.models.physics.compiled import address_of, call_address, call_compiled, compiled, without_or_with
+from slipmap.models.physics.compiled import (
+    address_of,
+    borrowed,
+    call_address,
+    call_compiled,
+    compiled,
+    keep,
+    without_or_with,
+)
 from slipmap.models.physics.contact import CONTACT_COLUMNS, MAX_CONTACTS, Cone, cone_of
 from slipmap.models.physics.friction import (
     AFTER,
@@ -72,6 +80,7 @@ from slipmap.models.physics.kernel_tools import (
 )
 from slipmap.models.physics.newton import LANES, Cells, Minimum, padded_cells
 from slipmap.models.physics.slopes import (
+    Slopes,
     Solved,
     add_applied_turning,
     add_formula_slopes,
@@ -236,6 +245,22 @@ class Taken(NamedTuple):
     impulse: tuple[float, float]
     way: Way
     evaluations: int
+
+
+class Room(NamedTuple):
+    """Where a rollout keeps its derivatives and contacts.
+
+    Attributes:
+        S, before, F: blocks after a step, before it, and of the finger's force, see `blocks.py`.
+        slopes: see `Slopes`.
+        contacts: (MAX_CONTACTS, CONTACT_COLUMNS).
+    """
+
+    S: NDArray[np.float64]
+    before: NDArray[np.float64]
+    F: NDArray[np.float64]
+    slopes: Slopes
+    contacts: NDArray[np.float64]
 
 
 class Single(NamedTuple):
@@ -533,6 +558,18 @@ def _end(effects, single, S, layout, end):  # type: ignore[no-untyped-def]
 
 
 @compiled(forceinline=True)
+def _owned(common, maps, formulas, k, b, h, columns):  # type: ignore[no-untyped-def]
+    """`Model`, `Effects` or None, and `Room` of model k under push b, of steps of length h."""
+    model = _model_of(common, maps, k, h)
+    effects = effects_of(formulas, k, b, maps.inertia[k], model, columns > 0)
+    layout = _layout(effects, model, columns)
+    S = first_blocks(layout, model.cells.rx, model.cells.ry)
+    slopes = no_slopes(layout.memory, padded(layout.others))
+    rows = np.zeros((MAX_CONTACTS, CONTACT_COLUMNS))
+    return model, effects, Room(S, np.zeros_like(S), empty_blocks(layout, 2), slopes, rows)
+
+
+@compiled(forceinline=True)
 def _sample_place(effects, push, sample):  # type: ignore[no-untyped-def]
     """Step in whose course a pose is wanted, and the place in it, 0 to 1."""
     if effects is None or effects.delay == 0.0:
@@ -552,7 +589,7 @@ def _set_rate(effects, push, sample, way, new, rate):  # type: ignore[no-untyped
 
 
 @compiled(inline="always")
-def _roll(model, effects, single, common, push, result, columns):  # type: ignore[no-untyped-def]
+def _roll(model, effects, single, room, common, push, result, columns):  # type: ignore[no-untyped-def]
     """Simulate one push of one model into the result, whose derivatives have so many columns."""
     h, size, steps = push.h, common.size, push.tip.shape[0] - 1
     force_step = push.force_step
@@ -560,10 +597,7 @@ def _roll(model, effects, single, common, push, result, columns):  # type: ignor
     layout = _layout(effects, model, columns)
     remembers = layout.memory > 0
     block_rows = FIXED_ROWS + layout.memory
-    S = first_blocks(layout, model.cells.rx, model.cells.ry)
-    before, F = np.zeros_like(S), empty_blocks(layout, 2)
-    slopes = no_slopes(layout.memory, padded(layout.others))
-    rows = np.zeros((MAX_CONTACTS, CONTACT_COLUMNS))
+    S, before, F, slopes, rows = room
     _begin(effects, single)
 
     pose, twist = push.start_pose, push.start_twist
@@ -644,14 +678,16 @@ def rollout_one(job, common, maps, pushes, formulas, results):  # type: ignore[n
         formulas: fields of `Formulas`, or None for the plain model.
         results: fields of `Results`, where those of the push are filled in.
     """
+    common, maps, pushes, formulas, results = borrowed((common, maps, pushes, formulas, results))
     common, maps = Common(*common), ReducedMaps(*maps)
     pushes, results = JoinedPushes(*pushes), Results(*results)
     k, b = job // len(pushes.h), job % len(pushes.h)
     push, result = push_of(pushes, k, b), results_of(results, pushes, k, b)
     columns = result.d_poses.shape[2]
-    model = _model_of(common, maps, k, push.h)
-    effects = effects_of(formulas, k, b, maps.inertia[k], model, columns > 0)
-    _roll(model, effects, None, common, push, result, columns)
+    owned = _owned(common, maps, formulas, k, b, push.h, columns)
+    model, effects, room = borrowed(owned)
+    _roll(model, effects, None, room, common, push, result, columns)
+    keep(owned)
 
 
 @compiled(parallel=True)
@@ -698,10 +734,13 @@ def single_steps(common, maps, formulas, drive, states, after, jacobian):  # typ
             was not solved.
         jacobian: (K, Z, columns) result, or an array without columns for none.
     """
+    given = borrowed((common, maps, formulas, drive, states, after, jacobian))
+    common, maps, formulas, drive, states, after, jacobian = given
     common, maps = Common(*common), ReducedMaps(*maps)
     h, tip, wrench = drive
-    at, whole, time, columns = np.zeros(1, np.int64), np.ones(1), np.full(1, h), jacobian.shape[2]
-    rates = np.zeros((0, 3))
+    samples = np.zeros(1, np.int64), np.ones(1), np.full(1, h), np.zeros((0, 3))
+    at, whole, time, rates = borrowed(samples)
+    columns = jacobian.shape[2]
     for k in range(len(states)):
         state, here = states[k], slice(k, k + 1)
         push = OnePush(h, tip, wrench, state[:3], state[3:STATE], at, whole, time, at)
@@ -709,6 +748,8 @@ def single_steps(common, maps, formulas, drive, states, after, jacobian):  # typ
         result = Results(
             poses, rates, forces, jacobian[here, :3], jacobian[here, STATE:AFTER], after[k]
         )  # fmt: skip
-        model = _model_of(common, maps, k, h)
-        effects = effects_of(formulas, k, 0, maps.inertia[k], model, columns > 0)
-        _roll(model, effects, Single(state, jacobian[k]), common, push, result, columns)
+        owned = _owned(common, maps, formulas, k, 0, h, columns)
+        model, effects, room = borrowed(owned)
+        _roll(model, effects, Single(state, jacobian[k]), room, common, push, result, columns)
+        keep(owned)
+    keep(samples)
