@@ -236,12 +236,12 @@ def drag_gradients(cells, v, h, cell_width, by_drag):  # type: ignore[no-untyped
 
 @compiled(fastmath=_FAST)
 def stretch_gradients(cells, v, h, by_stretch):  # type: ignore[no-untyped-def]
-    """Fill by_stretch (3, 3, n): h times the same by the q_xx, q_xy, q_yy (first axis) of each cell."""
+    """Fill by_stretch (9, n): h times the same by the q_xx, q_xy, q_yy of each cell, three rows each."""
     vx, vy, omega = v
     qxx, qxy, qyy = cells.qxx, cells.qxy, cells.qyy
     spin = cells.rho2 * omega
     constant = spin * omega + cells.eps2
-    for i in range(by_stretch.shape[2]):
+    for i in range(by_stretch.shape[1]):
         x, y = cells.rx[i], cells.ry[i]
         ux = vx - omega * y
         uy = vy + omega * x
@@ -252,15 +252,15 @@ def stretch_gradients(cells, v, h, by_stretch):  # type: ignore[no-untyped-def]
         a = h * cells.load[i] / math.sqrt(phi2)
         b = a / phi2
         by_xx, by_xy, by_yy = 0.5 * b * ux * ux, b * ux * uy, 0.5 * b * uy * uy
-        by_stretch[0, 0, i] = a * ux - by_xx * px
-        by_stretch[0, 1, i] = -by_xx * py
-        by_stretch[0, 2, i] = -a * y * ux - by_xx * pw
-        by_stretch[1, 0, i] = a * uy - by_xy * px
-        by_stretch[1, 1, i] = a * ux - by_xy * py
-        by_stretch[1, 2, i] = a * (x * ux - y * uy) - by_xy * pw
-        by_stretch[2, 0, i] = -by_yy * px
-        by_stretch[2, 1, i] = a * uy - by_yy * py
-        by_stretch[2, 2, i] = a * x * uy - by_yy * pw
+        by_stretch[0, i] = a * ux - by_xx * px
+        by_stretch[1, i] = -by_xx * py
+        by_stretch[2, i] = -a * y * ux - by_xx * pw
+        by_stretch[3, i] = a * uy - by_xy * px
+        by_stretch[4, i] = a * ux - by_xy * py
+        by_stretch[5, i] = a * (x * ux - y * uy) - by_xy * pw
+        by_stretch[6, i] = -by_yy * px
+        by_stretch[7, i] = a * uy - by_yy * py
+        by_stretch[8, i] = a * x * uy - by_yy * pw
 
 
 @compiled(fastmath={"contract"})

@@ -52,11 +52,11 @@ from slipmap.models.physics.friction import (
     AFTER,
     BODY_OUTPUTS,
     COMPLIANCE,
+    CONSTANTS,
     FORCE,
     INERTIA,
     INERTIA_FACTOR,
     STATE,
-    STRETCH,
     EffectCells,
     drag_gradients,
     drag_sums,
@@ -83,13 +83,13 @@ from slipmap.models.physics.slopes import (
     Slopes,
     Solved,
     add_applied_turning,
+    add_bending,
     add_formula_slopes,
     blade_slopes,
     by_load_sum,
     by_stiffness,
     finger_impulse,
     no_slopes,
-    set_bending,
     set_body_slopes,
     set_input_slopes,
     step_derivative,
@@ -111,6 +111,9 @@ from slipmap.models.physics.step import (
     way_of,
     weighted,
 )
+
+_FIRST, _WHOLE = np.zeros(1, np.int64), np.ones(1)
+# Where a single step's pose and force are wanted: in the first step, at its end.
 
 INPUTS = 9
 """Last columns of a single step's Jacobian: wrench (5), finger before and after (4), which drive it."""
@@ -156,10 +159,10 @@ class Effects(NamedTuple):
         out, dout: (BODY_OUTPUTS + 4 blades,) and (…, Y) of the body.
         blade: (blades, 4) part of `out`.
         factor, drag: (n,) of the cells, or without entries.
-        q: (STRETCH, n) Q of the cells, filled up, or without entries.
+        qxx, qxy, qyy: (n,) Q of the cells, filled up, or without entries.
         share, load: (n,) factors, not below 0, and loads times them, filled up.
         by_load: (3, n) see `load_gradients`, filled up.
-        by_factor, by_drag, by_stretch: (3, n), (3, n), (3, 3, n) what `weigh_cells` and others fill in.
+        by_factor, by_drag, by_stretch: (3, n), (3, n), (9, n) what `weigh_cells` and others fill in.
         after: (AFTER,).
         own, down: (E - FORCE,) and (…, Y + AFTER) of the effects' own memory.
         G: (3, Y) derivative of the gradient by y.
@@ -180,7 +183,9 @@ class Effects(NamedTuple):
     blade: NDArray[np.float64]
     factor: NDArray[np.float64]
     drag: NDArray[np.float64]
-    q: NDArray[np.float64]
+    qxx: NDArray[np.float64]
+    qxy: NDArray[np.float64]
+    qyy: NDArray[np.float64]
     share: NDArray[np.float64]
     load: NDArray[np.float64]
     by_load: NDArray[np.float64]
@@ -295,32 +300,53 @@ def _no_effects(formulas, k, b, inertia, model, derive):  # type: ignore[no-unty
     return None
 
 
+@compiled(forceinline=True)
+def _split(numbers, count):  # type: ignore[no-untyped-def]
+    """The first numbers, so many of them, and the others."""
+    return numbers[:count], numbers[count:]
+
+
 @compiled()
 def _some_effects(formulas, k, b, inertia, model, derive):  # type: ignore[no-untyped-def]
     """`Effects` of model k under push b from the fields of `Formulas`."""
     given = Formulas(*formulas)
     sizes = given.sizes
-    E, P, blades, cells, stretch = sizes[0], sizes[1], sizes[2], sizes[3], sizes[4]
-    known = STATE + E
-    Y = known + INERTIA + P
+    E, P, blades, cells, stretch = sizes[0], sizes[1], sizes[2], sizes[3] != 0, sizes[4] != 0
+    known, own = STATE + E, max(0, E - FORCE)
+    Y, outputs = known + INERTIA + P, BODY_OUTPUTS + 4 * blades
     n, filled = model.load.shape[0], model.cells.rx.shape[0]
-    y, c = np.zeros(Y), given.constants[b].copy()
+    changed, stretched = n if cells else 0, filled if stretch else 0
+    # One piece of memory for many, as each one takes time to get.
+    room = np.zeros(Y + CONSTANTS + outputs + 2 * changed + 3 * stretched + 2 * filled + AFTER + own)
+    y, room = _split(room, Y)
+    c, room = _split(room, CONSTANTS)
+    out, room = _split(room, outputs)
+    factor, room = _split(room, changed)
+    drag, room = _split(room, changed)
+    qxx, room = _split(room, stretched)
+    qxy, room = _split(room, stretched)
+    qyy, room = _split(room, stretched)
+    share, room = _split(room, filled)
+    load, room = _split(room, filled)
+    after, room = _split(room, AFTER)
+    share[:] = 1.0
+    qxx[:] = 1.0
+    qyy[:] = 1.0
+    copy_into(load, model.cells.load)
+    copy_into(c, given.constants[b])
     copy_into(y[known : known + INERTIA], inertia)
     copy_into(y[known + INERTIA :], given.parameters[k])
-    out = np.zeros(BODY_OUTPUTS + 4 * blades)
-    changed = n if cells else 0
-    share = np.ones(filled)
-    slopes = 3 if derive else 0
-    own = max(0, E - FORCE)
+    none = np.zeros((0, 0))
+    delay = given.delay[k] if given.delay.shape[0] > 0 else 0.0
+    changes = derive and cells
     return Effects(
-        given.addresses, E, P, blades, cells != 0, stretch != 0,
-        given.delay[k] if given.delay.shape[0] > 0 else 0.0, c[0], y, c,
-        out, np.zeros((out.shape[0], Y)), out[BODY_OUTPUTS:].reshape(blades, 4),
-        np.ones(changed), np.zeros(changed), np.zeros((STRETCH, filled if stretch else 0)),
-        share, model.cells.load.copy() if cells else model.cells.load,
-        np.zeros((slopes, filled)), np.zeros((slopes, changed)), np.zeros((slopes, changed)),
-        np.zeros((slopes, 3, n if stretch else 0)),
-        np.zeros(AFTER), np.zeros(own), np.zeros((own, Y + AFTER)), np.zeros((3, Y)),
+        given.addresses, E, P, blades, cells, stretch, delay, c[0], y, c, out, np.zeros((outputs, Y)),
+        out[BODY_OUTPUTS:].reshape(blades, 4), factor, drag, qxx, qxy, qyy, share, load,
+        np.zeros((3, filled)) if derive else none,
+        np.zeros((3, n)) if changes else none,
+        np.zeros((3, n)) if changes else none,
+        np.zeros((9, n)) if derive and stretch else none,
+        after, room, np.zeros((own, Y + AFTER)), np.zeros((3, Y)) if derive else none,
     )  # fmt: skip
 
 
@@ -340,7 +366,7 @@ def _changed_terms(effects, model, motion, number, h):  # type: ignore[no-untype
     y[0], y[1], y[2] = motion.x, motion.y, motion.theta
     y[3], y[4], y[5] = motion.v
     call_address(effects.addresses[0], (y, c, out, effects.dout))
-    qxx, qxy, qyy = effects.q[0], effects.q[1], effects.q[2]
+    qxx, qxy, qyy = effects.qxx, effects.qxy, effects.qyy
     longest = 1.0
     drag = (0.0, 0.0, 0.0, 0.0)
     if effects.cells:
@@ -486,7 +512,7 @@ def _add_effect_slopes(effects, model, terms, taken, slopes, by_sum):  # type: i
     if effects.memory > 0:
         last = (effects.y[STATE], effects.y[STATE + 1])
         by_compliance = by_stiffness(solved, False, model.stick_speed, model.load_sum)
-        set_bending(solved, last, by_compliance, slopes)
+        add_bending(solved, last, by_compliance, slopes)
         by_sum = by_stiffness(solved, True, model.stick_speed, model.load_sum)
     add_formula_slopes(slopes, G, dout, terms.kappa)
     return by_sum
@@ -566,7 +592,8 @@ def _owned(common, maps, formulas, k, b, h, columns):  # type: ignore[no-untyped
     S = first_blocks(layout, model.cells.rx, model.cells.ry)
     slopes = no_slopes(layout.memory, padded(layout.others))
     rows = np.zeros((MAX_CONTACTS, CONTACT_COLUMNS))
-    return model, effects, Room(S, np.zeros_like(S), empty_blocks(layout, 2), slopes, rows)
+    before, F = (np.zeros_like(S), empty_blocks(layout, 2)) if columns > 0 else (S, S)
+    return model, effects, Room(S, before, F, slopes, rows)
 
 
 @compiled(forceinline=True)
@@ -728,7 +755,7 @@ def single_steps(common, maps, formulas, drive, states, after, jacobian):  # typ
         common: fields of `Common`.
         maps: fields of `ReducedMaps`.
         formulas: fields of `Formulas`; its constants have one row, with the time before the step.
-        drive: h, tip (2, 2), NaN for no finger, and wrench (1, 5), as in `Push`.
+        drive: h, tip (2, 2), NaN for no finger, and wrench (5,), as in `Push`.
         states: (K, Z) before the step, Z = 8 + the effects' own memory.
         after: (K, Z + 1) result: state after the step, and the number of evaluations, negative if the step
             was not solved.
@@ -738,12 +765,10 @@ def single_steps(common, maps, formulas, drive, states, after, jacobian):  # typ
     common, maps, formulas, drive, states, after, jacobian = given
     common, maps = Common(*common), ReducedMaps(*maps)
     h, tip, wrench = drive
-    samples = np.zeros(1, np.int64), np.ones(1), np.full(1, h), np.zeros((0, 3))
-    at, whole, time, rates = borrowed(samples)
-    columns = jacobian.shape[2]
+    columns, rates, row = jacobian.shape[2], after[:0, :3], wrench.reshape(1, 5)
     for k in range(len(states)):
         state, here = states[k], slice(k, k + 1)
-        push = OnePush(h, tip, wrench, state[:3], state[3:STATE], at, whole, time, at)
+        push = OnePush(h, tip, row, state[:3], state[3:STATE], _FIRST, _WHOLE, _WHOLE, _FIRST)
         poses, forces = after[here, :3], after[here, STATE:AFTER]
         result = Results(
             poses, rates, forces, jacobian[here, :3], jacobian[here, STATE:AFTER], after[k]
@@ -752,4 +777,3 @@ def single_steps(common, maps, formulas, drive, states, after, jacobian):  # typ
         model, effects, room = borrowed(owned)
         _roll(model, effects, Single(state, jacobian[k]), room, common, push, result, columns)
         keep(owned)
-    keep(samples)

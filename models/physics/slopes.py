@@ -72,13 +72,12 @@ class Slopes(NamedTuple):
     """Direct derivatives of a step's gradient g and of the finger's impulse f (N s, middle frame).
 
     Attributes:
-        state_g: (3, 6 + E) of g by the state before the step and the E entries of memory.
-        state_f: (2, 6 + E) of f by the same.
+        state_g: (3, 6 + E + 1) of g by the state before the step, the E entries of memory, and last by the
+            compliance of the finger.
+        state_f: (2, 6 + E + 1) of f by the same.
         twist_f: (2, 3) of f by v⁺.
         other_g: (3, X) of g by the parameters after the loads.
         other_f: (2, X) of f by the same.
-        stiff_g: (3, 1) of g by the compliance of the finger.
-        stiff_f: (2, 1) of f by the same.
     """
 
     state_g: NDArray[np.float64]
@@ -86,18 +85,13 @@ class Slopes(NamedTuple):
     twist_f: NDArray[np.float64]
     other_g: NDArray[np.float64]
     other_f: NDArray[np.float64]
-    stiff_g: NDArray[np.float64]
-    stiff_f: NDArray[np.float64]
 
 
 @compiled()
 def no_slopes(memory, others):  # type: ignore[no-untyped-def]
     """`Slopes` of zeros, with E entries of memory and room for so many parameters after the loads."""
-    known = STATE + memory
-    return Slopes(
-        np.zeros((3, known)), np.zeros((2, known)), np.zeros((2, 3)),
-        np.zeros((3, others)), np.zeros((2, others)), np.zeros((3, 1)), np.zeros((2, 1)),
-    )  # fmt: skip
+    state, other = np.zeros((5, STATE + memory + 1)), np.zeros((5, others))
+    return Slopes(state[:3], state[3:], np.zeros((2, 3)), other[:3], other[3:])
 
 
 @compiled()
@@ -365,32 +359,32 @@ def by_stiffness(solved, by_sum, stick_speed, load_sum):  # type: ignore[no-unty
 
 
 @compiled()
-def set_bending(solved, last, by_compliance, slopes):  # type: ignore[no-untyped-def]
-    """Fill in `slopes` what bends the finger: the last force (world, N), with which memory begins, and the
-    compliance, whose slopes `by_compliance` (5) through stiffness are added.
+def add_bending(solved, last, by_compliance, slopes):  # type: ignore[no-untyped-def]
+    """Add to `slopes` what bends the finger: the last force (world, N), with which memory begins, and the
+    compliance, with its slopes (5) through stiffness.
 
     It stands compliance · force off its record and would straighten within the step.
     """
     h, frame, compliance = solved.h, solved.frame, solved.cone.compliance
+    g, f = slopes.state_g, slopes.state_f
+    column = g.shape[1] - 1
     for a in range(3):
-        slopes.stiff_g[a, 0] = by_compliance[a]
+        g[a, column] += by_compliance[a]
     for a in range(2):
-        slopes.stiff_f[a, 0] = by_compliance[3 + a]
+        f[a, column] += by_compliance[3 + a]
     none = (0.0, 0.0)
     for k in range(2):
         contact = solved.first if k == 0 else solved.second
         impulse = solved.impulse1 if k == 0 else solved.impulse2
         if impulse.state == SEPARATE:
             continue
+        change = contact_change(solved, contact, impulse, g, f)
         for j in range(FORCE + 1):
             bends = j == FORCE
             fx = last[0] if bends else (compliance if j == 0 else 0.0)
             fy = last[1] if bends else (compliance if j == 1 else 0.0)
             dx, dy = turned(frame.cos, -frame.sin, fx, fy)
-            g, f = (slopes.stiff_g, slopes.stiff_f) if bends else (slopes.state_g, slopes.state_f)
-            change = contact_change(solved, contact, impulse, g, f)
-            column = 0 if bends else STATE + j
-            add_column(column, (-dx, -dy), none, (dx / h, dy / h), none, change)
+            add_column(column if bends else STATE + j, (-dx, -dy), none, (dx / h, dy / h), none, change)
 
 
 @compiled(forceinline=True)
@@ -436,15 +430,14 @@ def add_formula_slopes(slopes, G, dout, kappa):  # type: ignore[no-untyped-def]
     G (3, Y) is the derivative of the gradient by what they are evaluated at, dout (…, Y) that of the body's
     formulas.
     """
-    known = slopes.state_g.shape[1]
+    known = slopes.state_g.shape[1] - 1
     effects = G.shape[1] - known - INERTIA
     bends = known > STATE  # else no formula holds the last force, and there is no compliance
     for a in range(5 if bends else 3):
-        row = a if a < 3 else a - 3
+        row, share = (a, 1.0) if a < 3 else (a - 3, 0.0)
         state = slopes.state_g[row] if a < 3 else slopes.state_f[row]
         other = slopes.other_g[row] if a < 3 else slopes.other_f[row]
-        stiff = slopes.stiff_g[row, 0] if a < 3 else slopes.stiff_f[row, 0]
-        share = 1.0 if a < 3 else 0.0
+        stiff = state[known]
         for k in range(known):
             state[k] += share * G[row, k] + stiff * dout[COMPLIANCE, k]
         for k in range(INERTIA):

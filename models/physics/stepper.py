@@ -139,7 +139,7 @@ class Stepper(Slider):
         after, jacobian = np.empty((K, Z + 1)), np.empty((K, Z, columns))
         # Fields of `Formulas`.
         formulas = (self.program.addresses, self.program.sizes, constants, models.maps.effects, _NO_DELAY)
-        drive = (self.h, tip, wrench.reshape(1, 5))
+        drive = (self.h, tip, wrench)
         single_steps(self._common, models.reduced, formulas, drive, states, after, jacobian)
         if not (after[:, Z].min() >= 0 and np.isfinite(after).all()):
             model = int(np.flatnonzero((after[:, Z] < 0) | ~np.isfinite(after).all(axis=1))[0])
