@@ -24,11 +24,10 @@ from slipmap.diagrams.hardware.interface import HardwareInterface
 from slipmap.diagrams.station.scenario import Scenario
 from slipmap.diagrams.systems.workers import workers
 from slipmap.models.effects.registry import effects_named
-from slipmap.models.effects.slider import EffectSlider
-from slipmap.models.effects.stepper import Stepper
 from slipmap.models.files import BadInput, writing
 from slipmap.models.physics.cell_grid import CellGrid
 from slipmap.models.physics.rollout import Maps, Push, Slider
+from slipmap.models.physics.stepper import Stepper
 
 # By this process: to the system its own locks are not in its way, and closing such a file frees the lock.
 _held: set[Path] = set()
@@ -181,6 +180,6 @@ def _load_model(effects: Sequence[str]) -> None:
     square = 0.01 * np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
     grid, found = CellGrid(np.zeros((1, 2)), 0.02, square), effects_named(list(effects))
     Stepper(grid, 0.01, 0.01, found).load()
-    slider = EffectSlider(grid, 0.01, found) if found else Slider(grid, 0.01)
+    slider = Slider(grid, 0.01, effects=found)
     push = Push(0.01, np.full((9, 2), 0.1), np.zeros(3), force_times=np.full(1, 0.04))
     slider.rollout(Maps(np.ones((1, 1)), np.full((1, 1), 0.3), np.full(1, 0.3)), [push])

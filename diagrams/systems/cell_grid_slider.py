@@ -17,12 +17,12 @@ from pydrake.systems.scalar_conversion import TemplateSystem
 
 from slipmap.diagrams.systems.python_system import HoldsOutputFunctions, WithoutOwnDict, weakly
 from slipmap.models.effects.effect import Effect
-from slipmap.models.effects.stepper import NO_FINGER, NO_WRENCH, StepModels, Stepper
 from slipmap.models.geometry import placed
 from slipmap.models.inference.belief import Belief
 from slipmap.models.physics.cell_grid import CellGrid, FloatArray
 from slipmap.models.physics.maps import Maps
 from slipmap.models.physics.rollout import Smoothing
+from slipmap.models.physics.stepper import NO_FINGER, NO_WRENCH, StepModels, Stepper
 
 MASS, FRICTION, FINGER_FRICTION, EFFECTS, PUSH = range(5)
 """Indices of the numeric parameters in the Context."""

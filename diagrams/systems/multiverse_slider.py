@@ -9,10 +9,10 @@ from pydrake.systems.framework import Context
 
 from slipmap.diagrams.systems.cell_grid_slider import history_length, pose_then
 from slipmap.diagrams.systems.python_system import PythonSystem, held, read, replace_held
-from slipmap.models.effects.stepper import NO_FINGER, NO_WRENCH, StepModels, Stepper
 from slipmap.models.inference.belief import Belief
 from slipmap.models.physics.cell_grid import FloatArray
 from slipmap.models.physics.paper_notation import add
+from slipmap.models.physics.stepper import NO_FINGER, NO_WRENCH, StepModels, Stepper
 
 
 @dataclass(frozen=True, eq=False)

@@ -2,6 +2,5 @@
 
 from slipmap.models.effects.effect import Effect, EffectError, Parameter, Scene
 from slipmap.models.effects.library import LIBRARY
-from slipmap.models.effects.slider import EffectSlider
 
-__all__ = ["LIBRARY", "Effect", "EffectError", "EffectSlider", "Parameter", "Scene"]
+__all__ = ["LIBRARY", "Effect", "EffectError", "Parameter", "Scene"]

@@ -19,7 +19,6 @@ import numpy as np
 from slipmap.models.effects.effect import Effect
 from slipmap.models.effects.library import LIBRARY
 from slipmap.models.files import UnreadableFile, check_archive, replaced_file
-from slipmap.models.inference.prior import effects_of, slider_with
 from slipmap.models.measurements import PushDataset
 from slipmap.models.physics.cell_grid import CellGrid, FloatArray
 from slipmap.models.physics.rollout import Maps, Slider, Smoothing
@@ -150,7 +149,7 @@ class Belief:
                 "known_mass": dataset.mass,
                 **settings,
             },
-            effects=effects_of(slider),
+            effects=slider.effects,
         )
 
     def __len__(self) -> int:
@@ -159,7 +158,7 @@ class Belief:
     @property
     def slider(self) -> Slider:
         """The model that the maps belong to, with its effects."""
-        return slider_with(self.effects, self.grid, self.finger_radius, self.gravity, self.smoothing)
+        return Slider(self.grid, self.finger_radius, self.gravity, self.smoothing, effects=self.effects)
 
     @property
     def centers_of_mass(self) -> FloatArray:

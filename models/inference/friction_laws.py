@@ -38,10 +38,10 @@ from slipmap.models.inference.hypotheses import (
     trusted,
 )
 from slipmap.models.inference.observations import Observation
-from slipmap.models.inference.prior import MapPrior, PriorSettings, effects_of, slider_for, slider_with
+from slipmap.models.inference.prior import MapPrior, PriorSettings, slider_for
 from slipmap.models.measurements import PushDataset
 from slipmap.models.physics.cell_grid import FloatArray
-from slipmap.models.physics.rollout import Maps, RolloutError
+from slipmap.models.physics.rollout import Maps, RolloutError, Slider
 from slipmap.models.progress import Progress, StageProgress, part_of
 
 if TYPE_CHECKING:
@@ -223,7 +223,7 @@ def mixed_belief(
     kept: dict[str, float] = {}
     done = 0
     for law, count, share in zip(laws, counts, shares, strict=True):
-        effects = effects_of(law.ladder[0][0].prior.slider)
+        effects = law.ladder[0][0].prior.slider.effects
 
         def progress(made: int, total: int, done: int = done, count: int = count) -> None:
             report("hypotheses", total * done + count * made, total * hypotheses)
@@ -247,7 +247,7 @@ def mixed_belief(
     carried = [_with_parameters(maps, effects, used) for maps, effects in parts]
     heaviest = laws[0].ladder
     own = heaviest[0][0].prior.slider
-    slider = slider_with(used, own.grid, own.finger_radius, own.gravity, own.smoothing)
+    slider = Slider(own.grid, own.finger_radius, own.gravity, own.smoothing, effects=used)
     names = ("mass", "mu", "mu_finger", "effects")
     together = Maps(*(np.concatenate([getattr(maps, name) for maps in carried]) for name in names))
     shared = {"friction_laws": {name: share / total for name, share in kept.items()}}

@@ -24,11 +24,10 @@ from functools import cached_property
 import numpy as np
 
 from slipmap.models.effects.effect import Effect, bounds, scales
-from slipmap.models.effects.slider import EffectSlider
 from slipmap.models.inference.observations import MEASURED_CONTACT
 from slipmap.models.measurements import PushDataset
 from slipmap.models.physics.cell_grid import CellGrid, FloatArray
-from slipmap.models.physics.rollout import Maps, Slider, Smoothing
+from slipmap.models.physics.rollout import Maps, Slider
 from slipmap.models.physics.step import EXTRA_COLUMNS, INERTIA_COLUMNS
 
 
@@ -71,23 +70,9 @@ SINGLE_CELLS = PriorSettings(load_map=0.40, split=0.50, white=0.80, modes=100)
 """For pushes that no law explains: its faults are then taken up by single cells, and bend no whole region."""
 
 
-def slider_with(
-    effects: Sequence[Effect], grid: CellGrid, finger_radius: float, gravity: float, smoothing: Smoothing
-) -> Slider:
-    """The model with some effects; the plain one where there are none."""
-    if effects:
-        return EffectSlider(grid, finger_radius, effects, gravity, smoothing)
-    return Slider(grid, finger_radius, gravity, smoothing)
-
-
 def slider_for(dataset: PushDataset, effects: Sequence[Effect] = ()) -> Slider:
     """The model of a dataset's object and finger, for measured contact."""
-    return slider_with(effects, dataset.grid, dataset.finger_radius, dataset.gravity, MEASURED_CONTACT)
-
-
-def effects_of(slider: Slider) -> tuple[Effect, ...]:
-    """Effects that a model has."""
-    return slider.effects if isinstance(slider, EffectSlider) else ()
+    return Slider(dataset.grid, dataset.finger_radius, dataset.gravity, MEASURED_CONTACT, effects=effects)
 
 
 class MapPrior:
@@ -114,7 +99,7 @@ class MapPrior:
         self.settings = settings
         self.total_mass = mass if mass is not None else 1.0
         self.total_spread = settings.known_mass if mass is not None else settings.unknown_mass
-        effects = effects_of(slider)
+        effects = slider.effects
         self.effect_centers = np.concatenate([np.zeros(0), *(effect.nulls for effect in effects)])
         self.effect_scales = scales(effects, weight or self.total_mass * slider.gravity)
         if effect_prior is not None:

@@ -1,16 +1,15 @@
-"""Compiled rollouts: one push of one model, step by step, with the Jacobian carried along.
+"""One step of the model, and rollouts of many: the compiled loop, with the Jacobian carried along.
 
-`rollout.py` is the door to this file; nothing else needs to call it.
+A step goes, in the order of this file,
 
-The Jacobian is kept in blocks of `LANES` parameters, flat in memory, with nine rows each:
+    terms_at     what effects change in this step, by their formulas at the state before it (`terms.py`)
+    take_step    free motion and given forces, the finger, its contacts, the minimum, the way along it
+    set_slopes   direct derivatives of the minimum's gradient and of the finger's impulse
+    carry        the Jacobian over the step
+    remember     what effects keep for the next one
 
-    0 … 5   d(state)/d(parameter), the state being x, y, θ (world) and v_x, v_y, omega (object frame)
-    6, 7    where the parameter is a load: the cell's centre r_x, r_y
-    6 … 8   where it is another: the direct derivative of the step's gradient
-
-The loads fill the first blocks (with the cells that fill up), the other parameters, from m to the start's
-omega, the last two. As a block is one piece of memory, the compiler sees that its lanes are independent and
-computes them at once.
+`_roll` repeats it; `rollout_all` and `single_steps` are the doors, from `rollout.py` and `stepper.py`. A
+single step is a rollout of one step that is differentiated by what drives it, too.
 """
 
 from __future__ import annotations
@@ -20,205 +19,322 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numba import prange
+from numpy.typing import NDArray
 
-from slipmap.models.physics.around_step import (
-    Applied,
-    add_applied_turning,
-    applied_impulse,
-    best_weights,
-    take_step,
-    way_by_spin,
-    weighted,
+from slipmap.models.physics.blocks import (
+    FIXED_ROWS,
+    carry_direct,
+    empty_blocks,
+    fill_force,
+    first_blocks,
+    padded,
+    pose_update,
+    set_other_slopes,
+    store_rows,
 )
-from slipmap.models.physics.compiled import address_of, call_compiled, compiled
-from slipmap.models.physics.contact import CONTACT_COLUMNS, MAX_CONTACTS, cone_of
-from slipmap.models.physics.kernel_arguments import Common, JoinedPushes, ReducedMaps, Results
+from slipmap.models.physics.compiled import (
+    address_of,
+    borrowed,
+    call_compiled,
+    compiled,
+    keep,
+)
+from slipmap.models.physics.contact import CONTACT_COLUMNS, MAX_CONTACTS
+from slipmap.models.physics.friction import AFTER, FORCE, STATE
+from slipmap.models.physics.kernel_arguments import Common, Formulas, JoinedPushes, ReducedMaps, Results
 from slipmap.models.physics.kernel_tools import (
+    OnePush,
     copy_into,
     evenly_dealt,
     joined,
     push_of,
     results_of,
+    step_of,
     turn_by,
     turned,
 )
-from slipmap.models.physics.newton import LANES, padded_cells
-from slipmap.models.physics.step import (
-    INERTIA_COLUMNS,
-    MAX_EVALUATIONS,
-    Frame,
+from slipmap.models.physics.newton import LANES, Minimum
+from slipmap.models.physics.slopes import (
     Slopes,
+    Solved,
+    add_applied_turning,
+    by_load_sum,
+    finger_impulse,
+    no_slopes,
+    set_input_slopes,
+    step_derivative,
+)
+from slipmap.models.physics.step import (
+    MAX_EVALUATIONS,
+    Applied,
+    Frame,
     Step,
+    Way,
+    applied_impulse,
+    bent_frame,
+    best_weights,
     contact_of,
     free_momentum,
     middle_frame,
-    step_derivative,
+    solve_step,
     touching,
+    way_of,
+    weighted,
+)
+from slipmap.models.physics.terms import (
+    Motion,
+    add_effect_slopes,
+    carry_loads,
+    effects_of,
+    model_of,
+    remember,
+    terms_at,
 )
 
-_EXTRA_LANES = 16  # room for the parameters after the loads
-_BLOCK = 9 * LANES
+INPUTS = 9
+"""Last columns of a single step's Jacobian: wrench (5), finger before and after (4), which drive it."""
+
+# Where the pose and the force of a single step are wanted: in the first step, at its end.
+_FIRST, _END = np.zeros(1, np.int64), np.ones(1)
 
 
-class PoseUpdate(NamedTuple):
-    """Derivatives of x and y after a step by θ before it and by v⁺, world frame; those of θ are 1 and h."""
+class Taken(NamedTuple):
+    """A step that was taken.
 
-    x_theta: float
-    x_vx: float
-    x_vy: float
-    x_omega: float
-    y_theta: float
-    y_vx: float
-    y_vy: float
-    y_omega: float
-
-
-@compiled(forceinline=True)
-def pose_update(way, h):  # type: ignore[no-untyped-def]
-    """`PoseUpdate` of the way of a step."""
-    x_omega, y_omega = way_by_spin(way, h)
-    return PoseUpdate(
-        -way.length * way.wy, way.length * way.cos, -way.length * way.sin, x_omega,
-        way.length * way.wx, way.length * way.sin, way.length * way.cos, y_omega,
-    )  # fmt: skip
-
-
-@compiled()
-def first_blocks(cells, first_start):  # type: ignore[no-untyped-def]
-    """Blocks before the first step: only the start depends on parameters, those from `first_start` on."""
-    n = cells.rx.shape[0]
-    S = np.zeros((n + _EXTRA_LANES) // LANES * _BLOCK)
-    for i in range(n):
-        at = i // LANES * _BLOCK + i % LANES
-        S[at + 6 * LANES] = cells.rx[i]
-        S[at + 7 * LANES] = cells.ry[i]
-    for i in range(6):
-        column = n + first_start + i
-        S[column // LANES * _BLOCK + i * LANES + column % LANES] = 1.0
-    return S
-
-
-@compiled(forceinline=True)
-def advance(block, lane, A, minimum, pose, h, gx, gy, gw):  # type: ignore[no-untyped-def]
-    """Carry one parameter over one step; (gx, gy, gw) is the direct derivative of the step's gradient."""
-    x, y, theta = block[lane], block[lane + LANES], block[lane + 2 * LANES]
-    vx, vy, omega = block[lane + 3 * LANES], block[lane + 4 * LANES], block[lane + 5 * LANES]
-    gx += A[0] * x + A[1] * y + A[2] * theta + A[3] * vx + A[4] * vy + A[5] * omega
-    gy += A[6] * x + A[7] * y + A[8] * theta + A[9] * vx + A[10] * vy + A[11] * omega
-    gw += A[12] * x + A[13] * y + A[14] * theta + A[15] * vx + A[16] * vy + A[17] * omega
-    vx = -(minimum.xx * gx + minimum.xy * gy + minimum.xw * gw)
-    vy = -(minimum.xy * gx + minimum.yy * gy + minimum.yw * gw)
-    omega = -(minimum.xw * gx + minimum.yw * gy + minimum.ww * gw)
-    block[lane] = x + pose.x_theta * theta + pose.x_vx * vx + pose.x_vy * vy + pose.x_omega * omega
-    block[lane + LANES] = y + pose.y_theta * theta + pose.y_vx * vx + pose.y_vy * vy + pose.y_omega * omega
-    block[lane + 2 * LANES] = theta + h * omega
-    block[lane + 3 * LANES] = vx
-    block[lane + 4 * LANES] = vy
-    block[lane + 5 * LANES] = omega
-
-
-@compiled(fastmath={"contract"})
-def propagate(S, step, new, minimum, slopes, pose, wrench):  # type: ignore[no-untyped-def]
-    """Carry the blocks S over one step, in place: dv⁺ = -H⁻¹ (∂g + A d(state)), then the pose.
-
-    `wrench` is the impulse of the contact over Σ f, about the frame's origin.
+    Attributes:
+        new: twist after it.
+        minimum: see `Solution`.
+        solved: see `Solved`.
+        free: momentum of the free motion.
+        applied: given forces of the push.
+        impulse: of the finger on the object, middle frame, N s.
+        way: see `Way`.
+        evaluations: see `Solution`.
     """
-    A = flat(slopes.A)
-    extra, cells, h = slopes.extra, step.cells, step.h
-    vx, vy, omega = new
-    fx, fy, fw = wrench
-    spin = cells.rho2 * omega
-    constant = spin * omega + cells.eps2
-    blocks = cells.rx.shape[0] // LANES
-    for b in range(blocks):
-        block = S[b * _BLOCK : (b + 1) * _BLOCK]
-        for lane in range(LANES):
-            x = block[lane + 6 * LANES]
-            y = block[lane + 7 * LANES]
-            ux = vx - omega * y
-            uy = vy + omega * x
-            k = h / math.sqrt(ux * ux + uy * uy + constant)
-            gw = k * (x * uy - y * ux + spin) - fw
-            advance(block, lane, A, minimum, pose, h, k * ux - fx, k * uy - fy, gw)
-    for b in range(_EXTRA_LANES // LANES):
-        block = S[(blocks + b) * _BLOCK : (blocks + b + 1) * _BLOCK]
-        for row in range(3):
-            for lane in range(LANES):
-                block[lane + (6 + row) * LANES] = extra[row, b * LANES + lane]
-        for lane in range(LANES):
-            gx, gy, gw = block[lane + 6 * LANES], block[lane + 7 * LANES], block[lane + 8 * LANES]
-            advance(block, lane, A, minimum, pose, h, gx, gy, gw)
+
+    new: tuple[float, float, float]
+    minimum: Minimum
+    solved: Solved
+    free: tuple[float, float, float]
+    applied: Applied
+    impulse: tuple[float, float]
+    way: Way
+    evaluations: int
+
+
+class Room(NamedTuple):
+    """Where a rollout keeps its derivatives and contacts.
+
+    Attributes:
+        S, before, F: blocks after a step, before it, and of the finger's force, see `blocks.py`.
+        slopes: see `Slopes`.
+        contacts: (MAX_CONTACTS, CONTACT_COLUMNS).
+    """
+
+    S: NDArray[np.float64]
+    before: NDArray[np.float64]
+    F: NDArray[np.float64]
+    slopes: Slopes
+    contacts: NDArray[np.float64]
+
+
+@compiled(inline="always")
+def take_step(model, common, push, number, terms, motion, guess, contacts, derive):  # type: ignore[no-untyped-def]
+    """`Taken`, the step with this number from this motion.
+
+    Args:
+        model, common, push: `Model`, `Common`, `OnePush`.
+        number: of the step.
+        terms, motion: `Terms`, and `Motion` before it.
+        guess: of the new twist.
+        contacts: (MAX_CONTACTS, CONTACT_COLUMNS) that are filled in.
+        derive: whether derivatives will be asked for.
+    """
+    h, v, cos, sin, quarter = push.h, motion.v, motion.cos, motion.sin, motion.quarter
+    half_cos, half_sin = joined(quarter.cos, quarter.sin, quarter.cos, quarter.sin)
+    full_cos, full_sin = joined(half_cos, half_sin, half_cos, half_sin)
+    middle_cos, middle_sin = joined(cos, sin, half_cos, half_sin)
+    free = free_momentum(model.body, v, full_cos, full_sin)
+    applied = Applied(0.0, 0.0, 0.0, 0.0)
+    added_x, added_y, added_w = terms.added
+    if push.wrench.shape[0] > 0:
+        applied = applied_impulse(push.wrench[number], middle_cos, middle_sin, h)
+        added_x += applied.x
+        added_y += applied.y
+        added_w += applied.spin
+    kappa, body = terms.kappa, model.body
+    star = (kappa * free[0] + added_x, kappa * free[1] + added_y, kappa * free[2] + added_w)
+    inertia = (kappa * body[0], kappa * body[1], kappa * body[2], kappa * body[3])
+
+    bend_x, bend_y = terms.bend
+    tip0 = (push.tip[number, 0] - bend_x, push.tip[number, 1] - bend_y)
+    tip1 = (push.tip[number + 1, 0] - bend_x, push.tip[number + 1, 1] - bend_y)
+    frame = Frame(middle_cos, middle_sin, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    count = 0
+    if not math.isnan(tip0[0]) and not math.isnan(tip1[0]):
+        frame = middle_frame(motion.x, motion.y, cos, sin, quarter, v, h, tip0, tip1)
+        gain = 0.0
+        if bend_x != 0.0 or bend_y != 0.0:
+            frame = bent_frame(frame, bend_x, bend_y, h)
+            gain += abs(frame.spring_x) + abs(frame.spring_y)
+        if added_x != 0.0 or added_y != 0.0 or added_w != 0.0:
+            gain += math.hypot(added_x, added_y) / body[0] + model.size * abs(added_w) / model.about_center
+        count = touching(frame, v, h, common, contacts, gain)
+    cone = terms.cone
+    first = contact_of(contacts, 0, frame, v, h, cone)
+    second = contact_of(contacts, 1, frame, v, h, cone)
+
+    step = Step(terms.cells, inertia, star, h, first, second, count, cone, model.size, v, quarter, frame)
+    new, minimum, evaluations = solve_step(step, guess, derive)
+    one, two = minimum.first, minimum.second
+    solved = Solved(v, new, h, inertia, cone, frame, quarter, first, second, one, two)
+    way = way_of(new, cos, sin, h)
+    return Taken(new, minimum, solved, free, applied, finger_impulse(solved), way, evaluations)
 
 
 @compiled(forceinline=True)
-def flat(A):  # type: ignore[no-untyped-def]
-    """The first six columns of three rows as numbers, row by row."""
-    return (
-        A[0, 0], A[0, 1], A[0, 2], A[0, 3], A[0, 4], A[0, 5],
-        A[1, 0], A[1, 1], A[1, 2], A[1, 3], A[1, 4], A[1, 5],
-        A[2, 0], A[2, 1], A[2, 2], A[2, 3], A[2, 4], A[2, 5],
-    )  # fmt: skip
-
-
-@compiled()
-def store_pose(S, before, share, n, out):  # type: ignore[no-untyped-def]
-    """Write d(pose)/d(parameters) at the place `share` (0 to 1) of a step into out (3, P).
-
-    `before` holds the blocks before the step, and is not read where share is 1; n is the number of loads.
-    """
-    extra_at = (n + LANES - 1) // LANES * _BLOCK
-    for i in range(3):
-        _store_row(S, before, share, i * LANES, out[i, :n])
-        _store_row(S, before, share, extra_at + i * LANES, out[i, n:])
+def _moved(motion, taken, h):  # type: ignore[no-untyped-def]
+    """`Motion` after a step."""
+    way = taken.way
+    cos, sin = joined(way.cos, way.sin, way.half_cos, way.half_sin)
+    x, y = motion.x + way.length * way.wx, motion.y + way.length * way.wy
+    return Motion(x, y, motion.theta + h * taken.new[2], cos, sin, taken.new, way.quarter)
 
 
 @compiled(forceinline=True)
-def _store_row(S, before, share, at, out):  # type: ignore[no-untyped-def]
-    """Copy one row of as many blocks as `out` holds, the first one at `at`."""
-    full = out.shape[0] // LANES
-    for b in range(full + 1):
-        end = min(out.shape[0], (b + 1) * LANES)
-        target = out[b * LANES : end]
-        new = S[at + b * _BLOCK : at + b * _BLOCK + LANES]
-        old = before[at + b * _BLOCK : at + b * _BLOCK + LANES]
-        if b < full:
-            for lane in range(LANES):
-                target[lane] = new[lane] if share == 1.0 else old[lane] + share * (new[lane] - old[lane])
-        else:
-            for lane in range(target.shape[0]):
-                target[lane] = new[lane] if share == 1.0 else old[lane] + share * (new[lane] - old[lane])
+def _set_last_inputs(inputs, push, number, taken, layout, slopes):  # type: ignore[no-untyped-def]
+    if inputs is not None:
+        set_input_slopes(taken.solved, taken.applied, push.wrench[number], layout.others - inputs, slopes)
+
+
+@compiled(inline="always")
+def set_slopes(effects, inputs, model, layout, push, number, terms, taken, slopes):  # type: ignore[no-untyped-def]
+    """Set the `Slopes` of a step; returns the derivatives of its gradient (3) and impulse (2) by Σ f."""
+    step_derivative(taken.solved, slopes)
+    add_applied_turning(slopes.state_g, taken.applied, push.h)
+    _set_last_inputs(inputs, push, number, taken, layout, slopes)
+    by_sum = by_load_sum(taken.solved, model.load_sum)
+    return add_effect_slopes(effects, model, terms, taken, slopes, by_sum)
+
+
+@compiled(inline="always")
+def carry(effects, S, layout, model, terms, taken, slopes, by_sum):  # type: ignore[no-untyped-def]
+    """Carry the state's rows of the Jacobian over a step, in place."""
+    h, first = taken.solved.h, padded(layout.n) // LANES
+    pose = pose_update(taken.way, h)
+    carry_loads(effects, S, layout, model, terms, taken, slopes, by_sum, pose)
+    set_other_slopes(S, layout, slopes.other_g)
+    last = first + padded(layout.others) // LANES
+    carry_direct(S, first, last, layout, slopes, taken.minimum, pose, h)
+
+
+@compiled(forceinline=True)
+def _sample_place(push, sample, delay):  # type: ignore[no-untyped-def]
+    """Step in whose course a pose is wanted that the tracker reports late, and the place in it, 0 to 1."""
+    if delay == 0.0:
+        return push.sample_step[sample], push.sample_fraction[sample]
+    return step_of(push.sample_time[sample] - delay, push.h, push.tip.shape[0] - 1)
 
 
 @compiled()
-def store_force(S, before, n, step, force, wrench, dforce, out):  # type: ignore[no-untyped-def]
-    """Write d(force)/d(parameters) of a step into out (2, P).
+def _set_rate(rate, push, sample, delay, dx, dy, dtheta):  # type: ignore[no-untyped-def]
+    """Set the velocity of a pose, from how it moves in its step; none where it lies outside of the push."""
+    time, h = push.sample_time[sample] - delay, push.h
+    inside = 0.0 < time < (push.tip.shape[0] - 1) * h * (1.0 + 1e-9)
+    rate[0], rate[1], rate[2] = (dx / h, dy / h, dtheta / h) if inside else (0.0, 0.0, 0.0)
 
-    `force` is the impulse of the finger in the world frame, N s; `wrench` that over Σ f in the middle frame.
+
+@compiled(inline="always")
+def _owned(common, maps, formulas, k, b, h, columns, memory):  # type: ignore[no-untyped-def]
+    """`Model` k under push b, of steps of length h, what `effects_of` gives, and `Room`."""
+    model = model_of(common, maps, k, h)
+    effects, layout, delay = effects_of(formulas, k, b, model, columns, memory)
+    S = first_blocks(layout, model.cells.rx, model.cells.ry)
+    before, F = (np.zeros_like(S), empty_blocks(layout, 2)) if columns > 0 else (S, S)
+    slopes = no_slopes(layout.memory, padded(layout.others))
+    room = Room(S, before, F, slopes, np.zeros((MAX_CONTACTS, CONTACT_COLUMNS)))
+    return model, effects, layout, delay, room
+
+
+@compiled(inline="always")
+def _roll(things, inputs, common, push, result):  # type: ignore[no-untyped-def]
+    """Simulate one push of one model into its result.
+
+    Args:
+        things: what `_owned` gives.
+        inputs: how many columns of the Jacobian, the last, are by what drives the first step; or None.
+        common, push, result: `Common`, `OnePush`, `Results` of the push.
     """
-    frame, h = step.frame, step.h
-    extra_at = (n + LANES - 1) // LANES * LANES
-    for j in range(out.shape[1]):
-        column = j if j < n else extra_at + j - n
-        at = column // LANES * _BLOCK + column % LANES
-        px = 0.0
-        py = 0.0
-        if j < n:
-            px, py = wrench[0], wrench[1]
-        elif j == n + 4:
-            px, py = dforce[0, 9], dforce[1, 9]
-        for i in range(6):
-            px += dforce[0, i] * before[at + i * LANES]
-            py += dforce[1, i] * before[at + i * LANES]
-        for i in range(3):
-            px += dforce[0, 6 + i] * S[at + (3 + i) * LANES]
-            py += dforce[1, 6 + i] * S[at + (3 + i) * LANES]
-        turning = before[at + 2 * LANES] + 0.5 * h * before[at + 5 * LANES]
-        out[0, j] = (frame.cos * px - frame.sin * py - force[1] * turning) / h
-        out[1, j] = (frame.sin * px + frame.cos * py + force[0] * turning) / h
+    model, effects, layout, delay, room = things
+    S, before, F, slopes, contacts = room
+    h, size, steps, force_step = push.h, common.size, push.tip.shape[0] - 1, push.force_step
+    n, derive, remembers = layout.n, layout.others > 0, layout.memory > 0
+
+    pose, twist = push.start_pose, push.start_twist
+    v = (twist[0], twist[1], twist[2])
+    turn = turn_by(0.25 * h * v[2])
+    motion = Motion(pose[0], pose[1], pose[2], math.cos(pose[2]), math.sin(pose[2]), v, turn)
+    past = (v, v, v)
+    weights = (1.0, 0.0, 0.0)
+    evaluations = sample = force_sample = 0
+    failed = False
+
+    for number in range(steps):
+        terms = terms_at(effects, model, motion, number, h)
+        guess = weighted(weights, past)
+        taken = take_step(model, common, push, number, terms, motion, guess, contacts, derive)
+        new, way, frame = taken.new, taken.way, taken.solved.frame
+        weights = best_weights(new, past, size)
+        past = (new, past[0], past[1])
+        evaluations += taken.evaluations
+        failed = failed or taken.evaluations > MAX_EVALUATIONS
+        impulse = turned(frame.cos, frame.sin, taken.impulse[0], taken.impulse[1])
+        force = (impulse[0] / h, impulse[1] / h)
+        following = _moved(motion, taken, h)
+
+        dx, dy, dtheta = way.length * way.wx, way.length * way.wy, h * new[2]
+        first_sample = sample
+        between = False
+        while sample < result.poses.shape[0]:
+            at, share = _sample_place(push, sample, delay)
+            if at != number:
+                break
+            result.poses[sample, 0] = motion.x + share * dx
+            result.poses[sample, 1] = motion.y + share * dy
+            result.poses[sample, 2] = motion.theta + share * dtheta
+            between = between or share < 1.0
+            if result.rates.shape[0] > 0:
+                _set_rate(result.rates[sample], push, sample, delay, dx, dy, dtheta)
+            sample += 1
+        first_force = force_sample
+        while force_sample < force_step.shape[0] and force_step[force_sample] == number:
+            result.forces[force_sample, 0], result.forces[force_sample, 1] = force
+            force_sample += 1
+
+        if derive:
+            wants_force = remembers or force_sample > first_force
+            if between or wants_force:
+                copy_into(before, S)
+            by_sum = set_slopes(effects, inputs, model, layout, push, number, terms, taken, slopes)
+            carry(effects, S, layout, model, terms, taken, slopes, by_sum)
+            if wants_force:
+                fill_force(F, S, before, layout, slopes, by_sum, frame, force, h)
+            for s in range(first_sample, sample):
+                share = _sample_place(push, s, delay)[1]
+                store_rows(S, before, share, FIXED_ROWS + layout.memory, 0, n, result.d_poses[s])
+            for s in range(first_force, force_sample):
+                store_rows(F, F, 1.0, 2, 0, n, result.d_forces[s])
+        remember(effects, S, before, F, layout, following, force)
+        motion = following
+
+    end = result.end
+    end[0], end[1], end[2] = motion.x, motion.y, motion.theta
+    end[3], end[4], end[5] = motion.v
+    end[end.shape[0] - 1] = -1.0 if failed else float(evaluations)
 
 
 @compiled()
-def rollout_one(job, common, maps, pushes, results):  # type: ignore[no-untyped-def]
+def rollout_one(job, common, maps, pushes, formulas, results):  # type: ignore[no-untyped-def]
     """Job number k B + b: push b of model k.
 
     Args:
@@ -226,140 +342,83 @@ def rollout_one(job, common, maps, pushes, results):  # type: ignore[no-untyped-
         common: fields of `Common`.
         maps: fields of `ReducedMaps`.
         pushes: fields of `JoinedPushes`.
+        formulas: fields of `Formulas`, or None for the plain model.
         results: fields of `Results`, where those of the push are filled in.
     """
+    common, maps, pushes, formulas, results = borrowed((common, maps, pushes, formulas, results))
     common, maps = Common(*common), ReducedMaps(*maps)
     pushes, results = JoinedPushes(*pushes), Results(*results)
     k, b = job // len(pushes.h), job % len(pushes.h)
     push, result = push_of(pushes, k, b), results_of(results, pushes, k, b)
-    load, inertia, smoothing, size = maps.load[k], maps.inertia[k], common.smoothing, common.size
-    h, tip, wrench = push.h, push.tip, push.wrench
-    sample_step, force_step = push.sample_step, push.force_step
-    n = load.shape[0]
-    derive = result.d_poses.shape[2] > 0
-    cells = padded_cells(load, common.rx, common.ry, common.cell_width, smoothing[0])
-    load_sum = load.sum()
-    cone = cone_of(maps.mu[k], smoothing, load_sum, 0.0, h)
-    body = (inertia[0], inertia[1], inertia[2], inertia[3])
-    rows = np.zeros((MAX_CONTACTS, CONTACT_COLUMNS))
-    forced = wrench.shape[0] > 0
-    about_center = inertia[3] - (inertia[1] * inertia[1] + inertia[2] * inertia[2]) / inertia[0]
-
-    slopes = Slopes(np.zeros((3, 6)), np.zeros((3, _EXTRA_LANES)), np.zeros((2, 10)))
-    S = first_blocks(cells, INERTIA_COLUMNS + 1) if derive else np.zeros(0)
-    before = np.zeros_like(S)
-
-    q0, v0 = push.start_pose, push.start_twist
-    x, y, theta = q0[0], q0[1], q0[2]
-    cos, sin = math.cos(theta), math.sin(theta)
-    v = (v0[0], v0[1], v0[2])
-    quarter = turn_by(0.25 * h * v[2])
-    past = (v, v, v)
-    weights = (1.0, 0.0, 0.0)
-    evaluations = 0
-    failed = False
-    sample = 0
-    force_sample = 0
-
-    for i in range(tip.shape[0] - 1):
-        half_cos, half_sin = joined(quarter.cos, quarter.sin, quarter.cos, quarter.sin)
-        full_cos, full_sin = joined(half_cos, half_sin, half_cos, half_sin)
-        star_x, star_y, star_w = free_momentum(body, v, full_cos, full_sin)
-        applied = Applied(0.0, 0.0, 0.0, 0.0)
-        gain = 0.0
-        if forced:
-            applied = applied_impulse(wrench[i], cos, sin, half_cos, half_sin, h)
-            star_x += applied.x
-            star_y += applied.y
-            star_w += applied.spin
-            gain = math.hypot(applied.x, applied.y) / body[0] + size * abs(applied.spin) / about_center
-        count = 0
-        frame = Frame(1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-        tip0 = (tip[i, 0], tip[i, 1])
-        tip1 = (tip[i + 1, 0], tip[i + 1, 1])
-        if not math.isnan(tip0[0]) and not math.isnan(tip1[0]):
-            frame = middle_frame(x, y, cos, sin, quarter, v, h, tip0, tip1)
-            count = touching(frame, v, h, common, rows, gain)
-        first = contact_of(rows, 0, frame, v, h, cone)
-        second = contact_of(rows, 1, frame, v, h, cone)
-        star = (star_x, star_y, star_w)
-        step = Step(cells, body, star, h, first, second, count, cone, size, v, quarter, frame)
-
-        taken = take_step(step, weighted(weights, past), derive, cos, sin)
-        new, minimum, way = taken.new, taken.minimum, taken.way
-        weights = best_weights(new, past, size)
-        past = (new, past[0], past[1])
-        evaluations += taken.evaluations
-        failed = failed or taken.evaluations > MAX_EVALUATIONS
-        world_force = turned(frame.cos, frame.sin, taken.impulse_x, taken.impulse_y)
-        length, wx, wy = way.length, way.wx, way.wy
-
-        first_sample = sample
-        needs_before = False
-        while sample < sample_step.shape[0] and sample_step[sample] == i:
-            share = push.sample_fraction[sample]
-            result.poses[sample, 0] = x + share * length * wx
-            result.poses[sample, 1] = y + share * length * wy
-            result.poses[sample, 2] = theta + share * h * new[2]
-            needs_before = needs_before or share < 1.0
-            sample += 1
-        wants_force = force_sample < force_step.shape[0] and force_step[force_sample] == i
-
-        if derive:
-            step_derivative(taken.solved, slopes)
-            add_applied_turning(slopes.A, applied, h)
-            if needs_before or wants_force:
-                copy_into(before, S)
-            moment = first.nw * minimum.first.normal - first.tw * minimum.first.tangential
-            moment += second.nw * minimum.second.normal - second.tw * minimum.second.tangential
-            share_of_load = (taken.impulse_x / load_sum, taken.impulse_y / load_sum, -moment / load_sum)
-            propagate(S, step, new, minimum, slopes, pose_update(way, h), share_of_load)
-            for s in range(first_sample, sample):
-                store_pose(S, before, push.sample_fraction[s], n, result.d_poses[s])
-
-        while force_sample < force_step.shape[0] and force_step[force_sample] == i:
-            result.forces[force_sample, 0] = world_force[0] / h
-            result.forces[force_sample, 1] = world_force[1] / h
-            if derive:
-                store_force(
-                    S,
-                    before,
-                    n,
-                    step,
-                    world_force,
-                    share_of_load,
-                    slopes.force,
-                    result.d_forces[force_sample],
-                )
-            force_sample += 1
-
-        x += length * wx
-        y += length * wy
-        theta += h * new[2]
-        cos, sin = joined(way.cos, way.sin, way.half_cos, way.half_sin)
-        v = new
-        quarter = way.quarter
-
-    end = result.end
-    end[0], end[1], end[2] = x, y, theta
-    end[3], end[4], end[5] = v
-    end[6] = -1.0 if failed else float(evaluations)
+    owned = _owned(common, maps, formulas, k, b, push.h, result.d_poses.shape[2], maps.mu[:0])
+    _roll(borrowed(owned), None, common, push, result)
+    keep(owned)
 
 
 @compiled(parallel=True)
-def _all_jobs(address, order, common, maps, pushes, results):  # type: ignore[no-untyped-def]
+def _all_jobs(address, order, common, maps, pushes, formulas, results):  # type: ignore[no-untyped-def]
     for place in prange(len(order)):
-        call_compiled(rollout_one, address, (order[place], common, maps, pushes, results))
+        arguments = (order[place], common, maps, pushes, formulas, results)
+        call_compiled(rollout_one, address, arguments)
 
 
 def rollout_all(
-    common: tuple[Any, ...], maps: tuple[Any, ...], pushes: JoinedPushes, results: Results
+    common: tuple[Any, ...],
+    maps: tuple[Any, ...],
+    pushes: JoinedPushes,
+    formulas: Formulas | None,
+    results: Results,
 ) -> None:
     """All models times all pushes, on all threads; `common` and `maps` as in `rollout_one`."""
-    arguments = (common, maps, tuple(pushes), tuple(results))
+    plain = None if formulas is None else tuple(formulas)
+    arguments = (common, maps, tuple(pushes), plain, tuple(results))
     # A single job is not worth waking the other threads.
     if results.end.size == 7:
         rollout_one(0, *arguments)
     else:
         order = evenly_dealt(np.diff(pushes.tip_at), len(results.end))
         _all_jobs(address_of(rollout_one, (0, *arguments)), order, *arguments)
+
+
+@compiled()
+def single_steps(common, maps, formulas, drive, states, after, jacobian):  # type: ignore[no-untyped-def]
+    """One step of K models, one after the other: waking other threads takes longer than the steps.
+
+    The state is x, y, θ (world), v_x, v_y, omega (object frame), the finger's last force (world, N), the
+    effects' own memory. The columns of its Jacobian are, in this order,
+
+        f_1 … f_n, m, s_x, s_y, J, mu_finger, x, y, θ, v_x, v_y, omega, the effects' parameters (as in a
+        rollout), last force, memory, wrench, finger before and after (world).
+
+    Args:
+        common: fields of `Common`.
+        maps: fields of `ReducedMaps`.
+        formulas: fields of `Formulas`; its constants have one row, with the time before the step.
+        drive: h, tip (2, 2), NaN for no finger, and wrench (5,), as in `Push`.
+        states: (K, Z) before the step, Z = 8 + the effects' own memory.
+        after: (K, Z + 1) result: state after the step, and the number of evaluations, negative if the step
+            was not solved.
+        jacobian: (K, Z, columns) result, or an array without columns for none.
+    """
+    given = borrowed((common, maps, formulas, drive, states, after, jacobian))
+    common, maps, formulas, drive, states, after, jacobian = given
+    common, maps = Common(*common), ReducedMaps(*maps)
+    h, tip, wrench = drive
+    columns, rates, row, Z = jacobian.shape[2], after[:0, :3], wrench.reshape(1, 5), states.shape[1]
+    for k in range(len(states)):
+        state, here = states[k], slice(k, k + 1)
+        push = OnePush(h, tip, row, state[:3], state[3:STATE], _FIRST, _END, _END, _FIRST)
+        # What a rollout gives out of poses and forces goes to the rows of the state that they are.
+        poses, forces = after[here, :3], after[here, STATE:AFTER]
+        d_poses, d_forces = jacobian[here, :3], jacobian[here, STATE:AFTER]
+        result = Results(poses, rates, forces, d_poses, d_forces, after[k])
+        owned = _owned(common, maps, formulas, k, 0, h, columns, state[STATE:])
+        things = borrowed(owned)
+        _roll(things, INPUTS, common, push, result)
+        _, effects, layout, _, room = things
+        copy_into(after[k, AFTER:Z], effects.own)
+        if columns > 0:
+            S, rows, n = room.S, FIXED_ROWS + layout.memory, layout.n
+            store_rows(S, S, 1.0, rows, 3, n, jacobian[k, 3:STATE])
+            store_rows(S, S, 1.0, rows, FIXED_ROWS + FORCE, n, jacobian[k, AFTER:])
+        keep(owned)

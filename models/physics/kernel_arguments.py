@@ -83,9 +83,9 @@ class Formulas(NamedTuple):
     Attributes:
         addresses: (4,) of the functions body, cells, cell slopes, memory.
         sizes: (5,) numbers of memory entries, parameters, blades; whether cells are changed; whether Q is.
-        constants: (B, CONSTANTS), see there; a rollout fills in the first.
+        constants: (B, CONSTANTS), see there; of the first the time before the first step.
         parameters: (K, P) of the effects.
-        delay: (K,) of the tracker, s.
+        delay: (K,) of the tracker, s; empty for none.
     """
 
     addresses: IntArray
@@ -100,8 +100,8 @@ class Results(NamedTuple):
 
     Attributes:
         poses: (K, S, 3) world.
-        rates: (K, S, 3) velocity of the poses, of rollouts with effects alone; zero where the tracker's delay
-            reaches beyond the push.
+        rates: (K, S, 3) velocity of the poses, zero where the tracker's delay reaches beyond the push; for a
+            derivative by the delay alone, else without samples.
         forces: (K, T, 2) of the finger on the object, world, N.
         d_poses: (K, S, 3, P) derivatives, or P = 0 for none.
         d_forces: (K, T, 2, P) the same.
@@ -117,9 +117,9 @@ class Results(NamedTuple):
     end: FloatArray
 
 
-def empty_results(models: int, pushes: JoinedPushes, columns: int) -> Results:
-    """Room for the results of K models; `columns` is P."""
+def empty_results(models: int, pushes: JoinedPushes, columns: int, rates: bool) -> Results:
+    """Room for the results of K models; `columns` is P, `rates` whether these are wanted."""
     K, S, T = models, pushes.sample_at[-1], pushes.force_at[-1]
-    poses, rates, forces = np.empty((K, S, 3)), np.empty((K, S, 3)), np.empty((K, T, 2))
+    poses, forces, end = np.empty((K, S, 3)), np.empty((K, T, 2)), np.empty((K, len(pushes.h), 7))
     d_poses, d_forces = np.empty((K, S, 3, columns)), np.empty((K, T, 2, columns))
-    return Results(poses, rates, forces, d_poses, d_forces, np.empty((K, len(pushes.h), 7)))
+    return Results(poses, np.empty((K, S if rates else 0, 3)), forces, d_poses, d_forces, end)

@@ -127,6 +127,13 @@ def results_of(results, pushes, k, b):  # type: ignore[no-untyped-def]
     )
 
 
+@compiled()
+def step_of(time, h, steps):  # type: ignore[no-untyped-def]
+    """Step, of so many of length h, in whose course a time falls, and the place in it (0 to 1)."""
+    step = min(max(math.ceil(time / h - 1e-9) - 1, 0), steps - 1)
+    return step, min(max(time / h - step, 0.0), 1.0)
+
+
 def evenly_dealt(steps: NDArray[np.int64], models: int, threads: int | None = None) -> NDArray[np.int64]:
     """Jobs k B + b of models times pushes, in an order whose equal parts, one a thread, are equally long.
 

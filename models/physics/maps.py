@@ -18,7 +18,7 @@ class Maps:
         mass: (K, n) cell masses, kg.
         mu: (K, n) friction coefficients with the table.
         mu_finger: (K,) friction coefficients with the finger.
-        effects: (K, P) parameters of the effects of an `slipmap.models.effects.EffectSlider`; P is 0 without.
+        effects: (K, P) parameters of the effects of the `Slider`; P is 0 without.
 
     Example:
         >>> import numpy as np

@@ -180,26 +180,46 @@ def register_cells(kind: type, implementation: Callable[..., Any]) -> None:
 
 
 @compiled(forceinline=True, fastmath={"contract"})
-def _coulomb_model(cells, inertia, star, h, v):  # type: ignore[no-untyped-def]
-    """`smooth_model` of plain Coulomb friction on `Cells`."""
-    m, sx, sy, J = inertia
+def coulomb_sums(cells, v):  # type: ignore[no-untyped-def]
+    """Sums over cells under Coulomb friction at the twist v.
+
+    Returns:
+        Gradient (3) and Hessian (6: xx, xy, xω, yy, yω, ωω) of Σ f_i φ_i, and Σ f s², see `friction_moments`.
+    """
     vx, vy, omega = v
     _, a, ax, ay, arr, bxx, bxy, byy, bxw, byw, bww, bend = friction_moments(
         cells.load, cells.rx, cells.ry, vx, vy, omega, cells.rho2, cells.eps2
     )
     spin = arr + cells.rho2 * a
-    model = Quadratic(
-        m * vx - sy * omega - star[0] + h * (a * vx - ay * omega),
-        m * vy + sx * omega - star[1] + h * (a * vy + ax * omega),
-        sx * vy - sy * vx + J * omega - star[2] + h * (ax * vy - ay * vx + spin * omega),
-        m + h * (a - bxx),
-        -h * bxy,
-        -sy - h * (ay + bxw),
-        m + h * (a - byy),
-        sx + h * (ax - byw),
-        J + h * (spin - bww),
+    gradient = (a * vx - ay * omega, a * vy + ax * omega, ax * vy - ay * vx + spin * omega)
+    return gradient, (a - bxx, -bxy, -(ay + bxw), a - byy, ax - byw, spin - bww), bend
+
+
+@compiled(forceinline=True, fastmath={"contract"})
+def quadratic_of(inertia, star, h, v, gradient, hessian):  # type: ignore[no-untyped-def]
+    """`Quadratic` of inertia and friction; arguments as those of `smooth_model` and results of its sums."""
+    m, sx, sy, J = inertia
+    vx, vy, omega = v
+    gx, gy, gw = gradient
+    xx, xy, xw, yy, yw, ww = hessian
+    return Quadratic(
+        m * vx - sy * omega - star[0] + h * gx,
+        m * vy + sx * omega - star[1] + h * gy,
+        sx * vy - sy * vx + J * omega - star[2] + h * gw,
+        m + h * xx,
+        h * xy,
+        -sy + h * xw,
+        m + h * yy,
+        sx + h * yw,
+        J + h * ww,
     )
-    return model, bend
+
+
+@compiled(forceinline=True, fastmath={"contract"})
+def _coulomb_model(cells, inertia, star, h, v):  # type: ignore[no-untyped-def]
+    """`smooth_model` of plain Coulomb friction on `Cells`."""
+    gradient, hessian, bend = coulomb_sums(cells, v)
+    return quadratic_of(inertia, star, h, v, gradient, hessian), bend
 
 
 register_cells(Cells, _coulomb_model)

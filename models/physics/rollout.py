@@ -7,12 +7,16 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
+from slipmap.models.effects.effect import Effect
+from slipmap.models.effects.program import Program, program_of
 from slipmap.models.physics.cell_grid import CellGrid, FloatArray
+from slipmap.models.physics.friction import CONSTANTS
 from slipmap.models.physics.kernel import rollout_all
 from slipmap.models.physics.kernel_arguments import (
     Common,
+    Formulas,
     JoinedPushes,
     ReducedMaps,
     Results,
@@ -85,13 +89,23 @@ class RolloutError(ArithmeticError):
 
 
 class Slider:
-    """The cell-grid model of one object under one finger.
+    """The cell-grid model of one object under one finger, with or without effects.
+
+    Maps carry the parameters of the effects; without any, all effects vanish. Start poses are those that the
+    tracker reports, as the poses of the results are: a tracker that is off or late is an effect too.
 
     Args:
         grid: cells and outline.
         finger_radius: m.
         gravity: m/s².
         smoothing: see `Smoothing`.
+        effects: in the order of the columns of `Maps.effects`.
+
+    Attributes:
+        program: compiled formulas of the effects, None without any.
+
+    Raises:
+        EffectError: a formula cannot be used.
 
     Example:
         >>> import numpy as np
@@ -103,8 +117,15 @@ class Slider:
         (1, 1, 6)
     """
 
+    program: Program | None
+
     def __init__(
-        self, grid: CellGrid, finger_radius: float, gravity: float = 9.81, smoothing: Smoothing | None = None
+        self,
+        grid: CellGrid,
+        finger_radius: float,
+        gravity: float = 9.81,
+        smoothing: Smoothing | None = None,
+        effects: Sequence[Effect] = (),
     ) -> None:
         if not (np.isfinite(finger_radius) and finger_radius > 0):
             raise ValueError(f"finger radius must be a positive length in m, got {finger_radius}")
@@ -119,11 +140,22 @@ class Slider:
         rx, ry = np.ascontiguousarray(grid.centers.T)
         common = Common(rx, ry, float(grid.width), grid.edges, self.finger_radius, size, smooth)
         self._common = tuple(common)
+        self.effects = tuple(effects)
+        self.program = program_of(self.effects) if self.effects else None
+
+    def __reduce__(self) -> tuple[object, ...]:
+        """Pickled without its machine code, whose addresses mean nothing in another process."""
+        return Slider, (self.grid, self.finger_radius, self.gravity, self.smoothing, self.effects)
 
     @property
     def columns(self) -> int:
-        """P: number of reduced parameters a rollout is differentiated by."""
-        return len(self.grid) + EXTRA_COLUMNS
+        """P: number of reduced parameters a rollout is differentiated by, the effects' own last."""
+        return len(self.grid) + EXTRA_COLUMNS + len(self.nulls)
+
+    @cached_property
+    def nulls(self) -> FloatArray:
+        """(…,) parameters of the effects at which they vanish."""
+        return np.concatenate([np.zeros(0), *(effect.nulls for effect in self.effects)])
 
     def inertia(self, mass: FloatArray) -> FloatArray:
         """(…, 4) m, s_x, s_y, J of mass maps (…, n), with I_i = m_i w²/6 as in the paper."""
@@ -176,13 +208,111 @@ class Slider:
             RolloutError: a step was not solved; names the model and the push.
         """
         joined = join_pushes(pushes, len(maps), start_poses, start_twists)
-        results = empty_results(len(maps), joined, self.columns if sensitivities else 0)
-        self._fill(results, maps, pushes, joined)
+        columns = self.columns if sensitivities else 0
+        late = self.program is not None and self.program.delay is not None
+        results = empty_results(len(maps), joined, columns, late and sensitivities)
+        if self.program is None:
+            rollout_all(self._common, self._reduced(maps), joined, None, results)
+        else:
+            self._fill(self.program, results, maps, joined, [push.order for push in pushes])
         return _finished(joined, results)
 
-    def _fill(self, results: Results, maps: Maps, pushes: Sequence[Push], joined: JoinedPushes) -> None:
-        """Simulate, and fill in the results."""
-        rollout_all(self._common, self._reduced(maps), joined, results)
+    def _effect_values(self, maps: Maps) -> FloatArray:
+        """(K, …) parameters of the effects, of maps that are checked."""
+        values, nulls = maps.effects, self.nulls
+        if values.shape[1] == 0:
+            return np.repeat(nulls[None], len(maps), axis=0)
+        if values.shape[1] != len(nulls):
+            names = "".join(f" with {effect.name}" for effect in self.effects)
+            raise ValueError(
+                f"maps have {values.shape[1]} effect parameters, the model{names} has {len(nulls)}"
+            )
+        return values
+
+    def _fill(
+        self, program: Program, results: Results, maps: Maps, joined: JoinedPushes, order: Sequence[float]
+    ) -> None:
+        """Simulate with effects, and fill in the results; `order` as in `Push`."""
+        K, P = len(maps), program.parameters
+        values = self._effect_values(maps)
+        starts = self._true_starts(program, joined.start_poses, values)
+        delays, delay_slopes = np.zeros(K), np.zeros((K, P))
+        if program.delay is not None:
+            for k in range(K):
+                delays[k], delay_slopes[k] = program.delay(values[k])
+        constants = self._constants(joined.h, order)
+        formulas = Formulas(program.addresses, program.sizes, constants, np.ascontiguousarray(values), delays)
+        true = joined._replace(start_poses=starts[0])
+        rollout_all(self._common, self._reduced(maps), true, formulas, results)
+        if results.rates.shape[1] > 0:
+            results.d_poses[..., -P:] -= results.rates[..., None] * delay_slopes[:, None, None]
+        if program.measured is not None:
+            self._report(program, results, joined, values, *starts[1:])
+
+    def _report(
+        self,
+        program: Program,
+        results: Results,
+        joined: JoinedPushes,
+        values: FloatArray,
+        by_measured: FloatArray,
+        by_effect: FloatArray,
+    ) -> None:
+        """Turn true poses into reported ones, and derivatives by true starts into those by reported ones."""
+        poses, _, _, d_poses, d_forces, end = results
+        assert program.measured is not None
+        n, P = len(self.grid), program.parameters
+        derive = d_poses.shape[-1] > 0
+        starts = slice(n + INERTIA_COLUMNS + 1, n + INERTIA_COLUMNS + 4)
+        for b in range(len(joined.h) if derive else 0):
+            for d, at in ((d_poses, joined.sample_at), (d_forces, joined.force_at)):
+                rows = d[:, at[b] : at[b + 1]]
+                by_start = rows[..., starts].copy()
+                rows[..., -P:] += np.einsum("ksij,kjp->ksip", by_start, by_effect[:, b])
+                rows[..., starts] = np.einsum("ksij,kjl->ksil", by_start, by_measured[:, b])
+        for k in range(len(poses)):
+            poses[k], by_pose, by_p = program.measured(*poses[k].T, values[k])
+            end[k, :, :3] = program.measured(*end[k, :, :3].T, values[k])[0]
+            if derive:
+                d_poses[k] = by_pose @ d_poses[k]
+                d_poses[k][..., -P:] += by_p
+
+    def _constants(self, h: ArrayLike, order: ArrayLike) -> FloatArray:
+        """(B, CONSTANTS) of pushes with steps h (B,) at places `order` (B,) in the experiment; time is 0."""
+        centers = self.grid.centers
+        centroid = centers.mean(axis=0)
+        arms = centers - centroid
+        second = arms.T @ arms / len(arms) + np.eye(2) * self.grid.width**2 / 12.0
+        inverse = np.linalg.inv(second)
+        shared = [self.gravity, self.grid.width, *centroid, inverse[0, 0], inverse[0, 1], inverse[1, 1]]
+        result = np.empty((np.size(h), CONSTANTS))
+        result[:, 0], result[:, 1], result[:, 2] = 0.0, h, order
+        result[:, 3:] = [*shared, float(len(centers))]
+        return result
+
+    def _true_starts(
+        self, program: Program, reported: FloatArray, values: FloatArray
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """True poses where the tracker reports some (K, B, 3), and derivatives by report and parameters.
+
+        The formulas give the report of a true pose; Newton's method inverts them.
+        """
+        K, B, _ = reported.shape
+        P = values.shape[1]
+        identity = np.broadcast_to(np.eye(3), (K, B, 3, 3))
+        if program.measured is None:
+            return reported, identity, np.zeros((K, B, 3, P))
+        true, by_report, by_effect = reported.copy(), np.empty((K, B, 3, 3)), np.empty((K, B, 3, P))
+        for k in range(K):
+            for _ in range(20):
+                seen, by_pose, by_p = program.measured(*true[k].T, values[k])
+                error = seen - reported[k]
+                true[k] -= np.linalg.solve(by_pose, error[..., None])[..., 0]
+                if np.abs(error).max() < 1e-13:
+                    break
+            by_report[k] = np.linalg.inv(by_pose)
+            by_effect[k] = -by_report[k] @ by_p
+        return true, by_report, by_effect
 
     def _reduced(self, maps: Maps) -> tuple[FloatArray, ...]:
         """Fields of `ReducedMaps`, of maps that are checked."""

@@ -1,4 +1,4 @@
-"""One convex time step V(x, v, F, M, mu) of the sliding object, and its exact derivative.
+"""One convex time step V(x, v, F, M, mu) of the sliding object.
 
 Over a step of length h the object's twist v (object frame, at the frame's origin) becomes
 
@@ -12,16 +12,7 @@ Everything is written in a frame that moves with the object and is taken at the 
 from the last twist. Poses move along the exact screw motion of v⁺, so neither the choice of the world frame
 nor that of the object frame changes a trajectory.
 
-Derivatives follow from the implicit function theorem: where the gradient g(v⁺, p) of the function above
-vanishes, dv⁺/dp = -H⁻¹ ∂g/∂p. The parameters of a rollout are, in this order,
-
-    f_1 … f_n, m, s_x, s_y, J, mu_finger, and the start x, y, θ (world) and v_x, v_y, omega (object frame).
-
-Where a contact is at the edge between sticking, sliding and apart, derivatives are those of the side on which
-the solution was found (one-sided).
-
-For each friction load f_i the gradient's derivative is h times φ_i's own gradient, less the contact impulse
-over Σ f, as the contact's stiffness grows with Σ f; rollouts add it cell by cell.
+The order in which all of this is done stands in `kernel.py`; derivatives are in `slopes.py`.
 
 The last bits of results depend on the order of fields and arguments here: by it the compiler sorts the two
 products of a sum, of which one is rounded and the other fused with the addition.
@@ -32,25 +23,15 @@ from __future__ import annotations
 import math
 from typing import Any, NamedTuple
 
-import numpy as np
-from numpy.typing import NDArray
-
 from slipmap.models.physics.compiled import compiled
 from slipmap.models.physics.contact import (
-    SEPARATE,
-    SLIDE_BACK,
-    SLIDE_FORWARD,
     Cone,
     Contact,
-    cone_matrix,
     find_contacts,
-    springs,
     stiffening_of,
-    stiffening_slope,
 )
-from slipmap.models.physics.kernel_tools import Turn, joined, turned
+from slipmap.models.physics.kernel_tools import Turn, joined, turn_by, turned
 from slipmap.models.physics.newton import (
-    Impulse,
     Minimum,
     minimum_of,
     slope_along,
@@ -96,6 +77,21 @@ class Frame(NamedTuple):
     spring_y: float
 
 
+class Applied(NamedTuple):
+    """Impulse of given forces in a step, middle frame.
+
+    Attributes:
+        x, y: N s.
+        turning: derivative of its moment about the origin by the object's angle, N m s.
+        spin: its moment about the origin, N m s.
+    """
+
+    x: float
+    y: float
+    turning: float
+    spin: float
+
+
 class Step(NamedTuple):
     """One step before it is solved.
 
@@ -127,6 +123,27 @@ class Step(NamedTuple):
     frame: Frame
 
 
+class Way(NamedTuple):
+    """How a step moves the pose: along the screw of v⁺, by h sinc(h omega/2) R(θ + h omega/2) v⁺.
+
+    Attributes:
+        quarter: `Turn` by h omega/4.
+        half_cos, half_sin: of h omega/2.
+        cos, sin: of the angle half-way.
+        wx, wy: direction times speed, world.
+        length: h sinc(h omega/2), s.
+    """
+
+    quarter: Turn
+    half_cos: float
+    half_sin: float
+    cos: float
+    sin: float
+    wx: float
+    wy: float
+    length: float
+
+
 class Solution(NamedTuple):
     """Solved step: the new twist, the last Newton iteration, and how often the cells were summed over.
 
@@ -151,6 +168,121 @@ def free_momentum(inertia, v, cos, sin):  # type: ignore[no-untyped-def]
     L = sx * vy - sy * vx + J * omega
     qx, qy = turned(cos, -sin, px, py)
     return qx, qy, L + (sx * (qy - py) - sy * (qx - px)) / m
+
+
+@compiled(forceinline=True, fastmath={"contract"})
+def middle_frame(x, y, cos, sin, quarter, v, h, tip0, tip1):  # type: ignore[no-untyped-def]
+    """`Frame` at the middle of the step, predicted from the last twist.
+
+    Args:
+        x, y: object's origin before the step, world, m.
+        cos, sin: of its angle.
+        quarter: `Turn` by h omega / 4.
+        v: last twist, object frame.
+        h: step, s.
+        tip0, tip1: finger centre at the start of the step and at its end, world, m.
+    """
+    half_cos = quarter.cos * quarter.cos - quarter.sin * quarter.sin
+    half_sin = 2.0 * quarter.cos * quarter.sin
+    c, s = turned(cos, sin, quarter.cos, quarter.sin)
+    wx, wy = turned(c, s, v[0], v[1])
+    half_way = 0.5 * h * quarter.sinc
+    c, s = turned(cos, sin, half_cos, half_sin)
+    dx = 0.5 * (tip0[0] + tip1[0]) - x - half_way * wx
+    dy = 0.5 * (tip0[1] + tip1[1]) - y - half_way * wy
+    tip_x, tip_y = turned(c, -s, dx, dy)
+    speed_x, speed_y = turned(c, -s, (tip1[0] - tip0[0]) / h, (tip1[1] - tip0[1]) / h)
+    return Frame(c, s, tip_x, tip_y, speed_x, speed_y, 0.0, 0.0)
+
+
+@compiled(forceinline=True)
+def bent_frame(frame, bend_x, bend_y, h):  # type: ignore[no-untyped-def]
+    """The `Frame` of a finger that stands bend_x, bend_y (world, m) off its record and would straighten."""
+    x, y = turned(frame.cos, -frame.sin, bend_x / h, bend_y / h)
+    return Frame(frame.cos, frame.sin, frame.tip_x, frame.tip_y, frame.speed_x, frame.speed_y, x, y)
+
+
+@compiled(forceinline=True)
+def applied_impulse(row, cos, sin, h):  # type: ignore[no-untyped-def]
+    """`Applied` of one row of a push's wrenches.
+
+    Args:
+        row: (5,) force (world, N), its point (object frame, m) and a torque (N m).
+        cos, sin: of the middle frame's angle.
+        h: step, s.
+    """
+    fx, fy = turned(cos, -sin, row[0], row[1])
+    px, py = row[2], row[3]
+    return Applied(h * fx, h * fy, -h * (px * fx + py * fy), h * (px * fy - py * fx + row[4]))
+
+
+@compiled(forceinline=True, fastmath={"contract"})
+def touching(frame, v, h, common, rows, gain):  # type: ignore[no-untyped-def]
+    """Number of contacts of a step, which are written into rows (MAX_CONTACTS, CONTACT_COLUMNS).
+
+    `gain` is the most speed, m/s, that applied forces give any point of the object in the step.
+    """
+    speeds = abs(frame.speed_x) + abs(frame.speed_y) + _size_of(v, common.size) + gain
+    reach = _CONTACT_MARGIN + 2.0 * h * speeds
+    far = common.size + common.radius + reach
+    if frame.tip_x * frame.tip_x + frame.tip_y * frame.tip_y > far * far:
+        return 0
+    return find_contacts(frame.tip_x, frame.tip_y, common.radius, reach, common.edges, rows)
+
+
+@compiled(forceinline=True, fastmath={"contract"})
+def contact_of(rows, k, frame, v, h, cone):  # type: ignore[no-untyped-def]
+    """`Contact` of row k of `find_contacts`; its gap is counted back from the predicted half step."""
+    nx, ny, x, y, gap = rows[k, 0], rows[k, 1], rows[k, 2], rows[k, 3], rows[k, 4]
+    nw = x * ny - y * nx
+    tw = x * nx + y * ny
+    finger = nx * frame.speed_x + ny * frame.speed_y
+    gap += 0.5 * h * (nx * v[0] + ny * v[1] + nw * v[2] - finger)
+    stiffening = stiffening_of(gap, cone)
+    closing = gap / (h * stiffening) + finger + nx * frame.spring_x + ny * frame.spring_y
+    drag = nx * (frame.speed_y + frame.spring_y) - ny * (frame.speed_x + frame.spring_x)
+    normal = h * h * stiffening / (cone.give + stiffening * cone.compliance)
+    ratio = normal / cone.tangential
+    turn, slide = rows[k, 5], rows[k, 6]
+    return Contact(nx, ny, x, y, nw, tw, closing, drag, turn, slide, gap, stiffening, normal, ratio)
+
+
+@compiled(forceinline=True, fastmath={"contract"})
+def weighted(weights, past):  # type: ignore[no-untyped-def]
+    """Guess of the next twist: weighted sum of the last three, the newest first.
+
+    Where a push is smooth it saves Newton's second evaluation.
+    """
+    a, b, c = weights
+    last, second, third = past
+    return (
+        a * last[0] + b * second[0] + c * third[0],
+        a * last[1] + b * second[1] + c * third[1],
+        a * last[2] + b * second[2] + c * third[2],
+    )
+
+
+@compiled(forceinline=True, fastmath={"contract"})
+def best_weights(new, past, size):  # type: ignore[no-untyped-def]
+    """Weights of the extrapolation that would have come nearest to `new`; those to use next.
+
+    The candidates are the polynomials of order 0 to 2 through the last twists. `size` is the object's radius,
+    m, at which rotation counts.
+    """
+    constant = (1.0, 0.0, 0.0)
+    linear = (2.0, -1.0, 0.0)
+    quadratic = (3.0, -3.0, 1.0)
+    best, nearest = constant, _distance(new, past[0], size)
+    for weights in (linear, quadratic):
+        error = _distance(new, weighted(weights, past), size)
+        if error < nearest:
+            best, nearest = weights, error
+    return best
+
+
+@compiled(forceinline=True)
+def _distance(a, b, size):  # type: ignore[no-untyped-def]
+    return abs(a[0] - b[0]) + abs(a[1] - b[1]) + size * abs(a[2] - b[2])
 
 
 @compiled(forceinline=True, fastmath={"contract"})
@@ -264,288 +396,21 @@ def _bracketed(step, v, d, slope, high_slope, evaluations, try_rest):  # type: i
             low, low_slope = t, new_slope
 
 
-@compiled(forceinline=True, fastmath={"contract"})
-def middle_frame(x, y, cos, sin, quarter, v, h, tip0, tip1):  # type: ignore[no-untyped-def]
-    """`Frame` at the middle of the step, predicted from the last twist.
-
-    Args:
-        x, y: object's origin before the step, world, m.
-        cos, sin: of its angle.
-        quarter: `Turn` by h omega / 4.
-        v: last twist, object frame.
-        h: step, s.
-        tip0, tip1: finger centre at the start of the step and at its end, world, m.
-    """
-    half_cos = quarter.cos * quarter.cos - quarter.sin * quarter.sin
-    half_sin = 2.0 * quarter.cos * quarter.sin
-    c, s = turned(cos, sin, quarter.cos, quarter.sin)
-    wx, wy = turned(c, s, v[0], v[1])
-    half_way = 0.5 * h * quarter.sinc
-    c, s = turned(cos, sin, half_cos, half_sin)
-    dx = 0.5 * (tip0[0] + tip1[0]) - x - half_way * wx
-    dy = 0.5 * (tip0[1] + tip1[1]) - y - half_way * wy
-    tip_x, tip_y = turned(c, -s, dx, dy)
-    speed_x, speed_y = turned(c, -s, (tip1[0] - tip0[0]) / h, (tip1[1] - tip0[1]) / h)
-    return Frame(c, s, tip_x, tip_y, speed_x, speed_y, 0.0, 0.0)
-
-
-@compiled(forceinline=True, fastmath={"contract"})
-def touching(frame, v, h, common, rows, gain):  # type: ignore[no-untyped-def]
-    """Number of contacts of a step, which are written into rows (MAX_CONTACTS, CONTACT_COLUMNS).
-
-    `gain` is the most speed, m/s, that applied forces give any point of the object in the step.
-    """
-    speeds = abs(frame.speed_x) + abs(frame.speed_y) + _size_of(v, common.size) + gain
-    reach = _CONTACT_MARGIN + 2.0 * h * speeds
-    far = common.size + common.radius + reach
-    if frame.tip_x * frame.tip_x + frame.tip_y * frame.tip_y > far * far:
-        return 0
-    return find_contacts(frame.tip_x, frame.tip_y, common.radius, reach, common.edges, rows)
-
-
-@compiled(forceinline=True, fastmath={"contract"})
-def contact_of(rows, k, frame, v, h, cone):  # type: ignore[no-untyped-def]
-    """`Contact` of row k of `find_contacts`; its gap is counted back from the predicted half step."""
-    nx, ny, x, y, gap = rows[k, 0], rows[k, 1], rows[k, 2], rows[k, 3], rows[k, 4]
-    nw = x * ny - y * nx
-    tw = x * nx + y * ny
-    finger = nx * frame.speed_x + ny * frame.speed_y
-    gap += 0.5 * h * (nx * v[0] + ny * v[1] + nw * v[2] - finger)
-    stiffening = stiffening_of(gap, cone)
-    closing = gap / (h * stiffening) + finger + nx * frame.spring_x + ny * frame.spring_y
-    drag = nx * (frame.speed_y + frame.spring_y) - ny * (frame.speed_x + frame.spring_x)
-    normal = h * h * stiffening / (cone.give + stiffening * cone.compliance)
-    ratio = normal / cone.tangential
-    turn, slide = rows[k, 5], rows[k, 6]
-    return Contact(nx, ny, x, y, nw, tw, closing, drag, turn, slide, gap, stiffening, normal, ratio)
-
-
-class Solved(NamedTuple):
-    """A solved step, as its derivatives need it; attributes as in `Step`, and
-
-    Attributes:
-        new: solution v⁺.
-        impulse1, impulse2: solved `Impulse` of the two contacts, without state where one is absent.
-    """
-
-    v: tuple[float, float, float]
-    new: tuple[float, float, float]
-    h: float
-    inertia: tuple[float, float, float, float]
-    cone: Cone
-    frame: Frame
-    quarter: Turn
-    first: Contact
-    second: Contact
-    impulse1: Impulse
-    impulse2: Impulse
-
-
 @compiled(forceinline=True)
-def solved_step(step, new, minimum):  # type: ignore[no-untyped-def]
-    """`Solved` of a step whose solution v⁺ is known, with the `Minimum` there."""
-    return Solved(
-        step.v, new, step.h, step.inertia, step.cone, step.frame, step.quarter, step.first, step.second,
-        minimum.first, minimum.second,
-    )  # fmt: skip
-
-
-class Slopes(NamedTuple):
-    """Partial derivatives of a solved step, filled in by `step_derivative`.
-
-    Attributes:
-        A: (3, 6) d(gradient)/d(x, y, θ, v_x, v_y, omega).
-        extra: (3, …) first five columns: d(gradient)/d(m, s_x, s_y, J, mu).
-        force: (2, 10) d(force impulse, middle frame) by x, y, θ, v_x, v_y, omega, then v⁺ (3), then mu; for
-            each f_i it is force / Σ f.
-    """
-
-    A: NDArray[np.float64]
-    extra: NDArray[np.float64]
-    force: NDArray[np.float64]
-
-
-@compiled()
-def step_derivative(solved, slopes):  # type: ignore[no-untyped-def]
-    """Fill in the `Slopes` of a `Solved` step."""
-    for i in range(3):
-        slopes.A[i, 0] = slopes.A[i, 1] = slopes.A[i, 2] = slopes.extra[i, 4] = 0.0
-    for j in range(10):
-        slopes.force[0, j] = slopes.force[1, j] = 0.0
-    _free_motion(solved, slopes)
-    if solved.impulse1.state != SEPARATE:
-        _contact(solved, solved.first, solved.impulse1, slopes)
-    if solved.impulse2.state != SEPARATE:
-        _contact(solved, solved.second, solved.impulse2, slopes)
-
-
-@compiled(forceinline=True)
-def _free_motion(solved, slopes):  # type: ignore[no-untyped-def]
-    """Momentum of v⁺ less that of the free motion: linear in the inertia, turned by -h omega."""
-    v, new, h, quarter = solved.v, solved.new, solved.h, solved.quarter
-    A, extra = slopes.A, slopes.extra
-    m, sx, sy, J = solved.inertia
+def way_of(new, cos, sin, h):  # type: ignore[no-untyped-def]
+    """`Way` of the twist v⁺ from an angle with this cosine and sine."""
+    quarter = turn_by(0.25 * h * new[2])
     half_cos, half_sin = joined(quarter.cos, quarter.sin, quarter.cos, quarter.sin)
-    c, s = joined(half_cos, half_sin, half_cos, half_sin)
-    px = m * v[0] - sy * v[2]
-    py = m * v[1] + sx * v[2]
-    qx, qy = turned(c, -s, px, py)
-    centre_x, centre_y = sx / m, sy / m
-    for j in range(4):  # m, s_x, s_y, J
-        dpx = v[0] if j == 0 else (-v[2] if j == 2 else 0.0)
-        dpy = v[1] if j == 0 else (v[2] if j == 1 else 0.0)
-        dL = v[1] if j == 1 else (-v[0] if j == 2 else (v[2] if j == 3 else 0.0))
-        dcx = -centre_x / m if j == 0 else (1.0 / m if j == 1 else 0.0)
-        dcy = -centre_y / m if j == 0 else (1.0 / m if j == 2 else 0.0)
-        dqx, dqy = turned(c, -s, dpx, dpy)
-        dL_free = dL + dcx * (qy - py) - dcy * (qx - px) + centre_x * (dqy - dpy) - centre_y * (dqx - dpx)
-        npx = new[0] if j == 0 else (-new[2] if j == 2 else 0.0)
-        npy = new[1] if j == 0 else (new[2] if j == 1 else 0.0)
-        nL = new[1] if j == 1 else (-new[0] if j == 2 else (new[2] if j == 3 else 0.0))
-        extra[0, j] = npx - dqx
-        extra[1, j] = npy - dqy
-        extra[2, j] = nL - dL_free
-    for j in range(3):  # v_x, v_y, omega
-        dpx = m if j == 0 else (-sy if j == 2 else 0.0)
-        dpy = m if j == 1 else (sx if j == 2 else 0.0)
-        dL = -sy if j == 0 else (sx if j == 1 else J)
-        dqx, dqy = turned(c, -s, dpx, dpy)
-        if j == 2:
-            dqx += h * qy
-            dqy -= h * qx
-        A[0, 3 + j] = -dqx
-        A[1, 3 + j] = -dqy
-        A[2, 3 + j] = -(dL + centre_x * (dqy - dpy) - centre_y * (dqx - dpx))
+    c, s = joined(cos, sin, half_cos, half_sin)
+    wx, wy = turned(c, s, new[0], new[1])
+    return Way(quarter, half_cos, half_sin, c, s, wx, wy, h * quarter.sinc * quarter.cos)
 
 
 @compiled(forceinline=True)
-def contact_change(solved, contact, impulse, A, dforce):  # type: ignore[no-untyped-def]
-    """What `add_column` needs of one contact of a `Solved` step, and the arrays that it adds to."""
-    return solved.v, solved.new, solved.h, solved.cone, solved.frame, contact, impulse, A, dforce
-
-
-@compiled(forceinline=True)
-def _contact(solved, contact, impulse, slopes):  # type: ignore[no-untyped-def]
-    """Add one contact's part."""
-    h, v, quarter, frame = solved.h, solved.v, solved.quarter, solved.frame
-    y, x = contact.y, contact.x
-    cos, sin = frame.cos, frame.sin
-    vfx, vfy = frame.speed_x, frame.speed_y
-    # To its predicted origin the frame moved by way (w_x, w_y), the last twist's velocity seen from it.
-    way = 0.5 * h * quarter.sinc
-    wx, wy = turned(quarter.cos, -quarter.sin, v[0], v[1])
-    stretch = 0.125 * h * h * quarter.sinc_slope
-    change = contact_change(solved, contact, impulse, slopes.A, slopes.force)
-    bx, by = frame.spring_x, frame.spring_y
-    none = (0.0, 0.0)
-    add_column(0, (-cos, sin), none, none, none, change)
-    add_column(1, (-sin, -cos), none, none, none, change)
-    place = (way * wy + frame.tip_y, -way * wx - frame.tip_x)
-    add_column(2, place, (vfy, -vfx), (by, -bx), none, change)
-    add_column(3, (-way * quarter.cos, way * quarter.sin), none, none, (1.0, 0.0), change)
-    add_column(4, (-way * quarter.sin, -way * quarter.cos), none, none, (0.0, 1.0), change)
-    half = 0.5 * h
-    dpx = half * (0.5 * way * wy + frame.tip_y) - stretch * wx
-    dpy = -half * (0.5 * way * wx + frame.tip_x) - stretch * wy
-    add_column(5, (dpx, dpy), (half * vfy, -half * vfx), (half * by, -half * bx), (-y, x), change)
-    _by_new_twist(solved.cone, contact, impulse, slopes.force)
-    if impulse.state == SLIDE_FORWARD or impulse.state == SLIDE_BACK:
-        _by_finger_friction(solved.new, solved.cone, contact, impulse, slopes)
-
-
-@compiled(forceinline=True, fastmath={"contract", "nnan", "nsz"})
-def add_column(j, place, speed, spring, twist, change):  # type: ignore[no-untyped-def]
-    """Add to column j of A and dforce what follows from four changes (x, y), all in the middle frame.
-
-    Args:
-        j: column.
-        place, speed: change of the finger's place in the middle of the step, and of its velocity.
-        spring: of the speed at which a bent finger would straighten.
-        twist: of the last twist's velocity at the contact.
-        change: see `contact_change`.
-    """
-    v, new, h, cone, frame, contact, impulse, A, dforce = change
-    dpx, dpy = place
-    dvfx, dvfy = speed
-    dbx, dby = spring
-    dux, duy = twist
-    gamma_n, gamma_t = impulse.normal, impulse.tangential
-    nx, ny, x, y = contact.nx, contact.ny, contact.x, contact.y
-    tx, ty = -ny, nx
-    vfx, vfy = frame.speed_x, frame.speed_y
-    dnn, dnt, dtn, dtt = cone_matrix(cone.mu, contact.ratio, impulse.state)
-    fx = -nx * gamma_n + tx * gamma_t
-    fy = -ny * gamma_n + ty * gamma_t
-    bx, by = frame.spring_x, frame.spring_y
-    slip_x = vfx + bx - new[0] + new[2] * y
-    slip_y = vfy + by - new[1] - new[2] * x
-    # Half of the velocity with which the gap was closing before the step.
-    half_x, half_y = 0.5 * (v[0] - v[2] * y - vfx), 0.5 * (v[1] + v[2] * x - vfy)
-    along = tx * dpx + ty * dpy
-    turn, slide = contact.turn * along, contact.slide * along
-    dnx, dny, dtx, dty = turn * tx, turn * ty, -turn * nx, -turn * ny
-    drx, dry = slide * tx, slide * ty
-    dux, duy = 0.5 * (dux - v[2] * dry - dvfx), 0.5 * (duy + v[2] * drx - dvfy)
-    dgap = nx * dpx + ny * dpy + h * (dnx * half_x + dny * half_y + nx * dux + ny * duy)
-    dsx, dsy = dvfx + dbx + new[2] * dry, dvfy + dby - new[2] * drx
-    dopening = dnx * slip_x + dny * slip_y + nx * dsx + ny * dsy
-    dyt = (dtx * slip_x + dty * slip_y + tx * dsx + ty * dsy) * cone.tangential
-    # Damping grows with the depth: dnormal is its change of 1/R_n.
-    more = stiffening_slope(contact.gap, cone) * dgap / contact.stiffening
-    dnormal = contact.normal * contact.normal * cone.give * more / (h * h * contact.stiffening)
-    y_n, y_t = springs(contact, cone, new[0], new[1], new[2])
-    dyn = y_n * dnormal / contact.normal
-    dyn += contact.normal * ((contact.gap * more - dgap) / (h * contact.stiffening) - dopening)
-    dgn = dnn * dyn + dnt * dyt
-    dgt = dtn * dyn + dtt * dyt
-    if impulse.state == SLIDE_FORWARD or impulse.state == SLIDE_BACK:
-        by_ratio = _by_ratio(cone, contact, impulse, y_t) * dnormal / cone.tangential
-        dgn += by_ratio
-        dgt += by_ratio * (cone.mu if impulse.state == SLIDE_FORWARD else -cone.mu)
-    dfx = -dnx * gamma_n - nx * dgn + dtx * gamma_t + tx * dgt
-    dfy = -dny * gamma_n - ny * dgn + dty * gamma_t + ty * dgt
-    A[0, j] -= dfx
-    A[1, j] -= dfy
-    A[2, j] -= x * dfy - y * dfx + drx * fy - dry * fx
-    dforce[0, j] += dfx
-    dforce[1, j] += dfy
-
-
-@compiled(forceinline=True)
-def _by_ratio(cone, contact, impulse, y_t):  # type: ignore[no-untyped-def]
-    """Change of a sliding contact's γ_n by R_t / R_n."""
-    mu = cone.mu
-    return mu * (abs(y_t) - mu * impulse.normal) / (1.0 + mu * mu * contact.ratio)
-
-
-@compiled(forceinline=True)
-def _by_new_twist(cone, contact, impulse, dforce):  # type: ignore[no-untyped-def]
-    """Add the change of the force by v⁺."""
-    nx, ny = contact.nx, contact.ny
-    dnn, dnt, dtn, dtt = cone_matrix(cone.mu, contact.ratio, impulse.state)
-    for j in range(3):
-        dn = nx if j == 0 else (ny if j == 1 else contact.nw)
-        dt = -ny if j == 0 else (nx if j == 1 else contact.tw)
-        dgn = dnn * dn * contact.normal - dnt * dt * cone.tangential
-        dgt = dtn * dn * contact.normal - dtt * dt * cone.tangential
-        dforce[0, 6 + j] += -nx * dgn - ny * dgt
-        dforce[1, 6 + j] += -ny * dgn + nx * dgt
-
-
-@compiled(forceinline=True)
-def _by_finger_friction(new, cone, contact, impulse, slopes):  # type: ignore[no-untyped-def]
-    """Add the change of gradient and force of a sliding contact by mu."""
-    extra, dforce = slopes.extra, slopes.force
-    nx, ny = contact.nx, contact.ny
-    sign = 1.0 if impulse.state == SLIDE_FORWARD else -1.0
-    _, y_t = springs(contact, cone, new[0], new[1], new[2])
-    ratio = contact.ratio
-    dgn = ratio * (abs(y_t) - 2.0 * cone.mu * impulse.normal) / (1.0 + cone.mu * cone.mu * ratio)
-    dgt = sign * (impulse.normal + cone.mu * dgn)
-    dfx = -nx * dgn - ny * dgt
-    dfy = -ny * dgn + nx * dgt
-    extra[0, 4] -= dfx
-    extra[1, 4] -= dfy
-    extra[2, 4] -= contact.x * dfy - contact.y * dfx
-    dforce[0, 9] += dfx
-    dforce[1, 9] += dfy
+def way_by_spin(way, h):  # type: ignore[no-untyped-def]
+    """Derivatives by omega of x and y after the step."""
+    # Derivative of sinc(α) = sinc(α/2) cos(α/2) by omega, for α = h omega/2.
+    slope = way.quarter.sinc_slope * way.quarter.cos - way.quarter.sinc * way.quarter.sin
+    slope *= 0.25 * h * h
+    bend = 0.5 * h * way.length
+    return slope * way.wx - bend * way.wy, slope * way.wy + bend * way.wx

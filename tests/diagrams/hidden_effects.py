@@ -5,11 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from slipmap.models.effects.registry import effects_named
-from slipmap.models.effects.slider import EffectSlider
 from slipmap.models.measurements import PushDataset
 from slipmap.models.measurements.simulated import record_pushes
 from slipmap.models.objects import cells_from_polygon
-from slipmap.models.physics.rollout import Maps
+from slipmap.models.physics.rollout import Maps, Slider
 from slipmap.planners.exploration import candidate_pushes
 
 WIDTH = 0.02
@@ -55,7 +54,7 @@ def _pushes(
     mass = 200.0 * WIDTH**2 * (1.0 + 0.4 * grid.centers[:, 0] / 0.03)
     values = np.concatenate(list(hidden.values()))
     truth = Maps(mass[None], np.full((1, len(grid)), 0.3), np.array([0.3]), values[None])
-    slider = EffectSlider(grid, 0.005, effects_named(list(hidden)))
+    slider = Slider(grid, 0.005, effects=effects_named(list(hidden)))
     rng = np.random.default_rng(3)
     pushes = [
         candidate.push([*rng.uniform(-0.3, 0.3, 2), rng.uniform(-np.pi, np.pi)], h=2e-3)

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from slipmap.diagrams.application.figures.style import draw_finger, draw_outline, scale_bar
 from slipmap.diagrams.application.reports.effect_words import unit_text
 from slipmap.diagrams.systems.look import BELIEF, FAINT, FINGER, INK, OTHER, PAPER, styled
-from slipmap.models.effects import Effect, EffectSlider, Scene
+from slipmap.models.effects import Effect, Scene
 from slipmap.models.effects.effect import bounds, scales
 from slipmap.models.effects.written import Written, written
 from slipmap.models.geometry import placed
@@ -59,7 +59,7 @@ def effect_figure(effect: Effect) -> Figure:
     values = _shown_values(effect, grid, push, plain)
     rows = np.vstack([effect.nulls + share * _above_null(effect, values) for share in _SHARES])
     rows = np.where(effect.amplitudes, rows, values)
-    out = EffectSlider(grid, _RADIUS, [effect], smoothing=smoothing).rollout(_with(maps, rows), [push])
+    out = Slider(grid, _RADIUS, effects=[effect], smoothing=smoothing).rollout(_with(maps, rows), [push])
 
     text = written(effect)
     size = textwrap.wrap(f"Full size: {_numbers(effect, text, values)}.", 125, break_on_hyphens=False)
@@ -154,7 +154,7 @@ def _shown_values(effect: Effect, grid: CellGrid, push: Push, plain: Rollouts) -
     low, high = bounds([effect])
     starts = effect.start_values(scene)
     size = scales([effect], weight)
-    slider = EffectSlider(grid, _RADIUS, [effect], smoothing=Smoothing(penetration=1e-4))
+    slider = Slider(grid, _RADIUS, effects=[effect], smoothing=Smoothing(penetration=1e-4))
     maps = _maps(grid)
     best, reached = starts[0], 0.0
     for doubling in range(7):

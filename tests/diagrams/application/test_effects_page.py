@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 from effects_page import MAGNET, PAGE, page
 
-from slipmap.models.effects import LIBRARY, EffectSlider
+from slipmap.models.effects import LIBRARY
 from slipmap.models.effects.registry import load_effects
 from slipmap.models.inference.identification import identify
 from slipmap.models.measurements.simulated import record_pushes
 from slipmap.models.objects import cells_from_polygon
-from slipmap.models.physics.rollout import Maps
+from slipmap.models.physics.rollout import Maps, Slider
 from slipmap.planners.exploration import candidate_pushes
 
 TRUE = (0.6, 0.06, -0.04)
@@ -41,7 +41,7 @@ def recorded():
     maps = Maps(np.full((1, n), 0.5 / n), np.full((1, n), 0.3), np.array([0.35]), np.array([TRUE]))
     candidates = candidate_pushes(grid, 0.006, rng, 12, length=(0.06, 0.09))
     pushes = [c.push([*rng.uniform(-0.1, 0.1, 2), rng.uniform(-3, 3)], h=4e-3) for c in candidates]
-    return record_pushes(EffectSlider(grid, 0.006, [magnet]), maps, pushes, rng, heldout=4, mass=0.5)
+    return record_pushes(Slider(grid, 0.006, effects=[magnet]), maps, pushes, rng, heldout=4, mass=0.5)
 
 
 def test_the_magnet_is_found_in_pushes_over_it(recorded):

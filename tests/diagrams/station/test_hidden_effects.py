@@ -24,7 +24,7 @@ from slipmap.diagrams.station.hidden_effects import (
     tilted_gravity,
 )
 from slipmap.diagrams.station.sliding_object import add_sliding_object
-from slipmap.models.effects import LIBRARY, EffectSlider
+from slipmap.models.effects import LIBRARY
 from slipmap.models.effects.registry import effects_named
 from slipmap.models.objects.benchmark_objects import benchmark_object
 from slipmap.models.objects.true_object import TrueObject
@@ -63,7 +63,7 @@ def test_pushed_object_follows_the_model_with_the_effect(name: str) -> None:
     candidate = candidate_pushes(thing.grid, FINGER_RADIUS, np.random.default_rng(3), 1)[0]
     push = replace(candidate, length=0.06, speed=0.06).push([-0.05, 0.02, 0.3], h=2.5e-3, rest=0.05)
     maps = Maps(thing.mass, thing.mu, thing.maps.mu_finger, np.array([astuple(effect)]))
-    slider = EffectSlider(thing.grid, FINGER_RADIUS, effects_named([name]))
+    slider = Slider(thing.grid, FINGER_RADIUS, effects=effects_named([name]))
     expected = slider.rollout(maps, [push]).poses_of(0)[0]
     without = Slider(thing.grid, FINGER_RADIUS).rollout(thing.maps, [push]).poses_of(0)[0]
 

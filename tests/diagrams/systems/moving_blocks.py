@@ -10,7 +10,6 @@ import numpy as np
 from pydrake.common.value import Value
 
 from slipmap.diagrams.systems.python_system import PythonSystem
-from slipmap.models.effects.slider import EffectSlider
 from slipmap.models.inference.belief import Belief
 from slipmap.models.objects import cells_from_polygon
 from slipmap.models.physics.cell_grid import CellGrid, FloatArray
@@ -61,7 +60,7 @@ def moved(push: Push, effects: Sequence[Any] = (), values: Sequence[float] = ())
     """(30, 3) poses of the most probable hypothesis' block, with effects it does not know of."""
     maps = block_belief().maps[3:]
     maps = Maps(maps.mass, maps.mu, maps.mu_finger, np.reshape(values, (1, -1)))
-    slider = EffectSlider(block(), RADIUS, effects) if effects else Slider(block(), RADIUS)
+    slider = Slider(block(), RADIUS, effects=effects)
     return slider.rollout(maps, [push]).poses[0]
 
 

@@ -11,7 +11,6 @@ from moving_blocks import RADIUS, H, block, block_belief
 
 from slipmap.diagrams.systems.cell_grid_slider import CellGridSlider
 from slipmap.models.effects.registry import effects_named
-from slipmap.models.effects.slider import EffectSlider
 from slipmap.models.physics.rollout import Maps, Push, Slider
 
 FloatArray = np.ndarray
@@ -47,7 +46,7 @@ def autodiff_system_of(name: str) -> Any:
 
 def rollout(name: str, push: Push, maps: Maps | None = None, **options: Any) -> Any:
     effects = [] if name == "plain" else effects_named([name])
-    slider = EffectSlider(block(), RADIUS, effects) if effects else Slider(block(), RADIUS)
+    slider = Slider(block(), RADIUS, effects=effects)
     return slider.rollout(maps or maps_of(name), [push], **options)
 
 

@@ -27,7 +27,6 @@ from slipmap.diagrams.systems.cell_grid_slider import (
     slider_of_hypothesis,
 )
 from slipmap.models.effects.effect import Effect, Parameter
-from slipmap.models.effects.slider import EffectSlider
 from slipmap.models.physics.paper_notation import cell_poses
 from slipmap.models.physics.rollout import Maps, Push, Slider
 
@@ -61,7 +60,7 @@ class Gusts(Effect):
 def test_the_time_of_an_effect_counts_from_the_begin_of_the_push() -> None:
     maps = Maps(maps_of("plain").mass, maps_of("plain").mu, np.array([0.3]), np.array([[2.5]]))
     push = Push(H, np.full((41, 2), np.nan), np.zeros(3))
-    expected = EffectSlider(block(), RADIUS, [Gusts()]).rollout(maps, [push]).poses[0]
+    expected = Slider(block(), RADIUS, effects=[Gusts()]).rollout(maps, [push]).poses[0]
     system = CellGridSlider(block(), maps, RADIUS, H, [Gusts()])
     simulator = Simulator(system)
     context = simulator.get_mutable_context()

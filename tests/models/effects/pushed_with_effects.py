@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from slipmap.models.effects import LIBRARY, Effect, EffectSlider
+from slipmap.models.effects import LIBRARY, Effect
 from slipmap.models.physics.cell_grid import CellGrid
 from slipmap.models.physics.rollout import Maps, Push, Rollouts, Slider
 
@@ -80,7 +80,7 @@ def coasting(duration: float = 0.3) -> Push:
 
 
 def slider_of(effects: Sequence[Effect], grid: CellGrid = BLOCK) -> Slider:
-    return EffectSlider(grid, RADIUS, effects) if effects else Slider(grid, RADIUS)
+    return Slider(grid, RADIUS, effects=effects)
 
 
 def slide(

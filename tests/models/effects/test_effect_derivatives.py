@@ -23,7 +23,7 @@ from pushed_with_effects import (
     with_values,
 )
 
-from slipmap.models.effects import LIBRARY, Effect, EffectSlider, Parameter
+from slipmap.models.effects import LIBRARY, Effect, Parameter
 from slipmap.models.physics.rollout import Maps, Push, RolloutError, Slider
 
 N = len(BLOCK)
@@ -53,7 +53,7 @@ class RootOfSpeed(Effect):
 
 
 def test_a_derivative_that_is_not_finite_is_told() -> None:
-    slider, maps = EffectSlider(BLOCK, RADIUS, [RootOfSpeed()]), with_values(plain_maps(), [0.5])
+    slider, maps = Slider(BLOCK, RADIUS, effects=[RootOfSpeed()]), with_values(plain_maps(), [0.5])
     assert np.isfinite(slider.rollout(maps, [sliding_push()]).poses).all()
     with pytest.raises(RolloutError, match="a derivative is not finite"):
         slider.rollout(maps, [sliding_push()], sensitivities=True)
@@ -67,7 +67,7 @@ def test_at_its_null_an_effect_is_nothing(name: str, push: Push) -> None:
     plain = Slider(BLOCK, RADIUS).rollout(maps, [push], sensitivities=True)
     # Whatever the parameters without a null are.
     values = np.where(effect.amplitudes, effect.nulls, SHOWN[name])
-    slider = EffectSlider(BLOCK, RADIUS, [effect])
+    slider = Slider(BLOCK, RADIUS, effects=[effect])
     out = slider.rollout(with_values(maps, values), [push], sensitivities=True)
     assert out.poses == pytest.approx(plain.poses, rel=1e-11, abs=1e-13)
     assert out.end == pytest.approx(plain.end, rel=1e-9, abs=1e-12)
@@ -105,7 +105,7 @@ def test_sensitivities_of_effects_together(names: tuple[str, ...]) -> None:
 def check(effects, values: np.ndarray, push: Push) -> None:  # type: ignore[no-untyped-def]
     """Each parameter of an effect, and each group of the others, to 1e-5 of its largest derivative."""
     maps = plain_maps()
-    slider = EffectSlider(BLOCK, RADIUS, effects)
+    slider = Slider(BLOCK, RADIUS, effects=effects)
     at = np.concatenate([maps.mass[0], maps.mu[0], maps.mu_finger, push.start_pose, push.start_twist, values])
     steps = np.empty(len(at))
     groups = dict(GROUPS)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from pushed_with_effects import BLOCK, RADIUS, plain_maps, sliding_push, with_values
 
-from slipmap.models.effects import LIBRARY, EffectError, EffectSlider, Scene
+from slipmap.models.effects import LIBRARY, EffectError, Scene
 from slipmap.models.effects.effect_checks import check_declaration, check_starts
 from slipmap.models.effects.registry import effects_named, known_effects, load_effects
 from slipmap.models.physics.rollout import Slider
@@ -45,7 +45,7 @@ def file(tmp_path: Path):  # type: ignore[no-untyped-def]
 def test_an_effect_from_a_file_acts(file) -> None:  # type: ignore[no-untyped-def]
     (magnet,) = load_effects(file(GOOD))
     push, maps = sliding_push(0.3), plain_maps()
-    slider = EffectSlider(BLOCK, RADIUS, [magnet])
+    slider = Slider(BLOCK, RADIUS, effects=[magnet])
     plain = Slider(BLOCK, RADIUS).rollout(maps, [push]).poses
     pulled = [slider.rollout(with_values(maps, [size]), [push]).poses for size in (0.0, 0.5)]
     assert np.abs(pulled[0] - plain).max() < 1e-12
@@ -97,7 +97,7 @@ WindX, WindY = wind("x", True), wind("y", False)
 def test_classes_of_one_function_are_different_effects(file) -> None:  # type: ignore[no-untyped-def]
     ends = []
     for effect in load_effects(file(TWINS, "twins.py")):
-        out = EffectSlider(BLOCK, RADIUS, [effect]).rollout(
+        out = Slider(BLOCK, RADIUS, effects=[effect]).rollout(
             with_values(plain_maps(), [2.0]), [sliding_push()]
         )
         ends.append(out.end[0, 0])
@@ -107,10 +107,10 @@ def test_classes_of_one_function_are_different_effects(file) -> None:  # type: i
 def test_a_file_that_is_read_twice_leaves_the_first_as_it_was(file) -> None:  # type: ignore[no-untyped-def]
     """Machine code is freed with the module that holds it; a second reading of the file makes another."""
     path, maps, push = file(GOOD), with_values(plain_maps(), [2.0]), sliding_push()
-    first = EffectSlider(BLOCK, RADIUS, list(load_effects(path)))
+    first = Slider(BLOCK, RADIUS, effects=list(load_effects(path)))
     before = first.rollout(maps, [push]).end
     for _ in range(3):
-        EffectSlider(BLOCK, RADIUS, list(load_effects(path)))
+        Slider(BLOCK, RADIUS, effects=list(load_effects(path)))
         gc.collect()
     assert np.array_equal(first.rollout(maps, [push]).end, before)
     assert first.program.module.body.address == first.program.addresses[0]
@@ -121,10 +121,10 @@ def test_parameters_of_names_that_join_alike_are_two(file) -> None:  # type: ign
     second = TWINS.replace("thrust", "c").replace('f"wind_{label}"', '"a_b"')
     a, b = load_effects(file(first, "first.py"))[0], load_effects(file(second, "second.py"))[1]
     push = sliding_push()
-    both = EffectSlider(BLOCK, RADIUS, [a, b]).rollout(with_values(plain_maps(), [2.0, 0.0]), [push])
-    one = EffectSlider(BLOCK, RADIUS, [a]).rollout(with_values(plain_maps(), [2.0]), [push])
+    both = Slider(BLOCK, RADIUS, effects=[a, b]).rollout(with_values(plain_maps(), [2.0, 0.0]), [push])
+    one = Slider(BLOCK, RADIUS, effects=[a]).rollout(with_values(plain_maps(), [2.0]), [push])
     assert both.end == pytest.approx(one.end, abs=1e-12)
-    none = EffectSlider(BLOCK, RADIUS, [a]).rollout(with_values(plain_maps(), [0.0]), [push])
+    none = Slider(BLOCK, RADIUS, effects=[a]).rollout(with_values(plain_maps(), [0.0]), [push])
     assert np.abs(one.end - none.end).max() > 1e-3
 
 
@@ -134,7 +134,7 @@ def test_parameters_of_names_that_join_alike_are_two(file) -> None:  # type: ign
 def test_formulas_of_what_cannot_be_negative_are_accepted(file, formula) -> None:  # type: ignore[no-untyped-def]
     text = GOOD.replace("return pull * (0.1 - body.x)", f"return pull * {formula}")
     (effect,) = load_effects(file(text))
-    EffectSlider(BLOCK, RADIUS, [effect]).rollout(with_values(plain_maps(), [0.5]), [sliding_push()])
+    Slider(BLOCK, RADIUS, effects=[effect]).rollout(with_values(plain_maps(), [0.5]), [sliding_push()])
 
 
 FAULTS = {
@@ -266,7 +266,7 @@ def test_a_changed_file_is_compiled_anew(file) -> None:  # type: ignore[no-untyp
     push, maps = sliding_push(0.3), plain_maps()
 
     def poses(text: str) -> np.ndarray:
-        slider = EffectSlider(BLOCK, RADIUS, load_effects(file(text)))
+        slider = Slider(BLOCK, RADIUS, effects=load_effects(file(text)))
         return slider.rollout(with_values(maps, [0.5]), [push]).poses
 
     first = poses(GOOD)

@@ -18,7 +18,7 @@ from pushed_with_effects import (
     with_values,
 )
 
-from slipmap.models.effects import Effect, EffectSlider, Parameter
+from slipmap.models.effects import Effect, Parameter
 from slipmap.models.effects import program as programs
 from slipmap.models.physics.rollout import Slider
 
@@ -44,7 +44,7 @@ def test_small_effects_add_up(one: str, other: str) -> None:
             effect = EFFECTS[name]
             shown = np.array(SHOWN[name])
             values.append(np.where(effect.amplitudes, effect.nulls + share * (shown - effect.nulls), shown))
-        slider = EffectSlider(BLOCK, RADIUS, [EFFECTS[name] for name in names])
+        slider = Slider(BLOCK, RADIUS, effects=[EFFECTS[name] for name in names])
         return slider.rollout(with_values(maps, np.concatenate(values)), [push]).poses - plain
 
     def left_over(share: float) -> float:
@@ -62,7 +62,7 @@ def test_the_order_of_effects_does_not_matter() -> None:
     names = ["stribeck_friction", "table_tilt", "finger_compliance"]
     results = []
     for order in (names, names[::-1]):
-        slider = EffectSlider(BLOCK, RADIUS, [EFFECTS[name] for name in order])
+        slider = Slider(BLOCK, RADIUS, effects=[EFFECTS[name] for name in order])
         values = np.concatenate([SHOWN[name] for name in order])
         results.append(slider.rollout(with_values(maps, values), [push]).poses)
     assert results[0] == pytest.approx(results[1], abs=1e-12)
@@ -103,7 +103,7 @@ def test_the_kernels_of_the_plain_model_do_not_change_with_effects() -> None:
     push, maps = sliding_push(0.3), plain_maps()
     slider = Slider(BLOCK, RADIUS)
     before = slider.rollout(maps, [push])
-    EffectSlider(BLOCK, RADIUS, [EFFECTS["skate"]]).rollout(with_values(maps, SHOWN["skate"]), [push])
+    Slider(BLOCK, RADIUS, effects=[EFFECTS["skate"]]).rollout(with_values(maps, SHOWN["skate"]), [push])
     after = slider.rollout(maps, [push])
     assert np.array_equal(before.poses, after.poses)
     from slipmap.models.physics import kernel
@@ -112,6 +112,6 @@ def test_the_kernels_of_the_plain_model_do_not_change_with_effects() -> None:
 
 
 def test_values_of_other_effects_are_refused() -> None:
-    slider = EffectSlider(BLOCK, RADIUS, [EFFECTS["table_tilt"]])
+    slider = Slider(BLOCK, RADIUS, effects=[EFFECTS["table_tilt"]])
     with pytest.raises(ValueError, match=r"3 effect parameters.*table_tilt have 2"):
         slider.rollout(with_values(plain_maps(), [0.1, 0.2, 0.3]), [sliding_push(0.1)])

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from pushed_with_effects import block
 
-from slipmap.models.effects import LIBRARY, EffectSlider
-from slipmap.models.physics.rollout import Maps, Push
+from slipmap.models.effects import LIBRARY
+from slipmap.models.physics.rollout import Maps, Push, Slider
 
 GRID = block(8, 4)
 MASS = np.where(GRID.centers[:, 0] < 0.0, 4.0, 1.0)
@@ -65,7 +65,7 @@ def degrees_off(
     share: float, angle: float, arm: np.ndarray, velocity: np.ndarray, friction: np.ndarray
 ) -> float:
     """Degrees between the law's direction and that of some friction, of an object turned by an angle."""
-    inertia = EffectSlider(GRID, 0.005, [LEAN]).inertia(MASS[None])[0]
+    inertia = Slider(GRID, 0.005, effects=[LEAN]).inertia(MASS[None])[0]
     mass, *first, moment = inertia
     c, s = np.cos(angle), np.sin(angle)
     to_world = np.array([[c, -s], [s, c]])
@@ -104,7 +104,7 @@ def test_friction_that_leans_is_no_larger() -> None:
     maps = Maps(MASS[None], np.zeros((1, len(GRID))), np.array([0.3]), np.array([[1.0]]))
     corner = int(np.argmax(GRID.centers @ [1.0, 0.6]))
     maps.mu[0, corner] = 0.5
-    slider = EffectSlider(GRID, 0.005, [LEAN])
+    slider = Slider(GRID, 0.005, effects=[LEAN])
     h, steps = 1e-4, 20
     twist = np.array([0.2, 0.1, 0.0])
     push = Push(h, np.full((steps + 1, 2), np.nan), np.zeros(3), twist)

@@ -19,8 +19,8 @@ from pushed_with_effects import (
     with_values,
 )
 
-from slipmap.models.effects.stepper import Stepper
 from slipmap.models.physics.rollout import Maps, Push, RolloutError
+from slipmap.models.physics.stepper import Stepper
 
 WRENCH = np.array([0.1, 0.2, 0.01, 0.02, 0.003])
 CASES = [None, *SHOWN]

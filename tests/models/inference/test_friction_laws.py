@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from slipmap.models.effects import LIBRARY, EffectSlider
+from slipmap.models.effects import LIBRARY
 from slipmap.models.inference.belief import Belief
 from slipmap.models.inference.friction_laws import (
     LEAST_SHARE,
@@ -20,7 +20,7 @@ from slipmap.models.inference.friction_laws import (
 from slipmap.models.inference.identification import identify
 from slipmap.models.measurements import PushDataset, read_dataset
 from slipmap.models.measurements.simulated import record_pushes
-from slipmap.models.physics.rollout import Maps, RolloutError
+from slipmap.models.physics.rollout import Maps, RolloutError, Slider
 from slipmap.planners.exploration import candidate_pushes
 
 EFFECTS = {effect.name: effect for effect in LIBRARY}
@@ -43,7 +43,7 @@ def made_by(recorded, *names: str) -> PushDataset:  # type: ignore[no-untyped-de
         recorded.truth.mu_finger,
         np.array([[value for name in names for value in values[name]]]),
     )
-    slider = EffectSlider(grid, 0.006, effects) if names else recorded.slider
+    slider = Slider(grid, 0.006, effects=effects) if names else recorded.slider
     truth = truth if names else recorded.truth
     return record_pushes(slider, truth, pushes, rng, heldout=4, height=HEIGHT, mass=float(truth.mass.sum()))
 
@@ -102,7 +102,7 @@ def test_a_law_that_cannot_be_refitted_is_left_out(recorded, monkeypatch) -> Non
     refits = mixed_belief.refits
 
     def failing(ladder, *rest):  # type: ignore[no-untyped-def]
-        if isinstance(ladder[0][0].prior.slider, EffectSlider):
+        if ladder[0][0].prior.slider.effects:
             raise RolloutError("model 0, push 0: not solved")
         return refits(ladder, *rest)
 

@@ -6,20 +6,20 @@ import numpy as np
 import pytest
 
 from slipmap.models.effects.library import LIBRARY
-from slipmap.models.effects.slider import EffectSlider
 from slipmap.models.inference.diagnosis.correlated import CorrelatedLikelihood, FitData
 from slipmap.models.inference.diagnosis.predictive import whitened_rows
 from slipmap.models.inference.error_model import ErrorModel, sensor_noise
 from slipmap.models.inference.observations import MEASURED_CONTACT, observe_all
 from slipmap.models.inference.prior import MapPrior, PriorSettings
 from slipmap.models.measurements.push_dataset import Channel
+from slipmap.models.physics.rollout import Slider
 
 
 @pytest.fixture(scope="module")
 def likelihood(recorded) -> CorrelatedLikelihood:
     tilt = [effect for effect in LIBRARY if effect.name == "table_tilt"]
     d = recorded.dataset
-    slider = EffectSlider(d.grid, d.finger_radius, tilt, d.gravity, MEASURED_CONTACT)
+    slider = Slider(d.grid, d.finger_radius, d.gravity, MEASURED_CONTACT, tilt)
     prior = MapPrior(slider, PriorSettings(modes=6), d.mass, 8.0)
     observations = [o for o in observe_all(d) if o.role == "fit"]
     return CorrelatedLikelihood(

@@ -26,7 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slipmap.models.physics.compiled import compiled
-from slipmap.models.physics.newton import Quadratic, register_cells
+from slipmap.models.physics.newton import coulomb_sums, quadratic_of, register_cells
 
 # Order of the numbers that formulas are evaluated at, and of those that they fill in.
 STATE = 6
@@ -57,12 +57,13 @@ class EffectCells(NamedTuple):
     """The cells as a step with effects sees them.
 
     Attributes:
-        load: (n,) friction loads times their factors, f_i s_i, N.
+        load: (n,) friction loads times their factors, f_i s_i, N; n is a multiple of `LANES`.
         rx, ry: (n,) cell centres, object frame, m.
         rho2, eps2: ρ², m², and ε², m²/s².
-        qxx, qxy, qyy: (n,) each cell's Q, object frame.
+        stretched: whether any Q is not 1.
+        qxx, qxy, qyy: (n,) each cell's Q, object frame; without entries unless stretched.
         longest: largest eigenvalue of all Q, or 1 if that is larger.
-        drag: (4,) Σ D, Σ D r_x, Σ D r_y, Σ D (|r|² + w²/6).
+        drag: Σ D, Σ D r_x, Σ D r_y, Σ D (|r|² + w²/6).
         blades: (k, 4) F, b.
     """
 
@@ -71,21 +72,23 @@ class EffectCells(NamedTuple):
     ry: NDArray[np.float64]
     rho2: float
     eps2: float
+    stretched: bool
     qxx: NDArray[np.float64]
     qxy: NDArray[np.float64]
     qyy: NDArray[np.float64]
     longest: float
-    drag: NDArray[np.float64]
+    drag: tuple[float, float, float, float]
     blades: NDArray[np.float64]
 
 
 @compiled(fastmath=_FAST)
-def _moments(cells, vx, vy, omega):  # type: ignore[no-untyped-def]
-    """Sums over cells: gradient, Hessian and Σ f/φ².
+def _stretched_sums(cells, v):  # type: ignore[no-untyped-def]
+    """The sums of `newton.coulomb_sums` with each cell's Q.
 
-    These are Σ a g (3) and Σ a (JᵀQJ + ρ²) - Σ b g gᵀ (6: xx, xy, yy, xω, yω, ωω), with a = f/φ, b = f/φ³ and
+    These are Σ a g (3) and Σ a (JᵀQJ + ρ²) - Σ b g gᵀ (6), with a = f/φ, b = f/φ³ and
     g = Jᵀ Q u + (0, 0, ρ² omega).
     """
+    vx, vy, omega = v
     load, rx, ry = cells.load, cells.rx, cells.ry
     qxx, qxy, qyy = cells.qxx, cells.qxy, cells.qyy
     spin = cells.rho2 * omega
@@ -119,16 +122,19 @@ def _moments(cells, vx, vy, omega):  # type: ignore[no-untyped-def]
         hxw += a * tx - b * px * pw
         hyw += a * ty - b * py * pw
         hww += a * (x * ty - y * tx) - b * pw * pw
-    return gx, gy, gw, hxx, hxy, hyy, hxw, hyw, hww + cells.rho2 * a_sum, bend
+    # The bound on the third derivative grows with the ellipse's long axis.
+    bend *= cells.longest * math.sqrt(cells.longest)
+    return (gx, gy, gw), (hxx, hxy, hxw, hyy, hyw, hww + cells.rho2 * a_sum), bend
 
 
 @compiled()
 def _effect_model(cells, inertia, star, h, v):  # type: ignore[no-untyped-def]
     """`smooth_model` of `EffectCells`."""
-    m, sx, sy, J = inertia
+    (gx, gy, gw), (hxx, hxy, hxw, hyy, hyw, hww), bend = (
+        _stretched_sums(cells, v) if cells.stretched else coulomb_sums(cells, v)
+    )
     vx, vy, omega = v
-    gx, gy, gw, hxx, hxy, hyy, hxw, hyw, hww, bend = _moments(cells, vx, vy, omega)
-    drag, drag_x, drag_y, drag_w = cells.drag[0], cells.drag[1], cells.drag[2], cells.drag[3]
+    drag, drag_x, drag_y, drag_w = cells.drag
     hxx += drag
     hyy += drag
     hxw -= drag_y
@@ -137,8 +143,6 @@ def _effect_model(cells, inertia, star, h, v):  # type: ignore[no-untyped-def]
     gx += drag * vx - drag_y * omega
     gy += drag * vy + drag_x * omega
     gw += drag_x * vy - drag_y * vx + drag_w * omega
-    # The bound on the third derivative grows with the ellipse's long axis.
-    bend *= cells.longest**1.5
     for k in range(cells.blades.shape[0]):
         force, nx, ny, nw = cells.blades[k, 0], cells.blades[k, 1], cells.blades[k, 2], cells.blades[k, 3]
         along = nx * vx + ny * vy + nw * omega
@@ -156,18 +160,7 @@ def _effect_model(cells, inertia, star, h, v):  # type: ignore[no-untyped-def]
         hyw += curve * ny * nw
         hww += curve * nw * nw
         bend += force / phi2
-    model = Quadratic(
-        m * vx - sy * omega - star[0] + h * gx,
-        m * vy + sx * omega - star[1] + h * gy,
-        sx * vy - sy * vx + J * omega - star[2] + h * gw,
-        m + h * hxx,
-        h * hxy,
-        -sy + h * hxw,
-        m + h * hyy,
-        sx + h * hyw,
-        J + h * hww,
-    )
-    return model, bend
+    return quadratic_of(inertia, star, h, v, (gx, gy, gw), (hxx, hxy, hxw, hyy, hyw, hww)), bend
 
 
 register_cells(EffectCells, _effect_model)
@@ -183,58 +176,72 @@ def longest_axis(qxx, qxy, qyy):  # type: ignore[no-untyped-def]
     return 0.5 * longest
 
 
-@compiled()
-def drag_moments(drag, rx, ry, cell_width, out):  # type: ignore[no-untyped-def]
-    """Fill `EffectCells.drag` from the cells' drags (n,), N s/m."""
-    out[:] = 0.0
+@compiled(fastmath=_FAST)
+def drag_sums(drag, rx, ry, cell_width):  # type: ignore[no-untyped-def]
+    """`EffectCells.drag` of the cells' drags (n,), N s/m."""
+    total = total_x = total_y = total_w = 0.0
+    own = cell_width * cell_width / 6.0
     for i in range(drag.shape[0]):
-        out[0] += drag[i]
-        out[1] += drag[i] * rx[i]
-        out[2] += drag[i] * ry[i]
-        out[3] += drag[i] * (rx[i] * rx[i] + ry[i] * ry[i] + cell_width * cell_width / 6.0)
+        x, y, d = rx[i], ry[i], drag[i]
+        total += d
+        total_x += d * x
+        total_y += d * y
+        total_w += d * (x * x + y * y + own)
+    return total, total_x, total_y, total_w
 
 
 @compiled(fastmath={"contract"})
 def load_gradients(cells, v, by_load):  # type: ignore[no-untyped-def]
     """Fill by_load (3, n): derivatives of friction's gradient at the twist v by each cell's load f_i s_i."""
     vx, vy, omega = v
-    qxx, qxy, qyy = cells.qxx, cells.qxy, cells.qyy
     spin = cells.rho2 * omega
     constant = spin * omega + cells.eps2
     rx, ry = cells.rx, cells.ry
     row_x, row_y, row_w = by_load[0], by_load[1], by_load[2]
-    for i in range(row_x.shape[0]):
-        ux = vx - omega * ry[i]
-        uy = vy + omega * rx[i]
-        px = qxx[i] * ux + qxy[i] * uy
-        py = qxy[i] * ux + qyy[i] * uy
-        inverse = 1.0 / math.sqrt(ux * px + uy * py + constant)
-        row_x[i] = px * inverse
-        row_y[i] = py * inverse
-        row_w[i] = (rx[i] * py - ry[i] * px + spin) * inverse
+    if cells.stretched:
+        qxx, qxy, qyy = cells.qxx, cells.qxy, cells.qyy
+        for i in range(row_x.shape[0]):
+            ux = vx - omega * ry[i]
+            uy = vy + omega * rx[i]
+            px = qxx[i] * ux + qxy[i] * uy
+            py = qxy[i] * ux + qyy[i] * uy
+            inverse = 1.0 / math.sqrt(ux * px + uy * py + constant)
+            row_x[i] = px * inverse
+            row_y[i] = py * inverse
+            row_w[i] = (rx[i] * py - ry[i] * px + spin) * inverse
+    else:
+        for i in range(row_x.shape[0]):
+            ux = vx - omega * ry[i]
+            uy = vy + omega * rx[i]
+            inverse = 1.0 / math.sqrt(ux * ux + uy * uy + constant)
+            row_x[i] = ux * inverse
+            row_y[i] = uy * inverse
+            row_w[i] = (rx[i] * uy - ry[i] * ux + spin) * inverse
 
 
 @compiled(fastmath={"contract"})
-def drag_gradients(rx, ry, v, cell_width, by_drag):  # type: ignore[no-untyped-def]
-    """Fill by_drag (3, n): the same by the drags of the cells, at (rx, ry) and of some width, m."""
+def drag_gradients(cells, v, h, cell_width, by_drag):  # type: ignore[no-untyped-def]
+    """Fill by_drag (3, n): h times the same by the drags of cells of some width, m."""
     vx, vy, omega = v
+    rx, ry = cells.rx, cells.ry
     turning = cell_width * cell_width / 6.0 * omega
-    for i in range(rx.shape[0]):
+    row_x, row_y, row_w = by_drag[0], by_drag[1], by_drag[2]
+    for i in range(row_x.shape[0]):
         ux = vx - omega * ry[i]
         uy = vy + omega * rx[i]
-        by_drag[0, i] = ux
-        by_drag[1, i] = uy
-        by_drag[2, i] = rx[i] * uy - ry[i] * ux + turning
+        row_x[i] = h * ux
+        row_y[i] = h * uy
+        row_w[i] = h * (rx[i] * uy - ry[i] * ux + turning)
 
 
 @compiled(fastmath=_FAST)
-def stretch_gradients(cells, v, by_stretch):  # type: ignore[no-untyped-def]
-    """Fill by_stretch (3, 3, n): the same by the q_xx, q_xy, q_yy (first axis) of each cell."""
+def stretch_gradients(cells, v, h, by_stretch):  # type: ignore[no-untyped-def]
+    """Fill by_stretch (9, n): h times the same by the q_xx, q_xy, q_yy of each cell, three rows each."""
     vx, vy, omega = v
     qxx, qxy, qyy = cells.qxx, cells.qxy, cells.qyy
     spin = cells.rho2 * omega
     constant = spin * omega + cells.eps2
-    for i in range(by_stretch.shape[2]):
+    for i in range(by_stretch.shape[1]):
         x, y = cells.rx[i], cells.ry[i]
         ux = vx - omega * y
         uy = vy + omega * x
@@ -242,15 +249,24 @@ def stretch_gradients(cells, v, by_stretch):  # type: ignore[no-untyped-def]
         py = qxy[i] * ux + qyy[i] * uy
         pw = x * py - y * px + spin
         phi2 = ux * px + uy * py + constant
-        a = cells.load[i] / math.sqrt(phi2)
+        a = h * cells.load[i] / math.sqrt(phi2)
         b = a / phi2
         by_xx, by_xy, by_yy = 0.5 * b * ux * ux, b * ux * uy, 0.5 * b * uy * uy
-        by_stretch[0, 0, i] = a * ux - by_xx * px
-        by_stretch[0, 1, i] = -by_xx * py
-        by_stretch[0, 2, i] = -a * y * ux - by_xx * pw
-        by_stretch[1, 0, i] = a * uy - by_xy * px
-        by_stretch[1, 1, i] = a * ux - by_xy * py
-        by_stretch[1, 2, i] = a * (x * ux - y * uy) - by_xy * pw
-        by_stretch[2, 0, i] = -by_yy * px
-        by_stretch[2, 1, i] = a * uy - by_yy * py
-        by_stretch[2, 2, i] = a * x * uy - by_yy * pw
+        by_stretch[0, i] = a * ux - by_xx * px
+        by_stretch[1, i] = -by_xx * py
+        by_stretch[2, i] = -a * y * ux - by_xx * pw
+        by_stretch[3, i] = a * uy - by_xy * px
+        by_stretch[4, i] = a * ux - by_xy * py
+        by_stretch[5, i] = a * (x * ux - y * uy) - by_xy * pw
+        by_stretch[6, i] = -by_yy * px
+        by_stretch[7, i] = a * uy - by_yy * py
+        by_stretch[8, i] = a * x * uy - by_yy * pw
+
+
+@compiled(fastmath={"contract"})
+def weigh_cells(load, factor, h, by_load, by_factor):  # type: ignore[no-untyped-def]
+    """Fill by_factor (3, n): what friction factors do to the gradient; nothing where one was cut at 0."""
+    for a in range(3):
+        row, slope = by_factor[a], by_load[a]
+        for i in range(load.shape[0]):
+            row[i] = h * load[i] * slope[i] if factor[i] > 0.0 else 0.0

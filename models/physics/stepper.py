@@ -12,12 +12,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from slipmap.models.effects.effect import Effect
-from slipmap.models.effects.slider import EffectSlider
+from slipmap.models.effects.program import Program, program_of
 from slipmap.models.physics.cell_grid import CellGrid, FloatArray
-from slipmap.models.physics.effect_cells import AFTER, FORCE
+from slipmap.models.physics.friction import AFTER, FORCE
+from slipmap.models.physics.kernel import INPUTS, single_steps
 from slipmap.models.physics.maps import Maps
-from slipmap.models.physics.rollout import RolloutError, Smoothing
-from slipmap.models.physics.single_step import INPUTS, single_steps
+from slipmap.models.physics.rollout import RolloutError, Slider, Smoothing
 from slipmap.models.physics.step import EXTRA_COLUMNS
 
 NO_FINGER = np.full((2, 2), np.nan)
@@ -38,8 +38,8 @@ class StepModels:
     reduced: tuple[FloatArray, ...]
 
 
-class Stepper(EffectSlider):
-    """An `EffectSlider`, with or without effects, that takes single steps of length h.
+class Stepper(Slider):
+    """A `Slider` that takes single steps of length h.
 
     The state (Z,) of a model is x, y, θ (world), v_x, v_y, omega (object frame), the finger's last force
     (world, N), and the effects' memory. Its pose is the true one; `reported` gives what a tracker says.
@@ -53,6 +53,8 @@ class Stepper(EffectSlider):
         smoothing: see `Smoothing`.
     """
 
+    program: Program
+
     def __init__(
         self,
         grid: CellGrid,
@@ -64,7 +66,8 @@ class Stepper(EffectSlider):
     ) -> None:
         if not (np.isfinite(h) and h > 0):
             raise ValueError(f"the step h must be positive, got {h} s")
-        super().__init__(grid, finger_radius, effects, gravity, smoothing)
+        super().__init__(grid, finger_radius, gravity, smoothing, effects)
+        self.program = program_of(self.effects)
         self.h = float(h)
         self._per_step = self._constants(self.h, 0.0)
 
@@ -84,14 +87,7 @@ class Stepper(EffectSlider):
         Raises:
             ValueError: maps of another grid or of other effects, or without friction.
         """
-        effects = maps.effects
-        if effects.shape[1] == 0:
-            effects = np.repeat(self.nulls[None], len(maps), axis=0)
-        if effects.shape[1] != self.program.parameters:
-            raise ValueError(
-                f"maps have {effects.shape[1]} effect parameters, the model has {self.program.parameters}"
-            )
-        maps = Maps(maps.mass, maps.mu, maps.mu_finger, effects)
+        maps = Maps(maps.mass, maps.mu, maps.mu_finger, self._effect_values(maps))
         return StepModels(maps, self._reduced(maps))
 
     def start(self, models: StepModels, poses: FloatArray, twists: FloatArray | None = None) -> FloatArray:
@@ -99,7 +95,7 @@ class Stepper(EffectSlider):
         K = len(models.maps)
         reported = np.array(np.broadcast_to(poses, (K, 3)), dtype=float)
         states = np.zeros((K, self.size))
-        states[:, :3] = self._true_starts(reported[:, None], models.maps.effects)[0][:, 0]
+        states[:, :3] = self._true_starts(self.program, reported[:, None], models.maps.effects)[0][:, 0]
         states[:, 3:6] = 0.0 if twists is None else twists
         return states
 
@@ -138,10 +134,10 @@ class Stepper(EffectSlider):
         wrench, tip = np.ascontiguousarray(wrench, dtype=float), np.ascontiguousarray(tip, dtype=float)
         K, Z = states.shape
         constants = self._per_step.copy()
-        constants[0, 0], constants[0, 2] = time + 0.5 * self.h, order
+        constants[0, 0], constants[0, 2] = time, order
         columns = len(self.grid) + EXTRA_COLUMNS + self.program.parameters + Z - 6 + INPUTS if derive else 0
         after, jacobian = np.empty((K, Z + 1)), np.empty((K, Z, columns))
-        # Fields of `Formulas` and of `Drive`.
+        # Fields of `Formulas`.
         formulas = (self.program.addresses, self.program.sizes, constants, models.maps.effects, _NO_DELAY)
         drive = (self.h, tip, wrench)
         single_steps(self._common, models.reduced, formulas, drive, states, after, jacobian)

@@ -1,0 +1,331 @@
+"""The Jacobian of a rollout, carried from step to step.
+
+It is kept in blocks of `LANES` parameters, flat in memory, with 9 + E rows each:
+
+    0 … 5   d(state)/d(parameter), the state being x, y, θ (world) and v_x, v_y, omega (object frame)
+    6 … 8   direct derivative of the step's gradient by the parameter, `Slopes`; where the cells' friction is
+            that of the plain model and there is no memory, a load has its cell's centre r_x, r_y there
+    9 …     d(memory)/d(parameter), of the E entries of memory: the last force, and the effects' own
+
+As a block is one piece of memory, the compiler sees that its lanes are independent and computes them at once.
+Parameters are in this order, the loads filled up to whole blocks:
+
+    f_1 … f_n, m, s_x, s_y, J, mu_finger, and the start x, y, θ (world) and v_x, v_y, omega (object frame);
+    the effects' parameters;  in a single step the memory before it, and what drives it.
+
+In the functions here S and `before` are the blocks after a step, as far as they are carried over it, and
+before it; F are blocks of two rows, the Jacobian of the finger's force (world, N) in the step.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from slipmap.models.physics.compiled import compiled
+from slipmap.models.physics.friction import AFTER, FORCE, INERTIA, STATE
+from slipmap.models.physics.newton import LANES
+from slipmap.models.physics.step import EXTRA_COLUMNS, INERTIA_COLUMNS, way_by_spin
+
+_DIRECT = STATE
+FIXED_ROWS = _DIRECT + 3
+"""Rows of a block besides those of memory, which follow them."""
+
+_BLOCK = FIXED_ROWS * LANES
+
+
+class Layout(NamedTuple):
+    """How many parameters a Jacobian has, and of which kinds.
+
+    Attributes:
+        n: number of loads.
+        others: number of parameters after them; no Jacobian is wanted where it is 0.
+        memory: E.
+        effects: number of the effects' parameters.
+    """
+
+    n: int
+    others: int
+    memory: int
+    effects: int
+
+
+class PoseUpdate(NamedTuple):
+    """Derivatives of x and y after a step by θ before it and by v⁺, world frame; those of θ are 1 and h."""
+
+    x_theta: float
+    x_vx: float
+    x_vy: float
+    x_omega: float
+    y_theta: float
+    y_vx: float
+    y_vy: float
+    y_omega: float
+
+
+@compiled(forceinline=True)
+def pose_update(way, h):  # type: ignore[no-untyped-def]
+    """`PoseUpdate` of the way of a step."""
+    x_omega, y_omega = way_by_spin(way, h)
+    return PoseUpdate(
+        -way.length * way.wy, way.length * way.cos, -way.length * way.sin, x_omega,
+        way.length * way.wx, way.length * way.sin, way.length * way.cos, y_omega,
+    )  # fmt: skip
+
+
+@compiled(forceinline=True)
+def padded(count):  # type: ignore[no-untyped-def]
+    """The count filled up to whole blocks."""
+    return (count + LANES - 1) // LANES * LANES
+
+
+@compiled(forceinline=True)
+def _place(layout, k, row, rows):  # type: ignore[no-untyped-def]
+    """Where an entry of the k-th parameter after the loads is in blocks of so many rows."""
+    return ((padded(layout.n) + k) // LANES * rows + row) * LANES + k % LANES
+
+
+@compiled()
+def empty_blocks(layout, rows):  # type: ignore[no-untyped-def]
+    """Room for the parameters of a `Layout`."""
+    size = padded(layout.n) + padded(layout.others) if layout.others > 0 else 0
+    return np.zeros(size * rows)
+
+
+@compiled()
+def first_blocks(layout, rx, ry):  # type: ignore[no-untyped-def]
+    """Blocks before the first step: the state is the start's, memory its own parameter where it is one."""
+    rows = FIXED_ROWS + layout.memory
+    S = empty_blocks(layout, rows)
+    if layout.others == 0:
+        return S
+    for i in range(layout.n):
+        at = i // LANES * rows * LANES + i % LANES
+        S[at + _DIRECT * LANES], S[at + (_DIRECT + 1) * LANES] = rx[i], ry[i]
+    for i in range(STATE):
+        S[_place(layout, INERTIA_COLUMNS + 1 + i, i, rows)] = 1.0
+    given = EXTRA_COLUMNS + layout.effects
+    if layout.others > given:
+        for e in range(layout.memory):
+            S[_place(layout, given + e, FIXED_ROWS + e, rows)] = 1.0
+    return S
+
+
+@compiled(forceinline=True)
+def flat(A):  # type: ignore[no-untyped-def]
+    """The first six columns of three rows as numbers, row by row."""
+    return (
+        A[0, 0], A[0, 1], A[0, 2], A[0, 3], A[0, 4], A[0, 5],
+        A[1, 0], A[1, 1], A[1, 2], A[1, 3], A[1, 4], A[1, 5],
+        A[2, 0], A[2, 1], A[2, 2], A[2, 3], A[2, 4], A[2, 5],
+    )  # fmt: skip
+
+
+@compiled(forceinline=True)
+def _advance(block, lane, A, minimum, pose, h, gx, gy, gw):  # type: ignore[no-untyped-def]
+    """Carry one parameter over one step: dv⁺ = -H⁻¹ (∂g + A d(state)), then the pose.
+
+    (gx, gy, gw) is the direct derivative of the step's gradient.
+    """
+    x, y, theta = block[lane], block[lane + LANES], block[lane + 2 * LANES]
+    vx, vy, omega = block[lane + 3 * LANES], block[lane + 4 * LANES], block[lane + 5 * LANES]
+    gx += A[0] * x + A[1] * y + A[2] * theta + A[3] * vx + A[4] * vy + A[5] * omega
+    gy += A[6] * x + A[7] * y + A[8] * theta + A[9] * vx + A[10] * vy + A[11] * omega
+    gw += A[12] * x + A[13] * y + A[14] * theta + A[15] * vx + A[16] * vy + A[17] * omega
+    vx = -(minimum.xx * gx + minimum.xy * gy + minimum.xw * gw)
+    vy = -(minimum.xy * gx + minimum.yy * gy + minimum.yw * gw)
+    omega = -(minimum.xw * gx + minimum.yw * gy + minimum.ww * gw)
+    block[lane] = x + pose.x_theta * theta + pose.x_vx * vx + pose.x_vy * vy + pose.x_omega * omega
+    block[lane + LANES] = y + pose.y_theta * theta + pose.y_vx * vx + pose.y_vy * vy + pose.y_omega * omega
+    block[lane + 2 * LANES] = theta + h * omega
+    block[lane + 3 * LANES] = vx
+    block[lane + 4 * LANES] = vy
+    block[lane + 5 * LANES] = omega
+
+
+@compiled(fastmath={"contract"})
+def carry_plain_loads(S, cells, new, h, slopes, by_sum, minimum, pose):  # type: ignore[no-untyped-def]
+    """Carry the blocks of loads in place, of blocks that hold r_x and r_y.
+
+    `by_sum` holds the derivatives of the gradient by Σ f.
+    """
+    A = flat(slopes.state_g)
+    vx, vy, omega = new
+    fx, fy, fw = by_sum[0], by_sum[1], by_sum[2]
+    spin = cells.rho2 * omega
+    constant = spin * omega + cells.eps2
+    for b in range(cells.rx.shape[0] // LANES):
+        block = S[b * _BLOCK : (b + 1) * _BLOCK]
+        for lane in range(LANES):
+            x = block[lane + _DIRECT * LANES]
+            y = block[lane + (_DIRECT + 1) * LANES]
+            ux = vx - omega * y
+            uy = vy + omega * x
+            k = h / math.sqrt(ux * ux + uy * uy + constant)
+            gw = k * (x * uy - y * ux + spin) + fw
+            _advance(block, lane, A, minimum, pose, h, k * ux + fx, k * uy + fy, gw)
+
+
+@compiled(fastmath={"contract"})
+def set_load_slopes(S, layout, by_load, share, h, by_sum):  # type: ignore[no-untyped-def]
+    """Set the direct rows of the loads.
+
+    by_load (3, n) is that of `load_gradients`, share (n,) holds the friction factors, not below 0.
+    """
+    size = (FIXED_ROWS + layout.memory) * LANES
+    for b in range(padded(layout.n) // LANES):
+        here = slice(b * LANES, (b + 1) * LANES)
+        shares = share[here]
+        for a in range(3):
+            row = b * size + (_DIRECT + a) * LANES
+            direct, slope = S[row : row + LANES], by_load[a, here]
+            for lane in range(LANES):
+                direct[lane] = h * shares[lane] * slope[lane] + by_sum[a]
+
+
+@compiled(fastmath={"contract"})
+def carry_direct(S, first, last, layout, slopes, minimum, pose, h):  # type: ignore[no-untyped-def]
+    """Carry blocks from the first to the last but one in place; their direct rows are set, and used up."""
+    A = flat(slopes.state_g)
+    memory = layout.memory
+    size = (FIXED_ROWS + memory) * LANES
+    for b in range(first, last):
+        block = S[b * size : (b + 1) * size]
+        if memory > 0:
+            for a in range(3):
+                _add_rows(block, _DIRECT + a, slopes.state_g[a], STATE, memory, block, FIXED_ROWS)
+        for lane in range(LANES):
+            gx = block[lane + _DIRECT * LANES]
+            gy = block[lane + (_DIRECT + 1) * LANES]
+            gw = block[lane + (_DIRECT + 2) * LANES]
+            _advance(block, lane, A, minimum, pose, h, gx, gy, gw)
+
+
+@compiled(fastmath={"contract"})
+def set_other_slopes(S, layout, other_g):  # type: ignore[no-untyped-def]
+    """Set the direct rows of the parameters after the loads."""
+    size = (FIXED_ROWS + layout.memory) * LANES
+    first = padded(layout.n) // LANES
+    for b in range(padded(layout.others) // LANES):
+        block = S[(first + b) * size : (first + b + 1) * size]
+        for row in range(3):
+            for lane in range(LANES):
+                block[lane + (_DIRECT + row) * LANES] = other_g[row, b * LANES + lane]
+
+
+@compiled(forceinline=True)
+def _add_rows(target, row, slopes, first, count, source, begin):  # type: ignore[no-untyped-def]
+    """Add to a row of a block `count` rows of a source from `begin` on, times the slopes from `first` on.
+
+    The lanes have names of their own, or the compiler would write and read the row for each slope.
+    """
+    a = b = c = d = e = f = g = h = 0.0
+    for k in range(count):
+        slope = slopes[first + k]
+        if slope == 0.0:
+            continue
+        at = (begin + k) * LANES
+        a += slope * source[at]
+        b += slope * source[at + 1]
+        c += slope * source[at + 2]
+        d += slope * source[at + 3]
+        e += slope * source[at + 4]
+        f += slope * source[at + 5]
+        g += slope * source[at + 6]
+        h += slope * source[at + 7]
+    at = row * LANES
+    target[at] += a
+    target[at + 1] += b
+    target[at + 2] += c
+    target[at + 3] += d
+    target[at + 4] += e
+    target[at + 5] += f
+    target[at + 6] += g
+    target[at + 7] += h
+
+
+@compiled(fastmath={"contract"})
+def fill_force(F, S, before, layout, slopes, by_sum, frame, force, h):  # type: ignore[no-untyped-def]
+    """Fill F; `force` is that of the finger (world, N), by_sum (5) has the impulse's slopes by Σ f last."""
+    size = (FIXED_ROWS + layout.memory) * LANES
+    first = padded(layout.n) // LANES
+    for b in range(S.shape[0] // size):
+        old, new = before[b * size : (b + 1) * size], S[b * size : (b + 1) * size]
+        out = F[2 * b * LANES : 2 * (b + 1) * LANES]
+        for a in range(2):
+            for lane in range(LANES):
+                direct = by_sum[3 + a]
+                if b >= first:
+                    direct = slopes.other_f[a, (b - first) * LANES + lane]
+                out[a * LANES + lane] = direct
+            _add_rows(out, a, slopes.state_f[a], 0, STATE, old, 0)
+            _add_rows(out, a, slopes.twist_f[a], 0, 3, new, 3)
+            if layout.memory > 0:
+                _add_rows(out, a, slopes.state_f[a], STATE, layout.memory, old, FIXED_ROWS)
+        for lane in range(LANES):
+            px, py = out[lane], out[lane + LANES]
+            turning = old[lane + 2 * LANES] + 0.5 * h * old[lane + 5 * LANES]
+            out[lane] = (frame.cos * px - frame.sin * py) / h - force[1] * turning
+            out[lane + LANES] = (frame.sin * px + frame.cos * py) / h + force[0] * turning
+
+
+@compiled(fastmath={"contract"})
+def carry_memory(S, before, F, layout, down):  # type: ignore[no-untyped-def]
+    """Set the rows of memory, from those of state and force; down (E - FORCE, Y + AFTER) holds the
+    derivatives of the memory's formulas."""
+    memory = layout.memory
+    rows = FIXED_ROWS + memory
+    size, inertia_at = rows * LANES, STATE + memory
+    Y = down.shape[1] - AFTER
+    for b in range(S.shape[0] // size):
+        old, new = before[b * size : (b + 1) * size], S[b * size : (b + 1) * size]
+        force = F[2 * b * LANES : 2 * (b + 1) * LANES]
+        new[FIXED_ROWS * LANES :] = 0.0
+        for lane in range(FORCE * LANES):
+            new[FIXED_ROWS * LANES + lane] = force[lane]
+        for e in range(down.shape[0]):
+            row = FIXED_ROWS + FORCE + e
+            _add_rows(new, row, down[e], 0, STATE, old, 0)
+            _add_rows(new, row, down[e], STATE, memory, old, FIXED_ROWS)
+            _add_rows(new, row, down[e], Y, STATE, new, 0)
+            _add_rows(new, row, down[e], Y + STATE, FORCE, force, 0)
+    for e in range(down.shape[0]):
+        row = FIXED_ROWS + FORCE + e
+        for k in range(INERTIA):
+            S[_place(layout, k, row, rows)] += down[e, inertia_at + k]
+        for k in range(layout.effects):
+            S[_place(layout, EXTRA_COLUMNS + k, row, rows)] += down[e, inertia_at + INERTIA + k]
+
+
+@compiled()
+def store_rows(S, before, share, rows, first, n, out):  # type: ignore[no-untyped-def]
+    """Write rows of blocks, of `rows` rows each, from the row `first` on into out (wanted, parameters).
+
+    They are taken at the place `share` (0 to 1) of a step; `before` is not read where that is 1. n is the
+    number of loads.
+    """
+    others_at = padded(n) * rows
+    for i in range(out.shape[0]):
+        row = (first + i) * LANES
+        _store_row(S, before, share, rows, row, out[i, :n])
+        _store_row(S, before, share, rows, others_at + row, out[i, n:])
+
+
+@compiled(forceinline=True)
+def _store_row(S, before, share, rows, at, out):  # type: ignore[no-untyped-def]
+    """Copy one row of as many blocks as `out` holds, the first one at `at`."""
+    full = out.shape[0] // LANES
+    for b in range(full + 1):
+        end = min(out.shape[0], (b + 1) * LANES)
+        target = out[b * LANES : end]
+        begin = at + b * rows * LANES
+        new = S[begin : begin + LANES]
+        old = before[begin : begin + LANES]
+        if b < full:
+            for lane in range(LANES):
+                target[lane] = new[lane] if share == 1.0 else old[lane] + share * (new[lane] - old[lane])
+        else:
+            for lane in range(target.shape[0]):
+                target[lane] = new[lane] if share == 1.0 else old[lane] + share * (new[lane] - old[lane])

@@ -1,0 +1,342 @@
+"""What effects change in a step, by their formulas: values before it is solved, and derivatives after it.
+
+Whether there are any is known when a kernel is compiled: its `effects` are None, or `Effects`. So what is
+absent costs nothing.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from slipmap.models.physics.blocks import (
+    Layout,
+    carry_direct,
+    carry_memory,
+    carry_plain_loads,
+    padded,
+    set_load_slopes,
+)
+from slipmap.models.physics.compiled import call_address, compiled, without_or_with
+from slipmap.models.physics.contact import Cone, cone_of
+from slipmap.models.physics.friction import (
+    AFTER,
+    BODY_OUTPUTS,
+    COMPLIANCE,
+    CONSTANTS,
+    FORCE,
+    INERTIA,
+    INERTIA_FACTOR,
+    STATE,
+    EffectCells,
+    drag_gradients,
+    drag_sums,
+    load_gradients,
+    longest_axis,
+    stretch_gradients,
+    weigh_cells,
+)
+from slipmap.models.physics.kernel_arguments import Formulas
+from slipmap.models.physics.kernel_tools import Turn, copy_into
+from slipmap.models.physics.newton import LANES, Cells, padded_cells
+from slipmap.models.physics.slopes import (
+    add_bending,
+    add_formula_slopes,
+    blade_slopes,
+    by_stiffness,
+    set_body_slopes,
+)
+
+
+class Model(NamedTuple):
+    """One hypothesis under one push.
+
+    Attributes:
+        load: (n,) friction loads, N, and their sum.
+        cells: the same as `Cells`.
+        body: m, s_x, s_y, J.
+        about_center: moment of inertia about the centre of mass, kg m².
+        cone: law of the contacts with a rigid finger.
+        stick_speed: see `Smoothing`.
+        cell_width: m.
+        size: see `Common`.
+    """
+
+    load: NDArray[np.float64]
+    load_sum: float
+    cells: Cells
+    body: tuple[float, float, float, float]
+    about_center: float
+    cone: Cone
+    stick_speed: float
+    cell_width: float
+    size: float
+
+
+class Effects(NamedTuple):
+    """Formulas of effects, and room for what they are evaluated at and give, as in `friction.py`.
+
+    Attributes:
+        addresses: as in `Formulas`.
+        memory: E.
+        blades: how many there are.
+        cells, stretch: whether cells are changed; whether Q is.
+        begin: time before the first step, s.
+        y: (Y,) what formulas are evaluated at, of which the memory is kept there from step to step.
+        c: (CONSTANTS,).
+        out, dout: (BODY_OUTPUTS + 4 blades,) and (…, Y) of the body.
+        blade: (blades, 4) part of `out`.
+        factor, drag: (n,) of the cells, or without entries.
+        qxx, qxy, qyy: (n,) Q of the cells, filled up, or without entries.
+        share, load: (n,) factors, not below 0, and loads times them, filled up.
+        by_load: (3, n) see `load_gradients`, filled up.
+        by_factor, by_drag, by_stretch: (3, n), (3, n), (9, n) what `weigh_cells` and others fill in.
+        after: (AFTER,).
+        own, down: (E - FORCE,) and (…, Y + AFTER) of the effects' own memory.
+        G: (3, Y) derivative of the gradient by y.
+    """
+
+    addresses: NDArray[np.int64]
+    memory: int
+    blades: int
+    cells: bool
+    stretch: bool
+    begin: float
+    y: NDArray[np.float64]
+    c: NDArray[np.float64]
+    out: NDArray[np.float64]
+    dout: NDArray[np.float64]
+    blade: NDArray[np.float64]
+    factor: NDArray[np.float64]
+    drag: NDArray[np.float64]
+    qxx: NDArray[np.float64]
+    qxy: NDArray[np.float64]
+    qyy: NDArray[np.float64]
+    share: NDArray[np.float64]
+    load: NDArray[np.float64]
+    by_load: NDArray[np.float64]
+    by_factor: NDArray[np.float64]
+    by_drag: NDArray[np.float64]
+    by_stretch: NDArray[np.float64]
+    after: NDArray[np.float64]
+    own: NDArray[np.float64]
+    down: NDArray[np.float64]
+    G: NDArray[np.float64]
+
+
+class Motion(NamedTuple):
+    """Pose in the world with the angle's cosine and sine, twist (object frame), and `Turn` by h omega/4."""
+
+    x: float
+    y: float
+    theta: float
+    cos: float
+    sin: float
+    v: tuple[float, float, float]
+    quarter: Turn
+
+
+class Terms(NamedTuple):
+    """What of a step effects change.
+
+    Attributes:
+        cells: `Cells`, or `EffectCells`.
+        cone: law of the contacts.
+        kappa: factor on the inertia.
+        added: impulse of forces, middle frame: two components, N s, and moment about the origin, N m s.
+        bend: how far the finger stands off its record, world, m.
+    """
+
+    cells: Any
+    cone: Cone
+    kappa: float
+    added: tuple[float, float, float]
+    bend: tuple[float, float]
+
+
+@compiled()
+def model_of(common, maps, k, h):  # type: ignore[no-untyped-def]
+    """`Model` k for steps of length h."""
+    load, inertia, smoothing = maps.load[k], maps.inertia[k], common.smoothing
+    load_sum = load.sum()
+    m, sx, sy, J = inertia[0], inertia[1], inertia[2], inertia[3]
+    cells = padded_cells(load, common.rx, common.ry, common.cell_width, smoothing[0])
+    cone = cone_of(maps.mu[k], smoothing, load_sum, 0.0, h)
+    about_center = J - (sx * sx + sy * sy) / m
+    return Model(
+        load, load_sum, cells, (m, sx, sy, J), about_center, cone, smoothing[1], common.cell_width,
+        common.size,
+    )  # fmt: skip
+
+
+@compiled(forceinline=True)
+def _no_effects(formulas, k, b, model, columns, memory):  # type: ignore[no-untyped-def]
+    n = model.load.shape[0]
+    return None, Layout(n, max(columns - n, 0), 0, 0), 0.0
+
+
+@compiled(forceinline=True)
+def _split(numbers, count):  # type: ignore[no-untyped-def]
+    """The first numbers, so many of them, and the others."""
+    return numbers[:count], numbers[count:]
+
+
+@compiled()
+def _some_effects(formulas, k, b, model, columns, memory):  # type: ignore[no-untyped-def]
+    given = Formulas(*formulas)
+    sizes = given.sizes
+    E, P, blades, cells, stretch = sizes[0], sizes[1], sizes[2], sizes[3] != 0, sizes[4] != 0
+    known, own = STATE + E, max(0, E - FORCE)
+    Y, outputs = known + INERTIA + P, BODY_OUTPUTS + 4 * blades
+    n, filled = model.load.shape[0], model.cells.rx.shape[0]
+    changed, stretched = n if cells else 0, filled if stretch else 0
+    # One piece of memory for many, as each one takes time to get.
+    room = np.zeros(Y + CONSTANTS + outputs + 2 * changed + 3 * stretched + 2 * filled + AFTER + own)
+    y, room = _split(room, Y)
+    c, room = _split(room, CONSTANTS)
+    out, room = _split(room, outputs)
+    factor, room = _split(room, changed)
+    drag, room = _split(room, changed)
+    qxx, room = _split(room, stretched)
+    qxy, room = _split(room, stretched)
+    qyy, room = _split(room, stretched)
+    share, room = _split(room, filled)
+    load, room = _split(room, filled)
+    after, room = _split(room, AFTER)
+    share[:] = 1.0
+    qxx[:] = 1.0
+    qyy[:] = 1.0
+    copy_into(load, model.cells.load)
+    copy_into(c, given.constants[b])
+    y[known], y[known + 1], y[known + 2], y[known + 3] = model.body
+    for e in range(min(E, memory.shape[0])):
+        y[STATE + e] = memory[e]
+    copy_into(y[known + INERTIA :], given.parameters[k])
+    none = np.zeros((0, 0))
+    delay = given.delay[k] if given.delay.shape[0] > 0 else 0.0
+    derive = columns > 0
+    changes = derive and cells
+    effects = Effects(
+        given.addresses, E, blades, cells, stretch, c[0], y, c, out, np.zeros((outputs, Y)),
+        out[BODY_OUTPUTS:].reshape(blades, 4), factor, drag, qxx, qxy, qyy, share, load,
+        np.zeros((3, filled)) if derive else none,
+        np.zeros((3, n)) if changes else none,
+        np.zeros((3, n)) if changes else none,
+        np.zeros((9, n)) if derive and stretch else none,
+        after, room, np.zeros((own, Y + AFTER)), np.zeros((3, Y)) if derive else none,
+    )  # fmt: skip
+    return effects, Layout(n, max(columns - n, 0), E, P), delay
+
+
+effects_of = without_or_with(_no_effects, _some_effects)
+"""`Effects` of model k under push b, or None; `Layout` of the Jacobian; the tracker's delay, s.
+
+Args:
+    formulas: fields of `Formulas`, or None.
+    k, b: numbers of the model and of the push.
+    model: `Model`.
+    columns: of the Jacobian, 0 for none.
+    memory: (E,) before the first step, or empty for none.
+"""
+
+
+@compiled(forceinline=True)
+def _plain_terms(effects, model, motion, number, h):  # type: ignore[no-untyped-def]
+    return Terms(model.cells, model.cone, 1.0, (0.0, 0.0, 0.0), (0.0, 0.0))
+
+
+@compiled(forceinline=True)
+def _changed_terms(effects, model, motion, number, h):  # type: ignore[no-untyped-def]
+    y, c, out, plain = effects.y, effects.c, effects.out, model.cells
+    c[0] = effects.begin + (number + 0.5) * h
+    y[0], y[1], y[2] = motion.x, motion.y, motion.theta
+    y[3], y[4], y[5] = motion.v
+    call_address(effects.addresses[0], (y, c, out, effects.dout))
+    qxx, qxy, qyy = effects.qxx, effects.qxy, effects.qyy
+    longest = 1.0
+    drag = (0.0, 0.0, 0.0, 0.0)
+    if effects.cells:
+        arrays = (y, c, plain.rx, plain.ry, effects.factor, effects.drag, qxx, qxy, qyy)
+        call_address(effects.addresses[1], arrays)
+        for i in range(model.load.shape[0]):
+            effects.share[i] = max(effects.factor[i], 0.0)
+            effects.load[i] = model.load[i] * effects.share[i]
+        drag = drag_sums(effects.drag, plain.rx, plain.ry, model.cell_width)
+        if effects.stretch:
+            longest = longest_axis(qxx, qxy, qyy)
+    cells = EffectCells(
+        effects.load, plain.rx, plain.ry, plain.rho2, plain.eps2, effects.stretch, qxx, qxy, qyy, longest,
+        drag, effects.blade,
+    )  # fmt: skip
+    compliance = out[COMPLIANCE]
+    mu, give, _, _, damping, ramp = model.cone
+    tangential = h * h / (h * model.stick_speed / model.load_sum + compliance)
+    cone = Cone(mu, give, compliance, tangential, damping, ramp)
+    bend = (0.0, 0.0)
+    if effects.memory > 0:
+        bend = (compliance * y[STATE], compliance * y[STATE + 1])
+    return Terms(cells, cone, out[INERTIA_FACTOR], (h * out[0], h * out[1], h * out[2]), bend)
+
+
+terms_at = without_or_with(_plain_terms, _changed_terms)
+"""`Terms` of the step with this number, of length h, from a `Motion`."""
+
+
+@compiled(forceinline=True)
+def add_effect_slopes(effects, model, terms, taken, slopes, by_sum):  # type: ignore[no-untyped-def]
+    """Add what formulas do to the `Slopes` of a `Taken` step; returns those by Σ f, `by_sum` without any."""
+    if effects is None:
+        return by_sum
+    solved, new, G, dout = taken.solved, taken.new, effects.G, effects.dout
+    h, cells, rx, ry = solved.h, terms.cells, model.cells.rx, model.cells.ry
+    set_body_slopes(G, model.body, new, taken.free, dout, h)
+    if effects.blades > 0:
+        blade_slopes(effects.blade, dout[BODY_OUTPUTS:], new, cells.eps2, h, G)
+    if effects.cells:
+        load_gradients(cells, new, effects.by_load)
+        drag_gradients(cells, new, h, model.cell_width, effects.by_drag)
+        stretch_gradients(cells, new, h, effects.by_stretch)
+        weigh_cells(model.load, effects.factor, h, effects.by_load, effects.by_factor)
+        arrays = (effects.y, effects.c, rx, ry, effects.by_factor, effects.by_drag, effects.by_stretch, G)
+        call_address(effects.addresses[2], arrays)
+    if effects.memory > 0:
+        last = (effects.y[STATE], effects.y[STATE + 1])
+        by_compliance = by_stiffness(solved, False, model.stick_speed, model.load_sum)
+        add_bending(solved, last, by_compliance, slopes)
+        by_sum = by_stiffness(solved, True, model.stick_speed, model.load_sum)
+    add_formula_slopes(slopes, G, dout, terms.kappa)
+    return by_sum
+
+
+@compiled(forceinline=True)
+def carry_loads(effects, S, layout, model, terms, taken, slopes, by_sum, pose):  # type: ignore[no-untyped-def]
+    """Carry the state's rows of the loads over a `Taken` step, in place."""
+    new, minimum, h = taken.new, taken.minimum, taken.solved.h
+    if effects is None or (effects.memory == 0 and not effects.cells):
+        carry_plain_loads(S, model.cells, new, h, slopes, by_sum, minimum, pose)
+    else:
+        if not effects.cells:
+            load_gradients(terms.cells, new, effects.by_load)
+        set_load_slopes(S, layout, effects.by_load, effects.share, h, by_sum)
+        carry_direct(S, 0, padded(layout.n) // LANES, layout, slopes, minimum, pose, h)
+
+
+@compiled(forceinline=True)
+def remember(effects, S, before, F, layout, after, force):  # type: ignore[no-untyped-def]
+    """Renew the memory and its rows after a step, from the `Motion` after it and the force (world, N)."""
+    if effects is None or effects.memory == 0:
+        return
+    y, own = effects.y, effects.own
+    if effects.memory > FORCE:
+        numbers = effects.after
+        numbers[0], numbers[1], numbers[2] = after.x, after.y, after.theta
+        numbers[3], numbers[4], numbers[5] = after.v
+        numbers[6], numbers[7] = force
+        call_address(effects.addresses[3], (y, effects.c, numbers, own, effects.down))
+    if layout.others > 0:
+        carry_memory(S, before, F, layout, effects.down)
+    y[STATE], y[STATE + 1] = force
+    for e in range(own.shape[0]):
+        y[STATE + FORCE + e] = own[e]
