@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -13,6 +12,7 @@ from report_page import assert_alone
 
 from slipmap.diagrams.application.commands.identify import _show_gain
 from slipmap.diagrams.application.reports.comparison_words import millimetres
+from slipmap.models.inference.push_errors import Paired
 from slipmap.models.measurements import write_dataset
 
 
@@ -53,8 +53,11 @@ def test_from_a_model_that_fails_to_one_that_has_the_effect(slipmap, tmp_path):
     without = fitted["without_effects"]["heldout_error_mean"]
     # Where pushes end the object rests, and a late tracker shows little.
     assert fitted["heldout_error_mean"] < 0.8 * without
-    assert f"without effects, learnt alike, {millimetres(without)} mm" in " ".join(said.out.split())
-    assert "DO NOT SPEAK" not in said.out
+    assert f"without effects {millimetres(without)} mm" in " ".join(said.out.split())
+    assert "They speak for sensor_latency." in " ".join(said.out.split())
+    paired = fitted["misfit_with_over_without"]
+    assert paired["verdict"] == "for" and paired["low"] < paired["ratio"] < paired["high"] < 1.0
+    assert found["heldout_final_error_before"] == without == before["totals"]["heldout"]["model"]["final_add"]
     assert (tmp_path / "belief.maps.png").exists() and (tmp_path / "belief.pushes.png").exists()
 
     _, after = numbers("compare", recorded, "--belief", belief, "-o", html)
@@ -63,12 +66,22 @@ def test_from_a_model_that_fails_to_one_that_has_the_effect(slipmap, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("after", "doubted"), [(0.5e-3, False), (0.7e-3, False), (0.9e-3, True), (4e-3, True)]
+    ("factors", "sentence"),
+    [
+        ([0.5, 0.6, 0.4, 0.5], "They speak for table_tilt."),
+        ([0.5, 1.6, 0.7, 1.3], "They do not tell whether table_tilt is there"),
+        ([1.5, 1.6, 1.3, 1.8], "THEY SPEAK AGAINST table_tilt."),
+    ],
 )
-def test_an_effect_that_predicts_no_better_is_not_spoken_for(capsys, after, doubted) -> None:  # type: ignore[no-untyped-def]
-    def learnt(error: float, without: Any = None) -> Any:
-        belief = SimpleNamespace(effects=[SimpleNamespace(name="table_tilt")])
-        return SimpleNamespace(errors=lambda role: np.full(4, error), belief=belief, without_effects=without)
-
-    _show_gain(learnt(after, learnt(1e-3)))
-    assert ("DO NOT SPEAK FOR table_tilt" in " ".join(capsys.readouterr().out.split())) == doubted
+def test_pushes_speak_for_an_effect_only_where_they_agree(capsys, factors, sentence) -> None:  # type: ignore[no-untyped-def]
+    misfits = np.array([1.0, 3.0, 10.0, 2.0])
+    result = SimpleNamespace(
+        judges="heldout",
+        errors=lambda role: np.full(4, 1e-3),
+        belief=SimpleNamespace(effects=[SimpleNamespace(name="table_tilt")]),
+        effect_estimates={"table_tilt": {}},
+        without_effects=SimpleNamespace(errors=lambda role: np.full(4, 2e-3)),
+        with_and_without=Paired.of(misfits, misfits * factors),
+    )
+    _show_gain(result)  # type: ignore[arg-type]
+    assert sentence in " ".join(capsys.readouterr().out.split())
