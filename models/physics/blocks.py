@@ -186,12 +186,12 @@ def set_load_slopes(S, layout, by_load, share, h, by_sum):  # type: ignore[no-un
 
 
 @compiled(fastmath={"contract"})
-def carry_direct(S, first, last, layout, slopes, minimum, pose, h):  # type: ignore[no-untyped-def]
-    """Carry blocks from the first to the last but one in place; their direct rows are set, and used up."""
+def carry_direct(S, first, layout, slopes, minimum, pose, h):  # type: ignore[no-untyped-def]
+    """Carry the blocks from `first` on in place; their direct rows are set, and used up."""
     A = flat(slopes.state_g)
     memory = layout.memory
     size = (FIXED_ROWS + memory) * LANES
-    for b in range(first, last):
+    for b in range(first, S.shape[0] // size):
         block = S[b * size : (b + 1) * size]
         if memory > 0:
             for a in range(3):

@@ -53,7 +53,7 @@ from slipmap.models.physics.kernel_tools import (
     turn_by,
     turned,
 )
-from slipmap.models.physics.newton import LANES, Minimum
+from slipmap.models.physics.newton import Minimum
 from slipmap.models.physics.slopes import (
     Slopes,
     Solved,
@@ -217,15 +217,13 @@ def set_slopes(effects, inputs, model, layout, push, number, terms, taken, slope
     return add_effect_slopes(effects, model, terms, taken, slopes, by_sum)
 
 
-@compiled(inline="always")
+@compiled(forceinline=True)
 def carry(effects, S, layout, model, terms, taken, slopes, by_sum):  # type: ignore[no-untyped-def]
     """Carry the state's rows of the Jacobian over a step, in place."""
-    h, first = taken.solved.h, padded(layout.n) // LANES
-    pose = pose_update(taken.way, h)
-    carry_loads(effects, S, layout, model, terms, taken, slopes, by_sum, pose)
+    pose = pose_update(taken.way, taken.solved.h)
+    first = carry_loads(effects, S, layout, model, terms, taken, slopes, by_sum, pose)
     set_other_slopes(S, layout, slopes.other_g)
-    last = first + padded(layout.others) // LANES
-    carry_direct(S, first, last, layout, slopes, taken.minimum, pose, h)
+    carry_direct(S, first, layout, slopes, taken.minimum, pose, taken.solved.h)
 
 
 @compiled(forceinline=True)
@@ -396,9 +394,12 @@ def single_steps(common, maps, formulas, drive, states, after, jacobian):  # typ
         formulas: fields of `Formulas`; its constants have one row, with the time before the step.
         drive: h, tip (2, 2), NaN for no finger, and wrench (5,), as in `Push`.
         states: (K, Z) before the step, Z = 8 + the effects' own memory.
-        after: (K, Z + 1) result: state after the step, and the number of evaluations, negative if the step
-            was not solved.
+        after: (K, Z + 1) result: state after the step, and the number of evaluations, negative if it was not
+            solved.
         jacobian: (K, Z, columns) result, or an array without columns for none.
+
+    Returns:
+        Number of the first model whose step was not solved, or -1.
     """
     given = borrowed((common, maps, formulas, drive, states, after, jacobian))
     common, maps, formulas, drive, states, after, jacobian = given
@@ -422,3 +423,9 @@ def single_steps(common, maps, formulas, drive, states, after, jacobian):  # typ
             store_rows(S, S, 1.0, rows, 3, n, jacobian[k, 3:STATE])
             store_rows(S, S, 1.0, rows, FIXED_ROWS + FORCE, n, jacobian[k, AFTER:])
         keep(owned)
+        solved = after[k, Z] >= 0.0
+        for i in range(Z):
+            solved = solved and math.isfinite(after[k, i])
+        if not solved:
+            return k
+    return -1

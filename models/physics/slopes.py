@@ -94,7 +94,7 @@ def no_slopes(memory, others):  # type: ignore[no-untyped-def]
     return Slopes(state[:3], state[3:], np.zeros((2, 3)), other[:3], other[3:])
 
 
-@compiled()
+@compiled(forceinline=True)
 def step_derivative(solved, slopes):  # type: ignore[no-untyped-def]
     """Fill in the `Slopes` of a `Solved` step."""
     for a in range(3):

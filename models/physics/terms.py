@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 
 from slipmap.models.physics.blocks import (
     Layout,
-    carry_direct,
     carry_memory,
     carry_plain_loads,
     padded,
@@ -312,15 +311,19 @@ def add_effect_slopes(effects, model, terms, taken, slopes, by_sum):  # type: ig
 
 @compiled(forceinline=True)
 def carry_loads(effects, S, layout, model, terms, taken, slopes, by_sum, pose):  # type: ignore[no-untyped-def]
-    """Carry the state's rows of the loads over a `Taken` step, in place."""
+    """Carry the state's rows of the loads over a `Taken` step, in place, or set their direct rows alone.
+
+    Returns:
+        The first block that is not carried.
+    """
     new, minimum, h = taken.new, taken.minimum, taken.solved.h
     if effects is None or (effects.memory == 0 and not effects.cells):
         carry_plain_loads(S, model.cells, new, h, slopes, by_sum, minimum, pose)
-    else:
-        if not effects.cells:
-            load_gradients(terms.cells, new, effects.by_load)
-        set_load_slopes(S, layout, effects.by_load, effects.share, h, by_sum)
-        carry_direct(S, 0, padded(layout.n) // LANES, layout, slopes, minimum, pose, h)
+        return padded(layout.n) // LANES
+    if not effects.cells:
+        load_gradients(terms.cells, new, effects.by_load)
+    set_load_slopes(S, layout, effects.by_load, effects.share, h, by_sum)
+    return 0
 
 
 @compiled(forceinline=True)
