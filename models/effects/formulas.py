@@ -1,6 +1,6 @@
 """Formulas of effects: asked of their methods, summed up, and written as source that the kernels call.
 
-All formulas become expressions of y and the constants (see `slipmap.models.physics.effect_cells`); common
+All formulas become expressions of y and the constants (see `slipmap.models.physics.friction`); common
 subexpressions are taken out, those that do not depend on the cell in front of the loop over cells.
 """
 
@@ -39,7 +39,7 @@ class Slots:
         parameters: symbols of all parameters.
         memory: symbols of what is carried along; empty, or the last force and the effects' own.
         y: all that the formulas are differentiated by.
-        body: the first entries of `effect_cells.BODY_OUTPUTS`, then four for each blade.
+        body: the first entries of `friction.BODY_OUTPUTS`, then four for each blade.
         factor: of a cell's friction.
         drag: of a cell.
         stretch: q_xx, q_xy, q_yy of a cell.

@@ -1,8 +1,8 @@
 """The sliding object: one step, rollouts of many steps, and their derivatives.
 
-A step is solved in `step.py` (`solve_step`), by Newton's method in `newton.py`, with the finger's contact of
-`contact.py`. `around_step.py` has what happens before and after it. `kernel.py` makes rollouts of the plain
-model, `effect_kernel.py` those with effects, `single_step.py` one step alone, for Drake. `rollout.py`
-(`Slider`) is the door from Python; `pushes.py` and `maps.py` hold what goes in. `balance.py` is about the
-table's edge.
+The order of a step stands in `kernel.py`, for rollouts and for one step alone. Its parts are in `step.py`;
+the minimum is found in `newton.py`, with the finger's contact of `contact.py`. `terms.py` is what effects
+change, with the friction of `friction.py`. `slopes.py` differentiates a step, `blocks.py` carries the
+derivatives along. `rollout.py` (`Slider`) and `stepper.py` (`Stepper`) are the doors from Python; `pushes.py`
+and `maps.py` hold what goes in. `balance.py` is about the table's edge.
 """

@@ -146,14 +146,12 @@ def _advance(block, lane, A, minimum, pose, h, gx, gy, gw):  # type: ignore[no-u
 
 
 @compiled(fastmath={"contract"})
-def carry_plain_loads(S, cells, new, h, slopes, by_sum, minimum, pose):  # type: ignore[no-untyped-def]
-    """Carry the blocks of loads in place, of blocks that hold r_x and r_y.
-
-    `by_sum` holds the derivatives of the gradient by Σ f.
-    """
-    A = flat(slopes.state_g)
+def carry_plain_loads(S, cells, new, h, state, minimum, pose):  # type: ignore[no-untyped-def]
+    """Carry the blocks of loads in place, of blocks that hold r_x and r_y; `state` is that of `Slopes`."""
+    A = flat(state)
     vx, vy, omega = new
-    fx, fy, fw = by_sum[0], by_sum[1], by_sum[2]
+    last = state.shape[1] - 1
+    fx, fy, fw = state[0, last], state[1, last], state[2, last]
     spin = cells.rho2 * omega
     constant = spin * omega + cells.eps2
     for b in range(cells.rx.shape[0] // LANES):
@@ -169,10 +167,11 @@ def carry_plain_loads(S, cells, new, h, slopes, by_sum, minimum, pose):  # type:
 
 
 @compiled(fastmath={"contract"})
-def set_load_slopes(S, layout, by_load, share, h, by_sum):  # type: ignore[no-untyped-def]
+def set_load_slopes(S, layout, by_load, share, h, state):  # type: ignore[no-untyped-def]
     """Set the direct rows of the loads.
 
-    by_load (3, n) is that of `load_gradients`, share (n,) holds the friction factors, not below 0.
+    by_load (3, n) is that of `load_gradients`, share (n,) holds the friction factors, not below 0, `state` is
+    that of `Slopes`.
     """
     size = (FIXED_ROWS + layout.memory) * LANES
     for b in range(padded(layout.n) // LANES):
@@ -180,22 +179,22 @@ def set_load_slopes(S, layout, by_load, share, h, by_sum):  # type: ignore[no-un
         shares = share[here]
         for a in range(3):
             row = b * size + (_DIRECT + a) * LANES
-            direct, slope = S[row : row + LANES], by_load[a, here]
+            direct, slope, by_sum = S[row : row + LANES], by_load[a, here], state[a, state.shape[1] - 1]
             for lane in range(LANES):
-                direct[lane] = h * shares[lane] * slope[lane] + by_sum[a]
+                direct[lane] = h * shares[lane] * slope[lane] + by_sum
 
 
 @compiled(fastmath={"contract"})
-def carry_direct(S, first, last, layout, slopes, minimum, pose, h):  # type: ignore[no-untyped-def]
-    """Carry blocks from the first to the last but one in place; their direct rows are set, and used up."""
-    A = flat(slopes.state_g)
+def carry_direct(S, first, layout, state, minimum, pose, h):  # type: ignore[no-untyped-def]
+    """Carry the blocks from `first` on in place; their direct rows are set, and used up."""
+    A = flat(state)
     memory = layout.memory
     size = (FIXED_ROWS + memory) * LANES
-    for b in range(first, last):
+    for b in range(first, S.shape[0] // size):
         block = S[b * size : (b + 1) * size]
         if memory > 0:
             for a in range(3):
-                _add_rows(block, _DIRECT + a, slopes.state_g[a], STATE, memory, block, FIXED_ROWS)
+                _add_rows(block, _DIRECT + a, state[a], STATE, memory, block, FIXED_ROWS)
         for lane in range(LANES):
             gx = block[lane + _DIRECT * LANES]
             gy = block[lane + (_DIRECT + 1) * LANES]
@@ -204,7 +203,7 @@ def carry_direct(S, first, last, layout, slopes, minimum, pose, h):  # type: ign
 
 
 @compiled(fastmath={"contract"})
-def set_other_slopes(S, layout, other_g):  # type: ignore[no-untyped-def]
+def set_other_slopes(S, layout, other):  # type: ignore[no-untyped-def]
     """Set the direct rows of the parameters after the loads."""
     size = (FIXED_ROWS + layout.memory) * LANES
     first = padded(layout.n) // LANES
@@ -212,7 +211,7 @@ def set_other_slopes(S, layout, other_g):  # type: ignore[no-untyped-def]
         block = S[(first + b) * size : (first + b + 1) * size]
         for row in range(3):
             for lane in range(LANES):
-                block[lane + (_DIRECT + row) * LANES] = other_g[row, b * LANES + lane]
+                block[lane + (_DIRECT + row) * LANES] = other[row, b * LANES + lane]
 
 
 @compiled(forceinline=True)
@@ -247,23 +246,22 @@ def _add_rows(target, row, slopes, first, count, source, begin):  # type: ignore
 
 
 @compiled(fastmath={"contract"})
-def fill_force(F, S, before, layout, slopes, by_sum, frame, force, h):  # type: ignore[no-untyped-def]
-    """Fill F; `force` is that of the finger (world, N), by_sum (5) has the impulse's slopes by Σ f last."""
+def fill_force(F, S, before, layout, slopes, frame, force, h):  # type: ignore[no-untyped-def]
+    """Fill F; `force` is that of the finger (world, N)."""
     size = (FIXED_ROWS + layout.memory) * LANES
     first = padded(layout.n) // LANES
     for b in range(S.shape[0] // size):
         old, new = before[b * size : (b + 1) * size], S[b * size : (b + 1) * size]
         out = F[2 * b * LANES : 2 * (b + 1) * LANES]
         for a in range(2):
+            state, by_sum = slopes.state[3 + a], slopes.state[3 + a, slopes.state.shape[1] - 1]
             for lane in range(LANES):
-                direct = by_sum[3 + a]
-                if b >= first:
-                    direct = slopes.other_f[a, (b - first) * LANES + lane]
-                out[a * LANES + lane] = direct
-            _add_rows(out, a, slopes.state_f[a], 0, STATE, old, 0)
-            _add_rows(out, a, slopes.twist_f[a], 0, 3, new, 3)
+                at = (b - first) * LANES + lane
+                out[a * LANES + lane] = slopes.other[3 + a, at] if b >= first else by_sum
+            _add_rows(out, a, state, 0, STATE, old, 0)
+            _add_rows(out, a, slopes.twist[a], 0, 3, new, 3)
             if layout.memory > 0:
-                _add_rows(out, a, slopes.state_f[a], STATE, layout.memory, old, FIXED_ROWS)
+                _add_rows(out, a, state, STATE, layout.memory, old, FIXED_ROWS)
         for lane in range(LANES):
             px, py = out[lane], out[lane + LANES]
             turning = old[lane + 2 * LANES] + 0.5 * h * old[lane + 5 * LANES]

@@ -53,23 +53,19 @@ from slipmap.models.physics.kernel_tools import (
     turn_by,
     turned,
 )
-from slipmap.models.physics.newton import LANES, Minimum
 from slipmap.models.physics.slopes import (
     Slopes,
-    Solved,
-    add_applied_turning,
-    by_load_sum,
+    Taken,
     finger_impulse,
     no_slopes,
     set_input_slopes,
-    step_derivative,
+    set_step_slopes,
 )
 from slipmap.models.physics.step import (
     MAX_EVALUATIONS,
     Applied,
     Frame,
     Step,
-    Way,
     applied_impulse,
     bent_frame,
     best_weights,
@@ -96,30 +92,6 @@ INPUTS = 9
 
 # Where the pose and the force of a single step are wanted: in the first step, at its end.
 _FIRST, _END = np.zeros(1, np.int64), np.ones(1)
-
-
-class Taken(NamedTuple):
-    """A step that was taken.
-
-    Attributes:
-        new: twist after it.
-        minimum: see `Solution`.
-        solved: see `Solved`.
-        free: momentum of the free motion.
-        applied: given forces of the push.
-        impulse: of the finger on the object, middle frame, N s.
-        way: see `Way`.
-        evaluations: see `Solution`.
-    """
-
-    new: tuple[float, float, float]
-    minimum: Minimum
-    solved: Solved
-    free: tuple[float, float, float]
-    applied: Applied
-    impulse: tuple[float, float]
-    way: Way
-    evaluations: int
 
 
 class Room(NamedTuple):
@@ -186,10 +158,11 @@ def take_step(model, common, push, number, terms, motion, guess, contacts, deriv
 
     step = Step(terms.cells, inertia, star, h, first, second, count, cone, model.size, v, quarter, frame)
     new, minimum, evaluations = solve_step(step, guess, derive)
-    one, two = minimum.first, minimum.second
-    solved = Solved(v, new, h, inertia, cone, frame, quarter, first, second, one, two)
-    way = way_of(new, cos, sin, h)
-    return Taken(new, minimum, solved, free, applied, finger_impulse(solved), way, evaluations)
+    impulse, way = finger_impulse(first, second, minimum), way_of(new, cos, sin, h)
+    return Taken(
+        v, h, inertia, cone, frame, quarter, first, second, new, minimum, free, applied, impulse, way,
+        evaluations,
+    )  # fmt: skip
 
 
 @compiled(forceinline=True)
@@ -204,28 +177,24 @@ def _moved(motion, taken, h):  # type: ignore[no-untyped-def]
 @compiled(forceinline=True)
 def _set_last_inputs(inputs, push, number, taken, layout, slopes):  # type: ignore[no-untyped-def]
     if inputs is not None:
-        set_input_slopes(taken.solved, taken.applied, push.wrench[number], layout.others - inputs, slopes)
+        set_input_slopes(taken, push.wrench[number], layout.others - inputs, slopes.other)
 
 
 @compiled(inline="always")
 def set_slopes(effects, inputs, model, layout, push, number, terms, taken, slopes):  # type: ignore[no-untyped-def]
-    """Set the `Slopes` of a step; returns the derivatives of its gradient (3) and impulse (2) by Σ f."""
-    step_derivative(taken.solved, slopes)
-    add_applied_turning(slopes.state_g, taken.applied, push.h)
+    """Set the `Slopes` of a step."""
+    set_step_slopes(taken, model.load_sum, slopes)
     _set_last_inputs(inputs, push, number, taken, layout, slopes)
-    by_sum = by_load_sum(taken.solved, model.load_sum)
-    return add_effect_slopes(effects, model, terms, taken, slopes, by_sum)
+    add_effect_slopes(effects, model, terms, taken, slopes)
 
 
-@compiled(inline="always")
-def carry(effects, S, layout, model, terms, taken, slopes, by_sum):  # type: ignore[no-untyped-def]
+@compiled(forceinline=True)
+def carry(effects, S, layout, model, terms, taken, slopes):  # type: ignore[no-untyped-def]
     """Carry the state's rows of the Jacobian over a step, in place."""
-    h, first = taken.solved.h, padded(layout.n) // LANES
-    pose = pose_update(taken.way, h)
-    carry_loads(effects, S, layout, model, terms, taken, slopes, by_sum, pose)
-    set_other_slopes(S, layout, slopes.other_g)
-    last = first + padded(layout.others) // LANES
-    carry_direct(S, first, last, layout, slopes, taken.minimum, pose, h)
+    pose = pose_update(taken.way, taken.h)
+    first = carry_loads(effects, S, layout, model, terms, taken, slopes, pose)
+    set_other_slopes(S, layout, slopes.other)
+    carry_direct(S, first, layout, slopes.state, taken.minimum, pose, taken.h)
 
 
 @compiled(forceinline=True)
@@ -283,7 +252,7 @@ def _roll(things, inputs, common, push, result):  # type: ignore[no-untyped-def]
         terms = terms_at(effects, model, motion, number, h)
         guess = weighted(weights, past)
         taken = take_step(model, common, push, number, terms, motion, guess, contacts, derive)
-        new, way, frame = taken.new, taken.way, taken.solved.frame
+        new, way, frame = taken.new, taken.way, taken.frame
         weights = best_weights(new, past, size)
         past = (new, past[0], past[1])
         evaluations += taken.evaluations
@@ -315,10 +284,10 @@ def _roll(things, inputs, common, push, result):  # type: ignore[no-untyped-def]
             wants_force = remembers or force_sample > first_force
             if between or wants_force:
                 copy_into(before, S)
-            by_sum = set_slopes(effects, inputs, model, layout, push, number, terms, taken, slopes)
-            carry(effects, S, layout, model, terms, taken, slopes, by_sum)
+            set_slopes(effects, inputs, model, layout, push, number, terms, taken, slopes)
+            carry(effects, S, layout, model, terms, taken, slopes)
             if wants_force:
-                fill_force(F, S, before, layout, slopes, by_sum, frame, force, h)
+                fill_force(F, S, before, layout, slopes, frame, force, h)
             for s in range(first_sample, sample):
                 share = _sample_place(push, s, delay)[1]
                 store_rows(S, before, share, FIXED_ROWS + layout.memory, 0, n, result.d_poses[s])
@@ -396,9 +365,12 @@ def single_steps(common, maps, formulas, drive, states, after, jacobian):  # typ
         formulas: fields of `Formulas`; its constants have one row, with the time before the step.
         drive: h, tip (2, 2), NaN for no finger, and wrench (5,), as in `Push`.
         states: (K, Z) before the step, Z = 8 + the effects' own memory.
-        after: (K, Z + 1) result: state after the step, and the number of evaluations, negative if the step
-            was not solved.
+        after: (K, Z + 1) result: state after the step, and the number of evaluations, negative if it was not
+            solved.
         jacobian: (K, Z, columns) result, or an array without columns for none.
+
+    Returns:
+        Number of the first model whose step was not solved, or -1.
     """
     given = borrowed((common, maps, formulas, drive, states, after, jacobian))
     common, maps, formulas, drive, states, after, jacobian = given
@@ -422,3 +394,9 @@ def single_steps(common, maps, formulas, drive, states, after, jacobian):  # typ
             store_rows(S, S, 1.0, rows, 3, n, jacobian[k, 3:STATE])
             store_rows(S, S, 1.0, rows, FIXED_ROWS + FORCE, n, jacobian[k, AFTER:])
         keep(owned)
+        solved = after[k, Z] >= 0.0
+        for i in range(Z):
+            solved = solved and math.isfinite(after[k, i])
+        if not solved:
+            return k
+    return -1

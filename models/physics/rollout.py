@@ -223,10 +223,9 @@ class Slider:
         if values.shape[1] == 0:
             return np.repeat(nulls[None], len(maps), axis=0)
         if values.shape[1] != len(nulls):
-            names = "".join(f" with {effect.name}" for effect in self.effects)
-            raise ValueError(
-                f"maps have {values.shape[1]} effect parameters, the model{names} has {len(nulls)}"
-            )
+            names = ", ".join(effect.name for effect in self.effects)
+            owner = f"effects {names} have" if names else "model has"
+            raise ValueError(f"maps have {values.shape[1]} effect parameters, the {owner} {len(nulls)}")
         return values
 
     def _fill(

@@ -140,10 +140,9 @@ class Stepper(Slider):
         # Fields of `Formulas`.
         formulas = (self.program.addresses, self.program.sizes, constants, models.maps.effects, _NO_DELAY)
         drive = (self.h, tip, wrench)
-        single_steps(self._common, models.reduced, formulas, drive, states, after, jacobian)
-        if not (after[:, Z].min() >= 0 and np.isfinite(after).all()):
-            model = int(np.flatnonzero((after[:, Z] < 0) | ~np.isfinite(after).all(axis=1))[0])
-            raise RolloutError(f"model {model}: the step from t = {time:.6g} s was not solved")
+        unsolved = single_steps(self._common, models.reduced, formulas, drive, states, after, jacobian)
+        if unsolved >= 0:
+            raise RolloutError(f"model {unsolved}: the step from t = {time:.6g} s was not solved")
         return after[:, :Z], self.map_columns(models.maps, jacobian) if derive else jacobian
 
     def load(self) -> None:

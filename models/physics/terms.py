@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 
 from slipmap.models.physics.blocks import (
     Layout,
-    carry_direct,
     carry_memory,
     carry_plain_loads,
     padded,
@@ -42,10 +41,9 @@ from slipmap.models.physics.kernel_arguments import Formulas
 from slipmap.models.physics.kernel_tools import Turn, copy_into
 from slipmap.models.physics.newton import LANES, Cells, padded_cells
 from slipmap.models.physics.slopes import (
-    add_bending,
+    add_compliance,
     add_formula_slopes,
     blade_slopes,
-    by_stiffness,
     set_body_slopes,
 )
 
@@ -285,12 +283,12 @@ terms_at = without_or_with(_plain_terms, _changed_terms)
 
 
 @compiled(forceinline=True)
-def add_effect_slopes(effects, model, terms, taken, slopes, by_sum):  # type: ignore[no-untyped-def]
-    """Add what formulas do to the `Slopes` of a `Taken` step; returns those by Σ f, `by_sum` without any."""
+def add_effect_slopes(effects, model, terms, taken, slopes):  # type: ignore[no-untyped-def]
+    """Add what formulas do to the `Slopes` of a `Taken` step."""
     if effects is None:
-        return by_sum
-    solved, new, G, dout = taken.solved, taken.new, effects.G, effects.dout
-    h, cells, rx, ry = solved.h, terms.cells, model.cells.rx, model.cells.ry
+        return
+    new, h, G, dout = taken.new, taken.h, effects.G, effects.dout
+    cells, rx, ry = terms.cells, model.cells.rx, model.cells.ry
     set_body_slopes(G, model.body, new, taken.free, dout, h)
     if effects.blades > 0:
         blade_slopes(effects.blade, dout[BODY_OUTPUTS:], new, cells.eps2, h, G)
@@ -303,24 +301,25 @@ def add_effect_slopes(effects, model, terms, taken, slopes, by_sum):  # type: ig
         call_address(effects.addresses[2], arrays)
     if effects.memory > 0:
         last = (effects.y[STATE], effects.y[STATE + 1])
-        by_compliance = by_stiffness(solved, False, model.stick_speed, model.load_sum)
-        add_bending(solved, last, by_compliance, slopes)
-        by_sum = by_stiffness(solved, True, model.stick_speed, model.load_sum)
+        add_compliance(taken, last, model.stick_speed, model.load_sum, slopes.state)
     add_formula_slopes(slopes, G, dout, terms.kappa)
-    return by_sum
 
 
 @compiled(forceinline=True)
-def carry_loads(effects, S, layout, model, terms, taken, slopes, by_sum, pose):  # type: ignore[no-untyped-def]
-    """Carry the state's rows of the loads over a `Taken` step, in place."""
-    new, minimum, h = taken.new, taken.minimum, taken.solved.h
+def carry_loads(effects, S, layout, model, terms, taken, slopes, pose):  # type: ignore[no-untyped-def]
+    """Carry the state's rows of the loads over a `Taken` step, in place, or set their direct rows alone.
+
+    Returns:
+        The first block that is not carried.
+    """
+    new, minimum, h = taken.new, taken.minimum, taken.h
     if effects is None or (effects.memory == 0 and not effects.cells):
-        carry_plain_loads(S, model.cells, new, h, slopes, by_sum, minimum, pose)
-    else:
-        if not effects.cells:
-            load_gradients(terms.cells, new, effects.by_load)
-        set_load_slopes(S, layout, effects.by_load, effects.share, h, by_sum)
-        carry_direct(S, 0, padded(layout.n) // LANES, layout, slopes, minimum, pose, h)
+        carry_plain_loads(S, model.cells, new, h, slopes.state, minimum, pose)
+        return padded(layout.n) // LANES
+    if not effects.cells:
+        load_gradients(terms.cells, new, effects.by_load)
+    set_load_slopes(S, layout, effects.by_load, effects.share, h, slopes.state)
+    return 0
 
 
 @compiled(forceinline=True)
