@@ -5,7 +5,7 @@ dv⁺/dp = -H⁻¹ ∂g/∂p; `blocks.py` carries that on. Where a contact is at
 apart, derivatives are those of the side on which the solution was found (one-sided).
 
 A step depends on the state before it, the memory of effects, the loads, and other parameters. For each load
-f_i the gradient's derivative is h times φ_i's own gradient, and what the contact's stiffness does, which grows
+f_i the gradient's derivative is h times φ_i's own gradient, and what the contact's stiffness does: it grows
 with Σ f.
 """
 
