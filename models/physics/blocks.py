@@ -52,24 +52,11 @@ class Layout(NamedTuple):
     effects: int
 
 
-class PoseUpdate(NamedTuple):
-    """Derivatives of x and y after a step by θ before it and by v⁺, world frame; those of θ are 1 and h."""
-
-    x_theta: float
-    x_vx: float
-    x_vy: float
-    x_omega: float
-    y_theta: float
-    y_vx: float
-    y_vy: float
-    y_omega: float
-
-
 @compiled(forceinline=True)
 def pose_update(way, h):  # type: ignore[no-untyped-def]
-    """`PoseUpdate` of the way of a step."""
+    """Derivatives of x, then of y after a step, by θ before it and by v⁺, world; those of θ are 1 and h."""
     x_omega, y_omega = way_by_spin(way, h)
-    return PoseUpdate(
+    return (
         -way.length * way.wy, way.length * way.cos, -way.length * way.sin, x_omega,
         way.length * way.wx, way.length * way.sin, way.length * way.cos, y_omega,
     )  # fmt: skip
@@ -137,8 +124,8 @@ def _advance(block, lane, A, minimum, pose, h, gx, gy, gw):  # type: ignore[no-u
     vx = -(minimum.xx * gx + minimum.xy * gy + minimum.xw * gw)
     vy = -(minimum.xy * gx + minimum.yy * gy + minimum.yw * gw)
     omega = -(minimum.xw * gx + minimum.yw * gy + minimum.ww * gw)
-    block[lane] = x + pose.x_theta * theta + pose.x_vx * vx + pose.x_vy * vy + pose.x_omega * omega
-    block[lane + LANES] = y + pose.y_theta * theta + pose.y_vx * vx + pose.y_vy * vy + pose.y_omega * omega
+    block[lane] = x + pose[0] * theta + pose[1] * vx + pose[2] * vy + pose[3] * omega
+    block[lane + LANES] = y + pose[4] * theta + pose[5] * vx + pose[6] * vy + pose[7] * omega
     block[lane + 2 * LANES] = theta + h * omega
     block[lane + 3 * LANES] = vx
     block[lane + 4 * LANES] = vy

@@ -165,7 +165,7 @@ def take_step(model, common, push, number, terms, motion, guess, contacts, deriv
     )  # fmt: skip
 
 
-@compiled(forceinline=True)
+@compiled(inline="always")
 def _moved(motion, taken, h):  # type: ignore[no-untyped-def]
     """`Motion` after a step."""
     way = taken.way
@@ -188,7 +188,7 @@ def set_slopes(effects, inputs, model, layout, push, number, terms, taken, slope
     add_effect_slopes(effects, model, terms, taken, slopes)
 
 
-@compiled(forceinline=True)
+@compiled(inline="always")
 def carry(effects, S, layout, model, terms, taken, slopes):  # type: ignore[no-untyped-def]
     """Carry the state's rows of the Jacobian over a step, in place."""
     pose = pose_update(taken.way, taken.h)

@@ -30,14 +30,6 @@ def copy_into(target, source):  # type: ignore[no-untyped-def]
         target[i] = source[i]
 
 
-@compiled(forceinline=True)
-def add_columns(target, first, source, count):  # type: ignore[no-untyped-def]
-    """Add the first `count` columns of `source` to those of `target` from `first` on, of equal rows."""
-    for a in range(target.shape[0]):
-        for k in range(count):
-            target[a, first + k] += source[a, k]
-
-
 _SMALL = 0.1  # rad; up to here the series below are exact to rounding
 
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from slipmap.models.physics.kernel_tools import add_columns, copy_into
+from slipmap.models.physics.kernel_tools import copy_into
 
 
 def test_a_copy_is_whole_and_stays_in_its_slice():
@@ -15,9 +15,3 @@ def test_a_copy_is_whole_and_stays_in_its_slice():
 def test_a_copy_of_another_length_is_refused():
     with pytest.raises(ValueError, match="lengths differ"):
         copy_into(np.zeros(3), np.zeros(2))
-
-
-def test_columns_are_added_from_the_first_one_on():
-    target, source = np.ones((2, 4)), np.array([[1.0, 2.0, 9.0], [3.0, 4.0, 9.0]])
-    add_columns(target, 1, source, 2)
-    assert target.tolist() == [[1.0, 2.0, 3.0, 1.0], [1.0, 4.0, 5.0, 1.0]]
