@@ -257,7 +257,7 @@ def test_compare_with_a_belief_writes_report_and_numbers(slipmap, demo_folder, t
 def test_compare_without_a_belief_learns_first(slipmap, demo_folder, tmp_path):
     said = slipmap("compare", demo_folder / "demo" / "pushes", "-o", tmp_path / "r.html")
     assert said.code == 0, said.err
-    assert "hypotheses: done" in said.err and "comparing: done" in said.err
+    assert "hypotheses: done" in said.err and "predicting: done" in said.err
 
 
 def test_compare_refuses_what_it_cannot_use(slipmap, demo_folder, tmp_path):

@@ -32,7 +32,7 @@ def diagnosed(monkeypatch):
         return {"verdict": "ambiguous", "effect": None, "effects": ["tether", "table_tilt"], "seconds": 2.0}
 
     broken: set[int] = set()
-    monkeypatch.setattr("slipmap.models.inference.diagnosis.diagnose", diagnose)
+    monkeypatch.setattr("slipmap.models.inference.diagnosis.procedure.diagnose", diagnose)
     return SimpleNamespace(asked=asked, broken=broken)
 
 
@@ -79,7 +79,7 @@ def test_a_diagnosis_with_an_unheard_of_verdict_is_a_failure_and_not_the_end(
     slipmap, tmp_path, diagnosed, monkeypatch
 ):
     monkeypatch.setattr(
-        "slipmap.models.inference.diagnosis.diagnose",
+        "slipmap.models.inference.diagnosis.procedure.diagnose",
         lambda dataset, seed: SimpleNamespace(to_json=lambda: {"verdict": "maybe"}),
     )
     said = slipmap("blind-test", "--count", "1", "-o", tmp_path)
