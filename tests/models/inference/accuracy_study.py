@@ -76,7 +76,8 @@ def page(now: dict[str, Any], before: dict[str, Any]) -> str:
         "# Accuracy of `identify` on held-out pushes",
         "",
         "Seed 0, default settings; Bullet's sets from their first five fit pushes. `held` is the share of"
-        " held-out ends (x, y, θ apart) inside their 90 % intervals. In brackets: the version before.",
+        " held-out ends (x, y, θ apart) inside their 90 % intervals. In brackets: the version before, in a"
+        " run of its own; times are of a busy machine.",
         "",
         "| dataset | mean ADD, mm | median, mm | held | seconds |",
         "| --- | --- | --- | --- | --- |",
