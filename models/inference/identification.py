@@ -28,7 +28,7 @@ from slipmap.models.inference.hypotheses import MODEL_ERRORS
 from slipmap.models.inference.identifiability import effect_quantities, quantities
 from slipmap.models.inference.likelihood import Likelihood, LikelihoodSettings
 from slipmap.models.inference.observations import Observation, observe_all
-from slipmap.models.inference.prediction import END_ERRORS, end_errors, predict_observations
+from slipmap.models.inference.prediction import END_ERRORS, end_errors, predict_observations, predicted_motion
 from slipmap.models.inference.prior import SINGLE_CELLS, MapPrior, PriorSettings, slider_for
 from slipmap.models.inference.results import Identification
 from slipmap.models.measurements import DatasetError, PushDataset
@@ -141,9 +141,11 @@ def learn(
     record = {"finger_starts": list(FINGER_STARTS)}
     belief = mixed_belief(dataset, laws, effects, hypotheses, seed, report, settings=record)
     noise = sensor_noise(dataset)
-    told = {**belief.settings, END_ERRORS: end_errors(belief, fitted, noise)}
+    motions = predicted_motion(belief, observations)
+    taught = [motion for motion, o in zip(motions, observations, strict=True) if o.role == "fit"]
+    told = {**belief.settings, END_ERRORS: end_errors(fitted, taught, dataset.grid, noise)}
     belief = replace(belief, settings=told)
-    predictions = predict_observations(belief, observations, noise, report)
+    predictions = predict_observations(belief, observations, noise, report, lambda *_: motions)
     likelihood, information = laws[0].ladder[-1]
     facts = quantities(belief, likelihood, information)
     facts = (*facts, *effect_quantities(belief, effects, likelihood, information))

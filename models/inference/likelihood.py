@@ -14,6 +14,7 @@ with the maps and eliminated from their equations (Schur complement).
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
@@ -76,7 +77,7 @@ class NormalEquations:
     coupling: FloatArray
 
 
-class PushLikelihood:
+class PushLikelihood(ABC):
     """Costs of K hypotheses against B observed pushes, whatever residuals are taken to be like.
 
     Args:
@@ -174,10 +175,10 @@ class PushLikelihood:
         slopes = slopes_at_centroid(by_object, arm, self._radius)
         return np.concatenate([here - there, turn], axis=-1), slopes
 
+    @abstractmethod
     def _whitened(self, rollouts: Rollouts, b: int, place: int) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Jacobians (K, R, P) and residuals (K, R) of push b, which is at a place among the rollouts, in
         standard deviations and with the weights of a robust cost; and that cost (K,)."""
-        raise NotImplementedError
 
 
 class Likelihood(PushLikelihood):

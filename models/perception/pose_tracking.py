@@ -239,7 +239,7 @@ class _Candidate(NamedTuple):
 
 
 class _Search(NamedTuple):
-    """The search for an object in a picture (H, W), m, part of which the arm may hide."""
+    """The search for an object in a depth picture (H, W), m; the arm may hide part of it."""
 
     image: DepthImage
     view: View

@@ -82,7 +82,7 @@ class Effects(NamedTuple):
         blades: how many there are.
         cells, stretch: whether cells are changed; whether Q is.
         begin: time before the first step, s.
-        y: (Y,) what formulas are evaluated at, of which the memory is kept there from step to step.
+        y: (Y,) what formulas are evaluated at; it keeps the memory from step to step.
         c: (CONSTANTS,).
         out, dout: (BODY_OUTPUTS + 4 blades,) and (…, Y) of the body.
         blade: (blades, 4) part of `out`.

@@ -19,6 +19,7 @@ import pytest
 from scipy.stats import binomtest
 
 from slipmap.diagrams.application import terminal as console
+from slipmap.diagrams.application.commands.identify import _chosen
 from slipmap.diagrams.application.reports.tables import (
     doubts,
     is_doubted,
@@ -285,3 +286,12 @@ def test_coverage_comes_with_its_range_and_verdict():
     low, high = binomtest(20, 40).proportion_ci(0.95, method="exact")
     assert (b["low"], b["high"]) == pytest.approx((low, high))
     assert [row["verdict"] for row in (a, b, c)] == ["too wide", "too narrow", "too wide"]
+
+
+def test_of_many_pushes_a_dozen_that_judge_is_drawn_from_the_best_to_the_worst():
+    few = [prediction(f"{k}") for k in range(48)]
+    assert _chosen(few) is few
+    many = [prediction(f"{k}", "heldout" if k % 2 else "fit", final_add=1e-3 * k) for k in range(100)]
+    shown = [int(push.trial) for push in _chosen(many)]
+    assert len(shown) == 12 and shown == sorted(shown) and all(k % 2 for k in shown)
+    assert (shown[0], shown[-1]) == (1, 99)

@@ -54,6 +54,18 @@ def test_a_push_with_no_weight_does_not_count(likelihood):
     assert ours.gradient == pytest.approx(theirs.gradient, rel=1e-9)
 
 
+def test_pushes_rolled_out_in_parts_give_the_same_equations(likelihood, monkeypatch):
+    rng = np.random.default_rng(1)
+    B = len(likelihood.observations)
+    z = 0.2 * rng.standard_normal((2, likelihood.prior.size))
+    offsets, weights = 1e-4 * rng.standard_normal((2, B, 3)), rng.uniform(0.5, 1.5, (2, B))
+    together = likelihood.linearise(z, offsets, np.ones(2), weights)
+    monkeypatch.setattr("slipmap.models.inference.likelihood._JACOBIANS", 1)
+    parts = likelihood.linearise(z, offsets, np.ones(2), weights)
+    for name, value in vars(together).items():
+        assert getattr(parts, name) == pytest.approx(value, rel=1e-12, abs=1e-12), name
+
+
 def test_lockstep_gives_what_each_start_gives_alone(likelihood):
     prior = likelihood.prior
     starts = np.array([prior.start(0.15), prior.start(0.5)])

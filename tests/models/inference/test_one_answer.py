@@ -66,3 +66,13 @@ def test_ends_and_their_intervals_are_told(learnt):
         assert told["measured_end"] == push.measured[-1].tolist()
         assert told["predicted_end"] == push.predicted[-1].tolist()
         assert (low < told["predicted_end"]).all() and (told["predicted_end"] < high).all()
+
+
+def test_intervals_of_ends_hold_what_the_model_was_off_by(shared_data):
+    """Recorded pushes: hypotheses alone, which say what pushes leave open, hold few of the ends."""
+    dataset = slipmap.read_dataset(shared_data / "real_mit" / "abs_tri2")
+    result = slipmap.identify(dataset, hypotheses=8, friction_laws=False)
+    held = [push for push in result.pushes if push.role == "heldout"]
+    ends = np.array([push.measured[-1] for push in held])
+    low, high = np.array([push.end_interval for push in held]).transpose(1, 0, 2)
+    assert 0.8 < ((low < ends) & (ends < high)).mean() < 0.99
