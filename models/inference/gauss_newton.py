@@ -14,7 +14,11 @@ import scipy.linalg
 
 from slipmap.models.inference.likelihood import NormalEquations, PushLikelihood
 from slipmap.models.physics.cell_grid import FloatArray
-from slipmap.models.progress import StageProgress
+from slipmap.models.progress import StageProgress, part_of
+
+_EQUATIONS = 2**29
+"""Bytes that the normal equations of hypotheses fitted together may take, of which most are for the pushes'
+starts."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,8 +74,22 @@ def fit(
     weights = np.ones((K, B)) if weights is None else weights
     mean = np.zeros_like(start) if prior_mean is None else prior_mean
     strength = np.ones(K) if strength is None else strength
-    z = start.copy()
     shift = np.zeros((K, B, 3)) if offsets is None else offsets.copy()
+    together = max(1, _EQUATIONS // (96 * B * start.shape[1]))
+    if together < K:
+        parts = np.split(np.arange(K), np.arange(together, K, together))
+        fits = [
+            fit(
+                likelihood, start[part], weights=weights[part], prior_mean=mean[part],
+                strength=strength[part], offsets=shift[part], iterations=iterations, tolerance=tolerance,
+                progress=None if progress is None else part_of(progress, place, len(parts)),
+            )
+            for place, part in enumerate(parts)
+        ]  # fmt: skip
+        return Fits(
+            *(np.concatenate([getattr(found, name) for found in fits]) for name in Fits.__annotations__)
+        )
+    z = start.copy()
     damping = np.full(K, 1e-2)
 
     def total(push_cost: FloatArray, at: FloatArray, who: np.ndarray) -> FloatArray:

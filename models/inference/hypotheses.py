@@ -100,10 +100,6 @@ def log_evidence(likelihood: Likelihood, found: Fits) -> float:
     return float(-found.cost[0] - 0.5 * maps + 0.5 * starts - likelihood.log_widths())
 
 
-_EQUATIONS = 2**29
-"""Bytes that the normal equations of hypotheses fitted together may take, of which most are for the pushes'
-starts."""
-
 _STRENGTHS = (0.8, 2.5)
 """Range of the factor on the prior's map variation, drawn log-uniformly for each hypothesis, see
 `MapPrior.spreads`."""
@@ -125,6 +121,8 @@ def refits(
     hypotheses: int,
     rng: np.random.Generator,
     report: StageProgress,
+    *,
+    keep_best: bool = True,
 ) -> tuple[Maps, FloatArray]:
     """Randomised refits around the best fits, under each likelihood of a ladder in turn.
 
@@ -133,6 +131,7 @@ def refits(
         hypotheses: K.
         rng: of the draws.
         report: called with (done, total).
+        keep_best: whether the first hypothesis is the plain best fit.
 
     Returns:
         Maps of K hypotheses and their probabilities (K,).
@@ -143,32 +142,27 @@ def refits(
     weights = rng.gamma(shape, 1.0 / shape, (hypotheses, B))
     prior_mean = rng.standard_normal((hypotheses, prior.size))
     strength = np.exp(rng.uniform(np.log(_STRENGTHS[0]), np.log(_STRENGTHS[1]), hypotheses))
-    # The first hypothesis is the plain best fit.
-    weights[0], prior_mean[0], strength[0] = 1.0, 0.0, 1.0
+    if keep_best:
+        weights[0], prior_mean[0], strength[0] = 1.0, 0.0, 1.0
     z = np.empty((hypotheses, prior.size))
     probability = np.empty(hypotheses)
     # Where they are fewer than likelihoods, those of the larger evidence count.
     rungs = ladder[-hypotheses:]
-    together = max(1, _EQUATIONS // (96 * B * prior.size))
     for rung, (likelihood, first) in enumerate(rungs):
         own = np.arange(rung, hypotheses, len(rungs))
-        cost = np.empty(len(own))
-        stage = part_of(report, rung, len(rungs))
-        parts = np.split(np.arange(len(own)), np.arange(together, len(own), together))
-        for place, part in enumerate(parts):
-            who = own[part]
-            found = fit(
-                likelihood,
-                prior.rescaled(first.z[0], strength[who]),
-                weights=weights[who],
-                prior_mean=prior_mean[who],
-                strength=strength[who],
-                offsets=np.repeat(first.offsets, len(who), axis=0),
-                iterations=15,
-                tolerance=3e-3,
-                progress=part_of(stage, place, len(parts)),
-            )
-            z[who], cost[part] = found.z, found.push_cost.sum(axis=1)
+        found = fit(
+            likelihood,
+            prior.rescaled(first.z[0], strength[own]),
+            weights=weights[own],
+            prior_mean=prior_mean[own],
+            strength=strength[own],
+            offsets=np.repeat(first.offsets, len(own), axis=0),
+            iterations=15,
+            tolerance=3e-3,
+            progress=part_of(report, rung, len(rungs)),
+        )
+        z[own] = found.z
+        cost = found.push_cost.sum(axis=1)
         probability[own] = accuracy_weights(cost) * len(own) / hypotheses
     return prior.maps(z, strength), probability
 

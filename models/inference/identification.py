@@ -22,14 +22,14 @@ import numpy as np
 from slipmap.models.effects.effect import Effect
 from slipmap.models.effects.library import LIBRARY
 from slipmap.models.effects.registry import effects_named
+from slipmap.models.inference.cross_validation import end_errors, leave_out
 from slipmap.models.inference.error_model import sensor_noise
-from slipmap.models.inference.friction_laws import Law, fit_laws, mixed_belief
-from slipmap.models.inference.hypotheses import MODEL_ERRORS
 from slipmap.models.inference.identifiability import effect_quantities, quantities
 from slipmap.models.inference.likelihood import Likelihood, LikelihoodSettings
+from slipmap.models.inference.mixture import explain, mixed_belief
 from slipmap.models.inference.observations import Observation, observe_all
-from slipmap.models.inference.prediction import END_ERRORS, end_errors, predict_observations, predicted_motion
-from slipmap.models.inference.prior import SINGLE_CELLS, MapPrior, PriorSettings, slider_for
+from slipmap.models.inference.prediction import END_ERRORS, predict_observations, predicted_motion
+from slipmap.models.inference.prior import MapPrior, PriorSettings, slider_for
 from slipmap.models.inference.results import Identification
 from slipmap.models.measurements import DatasetError, PushDataset
 from slipmap.models.progress import Progress, about, silent
@@ -38,9 +38,6 @@ if TYPE_CHECKING:
     from slipmap.models.inference.diagnosis.fitting import Fitted
 
 METHODS = ("gauss-newton", "paper")
-
-FINGER_STARTS = (0.12, 0.35, 1.0)
-"""Finger frictions to start from: contact that sticks and contact that slides are different valleys."""
 
 
 def identify(
@@ -63,8 +60,8 @@ def identify(
         hypotheses: K, at least 2.
         seed: of every random draw.
         progress: called with (stage, done, total).
-        prior_settings: how strongly maps are held together before any push; if None, as in `PriorSettings`,
-            or as in `SINGLE_CELLS` where the best law is off by more than the smallest of `MODEL_ERRORS`.
+        prior_settings: how strongly maps are held together before any push; if None, each of `STRUCTURES`
+            takes part, as much as the pushes speak for it.
         friction_laws: whether other laws of friction than the plain one take part, each as much as the
             pushes speak for it (see `friction_laws`); takes about four times as long. The method `paper`
             knows the plain one alone.
@@ -130,23 +127,19 @@ def learn(
     started = time.perf_counter() if started is None else started
     fitted = [observation for observation in observations if observation.role == "fit"]
 
-    def laws_with(settings: PriorSettings) -> list[Law]:
-        own = partial(report, "fitting")
-        return fit_laws(dataset, fitted, settings, FINGER_STARTS, own, found, plain_only=not friction_laws)
-
-    laws = laws_with(prior_settings or SINGLE_CELLS)
-    if prior_settings is None and laws[0].model_error == MODEL_ERRORS[0]:
-        laws = laws_with(PriorSettings())
+    every = explain(
+        dataset, fitted, prior_settings, partial(report, "fitting"), found, plain_only=not friction_laws
+    )
     effects = () if found is None else found.effects
-    record = {"finger_starts": list(FINGER_STARTS)}
-    belief = mixed_belief(dataset, laws, effects, hypotheses, seed, report, settings=record)
+    belief = mixed_belief(dataset, every, effects, hypotheses, seed, report)
     noise = sensor_noise(dataset)
     motions = predicted_motion(belief, observations)
     taught = [motion for motion, o in zip(motions, observations, strict=True) if o.role == "fit"]
-    told = {**belief.settings, END_ERRORS: end_errors(fitted, taught, dataset.grid, noise)}
+    left_out = leave_out(every[0].likelihood, every[0].best)
+    told = {**belief.settings, END_ERRORS: end_errors(left_out, fitted, taught, noise)}
     belief = replace(belief, settings=told)
     predictions = predict_observations(belief, observations, noise, report, lambda *_: motions)
-    likelihood, information = laws[0].ladder[-1]
+    likelihood, information = every[0].likelihood, every[0].best
     facts = quantities(belief, likelihood, information)
     facts = (*facts, *effect_quantities(belief, effects, likelihood, information))
     shares = belief.settings["friction_laws"]

@@ -220,16 +220,27 @@ class Likelihood(PushLikelihood):
             return np.inf
         return float(np.hypot(self.settings.force_error * observation.typical_force, noise.force or 0.0))
 
+    def _counted(self, observation: Observation) -> tuple[float, float]:
+        """As how many independent poses and forces a push counts."""
+        s = self.settings
+        forces = min(s.independent_forces, float(observation.sliding.sum()))
+        return min(s.independent, len(observation.poses)), forces
+
+    @property
+    def rows_counted(self) -> float:
+        """As how many independent poses and forces all pushes count."""
+        return sum(sum(self._counted(observation)) for observation in self.observations)
+
     def log_widths(self) -> float:
         """Σ log σ of all residuals, counted as often as in the costs; its negative normalises densities."""
-        s = self.settings
         total = 0.0
         for observation, sigma, force in zip(
             self.observations, self._sigmas, self._force_sigmas, strict=True
         ):
-            total += 3.0 * min(s.independent, len(sigma)) * float(np.log(sigma).mean())
-            if observation.sliding.any():
-                total += 2.0 * min(s.independent_forces, observation.sliding.sum()) * float(np.log(force))
+            poses, forces = self._counted(observation)
+            total += 3.0 * poses * float(np.log(sigma).mean())
+            if forces > 0.0:
+                total += 2.0 * forces * float(np.log(force))
         return total
 
     def _whitened(self, rollouts: Rollouts, b: int, place: int) -> tuple[FloatArray, FloatArray, FloatArray]:

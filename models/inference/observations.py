@@ -156,7 +156,7 @@ def _force_rows(trial: Trial) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Middles of `SAMPLES` equal stretches of the trial that hold any rows of force, their means, and of how
     many rows."""
     samples = wrench_samples(trial)
-    if samples is None or len(samples[0]) == 0 or len(trial.object_pose.time) == 2:
+    if samples is None or len(samples[0]) == 0:
         return np.zeros(0), np.zeros((0, 2)), np.zeros(0)
     time, wrench = samples
     edges = np.linspace(0.0, float(pose_times(trial)[-1]), SAMPLES + 1)

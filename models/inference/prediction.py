@@ -236,34 +236,7 @@ def predict_observations(
 
 
 END_ERRORS = "end_errors"
-"""Under this name a belief keeps what `end_errors` says of the pushes that taught it."""
-
-
-def end_errors(
-    observations: Sequence[Observation], motions: Sequence[Motion], grid: CellGrid, noise: SensorNoise
-) -> list[float]:
-    """By how much pushes that taught end off their prediction beyond sensor noise, as shares of the way.
-
-    Args:
-        observations: pushes that taught.
-        motions: what the hypotheses say of them.
-        grid: cells of the object.
-        noise: of the sensors.
-
-    Returns:
-        Root mean squares of x and y, and of ρ θ. Few pushes are fitted more closely than new ones will be
-        predicted; the factor is that of the scatter of a mean and one more draw around it.
-    """
-    radius = radius_of_gyration(grid)
-    squares = []
-    for observation, motion in zip(observations, motions, strict=True):
-        off = (motion.middle_poses[-1] - observation.poses[-1]) * [1.0, 1.0, radius]
-        floor = np.array([noise.position, noise.position, radius * noise.angle])
-        travel = max(float(observation.travel(grid.centers)[-1]), 1e-3)
-        squares.append((off**2 - floor**2) / travel**2)
-    B = len(squares)
-    place, place_too, turn = np.mean(squares, axis=0) * (B + 1) / max(B - 1, 1)
-    return [float(np.sqrt(max(value, 0.0))) for value in (0.5 * (place + place_too), turn)]
+"""Under this name a belief keeps what `cross_validation.end_errors` says of the pushes that taught it."""
 
 
 def _end_interval(belief: Belief, observation: Observation, motion: Motion, noise: SensorNoise) -> FloatArray:

@@ -66,8 +66,22 @@ class PriorSettings:
     modes: int = 40
 
 
-SINGLE_CELLS = PriorSettings(load_map=0.40, split=0.50, white=0.80, modes=100)
-"""For pushes that no law explains: its faults are then taken up by single cells, and bend no whole region."""
+STRUCTURES = {
+    "uneven": PriorSettings(load_map=0.4, split=0.5, white=0.8, modes=100),
+    "smooth": PriorSettings(),
+    "varied": PriorSettings(load_map=0.8, split=0.5, modes=60),
+    "few points": PriorSettings(load_map=2.5, split=0.5, white=0.95, modes=200),
+    "uniform": PriorSettings(load_map=0.1, split=0.1, modes=20),
+}
+"""What objects are like: maps that vary little, from cell to cell or smoothly, that vary much, whose load
+rests on few cells, or that hardly vary. Of the first two, the smooth one is for pushes that a law explains
+exactly; else the law's faults are better taken up by single cells, where they bend no whole region."""
+
+PLAUSIBLE = {"uneven": 0.4, "smooth": 0.4, "varied": 0.3, "few points": 0.2, "uniform": 0.1}
+"""How likely each is before any push, up to a factor."""
+
+BOLD = ("varied", "few points")
+"""Those that can follow the errors of a wrong law."""
 
 
 def slider_for(dataset: PushDataset, effects: Sequence[Effect] = ()) -> Slider:
@@ -148,6 +162,12 @@ class MapPrior:
         finger = np.log(maps.mu_finger / s.finger_friction_mean) / s.finger_friction
         others = np.column_stack([total, scale, finger, np.zeros((K, len(self.effect_scales)))])
         return np.concatenate([z_load, z_split, others], axis=1)
+
+    def moved(self, maps: Maps) -> FloatArray:
+        """(K, size) as `near`, with the effects' own values."""
+        z = self.near(maps)
+        z[:, self.plain :] = self.effect_coordinates(maps.effects)
+        return z
 
     def effect_coordinates(self, values: FloatArray) -> FloatArray:
         """z_p of effect parameters (…, P)."""

@@ -49,7 +49,7 @@ def demo(folder: Path, seed: int, fit_pushes: int, heldout_pushes: int, json_fil
             with writing(place):
                 write_dataset(recorded, place, overwrite=True)
         dataset = options.load_dataset(place, None, progress)
-        result = identification.identify(dataset, seed=seed, progress=progress, friction_laws=False)
+        result = identification.identify(dataset, seed=seed, progress=progress)
         drawn = keep(result, dataset, belief, None, progress, truth)
     comparison = _against_truth(result, truth)
     if json_file is not None:

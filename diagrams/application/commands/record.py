@@ -122,9 +122,7 @@ def replay(
     with Progress() as progress:
         from slipmap.models.inference.identification import identify
 
-        identification = identify(
-            dataset, hypotheses=hypotheses, seed=seed, progress=progress, friction_laws=False
-        )
+        identification = identify(dataset, hypotheses=hypotheses, seed=seed, progress=progress)
     written = cell_run.leave(identification, dataset, folder)
     show(identification, dataset)
     lag = _shown_lag(dataset)

@@ -75,10 +75,10 @@ def too_faint(base: Fitted) -> Outcome:
 
 
 def refuted_by_locked_pushes(answer: Outcome, base: Fitted) -> Outcome:
-    """The pushes that were locked away become worse with the answer."""
+    """The pushes that were locked away do not become better with the answer, or not beyond chance."""
     sentence = (
-        f"On the open pushes {' and '.join(answer.effects)} would explain much, but the locked pushes"
-        " become worse with it: the pushes are too few, or scatter too much, to decide."
+        f"On the open pushes {' and '.join(answer.effects)} would explain much, but the misfit of the locked"
+        " pushes does not clearly fall with it: the pushes are too few, or scatter too much, to decide."
     )
     return Outcome("undecided", sentence, base)
 

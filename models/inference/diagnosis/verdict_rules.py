@@ -237,10 +237,16 @@ def with_better_predictors(
 def locked_pushes_object(
     motion_error: float, before: LockedErrors | None, after: LockedErrors | None
 ) -> bool:
-    """Whether pushes that scatter, and were locked away, become worse with the answer."""
-    if before is None or after is None or motion_error <= ROUGH:
+    """Whether pushes that were locked away speak against an answer, or not clearly for it where they scatter.
+
+    Their misfit has to fall, and where pushes scatter by more than chance from push to push would have it.
+    """
+    if before is None or after is None:
         return False
-    return Paired.of(before.misfit, after.misfit).ratio > 1.0
+    paired = Paired.of(before.misfit, after.misfit)
+    if motion_error > ROUGH and len(before.misfit) > 1:
+        return paired.verdict != "for"
+    return paired.ratio > 1.0
 
 
 def locked_pushes_stay_off(before: LockedErrors | None, after: LockedErrors | None) -> bool:

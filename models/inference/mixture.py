@@ -1,0 +1,309 @@
+"""Several explanations of the same pushes, each with a share of the belief.
+
+What is not known of an object is more than numbers: how much its maps vary and how smoothly
+(`prior.STRUCTURES`), and what law friction follows (`friction_laws`). Each combination that is worth asking
+is fitted, and the hypotheses are shared out among them in proportion to
+
+    p(structure) E^(1/T),    T = (rows that a push counts as) · α / 0.5 %
+
+with E the evidence of `hypotheses` under its best α, α that of the likeliest. It is tempered because it holds
+errors along a push for as independent as the likelihood does, and the likelihood's model for the right one;
+neither is so, the less the further the best model is off.
+
+Maps that vary much can follow the errors of a wrong law in a few pushes, and then predict badly. With fewer
+than `_ENOUGH_PUSHES`, such maps count only where they explain the pushes exactly, with the smallest α.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from slipmap.models.effects.effect import Effect
+from slipmap.models.effects.library import LIBRARY
+from slipmap.models.inference.belief import Belief
+from slipmap.models.inference.friction_laws import combinations, effect_prior, name_of
+from slipmap.models.inference.gauss_newton import Fits
+from slipmap.models.inference.hypotheses import (
+    MODEL_ERRORS,
+    Ladder,
+    fit_with_trust,
+    log_evidence,
+    refits,
+    trusted,
+)
+from slipmap.models.inference.likelihood import Likelihood
+from slipmap.models.inference.observations import Observation
+from slipmap.models.inference.prior import BOLD, PLAUSIBLE, STRUCTURES, MapPrior, PriorSettings, slider_for
+from slipmap.models.measurements import PushDataset
+from slipmap.models.physics.cell_grid import FloatArray
+from slipmap.models.physics.rollout import Maps, RolloutError, Slider
+from slipmap.models.progress import Progress, StageProgress, part_of
+
+if TYPE_CHECKING:
+    from slipmap.models.inference.diagnosis.fitting import Fitted
+
+ENOUGH_PUSHES = 8
+"""From so many on, any structure is weighed by its evidence."""
+
+_MANY_PUSHES = 20
+
+LEAST_SHARE = 0.05
+"""What has less than this is left out."""
+
+_ENOUGH_PUSHES, _MANY_PUSHES = 8, 20
+
+_FINGER_STARTS = (0.12, 0.35, 1.0)
+"""Finger frictions to start from: contact that sticks and contact that slides are different valleys."""
+
+
+@dataclass(frozen=True, eq=False)
+class Explanation:
+    """A model that was fitted to the pushes.
+
+    Attributes:
+        law: `plain`, or the names of its effects, see `friction_laws`.
+        structure: of the maps, see `prior.STRUCTURES`.
+        ladder: of `fit_with_trust`.
+        log_evidence: of the best fit in it, α's prior included; -inf where a fit failed.
+        share: of the belief.
+    """
+
+    law: str
+    structure: str
+    ladder: Ladder
+    log_evidence: float
+    share: float = 1.0
+
+    @property
+    def likelihood(self) -> Likelihood:
+        """Of the pushes, with the best α."""
+        return self.ladder[-1][0]
+
+    @property
+    def best(self) -> Fits:
+        """The best fit."""
+        return self.ladder[-1][1]
+
+    @property
+    def model_error(self) -> float:
+        """α of the best fit."""
+        return self.likelihood.settings.model_error
+
+    @property
+    def maps(self) -> Maps:
+        """(1,) of the best fit."""
+        return self.likelihood.prior.maps(self.best.z)
+
+
+def explain(
+    dataset: PushDataset,
+    observations: Sequence[Observation],
+    settings: PriorSettings | None,
+    progress: StageProgress,
+    found: Fitted | None = None,
+    *,
+    plain_only: bool,
+) -> list[Explanation]:
+    """Fit the plain law to objects of each structure, the other laws to those of the likeliest.
+
+    Args:
+        dataset: the pushes, the object and its height.
+        observations: pushes to learn from.
+        settings: the only prior of the maps; if None, all `STRUCTURES` are asked.
+        progress: called with (done, total).
+        found: fit of the model with effects, which all laws then have too, around the values that it found:
+            nothing pulls them to their nulls any more where the forgiving likelihood sees little of them.
+        plain_only: whether to leave the other laws alone.
+
+    Returns:
+        Explanations that have a share, the largest first; shares sum to one.
+
+    Raises:
+        RolloutError: not even the plain law could be fitted.
+    """
+    given = () if found is None else found.effects
+    structures = STRUCTURES if settings is None else {"own": settings}
+    others = [] if plain_only else combinations(dataset, given)
+    total = len(structures) + len(others)
+
+    def prior_of(effects: Sequence[Effect], structure: str) -> MapPrior:
+        means, deviations = effect_prior(effects, dataset.height)
+        if found is not None:
+            means = np.concatenate([found.values, means])
+            deviations = np.concatenate([found.likelihood.prior.effect_scales, deviations])
+        slider = slider_for(dataset, (*given, *effects))
+        return MapPrior(slider, structures[structure], dataset.mass, effect_prior=(means, deviations))
+
+    def fitted(
+        effects: Sequence[Effect], structure: str, prior: MapPrior, starts: FloatArray, report: StageProgress
+    ) -> Explanation:
+        ladder = fit_with_trust(prior, observations, dataset.noise, starts, report)
+        likelihood, last = ladder[-1]
+        evidence = log_evidence(likelihood, last) - float(np.log(likelihood.settings.model_error))
+        evidence = evidence if np.isfinite(evidence) else -np.inf
+        return Explanation(name_of(effects), structure, ladder, evidence)
+
+    every: list[Explanation] = []
+    for place, structure in enumerate(structures):
+        if structure == "smooth":
+            if every[0].model_error > MODEL_ERRORS[0]:
+                continue
+            every.clear()
+        prior = prior_of((), structure)
+        starts = np.array([prior.start(friction) for friction in _FINGER_STARTS])
+        if found is not None:
+            starts = np.concatenate([starts, prior.near(found.maps)])
+        if every:
+            # By now the finger's friction is known.
+            likeliest = _likeliest(every).maps
+            starts = np.array([prior.start(float(likeliest.mu_finger[0])), *prior.moved(likeliest)])
+        try:
+            every.append(fitted((), structure, prior, starts, part_of(progress, place, total)))
+        except (RolloutError, np.linalg.LinAlgError):
+            if not every:
+                raise
+    best = _likeliest(every)
+    if best.model_error == MODEL_ERRORS[-1] and len(observations) > _MANY_PUSHES:
+        # The other laws could not be told from the plain one, and would take long.
+        others = []
+    for place, effects in enumerate(others, start=len(structures)):
+        prior = prior_of(effects, best.structure)
+        z = best.best.z
+        starts = np.concatenate([z, np.zeros((1, prior.size - z.shape[1]))], axis=1)
+        try:
+            every.append(fitted(effects, best.structure, prior, starts, part_of(progress, place, total)))
+        except (RolloutError, np.linalg.LinAlgError):
+            continue
+    progress(1, 1)
+    return shared_out(every)
+
+
+def _admitted(every: Sequence[Explanation]) -> list[Explanation]:
+    """Those that so many pushes can speak for."""
+    if len(every[0].likelihood.observations) >= _ENOUGH_PUSHES:
+        return list(every)
+    return [one for one in every if one.structure not in BOLD or one.model_error == MODEL_ERRORS[0]]
+
+
+def _likeliest(every: Sequence[Explanation]) -> Explanation:
+    return max(_admitted(every), key=lambda one: one.log_evidence)
+
+
+def shared_out(every: Sequence[Explanation]) -> list[Explanation]:
+    """Explanations with their shares, the largest first, without those below `LEAST_SHARE`."""
+    every, best = _admitted(every), _likeliest(every)
+    temperature = best.likelihood.rows_counted / len(best.likelihood.observations)
+    temperature *= best.model_error / MODEL_ERRORS[0]
+    evidence = np.array([one.log_evidence for one in every])
+    shares = np.array([PLAUSIBLE.get(one.structure, 1.0) for one in every])
+    if np.isfinite(best.log_evidence):
+        shares = shares * np.exp((evidence - best.log_evidence) / temperature)
+    shares /= shares.sum()
+    shares = np.where(shares < LEAST_SHARE, 0.0, shares)
+    shares /= shares.sum()
+    kept = [replace(one, share=float(share)) for one, share in zip(every, shares, strict=True) if share > 0]
+    return sorted(kept, key=lambda one: -one.share)
+
+
+def mixed_belief(
+    dataset: PushDataset,
+    every: Sequence[Explanation],
+    given: Sequence[Effect],
+    hypotheses: int,
+    seed: int,
+    report: Progress,
+) -> Belief:
+    """Randomised refits around several explanations, each with its share of the hypotheses.
+
+    Args:
+        dataset: whose pushes were fitted.
+        every: of `explain`.
+        given: effects that all laws have.
+        hypotheses: K.
+        seed: of the draws.
+        report: called with (stage, done, total).
+
+    Returns:
+        Hypotheses that carry the parameters of the given effects, then those of all that any law has, at
+        their nulls where their own has not.
+    """
+    every = every[:hypotheses]
+    shares = np.array([one.share for one in every]) / sum(one.share for one in every)
+    rng = np.random.default_rng(seed)
+    parts: list[tuple[Maps, tuple[Effect, ...]]] = []
+    probability: list[FloatArray] = []
+    kept: list[tuple[Explanation, float]] = []
+    done = 0
+    for one, count, share in zip(every, _counts(shares, hypotheses), shares, strict=True):
+        effects = one.likelihood.prior.slider.effects
+
+        def progress(made: int, total: int, done: int = done, count: int = count) -> None:
+            report("hypotheses", total * done + count * made, total * hypotheses)
+
+        done += count
+        try:
+            maps, weights = refits(one.ladder, count, rng, progress, keep_best=not parts)
+        except (RolloutError, np.linalg.LinAlgError):
+            # Refits lead to wilder maps than fits do; the others can do without this one.
+            continue
+        parts.append((maps, effects))
+        probability.append(share * weights)
+        kept.append((one, float(share)))
+    if not kept:
+        raise RolloutError("no law of friction could be fitted to the pushes weighted at random")
+    total = sum(share for _, share in kept)
+    of_laws = [e for e in LIBRARY if e not in given and any(e in effects for _, effects in parts)]
+    used = (*given, *of_laws)
+    carried = [_with_parameters(maps, effects, used) for maps, effects in parts]
+    likelihood = every[0].likelihood
+    own = likelihood.prior.slider
+    slider = Slider(own.grid, own.finger_radius, own.gravity, own.smoothing, effects=used)
+    names = ("mass", "mu", "mu_finger", "effects")
+    together = Maps(*(np.concatenate([getattr(maps, name) for maps in carried]) for name in names))
+    return Belief.learnt(
+        dataset,
+        slider,
+        together,
+        np.concatenate(probability) / total,
+        method="gauss-newton",
+        seed=seed,
+        trials=[observation.trial for observation in likelihood.observations],
+        settings={
+            **trusted(every[0].ladder),
+            "friction_laws": _by([(one.law, share / total) for one, share in kept]),
+            "structures": _by([(one.structure, share / total) for one, share in kept]),
+        },
+    )
+
+
+def _by(shares: Sequence[tuple[str, float]]) -> dict[str, float]:
+    """Sums of shares by name, the largest first."""
+    sums: dict[str, float] = {}
+    for name, share in shares:
+        sums[name] = sums.get(name, 0.0) + share
+    return dict(sorted(sums.items(), key=lambda item: -item[1]))
+
+
+def _with_parameters(maps: Maps, effects: Sequence[Effect], used: Sequence[Effect]) -> Maps:
+    """The maps with parameters of all used effects, at their nulls where they have none of their own."""
+    own = np.split(maps.effects, np.cumsum([len(effect.parameters) for effect in effects]), axis=1)
+    by_effect = dict(zip(effects, own, strict=False))
+    columns = [by_effect.get(effect, np.repeat(effect.nulls[None], len(maps), axis=0)) for effect in used]
+    return Maps(
+        maps.mass, maps.mu, maps.mu_finger, np.concatenate([np.zeros((len(maps), 0)), *columns], axis=1)
+    )
+
+
+def _counts(shares: FloatArray, hypotheses: int) -> list[int]:
+    """How many hypotheses each share gets, at least one; there are no more shares than hypotheses."""
+    counts = [max(1, int(share * hypotheses)) for share in shares]
+    while sum(counts) > hypotheses:
+        counts[int(np.argmax(counts))] -= 1
+    while sum(counts) < hypotheses:
+        behind = [share * hypotheses - count for share, count in zip(shares, counts, strict=True)]
+        counts[int(np.argmax(behind))] += 1
+    return counts
