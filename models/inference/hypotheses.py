@@ -100,7 +100,7 @@ def log_evidence(likelihood: Likelihood, found: Fits) -> float:
     return float(-found.cost[0] - 0.5 * maps + 0.5 * starts - likelihood.log_widths())
 
 
-_STRENGTHS = (0.8, 2.5)
+_STRENGTHS = (0.7, 1.4)
 """Range of the factor on the prior's map variation, drawn log-uniformly for each hypothesis, see
 `MapPrior.spreads`."""
 

@@ -25,7 +25,7 @@ import numpy as np
 from slipmap.models.effects.effect import Effect
 from slipmap.models.effects.library import LIBRARY
 from slipmap.models.inference.belief import Belief
-from slipmap.models.inference.friction_laws import combinations, effect_prior, name_of
+from slipmap.models.inference.friction_laws import PLAIN, combinations, effect_prior, name_of
 from slipmap.models.inference.gauss_newton import Fits
 from slipmap.models.inference.hypotheses import (
     MODEL_ERRORS,
@@ -128,56 +128,59 @@ def explain(
     given = () if found is None else found.effects
     structures = STRUCTURES if settings is None else {"own": settings}
     others = [] if plain_only else combinations(dataset, given)
-    total = len(structures) + len(others)
+    every: list[Explanation] = []
+    asked, total = 0, len(structures) + len(others) + (len(BOLD) if others else 0)
 
-    def prior_of(effects: Sequence[Effect], structure: str) -> MapPrior:
-        means, deviations = effect_prior(effects, dataset.height)
+    def ask(law: Sequence[Effect], structure: str) -> None:
+        """Fit from where the best so far of the law led, else from that of the plain one, else from uniform
+        objects."""
+        nonlocal asked
+        means, deviations = effect_prior(law, dataset.height)
         if found is not None:
             means = np.concatenate([found.values, means])
             deviations = np.concatenate([found.likelihood.prior.effect_scales, deviations])
-        slider = slider_for(dataset, (*given, *effects))
-        return MapPrior(slider, structures[structure], dataset.mass, effect_prior=(means, deviations))
-
-    def fitted(
-        effects: Sequence[Effect], structure: str, prior: MapPrior, starts: FloatArray, report: StageProgress
-    ) -> Explanation:
-        ladder = fit_with_trust(prior, observations, dataset.noise, starts, report)
+        slider = slider_for(dataset, (*given, *law))
+        prior = MapPrior(slider, structures[structure], dataset.mass, effect_prior=(means, deviations))
+        name, known = name_of(law), [one for one in every if one.law in (PLAIN, name_of(law))]
+        if known:
+            best = max(known, key=lambda one: (one.law == name, one.log_evidence)).maps
+            more = prior.effect_centers[best.effects.shape[1] :]
+            best = replace(best, effects=np.concatenate([best.effects, more[None]], axis=1))
+            starts = np.array([prior.start(float(best.mu_finger[0])), *prior.moved(best)])
+        else:
+            starts = np.array([prior.start(friction) for friction in _FINGER_STARTS])
+            if found is not None:
+                starts = np.concatenate([starts, prior.near(found.maps)])
+        own = part_of(progress, asked, total)
+        asked += 1
+        try:
+            ladder = fit_with_trust(prior, observations, dataset.noise, starts, own)
+        except (RolloutError, np.linalg.LinAlgError):
+            if not known:
+                raise
+            return
         likelihood, last = ladder[-1]
         evidence = log_evidence(likelihood, last) - float(np.log(likelihood.settings.model_error))
-        evidence = evidence if np.isfinite(evidence) else -np.inf
-        return Explanation(name_of(effects), structure, ladder, evidence)
+        every.append(Explanation(name, structure, ladder, evidence if np.isfinite(evidence) else -np.inf))
 
-    every: list[Explanation] = []
-    for place, structure in enumerate(structures):
-        if structure == "smooth":
-            if every[0].model_error > MODEL_ERRORS[0]:
-                continue
-            every.clear()
-        prior = prior_of((), structure)
-        starts = np.array([prior.start(friction) for friction in _FINGER_STARTS])
-        if found is not None:
-            starts = np.concatenate([starts, prior.near(found.maps)])
-        if every:
-            # By now the finger's friction is known.
-            likeliest = _likeliest(every).maps
-            starts = np.array([prior.start(float(likeliest.mu_finger[0])), *prior.moved(likeliest)])
-        try:
-            every.append(fitted((), structure, prior, starts, part_of(progress, place, total)))
-        except (RolloutError, np.linalg.LinAlgError):
-            if not every:
-                raise
-    best = _likeliest(every)
-    if best.model_error == MODEL_ERRORS[-1] and len(observations) > _MANY_PUSHES:
+    usual, *rest = structures
+    ask((), usual)
+    if "smooth" in rest:
+        if every[0].model_error == MODEL_ERRORS[0]:
+            ask((), "smooth")
+            del every[0]
+        rest.remove("smooth")
+    usual = every[0].structure
+    if every[0].model_error == MODEL_ERRORS[-1] and len(observations) > _MANY_PUSHES:
         # The other laws could not be told from the plain one, and would take long.
         others = []
-    for place, effects in enumerate(others, start=len(structures)):
-        prior = prior_of(effects, best.structure)
-        z = best.best.z
-        starts = np.concatenate([z, np.zeros((1, prior.size - z.shape[1]))], axis=1)
-        try:
-            every.append(fitted(effects, best.structure, prior, starts, part_of(progress, place, total)))
-        except (RolloutError, np.linalg.LinAlgError):
-            continue
+    for law in others:
+        ask(law, usual)
+    likeliest = _likeliest(every).law
+    for structure in rest:
+        for law in ((), *others):
+            if not law or name_of(law) == likeliest:
+                ask(law, structure)
     progress(1, 1)
     return shared_out(every)
 

@@ -1,23 +1,20 @@
-"""Pushes speak for the law of friction that made them, and a belief holds hypotheses of several."""
+"""Pushes speak for the law of friction and the structure of maps that made them; a belief holds several."""
 
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 
 from slipmap.models.effects import LIBRARY
 from slipmap.models.inference.belief import Belief
-from slipmap.models.inference.friction_laws import (
-    LEAST_SHARE,
-    TEMPERATURE,
-    Law,
-    _counts,
-    effect_prior,
-    shared_out,
-)
+from slipmap.models.inference.friction_laws import effect_prior
+from slipmap.models.inference.hypotheses import trusting
 from slipmap.models.inference.identification import identify
+from slipmap.models.inference.mixture import LEAST_SHARE, Explanation, _counts, shared_out
 from slipmap.models.measurements import PushDataset, read_dataset
 from slipmap.models.measurements.simulated import record_pushes
 from slipmap.models.physics.rollout import Maps, RolloutError, Slider
@@ -97,36 +94,95 @@ def test_two_hypotheses_follow_two_laws(recorded) -> None:  # type: ignore[no-un
 
 
 def test_a_law_that_cannot_be_refitted_is_left_out(recorded, monkeypatch) -> None:  # type: ignore[no-untyped-def]
-    from slipmap.models.inference import friction_laws as mixed_belief
+    from slipmap.models.inference import mixture
 
-    refits = mixed_belief.refits
+    refits = mixture.refits
 
-    def failing(ladder, *rest):  # type: ignore[no-untyped-def]
+    def failing(ladder, *rest, **options):  # type: ignore[no-untyped-def]
         if ladder[0][0].prior.slider.effects:
             raise RolloutError("model 0, push 0: not solved")
-        return refits(ladder, *rest)
+        return refits(ladder, *rest, **options)
 
-    monkeypatch.setattr(mixed_belief, "refits", failing)
+    monkeypatch.setattr(mixture, "refits", failing)
     found = identify(recorded.dataset.with_fit_pushes(1), hypotheses=6, friction_laws=True)
     assert found.friction_laws == {"plain": pytest.approx(1.0)}
     assert found.belief.effects == ()
     assert found.belief.probability.sum() == pytest.approx(1.0)
 
 
-def test_a_law_without_evidence_has_no_share() -> None:
-    laws = shared_out([Law("plain", [], 10.0, 1.0), Law("a", [], float("nan"), 1.0)])
-    assert [(law.name, law.share) for law in laws] == [("plain", 1.0)]
+def explained(
+    law: str, structure: str, evidence: float, alpha: float = 0.005, pushes: int = 10
+) -> Explanation:
+    """Pushes that count as five rows each."""
+    likelihood: Any = SimpleNamespace(
+        settings=trusting(alpha), observations=[None] * pushes, rows_counted=5.0 * pushes
+    )
+    return Explanation(law, structure, [(likelihood, None)], evidence)  # type: ignore[list-item]
+
+
+def shares(*every: Explanation) -> dict[str, float]:
+    return {f"{one.law} {one.structure}": one.share for one in shared_out(every)}
+
+
+def test_what_could_not_be_fitted_has_no_share() -> None:
+    assert shares(explained("plain", "own", 10.0), explained("a", "own", -np.inf)) == {"plain own": 1.0}
 
 
 def test_shares_follow_the_tempered_evidence() -> None:
-    laws = shared_out(
-        [Law("plain", [], 10.0, 1.0), Law("a", [], 14.0, 1.0), Law("b", [], 14.0 - 4 * TEMPERATURE, 1.0)]
+    found = shares(
+        explained("plain", "own", 10.0), explained("a", "own", 14.0), explained("b", "own", 14.0 - 20.0)
     )
-    assert [law.name for law in laws] == ["a", "plain"]
-    # The third, e^-4 of the first, is below the least share.
+    # T is 5; the third, e^-4 of the first, is below the least share.
     assert np.exp(-4) < LEAST_SHARE
-    assert laws[0].share == pytest.approx(1 / (1 + np.exp(-4.0 / TEMPERATURE)))
-    assert sum(law.share for law in laws) == pytest.approx(1.0)
+    assert list(found) == ["a own", "plain own"]
+    assert found["a own"] == pytest.approx(1 / (1 + np.exp(-4.0 / 5.0)))
+    assert sum(found.values()) == pytest.approx(1.0)
+
+
+def test_the_further_the_model_is_off_the_less_evidence_tells() -> None:
+    exact = shares(explained("plain", "own", 10.0), explained("a", "own", 14.0))
+    off = shares(explained("plain", "own", 10.0, 0.04), explained("a", "own", 14.0, 0.04))
+    assert off["a own"] == pytest.approx(1 / (1 + np.exp(-4.0 / 40.0))) < exact["a own"]
+
+
+def test_few_pushes_do_not_speak_for_wild_maps_that_merely_follow_them() -> None:
+    def of(pushes: int, alpha: float) -> dict[str, float]:
+        return shares(
+            explained("plain", "uneven", 10.0, 0.1, pushes),
+            explained("plain", "few points", 900.0, alpha, pushes),
+        )
+
+    assert of(5, 0.015) == {"plain uneven": 1.0}
+    assert of(5, 0.005) == {"plain few points": 1.0}
+    assert of(8, 0.015) == {"plain few points": 1.0}
+
+
+@pytest.mark.parametrize("structure", ["smooth", "few points"])
+def test_pushes_speak_for_the_structure_that_made_them(recorded, structure) -> None:  # type: ignore[no-untyped-def]
+    """An object that is even, and one that stands on three cells."""
+    rng = np.random.default_rng(3)
+    grid = recorded.slider.grid
+    n = len(grid)
+    mass = np.full((1, n), 1.0 / n)
+    if structure == "few points":
+        feet = [int(np.argmin(grid.centers @ d)) for d in ([1.0, 1.0], [-1.0, 0.2], [0.2, -1.0])]
+        mass[:] = 0.02 / n
+        mass[0, feet] = 0.98 / 3
+    truth = Maps(mass, np.full((1, n), 0.3), np.array([0.3]))
+    pushes = [c.push([0.0, 0.0, 0.3]) for c in candidate_pushes(grid, 0.006, rng, 14, length=(0.05, 0.1))]
+    dataset = record_pushes(recorded.slider, truth, pushes, rng, heldout=4, mass=1.0)
+    found = identify(dataset, friction_laws=False)
+    likeliest, share = next(iter(found.belief.settings["structures"].items()))
+    assert likeliest in ("smooth", "uniform") if structure == "smooth" else likeliest == structure
+    assert share > 0.5
+
+    def arm(load: np.ndarray) -> float:
+        center = load @ grid.centers / load.sum()
+        return float(load @ np.hypot(*(grid.centers - center).T) / load.sum())
+
+    fact = next(q for q in found.quantities if q.name.startswith("friction arm"))
+    assert fact.low <= arm(truth.mass[0]) <= fact.high
+    assert fact.high / fact.low < 1.3
 
 
 @pytest.mark.parametrize(
@@ -159,10 +215,10 @@ def test_the_authors_simulator_leans_and_loads_the_front(shared_data) -> None:  
         assert held.mean() < 0.5 * result.errors("heldout", "uniform_add").mean()
         assert held.mean() < 0.2 * result.errors("heldout", "no_motion_add").mean()
         errors.append(held.mean())
-    assert np.mean(errors) < 14e-3
-    assert np.mean(plain) < 0.2
+    assert np.mean(errors) < 12e-3
+    assert np.mean(plain) < 0.3
 
 
 def test_real_pushes_are_predicted_with_all_laws(shared_data) -> None:  # type: ignore[no-untyped-def]
     result = identify(read_dataset(shared_data / "real/cpush_square"), friction_laws=True)
-    assert result.errors("heldout").mean() < 8e-3
+    assert result.errors("heldout").mean() < 6e-3
