@@ -1,0 +1,436 @@
+"""Which cells the table carries, and with what load, where part of the object lies beyond the table's rim.
+
+Cells on air carry nothing, and the others carry all. On an elastic foundation that is as stiff under each cell
+as the cell is heavy, a rigid object sinks in by a plane a + b·r, and cell i carries
+
+    N_i = m_i g φ_i,    φ_i = s_i max(0, a + b·r_i),    Σ N_i = m g,    Σ N_i r_i = m g r_com,
+
+which are the conditions of the minimum of a convex function of a and b,
+
+    F = ½ Σ m_i s_i max(0, a + b·r_i)² - m (a + b·r_com) + ½ m (ε_a (a - 1)² + ε_b L² |b|²).
+
+All cells being supported, a = 1, b = 0 and N_i = m_i g. The share s_i of a cell over the table goes smoothly
+from 0 to 1 across the rim, s = t² (3 - 2t), t = ½ + d/W, with the distance d of the cell's centre to the rim and
+W = sqrt(5/3) w, for which a cell's share has the mean and the variance over d that the area of a square has,
+however it is turned. Two shares, across and along, are multiplied for a rectangular table.
+
+Where the supported cells cannot hold the centre of mass, the last term, else far too small to show, lets the
+loads gather on the cells about which the object tips: what is computed stays finite and continuous, but a body
+that tips moves otherwise. Its first step is on record, see `TIPS`.
+
+The loads are those at the begin of a step, so that each step keeps its own convex problem.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from slipmap.models.physics.compiled import compiled
+from slipmap.models.physics.friction import load_gradients
+from slipmap.models.physics.newton import LANES, plain_gradients
+
+BLUR = math.sqrt(5.0 / 3.0)
+"""W / w: over how many cell widths a cell's share goes from 0 to 1."""
+
+# ε_a and ε_b: with these a body that tips keeps its weight to a thousandth, and one that stays has moments
+# that are off by a millionth.
+_HOLD_SUM, _HOLD_MOMENTS = 1e-9, 1e-6
+# Share of the weight on cells that are taken to be in touch and are not, or the reverse, at the solution.
+_TOLERANCE = 1e-11
+_PLAIN_ROUNDS, _ROUNDS = 8, 100
+
+# Entries of `Rim.flags`.
+NEAR, TOUCHED, CHANGED = 0, 1, 2
+# Entries of `Rim.found`, and of a result's `rim`.
+TIPS, REACHED, FIRST_POSE, FIRST_FORCE = 0, 1, 2, 3
+RIM_RESULTS = 4
+"""Of a push: time from its start at which the object first tips, s, infinite if never; whether it came near the
+rim at all; the first pose and the first force that were wanted after that."""
+
+_FAST = {"reassoc", "contract", "arcp", "nsz", "nnan"}
+
+
+class Rim(NamedTuple):
+    """The table under one model in one push, and room for what follows from it; N is n, filled up.
+
+    Attributes:
+        top: centre (2), radius, half the sides (2), m; the radius is 0 for a rectangle, the sides for a disc.
+        reach: largest distance of a cell's centre from the object's origin, and W/2, m.
+        blur: W, m.
+        scale: L, m.
+        rx, ry, mass, plain: (N,) centres, m, masses, kg, and friction loads with all cells supported, N.
+        share, held: (N,) s_i and m_i s_i.
+        factor, load: (N,) φ_i and friction loads, N.
+        plane: (3,) a, b_x, b_y.
+        parts: (6,) of the matrix A of F's second derivatives: A_00, the rest of its first row over that (2), and
+            the inverse of what is left of the others (xx, xy, yy).
+        flags: (3,) whether cells may be beyond the rim in this step; in this push until now; whether the rows of
+            the Jacobian that hold the cells' centres were written over.
+        found: (RIM_RESULTS,).
+        ones: (N,).
+        by_pose: (3, N) derivatives of the shares by x, y, θ of the object; without columns if there is no
+            Jacobian, as all that follow.
+        by_load, total: (3, N) and (N,), see `load_gradients`; φ_i times the factors of effects.
+        lift: (3, 4) how the gradient changes with what a, b_x, b_y are solved for, and with the mass itself.
+    """
+
+    top: tuple[float, float, float, float, float]
+    reach: float
+    blur: float
+    scale: float
+    rx: NDArray[np.float64]
+    ry: NDArray[np.float64]
+    mass: NDArray[np.float64]
+    plain: NDArray[np.float64]
+    share: NDArray[np.float64]
+    held: NDArray[np.float64]
+    factor: NDArray[np.float64]
+    load: NDArray[np.float64]
+    plane: NDArray[np.float64]
+    parts: NDArray[np.float64]
+    flags: NDArray[np.int64]
+    found: NDArray[np.float64]
+    ones: NDArray[np.float64]
+    by_pose: NDArray[np.float64]
+    by_load: NDArray[np.float64]
+    total: NDArray[np.float64]
+    lift: NDArray[np.float64]
+
+
+@compiled()
+def rim_of(table, mass, cells, cell_width, size, derive):  # type: ignore[no-untyped-def]
+    """`Rim` of a model on a table (5,), its `top`; `mass` (n,), `cells` with all of them supported."""
+    N = cells.rx.shape[0]
+    M = N if derive else 0
+    blur = BLUR * cell_width
+    rows, more = np.zeros((6, N)), np.zeros((7, M))
+    reach2 = 0.0
+    for i in range(mass.shape[0]):
+        rows[0, i] = mass[i]
+        reach2 = max(reach2, cells.rx[i] * cells.rx[i] + cells.ry[i] * cells.ry[i])
+    rows[5] = 1.0
+    plane, found = np.zeros(3), np.zeros(RIM_RESULTS)
+    plane[0], found[TIPS] = 1.0, np.inf
+    top = (table[0], table[1], table[2], table[3], table[4])
+    return Rim(
+        top, math.sqrt(reach2) + 0.5 * blur, blur, size, cells.rx, cells.ry, rows[0], cells.load, rows[1],
+        rows[2], rows[3], rows[4], plane, np.zeros(6), np.zeros(3, np.int64), found, rows[5], more[:3], more[3:6],
+        more[6], np.zeros((3, 4)),
+    )  # fmt: skip
+
+
+@compiled(forceinline=True)
+def wholly_on(rim, x, y):  # type: ignore[no-untyped-def]
+    """Whether every cell of an object whose origin is at (x, y), world, is wholly supported however it lies."""
+    middle_x, middle_y, radius, half_x, half_y = rim.top
+    dx, dy = x - middle_x, y - middle_y
+    if radius > 0.0:
+        room = radius - rim.reach
+        return room > 0.0 and dx * dx + dy * dy <= room * room
+    return abs(dx) + rim.reach <= half_x and abs(dy) + rim.reach <= half_y
+
+
+@compiled(forceinline=True, fastmath={"contract"})
+def _beyond(rim, x, y):  # type: ignore[no-untyped-def]
+    """Whether the point (x, y), world, lies beyond the rim."""
+    middle_x, middle_y, radius, half_x, half_y = rim.top
+    dx, dy = x - middle_x, y - middle_y
+    if radius > 0.0:
+        return dx * dx + dy * dy > radius * radius
+    return abs(dx) > half_x or abs(dy) > half_y
+
+
+@compiled(fastmath=_FAST)
+def _set_shares(rim, x, y, cos, sin):  # type: ignore[no-untyped-def]
+    """Set the cells' shares and held masses with the object at a pose."""
+    middle_x, middle_y, radius, half_x, half_y = rim.top
+    dx, dy, per = x - middle_x, y - middle_y, 1.0 / rim.blur
+    rx, ry, mass, share, held = rim.rx, rim.ry, rim.mass, rim.share, rim.held
+    if radius > 0.0:
+        for i in range(rx.shape[0]):
+            px, py = dx + cos * rx[i] - sin * ry[i], dy + sin * rx[i] + cos * ry[i]
+            t = 0.5 + (radius - math.sqrt(px * px + py * py)) * per
+            t = min(max(t, 0.0), 1.0)
+            s = t * t * (3.0 - 2.0 * t)
+            share[i] = s
+            held[i] = mass[i] * s
+    else:
+        for i in range(rx.shape[0]):
+            px, py = dx + cos * rx[i] - sin * ry[i], dy + sin * rx[i] + cos * ry[i]
+            t = 0.5 + (half_x - abs(px)) * per
+            t = min(max(t, 0.0), 1.0)
+            u = 0.5 + (half_y - abs(py)) * per
+            u = min(max(u, 0.0), 1.0)
+            s = t * t * (3.0 - 2.0 * t) * u * u * (3.0 - 2.0 * u)
+            share[i] = s
+            held[i] = mass[i] * s
+
+
+@compiled(fastmath=_FAST)
+def _moments(held, rx, ry, a, bx, by):  # type: ignore[no-untyped-def]
+    """Sums of m_i s_i times 1, x, y, x², xy, y² over the cells in touch."""
+    w = wx = wy = wxx = wxy = wyy = 0.0
+    for i in range(held.shape[0]):
+        x, y = rx[i], ry[i]
+        m = held[i] if a + bx * x + by * y > 0.0 else 0.0
+        mx, my = m * x, m * y
+        w += m
+        wx += mx
+        wy += my
+        wxx += mx * x
+        wxy += mx * y
+        wyy += my * y
+    return w, wx, wy, wxx, wxy, wyy
+
+
+@compiled(forceinline=True)
+def _solved(parts, v0, v1, v2):  # type: ignore[no-untyped-def]
+    """A⁻¹ (v_0, v_1, v_2), by the parts of A."""
+    q1, q2 = v1 - parts[1] * v0, v2 - parts[2] * v0
+    bx, by = parts[3] * q1 + parts[4] * q2, parts[4] * q1 + parts[5] * q2
+    return v0 / parts[0] - parts[1] * bx - parts[2] * by, bx, by
+
+
+@compiled()
+def _next_plane(rim, body):  # type: ignore[no-untyped-def]
+    """Where F were least if the cells in touch stayed the same: a, b_x, b_y; sets the parts of A."""
+    m, sx, sy = body[0], body[1], body[2]
+    plane, parts = rim.plane, rim.parts
+    w, wx, wy, wxx, wxy, wyy = _moments(rim.held, rim.rx, rim.ry, plane[0], plane[1], plane[2])
+    w += _HOLD_SUM * m
+    ux, uy = wx / w, wy / w
+    hold = _HOLD_MOMENTS * m * rim.scale * rim.scale
+    xx, xy, yy = wxx - ux * wx + hold, wxy - ux * wy, wyy - uy * wy + hold
+    scale = 1.0 / (xx * yy - xy * xy)
+    parts[0], parts[1], parts[2] = w, ux, uy
+    parts[3], parts[4], parts[5] = yy * scale, -xy * scale, xx * scale
+    return _solved(parts, m + _HOLD_SUM * m, sx, sy)
+
+
+@compiled(fastmath=_FAST)
+def _set_loads(rim, a, bx, by):  # type: ignore[no-untyped-def]
+    """Set factors and loads at a new plane; the weight, over g, on cells that the old one had wrong, kg."""
+    rx, ry, share, held, plain = rim.rx, rim.ry, rim.share, rim.held, rim.plain
+    factor, load = rim.factor, rim.load
+    old_a, old_x, old_y = rim.plane[0], rim.plane[1], rim.plane[2]
+    wrong = 0.0
+    for i in range(rx.shape[0]):
+        x, y = rx[i], ry[i]
+        depth = a + bx * x + by * y
+        pressed = max(depth, 0.0)
+        taken = depth if old_a + old_x * x + old_y * y > 0.0 else 0.0
+        wrong += held[i] * abs(pressed - taken)
+        factor[i] = share[i] * pressed
+        load[i] = plain[i] * share[i] * pressed
+    return wrong
+
+
+@compiled(fastmath=_FAST)
+def _slope(rim, body, d, t):  # type: ignore[no-untyped-def]
+    """Derivative of F along d (3), at the plane and t times d."""
+    m, hold = body[0], _HOLD_MOMENTS * body[0] * rim.scale * rim.scale
+    a, bx, by = rim.plane[0] + t * d[0], rim.plane[1] + t * d[1], rim.plane[2] + t * d[2]
+    slope = (_HOLD_SUM * (a - 1.0) - 1.0) * m * d[0] + (hold * bx - body[1]) * d[1] + (hold * by - body[2]) * d[2]
+    for i in range(rim.rx.shape[0]):
+        pressed = rim.held[i] * max(a + bx * rim.rx[i] + by * rim.ry[i], 0.0)
+        slope += pressed * (d[0] + d[1] * rim.rx[i] + d[2] * rim.ry[i])
+    return slope
+
+
+@compiled()
+def spread_loads(rim, body, x, y, cos, sin):  # type: ignore[no-untyped-def]
+    """Set the loads of an object with inertia m, s_x, s_y, J at a pose.
+
+    Newton's method, from the last plane: as F is quadratic while the same cells stay in touch, one round is
+    enough where these are right. Where full steps do not settle they are shortened to where F is least.
+    """
+    _set_shares(rim, x, y, cos, sin)
+    plane = rim.plane
+    for attempt in range(_ROUNDS):
+        a, bx, by = _next_plane(rim, body)
+        if attempt >= _PLAIN_ROUNDS:
+            d = (a - plane[0], bx - plane[1], by - plane[2])
+            begin = _slope(rim, body, d, 0.0)
+            low, high = 0.0, 1.0
+            if begin < 0.0 and _slope(rim, body, d, 1.0) > -1e-3 * begin:
+                while high - low > 1e-6:
+                    t = 0.5 * (low + high)
+                    if _slope(rim, body, d, t) > 0.0:
+                        high = t
+                    else:
+                        low = t
+                a, bx, by = plane[0] + high * d[0], plane[1] + high * d[1], plane[2] + high * d[2]
+                _set_loads(rim, a, bx, by)
+                plane[0], plane[1], plane[2] = a, bx, by
+                continue
+        wrong = _set_loads(rim, a, bx, by)
+        plane[0], plane[1], plane[2] = a, bx, by
+        if wrong <= _TOLERANCE * body[0]:
+            break
+
+
+@compiled()
+def note_tipping(rim, body, x, y, cos, sin, cell_width, time):  # type: ignore[no-untyped-def]
+    """Keep the time at which the object first tips, after `spread_loads`.
+
+    It does where its centre of mass lies beyond the rim: a table is convex. Over the table it does where the
+    cells in touch miss the centre of mass by more than half a cell, as they can under a concave object.
+    """
+    if rim.found[TIPS] < np.inf:
+        return
+    cx, cy = body[1] / body[0], body[2] / body[0]
+    a, bx, by = rim.plane[0], rim.plane[1], rim.plane[2]
+    lever = _HOLD_MOMENTS * rim.scale * rim.scale * math.hypot(bx, by)
+    beyond = _beyond(rim, x + cos * cx - sin * cy, y + sin * cx + cos * cy)
+    if beyond or lever > 0.5 * cell_width or _HOLD_SUM * a > 0.5:
+        rim.found[TIPS] = time
+
+
+@compiled(fastmath=_FAST)
+def set_share_slopes(rim, x, y, cos, sin):  # type: ignore[no-untyped-def]
+    """Set the derivatives of the shares by the pose."""
+    middle_x, middle_y, radius, half_x, half_y = rim.top
+    dx, dy, per = x - middle_x, y - middle_y, 1.0 / rim.blur
+    rx, ry, by_x, by_y, by_turn = rim.rx, rim.ry, rim.by_pose[0], rim.by_pose[1], rim.by_pose[2]
+    for i in range(rx.shape[0]):
+        arm_x, arm_y = cos * rx[i] - sin * ry[i], sin * rx[i] + cos * ry[i]
+        px, py = dx + arm_x, dy + arm_y
+        if radius > 0.0:
+            distance = math.sqrt(px * px + py * py)
+            t = 0.5 + (radius - distance) * per
+            t = min(max(t, 0.0), 1.0)
+            slope = -6.0 * t * (1.0 - t) * per / max(distance, 1e-12)
+            gx, gy = slope * px, slope * py
+        else:
+            t = 0.5 + (half_x - abs(px)) * per
+            t = min(max(t, 0.0), 1.0)
+            u = 0.5 + (half_y - abs(py)) * per
+            u = min(max(u, 0.0), 1.0)
+            gx = -6.0 * t * (1.0 - t) * per * u * u * (3.0 - 2.0 * u)
+            gy = -6.0 * u * (1.0 - u) * per * t * t * (3.0 - 2.0 * t)
+            gx, gy = (gx if px > 0.0 else -gx), (gy if py > 0.0 else -gy)
+        by_x[i] = gx
+        by_y[i] = gy
+        by_turn[i] = gy * arm_x - gx * arm_y
+
+
+@compiled(forceinline=True)
+def set_gradients(rim, effects, cells, v):  # type: ignore[no-untyped-def]
+    """Set the derivatives of friction's gradient by the cells' loads at the twist v."""
+    if effects is None:
+        plain_gradients(cells, v, rim.by_load)
+    else:
+        load_gradients(cells, v, rim.by_load)
+
+
+@compiled(fastmath=_FAST)
+def _lift(rim, weight, row):  # type: ignore[no-untyped-def]
+    """Σ weight_i f_i s_i n_i (1, x, y) over the cells in touch, n being a row of by_load (N,)."""
+    a, bx, by = rim.plane[0], rim.plane[1], rim.plane[2]
+    rx, ry, plain, share = rim.rx, rim.ry, rim.plain, rim.share
+    w = wx = wy = 0.0
+    for i in range(rx.shape[0]):
+        x, y = rx[i], ry[i]
+        k = weight[i] * plain[i] * share[i] * row[i] if a + bx * x + by * y > 0.0 else 0.0
+        w += k
+        wx += k * x
+        wy += k * y
+    return w, wx, wy
+
+
+@compiled(fastmath=_FAST)
+def _by_shares(rim, weight, row, shares):  # type: ignore[no-untyped-def]
+    """Σ weight_i f_i p_i n_i s'_i with p = max(0, a + b·r), for shares' slopes (N,)."""
+    a, bx, by = rim.plane[0], rim.plane[1], rim.plane[2]
+    rx, ry, plain = rim.rx, rim.ry, rim.plain
+    total = 0.0
+    for i in range(rx.shape[0]):
+        pressed = max(a + bx * rx[i] + by * ry[i], 0.0)
+        total += weight[i] * plain[i] * row[i] * pressed * shares[i]
+    return total
+
+
+@compiled(fastmath=_FAST)
+def _pull(rim, shares):  # type: ignore[no-untyped-def]
+    """Σ m_i p_i s'_i (1, x, y) with p = max(0, a + b·r), for shares' slopes (N,)."""
+    a, bx, by = rim.plane[0], rim.plane[1], rim.plane[2]
+    rx, ry, mass = rim.rx, rim.ry, rim.mass
+    w = wx = wy = 0.0
+    for i in range(rx.shape[0]):
+        x, y = rx[i], ry[i]
+        k = mass[i] * max(a + bx * x + by * y, 0.0) * shares[i]
+        w += k
+        wx += k * x
+        wy += k * y
+    return w, wx, wy
+
+
+@compiled()
+def add_share_slopes(rim, weight, h, state):  # type: ignore[no-untyped-def]
+    """Add to `Slopes.state` what the pose does through the loads; sets `lift` and `total`.
+
+    With W = h Σ weight_i f_i s_i n_i (1, r_i)ᵀ over the cells in touch, n_i being the gradient by the load, and
+    p_i = max(0, a + b·r_i), the step's gradient changes with the shares by
+
+        h Σ weight_i f_i p_i n_i ds_i - W A⁻¹ Σ m_i p_i (1, r_i) ds_i,
+
+    and with the mass of cell i, the friction loads m_i mu_i g being held, by W A⁻¹ ((1 - φ_i) (1, r_i) - e) with
+    e = (ε_a (a - 1), ε_b L² b).
+
+    Args:
+        rim: `Rim`, its `by_load` and `by_pose` set.
+        weight: (N,) factors of effects on the loads.
+        h: step, s.
+        state: that of `Slopes`.
+    """
+    parts, plane, lift = rim.parts, rim.plane, rim.lift
+    hold = _HOLD_MOMENTS * rim.scale * rim.scale
+    for i in range(rim.total.shape[0]):
+        rim.total[i] = weight[i] * rim.factor[i]
+    for a in range(3):
+        w, wx, wy = _lift(rim, weight, rim.by_load[a])
+        m0, m1, m2 = _solved(parts, h * w, h * wx, h * wy)
+        lift[a, 0], lift[a, 1], lift[a, 2] = m0, m1, m2
+        lift[a, 3] = m0 * _HOLD_SUM * (plane[0] - 1.0) + hold * (m1 * plane[1] + m2 * plane[2])
+    for k in range(3):
+        q, qx, qy = _pull(rim, rim.by_pose[k])
+        for a in range(3):
+            change = h * _by_shares(rim, weight, rim.by_load[a], rim.by_pose[k])
+            state[a, k] += change - lift[a, 0] * q - lift[a, 1] * qx - lift[a, 2] * qy
+
+
+@compiled(forceinline=True)
+def thin_drag(rim, drag):  # type: ignore[no-untyped-def]
+    """Drag (n,) acts on the supported share of a cell alone."""
+    if rim is not None and rim.flags[NEAR] != 0:
+        for i in range(drag.shape[0]):
+            drag[i] *= rim.share[i]
+
+
+@compiled(forceinline=True)
+def add_drag_slopes(rim, drag, by_drag, state):  # type: ignore[no-untyped-def]
+    """Add what the pose does through the drag's shares, and let by_drag (3, n) be by drag on whole cells."""
+    if rim is not None and rim.flags[NEAR] != 0:
+        for a in range(3):
+            for i in range(drag.shape[0]):
+                share = rim.share[i]
+                if share > 0.0:
+                    for k in range(3):
+                        state[a, k] += by_drag[a, i] * drag[i] / share * rim.by_pose[k, i]
+                by_drag[a, i] *= share
+
+
+@compiled(fastmath={"contract"})
+def mass_slopes(rim, block, first):  # type: ignore[no-untyped-def]
+    """Set three rows (3 * LANES,) to the gradient's derivatives by the masses of cells from `first` on."""
+    near = rim.flags[NEAR] != 0
+    for a in range(3):
+        m0, m1, m2, e = rim.lift[a, 0], rim.lift[a, 1], rim.lift[a, 2], rim.lift[a, 3]
+        for lane in range(LANES):
+            i = first + lane
+            slope = (1.0 - rim.factor[i]) * (m0 + m1 * rim.rx[i] + m2 * rim.ry[i]) - e
+            block[a * LANES + lane] = slope if near else 0.0
