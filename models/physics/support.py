@@ -12,7 +12,8 @@ which are the conditions of the minimum of a convex function of a and b,
 All cells being supported, a = 1, b = 0 and N_i = m_i g. The share s_i of a cell over the table goes smoothly
 from 0 to 1 across the rim, s = t² (3 - 2t), t = ½ + d/W, with the distance d of the cell's centre to the rim and
 W = sqrt(5/3) w, for which a cell's share has the mean and the variance over d that the area of a square has,
-however it is turned. Two shares, across and along, are multiplied for a rectangular table.
+however it is turned. The shares of both directions are multiplied for a rectangular table; for a round one of
+radius R, d = (R² - ρ²) / 2R at a distance ρ from its middle.
 
 Where the supported cells cannot hold the centre of mass, the last term, else far too small to show, lets the
 loads gather on the cells about which the object tips: what is computed stays finite and continuous, but a body
@@ -59,13 +60,16 @@ class Rim(NamedTuple):
 
     Attributes:
         top: centre (2), radius, half the sides (2), m; the radius is 0 for a rectangle, the sides for a disc.
-        reach: largest distance of a cell's centre from the object's origin, and W/2, m.
+        room: distance of the object's origin from the middle of a round table up to which all cells are wholly
+            supported however it lies, m; for a rectangular one that distance from the sides, negative.
         blur: W, m.
         scale: L, m.
+        center: of mass, object frame, m.
         rx, ry, mass, plain: (N,) centres, m, masses, kg, and friction loads with all cells supported, N.
         share, held: (N,) s_i and m_i s_i.
         factor, load: (N,) φ_i and friction loads, N.
         plane: (3,) a, b_x, b_y.
+        at: (4,) pose that they belong to: x, y, cosine and sine.
         parts: (6,) of the matrix A of F's second derivatives: A_00, the rest of its first row over that (2), and
             the inverse of what is left of the others (xx, xy, yy).
         flags: (3,) whether cells may be beyond the rim in this step; in this push until now; whether the rows of
@@ -74,14 +78,17 @@ class Rim(NamedTuple):
         ones: (N,).
         by_pose: (3, N) derivatives of the shares by x, y, θ of the object; without columns if there is no
             Jacobian, as all that follow.
-        by_load, total: (3, N) and (N,), see `load_gradients`; φ_i times the factors of effects.
-        lift: (3, 4) how the gradient changes with what a, b_x, b_y are solved for, and with the mass itself.
+        by_load: (3, N) see `load_gradients`.
+        total, moving, pressing: (N,), (N,) and (2, N), see `_weigh`.
+        lift: (3, 4) how the gradient changes with what a, b_x, b_y are solved for, and with the mass itself;
+            zero while no cells are beyond the rim.
     """
 
     top: tuple[float, float, float, float, float]
-    reach: float
+    room: float
     blur: float
     scale: float
+    center: tuple[float, float]
     rx: NDArray[np.float64]
     ry: NDArray[np.float64]
     mass: NDArray[np.float64]
@@ -91,6 +98,7 @@ class Rim(NamedTuple):
     factor: NDArray[np.float64]
     load: NDArray[np.float64]
     plane: NDArray[np.float64]
+    at: NDArray[np.float64]
     parts: NDArray[np.float64]
     flags: NDArray[np.int64]
     found: NDArray[np.float64]
@@ -98,28 +106,43 @@ class Rim(NamedTuple):
     by_pose: NDArray[np.float64]
     by_load: NDArray[np.float64]
     total: NDArray[np.float64]
+    moving: NDArray[np.float64]
+    pressing: NDArray[np.float64]
     lift: NDArray[np.float64]
 
 
 @compiled()
-def rim_of(table, mass, cells, cell_width, size, derive):  # type: ignore[no-untyped-def]
-    """`Rim` of a model on a table (5,), its `top`; `mass` (n,), `cells` with all of them supported."""
+def rim_of(table, mass, body, cells, cell_width, size, derive):  # type: ignore[no-untyped-def]
+    """`Rim` of a model on a table (5,), its `top`.
+
+    Args:
+        table: (5,).
+        mass: (n,).
+        body: m, s_x, s_y, J.
+        cells: with all of them supported.
+        cell_width, size: m.
+        derive: whether derivatives will be asked for.
+    """
     N = cells.rx.shape[0]
-    M = N if derive else 0
-    blur = BLUR * cell_width
-    rows, more = np.zeros((6, N)), np.zeros((7, M))
+    rows, more = np.zeros((6, N)), np.zeros((10, N if derive else 0))
+    numbers = np.zeros(13)
     reach2 = 0.0
     for i in range(mass.shape[0]):
         rows[0, i] = mass[i]
         reach2 = max(reach2, cells.rx[i] * cells.rx[i] + cells.ry[i] * cells.ry[i])
-    rows[5] = 1.0
-    plane, found = np.zeros(3), np.zeros(RIM_RESULTS)
-    plane[0], found[TIPS] = 1.0, np.inf
+    for i in range(N):
+        rows[5, i] = 1.0
+    found = np.zeros(RIM_RESULTS)
+    numbers[0], numbers[3], found[TIPS] = 1.0, math.nan, math.inf
     top = (table[0], table[1], table[2], table[3], table[4])
+    reach, blur, radius = math.sqrt(reach2), BLUR * cell_width, table[2]
+    # As (R² - ρ²) / 2R is to be W/2 for the farthest cell.
+    room = math.sqrt(max(radius * (radius - blur), 0.0)) - reach if radius > 0.0 else -reach - 0.5 * blur
+    center = (body[1] / body[0], body[2] / body[0])
     return Rim(
-        top, math.sqrt(reach2) + 0.5 * blur, blur, size, cells.rx, cells.ry, rows[0], cells.load, rows[1],
-        rows[2], rows[3], rows[4], plane, np.zeros(6), np.zeros(3, np.int64), found, rows[5], more[:3], more[3:6],
-        more[6], np.zeros((3, 4)),
+        top, room, blur, size, center, cells.rx, cells.ry, rows[0], cells.load, rows[1],
+        rows[2], rows[3], rows[4], numbers[:3], numbers[3:7], numbers[7:], np.zeros(3, np.int64), found, rows[5],
+        more[:3], more[3:6], more[6], more[7], more[8:], np.zeros((3, 4)),
     )  # fmt: skip
 
 
@@ -127,50 +150,50 @@ def rim_of(table, mass, cells, cell_width, size, derive):  # type: ignore[no-unt
 def wholly_on(rim, x, y):  # type: ignore[no-untyped-def]
     """Whether every cell of an object whose origin is at (x, y), world, is wholly supported however it lies."""
     middle_x, middle_y, radius, half_x, half_y = rim.top
-    dx, dy = x - middle_x, y - middle_y
+    dx, dy, room = x - middle_x, y - middle_y, rim.room
     if radius > 0.0:
-        room = radius - rim.reach
         return room > 0.0 and dx * dx + dy * dy <= room * room
-    return abs(dx) + rim.reach <= half_x and abs(dy) + rim.reach <= half_y
+    return abs(dx) <= half_x + room and abs(dy) <= half_y + room
 
 
 @compiled(forceinline=True, fastmath={"contract"})
-def _beyond(rim, x, y):  # type: ignore[no-untyped-def]
+def _beyond(top, x, y):  # type: ignore[no-untyped-def]
     """Whether the point (x, y), world, lies beyond the rim."""
-    middle_x, middle_y, radius, half_x, half_y = rim.top
+    middle_x, middle_y, radius, half_x, half_y = top
     dx, dy = x - middle_x, y - middle_y
     if radius > 0.0:
         return dx * dx + dy * dy > radius * radius
     return abs(dx) > half_x or abs(dy) > half_y
 
 
-@compiled(fastmath=_FAST)
-def _set_shares(rim, x, y, cos, sin):  # type: ignore[no-untyped-def]
-    """Set the cells' shares and held masses with the object at a pose."""
-    middle_x, middle_y, radius, half_x, half_y = rim.top
-    dx, dy, per = x - middle_x, y - middle_y, 1.0 / rim.blur
-    rx, ry, mass, share, held = rim.rx, rim.ry, rim.mass, rim.share, rim.held
+@compiled(forceinline=True, fastmath=_FAST)
+def _set_shares(top, blur, pose, rx, ry, mass, share, held):  # type: ignore[no-untyped-def]
+    """Set the cells' shares and held masses with the object at a pose: x, y, cosine and sine."""
+    middle_x, middle_y, radius, half_x, half_y = top
+    x, y, cos, sin = pose
+    dx, dy = x - middle_x, y - middle_y
     if radius > 0.0:
+        per = 0.5 / (radius * blur)
+        begin = 0.5 + radius * radius * per
         for i in range(rx.shape[0]):
             px, py = dx + cos * rx[i] - sin * ry[i], dy + sin * rx[i] + cos * ry[i]
-            t = 0.5 + (radius - math.sqrt(px * px + py * py)) * per
-            t = min(max(t, 0.0), 1.0)
+            t = min(max(begin - (px * px + py * py) * per, 0.0), 1.0)
             s = t * t * (3.0 - 2.0 * t)
             share[i] = s
             held[i] = mass[i] * s
     else:
+        per = 1.0 / blur
+        begin_x, begin_y = 0.5 + half_x * per, 0.5 + half_y * per
         for i in range(rx.shape[0]):
             px, py = dx + cos * rx[i] - sin * ry[i], dy + sin * rx[i] + cos * ry[i]
-            t = 0.5 + (half_x - abs(px)) * per
-            t = min(max(t, 0.0), 1.0)
-            u = 0.5 + (half_y - abs(py)) * per
-            u = min(max(u, 0.0), 1.0)
+            t = min(max(begin_x - abs(px) * per, 0.0), 1.0)
+            u = min(max(begin_y - abs(py) * per, 0.0), 1.0)
             s = t * t * (3.0 - 2.0 * t) * u * u * (3.0 - 2.0 * u)
             share[i] = s
             held[i] = mass[i] * s
 
 
-@compiled(fastmath=_FAST)
+@compiled(forceinline=True, fastmath=_FAST)
 def _moments(held, rx, ry, a, bx, by):  # type: ignore[no-untyped-def]
     """Sums of m_i s_i times 1, x, y, x², xy, y² over the cells in touch."""
     w = wx = wy = wxx = wxy = wyy = 0.0
@@ -195,28 +218,27 @@ def _solved(parts, v0, v1, v2):  # type: ignore[no-untyped-def]
     return v0 / parts[0] - parts[1] * bx - parts[2] * by, bx, by
 
 
-@compiled()
-def _next_plane(rim, body):  # type: ignore[no-untyped-def]
+@compiled(forceinline=True)
+def _next_plane(held, rx, ry, plane, parts, body, scale):  # type: ignore[no-untyped-def]
     """Where F were least if the cells in touch stayed the same: a, b_x, b_y; sets the parts of A."""
     m, sx, sy = body[0], body[1], body[2]
-    plane, parts = rim.plane, rim.parts
-    w, wx, wy, wxx, wxy, wyy = _moments(rim.held, rim.rx, rim.ry, plane[0], plane[1], plane[2])
+    w, wx, wy, wxx, wxy, wyy = _moments(held, rx, ry, plane[0], plane[1], plane[2])
     w += _HOLD_SUM * m
-    ux, uy = wx / w, wy / w
-    hold = _HOLD_MOMENTS * m * rim.scale * rim.scale
+    per = 1.0 / w
+    ux, uy = wx * per, wy * per
+    hold = _HOLD_MOMENTS * m * scale * scale
     xx, xy, yy = wxx - ux * wx + hold, wxy - ux * wy, wyy - uy * wy + hold
-    scale = 1.0 / (xx * yy - xy * xy)
+    inverse = 1.0 / (xx * yy - xy * xy)
     parts[0], parts[1], parts[2] = w, ux, uy
-    parts[3], parts[4], parts[5] = yy * scale, -xy * scale, xx * scale
+    parts[3], parts[4], parts[5] = yy * inverse, -xy * inverse, xx * inverse
     return _solved(parts, m + _HOLD_SUM * m, sx, sy)
 
 
-@compiled(fastmath=_FAST)
-def _set_loads(rim, a, bx, by):  # type: ignore[no-untyped-def]
+@compiled(forceinline=True, fastmath=_FAST)
+def _set_loads(rx, ry, share, held, plain, factor, load, plane, new):  # type: ignore[no-untyped-def]
     """Set factors and loads at a new plane; the weight, over g, on cells that the old one had wrong, kg."""
-    rx, ry, share, held, plain = rim.rx, rim.ry, rim.share, rim.held, rim.plain
-    factor, load = rim.factor, rim.load
-    old_a, old_x, old_y = rim.plane[0], rim.plane[1], rim.plane[2]
+    a, bx, by = new
+    old_a, old_x, old_y = plane[0], plane[1], plane[2]
     wrong = 0.0
     for i in range(rx.shape[0]):
         x, y = rx[i], ry[i]
@@ -224,98 +246,123 @@ def _set_loads(rim, a, bx, by):  # type: ignore[no-untyped-def]
         pressed = max(depth, 0.0)
         taken = depth if old_a + old_x * x + old_y * y > 0.0 else 0.0
         wrong += held[i] * abs(pressed - taken)
-        factor[i] = share[i] * pressed
-        load[i] = plain[i] * share[i] * pressed
+        carried = share[i] * pressed
+        factor[i] = carried
+        load[i] = plain[i] * carried
+    plane[0], plane[1], plane[2] = a, bx, by
     return wrong
 
 
 @compiled(fastmath=_FAST)
-def _slope(rim, body, d, t):  # type: ignore[no-untyped-def]
-    """Derivative of F along d (3), at the plane and t times d."""
-    m, hold = body[0], _HOLD_MOMENTS * body[0] * rim.scale * rim.scale
-    a, bx, by = rim.plane[0] + t * d[0], rim.plane[1] + t * d[1], rim.plane[2] + t * d[2]
+def _slope(held, rx, ry, plane, body, hold, d, t):  # type: ignore[no-untyped-def]
+    """Derivative of F along d (3), at the plane and t times d; `hold` is ε_b L² m."""
+    m = body[0]
+    a, bx, by = plane[0] + t * d[0], plane[1] + t * d[1], plane[2] + t * d[2]
     slope = (_HOLD_SUM * (a - 1.0) - 1.0) * m * d[0] + (hold * bx - body[1]) * d[1] + (hold * by - body[2]) * d[2]
-    for i in range(rim.rx.shape[0]):
-        pressed = rim.held[i] * max(a + bx * rim.rx[i] + by * rim.ry[i], 0.0)
-        slope += pressed * (d[0] + d[1] * rim.rx[i] + d[2] * rim.ry[i])
+    for i in range(rx.shape[0]):
+        slope += held[i] * max(a + bx * rx[i] + by * ry[i], 0.0) * (d[0] + d[1] * rx[i] + d[2] * ry[i])
     return slope
 
 
 @compiled()
+def _settle(held, rx, ry, plane, parts, body, scale):  # type: ignore[no-untyped-def]
+    """Newton's method with steps that go no farther than to where F is least on their way."""
+    hold = _HOLD_MOMENTS * body[0] * scale * scale
+    for _ in range(_ROUNDS):
+        new = _next_plane(held, rx, ry, plane, parts, body, scale)
+        d = (new[0] - plane[0], new[1] - plane[1], new[2] - plane[2])
+        begin = _slope(held, rx, ry, plane, body, hold, d, 0.0)
+        if not -begin > 1e-24 * body[0]:
+            break
+        low, high = 0.0, 1.0
+        if _slope(held, rx, ry, plane, body, hold, d, 1.0) > -1e-6 * begin:
+            while high - low > 1e-9:
+                t = 0.5 * (low + high)
+                if _slope(held, rx, ry, plane, body, hold, d, t) > 0.0:
+                    high = t
+                else:
+                    low = t
+        plane[0], plane[1], plane[2] = plane[0] + high * d[0], plane[1] + high * d[1], plane[2] + high * d[2]
+
+
+@compiled(forceinline=True)
 def spread_loads(rim, body, x, y, cos, sin):  # type: ignore[no-untyped-def]
     """Set the loads of an object with inertia m, s_x, s_y, J at a pose.
 
     Newton's method, from the last plane: as F is quadratic while the same cells stay in touch, one round is
-    enough where these are right. Where full steps do not settle they are shortened to where F is least.
+    enough where these are right. An object that has not moved keeps its loads.
     """
-    _set_shares(rim, x, y, cos, sin)
-    plane = rim.plane
-    for attempt in range(_ROUNDS):
-        a, bx, by = _next_plane(rim, body)
-        if attempt >= _PLAIN_ROUNDS:
-            d = (a - plane[0], bx - plane[1], by - plane[2])
-            begin = _slope(rim, body, d, 0.0)
-            low, high = 0.0, 1.0
-            if begin < 0.0 and _slope(rim, body, d, 1.0) > -1e-3 * begin:
-                while high - low > 1e-6:
-                    t = 0.5 * (low + high)
-                    if _slope(rim, body, d, t) > 0.0:
-                        high = t
-                    else:
-                        low = t
-                a, bx, by = plane[0] + high * d[0], plane[1] + high * d[1], plane[2] + high * d[2]
-                _set_loads(rim, a, bx, by)
-                plane[0], plane[1], plane[2] = a, bx, by
-                continue
-        wrong = _set_loads(rim, a, bx, by)
-        plane[0], plane[1], plane[2] = a, bx, by
-        if wrong <= _TOLERANCE * body[0]:
-            break
+    rx, ry, share, held, plane, parts, at = rim.rx, rim.ry, rim.share, rim.held, rim.plane, rim.parts, rim.at
+    if at[0] == x and at[1] == y and at[2] == cos and at[3] == sin:
+        return
+    at[0], at[1], at[2], at[3] = x, y, cos, sin
+    _set_shares(rim.top, rim.blur, (x, y, cos, sin), rx, ry, rim.mass, share, held)
+    wrong, attempt = math.inf, 0
+    while wrong > _TOLERANCE * body[0] and attempt < _PLAIN_ROUNDS + 2:
+        if attempt == _PLAIN_ROUNDS:
+            _settle(held, rx, ry, plane, parts, body, rim.scale)
+        new = _next_plane(held, rx, ry, plane, parts, body, rim.scale)
+        wrong = _set_loads(rx, ry, share, held, rim.plain, rim.factor, rim.load, plane, new)
+        attempt += 1
 
 
-@compiled()
-def note_tipping(rim, body, x, y, cos, sin, cell_width, time):  # type: ignore[no-untyped-def]
+@compiled(forceinline=True)
+def note_tipping(rim, x, y, cos, sin, cell_width, time):  # type: ignore[no-untyped-def]
     """Keep the time at which the object first tips, after `spread_loads`.
 
     It does where its centre of mass lies beyond the rim: a table is convex. Over the table it does where the
     cells in touch miss the centre of mass by more than half a cell, as they can under a concave object.
     """
-    if rim.found[TIPS] < np.inf:
+    if rim.found[TIPS] < math.inf:
         return
-    cx, cy = body[1] / body[0], body[2] / body[0]
+    cx, cy = rim.center
     a, bx, by = rim.plane[0], rim.plane[1], rim.plane[2]
-    lever = _HOLD_MOMENTS * rim.scale * rim.scale * math.hypot(bx, by)
-    beyond = _beyond(rim, x + cos * cx - sin * cy, y + sin * cx + cos * cy)
-    if beyond or lever > 0.5 * cell_width or _HOLD_SUM * a > 0.5:
+    hold = _HOLD_MOMENTS * rim.scale * rim.scale
+    beyond = _beyond(rim.top, x + cos * cx - sin * cy, y + sin * cx + cos * cy)
+    lever2 = hold * hold * (bx * bx + by * by)
+    if beyond or lever2 > 0.25 * cell_width * cell_width or _HOLD_SUM * a > 0.5:
         rim.found[TIPS] = time
 
 
-@compiled(fastmath=_FAST)
-def set_share_slopes(rim, x, y, cos, sin):  # type: ignore[no-untyped-def]
-    """Set the derivatives of the shares by the pose."""
-    middle_x, middle_y, radius, half_x, half_y = rim.top
-    dx, dy, per = x - middle_x, y - middle_y, 1.0 / rim.blur
-    rx, ry, by_x, by_y, by_turn = rim.rx, rim.ry, rim.by_pose[0], rim.by_pose[1], rim.by_pose[2]
-    for i in range(rx.shape[0]):
-        arm_x, arm_y = cos * rx[i] - sin * ry[i], sin * rx[i] + cos * ry[i]
-        px, py = dx + arm_x, dy + arm_y
-        if radius > 0.0:
-            distance = math.sqrt(px * px + py * py)
-            t = 0.5 + (radius - distance) * per
-            t = min(max(t, 0.0), 1.0)
-            slope = -6.0 * t * (1.0 - t) * per / max(distance, 1e-12)
-            gx, gy = slope * px, slope * py
-        else:
-            t = 0.5 + (half_x - abs(px)) * per
-            t = min(max(t, 0.0), 1.0)
-            u = 0.5 + (half_y - abs(py)) * per
-            u = min(max(u, 0.0), 1.0)
+@compiled(forceinline=True, fastmath=_FAST)
+def _share_slopes(top, blur, pose, rx, ry, by_x, by_y, by_turn):  # type: ignore[no-untyped-def]
+    """Set the derivatives of the shares by the pose: x, y, cosine and sine."""
+    middle_x, middle_y, radius, half_x, half_y = top
+    x, y, cos, sin = pose
+    dx, dy = x - middle_x, y - middle_y
+    if radius > 0.0:
+        per = 0.5 / (radius * blur)
+        begin = 0.5 + radius * radius * per
+        for i in range(rx.shape[0]):
+            arm_x, arm_y = cos * rx[i] - sin * ry[i], sin * rx[i] + cos * ry[i]
+            px, py = dx + arm_x, dy + arm_y
+            t = min(max(begin - (px * px + py * py) * per, 0.0), 1.0)
+            slope = -12.0 * t * (1.0 - t) * per
+            by_x[i] = slope * px
+            by_y[i] = slope * py
+            by_turn[i] = slope * (py * arm_x - px * arm_y)
+    else:
+        per = 1.0 / blur
+        begin_x, begin_y = 0.5 + half_x * per, 0.5 + half_y * per
+        for i in range(rx.shape[0]):
+            arm_x, arm_y = cos * rx[i] - sin * ry[i], sin * rx[i] + cos * ry[i]
+            px, py = dx + arm_x, dy + arm_y
+            t = min(max(begin_x - abs(px) * per, 0.0), 1.0)
+            u = min(max(begin_y - abs(py) * per, 0.0), 1.0)
             gx = -6.0 * t * (1.0 - t) * per * u * u * (3.0 - 2.0 * u)
             gy = -6.0 * u * (1.0 - u) * per * t * t * (3.0 - 2.0 * t)
-            gx, gy = (gx if px > 0.0 else -gx), (gy if py > 0.0 else -gy)
-        by_x[i] = gx
-        by_y[i] = gy
-        by_turn[i] = gy * arm_x - gx * arm_y
+            gx = gx if px > 0.0 else -gx
+            gy = gy if py > 0.0 else -gy
+            by_x[i] = gx
+            by_y[i] = gy
+            by_turn[i] = gy * arm_x - gx * arm_y
+
+
+@compiled(forceinline=True)
+def set_share_slopes(rim, x, y, cos, sin):  # type: ignore[no-untyped-def]
+    """Set the derivatives of the shares by the pose."""
+    d = rim.by_pose
+    _share_slopes(rim.top, rim.blur, (x, y, cos, sin), rim.rx, rim.ry, d[0], d[1], d[2])
 
 
 @compiled(forceinline=True)
@@ -327,49 +374,67 @@ def set_gradients(rim, effects, cells, v):  # type: ignore[no-untyped-def]
         load_gradients(cells, v, rim.by_load)
 
 
-@compiled(fastmath=_FAST)
-def _lift(rim, weight, row):  # type: ignore[no-untyped-def]
-    """Σ weight_i f_i s_i n_i (1, x, y) over the cells in touch, n being a row of by_load (N,)."""
-    a, bx, by = rim.plane[0], rim.plane[1], rim.plane[2]
-    rx, ry, plain, share = rim.rx, rim.ry, rim.plain, rim.share
+@compiled(forceinline=True, fastmath=_FAST)
+def _weigh(weight, factor, plain, share, mass, rx, ry, plane, total, moving, pressing):  # type: ignore[no-untyped-def]
+    """Fill (N,) arrays of products: φ_i, f_i p_i and, over the cells in touch, f_i s_i, with weights, and m_i p_i.
+
+    The third goes into pressing[1], (2, N), the last into pressing[0].
+    """
+    a, bx, by = plane[0], plane[1], plane[2]
+    pulled, held = pressing[0], pressing[1]
+    for i in range(rx.shape[0]):
+        depth = a + bx * rx[i] + by * ry[i]
+        pressed = max(depth, 0.0)
+        load = weight[i] * plain[i]
+        total[i] = weight[i] * factor[i]
+        moving[i] = load * pressed
+        held[i] = load * share[i] if depth > 0.0 else 0.0
+        pulled[i] = mass[i] * pressed
+
+
+@compiled(forceinline=True, fastmath=_FAST)
+def _first_moments(k, row, rx, ry):  # type: ignore[no-untyped-def]
+    """Σ k_i n_i (1, x, y) for (N,) numbers k and n."""
     w = wx = wy = 0.0
     for i in range(rx.shape[0]):
-        x, y = rx[i], ry[i]
-        k = weight[i] * plain[i] * share[i] * row[i] if a + bx * x + by * y > 0.0 else 0.0
-        w += k
-        wx += k * x
-        wy += k * y
+        product = k[i] * row[i]
+        w += product
+        wx += product * rx[i]
+        wy += product * ry[i]
     return w, wx, wy
 
 
-@compiled(fastmath=_FAST)
-def _by_shares(rim, weight, row, shares):  # type: ignore[no-untyped-def]
-    """Σ weight_i f_i p_i n_i s'_i with p = max(0, a + b·r), for shares' slopes (N,)."""
-    a, bx, by = rim.plane[0], rim.plane[1], rim.plane[2]
-    rx, ry, plain = rim.rx, rim.ry, rim.plain
-    total = 0.0
-    for i in range(rx.shape[0]):
-        pressed = max(a + bx * rx[i] + by * ry[i], 0.0)
-        total += weight[i] * plain[i] * row[i] * pressed * shares[i]
-    return total
-
-
-@compiled(fastmath=_FAST)
-def _pull(rim, shares):  # type: ignore[no-untyped-def]
-    """Σ m_i p_i s'_i (1, x, y) with p = max(0, a + b·r), for shares' slopes (N,)."""
-    a, bx, by = rim.plane[0], rim.plane[1], rim.plane[2]
-    rx, ry, mass = rim.rx, rim.ry, rim.mass
-    w = wx = wy = 0.0
-    for i in range(rx.shape[0]):
-        x, y = rx[i], ry[i]
-        k = mass[i] * max(a + bx * x + by * y, 0.0) * shares[i]
-        w += k
-        wx += k * x
-        wy += k * y
-    return w, wx, wy
+@compiled(forceinline=True, fastmath=_FAST)
+def _by_shares(moving, by_load, by_turn_of):  # type: ignore[no-untyped-def]
+    """Σ k_i n_ai s'_i of a = 0, 1, 2 for (N,) k and s' and (3, N) n."""
+    first, second, third = by_load[0], by_load[1], by_load[2]
+    x = y = w = 0.0
+    for i in range(moving.shape[0]):
+        k = moving[i] * by_turn_of[i]
+        x += k * first[i]
+        y += k * second[i]
+        w += k * third[i]
+    return x, y, w
 
 
 @compiled()
+def _add_shift(  # type: ignore[no-untyped-def]
+    rx, ry, by_load, by_pose, moving, pressing, parts, plane, hold, h, lift, state
+):
+    """The sums of `add_share_slopes`."""
+    for a in range(3):
+        w, wx, wy = _first_moments(pressing[1], by_load[a], rx, ry)
+        m0, m1, m2 = _solved(parts, h * w, h * wx, h * wy)
+        lift[a, 0], lift[a, 1], lift[a, 2] = m0, m1, m2
+        lift[a, 3] = m0 * _HOLD_SUM * (plane[0] - 1.0) + hold * (m1 * plane[1] + m2 * plane[2])
+    for k in range(3):
+        q, qx, qy = _first_moments(pressing[0], by_pose[k], rx, ry)
+        change = _by_shares(moving, by_load, by_pose[k])
+        for a in range(3):
+            state[a, k] += h * change[a] - lift[a, 0] * q - lift[a, 1] * qx - lift[a, 2] * qy
+
+
+@compiled(forceinline=True)
 def add_share_slopes(rim, weight, h, state):  # type: ignore[no-untyped-def]
     """Add to `Slopes.state` what the pose does through the loads; sets `lift` and `total`.
 
@@ -387,20 +452,14 @@ def add_share_slopes(rim, weight, h, state):  # type: ignore[no-untyped-def]
         h: step, s.
         state: that of `Slopes`.
     """
-    parts, plane, lift = rim.parts, rim.plane, rim.lift
+    rx, ry, plane = rim.rx, rim.ry, rim.plane
+    _weigh(
+        weight, rim.factor, rim.plain, rim.share, rim.mass, rx, ry, plane, rim.total, rim.moving, rim.pressing
+    )  # fmt: skip
     hold = _HOLD_MOMENTS * rim.scale * rim.scale
-    for i in range(rim.total.shape[0]):
-        rim.total[i] = weight[i] * rim.factor[i]
-    for a in range(3):
-        w, wx, wy = _lift(rim, weight, rim.by_load[a])
-        m0, m1, m2 = _solved(parts, h * w, h * wx, h * wy)
-        lift[a, 0], lift[a, 1], lift[a, 2] = m0, m1, m2
-        lift[a, 3] = m0 * _HOLD_SUM * (plane[0] - 1.0) + hold * (m1 * plane[1] + m2 * plane[2])
-    for k in range(3):
-        q, qx, qy = _pull(rim, rim.by_pose[k])
-        for a in range(3):
-            change = h * _by_shares(rim, weight, rim.by_load[a], rim.by_pose[k])
-            state[a, k] += change - lift[a, 0] * q - lift[a, 1] * qx - lift[a, 2] * qy
+    _add_shift(
+        rx, ry, rim.by_load, rim.by_pose, rim.moving, rim.pressing, rim.parts, plane, hold, h, rim.lift, state
+    )  # fmt: skip
 
 
 @compiled(forceinline=True)
@@ -424,13 +483,19 @@ def add_drag_slopes(rim, drag, by_drag, state):  # type: ignore[no-untyped-def]
                 by_drag[a, i] *= share
 
 
-@compiled(fastmath={"contract"})
-def mass_slopes(rim, block, first):  # type: ignore[no-untyped-def]
-    """Set three rows (3 * LANES,) to the gradient's derivatives by the masses of cells from `first` on."""
-    near = rim.flags[NEAR] != 0
+@compiled(forceinline=True, fastmath={"contract"})
+def mass_slopes(rx, ry, factor, lift, block):  # type: ignore[no-untyped-def]
+    """Set three rows (3 * LANES,) to the gradient's derivatives by the masses of cells (LANES,)."""
     for a in range(3):
-        m0, m1, m2, e = rim.lift[a, 0], rim.lift[a, 1], rim.lift[a, 2], rim.lift[a, 3]
+        m0, m1, m2, e = lift[a, 0], lift[a, 1], lift[a, 2], lift[a, 3]
+        row = block[a * LANES : (a + 1) * LANES]
         for lane in range(LANES):
-            i = first + lane
-            slope = (1.0 - rim.factor[i]) * (m0 + m1 * rim.rx[i] + m2 * rim.ry[i]) - e
-            block[a * LANES + lane] = slope if near else 0.0
+            row[lane] = (1.0 - factor[lane]) * (m0 + m1 * rx[lane] + m2 * ry[lane]) - e
+
+
+@compiled(forceinline=True)
+def clear_lift(lift):  # type: ignore[no-untyped-def]
+    """Away from the rim masses do not shift loads."""
+    for a in range(3):
+        for k in range(4):
+            lift[a, k] = 0.0

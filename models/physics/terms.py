@@ -55,6 +55,7 @@ from slipmap.models.physics.support import (
     TOUCHED,
     add_drag_slopes,
     add_share_slopes,
+    clear_lift,
     mass_slopes,
     note_tipping,
     rim_of,
@@ -267,7 +268,7 @@ def _no_rim(table, mass, model, layout):  # type: ignore[no-untyped-def]
 def _some_rim(table, mass, model, layout):  # type: ignore[no-untyped-def]
     n, others, memory, effects, _ = layout
     derive = others > 0
-    rim = rim_of(table, mass, model.cells, model.cell_width, model.size, derive)
+    rim = rim_of(table, mass, model.body, model.cells, model.cell_width, model.size, derive)
     return rim, Layout(n, others, memory, effects, n if derive else 0)
 
 
@@ -289,7 +290,7 @@ def _on_table(rim, model, motion, time):  # type: ignore[no-untyped-def]
         return model
     flags[NEAR] = flags[TOUCHED] = 1
     spread_loads(rim, model.body, x, y, cos, sin)
-    note_tipping(rim, model.body, x, y, cos, sin, model.cell_width, time)
+    note_tipping(rim, x, y, cos, sin, model.cell_width, time)
     return Model(
         rim.load[: load.shape[0]], model.load_sum, Cells(rim.load, cells.rx, cells.ry, cells.rho2, cells.eps2),
         model.body, model.about_center, model.cone, model.stick_speed, model.cell_width, model.size,
@@ -451,12 +452,14 @@ def set_mass_slopes(rim, S, layout):  # type: ignore[no-untyped-def]
     """Set the direct rows of the masses in blocks that hold them, else nothing."""
     if rim is None:
         return
-    first = before_masses(S, layout)
-    rows = (FIXED_ROWS + layout.memory) * LANES
-    if S.shape[0] > first:
+    if rim.flags[TOUCHED] != 0:
+        if rim.flags[NEAR] == 0:
+            clear_lift(rim.lift)
+        first, size = before_masses(S, layout), (FIXED_ROWS + layout.memory) * LANES
         for b in range(padded(layout.masses) // LANES):
-            at = first + b * rows + STATE * LANES
-            mass_slopes(rim, S[at : at + 3 * LANES], b * LANES)
+            at, cells = first + b * size + STATE * LANES, slice(b * LANES, (b + 1) * LANES)
+            block = S[at : at + 3 * LANES]
+            mass_slopes(rim.rx[cells], rim.ry[cells], rim.factor[cells], rim.lift, block)
 
 
 @compiled(forceinline=True)
