@@ -247,7 +247,7 @@ def mixed_belief(
     carried = [_with_parameters(maps, effects, used) for maps, effects in parts]
     heaviest = laws[0].ladder
     own = heaviest[0][0].prior.slider
-    slider = Slider(own.grid, own.finger_radius, own.gravity, own.smoothing, effects=used)
+    slider = Slider(own.grid, own.finger_radius, own.gravity, own.smoothing, used, own.table)
     names = ("mass", "mu", "mu_finger", "effects")
     together = Maps(*(np.concatenate([getattr(maps, name) for maps in carried]) for name in names))
     shared = {"friction_laws": {name: share / total for name, share in kept.items()}}

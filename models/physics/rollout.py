@@ -99,6 +99,14 @@ class Rollouts:
         """(K, T_b, 2) forces of one push."""
         return self.forces[:, self.force_at[push] : self.force_at[push + 1]]
 
+    def d_poses_of(self, push: int) -> FloatArray:
+        """(K, S_b, 3, P) derivatives of the poses of one push."""
+        return self.d_poses[:, self.pose_at[push] : self.pose_at[push + 1]]
+
+    def d_forces_of(self, push: int) -> FloatArray:
+        """(K, T_b, 2, P) the same of the forces."""
+        return self.d_forces[:, self.force_at[push] : self.force_at[push + 1]]
+
 
 class RolloutError(ArithmeticError):
     """A step's convex problem was not solved to its tolerance."""
