@@ -93,6 +93,8 @@ from slipmap.models.physics.support import (
     REACHED,
     TIPS,
     TOUCHED,
+    rim_of,
+    spread_loads,
 )
 from slipmap.models.physics.terms import (
     Motion,
@@ -106,6 +108,7 @@ from slipmap.models.physics.terms import (
     rim_under,
     set_mass_slopes,
     supported,
+    table_of,
     terms_at,
 )
 
@@ -296,7 +299,7 @@ def _owned(common, maps, formulas, table, k, b, h, columns, memory):  # type: ig
     """`Model` k under push b, of steps of length h, `Rim`, what `effects_of` gives, and `Room`."""
     model = model_of(common, maps, k, h)
     effects, plain_layout, delay = effects_of(formulas, k, b, model, columns, memory)
-    rim, layout = rim_under(table, maps.mass[k], model, plain_layout)
+    rim, layout = rim_under(table_of(table, k, b), maps.mass[k], model, plain_layout)
     S = first_blocks(layout, model.cells.rx, model.cells.ry)
     before, F = (np.zeros_like(S), empty_blocks(layout, 2)) if columns > 0 else (S, S)
     slopes = no_slopes(layout.memory, padded(layout.others))
@@ -399,7 +402,7 @@ def rollout_one(job, common, maps, pushes, formulas, table, results):  # type: i
         maps: fields of `ReducedMaps`.
         pushes: fields of `JoinedPushes`.
         formulas: fields of `Formulas`, or None for the plain model.
-        table: (5,) `Rim.top`, or None where all cells are supported wherever they are.
+        table: (K, B, 7) `Rim.top`, or (1, 1, 7) for all, or None where all cells are supported wherever they are.
         results: fields of `Results`, where those of the push are filled in.
     """
     given = borrowed((common, maps, pushes, formulas, table, results))
@@ -441,6 +444,27 @@ def rollout_all(
 
 
 @compiled()
+def loads_at(common, maps, table, poses, factors):  # type: ignore[no-untyped-def]
+    """What the table carries of K objects that lie at G poses.
+
+    Args:
+        common: fields of `Common`.
+        maps: fields of `ReducedMaps`.
+        table: (1, 1, 7) `Rim.top`.
+        poses: (G, 3), world.
+        factors: (K, G, n) result, φ_i.
+    """
+    common, maps = Common(*common), ReducedMaps(*maps)
+    for k in range(factors.shape[0]):
+        model = model_of(common, maps, k, 1.0)
+        rim = rim_of(table[0, 0], maps.mass[k], model.body, model.cells, model.cell_width, model.size, False)
+        for g in range(poses.shape[0]):
+            x, y, turn = poses[g, 0], poses[g, 1], poses[g, 2]
+            spread_loads(rim, model.body, x, y, math.cos(turn), math.sin(turn))
+            copy_into(factors[k, g], rim.factor[: factors.shape[2]])
+
+
+@compiled()
 def single_steps(  # type: ignore[no-untyped-def]
     common, maps, formulas, table, drive, states, after, jacobian, by_mass, rim_found
 ):
@@ -456,7 +480,7 @@ def single_steps(  # type: ignore[no-untyped-def]
         common: fields of `Common`.
         maps: fields of `ReducedMaps`.
         formulas: fields of `Formulas`; its constants have one row, with the time before the step.
-        table: (5,) `Rim.top`, or None.
+        table: (1, 1, 7) `Rim.top`, or None.
         drive: h, tip (2, 2), NaN for no finger, and wrench (5,), as in `Push`.
         states: (K, Z) before the step, Z = 8 + the effects' own memory.
         after: (K, Z + 1) result: state after the step, and the number of evaluations, negative if it was not

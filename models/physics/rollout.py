@@ -11,11 +11,12 @@ from numpy.typing import ArrayLike, NDArray
 
 from slipmap.models.effects.effect import Effect
 from slipmap.models.effects.program import Program, program_of
+from slipmap.models.geometry import placed
 from slipmap.models.measurements.push_dataset import Table
 from slipmap.models.physics.balance import corners_of
 from slipmap.models.physics.cell_grid import CellGrid, FloatArray
 from slipmap.models.physics.friction import CONSTANTS
-from slipmap.models.physics.kernel import rollout_all
+from slipmap.models.physics.kernel import loads_at, rollout_all
 from slipmap.models.physics.kernel_arguments import (
     Common,
     Formulas,
@@ -207,6 +208,17 @@ class Slider:
         second = (r**2).sum(axis=1) + self.grid.width**2 / 6.0
         return np.column_stack([np.ones(len(r)), r, second])
 
+    def loads(self, maps: Maps, poses: FloatArray) -> FloatArray:
+        """(K, G, n) normal forces N_i between cells and table, N, where objects lie at poses (G, 3), world.
+
+        Without a table each cell carries its weight.
+        """
+        poses = np.ascontiguousarray(np.atleast_2d(poses), dtype=float)
+        factors = np.ones((len(maps), len(poses), len(self.grid)))
+        if self._top is not None:
+            loads_at(self._common, self._reduced(maps), self._top, poses, factors)
+        return self.gravity * maps.mass[:, None] * factors
+
     def map_columns(self, maps: Maps, d_reduced: FloatArray) -> FloatArray:
         """Turn derivatives by reduced columns (K, …, P or P + n) into derivatives by the maps.
 
@@ -239,6 +251,7 @@ class Slider:
         sensitivities: bool = False,
         start_poses: FloatArray | None = None,
         start_twists: FloatArray | None = None,
+        table_poses: FloatArray | None = None,
     ) -> Rollouts:
         """Simulate every model under every push.
 
@@ -248,21 +261,35 @@ class Slider:
             sensitivities: also differentiate by the reduced columns.
             start_poses: (K, B, 3) instead of the pushes' own starts.
             start_twists: (K, B, 3) instead of the pushes' own starts, object frame.
+            table_poses: (K, B, 3) where the world in which the table is given lies in that of the pushes, for
+                each model and push; the two are one without.
 
         Raises:
-            ValueError: maps of another grid.
+            ValueError: maps of another grid, or table poses of another shape.
             RolloutError: a step was not solved; names the model and the push.
         """
         joined = join_pushes(pushes, len(maps), start_poses, start_twists)
         columns = self.columns if sensitivities else 0
         late = self.program is not None and self.program.delay is not None
+        tables = self._top if table_poses is None else self._tables(table_poses, (len(maps), len(pushes), 3))
         rim, masses = (0, 0) if self._top is None else (RIM_RESULTS, len(self.grid) if sensitivities else 0)
         results = empty_results(len(maps), joined, columns, late and sensitivities, rim, masses)
         if self.program is None:
-            rollout_all(self._common, self._reduced(maps), joined, None, self._top, results)
+            rollout_all(self._common, self._reduced(maps), joined, None, tables, results)
         else:
-            self._fill(self.program, results, maps, joined, [push.order for push in pushes])
+            self._fill(self.program, results, maps, joined, [push.order for push in pushes], tables)
         return _finished(joined, results)
+
+    def _tables(self, poses: FloatArray, shape: tuple[int, ...]) -> FloatArray | None:
+        """(K, B, 7) tables at some poses of their world (K, B, 3), as kernels take them."""
+        if np.shape(poses) != shape or not np.isfinite(poses).all():
+            raise ValueError(f"rollout: table_poses must be finite and of shape {shape}, got {np.shape(poses)}")
+        if self._top is None:
+            return None
+        tables = np.repeat(np.repeat(self._top, shape[0], axis=0), shape[1], axis=1)
+        tables[..., :2] = placed(tables[..., :2], poses)
+        tables[..., 5], tables[..., 6] = np.cos(poses[..., 2]), np.sin(poses[..., 2])
+        return tables
 
     def _effect_values(self, maps: Maps) -> FloatArray:
         """(K, …) parameters of the effects, of maps that are checked."""
@@ -276,9 +303,15 @@ class Slider:
         return values
 
     def _fill(
-        self, program: Program, results: Results, maps: Maps, joined: JoinedPushes, order: Sequence[float]
+        self,
+        program: Program,
+        results: Results,
+        maps: Maps,
+        joined: JoinedPushes,
+        order: Sequence[float],
+        tables: FloatArray | None,
     ) -> None:
-        """Simulate with effects, and fill in the results; `order` as in `Push`."""
+        """Simulate with effects, and fill in the results; `order` as in `Push`, `tables` as for kernels."""
         K, P = len(maps), program.parameters
         values = self._effect_values(maps)
         starts = self._true_starts(program, joined.start_poses, values)
@@ -289,7 +322,7 @@ class Slider:
         constants = self._constants(joined.h, order)
         formulas = Formulas(program.addresses, program.sizes, constants, np.ascontiguousarray(values), delays)
         true = joined._replace(start_poses=starts[0])
-        rollout_all(self._common, self._reduced(maps), true, formulas, self._top, results)
+        rollout_all(self._common, self._reduced(maps), true, formulas, tables, results)
         if results.rates.shape[1] > 0:
             results.d_poses[..., -P:] -= results.rates[..., None] * delay_slopes[:, None, None]
         if program.measured is not None:
@@ -376,11 +409,11 @@ class Slider:
 
 
 def _top_of(table: Table) -> FloatArray:
-    """(5,) centre, radius and half the sides of a table, see `Rim.top`."""
+    """(1, 1, 7) centre, radius, half the sides, cosine and sine of a table, see `Rim.top`."""
     corners = corners_of(table)  # which checks the measures
     if len(corners) == 0:
-        return np.array([*table.center, float(table.radius or 0.0), 0.0, 0.0])
-    return np.array([*table.center, 0.0, *(corners[2] - np.asarray(table.center))])
+        return np.array([[[*table.center, float(table.radius or 0.0), 0.0, 0.0, 1.0, 0.0]]])
+    return np.array([[[*table.center, 0.0, *(corners[2] - np.asarray(table.center)), 1.0, 0.0]]])
 
 
 def _clear_unreached(d: FloatArray, rim: FloatArray, at: NDArray[np.int64], first: int) -> None:

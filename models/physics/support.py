@@ -32,6 +32,7 @@ from numpy.typing import NDArray
 
 from slipmap.models.physics.compiled import compiled
 from slipmap.models.physics.friction import load_gradients
+from slipmap.models.physics.kernel_tools import turned
 from slipmap.models.physics.newton import LANES, plain_gradients
 
 BLUR = math.sqrt(5.0 / 3.0)
@@ -59,7 +60,8 @@ class Rim(NamedTuple):
     """The table under one model in one push, and room for what follows from it; N is n, filled up.
 
     Attributes:
-        top: centre (2), radius, half the sides (2), m; the radius is 0 for a rectangle, the sides for a disc.
+        top: centre (2), radius, half the sides (2), m, cosine and sine of the table's angle; the radius is 0 for a
+            rectangle, the sides for a disc.
         room: distance of the object's origin from the middle of a round table up to which all cells are wholly
             supported however it lies, m; for a rectangular one that distance from the sides, negative.
         blur: W, m.
@@ -84,7 +86,7 @@ class Rim(NamedTuple):
             zero while no cells are beyond the rim.
     """
 
-    top: tuple[float, float, float, float, float]
+    top: tuple[float, float, float, float, float, float, float]
     room: float
     blur: float
     scale: float
@@ -113,10 +115,10 @@ class Rim(NamedTuple):
 
 @compiled()
 def rim_of(table, mass, body, cells, cell_width, size, derive):  # type: ignore[no-untyped-def]
-    """`Rim` of a model on a table (5,), its `top`.
+    """`Rim` of a model on a table (7,), its `top`.
 
     Args:
-        table: (5,).
+        table: (7,).
         mass: (n,).
         body: m, s_x, s_y, J.
         cells: with all of them supported.
@@ -134,7 +136,7 @@ def rim_of(table, mass, body, cells, cell_width, size, derive):  # type: ignore[
         rows[5, i] = 1.0
     found = np.zeros(RIM_RESULTS)
     numbers[0], numbers[3], found[TIPS] = 1.0, math.nan, math.inf
-    top = (table[0], table[1], table[2], table[3], table[4])
+    top = (table[0], table[1], table[2], table[3], table[4], table[5], table[6])
     reach, blur, radius = math.sqrt(reach2), BLUR * cell_width, table[2]
     # As (R² - ρ²) / 2R is to be W/2 for the farthest cell.
     room = math.sqrt(max(radius * (radius - blur), 0.0)) - reach if radius > 0.0 else -reach - 0.5 * blur
@@ -149,29 +151,33 @@ def rim_of(table, mass, body, cells, cell_width, size, derive):  # type: ignore[
 @compiled(forceinline=True)
 def wholly_on(rim, x, y):  # type: ignore[no-untyped-def]
     """Whether every cell of an object whose origin is at (x, y), world, is wholly supported however it lies."""
-    middle_x, middle_y, radius, half_x, half_y = rim.top
+    middle_x, middle_y, radius, half_x, half_y, cos, sin = rim.top
     dx, dy, room = x - middle_x, y - middle_y, rim.room
     if radius > 0.0:
         return room > 0.0 and dx * dx + dy * dy <= room * room
+    dx, dy = turned(cos, -sin, dx, dy)
     return abs(dx) <= half_x + room and abs(dy) <= half_y + room
 
 
 @compiled(forceinline=True, fastmath={"contract"})
 def _beyond(top, x, y):  # type: ignore[no-untyped-def]
     """Whether the point (x, y), world, lies beyond the rim."""
-    middle_x, middle_y, radius, half_x, half_y = top
+    middle_x, middle_y, radius, half_x, half_y, cos, sin = top
     dx, dy = x - middle_x, y - middle_y
     if radius > 0.0:
         return dx * dx + dy * dy > radius * radius
+    dx, dy = turned(cos, -sin, dx, dy)
     return abs(dx) > half_x or abs(dy) > half_y
 
 
 @compiled(forceinline=True, fastmath=_FAST)
 def _set_shares(top, blur, pose, rx, ry, mass, share, held):  # type: ignore[no-untyped-def]
     """Set the cells' shares and held masses with the object at a pose: x, y, cosine and sine."""
-    middle_x, middle_y, radius, half_x, half_y = top
+    middle_x, middle_y, radius, half_x, half_y, table_cos, table_sin = top
     x, y, cos, sin = pose
-    dx, dy = x - middle_x, y - middle_y
+    # From here on as seen from the table.
+    dx, dy = turned(table_cos, -table_sin, x - middle_x, y - middle_y)
+    cos, sin = turned(table_cos, -table_sin, cos, sin)
     if radius > 0.0:
         per = 0.5 / (radius * blur)
         begin = 0.5 + radius * radius * per
@@ -327,9 +333,11 @@ def note_tipping(rim, x, y, cos, sin, cell_width, time):  # type: ignore[no-unty
 @compiled(forceinline=True, fastmath=_FAST)
 def _share_slopes(top, blur, pose, rx, ry, by_x, by_y, by_turn):  # type: ignore[no-untyped-def]
     """Set the derivatives of the shares by the pose: x, y, cosine and sine."""
-    middle_x, middle_y, radius, half_x, half_y = top
+    middle_x, middle_y, radius, half_x, half_y, table_cos, table_sin = top
     x, y, cos, sin = pose
-    dx, dy = x - middle_x, y - middle_y
+    # From here on as seen from the table.
+    dx, dy = turned(table_cos, -table_sin, x - middle_x, y - middle_y)
+    cos, sin = turned(table_cos, -table_sin, cos, sin)
     if radius > 0.0:
         per = 0.5 / (radius * blur)
         begin = 0.5 + radius * radius * per
@@ -338,9 +346,10 @@ def _share_slopes(top, blur, pose, rx, ry, by_x, by_y, by_turn):  # type: ignore
             px, py = dx + arm_x, dy + arm_y
             t = min(max(begin - (px * px + py * py) * per, 0.0), 1.0)
             slope = -12.0 * t * (1.0 - t) * per
-            by_x[i] = slope * px
-            by_y[i] = slope * py
-            by_turn[i] = slope * (py * arm_x - px * arm_y)
+            gx, gy = slope * px, slope * py
+            by_x[i] = table_cos * gx - table_sin * gy
+            by_y[i] = table_sin * gx + table_cos * gy
+            by_turn[i] = gy * arm_x - gx * arm_y
     else:
         per = 1.0 / blur
         begin_x, begin_y = 0.5 + half_x * per, 0.5 + half_y * per
@@ -353,8 +362,8 @@ def _share_slopes(top, blur, pose, rx, ry, by_x, by_y, by_turn):  # type: ignore
             gy = -6.0 * u * (1.0 - u) * per * t * t * (3.0 - 2.0 * t)
             gx = gx if px > 0.0 else -gx
             gy = gy if py > 0.0 else -gy
-            by_x[i] = gx
-            by_y[i] = gy
+            by_x[i] = table_cos * gx - table_sin * gy
+            by_y[i] = table_sin * gx + table_cos * gy
             by_turn[i] = gy * arm_x - gx * arm_y
 
 

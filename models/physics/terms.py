@@ -260,6 +260,20 @@ Args:
 
 
 @compiled(forceinline=True)
+def _no_table(table, k, b):  # type: ignore[no-untyped-def]
+    return None
+
+
+@compiled(forceinline=True)
+def _own_table(table, k, b):  # type: ignore[no-untyped-def]
+    return table[min(k, table.shape[0] - 1), min(b, table.shape[1] - 1)]
+
+
+table_of = without_or_with(_no_table, _own_table)
+"""The table (7,) of model k under push b, of tables (K, B, 7) or one for all (1, 1, 7); or None."""
+
+
+@compiled(forceinline=True)
 def _no_rim(table, mass, model, layout):  # type: ignore[no-untyped-def]
     return None, layout
 
@@ -273,7 +287,7 @@ def _some_rim(table, mass, model, layout):  # type: ignore[no-untyped-def]
 
 
 rim_under = without_or_with(_no_rim, _some_rim)
-"""`Rim` of a table (5,), or None, under a `Model` with cells of masses (n,); the `Layout` with room for those."""
+"""`Rim` of a table (7,), or None, under a `Model` with cells of masses (n,); the `Layout` with room for those."""
 
 
 @compiled(forceinline=True)
