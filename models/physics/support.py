@@ -39,10 +39,10 @@ BLUR = math.sqrt(5.0 / 3.0)
 """W / w: over how many cell widths a cell's share goes from 0 to 1."""
 
 # ε_a and ε_b: with these a body that tips keeps its weight to a thousandth, and one that stays has moments
-# that are off by a millionth.
-_HOLD_SUM, _HOLD_MOMENTS = 1e-9, 1e-6
+# that are off by less than a millionth.
+_HOLD_SUM, _HOLD_MOMENTS = 1e-10, 1e-7
 # Share of the weight on cells that are taken to be in touch and are not, or the reverse, at the solution.
-_TOLERANCE = 1e-11
+_TOLERANCE = 1e-10
 _PLAIN_ROUNDS, _ROUNDS = 8, 100
 
 # Entries of `Rim.flags`.
