@@ -113,8 +113,8 @@ class Foresight:
         poses: (C, L, S, 3) of the object at the end, world; NaN where the model found no answer.
         falls: (C, L) probability that its margin of balance falls below the settings' on the way.
         probability: (S,) of the scenarios.
-        moves: (C, L, S, 3) poses at the end seen from that before, had the table no rim; those of `poses` where
-            the rim is not near, or where this was not asked for.
+        moves: (C, L, S, 3) poses at the end seen from that before, had the table no rim; those of `poses`
+            where the rim is not near, or where this was not asked for.
     """
 
     lines: ContactLines
@@ -223,8 +223,8 @@ def _rolled_out(
     looks: int,
     table_poses: FloatArray | None = None,
 ) -> tuple[FloatArray, FloatArray, np.ndarray]:
-    """(S, C, L, 3) poses, NaN for a push that some scenario does not solve; (S, C) when it tips, s, and whether it
-    comes near the rim. `table_poses` (S, C, 3) as of `Slider.rollout`."""
+    """(S, C, L, 3) poses, NaN for a push that some scenario does not solve; (S, C) when it tips, s, and
+    whether it comes near the rim. `table_poses` (S, C, 3) as of `Slider.rollout`."""
     shape = len(scenarios), len(pushes)
     try:
         out = slider.rollout(scenarios.maps, pushes, start_poses=starts, table_poses=table_poses)

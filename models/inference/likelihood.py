@@ -119,8 +119,8 @@ class PushLikelihood(ABC):
         maps = prior.maps(z, strength)
         scaled_offsets = offsets / self.start_sigma
         cost = 0.5 * (scaled_offsets**2).sum(axis=-1)
-        # Normal equations by the rollout's own columns, which are fewer than the coordinates; pushes that stay
-        # away from the table's rim have the first ones alone.
+        # Normal equations by the rollout's own columns, which are fewer than the coordinates; pushes that
+        # stay away from the table's rim have the first ones alone.
         columns, start = prior.columns(maps, strength), prior.start_columns
         by_column = columns.transpose(0, 2, 1)
         P = columns.shape[1]
@@ -176,7 +176,9 @@ class PushLikelihood(ABC):
         arm = rotated(self._centroid, predicted[..., 2])
         here, there = predicted[..., :2] + arm, measured[..., :2] + rotated(self._centroid, measured[..., 2])
         turn = self._radius * (predicted[..., 2:] - measured[..., 2:])
-        slopes = slopes_at_centroid(self._by_own(rollouts.d_poses_of(place), rollouts, place), arm, self._radius)
+        slopes = slopes_at_centroid(
+            self._by_own(rollouts.d_poses_of(place), rollouts, place), arm, self._radius
+        )
         return np.concatenate([here - there, turn], axis=-1), slopes
 
     def _by_own(self, slopes: FloatArray, rollouts: Rollouts, place: int) -> FloatArray:

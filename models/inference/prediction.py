@@ -168,7 +168,9 @@ def predict(belief: Belief, dataset: PushDataset, progress: Progress | None = No
         ['fit', 'heldout', 'heldout']
     """
     check_same_object(belief, dataset)
-    return predict_observations(belief.on(dataset.table), observe_all(dataset), sensor_noise(dataset), progress)
+    return predict_observations(
+        belief.on(dataset.table), observe_all(dataset), sensor_noise(dataset), progress
+    )
 
 
 def check_same_object(belief: Belief, dataset: PushDataset) -> None:

@@ -228,8 +228,8 @@ class MapPrior:
         """(K, P, size) derivatives of what a rollout's reduced columns stand for by the coordinates.
 
         On a table P counts the cells' masses too, which are last; rollouts that stay away from its rim do not
-        have these columns. Where a friction is at its bound the derivative is that of the unbounded formula, so that a step can
-        lead back inside.
+        have these columns. Where a friction is at its bound the derivative is that of the unbounded formula,
+        so that a step can lead back inside.
         """
         K, n, r = len(maps), len(self.slider.grid), self.basis.shape[1]
         s = self.settings

@@ -2,7 +2,7 @@
 
 A step goes, in the order of this file,
 
-    supported    the loads that the table carries, where part of the object may lie beyond its rim (`support.py`)
+    supported    the loads, where part of the object may lie beyond the table's rim (`support.py`)
     terms_at     what effects change in this step, by their formulas at the state before it (`terms.py`)
     take_step    free motion and given forces, the finger, its contacts, the minimum, the way along it
     set_slopes   direct derivatives of the minimum's gradient and of the finger's impulse
@@ -402,7 +402,8 @@ def rollout_one(job, common, maps, pushes, formulas, table, results):  # type: i
         maps: fields of `ReducedMaps`.
         pushes: fields of `JoinedPushes`.
         formulas: fields of `Formulas`, or None for the plain model.
-        table: (K, B, 7) `Rim.top`, or (1, 1, 7) for all, or None where all cells are supported wherever they are.
+        table: (K, B, 7) `Rim.top`, or (1, 1, 7) for all, or None where all cells are supported wherever they
+            are.
         results: fields of `Results`, where those of the push are filled in.
     """
     given = borrowed((common, maps, pushes, formulas, table, results))
@@ -486,8 +487,8 @@ def single_steps(  # type: ignore[no-untyped-def]
         after: (K, Z + 1) result: state after the step, and the number of evaluations, negative if it was not
             solved.
         jacobian: (K, Z, columns) result, or an array without columns for none.
-        by_mass: (K, Z, n) result, derivatives by the masses through the loads' shift, zeros where there is none;
-            or an array without columns.
+        by_mass: (K, Z, n) result, derivatives by the masses through the loads' shift, zeros where there is
+            none; or an array without columns.
         rim_found: (K, RIM_RESULTS) result, or an array without columns where there is no table.
 
     Returns:

@@ -110,8 +110,8 @@ class Results(NamedTuple):
         end: (K, B, 7) last pose, last twist (object frame), and the number of evaluations, negative if a step
             did not converge.
         rim: (K, B, RIM_RESULTS), see there; without entries where no table is given.
-        mass_poses: (K, S, 3, n) derivatives by the cells' masses, the friction loads and the inertia being held,
-            of the poses after a push first came near the rim; without entries where no table is given.
+        mass_poses: (K, S, 3, n) derivatives by the cells' masses, the friction loads and the inertia being
+            held, of the poses after a push first came near the rim; without entries where no table is given.
         mass_forces: (K, T, 2, n) the same.
     """
 

@@ -66,10 +66,10 @@ class Rollouts:
         evaluations: (K, B) evaluations of the step's function.
         pose_at: (B + 1,) offsets of the pushes in S.
         force_at: (B + 1,) the same in T.
-        d_poses: (K, S, 3, P) derivative by the reduced columns, empty if not asked for: by friction loads (n),
-            m, s_x, s_y, J, finger friction, start pose (3), start twist (3) and the parameters of effects. Where
-            any push came near the table's rim there are n more: by the cells' masses, as far as loads shift with
-            them.
+        d_poses: (K, S, 3, P) derivative by the reduced columns, empty if not asked for: by friction loads
+            (n), m, s_x, s_y, J, finger friction, start pose (3), start twist (3) and the parameters of
+            effects. Where any push came near the table's rim there are n more: by the cells' masses, as far
+            as loads shift with them.
         d_forces: (K, T, 2, P) the same for the forces.
         tips: (K, B) time from the push's start at which the object first tips over the rim, s; infinite where
             it does not, or where no table is known. Poses after that are not to be trusted.
@@ -125,8 +125,8 @@ class Slider:
         gravity: m/s².
         smoothing: see `Smoothing`.
         effects: in the order of the columns of `Maps.effects`.
-        table: the table's top. Cells beyond its rim carry nothing, and the others carry all, see `support.py`;
-            without one all cells are supported wherever they are.
+        table: the table's top. Cells beyond its rim carry nothing, and the others carry all, see
+            `support.py`; without one all cells are supported wherever they are.
 
     Attributes:
         program: compiled formulas of the effects, None without any.
@@ -222,8 +222,8 @@ class Slider:
     def map_columns(self, maps: Maps, d_reduced: FloatArray) -> FloatArray:
         """Turn derivatives by reduced columns (K, …, P or P + n) into derivatives by the maps.
 
-        With f_i = mu_i m_i g:  d/dm_i = mu_i g d/df_i + Σ_c (∂inertia_c/∂m_i) d/dinertia_c + d/dm_i of the loads'
-        shift, where there is one, and  d/dmu_i = m_i g d/df_i.
+        With f_i = mu_i m_i g:  d/dm_i = mu_i g d/df_i + Σ_c (∂inertia_c/∂m_i) d/dinertia_c + what the loads'
+        shift adds, where there is one, and  d/dmu_i = m_i g d/df_i.
 
         Returns:
             (K, …, 2n + 7 + …) by mass (n), mu (n), finger friction, start pose (3), start twist (3) and the
@@ -283,7 +283,9 @@ class Slider:
     def _tables(self, poses: FloatArray, shape: tuple[int, ...]) -> FloatArray | None:
         """(K, B, 7) tables at some poses of their world (K, B, 3), as kernels take them."""
         if np.shape(poses) != shape or not np.isfinite(poses).all():
-            raise ValueError(f"rollout: table_poses must be finite and of shape {shape}, got {np.shape(poses)}")
+            raise ValueError(
+                f"rollout: table_poses must be finite and of shape {shape}, got {np.shape(poses)}"
+            )
         if self._top is None:
             return None
         tables = np.repeat(np.repeat(self._top, shape[0], axis=0), shape[1], axis=1)

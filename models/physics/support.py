@@ -1,7 +1,7 @@
 """Which cells the table carries, and with what load, where part of the object lies beyond the table's rim.
 
-Cells on air carry nothing, and the others carry all. On an elastic foundation that is as stiff under each cell
-as the cell is heavy, a rigid object sinks in by a plane a + b·r, and cell i carries
+Cells on air carry nothing, and the others carry all. On an elastic foundation that is as stiff under each
+cell as the cell is heavy, a rigid object sinks in by a plane a + b·r, and cell i carries
 
     N_i = m_i g φ_i,    φ_i = s_i max(0, a + b·r_i),    Σ N_i = m g,    Σ N_i r_i = m g r_com,
 
@@ -10,14 +10,14 @@ which are the conditions of the minimum of a convex function of a and b,
     F = ½ Σ m_i s_i max(0, a + b·r_i)² - m (a + b·r_com) + ½ m (ε_a (a - 1)² + ε_b L² |b|²).
 
 All cells being supported, a = 1, b = 0 and N_i = m_i g. The share s_i of a cell over the table goes smoothly
-from 0 to 1 across the rim, s = t² (3 - 2t), t = ½ + d/W, with the distance d of the cell's centre to the rim and
-W = sqrt(5/3) w, for which a cell's share has the mean and the variance over d that the area of a square has,
-however it is turned. The shares of both directions are multiplied for a rectangular table; for a round one of
-radius R, d = (R² - ρ²) / 2R at a distance ρ from its middle.
+from 0 to 1 across the rim, s = t² (3 - 2t), t = ½ + d/W, with the distance d of the cell's centre to the rim
+and W = sqrt(5/3) w, for which a cell's share has the mean and the variance over d that the area of a square
+has, however it is turned. The shares of both directions are multiplied for a rectangular table; for a round
+one of radius R, d = (R² - ρ²) / 2R at a distance ρ from its middle.
 
 Where the supported cells cannot hold the centre of mass, the last term, else far too small to show, lets the
-loads gather on the cells about which the object tips: what is computed stays finite and continuous, but a body
-that tips moves otherwise. Its first step is on record, see `TIPS`.
+loads gather on the cells about which the object tips: what is computed stays finite and continuous, but a
+body that tips moves otherwise. When it begins to is on record, see `TIPS`.
 
 The loads are those at the begin of a step, so that each step keeps its own convex problem.
 """
@@ -50,8 +50,8 @@ NEAR, TOUCHED, CHANGED = 0, 1, 2
 # Entries of `Rim.found`, and of a result's `rim`.
 TIPS, REACHED, FIRST_POSE, FIRST_FORCE = 0, 1, 2, 3
 RIM_RESULTS = 4
-"""Of a push: time from its start at which the object first tips, s, infinite if never; whether it came near the
-rim at all; the first pose and the first force that were wanted after that."""
+"""Of a push: time from its start at which the object first tips, s, infinite if never; whether it came near
+the rim at all; the first pose and the first force that were wanted after that."""
 
 _FAST = {"reassoc", "contract", "arcp", "nsz", "nnan"}
 
@@ -60,10 +60,10 @@ class Rim(NamedTuple):
     """The table under one model in one push, and room for what follows from it; N is n, filled up.
 
     Attributes:
-        top: centre (2), radius, half the sides (2), m, cosine and sine of the table's angle; the radius is 0 for a
-            rectangle, the sides for a disc.
-        room: distance of the object's origin from the middle of a round table up to which all cells are wholly
-            supported however it lies, m; for a rectangular one that distance from the sides, negative.
+        top: centre (2), radius, half the sides (2), m, cosine and sine of the table's angle; the radius is 0
+            for a rectangle, the sides for a disc.
+        room: distance of the object's origin from the middle of a round table up to which all cells are
+            wholly supported however it lies, m; for a rectangular one that distance from the sides, negative.
         blur: W, m.
         scale: L, m.
         center: of mass, object frame, m.
@@ -72,10 +72,10 @@ class Rim(NamedTuple):
         factor, load: (N,) φ_i and friction loads, N.
         plane: (3,) a, b_x, b_y.
         at: (4,) pose that they belong to: x, y, cosine and sine.
-        parts: (6,) of the matrix A of F's second derivatives: A_00, the rest of its first row over that (2), and
-            the inverse of what is left of the others (xx, xy, yy).
-        flags: (3,) whether cells may be beyond the rim in this step; in this push until now; whether the rows of
-            the Jacobian that hold the cells' centres were written over.
+        parts: (6,) of the matrix A of F's second derivatives: A_00, the rest of its first row over that (2),
+            and the inverse of what is left of the others (xx, xy, yy).
+        flags: (3,) whether cells may be beyond the rim in this step; in this push until now; whether the rows
+            of the Jacobian that hold the cells' centres were written over.
         found: (RIM_RESULTS,).
         ones: (N,).
         by_pose: (3, N) derivatives of the shares by x, y, θ of the object; without columns if there is no
@@ -143,14 +143,15 @@ def rim_of(table, mass, body, cells, cell_width, size, derive):  # type: ignore[
     center = (body[1] / body[0], body[2] / body[0])
     return Rim(
         top, room, blur, size, center, cells.rx, cells.ry, rows[0], cells.load, rows[1],
-        rows[2], rows[3], rows[4], numbers[:3], numbers[3:7], numbers[7:], np.zeros(3, np.int64), found, rows[5],
-        more[:3], more[3:6], more[6], more[7], more[8:], np.zeros((3, 4)),
+        rows[2], rows[3], rows[4], numbers[:3], numbers[3:7], numbers[7:], np.zeros(3, np.int64), found,
+        rows[5], more[:3], more[3:6], more[6], more[7], more[8:], np.zeros((3, 4)),
     )  # fmt: skip
 
 
 @compiled(forceinline=True)
 def wholly_on(rim, x, y):  # type: ignore[no-untyped-def]
-    """Whether every cell of an object whose origin is at (x, y), world, is wholly supported however it lies."""
+    """Whether every cell of an object whose origin is at (x, y), world, is wholly supported however it
+    lies."""
     middle_x, middle_y, radius, half_x, half_y, cos, sin = rim.top
     dx, dy, room = x - middle_x, y - middle_y, rim.room
     if radius > 0.0:
@@ -264,7 +265,9 @@ def _slope(held, rx, ry, plane, body, hold, d, t):  # type: ignore[no-untyped-de
     """Derivative of F along d (3), at the plane and t times d; `hold` is ε_b L² m."""
     m = body[0]
     a, bx, by = plane[0] + t * d[0], plane[1] + t * d[1], plane[2] + t * d[2]
-    slope = (_HOLD_SUM * (a - 1.0) - 1.0) * m * d[0] + (hold * bx - body[1]) * d[1] + (hold * by - body[2]) * d[2]
+    slope = (
+        (_HOLD_SUM * (a - 1.0) - 1.0) * m * d[0] + (hold * bx - body[1]) * d[1] + (hold * by - body[2]) * d[2]
+    )
     for i in range(rx.shape[0]):
         slope += held[i] * max(a + bx * rx[i] + by * ry[i], 0.0) * (d[0] + d[1] * rx[i] + d[2] * ry[i])
     return slope
@@ -385,7 +388,8 @@ def set_gradients(rim, effects, cells, v):  # type: ignore[no-untyped-def]
 
 @compiled(forceinline=True, fastmath=_FAST)
 def _weigh(weight, factor, plain, share, mass, rx, ry, plane, total, moving, pressing):  # type: ignore[no-untyped-def]
-    """Fill (N,) arrays of products: φ_i, f_i p_i and, over the cells in touch, f_i s_i, with weights, and m_i p_i.
+    """Fill (N,) arrays of products: φ_i, f_i p_i and, over the cells in touch, f_i s_i, with weights, and m_i
+    p_i.
 
     The third goes into pressing[1], (2, N), the last into pressing[0].
     """
@@ -447,13 +451,13 @@ def _add_shift(  # type: ignore[no-untyped-def]
 def add_share_slopes(rim, weight, h, state):  # type: ignore[no-untyped-def]
     """Add to `Slopes.state` what the pose does through the loads; sets `lift` and `total`.
 
-    With W = h Σ weight_i f_i s_i n_i (1, r_i)ᵀ over the cells in touch, n_i being the gradient by the load, and
-    p_i = max(0, a + b·r_i), the step's gradient changes with the shares by
+    With W = h Σ weight_i f_i s_i n_i (1, r_i)ᵀ over the cells in touch, n_i being the gradient by the load,
+    and p_i = max(0, a + b·r_i), the step's gradient changes with the shares by
 
         h Σ weight_i f_i p_i n_i ds_i - W A⁻¹ Σ m_i p_i (1, r_i) ds_i,
 
-    and with the mass of cell i, the friction loads m_i mu_i g being held, by W A⁻¹ ((1 - φ_i) (1, r_i) - e) with
-    e = (ε_a (a - 1), ε_b L² b).
+    and with the mass of cell i, the friction loads m_i mu_i g being held, by W A⁻¹ ((1 - φ_i) (1, r_i) - e)
+    with e = (ε_a (a - 1), ε_b L² b).
 
     Args:
         rim: `Rim`, its `by_load` and `by_pose` set.

@@ -1,7 +1,7 @@
 """What effects and the table's rim change in a step: values before it is solved, and derivatives after it.
 
-Whether there are any is known when a kernel is compiled: its `effects` are None, or `Effects`, and its `rim` is
-None, or a `Rim`. So what is absent costs nothing.
+Whether there are any is known when a kernel is compiled: its `effects` are None, or `Effects`, and its `rim`
+is None, or a `Rim`. So what is absent costs nothing.
 """
 
 from __future__ import annotations
@@ -287,7 +287,7 @@ def _some_rim(table, mass, model, layout):  # type: ignore[no-untyped-def]
 
 
 rim_under = without_or_with(_no_rim, _some_rim)
-"""`Rim` of a table (7,), or None, under a `Model` with cells of masses (n,); the `Layout` with room for those."""
+"""`Rim` of a table (7,) or None, under a `Model` with cells of masses (n,); `Layout` with room for these."""
 
 
 @compiled(forceinline=True)
@@ -305,14 +305,15 @@ def _on_table(rim, model, motion, time):  # type: ignore[no-untyped-def]
     flags[NEAR] = flags[TOUCHED] = 1
     spread_loads(rim, model.body, x, y, cos, sin)
     note_tipping(rim, x, y, cos, sin, model.cell_width, time)
+    carried = Cells(rim.load, cells.rx, cells.ry, cells.rho2, cells.eps2)
     return Model(
-        rim.load[: load.shape[0]], model.load_sum, Cells(rim.load, cells.rx, cells.ry, cells.rho2, cells.eps2),
-        model.body, model.about_center, model.cone, model.stick_speed, model.cell_width, model.size,
+        rim.load[: load.shape[0]], model.load_sum, carried, model.body, model.about_center, model.cone,
+        model.stick_speed, model.cell_width, model.size,
     )  # fmt: skip
 
 
 supported = without_or_with(_on_floor, _on_table)
-"""The `Model` with the friction loads that it has where a `Motion` has brought it, s from the push's start."""
+"""The `Model` with the friction loads that it has at a `Motion`, at a time from the push's start, s."""
 
 
 @compiled(forceinline=True)
@@ -423,11 +424,10 @@ def carry_loads(effects, rim, S, layout, model, terms, taken, slopes, pose):  # 
         The first block that is not carried.
     """
     new, minimum, h = taken.new, taken.minimum, taken.h
-    if rim is not None:
-        if rim.flags[NEAR] != 0:
-            rim.flags[CHANGED] = 1
-            set_load_slopes(S, layout, rim.by_load, rim.total, h, slopes.state)
-            return 0
+    if rim is not None and rim.flags[NEAR] != 0:
+        rim.flags[CHANGED] = 1
+        set_load_slopes(S, layout, rim.by_load, rim.total, h, slopes.state)
+        return 0
     if effects is None or (effects.memory == 0 and not effects.cells):
         _put_back_places(rim, S, layout)
         carry_plain_loads(S, model.cells, new, h, slopes.state, minimum, pose)

@@ -94,7 +94,9 @@ def lying(draw: st.DrawFn) -> tuple[CellGrid, FloatArray, FloatArray, Table]:
     else:
         table = Table("rectangle", (0.1, -0.2), size=(0.8, 0.5))
         along = draw(st.floats(-0.3, 0.3))
-        place = np.array([0.5 + out, along - 0.2]) if draw(st.booleans()) else np.array([0.1 + along, 0.05 + out])
+        place = (
+            np.array([0.5 + out, along - 0.2]) if draw(st.booleans()) else np.array([0.1 + along, 0.05 + out])
+        )
     return grid, mass, np.array([*place, angle]), table
 
 
@@ -117,7 +119,7 @@ def test_loads_hold_the_weight_where_it_acts(case: tuple[CellGrid, FloatArray, F
     assert np.isfinite(found).all() and (found >= 0).all()
     shares = np.prod([share(d, grid.width) for d in inside(grid, pose, table)], axis=0)
     assert (found[shares == 0] == 0).all()
-    hull = shapely.MultiPoint(grid.centers[shares > 0.01]).convex_hull
+    hull = shapely.MultiPoint(grid.centers[shares > 0.1]).convex_hull
     if hull.geom_type == "Polygon":
         hull = hull.buffer(-0.05 * grid.width)
     assume(hull.distance(shapely.Point(center)) < 1e-9)
@@ -158,7 +160,9 @@ def test_a_rim_far_away_changes_no_bit() -> None:
     for effects in ([], [EFFECTS["viscous_friction"]], [EFFECTS["load_transfer"]]):
         maps = with_values(plain_maps(), SHOWN[effects[0].name]) if effects else plain_maps()
         one = Slider(BLOCK, RADIUS, effects=effects).rollout(maps, [push_over()], sensitivities=True)
-        two = Slider(BLOCK, RADIUS, effects=effects, table=far).rollout(maps, [push_over()], sensitivities=True)
+        two = Slider(BLOCK, RADIUS, effects=effects, table=far).rollout(
+            maps, [push_over()], sensitivities=True
+        )
         assert np.array_equal(one.poses, two.poses) and np.array_equal(one.forces, two.forces)
         assert np.array_equal(one.d_poses, two.d_poses) and np.array_equal(one.d_forces, two.d_forces)
         assert not two.reached.any() and not two.tipped.any()
@@ -285,7 +289,9 @@ def test_a_moved_world_changes_nothing(name: str) -> None:
         one, two = (slider.map_columns(maps, out.d_poses)[0, -1, :, column] for out in (here, there))
         turned = placed(one[:2], np.array([0.0, 0.0, frame[2]]))
         assert two == pytest.approx([*turned, one[2]], abs=1e-9 * np.abs(one).max())
-    by_start = [slider.map_columns(maps, out.d_poses)[0, -1, :, 2 * N + 1 : 2 * N + 4] for out in (here, there)]
+    by_start = [
+        slider.map_columns(maps, out.d_poses)[0, -1, :, 2 * N + 1 : 2 * N + 4] for out in (here, there)
+    ]
     c, s = np.cos(frame[2]), np.sin(frame[2])
     turn = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])
     assert by_start[1] == pytest.approx(turn @ by_start[0] @ turn.T, abs=1e-8)
@@ -304,7 +310,9 @@ def test_tipping_is_on_record(name: str) -> None:
     assert out.tips[0, 0] == pytest.approx((first + 1) * push.h, abs=1.01 * push.h)
     assert np.isfinite(out.d_poses).all() and np.isfinite(out.poses).all()
     assert not slider.rollout(maps, [push_over()]).tipped.any()
-    at_end = Push(0.005, np.full((2, 2), np.nan), np.array([*out.poses[0, first, :2], out.poses[0, first, 2]]))
+    at_end = Push(
+        0.005, np.full((2, 2), np.nan), np.array([*out.poses[0, first, :2], out.poses[0, first, 2]])
+    )
     assert slider.rollout(maps, [at_end]).tips[0, 0] == 0.0
 
 
@@ -323,7 +331,7 @@ def test_a_concave_object_tips_over_the_table() -> None:
 @settings(max_examples=25, deadline=None)
 @given(st.data())
 def test_any_object_slid_over_any_rim_stays_finite(data: st.DataObject) -> None:
-    middle, corners = star(data.draw, 7, 0.04)
+    _, corners = star(data.draw, 7, 0.04)
     points = np.array([(x, y) for x in np.arange(-0.15, 0.15, 0.02) for y in np.arange(-0.15, 0.15, 0.02)])
     outline = CellGrid(points[:1], 0.02, corners)
     held = np.array([outline.polygon.contains(shapely.Point(p)) for p in points])
