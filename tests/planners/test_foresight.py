@@ -116,7 +116,7 @@ def test_at_the_rim_the_table_stays_where_it_is_with_the_finger_off():
 
 
 def test_what_is_imagined_onward_knows_no_rim():
-    """`moves` are those of the same pushes in the middle of the table; there they are those of `poses`, too."""
+    """`moves` are those of the same pushes in the middle of the table; there they are those of `poses`."""
     settings = PushSettings(candidates=6, scenarios=4)
     belief = belief_about(THING, hypotheses=2)
     pose, inner = np.array([0.42, 0.0, 1.0]), np.array([0.0, 0.0, 1.0])
