@@ -237,6 +237,29 @@ def test_derivatives_through_the_rim(names: tuple[str, ...], table: str) -> None
             assert error <= 2e-5 * size + 1e-8, f"{group}: {error / max(size, 1e-300):.1e}"
 
 
+@pytest.mark.parametrize("names", [(), ("viscous_friction",), ("loose_mass",)], ids=" ".join)
+def test_derivatives_of_a_slide_from_the_rim_to_the_middle(names: tuple[str, ...]) -> None:
+    """At the end all cells are supported again."""
+    values = np.concatenate([np.zeros(0), *(SHOWN[name] for name in names)])
+    slider = Slider(BLOCK, RADIUS, effects=[EFFECTS[name] for name in names], table=ROUND)
+    maps = with_values(plain_maps(), values) if names else plain_maps()
+    start, twist = np.array([0.035, 0.02, TURN]), np.array([-1.2, 0.3, 1.0])
+    push = Push(0.005, np.full((31, 2), np.nan), start, twist)
+    out = slider.rollout(maps, [push], sensitivities=True)
+    carried = slider.loads(maps, out.poses[0])[0]
+    assert (carried[0] == 0).any() and carried[-1] == pytest.approx(GRAVITY * maps.mass[0], rel=1e-12)
+    analytic = slider.map_columns(maps, out.d_poses)[0]
+    for group, i, step in (("mass", 4, 1e-6), ("mass", 10, 1e-6), ("mu", 3, 1e-5), ("mu", 12, 1e-5)):
+        ends = []
+        for sign in (-1, 1):
+            mass, mu = maps.mass.copy(), maps.mu.copy()
+            (mass if group == "mass" else mu)[0, i] += sign * step
+            ends.append(slider.rollout(Maps(mass, mu, maps.mu_finger, maps.effects), [push]).poses[0])
+        expected = (ends[1] - ends[0]) / (2 * step)
+        found = analytic[..., COLUMNS[group]][..., i]
+        assert found == pytest.approx(expected, abs=1e-5 * np.abs(expected).max())
+
+
 def test_derivatives_of_pushes_that_stay_and_that_come_near() -> None:
     """Many together as each alone; those that stay have no columns by mass, and zeros among others."""
     slider, maps = Slider(BLOCK, RADIUS, table=ROUND), plain_maps()
@@ -319,11 +342,12 @@ def test_tipping_is_on_record(name: str) -> None:
 def test_a_concave_object_tips_over_the_table() -> None:
     """The centre of mass of an L lies between its arms, over the table, and only one arm is carried."""
     grid = l_shape(0.02)
-    mass = np.where(grid.centers[:, 1] > 0.1, 0.2, 0.01)
-    slider = Slider(grid, RADIUS, table=Table("rectangle", (0.52, -0.4), size=(1.0, 1.0)))
+    mass = np.where((grid.centers[:, 1] > 0.15) | (grid.centers[:, 0] > 0.13), 0.2, 0.001)
+    slider = Slider(grid, RADIUS, table=Table("rectangle", (0.52, 0.0), size=(1.0, 1.0)))
     maps = Maps(mass, np.full(len(grid), 0.3), np.array([0.3]))
     rest = Push(0.01, np.full((3, 2), np.nan), np.zeros(3))
     center = mass @ grid.centers / mass.sum()
+    assert center[0] > 0.03
     assert balance_margins(grid, center[None], np.zeros((1, 3)), slider.table)[0, 0] < 0
     assert slider.rollout(maps, [rest]).tips[0, 0] == 0.0
 
