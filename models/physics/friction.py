@@ -26,7 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slipmap.models.physics.compiled import compiled
-from slipmap.models.physics.newton import coulomb_sums, plain_gradients, quadratic_of, register_cells
+from slipmap.models.physics.newton import coulomb_sums, quadratic_of, register_cells
 
 # Order of the numbers that formulas are evaluated at, and of those that they fill in.
 STATE = 6
@@ -193,24 +193,30 @@ def drag_sums(drag, rx, ry, cell_width):  # type: ignore[no-untyped-def]
 @compiled(fastmath={"contract"})
 def load_gradients(cells, v, by_load):  # type: ignore[no-untyped-def]
     """Fill by_load (3, n): derivatives of friction's gradient at the twist v by each cell's load f_i s_i."""
-    if not cells.stretched:
-        plain_gradients(cells, v, by_load)
-        return
     vx, vy, omega = v
     spin = cells.rho2 * omega
     constant = spin * omega + cells.eps2
     rx, ry = cells.rx, cells.ry
     row_x, row_y, row_w = by_load[0], by_load[1], by_load[2]
-    qxx, qxy, qyy = cells.qxx, cells.qxy, cells.qyy
-    for i in range(row_x.shape[0]):
-        ux = vx - omega * ry[i]
-        uy = vy + omega * rx[i]
-        px = qxx[i] * ux + qxy[i] * uy
-        py = qxy[i] * ux + qyy[i] * uy
-        inverse = 1.0 / math.sqrt(ux * px + uy * py + constant)
-        row_x[i] = px * inverse
-        row_y[i] = py * inverse
-        row_w[i] = (rx[i] * py - ry[i] * px + spin) * inverse
+    if cells.stretched:
+        qxx, qxy, qyy = cells.qxx, cells.qxy, cells.qyy
+        for i in range(row_x.shape[0]):
+            ux = vx - omega * ry[i]
+            uy = vy + omega * rx[i]
+            px = qxx[i] * ux + qxy[i] * uy
+            py = qxy[i] * ux + qyy[i] * uy
+            inverse = 1.0 / math.sqrt(ux * px + uy * py + constant)
+            row_x[i] = px * inverse
+            row_y[i] = py * inverse
+            row_w[i] = (rx[i] * py - ry[i] * px + spin) * inverse
+    else:
+        for i in range(row_x.shape[0]):
+            ux = vx - omega * ry[i]
+            uy = vy + omega * rx[i]
+            inverse = 1.0 / math.sqrt(ux * ux + uy * uy + constant)
+            row_x[i] = ux * inverse
+            row_y[i] = uy * inverse
+            row_w[i] = (rx[i] * uy - ry[i] * ux + spin) * inverse
 
 
 @compiled(fastmath={"contract"})
