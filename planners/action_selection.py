@@ -150,7 +150,8 @@ def _disagreements(choices: Sequence[Choice], pose: FloatArray, belief: Belief) 
     ends = rollouts.end[..., :3].transpose(1, 0, 2)
     pairs = add(ends[:, :, None], ends[:, None, :], belief.grid.centers)
     weights = np.outer(belief.probability, belief.probability)
-    return (pairs * weights).sum(axis=(1, 2))
+    # What tips over the table's rim teaches nothing.
+    return np.where(rollouts.tipped.any(axis=0), 0.0, (pairs * weights).sum(axis=(1, 2)))
 
 
 def _imagined(push: TablePush, pose: FloatArray) -> Push:

@@ -53,7 +53,7 @@ class Rival:
 
 @dataclass(frozen=True, eq=False)
 class Predictions:
-    """What one model predicts for B pushes; NaN where it cannot be computed.
+    """What one model predicts for B pushes; NaN where it cannot be computed, as where the object tips.
 
     Attributes:
         poses: (B, S, 3) as the tracker reports them.
@@ -116,6 +116,7 @@ def predict(rival: Rival, pushes: Sequence[Push]) -> Predictions:
         )
     poses = np.array([out.poses_of(b)[0] for b in range(B)])
     forces = np.array([_means(out.forces_of(b)[0]) for b in range(B)])
+    poses[out.tipped[0]] = forces[out.tipped[0]] = np.nan
     return Predictions(poses, forces)
 
 

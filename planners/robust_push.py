@@ -15,9 +15,10 @@ All lines of push are rolled out for all scenarios in one parallel call, to the 
 leaves the object where the finger stops, so that the poses on the way are the ends of all shorter pushes.
 
 A push that moves the object by δ from one pose, as seen from the object, moves it by δ from any other pose
-on the table. So the pushes imagined for one pose say what pushes from every other pose would do, and pairs of
-them what two would do (`Lookahead`); the best next push is a search for the nearest point. Where effects
-depend on the place this holds only roughly, which is enough to look ahead with.
+where the table carries all of it. So the pushes imagined for one pose say what pushes from every other pose
+would do, and pairs of them what two would do (`Lookahead`); the best next push is a search for the nearest
+point. At the rim, where part of the object is on air, and where effects depend on the place, this holds only
+roughly, which is enough to look ahead with; the next push itself is imagined where it is made.
 """
 
 from __future__ import annotations
@@ -112,6 +113,8 @@ class Foresight:
         poses: (C, L, S, 3) of the object at the end, world; NaN where the model found no answer.
         falls: (C, L) probability that its margin of balance falls below the settings' on the way.
         probability: (S,) of the scenarios.
+        moves: (C, L, S, 3) poses at the end seen from that before, had the table no rim; those of `poses`
+            where the rim is not near, or where this was not asked for.
     """
 
     lines: ContactLines
@@ -121,12 +124,27 @@ class Foresight:
     poses: FloatArray
     falls: FloatArray
     probability: FloatArray
+    moves: FloatArray
 
 
 def foresee(
-    scenarios: Scenarios, pose: FloatArray, lines: ContactLines, table: Table, settings: PushSettings
+    scenarios: Scenarios,
+    pose: FloatArray,
+    lines: ContactLines,
+    table: Table,
+    settings: PushSettings,
+    *,
+    onward: bool = True,
 ) -> Foresight:
     """Imagine pushing an object at `pose` (3,) along every line.
+
+    Args:
+        scenarios: S of them; their model is put on the table.
+        pose: of the object, world.
+        lines: of push.
+        table: that the object must not fall from.
+        settings: what pushes are like.
+        onward: whether `Foresight.moves` are wanted for looking ahead.
 
     Raises:
         ValueError: a pose that is not finite.
@@ -146,18 +164,27 @@ def foresee(
         Push(h, begin + np.outer(path, direction), pose, pose_times=looks)
         for begin, direction in zip(begins, directions, strict=True)
     ]
-    # A finger that is off by a rigid motion pushes as one that is not, on an object moved the other way.
+    # A finger that is off by a rigid motion pushes as one that is not, on an object, and a table, moved the
+    # other way.
     errors = _control_errors(begins, scenarios.noise)
     starts = relative(errors, pose)
-    imagined = _rolled_out(scenarios, pushes, starts, L)
+    imagined, tipped_at, reached = _rolled_out(
+        scenarios, scenarios.slider.on(table), pushes, starts, L, relative(errors, np.zeros(3))
+    )  # fmt: skip
     poses = compose(errors[:, :, None], imagined).transpose(1, 2, 0, 3)
-    tips = np.zeros((C, L, S), dtype=bool)
+    moves = relative(pose, poses)
+    near = np.flatnonzero(reached.any(axis=0))
+    if onward and len(near):
+        anywhere = [pushes[c] for c in near], starts[:, near], L
+        far_off = _rolled_out(scenarios, scenarios.slider.on(None), *anywhere)[0]
+        moves[near] = relative(pose, compose(errors[:, near, None], far_off).transpose(1, 2, 0, 3))
+    tips = tipped_at.T[:, None] <= looks[:, None]
     beyond = np.isfinite(poses).all(axis=-1) & ~_surely_on(poses, scenarios.slider.grid, table)
     centers = np.broadcast_to(scenarios.centers_of_mass, (C, L, S, 2))[beyond]
     margins = own_balance_margins(scenarios.slider.grid, centers, poses[beyond], table)
-    tips[beyond] = margins < np.broadcast_to(scenarios.least_margins, (C, L, S))[beyond]
+    tips[beyond] |= margins < np.broadcast_to(scenarios.least_margins, (C, L, S))[beyond]
     falls = np.logical_or.accumulate(tips, axis=1) @ scenarios.probability
-    return Foresight(lines, begins, directions, lengths, poses, falls, scenarios.probability)
+    return Foresight(lines, begins, directions, lengths, poses, falls, scenarios.probability, moves)
 
 
 def _surely_on(poses: FloatArray, grid: CellGrid, table: Table) -> np.ndarray:
@@ -188,20 +215,34 @@ def _control_errors(begins: FloatArray, noise: FloatArray) -> FloatArray:
     return np.concatenate([shift - turned[..., :2], angle[..., None]], axis=-1)
 
 
-def _rolled_out(scenarios: Scenarios, pushes: list[Push], starts: FloatArray, looks: int) -> FloatArray:
-    """(S, C, L, 3) poses; NaN for a push that some scenario does not solve."""
+def _rolled_out(
+    scenarios: Scenarios,
+    slider: Slider,
+    pushes: list[Push],
+    starts: FloatArray,
+    looks: int,
+    table_poses: FloatArray | None = None,
+) -> tuple[FloatArray, FloatArray, np.ndarray]:
+    """(S, C, L, 3) poses, NaN for a push that some scenario does not solve; (S, C) when it tips, s, and
+    whether it comes near the rim. `table_poses` (S, C, 3) as of `Slider.rollout`."""
+    shape = len(scenarios), len(pushes)
     try:
-        out = scenarios.slider.rollout(scenarios.maps, pushes, start_poses=starts)
+        out = slider.rollout(scenarios.maps, pushes, start_poses=starts, table_poses=table_poses)
     except RolloutError:
         if len(pushes) == 1:
-            return np.full((len(scenarios), 1, looks, 3), np.nan)
+            nothing = np.full((*shape, looks, 3), np.nan)
+            return nothing, np.full(shape, np.inf), np.zeros(shape, dtype=bool)
         half = len(pushes) // 2
         parts = [
-            _rolled_out(scenarios, pushes[:half], starts[:, :half], looks),
-            _rolled_out(scenarios, pushes[half:], starts[:, half:], looks),
-        ]
-        return np.concatenate(parts, axis=1)
-    return out.poses.reshape(len(scenarios), len(pushes), looks, 3)
+            _rolled_out(
+                scenarios, slider, pushes[part], starts[:, part], looks,
+                None if table_poses is None else table_poses[:, part],
+            )
+            for part in (slice(half), slice(half, None))
+        ]  # fmt: skip
+        poses, tips, reached = (np.concatenate(both, axis=1) for both in zip(*parts, strict=True))
+        return poses, tips, reached
+    return out.poses.reshape(*shape, looks, 3), out.tips, out.reached
 
 
 PAIRS = 100_000
@@ -212,8 +253,7 @@ class Lookahead:
     """Expected number of pushes from a pose to a target, looked up among imagined pushes.
 
     Args:
-        foresight: pushes imagined from one pose.
-        pose: (3,) this pose.
+        foresight: pushes imagined from one pose; their `moves` count.
         metric: of gaps.
         settings: what pushes are like.
         rng: draws the pairs.
@@ -222,7 +262,6 @@ class Lookahead:
     def __init__(
         self,
         foresight: Foresight,
-        pose: FloatArray,
         metric: PoseMetric,
         settings: PushSettings,
         rng: np.random.Generator,
@@ -230,7 +269,7 @@ class Lookahead:
         self._metric = metric
         self._settings = settings
         p = foresight.probability
-        moves = relative(pose, foresight.poses).reshape(-1, len(p), 3)
+        moves = foresight.moves.reshape(-1, len(p), 3)
         moves = moves[np.isfinite(moves).all(axis=(1, 2))]
         points = metric.embedding(moves)
         mean = np.einsum("s,msc->mc", p, points)
@@ -323,14 +362,14 @@ def plan_push(
     extra = np.zeros(len(goals)) if costs is None else np.asarray(costs, dtype=float)
     cone = float(np.radians(settings.cone))
     metric = PoseMetric(belief.grid)
-    scenarios = Scenarios.of(belief, settings, rng)
+    scenarios = Scenarios.of(belief.on(table), settings, rng)
     contour = ContactContour(belief.grid, belief.finger_radius, settings.approach)
 
     expected_center = belief.probability @ belief.centers_of_mass
     aligned = contour.nearest_to_axis(expected_center, ways_of_center(expected_center, relative(pose, goals)))
     lines = contour.spread(aligned[: settings.candidates // 2], settings.candidates, cone, rng)
     seen = [foresee(scenarios, pose, lines, table, settings)]
-    ahead = Lookahead(seen[0], pose, metric, settings, rng)
+    ahead = Lookahead(seen[0], metric, settings, rng)
 
     pushes = ahead.after(pose, goals, pairs=True)
     near = np.argsort(pushes + extra, kind="stable")[:_TARGETS]
@@ -345,7 +384,7 @@ def plan_push(
         best = np.argsort(np.concatenate(values).min(axis=(1, 2)), kind="stable")[:_VARIED]
         varied = contour.near(lines, best, settings.refinements // _ROUNDS, _SHIFT, _TILT, cone, rng)
         if len(varied):
-            seen.append(foresee(scenarios, pose, varied, table, settings))
+            seen.append(foresee(scenarios, pose, varied, table, settings, onward=False))
             values.append(expected(seen[-1]))
             lines = lines.joined(varied)
     return _first_allowed(seen, values, goals, near, metric, scenarios, settings, allowed)

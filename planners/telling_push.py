@@ -28,11 +28,12 @@ from slipmap.models.geometry import angle_between
 from slipmap.models.inference.diagnosis import procedure
 from slipmap.models.inference.diagnosis.fitting import Fitted
 from slipmap.models.inference.diagnosis.results import Diagnosis
-from slipmap.models.inference.observations import MEASURED_CONTACT, Observation
+from slipmap.models.inference.observations import Observation
+from slipmap.models.inference.prior import slider_for
 from slipmap.models.measurements import PushDataset
 from slipmap.models.physics.cell_grid import FloatArray
 from slipmap.models.physics.maps import Maps
-from slipmap.models.physics.rollout import Push, Slider
+from slipmap.models.physics.rollout import Push
 from slipmap.models.progress import Progress, silent
 from slipmap.planners.exploration import Candidate, NoReachablePush, candidate_pushes, turn
 from slipmap.planners.rehearsal import Predictions, Rival, keeps_touch, predict, separations, straight_push
@@ -347,7 +348,7 @@ def _hardly_seen(diagnosis: Diagnosis, dataset: PushDataset, habits: Habits) -> 
         values = np.clip(
             np.where(effect.amplitudes, effect.nulls + scales([effect], weight), start), *bounds([effect])
         )
-        slider = Slider(dataset.grid, dataset.finger_radius, dataset.gravity, MEASURED_CONTACT, [effect])
+        slider = slider_for(dataset, [effect])
         maps = Maps(plain.maps.mass, plain.maps.mu, plain.maps.mu_finger, values[None])
         rivals.append(Rival(effect.name, slider, maps))
     recorded = [_as_imagined(o) for o in base.likelihood.observations if np.isfinite(o.push.tip).all()]

@@ -19,6 +19,7 @@ from slipmap.diagrams.systems.python_system import HoldsOutputFunctions, Without
 from slipmap.models.effects.effect import Effect
 from slipmap.models.geometry import placed
 from slipmap.models.inference.belief import Belief
+from slipmap.models.measurements.push_dataset import Table
 from slipmap.models.physics.cell_grid import CellGrid, FloatArray
 from slipmap.models.physics.maps import Maps
 from slipmap.models.physics.rollout import Smoothing
@@ -116,6 +117,7 @@ def CellGridSlider_(T: type) -> type:
             effects: of the model, in the order of the columns of `Maps.effects`.
             gravity: m/s².
             smoothing: see `Smoothing`.
+            table: see `Slider`; cells beyond its rim carry nothing.
 
         Raises:
             ValueError: maps of another grid, of other effects, or of more than one model.
@@ -137,15 +139,16 @@ def CellGridSlider_(T: type) -> type:
             effects: Sequence[Effect] = (),
             gravity: float = 9.81,
             smoothing: Smoothing | None = None,
+            table: Table | None = None,
             converter: Any = None,
         ) -> None:
             LeafSystem_[T].__init__(self, converter=converter)
             if len(maps) != 1:
                 raise ValueError(f"CellGridSlider holds one model, the maps are of {len(maps)}")
             self.set_name("cell_grid_slider")
-            self.stepper = Stepper(grid, finger_radius, h, effects, gravity, smoothing)
+            self.stepper = Stepper(grid, finger_radius, h, effects, gravity, smoothing, table)
             models = self.stepper.models(maps)
-            self._arguments = (grid, models.maps, finger_radius, h, effects, gravity, smoothing)
+            self._arguments = (grid, models.maps, finger_radius, h, effects, gravity, smoothing, table)
             self._history = history_length(self.stepper)
             vector = BasicVector_[T]
             state = vector(self.stepper.size + 3 * self._history)
@@ -169,8 +172,8 @@ def CellGridSlider_(T: type) -> type:
             self.DeclarePeriodicDiscreteUpdateEvent(h, 0.0, self._step)
 
         def _construct_copy(self, other: Any, converter: Any = None) -> None:
-            grid, maps, radius, h, effects, gravity, smoothing = other._arguments
-            Impl._construct(self, grid, maps, radius, h, effects, gravity, smoothing, converter)
+            grid, maps, radius, h, effects, gravity, smoothing, table = other._arguments
+            Impl._construct(self, grid, maps, radius, h, effects, gravity, smoothing, table, converter)
 
         def set_maps(self, context: Any, maps: Maps) -> None:
             """Give the Context other maps, and effects' parameters, of one model.
@@ -269,6 +272,7 @@ def slider_of_hypothesis(belief: Belief, hypothesis: int, h: float) -> Any:
         belief.effects,
         belief.gravity,
         belief.smoothing,
+        belief.table,
     )
 
 

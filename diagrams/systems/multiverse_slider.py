@@ -70,7 +70,9 @@ def placed(
     order: float = 0.0,
 ) -> Universes:
     """All hypotheses at rest where the tracker reports `pose` (3,), in steps of h (s)."""
-    stepper = Stepper(belief.grid, belief.finger_radius, h, belief.effects, belief.gravity, belief.smoothing)
+    stepper = Stepper(
+        belief.grid, belief.finger_radius, h, belief.effects, belief.gravity, belief.smoothing, belief.table
+    )  # fmt: skip
     models = stepper.models(belief.maps)
     states = stepper.start(models, pose)
     history = np.repeat(states[:, None, :3], history_length(stepper), axis=1)

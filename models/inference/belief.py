@@ -9,7 +9,7 @@ import tokenize
 import zipfile
 import zlib
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
@@ -19,7 +19,8 @@ import numpy as np
 from slipmap.models.effects.effect import Effect
 from slipmap.models.effects.library import LIBRARY
 from slipmap.models.files import UnreadableFile, check_archive, replaced_file
-from slipmap.models.measurements import PushDataset
+from slipmap.models.measurements import PushDataset, Table
+from slipmap.models.physics.balance import corners_of
 from slipmap.models.physics.cell_grid import CellGrid, FloatArray
 from slipmap.models.physics.rollout import Maps, Slider, Smoothing
 
@@ -58,6 +59,7 @@ class Belief:
         settings: everything else that shaped the result, JSON-able.
         versions: of slipmap and of the libraries that compute.
         effects: that the model has; the maps carry their parameters.
+        table: on which it was pushed, where known.
 
     Example:
         >>> import tempfile
@@ -84,6 +86,7 @@ class Belief:
     settings: dict[str, Any] = field(default_factory=dict)
     versions: dict[str, str] = field(default_factory=lambda: library_versions())
     effects: tuple[Effect, ...] = ()
+    table: Table | None = None
 
     def __post_init__(self) -> None:
         if self.maps.mass.shape[1] != len(self.grid):
@@ -150,6 +153,7 @@ class Belief:
                 **settings,
             },
             effects=slider.effects,
+            table=slider.table,
         )
 
     def __len__(self) -> int:
@@ -157,8 +161,14 @@ class Belief:
 
     @property
     def slider(self) -> Slider:
-        """The model that the maps belong to, with its effects."""
-        return Slider(self.grid, self.finger_radius, self.gravity, self.smoothing, effects=self.effects)
+        """The model that the maps belong to, with its effects, on its table."""
+        return Slider(
+            self.grid, self.finger_radius, self.gravity, self.smoothing, self.effects, self.table
+        )  # fmt: skip
+
+    def on(self, table: Table | None) -> Belief:
+        """The same hypotheses about pushes on another table, or on one whose rim is not known."""
+        return self if table == self.table else replace(self, table=table)
 
     @property
     def centers_of_mass(self) -> FloatArray:
@@ -193,6 +203,7 @@ class Belief:
             "settings": self.settings,
             "versions": self.versions,
             "effects": [effect.name for effect in self.effects],
+            **({} if self.table is None else {"table": vars(self.table)}),
             "checksum": _checksum(arrays),
         }
         try:
@@ -275,6 +286,7 @@ class Belief:
                 settings=dict(meta["settings"]),
                 versions=dict(meta["versions"]),
                 effects=tuple(by_name[name] for name in carried),
+                table=_table_of(meta.get("table")),
             )
         except BeliefError:
             raise
@@ -282,6 +294,22 @@ class Belief:
             raise BeliefError(f"{path}: {error}") from error
         except _DAMAGE as error:
             raise BeliefError(f"{path} is not a readable belief file ({error}); {_ANEW}") from error
+
+
+def _table_of(written: dict[str, Any] | None) -> Table | None:
+    """The table that a belief file carries, checked; older files carry none."""
+    if written is None:
+        return None
+    center, size = [float(value) for value in written["center"]], written["size"]
+    table = Table(
+        "round" if written["shape"] == "round" else "rectangle",
+        (center[0], center[1]),
+        None if written["radius"] is None else float(written["radius"]),
+        None if size is None else (float(size[0]), float(size[1])),
+    )
+    if not np.isfinite([*center, *corners_of(table).ravel(), table.radius or 0.0]).all():
+        raise ValueError("the table's numbers must be finite")
+    return table
 
 
 def _checksum(arrays: dict[str, FloatArray]) -> str:

@@ -168,6 +168,7 @@ def compare(
     if belief is None:
         belief = identify(dataset, seed=seed, progress=progress).belief
     check_same_object(belief, dataset)
+    belief = belief.on(dataset.table)
     report = progress or silent
     grid = belief.grid
     observations = observe_all(dataset)

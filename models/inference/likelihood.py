@@ -119,7 +119,8 @@ class PushLikelihood(ABC):
         maps = prior.maps(z, strength)
         scaled_offsets = offsets / self.start_sigma
         cost = 0.5 * (scaled_offsets**2).sum(axis=-1)
-        # Normal equations by the rollout's own columns, which are fewer than the coordinates.
+        # Normal equations by the rollout's own columns, which are fewer than the coordinates; pushes that
+        # stay away from the table's rim have the first ones alone.
         columns, start = prior.columns(maps, strength), prior.start_columns
         by_column = columns.transpose(0, 2, 1)
         P = columns.shape[1]
@@ -128,6 +129,7 @@ class PushLikelihood(ABC):
         couplings = np.empty((B, K, d, 3))
         for b, rollouts, place in self._rolled_out(maps, offsets, P):
             J, r, own = self._whitened(rollouts, b, place)
+            p = J.shape[-1]
             cost[:, b] += own
             transposed = J.transpose(0, 2, 1)
             full = transposed @ J
@@ -137,9 +139,12 @@ class PushLikelihood(ABC):
             coupling = full[:, :, start]
             gain = np.linalg.inv(start_hessian)
             w = weights[:, b]
-            reduced_hessian += w[:, None, None] * (full - coupling @ gain @ coupling.transpose(0, 2, 1))
-            reduced_gradient += w[:, None] * (slope - (coupling @ gain @ start_gradient[..., None])[..., 0])
-            gains[b], start_gradients[b], couplings[b] = gain, start_gradient, by_column @ coupling
+            own_hessian = full - coupling @ gain @ coupling.transpose(0, 2, 1)
+            own_gradient = slope - (coupling @ gain @ start_gradient[..., None])[..., 0]
+            reduced_hessian[:, :p, :p] += w[:, None, None] * own_hessian
+            reduced_gradient[:, :p] += w[:, None] * own_gradient
+            gains[b], start_gradients[b] = gain, start_gradient
+            couplings[b] = by_column[..., :p] @ coupling
         hessian = by_column @ reduced_hessian @ columns
         gradient = (by_column @ reduced_gradient[..., None])[..., 0]
         return NormalEquations(cost, hessian, gradient, gains, start_gradients, couplings)
@@ -171,9 +176,14 @@ class PushLikelihood(ABC):
         arm = rotated(self._centroid, predicted[..., 2])
         here, there = predicted[..., :2] + arm, measured[..., :2] + rotated(self._centroid, measured[..., 2])
         turn = self._radius * (predicted[..., 2:] - measured[..., 2:])
-        by_object = rollouts.d_poses[:, rollouts.pose_at[place] : rollouts.pose_at[place + 1]]
-        slopes = slopes_at_centroid(by_object, arm, self._radius)
+        slopes = slopes_at_centroid(
+            self._by_own(rollouts.d_poses_of(place), rollouts, place), arm, self._radius
+        )
         return np.concatenate([here - there, turn], axis=-1), slopes
+
+    def _by_own(self, slopes: FloatArray, rollouts: Rollouts, place: int) -> FloatArray:
+        """Derivatives (…, P) of the push at a place, without columns by masses that are all zero."""
+        return slopes if rollouts.reached[:, place].any() else slopes[..., : self.prior.slider.columns]
 
     @abstractmethod
     def _whitened(self, rollouts: Rollouts, b: int, place: int) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -252,7 +262,7 @@ class Likelihood(PushLikelihood):
         sliding = observation.sliding
         if sliding.any():
             error = rollouts.forces_of(place)[:, sliding] - observation.forces[sliding]
-            slopes = rollouts.d_forces[:, rollouts.force_at[place] : rollouts.force_at[place + 1]][:, sliding]
+            slopes = self._by_own(rollouts.d_forces_of(place), rollouts, place)[:, sliding]
             groups.append((error, slopes, self._force_sigmas[b], settings.independent_forces))
         K, P = len(error), slopes.shape[-1]
         jacobians, residuals, costs = [], [], np.zeros(K)

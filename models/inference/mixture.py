@@ -264,7 +264,7 @@ def mixed_belief(
     carried = [_with_parameters(maps, effects, used) for maps, effects in parts]
     likelihood = every[0].likelihood
     own = likelihood.prior.slider
-    slider = Slider(own.grid, own.finger_radius, own.gravity, own.smoothing, effects=used)
+    slider = Slider(own.grid, own.finger_radius, own.gravity, own.smoothing, used, own.table)
     names = ("mass", "mu", "mu_finger", "effects")
     together = Maps(*(np.concatenate([getattr(maps, name) for maps in carried]) for name in names))
     return Belief.learnt(

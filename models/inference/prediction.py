@@ -154,7 +154,7 @@ def predict(belief: Belief, dataset: PushDataset, progress: Progress | None = No
 
     Args:
         belief: what was learnt, from this or another dataset of the same object.
-        dataset: pushes of the object that the belief is about.
+        dataset: pushes of the object that the belief is about; its table counts.
         progress: called with (stage, done, total).
 
     Raises:
@@ -168,7 +168,9 @@ def predict(belief: Belief, dataset: PushDataset, progress: Progress | None = No
         ['fit', 'heldout', 'heldout']
     """
     check_same_object(belief, dataset)
-    return predict_observations(belief, observe_all(dataset), sensor_noise(dataset), progress)
+    return predict_observations(
+        belief.on(dataset.table), observe_all(dataset), sensor_noise(dataset), progress
+    )
 
 
 def check_same_object(belief: Belief, dataset: PushDataset) -> None:

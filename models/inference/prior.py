@@ -85,8 +85,10 @@ BOLD = ("varied", "few points")
 
 
 def slider_for(dataset: PushDataset, effects: Sequence[Effect] = ()) -> Slider:
-    """The model of a dataset's object and finger, for measured contact."""
-    return Slider(dataset.grid, dataset.finger_radius, dataset.gravity, MEASURED_CONTACT, effects=effects)
+    """The model of a dataset's object and finger on its table, for measured contact."""
+    return Slider(
+        dataset.grid, dataset.finger_radius, dataset.gravity, MEASURED_CONTACT, effects, dataset.table
+    )  # fmt: skip
 
 
 class MapPrior:
@@ -230,9 +232,10 @@ class MapPrior:
         Returns:
             (K, …, size + 3): coordinates, then start x, y, θ.
         """
-        rows = derivative.reshape(len(maps), -1, derivative.shape[-1])
+        P = derivative.shape[-1]
+        rows = derivative.reshape(len(maps), -1, P)
         by_start = rows[..., self.start_columns]
-        result = np.concatenate([rows @ self.columns(maps, strength), by_start], axis=-1)
+        result = np.concatenate([rows @ self.columns(maps, strength)[:, :P], by_start], axis=-1)
         return result.reshape(*derivative.shape[:-1], self.size + 3)
 
     @property
@@ -244,8 +247,9 @@ class MapPrior:
     def columns(self, maps: Maps, strength: FloatArray | float = 1.0) -> FloatArray:
         """(K, P, size) derivatives of what a rollout's reduced columns stand for by the coordinates.
 
-        Where a friction is at its bound the derivative is that of the unbounded formula, so that a step can
-        lead back inside.
+        On a table P counts the cells' masses too, which are last; rollouts that stay away from its rim do not
+        have these columns. Where a friction is at its bound the derivative is that of the unbounded formula,
+        so that a step can lead back inside.
         """
         K, n, r = len(maps), len(self.slider.grid), self.basis.shape[1]
         s = self.settings
@@ -261,7 +265,8 @@ class MapPrior:
         share = maps.mass / maps.mass.sum(axis=1, keepdims=True)
         by_mass -= by_total * (share @ self.basis)[:, None]
         by_mean_friction = np.concatenate([load, np.zeros((K, INERTIA_COLUMNS, 1))], axis=1)
-        result = np.zeros((K, n + EXTRA_COLUMNS + len(self.effect_scales), self.size))
+        masses = 0 if self.slider.table is None else n
+        result = np.zeros((K, n + EXTRA_COLUMNS + len(self.effect_scales) + masses, self.size))
         result[:, : n + INERTIA_COLUMNS, : self.plain - 1] = np.concatenate(
             [
                 of_load * (s.mass_share * by_mass + (1.0 - s.mass_share) * by_friction),
@@ -272,7 +277,18 @@ class MapPrior:
             axis=-1,
         )
         result[:, n + INERTIA_COLUMNS, self.plain - 1] = s.finger_friction * maps.mu_finger
-        result[:, n + EXTRA_COLUMNS :, self.plain :] = np.diag(self.effect_scales)
+        first = n + EXTRA_COLUMNS
+        result[:, first : first + len(self.effect_scales), self.plain :] = np.diag(self.effect_scales)
+        if masses:
+            by_load = maps.mass[..., None] * (self.basis - (share @ self.basis)[:, None])
+            result[:, -n:, : 2 * r + 1] = np.concatenate(
+                [
+                    of_load * s.mass_share * by_load,
+                    of_split * by_load,
+                    maps.mass[..., None] * self.total_spread,
+                ],
+                axis=-1,
+            )
         return result
 
 

@@ -11,7 +11,10 @@ As a block is one piece of memory, the compiler sees that its lanes are independ
 Parameters are in this order, the loads filled up to whole blocks:
 
     f_1 … f_n, m, s_x, s_y, J, mu_finger, and the start x, y, θ (world) and v_x, v_y, omega (object frame);
-    the effects' parameters;  in a single step the memory before it, and what drives it.
+    the effects' parameters;  in a single step the memory before it, and what drives it;
+    on a table m_1 … m_n, as far as loads shift with them, f, m, s and J being held.
+
+Those blocks of masses are zero, and nobody's work, until a push comes near the table's rim.
 
 In the functions here S and `before` are the blocks after a step, as far as they are carried over it, and
 before it; F are blocks of two rows, the Jacobian of the finger's force (world, N) in the step.
@@ -44,12 +47,14 @@ class Layout(NamedTuple):
         others: number of parameters after them; no Jacobian is wanted where it is 0.
         memory: E.
         effects: number of the effects' parameters.
+        masses: number of masses, 0 or n.
     """
 
     n: int
     others: int
     memory: int
     effects: int
+    masses: int
 
 
 @compiled(forceinline=True)
@@ -77,8 +82,17 @@ def _place(layout, k, row, rows):  # type: ignore[no-untyped-def]
 @compiled()
 def empty_blocks(layout, rows):  # type: ignore[no-untyped-def]
     """Room for the parameters of a `Layout`."""
-    size = padded(layout.n) + padded(layout.others) if layout.others > 0 else 0
+    size = padded(layout.n) + padded(layout.others) + padded(layout.masses) if layout.others > 0 else 0
     return np.zeros(size * rows)
+
+
+@compiled(forceinline=True)
+def set_places(S, layout, rx, ry):  # type: ignore[no-untyped-def]
+    """Write the cells' centres into the direct rows of the loads."""
+    rows = FIXED_ROWS + layout.memory
+    for i in range(layout.n):
+        at = i // LANES * rows * LANES + i % LANES
+        S[at + _DIRECT * LANES], S[at + (_DIRECT + 1) * LANES] = rx[i], ry[i]
 
 
 @compiled()
@@ -88,9 +102,7 @@ def first_blocks(layout, rx, ry):  # type: ignore[no-untyped-def]
     S = empty_blocks(layout, rows)
     if layout.others == 0:
         return S
-    for i in range(layout.n):
-        at = i // LANES * rows * LANES + i % LANES
-        S[at + _DIRECT * LANES], S[at + (_DIRECT + 1) * LANES] = rx[i], ry[i]
+    set_places(S, layout, rx, ry)
     for i in range(STATE):
         S[_place(layout, INERTIA_COLUMNS + 1 + i, i, rows)] = 1.0
     given = EXTRA_COLUMNS + layout.effects
@@ -237,6 +249,7 @@ def fill_force(F, S, before, layout, slopes, frame, force, h):  # type: ignore[n
     """Fill F; `force` is that of the finger (world, N)."""
     size = (FIXED_ROWS + layout.memory) * LANES
     first = padded(layout.n) // LANES
+    masses = first + padded(layout.others) // LANES
     for b in range(S.shape[0] // size):
         old, new = before[b * size : (b + 1) * size], S[b * size : (b + 1) * size]
         out = F[2 * b * LANES : 2 * (b + 1) * LANES]
@@ -244,7 +257,8 @@ def fill_force(F, S, before, layout, slopes, frame, force, h):  # type: ignore[n
             state, by_sum = slopes.state[3 + a], slopes.state[3 + a, slopes.state.shape[1] - 1]
             for lane in range(LANES):
                 at = (b - first) * LANES + lane
-                out[a * LANES + lane] = slopes.other[3 + a, at] if b >= first else by_sum
+                direct = slopes.other[3 + a, at] if first <= b < masses else 0.0
+                out[a * LANES + lane] = direct if b >= first else by_sum
             _add_rows(out, a, state, 0, STATE, old, 0)
             _add_rows(out, a, slopes.twist[a], 0, 3, new, 3)
             if layout.memory > 0:
@@ -282,6 +296,20 @@ def carry_memory(S, before, F, layout, down):  # type: ignore[no-untyped-def]
             S[_place(layout, k, row, rows)] += down[e, inertia_at + k]
         for k in range(layout.effects):
             S[_place(layout, EXTRA_COLUMNS + k, row, rows)] += down[e, inertia_at + INERTIA + k]
+
+
+@compiled(forceinline=True)
+def before_masses(S, layout):  # type: ignore[no-untyped-def]
+    """How many entries blocks S (of as many rows as a state's) have before those of the masses."""
+    return (padded(layout.n) + padded(layout.others)) * (FIXED_ROWS + layout.memory)
+
+
+@compiled()
+def store_mass_rows(S, before, share, rows, layout, out):  # type: ignore[no-untyped-def]
+    """As `store_rows` from the first row on, for the masses alone; out (wanted, n)."""
+    masses_at = (padded(layout.n) + padded(layout.others)) * rows
+    for i in range(out.shape[0]):
+        _store_row(S, before, share, rows, masses_at + i * LANES, out[i])
 
 
 @compiled()

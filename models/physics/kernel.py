@@ -2,6 +2,7 @@
 
 A step goes, in the order of this file,
 
+    supported    the loads, where part of the object may lie beyond the table's rim (`support.py`)
     terms_at     what effects change in this step, by their formulas at the state before it (`terms.py`)
     take_step    free motion and given forces, the finger, its contacts, the minimum, the way along it
     set_slopes   direct derivatives of the minimum's gradient and of the finger's impulse
@@ -30,6 +31,7 @@ from slipmap.models.physics.blocks import (
     padded,
     pose_update,
     set_other_slopes,
+    store_mass_rows,
     store_rows,
 )
 from slipmap.models.physics.compiled import (
@@ -41,7 +43,14 @@ from slipmap.models.physics.compiled import (
 )
 from slipmap.models.physics.contact import CONTACT_COLUMNS, MAX_CONTACTS
 from slipmap.models.physics.friction import AFTER, FORCE, STATE
-from slipmap.models.physics.kernel_arguments import Common, Formulas, JoinedPushes, ReducedMaps, Results
+from slipmap.models.physics.kernel_arguments import (
+    Common,
+    FloatArray,
+    Formulas,
+    JoinedPushes,
+    ReducedMaps,
+    Results,
+)
 from slipmap.models.physics.kernel_tools import (
     OnePush,
     copy_into,
@@ -53,6 +62,7 @@ from slipmap.models.physics.kernel_tools import (
     turn_by,
     turned,
 )
+from slipmap.models.physics.newton import LANES
 from slipmap.models.physics.slopes import (
     Slopes,
     Taken,
@@ -77,13 +87,28 @@ from slipmap.models.physics.step import (
     way_of,
     weighted,
 )
+from slipmap.models.physics.support import (
+    FIRST_FORCE,
+    FIRST_POSE,
+    REACHED,
+    TIPS,
+    TOUCHED,
+    rim_of,
+    spread_loads,
+)
 from slipmap.models.physics.terms import (
     Motion,
     add_effect_slopes,
+    add_rim_slopes,
+    at_work,
     carry_loads,
     effects_of,
     model_of,
     remember,
+    rim_under,
+    set_mass_slopes,
+    supported,
+    table_of,
     terms_at,
 )
 
@@ -181,19 +206,23 @@ def _set_last_inputs(inputs, push, number, taken, layout, slopes):  # type: igno
 
 
 @compiled(inline="always")
-def set_slopes(effects, inputs, model, layout, push, number, terms, taken, slopes):  # type: ignore[no-untyped-def]
-    """Set the `Slopes` of a step."""
+def set_slopes(  # type: ignore[no-untyped-def]
+    effects, rim, inputs, model, layout, push, number, motion, terms, taken, slopes
+):
+    """Set the `Slopes` of a step from a `Motion`; `model` as the table carries it."""
     set_step_slopes(taken, model.load_sum, slopes)
     _set_last_inputs(inputs, push, number, taken, layout, slopes)
-    add_effect_slopes(effects, model, terms, taken, slopes)
+    add_rim_slopes(rim, effects, motion, terms, taken, slopes)
+    add_effect_slopes(effects, rim, model, terms, taken, slopes)
 
 
 @compiled(inline="always")
-def carry(effects, S, layout, model, terms, taken, slopes):  # type: ignore[no-untyped-def]
+def carry(effects, rim, S, layout, model, terms, taken, slopes):  # type: ignore[no-untyped-def]
     """Carry the state's rows of the Jacobian over a step, in place."""
     pose = pose_update(taken.way, taken.h)
-    first = carry_loads(effects, S, layout, model, terms, taken, slopes, pose)
+    first = carry_loads(effects, rim, S, layout, model, terms, taken, slopes, pose)
     set_other_slopes(S, layout, slopes.other)
+    set_mass_slopes(rim, S, layout)
     carry_direct(S, first, layout, slopes.state, taken.minimum, pose, taken.h)
 
 
@@ -213,16 +242,69 @@ def _set_rate(rate, push, sample, delay, dx, dy, dtheta):  # type: ignore[no-unt
     rate[0], rate[1], rate[2] = (dx / h, dy / h, dtheta / h) if inside else (0.0, 0.0, 0.0)
 
 
+@compiled(forceinline=True)
+def _store_masses(rim, S, before, share, layout, out):  # type: ignore[no-untyped-def]
+    """Write rows of the masses into out (wanted, n), if there are any that are not zero."""
+    if rim is None:
+        return
+    if rim.flags[TOUCHED] != 0:
+        store_mass_rows(S, before, share, FIXED_ROWS + layout.memory, layout, out)
+
+
+@compiled(forceinline=True)
+def _store_mass_forces(rim, F, layout, out):  # type: ignore[no-untyped-def]
+    """The same from blocks of the force."""
+    if rim is None:
+        return
+    if rim.flags[TOUCHED] != 0:
+        store_mass_rows(F, F, 1.0, 2, layout, out)
+
+
+@compiled(forceinline=True)
+def _store_state_masses(rim, S, layout, out):  # type: ignore[no-untyped-def]
+    """Write the rows of twist and memory of the masses into out (Z, n), as `_roll` writes the others."""
+    if rim is None:
+        return
+    if rim.flags[TOUCHED] != 0:
+        rows, size = FIXED_ROWS + layout.memory, LANES
+        moved = S[3 * size :]
+        store_mass_rows(moved, moved, 1.0, rows, layout, out[3:STATE])
+        own = S[(FIXED_ROWS + FORCE) * size :]
+        store_mass_rows(own, own, 1.0, rows, layout, out[AFTER:])
+
+
+@compiled(forceinline=True)
+def _note_samples(rim, poses, forces):  # type: ignore[no-untyped-def]
+    """Note how many poses and forces that were wanted are past when a push first comes near the rim."""
+    if rim is None:
+        return
+    if rim.flags[TOUCHED] != 0 and rim.found[REACHED] == 0.0:
+        rim.found[REACHED] = 1.0
+        rim.found[FIRST_POSE] = poses
+        rim.found[FIRST_FORCE] = forces
+
+
+@compiled(forceinline=True)
+def _give_rim(rim, model, motion, time, result):  # type: ignore[no-untyped-def]
+    """Look once more where the object has come to lie, and give what was found."""
+    if rim is None:
+        return
+    if rim.found[TIPS] == np.inf:
+        supported(rim, model, motion, time)
+    copy_into(result.rim, rim.found)
+
+
 @compiled(inline="always")
-def _owned(common, maps, formulas, k, b, h, columns, memory):  # type: ignore[no-untyped-def]
-    """`Model` k under push b, of steps of length h, what `effects_of` gives, and `Room`."""
+def _owned(common, maps, formulas, table, k, b, h, columns, memory):  # type: ignore[no-untyped-def]
+    """`Model` k under push b, of steps of length h, `Rim`, what `effects_of` gives, and `Room`."""
     model = model_of(common, maps, k, h)
-    effects, layout, delay = effects_of(formulas, k, b, model, columns, memory)
+    effects, plain_layout, delay = effects_of(formulas, k, b, model, columns, memory)
+    rim, layout = rim_under(table_of(table, k, b), maps.mass[k], model, plain_layout)
     S = first_blocks(layout, model.cells.rx, model.cells.ry)
     before, F = (np.zeros_like(S), empty_blocks(layout, 2)) if columns > 0 else (S, S)
     slopes = no_slopes(layout.memory, padded(layout.others))
     room = Room(S, before, F, slopes, np.zeros((MAX_CONTACTS, CONTACT_COLUMNS)))
-    return model, effects, layout, delay, room
+    return model, rim, effects, layout, delay, room
 
 
 @compiled(inline="always")
@@ -234,7 +316,7 @@ def _roll(things, inputs, common, push, result):  # type: ignore[no-untyped-def]
         inputs: how many columns of the Jacobian, the last, are by what drives the first step; or None.
         common, push, result: `Common`, `OnePush`, `Results` of the push.
     """
-    model, effects, layout, delay, room = things
+    model, rim, effects, layout, delay, room = things
     S, before, F, slopes, contacts = room
     h, size, steps, force_step = push.h, common.size, push.tip.shape[0] - 1, push.force_step
     n, derive, remembers = layout.n, layout.others > 0, layout.memory > 0
@@ -249,9 +331,11 @@ def _roll(things, inputs, common, push, result):  # type: ignore[no-untyped-def]
     failed = False
 
     for number in range(steps):
-        terms = terms_at(effects, model, motion, number, h)
+        here = supported(rim, model, motion, number * h)
+        _note_samples(rim, sample, force_sample)
+        terms = terms_at(effects, rim, here, motion, number, h)
         guess = weighted(weights, past)
-        taken = take_step(model, common, push, number, terms, motion, guess, contacts, derive)
+        taken = take_step(here, common, push, number, terms, motion, guess, contacts, derive)
         new, way, frame = taken.new, taken.way, taken.frame
         weights = best_weights(new, past, size)
         past = (new, past[0], past[1])
@@ -282,20 +366,26 @@ def _roll(things, inputs, common, push, result):  # type: ignore[no-untyped-def]
 
         if derive:
             wants_force = remembers or force_sample > first_force
+            now = at_work(rim, S, layout)
             if between or wants_force:
-                copy_into(before, S)
-            set_slopes(effects, inputs, model, layout, push, number, terms, taken, slopes)
-            carry(effects, S, layout, model, terms, taken, slopes)
+                copy_into(at_work(rim, before, layout), now)
+            set_slopes(
+                effects, rim, inputs, here, layout, push, number, motion, terms, taken, slopes
+            )  # fmt: skip
+            carry(effects, rim, now, layout, here, terms, taken, slopes)
             if wants_force:
-                fill_force(F, S, before, layout, slopes, frame, force, h)
+                fill_force(F, now, before, layout, slopes, frame, force, h)
             for s in range(first_sample, sample):
                 share = _sample_place(push, s, delay)[1]
                 store_rows(S, before, share, FIXED_ROWS + layout.memory, 0, n, result.d_poses[s])
+                _store_masses(rim, S, before, share, layout, result.mass_poses[s])
             for s in range(first_force, force_sample):
                 store_rows(F, F, 1.0, 2, 0, n, result.d_forces[s])
-        remember(effects, S, before, F, layout, following, force)
+                _store_mass_forces(rim, F, layout, result.mass_forces[s])
+        remember(effects, at_work(rim, S, layout), before, F, layout, following, force)
         motion = following
 
+    _give_rim(rim, model, motion, steps * h, result)
     end = result.end
     end[0], end[1], end[2] = motion.x, motion.y, motion.theta
     end[3], end[4], end[5] = motion.v
@@ -303,7 +393,7 @@ def _roll(things, inputs, common, push, result):  # type: ignore[no-untyped-def]
 
 
 @compiled()
-def rollout_one(job, common, maps, pushes, formulas, results):  # type: ignore[no-untyped-def]
+def rollout_one(job, common, maps, pushes, formulas, table, results):  # type: ignore[no-untyped-def]
     """Job number k B + b: push b of model k.
 
     Args:
@@ -312,22 +402,26 @@ def rollout_one(job, common, maps, pushes, formulas, results):  # type: ignore[n
         maps: fields of `ReducedMaps`.
         pushes: fields of `JoinedPushes`.
         formulas: fields of `Formulas`, or None for the plain model.
+        table: (K, B, 7) `Rim.top`, or (1, 1, 7) for all, or None where all cells are supported wherever they
+            are.
         results: fields of `Results`, where those of the push are filled in.
     """
-    common, maps, pushes, formulas, results = borrowed((common, maps, pushes, formulas, results))
+    given = borrowed((common, maps, pushes, formulas, table, results))
+    common, maps, pushes, formulas, table, results = given
     common, maps = Common(*common), ReducedMaps(*maps)
     pushes, results = JoinedPushes(*pushes), Results(*results)
     k, b = job // len(pushes.h), job % len(pushes.h)
     push, result = push_of(pushes, k, b), results_of(results, pushes, k, b)
-    owned = _owned(common, maps, formulas, k, b, push.h, result.d_poses.shape[2], maps.mu[:0])
+    columns = result.d_poses.shape[2]
+    owned = _owned(common, maps, formulas, table, k, b, push.h, columns, maps.mu[:0])
     _roll(borrowed(owned), None, common, push, result)
     keep(owned)
 
 
 @compiled(parallel=True)
-def _all_jobs(address, order, common, maps, pushes, formulas, results):  # type: ignore[no-untyped-def]
+def _all_jobs(address, order, common, maps, pushes, formulas, table, results):  # type: ignore[no-untyped-def]
     for place in prange(len(order)):
-        arguments = (order[place], common, maps, pushes, formulas, results)
+        arguments = (order[place], common, maps, pushes, formulas, table, results)
         call_compiled(rollout_one, address, arguments)
 
 
@@ -336,11 +430,12 @@ def rollout_all(
     maps: tuple[Any, ...],
     pushes: JoinedPushes,
     formulas: Formulas | None,
+    table: FloatArray | None,
     results: Results,
 ) -> None:
-    """All models times all pushes, on all threads; `common` and `maps` as in `rollout_one`."""
+    """All models times all pushes, on all threads; `common`, `maps` and `table` as in `rollout_one`."""
     plain = None if formulas is None else tuple(formulas)
-    arguments = (common, maps, tuple(pushes), plain, tuple(results))
+    arguments = (common, maps, tuple(pushes), plain, table, tuple(results))
     # A single job is not worth waking the other threads.
     if results.end.size == 7:
         rollout_one(0, *arguments)
@@ -350,7 +445,30 @@ def rollout_all(
 
 
 @compiled()
-def single_steps(common, maps, formulas, drive, states, after, jacobian):  # type: ignore[no-untyped-def]
+def loads_at(common, maps, table, poses, factors):  # type: ignore[no-untyped-def]
+    """What the table carries of K objects that lie at G poses.
+
+    Args:
+        common: fields of `Common`.
+        maps: fields of `ReducedMaps`.
+        table: (1, 1, 7) `Rim.top`.
+        poses: (G, 3), world.
+        factors: (K, G, n) result, φ_i.
+    """
+    common, maps = Common(*common), ReducedMaps(*maps)
+    for k in range(factors.shape[0]):
+        model = model_of(common, maps, k, 1.0)
+        rim = rim_of(table[0, 0], maps.mass[k], model.body, model.cells, model.cell_width, model.size, False)
+        for g in range(poses.shape[0]):
+            x, y, turn = poses[g, 0], poses[g, 1], poses[g, 2]
+            spread_loads(rim, model.body, x, y, math.cos(turn), math.sin(turn))
+            copy_into(factors[k, g], rim.factor[: factors.shape[2]])
+
+
+@compiled()
+def single_steps(  # type: ignore[no-untyped-def]
+    common, maps, formulas, table, drive, states, after, jacobian, by_mass, rim_found
+):
     """One step of K models, one after the other: waking other threads takes longer than the steps.
 
     The state is x, y, θ (world), v_x, v_y, omega (object frame), the finger's last force (world, N), the
@@ -363,17 +481,21 @@ def single_steps(common, maps, formulas, drive, states, after, jacobian):  # typ
         common: fields of `Common`.
         maps: fields of `ReducedMaps`.
         formulas: fields of `Formulas`; its constants have one row, with the time before the step.
+        table: (1, 1, 7) `Rim.top`, or None.
         drive: h, tip (2, 2), NaN for no finger, and wrench (5,), as in `Push`.
         states: (K, Z) before the step, Z = 8 + the effects' own memory.
         after: (K, Z + 1) result: state after the step, and the number of evaluations, negative if it was not
             solved.
         jacobian: (K, Z, columns) result, or an array without columns for none.
+        by_mass: (K, Z, n) result, derivatives by the masses through the loads' shift, zeros where there is
+            none; or an array without columns.
+        rim_found: (K, RIM_RESULTS) result, or an array without columns where there is no table.
 
     Returns:
         Number of the first model whose step was not solved, or -1.
     """
-    given = borrowed((common, maps, formulas, drive, states, after, jacobian))
-    common, maps, formulas, drive, states, after, jacobian = given
+    given = borrowed((common, maps, formulas, table, drive, states, after, jacobian, by_mass, rim_found))
+    common, maps, formulas, table, drive, states, after, jacobian, by_mass, rim_found = given
     common, maps = Common(*common), ReducedMaps(*maps)
     h, tip, wrench = drive
     columns, rates, row, Z = jacobian.shape[2], after[:0, :3], wrench.reshape(1, 5), states.shape[1]
@@ -383,16 +505,20 @@ def single_steps(common, maps, formulas, drive, states, after, jacobian):  # typ
         # What a rollout gives out of poses and forces goes to the rows of the state that they are.
         poses, forces = after[here, :3], after[here, STATE:AFTER]
         d_poses, d_forces = jacobian[here, :3], jacobian[here, STATE:AFTER]
-        result = Results(poses, rates, forces, d_poses, d_forces, after[k])
-        owned = _owned(common, maps, formulas, k, 0, h, columns, state[STATE:])
+        result = Results(
+            poses, rates, forces, d_poses, d_forces, after[k], rim_found[k], by_mass[here, :3],
+            by_mass[here, STATE:AFTER],
+        )  # fmt: skip
+        owned = _owned(common, maps, formulas, table, k, 0, h, columns, state[STATE:])
         things = borrowed(owned)
         _roll(things, INPUTS, common, push, result)
-        _, effects, layout, _, room = things
+        _, rim, effects, layout, _, room = things
         copy_into(after[k, AFTER:Z], effects.own)
         if columns > 0:
             S, rows, n = room.S, FIXED_ROWS + layout.memory, layout.n
             store_rows(S, S, 1.0, rows, 3, n, jacobian[k, 3:STATE])
             store_rows(S, S, 1.0, rows, FIXED_ROWS + FORCE, n, jacobian[k, AFTER:])
+            _store_state_masses(rim, S, layout, by_mass[k])
         keep(owned)
         solved = after[k, Z] >= 0.0
         for i in range(Z):

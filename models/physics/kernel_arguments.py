@@ -43,11 +43,13 @@ class ReducedMaps(NamedTuple):
         load: (K, n) friction loads f_i, N.
         inertia: (K, 4) m, s_x, s_y, J.
         mu: (K,) finger friction.
+        mass: (K, n) of the cells, kg; without columns where no table is given.
     """
 
     load: FloatArray
     inertia: FloatArray
     mu: FloatArray
+    mass: FloatArray
 
 
 class JoinedPushes(NamedTuple):
@@ -107,6 +109,10 @@ class Results(NamedTuple):
         d_forces: (K, T, 2, P) the same.
         end: (K, B, 7) last pose, last twist (object frame), and the number of evaluations, negative if a step
             did not converge.
+        rim: (K, B, RIM_RESULTS), see there; without entries where no table is given.
+        mass_poses: (K, S, 3, n) derivatives by the cells' masses, the friction loads and the inertia being
+            held, of the poses after a push first came near the rim; without entries where no table is given.
+        mass_forces: (K, T, 2, n) the same.
     """
 
     poses: FloatArray
@@ -115,11 +121,27 @@ class Results(NamedTuple):
     d_poses: FloatArray
     d_forces: FloatArray
     end: FloatArray
+    rim: FloatArray
+    mass_poses: FloatArray
+    mass_forces: FloatArray
 
 
-def empty_results(models: int, pushes: JoinedPushes, columns: int, rates: bool) -> Results:
-    """Room for the results of K models; `columns` is P, `rates` whether these are wanted."""
-    K, S, T = models, pushes.sample_at[-1], pushes.force_at[-1]
-    poses, forces, end = np.empty((K, S, 3)), np.empty((K, T, 2)), np.empty((K, len(pushes.h), 7))
+def empty_results(
+    models: int, pushes: JoinedPushes, columns: int, rates: bool, rim: int = 0, masses: int = 0
+) -> Results:
+    """Room for the results of K models.
+
+    Args:
+        models: K.
+        pushes: that are simulated.
+        columns: P, 0 for no derivatives.
+        rates: whether these are wanted.
+        rim: entries of `rim`.
+        masses: n where derivatives by the cells' masses are wanted.
+    """
+    K, B, S, T = models, len(pushes.h), pushes.sample_at[-1], pushes.force_at[-1]
+    poses, forces, end = np.empty((K, S, 3)), np.empty((K, T, 2)), np.empty((K, B, 7))
     d_poses, d_forces = np.empty((K, S, 3, columns)), np.empty((K, T, 2, columns))
-    return Results(poses, np.empty((K, S if rates else 0, 3)), forces, d_poses, d_forces, end)
+    by_mass = np.empty((K, S, 3, masses)), np.empty((K, T, 2, masses))
+    rates_room = np.empty((K, S if rates else 0, 3))
+    return Results(poses, rates_room, forces, d_poses, d_forces, end, np.empty((K, B, rim)), *by_mass)

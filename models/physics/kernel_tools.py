@@ -116,6 +116,9 @@ def results_of(results, pushes, k, b):  # type: ignore[no-untyped-def]
         results.d_poses[k, samples],
         results.d_forces[k, forces],
         results.end[k, b],
+        results.rim[k, b],
+        results.mass_poses[k, samples],
+        results.mass_forces[k, forces],
     )
 
 

@@ -115,6 +115,23 @@ def friction_moments(load, rx, ry, vx, vy, omega, rho2, eps2):  # type: ignore[n
     return energy, a_sum, ax, ay, arr, bxx, bxy, byy, bxw, byw, bww, bend
 
 
+@compiled(forceinline=True, fastmath={"contract"})
+def plain_gradients(cells, v, by_load):  # type: ignore[no-untyped-def]
+    """Fill by_load (3, n): derivatives of Coulomb friction's gradient at the twist v by each cell's load."""
+    vx, vy, omega = v
+    spin = cells.rho2 * omega
+    constant = spin * omega + cells.eps2
+    rx, ry = cells.rx, cells.ry
+    row_x, row_y, row_w = by_load[0], by_load[1], by_load[2]
+    for i in range(row_x.shape[0]):
+        ux = vx - omega * ry[i]
+        uy = vy + omega * rx[i]
+        inverse = 1.0 / math.sqrt(ux * ux + uy * uy + constant)
+        row_x[i] = ux * inverse
+        row_y[i] = uy * inverse
+        row_w[i] = (rx[i] * uy - ry[i] * ux + spin) * inverse
+
+
 class Quadratic(NamedTuple):
     """Gradient and Hessian (upper triangle) by v_x, v_y, omega of a convex function at one twist."""
 

@@ -11,9 +11,12 @@ from numpy.typing import ArrayLike, NDArray
 
 from slipmap.models.effects.effect import Effect
 from slipmap.models.effects.program import Program, program_of
+from slipmap.models.geometry import placed
+from slipmap.models.measurements.push_dataset import Table
+from slipmap.models.physics.balance import corners_of
 from slipmap.models.physics.cell_grid import CellGrid, FloatArray
 from slipmap.models.physics.friction import CONSTANTS
-from slipmap.models.physics.kernel import rollout_all
+from slipmap.models.physics.kernel import loads_at, rollout_all
 from slipmap.models.physics.kernel_arguments import (
     Common,
     Formulas,
@@ -25,6 +28,7 @@ from slipmap.models.physics.kernel_arguments import (
 from slipmap.models.physics.maps import Maps
 from slipmap.models.physics.pushes import Push, join_pushes
 from slipmap.models.physics.step import EXTRA_COLUMNS, INERTIA_COLUMNS
+from slipmap.models.physics.support import FIRST_FORCE, FIRST_POSE, REACHED, RIM_RESULTS, TIPS
 
 
 @dataclass(frozen=True)
@@ -62,8 +66,14 @@ class Rollouts:
         evaluations: (K, B) evaluations of the step's function.
         pose_at: (B + 1,) offsets of the pushes in S.
         force_at: (B + 1,) the same in T.
-        d_poses: (K, S, 3, P) derivative by the reduced columns (`ReducedColumns`), empty if not asked for.
+        d_poses: (K, S, 3, P) derivative by the reduced columns, empty if not asked for: by friction loads
+            (n), m, s_x, s_y, J, finger friction, start pose (3), start twist (3) and the parameters of
+            effects. Where any push came near the table's rim there are n more: by the cells' masses, as far
+            as loads shift with them.
         d_forces: (K, T, 2, P) the same for the forces.
+        tips: (K, B) time from the push's start at which the object first tips over the rim, s; infinite where
+            it does not, or where no table is known. Poses after that are not to be trusted.
+        reached: (K, B) whether the object came so near the rim that cells may have been beyond it.
     """
 
     poses: FloatArray
@@ -74,6 +84,13 @@ class Rollouts:
     force_at: NDArray[np.int64]
     d_poses: FloatArray
     d_forces: FloatArray
+    tips: FloatArray
+    reached: NDArray[np.bool_]
+
+    @property
+    def tipped(self) -> NDArray[np.bool_]:
+        """(K, B) whether the object tips over the rim."""
+        return np.isfinite(self.tips)
 
     def poses_of(self, push: int) -> FloatArray:
         """(K, S_b, 3) poses of one push."""
@@ -82,6 +99,14 @@ class Rollouts:
     def forces_of(self, push: int) -> FloatArray:
         """(K, T_b, 2) forces of one push."""
         return self.forces[:, self.force_at[push] : self.force_at[push + 1]]
+
+    def d_poses_of(self, push: int) -> FloatArray:
+        """(K, S_b, 3, P) derivatives of the poses of one push."""
+        return self.d_poses[:, self.pose_at[push] : self.pose_at[push + 1]]
+
+    def d_forces_of(self, push: int) -> FloatArray:
+        """(K, T_b, 2, P) the same of the forces."""
+        return self.d_forces[:, self.force_at[push] : self.force_at[push + 1]]
 
 
 class RolloutError(ArithmeticError):
@@ -100,12 +125,15 @@ class Slider:
         gravity: m/s².
         smoothing: see `Smoothing`.
         effects: in the order of the columns of `Maps.effects`.
+        table: the table's top. Cells beyond its rim carry nothing, and the others carry all, see
+            `support.py`; without one all cells are supported wherever they are.
 
     Attributes:
         program: compiled formulas of the effects, None without any.
 
     Raises:
         EffectError: a formula cannot be used.
+        ValueError: a number that is not positive, or a table without the measure that its shape needs.
 
     Example:
         >>> import numpy as np
@@ -126,6 +154,7 @@ class Slider:
         gravity: float = 9.81,
         smoothing: Smoothing | None = None,
         effects: Sequence[Effect] = (),
+        table: Table | None = None,
     ) -> None:
         if not (np.isfinite(finger_radius) and finger_radius > 0):
             raise ValueError(f"finger radius must be a positive length in m, got {finger_radius}")
@@ -142,14 +171,25 @@ class Slider:
         self._common = tuple(common)
         self.effects = tuple(effects)
         self.program = program_of(self.effects) if self.effects else None
+        self.table = table
+        self._top = None if table is None else _top_of(table)
 
     def __reduce__(self) -> tuple[object, ...]:
         """Pickled without its machine code, whose addresses mean nothing in another process."""
-        return Slider, (self.grid, self.finger_radius, self.gravity, self.smoothing, self.effects)
+        return Slider, (
+            self.grid, self.finger_radius, self.gravity, self.smoothing, self.effects, self.table,
+        )  # fmt: skip
+
+    def on(self, table: Table | None) -> Slider:
+        """The same model on another table, or on a floor without a rim."""
+        if table == self.table:
+            return self
+        return Slider(self.grid, self.finger_radius, self.gravity, self.smoothing, self.effects, table)
 
     @property
     def columns(self) -> int:
-        """P: number of reduced parameters a rollout is differentiated by, the effects' own last."""
+        """P: number of reduced parameters a rollout is differentiated by away from the table's rim, the
+        effects' own last."""
         return len(self.grid) + EXTRA_COLUMNS + len(self.nulls)
 
     @cached_property
@@ -168,20 +208,38 @@ class Slider:
         second = (r**2).sum(axis=1) + self.grid.width**2 / 6.0
         return np.column_stack([np.ones(len(r)), r, second])
 
-    def map_columns(self, maps: Maps, d_reduced: FloatArray) -> FloatArray:
-        """Turn derivatives by reduced columns (K, …, P) into derivatives by the maps.
+    def loads(self, maps: Maps, poses: FloatArray) -> FloatArray:
+        """(K, G, n) normal forces N_i between cells and table, N, where objects lie at poses (G, 3), world.
 
-        With f_i = mu_i m_i g:  d/dm_i = mu_i g d/df_i + Σ_c (∂inertia_c/∂m_i) d/dinertia_c  and
-        d/dmu_i = m_i g d/df_i.
+        Without a table each cell carries its weight.
+        """
+        poses = np.ascontiguousarray(np.atleast_2d(poses), dtype=float)
+        factors = np.ones((len(maps), len(poses), len(self.grid)))
+        if self._top is not None:
+            loads_at(self._common, self._reduced(maps), self._top, poses, factors)
+        return self.gravity * maps.mass[:, None] * factors
+
+    def map_columns(self, maps: Maps, d_reduced: FloatArray) -> FloatArray:
+        """Turn derivatives by reduced columns (K, …, P or P + n) into derivatives by the maps.
+
+        With f_i = mu_i m_i g:  d/dm_i = mu_i g d/df_i + Σ_c (∂inertia_c/∂m_i) d/dinertia_c + what the loads'
+        shift adds, where there is one, and  d/dmu_i = m_i g d/df_i.
 
         Returns:
-            (K, …, 2n + 7) by mass (n), mu (n), finger friction, start pose (3) and start twist (3).
+            (K, …, 2n + 7 + …) by mass (n), mu (n), finger friction, start pose (3), start twist (3) and the
+            parameters of the effects.
         """
+        return self._map_columns(maps, d_reduced[..., : self.columns], d_reduced[..., self.columns :])
+
+    def _map_columns(self, maps: Maps, d_reduced: FloatArray, by_shift: FloatArray) -> FloatArray:
+        """The same; what the masses do through the loads' shift (K, …, n) stands apart, or has no columns."""
         n = len(self.grid)
         shape = (len(maps),) + (1,) * (d_reduced.ndim - 2) + (n,)
         by_load = d_reduced[..., :n]
         by_mass = by_load * (maps.mu * self.gravity).reshape(shape)
         by_mass += d_reduced[..., n : n + INERTIA_COLUMNS] @ self.inertia_basis.T
+        if by_shift.shape[-1]:
+            by_mass += by_shift
         by_mu = by_load * (maps.mass * self.gravity).reshape(shape)
         return np.concatenate([by_mass, by_mu, d_reduced[..., n + INERTIA_COLUMNS :]], axis=-1)
 
@@ -193,6 +251,7 @@ class Slider:
         sensitivities: bool = False,
         start_poses: FloatArray | None = None,
         start_twists: FloatArray | None = None,
+        table_poses: FloatArray | None = None,
     ) -> Rollouts:
         """Simulate every model under every push.
 
@@ -202,20 +261,37 @@ class Slider:
             sensitivities: also differentiate by the reduced columns.
             start_poses: (K, B, 3) instead of the pushes' own starts.
             start_twists: (K, B, 3) instead of the pushes' own starts, object frame.
+            table_poses: (K, B, 3) where the world in which the table is given lies in that of the pushes, for
+                each model and push; the two are one without.
 
         Raises:
-            ValueError: maps of another grid.
+            ValueError: maps of another grid, or table poses of another shape.
             RolloutError: a step was not solved; names the model and the push.
         """
         joined = join_pushes(pushes, len(maps), start_poses, start_twists)
         columns = self.columns if sensitivities else 0
         late = self.program is not None and self.program.delay is not None
-        results = empty_results(len(maps), joined, columns, late and sensitivities)
+        tables = self._top if table_poses is None else self._tables(table_poses, (len(maps), len(pushes), 3))
+        rim, masses = (0, 0) if self._top is None else (RIM_RESULTS, len(self.grid) if sensitivities else 0)
+        results = empty_results(len(maps), joined, columns, late and sensitivities, rim, masses)
         if self.program is None:
-            rollout_all(self._common, self._reduced(maps), joined, None, results)
+            rollout_all(self._common, self._reduced(maps), joined, None, tables, results)
         else:
-            self._fill(self.program, results, maps, joined, [push.order for push in pushes])
+            self._fill(self.program, results, maps, joined, [push.order for push in pushes], tables)
         return _finished(joined, results)
+
+    def _tables(self, poses: FloatArray, shape: tuple[int, ...]) -> FloatArray | None:
+        """(K, B, 7) tables at some poses of their world (K, B, 3), as kernels take them."""
+        if np.shape(poses) != shape or not np.isfinite(poses).all():
+            raise ValueError(
+                f"rollout: table_poses must be finite and of shape {shape}, got {np.shape(poses)}"
+            )
+        if self._top is None:
+            return None
+        tables = np.repeat(np.repeat(self._top, shape[0], axis=0), shape[1], axis=1)
+        tables[..., :2] = placed(tables[..., :2], poses)
+        tables[..., 5], tables[..., 6] = np.cos(poses[..., 2]), np.sin(poses[..., 2])
+        return tables
 
     def _effect_values(self, maps: Maps) -> FloatArray:
         """(K, …) parameters of the effects, of maps that are checked."""
@@ -229,9 +305,15 @@ class Slider:
         return values
 
     def _fill(
-        self, program: Program, results: Results, maps: Maps, joined: JoinedPushes, order: Sequence[float]
+        self,
+        program: Program,
+        results: Results,
+        maps: Maps,
+        joined: JoinedPushes,
+        order: Sequence[float],
+        tables: FloatArray | None,
     ) -> None:
-        """Simulate with effects, and fill in the results; `order` as in `Push`."""
+        """Simulate with effects, and fill in the results; `order` as in `Push`, `tables` as for kernels."""
         K, P = len(maps), program.parameters
         values = self._effect_values(maps)
         starts = self._true_starts(program, joined.start_poses, values)
@@ -242,7 +324,7 @@ class Slider:
         constants = self._constants(joined.h, order)
         formulas = Formulas(program.addresses, program.sizes, constants, np.ascontiguousarray(values), delays)
         true = joined._replace(start_poses=starts[0])
-        rollout_all(self._common, self._reduced(maps), true, formulas, results)
+        rollout_all(self._common, self._reduced(maps), true, formulas, tables, results)
         if results.rates.shape[1] > 0:
             results.d_poses[..., -P:] -= results.rates[..., None] * delay_slopes[:, None, None]
         if program.measured is not None:
@@ -258,7 +340,8 @@ class Slider:
         by_effect: FloatArray,
     ) -> None:
         """Turn true poses into reported ones, and derivatives by true starts into those by reported ones."""
-        poses, _, _, d_poses, d_forces, end = results
+        poses, d_poses, d_forces, end = results.poses, results.d_poses, results.d_forces, results.end
+        by_mass = results.mass_poses
         assert program.measured is not None
         n, P = len(self.grid), program.parameters
         derive = d_poses.shape[-1] > 0
@@ -275,6 +358,9 @@ class Slider:
             if derive:
                 d_poses[k] = by_pose @ d_poses[k]
                 d_poses[k][..., -P:] += by_p
+                if by_mass.shape[-1]:
+                    _clear_unreached(by_mass[k : k + 1], results.rim[k : k + 1], joined.sample_at, FIRST_POSE)
+                    by_mass[k] = by_pose @ by_mass[k]
 
     def _constants(self, h: ArrayLike, order: ArrayLike) -> FloatArray:
         """(B, CONSTANTS) of pushes with steps h (B,) at places `order` (B,) in the experiment; time is 0."""
@@ -320,7 +406,30 @@ class Slider:
         load = np.ascontiguousarray(maps.mass * maps.mu * self.gravity)
         if not (load.sum(axis=1) > 0).all():
             raise ValueError("maps: a model without any friction cannot be simulated")
-        return tuple(ReducedMaps(load, self.inertia(maps.mass), maps.mu_finger))
+        mass = maps.mass[:, :0] if self._top is None else maps.mass
+        return tuple(ReducedMaps(load, self.inertia(maps.mass), maps.mu_finger, np.ascontiguousarray(mass)))
+
+
+def _top_of(table: Table) -> FloatArray:
+    """(1, 1, 7) centre, radius, half the sides, cosine and sine of a table, see `Rim.top`."""
+    corners = corners_of(table)  # which checks the measures
+    if len(corners) == 0:
+        return np.array([[[*table.center, float(table.radius or 0.0), 0.0, 0.0, 1.0, 0.0]]])
+    return np.array([[[*table.center, 0.0, *(corners[2] - np.asarray(table.center)), 1.0, 0.0]]])
+
+
+def _clear_unreached(d: FloatArray, rim: FloatArray, at: NDArray[np.int64], first: int) -> None:
+    """Fill in the zeros of derivatives by masses (K, S, …) that the kernel left out, before the rim was near.
+
+    Args:
+        d: derivatives.
+        rim: (K, B, RIM_RESULTS).
+        at: (B + 1,) offsets of the pushes in S.
+        first: entry of `rim` that holds the first row of a push that the kernel wrote.
+    """
+    reached, begun = rim[..., REACHED] > 0, rim[..., first].astype(np.int64)
+    for k, b in np.ndindex(*reached.shape):
+        d[k, at[b] : at[b] + begun[k, b] if reached[k, b] else at[b + 1]] = 0.0
 
 
 def _finished(joined: JoinedPushes, results: Results) -> Rollouts:
@@ -329,16 +438,24 @@ def _finished(joined: JoinedPushes, results: Results) -> Rollouts:
     Raises:
         RolloutError: a step was not solved; names the model and the push. Or a derivative is not finite.
     """
-    poses, _, forces, d_poses, d_forces, end = results
+    poses, forces, end = results.poses, results.forces, results.end
+    d_poses, d_forces, rim = results.d_poses, results.d_forces, results.rim
     if not (np.isfinite(end).all() and end[..., 6].min() >= 0):
         model, push = np.argwhere((end[..., 6] < 0) | ~np.isfinite(end).all(axis=-1))[0]
         raise RolloutError(f"model {model}, push {push}: a step did not converge")
+    tips, reached = np.full(end.shape[:2], np.inf), np.zeros(end.shape[:2], dtype=bool)
+    if rim.shape[-1]:
+        tips, reached = rim[..., TIPS], rim[..., REACHED] > 0
+    if results.mass_poses.shape[-1] and reached.any():
+        _clear_unreached(results.mass_poses, rim, joined.sample_at, FIRST_POSE)
+        _clear_unreached(results.mass_forces, rim, joined.force_at, FIRST_FORCE)
+        d_poses = np.concatenate([d_poses, results.mass_poses], axis=-1)
+        d_forces = np.concatenate([d_forces, results.mass_forces], axis=-1)
     if not (np.isfinite(d_poses).all() and np.isfinite(d_forces).all()):
         raise RolloutError("a derivative is not finite, as where an effect's formula has none")
     evaluations = end[..., 6].astype(np.int64)
-    return Rollouts(
-        poses, forces, end[..., :6], evaluations, joined.sample_at, joined.force_at, d_poses, d_forces
-    )
+    at = joined.sample_at, joined.force_at
+    return Rollouts(poses, forces, end[..., :6], evaluations, *at, d_poses, d_forces, tips, reached)
 
 
 __all__ = ["Maps", "Push", "RolloutError", "Rollouts", "Slider", "Smoothing"]

@@ -13,12 +13,14 @@ import numpy as np
 
 from slipmap.models.effects.effect import Effect
 from slipmap.models.effects.program import Program, program_of
+from slipmap.models.measurements.push_dataset import Table
 from slipmap.models.physics.cell_grid import CellGrid, FloatArray
 from slipmap.models.physics.friction import AFTER, FORCE
 from slipmap.models.physics.kernel import INPUTS, single_steps
 from slipmap.models.physics.maps import Maps
 from slipmap.models.physics.rollout import RolloutError, Slider, Smoothing
 from slipmap.models.physics.step import EXTRA_COLUMNS
+from slipmap.models.physics.support import RIM_RESULTS
 
 NO_FINGER = np.full((2, 2), np.nan)
 NO_WRENCH = np.zeros(5)
@@ -51,6 +53,7 @@ class Stepper(Slider):
         effects: in the order of the columns of `Maps.effects`.
         gravity: m/s².
         smoothing: see `Smoothing`.
+        table: see `Slider`.
     """
 
     program: Program
@@ -63,17 +66,26 @@ class Stepper(Slider):
         effects: Sequence[Effect] = (),
         gravity: float = 9.81,
         smoothing: Smoothing | None = None,
+        table: Table | None = None,
     ) -> None:
         if not (np.isfinite(h) and h > 0):
             raise ValueError(f"the step h must be positive, got {h} s")
-        super().__init__(grid, finger_radius, gravity, smoothing, effects)
+        super().__init__(grid, finger_radius, gravity, smoothing, effects, table)
         self.program = program_of(self.effects)
         self.h = float(h)
         self._per_step = self._constants(self.h, 0.0)
 
     def __reduce__(self) -> tuple[object, ...]:
         return Stepper, (
-            self.grid, self.finger_radius, self.h, self.effects, self.gravity, self.smoothing,
+            self.grid, self.finger_radius, self.h, self.effects, self.gravity, self.smoothing, self.table,
+        )  # fmt: skip
+
+    def on(self, table: Table | None) -> Stepper:
+        """The same model on another table, or on a floor without a rim."""
+        if table == self.table:
+            return self
+        return Stepper(
+            self.grid, self.finger_radius, self.h, self.effects, self.gravity, self.smoothing, table
         )  # fmt: skip
 
     @property
@@ -132,18 +144,21 @@ class Stepper(Slider):
         # One layout, so that the kernel is compiled once.
         states = np.ascontiguousarray(states, dtype=float)
         wrench, tip = np.ascontiguousarray(wrench, dtype=float), np.ascontiguousarray(tip, dtype=float)
-        K, Z = states.shape
+        (K, Z), n = states.shape, len(self.grid)
         constants = self._per_step.copy()
         constants[0, 0], constants[0, 2] = time, order
-        columns = len(self.grid) + EXTRA_COLUMNS + self.program.parameters + Z - 6 + INPUTS if derive else 0
+        columns = n + EXTRA_COLUMNS + self.program.parameters + Z - 6 + INPUTS if derive else 0
         after, jacobian = np.empty((K, Z + 1)), np.empty((K, Z, columns))
         # Fields of `Formulas`.
         formulas = (self.program.addresses, self.program.sizes, constants, models.maps.effects, _NO_DELAY)
         drive = (self.h, tip, wrench)
-        unsolved = single_steps(self._common, models.reduced, formulas, drive, states, after, jacobian)
+        by_mass = np.zeros((K, Z, n if derive and self._top is not None else 0))
+        found = np.empty((K, 0 if self._top is None else RIM_RESULTS))
+        model = (self._common, models.reduced, formulas, self._top)
+        unsolved = single_steps(*model, drive, states, after, jacobian, by_mass, found)
         if unsolved >= 0:
             raise RolloutError(f"model {unsolved}: the step from t = {time:.6g} s was not solved")
-        return after[:, :Z], self.map_columns(models.maps, jacobian) if derive else jacobian
+        return after[:, :Z], self._map_columns(models.maps, jacobian, by_mass) if derive else jacobian
 
     def load(self) -> None:
         """Load or compile the machine code of a step, so that the first one takes no longer than others."""

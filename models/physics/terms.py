@@ -1,7 +1,7 @@
-"""What effects change in a step, by their formulas: values before it is solved, and derivatives after it.
+"""What effects and the table's rim change in a step: values before it is solved, and derivatives after it.
 
-Whether there are any is known when a kernel is compiled: its `effects` are None, or `Effects`. So what is
-absent costs nothing.
+Whether there are any is known when a kernel is compiled: its `effects` are None, or `Effects`, and its `rim`
+is None, or a `Rim`. So what is absent costs nothing.
 """
 
 from __future__ import annotations
@@ -12,11 +12,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slipmap.models.physics.blocks import (
+    FIXED_ROWS,
     Layout,
+    before_masses,
     carry_memory,
     carry_plain_loads,
     padded,
     set_load_slopes,
+    set_places,
 )
 from slipmap.models.physics.compiled import call_address, compiled, without_or_with
 from slipmap.models.physics.contact import Cone, cone_of
@@ -45,6 +48,22 @@ from slipmap.models.physics.slopes import (
     add_formula_slopes,
     blade_slopes,
     set_body_slopes,
+)
+from slipmap.models.physics.support import (
+    CHANGED,
+    NEAR,
+    TOUCHED,
+    add_drag_slopes,
+    add_share_slopes,
+    clear_lift,
+    mass_slopes,
+    note_tipping,
+    rim_of,
+    set_gradients,
+    set_share_slopes,
+    spread_loads,
+    thin_drag,
+    wholly_on,
 )
 
 
@@ -172,7 +191,7 @@ def model_of(common, maps, k, h):  # type: ignore[no-untyped-def]
 @compiled(forceinline=True)
 def _no_effects(formulas, k, b, model, columns, memory):  # type: ignore[no-untyped-def]
     n = model.load.shape[0]
-    return None, Layout(n, max(columns - n, 0), 0, 0), 0.0
+    return None, Layout(n, max(columns - n, 0), 0, 0, 0), 0.0
 
 
 @compiled(forceinline=True)
@@ -225,7 +244,7 @@ def _some_effects(formulas, k, b, model, columns, memory):  # type: ignore[no-un
         np.zeros((9, n)) if derive and stretch else none,
         after, room, np.zeros((own, Y + AFTER)), np.zeros((3, Y)) if derive else none,
     )  # fmt: skip
-    return effects, Layout(n, max(columns - n, 0), E, P), delay
+    return effects, Layout(n, max(columns - n, 0), E, P, 0), delay
 
 
 effects_of = without_or_with(_no_effects, _some_effects)
@@ -241,12 +260,76 @@ Args:
 
 
 @compiled(forceinline=True)
-def _plain_terms(effects, model, motion, number, h):  # type: ignore[no-untyped-def]
+def _no_table(table, k, b):  # type: ignore[no-untyped-def]
+    return None
+
+
+@compiled(forceinline=True)
+def _own_table(table, k, b):  # type: ignore[no-untyped-def]
+    return table[min(k, table.shape[0] - 1), min(b, table.shape[1] - 1)]
+
+
+table_of = without_or_with(_no_table, _own_table)
+"""The table (7,) of model k under push b, of tables (K, B, 7) or one for all (1, 1, 7); or None."""
+
+
+@compiled(forceinline=True)
+def _no_rim(table, mass, model, layout):  # type: ignore[no-untyped-def]
+    return None, layout
+
+
+@compiled(forceinline=True)
+def _some_rim(table, mass, model, layout):  # type: ignore[no-untyped-def]
+    n, others, memory, effects, _ = layout
+    derive = others > 0
+    rim = rim_of(table, mass, model.body, model.cells, model.cell_width, model.size, derive)
+    return rim, Layout(n, others, memory, effects, n if derive else 0)
+
+
+rim_under = without_or_with(_no_rim, _some_rim)
+"""`Rim` of a table (7,) or None, under a `Model` with cells of masses (n,); `Layout` with room for these."""
+
+
+@compiled(forceinline=True)
+def _on_floor(rim, model, motion, time):  # type: ignore[no-untyped-def]
+    return model
+
+
+@compiled(forceinline=True)
+def _on_table(rim, model, motion, time):  # type: ignore[no-untyped-def]
+    flags, cells, load = rim.flags, model.cells, model.load
+    x, y, cos, sin = motion.x, motion.y, motion.cos, motion.sin
+    if wholly_on(rim, x, y):
+        flags[NEAR] = 0
+        return model
+    flags[NEAR] = flags[TOUCHED] = 1
+    spread_loads(rim, model.body, x, y, cos, sin)
+    note_tipping(rim, x, y, cos, sin, model.cell_width, time)
+    carried = Cells(rim.load, cells.rx, cells.ry, cells.rho2, cells.eps2)
+    return Model(
+        rim.load[: load.shape[0]], model.load_sum, carried, model.body, model.about_center, model.cone,
+        model.stick_speed, model.cell_width, model.size,
+    )  # fmt: skip
+
+
+supported = without_or_with(_on_floor, _on_table)
+"""The `Model` with the friction loads that it has at a `Motion`, at a time from the push's start, s."""
+
+
+@compiled(forceinline=True)
+def _plain_terms(effects, rim, model, motion, number, h):  # type: ignore[no-untyped-def]
     return Terms(model.cells, model.cone, 1.0, (0.0, 0.0, 0.0), (0.0, 0.0))
 
 
 @compiled(forceinline=True)
-def _changed_terms(effects, model, motion, number, h):  # type: ignore[no-untyped-def]
+def _renew_loads(rim, load, carried):  # type: ignore[no-untyped-def]
+    """Where a table carries them, loads change from step to step without any effect on them, too."""
+    if rim is not None:
+        copy_into(load, carried)
+
+
+@compiled(forceinline=True)
+def _changed_terms(effects, rim, model, motion, number, h):  # type: ignore[no-untyped-def]
     y, c, out, plain = effects.y, effects.c, effects.out, model.cells
     c[0] = effects.begin + (number + 0.5) * h
     y[0], y[1], y[2] = motion.x, motion.y, motion.theta
@@ -261,9 +344,12 @@ def _changed_terms(effects, model, motion, number, h):  # type: ignore[no-untype
         for i in range(model.load.shape[0]):
             effects.share[i] = max(effects.factor[i], 0.0)
             effects.load[i] = model.load[i] * effects.share[i]
+        thin_drag(rim, effects.drag)
         drag = drag_sums(effects.drag, plain.rx, plain.ry, model.cell_width)
         if effects.stretch:
             longest = longest_axis(qxx, qxy, qyy)
+    else:
+        _renew_loads(rim, effects.load, plain.load)
     cells = EffectCells(
         effects.load, plain.rx, plain.ry, plain.rho2, plain.eps2, effects.stretch, qxx, qxy, qyy, longest,
         drag, effects.blade,
@@ -279,11 +365,35 @@ def _changed_terms(effects, model, motion, number, h):  # type: ignore[no-untype
 
 
 terms_at = without_or_with(_plain_terms, _changed_terms)
-"""`Terms` of the step with this number, of length h, from a `Motion`."""
+"""`Terms` of the step with this number, of length h, from a `Motion`; `model` as the table carries it."""
 
 
 @compiled(forceinline=True)
-def add_effect_slopes(effects, model, terms, taken, slopes):  # type: ignore[no-untyped-def]
+def add_rim_slopes(rim, effects, motion, terms, taken, slopes):  # type: ignore[no-untyped-def]
+    """Add what the loads' shift does to the `Slopes` of a `Taken` step."""
+    if rim is None:
+        return
+    if rim.flags[NEAR] != 0:
+        set_share_slopes(rim, motion.x, motion.y, motion.cos, motion.sin)
+        set_gradients(rim, effects, terms.cells, taken.new)
+        add_share_slopes(rim, _factors(effects, rim.ones), taken.h, slopes.state)
+
+
+@compiled(forceinline=True)
+def _ones(effects, ones):  # type: ignore[no-untyped-def]
+    return ones
+
+
+@compiled(forceinline=True)
+def _shares(effects, ones):  # type: ignore[no-untyped-def]
+    return effects.share
+
+
+_factors = without_or_with(_ones, _shares)
+
+
+@compiled(forceinline=True)
+def add_effect_slopes(effects, rim, model, terms, taken, slopes):  # type: ignore[no-untyped-def]
     """Add what formulas do to the `Slopes` of a `Taken` step."""
     if effects is None:
         return
@@ -295,6 +405,7 @@ def add_effect_slopes(effects, model, terms, taken, slopes):  # type: ignore[no-
     if effects.cells:
         load_gradients(cells, new, effects.by_load)
         drag_gradients(cells, new, h, model.cell_width, effects.by_drag)
+        add_drag_slopes(rim, effects.drag, effects.by_drag, slopes.state)
         stretch_gradients(cells, new, h, effects.by_stretch)
         weigh_cells(model.load, effects.factor, h, effects.by_load, effects.by_factor)
         arrays = (effects.y, effects.c, rx, ry, effects.by_factor, effects.by_drag, effects.by_stretch, G)
@@ -306,20 +417,63 @@ def add_effect_slopes(effects, model, terms, taken, slopes):  # type: ignore[no-
 
 
 @compiled(forceinline=True)
-def carry_loads(effects, S, layout, model, terms, taken, slopes, pose):  # type: ignore[no-untyped-def]
+def carry_loads(effects, rim, S, layout, model, terms, taken, slopes, pose):  # type: ignore[no-untyped-def]
     """Carry the state's rows of the loads over a `Taken` step, in place, or set their direct rows alone.
 
     Returns:
         The first block that is not carried.
     """
     new, minimum, h = taken.new, taken.minimum, taken.h
+    if rim is not None and rim.flags[NEAR] != 0:
+        rim.flags[CHANGED] = 1
+        set_load_slopes(S, layout, rim.by_load, rim.total, h, slopes.state)
+        return 0
     if effects is None or (effects.memory == 0 and not effects.cells):
+        _put_back_places(rim, S, layout)
         carry_plain_loads(S, model.cells, new, h, slopes.state, minimum, pose)
         return padded(layout.n) // LANES
     if not effects.cells:
         load_gradients(terms.cells, new, effects.by_load)
     set_load_slopes(S, layout, effects.by_load, effects.share, h, slopes.state)
     return 0
+
+
+@compiled(forceinline=True)
+def _put_back_places(rim, S, layout):  # type: ignore[no-untyped-def]
+    if rim is None:
+        return
+    if rim.flags[CHANGED] != 0:
+        rim.flags[CHANGED] = 0
+        set_places(S, layout, rim.rx, rim.ry)
+
+
+@compiled(forceinline=True)
+def _all_blocks(rim, S, layout):  # type: ignore[no-untyped-def]
+    return S
+
+
+@compiled(forceinline=True)
+def _blocks_at_work(rim, S, layout):  # type: ignore[no-untyped-def]
+    return S if rim.flags[TOUCHED] != 0 else S[: before_masses(S, layout)]
+
+
+at_work = without_or_with(_all_blocks, _blocks_at_work)
+"""Blocks S, of as many rows as a state's, without those of the masses as long as these are zero."""
+
+
+@compiled(forceinline=True)
+def set_mass_slopes(rim, S, layout):  # type: ignore[no-untyped-def]
+    """Set the direct rows of the masses in blocks that hold them, else nothing."""
+    if rim is None:
+        return
+    if rim.flags[TOUCHED] != 0:
+        if rim.flags[NEAR] == 0:
+            clear_lift(rim.lift)
+        first, size = before_masses(S, layout), (FIXED_ROWS + layout.memory) * LANES
+        for b in range(padded(layout.masses) // LANES):
+            at, cells = first + b * size + STATE * LANES, slice(b * LANES, (b + 1) * LANES)
+            block = S[at : at + 3 * LANES]
+            mass_slopes(rim.rx[cells], rim.ry[cells], rim.factor[cells], rim.lift, block)
 
 
 @compiled(forceinline=True)

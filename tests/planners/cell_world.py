@@ -45,7 +45,7 @@ class CellWorld:
         self.lowest = np.inf
         self._noise = noise
         self._rng = np.random.default_rng(seed)
-        self._slider = Slider(self.thing.grid, RADIUS)
+        self._slider = Slider(self.thing.grid, RADIUS, table=table)
 
     def look(self):
         if self.lowest < 0:

@@ -1,12 +1,16 @@
 """Imagined pushes against finer rollouts that really stop, with the finger really off."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from slipmap.models.geometry import relative
 from slipmap.models.measurements.push_dataset import Table
 from slipmap.models.objects.benchmark_objects import benchmark_object
 from slipmap.models.physics.balance import balance_margins
 from slipmap.models.physics.rollout import Push
+from slipmap.planners import robust_push
 from slipmap.planners.contact_lines import ContactContour
 from slipmap.planners.robust_push import Scenarios, foresee, least_margins
 from slipmap.planners.settings import PushSettings
@@ -85,3 +89,49 @@ def test_a_slender_object_does_not_count_as_falling_where_it_lies_safely():
     least = least_margins(wrench, PushSettings(margin=0.03))
     assert (least < free).all()
     assert least_margins(belief_about(THING), PushSettings(margin=0.002)) == pytest.approx(0.002)
+
+
+def test_at_the_rim_the_table_stays_where_it_is_with_the_finger_off():
+    """Imagined with object and table moved instead of the finger."""
+    settings = PushSettings(candidates=12, scenarios=3, longest=0.05, lengths=2, position_noise=0.005)
+    belief = belief_about(THING, hypotheses=3)
+    table = Table("rectangle", (0.06 - 0.5, 0.0), size=(1.0, 1.0))
+    pose = np.array([0.04, 0.0, np.pi / 2])
+    scenarios, seen = imagined(belief, settings, pose, table)
+    errors, wrong = [], []
+    for c in range(12):
+        for s, (dx, dy, turn) in enumerate(scenarios.noise):
+            cos, sin = np.cos(turn), np.sin(turn)
+            direction = np.array([[cos, -sin], [sin, cos]]) @ seen.directions[c]
+            begin = seen.begins[c] + [dx, dy]
+            end = begin + (settings.approach + seen.lengths[1]) * direction
+            center = scenarios.centers_of_mass[s : s + 1]
+            if balance_margins(belief.grid, center, seen.poses[c, :, s], table).min() < 0.005:
+                continue
+            for slider, gaps in ((scenarios.slider.on(table), errors), (scenarios.slider.on(None), wrong)):
+                there = pushed(replace(scenarios, slider=slider), s, begin, end, pose)
+                gaps.append(np.abs(seen.poses[c, 1, s] - there) * [1, 1, 0.1])
+    assert np.median(errors) < 1.5e-4 and np.max(errors) < 1e-3
+    assert np.median(wrong) > 3 * np.median(errors) and np.max(wrong) > 4e-3
+
+
+def test_what_is_imagined_onward_knows_no_rim():
+    """`moves` are those of the same pushes in the middle of the table; there they are those of `poses`."""
+    settings = PushSettings(candidates=6, scenarios=4)
+    belief = belief_about(THING, hypotheses=2)
+    pose, inner = np.array([0.42, 0.0, 1.0]), np.array([0.0, 0.0, 1.0])
+    _, rim = imagined(belief, settings, pose)
+    _, middle = imagined(belief, settings, inner)
+    assert rim.moves == pytest.approx(middle.moves, abs=1e-9)
+    assert relative(inner, middle.poses) == pytest.approx(middle.moves, abs=1e-12)
+    assert np.abs(relative(pose, rim.poses) - rim.moves).max() > 1e-3
+
+
+def test_tipping_between_looks_is_a_fall(monkeypatch):
+    settings = PushSettings(candidates=8)
+    pose = np.array([0.42, 0.1, 1.0])
+    monkeypatch.setattr(robust_push, "own_balance_margins", lambda *arguments: np.ones(len(arguments[2])))
+    _, seen = imagined(belief_about(THING, hypotheses=5), settings, pose)
+    assert seen.falls.max() == pytest.approx(1.0)
+    assert (np.diff(seen.falls, axis=1) >= 0).all()
+    assert seen.falls[:, 0].max() < 1.0

@@ -25,7 +25,7 @@ def seen():
 
 
 def ahead(seen):
-    return Lookahead(seen, POSE, METRIC, SETTINGS, np.random.default_rng(0))
+    return Lookahead(seen, METRIC, SETTINGS, np.random.default_rng(0))
 
 
 def test_one_push_is_the_best_of_all_wherever_the_object_lies(seen):

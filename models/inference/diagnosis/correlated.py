@@ -20,7 +20,6 @@ from slipmap.models.inference.observations import AVERAGED, SAMPLES, Observation
 from slipmap.models.inference.prior import MapPrior
 from slipmap.models.physics.cell_grid import CellGrid, FloatArray
 from slipmap.models.physics.rollout import Push, Rollouts
-from slipmap.models.physics.step import EXTRA_COLUMNS
 
 
 @dataclass(frozen=True, eq=False)
@@ -172,7 +171,7 @@ class CorrelatedLikelihood(PushLikelihood):
     def rows(self, z: FloatArray, offsets: FloatArray) -> list[Linearised]:
         """Residuals and derivatives of one hypothesis z (d,) with start offsets (B, 3), for all pushes."""
         maps = self.prior.maps(z[None])
-        columns = len(self.prior.slider.grid) + EXTRA_COLUMNS + len(self.prior.effect_scales)
+        columns = self.prior.columns(maps).shape[1]
         found = []
         for b, rollouts, place in self._rolled_out(maps, offsets[None], columns):
             pose, pose_slopes = self._pose_errors(rollouts, b, place)
@@ -188,7 +187,7 @@ class CorrelatedLikelihood(PushLikelihood):
     def _force_errors(self, rollouts: Rollouts, b: int, place: int) -> tuple[FloatArray, FloatArray]:
         """Mean forces, predicted minus measured (K, T, 2), N, and derivatives (K, T, 2, P)."""
         observation, mean = self.observations[b], self.measured.stretches[b]
-        every = rollouts.d_forces[:, rollouts.force_at[place] : rollouts.force_at[place + 1]]
+        every = self._by_own(rollouts.d_forces_of(place), rollouts, place)
         K, steps, _, P = every.shape
         slopes = (mean @ every.reshape(K, steps, 2 * P)).reshape(K, -1, 2, P)
         return mean @ rollouts.forces_of(place) - observation.forces[observation.sliding], slopes

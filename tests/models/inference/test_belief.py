@@ -7,6 +7,7 @@ from hypothesis import strategies as st
 
 from slipmap.models.inference import belief
 from slipmap.models.inference.belief import Belief, BeliefError
+from slipmap.models.measurements import Table
 from slipmap.models.objects import cells_from_polygon
 from slipmap.models.physics.rollout import Maps, Smoothing
 
@@ -50,6 +51,24 @@ def test_round_trip_is_exact(saved):
         "versions",
     ):
         assert getattr(before, name) == getattr(after, name)
+
+
+@pytest.mark.parametrize(
+    "table", [Table("round", (0.1, -0.2), radius=0.5), Table("rectangle", (0.0, 0.0), size=(0.8, 0.6))]
+)
+def test_the_table_is_kept_and_used(table, tmp_path):
+    before = example().on(table)
+    before.save(tmp_path / "belief.npz")
+    after = Belief.load(tmp_path / "belief.npz")
+    assert after.table == table and after.slider.table == table
+    assert after.on(None).slider.table is None and example().table is None
+
+
+def test_a_table_that_is_none_is_refused(tmp_path):
+    broken = example().on(Table("round", (0.1, -0.2), radius=-1.0))
+    broken.save(tmp_path / "belief.npz")
+    with pytest.raises(BeliefError, match="radius"):
+        Belief.load(tmp_path / "belief.npz")
 
 
 def test_centre_of_mass_and_friction_by_hand():

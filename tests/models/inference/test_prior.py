@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from slipmap.models.inference.prior import MapPrior, PriorSettings, covariance_basis
+from slipmap.models.measurements.push_dataset import Table
 from slipmap.models.objects import cells_from_polygon
 from slipmap.models.physics.rollout import Push, Slider
 
@@ -82,7 +83,9 @@ def test_rescaled_coordinates_give_the_same_maps_at_other_strengths(prior):
 
 
 @pytest.mark.parametrize("strength", [1.0, 2.5])
-def test_chain_rule_agrees_with_differences(prior, strength):
+@pytest.mark.parametrize("table", [None, Table("round", (-0.47, 0.01), radius=0.5)], ids=["floor", "rim"])
+def test_chain_rule_agrees_with_differences(strength, table):
+    prior = MapPrior(Slider(SQUARE, 0.005, table=table), PriorSettings(), mass=0.8)
     rng = np.random.default_rng(2)
     z = 0.4 * rng.standard_normal((1, prior.size))
     steps = np.arange(101) * 0.005
@@ -94,6 +97,7 @@ def test_chain_rule_agrees_with_differences(prior, strength):
 
     maps = prior.maps(z, strength)
     rollouts = prior.slider.rollout(maps, [push], sensitivities=True)
+    assert rollouts.reached.all() == (table is not None) and not rollouts.tipped.any()
     by_z = prior.chain(maps, rollouts.d_poses, strength)[0]
     size = np.abs(by_z).max()
     for column in [0, 1, 7, 40, 41, *range(prior.size - 3, prior.size)]:
