@@ -92,7 +92,6 @@ def replaced_file(path: Path, part: Path | None = None) -> Iterator[Path]:
     one: the file that it names is written.
 
     Args:
-        path: the file.
         part: the temporary name, on the same disk; beside the file unless given.
 
     Raises:

@@ -15,7 +15,6 @@ def check_ranges(settings: Any, section: str) -> None:
     """Refuse settings of which a field made by `within` is out of its range.
 
     Args:
-        settings: dataclass.
         section: what stands before a field's name in the message, such as `execution.` or `goals: `.
 
     Raises:

@@ -66,11 +66,7 @@ class Finding:
 
 
 def examine(attempt: Try | None = None) -> Iterator[Finding]:
-    """Look at everything, one after the other.
-
-    Args:
-        attempt: how code is tried; in a fresh interpreter if None.
-    """
+    """Look at everything, one after the other; code is tried in a fresh interpreter if `attempt` is None."""
     attempt = attempt or _in_fresh_interpreter
     yield _python()
     yield from _packages()

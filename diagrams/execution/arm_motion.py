@@ -56,7 +56,6 @@ def smooth(path: Trajectory, kinematics: FingerKinematics, tip_speed: float) -> 
 
     Args:
         path: of 7 joint angles over [0, 1], rad.
-        kinematics: of the arm.
         tip_speed: largest speed of the finger's end, m/s.
     """
     shares = np.linspace(0.0, 1.0, 101)

@@ -38,7 +38,6 @@ class Obstacle:
     """The object as upright boxes, one a cell.
 
     Attributes:
-        grid: cells and outline.
         heights: (n,) of the object's top over each cell, m.
         pose: (3,) of the object in the world, m and rad; it lies on the table.
 
@@ -100,7 +99,6 @@ class ArmClearance:
         """Smallest distance at joint angles (7,), rad, and an opening of the gripper, m; negative inside.
 
         Args:
-            q, opening: of arm and gripper.
             obstacle: the object, if it counts.
             holding: the gripper may be at the object.
         """
@@ -203,7 +201,6 @@ class Surroundings:
     """Table, the arm's own stand and base, and the object.
 
     Attributes:
-        clearance: of the arm at its table.
         obstacle: the object where it lies before the push; None if there is none.
     """
 

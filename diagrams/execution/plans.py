@@ -69,8 +69,6 @@ class ArmPlanner:
     """Plans the arm's motions.
 
     Attributes:
-        kinematics: of the arm.
-        config: how it moves.
         home: (7,) joint angles at which it rests between pushes, rad.
     """
 
@@ -88,7 +86,6 @@ class ArmPlanner:
         to 9 cm above the table, then leans to another side.
 
         Args:
-            push: what to do.
             q: (7,) where the arm rests now, rad, with the finger higher than what stands on the table.
             surroundings: what the arm keeps away from; nothing if None.
 
@@ -149,8 +146,6 @@ class ArmPlanner:
         """Reach around to a place outside the table, come in level with the pins open, close, lift, and hold.
 
         Args:
-            clearance: of the arm at its table.
-            grasp: what to do.
             q: (7,) where the arm rests now, rad.
 
         Raises:
@@ -326,8 +321,6 @@ class ArmChecks:
 
     Attributes:
         models: a key of `ARM_MODELS`.
-        table: where the object lies.
-        config: how the arm moves.
     """
 
     models: str

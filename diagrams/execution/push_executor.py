@@ -103,7 +103,6 @@ class PushExecutor(PythonSystem):
     Args:
         model: the arm as `arm_model` makes it.
         home: (7,) joint angles between pushes, rad.
-        config: how the arm moves.
         table: that the arm keeps away from; if None it heeds neither table nor object, and cannot grasp.
     """
 

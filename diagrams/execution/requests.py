@@ -22,7 +22,6 @@ class ActivePush:
 
     Attributes:
         push_id: number of the push; a push is made once for each new number.
-        push: what to do.
     """
 
     push_id: int
@@ -35,9 +34,7 @@ class ActiveGrasp:
 
     Attributes:
         push_id: its number; pushes and grasps are counted together.
-        grasp: what to do.
         pose: (3,) of the object, world, m and rad.
-        grid: cells and outline, to go around.
         heights: (n,) of the object's top over each cell, m.
     """
 

@@ -176,8 +176,6 @@ class CheckedMessages(PythonSystem):
     subscriber would end the process at a message that cannot be decoded.
 
     Args:
-        channel: whose messages these are.
-        rule: what they must be.
         clock: of this computer, s; none in a simulation, which takes the time that it takes.
     """
 

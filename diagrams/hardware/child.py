@@ -24,7 +24,6 @@ class Child:
     Args:
         what: it is, for messages.
         function: of a module; it calls `be_ready`, and ends when its standard input does.
-        arguments: of the function.
 
     Raises:
         HardwareError: it did not start; it says why on the standard error.

@@ -146,7 +146,6 @@ def real_cell(
     At the end the arm comes to rest.
 
     Args:
-        scenario: what the cell is like.
         where: LCM address, see `network.open_lcm`; the station is simulated if None, and waits for what takes
             long. Or what has the ports and methods of `HardwareInterface`; it waits likewise.
         effects: that the model is given; its machine code is loaded before the arm can move.

@@ -270,7 +270,6 @@ class CommandGuard(PythonSystem):
 
     Args:
         model: the arm as `arm_model` makes it.
-        settings: when to stop.
 
     Raises:
         ValueError: settings out of range.

@@ -51,7 +51,6 @@ class Event:
     Attributes:
         number: of the event, from 0.
         utime: µs since 1970 at which it was received.
-        channel: its name.
         data: as received; it may be anything.
     """
 
@@ -129,7 +128,6 @@ class MessageStream(Child):
 
     Args:
         url: see `network.open_lcm`; not `memq://`, which another process does not hear.
-        heard: channels.
 
     Raises:
         HardwareError: see `network.open_lcm`, or it could not be started.

@@ -71,8 +71,6 @@ class CellTwin(PythonDiagram):
     leap.
 
     Args:
-        scenario: what the cell is like.
-        lcm: where messages come and go.
         arm: whether arm and gripper take part.
         camera: whether the camera does; rendering takes so long that arm and camera are best kept apart.
 
@@ -210,12 +208,7 @@ class _PoseSender(PythonSystem):
 
 
 class TwinCamera(Child):
-    """The twin's camera in a process of its own, so that rendering does not keep the arm waiting.
-
-    Args:
-        scenario: what the cell is like.
-        url: where pictures go.
-    """
+    """The twin's camera in a process of its own, so that rendering does not keep the arm waiting."""
 
     def __init__(self, scenario: Scenario, url: str) -> None:
         what = "the process that renders pictures"
@@ -314,7 +307,6 @@ def run_twin(
     cell does not wait for what drives it.
 
     Args:
-        scenario: what the cell is like.
         url: see `network.open_lcm`.
         report: called when it begins, and every 10 s.
         until: simulated time at which it ends, s.

@@ -112,8 +112,6 @@ def exploration_loop(scenario: Scenario, options: LoopOptions, **parts: Any) -> 
     real cell `guard`.
 
     Args:
-        scenario: what the cell is like.
-        options: what to do.
         parts: keyword arguments of `add_exploration`.
 
     Raises:
@@ -220,12 +218,8 @@ def add_exploration(
     """Add everything that explores, not yet connected.
 
     Args:
-        builder: of the loop.
-        scenario: what the cell is like.
-        options: what to do.
         cell: the real cell, which takes the station's place; a guard stands between it and the executor.
         worker: who looks at pictures, learns and plans; the diagram itself if None, which then waits.
-        meshcat: where to show it, if anywhere.
         learned: called with every belief as it forms and the number of pushes that it comes from.
         before: what an earlier process recorded, to go on from; the object lies where that one left it.
 

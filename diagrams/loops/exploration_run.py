@@ -122,12 +122,9 @@ def explore(
     """Explore the object of a scenario.
 
     Args:
-        scenario: what the cell is like.
-        options: what to do.
         hardware: LCM address of a real cell, in which then the object is, or see `control.real_cell`;
             simulated if None.
         meshcat: where to show it, if anywhere.
-        progress: called with (stage, done, total) pushes.
         record: where pushes go as soon as they are recorded; what it raises ends the run.
         before: what an earlier process recorded, to go on from.
         learn_when_stopped: whether Ctrl-C leaves what can be learned from the pushes until then, for which

@@ -90,10 +90,7 @@ def pregrasp_loop(
     To the systems of `exploration_loop` come `planner` and `pregrasp_supervisor`, which commands the arm.
 
     Args:
-        scenario: what the cell is like.
-        options: what to do.
         cell, worker: see `exploration_loop`; a real cell knows no truth to plan with.
-        meshcat: where to show it, if anywhere.
 
     Raises:
         ScenarioError, ValueError, RendererUnavailable: see `exploration_loop`.
@@ -153,7 +150,6 @@ def true_maps(true_object: TrueObject, pose: list[float], seen: SeenObject) -> M
     """The truth over the cells that the camera made out: each takes from the true cell that is nearest.
 
     Args:
-        true_object: the object.
         pose: x, y (m) and turn (degrees) at which it lay at the first look.
         seen: what the camera made of it then.
 
@@ -175,7 +171,6 @@ class PregraspRun:
 
     Attributes:
         exploration: what was recorded and learned; pushes towards the edge are in it too, to judge with.
-        options: what was to be done.
         held: whether the gripper holds the object, as the robot knows.
         reason: why it does not, else empty.
         plans: of pushes that were made towards the edge, and of the grasp where it came to that, in order.
@@ -258,8 +253,6 @@ def pregrasp(
     """Explore the object of a scenario, bring it to the table's edge, grasp and lift it.
 
     Args:
-        scenario: what the cell is like.
-        options: what to do.
         hardware: LCM address of a real cell, or see `control.real_cell`; simulated if None.
         meshcat: where to show it, if anywhere.
         progress: called with (stage, done, total) pushes; the total is 0 where it is not known.

@@ -71,7 +71,6 @@ class PushListener:
 
     Args:
         scenario: what the cell is like; of the object nothing is used.
-        name: of the dataset.
         cells: wanted number.
     """
 
@@ -218,12 +217,9 @@ def record_pushes(
     """Listen until the events end, enough pushes are recorded, or somebody stops it.
 
     Args:
-        events: what comes.
-        listener: makes out pushes.
         recorder: where each push goes as soon as it is over.
         tell: called with a line when the object is first seen, when the finger was down, and now and then.
         log: where all events go as they came, if anywhere.
-        most: pushes.
         stopped: whether it is to end; asked at every event.
 
     Raises:

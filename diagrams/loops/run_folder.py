@@ -63,7 +63,6 @@ def refuse_others_files(folder: Path, format_: str, command: str, *files: str) -
     """Refuse a folder in which a run would replace what no earlier run of the same command left.
 
     Args:
-        folder: where results go.
         format_: that `run.json` has after such a run.
         command: such as `slipmap explore`.
         files: beside the pushes, that a run replaces.
@@ -91,7 +90,6 @@ def refuse_robots_pushes(folder: Path, option: str) -> None:
     """Refuse a folder with pushes of a robot's cell, which cannot be made again, to a command that has none.
 
     Args:
-        folder: where results go.
         option: that names another.
 
     Raises:
@@ -143,8 +141,6 @@ class RunFolder:
     the run ends in the midst of a push.
 
     Args:
-        folder: of the run.
-        scenario: of the run.
         kept: pushes of this run that are in the folder already.
 
     Raises:
@@ -172,7 +168,6 @@ class RunFolder:
         """Write down what is measured so far of the push under way.
 
         Args:
-            push: its number.
             rows: of each channel, as in a trial's file but with the run's time.
 
         Raises:
@@ -194,9 +189,6 @@ class RunFolder:
 class PregraspFolder(RunFolder):
     """The folder of `slipmap pregrasp`: its run cannot be gone on with.
 
-    Args:
-        folder, scenario: as in `RunFolder`.
-
     Raises:
         BadInput: pushes are there that no earlier run of the command left, or of one that was cut off.
     """
@@ -217,8 +209,6 @@ class Recording:
     """A run that is being written: what its loop records goes to a folder as soon as it is there.
 
     Args:
-        loop: that runs.
-        record: where it goes.
         before: pushes that are kept already.
     """
 
@@ -270,8 +260,6 @@ class ExplorationFolder(RunFolder):
     digests, so that files of two runs are never mixed.
 
     Args:
-        folder: of the run.
-        scenario, options: of the run.
         before: what is in the folder already, of a run that is gone on with.
 
     Raises:

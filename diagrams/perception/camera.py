@@ -116,7 +116,6 @@ def add_camera(
         builder: gets the sensor, and its scene graph, named `picture_scene`.
         plant, scene_graph: the world, finalized; nothing may be added to it afterwards. What is to be seen
             needs a perception role, which `plant.RegisterVisualGeometry` gives.
-        config: by default `CameraConfig()`.
 
     Raises:
         ValueError: the plant is not finalized.

@@ -179,7 +179,6 @@ class CellPerception(PythonSystem):
     during the first look, before which torn and repeated pictures are not noticed.
 
     Args:
-        camera: of the pictures; `CameraConfig()` by default.
         cells: wanted number of cells.
         arm_hulls: hulls around the arm for joint angles (7,), rad, such as `ArmHulls`; None if the arm
             is never in the picture.

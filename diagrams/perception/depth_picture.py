@@ -328,7 +328,6 @@ class DepthPicture(PythonSystem):
 
     Args:
         plant, scene_graph: finalized.
-        config: the camera.
 
     Raises:
         ValueError: the plant is not finalized.

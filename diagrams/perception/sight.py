@@ -32,7 +32,6 @@ def view_from(camera: PinholeCamera, X_WC: bytes) -> View:
     """The view, whose rays take a while to compute, kept for a camera that does not move.
 
     Args:
-        camera: of the pictures.
         X_WC: bytes of its (4, 4) pose.
     """
     return View(camera, np.frombuffer(X_WC).reshape(4, 4))
@@ -42,7 +41,6 @@ class Sight:
     """The camera's view of the table while the arm rests.
 
     Args:
-        view: the camera at its place.
         hulls: around the arm where it rests, see `ArmHulls`.
     """
 
@@ -69,7 +67,6 @@ class ArmAside(PythonSystem):
     was just seen; False while it is not seen.
 
     Args:
-        camera: of the pictures.
         arm_hulls: hulls around the arm for joint angles (7,), rad, such as `ArmHulls`.
     """
 

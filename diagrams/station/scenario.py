@@ -273,7 +273,6 @@ def read_scenario(path: str | Path, object_name: str | None = None) -> Scenario:
     A mesh or label image is looked for beside the file, then from the working folder.
 
     Args:
-        path: of the file.
         object_name: of the benchmark object that lies there instead of the file's.
 
     Raises:
@@ -306,7 +305,6 @@ def read_settings(path: str | Path, schema: type[T]) -> T:
     """Read a dataclass from a YAML file; what the file leaves out keeps its default.
 
     Args:
-        path: of the file.
         schema: dataclass, whose fields may be dataclasses.
 
     Raises:

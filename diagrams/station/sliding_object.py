@@ -128,7 +128,6 @@ def add_sliding_object(
 
     Args:
         plant: registered with a scene graph, not finalized, a round table in it already; see `plant_config`.
-        true_object: what to add.
         table_friction: of the table's own geometry (`table_contact`).
         finger_friction: of the finger's own geometry; together with the blocks' it gives `mu_finger`.
         single_feet: one foot in the middle of each cell instead of four. Simulates several times faster; that

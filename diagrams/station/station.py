@@ -63,10 +63,6 @@ class Station(PythonDiagram):
     camera, with its noise; `camera.X_WC` is a `RigidTransform`. `iiwa.age` (1,) and `camera.age` (1,) are how
     old the arm's state and the picture are, s: nothing in a simulation. `truth.object_pose` is X_WO.
 
-    Args:
-        scenario: what the cell is like.
-        meshcat: where to show it, if anywhere.
-
     Raises:
         ValueError: an object or a surface that cannot be had.
         RendererUnavailable: this machine cannot render pictures.

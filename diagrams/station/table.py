@@ -40,7 +40,6 @@ def add_table(
 
     Args:
         plant: registered with a scene graph, not finalized.
-        table: shape, centre and radius or size of the top.
         friction: friction coefficient of the table's own geometry (the object's feet make up for it).
 
     Raises:

@@ -76,7 +76,6 @@ def shown(belief: Belief, most: int, *, round_tops: bool = False) -> Shown:
     """The mean of a belief and at most so many of its hypotheses.
 
     Args:
-        belief: to be shown.
         most: hypotheses.
         round_tops: whether scales end at round numbers, so that they seldom change with the belief; otherwise
             they end where those of `maps_figure` do for as many hypotheses.
@@ -108,9 +107,6 @@ def legend(belief: Belief, what: Shown, which: int, basis: str) -> bytes:
     """PNG of the colour scale of map `which` and the probabilities of the hypotheses.
 
     Args:
-        belief: that is shown.
-        what: is shown of it.
-        which: map.
         basis: what the belief rests on, a few words.
     """
     figure = _board(f"Belief {basis}")
@@ -205,7 +201,6 @@ class BeliefVisualizer(PythonSystem):
     What has been drawn is a property of the Meshcat, not of a Context: one visualizer per Meshcat and path.
 
     Args:
-        meshcat: to draw into.
         path: of everything drawn, in the scene tree.
         height: of the tiles above the table, m, while `seen_object` says nothing.
         period: of drawing, s.

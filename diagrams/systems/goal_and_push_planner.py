@@ -156,7 +156,6 @@ class _Procedure:
         """Probability of success and margin of a plan, see `PregraspPlan`.
 
         Args:
-            now: what is known.
             poses: (K, 3) of the object in the hypotheses that were imagined, or (1, 3) in all of them.
             goal: near which it shall lie; anywhere if None.
         """
@@ -185,8 +184,6 @@ class GoalAndPushPlanner(PythonSystem):
     draws of a plan depend on the seed and its number alone.
 
     Args:
-        settings: of the procedure.
-        table: that the object lies on.
         method: one of `slipmap.planners.settings.METHODS`.
         can_push: whether the arm can make a push of an object that lies somewhere.
         can_grasp: whether it can come in and lift.

@@ -263,12 +263,8 @@ def dataset_of(
     Args:
         trials: one or more.
         grid: the object as the camera made it out.
-        name: of the dataset.
         finger_radius: m.
-        noise: of the sensors.
-        table: the table top.
         gravity: m/s².
-        description: free text.
 
     Raises:
         DatasetError: there is no trial.

@@ -58,7 +58,6 @@ class CommandRecorder(Child):
 
     Args:
         url: LCM address at which the commands are heard.
-        path: of the file.
     """
 
     def __init__(self, url: str, path: Path) -> None:

@@ -111,9 +111,6 @@ class Link:
     """The way of one channel's messages, with at most one fault at a time.
 
     Times are of one clock that does not go back, s.
-
-    Args:
-        channel: whose messages pass.
     """
 
     def __init__(self, channel: str) -> None:

@@ -27,7 +27,6 @@ class LockstepCell(PythonDiagram):
     leaves out is what only real time brings: late messages of a busy computer, and processes that end.
 
     Args:
-        scenario: what the cell is like.
         positions: of the plant, to begin with; those of the scenario if None.
 
     Raises:

@@ -20,7 +20,6 @@ class TwinProcess(Child):
     """The process; `close` ends it. It says on the standard error whether it keeps up with real time.
 
     Args:
-        scenario: what the cell is like.
         folder: in which the scenario is left for it.
     """
 

@@ -38,7 +38,6 @@ def check_effect(effect: Effect, where: str) -> None:
     """Refuse an effect that is declared wrongly, does not vanish at its null, or is not finite.
 
     Args:
-        effect: to check.
         where: file, line and class, for the message.
 
     Raises:

@@ -62,7 +62,6 @@ def read_dataset(
     MIT and CSV files say nothing of roles: in sorted order the last quarter (rounded down) is heldout.
 
     Args:
-        path: folder or file.
         object_name: what was pushed, for MIT and CSV files: a shape of the MIT dataset (rect1, hex, ...; with
             its mass and the 4.75 mm finger) or a YAML file with the keys object, finger and, if wanted, name,
             description, table, gravity, noise of a dataset.yaml, and csv, see `parse_columns`.

@@ -55,7 +55,6 @@ def trial_from_tables(
     counts as not measured.
 
     Args:
-        name, role: of the trial.
         tables: rows (T, 4) of t, x, y, theta or t, fx, fy, tau; the theta of the tip is not used.
         where: the file, for error texts.
 

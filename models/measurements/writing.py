@@ -28,7 +28,6 @@ def write_dataset(dataset: PushDataset, folder: str | os.PathLike[str], *, overw
     object; a finger pushes from outside, so they are left out.
 
     Args:
-        dataset: what to write.
         folder: the target; its parents are made.
         overwrite: replace a push dataset that is there already. Only the files of that dataset may be in
             the folder, as everything in it goes.

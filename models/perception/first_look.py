@@ -55,7 +55,6 @@ def first_look(
     Args:
         frames: at least one depth image (H, W), m; 0 or NaN where there is no reading, inf beyond the range.
             A pixel's reading is the median over the frames that have one; an odd number is best.
-        view: the camera.
         cells: wanted number of cells.
         blocked: (H, W) pixels that show the arm, as from `draw_hulls`.
 

@@ -131,7 +131,6 @@ def draw_hulls(hulls: Sequence[Hull], view: View, margin: float = 0.008) -> Mask
 
     Args:
         hulls: around the arm's links and whatever it holds.
-        view: the camera.
         margin: added around each, m; for the readings' jitter and small errors of the arm's pose.
     """
     camera, picture = view.camera, np.zeros((view.camera.height, view.camera.width), np.uint8)

@@ -49,7 +49,6 @@ class View:
     """A camera at its place in the world.
 
     Attributes:
-        camera: the intrinsics.
         X_WC: (4, 4) pose of the camera in W.
 
     Raises:

@@ -95,7 +95,6 @@ def track(
 
     Args:
         depth: (H, W) m; 0 or NaN where there is no reading, inf beyond the range.
-        view: the camera.
         seen: the object, from `first_look`.
         previous: (3,) last known pose.
         blocked: (H, W) pixels that show the arm.

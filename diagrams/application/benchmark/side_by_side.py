@@ -34,7 +34,6 @@ def run_benchmark(
         steps: steps of the push, of 5 ms.
         repeats: runs of which the median is taken.
         seed: of the friction maps.
-        progress: called with (stage, done, total).
 
     Returns:
         A dict that JSON can hold: `scene`; `engines`, a list with name, seconds per rollout, ratio to the

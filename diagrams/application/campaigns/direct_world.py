@@ -76,11 +76,6 @@ class DirectWorld(ABC):
     """One object on a table; a `slipmap.planners.push_decisions.World`. Engines fill in how things move.
 
     A world is built once and used for many trials: `reset` begins one.
-
-    Args:
-        true_object: what lies on the table.
-        table: its top.
-        noise: of control and sensors.
     """
 
     finger_radius = FINGER_RADIUS

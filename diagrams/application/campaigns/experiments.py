@@ -52,13 +52,7 @@ def experiment_of(name: str) -> Experiment:
 
 @dataclass(frozen=True)
 class TableText:
-    """A table as it is shown.
-
-    Attributes:
-        title: line above it.
-        columns: headings.
-        rows: cells.
-    """
+    """A table as it is shown."""
 
     title: str
     columns: tuple[str, ...]
@@ -113,9 +107,7 @@ class Experiment:
         something of each.
 
         Args:
-            objects: names.
             trials: of each object and variant.
-            seed: the first one.
             truth: one of `worlds.TRUTHS`.
 
         Raises:

@@ -90,7 +90,6 @@ def compare_methods(
     """Sum up trials; failed ones have no result and do not count.
 
     Args:
-        outcomes: of the trials.
         good: the fate that is success.
         pushes: number of them, of a result.
         together: whether to add a row `ALL`.

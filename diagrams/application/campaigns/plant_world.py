@@ -53,9 +53,6 @@ class PlantWorld(DirectWorld):
     """The object of the station on the station's table, pushed by a finger that nothing can stop.
 
     Args:
-        true_object: what lies on the table.
-        table: its top.
-        noise: of control and sensors.
         hidden: effects that the object's model does not know.
         time_step: of the plant, s; a whole fraction of 0.01 s.
 

@@ -124,11 +124,7 @@ def _meshcat(show: bool) -> Meshcat:
 
 
 def cell_options(folder: str) -> Option:
-    """The options of a `CellRun`, which the command takes as its argument `cell`.
-
-    Args:
-        folder: where it leaves things unless told otherwise.
-    """
+    """The options of a `CellRun`, which the command takes as its argument `cell`; `folder` is the default."""
     options: list[Option] = [
         click.option(
             "--hardware", is_flag=True,

@@ -45,7 +45,6 @@ def title(belief: Belief, size: FloatArray) -> bytes:
     """What is shown, and how to read it.
 
     Args:
-        belief: that is shown.
         size: (2,) of the panel, of which its proportion matters.
     """
     figure = _paper(size, 12.0)

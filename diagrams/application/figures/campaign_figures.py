@@ -24,7 +24,6 @@ def curves_figure(title: str, curves: Mapping[str, Mapping[str, Sequence[Estimat
     """One panel an object, in it one curve a label over the number of pushes, with 95 % intervals, in mm.
 
     Args:
-        title: above all.
         curves: object, label, and one estimate (m) after each push.
     """
     columns = max(1, min(_COLUMNS, len(curves)))
@@ -60,7 +59,6 @@ def shares_figure(
     """Bars of shares in per cent with 95 % intervals, grouped by object, and the paper's numbers as marks.
 
     Args:
-        title: above all.
         shares: object, method, share.
         paper: object, method, and the paper's share from and to, in per cent, where it has one.
     """
@@ -74,7 +72,6 @@ def means_figure(title: str, means: Mapping[str, Mapping[str, Estimate]], factor
     """Bars of means with 95 % intervals, grouped by object.
 
     Args:
-        title: above all.
         means: object, label, mean.
         factor: that turns them into the unit.
         unit: that is shown.
@@ -123,7 +120,6 @@ def reliability_figure(title: str, bins: Mapping[str, Sequence[tuple[float, Esti
     """Share of events against the probability that was stated for them.
 
     Args:
-        title: above all.
         bins: label, and for each bin the mean of the stated probabilities and the share that came true.
     """
     figure = Figure(figsize=(4.2, 4.2), layout="constrained")

@@ -156,8 +156,6 @@ def telling_push_figure(told: dict[str, Any], diagnosis: Diagnosis, dataset: Pus
 
     Args:
         told: result of `slipmap.planners.telling_push.next_push`.
-        diagnosis: it was made for.
-        dataset: that was diagnosed.
     """
     grid = dataset.grid
     push = push_of(told, float(len(dataset.trials)))

@@ -76,7 +76,6 @@ def push_figures(predictions: Sequence[Prediction], dataset: PushDataset, *, tit
     """A panel for each push, `_PANELS_A_PAGE` a figure; all panels of one figure have the same scale.
 
     Args:
-        predictions: pushes of `dataset`.
         dataset: for the outline and the finger's path.
         title: heading; the dataset's name where empty.
 

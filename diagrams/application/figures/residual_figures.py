@@ -97,9 +97,6 @@ def _push_means(values: FloatArray, push: np.ndarray, weights: FloatArray) -> Fl
 def correlation_figure(comparisons: Sequence[Comparison]) -> Figure:
     """Three correlations over lags; the band holds all lags of 95 % of chance results.
 
-    Args:
-        comparisons: one model, or two over the same pushes.
-
     Raises:
         ValueError: the first comparison has no correlations.
     """
@@ -408,12 +405,7 @@ def _finish(
 
 
 def residual_figures(comparisons: Sequence[Comparison], dataset: PushDataset) -> dict[str, Figure]:
-    """Every picture that these comparisons allow, by `<quantity>.<factor>`.
-
-    Args:
-        comparisons: one model, or two over the same pushes.
-        dataset: for the outline.
-    """
+    """Every picture that these comparisons allow, by `<quantity>.<factor>`."""
     figures: dict[str, Figure] = {}
     for quantity in ("motion", "force"):
         known = [c for c in comparisons if _residuals_of(c, quantity) is not None]

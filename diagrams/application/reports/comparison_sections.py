@@ -63,7 +63,6 @@ def comparison_sections(comparisons: Sequence[Comparison], dataset: PushDataset)
 
     Args:
         comparisons: one model, or two over the same pushes, the first being the one before.
-        dataset: its pushes.
 
     Raises:
         ValueError: none or more than two models, or models over different pushes.

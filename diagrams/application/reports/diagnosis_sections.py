@@ -37,10 +37,7 @@ def diagnosis_report(
     """The report, a whole HTML document.
 
     Args:
-        diagnosis: of the dataset.
-        dataset: its pushes.
         effects: all that were tried.
-        progress: called with (stage, done, total).
     """
     comparisons = compared(diagnosis, dataset, progress)
     report = progress or silent

@@ -193,13 +193,7 @@ def tried(diagnosis: Diagnosis, effects: Sequence[Effect]) -> list[Effect]:
 
 
 def show_diagnosis(diagnosis: Diagnosis, dataset: PushDataset, effects: Sequence[Effect]) -> None:
-    """Print what a diagnosis found.
-
-    Args:
-        diagnosis: of the dataset.
-        dataset: its pushes.
-        effects: all that were tried.
-    """
+    """Print what a diagnosis of a dataset found; `effects` are all that were tried."""
     paragraph(f"Verdict: {diagnosis.verdict}. {diagnosis.sentence}")
     for text in (*sizes(diagnosis, dataset.grid), improvement(diagnosis), rivals_sentence(diagnosis)):
         paragraph(text)

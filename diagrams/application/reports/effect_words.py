@@ -21,9 +21,6 @@ class Reading:
 
     Attributes:
         text: with `{}` where the number goes, such as `tilt {}°`.
-        value: the number.
-        low: lower end of the interval.
-        high: upper end.
     """
 
     text: str
@@ -44,8 +41,6 @@ def effect_in_words(name: str, estimates: Sequence[ParameterEstimate], grid: Cel
     """How large an effect is, in one line; the parameters as they are where there is no better way to say it.
 
     Args:
-        name: of the effect.
-        estimates: of all its parameters.
         grid: the object's, for what its size decides.
     """
     reader = READERS.get(name)

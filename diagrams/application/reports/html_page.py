@@ -40,8 +40,6 @@ class Section:
 
     Attributes:
         key: identifies it in links and in the data.
-        title: heading.
-        body: HTML.
         data: what its scripts need, JSON-able.
         script: name of a script in this folder that gives its body life; empty for none.
     """
@@ -59,7 +57,6 @@ def page(
     """A whole HTML document.
 
     Args:
-        title: of the page.
         subtitle: a line below it: what was compared, when and with what.
         lead: paragraphs that say what was found, the most important first.
         sections: in the order of reading; keys must differ.
@@ -102,7 +99,6 @@ def picture(figure: Figure, alternative: str, *, wide: bool = False) -> str:
     """An `img` element that holds the figure; letters are drawn, so that it looks alike everywhere.
 
     Args:
-        figure: to be shown.
         alternative: what it shows, for those who cannot see it.
         wide: as wide as the page, instead of its own width at most.
     """
@@ -129,8 +125,6 @@ def table(
     """An HTML table of plain texts.
 
     Args:
-        columns: headings.
-        rows: cells.
         numbers: columns to align on the right.
         marked: for each row whether it is to stand out.
         caption: sentence above it.

@@ -151,11 +151,7 @@ def remark(push: Prediction) -> str:
 
 
 def show_comparison(results: Sequence[Comparison]) -> None:
-    """Means of the errors by role beside the baselines, and what the residuals hang together with.
-
-    Args:
-        results: one model, or two over the same pushes.
-    """
+    """Means of the errors by role beside the baselines, and what the residuals hang together with."""
     first, rows = results[0], []
     for role, totals in first.totals.items():
         models = [(result.label, result.totals[role].model) for result in results]
@@ -207,7 +203,6 @@ def show_quantities(quantities: Sequence[Quantity], *, doubted: bool) -> None:
     """Value, 90 % interval and reason, first what the pushes show, then what they leave open.
 
     Args:
-        quantities: of a belief.
         doubted: whether its predictions do not hold, see `is_doubted`.
     """
     condition = "IF THE MODEL WERE RIGHT, shown" if doubted else "Shown"

@@ -109,11 +109,9 @@ def generate(
     The same seed gives the same files to the last bit. A folder that is there already is replaced.
 
     Args:
-        seed: of every draw.
         folder: of the dataset; its name is the dataset's.
         effect: instead of a random one; `PLAIN` for none.
         strength: instead of a random one.
-        pushes: number of them.
     """
     rng = np.random.default_rng([seed, 0x51EB])
     drawn_effect, drawn_strength = _draw_effect(rng)
