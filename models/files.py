@@ -157,8 +157,10 @@ def writing(path: Path) -> Iterator[None]:
         raise BadInput(f"cannot write {path}: {error.strerror or error}; choose another place") from error
 
 
-def write_json(path: Path, document: Mapping[str, Any]) -> None:
-    """Write a JSON document as `write_text`, keys sorted; a number that is not finite becomes null."""
+def write_json(path: Path | None, document: Mapping[str, Any]) -> None:
+    """Write a JSON document as `write_text`, if there is a path; keys sorted, numbers not finite as null."""
+    if path is None:
+        return
     text = json.dumps(plain(document), indent=2, sort_keys=True, ensure_ascii=False, allow_nan=False)
     write_text(path, text + "\n")
 

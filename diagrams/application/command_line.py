@@ -152,12 +152,11 @@ def _nearest_choice(error: click.UsageError, arguments: Sequence[str]) -> str:
 
 
 def _is_bad_input(error: Exception) -> bool:
-    from slipmap.diagrams.perception.renderer import RendererUnavailable
     from slipmap.models.effects import EffectError
     from slipmap.models.inference.belief import BeliefError
     from slipmap.models.measurements import DatasetError
 
-    return isinstance(error, BeliefError | DatasetError | EffectError | RendererUnavailable)
+    return isinstance(error, BeliefError | DatasetError | EffectError)
 
 
 def _one_paragraph(text: str) -> str:

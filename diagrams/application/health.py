@@ -9,7 +9,7 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Callable, Iterator
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 
 from slipmap.diagrams.perception.system_libraries import IMPORTS, RENDER, RENDERING_PACKAGES, package_for
@@ -59,10 +59,6 @@ class Finding:
     needed: bool
     found: str
     remedy: str = ""
-
-    def to_json(self) -> dict[str, object]:
-        """For programs."""
-        return asdict(self)
 
 
 def examine(attempt: Try | None = None) -> Iterator[Finding]:

@@ -72,10 +72,6 @@ class HeardCell(PythonDiagram):
         builder.BuildInto(self)
         self.set_name("heard_cell")
 
-    def received(self, root: Context) -> dict[str, Received]:
-        """What came on each channel until now, and what of it was dropped."""
-        return self.checked.received(root)
-
     def _export_arm(self, builder: DiagramBuilder) -> None:
         status = builder.AddSystem(IiwaStatusReceiver())
         checked = self.checked[network.IIWA_STATUS]

@@ -25,6 +25,7 @@ from typing import IO, Any, cast
 
 from slipmap.diagrams.hardware.child import Child, be_ready, have_priority
 from slipmap.diagrams.hardware.network import HardwareError, open_lcm
+from slipmap.models.files import BadInput
 
 LARGEST = 40_000_000
 """Bytes of a message; pictures are at most 4096 by 4096 when packed."""
@@ -40,7 +41,7 @@ _SYNC = 0xEDA1DA01
 _LONGEST_NAME = 63  # of a channel, with LCM
 
 
-class BadLog(ValueError):
+class BadLog(BadInput, ValueError):
     """A log that cannot be read. The text names the file, the place, and what to do."""
 
 

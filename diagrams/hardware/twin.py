@@ -36,7 +36,6 @@ from slipmap.diagrams.hardware.checked_messages import (
     Channels,
     CheckedMessages,
     MessagePump,
-    Received,
     add_checked,
     publish,
 )
@@ -84,22 +83,18 @@ class CellTwin(PythonDiagram):
         super().__init__()
         builder = DiagramBuilder()
         self.station: Station = builder.AddSystem(Station(scenario))
-        self._checked = Channels()
+        self.checked = Channels()
         if arm:
             builder.AddSystem(MessagePump(lcm))
             commands = (network.IIWA_COMMAND, network.GRIPPER_COMMAND)
-            self._checked = add_checked(builder, scenario.camera, commands)
-            self._checked.subscribe(lcm)
-            _add_arm(builder, self.station, lcm, self._checked[network.IIWA_COMMAND])
-            _add_gripper(builder, self.station, lcm, self._checked[network.GRIPPER_COMMAND])
+            self.checked = add_checked(builder, scenario.camera, commands)
+            self.checked.subscribe(lcm)
+            _add_arm(builder, self.station, lcm, self.checked[network.IIWA_COMMAND])
+            _add_gripper(builder, self.station, lcm, self.checked[network.GRIPPER_COMMAND])
         if camera:
             self.camera_publishers = _add_camera(builder, self.station, lcm, scenario)
         builder.BuildInto(self)
         self.set_name("cell_twin")
-
-    def received(self, root: Context) -> dict[str, Received]:
-        """What came on each channel until now, and what of it was dropped."""
-        return self._checked.received(root)
 
 
 def _add_arm(
@@ -338,7 +333,7 @@ def _run(
     spoke, good, given_up = started, 0, 0.0
 
     def reported(now: float) -> TwinReport:
-        received = twin.received(root)
+        received = twin.checked.received(root)
         simulated = root.get_time()
         return TwinReport(
             simulated,
@@ -361,7 +356,7 @@ def _run(
             simulator.ResetStatistics()  # it measures real time from here on
         if now - spoke > _REPORT_EVERY:
             last = reported(now)
-            spoke, good = now, twin.received(root)[network.IIWA_COMMAND].good
+            spoke, good = now, twin.checked.received(root)[network.IIWA_COMMAND].good
             report(last)
         return EventStatus.DidNothing()
 

@@ -181,7 +181,7 @@ class PushListener:
 
     def heard(self) -> dict[str, Heard]:
         """What came on every channel until now."""
-        received: Mapping[str, Received] = self._cell.received(self._root)
+        received: Mapping[str, Received] = self._cell.checked.received(self._root)
         result = {}
         for channel in (*HEARD, *sorted(self._came.keys() - set(HEARD))):
             count = self._came[channel]
@@ -193,7 +193,7 @@ class PushListener:
 
     def silent(self) -> list[str]:
         """Channels that are needed, and on which nothing good has come."""
-        received = self._cell.received(self._root)
+        received = self._cell.checked.received(self._root)
         return [channel for channel in NEEDED if not received[channel].good]
 
     def _said(self, block: Any, port: str) -> Any:

@@ -26,12 +26,13 @@ from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.sensors import CameraInfo, RgbdSensor
 
 from slipmap.diagrams.perception.system_libraries import RENDER, RENDERING_PACKAGES
+from slipmap.models.files import BadInput
 
 _PATIENCE = 60.0  # s; a picture takes half a second
 _NEAR = 1e-3  # m
 
 
-class RendererUnavailable(RuntimeError):
+class RendererUnavailable(BadInput, RuntimeError):
     """Depth pictures cannot be rendered here. The text is one paragraph that says what to install."""
 
 

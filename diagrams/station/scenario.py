@@ -28,7 +28,7 @@ from slipmap.diagrams.perception.camera import CameraConfig
 from slipmap.diagrams.perception.depth_noise import DepthNoiseConfig
 from slipmap.diagrams.station.arm import ARM_MODELS
 from slipmap.diagrams.station.hidden_effects import HiddenEffectsConfig
-from slipmap.models.files import UnreadableFile, read_bounded
+from slipmap.models.files import BadInput, UnreadableFile, read_bounded
 from slipmap.models.measurements.push_dataset import Table
 from slipmap.models.objects.benchmark_objects import benchmark_object
 from slipmap.models.objects.true_object import (
@@ -50,7 +50,7 @@ _LONGEST_LABEL = 9  # digits
 T = typing.TypeVar("T")
 
 
-class ScenarioError(ValueError):
+class ScenarioError(BadInput, ValueError):
     """A scenario file that cannot be used; the message names the file and the field."""
 
 

@@ -7,7 +7,7 @@ import os
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple, get_args
+from typing import Any, get_args
 
 from slipmap.models.measurements import parsing
 from slipmap.models.measurements.csv_files import (
@@ -107,24 +107,17 @@ def check_format(document: dict[str, Any], where: str) -> None:
         raise DatasetError(f"{where}: format is {parsing.shown(found)}; only {FORMAT} can be read")
 
 
-class _Parts(NamedTuple):
-    """What the pushes of a dataset are read with."""
-
-    setup: Setup
-    fingerprint: Fingerprint
-    warnings: list[str]
-    where: str
-
-
 def _assembled(
-    parts: _Parts,
+    setup: Setup,
+    fingerprint: Fingerprint,
+    warnings: list[str],
+    source: Path,
     folder: Path,
     entries: Sequence[Entry],
     read: Callable[[str, Role, bytes, str], tuple[Trial, list[str]]],
     progress: StageProgress | None,
 ) -> PushDataset:
     """Dataset of files in a folder; each is read by its name, role, content and path."""
-    setup, fingerprint, warnings, where = parts
     trials = []
     for index, (name, role) in enumerate(entries):
         content = parsing.read_bytes(folder / name)
@@ -134,7 +127,7 @@ def _assembled(
         warnings += doubts
         if progress is not None:
             progress(index + 1, len(entries))
-    warnings += check_trials(setup, trials, where)
+    warnings += check_trials(setup, trials, str(source))
     return PushDataset(
         **vars(setup),
         trials=tuple(trials),
@@ -155,8 +148,8 @@ def _read_push_format(description: Path, progress: StageProgress | None) -> Push
     fingerprint = Fingerprint()
     fingerprint.add(DESCRIPTION_FILE, content)
     entries = _entries(document, description.parent, where, warnings)
-    parts = _Parts(setup, fingerprint, warnings, where)
-    return _assembled(parts, description.parent, entries, _read_record, progress)
+    folder = description.parent
+    return _assembled(setup, fingerprint, warnings, description, folder, entries, _read_record, progress)
 
 
 def _entries(document: dict[str, Any], folder: Path, where: str, warnings: list[str]) -> list[Entry]:
@@ -225,8 +218,7 @@ def _read_files(source: Path, object_name: str | None, progress: StageProgress |
     entries: list[Entry] = [
         (file.name, "fit" if index < learned else "heldout") for index, file in enumerate(files)
     ]
-    parts = _Parts(setup, fingerprint, warnings, str(source))
-    return _assembled(parts, files[0].parent, entries, read, progress)
+    return _assembled(setup, fingerprint, warnings, source, files[0].parent, entries, read, progress)
 
 
 def _is(file: Path, endings: tuple[str, ...]) -> bool:

@@ -44,9 +44,8 @@ def calibrate(objects: int, seed: int, output: Path | None, json_file: Path | No
 
             write_figures(output, [calibration_figure(result)])
     rows = coverage_rows(result)
-    if json_file is not None:
-        numbers = {name: getattr(result, name) for name in ("objects", "seed", "seconds", "ranks")}
-        write_json(json_file, {**numbers, "level": _LEVEL, "coverage": rows})
+    numbers = {name: getattr(result, name) for name in ("objects", "seed", "seconds", "ranks")}
+    write_json(json_file, {**numbers, "level": _LEVEL, "coverage": rows})
     table(
         f"Truths inside the {_LEVEL:.0%} interval, {result.objects} objects in {result.seconds:.0f} s",
         ["quantity", "inside", "of", "share", "95 % range", "verdict"],

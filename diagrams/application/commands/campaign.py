@@ -101,8 +101,7 @@ def campaign(
         "failed": {o.spec.name: o.failure for o in outcomes if o.failure is not None},
     }
     write_json(folder / f"{experiment}-{truth}.json", document)
-    if json_file is not None:
-        write_json(json_file, document)
+    write_json(json_file, document)
     note(f"trials are in {files}, the picture is {picture}")
 
 

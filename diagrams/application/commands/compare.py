@@ -58,8 +58,7 @@ def predict(
 
         with progress.step("drawing"):
             drawn = write_figures(output, push_figures(pushes, measured))
-    if json_file is not None:
-        write_json(json_file, _prediction_document(belief, measured.name, pushes))
+    write_json(json_file, _prediction_document(belief, measured.name, pushes))
     from slipmap.diagrams.application.reports.tables import show_errors
 
     click.echo(f"{measured.name}, {len(pushes)} pushes; belief learnt from {belief.dataset}\n")
@@ -121,8 +120,7 @@ def compare(
         )
         with progress.step("drawing"):
             write_text(output, report(results, measured))
-    if json_file is not None:
-        write_json(json_file, _comparison_document(results, effect_names))
+    write_json(json_file, _comparison_document(results, effect_names))
     show(results)
     note(f"report: {output}")
 

@@ -57,8 +57,7 @@ def diagnose(
             from slipmap.diagrams.application.reports.diagnosis_sections import diagnosis_report
 
             write_text(output, diagnosis_report(result, measured, effects, progress))
-    if json_file is not None:
-        write_json(json_file, result.to_json())
+    write_json(json_file, result.to_json())
     from slipmap.diagrams.application.reports.diagnosis_words import show_diagnosis
 
     show_diagnosis(result, measured, effects)

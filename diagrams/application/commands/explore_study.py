@@ -58,8 +58,7 @@ def explore_study(
                     f" {folder}; called again, the study goes on where it was."
                 ) from error
     _show(rows)
-    if json_file is not None:
-        write_json(json_file, rows)
+    write_json(json_file, rows)
 
 
 def _row(folder: Path, name: str, seed: int, pushes: int, checks: int) -> dict[str, Any]:

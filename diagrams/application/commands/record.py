@@ -53,7 +53,7 @@ def record(
     """
     from slipmap.diagrams.hardware.control import until_ctrl_c
     from slipmap.diagrams.hardware.message_stream import MessageStream
-    from slipmap.diagrams.hardware.network import GRIPPER_COMMAND, IIWA_COMMAND, HardwareError
+    from slipmap.diagrams.hardware.network import GRIPPER_COMMAND, IIWA_COMMAND
     from slipmap.diagrams.loops.push_listener import HEARD, PushListener, hearing, record_pushes, why_none
     from slipmap.models.measurements.writing import PushRecorder, is_replaced
 
@@ -64,16 +64,12 @@ def record(
     with ExitStack() as stack:
         log = None if log_file is None else stack.enter_context(_new_log(log_file))
         commands = (IIWA_COMMAND, GRIPPER_COMMAND) if log_file is not None else ()
-        try:
-            stream = MessageStream(url, [*HEARD, *commands])
-            stack.callback(stream.close)
-            note(f"listening at {url}; Ctrl-C ends it")
-            with until_ctrl_c() as stopped:
-                record_pushes(
-                    stream, listener, PushRecorder(output), status, log=log, most=pushes, stopped=stopped
-                )
-        except HardwareError as error:
-            raise BadInput(str(error)) from error
+        stream = MessageStream(url, [*HEARD, *commands])
+        stack.callback(stream.close)
+        note(f"listening at {url}; Ctrl-C ends it")
+        with until_ctrl_c() as stopped:
+            recorder = PushRecorder(output)
+            record_pushes(stream, listener, recorder, status, log=log, most=pushes, stopped=stopped)
     status(hearing(listener))
     lag = None
     if listener.pushes:
@@ -82,8 +78,7 @@ def record(
         note(f"pushes: {output}")
     if log_file is not None:
         note(f"messages: {log_file}")
-    if json_file is not None:
-        write_json(json_file, _heard(listener, lag))
+    write_json(json_file, _heard(listener, lag))
     if not listener.pushes:
         raise click.ClickException(f"no push was recorded: {why_none(listener)}")
 
@@ -128,13 +123,12 @@ def replay(
     written = cell_run.leave(identification, dataset, folder)
     show(identification, dataset)
     lag = _shown_lag(dataset)
-    if json_file is not None:
-        write_json(json_file, {**identification.to_json(), "heard": _heard(listener, lag)})
+    write_json(json_file, {**identification.to_json(), "heard": _heard(listener, lag)})
     cell_run.show_files(written)
 
 
 def _listen(log: Path, listener: PushListener, folder: Path) -> None:
-    from slipmap.diagrams.hardware.message_stream import BadLog, LogReader
+    from slipmap.diagrams.hardware.message_stream import LogReader
     from slipmap.diagrams.loops.push_listener import hearing, record_pushes
     from slipmap.diagrams.loops.run_folder import PUSHES
     from slipmap.models.measurements.writing import PushRecorder
@@ -145,8 +139,6 @@ def _listen(log: Path, listener: PushListener, folder: Path) -> None:
             record_pushes(reader, listener, PushRecorder(folder / PUSHES), status)
     except OSError as error:
         raise BadInput(f"{log}: cannot be read ({error.strerror})") from error
-    except BadLog as error:
-        raise BadInput(str(error)) from error
     status(hearing(listener))
     if reader.cut_off:
         note(f"warning: {log} ends in the midst of a message; what comes before is used")

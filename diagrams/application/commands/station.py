@@ -27,9 +27,8 @@ def station(url: str, scenario_file: Path | None, object_name: str | None) -> No
     gripper and a depth camera do, so that `slipmap explore --hardware` in another process cannot tell the
     difference. It runs until Ctrl-C. Every ten seconds it tells whether it keeps up with real time.
     """
-    from slipmap.diagrams.hardware.network import HardwareError, address_settings
+    from slipmap.diagrams.hardware.network import address_settings
     from slipmap.diagrams.hardware.twin import dropped_words, report_words, run_twin
-    from slipmap.diagrams.perception.renderer import RendererUnavailable
 
     scenario = scenario_of(scenario_file, object_name)
     if scenario_file is None:
@@ -38,6 +37,6 @@ def station(url: str, scenario_file: Path | None, object_name: str | None) -> No
         address_settings(url)
         note(f"the cell of the {scenario.object.called} comes up at {url} …")
         last = run_twin(scenario, url, lambda report: note(report_words(report)))
-    except (HardwareError, RendererUnavailable, ValueError) as error:
+    except ValueError as error:
         raise BadInput(str(error)) from error
     note(f"stopped after {last.simulated:.1f} s, {last.behind:.2f} s behind real time{dropped_words(last)}")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Protocol
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -11,6 +10,7 @@ from matplotlib.figure import Figure
 
 from slipmap.diagrams.systems.look import BELIEF, FAINT, FINGER, INK, OTHER, PAPER, styled
 from slipmap.models.physics.cell_grid import FloatArray
+from slipmap.planners.calibration import CalibrationResult
 from slipmap.planners.trials import Estimate
 
 _COLORS = (BELIEF, FINGER, OTHER, FAINT)
@@ -147,20 +147,8 @@ def _ends(estimate: Estimate) -> tuple[float, float]:
     return estimate.value, estimate.value
 
 
-class Calibration(Protocol):
-    """What is drawn of a calibration: the number of objects, and where the truths fell."""
-
-    @property
-    def objects(self) -> int:
-        """Number of simulated objects."""
-
-    @property
-    def ranks(self) -> Mapping[str, FloatArray]:
-        """For each quantity (m,) probability-integral values of the truth, in [0, 1]."""
-
-
 @styled
-def calibration_figure(result: Calibration) -> Figure:
+def calibration_figure(result: CalibrationResult) -> Figure:
     """For each quantity, the share of truths inside the central interval against the interval's probability.
 
     On the diagonal the intervals are right; below it they are too narrow, above it too wide. The band holds

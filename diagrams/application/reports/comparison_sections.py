@@ -18,7 +18,6 @@ from slipmap.diagrams.application.reports.comparison_words import (
     judged,
     millimetres,
     p_text,
-    role_name,
     short_name,
     size_text,
 )
@@ -89,13 +88,12 @@ def check_same_pushes(comparisons: Sequence[Comparison]) -> None:
 
 
 def _error_section(comparisons: Sequence[Comparison]) -> Section:
-    rows, marked = [], []
+    rows = []
     first = comparisons[0]
     for role, totals in first.totals.items():
-        name = role_name(role, totals)
+        name = f"{totals.pushes} {ROLES[role]}"
         for comparison in comparisons:
             rows.append([name, comparison.label, *_cells(comparison.totals[role].model)])
-            marked.append(False)
         rows.append([name, "uniform object", *_cells(totals.uniform)])
         rows.append([name, "object does not move", *_cells(totals.resting)])
     numbers = table(

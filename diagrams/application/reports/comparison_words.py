@@ -126,11 +126,6 @@ def pushes_needed(tests: int) -> int:
     return count
 
 
-def role_name(role: str, totals: Totals) -> str:
-    """`8 held out`."""
-    return f"{totals.pushes} {ROLES[role]}"
-
-
 def millimetres(metres: float) -> str:
     """Two figures below 10 mm, else tenths."""
     value = 1e3 * metres

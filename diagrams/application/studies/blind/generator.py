@@ -229,21 +229,19 @@ def _record(
         noisy[rng.random(len(times)) < _DROPOUTS] = np.nan
         return np.round(np.column_stack([times, noisy]), 6).tolist()
 
-    def known(times: FloatArray, values: FloatArray) -> FloatArray:
-        return np.column_stack([np.interp(times, motion.clock, column) for column in values.T])
-
     tip_noise, force_noise = _NOISE["tip"], _NOISE["force"]
     t = stamps()
     poses = effect.reported(t, motion.clock, motion.poses)
     record = {"object_pose": rows(t, poses, [_NOISE["position"], _NOISE["position"], _NOISE["angle"]])}
     t = stamps()
-    tip = np.column_stack([known(t, motion.hand), np.zeros(len(t))])
+    tip = np.column_stack([exact(t, motion.clock, motion.hand), np.zeros(len(t))])
     record["tip_pose"] = rows(t, tip, [tip_noise, tip_noise, 0.0])
     t = stamps()
     # A force sensor's filter: the mean over the time from half a row before to half a row after.
     half = 0.5 / _RATE
     low, high = np.maximum(t - half, 0.0), t + half
-    wrench = (known(high, motion.impulse) - known(low, motion.impulse)) / (high - low)[:, None]
+    passed = exact(high, motion.clock, motion.impulse) - exact(low, motion.clock, motion.impulse)
+    wrench = passed / (high - low)[:, None]
     record["ft_wrench"] = rows(t, wrench, [force_noise, force_noise, force_noise * thing.finger_radius])
     return record
 

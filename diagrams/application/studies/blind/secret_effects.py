@@ -120,7 +120,7 @@ class Chance(NamedTuple):
 
 
 def exact(times: FloatArray, clock: FloatArray, poses: FloatArray) -> FloatArray:
-    """(T, 3) what an exact tracker reports at `times` of the true `poses`, which are known at `clock`."""
+    """(T, c) what an exact sensor reports at `times` of true `poses` (N, c), which are known at `clock`."""
     return np.column_stack([np.interp(times, clock, column) for column in poses.T])
 
 
