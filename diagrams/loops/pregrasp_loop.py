@@ -14,18 +14,8 @@ from pydrake.systems.framework import Context, Diagram, DiagramBuilder
 from slipmap.diagrams.execution.plans import ArmChecks
 from slipmap.diagrams.hardware.control import real_cell
 from slipmap.diagrams.hardware.interface import HardwareInterface
+from slipmap.diagrams.loops import exploration_run
 from slipmap.diagrams.loops.exploration_loop import LoopOptions, add_exploration, connect, output_of
-from slipmap.diagrams.loops.exploration_run import (
-    DOING,
-    LONGEST,
-    LONGEST_REAL,
-    ExplorationFailed,
-    ExplorationRun,
-    ExplorationStopped,
-    Progress,
-    explored,
-    run_loop,
-)
 from slipmap.diagrams.loops.run_folder import Recording, RunFolder
 from slipmap.diagrams.perception.sight import Sight
 from slipmap.diagrams.station.arm import HOME
@@ -178,7 +168,7 @@ class PregraspRun:
         interrupted: whether Ctrl-C ended it.
     """
 
-    exploration: ExplorationRun
+    exploration: exploration_run.ExplorationRun
     options: PregraspOptions
     held: bool
     reason: str
@@ -247,7 +237,7 @@ def pregrasp(
     *,
     hardware: str | HardwareInterface | None = None,
     meshcat: Meshcat | None = None,
-    progress: Progress | None = None,
+    progress: exploration_run.Progress | None = None,
     record: RunFolder | None = None,
 ) -> PregraspRun:
     """Explore the object of a scenario, bring it to the table's edge, grasp and lift it.
@@ -272,7 +262,7 @@ def pregrasp(
     """
     with real_cell(scenario, hardware, options.exploration.effects) as (cell, worker):
         loop = pregrasp_loop(scenario, options, cell=cell, worker=worker, meshcat=meshcat)
-        patience = LONGEST if cell is None else LONGEST_REAL
+        patience = exploration_run.LONGEST if cell is None else exploration_run.LONGEST_REAL
         return _run(loop, scenario, options, patience, progress, record)
 
 
@@ -281,7 +271,7 @@ def _run(
     scenario: Scenario,
     options: PregraspOptions,
     patience: float,
-    progress: Progress | None,
+    progress: exploration_run.Progress | None,
     record: RunFolder | None,
 ) -> PregraspRun:
     """Run a loop to its end; it may take some time (s) for each push."""
@@ -293,8 +283,8 @@ def _run(
     def watch(status: LoopStatus, context: Context) -> None:
         if recording is not None:
             recording.look(context)
-        if status.push < first and status.mode in DOING:
-            report(f"exploring: {DOING[status.mode]}", status.push, first)
+        if status.push < first and status.mode in exploration_run.DOING:
+            report(f"exploring: {exploration_run.DOING[status.mode]}", status.push, first)
         if status.push < first or status.mode not in BRINGS:
             return
         doing = BRINGS[status.mode]
@@ -305,12 +295,12 @@ def _run(
             plans[status.push] = output_of(loop, "planner", "plan", context)
 
     longest = patience * (first + options.pushes + 2)
-    ended = run_loop(loop, "pregrasp_supervisor", ("held", "failed"), longest, watch)
-    exploration = explored(loop, ended, scenario, options.exploration, report)
+    ended = exploration_run.run_loop(loop, "pregrasp_supervisor", ("held", "failed"), longest, watch)
+    exploration = exploration_run.explored(loop, ended, scenario, options.exploration, report)
     if exploration is None:
         if ended.interrupted:
-            raise ExplorationStopped("stopped before anything was recorded")
-        raise ExplorationFailed(f"nothing was recorded: {ended.reason}")
+            raise exploration_run.ExplorationStopped("stopped before anything was recorded")
+        raise exploration_run.ExplorationFailed(f"nothing was recorded: {ended.reason}")
     held = ended.status.mode == "held"
     reason = "" if held else ("stopped" if ended.interrupted else ended.reason)
     height = None

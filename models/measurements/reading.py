@@ -9,14 +9,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any, get_args
 
-from slipmap.models.measurements import parsing
-from slipmap.models.measurements.csv_files import (
-    CSV_ENDINGS,
-    STANDARD,
-    CsvColumns,
-    parse_columns,
-    read_csv_trial,
-)
+from slipmap.models.measurements import csv_files, parsing
 from slipmap.models.measurements.mit_files import (
     FINGER_RADIUS,
     HDF5_ENDINGS,
@@ -204,9 +197,9 @@ def _read_files(source: Path, object_name: str | None, progress: StageProgress |
     files = _record_files(source) if source.is_dir() else [source]
     fingerprint = Fingerprint()
     read: Callable[[str, Role, bytes, str], tuple[Trial, list[str]]]
-    if _is(files[0], CSV_ENDINGS):
+    if _is(files[0], csv_files.CSV_ENDINGS):
         setup, warnings, columns = _setup(object_name, None, source, fingerprint)
-        read = partial(read_csv_trial, columns=columns)
+        read = partial(csv_files.read_csv_trial, columns=columns)
     elif _is(files[0], _MIT_ENDINGS):
         _refuse_part_of_a_dataset(files[0])
         setup, warnings, _ = _setup(object_name, named_shape(files), source, fingerprint)
@@ -229,11 +222,11 @@ def _record_files(folder: Path) -> list[Path]:
     files = sorted(
         file
         for file in folder.iterdir()
-        if _is(file, _MIT_ENDINGS + CSV_ENDINGS) and not file.name.startswith(".")
+        if _is(file, _MIT_ENDINGS + csv_files.CSV_ENDINGS) and not file.name.startswith(".")
     )
     if not files:
         raise DatasetError(f"{folder}: holds no measurements; wanted is {_KINDS}")
-    if len({_is(file, CSV_ENDINGS) for file in files}) > 1:
+    if len({_is(file, csv_files.CSV_ENDINGS) for file in files}) > 1:
         raise DatasetError(
             f"{folder}: holds both CSV and MIT push files; put each kind into a folder of its own"
         )
@@ -251,7 +244,7 @@ def _refuse_part_of_a_dataset(file: Path) -> None:
 
 def _setup(
     object_name: str | None, named: str | None, source: Path, fingerprint: Fingerprint
-) -> tuple[Setup, list[str], CsvColumns]:
+) -> tuple[Setup, list[str], csv_files.CsvColumns]:
     """Setup of a named shape or of a YAML file, warnings, and columns of CSV files.
 
     `named` is what the measurements' own names say.
@@ -269,7 +262,7 @@ def _setup(
         fingerprint.add("object", content)
         setup, warnings = parse_setup(document, chosen, default_name=source.stem)
         warnings += parsing.unknown_keys(document, ("format", "trials", "csv", *SETUP_KEYS), chosen)
-        return setup, warnings, parse_columns(document.get("csv"), f"{chosen}: csv")
+        return setup, warnings, csv_files.parse_columns(document.get("csv"), f"{chosen}: csv")
     shape = mit_shape(chosen, str(source))
     if named is not None and named != chosen:
         raise DatasetError(
@@ -281,4 +274,4 @@ def _setup(
         "object": {"outline": shape.outline.tolist(), "height": THICKNESS, "mass": shape.mass},
         "finger": {"radius": FINGER_RADIUS},
     }
-    return *parse_setup(document, str(source), default_name=source.stem), STANDARD
+    return *parse_setup(document, str(source), default_name=source.stem), csv_files.STANDARD

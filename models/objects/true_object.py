@@ -13,15 +13,8 @@ import trimesh
 from numpy.typing import ArrayLike, NDArray
 from shapely.geometry import Polygon
 
+from slipmap.models.objects import meshes
 from slipmap.models.objects.images import cells_from_label_image
-from slipmap.models.objects.meshes import (
-    cells_from_mesh,
-    coloured,
-    height_over,
-    lofted,
-    rounded,
-    upright_mesh,
-)
 from slipmap.models.physics.cell_grid import CellGrid, FloatArray
 from slipmap.models.physics.rollout import Maps
 
@@ -143,9 +136,9 @@ def object_from_mesh(
     """
     source = f"mesh {Path(path)}"
     _positive(mass, f"{source}: mass", "kg")
-    mesh = upright_mesh(path, up, metres_per_unit)
+    mesh = meshes.upright_mesh(path, up, metres_per_unit)
     try:
-        grid = cells_from_mesh(mesh, count=count)
+        grid = meshes.cells_from_mesh(mesh, count=count)
         height = cell_heights(mesh, grid)
     except ValueError as error:
         raise ValueError(f"{source}: {str(error).removeprefix('mesh: ')}") from error
@@ -157,7 +150,7 @@ def object_from_mesh(
         )
     colors = _region_colors(1)
     if not mesh.visual.defined:
-        mesh = coloured([(mesh, colors[0])])
+        mesh = meshes.coloured([(mesh, colors[0])])
     return TrueObject(
         name=Path(path).stem,
         grid=grid,
@@ -213,7 +206,7 @@ def object_from_labels(
     regions = _regions(grid, labels)
     edge = min(0.1 * height, 0.1 * grid.width)
     solids = [
-        (lofted(part, rounded(height, edge)), colors[label])
+        (meshes.lofted(part, meshes.rounded(height, edge)), colors[label])
         for label, region in enumerate(regions)
         for part in region
     ]
@@ -225,7 +218,7 @@ def object_from_labels(
         mu=np.array([mu[int(name)] for name in names])[labels],
         mu_finger=mu_finger,
         height=np.full(len(grid), height),
-        mesh=coloured(solids),
+        mesh=meshes.coloured(solids),
         colors=colors,
         blocks=(Block(grid.polygon, height),),
     )
@@ -234,7 +227,7 @@ def object_from_labels(
 def cell_heights(mesh: trimesh.Trimesh, grid: CellGrid) -> FloatArray:
     """(n,) height of a mesh over each cell, m: at its centre, or where the mesh does not cover that, over
     the nearest cell that it does cover."""
-    height = height_over(mesh, grid.centers)
+    height = meshes.height_over(mesh, grid.centers)
     covered = np.flatnonzero(np.isfinite(height))
     if len(covered) == 0:
         raise ValueError("mesh: covers no centre of a cell; are mesh and cells in one frame?")

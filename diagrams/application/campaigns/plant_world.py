@@ -26,14 +26,8 @@ from slipmap.diagrams.application.campaigns.direct_world import (
     WorldNoise,
     flat_pose,
 )
+from slipmap.diagrams.station import sliding_object
 from slipmap.diagrams.station.hidden_effects import HiddenEffectsConfig, add_hidden_effects
-from slipmap.diagrams.station.sliding_object import (
-    BODY,
-    FINGER_FRICTION,
-    add_sliding_object,
-    plant_config,
-    resting_pose,
-)
 from slipmap.diagrams.station.table import ROUND_TABLE, TABLE_FRICTION, add_table
 from slipmap.models.measurements.push_dataset import Table
 from slipmap.models.objects.true_object import TrueObject
@@ -77,9 +71,9 @@ class PlantWorld(DirectWorld):
             )
         self._time_step = time_step
         builder = DiagramBuilder()
-        plant, _ = AddMultibodyPlant(plant_config(time_step), builder)
+        plant, _ = AddMultibodyPlant(sliding_object.plant_config(time_step), builder)
         add_table(plant, table)
-        add_sliding_object(plant, true_object, TABLE_FRICTION, single_feet=True)
+        sliding_object.add_sliding_object(plant, true_object, TABLE_FRICTION, single_feet=True)
         self._finger = _add_finger(plant)
         plant.Finalize()
         if hidden is not None:
@@ -94,7 +88,7 @@ class PlantWorld(DirectWorld):
             plant.get_generalized_contact_forces_output_port(self._finger), self._contact.get_input_port()
         )
         self._plant = plant
-        self._body = plant.GetBodyByName(BODY)
+        self._body = plant.GetBodyByName(sliding_object.BODY)
         self._simulator = Simulator(builder.Build())
         self._root = self._simulator.get_mutable_context()
         self._context = plant.GetMyMutableContextFromRoot(self._root)
@@ -107,7 +101,7 @@ class PlantWorld(DirectWorld):
         diagram = self._simulator.get_system()
         self._root.SetTime(0.0)
         diagram.SetDefaultContext(self._root)
-        self._plant.SetFreeBodyPose(self._context, self._body, resting_pose(*pose))
+        self._plant.SetFreeBodyPose(self._context, self._body, sliding_object.resting_pose(*pose))
         self._take_finger_away()
 
     def _drive(self, tip: FloatArray) -> Motion:
@@ -182,7 +176,7 @@ def _add_finger(plant: MultibodyPlant) -> ModelInstanceIndex:
         joint = plant.AddJoint(PrismaticJoint(name, parent, child, np.array(axis)))
         plant.AddJointActuator(name, joint).set_controller_gains(PdControllerGains(p=1e7, d=1e5))
     contact = ProximityProperties()
-    friction = CoulombFriction(FINGER_FRICTION, FINGER_FRICTION)
+    friction = CoulombFriction(sliding_object.FINGER_FRICTION, sliding_object.FINGER_FRICTION)
     AddContactMaterial(dissipation=20.0, point_stiffness=1e8, friction=friction, properties=contact)
     X_FG = RigidTransform(np.array([0.0, 0.0, _FINGER_HEIGHT + FINGER_LENGTH / 2]))
     plant.RegisterCollisionGeometry(finger, X_FG, Cylinder(FINGER_RADIUS, FINGER_LENGTH), "finger", contact)

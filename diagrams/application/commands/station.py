@@ -6,20 +6,15 @@ from pathlib import Path
 
 import click
 
-from slipmap.diagrams.application.commands.cell_run import (
-    lcm_option,
-    scenario_of,
-    scenario_option,
-    station_object_option,
-)
+from slipmap.diagrams.application.commands import cell_run
 from slipmap.diagrams.application.terminal import note
 from slipmap.models.files import BadInput
 
 
 @click.command()
-@lcm_option
-@scenario_option
-@station_object_option
+@cell_run.lcm_option
+@cell_run.scenario_option
+@cell_run.station_object_option
 def station(url: str, scenario_file: Path | None, object_name: str | None) -> None:
     """Simulate a robot's cell behind the messages of a real one.
 
@@ -30,7 +25,7 @@ def station(url: str, scenario_file: Path | None, object_name: str | None) -> No
     from slipmap.diagrams.hardware.network import address_settings
     from slipmap.diagrams.hardware.twin import dropped_words, report_words, run_twin
 
-    scenario = scenario_of(scenario_file, object_name)
+    scenario = cell_run.scenario_of(scenario_file, object_name)
     if scenario_file is None:
         scenario.simulation.time_step = 0.005  # s: the twin must keep up with real time
     try:
