@@ -26,15 +26,7 @@ from pydrake.systems.primitives import PassThrough
 from pydrake.systems.sensors import LcmImageArrayToImages
 
 from slipmap.diagrams.execution.requests import Health
-from slipmap.diagrams.hardware import network
-from slipmap.diagrams.hardware.checked_messages import (
-    ABORT_COORDINATES,
-    Channels,
-    MessagePump,
-    Received,
-    add_checked,
-    publish,
-)
+from slipmap.diagrams.hardware import checked_messages, network
 from slipmap.diagrams.hardware.command_stream import CommandStream
 from slipmap.diagrams.hardware.network import ARM, CAMERA, NEEDED
 from slipmap.diagrams.perception.sight import ArmHulls
@@ -64,7 +56,9 @@ class HeardCell(PythonDiagram):
     def __init__(self, scenario: Scenario, clock: Callable[[], float] | None = None) -> None:
         super().__init__()
         builder = DiagramBuilder()
-        self.checked = add_checked(builder, scenario.camera, (*ARM, *CAMERA), {network.IIWA_STATUS: clock})
+        self.checked = checked_messages.add_checked(
+            builder, scenario.camera, (*ARM, *CAMERA), {network.IIWA_STATUS: clock}
+        )
         self._export_arm(builder)
         self._export_camera(builder)
         plant, scene_graph, arm = lone_arm(scenario.arm.models)
@@ -186,17 +180,17 @@ class HardwareInterface(PythonDiagram):
         self._lcm = network.open_lcm(lcm) if isinstance(lcm, str) else lcm
         builder = DiagramBuilder()
         if not alone:
-            builder.AddSystem(MessagePump(self._lcm))
+            builder.AddSystem(checked_messages.MessagePump(self._lcm))
         clock = time.monotonic if alone else None
         self._heard = builder.AddNamedSystem("heard", HeardCell(scenario, clock))
         self.arm_hulls = self._heard.arm_hulls
         self._checked = self._heard.checked
         self._listeners: list[network.Listener] = []
-        self._stop = add_checked(builder, scenario.camera, [network.ABORT])[network.ABORT]
+        self._stop = checked_messages.add_checked(builder, scenario.camera, [network.ABORT])[network.ABORT]
         abort = builder.AddSystem(_Abort())
         builder.Connect(self._stop.GetOutputPort("received"), abort.get_input_port())
         builder.ExportOutput(abort.get_output_port(), "abort")
-        self._everyone = Channels({**self._checked, network.ABORT: self._stop})
+        self._everyone = checked_messages.Channels({**self._checked, network.ABORT: self._stop})
         if not alone:
             self._everyone.subscribe(self._lcm)
         export_outputs(builder, self._heard)
@@ -237,7 +231,9 @@ class HardwareInterface(PythonDiagram):
             if time.monotonic() > deadline:
                 raise network.HardwareError(self._silence(silent, came, patience))
 
-    def _silence(self, silent: list[str], came: Mapping[str, Received], patience: float) -> str:
+    def _silence(
+        self, silent: list[str], came: Mapping[str, checked_messages.Received], patience: float
+    ) -> str:
         causes = [f"{name}: {', '.join(came[name].dropped)}" for name in silent if came[name].dropped]
         heard = f" ({'; '.join(causes)})" if causes else ""
         return (
@@ -249,7 +245,7 @@ class HardwareInterface(PythonDiagram):
     def abort(self) -> None:
         """Stop the arm, for good, at the diagram's next step; may be called by another thread."""
         message = lcmt_drake_signal()
-        message.dim, message.coord, message.val = 1, list(ABORT_COORDINATES), [1.0]
+        message.dim, message.coord, message.val = 1, list(checked_messages.ABORT_COORDINATES), [1.0]
         self._stop.hear(bytes(message.encode()))
 
     def close(self) -> None:
@@ -268,7 +264,7 @@ class HardwareInterface(PythonDiagram):
             unused = builder.AddSystem(PassThrough(Value[object](None)))  # nothing waits to be played
             builder.ExportInput(unused.get_input_port(), "health")
             self._sender = builder.AddSystem(IiwaCommandSender(7, IiwaControlMode.kPositionOnly))
-            publisher = publish(
+            publisher = checked_messages.publish(
                 builder, self._lcm, network.IIWA_COMMAND, lcmt_iiwa_command, network.ARM_PERIOD
             )
             builder.Connect(self._sender.get_output_port(), publisher.get_input_port())
@@ -276,7 +272,7 @@ class HardwareInterface(PythonDiagram):
 
     def _add_gripper_commands(self, builder: DiagramBuilder) -> None:
         sender = builder.AddSystem(SchunkWsgCommandSender())
-        publisher = publish(
+        publisher = checked_messages.publish(
             builder, self._lcm, network.GRIPPER_COMMAND, lcmt_schunk_wsg_command, network.GRIPPER_PERIOD
         )
         builder.Connect(sender.get_output_port(), publisher.get_input_port())

@@ -11,15 +11,9 @@ from pydrake.systems.framework import Context
 
 from slipmap.diagrams.systems.multiverse_slider import Universes
 from slipmap.diagrams.systems.python_system import PythonSystem, held, read
+from slipmap.models.inference import push_misfit
 from slipmap.models.inference.error_model import ErrorModel
 from slipmap.models.inference.observations import observe
-from slipmap.models.inference.push_misfit import (
-    bet,
-    pose_noise,
-    predicted_steady_forces,
-    resting_misfit,
-    steady_force,
-)
 from slipmap.models.measurements import Trial
 from slipmap.models.measurements.push_dataset import Noise
 from slipmap.models.physics.cell_grid import FloatArray
@@ -133,7 +127,9 @@ class ModelMonitor(PythonSystem):
         self.set_name("model_monitor")
         if sensors.position is None or sensors.angle is None:
             raise ValueError(f"ModelMonitor: noise of position and angle must be given, got {sensors}")
-        self._error = ErrorModel(pose_noise(sensors.position, sensors.angle), model_error, FORCE_ERROR)
+        self._error = ErrorModel(
+            push_misfit.pose_noise(sensors.position, sensors.angle), model_error, FORCE_ERROR
+        )
         self.declare_inputs("universes", "object_pose", "trials")
         self._watch = self.DeclareAbstractState(held(Watch(0, np.full(3, np.nan))))
         after = {self.abstract_state_ticket(self._watch)}
@@ -164,12 +160,12 @@ class ModelMonitor(PythonSystem):
         belief = universes.belief
         start, end = trial.object_pose.values[[0, -1]]
         observation = observe(trial, number)
-        force = steady_force(observation)
-        misfit, p = resting_misfit(
+        force = push_misfit.steady_force(observation)
+        misfit, p = push_misfit.resting_misfit(
             start, end, universes.poses, belief.probability, self._error, belief.grid,
-            None if force is None else (force, predicted_steady_forces(belief, observation)),
+            None if force is None else (force, push_misfit.predicted_steady_forces(belief, observation)),
             taught=belief.taught,
         )  # fmt: skip
-        evidence = max(watch.evidence, 1.0) * bet(max(p, LEAST_P))
+        evidence = max(watch.evidence, 1.0) * push_misfit.bet(max(p, LEAST_P))
         alarm = evidence >= 1.0 / LEVEL or (watch.alarm and evidence > 1.0)
         return Judged(number, misfit, p, evidence, alarm)

@@ -9,18 +9,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any, get_args
 
-from slipmap.models.measurements import csv_files, parsing
-from slipmap.models.measurements.mit_files import (
-    FINGER_RADIUS,
-    HDF5_ENDINGS,
-    JSON_ENDINGS,
-    MIT_SHAPES,
-    THICKNESS,
-    mit_shape,
-    named_shape,
-    read_mit_trial,
-    surface_warnings,
-)
+from slipmap.models.measurements import csv_files, mit_files, parsing
 from slipmap.models.measurements.parsing import Fingerprint
 from slipmap.models.measurements.push_dataset import CHANNELS, DatasetError, PushDataset, Role, Setup, Trial
 from slipmap.models.measurements.setup_description import SETUP_KEYS, parse_setup
@@ -32,7 +21,7 @@ DESCRIPTION_FILE = "dataset.yaml"
 Entry = tuple[str, Role]
 
 _YAML_ENDINGS = (".yaml", ".yml")
-_MIT_ENDINGS = JSON_ENDINGS + HDF5_ENDINGS
+_MIT_ENDINGS = mit_files.JSON_ENDINGS + mit_files.HDF5_ENDINGS
 _HELDOUT_SHARE = 4
 _KINDS = (
     "a push dataset (a folder with a dataset.yaml), MIT push files (.json, .h5, .hdf5) or CSV files (.csv)"
@@ -202,9 +191,9 @@ def _read_files(source: Path, object_name: str | None, progress: StageProgress |
         read = partial(csv_files.read_csv_trial, columns=columns)
     elif _is(files[0], _MIT_ENDINGS):
         _refuse_part_of_a_dataset(files[0])
-        setup, warnings, _ = _setup(object_name, named_shape(files), source, fingerprint)
-        warnings += surface_warnings(files)
-        read = read_mit_trial
+        setup, warnings, _ = _setup(object_name, mit_files.named_shape(files), source, fingerprint)
+        warnings += mit_files.surface_warnings(files)
+        read = mit_files.read_mit_trial
     else:
         raise DatasetError(f"{source}: a file of another kind; wanted is {_KINDS}")
     learned = len(files) - len(files) // _HELDOUT_SHARE
@@ -253,17 +242,17 @@ def _setup(
     if chosen is None:
         raise DatasetError(
             f"{source}: says nothing of the object that was pushed; name with --object (in Python"
-            f" object_name) a shape of the MIT dataset ({', '.join(sorted(MIT_SHAPES))}) or a YAML file with"
-            f" the keys object and finger of a {DESCRIPTION_FILE}"
+            f" object_name) a shape of the MIT dataset ({', '.join(sorted(mit_files.MIT_SHAPES))}) or a YAML"
+            f" file with the keys object and finger of a {DESCRIPTION_FILE}"
         )
     file = Path(chosen)
-    if chosen not in MIT_SHAPES and _is(file, _YAML_ENDINGS):
+    if chosen not in mit_files.MIT_SHAPES and _is(file, _YAML_ENDINGS):
         content, document = parsing.read_yaml(file, chosen)
         fingerprint.add("object", content)
         setup, warnings = parse_setup(document, chosen, default_name=source.stem)
         warnings += parsing.unknown_keys(document, ("format", "trials", "csv", *SETUP_KEYS), chosen)
         return setup, warnings, csv_files.parse_columns(document.get("csv"), f"{chosen}: csv")
-    shape = mit_shape(chosen, str(source))
+    shape = mit_files.mit_shape(chosen, str(source))
     if named is not None and named != chosen:
         raise DatasetError(
             f"{source}: the file names say shape={named}, not {chosen}; leave the object's name out"
@@ -271,7 +260,7 @@ def _setup(
     fingerprint.add("object", chosen.encode())
     document = {
         "description": f"Pushes of {chosen} of the MIT push dataset (Yu et al. 2016)",
-        "object": {"outline": shape.outline.tolist(), "height": THICKNESS, "mass": shape.mass},
-        "finger": {"radius": FINGER_RADIUS},
+        "object": {"outline": shape.outline.tolist(), "height": mit_files.THICKNESS, "mass": shape.mass},
+        "finger": {"radius": mit_files.FINGER_RADIUS},
     }
     return *parse_setup(document, str(source), default_name=source.stem), csv_files.STANDARD

@@ -17,15 +17,7 @@ from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import TrajectorySource, VectorLogSink
 from pydrake.trajectories import PiecewisePolynomial
 
-from slipmap.diagrams.application.campaigns.direct_world import (
-    AT_REST,
-    LONGEST_SETTLING,
-    PERIOD,
-    DirectWorld,
-    Motion,
-    WorldNoise,
-    flat_pose,
-)
+from slipmap.diagrams.application.campaigns import direct_world
 from slipmap.diagrams.station import sliding_object
 from slipmap.diagrams.station.hidden_effects import HiddenEffectsConfig, add_hidden_effects
 from slipmap.diagrams.station.table import ROUND_TABLE, TABLE_FRICTION, add_table
@@ -43,7 +35,7 @@ _LOOK = 0.02  # s between two looks whether the object rests or is lost
 _LEAST_SETTLING = 0.25  # s
 
 
-class PlantWorld(DirectWorld):
+class PlantWorld(direct_world.DirectWorld):
     """The object of the station on the station's table, pushed by a finger that nothing can stop.
 
     Args:
@@ -58,16 +50,17 @@ class PlantWorld(DirectWorld):
         self,
         true_object: TrueObject,
         table: Table = ROUND_TABLE,
-        noise: WorldNoise | None = None,
+        noise: direct_world.WorldNoise | None = None,
         *,
         hidden: HiddenEffectsConfig | None = None,
         time_step: float = TIME_STEP,
     ) -> None:
         super().__init__(true_object, table, noise)
-        ratio = PERIOD / time_step
+        ratio = direct_world.PERIOD / time_step
         if abs(ratio - round(ratio)) > 1e-9:
             raise ValueError(
-                f"plant world: the time step must be a whole fraction of {PERIOD} s, got {time_step}"
+                f"plant world: the time step must be a whole fraction of {direct_world.PERIOD} s, got"
+                f" {time_step}"
             )
         self._time_step = time_step
         builder = DiagramBuilder()
@@ -104,7 +97,7 @@ class PlantWorld(DirectWorld):
         self._plant.SetFreeBodyPose(self._context, self._body, sliding_object.resting_pose(*pose))
         self._take_finger_away()
 
-    def _drive(self, tip: FloatArray) -> Motion:
+    def _drive(self, tip: FloatArray) -> direct_world.Motion:
         h = self._time_step
         times = h * np.arange(len(tip))
         # The drive holds at the end of a step what is wanted at its beginning.
@@ -120,13 +113,13 @@ class PlantWorld(DirectWorld):
             if self._lost():
                 break
             self._simulator.AdvanceTo(end)
-        stride = round(PERIOD / h)
+        stride = round(direct_world.PERIOD / h)
         states = np.asarray(self._states.FindLog(self._root).data()).T[::stride]
         # What the object does to the finger, with the other sign.
         forces = _means(-np.asarray(self._contact.FindLog(self._root).data()).T, stride)
         self._take_finger_away()
         lost = 1 + (len(tip) - 1) // stride - len(states)
-        return Motion(
+        return direct_world.Motion(
             np.vstack([self._poses(states), np.full((lost, 3), np.nan)]),
             np.vstack([self._tips(states), tip[::stride][len(states) :]]),
             np.vstack([forces, np.zeros((lost, 2))]),
@@ -137,10 +130,10 @@ class PlantWorld(DirectWorld):
 
     def _settle(self) -> None:
         begin = self._root.get_time()
-        while self._root.get_time() < begin + LONGEST_SETTLING and not self._lost():
+        while self._root.get_time() < begin + direct_world.LONGEST_SETTLING and not self._lost():
             self._simulator.AdvanceTo(self._root.get_time() + _LOOK)
             velocity = np.abs(self._plant.GetVelocities(self._context, self._body.model_instance())).max()
-            if self._root.get_time() > begin + _LEAST_SETTLING and velocity < AT_REST:
+            if self._root.get_time() > begin + _LEAST_SETTLING and velocity < direct_world.AT_REST:
                 return
 
     def _pose(self) -> FloatArray:
@@ -156,7 +149,7 @@ class PlantWorld(DirectWorld):
     def _poses(self, states: FloatArray) -> FloatArray:
         """(T, 3) from rows of the plant's state; NaN where the object is not flat on the table."""
         start = self._body.floating_positions_start()
-        return flat_pose(states[:, start + 4 : start + 7], *states[:, start : start + 4].T)
+        return direct_world.flat_pose(states[:, start + 4 : start + 7], *states[:, start : start + 4].T)
 
     def _tips(self, states: FloatArray) -> FloatArray:
         names = ("finger_x", "finger_y")
