@@ -1,7 +1,5 @@
 """Files: what users hand in is bounded in size; what is written appears whole or not at all."""
 
-from __future__ import annotations
-
 import errno
 import json
 import math

@@ -1,7 +1,5 @@
 """What the settings of a scenario file have in common: fields with a range, and the check of it."""
 
-from __future__ import annotations
-
 from dataclasses import field, fields
 from typing import Any
 

@@ -4,8 +4,6 @@ Exit codes: 0 success; 1 a failure of the program itself, or a run that did not 
 use or bad input; 130 stopped, by Ctrl-C or by a signal to end.
 """
 
-from __future__ import annotations
-
 import difflib
 import errno
 import importlib

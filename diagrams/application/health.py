@@ -1,7 +1,5 @@
 """Whether this machine has all that slipmap needs: each thing is tried, not asked for."""
 
-from __future__ import annotations
-
 import os
 import re
 import shutil

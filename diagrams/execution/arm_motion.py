@@ -3,8 +3,6 @@
 `Plan` is a motion as a whole, phase by phase; `find_way` looks for a way around what stands in it.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property

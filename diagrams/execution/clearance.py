@@ -3,8 +3,6 @@
 `ArmClearance` covers the arm by balls; `Surroundings` refuses pushes that come too near to something.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The arm's motions for a push, a grasp at the table's edge and the way home, planned before they begin."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import lru_cache, partial

@@ -1,7 +1,5 @@
 """The block that makes the arm push, and grasp at the table's edge, and the one that watches the object."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np

@@ -5,8 +5,6 @@ size, finite numbers, values that a cell can have, and its stamp. Only good mess
 are counted.
 """
 
-from __future__ import annotations
-
 import logging
 import zlib
 from collections import deque

@@ -3,8 +3,6 @@
 It is started as `python -m slipmap.diagrams.hardware.child MODULE:FUNCTION ARGUMENT …`.
 """
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

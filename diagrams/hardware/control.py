@@ -1,7 +1,5 @@
 """Being the one who controls a real cell: a lock for each arm, Ctrl-C that stops it, and its ports."""
 
-from __future__ import annotations
-
 import fcntl
 import hashlib
 import json

@@ -3,8 +3,6 @@
 `HeardCell` is what arm, gripper and camera say; `HardwareInterface` also sends them commands.
 """
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Mapping
 

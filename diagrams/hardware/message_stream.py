@@ -7,8 +7,6 @@ lengths), then the channel's name and the message: https://lcm-proj.github.io/lc
 Drake has a class for such files, but not in Python.
 """
 
-from __future__ import annotations
-
 import io
 import os
 import select

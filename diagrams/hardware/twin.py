@@ -1,7 +1,5 @@
 """A twin of the real cell: the simulated station behind the messages that arm, gripper and camera send."""
 
-from __future__ import annotations
-
 import os
 import select
 import sys

@@ -1,7 +1,5 @@
 """The whole pre-grasp procedure as one Diagram, and its run: explore, push to the edge, grasp and lift."""
 
-from __future__ import annotations
-
 from concurrent.futures import Executor
 from dataclasses import dataclass, field
 from functools import partial

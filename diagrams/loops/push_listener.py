@@ -3,8 +3,6 @@
 `PushListener` hears messages and finds the pushes; `record_pushes` writes them down one by one.
 """
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace

@@ -5,8 +5,6 @@ killed exploration loses nothing and can be gone on with (`resumed`). A `Recordi
 loop records. Pushes of an ended run give way to the same command alone (`refuse_others_files`).
 """
 
-from __future__ import annotations
-
 import dataclasses
 import hashlib
 import json

@@ -3,8 +3,6 @@
 Pictures are looked at by a thread or a worker, while the world moves on.
 """
 
-from __future__ import annotations
-
 import gc
 from collections.abc import Callable, Sequence
 from concurrent.futures import Executor, ThreadPoolExecutor

@@ -1,7 +1,5 @@
 """Whether this machine can render depth pictures, found out before Drake takes the process down with it."""
 
-from __future__ import annotations
-
 import functools
 import subprocess
 import sys

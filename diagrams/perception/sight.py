@@ -1,7 +1,5 @@
 """What the camera sees of an object past the arm: a view, hulls around the arm, and what they hide."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from functools import lru_cache
 from typing import Any

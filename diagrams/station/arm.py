@@ -1,7 +1,5 @@
 """The arm: an iiwa 14 with a gripper, mounted beside the table, and the drivers that control it."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

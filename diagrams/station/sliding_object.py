@@ -1,7 +1,5 @@
 """The true object in Drake's world: one rigid body on many small feet, each with its own friction."""
 
-from __future__ import annotations
-
 from itertools import groupby
 
 import numpy as np

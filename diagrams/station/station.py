@@ -1,7 +1,5 @@
 """The robot's cell in simulation, with the ports that the real one has."""
 
-from __future__ import annotations
-
 import numpy as np
 from pydrake.common.cpp_param import List
 from pydrake.common.value import AbstractValue, Value

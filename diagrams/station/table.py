@@ -1,7 +1,5 @@
 """The table: top at z = 0 of the world, round or rectangular, and the floor below it."""
 
-from __future__ import annotations
-
 import numpy as np
 from pydrake.geometry import Box, Convex, Cylinder, Shape
 from pydrake.math import RigidTransform

@@ -3,8 +3,6 @@
 `shown` turns a belief into colours, `legend` draws their scale; a page of the application uses them too.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from io import BytesIO
 from typing import Any

@@ -1,7 +1,5 @@
 """What the blocks of the robot's loops tell one another. None of these values ever changes."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from slipmap.diagrams.execution.requests import ActiveGrasp

@@ -1,7 +1,5 @@
 """`ModelMonitor`: is the object still doing what the model says? Residual, misfit, and an alarm."""
 
-from __future__ import annotations
-
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 

@@ -1,7 +1,5 @@
 """`MultiverseSlider`: all hypotheses of a belief, pushed by one finger, stepped together."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np

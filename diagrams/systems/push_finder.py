@@ -1,7 +1,5 @@
 """Finds pushes in what a cell says, whoever makes them."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np

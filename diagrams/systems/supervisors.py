@@ -4,8 +4,6 @@
 it: plan, push, record, and again; at the table's edge grasp, lift and hold.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any

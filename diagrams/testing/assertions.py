@@ -1,7 +1,5 @@
 """What a scripted test of a cell may ask for; where it is not so, the message has the numbers."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A cell as a test sees it: what is on its table, what the robot does there, and what goes wrong."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field, replace

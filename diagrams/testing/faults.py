@@ -1,7 +1,5 @@
 """Faults on the way between a cell and what drives it, and the relay that lets them happen."""
 
-from __future__ import annotations
-
 import json
 import os
 import select

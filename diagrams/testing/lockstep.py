@@ -1,7 +1,5 @@
 """A twin on the clock of the diagram that drives it: all messages and checks, but no real time."""
 
-from __future__ import annotations
-
 from array import array
 from collections.abc import Callable
 

@@ -1,7 +1,5 @@
 """A twin of a cell in a process of its own, for as long as a test needs it."""
 
-from __future__ import annotations
-
 import os
 import signal
 import socket

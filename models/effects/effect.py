@@ -6,8 +6,6 @@ expressions. Derivatives and machine code are made from them; nothing is differe
 method fails, an `EffectError` names the file and the line.
 """
 
-from __future__ import annotations
-
 import math
 import traceback
 from collections.abc import Mapping, Sequence

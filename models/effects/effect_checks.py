@@ -1,7 +1,5 @@
 """Checks of an effect before it is used: declared as it must be, nothing at its null, finite elsewhere."""
 
-from __future__ import annotations
-
 import difflib
 import inspect
 import math

@@ -5,8 +5,6 @@ kernels (`formulas.py`), and compiled there by numba once. Kernels call them by 
 be compiled anew for a new effect or combination.
 """
 
-from __future__ import annotations
-
 import hashlib
 import importlib.util
 import inspect

@@ -4,8 +4,6 @@ Roundings that only serve the computer are left out: constants below 1e-5 in sum
 `positive_part`. Long formulas are split into shorter ones that name the repeated parts k₁, k₂ ….
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass

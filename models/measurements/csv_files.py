@@ -1,7 +1,5 @@
 """Pushes as CSV: one file a push, a header line of named columns, empty cells where a sensor has no row."""
 
-from __future__ import annotations
-
 import csv
 import io
 import math

@@ -5,8 +5,6 @@ The checks are our own because libraries such as pydantic name field and type, b
 to do.
 """
 
-from __future__ import annotations
-
 import hashlib
 import json
 import math

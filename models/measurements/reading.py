@@ -1,8 +1,6 @@
 """Reading push measurements: a folder of the format push-dataset/1, which is a dataset.yaml and one JSON file
 a push; or bare files of pushes."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Callable, Sequence
 from functools import partial

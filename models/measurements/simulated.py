@@ -1,7 +1,5 @@
 """Pushes of an object whose maps are known, recorded as sensors would: for demonstrations and checks."""
 
-from __future__ import annotations
-
 import hashlib
 from collections.abc import Sequence
 from dataclasses import replace

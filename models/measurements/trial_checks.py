@@ -1,8 +1,6 @@
 """Trials out of tables of rows, as files hold them, and checks of them against geometry and units: what
 cannot be used is refused, what looks wrong is said."""
 
-from __future__ import annotations
-
 import hashlib
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any

@@ -1,7 +1,5 @@
 """Writing a dataset as a folder of the format push-dataset/1, at once or push by push; always whole."""
 
-from __future__ import annotations
-
 import json
 import os
 from collections.abc import Iterator

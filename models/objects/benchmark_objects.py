@@ -1,8 +1,6 @@
 """Objects whose truth is known: the six of Song and Boularias (2020), shaped and coloured after
 their pictures, and the demonstration's hammer."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from difflib import get_close_matches
 from typing import NamedTuple

@@ -1,7 +1,5 @@
 """An object as it really is: what the experiment hides and the simulated world needs."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from os import PathLike

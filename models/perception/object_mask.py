@@ -1,8 +1,6 @@
 """Pixels in a height picture: those of the object, which stands on the table in one piece, and those of the
 arm, drawn as convex hulls around its links."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import NamedTuple
 

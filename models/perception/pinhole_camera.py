@@ -4,8 +4,6 @@ Pixel coordinates are (column, row), whole numbers at the centres of pixels. The
 picture's right, y to its bottom and z along the view; depth is the z coordinate in C, not the distance.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cached_property
 

@@ -8,8 +8,6 @@ object's relief: what the camera takes for an edge of a tall or rounded object d
 Slopes inside the outline tell of the pose as well: heights read there are compared with the relief's.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import NamedTuple
 

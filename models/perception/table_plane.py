@@ -1,7 +1,5 @@
 """The table in a depth image: a plane, fitted so that what stands on it does not matter."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The push that every engine of the benchmark simulates, and how the engines are timed."""
 
-from __future__ import annotations
-
 import statistics
 import time
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """All engines on the same push in one run: the compiled rollout, plain numpy, MuJoCo and Bullet."""
 
-from __future__ import annotations
-
 import time
 from typing import Any
 

@@ -1,7 +1,5 @@
 """A second truth beside Drake's: the object in Bullet, one rigid body on a foot a cell."""
 
-from __future__ import annotations
-
 import numpy as np
 import shapely
 from scipy.spatial.transform import Rotation

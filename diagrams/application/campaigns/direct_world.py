@@ -1,7 +1,5 @@
 """A world in which the finger is moved directly, without an arm: what its engines have in common."""
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, field, replace
 

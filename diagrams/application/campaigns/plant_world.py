@@ -1,7 +1,5 @@
 """The true world of the campaigns: Drake's MultibodyPlant, a finger on a prescribed path, and no arm."""
 
-from __future__ import annotations
-
 import numpy as np
 from pydrake.geometry import AddContactMaterial, Cylinder, ProximityProperties
 from pydrake.math import RigidTransform

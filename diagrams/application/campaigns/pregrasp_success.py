@@ -1,7 +1,5 @@
 """Figure 6 of the paper: how often each method brings an object to the edge, and by how many pushes."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 

@@ -1,7 +1,5 @@
 """`slipmap diagnose`: which physical effect do the pushes show that the model does not have?"""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import click

@@ -1,7 +1,5 @@
 """`slipmap bench`: how fast the model runs on this machine, and against other simulators."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import click

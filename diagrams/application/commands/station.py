@@ -1,7 +1,5 @@
 """`slipmap station`: a twin of the real cell, behind the same messages."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import click

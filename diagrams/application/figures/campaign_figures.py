@@ -1,7 +1,5 @@
 """Pictures of many trials: curves over the number of pushes, bars beside the paper's, and calibration."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What a diagnosis rests on, gains of all candidates and locked pushes, and the push to make next."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 

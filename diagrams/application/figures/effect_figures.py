@@ -1,7 +1,5 @@
 """What an effect does to one push of one object, with its formula."""
 
-from __future__ import annotations
-
 import textwrap
 from collections.abc import Sequence
 

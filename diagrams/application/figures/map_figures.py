@@ -1,7 +1,5 @@
 """Maps of mass, friction and their product, several hypotheses side by side, after the paper's Figure 2."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Pushes as measured and as predicted: drawn over each other, and how far off models are, push by push."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

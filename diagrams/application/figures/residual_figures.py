@@ -4,8 +4,6 @@ A condition is speed, direction, phase, time or order. Fields lie over the table
 was touched. Correlations over lags have bounds that whole pushes give.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any

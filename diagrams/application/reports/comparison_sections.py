@@ -1,7 +1,5 @@
 """What a report says of one model, or of two over the same pushes: errors, pushes, patterns, correlations."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from html import escape
 from typing import Any

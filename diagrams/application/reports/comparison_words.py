@@ -1,7 +1,5 @@
 """What a comparison found, in words that terminal and report share."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 

@@ -1,7 +1,5 @@
 """The HTML report of a diagnosis: verdict, ranking, locked pushes, next push, both models push by push."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from html import escape
 

@@ -1,7 +1,5 @@
 """What a diagnosis found: in words and tables that terminal and report share, and on the terminal."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 
 import click

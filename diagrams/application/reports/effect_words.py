@@ -1,7 +1,5 @@
 """Sizes of effects as a person would say them: a tilt in degrees and where it leads, not two slopes."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 

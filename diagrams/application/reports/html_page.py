@@ -4,8 +4,6 @@ The template `page.html` is filled by hand: an engine for templates would be a f
 templates, with what loads them, no shorter than the few functions here.
 """
 
-from __future__ import annotations
-
 import base64
 import io
 import json

@@ -1,7 +1,5 @@
 """Tables that tell a person what an identification or a prediction found."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 
 import click

@@ -1,7 +1,5 @@
 """Random objects: footprints of square cells with maps of mass and friction."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property

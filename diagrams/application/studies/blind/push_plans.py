@@ -1,7 +1,5 @@
 """Random pushes: slow, medium, fast, accelerating and in strokes; straight and curved; three ways to end."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """How good diagnoses are: what was hidden against what was said."""
 
-from __future__ import annotations
-
 import textwrap
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence

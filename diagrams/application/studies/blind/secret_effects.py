@@ -5,8 +5,6 @@ velocities are in the world frame, m and m/s, unless said otherwise. A function 
 arguments are the parameters that the truth file tells, in SI. `LIBRARY` and `OUTSIDE` say how they are drawn.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property

@@ -9,8 +9,6 @@ limit: the law of Coulomb with a true state of rest. A point clings within its b
 micrometres and slides beyond it at constant force. Explicit in time, with no equations to solve.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np
