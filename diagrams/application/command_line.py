@@ -23,9 +23,10 @@ SUCCESS, INTERNAL_FAILURE, WRONG_USE, STOPPED = 0, 1, 2, 130
 TRACEBACK = "SLIPMAP_TRACEBACK"
 _STOPPED = "stopped; nothing half-written is left behind"
 _COMMANDS = (
-    "machine:doctor", "demo", "explore", "explore:pregrasp", "station", "record", "record:replay",
-    "describe_object", "identify", "compare:predict", "view", "compare", "diagnose", "identify:fit",
-    "effects", "calibrate", "explore_study", "campaign", "blind_test", "machine:bench", "machine:completion",
+    "machine:doctor", "demo", "explore", "explore:pregrasp", "record:station", "record", "record:replay",
+    "describe_object", "identify", "compare:predict", "view", "compare", "compare:diagnose", "identify:fit",
+    "effects", "studies:calibrate", "studies:explore_study", "campaign", "studies:blind_test",
+    "machine:bench", "machine:completion",
 )  # fmt: skip
 """Modules of commands, and the function in them where it has another name."""
 
