@@ -43,11 +43,7 @@ def check_file(path: Path, largest: int) -> None:
 
 
 def read_bounded(path: Path, largest: int) -> bytes:
-    """The content of a regular file of at most `largest` bytes.
-
-    Raises:
-        UnreadableFile: as `check_file`.
-    """
+    """The content of a regular file of at most `largest` bytes. Raises UnreadableFile as `check_file`."""
     check_file(path, largest)
     try:
         with open(path, "rb") as file:

@@ -6,7 +6,6 @@ from functools import lru_cache, partial
 from itertools import pairwise
 
 import numpy as np
-from pydrake.math import RigidTransform
 from pydrake.trajectories import PiecewisePolynomial, Trajectory
 
 from slipmap.diagrams.execution.arm_motion import (
@@ -243,7 +242,8 @@ class ArmPlanner:
             knots = np.column_stack([q, (q + goal) / 2.0 + share * ARCH, goal])
             path = PiecewisePolynomial.LagrangeInterpolatingPolynomial([0.0, 0.5, 1.0], knots)
             postures = path.vector_values(np.linspace(0.0, 1.0, 21)).T
-            lowest = min(_lowest(self.kinematics.pose(posture)) for posture in postures)
+            balls = [(self.kinematics.pose(posture) @ _LOW_BALLS)[2] for posture in postures]
+            lowest = float((balls - _LOW_RADII).min())
             inside = (np.abs(postures) <= POSITION_LIMITS).all()
             if highest is None or (inside and lowest > highest[1]):
                 highest = path, lowest
@@ -301,10 +301,6 @@ class _GraspPlace:
         least = min(self._clearance.of(q, opening, self.obstacle, holding=True) for q in line)
         if least < CLOSE:
             raise MotionRefused(f"while {what} the arm would be {1e3 * least:.0f} mm from something")
-
-
-def _lowest(X_WT: RigidTransform) -> float:
-    return float(((X_WT @ _LOW_BALLS)[2] - _LOW_RADII).min())
 
 
 def _still(q: FloatArray, duration: float) -> Trajectory:

@@ -154,11 +154,7 @@ class RunFolder:
             raise BadInput(str(error)) from error
 
     def keep(self, recorded: RecordedRun) -> None:
-        """Write the pushes that are not there yet.
-
-        Raises:
-            BadInput: see `keep_trials`.
-        """
+        """Write the pushes that are not there yet. Raises BadInput as `keep_trials`."""
         keep_trials(self._pushes, recorded_dataset(recorded.trials, recorded.grid, self._scenario))
         (self._folder / UNDER_WAY).unlink(missing_ok=True)
 
@@ -217,11 +213,7 @@ class Recording:
         self._noted = 0
 
     def look(self, root: Context) -> None:
-        """Write down what is new; to be called often.
-
-        Raises:
-            BadInput: see `RunFolder.keep`.
-        """
+        """Write down what is new; to be called often. Raises BadInput as `RunFolder.keep`."""
         trials = output_of(self._loop, "logger", "trials", root)
         if len(trials) > len(self._choices):
             plan = output_of(self._loop, "exploration", "plan", root)

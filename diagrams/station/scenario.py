@@ -29,6 +29,7 @@ from slipmap.diagrams.perception.depth_noise import DepthNoiseConfig
 from slipmap.diagrams.station.arm import ARM_MODELS
 from slipmap.diagrams.station.hidden_effects import HiddenEffectsConfig
 from slipmap.models.files import BadInput, UnreadableFile, read_bounded
+from slipmap.models.measurements.parsing import shown_error
 from slipmap.models.measurements.push_dataset import Table
 from slipmap.models.objects.benchmark_objects import benchmark_object
 from slipmap.models.objects.true_object import (
@@ -325,7 +326,7 @@ def read_settings(path: str | Path, schema: type[T]) -> T:
         raise ScenarioError(f"{path}: is nested too deeply to be a scenario") from error
     # Beside its own errors, the parser lets those of the types pass: a month 99, an integer of 5000 digits.
     except (yaml.YAMLError, ValueError, TypeError, AttributeError, LookupError, OverflowError) as error:
-        raise ScenarioError(f"{path}: is not YAML ({_parser_words(error)})") from error
+        raise ScenarioError(f"{path}: is not YAML ({shown_error(error)})") from error
     if content is None:
         return schema()
     _check(content, schema, str(path), "")
@@ -336,12 +337,6 @@ def read_settings(path: str | Path, schema: type[T]) -> T:
         said = str(error)
         raise ScenarioError(f"{path}: {said if len(said) <= 1000 else f'{said[:997]}...'}") from error
     return settings
-
-
-def _parser_words(error: Exception) -> str:
-    """What a parser says, on one line; of the text that it names, only the line and column."""
-    said = " ".join(str(error).replace('in "<unicode string>", ', "").split())
-    return said if len(said) <= 200 else f"{said[:197]}..."
 
 
 def _shown(value: Any) -> str:

@@ -97,7 +97,10 @@ class Station(PythonDiagram):
         for name in ("iiwa.age", "camera.age"):
             age = builder.AddNamedSystem(name, ConstantVectorSource(np.zeros(1)))
             builder.ExportOutput(age.get_output_port(), name)
-        _export_truth(builder, plant, body.index())
+        pose = builder.AddNamedSystem("object_pose", _BodyPose(body.index()))
+        builder.Connect(plant.get_body_poses_output_port(), pose.get_input_port())
+        builder.ExportOutput(pose.get_output_port(), f"{TRUTH}object_pose")
+        builder.ExportOutput(plant.get_contact_results_output_port(), f"{TRUTH}contact_results")
         if meshcat is not None:
             MeshcatVisualizer.AddToBuilder(
                 builder, scene_graph, meshcat, MeshcatVisualizerParams(role=Role.kIllustration)
@@ -137,13 +140,6 @@ def _export_camera(
         "camera_pose", ConstantValueSource(AbstractValue.Make(scenario.camera.X_WC))
     )
     builder.ExportOutput(place.get_output_port(), "camera.X_WC")
-
-
-def _export_truth(builder: DiagramBuilder, plant: MultibodyPlant, body: BodyIndex) -> None:
-    pose = builder.AddNamedSystem("object_pose", _BodyPose(body))
-    builder.Connect(plant.get_body_poses_output_port(), pose.get_input_port())
-    builder.ExportOutput(pose.get_output_port(), f"{TRUTH}object_pose")
-    builder.ExportOutput(plant.get_contact_results_output_port(), f"{TRUTH}contact_results")
 
 
 class _BodyPose(PythonSystem):

@@ -193,7 +193,7 @@ def _split(expressions: Sequence[Any], begin: int) -> tuple[list[tuple[Any, Any]
     for index in range(len(helpers) - 1, -1, -1):
         name, value = helpers[index]
         later = [e for _, e in helpers[index + 1 :]] + list(reduced)
-        uses = sum(_occurrences(e, name) for e in later)
+        uses = sum(part == name for e in later for part in sp.preorder_traversal(e))
         if uses < 2 or (sp.count_ops(value) <= 1 and (uses <= 3 or not value.is_Add)):
             del helpers[index]
             helpers[index:] = [(n, e.subs(name, value)) for n, e in helpers[index:]]
@@ -207,10 +207,6 @@ def _split(expressions: Sequence[Any], begin: int) -> tuple[list[tuple[Any, Any]
         return e.xreplace(apart).xreplace(final)
 
     return [(order[name], renamed(e)) for name, e in helpers], [renamed(e) for e in reduced]
-
-
-def _occurrences(expression: Any, symbol: Any) -> int:
-    return sum(1 for part in sp.preorder_traversal(expression) if part == symbol)
 
 
 class _PositiveFirst:

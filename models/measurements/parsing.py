@@ -8,6 +8,7 @@ to do.
 import hashlib
 import json
 import math
+import re
 import reprlib
 from collections import Counter
 from collections.abc import Hashable, Iterable
@@ -273,6 +274,7 @@ def shown(value: object) -> str:
 
 
 def shown_error(error: Exception) -> str:
-    """The message of a library's exception on one line of bounded length; the file is named elsewhere."""
-    message = " ".join(str(error).replace('in "<byte string>", ', "").split())
+    """The message of a library's exception on one line of bounded length; of a text that it names, only the
+    line and column."""
+    message = " ".join(re.sub(r'in "<(byte|unicode) string>", ', "", str(error)).split())
     return message if len(message) <= 200 else message[:197] + "..."

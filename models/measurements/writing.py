@@ -52,11 +52,7 @@ def write_dataset(dataset: PushDataset, folder: str | os.PathLike[str], *, overw
 
 
 def is_replaced(target: Path, overwrite: bool) -> bool:
-    """Whether something stands at the target that may go.
-
-    Raises:
-        DatasetError: see `write_dataset`.
-    """
+    """Whether something stands at the target that may go. Raises DatasetError as `write_dataset`."""
     if not target.exists():
         return False
     if not target.is_dir():

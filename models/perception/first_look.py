@@ -192,11 +192,7 @@ class FirstPicture:
     missing: float
 
     def seen(self, camera: PinholeCamera) -> SeenObject:
-        """What the first look found.
-
-        Raises:
-            NoTable, ObjectNotSeen, ValueError: see `first_look`.
-        """
+        """What the first look found. Raises NoTable, ObjectNotSeen, ValueError as `first_look`."""
         return first_look([self.depth], View(camera, self.X_WC), self.cells, self.blocked)
 
     def save(self, file: IO[bytes]) -> None:

@@ -85,7 +85,10 @@ def _summary(outcomes: Sequence[TrialOutcome]) -> experiments.Summary:
         parameter="model", methods=MODELS,
     )  # fmt: skip
     errors = {
-        name: {model: _mean_error(results) for model, results in of.items()}
+        name: {
+            model: mean([float(np.mean(one["errors"])) for one in results if one["errors"]])
+            for model, results in of.items()
+        }
         for name, of in compared.results.items()
     }
     title = f"Brought to the edge of a table tilted by {TILT:g}°"
@@ -103,10 +106,6 @@ def _summary(outcomes: Sequence[TrialOutcome]) -> experiments.Summary:
         {"tilt": TILT, "success": told.pop("success"), "errors": experiments.as_json(errors), **told},
         lambda: [_error_figure(errors), *compared.figures(title, {})],
     )
-
-
-def _mean_error(results: Sequence[dict[str, Any]]) -> Estimate:
-    return mean([float(np.mean(one["errors"])) for one in results if one["errors"]])
 
 
 def _error_figure(errors: dict[str, dict[str, Estimate]]) -> Figure:

@@ -121,7 +121,9 @@ def compare(
         )
         with progress.step("drawing"):
             write_text(output, report(results, measured))
-    write_json(json_file, _comparison_document(results, effect_names))
+    before, *after = (result.to_json() for result in results)
+    both = {"before": before, "after": after[0], "effects": list(effect_names)} if after else before
+    write_json(json_file, both)
     show(results)
     note(f"report: {output}")
 
@@ -181,14 +183,6 @@ def _told(results: Sequence[Comparison]) -> list[str]:
     )
     findings = [f"{result.label}: {finding(result)}" for result in results]
     return [summary_of_two(*results), *findings, learnt]
-
-
-def _comparison_document(results: Sequence[Comparison], effect_names: Sequence[str]) -> dict[str, Any]:
-    """One comparison as it is; two as `before` and `after`, with the names of the effects."""
-    if len(results) == 1:
-        return results[0].to_json()
-    before, after = (result.to_json() for result in results)
-    return {"before": before, "after": after, "effects": list(effect_names)}
 
 
 def _check_fit_pushes(dataset: PushDataset) -> None:

@@ -154,9 +154,10 @@ def factor_figure(comparisons: Sequence[Comparison], factor: str, quantity: str 
     axes.axhspan(-small, small, color=PAPER, linewidth=0, zorder=0)
     first = _wanted(comparisons[0], quantity)
     edges = _edges(factor, condition(first.at))
+    (chosen,) = [f for f in (MOTION_FACTORS if quantity == "motion" else FORCE_FACTORS) if f.name == factor]
     for k, comparison in enumerate(comparisons):
         residuals = _wanted(comparison, quantity)
-        values = 100 * _component(residuals, factor, quantity, component)
+        values = 100 * chosen.components(residuals)[component]
         shift = (k - 0.5 * (len(comparisons) - 1)) * 0.12
         _bins(axes, condition(residuals.at), values, residuals, edges, MODEL_COLOURS[k], shift)
     _ticks(axes, factor)
@@ -164,11 +165,6 @@ def factor_figure(comparisons: Sequence[Comparison], factor: str, quantity: str 
     axes.set_title(f"{_NAMES[quantity].capitalize()}, {component}", loc="left", fontsize=9.5)
     light_grid(axes, "y")
     return figure
-
-
-def _component(residuals: Residuals, factor: str, quantity: str, component: str) -> FloatArray:
-    (chosen,) = [f for f in (MOTION_FACTORS if quantity == "motion" else FORCE_FACTORS) if f.name == factor]
-    return chosen.components(residuals)[component]
 
 
 def _edges(factor: str, x: FloatArray) -> FloatArray:
