@@ -42,21 +42,13 @@ Try = Callable[[str], str | None]
 
 @dataclass(frozen=True)
 class Finding:
-    """One thing that was looked at.
+    """One thing that was looked at."""
 
-    Attributes:
-        name: of it.
-        ok: whether it is there and works.
-        needed: whether slipmap does not do without.
-        found: what is there, or what is wrong.
-        remedy: command or step that mends it; empty where nothing is to be mended.
-    """
-
-    name: str
-    ok: bool
-    needed: bool
-    found: str
-    remedy: str = ""
+    name: str  # of it
+    ok: bool  # whether it is there and works
+    needed: bool  # whether slipmap does not do without
+    found: str  # what is there, or what is wrong
+    remedy: str = ""  # command or step that mends it; empty where nothing is to be mended
 
 
 def examine(attempt: Try | None = None) -> Iterator[Finding]:

@@ -105,21 +105,13 @@ def braking(q: FloatArray, speed: FloatArray) -> Trajectory:
 
 @dataclass(frozen=True, eq=False)
 class Phase:
-    """A part of the motion.
+    """A part of the motion."""
 
-    Attributes:
-        mode: see `ExecutionStatus`.
-        trajectory: joint angles (7,), rad, over time from 0, s.
-        opening: of the gripper that is asked for at the end, m.
-        opening_before: the same at the begin, from where it moves evenly, m.
-        force: largest force of a pin, N.
-    """
-
-    mode: str
-    trajectory: Trajectory
-    opening: float = 0.0
-    opening_before: float = 0.0
-    force: float = GRIP_FORCE / 2
+    mode: str  # see `ExecutionStatus`
+    trajectory: Trajectory  # joint angles (7,), rad, over time from 0, s
+    opening: float = 0.0  # of the gripper that is asked for at the end, m
+    opening_before: float = 0.0  # the same at the begin, from where it moves evenly, m
+    force: float = GRIP_FORCE / 2  # largest force of a pin, N
 
     @cached_property
     def duration(self) -> float:

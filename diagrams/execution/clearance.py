@@ -35,17 +35,13 @@ _EVERY = 0.08  # s between the postures of a push that are looked at
 class Obstacle:
     """The object as upright boxes, one a cell.
 
-    Attributes:
-        heights: (n,) of the object's top over each cell, m.
-        pose: (3,) of the object in the world, m and rad; it lies on the table.
-
     Raises:
         ValueError: a height or a pose that is no number, which would be as far away as can be.
     """
 
     grid: CellGrid
-    heights: FloatArray
-    pose: FloatArray
+    heights: FloatArray  # (n,) of the object's top over each cell, m
+    pose: FloatArray  # (3,) of the object in the world, m and rad; it lies on the table
 
     def __post_init__(self) -> None:
         if not (np.isfinite(self.heights).all() and np.isfinite(self.pose).all()):
@@ -196,14 +192,10 @@ def _along(shape: Shape) -> FloatArray:
 
 @dataclass(frozen=True, eq=False)
 class Surroundings:
-    """Table, the arm's own stand and base, and the object.
-
-    Attributes:
-        obstacle: the object where it lies before the push; None if there is none.
-    """
+    """Table, the arm's own stand and base, and the object."""
 
     clearance: ArmClearance
-    obstacle: Obstacle | None = None
+    obstacle: Obstacle | None = None  # the object where it lies before the push; None if there is none
 
     def check(self, plan: Plan, push: TablePush) -> None:
         """Refuse a push during which the arm comes too near to something.

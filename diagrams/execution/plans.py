@@ -63,15 +63,11 @@ _Inverse = Callable[[FloatArray, FloatArray | None], FloatArray]
 
 @dataclass(frozen=True, eq=False)
 class ArmPlanner:
-    """Plans the arm's motions.
-
-    Attributes:
-        home: (7,) joint angles at which it rests between pushes, rad.
-    """
+    """Plans the arm's motions."""
 
     kinematics: FingerKinematics
     config: ExecutionConfig
-    home: FloatArray
+    home: FloatArray  # (7,) joint angles at which it rests between pushes, rad
 
     def push(self, push: TablePush, q: FloatArray, surroundings: Surroundings | None = None) -> Plan:
         """Approach, lower, push, rest, go back a little, lift and return home.
@@ -312,12 +308,9 @@ class ArmChecks:
     """Whether the arm can make a push, or a grasp.
 
     It can be sent to another process: models of the arm are built where they are first needed, and kept.
-
-    Attributes:
-        models: a key of `ARM_MODELS`.
     """
 
-    models: str
+    models: str  # a key of `ARM_MODELS`
     table: Table
     config: ExecutionConfig
 

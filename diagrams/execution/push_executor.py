@@ -36,23 +36,14 @@ MOVED, TURNED = 0.01, 0.15
 
 @dataclass(frozen=True, eq=False)
 class _Execution:
-    """What the arm is at.
+    """What the arm is at."""
 
-    Attributes:
-        status: while the plan runs, its phases say the mode.
-        plan: the motion under way, or the last one.
-        begin: time when it began, s.
-        aborted: whether it is the way home after an abort.
-        stopped: time when a fault ended it, s; else infinite.
-        last: mode once the plan is over, but for a grasp.
-    """
-
-    status: ExecutionStatus
-    plan: Plan | None = None
-    begin: float = 0.0
-    aborted: bool = False
-    stopped: float = np.inf
-    last: str = "home"
+    status: ExecutionStatus  # while the plan runs, its phases say the mode
+    plan: Plan | None = None  # the motion under way, or the last one
+    begin: float = 0.0  # time when it began, s
+    aborted: bool = False  # whether it is the way home after an abort
+    stopped: float = np.inf  # time when a fault ended it, s; else infinite
+    last: str = "home"  # mode once the plan is over, but for a grasp
 
     def running(self, time: float) -> bool:
         return self.plan is not None and time < self.begin + self.plan.duration

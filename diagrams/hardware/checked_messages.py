@@ -64,19 +64,13 @@ class BadMessage(ValueError):
 
 @dataclass(frozen=True)
 class Rule:
-    """What messages of a channel must be.
+    """What messages of a channel must be."""
 
-    Attributes:
-        lcm_type: generated class of the messages.
-        stamp: the sender's clock in a message, µs.
-        check: raises BadMessage; pictures are packed anew by it.
-        anew: whether a stamp that goes back by more than `_RESTART` is that of a sender started anew, whose
-            clock counts from when it began.
-    """
-
-    lcm_type: Any
-    stamp: Callable[[Any], int]
-    check: Callable[[Any], None]
+    lcm_type: Any  # generated class of the messages
+    stamp: Callable[[Any], int]  # the sender's clock in a message, µs
+    check: Callable[[Any], None]  # raises BadMessage; pictures are packed anew by it
+    # whether a stamp that goes back by more than `_RESTART` is that of a sender started anew, whose clock
+    # counts from when it began
     anew: bool = False
 
     def read(self, data: bytes) -> tuple[Any, float]:
@@ -134,25 +128,17 @@ def rules(width: int, height: int) -> Mapping[str, Rule]:
 
 @dataclass(frozen=True, eq=False)
 class Received:
-    """State: the newest good message and what was wrong with others.
+    """State: the newest good message and what was wrong with others."""
 
-    Attributes:
-        data: of the newest good message, encoded anew; empty before the first.
-        stamp: the sender's clock in it, s.
-        offset: what the clock of the diagram shows more than the sender's where messages just come, s.
-        good: number of good messages.
-        dropped: number of bad ones by their cause.
-        silence: s of this computer's clock since a good one was found here.
-        looked: what that clock showed then, s.
-    """
-
-    data: bytes = b""
-    stamp: float = np.nan
+    data: bytes = b""  # of the newest good message, encoded anew; empty before the first
+    stamp: float = np.nan  # the sender's clock in it, s
+    # what the clock of the diagram shows more than the sender's where messages just come, s
     offset: float = -np.inf
-    good: int = 0
+    good: int = 0  # number of good messages
+    # number of bad ones by their cause
     dropped: Mapping[str, int] = field(default_factory=lambda: MappingProxyType({}))
-    silence: float = 0.0
-    looked: float = np.nan
+    silence: float = 0.0  # s of this computer's clock since a good one was found here
+    looked: float = np.nan  # what that clock showed then, s
 
 
 class CheckedMessages(PythonSystem):

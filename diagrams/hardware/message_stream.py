@@ -45,18 +45,12 @@ class BadLog(BadInput, ValueError):
 
 @dataclass(frozen=True)
 class Event:
-    """A message as it was received.
+    """A message as it was received."""
 
-    Attributes:
-        number: of the event, from 0.
-        utime: µs since 1970 at which it was received.
-        data: as received; it may be anything.
-    """
-
-    number: int
-    utime: int
+    number: int  # of the event, from 0
+    utime: int  # µs since 1970 at which it was received
     channel: str
-    data: bytes
+    data: bytes  # as received; it may be anything
 
     def encode(self) -> bytes:
         """The event as it stands in a log."""

@@ -250,21 +250,13 @@ def _read(source: int, size: int) -> bytes:
 
 @dataclass(frozen=True)
 class TwinReport:
-    """How the twin fares.
+    """How the twin fares."""
 
-    Attributes:
-        simulated: s of simulated time.
-        behind: s by which it is behind real time since it began.
-        pace: simulated over real time, since the report before.
-        commands: of the arm that came and were good, since the report before.
-        dropped: messages that were not used until now, by channel and cause.
-    """
-
-    simulated: float
-    behind: float
-    pace: float
-    commands: int
-    dropped: Mapping[str, Mapping[str, int]]
+    simulated: float  # s of simulated time
+    behind: float  # s by which it is behind real time since it began
+    pace: float  # simulated over real time, since the report before
+    commands: int  # of the arm that came and were good, since the report before
+    dropped: Mapping[str, Mapping[str, int]]  # messages that were not used until now, by channel and cause
 
 
 def report_words(report: TwinReport) -> str:

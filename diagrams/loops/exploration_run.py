@@ -172,21 +172,13 @@ def explore(
 
 @dataclass(frozen=True, eq=False)
 class LoopEnd:
-    """A loop that has ended.
+    """A loop that has ended."""
 
-    Attributes:
-        status: last of the supervisor.
-        context: of the whole loop.
-        X_SO: (3,) see `ExplorationRun`; None where the object was never seen, too.
-        interrupted: whether Ctrl-C ended it.
-        seconds: that it took, s.
-    """
-
-    status: LoopStatus
-    context: Context
-    X_SO: FloatArray | None
-    interrupted: bool
-    seconds: float
+    status: LoopStatus  # last of the supervisor
+    context: Context  # of the whole loop
+    X_SO: FloatArray | None  # (3,) see `ExplorationRun`; None where the object was never seen, too
+    interrupted: bool  # whether Ctrl-C ended it
+    seconds: float  # that it took, s
 
     @property
     def simulated(self) -> float:

@@ -46,17 +46,11 @@ _LONGEST_SILENCE = 2.0
 
 @dataclass(frozen=True)
 class Heard:
-    """What came on a channel.
+    """What came on a channel."""
 
-    Attributes:
-        count: messages, good and bad.
-        rate: a second, over the time in which they came; 0 of fewer than two.
-        dropped: bad ones, by their cause.
-    """
-
-    count: int
-    rate: float
-    dropped: Mapping[str, int]
+    count: int  # messages, good and bad
+    rate: float  # a second, over the time in which they came; 0 of fewer than two
+    dropped: Mapping[str, int]  # bad ones, by their cause
 
 
 class PushListener:

@@ -45,26 +45,20 @@ NEAREST, FARTHEST = 0.2, 4.0
 
 @dataclass
 class CameraConfig(CheckedSettings):
-    """Camera that looks straight down on the table; defaults see all of a table of radius 0.5 m.
-
-    Attributes:
-        height: of the camera over the table, m.
-        position: (x, y) of the camera in W, m.
-        yaw: turn of the picture about the vertical, rad; at 0 the picture's right is W's x, its top W's y.
-        fov_y: field of view from the picture's top to its bottom, rad.
-        width, height_pixels: picture size.
-        rate: pictures a second, Hz.
-    """
+    """Camera that looks straight down on the table; defaults see all of a table of radius 0.5 m."""
 
     _section = "camera."
 
-    height: float = within(1.1, 0.3, FARTHEST - 0.1)
-    position: list[float] = field(default_factory=lambda: [0.0, 0.0])
+    height: float = within(1.1, 0.3, FARTHEST - 0.1)  # of the camera over the table, m
+    position: list[float] = field(default_factory=lambda: [0.0, 0.0])  # (x, y) of the camera in W, m
+    # turn of the picture about the vertical, rad; at 0 the picture's right is W's x, its top W's y
     yaw: float = 0.0
+    # field of view from the picture's top to its bottom, rad
     fov_y: float = within(float(np.deg2rad(52.0)), 0.05, 2.8)
+    # width, height_pixels: picture size
     width: int = within(640, 16, 4096)
     height_pixels: int = within(480, 16, 4096)
-    rate: float = within(15.0, 0.1, 1000.0)
+    rate: float = within(15.0, 0.1, 1000.0)  # pictures a second, Hz
 
     def check(self) -> None:
         """Raise ValueError where a field makes no sense."""

@@ -60,23 +60,15 @@ directives:
 
 @dataclass(frozen=True, eq=False)
 class Arm:
-    """The arm in a plant.
+    """The arm in a plant."""
 
-    Attributes:
-        iiwa: model instance of the arm proper, 7 positions.
-        gripper: model instance of its hand, 2 positions.
-        tip: of frame T at the centre of the finger's end, its z along the finger and out of the hand.
-        finger_radius: of the round finger that the closed gripper is, m.
-        X_WB: pose of the arm's base in the world.
-        models: the set of models it came from.
-    """
-
-    iiwa: ModelInstanceIndex
-    gripper: ModelInstanceIndex
+    iiwa: ModelInstanceIndex  # model instance of the arm proper, 7 positions
+    gripper: ModelInstanceIndex  # model instance of its hand, 2 positions
+    # of frame T at the centre of the finger's end, its z along the finger and out of the hand
     tip: FrameIndex
-    finger_radius: float
-    X_WB: RigidTransform
-    models: str
+    finger_radius: float  # of the round finger that the closed gripper is, m
+    X_WB: RigidTransform  # pose of the arm's base in the world
+    models: str  # the set of models it came from
 
 
 def default_arm_base() -> RigidTransform:

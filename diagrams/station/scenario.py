@@ -57,34 +57,25 @@ class ScenarioError(BadInput, ValueError):
 
 @dataclass
 class ObjectSettings:
-    """The object on the table: one of the benchmark, or your own from a mesh or a label image.
+    """The object on the table: one of the benchmark, or your own from a mesh or a label image."""
 
-    Attributes:
-        name: of a benchmark object; not used where `mesh` or `labels` is given.
-        mesh: file that trimesh can load; needs `mass` and `mu`.
-        labels: picture whose pixels name segments; needs `metres_per_pixel`, `masses`, `frictions`, `height`.
-        mass, mu: of an object of one material, from a mesh, kg.
-        metres_per_unit: of the mesh, 0.001 for millimetres; as the file says where missing, else 1.
-        metres_per_pixel: side of a pixel, m.
-        masses, frictions: of each label.
-        height: of an object from a label image, m.
-        mu_finger: friction with the finger, of your own object.
-        cells: wanted number of the true object's cells, of your own object.
-        pose: x and y in m, turn in degrees, at the beginning.
-    """
-
-    name: str = "hammer"
-    mesh: str | None = None
+    name: str = "hammer"  # of a benchmark object; not used where `mesh` or `labels` is given
+    mesh: str | None = None  # file that trimesh can load; needs `mass` and `mu`
+    # picture whose pixels name segments; needs `metres_per_pixel`, `masses`, `frictions`, `height`
     labels: str | None = None
+    # mass, mu: of an object of one material, from a mesh, kg
     mass: float | None = None
     mu: float | None = None
+    # of the mesh, 0.001 for millimetres; as the file says where missing, else 1
     metres_per_unit: float | None = None
-    metres_per_pixel: float = 0.001
+    metres_per_pixel: float = 0.001  # side of a pixel, m
+    # masses, frictions: of each label
     masses: dict[str, float] = field(default_factory=dict)
     frictions: dict[str, float] = field(default_factory=dict)
-    height: float = 0.03
-    mu_finger: float = DEFAULT_MU_FINGER
-    cells: int = DEFAULT_CELLS
+    height: float = 0.03  # of an object from a label image, m
+    mu_finger: float = DEFAULT_MU_FINGER  # friction with the finger, of your own object
+    cells: int = DEFAULT_CELLS  # wanted number of the true object's cells, of your own object
+    # x and y in m, turn in degrees, at the beginning
     pose: list[float] = field(default_factory=lambda: [0.0, 0.0, 0.0])
 
     def check(self) -> None:
@@ -139,19 +130,13 @@ class ObjectSettings:
 
 @dataclass
 class TableSettings:
-    """The table, its middle at the world's origin.
+    """The table, its middle at the world's origin."""
 
-    Attributes:
-        shape: round or rectangle.
-        radius: of a round table, m.
-        size: along x and y of a rectangular one, m.
-        friction: of the table's own surface; the object's friction with it is the object's affair, but must
-            be below twice this.
-    """
-
-    shape: str = "round"
-    radius: float = 0.5
-    size: list[float] = field(default_factory=lambda: [1.2, 0.8])
+    shape: str = "round"  # round or rectangle
+    radius: float = 0.5  # of a round table, m
+    size: list[float] = field(default_factory=lambda: [1.2, 0.8])  # along x and y of a rectangular one, m
+    # of the table's own surface; the object's friction with it is the object's affair, but must be below
+    # twice this
     friction: float = 0.6
 
     def check(self) -> None:
@@ -173,12 +158,9 @@ class TableSettings:
 
 @dataclass
 class ArmSettings:
-    """The arm.
+    """The arm."""
 
-    Attributes:
-        models: `primitives`, which are part of slipmap, or `drake_models`, which Drake downloads.
-    """
-
+    # `primitives`, which are part of slipmap, or `drake_models`, which Drake downloads
     models: str = "primitives"
 
     def check(self) -> None:
@@ -189,14 +171,11 @@ class ArmSettings:
 
 @dataclass
 class SimulationSettings:
-    """The simulated world.
+    """The simulated world."""
 
-    Attributes:
-        time_step: of the plant, s; best a divisor of 10 ms, at which the finger is recorded: with 3 ms its
-            record jitters by what it moves in a step, and a tap seems 20 % faster or slower. A path that is
-            commanded in rows wants rows as long as steps, or a multiple: else the finger jerks.
-    """
-
+    # of the plant, s; best a divisor of 10 ms, at which the finger is recorded: with 3 ms its record jitters
+    # by what it moves in a step, and a tap seems 20 % faster or slower. A path that is commanded in rows
+    # wants rows as long as steps, or a multiple: else the finger jerks.
     time_step: float = 0.0025
 
     def check(self) -> None:

@@ -47,17 +47,13 @@ _ROUND = np.array([1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 7.0, 10.0])
 
 @dataclass(frozen=True, eq=False)
 class Shown:
-    """What is shown of a belief.
+    """What is shown of a belief."""
 
-    Attributes:
-        hypotheses: (k,) the most probable ones, the most probable first.
-        values: (3, 1 + k, n) the maps `MAPS` in the units of `TITLES`: their mean over all hypotheses, then
-            of `hypotheses`.
-        tops: (3,) ends of the colour scales, which begin at 0; the largest few percent may lie beyond.
-    """
-
-    hypotheses: np.ndarray
+    hypotheses: np.ndarray  # (k,) the most probable ones, the most probable first
+    # (3, 1 + k, n) the maps `MAPS` in the units of `TITLES`: their mean over all hypotheses, then of
+    # `hypotheses`
     values: FloatArray
+    # (3,) ends of the colour scales, which begin at 0; the largest few percent may lie beyond
     tops: FloatArray
 
     def beyond(self, which: int) -> str:

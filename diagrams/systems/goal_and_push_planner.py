@@ -41,25 +41,15 @@ CanSee = Callable[[SeenObject, FloatArray], bool]
 
 @dataclass(frozen=True, eq=False)
 class _Planning:
-    """What was planned so far.
+    """What was planned so far."""
 
-    Attributes:
-        known: the belief that the method plans with.
-        thing: the object with its grasps.
-        goals: that will do.
-        pursuit: what came of pushing.
-        last: the decision behind the plan.
-        plan: what is to be done.
-        refused: grasps that the arm refused.
-    """
-
-    known: Belief
-    thing: Graspable
-    goals: tuple[Goal, ...]
-    pursuit: Pursuit = field(default_factory=Pursuit)
-    last: Decision | None = None
-    plan: PregraspPlan | None = None
-    refused: tuple[Grasp, ...] = ()
+    known: Belief  # the belief that the method plans with
+    thing: Graspable  # the object with its grasps
+    goals: tuple[Goal, ...]  # that will do
+    pursuit: Pursuit = field(default_factory=Pursuit)  # what came of pushing
+    last: Decision | None = None  # the decision behind the plan
+    plan: PregraspPlan | None = None  # what is to be done
+    refused: tuple[Grasp, ...] = ()  # grasps that the arm refused
 
     def continued(self, status: LoopStatus) -> _Planning:
         """With what came of the last plan, as the loop now asks for another."""

@@ -39,16 +39,11 @@ Row = tuple[float, ...]
 
 @dataclass(frozen=True, eq=False)
 class _Recording:
-    """What is written down of the push under way, and the trials before it.
+    """What is written down of the push under way, and the trials before it."""
 
-    Attributes:
-        trials: that are complete.
-        looks: last poses seen while the arm was at home.
-        poses, tips, forces: rows (time, …) of this push; empty before it.
-    """
-
-    trials: tuple[Trial, ...] = ()
-    looks: tuple[Row, ...] = ()
+    trials: tuple[Trial, ...] = ()  # that are complete
+    looks: tuple[Row, ...] = ()  # last poses seen while the arm was at home
+    # poses, tips, forces: rows (time, …) of this push; empty before it
     poses: tuple[Row, ...] = ()
     tips: tuple[Row, ...] = ()
     forces: tuple[Row, ...] = ()

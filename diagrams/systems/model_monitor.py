@@ -32,36 +32,22 @@ FORCE_ERROR = 0.1
 
 @dataclass(frozen=True)
 class Judged:
-    """One push that was predicted and seen.
+    """One push that was predicted and seen."""
 
-    Attributes:
-        trial: number of the push in the recording, from 0.
-        misfit: see `slipmap.models.inference.push_misfit`.
-        p: probability of a misfit as large if nothing is missing.
-        evidence: E after this push.
-        alarm: whether it is given after this push.
-    """
-
-    trial: int
-    misfit: float
-    p: float
-    evidence: float
-    alarm: bool
+    trial: int  # number of the push in the recording, from 0
+    misfit: float  # see `slipmap.models.inference.push_misfit`
+    p: float  # probability of a misfit as large if nothing is missing
+    evidence: float  # E after this push
+    alarm: bool  # whether it is given after this push
 
 
 @dataclass(frozen=True, eq=False)
 class Watch:
-    """What the monitor has seen.
+    """What the monitor has seen."""
 
-    Attributes:
-        trials: trials looked at.
-        residual: (3,) when the object was last seen beside the hypotheses.
-        judged: pushes that a belief had predicted, in order.
-    """
-
-    trials: int
-    residual: FloatArray
-    judged: tuple[Judged, ...] = ()
+    trials: int  # trials looked at
+    residual: FloatArray  # (3,) when the object was last seen beside the hypotheses
+    judged: tuple[Judged, ...] = ()  # pushes that a belief had predicted, in order
 
     @property
     def misfit(self) -> float:

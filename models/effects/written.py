@@ -66,32 +66,21 @@ _PLAIN = {
 
 @dataclass(frozen=True)
 class Formula:
-    """One equation of an effect.
+    """One equation of an effect."""
 
-    Attributes:
-        meaning: of the left side; empty for a part that another equation uses.
-        latex: the equation in LaTeX, as matplotlib's mathtext can set it too.
-        text: the equation in one line.
-    """
-
-    meaning: str
-    latex: str
-    text: str
+    meaning: str  # of the left side; empty for a part that another equation uses
+    latex: str  # the equation in LaTeX, as matplotlib's mathtext can set it too
+    text: str  # the equation in one line
 
 
 @dataclass(frozen=True)
 class Written:
-    """An effect to be read.
+    """An effect to be read."""
 
-    Attributes:
-        formulas: its equations, helpers after those that use them.
-        letters: (text, LaTeX, meaning) of each letter in them that is no parameter.
-        symbols: how each parameter is written in `text`, by its name.
-    """
-
-    formulas: tuple[Formula, ...]
+    formulas: tuple[Formula, ...]  # its equations, helpers after those that use them
+    # (text, LaTeX, meaning) of each letter in them that is no parameter
     letters: tuple[tuple[str, str, str], ...]
-    symbols: dict[str, str]
+    symbols: dict[str, str]  # how each parameter is written in `text`, by its name
 
 
 def written(effect: Effect) -> Written:

@@ -186,20 +186,15 @@ def number(value: object, where: str) -> float:
 
 
 class Number(NamedTuple):
-    """What a number in a description may be.
+    """What a number in a description may be."""
 
-    Attributes:
-        unit: for error texts.
-        low, high: its limits.
-        beyond: what is said where it lies beyond them; a format of the attributes, `where` and `value`.
-        or_zero: whether it may be 0; otherwise only positive numbers are allowed.
-    """
-
-    unit: str
+    unit: str  # for error texts
+    # low, high: its limits
     low: float = 0.0
     high: float = math.inf
+    # what is said where it lies beyond them; a format of the attributes, `where` and `value`
     beyond: str = "{where}: lies in {low:g} to {high:g} {unit}, got {value:g}"
-    or_zero: bool = False
+    or_zero: bool = False  # whether it may be 0; otherwise only positive numbers are allowed
 
     def read(self, value: object, where: str) -> float:
         """A parsed value as such a number."""

@@ -23,47 +23,30 @@ _PALETTE = ("#4c78a8", "#f58518", "#54a24b", "#e45756", "#72b7b2", "#b279a2", "#
 
 @dataclass(frozen=True, eq=False)
 class Block:
-    """Part of the object that a finger can touch: an upright prism on the table.
+    """Part of the object that a finger can touch: an upright prism on the table."""
 
-    Attributes:
-        outline: its footprint, may be concave and have holes, object frame, m.
-        height: m.
-    """
-
-    outline: Polygon
-    height: float
+    outline: Polygon  # its footprint, may be concave and have holes, object frame, m
+    height: float  # m
 
 
 @dataclass(frozen=True, eq=False)
 class TrueObject:
     """An object's true maps, shape and looks. The object frame has z = 0 on the underside, z up.
 
-    Attributes:
-        name: as in messages and in the scene.
-        grid: n cells and the outline.
-        labels: (n,) region of each cell, from 0.
-        mass: (n,) kg.
-        mu: (n,) friction coefficients with the table.
-        mu_finger: friction coefficient with the finger.
-        height: (n,) of the object over each cell, m.
-        mesh: what cameras see, object frame, m, with a colour on each face.
-        colors: (R, 4) red, green, blue, opacity of each region, 0 to 1.
-        blocks: what a finger touches; together they cover the outline.
-
     Raises:
         ValueError: arrays that do not fit the grid, or numbers out of range; names the cell.
     """
 
-    name: str
-    grid: CellGrid
-    labels: NDArray[np.int64]
-    mass: FloatArray
-    mu: FloatArray
-    mu_finger: float
-    height: FloatArray
-    mesh: trimesh.Trimesh
-    colors: FloatArray
-    blocks: tuple[Block, ...]
+    name: str  # as in messages and in the scene
+    grid: CellGrid  # n cells and the outline
+    labels: NDArray[np.int64]  # (n,) region of each cell, from 0
+    mass: FloatArray  # (n,) kg
+    mu: FloatArray  # (n,) friction coefficients with the table
+    mu_finger: float  # friction coefficient with the finger
+    height: FloatArray  # (n,) of the object over each cell, m
+    mesh: trimesh.Trimesh  # what cameras see, object frame, m, with a colour on each face
+    colors: FloatArray  # (R, 4) red, green, blue, opacity of each region, 0 to 1
+    blocks: tuple[Block, ...]  # what a finger touches; together they cover the outline
 
     def __post_init__(self) -> None:
         n = len(self.grid)

@@ -174,20 +174,13 @@ def _outline(polygon: Polygon, traced: Outline, origin: FloatArray) -> Outline:
 
 @dataclass(frozen=True, eq=False)
 class FirstPicture:
-    """The picture from which an object was cut into cells.
+    """The picture from which an object was cut into cells."""
 
-    Attributes:
-        depth: (H, W) median of the pictures of the first look, m.
-        X_WC: (4, 4) pose of the camera in W.
-        blocked: (H, W) pixels that showed the arm.
-        cells: wanted number of them.
-        noisy, missing: see `PictureHistory`.
-    """
-
-    depth: DepthImage
-    X_WC: FloatArray
-    blocked: Mask
-    cells: int
+    depth: DepthImage  # (H, W) median of the pictures of the first look, m
+    X_WC: FloatArray  # (4, 4) pose of the camera in W
+    blocked: Mask  # (H, W) pixels that showed the arm
+    cells: int  # wanted number of them
+    # noisy, missing: see `PictureHistory`
     noisy: bool
     missing: float
 

@@ -113,15 +113,10 @@ def _without_rim(mask: Mask, heights: Heights) -> Mask:
 
 
 class Hull(NamedTuple):
-    """Convex hull of balls: two make a capsule, the eight corners with radius 0 a box.
+    """Convex hull of balls: two make a capsule, the eight corners with radius 0 a box."""
 
-    Attributes:
-        points: (k, 3) the balls' centres in W, m.
-        radius: of the balls, m.
-    """
-
-    points: FloatArray
-    radius: float
+    points: FloatArray  # (k, 3) the balls' centres in W, m
+    radius: float  # of the balls, m
 
 
 def draw_hulls(hulls: Sequence[Hull], view: View, margin: float = 0.008) -> Mask:

@@ -46,15 +46,12 @@ class PinholeCamera:
 class View:
     """A camera at its place in the world.
 
-    Attributes:
-        X_WC: (4, 4) pose of the camera in W.
-
     Raises:
         ValueError: X_WC is not a rigid transform.
     """
 
     camera: PinholeCamera
-    X_WC: FloatArray
+    X_WC: FloatArray  # (4, 4) pose of the camera in W
 
     def __post_init__(self) -> None:
         X_WC = np.asarray(self.X_WC, dtype=float)

@@ -122,18 +122,13 @@ def track(
 
 
 class EdgeFit(NamedTuple):
-    """Result of a fit.
+    """Result of a fit."""
 
-    Attributes:
-        pose: (3,) x, y, theta of O in W.
-        covariance: (3, 3), from the scatter of the edges about the fitted outline; infinite if the edges
-            that were found do not determine the pose.
-        found: share of the outline's points with an edge within reach.
-    """
-
-    pose: FloatArray
+    pose: FloatArray  # (3,) x, y, theta of O in W
+    # (3, 3), from the scatter of the edges about the fitted outline; infinite if the edges that were found do
+    # not determine the pose
     covariance: FloatArray
-    found: float
+    found: float  # share of the outline's points with an edge within reach
 
 
 def fit_edges(

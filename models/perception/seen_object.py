@@ -103,30 +103,19 @@ class ObservedPose:
 
 @dataclass(frozen=True, eq=False)
 class Outline:
-    """Points along the object's outline.
+    """Points along the object's outline."""
 
-    Attributes:
-        points: (m, 2) m.
-        normals: (m, 2) unit vectors out of the object.
-        heights: (m,) of the object's edge over the table there, m.
-    """
-
-    points: FloatArray
-    normals: FloatArray
-    heights: FloatArray
+    points: FloatArray  # (m, 2) m
+    normals: FloatArray  # (m, 2) unit vectors out of the object
+    heights: FloatArray  # (m,) of the object's edge over the table there, m
 
 
 @dataclass(frozen=True, eq=False)
 class Relief:
-    """Height of the object's top over the points of a square grid in O, 0 outside the footprint.
+    """Height of the object's top over the points of a square grid in O, 0 outside the footprint."""
 
-    Attributes:
-        corner: (2,) the grid's first point in O, m.
-        heights: (rows, columns) m; rows along y, columns along x, 1 mm apart.
-    """
-
-    corner: FloatArray
-    heights: NDArray[np.float32]
+    corner: FloatArray  # (2,) the grid's first point in O, m
+    heights: NDArray[np.float32]  # (rows, columns) m; rows along y, columns along x, 1 mm apart
 
     @staticmethod
     def from_cloud(polygon: Polygon, points: FloatArray, tops: FloatArray, pixel: float) -> Relief:
@@ -219,29 +208,18 @@ class SeenObject:
 
 
 class Ring(NamedTuple):
-    """One ring of an object in the picture: corners (k, 2), column and row.
+    """One ring of an object in the picture: corners (k, 2), column and row."""
 
-    Attributes:
-        edge: where the picture has half the object's height, as trackers see it.
-        foot: where the object ends, farther out where its edge is rounded.
-    """
-
-    edge: LinearRing
-    foot: LinearRing
+    edge: LinearRing  # where the picture has half the object's height, as trackers see it
+    foot: LinearRing  # where the object ends, farther out where its edge is rounded
 
 
 class Footprint(NamedTuple):
-    """What an object covers of the table, in W, m.
+    """What an object covers of the table, in W, m."""
 
-    Attributes:
-        polygon: where the object ends.
-        edge: where the picture shows its edge, which is farther inside where that is rounded.
-        outline: points along the rings of `edge`.
-    """
-
-    polygon: Polygon
-    edge: Polygon
-    outline: Outline
+    polygon: Polygon  # where the object ends
+    edge: Polygon  # where the picture shows its edge, which is farther inside where that is rounded
+    outline: Outline  # points along the rings of `edge`
 
 
 def footprint(mask: Mask, heights: Heights, raw: Heights, plane: TablePlane, view: View) -> Footprint:

@@ -43,17 +43,11 @@ class Scene:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What one engine did.
+    """What one engine did."""
 
-    Attributes:
-        seconds: median time of one rollout, s.
-        final_pose: (3,) x, y, θ of the object after the push, with the first of the maps.
-        remark: how the engine represents the object.
-    """
-
-    seconds: float
-    final_pose: FloatArray
-    remark: str
+    seconds: float  # median time of one rollout, s
+    final_pose: FloatArray  # (3,) x, y, θ of the object after the push, with the first of the maps
+    remark: str  # how the engine represents the object
 
 
 def make_scene(*, cells: int, models: int, steps: int, seed: int) -> Scene:

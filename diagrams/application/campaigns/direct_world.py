@@ -35,18 +35,12 @@ _SUNK = 5e-3  # m; the same
 
 @dataclass(frozen=True)
 class WorldNoise:
-    """How far a world is from what is asked for and reported.
+    """How far a world is from what is asked for and reported."""
 
-    Attributes:
-        control: standard deviation of each coordinate of a push's begin and of its end, m; cut off at 2.5
-            times that.
-        sensors: one standard deviation of every row.
-        camera: poses a second while the finger pushes; 0 for none but those before and after.
-    """
-
+    # standard deviation of each coordinate of a push's begin and of its end, m; cut off at 2.5 times that
     control: float = 2e-3
-    sensors: Noise = field(default_factory=lambda: SENSORS)
-    camera: float = 15.0
+    sensors: Noise = field(default_factory=lambda: SENSORS)  # one standard deviation of every row
+    camera: float = 15.0  # poses a second while the finger pushes; 0 for none but those before and after
 
     def __post_init__(self) -> None:
         for name in ("control", "camera"):
@@ -57,16 +51,11 @@ class WorldNoise:
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """What happened while the finger moved, a row each `PERIOD`.
+    """What happened while the finger moved, a row each `PERIOD`."""
 
-    Attributes:
-        poses: (T, 3) of the object, NaN once it is not flat on the table any more.
-        tips: (T, 2) of the finger's centre, m.
-        forces: (T, 2) of the finger on the object, world, N: mean over the time since the row before.
-    """
-
-    poses: FloatArray
-    tips: FloatArray
+    poses: FloatArray  # (T, 3) of the object, NaN once it is not flat on the table any more
+    tips: FloatArray  # (T, 2) of the finger's centre, m
+    # (T, 2) of the finger on the object, world, N: mean over the time since the row before
     forces: FloatArray
 
 

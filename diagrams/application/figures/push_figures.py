@@ -44,23 +44,15 @@ _MOST_NAMES = 40
 
 @dataclass(frozen=True, eq=False)
 class _Scene:
-    """What one panel shows.
+    """What one panel shows."""
 
-    Attributes:
-        push: measured and predicted poses.
-        start: (3,) first measured pose.
-        middle: sample at which the object has gone half of its way, or None where only the end was measured.
-        finger: (k, 2) path of the finger near the object, m.
-        low: (2,) lower corner of all this, m.
-        high: (2,) upper corner, m.
-    """
-
-    push: Prediction
-    start: FloatArray
+    push: Prediction  # measured and predicted poses
+    start: FloatArray  # (3,) first measured pose
+    # sample at which the object has gone half of its way, or None where only the end was measured
     middle: int | None
-    finger: FloatArray
-    low: FloatArray
-    high: FloatArray
+    finger: FloatArray  # (k, 2) path of the finger near the object, m
+    low: FloatArray  # (2,) lower corner of all this, m
+    high: FloatArray  # (2,) upper corner, m
 
 
 @styled

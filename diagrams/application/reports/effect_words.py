@@ -15,13 +15,9 @@ Estimates = Mapping[str, ParameterEstimate]
 
 @dataclass(frozen=True)
 class Reading:
-    """One number that a person asks for, with its 90 % interval, in the unit of its text.
+    """One number that a person asks for, with its 90 % interval, in the unit of its text."""
 
-    Attributes:
-        text: with `{}` where the number goes, such as `tilt {}°`.
-    """
-
-    text: str
+    text: str  # with `{}` where the number goes, such as `tilt {}°`
     value: float
     low: float
     high: float

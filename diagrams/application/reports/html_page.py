@@ -22,19 +22,13 @@ from slipmap.models.files import plain
 
 @dataclass(frozen=True, eq=False)
 class Section:
-    """One part of a report.
+    """One part of a report."""
 
-    Attributes:
-        key: identifies it in links and in the data.
-        data: what its scripts need, JSON-able.
-        script: name of a script in this folder that gives its body life; empty for none.
-    """
-
-    key: str
+    key: str  # identifies it in links and in the data
     title: str
     body: str
-    data: Mapping[str, Any] = field(default_factory=dict)
-    script: str = ""
+    data: Mapping[str, Any] = field(default_factory=dict)  # what its scripts need, JSON-able
+    script: str = ""  # name of a script in this folder that gives its body life; empty for none
 
 
 def page(

@@ -54,34 +54,21 @@ _TRIES = 6
 
 @dataclass(frozen=True)
 class Truth:
-    """What is hidden in a dataset.
+    """What is hidden in a dataset."""
 
-    Attributes:
-        name: of the dataset.
-        seed: it came from.
-        verdict: 'none' or 'effect'.
-        effect: its name, None where there is none.
-        in_library: whether slipmap's library has it.
-        resembles: effects of the library that act like it.
-        strength: 'clear' or 'weak', None where there is none.
-        parameters: of the effect, SI.
-        final_change_mm: mean, median, max and per_trial: how far the effect moved the recorded end of each
-            push, mean over the cells.
-        largest_change_mm: the same at any time of any push.
-        force_change_rms: N, mean over the pushes.
-    """
-
-    name: str
-    seed: int
-    verdict: str
-    effect: str | None
-    in_library: bool
-    resembles: tuple[str, ...]
-    strength: str | None
-    parameters: dict[str, Any]
+    name: str  # of the dataset
+    seed: int  # it came from
+    verdict: str  # 'none' or 'effect'
+    effect: str | None  # its name, None where there is none
+    in_library: bool  # whether slipmap's library has it
+    resembles: tuple[str, ...]  # effects of the library that act like it
+    strength: str | None  # 'clear' or 'weak', None where there is none
+    parameters: dict[str, Any]  # of the effect, SI
+    # mean, median, max and per_trial: how far the effect moved the recorded end of each push, mean over the
+    # cells
     final_change_mm: dict[str, Any]
-    largest_change_mm: float
-    force_change_rms: float
+    largest_change_mm: float  # the same at any time of any push
+    force_change_rms: float  # N, mean over the pushes
 
     @classmethod
     def read(cls, file: Path) -> Truth:

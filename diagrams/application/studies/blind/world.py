@@ -42,19 +42,12 @@ _DAMPING_TIME = 1.5e-3  # s, force of a clinging bristle per rate, over its stif
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """What happened in one push, at every step of time.
+    """What happened in one push, at every step of time."""
 
-    Attributes:
-        clock: (N,) s.
-        poses: (N, 3) of the object frame.
-        hand: (N, 2) of the finger as its robot knows it; the tip itself where nothing bends.
-        impulse: (N, 3) of the contact force on the object since the start, N·s, and of its torque about the
-            hand, N·m·s.
-    """
-
-    clock: FloatArray
-    poses: FloatArray
-    hand: FloatArray
+    clock: FloatArray  # (N,) s
+    poses: FloatArray  # (N, 3) of the object frame
+    hand: FloatArray  # (N, 2) of the finger as its robot knows it; the tip itself where nothing bends
+    # (N, 3) of the contact force on the object since the start, N·s, and of its torque about the hand, N·m·s
     impulse: FloatArray
 
 
