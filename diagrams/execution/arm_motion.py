@@ -12,7 +12,7 @@ from ompl import base, geometric, util
 from pydrake.polynomial import Polynomial
 from pydrake.trajectories import PathParameterizedTrajectory, PiecewisePolynomial, Trajectory
 
-from slipmap.diagrams.execution.finger_kinematics import FingerKinematics, OutOfReach
+from slipmap.diagrams.execution.finger_kinematics import FingerKinematics, MotionRefused
 from slipmap.models.physics.cell_grid import FloatArray
 from slipmap.models.robots import ACCELERATION_LIMITS, ARM_JOINTS, GRIP_FORCE, POSITION_LIMITS, SPEED_LIMITS
 from slipmap.planners.table_push import Pace
@@ -27,10 +27,6 @@ _MINIMUM_JERK = Polynomial([0.0, 0.0, 0.0, 10.0, -15.0, 6.0])  # Flash and Hogan
 # tried where the joints have to turn fast, as they do beside their limits.
 _KNOT_DISTANCES = (0.01, 0.0025)
 _LARGEST_STEP = 0.2  # rad, of a joint between two of them; more would be another way of reaching the point
-
-
-class MotionRefused(ValueError):
-    """The arm cannot make this motion. The text says why."""
 
 
 def joint_path(knots: FloatArray) -> PiecewisePolynomial:
@@ -184,10 +180,7 @@ def _knots(
     knots = [start]
     for share in np.linspace(0.0, 1.0, pieces + 1)[1:]:
         point = (1.0 - share) * first + share * last
-        try:
-            q = posture(point, knots[-1])
-        except OutOfReach as error:
-            raise MotionRefused(str(error)) from error
+        q = posture(point, knots[-1])
         leap = np.abs(q - knots[-1])
         if leap.max() > _LARGEST_STEP:
             k = int(np.argmax(leap))

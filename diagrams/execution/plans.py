@@ -205,18 +205,14 @@ class ArmPlanner:
         refusals = []
         for first, last, order in ((begin, end, 1), (end, begin, -1)):
             try:
-                try:
-                    start = posture(first, None)
-                except OutOfReach as error:
-                    raise MotionRefused(str(error)) from error
-                line = follow(posture, first, last, start)[::order]
+                line = follow(posture, first, last, posture(first, None))[::order]
                 pace = push.pace(self.config.speeding_up, self.config.slowing_down)
                 motion = paced(joint_path(line), pace, self.config.settle)
                 check_joints(motion)
                 return line, motion
             except MotionRefused as refusal:
                 refusals.append(refusal)
-        raise max(refusals, key=lambda refusal: isinstance(refusal.__cause__, OutOfReach))
+        raise max(refusals, key=lambda refusal: isinstance(refusal, OutOfReach))
 
     def _way(self, q: FloatArray, goal: FloatArray) -> Trajectory:
         config = self.config

@@ -129,7 +129,10 @@ class DirectWorld(ABC):
             before = self.true_pose
         except ObjectFell as error:
             raise PushNotMade(str(error)) from error
-        begin, end = (self._missed(point) for point in (push.begin, push.end))
+        begin, end = (
+            point + self.noise.control * np.clip(self._rng.standard_normal(2), -_WORST_MISS, _WORST_MISS)
+            for point in (push.begin, push.end)
+        )
         local = seen_from(begin, before)
         gap = float(shapely.distance(self.true_object.grid.polygon, shapely.Point(local)))
         if gap < self.finger_radius:
@@ -171,9 +174,6 @@ class DirectWorld(ABC):
     def _measured(self, values: FloatArray, *levels: float | None) -> FloatArray:
         sigma = np.array([level or 0.0 for level in levels])
         return values + sigma * self._rng.standard_normal(values.shape)
-
-    def _missed(self, point: FloatArray) -> FloatArray:
-        return point + self.noise.control * np.clip(self._rng.standard_normal(2), -_WORST_MISS, _WORST_MISS)
 
     def _inside(self) -> bool:
         """Whether the whole footprint lies on the table."""

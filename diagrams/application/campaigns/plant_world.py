@@ -112,6 +112,7 @@ class PlantWorld(direct_world.DirectWorld):
                 break
             self._simulator.AdvanceTo(end)
         stride = round(direct_world.PERIOD / h)
+        joints = [self._plant.GetJointByName(name) for name in ("finger_x", "finger_y")]
         states = np.asarray(self._states.FindLog(self._root).data()).T[::stride]
         # What the object does to the finger, with the other sign.
         forces = _means(-np.asarray(self._contact.FindLog(self._root).data()).T, stride)
@@ -119,7 +120,9 @@ class PlantWorld(direct_world.DirectWorld):
         lost = 1 + (len(tip) - 1) // stride - len(states)
         return direct_world.Motion(
             np.vstack([self._poses(states), np.full((lost, 3), np.nan)]),
-            np.vstack([self._tips(states), tip[::stride][len(states) :]]),
+            np.vstack(
+                [states[:, [joint.position_start() for joint in joints]], tip[::stride][len(states) :]]
+            ),
             np.vstack([forces, np.zeros((lost, 2))]),
         )
 
@@ -148,10 +151,6 @@ class PlantWorld(direct_world.DirectWorld):
         """(T, 3) from rows of the plant's state; NaN where the object is not flat on the table."""
         start = self._body.floating_positions_start()
         return direct_world.flat_pose(states[:, start + 4 : start + 7], *states[:, start : start + 4].T)
-
-    def _tips(self, states: FloatArray) -> FloatArray:
-        names = ("finger_x", "finger_y")
-        return states[:, [self._plant.GetJointByName(name).position_start() for name in names]]
 
 
 def _add_finger(plant: MultibodyPlant) -> ModelInstanceIndex:
