@@ -8,16 +8,10 @@ from collections.abc import Callable, Mapping
 
 import numpy as np
 from drake import lcmt_drake_signal, lcmt_iiwa_command, lcmt_schunk_wsg_command
+from pydrake import manipulation
 from pydrake.common.eigen_geometry import Quaternion
 from pydrake.common.value import Value
 from pydrake.lcm import DrakeLcmInterface
-from pydrake.manipulation import (
-    IiwaCommandSender,
-    IiwaControlMode,
-    IiwaStatusReceiver,
-    SchunkWsgCommandSender,
-    SchunkWsgStatusReceiver,
-)
 from pydrake.math import RigidTransform
 from pydrake.systems.framework import Context, Diagram, DiagramBuilder, EventStatus, LeafSystem
 from pydrake.systems.primitives import PassThrough
@@ -65,14 +59,14 @@ class HeardCell(PythonDiagram):
         self.set_name("heard_cell")
 
     def _export_arm(self, builder: DiagramBuilder) -> None:
-        status = builder.AddSystem(IiwaStatusReceiver())
+        status = builder.AddSystem(manipulation.IiwaStatusReceiver())
         checked = self.checked[network.IIWA_STATUS]
         builder.Connect(checked.GetOutputPort("message"), status.GetInputPort("lcmt_iiwa_status"))
         for name in IIWA_OUTPUTS:
             builder.ExportOutput(status.GetOutputPort(name), f"iiwa.{name}")
         for name in ("age", "silence"):
             builder.ExportOutput(checked.GetOutputPort(name), f"iiwa.{name}")
-        gripper = builder.AddSystem(SchunkWsgStatusReceiver())
+        gripper = builder.AddSystem(manipulation.SchunkWsgStatusReceiver())
         message = self.checked[network.GRIPPER_STATUS].GetOutputPort("message")
         builder.Connect(message, gripper.get_status_input_port())
         builder.ExportOutput(gripper.get_state_output_port(), "gripper.state_measured")
@@ -261,7 +255,9 @@ class HardwareInterface(PythonDiagram):
         else:
             unused = builder.AddSystem(PassThrough(Value[object](None)))  # nothing waits to be played
             builder.ExportInput(unused.get_input_port(), "health")
-            self._sender = builder.AddSystem(IiwaCommandSender(7, IiwaControlMode.kPositionOnly))
+            self._sender = builder.AddSystem(
+                manipulation.IiwaCommandSender(7, manipulation.IiwaControlMode.kPositionOnly)
+            )
             publisher = checked_messages.publish(
                 builder, self._lcm, network.IIWA_COMMAND, lcmt_iiwa_command, network.ARM_PERIOD
             )
@@ -269,7 +265,7 @@ class HardwareInterface(PythonDiagram):
         builder.ExportInput(self._sender.GetInputPort("position"), "iiwa.position")
 
     def _add_gripper_commands(self, builder: DiagramBuilder) -> None:
-        sender = builder.AddSystem(SchunkWsgCommandSender())
+        sender = builder.AddSystem(manipulation.SchunkWsgCommandSender())
         publisher = checked_messages.publish(
             builder, self._lcm, network.GRIPPER_COMMAND, lcmt_schunk_wsg_command, network.GRIPPER_PERIOD
         )

@@ -3,13 +3,8 @@
 from dataclasses import dataclass
 
 import numpy as np
+from pydrake import manipulation
 from pydrake.geometry import Capsule, Cylinder, SceneGraph
-from pydrake.manipulation import (
-    IiwaDriver,
-    MakeMultibodyStateToWsgStateSystem,
-    SchunkWsgPositionController,
-    SimIiwaDriver,
-)
 from pydrake.math import RigidTransform, RollPitchYaw, RotationMatrix
 from pydrake.multibody.parsing import LoadModelDirectivesFromString, Parser, ProcessModelDirectives
 from pydrake.multibody.plant import MultibodyPlant
@@ -161,17 +156,17 @@ def add_arm_drivers(builder: DiagramBuilder, plant: MultibodyPlant, arm: Arm) ->
     finger, N, 40 if not connected; `gripper.state_measured` (2,) the opening and its rate, m and m/s.
     """
     model = SharedPointerSystem.AddToBuilder(builder, arm_model(arm.X_WB, arm.models))
-    config = IiwaDriver(control_mode="position_only", desired_kp_gains=STIFFNESS)
-    iiwa = SimIiwaDriver.AddToBuilder(builder, plant, arm.iiwa, config, model)
+    config = manipulation.IiwaDriver(control_mode="position_only", desired_kp_gains=STIFFNESS)
+    iiwa = manipulation.SimIiwaDriver.AddToBuilder(builder, plant, arm.iiwa, config, model)
     builder.ExportInput(iiwa.GetInputPort("position"), "iiwa.position")
     for name in IIWA_OUTPUTS:
         builder.ExportOutput(iiwa.GetOutputPort(name), f"iiwa.{name}")
 
     # It takes commands every 0.05 s; gains are in N/m and N s/m.
-    controller = SchunkWsgPositionController(0.05, 8000.0, 100.0)
+    controller = manipulation.SchunkWsgPositionController(0.05, 8000.0, 100.0)
     hand = builder.AddNamedSystem("gripper_control", controller)
     squeeze = builder.AddNamedSystem("gripper_squeeze", _Squeeze())
-    opening = builder.AddNamedSystem("gripper_state", MakeMultibodyStateToWsgStateSystem())
+    opening = builder.AddNamedSystem("gripper_state", manipulation.MakeMultibodyStateToWsgStateSystem())
     state = plant.get_state_output_port(arm.gripper)
     builder.Connect(state, hand.GetInputPort("state"))
     builder.Connect(state, opening.get_input_port())

@@ -3,13 +3,8 @@
 import numpy as np
 from pydrake.geometry import AddContactMaterial, Cylinder, ProximityProperties
 from pydrake.math import RigidTransform
+from pydrake.multibody import tree
 from pydrake.multibody.plant import AddMultibodyPlant, CoulombFriction, MultibodyPlant
-from pydrake.multibody.tree import (
-    ModelInstanceIndex,
-    PdControllerGains,
-    PrismaticJoint,
-    SpatialInertia,
-)
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import TrajectorySource, VectorLogSink
@@ -153,18 +148,18 @@ class PlantWorld(direct_world.DirectWorld):
         return direct_world.flat_pose(states[:, start + 4 : start + 7], *states[:, start : start + 4].T)
 
 
-def _add_finger(plant: MultibodyPlant) -> ModelInstanceIndex:
+def _add_finger(plant: MultibodyPlant) -> tree.ModelInstanceIndex:
     """An upright round finger on two prismatic joints with a drive too stiff to give way."""
     instance = plant.AddModelInstance("finger")
-    inertia = SpatialInertia.SolidSphereWithMass(1.0, 0.02)
+    inertia = tree.SpatialInertia.SolidSphereWithMass(1.0, 0.02)
     carriage = plant.AddRigidBody("carriage", instance, inertia)
     finger = plant.AddRigidBody("finger", instance, inertia)
     for name, parent, child, axis in (
         ("finger_x", plant.world_frame(), carriage.body_frame(), [1.0, 0.0, 0.0]),
         ("finger_y", carriage.body_frame(), finger.body_frame(), [0.0, 1.0, 0.0]),
     ):
-        joint = plant.AddJoint(PrismaticJoint(name, parent, child, np.array(axis)))
-        plant.AddJointActuator(name, joint).set_controller_gains(PdControllerGains(p=1e7, d=1e5))
+        joint = plant.AddJoint(tree.PrismaticJoint(name, parent, child, np.array(axis)))
+        plant.AddJointActuator(name, joint).set_controller_gains(tree.PdControllerGains(p=1e7, d=1e5))
     contact = ProximityProperties()
     friction = CoulombFriction(sliding_object.FINGER_FRICTION, sliding_object.FINGER_FRICTION)
     AddContactMaterial(dissipation=20.0, point_stiffness=1e8, friction=friction, properties=contact)
