@@ -1,14 +1,10 @@
 """What the arm is asked to do, and what it says of it. None of these values ever changes."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
-if TYPE_CHECKING:
-    from slipmap.models.physics.cell_grid import CellGrid, FloatArray
-    from slipmap.planners.grasps import Grasp
-    from slipmap.planners.table_push import TablePush
+from slipmap.models.physics.cell_grid import CellGrid, FloatArray
+from slipmap.planners.grasps import Grasp
+from slipmap.planners.table_push import TablePush
 
 MODES = (
     "home", "approaching", "lowering", "pushing", "retreating", "refused",

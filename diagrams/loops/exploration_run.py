@@ -66,26 +66,17 @@ class ExplorationStopped(ExplorationFailed):
 
 @dataclass(frozen=True, eq=False)
 class ExplorationRun:
-    """What an exploration brought.
+    """What an exploration brought."""
 
-    Attributes:
-        dataset: recorded pushes; those made to judge have the role `heldout`.
-        identification: what was learned from the others.
-        watch: what the monitor made of pushes that the belief of those before had predicted.
-        true_object: what the station put on the table; None in a real cell.
-        X_SO: (3,) pose of the true object's frame in the frame S of the cells that the camera made out; None
-            in a real cell.
-        simulated: s of simulated time, or of the real cell's.
-        seconds: s that it took.
-    """
-
-    dataset: PushDataset
-    identification: Identification
-    watch: Watch
-    true_object: TrueObject | None
+    dataset: PushDataset  # recorded pushes; those made to judge have the role `heldout`
+    identification: Identification  # what was learned from the others
+    watch: Watch  # what the monitor made of pushes that the belief of those before had predicted
+    true_object: TrueObject | None  # what the station put on the table; None in a real cell
+    # (3,) pose of the true object's frame in the frame S of the cells that the camera made out; None in a
+    # real cell
     X_SO: FloatArray | None
-    simulated: float
-    seconds: float
+    simulated: float  # s of simulated time, or of the real cell's
+    seconds: float  # s that it took
 
     @property
     def true_center_of_mass(self) -> FloatArray:

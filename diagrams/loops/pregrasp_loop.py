@@ -155,24 +155,17 @@ def true_maps(true_object: TrueObject, pose: list[float], seen: SeenObject) -> M
 
 @dataclass(frozen=True, eq=False)
 class PregraspRun:
-    """What the whole procedure brought.
+    """What the whole procedure brought."""
 
-    Attributes:
-        exploration: what was recorded and learned; pushes towards the edge are in it too, to judge with.
-        held: whether the gripper holds the object, as the robot knows.
-        reason: why it does not, else empty.
-        plans: of pushes that were made towards the edge, and of the grasp where it came to that, in order.
-        true_height: of the object's frame over the table at the end, m; None in a real cell.
-        interrupted: whether Ctrl-C ended it.
-    """
-
+    # what was recorded and learned; pushes towards the edge are in it too, to judge with
     exploration: exploration_run.ExplorationRun
     options: PregraspOptions
-    held: bool
-    reason: str
+    held: bool  # whether the gripper holds the object, as the robot knows
+    reason: str  # why it does not, else empty
+    # of pushes that were made towards the edge, and of the grasp where it came to that, in order
     plans: tuple[PregraspPlan, ...]
-    true_height: float | None
-    interrupted: bool = False
+    true_height: float | None  # of the object's frame over the table at the end, m; None in a real cell
+    interrupted: bool = False  # whether Ctrl-C ended it
 
     @property
     def pushes(self) -> tuple[PregraspPlan, ...]:

@@ -29,16 +29,11 @@ class Scene:
 
     All cells have the same mass, so that in an engine with rigid bodies, too, each carries its own weight.
     The friction coefficients are random.
-
-    Attributes:
-        slider: the cell-grid model of the object.
-        maps: K models.
-        push: the finger's motion and the times at which poses are wanted, all ends of steps.
     """
 
-    slider: Slider
-    maps: Maps
-    push: Push
+    slider: Slider  # the cell-grid model of the object
+    maps: Maps  # K models
+    push: Push  # the finger's motion and the times at which poses are wanted, all ends of steps
 
 
 @dataclass(frozen=True)
