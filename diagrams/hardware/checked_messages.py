@@ -13,16 +13,8 @@ from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 from typing import Any
 
+import drake
 import numpy as np
-from drake import (
-    lcmt_drake_signal,
-    lcmt_iiwa_command,
-    lcmt_iiwa_status,
-    lcmt_image,
-    lcmt_image_array,
-    lcmt_schunk_wsg_command,
-    lcmt_schunk_wsg_status,
-)
 from pydrake.common.value import AbstractValue
 from pydrake.lcm import DrakeLcmInterface
 from pydrake.systems.framework import Context, DiagramBuilder, EventStatus, State
@@ -107,22 +99,24 @@ def check_stamp(stamp: float, last: float, anew: bool = False) -> None:
 
 def rules(width: int, height: int) -> Mapping[str, Rule]:
     """The rule of each channel, with pictures of a size in pixels."""
-    depth, color = lcmt_image.PIXEL_FORMAT_DEPTH, lcmt_image.PIXEL_FORMAT_RGBA
+    depth, color = drake.lcmt_image.PIXEL_FORMAT_DEPTH, drake.lcmt_image.PIXEL_FORMAT_RGBA
     size = (width, height)
     return {
-        network.IIWA_STATUS: Rule(lcmt_iiwa_status, _utime, _check_iiwa_status),
-        network.IIWA_COMMAND: Rule(lcmt_iiwa_command, _utime, _check_iiwa_command),
-        network.GRIPPER_STATUS: Rule(lcmt_schunk_wsg_status, _utime, _check_gripper_status),
-        network.GRIPPER_COMMAND: Rule(lcmt_schunk_wsg_command, _utime, _check_gripper_command, anew=True),
+        network.IIWA_STATUS: Rule(drake.lcmt_iiwa_status, _utime, _check_iiwa_status),
+        network.IIWA_COMMAND: Rule(drake.lcmt_iiwa_command, _utime, _check_iiwa_command),
+        network.GRIPPER_STATUS: Rule(drake.lcmt_schunk_wsg_status, _utime, _check_gripper_status),
+        network.GRIPPER_COMMAND: Rule(
+            drake.lcmt_schunk_wsg_command, _utime, _check_gripper_command, anew=True
+        ),
         network.CAMERA_DEPTH: Rule(
-            lcmt_image_array, lambda m: m.header.utime, lambda m: _check_picture(m, depth, size)
+            drake.lcmt_image_array, lambda m: m.header.utime, lambda m: _check_picture(m, depth, size)
         ),
         network.CAMERA_COLOR: Rule(
-            lcmt_image_array, lambda m: m.header.utime, lambda m: _check_picture(m, color, size)
+            drake.lcmt_image_array, lambda m: m.header.utime, lambda m: _check_picture(m, color, size)
         ),
-        network.CAMERA_POSE: Rule(lcmt_drake_signal, lambda m: m.timestamp, _check_pose),
+        network.CAMERA_POSE: Rule(drake.lcmt_drake_signal, lambda m: m.timestamp, _check_pose),
         # Anybody may stop the arm, by whatever clock.
-        network.ABORT: Rule(lcmt_drake_signal, lambda m: 0, _check_abort),
+        network.ABORT: Rule(drake.lcmt_drake_signal, lambda m: 0, _check_abort),
     }
 
 
@@ -317,7 +311,7 @@ def _utime(message: Any) -> int:
     return int(message.utime)
 
 
-def _check_iiwa_status(message: lcmt_iiwa_status) -> None:
+def _check_iiwa_status(message: drake.lcmt_iiwa_status) -> None:
     if message.num_joints != 7:
         raise BadMessage("has not 7 joints")
     angles, slack = POSITION_LIMITS, _ANGLE_SLACK
@@ -329,7 +323,7 @@ def _check_iiwa_status(message: lcmt_iiwa_status) -> None:
         _check_vector(f"{name} torques", torques, _FORCE_FACTOR * TORQUE_LIMITS)
 
 
-def _check_iiwa_command(message: lcmt_iiwa_command) -> None:
+def _check_iiwa_command(message: drake.lcmt_iiwa_command) -> None:
     if message.num_joints != 7:
         raise BadMessage("has not 7 joints")
     if message.num_torques != 0:
@@ -337,18 +331,18 @@ def _check_iiwa_command(message: lcmt_iiwa_command) -> None:
     _check_vector("angles", message.joint_position, POSITION_LIMITS + _COMMAND_SLACK)
 
 
-def _check_gripper_status(message: lcmt_schunk_wsg_status) -> None:
+def _check_gripper_status(message: drake.lcmt_schunk_wsg_status) -> None:
     _check_number("opening", message.actual_position_mm, *_OPENINGS)
     _check_number("speed", message.actual_speed_mm_per_s, -_GRIPPER_SPEED, _GRIPPER_SPEED)
     _check_number("force", message.actual_force, -_GRIPPER_FORCE, _GRIPPER_FORCE)
 
 
-def _check_gripper_command(message: lcmt_schunk_wsg_command) -> None:
+def _check_gripper_command(message: drake.lcmt_schunk_wsg_command) -> None:
     _check_number("opening", message.target_position_mm, *_OPENINGS)
     _check_number("force", message.force, 0.0, _GRIPPER_FORCE)
 
 
-def _check_pose(message: lcmt_drake_signal) -> None:
+def _check_pose(message: drake.lcmt_drake_signal) -> None:
     if tuple(message.coord) != POSE_COORDINATES or len(message.val) != len(POSE_COORDINATES):
         raise BadMessage(f"is not a pose: {', '.join(POSE_COORDINATES)}")
     limits = np.array([_FARTHEST] * 3 + [1.0 + 1e-6] * 4)
@@ -357,20 +351,20 @@ def _check_pose(message: lcmt_drake_signal) -> None:
         raise BadMessage("quaternion has not the length 1")
 
 
-def _check_abort(message: lcmt_drake_signal) -> None:
+def _check_abort(message: drake.lcmt_drake_signal) -> None:
     if tuple(message.coord) != ABORT_COORDINATES or len(message.val) != len(ABORT_COORDINATES):
         raise BadMessage("is not one number named abort")
     _check_number("abort", message.val[0], 0.0, 1.0)
 
 
-def _check_picture(message: lcmt_image_array, pixel_format: int, size: tuple[int, int]) -> None:
+def _check_picture(message: drake.lcmt_image_array, pixel_format: int, size: tuple[int, int]) -> None:
     if len(message.images) != 1:
         raise BadMessage("has not one picture")
     image, (width, height) = message.images[0], size
     if (image.width, image.height) != size:
         raise BadMessage(f"picture is not {width} by {height} pixels")
-    depth = pixel_format == lcmt_image.PIXEL_FORMAT_DEPTH
-    channel = lcmt_image.CHANNEL_TYPE_FLOAT32 if depth else lcmt_image.CHANNEL_TYPE_UINT8
+    depth = pixel_format == drake.lcmt_image.PIXEL_FORMAT_DEPTH
+    channel = drake.lcmt_image.CHANNEL_TYPE_FLOAT32 if depth else drake.lcmt_image.CHANNEL_TYPE_UINT8
     if (image.pixel_format, image.channel_type, bool(image.bigendian)) != (pixel_format, channel, False):
         raise BadMessage(f"picture is not {'depth in 32 bit floats' if depth else 'RGBA in bytes'}")
     pixels = _unpacked(image, 4 * width * height)
@@ -384,14 +378,14 @@ def _check_picture(message: lcmt_image_array, pixel_format: int, size: tuple[int
             raise BadMessage("picture has depths that cannot be")
     # Drake 1.51 takes a quarter of the pixels of a depth picture that is not packed at all.
     image.data = zlib.compress(pixels, 0)
-    image.size, image.compression_method = len(image.data), lcmt_image.COMPRESSION_METHOD_ZLIB
+    image.size, image.compression_method = len(image.data), drake.lcmt_image.COMPRESSION_METHOD_ZLIB
 
 
-def _unpacked(image: lcmt_image, size: int) -> bytes:
+def _unpacked(image: drake.lcmt_image, size: int) -> bytes:
     """Pixels of a picture; never more than one byte over their proper size, whatever is packed."""
-    if image.compression_method == lcmt_image.COMPRESSION_METHOD_NOT_COMPRESSED:
+    if image.compression_method == drake.lcmt_image.COMPRESSION_METHOD_NOT_COMPRESSED:
         return bytes(image.data)
-    if image.compression_method != lcmt_image.COMPRESSION_METHOD_ZLIB:
+    if image.compression_method != drake.lcmt_image.COMPRESSION_METHOD_ZLIB:
         raise BadMessage("picture is packed in another way than with zlib")
     try:
         return zlib.decompressobj().decompress(image.data, size + 1)
