@@ -1,7 +1,5 @@
 """Files: what users hand in is bounded in size; what is written appears whole or not at all."""
 
-from __future__ import annotations
-
 import errno
 import json
 import math
@@ -45,11 +43,7 @@ def check_file(path: Path, largest: int) -> None:
 
 
 def read_bounded(path: Path, largest: int) -> bytes:
-    """The content of a regular file of at most `largest` bytes.
-
-    Raises:
-        UnreadableFile: as `check_file`.
-    """
+    """The content of a regular file of at most `largest` bytes. Raises UnreadableFile as `check_file`."""
     check_file(path, largest)
     try:
         with open(path, "rb") as file:
@@ -92,7 +86,6 @@ def replaced_file(path: Path, part: Path | None = None) -> Iterator[Path]:
     one: the file that it names is written.
 
     Args:
-        path: the file.
         part: the temporary name, on the same disk; beside the file unless given.
 
     Raises:
@@ -158,8 +151,10 @@ def writing(path: Path) -> Iterator[None]:
         raise BadInput(f"cannot write {path}: {error.strerror or error}; choose another place") from error
 
 
-def write_json(path: Path, document: Mapping[str, Any]) -> None:
-    """Write a JSON document as `write_text`, keys sorted; a number that is not finite becomes null."""
+def write_json(path: Path | None, document: Mapping[str, Any]) -> None:
+    """Write a JSON document as `write_text`, if there is a path; keys sorted, numbers not finite as null."""
+    if path is None:
+        return
     text = json.dumps(plain(document), indent=2, sort_keys=True, ensure_ascii=False, allow_nan=False)
     write_text(path, text + "\n")
 

@@ -1,7 +1,5 @@
 """Geometry of the plane: angles, and poses x, y, theta (m, m, rad) of frames with points in them."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from slipmap.models.physics.cell_grid import CellGrid, FloatArray

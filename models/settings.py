@@ -1,7 +1,5 @@
 """What the settings of a scenario file have in common: fields with a range, and the check of it."""
 
-from __future__ import annotations
-
 from dataclasses import field, fields
 from typing import Any
 
@@ -15,7 +13,6 @@ def check_ranges(settings: Any, section: str) -> None:
     """Refuse settings of which a field made by `within` is out of its range.
 
     Args:
-        settings: dataclass.
         section: what stands before a field's name in the message, such as `execution.` or `goals: `.
 
     Raises:

@@ -1,77 +1,48 @@
 """Names that `import slipmap` offers and where each lies; `__init__.py` loads them on first use."""
 
-from . import diagrams as diagrams
-from . import models as models
-from . import planners as planners
+from . import diagrams as diagrams, models as models, planners as planners
 from .diagrams.application.demonstration import simulated_hammer as simulated_hammer
 from .diagrams.application.figures import (
     draw_cells as draw_cells,
-)
-from .diagrams.application.figures import (
     draw_outline as draw_outline,
-)
-from .diagrams.application.figures import (
     effect_figure as effect_figure,
-)
-from .diagrams.application.figures import (
     error_figure as error_figure,
-)
-from .diagrams.application.figures import (
     gain_figure as gain_figure,
-)
-from .diagrams.application.figures import (
     maps_figure as maps_figure,
-)
-from .diagrams.application.figures import (
     push_figures as push_figures,
-)
-from .diagrams.application.figures import (
     save as save,
-)
-from .diagrams.application.figures import (
     table_figure as table_figure,
 )
 from .diagrams.loops.exploration_loop import LoopOptions as LoopOptions
 from .diagrams.loops.exploration_run import explore as explore
-from .diagrams.loops.pregrasp_loop import PregraspOptions as PregraspOptions
-from .diagrams.loops.pregrasp_loop import pregrasp as pregrasp
+from .diagrams.loops.pregrasp_loop import PregraspOptions as PregraspOptions, pregrasp as pregrasp
 from .diagrams.perception.cell_perception import CellPerception as CellPerception
 from .diagrams.station.scenario import Scenario as Scenario
 from .diagrams.station.station import Station as Station
 from .diagrams.systems.belief_visualizer import BeliefVisualizer as BeliefVisualizer
 from .diagrams.systems.cell_grid_slider import CellGridSlider as CellGridSlider
 from .diagrams.systems.exploration import Exploration as Exploration
-from .diagrams.systems.finger import FingerMotion as FingerMotion
-from .diagrams.systems.finger import FingerPath as FingerPath
+from .diagrams.systems.finger import FingerMotion as FingerMotion, FingerPath as FingerPath
 from .diagrams.systems.goal_and_push_planner import GoalAndPushPlanner as GoalAndPushPlanner
 from .diagrams.systems.identification import Identification as Identification
 from .diagrams.systems.measurement_logger import (
     MeasurementLogger as MeasurementLogger,
-)
-from .diagrams.systems.measurement_logger import (
     TrialLogger as TrialLogger,
 )
 from .diagrams.systems.model_monitor import ModelMonitor as ModelMonitor
 from .diagrams.testing import open_cell as open_cell
-from .models.effects.effect import Effect as Effect
-from .models.effects.effect import Parameter as Parameter
+from .models.effects.effect import Effect as Effect, Parameter as Parameter
 from .models.effects.library import LIBRARY as LIBRARY
-from .models.effects.registry import effects_named as effects_named
-from .models.effects.registry import load_effects as load_effects
+from .models.effects.registry import effects_named as effects_named, load_effects as load_effects
 from .models.inference.belief import Belief as Belief
-from .models.inference.comparison import compare as compare
-from .models.inference.comparison import compare_with_effects as compare_with_effects
-from .models.inference.identification import fit as fit
-from .models.inference.identification import identify as identify
+from .models.inference.comparison import compare as compare, compare_with_effects as compare_with_effects
+from .models.inference.identification import fit as fit, identify as identify
 from .models.inference.prediction import predict as predict
-from .models.measurements.push_dataset import PushDataset as PushDataset
-from .models.measurements.push_dataset import Table as Table
-from .models.measurements.push_dataset import Trial as Trial
+from .models.measurements.push_dataset import PushDataset as PushDataset, Table as Table, Trial as Trial
 from .models.measurements.reading import read_dataset as read_dataset
 from .models.measurements.simulated import record_pushes as record_pushes
 from .models.measurements.writing import write_dataset as write_dataset
-from .models.objects.benchmark_objects import benchmark_object as benchmark_object
-from .models.objects.benchmark_objects import hammer as hammer
+from .models.objects.benchmark_objects import benchmark_object as benchmark_object, hammer as hammer
 from .models.objects.footprints import cells_from_polygon as cells_from_polygon
 from .models.objects.images import cells_from_label_image as cells_from_label_image
 from .models.objects.meshes import cells_from_mesh as cells_from_mesh

@@ -4,8 +4,6 @@ Exit codes: 0 success; 1 a failure of the program itself, or a run that did not 
 use or bad input; 130 stopped, by Ctrl-C or by a signal to end.
 """
 
-from __future__ import annotations
-
 import difflib
 import errno
 import importlib
@@ -25,9 +23,10 @@ SUCCESS, INTERNAL_FAILURE, WRONG_USE, STOPPED = 0, 1, 2, 130
 TRACEBACK = "SLIPMAP_TRACEBACK"
 _STOPPED = "stopped; nothing half-written is left behind"
 _COMMANDS = (
-    "machine:doctor", "demo", "explore", "explore:pregrasp", "station", "record", "record:replay",
-    "describe_object", "identify", "compare:predict", "view", "compare", "diagnose", "identify:fit",
-    "effects", "calibrate", "explore_study", "campaign", "blind_test", "machine:bench", "machine:completion",
+    "machine:doctor", "demo", "explore", "explore:pregrasp", "record:station", "record", "record:replay",
+    "describe_object", "identify", "compare:predict", "view", "compare", "compare:diagnose", "identify:fit",
+    "effects", "studies:calibrate", "studies:explore_study", "campaign", "studies:blind_test",
+    "machine:bench", "machine:completion",
 )  # fmt: skip
 """Modules of commands, and the function in them where it has another name."""
 
@@ -152,12 +151,11 @@ def _nearest_choice(error: click.UsageError, arguments: Sequence[str]) -> str:
 
 
 def _is_bad_input(error: Exception) -> bool:
-    from slipmap.diagrams.perception.renderer import RendererUnavailable
     from slipmap.models.effects import EffectError
     from slipmap.models.inference.belief import BeliefError
     from slipmap.models.measurements import DatasetError
 
-    return isinstance(error, BeliefError | DatasetError | EffectError | RendererUnavailable)
+    return isinstance(error, BeliefError | DatasetError | EffectError)
 
 
 def _one_paragraph(text: str) -> str:

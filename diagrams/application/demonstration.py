@@ -1,7 +1,5 @@
 """A push dataset that needs no robot: a hammer with known maps, pushed at random and recorded with noise."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Whether this machine has all that slipmap needs: each thing is tried, not asked for."""
 
-from __future__ import annotations
-
 import os
 import re
 import shutil
@@ -9,7 +7,7 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Callable, Iterator
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 
 from slipmap.diagrams.perception.system_libraries import IMPORTS, RENDER, RENDERING_PACKAGES, package_for
@@ -44,33 +42,17 @@ Try = Callable[[str], str | None]
 
 @dataclass(frozen=True)
 class Finding:
-    """One thing that was looked at.
+    """One thing that was looked at."""
 
-    Attributes:
-        name: of it.
-        ok: whether it is there and works.
-        needed: whether slipmap does not do without.
-        found: what is there, or what is wrong.
-        remedy: command or step that mends it; empty where nothing is to be mended.
-    """
-
-    name: str
-    ok: bool
-    needed: bool
-    found: str
-    remedy: str = ""
-
-    def to_json(self) -> dict[str, object]:
-        """For programs."""
-        return asdict(self)
+    name: str  # of it
+    ok: bool  # whether it is there and works
+    needed: bool  # whether slipmap does not do without
+    found: str  # what is there, or what is wrong
+    remedy: str = ""  # command or step that mends it; empty where nothing is to be mended
 
 
 def examine(attempt: Try | None = None) -> Iterator[Finding]:
-    """Look at everything, one after the other.
-
-    Args:
-        attempt: how code is tried; in a fresh interpreter if None.
-    """
+    """Look at everything, one after the other; code is tried in a fresh interpreter if `attempt` is None."""
     attempt = attempt or _in_fresh_interpreter
     yield _python()
     yield from _packages()

@@ -251,9 +251,6 @@ def table(
     """Print a table on stdout, within the terminal's width or 80 columns, and an empty line.
 
     Args:
-        title: line above it.
-        columns: headings.
-        rows: cells.
         numbers: columns to align on the right and never to wrap.
     """
     from rich import box

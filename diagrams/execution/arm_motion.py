@@ -3,8 +3,6 @@
 `Plan` is a motion as a whole, phase by phase; `find_way` looks for a way around what stands in it.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
@@ -14,7 +12,7 @@ from ompl import base, geometric, util
 from pydrake.polynomial import Polynomial
 from pydrake.trajectories import PathParameterizedTrajectory, PiecewisePolynomial, Trajectory
 
-from slipmap.diagrams.execution.finger_kinematics import FingerKinematics, OutOfReach
+from slipmap.diagrams.execution.finger_kinematics import FingerKinematics, MotionRefused
 from slipmap.models.physics.cell_grid import FloatArray
 from slipmap.models.robots import ACCELERATION_LIMITS, ARM_JOINTS, GRIP_FORCE, POSITION_LIMITS, SPEED_LIMITS
 from slipmap.planners.table_push import Pace
@@ -29,10 +27,6 @@ _MINIMUM_JERK = Polynomial([0.0, 0.0, 0.0, 10.0, -15.0, 6.0])  # Flash and Hogan
 # tried where the joints have to turn fast, as they do beside their limits.
 _KNOT_DISTANCES = (0.01, 0.0025)
 _LARGEST_STEP = 0.2  # rad, of a joint between two of them; more would be another way of reaching the point
-
-
-class MotionRefused(ValueError):
-    """The arm cannot make this motion. The text says why."""
 
 
 def joint_path(knots: FloatArray) -> PiecewisePolynomial:
@@ -56,7 +50,6 @@ def smooth(path: Trajectory, kinematics: FingerKinematics, tip_speed: float) -> 
 
     Args:
         path: of 7 joint angles over [0, 1], rad.
-        kinematics: of the arm.
         tip_speed: largest speed of the finger's end, m/s.
     """
     shares = np.linspace(0.0, 1.0, 101)
@@ -108,21 +101,13 @@ def braking(q: FloatArray, speed: FloatArray) -> Trajectory:
 
 @dataclass(frozen=True, eq=False)
 class Phase:
-    """A part of the motion.
+    """A part of the motion."""
 
-    Attributes:
-        mode: see `ExecutionStatus`.
-        trajectory: joint angles (7,), rad, over time from 0, s.
-        opening: of the gripper that is asked for at the end, m.
-        opening_before: the same at the begin, from where it moves evenly, m.
-        force: largest force of a pin, N.
-    """
-
-    mode: str
-    trajectory: Trajectory
-    opening: float = 0.0
-    opening_before: float = 0.0
-    force: float = GRIP_FORCE / 2
+    mode: str  # see `ExecutionStatus`
+    trajectory: Trajectory  # joint angles (7,), rad, over time from 0, s
+    opening: float = 0.0  # of the gripper that is asked for at the end, m
+    opening_before: float = 0.0  # the same at the begin, from where it moves evenly, m
+    force: float = GRIP_FORCE / 2  # largest force of a pin, N
 
     @cached_property
     def duration(self) -> float:
@@ -195,10 +180,7 @@ def _knots(
     knots = [start]
     for share in np.linspace(0.0, 1.0, pieces + 1)[1:]:
         point = (1.0 - share) * first + share * last
-        try:
-            q = posture(point, knots[-1])
-        except OutOfReach as error:
-            raise MotionRefused(str(error)) from error
+        q = posture(point, knots[-1])
         leap = np.abs(q - knots[-1])
         if leap.max() > _LARGEST_STEP:
             k = int(np.argmax(leap))

@@ -3,8 +3,6 @@
 `ArmClearance` covers the arm by balls; `Surroundings` refuses pushes that come too near to something.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -37,18 +35,13 @@ _EVERY = 0.08  # s between the postures of a push that are looked at
 class Obstacle:
     """The object as upright boxes, one a cell.
 
-    Attributes:
-        grid: cells and outline.
-        heights: (n,) of the object's top over each cell, m.
-        pose: (3,) of the object in the world, m and rad; it lies on the table.
-
     Raises:
         ValueError: a height or a pose that is no number, which would be as far away as can be.
     """
 
     grid: CellGrid
-    heights: FloatArray
-    pose: FloatArray
+    heights: FloatArray  # (n,) of the object's top over each cell, m
+    pose: FloatArray  # (3,) of the object in the world, m and rad; it lies on the table
 
     def __post_init__(self) -> None:
         if not (np.isfinite(self.heights).all() and np.isfinite(self.pose).all()):
@@ -100,7 +93,6 @@ class ArmClearance:
         """Smallest distance at joint angles (7,), rad, and an opening of the gripper, m; negative inside.
 
         Args:
-            q, opening: of arm and gripper.
             obstacle: the object, if it counts.
             holding: the gripper may be at the object.
         """
@@ -200,15 +192,10 @@ def _along(shape: Shape) -> FloatArray:
 
 @dataclass(frozen=True, eq=False)
 class Surroundings:
-    """Table, the arm's own stand and base, and the object.
-
-    Attributes:
-        clearance: of the arm at its table.
-        obstacle: the object where it lies before the push; None if there is none.
-    """
+    """Table, the arm's own stand and base, and the object."""
 
     clearance: ArmClearance
-    obstacle: Obstacle | None = None
+    obstacle: Obstacle | None = None  # the object where it lies before the push; None if there is none
 
     def check(self, plan: Plan, push: TablePush) -> None:
         """Refuse a push during which the arm comes too near to something.

@@ -35,8 +35,12 @@ _WEIGHTS = np.diag([1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 0.1])
 _PULL = 0.1  # towards the working posture, per step along a line
 
 
-class OutOfReach(ValueError):
-    """The finger cannot be held there, pointing as it should. The text says why."""
+class MotionRefused(ValueError):
+    """The arm cannot make this motion. The text says why."""
+
+
+class OutOfReach(MotionRefused):
+    """The finger cannot be held there, pointing as it should."""
 
 
 class FingerKinematics:

@@ -1,14 +1,11 @@
 """The arm's motions for a push, a grasp at the table's edge and the way home, planned before they begin."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import lru_cache, partial
 from itertools import pairwise
 
 import numpy as np
-from pydrake.math import RigidTransform
 from pydrake.trajectories import PiecewisePolynomial, Trajectory
 
 from slipmap.diagrams.execution.arm_motion import (
@@ -66,17 +63,11 @@ _Inverse = Callable[[FloatArray, FloatArray | None], FloatArray]
 
 @dataclass(frozen=True, eq=False)
 class ArmPlanner:
-    """Plans the arm's motions.
-
-    Attributes:
-        kinematics: of the arm.
-        config: how it moves.
-        home: (7,) joint angles at which it rests between pushes, rad.
-    """
+    """Plans the arm's motions."""
 
     kinematics: FingerKinematics
     config: ExecutionConfig
-    home: FloatArray
+    home: FloatArray  # (7,) joint angles at which it rests between pushes, rad
 
     def push(self, push: TablePush, q: FloatArray, surroundings: Surroundings | None = None) -> Plan:
         """Approach, lower, push, rest, go back a little, lift and return home.
@@ -88,7 +79,6 @@ class ArmPlanner:
         to 9 cm above the table, then leans to another side.
 
         Args:
-            push: what to do.
             q: (7,) where the arm rests now, rad, with the finger higher than what stands on the table.
             surroundings: what the arm keeps away from; nothing if None.
 
@@ -149,8 +139,6 @@ class ArmPlanner:
         """Reach around to a place outside the table, come in level with the pins open, close, lift, and hold.
 
         Args:
-            clearance: of the arm at its table.
-            grasp: what to do.
             q: (7,) where the arm rests now, rad.
 
         Raises:
@@ -217,18 +205,14 @@ class ArmPlanner:
         refusals = []
         for first, last, order in ((begin, end, 1), (end, begin, -1)):
             try:
-                try:
-                    start = posture(first, None)
-                except OutOfReach as error:
-                    raise MotionRefused(str(error)) from error
-                line = follow(posture, first, last, start)[::order]
+                line = follow(posture, first, last, posture(first, None))[::order]
                 pace = push.pace(self.config.speeding_up, self.config.slowing_down)
                 motion = paced(joint_path(line), pace, self.config.settle)
                 check_joints(motion)
                 return line, motion
             except MotionRefused as refusal:
                 refusals.append(refusal)
-        raise max(refusals, key=lambda refusal: isinstance(refusal.__cause__, OutOfReach))
+        raise max(refusals, key=lambda refusal: isinstance(refusal, OutOfReach))
 
     def _way(self, q: FloatArray, goal: FloatArray) -> Trajectory:
         config = self.config
@@ -250,7 +234,8 @@ class ArmPlanner:
             knots = np.column_stack([q, (q + goal) / 2.0 + share * ARCH, goal])
             path = PiecewisePolynomial.LagrangeInterpolatingPolynomial([0.0, 0.5, 1.0], knots)
             postures = path.vector_values(np.linspace(0.0, 1.0, 21)).T
-            lowest = min(_lowest(self.kinematics.pose(posture)) for posture in postures)
+            balls = [(self.kinematics.pose(posture) @ _LOW_BALLS)[2] for posture in postures]
+            lowest = float((balls - _LOW_RADII).min())
             inside = (np.abs(postures) <= POSITION_LIMITS).all()
             if highest is None or (inside and lowest > highest[1]):
                 highest = path, lowest
@@ -310,10 +295,6 @@ class _GraspPlace:
             raise MotionRefused(f"while {what} the arm would be {1e3 * least:.0f} mm from something")
 
 
-def _lowest(X_WT: RigidTransform) -> float:
-    return float(((X_WT @ _LOW_BALLS)[2] - _LOW_RADII).min())
-
-
 def _still(q: FloatArray, duration: float) -> Trajectory:
     return PiecewisePolynomial.ZeroOrderHold([0.0, duration], np.column_stack([q, q]))
 
@@ -323,14 +304,9 @@ class ArmChecks:
     """Whether the arm can make a push, or a grasp.
 
     It can be sent to another process: models of the arm are built where they are first needed, and kept.
-
-    Attributes:
-        models: a key of `ARM_MODELS`.
-        table: where the object lies.
-        config: how the arm moves.
     """
 
-    models: str
+    models: str  # a key of `ARM_MODELS`
     table: Table
     config: ExecutionConfig
 

@@ -1,7 +1,5 @@
 """The block that makes the arm push, and grasp at the table's edge, and the one that watches the object."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -38,23 +36,14 @@ MOVED, TURNED = 0.01, 0.15
 
 @dataclass(frozen=True, eq=False)
 class _Execution:
-    """What the arm is at.
+    """What the arm is at."""
 
-    Attributes:
-        status: while the plan runs, its phases say the mode.
-        plan: the motion under way, or the last one.
-        begin: time when it began, s.
-        aborted: whether it is the way home after an abort.
-        stopped: time when a fault ended it, s; else infinite.
-        last: mode once the plan is over, but for a grasp.
-    """
-
-    status: ExecutionStatus
-    plan: Plan | None = None
-    begin: float = 0.0
-    aborted: bool = False
-    stopped: float = np.inf
-    last: str = "home"
+    status: ExecutionStatus  # while the plan runs, its phases say the mode
+    plan: Plan | None = None  # the motion under way, or the last one
+    begin: float = 0.0  # time when it began, s
+    aborted: bool = False  # whether it is the way home after an abort
+    stopped: float = np.inf  # time when a fault ended it, s; else infinite
+    last: str = "home"  # mode once the plan is over, but for a grasp
 
     def running(self, time: float) -> bool:
         return self.plan is not None and time < self.begin + self.plan.duration
@@ -103,7 +92,6 @@ class PushExecutor(PythonSystem):
     Args:
         model: the arm as `arm_model` makes it.
         home: (7,) joint angles between pushes, rad.
-        config: how the arm moves.
         table: that the arm keeps away from; if None it heeds neither table nor object, and cannot grasp.
     """
 

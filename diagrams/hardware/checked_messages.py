@@ -5,8 +5,6 @@ size, finite numbers, values that a cell can have, and its stamp. Only good mess
 are counted.
 """
 
-from __future__ import annotations
-
 import logging
 import zlib
 from collections import deque
@@ -15,16 +13,8 @@ from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 from typing import Any
 
+import drake
 import numpy as np
-from drake import (
-    lcmt_drake_signal,
-    lcmt_iiwa_command,
-    lcmt_iiwa_status,
-    lcmt_image,
-    lcmt_image_array,
-    lcmt_schunk_wsg_command,
-    lcmt_schunk_wsg_status,
-)
 from pydrake.common.value import AbstractValue
 from pydrake.lcm import DrakeLcmInterface
 from pydrake.systems.framework import Context, DiagramBuilder, EventStatus, State
@@ -66,19 +56,13 @@ class BadMessage(ValueError):
 
 @dataclass(frozen=True)
 class Rule:
-    """What messages of a channel must be.
+    """What messages of a channel must be."""
 
-    Attributes:
-        lcm_type: generated class of the messages.
-        stamp: the sender's clock in a message, µs.
-        check: raises BadMessage; pictures are packed anew by it.
-        anew: whether a stamp that goes back by more than `_RESTART` is that of a sender started anew, whose
-            clock counts from when it began.
-    """
-
-    lcm_type: Any
-    stamp: Callable[[Any], int]
-    check: Callable[[Any], None]
+    lcm_type: Any  # generated class of the messages
+    stamp: Callable[[Any], int]  # the sender's clock in a message, µs
+    check: Callable[[Any], None]  # raises BadMessage; pictures are packed anew by it
+    # whether a stamp that goes back by more than `_RESTART` is that of a sender started anew, whose clock
+    # counts from when it began
     anew: bool = False
 
     def read(self, data: bytes) -> tuple[Any, float]:
@@ -115,46 +99,40 @@ def check_stamp(stamp: float, last: float, anew: bool = False) -> None:
 
 def rules(width: int, height: int) -> Mapping[str, Rule]:
     """The rule of each channel, with pictures of a size in pixels."""
-    depth, color = lcmt_image.PIXEL_FORMAT_DEPTH, lcmt_image.PIXEL_FORMAT_RGBA
+    depth, color = drake.lcmt_image.PIXEL_FORMAT_DEPTH, drake.lcmt_image.PIXEL_FORMAT_RGBA
     size = (width, height)
     return {
-        network.IIWA_STATUS: Rule(lcmt_iiwa_status, _utime, _check_iiwa_status),
-        network.IIWA_COMMAND: Rule(lcmt_iiwa_command, _utime, _check_iiwa_command),
-        network.GRIPPER_STATUS: Rule(lcmt_schunk_wsg_status, _utime, _check_gripper_status),
-        network.GRIPPER_COMMAND: Rule(lcmt_schunk_wsg_command, _utime, _check_gripper_command, anew=True),
+        network.IIWA_STATUS: Rule(drake.lcmt_iiwa_status, _utime, _check_iiwa_status),
+        network.IIWA_COMMAND: Rule(drake.lcmt_iiwa_command, _utime, _check_iiwa_command),
+        network.GRIPPER_STATUS: Rule(drake.lcmt_schunk_wsg_status, _utime, _check_gripper_status),
+        network.GRIPPER_COMMAND: Rule(
+            drake.lcmt_schunk_wsg_command, _utime, _check_gripper_command, anew=True
+        ),
         network.CAMERA_DEPTH: Rule(
-            lcmt_image_array, lambda m: m.header.utime, lambda m: _check_picture(m, depth, size)
+            drake.lcmt_image_array, lambda m: m.header.utime, lambda m: _check_picture(m, depth, size)
         ),
         network.CAMERA_COLOR: Rule(
-            lcmt_image_array, lambda m: m.header.utime, lambda m: _check_picture(m, color, size)
+            drake.lcmt_image_array, lambda m: m.header.utime, lambda m: _check_picture(m, color, size)
         ),
-        network.CAMERA_POSE: Rule(lcmt_drake_signal, lambda m: m.timestamp, _check_pose),
+        network.CAMERA_POSE: Rule(drake.lcmt_drake_signal, lambda m: m.timestamp, _check_pose),
         # Anybody may stop the arm, by whatever clock.
-        network.ABORT: Rule(lcmt_drake_signal, lambda m: 0, _check_abort),
+        network.ABORT: Rule(drake.lcmt_drake_signal, lambda m: 0, _check_abort),
     }
 
 
 @dataclass(frozen=True, eq=False)
 class Received:
-    """State: the newest good message and what was wrong with others.
+    """State: the newest good message and what was wrong with others."""
 
-    Attributes:
-        data: of the newest good message, encoded anew; empty before the first.
-        stamp: the sender's clock in it, s.
-        offset: what the clock of the diagram shows more than the sender's where messages just come, s.
-        good: number of good messages.
-        dropped: number of bad ones by their cause.
-        silence: s of this computer's clock since a good one was found here.
-        looked: what that clock showed then, s.
-    """
-
-    data: bytes = b""
-    stamp: float = np.nan
+    data: bytes = b""  # of the newest good message, encoded anew; empty before the first
+    stamp: float = np.nan  # the sender's clock in it, s
+    # what the clock of the diagram shows more than the sender's where messages just come, s
     offset: float = -np.inf
-    good: int = 0
+    good: int = 0  # number of good messages
+    # number of bad ones by their cause
     dropped: Mapping[str, int] = field(default_factory=lambda: MappingProxyType({}))
-    silence: float = 0.0
-    looked: float = np.nan
+    silence: float = 0.0  # s of this computer's clock since a good one was found here
+    looked: float = np.nan  # what that clock showed then, s
 
 
 class CheckedMessages(PythonSystem):
@@ -176,8 +154,6 @@ class CheckedMessages(PythonSystem):
     subscriber would end the process at a message that cannot be decoded.
 
     Args:
-        channel: whose messages these are.
-        rule: what they must be.
         clock: of this computer, s; none in a simulation, which takes the time that it takes.
     """
 
@@ -335,7 +311,7 @@ def _utime(message: Any) -> int:
     return int(message.utime)
 
 
-def _check_iiwa_status(message: lcmt_iiwa_status) -> None:
+def _check_iiwa_status(message: drake.lcmt_iiwa_status) -> None:
     if message.num_joints != 7:
         raise BadMessage("has not 7 joints")
     angles, slack = POSITION_LIMITS, _ANGLE_SLACK
@@ -347,7 +323,7 @@ def _check_iiwa_status(message: lcmt_iiwa_status) -> None:
         _check_vector(f"{name} torques", torques, _FORCE_FACTOR * TORQUE_LIMITS)
 
 
-def _check_iiwa_command(message: lcmt_iiwa_command) -> None:
+def _check_iiwa_command(message: drake.lcmt_iiwa_command) -> None:
     if message.num_joints != 7:
         raise BadMessage("has not 7 joints")
     if message.num_torques != 0:
@@ -355,18 +331,18 @@ def _check_iiwa_command(message: lcmt_iiwa_command) -> None:
     _check_vector("angles", message.joint_position, POSITION_LIMITS + _COMMAND_SLACK)
 
 
-def _check_gripper_status(message: lcmt_schunk_wsg_status) -> None:
+def _check_gripper_status(message: drake.lcmt_schunk_wsg_status) -> None:
     _check_number("opening", message.actual_position_mm, *_OPENINGS)
     _check_number("speed", message.actual_speed_mm_per_s, -_GRIPPER_SPEED, _GRIPPER_SPEED)
     _check_number("force", message.actual_force, -_GRIPPER_FORCE, _GRIPPER_FORCE)
 
 
-def _check_gripper_command(message: lcmt_schunk_wsg_command) -> None:
+def _check_gripper_command(message: drake.lcmt_schunk_wsg_command) -> None:
     _check_number("opening", message.target_position_mm, *_OPENINGS)
     _check_number("force", message.force, 0.0, _GRIPPER_FORCE)
 
 
-def _check_pose(message: lcmt_drake_signal) -> None:
+def _check_pose(message: drake.lcmt_drake_signal) -> None:
     if tuple(message.coord) != POSE_COORDINATES or len(message.val) != len(POSE_COORDINATES):
         raise BadMessage(f"is not a pose: {', '.join(POSE_COORDINATES)}")
     limits = np.array([_FARTHEST] * 3 + [1.0 + 1e-6] * 4)
@@ -375,20 +351,20 @@ def _check_pose(message: lcmt_drake_signal) -> None:
         raise BadMessage("quaternion has not the length 1")
 
 
-def _check_abort(message: lcmt_drake_signal) -> None:
+def _check_abort(message: drake.lcmt_drake_signal) -> None:
     if tuple(message.coord) != ABORT_COORDINATES or len(message.val) != len(ABORT_COORDINATES):
         raise BadMessage("is not one number named abort")
     _check_number("abort", message.val[0], 0.0, 1.0)
 
 
-def _check_picture(message: lcmt_image_array, pixel_format: int, size: tuple[int, int]) -> None:
+def _check_picture(message: drake.lcmt_image_array, pixel_format: int, size: tuple[int, int]) -> None:
     if len(message.images) != 1:
         raise BadMessage("has not one picture")
     image, (width, height) = message.images[0], size
     if (image.width, image.height) != size:
         raise BadMessage(f"picture is not {width} by {height} pixels")
-    depth = pixel_format == lcmt_image.PIXEL_FORMAT_DEPTH
-    channel = lcmt_image.CHANNEL_TYPE_FLOAT32 if depth else lcmt_image.CHANNEL_TYPE_UINT8
+    depth = pixel_format == drake.lcmt_image.PIXEL_FORMAT_DEPTH
+    channel = drake.lcmt_image.CHANNEL_TYPE_FLOAT32 if depth else drake.lcmt_image.CHANNEL_TYPE_UINT8
     if (image.pixel_format, image.channel_type, bool(image.bigendian)) != (pixel_format, channel, False):
         raise BadMessage(f"picture is not {'depth in 32 bit floats' if depth else 'RGBA in bytes'}")
     pixels = _unpacked(image, 4 * width * height)
@@ -402,14 +378,14 @@ def _check_picture(message: lcmt_image_array, pixel_format: int, size: tuple[int
             raise BadMessage("picture has depths that cannot be")
     # Drake 1.51 takes a quarter of the pixels of a depth picture that is not packed at all.
     image.data = zlib.compress(pixels, 0)
-    image.size, image.compression_method = len(image.data), lcmt_image.COMPRESSION_METHOD_ZLIB
+    image.size, image.compression_method = len(image.data), drake.lcmt_image.COMPRESSION_METHOD_ZLIB
 
 
-def _unpacked(image: lcmt_image, size: int) -> bytes:
+def _unpacked(image: drake.lcmt_image, size: int) -> bytes:
     """Pixels of a picture; never more than one byte over their proper size, whatever is packed."""
-    if image.compression_method == lcmt_image.COMPRESSION_METHOD_NOT_COMPRESSED:
+    if image.compression_method == drake.lcmt_image.COMPRESSION_METHOD_NOT_COMPRESSED:
         return bytes(image.data)
-    if image.compression_method != lcmt_image.COMPRESSION_METHOD_ZLIB:
+    if image.compression_method != drake.lcmt_image.COMPRESSION_METHOD_ZLIB:
         raise BadMessage("picture is packed in another way than with zlib")
     try:
         return zlib.decompressobj().decompress(image.data, size + 1)

@@ -3,8 +3,6 @@
 It is started as `python -m slipmap.diagrams.hardware.child MODULE:FUNCTION ARGUMENT …`.
 """
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys
@@ -24,7 +22,6 @@ class Child:
     Args:
         what: it is, for messages.
         function: of a module; it calls `be_ready`, and ends when its standard input does.
-        arguments: of the function.
 
     Raises:
         HardwareError: it did not start; it says why on the standard error.

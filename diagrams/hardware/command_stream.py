@@ -4,8 +4,6 @@ The diagram that makes them also looks at pictures and learns, and is late at ti
 joint angles and the time on its own clock at which they hold; they are sent a little later, evenly.
 """
 
-from __future__ import annotations
-
 import gc
 import os
 import select

@@ -1,7 +1,5 @@
 """Being the one who controls a real cell: a lock for each arm, Ctrl-C that stops it, and its ports."""
 
-from __future__ import annotations
-
 import fcntl
 import hashlib
 import json
@@ -146,7 +144,6 @@ def real_cell(
     At the end the arm comes to rest.
 
     Args:
-        scenario: what the cell is like.
         where: LCM address, see `network.open_lcm`; the station is simulated if None, and waits for what takes
             long. Or what has the ports and methods of `HardwareInterface`; it waits likewise.
         effects: that the model is given; its machine code is loaded before the arm can move.

@@ -43,34 +43,26 @@ _LINK = (
 
 @dataclass
 class GuardSettings(CheckedSettings):
-    """When the guard stops the arm; the defaults let everything pass that the executor plans.
-
-    Attributes:
-        status_age: oldest status of the arm that is good enough to move by, s.
-        image_age: oldest picture that is good enough to move by, s.
-        transit_speed: largest speed of the finger on its way to a push and back, m/s; at 0.4 the arm rests
-            50 ms after the last status wherever it is, from faster ways later.
-        tip_speed: largest speed of the finger's end that a command may ask for, m/s.
-        joint_margin: what must be left to a joint's limit when the arm has come to rest, rad.
-        following: by which a joint may be off all commands within `lag`, rad.
-        lag: time that the arm has to get to where it was sent, s.
-        torque: (7) largest torque that contact may put on each joint, N m.
-        stopping: longest time from the last free command to rest, s; slow motions stop sooner.
-        patience: time that the arm has to send its first status, s.
-    """
+    """When the guard stops the arm; the defaults let everything pass that the executor plans."""
 
     _section = "guard."
 
-    status_age: float = within(0.025, 0.01, 0.5)
-    image_age: float = within(1.0, 0.1, 60.0)
+    status_age: float = within(0.025, 0.01, 0.5)  # oldest status of the arm that is good enough to move by, s
+    image_age: float = within(1.0, 0.1, 60.0)  # oldest picture that is good enough to move by, s
+    # largest speed of the finger on its way to a push and back, m/s; at 0.4 the arm rests 50 ms after the
+    # last status wherever it is, from faster ways later
     transit_speed: float = within(0.4, 0.01, 2.0)
+    # largest speed of the finger's end that a command may ask for, m/s
     tip_speed: float = within(1.7, 0.01, 2.5)
+    # what must be left to a joint's limit when the arm has come to rest, rad
     joint_margin: float = within(0.0175, 0.0, 0.3)
-    following: float = within(0.05, 0.005, 0.5)
-    lag: float = within(0.1, 0.02, 1.0)
+    following: float = within(0.05, 0.005, 0.5)  # by which a joint may be off all commands within `lag`, rad
+    lag: float = within(0.1, 0.02, 1.0)  # time that the arm has to get to where it was sent, s
+    # (7) largest torque that contact may put on each joint, N m
     torque: list[float] = field(default_factory=lambda: [40.0, 40.0, 30.0, 30.0, 20.0, 15.0, 15.0])
+    # longest time from the last free command to rest, s; slow motions stop sooner
     stopping: float = within(0.05, 0.02, 0.2)
-    patience: float = within(10.0, 0.1, 600.0)
+    patience: float = within(10.0, 0.1, 600.0)  # time that the arm has to send its first status, s
 
     def check(self) -> None:
         """Raise ValueError where a field makes no sense."""
@@ -121,24 +113,15 @@ class _Stop:
 
 @dataclass(frozen=True, eq=False)
 class _Guarded:
-    """State: what the arm was sent, and what it said.
+    """State: what the arm was sent, and what it said."""
 
-    Attributes:
-        health: see there.
-        commands: (n, 7) of the last `lag`, newest last; empty while there was no status.
-        speed: (7,) of the newest command, rad/s.
-        stop: the way to rest, once it is stopped.
-        last: the inputs before.
-        saw: whether a picture has come.
-        pressed: time since which the torque of contact is too large, s; infinite while it is not.
-    """
-
-    health: Health
-    commands: FloatArray
-    speed: FloatArray
-    stop: _Stop | None = None
-    last: _Inputs | None = None
-    saw: bool = False
+    health: Health  # see there
+    commands: FloatArray  # (n, 7) of the last `lag`, newest last; empty while there was no status
+    speed: FloatArray  # (7,) of the newest command, rad/s
+    stop: _Stop | None = None  # the way to rest, once it is stopped
+    last: _Inputs | None = None  # the inputs before
+    saw: bool = False  # whether a picture has come
+    # time since which the torque of contact is too large, s; infinite while it is not
     pressed: float = np.inf
 
 
@@ -270,7 +253,6 @@ class CommandGuard(PythonSystem):
 
     Args:
         model: the arm as `arm_model` makes it.
-        settings: when to stop.
 
     Raises:
         ValueError: settings out of range.

@@ -3,38 +3,22 @@
 `HeardCell` is what arm, gripper and camera say; `HardwareInterface` also sends them commands.
 """
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Mapping
 
 import numpy as np
 from drake import lcmt_drake_signal, lcmt_iiwa_command, lcmt_schunk_wsg_command
+from pydrake import manipulation
 from pydrake.common.eigen_geometry import Quaternion
 from pydrake.common.value import Value
 from pydrake.lcm import DrakeLcmInterface
-from pydrake.manipulation import (
-    IiwaCommandSender,
-    IiwaControlMode,
-    IiwaStatusReceiver,
-    SchunkWsgCommandSender,
-    SchunkWsgStatusReceiver,
-)
 from pydrake.math import RigidTransform
 from pydrake.systems.framework import Context, Diagram, DiagramBuilder, EventStatus, LeafSystem
 from pydrake.systems.primitives import PassThrough
 from pydrake.systems.sensors import LcmImageArrayToImages
 
 from slipmap.diagrams.execution.requests import Health
-from slipmap.diagrams.hardware import network
-from slipmap.diagrams.hardware.checked_messages import (
-    ABORT_COORDINATES,
-    Channels,
-    MessagePump,
-    Received,
-    add_checked,
-    publish,
-)
+from slipmap.diagrams.hardware import checked_messages, network
 from slipmap.diagrams.hardware.command_stream import CommandStream
 from slipmap.diagrams.hardware.network import ARM, CAMERA, NEEDED
 from slipmap.diagrams.perception.sight import ArmHulls
@@ -64,7 +48,9 @@ class HeardCell(PythonDiagram):
     def __init__(self, scenario: Scenario, clock: Callable[[], float] | None = None) -> None:
         super().__init__()
         builder = DiagramBuilder()
-        self.checked = add_checked(builder, scenario.camera, (*ARM, *CAMERA), {network.IIWA_STATUS: clock})
+        self.checked = checked_messages.add_checked(
+            builder, scenario.camera, (*ARM, *CAMERA), {network.IIWA_STATUS: clock}
+        )
         self._export_arm(builder)
         self._export_camera(builder)
         plant, scene_graph, arm = lone_arm(scenario.arm.models)
@@ -72,19 +58,15 @@ class HeardCell(PythonDiagram):
         builder.BuildInto(self)
         self.set_name("heard_cell")
 
-    def received(self, root: Context) -> dict[str, Received]:
-        """What came on each channel until now, and what of it was dropped."""
-        return self.checked.received(root)
-
     def _export_arm(self, builder: DiagramBuilder) -> None:
-        status = builder.AddSystem(IiwaStatusReceiver())
+        status = builder.AddSystem(manipulation.IiwaStatusReceiver())
         checked = self.checked[network.IIWA_STATUS]
         builder.Connect(checked.GetOutputPort("message"), status.GetInputPort("lcmt_iiwa_status"))
         for name in IIWA_OUTPUTS:
             builder.ExportOutput(status.GetOutputPort(name), f"iiwa.{name}")
         for name in ("age", "silence"):
             builder.ExportOutput(checked.GetOutputPort(name), f"iiwa.{name}")
-        gripper = builder.AddSystem(SchunkWsgStatusReceiver())
+        gripper = builder.AddSystem(manipulation.SchunkWsgStatusReceiver())
         message = self.checked[network.GRIPPER_STATUS].GetOutputPort("message")
         builder.Connect(message, gripper.get_status_input_port())
         builder.ExportOutput(gripper.get_state_output_port(), "gripper.state_measured")
@@ -190,17 +172,17 @@ class HardwareInterface(PythonDiagram):
         self._lcm = network.open_lcm(lcm) if isinstance(lcm, str) else lcm
         builder = DiagramBuilder()
         if not alone:
-            builder.AddSystem(MessagePump(self._lcm))
+            builder.AddSystem(checked_messages.MessagePump(self._lcm))
         clock = time.monotonic if alone else None
         self._heard = builder.AddNamedSystem("heard", HeardCell(scenario, clock))
         self.arm_hulls = self._heard.arm_hulls
         self._checked = self._heard.checked
         self._listeners: list[network.Listener] = []
-        self._stop = add_checked(builder, scenario.camera, [network.ABORT])[network.ABORT]
+        self._stop = checked_messages.add_checked(builder, scenario.camera, [network.ABORT])[network.ABORT]
         abort = builder.AddSystem(_Abort())
         builder.Connect(self._stop.GetOutputPort("received"), abort.get_input_port())
         builder.ExportOutput(abort.get_output_port(), "abort")
-        self._everyone = Channels({**self._checked, network.ABORT: self._stop})
+        self._everyone = checked_messages.Channels({**self._checked, network.ABORT: self._stop})
         if not alone:
             self._everyone.subscribe(self._lcm)
         export_outputs(builder, self._heard)
@@ -241,7 +223,9 @@ class HardwareInterface(PythonDiagram):
             if time.monotonic() > deadline:
                 raise network.HardwareError(self._silence(silent, came, patience))
 
-    def _silence(self, silent: list[str], came: Mapping[str, Received], patience: float) -> str:
+    def _silence(
+        self, silent: list[str], came: Mapping[str, checked_messages.Received], patience: float
+    ) -> str:
         causes = [f"{name}: {', '.join(came[name].dropped)}" for name in silent if came[name].dropped]
         heard = f" ({'; '.join(causes)})" if causes else ""
         return (
@@ -253,7 +237,7 @@ class HardwareInterface(PythonDiagram):
     def abort(self) -> None:
         """Stop the arm, for good, at the diagram's next step; may be called by another thread."""
         message = lcmt_drake_signal()
-        message.dim, message.coord, message.val = 1, list(ABORT_COORDINATES), [1.0]
+        message.dim, message.coord, message.val = 1, list(checked_messages.ABORT_COORDINATES), [1.0]
         self._stop.hear(bytes(message.encode()))
 
     def close(self) -> None:
@@ -271,16 +255,18 @@ class HardwareInterface(PythonDiagram):
         else:
             unused = builder.AddSystem(PassThrough(Value[object](None)))  # nothing waits to be played
             builder.ExportInput(unused.get_input_port(), "health")
-            self._sender = builder.AddSystem(IiwaCommandSender(7, IiwaControlMode.kPositionOnly))
-            publisher = publish(
+            self._sender = builder.AddSystem(
+                manipulation.IiwaCommandSender(7, manipulation.IiwaControlMode.kPositionOnly)
+            )
+            publisher = checked_messages.publish(
                 builder, self._lcm, network.IIWA_COMMAND, lcmt_iiwa_command, network.ARM_PERIOD
             )
             builder.Connect(self._sender.get_output_port(), publisher.get_input_port())
         builder.ExportInput(self._sender.GetInputPort("position"), "iiwa.position")
 
     def _add_gripper_commands(self, builder: DiagramBuilder) -> None:
-        sender = builder.AddSystem(SchunkWsgCommandSender())
-        publisher = publish(
+        sender = builder.AddSystem(manipulation.SchunkWsgCommandSender())
+        publisher = checked_messages.publish(
             builder, self._lcm, network.GRIPPER_COMMAND, lcmt_schunk_wsg_command, network.GRIPPER_PERIOD
         )
         builder.Connect(sender.get_output_port(), publisher.get_input_port())

@@ -7,8 +7,6 @@ lengths), then the channel's name and the message: https://lcm-proj.github.io/lc
 Drake has a class for such files, but not in Python.
 """
 
-from __future__ import annotations
-
 import io
 import os
 import select
@@ -25,6 +23,7 @@ from typing import IO, Any, cast
 
 from slipmap.diagrams.hardware.child import Child, be_ready, have_priority
 from slipmap.diagrams.hardware.network import HardwareError, open_lcm
+from slipmap.models.files import BadInput
 
 LARGEST = 40_000_000
 """Bytes of a message; pictures are at most 4096 by 4096 when packed."""
@@ -40,25 +39,18 @@ _SYNC = 0xEDA1DA01
 _LONGEST_NAME = 63  # of a channel, with LCM
 
 
-class BadLog(ValueError):
+class BadLog(BadInput, ValueError):
     """A log that cannot be read. The text names the file, the place, and what to do."""
 
 
 @dataclass(frozen=True)
 class Event:
-    """A message as it was received.
+    """A message as it was received."""
 
-    Attributes:
-        number: of the event, from 0.
-        utime: µs since 1970 at which it was received.
-        channel: its name.
-        data: as received; it may be anything.
-    """
-
-    number: int
-    utime: int
+    number: int  # of the event, from 0
+    utime: int  # µs since 1970 at which it was received
     channel: str
-    data: bytes
+    data: bytes  # as received; it may be anything
 
     def encode(self) -> bytes:
         """The event as it stands in a log."""
@@ -129,7 +121,6 @@ class MessageStream(Child):
 
     Args:
         url: see `network.open_lcm`; not `memq://`, which another process does not hear.
-        heard: channels.
 
     Raises:
         HardwareError: see `network.open_lcm`, or it could not be started.

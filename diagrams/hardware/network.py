@@ -11,6 +11,8 @@ import time
 from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING
 
+from slipmap.models.files import BadInput
+
 if TYPE_CHECKING:
     from pydrake.lcm import DrakeLcm
 
@@ -41,7 +43,7 @@ _ADDRESS = re.compile(r"udpm://\d{1,3}(\.\d{1,3}){3}:\d{1,5}(\?(?P<options>[\w=&
 _BUFFER = 4_194_304  # bytes that the socket holds; a picture comes in several packets at once
 
 
-class HardwareError(RuntimeError):
+class HardwareError(BadInput, RuntimeError):
     """The cell cannot be reached or does not answer. The text says what to do."""
 
 

@@ -1,7 +1,5 @@
 """A twin of the real cell: the simulated station behind the messages that arm, gripper and camera send."""
 
-from __future__ import annotations
-
 import os
 import select
 import sys
@@ -36,7 +34,6 @@ from slipmap.diagrams.hardware.checked_messages import (
     Channels,
     CheckedMessages,
     MessagePump,
-    Received,
     add_checked,
     publish,
 )
@@ -71,8 +68,6 @@ class CellTwin(PythonDiagram):
     leap.
 
     Args:
-        scenario: what the cell is like.
-        lcm: where messages come and go.
         arm: whether arm and gripper take part.
         camera: whether the camera does; rendering takes so long that arm and camera are best kept apart.
 
@@ -86,22 +81,18 @@ class CellTwin(PythonDiagram):
         super().__init__()
         builder = DiagramBuilder()
         self.station: Station = builder.AddSystem(Station(scenario))
-        self._checked = Channels()
+        self.checked = Channels()
         if arm:
             builder.AddSystem(MessagePump(lcm))
             commands = (network.IIWA_COMMAND, network.GRIPPER_COMMAND)
-            self._checked = add_checked(builder, scenario.camera, commands)
-            self._checked.subscribe(lcm)
-            _add_arm(builder, self.station, lcm, self._checked[network.IIWA_COMMAND])
-            _add_gripper(builder, self.station, lcm, self._checked[network.GRIPPER_COMMAND])
+            self.checked = add_checked(builder, scenario.camera, commands)
+            self.checked.subscribe(lcm)
+            _add_arm(builder, self.station, lcm, self.checked[network.IIWA_COMMAND])
+            _add_gripper(builder, self.station, lcm, self.checked[network.GRIPPER_COMMAND])
         if camera:
             self.camera_publishers = _add_camera(builder, self.station, lcm, scenario)
         builder.BuildInto(self)
         self.set_name("cell_twin")
-
-    def received(self, root: Context) -> dict[str, Received]:
-        """What came on each channel until now, and what of it was dropped."""
-        return self._checked.received(root)
 
 
 def _add_arm(
@@ -210,12 +201,7 @@ class _PoseSender(PythonSystem):
 
 
 class TwinCamera(Child):
-    """The twin's camera in a process of its own, so that rendering does not keep the arm waiting.
-
-    Args:
-        scenario: what the cell is like.
-        url: where pictures go.
-    """
+    """The twin's camera in a process of its own, so that rendering does not keep the arm waiting."""
 
     def __init__(self, scenario: Scenario, url: str) -> None:
         what = "the process that renders pictures"
@@ -264,21 +250,13 @@ def _read(source: int, size: int) -> bytes:
 
 @dataclass(frozen=True)
 class TwinReport:
-    """How the twin fares.
+    """How the twin fares."""
 
-    Attributes:
-        simulated: s of simulated time.
-        behind: s by which it is behind real time since it began.
-        pace: simulated over real time, since the report before.
-        commands: of the arm that came and were good, since the report before.
-        dropped: messages that were not used until now, by channel and cause.
-    """
-
-    simulated: float
-    behind: float
-    pace: float
-    commands: int
-    dropped: Mapping[str, Mapping[str, int]]
+    simulated: float  # s of simulated time
+    behind: float  # s by which it is behind real time since it began
+    pace: float  # simulated over real time, since the report before
+    commands: int  # of the arm that came and were good, since the report before
+    dropped: Mapping[str, Mapping[str, int]]  # messages that were not used until now, by channel and cause
 
 
 def report_words(report: TwinReport) -> str:
@@ -314,7 +292,6 @@ def run_twin(
     cell does not wait for what drives it.
 
     Args:
-        scenario: what the cell is like.
         url: see `network.open_lcm`.
         report: called when it begins, and every 10 s.
         until: simulated time at which it ends, s.
@@ -346,7 +323,7 @@ def _run(
     spoke, good, given_up = started, 0, 0.0
 
     def reported(now: float) -> TwinReport:
-        received = twin.received(root)
+        received = twin.checked.received(root)
         simulated = root.get_time()
         return TwinReport(
             simulated,
@@ -369,7 +346,7 @@ def _run(
             simulator.ResetStatistics()  # it measures real time from here on
         if now - spoke > _REPORT_EVERY:
             last = reported(now)
-            spoke, good = now, twin.received(root)[network.IIWA_COMMAND].good
+            spoke, good = now, twin.checked.received(root)[network.IIWA_COMMAND].good
             report(last)
         return EventStatus.DidNothing()
 

@@ -44,21 +44,14 @@ SENSORS = Noise(position=0.4e-3, angle=float(np.radians(0.2)), tip=0.1e-3, force
 
 @dataclass(frozen=True, eq=False)
 class RecordedRun:
-    """What a run has recorded so far: enough for another process to go on from.
+    """What a run has recorded so far: enough for another process to go on from."""
 
-    Attributes:
-        trials: that are complete, one or more.
-        choices: how they were asked for; as many.
-        places: where the simulated object lay after each, x and y in m, turn in degrees; None of a real one.
-        grid: the object as the camera made it out.
-        first: the picture from which.
-    """
-
-    trials: tuple[Trial, ...]
-    choices: tuple[Choice, ...]
+    trials: tuple[Trial, ...]  # that are complete, one or more
+    choices: tuple[Choice, ...]  # how they were asked for; as many
+    # where the simulated object lay after each, x and y in m, turn in degrees; None of a real one
     places: tuple[list[float] | None, ...]
-    grid: CellGrid
-    first: FirstPicture
+    grid: CellGrid  # the object as the camera made it out
+    first: FirstPicture  # the picture from which
 
     @property
     def of_a_real_cell(self) -> bool:
@@ -112,8 +105,6 @@ def exploration_loop(scenario: Scenario, options: LoopOptions, **parts: Any) -> 
     real cell `guard`.
 
     Args:
-        scenario: what the cell is like.
-        options: what to do.
         parts: keyword arguments of `add_exploration`.
 
     Raises:
@@ -220,12 +211,8 @@ def add_exploration(
     """Add everything that explores, not yet connected.
 
     Args:
-        builder: of the loop.
-        scenario: what the cell is like.
-        options: what to do.
         cell: the real cell, which takes the station's place; a guard stands between it and the executor.
         worker: who looks at pictures, learns and plans; the diagram itself if None, which then waits.
-        meshcat: where to show it, if anywhere.
         learned: called with every belief as it forms and the number of pushes that it comes from.
         before: what an earlier process recorded, to go on from; the object lies where that one left it.
 

@@ -66,26 +66,17 @@ class ExplorationStopped(ExplorationFailed):
 
 @dataclass(frozen=True, eq=False)
 class ExplorationRun:
-    """What an exploration brought.
+    """What an exploration brought."""
 
-    Attributes:
-        dataset: recorded pushes; those made to judge have the role `heldout`.
-        identification: what was learned from the others.
-        watch: what the monitor made of pushes that the belief of those before had predicted.
-        true_object: what the station put on the table; None in a real cell.
-        X_SO: (3,) pose of the true object's frame in the frame S of the cells that the camera made out; None
-            in a real cell.
-        simulated: s of simulated time, or of the real cell's.
-        seconds: s that it took.
-    """
-
-    dataset: PushDataset
-    identification: Identification
-    watch: Watch
-    true_object: TrueObject | None
+    dataset: PushDataset  # recorded pushes; those made to judge have the role `heldout`
+    identification: Identification  # what was learned from the others
+    watch: Watch  # what the monitor made of pushes that the belief of those before had predicted
+    true_object: TrueObject | None  # what the station put on the table; None in a real cell
+    # (3,) pose of the true object's frame in the frame S of the cells that the camera made out; None in a
+    # real cell
     X_SO: FloatArray | None
-    simulated: float
-    seconds: float
+    simulated: float  # s of simulated time, or of the real cell's
+    seconds: float  # s that it took
 
     @property
     def true_center_of_mass(self) -> FloatArray:
@@ -122,12 +113,9 @@ def explore(
     """Explore the object of a scenario.
 
     Args:
-        scenario: what the cell is like.
-        options: what to do.
         hardware: LCM address of a real cell, in which then the object is, or see `control.real_cell`;
             simulated if None.
         meshcat: where to show it, if anywhere.
-        progress: called with (stage, done, total) pushes.
         record: where pushes go as soon as they are recorded; what it raises ends the run.
         before: what an earlier process recorded, to go on from.
         learn_when_stopped: whether Ctrl-C leaves what can be learned from the pushes until then, for which
@@ -175,21 +163,13 @@ def explore(
 
 @dataclass(frozen=True, eq=False)
 class LoopEnd:
-    """A loop that has ended.
+    """A loop that has ended."""
 
-    Attributes:
-        status: last of the supervisor.
-        context: of the whole loop.
-        X_SO: (3,) see `ExplorationRun`; None where the object was never seen, too.
-        interrupted: whether Ctrl-C ended it.
-        seconds: that it took, s.
-    """
-
-    status: LoopStatus
-    context: Context
-    X_SO: FloatArray | None
-    interrupted: bool
-    seconds: float
+    status: LoopStatus  # last of the supervisor
+    context: Context  # of the whole loop
+    X_SO: FloatArray | None  # (3,) see `ExplorationRun`; None where the object was never seen, too
+    interrupted: bool  # whether Ctrl-C ended it
+    seconds: float  # that it took, s
 
     @property
     def simulated(self) -> float:

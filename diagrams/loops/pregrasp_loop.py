@@ -1,7 +1,5 @@
 """The whole pre-grasp procedure as one Diagram, and its run: explore, push to the edge, grasp and lift."""
 
-from __future__ import annotations
-
 from concurrent.futures import Executor
 from dataclasses import dataclass, field
 from functools import partial
@@ -14,18 +12,8 @@ from pydrake.systems.framework import Context, Diagram, DiagramBuilder
 from slipmap.diagrams.execution.plans import ArmChecks
 from slipmap.diagrams.hardware.control import real_cell
 from slipmap.diagrams.hardware.interface import HardwareInterface
+from slipmap.diagrams.loops import exploration_run
 from slipmap.diagrams.loops.exploration_loop import LoopOptions, add_exploration, connect, output_of
-from slipmap.diagrams.loops.exploration_run import (
-    DOING,
-    LONGEST,
-    LONGEST_REAL,
-    ExplorationFailed,
-    ExplorationRun,
-    ExplorationStopped,
-    Progress,
-    explored,
-    run_loop,
-)
 from slipmap.diagrams.loops.run_folder import Recording, RunFolder
 from slipmap.diagrams.perception.sight import Sight
 from slipmap.diagrams.station.arm import HOME
@@ -90,10 +78,7 @@ def pregrasp_loop(
     To the systems of `exploration_loop` come `planner` and `pregrasp_supervisor`, which commands the arm.
 
     Args:
-        scenario: what the cell is like.
-        options: what to do.
         cell, worker: see `exploration_loop`; a real cell knows no truth to plan with.
-        meshcat: where to show it, if anywhere.
 
     Raises:
         ScenarioError, ValueError, RendererUnavailable: see `exploration_loop`.
@@ -153,7 +138,6 @@ def true_maps(true_object: TrueObject, pose: list[float], seen: SeenObject) -> M
     """The truth over the cells that the camera made out: each takes from the true cell that is nearest.
 
     Args:
-        true_object: the object.
         pose: x, y (m) and turn (degrees) at which it lay at the first look.
         seen: what the camera made of it then.
 
@@ -171,25 +155,17 @@ def true_maps(true_object: TrueObject, pose: list[float], seen: SeenObject) -> M
 
 @dataclass(frozen=True, eq=False)
 class PregraspRun:
-    """What the whole procedure brought.
+    """What the whole procedure brought."""
 
-    Attributes:
-        exploration: what was recorded and learned; pushes towards the edge are in it too, to judge with.
-        options: what was to be done.
-        held: whether the gripper holds the object, as the robot knows.
-        reason: why it does not, else empty.
-        plans: of pushes that were made towards the edge, and of the grasp where it came to that, in order.
-        true_height: of the object's frame over the table at the end, m; None in a real cell.
-        interrupted: whether Ctrl-C ended it.
-    """
-
-    exploration: ExplorationRun
+    # what was recorded and learned; pushes towards the edge are in it too, to judge with
+    exploration: exploration_run.ExplorationRun
     options: PregraspOptions
-    held: bool
-    reason: str
+    held: bool  # whether the gripper holds the object, as the robot knows
+    reason: str  # why it does not, else empty
+    # of pushes that were made towards the edge, and of the grasp where it came to that, in order
     plans: tuple[PregraspPlan, ...]
-    true_height: float | None
-    interrupted: bool = False
+    true_height: float | None  # of the object's frame over the table at the end, m; None in a real cell
+    interrupted: bool = False  # whether Ctrl-C ended it
 
     @property
     def pushes(self) -> tuple[PregraspPlan, ...]:
@@ -252,14 +228,12 @@ def pregrasp(
     *,
     hardware: str | HardwareInterface | None = None,
     meshcat: Meshcat | None = None,
-    progress: Progress | None = None,
+    progress: exploration_run.Progress | None = None,
     record: RunFolder | None = None,
 ) -> PregraspRun:
     """Explore the object of a scenario, bring it to the table's edge, grasp and lift it.
 
     Args:
-        scenario: what the cell is like.
-        options: what to do.
         hardware: LCM address of a real cell, or see `control.real_cell`; simulated if None.
         meshcat: where to show it, if anywhere.
         progress: called with (stage, done, total) pushes; the total is 0 where it is not known.
@@ -279,7 +253,7 @@ def pregrasp(
     """
     with real_cell(scenario, hardware, options.exploration.effects) as (cell, worker):
         loop = pregrasp_loop(scenario, options, cell=cell, worker=worker, meshcat=meshcat)
-        patience = LONGEST if cell is None else LONGEST_REAL
+        patience = exploration_run.LONGEST if cell is None else exploration_run.LONGEST_REAL
         return _run(loop, scenario, options, patience, progress, record)
 
 
@@ -288,7 +262,7 @@ def _run(
     scenario: Scenario,
     options: PregraspOptions,
     patience: float,
-    progress: Progress | None,
+    progress: exploration_run.Progress | None,
     record: RunFolder | None,
 ) -> PregraspRun:
     """Run a loop to its end; it may take some time (s) for each push."""
@@ -300,8 +274,8 @@ def _run(
     def watch(status: LoopStatus, context: Context) -> None:
         if recording is not None:
             recording.look(context)
-        if status.push < first and status.mode in DOING:
-            report(f"exploring: {DOING[status.mode]}", status.push, first)
+        if status.push < first and status.mode in exploration_run.DOING:
+            report(f"exploring: {exploration_run.DOING[status.mode]}", status.push, first)
         if status.push < first or status.mode not in BRINGS:
             return
         doing = BRINGS[status.mode]
@@ -312,12 +286,12 @@ def _run(
             plans[status.push] = output_of(loop, "planner", "plan", context)
 
     longest = patience * (first + options.pushes + 2)
-    ended = run_loop(loop, "pregrasp_supervisor", ("held", "failed"), longest, watch)
-    exploration = explored(loop, ended, scenario, options.exploration, report)
+    ended = exploration_run.run_loop(loop, "pregrasp_supervisor", ("held", "failed"), longest, watch)
+    exploration = exploration_run.explored(loop, ended, scenario, options.exploration, report)
     if exploration is None:
         if ended.interrupted:
-            raise ExplorationStopped("stopped before anything was recorded")
-        raise ExplorationFailed(f"nothing was recorded: {ended.reason}")
+            raise exploration_run.ExplorationStopped("stopped before anything was recorded")
+        raise exploration_run.ExplorationFailed(f"nothing was recorded: {ended.reason}")
     held = ended.status.mode == "held"
     reason = "" if held else ("stopped" if ended.interrupted else ended.reason)
     height = None

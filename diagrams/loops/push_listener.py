@@ -3,8 +3,6 @@
 `PushListener` hears messages and finds the pushes; `record_pushes` writes them down one by one.
 """
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
@@ -48,17 +46,11 @@ _LONGEST_SILENCE = 2.0
 
 @dataclass(frozen=True)
 class Heard:
-    """What came on a channel.
+    """What came on a channel."""
 
-    Attributes:
-        count: messages, good and bad.
-        rate: a second, over the time in which they came; 0 of fewer than two.
-        dropped: bad ones, by their cause.
-    """
-
-    count: int
-    rate: float
-    dropped: Mapping[str, int]
+    count: int  # messages, good and bad
+    rate: float  # a second, over the time in which they came; 0 of fewer than two
+    dropped: Mapping[str, int]  # bad ones, by their cause
 
 
 class PushListener:
@@ -71,7 +63,6 @@ class PushListener:
 
     Args:
         scenario: what the cell is like; of the object nothing is used.
-        name: of the dataset.
         cells: wanted number.
     """
 
@@ -182,7 +173,7 @@ class PushListener:
 
     def heard(self) -> dict[str, Heard]:
         """What came on every channel until now."""
-        received: Mapping[str, Received] = self._cell.received(self._root)
+        received: Mapping[str, Received] = self._cell.checked.received(self._root)
         result = {}
         for channel in (*HEARD, *sorted(self._came.keys() - set(HEARD))):
             count = self._came[channel]
@@ -194,7 +185,7 @@ class PushListener:
 
     def silent(self) -> list[str]:
         """Channels that are needed, and on which nothing good has come."""
-        received = self._cell.received(self._root)
+        received = self._cell.checked.received(self._root)
         return [channel for channel in NEEDED if not received[channel].good]
 
     def _said(self, block: Any, port: str) -> Any:
@@ -218,12 +209,9 @@ def record_pushes(
     """Listen until the events end, enough pushes are recorded, or somebody stops it.
 
     Args:
-        events: what comes.
-        listener: makes out pushes.
         recorder: where each push goes as soon as it is over.
         tell: called with a line when the object is first seen, when the finger was down, and now and then.
         log: where all events go as they came, if anywhere.
-        most: pushes.
         stopped: whether it is to end; asked at every event.
 
     Raises:

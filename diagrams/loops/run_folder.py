@@ -5,8 +5,6 @@ killed exploration loses nothing and can be gone on with (`resumed`). A `Recordi
 loop records. Pushes of an ended run give way to the same command alone (`refuse_others_files`).
 """
 
-from __future__ import annotations
-
 import dataclasses
 import hashlib
 import json
@@ -63,7 +61,6 @@ def refuse_others_files(folder: Path, format_: str, command: str, *files: str) -
     """Refuse a folder in which a run would replace what no earlier run of the same command left.
 
     Args:
-        folder: where results go.
         format_: that `run.json` has after such a run.
         command: such as `slipmap explore`.
         files: beside the pushes, that a run replaces.
@@ -91,7 +88,6 @@ def refuse_robots_pushes(folder: Path, option: str) -> None:
     """Refuse a folder with pushes of a robot's cell, which cannot be made again, to a command that has none.
 
     Args:
-        folder: where results go.
         option: that names another.
 
     Raises:
@@ -143,8 +139,6 @@ class RunFolder:
     the run ends in the midst of a push.
 
     Args:
-        folder: of the run.
-        scenario: of the run.
         kept: pushes of this run that are in the folder already.
 
     Raises:
@@ -160,11 +154,7 @@ class RunFolder:
             raise BadInput(str(error)) from error
 
     def keep(self, recorded: RecordedRun) -> None:
-        """Write the pushes that are not there yet.
-
-        Raises:
-            BadInput: see `keep_trials`.
-        """
+        """Write the pushes that are not there yet. Raises BadInput as `keep_trials`."""
         keep_trials(self._pushes, recorded_dataset(recorded.trials, recorded.grid, self._scenario))
         (self._folder / UNDER_WAY).unlink(missing_ok=True)
 
@@ -172,7 +162,6 @@ class RunFolder:
         """Write down what is measured so far of the push under way.
 
         Args:
-            push: its number.
             rows: of each channel, as in a trial's file but with the run's time.
 
         Raises:
@@ -194,9 +183,6 @@ class RunFolder:
 class PregraspFolder(RunFolder):
     """The folder of `slipmap pregrasp`: its run cannot be gone on with.
 
-    Args:
-        folder, scenario: as in `RunFolder`.
-
     Raises:
         BadInput: pushes are there that no earlier run of the command left, or of one that was cut off.
     """
@@ -217,8 +203,6 @@ class Recording:
     """A run that is being written: what its loop records goes to a folder as soon as it is there.
 
     Args:
-        loop: that runs.
-        record: where it goes.
         before: pushes that are kept already.
     """
 
@@ -229,11 +213,7 @@ class Recording:
         self._noted = 0
 
     def look(self, root: Context) -> None:
-        """Write down what is new; to be called often.
-
-        Raises:
-            BadInput: see `RunFolder.keep`.
-        """
+        """Write down what is new; to be called often. Raises BadInput as `RunFolder.keep`."""
         trials = output_of(self._loop, "logger", "trials", root)
         if len(trials) > len(self._choices):
             plan = output_of(self._loop, "exploration", "plan", root)
@@ -270,8 +250,6 @@ class ExplorationFolder(RunFolder):
     digests, so that files of two runs are never mixed.
 
     Args:
-        folder: of the run.
-        scenario, options: of the run.
         before: what is in the folder already, of a run that is gone on with.
 
     Raises:

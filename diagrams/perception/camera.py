@@ -11,23 +11,9 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
+from pydrake import geometry
 from pydrake.common.cpp_param import List
 from pydrake.common.value import Value
-from pydrake.geometry import (
-    ClippingRange,
-    ColorRenderCamera,
-    DepthRange,
-    DepthRenderCamera,
-    FrameId,
-    FramePoseVector,
-    GeometryFrame,
-    GeometrySet,
-    MakeRenderEngineVtk,
-    RenderCameraCore,
-    RenderEngineVtkParams,
-    Role,
-    SceneGraph,
-)
 from pydrake.math import RigidTransform, RotationMatrix
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import BodyIndex
@@ -45,26 +31,20 @@ NEAREST, FARTHEST = 0.2, 4.0
 
 @dataclass
 class CameraConfig(CheckedSettings):
-    """Camera that looks straight down on the table; defaults see all of a table of radius 0.5 m.
-
-    Attributes:
-        height: of the camera over the table, m.
-        position: (x, y) of the camera in W, m.
-        yaw: turn of the picture about the vertical, rad; at 0 the picture's right is W's x, its top W's y.
-        fov_y: field of view from the picture's top to its bottom, rad.
-        width, height_pixels: picture size.
-        rate: pictures a second, Hz.
-    """
+    """Camera that looks straight down on the table; defaults see all of a table of radius 0.5 m."""
 
     _section = "camera."
 
-    height: float = within(1.1, 0.3, FARTHEST - 0.1)
-    position: list[float] = field(default_factory=lambda: [0.0, 0.0])
+    height: float = within(1.1, 0.3, FARTHEST - 0.1)  # of the camera over the table, m
+    position: list[float] = field(default_factory=lambda: [0.0, 0.0])  # (x, y) of the camera in W, m
+    # turn of the picture about the vertical, rad; at 0 the picture's right is W's x, its top W's y
     yaw: float = 0.0
+    # field of view from the picture's top to its bottom, rad
     fov_y: float = within(float(np.deg2rad(52.0)), 0.05, 2.8)
+    # width, height_pixels: picture size
     width: int = within(640, 16, 4096)
     height_pixels: int = within(480, 16, 4096)
-    rate: float = within(15.0, 0.1, 1000.0)
+    rate: float = within(15.0, 0.1, 1000.0)  # pictures a second, Hz
 
     def check(self) -> None:
         """Raise ValueError where a field makes no sense."""
@@ -103,7 +83,7 @@ class CameraConfig(CheckedSettings):
 def add_camera(
     builder: DiagramBuilder,
     plant: MultibodyPlant,
-    scene_graph: SceneGraph,
+    scene_graph: geometry.SceneGraph,
     config: CameraConfig | None = None,
 ) -> RgbdSensor:
     """Add a camera that renders colour and depth, fixed in the world.
@@ -116,7 +96,6 @@ def add_camera(
         builder: gets the sensor, and its scene graph, named `picture_scene`.
         plant, scene_graph: the world, finalized; nothing may be added to it afterwards. What is to be seen
             needs a perception role, which `plant.RegisterVisualGeometry` gives.
-        config: by default `CameraConfig()`.
 
     Raises:
         ValueError: the plant is not finalized.
@@ -126,31 +105,35 @@ def add_camera(
     config = config or CameraConfig()
     require_renderer()
     scene, renderer = _add_picture_scene(builder, plant, scene_graph), "camera_renderer"
-    scene.AddRenderer(renderer, MakeRenderEngineVtk(RenderEngineVtkParams(backend="EGL")))
-    core = RenderCameraCore(
-        renderer, config._camera_info(), ClippingRange(0.01, 2 * FARTHEST), RigidTransform()
+    scene.AddRenderer(renderer, geometry.MakeRenderEngineVtk(geometry.RenderEngineVtkParams(backend="EGL")))
+    core = geometry.RenderCameraCore(
+        renderer, config._camera_info(), geometry.ClippingRange(0.01, 2 * FARTHEST), RigidTransform()
     )
     sensor: Any = builder.AddNamedSystem(
         "camera",
         RgbdSensor(
             scene.world_frame_id(),
             config.X_WC,
-            ColorRenderCamera(core),
-            DepthRenderCamera(core, DepthRange(NEAREST, FARTHEST)),
+            geometry.ColorRenderCamera(core),
+            geometry.DepthRenderCamera(core, geometry.DepthRange(NEAREST, FARTHEST)),
         ),
     )
     builder.Connect(scene.get_query_output_port(), sensor.query_object_input_port())
     return sensor
 
 
-def _add_picture_scene(builder: DiagramBuilder, plant: MultibodyPlant, scene_graph: SceneGraph) -> SceneGraph:
+def _add_picture_scene(
+    builder: DiagramBuilder, plant: MultibodyPlant, scene_graph: geometry.SceneGraph
+) -> geometry.SceneGraph:
     if not plant.is_finalized():
         raise ValueError("picture scene: finalize the plant first, so that all that can be seen is there")
-    scene = builder.AddNamedSystem("picture_scene", SceneGraph())
+    scene = builder.AddNamedSystem("picture_scene", geometry.SceneGraph())
     source = scene.RegisterSource("pictures")
     inspector = scene_graph.model_inspector()
-    shapes = inspector.GetGeometryIds(GeometrySet(inspector.GetAllGeometryIds()), Role.kPerception)
-    frames: dict[BodyIndex, FrameId] = {}
+    shapes = inspector.GetGeometryIds(
+        geometry.GeometrySet(inspector.GetAllGeometryIds()), geometry.Role.kPerception
+    )
+    frames: dict[BodyIndex, geometry.FrameId] = {}
     for shape in sorted(shapes, key=lambda shape: shape.get_value()):
         body = plant.GetBodyFromFrameId(inspector.GetFrameId(shape))
         copy = inspector.CloneGeometryInstance(shape)
@@ -158,7 +141,7 @@ def _add_picture_scene(builder: DiagramBuilder, plant: MultibodyPlant, scene_gra
             scene.RegisterAnchoredGeometry(source, copy)
             continue
         if body.index() not in frames:
-            frame = GeometryFrame(body.scoped_name().get_full())
+            frame = geometry.GeometryFrame(body.scoped_name().get_full())
             frames[body.index()] = scene.RegisterFrame(source, frame)
         scene.RegisterGeometry(source, frames[body.index()], copy)
     if frames:
@@ -169,17 +152,17 @@ def _add_picture_scene(builder: DiagramBuilder, plant: MultibodyPlant, scene_gra
 
 
 class _FramePoses(PythonSystem):
-    def __init__(self, frames: Mapping[BodyIndex, FrameId]) -> None:
+    def __init__(self, frames: Mapping[BodyIndex, geometry.FrameId]) -> None:
         super().__init__()
         self._frames = dict(frames)
         poses = self.DeclareAbstractInputPort("body_poses", Value[List[RigidTransform]]())
         self.DeclareAbstractOutputPort(
-            "frame_poses", lambda: Value(FramePoseVector()), self._calc, {poses.ticket()}
+            "frame_poses", lambda: Value(geometry.FramePoseVector()), self._calc, {poses.ticket()}
         )
 
     def _calc(self, context: Context, output: Value) -> None:
         X_WB = self.get_input_port().Eval(context)
-        result = FramePoseVector()
+        result = geometry.FramePoseVector()
         for body, frame in self._frames.items():
             result.set_value(frame, X_WB[body])
         output.set_value(result)

@@ -3,8 +3,6 @@
 Pictures are looked at by a thread or a worker, while the world moves on.
 """
 
-from __future__ import annotations
-
 import gc
 from collections.abc import Callable, Sequence
 from concurrent.futures import Executor, ThreadPoolExecutor
@@ -179,7 +177,6 @@ class CellPerception(PythonSystem):
     during the first look, before which torn and repeated pictures are not noticed.
 
     Args:
-        camera: of the pictures; `CameraConfig()` by default.
         cells: wanted number of cells.
         arm_hulls: hulls around the arm for joint angles (7,), rad, such as `ArmHulls`; None if the arm
             is never in the picture.

@@ -158,28 +158,21 @@ class DepthNoiseConfig(CheckedSettings):
     length of 900 pixels and a baseline of 55 mm makes 1 mm at 1 m. The lateral term moves edges by a part of
     a pixel. Both are correlated between neighbours, since such cameras match windows, not single pixels. The
     defaults are a choice, not the measurement of a camera; docs/station.md says what larger ones do.
-
-    Attributes:
-        axial_floor: standard deviation of depth close to the camera, m.
-        axial_growth: its growth with the square of depth, 1/m.
-        lateral_jitter: standard deviation of the place in the scene that a pixel shows, pixels.
-        correlation: standard deviation of the window over which both are correlated, pixels.
-        missing_at_edges: share of the pixels beside a jump of depth that have no reading.
-        missing_anywhere: share of all other pixels that have no reading.
-        quantum: depth is a multiple of this, m; 0 for none.
-        seed: of all random draws; the seed of a run is added to it.
     """
 
     _section = "depth_noise."
 
-    axial_floor: float = within(0.4e-3, 0, np.inf)
-    axial_growth: float = within(1.0e-3, 0, np.inf)
+    axial_floor: float = within(0.4e-3, 0, np.inf)  # standard deviation of depth close to the camera, m
+    axial_growth: float = within(1.0e-3, 0, np.inf)  # its growth with the square of depth, 1/m
+    # standard deviation of the place in the scene that a pixel shows, pixels
     lateral_jitter: float = within(0.4, 0, np.inf)
+    # standard deviation of the window over which both are correlated, pixels
     correlation: float = within(1.0, 0, np.inf)
+    # share of the pixels beside a jump of depth that have no reading
     missing_at_edges: float = within(0.3, 0, 1.0)
-    missing_anywhere: float = within(0.003, 0, 1.0)
-    quantum: float = within(1e-3, 0, np.inf)
-    seed: int = within(0, 0, np.inf)
+    missing_anywhere: float = within(0.003, 0, 1.0)  # share of all other pixels that have no reading
+    quantum: float = within(1e-3, 0, np.inf)  # depth is a multiple of this, m; 0 for none
+    seed: int = within(0, 0, np.inf)  # of all random draws; the seed of a run is added to it
 
 
 def noisy_depth(depth: DepthImage, config: DepthNoiseConfig, generator: np.random.Generator) -> DepthImage:

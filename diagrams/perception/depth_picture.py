@@ -7,8 +7,6 @@ a formula; objects are meshes. That takes a tenth of the time in which a rendere
 All of it stands in one file, so that numba compiles it anew whenever something in it changes.
 """
 
-from __future__ import annotations
-
 import io
 from collections.abc import Sequence
 from typing import Any, NamedTuple
@@ -328,7 +326,6 @@ class DepthPicture(PythonSystem):
 
     Args:
         plant, scene_graph: finalized.
-        config: the camera.
 
     Raises:
         ValueError: the plant is not finalized.

@@ -1,37 +1,23 @@
 """Whether this machine can render depth pictures, found out before Drake takes the process down with it."""
 
-from __future__ import annotations
-
 import functools
 import subprocess
 import sys
 from typing import Any
 
-from pydrake.geometry import (
-    Box,
-    ClippingRange,
-    ColorRenderCamera,
-    DepthRange,
-    DepthRenderCamera,
-    GeometryInstance,
-    MakePhongIllustrationProperties,
-    MakeRenderEngineVtk,
-    PerceptionProperties,
-    RenderCameraCore,
-    RenderEngineVtkParams,
-    SceneGraph,
-)
+from pydrake import geometry
 from pydrake.math import RigidTransform
 from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.sensors import CameraInfo, RgbdSensor
 
 from slipmap.diagrams.perception.system_libraries import RENDER, RENDERING_PACKAGES
+from slipmap.models.files import BadInput
 
 _PATIENCE = 60.0  # s; a picture takes half a second
 _NEAR = 1e-3  # m
 
 
-class RendererUnavailable(RuntimeError):
+class RendererUnavailable(BadInput, RuntimeError):
     """Depth pictures cannot be rendered here. The text is one paragraph that says what to install."""
 
 
@@ -65,23 +51,25 @@ def render_one_picture() -> None:
         RuntimeError: the picture shows something else.
     """
     builder = DiagramBuilder()
-    scene_graph: Any = builder.AddSystem(SceneGraph())
-    scene_graph.AddRenderer("trial", MakeRenderEngineVtk(RenderEngineVtkParams()))
+    scene_graph: Any = builder.AddSystem(geometry.SceneGraph())
+    scene_graph.AddRenderer("trial", geometry.MakeRenderEngineVtk(geometry.RenderEngineVtkParams()))
     thickness, away = 0.1, 1.0
-    wall = GeometryInstance(
-        RigidTransform([0.0, 0.0, away + thickness / 2]), Box(9.0, 9.0, thickness), "wall"
+    wall = geometry.GeometryInstance(
+        RigidTransform([0.0, 0.0, away + thickness / 2]), geometry.Box(9.0, 9.0, thickness), "wall"
     )
     wall.set_perception_properties(
-        PerceptionProperties(MakePhongIllustrationProperties([0.5, 0.5, 0.5, 1.0]))
+        geometry.PerceptionProperties(geometry.MakePhongIllustrationProperties([0.5, 0.5, 0.5, 1.0]))
     )
     scene_graph.RegisterAnchoredGeometry(scene_graph.RegisterSource("trial"), wall)
-    core = RenderCameraCore("trial", CameraInfo(8, 8, 1.0), ClippingRange(0.01, 10.0), RigidTransform())
+    core = geometry.RenderCameraCore(
+        "trial", CameraInfo(8, 8, 1.0), geometry.ClippingRange(0.01, 10.0), RigidTransform()
+    )
     sensor: Any = builder.AddSystem(
         RgbdSensor(
             scene_graph.world_frame_id(),
             RigidTransform(),
-            ColorRenderCamera(core),
-            DepthRenderCamera(core, DepthRange(0.1, 5.0)),
+            geometry.ColorRenderCamera(core),
+            geometry.DepthRenderCamera(core, geometry.DepthRange(0.1, 5.0)),
         )
     )
     builder.Connect(scene_graph.get_query_output_port(), sensor.query_object_input_port())

@@ -1,7 +1,5 @@
 """What the camera sees of an object past the arm: a view, hulls around the arm, and what they hide."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from functools import lru_cache
 from typing import Any
@@ -32,7 +30,6 @@ def view_from(camera: PinholeCamera, X_WC: bytes) -> View:
     """The view, whose rays take a while to compute, kept for a camera that does not move.
 
     Args:
-        camera: of the pictures.
         X_WC: bytes of its (4, 4) pose.
     """
     return View(camera, np.frombuffer(X_WC).reshape(4, 4))
@@ -42,7 +39,6 @@ class Sight:
     """The camera's view of the table while the arm rests.
 
     Args:
-        view: the camera at its place.
         hulls: around the arm where it rests, see `ArmHulls`.
     """
 
@@ -69,7 +65,6 @@ class ArmAside(PythonSystem):
     was just seen; False while it is not seen.
 
     Args:
-        camera: of the pictures.
         arm_hulls: hulls around the arm for joint angles (7,), rad, such as `ArmHulls`.
     """
 

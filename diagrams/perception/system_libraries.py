@@ -4,8 +4,6 @@ Wheels bring nearly everything along; what they leave to the system is known onl
 library at a time.
 """
 
-from __future__ import annotations
-
 import re
 
 IMPORTS = ("pydrake.all", "cv2")

@@ -1,17 +1,10 @@
 """The arm: an iiwa 14 with a gripper, mounted beside the table, and the drivers that control it."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
+from pydrake import manipulation
 from pydrake.geometry import Capsule, Cylinder, SceneGraph
-from pydrake.manipulation import (
-    IiwaDriver,
-    MakeMultibodyStateToWsgStateSystem,
-    SchunkWsgPositionController,
-    SimIiwaDriver,
-)
 from pydrake.math import RigidTransform, RollPitchYaw, RotationMatrix
 from pydrake.multibody.parsing import LoadModelDirectivesFromString, Parser, ProcessModelDirectives
 from pydrake.multibody.plant import MultibodyPlant
@@ -62,23 +55,15 @@ directives:
 
 @dataclass(frozen=True, eq=False)
 class Arm:
-    """The arm in a plant.
+    """The arm in a plant."""
 
-    Attributes:
-        iiwa: model instance of the arm proper, 7 positions.
-        gripper: model instance of its hand, 2 positions.
-        tip: of frame T at the centre of the finger's end, its z along the finger and out of the hand.
-        finger_radius: of the round finger that the closed gripper is, m.
-        X_WB: pose of the arm's base in the world.
-        models: the set of models it came from.
-    """
-
-    iiwa: ModelInstanceIndex
-    gripper: ModelInstanceIndex
+    iiwa: ModelInstanceIndex  # model instance of the arm proper, 7 positions
+    gripper: ModelInstanceIndex  # model instance of its hand, 2 positions
+    # of frame T at the centre of the finger's end, its z along the finger and out of the hand
     tip: FrameIndex
-    finger_radius: float
-    X_WB: RigidTransform
-    models: str
+    finger_radius: float  # of the round finger that the closed gripper is, m
+    X_WB: RigidTransform  # pose of the arm's base in the world
+    models: str  # the set of models it came from
 
 
 def default_arm_base() -> RigidTransform:
@@ -171,17 +156,17 @@ def add_arm_drivers(builder: DiagramBuilder, plant: MultibodyPlant, arm: Arm) ->
     finger, N, 40 if not connected; `gripper.state_measured` (2,) the opening and its rate, m and m/s.
     """
     model = SharedPointerSystem.AddToBuilder(builder, arm_model(arm.X_WB, arm.models))
-    config = IiwaDriver(control_mode="position_only", desired_kp_gains=STIFFNESS)
-    iiwa = SimIiwaDriver.AddToBuilder(builder, plant, arm.iiwa, config, model)
+    config = manipulation.IiwaDriver(control_mode="position_only", desired_kp_gains=STIFFNESS)
+    iiwa = manipulation.SimIiwaDriver.AddToBuilder(builder, plant, arm.iiwa, config, model)
     builder.ExportInput(iiwa.GetInputPort("position"), "iiwa.position")
     for name in IIWA_OUTPUTS:
         builder.ExportOutput(iiwa.GetOutputPort(name), f"iiwa.{name}")
 
     # It takes commands every 0.05 s; gains are in N/m and N s/m.
-    controller = SchunkWsgPositionController(0.05, 8000.0, 100.0)
+    controller = manipulation.SchunkWsgPositionController(0.05, 8000.0, 100.0)
     hand = builder.AddNamedSystem("gripper_control", controller)
     squeeze = builder.AddNamedSystem("gripper_squeeze", _Squeeze())
-    opening = builder.AddNamedSystem("gripper_state", MakeMultibodyStateToWsgStateSystem())
+    opening = builder.AddNamedSystem("gripper_state", manipulation.MakeMultibodyStateToWsgStateSystem())
     state = plant.get_state_output_port(arm.gripper)
     builder.Connect(state, hand.GetInputPort("state"))
     builder.Connect(state, opening.get_input_port())

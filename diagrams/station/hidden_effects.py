@@ -37,12 +37,9 @@ class _Numbers:
 
 @dataclass
 class TableTilt(_Numbers):
-    """The table is not level; only the object feels it.
+    """The table is not level; only the object feels it."""
 
-    Attributes:
-        down_x, down_y: slopes along x and y, downhill where positive, rad.
-    """
-
+    # down_x, down_y: slopes along x and y, downhill where positive, rad
     down_x: float = 0.0
     down_y: float = 0.0
 
@@ -55,57 +52,43 @@ class TableTilt(_Numbers):
 
 @dataclass
 class Tether(_Numbers):
-    """A cable pulls the object towards a fixed point beyond its slack length.
-
-    Attributes:
-        stiffness: of the cable, N/m.
-        anchor_x, anchor_y: where it is fixed on the table, world, m.
-        slack: length at which it begins to pull, m.
-        point_x, point_y: where it is tied to the object's base, object frame, m.
-    """
+    """A cable pulls the object towards a fixed point beyond its slack length."""
 
     _not_negative = ("stiffness", "slack")
 
-    stiffness: float = 0.0
+    stiffness: float = 0.0  # of the cable, N/m
+    # anchor_x, anchor_y: where it is fixed on the table, world, m
     anchor_x: float = 0.3
     anchor_y: float = 0.0
-    slack: float = 0.0
+    slack: float = 0.0  # length at which it begins to pull, m
+    # point_x, point_y: where it is tied to the object's base, object frame, m
     point_x: float = 0.0
     point_y: float = 0.0
 
 
 @dataclass
 class ViscousFriction(_Numbers):
-    """A film of oil under the object.
-
-    Attributes:
-        drag_per_area: force per speed and area, N s/m³.
-    """
+    """A film of oil under the object."""
 
     _not_negative = ("drag_per_area",)
 
-    drag_per_area: float = 0.0
+    drag_per_area: float = 0.0  # force per speed and area, N s/m³
 
 
 @dataclass
 class TableFrictionField(_Numbers):
-    """Friction varies with the place on the table.
-
-    Attributes:
-        gradient_x, gradient_y: relative rise along x and y, 1/m.
-        patch: logarithm of the factor on a round patch.
-        patch_x, patch_y: its middle, world, m.
-        patch_radius: m.
-    """
+    """Friction varies with the place on the table."""
 
     _not_negative = ("patch_radius",)
 
+    # gradient_x, gradient_y: relative rise along x and y, 1/m
     gradient_x: float = 0.0
     gradient_y: float = 0.0
-    patch: float = 0.0
+    patch: float = 0.0  # logarithm of the factor on a round patch
+    # patch_x, patch_y: its middle, world, m
     patch_x: float = 0.0
     patch_y: float = 0.0
-    patch_radius: float = 0.12
+    patch_radius: float = 0.12  # m
 
     def factor(self, points: FloatArray) -> FloatArray:
         """(k,) by which friction is multiplied at points (k, 2), world, m."""

@@ -6,8 +6,6 @@ looking for them. What is left out is that Drake's regularised friction lets an 
 stiction tolerance.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from pydrake.common.cpp_param import List
 from pydrake.common.value import Value

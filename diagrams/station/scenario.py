@@ -28,7 +28,8 @@ from slipmap.diagrams.perception.camera import CameraConfig
 from slipmap.diagrams.perception.depth_noise import DepthNoiseConfig
 from slipmap.diagrams.station.arm import ARM_MODELS
 from slipmap.diagrams.station.hidden_effects import HiddenEffectsConfig
-from slipmap.models.files import UnreadableFile, read_bounded
+from slipmap.models.files import BadInput, UnreadableFile, read_bounded
+from slipmap.models.measurements.parsing import shown_error
 from slipmap.models.measurements.push_dataset import Table
 from slipmap.models.objects.benchmark_objects import benchmark_object
 from slipmap.models.objects.true_object import (
@@ -50,40 +51,31 @@ _LONGEST_LABEL = 9  # digits
 T = typing.TypeVar("T")
 
 
-class ScenarioError(ValueError):
+class ScenarioError(BadInput, ValueError):
     """A scenario file that cannot be used; the message names the file and the field."""
 
 
 @dataclass
 class ObjectSettings:
-    """The object on the table: one of the benchmark, or your own from a mesh or a label image.
+    """The object on the table: one of the benchmark, or your own from a mesh or a label image."""
 
-    Attributes:
-        name: of a benchmark object; not used where `mesh` or `labels` is given.
-        mesh: file that trimesh can load; needs `mass` and `mu`.
-        labels: picture whose pixels name segments; needs `metres_per_pixel`, `masses`, `frictions`, `height`.
-        mass, mu: of an object of one material, from a mesh, kg.
-        metres_per_unit: of the mesh, 0.001 for millimetres; as the file says where missing, else 1.
-        metres_per_pixel: side of a pixel, m.
-        masses, frictions: of each label.
-        height: of an object from a label image, m.
-        mu_finger: friction with the finger, of your own object.
-        cells: wanted number of the true object's cells, of your own object.
-        pose: x and y in m, turn in degrees, at the beginning.
-    """
-
-    name: str = "hammer"
-    mesh: str | None = None
+    name: str = "hammer"  # of a benchmark object; not used where `mesh` or `labels` is given
+    mesh: str | None = None  # file that trimesh can load; needs `mass` and `mu`
+    # picture whose pixels name segments; needs `metres_per_pixel`, `masses`, `frictions`, `height`
     labels: str | None = None
+    # mass, mu: of an object of one material, from a mesh, kg
     mass: float | None = None
     mu: float | None = None
+    # of the mesh, 0.001 for millimetres; as the file says where missing, else 1
     metres_per_unit: float | None = None
-    metres_per_pixel: float = 0.001
+    metres_per_pixel: float = 0.001  # side of a pixel, m
+    # masses, frictions: of each label
     masses: dict[str, float] = field(default_factory=dict)
     frictions: dict[str, float] = field(default_factory=dict)
-    height: float = 0.03
-    mu_finger: float = DEFAULT_MU_FINGER
-    cells: int = DEFAULT_CELLS
+    height: float = 0.03  # of an object from a label image, m
+    mu_finger: float = DEFAULT_MU_FINGER  # friction with the finger, of your own object
+    cells: int = DEFAULT_CELLS  # wanted number of the true object's cells, of your own object
+    # x and y in m, turn in degrees, at the beginning
     pose: list[float] = field(default_factory=lambda: [0.0, 0.0, 0.0])
 
     def check(self) -> None:
@@ -138,19 +130,13 @@ class ObjectSettings:
 
 @dataclass
 class TableSettings:
-    """The table, its middle at the world's origin.
+    """The table, its middle at the world's origin."""
 
-    Attributes:
-        shape: round or rectangle.
-        radius: of a round table, m.
-        size: along x and y of a rectangular one, m.
-        friction: of the table's own surface; the object's friction with it is the object's affair, but must
-            be below twice this.
-    """
-
-    shape: str = "round"
-    radius: float = 0.5
-    size: list[float] = field(default_factory=lambda: [1.2, 0.8])
+    shape: str = "round"  # round or rectangle
+    radius: float = 0.5  # of a round table, m
+    size: list[float] = field(default_factory=lambda: [1.2, 0.8])  # along x and y of a rectangular one, m
+    # of the table's own surface; the object's friction with it is the object's affair, but must be below
+    # twice this
     friction: float = 0.6
 
     def check(self) -> None:
@@ -172,12 +158,9 @@ class TableSettings:
 
 @dataclass
 class ArmSettings:
-    """The arm.
+    """The arm."""
 
-    Attributes:
-        models: `primitives`, which are part of slipmap, or `drake_models`, which Drake downloads.
-    """
-
+    # `primitives`, which are part of slipmap, or `drake_models`, which Drake downloads
     models: str = "primitives"
 
     def check(self) -> None:
@@ -188,14 +171,11 @@ class ArmSettings:
 
 @dataclass
 class SimulationSettings:
-    """The simulated world.
+    """The simulated world."""
 
-    Attributes:
-        time_step: of the plant, s; best a divisor of 10 ms, at which the finger is recorded: with 3 ms its
-            record jitters by what it moves in a step, and a tap seems 20 % faster or slower. A path that is
-            commanded in rows wants rows as long as steps, or a multiple: else the finger jerks.
-    """
-
+    # of the plant, s; best a divisor of 10 ms, at which the finger is recorded: with 3 ms its record jitters
+    # by what it moves in a step, and a tap seems 20 % faster or slower. A path that is commanded in rows
+    # wants rows as long as steps, or a multiple: else the finger jerks.
     time_step: float = 0.0025
 
     def check(self) -> None:
@@ -273,7 +253,6 @@ def read_scenario(path: str | Path, object_name: str | None = None) -> Scenario:
     A mesh or label image is looked for beside the file, then from the working folder.
 
     Args:
-        path: of the file.
         object_name: of the benchmark object that lies there instead of the file's.
 
     Raises:
@@ -306,7 +285,6 @@ def read_settings(path: str | Path, schema: type[T]) -> T:
     """Read a dataclass from a YAML file; what the file leaves out keeps its default.
 
     Args:
-        path: of the file.
         schema: dataclass, whose fields may be dataclasses.
 
     Raises:
@@ -327,7 +305,7 @@ def read_settings(path: str | Path, schema: type[T]) -> T:
         raise ScenarioError(f"{path}: is nested too deeply to be a scenario") from error
     # Beside its own errors, the parser lets those of the types pass: a month 99, an integer of 5000 digits.
     except (yaml.YAMLError, ValueError, TypeError, AttributeError, LookupError, OverflowError) as error:
-        raise ScenarioError(f"{path}: is not YAML ({_parser_words(error)})") from error
+        raise ScenarioError(f"{path}: is not YAML ({shown_error(error)})") from error
     if content is None:
         return schema()
     _check(content, schema, str(path), "")
@@ -338,12 +316,6 @@ def read_settings(path: str | Path, schema: type[T]) -> T:
         said = str(error)
         raise ScenarioError(f"{path}: {said if len(said) <= 1000 else f'{said[:997]}...'}") from error
     return settings
-
-
-def _parser_words(error: Exception) -> str:
-    """What a parser says, on one line; of the text that it names, only the line and column."""
-    said = " ".join(str(error).replace('in "<unicode string>", ', "").split())
-    return said if len(said) <= 200 else f"{said[:197]}..."
 
 
 def _shown(value: Any) -> str:

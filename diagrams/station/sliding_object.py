@@ -1,22 +1,10 @@
 """The true object in Drake's world: one rigid body on many small feet, each with its own friction."""
 
-from __future__ import annotations
-
 from itertools import groupby
 
 import numpy as np
+from pydrake import geometry
 from pydrake.common import MemoryFile
-from pydrake.geometry import (
-    AddContactMaterial,
-    CollisionFilterDeclaration,
-    Convex,
-    GeometryId,
-    GeometrySet,
-    InMemoryMesh,
-    Mesh,
-    ProximityProperties,
-    Sphere,
-)
 from pydrake.math import RigidTransform, RollPitchYaw
 from pydrake.multibody.parsing import Parser
 from pydrake.multibody.plant import CoulombFriction, MultibodyPlant, MultibodyPlantConfig
@@ -68,14 +56,14 @@ def plant_config(time_step: float) -> MultibodyPlantConfig:
     )
 
 
-def table_contact(friction: float) -> ProximityProperties:
+def table_contact(friction: float) -> geometry.ProximityProperties:
     """Contact properties of a table under the object: hard, the feet give way."""
     return _contact(_TABLE_STIFFNESS, friction)
 
 
-def _contact(stiffness: float, friction: float) -> ProximityProperties:
-    properties = ProximityProperties()
-    AddContactMaterial(
+def _contact(stiffness: float, friction: float) -> geometry.ProximityProperties:
+    properties = geometry.ProximityProperties()
+    geometry.AddContactMaterial(
         dissipation=_DISSIPATION,
         point_stiffness=stiffness,
         friction=CoulombFriction(friction, friction),
@@ -128,7 +116,6 @@ def add_sliding_object(
 
     Args:
         plant: registered with a scene graph, not finalized, a round table in it already; see `plant_config`.
-        true_object: what to add.
         table_friction: of the table's own geometry (`table_contact`).
         finger_friction: of the finger's own geometry; together with the blocks' it gives `mu_finger`.
         single_feet: one foot in the middle of each cell instead of four. Simulates several times faster; that
@@ -154,11 +141,13 @@ def add_sliding_object(
             X_OF = RigidTransform(np.array([*place, _FOOT_RADIUS]))
             name_of_foot = f"cell_{cell}_foot_{foot}"
             foot_shapes.append(
-                plant.RegisterCollisionGeometry(body, X_OF, Sphere(_FOOT_RADIUS), name_of_foot, contact)
+                plant.RegisterCollisionGeometry(
+                    body, X_OF, geometry.Sphere(_FOOT_RADIUS), name_of_foot, contact
+                )
             )
     contact = _contact(true_object.total_mass * GRAVITY / _BLOCK_SINK, block_mu[0])
     for index, points in enumerate(_block_corners(true_object)):
-        shape = Convex(points=points, label=f"{name} block {index}")
+        shape = geometry.Convex(points=points, label=f"{name} block {index}")
         block_shapes.append(
             plant.RegisterCollisionGeometry(body, RigidTransform(), shape, f"block_{index}", contact)
         )
@@ -187,18 +176,20 @@ def spatial_inertia(true_object: TrueObject) -> SpatialInertia:
     return total
 
 
-def _share_round_table(plant: MultibodyPlant, feet: list[GeometryId], blocks: list[GeometryId]) -> None:
+def _share_round_table(
+    plant: MultibodyPlant, feet: list[geometry.GeometryId], blocks: list[geometry.GeometryId]
+) -> None:
     """Feet touch the disc of a round table, blocks the rest of it."""
     if not plant.HasBodyNamed(DISC):
         return
     disc, table = (
-        GeometrySet(plant.GetCollisionGeometriesForBody(plant.GetBodyByName(name)))
+        geometry.GeometrySet(plant.GetCollisionGeometriesForBody(plant.GetBodyByName(name)))
         for name in (DISC, "table")
     )
     # The plant does not give away its scene graph, a parser does.
-    declaration = CollisionFilterDeclaration()
-    declaration.ExcludeBetween(GeometrySet(feet), table)
-    declaration.ExcludeBetween(GeometrySet(blocks), disc)
+    declaration = geometry.CollisionFilterDeclaration()
+    declaration.ExcludeBetween(geometry.GeometrySet(feet), table)
+    declaration.ExcludeBetween(geometry.GeometrySet(blocks), disc)
     Parser(plant).scene_graph().collision_filter_manager().Apply(declaration)
 
 
@@ -212,13 +203,13 @@ def _block_corners(true_object: TrueObject) -> list[FloatArray]:
     return result
 
 
-def _colored_meshes(true_object: TrueObject) -> list[tuple[FloatArray, Mesh]]:
+def _colored_meshes(true_object: TrueObject) -> list[tuple[FloatArray, geometry.Mesh]]:
     mesh = true_object.mesh
     colors = np.asarray(mesh.visual.face_colors)
     order = np.lexsort(colors.T)
-    result: list[tuple[FloatArray, Mesh]] = []
+    result: list[tuple[FloatArray, geometry.Mesh]] = []
     for color, group in groupby(order, key=lambda face: tuple(colors[face])):
         part = mesh.submesh([list(group)], append=True)
         file = MemoryFile(shaded_obj(part), ".obj", f"{true_object.name}, colour {len(result)}")
-        result.append((np.array(color) / 255, Mesh(InMemoryMesh(mesh_file=file))))
+        result.append((np.array(color) / 255, geometry.Mesh(geometry.InMemoryMesh(mesh_file=file))))
     return result

@@ -1,7 +1,5 @@
 """The robot's cell in simulation, with the ports that the real one has."""
 
-from __future__ import annotations
-
 import numpy as np
 from pydrake.common.cpp_param import List
 from pydrake.common.value import AbstractValue, Value
@@ -63,10 +61,6 @@ class Station(PythonDiagram):
     camera, with its noise; `camera.X_WC` is a `RigidTransform`. `iiwa.age` (1,) and `camera.age` (1,) are how
     old the arm's state and the picture are, s: nothing in a simulation. `truth.object_pose` is X_WO.
 
-    Args:
-        scenario: what the cell is like.
-        meshcat: where to show it, if anywhere.
-
     Raises:
         ValueError: an object or a surface that cannot be had.
         RendererUnavailable: this machine cannot render pictures.
@@ -103,7 +97,10 @@ class Station(PythonDiagram):
         for name in ("iiwa.age", "camera.age"):
             age = builder.AddNamedSystem(name, ConstantVectorSource(np.zeros(1)))
             builder.ExportOutput(age.get_output_port(), name)
-        _export_truth(builder, plant, body.index())
+        pose = builder.AddNamedSystem("object_pose", _BodyPose(body.index()))
+        builder.Connect(plant.get_body_poses_output_port(), pose.get_input_port())
+        builder.ExportOutput(pose.get_output_port(), f"{TRUTH}object_pose")
+        builder.ExportOutput(plant.get_contact_results_output_port(), f"{TRUTH}contact_results")
         if meshcat is not None:
             MeshcatVisualizer.AddToBuilder(
                 builder, scene_graph, meshcat, MeshcatVisualizerParams(role=Role.kIllustration)
@@ -143,13 +140,6 @@ def _export_camera(
         "camera_pose", ConstantValueSource(AbstractValue.Make(scenario.camera.X_WC))
     )
     builder.ExportOutput(place.get_output_port(), "camera.X_WC")
-
-
-def _export_truth(builder: DiagramBuilder, plant: MultibodyPlant, body: BodyIndex) -> None:
-    pose = builder.AddNamedSystem("object_pose", _BodyPose(body))
-    builder.Connect(plant.get_body_poses_output_port(), pose.get_input_port())
-    builder.ExportOutput(pose.get_output_port(), f"{TRUTH}object_pose")
-    builder.ExportOutput(plant.get_contact_results_output_port(), f"{TRUTH}contact_results")
 
 
 class _BodyPose(PythonSystem):

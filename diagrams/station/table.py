@@ -1,7 +1,5 @@
 """The table: top at z = 0 of the world, round or rectangular, and the floor below it."""
 
-from __future__ import annotations
-
 import numpy as np
 from pydrake.geometry import Box, Convex, Cylinder, Shape
 from pydrake.math import RigidTransform
@@ -40,7 +38,6 @@ def add_table(
 
     Args:
         plant: registered with a scene graph, not finalized.
-        table: shape, centre and radius or size of the top.
         friction: friction coefficient of the table's own geometry (the object's feet make up for it).
 
     Raises:

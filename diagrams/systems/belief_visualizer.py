@@ -3,8 +3,6 @@
 `shown` turns a belief into colours, `legend` draws their scale; a page of the application uses them too.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from io import BytesIO
 from typing import Any
@@ -49,17 +47,13 @@ _ROUND = np.array([1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 7.0, 10.0])
 
 @dataclass(frozen=True, eq=False)
 class Shown:
-    """What is shown of a belief.
+    """What is shown of a belief."""
 
-    Attributes:
-        hypotheses: (k,) the most probable ones, the most probable first.
-        values: (3, 1 + k, n) the maps `MAPS` in the units of `TITLES`: their mean over all hypotheses, then
-            of `hypotheses`.
-        tops: (3,) ends of the colour scales, which begin at 0; the largest few percent may lie beyond.
-    """
-
-    hypotheses: np.ndarray
+    hypotheses: np.ndarray  # (k,) the most probable ones, the most probable first
+    # (3, 1 + k, n) the maps `MAPS` in the units of `TITLES`: their mean over all hypotheses, then of
+    # `hypotheses`
     values: FloatArray
+    # (3,) ends of the colour scales, which begin at 0; the largest few percent may lie beyond
     tops: FloatArray
 
     def beyond(self, which: int) -> str:
@@ -76,7 +70,6 @@ def shown(belief: Belief, most: int, *, round_tops: bool = False) -> Shown:
     """The mean of a belief and at most so many of its hypotheses.
 
     Args:
-        belief: to be shown.
         most: hypotheses.
         round_tops: whether scales end at round numbers, so that they seldom change with the belief; otherwise
             they end where those of `maps_figure` do for as many hypotheses.
@@ -108,9 +101,6 @@ def legend(belief: Belief, what: Shown, which: int, basis: str) -> bytes:
     """PNG of the colour scale of map `which` and the probabilities of the hypotheses.
 
     Args:
-        belief: that is shown.
-        what: is shown of it.
-        which: map.
         basis: what the belief rests on, a few words.
     """
     figure = _board(f"Belief {basis}")
@@ -205,7 +195,6 @@ class BeliefVisualizer(PythonSystem):
     What has been drawn is a property of the Meshcat, not of a Context: one visualizer per Meshcat and path.
 
     Args:
-        meshcat: to draw into.
         path: of everything drawn, in the scene tree.
         height: of the tiles above the table, m, while `seen_object` says nothing.
         period: of drawing, s.

@@ -1,7 +1,5 @@
 """Algorithm 2 as a block: chooses the next push."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from concurrent.futures import Executor
 from functools import partial

@@ -1,7 +1,5 @@
 """The finger as blocks see it: measured, driven along pushes that are asked for, or felt through the arm."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -41,25 +41,15 @@ CanSee = Callable[[SeenObject, FloatArray], bool]
 
 @dataclass(frozen=True, eq=False)
 class _Planning:
-    """What was planned so far.
+    """What was planned so far."""
 
-    Attributes:
-        known: the belief that the method plans with.
-        thing: the object with its grasps.
-        goals: that will do.
-        pursuit: what came of pushing.
-        last: the decision behind the plan.
-        plan: what is to be done.
-        refused: grasps that the arm refused.
-    """
-
-    known: Belief
-    thing: Graspable
-    goals: tuple[Goal, ...]
-    pursuit: Pursuit = field(default_factory=Pursuit)
-    last: Decision | None = None
-    plan: PregraspPlan | None = None
-    refused: tuple[Grasp, ...] = ()
+    known: Belief  # the belief that the method plans with
+    thing: Graspable  # the object with its grasps
+    goals: tuple[Goal, ...]  # that will do
+    pursuit: Pursuit = field(default_factory=Pursuit)  # what came of pushing
+    last: Decision | None = None  # the decision behind the plan
+    plan: PregraspPlan | None = None  # what is to be done
+    refused: tuple[Grasp, ...] = ()  # grasps that the arm refused
 
     def continued(self, status: LoopStatus) -> _Planning:
         """With what came of the last plan, as the loop now asks for another."""
@@ -156,7 +146,6 @@ class _Procedure:
         """Probability of success and margin of a plan, see `PregraspPlan`.
 
         Args:
-            now: what is known.
             poses: (K, 3) of the object in the hypotheses that were imagined, or (1, 3) in all of them.
             goal: near which it shall lie; anywhere if None.
         """
@@ -185,8 +174,6 @@ class GoalAndPushPlanner(PythonSystem):
     draws of a plan depend on the seed and its number alone.
 
     Args:
-        settings: of the procedure.
-        table: that the object lies on.
         method: one of `slipmap.planners.settings.METHODS`.
         can_push: whether the arm can make a push of an object that lies somewhere.
         can_grasp: whether it can come in and lift.

@@ -1,7 +1,5 @@
 """Learning as a block: recorded pushes in, belief out."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from concurrent.futures import Executor
 from functools import partial

@@ -1,7 +1,5 @@
 """One look for pictures and for what Meshcat shows: colours, sizes of letters, scales of maps."""
 
-from __future__ import annotations
-
 import logging
 from collections.abc import Callable
 from functools import wraps

@@ -39,16 +39,11 @@ Row = tuple[float, ...]
 
 @dataclass(frozen=True, eq=False)
 class _Recording:
-    """What is written down of the push under way, and the trials before it.
+    """What is written down of the push under way, and the trials before it."""
 
-    Attributes:
-        trials: that are complete.
-        looks: last poses seen while the arm was at home.
-        poses, tips, forces: rows (time, …) of this push; empty before it.
-    """
-
-    trials: tuple[Trial, ...] = ()
-    looks: tuple[Row, ...] = ()
+    trials: tuple[Trial, ...] = ()  # that are complete
+    looks: tuple[Row, ...] = ()  # last poses seen while the arm was at home
+    # poses, tips, forces: rows (time, …) of this push; empty before it
     poses: tuple[Row, ...] = ()
     tips: tuple[Row, ...] = ()
     forces: tuple[Row, ...] = ()
@@ -263,12 +258,8 @@ def dataset_of(
     Args:
         trials: one or more.
         grid: the object as the camera made it out.
-        name: of the dataset.
         finger_radius: m.
-        noise: of the sensors.
-        table: the table top.
         gravity: m/s².
-        description: free text.
 
     Raises:
         DatasetError: there is no trial.

@@ -1,7 +1,5 @@
 """`ModelMonitor`: is the object still doing what the model says? Residual, misfit, and an alarm."""
 
-from __future__ import annotations
-
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
@@ -11,15 +9,9 @@ from pydrake.systems.framework import Context
 
 from slipmap.diagrams.systems.multiverse_slider import Universes
 from slipmap.diagrams.systems.python_system import PythonSystem, held, read
+from slipmap.models.inference import push_misfit
 from slipmap.models.inference.error_model import ErrorModel
 from slipmap.models.inference.observations import observe
-from slipmap.models.inference.push_misfit import (
-    bet,
-    pose_noise,
-    predicted_steady_forces,
-    resting_misfit,
-    steady_force,
-)
 from slipmap.models.measurements import Trial
 from slipmap.models.measurements.push_dataset import Noise
 from slipmap.models.physics.cell_grid import FloatArray
@@ -40,36 +32,22 @@ FORCE_ERROR = 0.1
 
 @dataclass(frozen=True)
 class Judged:
-    """One push that was predicted and seen.
+    """One push that was predicted and seen."""
 
-    Attributes:
-        trial: number of the push in the recording, from 0.
-        misfit: see `slipmap.models.inference.push_misfit`.
-        p: probability of a misfit as large if nothing is missing.
-        evidence: E after this push.
-        alarm: whether it is given after this push.
-    """
-
-    trial: int
-    misfit: float
-    p: float
-    evidence: float
-    alarm: bool
+    trial: int  # number of the push in the recording, from 0
+    misfit: float  # see `slipmap.models.inference.push_misfit`
+    p: float  # probability of a misfit as large if nothing is missing
+    evidence: float  # E after this push
+    alarm: bool  # whether it is given after this push
 
 
 @dataclass(frozen=True, eq=False)
 class Watch:
-    """What the monitor has seen.
+    """What the monitor has seen."""
 
-    Attributes:
-        trials: trials looked at.
-        residual: (3,) when the object was last seen beside the hypotheses.
-        judged: pushes that a belief had predicted, in order.
-    """
-
-    trials: int
-    residual: FloatArray
-    judged: tuple[Judged, ...] = ()
+    trials: int  # trials looked at
+    residual: FloatArray  # (3,) when the object was last seen beside the hypotheses
+    judged: tuple[Judged, ...] = ()  # pushes that a belief had predicted, in order
 
     @property
     def misfit(self) -> float:
@@ -133,7 +111,9 @@ class ModelMonitor(PythonSystem):
         self.set_name("model_monitor")
         if sensors.position is None or sensors.angle is None:
             raise ValueError(f"ModelMonitor: noise of position and angle must be given, got {sensors}")
-        self._error = ErrorModel(pose_noise(sensors.position, sensors.angle), model_error, FORCE_ERROR)
+        self._error = ErrorModel(
+            push_misfit.pose_noise(sensors.position, sensors.angle), model_error, FORCE_ERROR
+        )
         self.declare_inputs("universes", "object_pose", "trials")
         self._watch = self.DeclareAbstractState(held(Watch(0, np.full(3, np.nan))))
         after = {self.abstract_state_ticket(self._watch)}
@@ -164,12 +144,12 @@ class ModelMonitor(PythonSystem):
         belief = universes.belief
         start, end = trial.object_pose.values[[0, -1]]
         observation = observe(trial, number)
-        force = steady_force(observation)
-        misfit, p = resting_misfit(
+        force = push_misfit.steady_force(observation)
+        misfit, p = push_misfit.resting_misfit(
             start, end, universes.poses, belief.probability, self._error, belief.grid,
-            None if force is None else (force, predicted_steady_forces(belief, observation)),
+            None if force is None else (force, push_misfit.predicted_steady_forces(belief, observation)),
             taught=belief.taught,
         )  # fmt: skip
-        evidence = max(watch.evidence, 1.0) * bet(max(p, LEAST_P))
+        evidence = max(watch.evidence, 1.0) * push_misfit.bet(max(p, LEAST_P))
         alarm = evidence >= 1.0 / LEVEL or (watch.alarm and evidence > 1.0)
         return Judged(number, misfit, p, evidence, alarm)

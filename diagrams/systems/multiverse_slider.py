@@ -1,7 +1,5 @@
 """`MultiverseSlider`: all hypotheses of a belief, pushed by one finger, stepped together."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -17,27 +15,16 @@ from slipmap.models.physics.stepper import NO_FINGER, NO_WRENCH, StepModels, Ste
 
 @dataclass(frozen=True, eq=False)
 class Universes:
-    """K hypotheses in motion.
+    """K hypotheses in motion."""
 
-    Attributes:
-        belief: that they are of.
-        stepper: the model.
-        models: maps as the kernel takes them.
-        states: (K, Z) see `Stepper`.
-        history: (K, L, 3) true poses one, two, … steps ago, as far back as the tracker may be late.
-        push: number of the push that set them in motion, or None.
-        begin: time at which they were placed, s.
-        order: place of the push in the experiment, from 0.
-    """
-
-    belief: Belief
-    stepper: Stepper
-    models: StepModels
-    states: FloatArray
-    history: FloatArray
-    push: int | None
-    begin: float
-    order: float
+    belief: Belief  # that they are of
+    stepper: Stepper  # the model
+    models: StepModels  # maps as the kernel takes them
+    states: FloatArray  # (K, Z) see `Stepper`
+    history: FloatArray  # (K, L, 3) true poses one, two, … steps ago, as far back as the tracker may be late
+    push: int | None  # number of the push that set them in motion, or None
+    begin: float  # time at which they were placed, s
+    order: float  # place of the push in the experiment, from 0
 
     @property
     def poses(self) -> FloatArray:

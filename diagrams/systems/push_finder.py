@@ -1,7 +1,5 @@
 """Finds pushes in what a cell says, whoever makes them."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -36,16 +34,12 @@ _UNSEEN = "the object was not seen at rest afterwards"
 
 @dataclass(frozen=True)
 class Descent:
-    """A time during which the finger was down beside the object, and what came of it.
+    """A time during which the finger was down beside the object, and what came of it."""
 
-    Attributes:
-        begin, end: s of the diagram's time.
-        reason: why it was not kept as a push; empty where it was.
-    """
-
+    # begin, end: s of the diagram's time
     begin: float
     end: float
-    reason: str = ""
+    reason: str = ""  # why it was not kept as a push; empty where it was
 
     @property
     def kept(self) -> bool:
@@ -55,30 +49,20 @@ class Descent:
 
 @dataclass(frozen=True, eq=False)
 class _Found:
-    """State.
+    """State."""
 
-    Attributes:
-        phase: `up`, `down`, or `after`: up again, and the object is to be seen at rest.
-        begin, end: of the present descent, s.
-        reason: why the present descent is no push, once that is known.
-        touched: whether the finger was at the object.
-        rest: pose (3,) at which the object was last seen with the arm aside, since the descent before.
-        measured: time at which the arm measured where it was, s.
-        looked: time of the newest picture that showed the object, s.
-        aside: whether the arm was aside at the last look, and is.
-        descents: that are over.
-    """
-
-    phase: str = "up"
+    phase: str = "up"  # `up`, `down`, or `after`: up again, and the object is to be seen at rest
+    # begin, end: of the present descent, s
     begin: float = 0.0
     end: float = 0.0
-    reason: str = ""
-    touched: bool = False
+    reason: str = ""  # why the present descent is no push, once that is known
+    touched: bool = False  # whether the finger was at the object
+    # pose (3,) at which the object was last seen with the arm aside, since the descent before
     rest: FloatArray | None = None
-    measured: float = -np.inf
-    looked: float = -np.inf
-    aside: tuple[bool, bool] = (False, False)
-    descents: tuple[Descent, ...] = ()
+    measured: float = -np.inf  # time at which the arm measured where it was, s
+    looked: float = -np.inf  # time of the newest picture that showed the object, s
+    aside: tuple[bool, bool] = (False, False)  # whether the arm was aside at the last look, and is
+    descents: tuple[Descent, ...] = ()  # that are over
 
 
 class PushFinder(PythonSystem):

@@ -149,8 +149,6 @@ class PythonSystem(HoldsOutputFunctions, LeafSystem, metaclass=WithoutOwnDict):
         """An output port for what a function makes of a Context.
 
         Args:
-            name: of the port.
-            value: the function.
             after: tickets of all that it depends on.
             model: of another type than Python's objects; the port then fits Drake's own of this type.
         """

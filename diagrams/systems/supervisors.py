@@ -4,8 +4,6 @@
 it: plan, push, record, and again; at the table's edge grasp, lift and hold.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
@@ -136,16 +134,11 @@ _HELD_MORE = 0.01  # m by which they may be further apart than that height; the 
 
 @dataclass(frozen=True, eq=False)
 class _Bringing:
-    """What is going on since exploring ended.
+    """What is going on since exploring ended."""
 
-    Attributes:
-        status: where the loop is.
-        since: when that began, or, while it is planned, when the object was last seen, s.
-        push, grasp: what the arm is to do.
-    """
-
-    status: LoopStatus
-    since: float
+    status: LoopStatus  # where the loop is
+    since: float  # when that began, or, while it is planned, when the object was last seen, s
+    # push, grasp: what the arm is to do
     push: ActivePush | None = None
     grasp: ActiveGrasp | None = None
 

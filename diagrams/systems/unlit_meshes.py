@@ -3,8 +3,6 @@
 They are glTF files with `KHR_materials_unlit`, held in memory.
 """
 
-from __future__ import annotations
-
 import base64
 import json
 from typing import Any

@@ -1,7 +1,5 @@
 """Work that takes long, done beside the diagram by others, or at once where there are none."""
 
-from __future__ import annotations
-
 import gc
 import os
 import signal

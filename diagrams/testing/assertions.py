@@ -1,7 +1,5 @@
 """What a scripted test of a cell may ask for; where it is not so, the message has the numbers."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np
@@ -22,7 +20,6 @@ def assert_predicts(run: ExplorationRun | Identification, within: float, role: s
     """Held-out pushes end where they were predicted.
 
     Args:
-        run: what was learned.
         within: largest mean distance of the cells at the end of each push, m.
         role: `heldout`, or `fit` for the pushes that were learned from.
     """
@@ -39,7 +36,6 @@ def assert_better_than_uniform(run: ExplorationRun | Identification, times: floa
     """Held-out pushes are predicted better, on average, than by the uniform object.
 
     Args:
-        run: what was learned.
         times: by which factor the error must be smaller.
     """
     learned = _learned(run)

@@ -1,7 +1,5 @@
 """A cell as a test sees it: what is on its table, what the robot does there, and what goes wrong."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field, replace
@@ -43,13 +41,9 @@ def small_scenario(where: str = TWIN) -> Scenario:
 
 @dataclass
 class Faults:
-    """Faults that are to happen while the robot works.
+    """Faults that are to happen while the robot works."""
 
-    Attributes:
-        happened: what was ordered so far, in order.
-    """
-
-    happened: list[Fault] = field(default_factory=list)
+    happened: list[Fault] = field(default_factory=list)  # what was ordered so far, in order
     _planned: list[tuple[str, int, Fault]] = field(default_factory=list)
     _way: RelayProcess | LockstepCell | None = None
 

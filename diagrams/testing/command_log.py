@@ -21,15 +21,10 @@ from slipmap.models.physics.cell_grid import FloatArray
 
 @dataclass(frozen=True, eq=False)
 class CommandLog:
-    """Commands in the order in which they were sent.
+    """Commands in the order in which they were sent."""
 
-    Attributes:
-        times: (n,) stamps of the sender, increasing, s.
-        q: (n, 7) joint angles, rad.
-    """
-
-    times: FloatArray
-    q: FloatArray
+    times: FloatArray  # (n,) stamps of the sender, increasing, s
+    q: FloatArray  # (n, 7) joint angles, rad
 
     @staticmethod
     def of(rows: FloatArray) -> CommandLog:
@@ -58,7 +53,6 @@ class CommandRecorder(Child):
 
     Args:
         url: LCM address at which the commands are heard.
-        path: of the file.
     """
 
     def __init__(self, url: str, path: Path) -> None:

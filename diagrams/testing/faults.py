@@ -1,7 +1,5 @@
 """Faults on the way between a cell and what drives it, and the relay that lets them happen."""
 
-from __future__ import annotations
-
 import json
 import os
 import select
@@ -111,9 +109,6 @@ class Link:
     """The way of one channel's messages, with at most one fault at a time.
 
     Times are of one clock that does not go back, s.
-
-    Args:
-        channel: whose messages pass.
     """
 
     def __init__(self, channel: str) -> None:

@@ -1,7 +1,5 @@
 """A twin on the clock of the diagram that drives it: all messages and checks, but no real time."""
 
-from __future__ import annotations
-
 from array import array
 from collections.abc import Callable
 
@@ -27,7 +25,6 @@ class LockstepCell(PythonDiagram):
     leaves out is what only real time brings: late messages of a busy computer, and processes that end.
 
     Args:
-        scenario: what the cell is like.
         positions: of the plant, to begin with; those of the scenario if None.
 
     Raises:

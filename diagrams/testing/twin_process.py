@@ -1,7 +1,5 @@
 """A twin of a cell in a process of its own, for as long as a test needs it."""
 
-from __future__ import annotations
-
 import os
 import signal
 import socket
@@ -20,7 +18,6 @@ class TwinProcess(Child):
     """The process; `close` ends it. It says on the standard error whether it keeps up with real time.
 
     Args:
-        scenario: what the cell is like.
         folder: in which the scenario is left for it.
     """
 

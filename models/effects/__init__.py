@@ -2,5 +2,3 @@
 
 from slipmap.models.effects.effect import Effect, EffectError, Parameter, Scene
 from slipmap.models.effects.library import LIBRARY
-
-__all__ = ["LIBRARY", "Effect", "EffectError", "Parameter", "Scene"]

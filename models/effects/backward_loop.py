@@ -23,19 +23,12 @@ _ROWS = 3  # of g and G: the gradient by v_x, v_y, omega
 
 @dataclass(frozen=True)
 class BackwardLoop:
-    """Code lines, not indented, of the loop and of what comes around it.
+    """Code lines, not indented, of the loop and of what comes around it."""
 
-    Attributes:
-        before: assigns b.
-        within: for one cell; adds to the sums.
-        after: adds to G from the sums.
-        sums: names of the sums.
-    """
-
-    before: list[str]
-    within: list[str]
-    after: list[str]
-    sums: list[str]
+    before: list[str]  # assigns b
+    within: list[str]  # for one cell; adds to the sums
+    after: list[str]  # adds to G from the sums
+    sums: list[str]  # names of the sums
 
 
 def backward_loop(
@@ -161,15 +154,11 @@ def _backwards(
 
 @dataclass(frozen=True)
 class _Flow:
-    """Derivative of Σ_c g_ca e_c by a symbol.
+    """Derivative of Σ_c g_ca e_c by a symbol."""
 
-    Attributes:
-        formula: stem of the g of the only formula that depends on the symbol, or None where there are more.
-        parts: that formula's derivative, to be multiplied by g_0, g_1, g_2; or the three rows.
-    """
-
+    # stem of the g of the only formula that depends on the symbol, or None where there are more
     formula: str | None
-    parts: list[Any]
+    parts: list[Any]  # that formula's derivative, to be multiplied by g_0, g_1, g_2; or the three rows
 
     def rows(self) -> list[Any]:
         """The three rows."""

@@ -6,8 +6,6 @@ expressions. Derivatives and machine code are made from them; nothing is differe
 method fails, an `EffectError` names the file and the line.
 """
 
-from __future__ import annotations
-
 import math
 import traceback
 from collections.abc import Mapping, Sequence
@@ -68,23 +66,14 @@ class Parameter:
 
 @dataclass(frozen=True)
 class Scene:
-    """What the recorded pushes look like, for effects that have to guess where to begin.
+    """What the recorded pushes look like, for effects that have to guess where to begin."""
 
-    Attributes:
-        center: (2,) middle of the places at which the object was, m.
-        reach: half the width of those places, m.
-        radius: of the object about its frame's origin, m.
-        speed: that the finger typically had, m/s.
-        pushes: their number.
-        weight: of the object as first fitted, N.
-    """
-
-    center: tuple[float, float]
-    reach: float
-    radius: float
-    speed: float
-    pushes: int
-    weight: float
+    center: tuple[float, float]  # (2,) middle of the places at which the object was, m
+    reach: float  # half the width of those places, m
+    radius: float  # of the object about its frame's origin, m
+    speed: float  # that the finger typically had, m/s
+    pushes: int  # their number
+    weight: float  # of the object as first fitted, N
 
 
 class Effect:

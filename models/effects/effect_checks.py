@@ -1,7 +1,5 @@
 """Checks of an effect before it is used: declared as it must be, nothing at its null, finite elsewhere."""
 
-from __future__ import annotations
-
 import difflib
 import inspect
 import math
@@ -38,7 +36,6 @@ def check_effect(effect: Effect, where: str) -> None:
     """Refuse an effect that is declared wrongly, does not vanish at its null, or is not finite.
 
     Args:
-        effect: to check.
         where: file, line and class, for the message.
 
     Raises:

@@ -4,8 +4,6 @@ All formulas become expressions of y and the constants (see `slipmap.models.phys
 subexpressions are taken out, those that do not depend on the cell in front of the loop over cells.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from functools import partial
 from typing import Any

@@ -1,7 +1,5 @@
 """The effects that slipmap knows, one small class each; formulas are in the symbols of `symbols.py`."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

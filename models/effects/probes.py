@@ -4,8 +4,6 @@ A probe is an effect without a name in physics: a flexible law of one argument. 
 compete so that an unknown effect shows as `it depends on …` instead of being blamed on the nearest known one.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 

@@ -5,8 +5,6 @@ kernels (`formulas.py`), and compiled there by numba once. Kernels call them by 
 be compiled anew for a new effect or combination.
 """
 
-from __future__ import annotations
-
 import hashlib
 import importlib.util
 import inspect
@@ -29,25 +27,18 @@ FloatArray = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Program:
-    """Compiled formulas of some effects.
+    """Compiled formulas of some effects."""
 
-    Attributes:
-        effects: in the order of their parameters.
-        addresses: (4,) of the functions body, cells, cell slopes, memory; 0 for those that `sizes` rules out.
-        sizes: (5,) as in `slipmap.models.physics.kernel_arguments.Formulas`.
-        measured: x, y, θ (…,) and parameters to (…, 3) poses as the tracker reports them, and their
-            derivatives by the true pose (…, 3, 3) and by the parameters (…, 3, P); None where no effect
-            changes them.
-        delay: parameters to the tracker's delay and its derivative (P,); None where there is none.
-        module: what holds the machine code; without it the addresses would lead nowhere.
-    """
-
-    effects: tuple[Effect, ...]
+    effects: tuple[Effect, ...]  # in the order of their parameters
+    # (4,) of the functions body, cells, cell slopes, memory; 0 for those that `sizes` rules out
     addresses: NDArray[np.int64]
-    sizes: NDArray[np.int64]
+    sizes: NDArray[np.int64]  # (5,) as in `slipmap.models.physics.kernel_arguments.Formulas`
+    # x, y, θ (…,) and parameters to (…, 3) poses as the tracker reports them, and their derivatives by the
+    # true pose (…, 3, 3) and by the parameters (…, 3, P); None where no effect changes them
     measured: Callable[..., tuple[FloatArray, FloatArray, FloatArray]] | None
+    # parameters to the tracker's delay and its derivative (P,); None where there is none
     delay: Callable[[FloatArray], tuple[float, FloatArray]] | None
-    module: ModuleType
+    module: ModuleType  # what holds the machine code; without it the addresses would lead nowhere
 
     @property
     def parameters(self) -> int:

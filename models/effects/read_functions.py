@@ -3,8 +3,6 @@
 They lie apart because `symbols.py` makes them and loads SymPy only when a formula is first asked for.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import sympy as sp

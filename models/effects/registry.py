@@ -1,7 +1,5 @@
 """Effects by name: those of the library, and those that users bring in files of their own."""
 
-from __future__ import annotations
-
 import difflib
 import importlib.util
 import inspect

@@ -4,8 +4,6 @@ Roundings that only serve the computer are left out: constants below 1e-5 in sum
 `positive_part`. Long formulas are split into shorter ones that name the repeated parts k₁, k₂ ….
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -68,32 +66,21 @@ _PLAIN = {
 
 @dataclass(frozen=True)
 class Formula:
-    """One equation of an effect.
+    """One equation of an effect."""
 
-    Attributes:
-        meaning: of the left side; empty for a part that another equation uses.
-        latex: the equation in LaTeX, as matplotlib's mathtext can set it too.
-        text: the equation in one line.
-    """
-
-    meaning: str
-    latex: str
-    text: str
+    meaning: str  # of the left side; empty for a part that another equation uses
+    latex: str  # the equation in LaTeX, as matplotlib's mathtext can set it too
+    text: str  # the equation in one line
 
 
 @dataclass(frozen=True)
 class Written:
-    """An effect to be read.
+    """An effect to be read."""
 
-    Attributes:
-        formulas: its equations, helpers after those that use them.
-        letters: (text, LaTeX, meaning) of each letter in them that is no parameter.
-        symbols: how each parameter is written in `text`, by its name.
-    """
-
-    formulas: tuple[Formula, ...]
+    formulas: tuple[Formula, ...]  # its equations, helpers after those that use them
+    # (text, LaTeX, meaning) of each letter in them that is no parameter
     letters: tuple[tuple[str, str, str], ...]
-    symbols: dict[str, str]
+    symbols: dict[str, str]  # how each parameter is written in `text`, by its name
 
 
 def written(effect: Effect) -> Written:
@@ -195,7 +182,7 @@ def _split(expressions: Sequence[Any], begin: int) -> tuple[list[tuple[Any, Any]
     for index in range(len(helpers) - 1, -1, -1):
         name, value = helpers[index]
         later = [e for _, e in helpers[index + 1 :]] + list(reduced)
-        uses = sum(_occurrences(e, name) for e in later)
+        uses = sum(part == name for e in later for part in sp.preorder_traversal(e))
         if uses < 2 or (sp.count_ops(value) <= 1 and (uses <= 3 or not value.is_Add)):
             del helpers[index]
             helpers[index:] = [(n, e.subs(name, value)) for n, e in helpers[index:]]
@@ -209,10 +196,6 @@ def _split(expressions: Sequence[Any], begin: int) -> tuple[list[tuple[Any, Any]
         return e.xreplace(apart).xreplace(final)
 
     return [(order[name], renamed(e)) for name, e in helpers], [renamed(e) for e in reduced]
-
-
-def _occurrences(expression: Any, symbol: Any) -> int:
-    return sum(1 for part in sp.preorder_traversal(expression) if part == symbol)
 
 
 class _PositiveFirst:

@@ -13,17 +13,3 @@ from slipmap.models.measurements.push_dataset import (
 )
 from slipmap.models.measurements.reading import read_dataset
 from slipmap.models.measurements.writing import write_dataset
-
-__all__ = [
-    "Channel",
-    "DatasetError",
-    "Noise",
-    "PushDataset",
-    "Table",
-    "Trial",
-    "finger_path",
-    "pose_times",
-    "read_dataset",
-    "wrench_samples",
-    "write_dataset",
-]

@@ -1,7 +1,5 @@
 """Pushes as CSV: one file a push, a header line of named columns, empty cells where a sensor has no row."""
 
-from __future__ import annotations
-
 import csv
 import io
 import math
@@ -39,14 +37,10 @@ _REQUIRED = tuple(name for name in _UNITS if name not in _OPTIONAL)
 
 
 class CsvColumns(NamedTuple):
-    """Columns of CSV files.
+    """Columns of CSV files."""
 
-    Attributes:
-        names: our name to that in the files.
-        factors: our name to what its numbers have to be multiplied by to be s, m, rad, N or N·m.
-    """
-
-    names: Mapping[str, str]
+    names: Mapping[str, str]  # our name to that in the files
+    # our name to what its numbers have to be multiplied by to be s, m, rad, N or N·m
     factors: Mapping[str, float]
 
     @property

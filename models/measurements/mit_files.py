@@ -7,8 +7,6 @@ a density of 7.8 to 8.0 g/cm³. The butterfly `butter` is left out: its outline 
 measured points there.
 """
 
-from __future__ import annotations
-
 import io
 import re
 from collections.abc import Sequence

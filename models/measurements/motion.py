@@ -6,8 +6,6 @@ contact between no force and twice the force, and rectifies into a drift: with t
 object, pushes ended 1.4 mm off on average, and 0.5 mm off after smoothing.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from scipy.ndimage import correlate1d, maximum_filter1d, uniform_filter1d
 

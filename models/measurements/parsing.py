@@ -5,11 +5,10 @@ The checks are our own because libraries such as pydantic name field and type, b
 to do.
 """
 
-from __future__ import annotations
-
 import hashlib
 import json
 import math
+import re
 import reprlib
 from collections import Counter
 from collections.abc import Hashable, Iterable
@@ -187,20 +186,15 @@ def number(value: object, where: str) -> float:
 
 
 class Number(NamedTuple):
-    """What a number in a description may be.
+    """What a number in a description may be."""
 
-    Attributes:
-        unit: for error texts.
-        low, high: its limits.
-        beyond: what is said where it lies beyond them; a format of the attributes, `where` and `value`.
-        or_zero: whether it may be 0; otherwise only positive numbers are allowed.
-    """
-
-    unit: str
+    unit: str  # for error texts
+    # low, high: its limits
     low: float = 0.0
     high: float = math.inf
+    # what is said where it lies beyond them; a format of the attributes, `where` and `value`
     beyond: str = "{where}: lies in {low:g} to {high:g} {unit}, got {value:g}"
-    or_zero: bool = False
+    or_zero: bool = False  # whether it may be 0; otherwise only positive numbers are allowed
 
     def read(self, value: object, where: str) -> float:
         """A parsed value as such a number."""
@@ -275,6 +269,7 @@ def shown(value: object) -> str:
 
 
 def shown_error(error: Exception) -> str:
-    """The message of a library's exception on one line of bounded length; the file is named elsewhere."""
-    message = " ".join(str(error).replace('in "<byte string>", ', "").split())
+    """The message of a library's exception on one line of bounded length; of a text that it names, only the
+    line and column."""
+    message = " ".join(re.sub(r'in "<(byte|unicode) string>", ', "", str(error)).split())
     return message if len(message) <= 200 else message[:197] + "..."

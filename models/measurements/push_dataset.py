@@ -41,16 +41,12 @@ class DatasetError(ValueError):
 class Channel:
     """One sensor's rows, on the sensor's own time stamps.
 
-    Attributes:
-        time: (T,) strictly increasing, s.
-        values: (T, c) finite.
-
     Raises:
         DatasetError: shapes that do not match, no rows, non-finite numbers, time that does not increase.
     """
 
-    time: FloatArray
-    values: FloatArray
+    time: FloatArray  # (T,) strictly increasing, s
+    values: FloatArray  # (T, c) finite
 
     def __post_init__(self) -> None:
         time = np.ascontiguousarray(self.time, dtype=float)
@@ -184,28 +180,18 @@ class Table:
 
 @dataclass(frozen=True, eq=False)
 class Setup:
-    """What is pushed, with what and on what.
+    """What is pushed, with what and on what."""
 
-    Attributes:
-        name, description: free text.
-        grid: the object's cells and outline.
-        height: of the object above the table, m, where known.
-        mass: total mass, kg, where someone weighed it.
-        finger_radius: m.
-        table: the table top, where known.
-        gravity: m/s².
-        noise: standard deviations, where known.
-    """
-
+    # name, description: free text
     name: str
     description: str
-    grid: CellGrid
-    height: float | None
-    mass: float | None
-    finger_radius: float
-    table: Table | None
-    gravity: float
-    noise: Noise
+    grid: CellGrid  # the object's cells and outline
+    height: float | None  # of the object above the table, m, where known
+    mass: float | None  # total mass, kg, where someone weighed it
+    finger_radius: float  # m
+    table: Table | None  # the table top, where known
+    gravity: float  # m/s²
+    noise: Noise  # standard deviations, where known
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,33 +1,13 @@
 """Reading push measurements: a folder of the format push-dataset/1, which is a dataset.yaml and one JSON file
 a push; or bare files of pushes."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple, get_args
+from typing import Any, get_args
 
-from slipmap.models.measurements import parsing
-from slipmap.models.measurements.csv_files import (
-    CSV_ENDINGS,
-    STANDARD,
-    CsvColumns,
-    parse_columns,
-    read_csv_trial,
-)
-from slipmap.models.measurements.mit_files import (
-    FINGER_RADIUS,
-    HDF5_ENDINGS,
-    JSON_ENDINGS,
-    MIT_SHAPES,
-    THICKNESS,
-    mit_shape,
-    named_shape,
-    read_mit_trial,
-    surface_warnings,
-)
+from slipmap.models.measurements import csv_files, mit_files, parsing
 from slipmap.models.measurements.parsing import Fingerprint
 from slipmap.models.measurements.push_dataset import CHANNELS, DatasetError, PushDataset, Role, Setup, Trial
 from slipmap.models.measurements.setup_description import SETUP_KEYS, parse_setup
@@ -39,7 +19,7 @@ DESCRIPTION_FILE = "dataset.yaml"
 Entry = tuple[str, Role]
 
 _YAML_ENDINGS = (".yaml", ".yml")
-_MIT_ENDINGS = JSON_ENDINGS + HDF5_ENDINGS
+_MIT_ENDINGS = mit_files.JSON_ENDINGS + mit_files.HDF5_ENDINGS
 _HELDOUT_SHARE = 4
 _KINDS = (
     "a push dataset (a folder with a dataset.yaml), MIT push files (.json, .h5, .hdf5) or CSV files (.csv)"
@@ -62,7 +42,6 @@ def read_dataset(
     MIT and CSV files say nothing of roles: in sorted order the last quarter (rounded down) is heldout.
 
     Args:
-        path: folder or file.
         object_name: what was pushed, for MIT and CSV files: a shape of the MIT dataset (rect1, hex, ...; with
             its mass and the 4.75 mm finger) or a YAML file with the keys object, finger and, if wanted, name,
             description, table, gravity, noise of a dataset.yaml, and csv, see `parse_columns`.
@@ -108,24 +87,17 @@ def check_format(document: dict[str, Any], where: str) -> None:
         raise DatasetError(f"{where}: format is {parsing.shown(found)}; only {FORMAT} can be read")
 
 
-class _Parts(NamedTuple):
-    """What the pushes of a dataset are read with."""
-
-    setup: Setup
-    fingerprint: Fingerprint
-    warnings: list[str]
-    where: str
-
-
 def _assembled(
-    parts: _Parts,
+    setup: Setup,
+    fingerprint: Fingerprint,
+    warnings: list[str],
+    source: Path,
     folder: Path,
     entries: Sequence[Entry],
     read: Callable[[str, Role, bytes, str], tuple[Trial, list[str]]],
     progress: StageProgress | None,
 ) -> PushDataset:
     """Dataset of files in a folder; each is read by its name, role, content and path."""
-    setup, fingerprint, warnings, where = parts
     trials = []
     for index, (name, role) in enumerate(entries):
         content = parsing.read_bytes(folder / name)
@@ -135,7 +107,7 @@ def _assembled(
         warnings += doubts
         if progress is not None:
             progress(index + 1, len(entries))
-    warnings += check_trials(setup, trials, where)
+    warnings += check_trials(setup, trials, str(source))
     return PushDataset(
         **vars(setup),
         trials=tuple(trials),
@@ -156,8 +128,8 @@ def _read_push_format(description: Path, progress: StageProgress | None) -> Push
     fingerprint = Fingerprint()
     fingerprint.add(DESCRIPTION_FILE, content)
     entries = _entries(document, description.parent, where, warnings)
-    parts = _Parts(setup, fingerprint, warnings, where)
-    return _assembled(parts, description.parent, entries, _read_record, progress)
+    folder = description.parent
+    return _assembled(setup, fingerprint, warnings, description, folder, entries, _read_record, progress)
 
 
 def _entries(document: dict[str, Any], folder: Path, where: str, warnings: list[str]) -> list[Entry]:
@@ -212,22 +184,21 @@ def _read_files(source: Path, object_name: str | None, progress: StageProgress |
     files = _record_files(source) if source.is_dir() else [source]
     fingerprint = Fingerprint()
     read: Callable[[str, Role, bytes, str], tuple[Trial, list[str]]]
-    if _is(files[0], CSV_ENDINGS):
+    if _is(files[0], csv_files.CSV_ENDINGS):
         setup, warnings, columns = _setup(object_name, None, source, fingerprint)
-        read = partial(read_csv_trial, columns=columns)
+        read = partial(csv_files.read_csv_trial, columns=columns)
     elif _is(files[0], _MIT_ENDINGS):
         _refuse_part_of_a_dataset(files[0])
-        setup, warnings, _ = _setup(object_name, named_shape(files), source, fingerprint)
-        warnings += surface_warnings(files)
-        read = read_mit_trial
+        setup, warnings, _ = _setup(object_name, mit_files.named_shape(files), source, fingerprint)
+        warnings += mit_files.surface_warnings(files)
+        read = mit_files.read_mit_trial
     else:
         raise DatasetError(f"{source}: a file of another kind; wanted is {_KINDS}")
     learned = len(files) - len(files) // _HELDOUT_SHARE
     entries: list[Entry] = [
         (file.name, "fit" if index < learned else "heldout") for index, file in enumerate(files)
     ]
-    parts = _Parts(setup, fingerprint, warnings, str(source))
-    return _assembled(parts, files[0].parent, entries, read, progress)
+    return _assembled(setup, fingerprint, warnings, source, files[0].parent, entries, read, progress)
 
 
 def _is(file: Path, endings: tuple[str, ...]) -> bool:
@@ -238,11 +209,11 @@ def _record_files(folder: Path) -> list[Path]:
     files = sorted(
         file
         for file in folder.iterdir()
-        if _is(file, _MIT_ENDINGS + CSV_ENDINGS) and not file.name.startswith(".")
+        if _is(file, _MIT_ENDINGS + csv_files.CSV_ENDINGS) and not file.name.startswith(".")
     )
     if not files:
         raise DatasetError(f"{folder}: holds no measurements; wanted is {_KINDS}")
-    if len({_is(file, CSV_ENDINGS) for file in files}) > 1:
+    if len({_is(file, csv_files.CSV_ENDINGS) for file in files}) > 1:
         raise DatasetError(
             f"{folder}: holds both CSV and MIT push files; put each kind into a folder of its own"
         )
@@ -260,7 +231,7 @@ def _refuse_part_of_a_dataset(file: Path) -> None:
 
 def _setup(
     object_name: str | None, named: str | None, source: Path, fingerprint: Fingerprint
-) -> tuple[Setup, list[str], CsvColumns]:
+) -> tuple[Setup, list[str], csv_files.CsvColumns]:
     """Setup of a named shape or of a YAML file, warnings, and columns of CSV files.
 
     `named` is what the measurements' own names say.
@@ -269,17 +240,17 @@ def _setup(
     if chosen is None:
         raise DatasetError(
             f"{source}: says nothing of the object that was pushed; name with --object (in Python"
-            f" object_name) a shape of the MIT dataset ({', '.join(sorted(MIT_SHAPES))}) or a YAML file with"
-            f" the keys object and finger of a {DESCRIPTION_FILE}"
+            f" object_name) a shape of the MIT dataset ({', '.join(sorted(mit_files.MIT_SHAPES))}) or a YAML"
+            f" file with the keys object and finger of a {DESCRIPTION_FILE}"
         )
     file = Path(chosen)
-    if chosen not in MIT_SHAPES and _is(file, _YAML_ENDINGS):
+    if chosen not in mit_files.MIT_SHAPES and _is(file, _YAML_ENDINGS):
         content, document = parsing.read_yaml(file, chosen)
         fingerprint.add("object", content)
         setup, warnings = parse_setup(document, chosen, default_name=source.stem)
         warnings += parsing.unknown_keys(document, ("format", "trials", "csv", *SETUP_KEYS), chosen)
-        return setup, warnings, parse_columns(document.get("csv"), f"{chosen}: csv")
-    shape = mit_shape(chosen, str(source))
+        return setup, warnings, csv_files.parse_columns(document.get("csv"), f"{chosen}: csv")
+    shape = mit_files.mit_shape(chosen, str(source))
     if named is not None and named != chosen:
         raise DatasetError(
             f"{source}: the file names say shape={named}, not {chosen}; leave the object's name out"
@@ -287,7 +258,7 @@ def _setup(
     fingerprint.add("object", chosen.encode())
     document = {
         "description": f"Pushes of {chosen} of the MIT push dataset (Yu et al. 2016)",
-        "object": {"outline": shape.outline.tolist(), "height": THICKNESS, "mass": shape.mass},
-        "finger": {"radius": FINGER_RADIUS},
+        "object": {"outline": shape.outline.tolist(), "height": mit_files.THICKNESS, "mass": shape.mass},
+        "finger": {"radius": mit_files.FINGER_RADIUS},
     }
-    return *parse_setup(document, str(source), default_name=source.stem), STANDARD
+    return *parse_setup(document, str(source), default_name=source.stem), csv_files.STANDARD

@@ -3,8 +3,6 @@
 Its numbers are declared once, with their units and limits; reading, checking and writing go by that.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Pushes of an object whose maps are known, recorded as sensors would: for demonstrations and checks."""
 
-from __future__ import annotations
-
 import hashlib
 from collections.abc import Sequence
 from dataclasses import replace
@@ -88,6 +86,9 @@ def record_pushes(
                 _measured(rng, wrench, [force, force, force * slider.finger_radius]),
             )
         )
+    digest = hashlib.sha256()
+    for channel in (channel for trial in trials for channel in trial.channels.values()):
+        digest.update(channel.time.tobytes() + channel.values.tobytes())
     return PushDataset(
         name=name,
         description=description,
@@ -99,7 +100,7 @@ def record_pushes(
         gravity=slider.gravity,
         noise=noise,
         trials=tuple(trials),
-        fingerprint=_fingerprint(trials),
+        fingerprint=digest.hexdigest(),
     )
 
 
@@ -142,11 +143,3 @@ def _wrench(grid: CellGrid, push: Push, poses: Channel, forces: FloatArray, rate
     arm = rotated(shapely.get_coordinates(nearest) - local, pose[:, 2])
     torque = arm[:, 0] * mean[:, 1] - arm[:, 1] * mean[:, 0]
     return Channel(time, np.column_stack([mean, torque]))
-
-
-def _fingerprint(trials: Sequence[Trial]) -> str:
-    digest = hashlib.sha256()
-    for trial in trials:
-        for channel in trial.channels.values():
-            digest.update(channel.time.tobytes() + channel.values.tobytes())
-    return digest.hexdigest()

@@ -1,8 +1,6 @@
 """Trials out of tables of rows, as files hold them, and checks of them against geometry and units: what
 cannot be used is refused, what looks wrong is said."""
 
-from __future__ import annotations
-
 import hashlib
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
@@ -55,7 +53,6 @@ def trial_from_tables(
     counts as not measured.
 
     Args:
-        name, role: of the trial.
         tables: rows (T, 4) of t, x, y, theta or t, fx, fy, tau; the theta of the tip is not used.
         where: the file, for error texts.
 

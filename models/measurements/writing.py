@@ -1,7 +1,5 @@
 """Writing a dataset as a folder of the format push-dataset/1, at once or push by push; always whole."""
 
-from __future__ import annotations
-
 import json
 import os
 from collections.abc import Iterator
@@ -28,7 +26,6 @@ def write_dataset(dataset: PushDataset, folder: str | os.PathLike[str], *, overw
     object; a finger pushes from outside, so they are left out.
 
     Args:
-        dataset: what to write.
         folder: the target; its parents are made.
         overwrite: replace a push dataset that is there already. Only the files of that dataset may be in
             the folder, as everything in it goes.
@@ -55,11 +52,7 @@ def write_dataset(dataset: PushDataset, folder: str | os.PathLike[str], *, overw
 
 
 def is_replaced(target: Path, overwrite: bool) -> bool:
-    """Whether something stands at the target that may go.
-
-    Raises:
-        DatasetError: see `write_dataset`.
-    """
+    """Whether something stands at the target that may go. Raises DatasetError as `write_dataset`."""
     if not target.exists():
         return False
     if not target.is_dir():

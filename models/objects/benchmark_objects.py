@@ -1,8 +1,6 @@
 """Objects whose truth is known: the six of Song and Boularias (2020), shaped and coloured after
 their pictures, and the demonstration's hammer."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from difflib import get_close_matches
 from typing import NamedTuple
@@ -46,21 +44,13 @@ _PALE_BLUE: Color = (0.55, 0.80, 0.92, 1.0)
 
 
 class _Region(NamedTuple):
-    """A segment of the paper.
+    """A segment of the paper."""
 
-    Attributes:
-        outline: in mm, x right and y up in the picture, from the object's lower left.
-        height: mm.
-        cell_mass: of one cell in the authors' simulation, kg; only ratios within an object matter here.
-        mu: friction coefficient with the table.
-        color: red, green, blue, opacity.
-    """
-
-    outline: BaseGeometry
-    height: float
-    cell_mass: float
-    mu: float
-    color: Color
+    outline: BaseGeometry  # in mm, x right and y up in the picture, from the object's lower left
+    height: float  # mm
+    cell_mass: float  # of one cell in the authors' simulation, kg; only ratios within an object matter here
+    mu: float  # friction coefficient with the table
+    color: Color  # red, green, blue, opacity
 
 
 class _Whole(NamedTuple):

@@ -63,7 +63,10 @@ def cells_from_polygon(
     outline, openings = checked_points(exterior, "outline"), checked_holes(holes)
     polygon = checked_polygon(outline, openings)
     if count is not None:
-        centers, width = _counted(polygon, _checked_count(count))
+        whole = isinstance(count, int | np.integer) and not isinstance(count, bool)
+        if not whole or not 1 <= count <= _MAX_CELLS:
+            raise ValueError(f"cell grid: count must be a whole number from 1 to {_MAX_CELLS}, got {count!r}")
+        centers, width = _counted(polygon, int(count))
     else:
         assert width is not None
         centers = _sized(polygon, width)
@@ -232,12 +235,6 @@ def _mismatch(centers: FloatArray, width: float, target: tuple[float, FloatArray
     shift = float(np.hypot(*offsets.mean(axis=0))) / np.sqrt(polar / area)
     # Rounded, so that equally good grids are chosen by their order and not by rounding errors.
     return round(abs(len(centers) * cell_area / area - 1) + abs(second / polar - 1) + shift, 9)
-
-
-def _checked_count(count: int) -> int:
-    if isinstance(count, bool) or not isinstance(count, int | np.integer) or not 1 <= count <= _MAX_CELLS:
-        raise ValueError(f"cell grid: count must be a whole number from 1 to {_MAX_CELLS}, got {count!r}")
-    return int(count)
 
 
 def check_width(width: float) -> None:

@@ -1,8 +1,6 @@
 """Cell grids from label images, pictures from above whose pixels name segments of the object; and the outline
 of a mask of pixels, to better than a pixel."""
 
-from __future__ import annotations
-
 import re
 import struct
 import zlib

@@ -1,8 +1,6 @@
 """Triangle meshes: cell grids from their silhouettes, solids over an outline, convex pieces for collision
 engines, and OBJ text with the normals that renderers want."""
 
-from __future__ import annotations
-
 import logging
 from collections.abc import Sequence
 from itertools import combinations, pairwise

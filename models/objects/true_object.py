@@ -1,7 +1,5 @@
 """An object as it really is: what the experiment hides and the simulated world needs."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from os import PathLike
@@ -13,15 +11,8 @@ import trimesh
 from numpy.typing import ArrayLike, NDArray
 from shapely.geometry import Polygon
 
+from slipmap.models.objects import meshes
 from slipmap.models.objects.images import cells_from_label_image
-from slipmap.models.objects.meshes import (
-    cells_from_mesh,
-    coloured,
-    height_over,
-    lofted,
-    rounded,
-    upright_mesh,
-)
 from slipmap.models.physics.cell_grid import CellGrid, FloatArray
 from slipmap.models.physics.rollout import Maps
 
@@ -32,47 +23,30 @@ _PALETTE = ("#4c78a8", "#f58518", "#54a24b", "#e45756", "#72b7b2", "#b279a2", "#
 
 @dataclass(frozen=True, eq=False)
 class Block:
-    """Part of the object that a finger can touch: an upright prism on the table.
+    """Part of the object that a finger can touch: an upright prism on the table."""
 
-    Attributes:
-        outline: its footprint, may be concave and have holes, object frame, m.
-        height: m.
-    """
-
-    outline: Polygon
-    height: float
+    outline: Polygon  # its footprint, may be concave and have holes, object frame, m
+    height: float  # m
 
 
 @dataclass(frozen=True, eq=False)
 class TrueObject:
     """An object's true maps, shape and looks. The object frame has z = 0 on the underside, z up.
 
-    Attributes:
-        name: as in messages and in the scene.
-        grid: n cells and the outline.
-        labels: (n,) region of each cell, from 0.
-        mass: (n,) kg.
-        mu: (n,) friction coefficients with the table.
-        mu_finger: friction coefficient with the finger.
-        height: (n,) of the object over each cell, m.
-        mesh: what cameras see, object frame, m, with a colour on each face.
-        colors: (R, 4) red, green, blue, opacity of each region, 0 to 1.
-        blocks: what a finger touches; together they cover the outline.
-
     Raises:
         ValueError: arrays that do not fit the grid, or numbers out of range; names the cell.
     """
 
-    name: str
-    grid: CellGrid
-    labels: NDArray[np.int64]
-    mass: FloatArray
-    mu: FloatArray
-    mu_finger: float
-    height: FloatArray
-    mesh: trimesh.Trimesh
-    colors: FloatArray
-    blocks: tuple[Block, ...]
+    name: str  # as in messages and in the scene
+    grid: CellGrid  # n cells and the outline
+    labels: NDArray[np.int64]  # (n,) region of each cell, from 0
+    mass: FloatArray  # (n,) kg
+    mu: FloatArray  # (n,) friction coefficients with the table
+    mu_finger: float  # friction coefficient with the finger
+    height: FloatArray  # (n,) of the object over each cell, m
+    mesh: trimesh.Trimesh  # what cameras see, object frame, m, with a colour on each face
+    colors: FloatArray  # (R, 4) red, green, blue, opacity of each region, 0 to 1
+    blocks: tuple[Block, ...]  # what a finger touches; together they cover the outline
 
     def __post_init__(self) -> None:
         n = len(self.grid)
@@ -143,9 +117,9 @@ def object_from_mesh(
     """
     source = f"mesh {Path(path)}"
     _positive(mass, f"{source}: mass", "kg")
-    mesh = upright_mesh(path, up, metres_per_unit)
+    mesh = meshes.upright_mesh(path, up, metres_per_unit)
     try:
-        grid = cells_from_mesh(mesh, count=count)
+        grid = meshes.cells_from_mesh(mesh, count=count)
         height = cell_heights(mesh, grid)
     except ValueError as error:
         raise ValueError(f"{source}: {str(error).removeprefix('mesh: ')}") from error
@@ -157,7 +131,7 @@ def object_from_mesh(
         )
     colors = _region_colors(1)
     if not mesh.visual.defined:
-        mesh = coloured([(mesh, colors[0])])
+        mesh = meshes.coloured([(mesh, colors[0])])
     return TrueObject(
         name=Path(path).stem,
         grid=grid,
@@ -213,7 +187,7 @@ def object_from_labels(
     regions = _regions(grid, labels)
     edge = min(0.1 * height, 0.1 * grid.width)
     solids = [
-        (lofted(part, rounded(height, edge)), colors[label])
+        (meshes.lofted(part, meshes.rounded(height, edge)), colors[label])
         for label, region in enumerate(regions)
         for part in region
     ]
@@ -225,7 +199,7 @@ def object_from_labels(
         mu=np.array([mu[int(name)] for name in names])[labels],
         mu_finger=mu_finger,
         height=np.full(len(grid), height),
-        mesh=coloured(solids),
+        mesh=meshes.coloured(solids),
         colors=colors,
         blocks=(Block(grid.polygon, height),),
     )
@@ -234,7 +208,7 @@ def object_from_labels(
 def cell_heights(mesh: trimesh.Trimesh, grid: CellGrid) -> FloatArray:
     """(n,) height of a mesh over each cell, m: at its centre, or where the mesh does not cover that, over
     the nearest cell that it does cover."""
-    height = height_over(mesh, grid.centers)
+    height = meshes.height_over(mesh, grid.centers)
     covered = np.flatnonzero(np.isfinite(height))
     if len(covered) == 0:
         raise ValueError("mesh: covers no centre of a cell; are mesh and cells in one frame?")

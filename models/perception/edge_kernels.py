@@ -4,8 +4,6 @@ It calls nothing of another file, so that numba compiles it anew whenever someth
 is a `HeightPicture`.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

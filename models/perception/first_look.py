@@ -55,7 +55,6 @@ def first_look(
     Args:
         frames: at least one depth image (H, W), m; 0 or NaN where there is no reading, inf beyond the range.
             A pixel's reading is the median over the frames that have one; an odd number is best.
-        view: the camera.
         cells: wanted number of cells.
         blocked: (H, W) pixels that show the arm, as from `draw_hulls`.
 
@@ -175,29 +174,18 @@ def _outline(polygon: Polygon, traced: Outline, origin: FloatArray) -> Outline:
 
 @dataclass(frozen=True, eq=False)
 class FirstPicture:
-    """The picture from which an object was cut into cells.
+    """The picture from which an object was cut into cells."""
 
-    Attributes:
-        depth: (H, W) median of the pictures of the first look, m.
-        X_WC: (4, 4) pose of the camera in W.
-        blocked: (H, W) pixels that showed the arm.
-        cells: wanted number of them.
-        noisy, missing: see `PictureHistory`.
-    """
-
-    depth: DepthImage
-    X_WC: FloatArray
-    blocked: Mask
-    cells: int
+    depth: DepthImage  # (H, W) median of the pictures of the first look, m
+    X_WC: FloatArray  # (4, 4) pose of the camera in W
+    blocked: Mask  # (H, W) pixels that showed the arm
+    cells: int  # wanted number of them
+    # noisy, missing: see `PictureHistory`
     noisy: bool
     missing: float
 
     def seen(self, camera: PinholeCamera) -> SeenObject:
-        """What the first look found.
-
-        Raises:
-            NoTable, ObjectNotSeen, ValueError: see `first_look`.
-        """
+        """What the first look found. Raises NoTable, ObjectNotSeen, ValueError as `first_look`."""
         return first_look([self.depth], View(camera, self.X_WC), self.cells, self.blocked)
 
     def save(self, file: IO[bytes]) -> None:

@@ -1,8 +1,6 @@
 """Pixels in a height picture: those of the object, which stands on the table in one piece, and those of the
 arm, drawn as convex hulls around its links."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -115,15 +113,10 @@ def _without_rim(mask: Mask, heights: Heights) -> Mask:
 
 
 class Hull(NamedTuple):
-    """Convex hull of balls: two make a capsule, the eight corners with radius 0 a box.
+    """Convex hull of balls: two make a capsule, the eight corners with radius 0 a box."""
 
-    Attributes:
-        points: (k, 3) the balls' centres in W, m.
-        radius: of the balls, m.
-    """
-
-    points: FloatArray
-    radius: float
+    points: FloatArray  # (k, 3) the balls' centres in W, m
+    radius: float  # of the balls, m
 
 
 def draw_hulls(hulls: Sequence[Hull], view: View, margin: float = 0.008) -> Mask:
@@ -131,7 +124,6 @@ def draw_hulls(hulls: Sequence[Hull], view: View, margin: float = 0.008) -> Mask
 
     Args:
         hulls: around the arm's links and whatever it holds.
-        view: the camera.
         margin: added around each, m; for the readings' jitter and small errors of the arm's pose.
     """
     camera, picture = view.camera, np.zeros((view.camera.height, view.camera.width), np.uint8)

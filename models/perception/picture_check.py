@@ -27,19 +27,14 @@ _SPOILT = 0.01  # the same for a picture in which the object is not found
 
 @dataclass(frozen=True, eq=False)
 class PictureHistory:
-    """What is known of the pictures before.
+    """What is known of the pictures before."""
 
-    Attributes:
-        recent: sums (H,) of the rows of the newest that could be believed, at most `REMEMBERED`.
-        taken: when the newest was, s.
-        noisy: whether no two pictures of this camera have a row in common, so that one that does is not new.
-        missing: usual share of pixels without a reading.
-    """
-
+    # sums (H,) of the rows of the newest that could be believed, at most `REMEMBERED`
     recent: tuple[NDArray[np.uint64], ...] = ()
-    taken: float = 0.0
+    taken: float = 0.0  # when the newest was, s
+    # whether no two pictures of this camera have a row in common, so that one that does is not new
     noisy: bool = False
-    missing: float = 1.0
+    missing: float = 1.0  # usual share of pixels without a reading
 
     def learned(self, frames: Sequence[DepthImage], blocked: Mask | None) -> PictureHistory:
         """With what pictures (H, W) of a scene at rest tell of their noise.

@@ -4,8 +4,6 @@ Pixel coordinates are (column, row), whole numbers at the centres of pixels. The
 picture's right, y to its bottom and z along the view; depth is the z coordinate in C, not the distance.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -48,16 +46,12 @@ class PinholeCamera:
 class View:
     """A camera at its place in the world.
 
-    Attributes:
-        camera: the intrinsics.
-        X_WC: (4, 4) pose of the camera in W.
-
     Raises:
         ValueError: X_WC is not a rigid transform.
     """
 
     camera: PinholeCamera
-    X_WC: FloatArray
+    X_WC: FloatArray  # (4, 4) pose of the camera in W
 
     def __post_init__(self) -> None:
         X_WC = np.asarray(self.X_WC, dtype=float)

@@ -8,8 +8,6 @@ object's relief: what the camera takes for an edge of a tall or rounded object d
 Slopes inside the outline tell of the pose as well: heights read there are compared with the relief's.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -17,16 +15,7 @@ import cv2
 import numpy as np
 
 from slipmap.models.geometry import angle_between, placed
-from slipmap.models.perception.edge_kernels import (
-    Land,
-    Lens,
-    Shape,
-    edges_expected,
-    edges_found,
-    heights_off,
-    lines_across,
-    mean_misfits,
-)
+from slipmap.models.perception import edge_kernels
 from slipmap.models.perception.object_mask import HeightPicture, Heights, Mask, object_mask, smoothed_heights
 from slipmap.models.perception.pinhole_camera import DepthImage, View, pixel_size
 from slipmap.models.perception.seen_object import ObservedPose, SeenObject
@@ -95,7 +84,6 @@ def track(
 
     Args:
         depth: (H, W) m; 0 or NaN where there is no reading, inf beyond the range.
-        view: the camera.
         seen: the object, from `first_look`.
         previous: (3,) last known pose.
         blocked: (H, W) pixels that show the arm.
@@ -134,18 +122,13 @@ def track(
 
 
 class EdgeFit(NamedTuple):
-    """Result of a fit.
+    """Result of a fit."""
 
-    Attributes:
-        pose: (3,) x, y, theta of O in W.
-        covariance: (3, 3), from the scatter of the edges about the fitted outline; infinite if the edges
-            that were found do not determine the pose.
-        found: share of the outline's points with an edge within reach.
-    """
-
-    pose: FloatArray
+    pose: FloatArray  # (3,) x, y, theta of O in W
+    # (3, 3), from the scatter of the edges about the fitted outline; infinite if the edges that were found do
+    # not determine the pose
     covariance: FloatArray
-    found: float
+    found: float  # share of the outline's points with an edge within reach
 
 
 def fit_edges(
@@ -168,14 +151,14 @@ def fit_edges(
     expected: FloatArray | None = None
     moved = 0.0  # pixels, since the edges' places were predicted
     for k, reach in enumerate(reaches):
-        lines = lines_across(lens, shape, pose)
+        lines = edge_kernels.lines_across(lens, shape, pose)
         if expected is None or moved > _UNCHANGED:
-            expected, moved = edges_expected(lens, shape, pose, lines), 0.0
-        distance = edges_found(picture, shape, lines, reach) - expected
+            expected, moved = edge_kernels.edges_expected(lens, shape, pose, lines), 0.0
+        distance = edge_kernels.edges_found(picture, shape, lines, reach) - expected
         found = np.isfinite(distance)
         if found.sum() < 6:
             return fit
-        off = heights_off(picture, lens, shape, pose, pixel)
+        off = edge_kernels.heights_off(picture, lens, shape, pose, pixel)
         off = off[np.isfinite(off[:, 0])]
         d = np.concatenate([distance[found], off[:, 0]])
         J = np.concatenate([lines[found, 4:], off[:, 1:]])
@@ -198,15 +181,15 @@ def fit_edges(
 def load_kernels() -> None:
     """Compile what a fit calls, or load it: before the first picture, which should not have to wait."""
     points, numbers, map_of_nothing = np.zeros((1, 2)), np.zeros(1), np.zeros((2, 2), np.float32)
-    lens = Lens(1.0, 1.0, 0.0, 0.0, np.diag([1.0, -1.0, -1.0]), np.array([0.0, 0.0, 1.0]))
-    land = Land(np.zeros(3), np.zeros(2), map_of_nothing, 0.0)
-    shape = Shape(land, points, points, numbers, numbers, points, numbers, points)
+    lens = edge_kernels.Lens(1.0, 1.0, 0.0, 0.0, np.diag([1.0, -1.0, -1.0]), np.array([0.0, 0.0, 1.0]))
+    land = edge_kernels.Land(np.zeros(3), np.zeros(2), map_of_nothing, 0.0)
+    shape = edge_kernels.Shape(land, points, points, numbers, numbers, points, numbers, points)
     picture, pose = HeightPicture(map_of_nothing), np.zeros(3)
-    lines = lines_across(lens, shape, pose)
-    edges_expected(lens, shape, pose, lines)
-    edges_found(picture, shape, lines, 1.0)
-    heights_off(picture, lens, shape, pose, 1.0)
-    mean_misfits(picture, lens, shape, pose[None], 1.0, 1)
+    lines = edge_kernels.lines_across(lens, shape, pose)
+    edge_kernels.edges_expected(lens, shape, pose, lines)
+    edge_kernels.edges_found(picture, shape, lines, 1.0)
+    edge_kernels.heights_off(picture, lens, shape, pose, 1.0)
+    edge_kernels.mean_misfits(picture, lens, shape, pose[None], 1.0, 1)
 
 
 class _Candidate(NamedTuple):
@@ -339,7 +322,9 @@ class _Search(NamedTuple):
 
     def _misfits(self, picture: HeightPicture, poses: FloatArray, every: int = 1) -> FloatArray:
         """See `mean_misfits`; poses (k, 3)."""
-        return mean_misfits(picture, self.view.lens, self.seen.shape, poses, pixel_size(self.view), every)
+        return edge_kernels.mean_misfits(
+            picture, self.view.lens, self.seen.shape, poses, pixel_size(self.view), every
+        )
 
 
 def _longest_axis(points: FloatArray) -> FloatArray:

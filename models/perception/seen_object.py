@@ -65,23 +65,17 @@ Reason = Literal["", "no object", "occluded", "left the table"] | Fault
 
 @dataclass(frozen=True, eq=False)
 class ObservedPose:
-    """Pose of the object frame O in W as seen in one picture, or why it could not be seen.
+    """Pose of the object frame O in W as seen in one picture, or why it could not be seen."""
 
-    Attributes:
-        pose: (3,) x, y (m) and theta (rad) of O in W; NaN if not valid. Theta is continuous: it goes on from
-            the last pose beyond ±pi.
-        covariance: (3, 3) of the pose, m², m rad, rad²; NaN if not valid.
-        valid: whether the object was seen.
-        reason: empty, or why not: "no object" (none was seen yet, or what is seen is not it), "occluded" (the
-            arm hides too much of it), "left the table", or what is wrong with the picture.
-        time: at which the picture was taken, s.
-    """
-
+    # (3,) x, y (m) and theta (rad) of O in W; NaN if not valid. Theta is continuous: it goes on from the last
+    # pose beyond ±pi.
     pose: FloatArray
-    covariance: FloatArray
-    valid: bool
+    covariance: FloatArray  # (3, 3) of the pose, m², m rad, rad²; NaN if not valid
+    valid: bool  # whether the object was seen
+    # empty, or why not: "no object" (none was seen yet, or what is seen is not it), "occluded" (the arm hides
+    # too much of it), "left the table", or what is wrong with the picture
     reason: Reason = ""
-    time: float = 0.0
+    time: float = 0.0  # at which the picture was taken, s
 
     @staticmethod
     def of(pose: ArrayLike, time: float = 0.0, covariance: FloatArray | None = None) -> ObservedPose:
@@ -103,30 +97,19 @@ class ObservedPose:
 
 @dataclass(frozen=True, eq=False)
 class Outline:
-    """Points along the object's outline.
+    """Points along the object's outline."""
 
-    Attributes:
-        points: (m, 2) m.
-        normals: (m, 2) unit vectors out of the object.
-        heights: (m,) of the object's edge over the table there, m.
-    """
-
-    points: FloatArray
-    normals: FloatArray
-    heights: FloatArray
+    points: FloatArray  # (m, 2) m
+    normals: FloatArray  # (m, 2) unit vectors out of the object
+    heights: FloatArray  # (m,) of the object's edge over the table there, m
 
 
 @dataclass(frozen=True, eq=False)
 class Relief:
-    """Height of the object's top over the points of a square grid in O, 0 outside the footprint.
+    """Height of the object's top over the points of a square grid in O, 0 outside the footprint."""
 
-    Attributes:
-        corner: (2,) the grid's first point in O, m.
-        heights: (rows, columns) m; rows along y, columns along x, 1 mm apart.
-    """
-
-    corner: FloatArray
-    heights: NDArray[np.float32]
+    corner: FloatArray  # (2,) the grid's first point in O, m
+    heights: NDArray[np.float32]  # (rows, columns) m; rows along y, columns along x, 1 mm apart
 
     @staticmethod
     def from_cloud(polygon: Polygon, points: FloatArray, tops: FloatArray, pixel: float) -> Relief:
@@ -182,31 +165,21 @@ class SeenObject:
 
     The object frame O has its origin at the centroid of the footprint's area, on the table; at the first look
     its axes are parallel to those of W, to the fraction of a degree with which a pose can be measured.
-
-    Attributes:
-        grid: cells and outline in O.
-        cell_heights: (n,) median height of the object's top over each cell, m.
-        first_pose: (3,) x, y, theta of O in W at the first look, measured in the same way as later poses, so
-            that their difference is the object's motion; theta is nearly 0.
-        outline: points along the rings in O, with the height of the edge.
-        rim_heights: (m,) of the object just inside the outline's points, m: smaller where it is rounded.
-        inner_points: (k, 2) points inside in O, m, on a square grid.
-        inner_heights: (k,) of the object's top there, m.
-        inner_slopes: (k, 2) of the top there, along O's axes.
-        relief: heights over the whole footprint.
-        table: plane of the table in W.
     """
 
-    grid: CellGrid
-    cell_heights: FloatArray
+    grid: CellGrid  # cells and outline in O
+    cell_heights: FloatArray  # (n,) median height of the object's top over each cell, m
+    # (3,) x, y, theta of O in W at the first look, measured in the same way as later poses, so that their
+    # difference is the object's motion; theta is nearly 0
     first_pose: FloatArray
-    outline: Outline
+    outline: Outline  # points along the rings in O, with the height of the edge
+    # (m,) of the object just inside the outline's points, m: smaller where it is rounded
     rim_heights: FloatArray
-    inner_points: FloatArray
-    inner_heights: FloatArray
-    inner_slopes: FloatArray
-    relief: Relief
-    table: TablePlane
+    inner_points: FloatArray  # (k, 2) points inside in O, m, on a square grid
+    inner_heights: FloatArray  # (k,) of the object's top there, m
+    inner_slopes: FloatArray  # (k, 2) of the top there, along O's axes
+    relief: Relief  # heights over the whole footprint
+    table: TablePlane  # plane of the table in W
 
     @cached_property
     def shape(self) -> Shape:
@@ -219,29 +192,18 @@ class SeenObject:
 
 
 class Ring(NamedTuple):
-    """One ring of an object in the picture: corners (k, 2), column and row.
+    """One ring of an object in the picture: corners (k, 2), column and row."""
 
-    Attributes:
-        edge: where the picture has half the object's height, as trackers see it.
-        foot: where the object ends, farther out where its edge is rounded.
-    """
-
-    edge: LinearRing
-    foot: LinearRing
+    edge: LinearRing  # where the picture has half the object's height, as trackers see it
+    foot: LinearRing  # where the object ends, farther out where its edge is rounded
 
 
 class Footprint(NamedTuple):
-    """What an object covers of the table, in W, m.
+    """What an object covers of the table, in W, m."""
 
-    Attributes:
-        polygon: where the object ends.
-        edge: where the picture shows its edge, which is farther inside where that is rounded.
-        outline: points along the rings of `edge`.
-    """
-
-    polygon: Polygon
-    edge: Polygon
-    outline: Outline
+    polygon: Polygon  # where the object ends
+    edge: Polygon  # where the picture shows its edge, which is farther inside where that is rounded
+    outline: Outline  # points along the rings of `edge`
 
 
 def footprint(mask: Mask, heights: Heights, raw: Heights, plane: TablePlane, view: View) -> Footprint:

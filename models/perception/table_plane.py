@@ -1,7 +1,5 @@
 """The table in a depth image: a plane, fitted so that what stands on it does not matter."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -25,16 +23,12 @@ class NoTable(ValueError):
 
 @dataclass(frozen=True)
 class TablePlane:
-    """The table's top z = slope_x x + slope_y y + height in W.
+    """The table's top z = slope_x x + slope_y y + height in W."""
 
-    Attributes:
-        slope_x, slope_y: of a table that is not quite level in W.
-        height: at W's origin, m.
-    """
-
+    # slope_x, slope_y: of a table that is not quite level in W
     slope_x: float = 0.0
     slope_y: float = 0.0
-    height: float = 0.0
+    height: float = 0.0  # at W's origin, m
 
     def at(self, xy: FloatArray) -> FloatArray:
         """Height (...) of the table at points (..., 2), m."""

@@ -24,8 +24,7 @@ from slipmap.diagrams.loops.run_folder import (
 )
 from slipmap.diagrams.station.scenario import Scenario
 from slipmap.models.files import BadInput
-from slipmap.models.measurements import Channel, Trial, read_dataset, write_dataset
-from slipmap.models.measurements import writing as recording
+from slipmap.models.measurements import Channel, Trial, read_dataset, write_dataset, writing as recording
 from slipmap.models.perception.first_look import FirstPicture
 from slipmap.models.perception.pinhole_camera import View
 from slipmap.planners.action_selection import Choice

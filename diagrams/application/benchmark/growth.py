@@ -1,7 +1,5 @@
 """How time and memory grow with cells, steps and models; each point in a process of its own, on one core."""
 
-from __future__ import annotations
-
 import json
 import os
 import resource

@@ -4,8 +4,6 @@ MuJoCo: one free body of a box a cell, a finger on a rail with a velocity actuat
 held together by fixed joints, as the paper's authors did it.
 """
 
-from __future__ import annotations
-
 import statistics
 import time
 from collections.abc import Callable

@@ -8,8 +8,6 @@ where K_i = J_iᵀ J_i + diag(0, 0, ρ²) and J_i maps the twist to the velocity
 the compiled kernel but the definition of the model.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from functools import partial
 

@@ -1,7 +1,5 @@
 """The push that every engine of the benchmark simulates, and how the engines are timed."""
 
-from __future__ import annotations
-
 import statistics
 import time
 from collections.abc import Callable
@@ -31,31 +29,20 @@ class Scene:
 
     All cells have the same mass, so that in an engine with rigid bodies, too, each carries its own weight.
     The friction coefficients are random.
-
-    Attributes:
-        slider: the cell-grid model of the object.
-        maps: K models.
-        push: the finger's motion and the times at which poses are wanted, all ends of steps.
     """
 
-    slider: Slider
-    maps: Maps
-    push: Push
+    slider: Slider  # the cell-grid model of the object
+    maps: Maps  # K models
+    push: Push  # the finger's motion and the times at which poses are wanted, all ends of steps
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """What one engine did.
+    """What one engine did."""
 
-    Attributes:
-        seconds: median time of one rollout, s.
-        final_pose: (3,) x, y, θ of the object after the push, with the first of the maps.
-        remark: how the engine represents the object.
-    """
-
-    seconds: float
-    final_pose: FloatArray
-    remark: str
+    seconds: float  # median time of one rollout, s
+    final_pose: FloatArray  # (3,) x, y, θ of the object after the push, with the first of the maps
+    remark: str  # how the engine represents the object
 
 
 def make_scene(*, cells: int, models: int, steps: int, seed: int) -> Scene:

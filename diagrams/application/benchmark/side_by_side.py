@@ -1,7 +1,5 @@
 """All engines on the same push in one run: the compiled rollout, plain numpy, MuJoCo and Bullet."""
 
-from __future__ import annotations
-
 import time
 from typing import Any
 
@@ -34,7 +32,6 @@ def run_benchmark(
         steps: steps of the push, of 5 ms.
         repeats: runs of which the median is taken.
         seed: of the friction maps.
-        progress: called with (stage, done, total).
 
     Returns:
         A dict that JSON can hold: `scene`; `engines`, a list with name, seconds per rollout, ratio to the

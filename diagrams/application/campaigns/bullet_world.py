@@ -1,7 +1,5 @@
 """A second truth beside Drake's: the object in Bullet, one rigid body on a foot a cell."""
 
-from __future__ import annotations
-
 import numpy as np
 import shapely
 from scipy.spatial.transform import Rotation
@@ -43,11 +41,6 @@ class BulletWorld(DirectWorld):
 
     Finger and table's edge touch upright prisms of the object's outline. Friction coefficients are those of
     the true object: Bullet multiplies the two of a pair, the other is 1.
-
-    Args:
-        true_object: what lies on the table.
-        table: its top.
-        noise: of control and sensors.
 
     Raises:
         ModuleNotFoundError: pybullet is not installed.

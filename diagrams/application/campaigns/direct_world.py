@@ -1,7 +1,5 @@
 """A world in which the finger is moved directly, without an arm: what its engines have in common."""
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, field, replace
 
@@ -37,18 +35,12 @@ _SUNK = 5e-3  # m; the same
 
 @dataclass(frozen=True)
 class WorldNoise:
-    """How far a world is from what is asked for and reported.
+    """How far a world is from what is asked for and reported."""
 
-    Attributes:
-        control: standard deviation of each coordinate of a push's begin and of its end, m; cut off at 2.5
-            times that.
-        sensors: one standard deviation of every row.
-        camera: poses a second while the finger pushes; 0 for none but those before and after.
-    """
-
+    # standard deviation of each coordinate of a push's begin and of its end, m; cut off at 2.5 times that
     control: float = 2e-3
-    sensors: Noise = field(default_factory=lambda: SENSORS)
-    camera: float = 15.0
+    sensors: Noise = field(default_factory=lambda: SENSORS)  # one standard deviation of every row
+    camera: float = 15.0  # poses a second while the finger pushes; 0 for none but those before and after
 
     def __post_init__(self) -> None:
         for name in ("control", "camera"):
@@ -59,16 +51,11 @@ class WorldNoise:
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """What happened while the finger moved, a row each `PERIOD`.
+    """What happened while the finger moved, a row each `PERIOD`."""
 
-    Attributes:
-        poses: (T, 3) of the object, NaN once it is not flat on the table any more.
-        tips: (T, 2) of the finger's centre, m.
-        forces: (T, 2) of the finger on the object, world, N: mean over the time since the row before.
-    """
-
-    poses: FloatArray
-    tips: FloatArray
+    poses: FloatArray  # (T, 3) of the object, NaN once it is not flat on the table any more
+    tips: FloatArray  # (T, 2) of the finger's centre, m
+    # (T, 2) of the finger on the object, world, N: mean over the time since the row before
     forces: FloatArray
 
 
@@ -76,11 +63,6 @@ class DirectWorld(ABC):
     """One object on a table; a `slipmap.planners.push_decisions.World`. Engines fill in how things move.
 
     A world is built once and used for many trials: `reset` begins one.
-
-    Args:
-        true_object: what lies on the table.
-        table: its top.
-        noise: of control and sensors.
     """
 
     finger_radius = FINGER_RADIUS
@@ -147,7 +129,10 @@ class DirectWorld(ABC):
             before = self.true_pose
         except ObjectFell as error:
             raise PushNotMade(str(error)) from error
-        begin, end = (self._missed(point) for point in (push.begin, push.end))
+        begin, end = (
+            point + self.noise.control * np.clip(self._rng.standard_normal(2), -_WORST_MISS, _WORST_MISS)
+            for point in (push.begin, push.end)
+        )
         local = seen_from(begin, before)
         gap = float(shapely.distance(self.true_object.grid.polygon, shapely.Point(local)))
         if gap < self.finger_radius:
@@ -189,9 +174,6 @@ class DirectWorld(ABC):
     def _measured(self, values: FloatArray, *levels: float | None) -> FloatArray:
         sigma = np.array([level or 0.0 for level in levels])
         return values + sigma * self._rng.standard_normal(values.shape)
-
-    def _missed(self, point: FloatArray) -> FloatArray:
-        return point + self.noise.control * np.clip(self._rng.standard_normal(2), -_WORST_MISS, _WORST_MISS)
 
     def _inside(self) -> bool:
         """Whether the whole footprint lies on the table."""

@@ -52,13 +52,7 @@ def experiment_of(name: str) -> Experiment:
 
 @dataclass(frozen=True)
 class TableText:
-    """A table as it is shown.
-
-    Attributes:
-        title: line above it.
-        columns: headings.
-        rows: cells.
-    """
+    """A table as it is shown."""
 
     title: str
     columns: tuple[str, ...]
@@ -67,55 +61,38 @@ class TableText:
 
 @dataclass(frozen=True, eq=False)
 class Summary:
-    """What the trials of a campaign say.
+    """What the trials of a campaign say."""
 
-    Attributes:
-        tables: with the paper's numbers where it has any.
-        remark: on the comparison.
-        document: the same for programs.
-        figures: draws them.
-    """
-
-    tables: list[TableText]
-    remark: str
-    document: dict[str, Any]
-    figures: Callable[[], list[Figure]]
+    tables: list[TableText]  # with the paper's numbers where it has any
+    remark: str  # on the comparison
+    document: dict[str, Any]  # the same for programs
+    figures: Callable[[], list[Figure]]  # draws them
 
 
 @dataclass(frozen=True)
 class Experiment:
-    """One experiment of the paper.
+    """One experiment of the paper."""
 
-    Attributes:
-        name: of the figure, such as `fig3`.
-        trials: of each object and variant, unless told otherwise.
-        trial: function of one, which takes `seed`, `object_name`, `truth` unless there is but one, and what
-            the next two say.
-        summary: of their outcomes; failed ones have no result.
-        varied: a parameter and its values, such as the methods that are compared; or nothing.
-        seeds_a_belief: trials with one and the same belief, of whose seed they are told as `belief_seed`; 0
-            where each has its own.
-        plant_alone: what is simulated by Drake's plant alone; empty where any truth will do.
-        objects: that are tried, unless told otherwise; all six where empty.
-    """
-
-    name: str
-    trials: int
+    name: str  # of the figure, such as `fig3`
+    trials: int  # of each object and variant, unless told otherwise
+    # function of one, which takes `seed`, `object_name`, `truth` unless there is but one, and what the next
+    # two say
     trial: Callable[..., dict[str, Any]]
-    summary: Callable[[Sequence[TrialOutcome]], Summary]
+    summary: Callable[[Sequence[TrialOutcome]], Summary]  # of their outcomes; failed ones have no result
+    # a parameter and its values, such as the methods that are compared; or nothing
     varied: Mapping[str, Sequence[str]] = field(default_factory=dict)
+    # trials with one and the same belief, of whose seed they are told as `belief_seed`; 0 where each has its
+    # own
     seeds_a_belief: int = 0
-    plant_alone: str = ""
-    objects: tuple[str, ...] = ()
+    plant_alone: str = ""  # what is simulated by Drake's plant alone; empty where any truth will do
+    objects: tuple[str, ...] = ()  # that are tried, unless told otherwise; all six where empty
 
     def specs(self, objects: Sequence[str], trials: int, seed: int, truth: str) -> list[TrialSpec]:
         """A trial for every seed, object and variant; all objects early, so that an unfinished campaign has
         something of each.
 
         Args:
-            objects: names.
             trials: of each object and variant.
-            seed: the first one.
             truth: one of `worlds.TRUTHS`.
 
         Raises:

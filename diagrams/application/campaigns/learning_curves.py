@@ -8,15 +8,17 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from slipmap.diagrams.application.campaigns import experiments
+from slipmap.diagrams.application.campaigns.direct_world import DirectWorld
+from slipmap.diagrams.application.campaigns.worlds import as_dataset, world_of
+from slipmap.models.inference.belief import Belief
+from slipmap.models.inference.identification import identify
+from slipmap.models.measurements import Trial
+from slipmap.planners.pregrasp import explore
 from slipmap.planners.settings import STRATEGIES, PregraspSettings
 from slipmap.planners.trials import Estimate, TrialOutcome, mean
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
-    from slipmap.diagrams.application.campaigns.direct_world import DirectWorld
-    from slipmap.models.inference.belief import Belief
-    from slipmap.models.measurements import Trial
 
 PUSHES = 5
 """To learn from, at most; as many as the paper's identification has."""
@@ -31,9 +33,6 @@ Curves = dict[str, dict[str, list[list[float]]]]
 
 def strategies_trial(*, seed: int, truth: str, object_name: str, strategy: str) -> dict[str, Any]:
     """Trial of figure 3: errors (m) on the same further pushes, after 1 to `PUSHES` pushes of a strategy."""
-    from slipmap.diagrams.application.campaigns.worlds import as_dataset, world_of
-    from slipmap.models.inference.identification import identify
-
     world = world_of(truth, object_name)
     checks = _pushes(world, CHECKS, "random", seed, 0)
     trials = _pushes(world, PUSHES, strategy, seed, 1)
@@ -46,9 +45,6 @@ def strategies_trial(*, seed: int, truth: str, object_name: str, strategy: str) 
 
 def models_trial(*, seed: int, truth: str, object_name: str) -> dict[str, Any]:
     """Trial of figure 4: errors (m) of every model on further pushes, after 1 to `PUSHES` random pushes."""
-    from slipmap.diagrams.application.campaigns.worlds import as_dataset, world_of
-    from slipmap.models.inference.identification import identify
-
     world = world_of(truth, object_name)
     checks = _pushes(world, CHECKS, "random", seed, 0)
     trials = _pushes(world, PUSHES, "random", seed, 1)
@@ -68,9 +64,6 @@ def models_trial(*, seed: int, truth: str, object_name: str) -> dict[str, Any]:
 
 def _pushes(world: DirectWorld, count: int, strategy: str, seed: int, series: int) -> Sequence[Trial]:
     """Pushes of an object that is put down at the table's middle, turned at random."""
-    from slipmap.diagrams.application.campaigns.worlds import as_dataset
-    from slipmap.models.inference.identification import identify
-    from slipmap.planners.pregrasp import explore
 
     def learn(trials: Sequence[Trial]) -> Belief:
         return identify(as_dataset(world, trials), seed=seed, friction_laws=False).belief

@@ -23,19 +23,13 @@ Paper = Mapping[str, Mapping[str, float]]
 
 @dataclass(frozen=True, eq=False)
 class MethodsCompared:
-    """What trials with each of some methods or models say; each has a `fate` and `pushes`.
+    """What trials with each of some methods or models say; each has a `fate` and `pushes`."""
 
-    Attributes:
-        results: object, method, results of trials, the row `ALL` included if wanted.
-        success: object, method, share of trials.
-        pushes: method, their mean number.
-        fates: method, how many trials had which.
-    """
-
+    # object, method, results of trials, the row `ALL` included if wanted
     results: dict[str, dict[str, list[dict[str, Any]]]]
-    success: dict[str, dict[str, Estimate]]
-    pushes: dict[str, Estimate]
-    fates: dict[str, Counter[str]]
+    success: dict[str, dict[str, Estimate]]  # object, method, share of trials
+    pushes: dict[str, Estimate]  # method, their mean number
+    fates: dict[str, Counter[str]]  # method, how many trials had which
 
     @property
     def methods(self) -> tuple[str, ...]:
@@ -90,7 +84,6 @@ def compare_methods(
     """Sum up trials; failed ones have no result and do not count.
 
     Args:
-        outcomes: of the trials.
         good: the fate that is success.
         pushes: number of them, of a result.
         together: whether to add a row `ALL`.

@@ -1,39 +1,18 @@
 """The true world of the campaigns: Drake's MultibodyPlant, a finger on a prescribed path, and no arm."""
 
-from __future__ import annotations
-
 import numpy as np
 from pydrake.geometry import AddContactMaterial, Cylinder, ProximityProperties
 from pydrake.math import RigidTransform
+from pydrake.multibody import tree
 from pydrake.multibody.plant import AddMultibodyPlant, CoulombFriction, MultibodyPlant
-from pydrake.multibody.tree import (
-    ModelInstanceIndex,
-    PdControllerGains,
-    PrismaticJoint,
-    SpatialInertia,
-)
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import TrajectorySource, VectorLogSink
 from pydrake.trajectories import PiecewisePolynomial
 
-from slipmap.diagrams.application.campaigns.direct_world import (
-    AT_REST,
-    LONGEST_SETTLING,
-    PERIOD,
-    DirectWorld,
-    Motion,
-    WorldNoise,
-    flat_pose,
-)
+from slipmap.diagrams.application.campaigns import direct_world
+from slipmap.diagrams.station import sliding_object
 from slipmap.diagrams.station.hidden_effects import HiddenEffectsConfig, add_hidden_effects
-from slipmap.diagrams.station.sliding_object import (
-    BODY,
-    FINGER_FRICTION,
-    add_sliding_object,
-    plant_config,
-    resting_pose,
-)
 from slipmap.diagrams.station.table import ROUND_TABLE, TABLE_FRICTION, add_table
 from slipmap.models.measurements.push_dataset import Table
 from slipmap.models.objects.true_object import TrueObject
@@ -49,13 +28,10 @@ _LOOK = 0.02  # s between two looks whether the object rests or is lost
 _LEAST_SETTLING = 0.25  # s
 
 
-class PlantWorld(DirectWorld):
+class PlantWorld(direct_world.DirectWorld):
     """The object of the station on the station's table, pushed by a finger that nothing can stop.
 
     Args:
-        true_object: what lies on the table.
-        table: its top.
-        noise: of control and sensors.
         hidden: effects that the object's model does not know.
         time_step: of the plant, s; a whole fraction of 0.01 s.
 
@@ -67,22 +43,23 @@ class PlantWorld(DirectWorld):
         self,
         true_object: TrueObject,
         table: Table = ROUND_TABLE,
-        noise: WorldNoise | None = None,
+        noise: direct_world.WorldNoise | None = None,
         *,
         hidden: HiddenEffectsConfig | None = None,
         time_step: float = TIME_STEP,
     ) -> None:
         super().__init__(true_object, table, noise)
-        ratio = PERIOD / time_step
+        ratio = direct_world.PERIOD / time_step
         if abs(ratio - round(ratio)) > 1e-9:
             raise ValueError(
-                f"plant world: the time step must be a whole fraction of {PERIOD} s, got {time_step}"
+                f"plant world: the time step must be a whole fraction of {direct_world.PERIOD} s, got"
+                f" {time_step}"
             )
         self._time_step = time_step
         builder = DiagramBuilder()
-        plant, _ = AddMultibodyPlant(plant_config(time_step), builder)
+        plant, _ = AddMultibodyPlant(sliding_object.plant_config(time_step), builder)
         add_table(plant, table)
-        add_sliding_object(plant, true_object, TABLE_FRICTION, single_feet=True)
+        sliding_object.add_sliding_object(plant, true_object, TABLE_FRICTION, single_feet=True)
         self._finger = _add_finger(plant)
         plant.Finalize()
         if hidden is not None:
@@ -97,7 +74,7 @@ class PlantWorld(DirectWorld):
             plant.get_generalized_contact_forces_output_port(self._finger), self._contact.get_input_port()
         )
         self._plant = plant
-        self._body = plant.GetBodyByName(BODY)
+        self._body = plant.GetBodyByName(sliding_object.BODY)
         self._simulator = Simulator(builder.Build())
         self._root = self._simulator.get_mutable_context()
         self._context = plant.GetMyMutableContextFromRoot(self._root)
@@ -110,10 +87,10 @@ class PlantWorld(DirectWorld):
         diagram = self._simulator.get_system()
         self._root.SetTime(0.0)
         diagram.SetDefaultContext(self._root)
-        self._plant.SetFreeBodyPose(self._context, self._body, resting_pose(*pose))
+        self._plant.SetFreeBodyPose(self._context, self._body, sliding_object.resting_pose(*pose))
         self._take_finger_away()
 
-    def _drive(self, tip: FloatArray) -> Motion:
+    def _drive(self, tip: FloatArray) -> direct_world.Motion:
         h = self._time_step
         times = h * np.arange(len(tip))
         # The drive holds at the end of a step what is wanted at its beginning.
@@ -129,15 +106,18 @@ class PlantWorld(DirectWorld):
             if self._lost():
                 break
             self._simulator.AdvanceTo(end)
-        stride = round(PERIOD / h)
+        stride = round(direct_world.PERIOD / h)
+        joints = [self._plant.GetJointByName(name) for name in ("finger_x", "finger_y")]
         states = np.asarray(self._states.FindLog(self._root).data()).T[::stride]
         # What the object does to the finger, with the other sign.
         forces = _means(-np.asarray(self._contact.FindLog(self._root).data()).T, stride)
         self._take_finger_away()
         lost = 1 + (len(tip) - 1) // stride - len(states)
-        return Motion(
+        return direct_world.Motion(
             np.vstack([self._poses(states), np.full((lost, 3), np.nan)]),
-            np.vstack([self._tips(states), tip[::stride][len(states) :]]),
+            np.vstack(
+                [states[:, [joint.position_start() for joint in joints]], tip[::stride][len(states) :]]
+            ),
             np.vstack([forces, np.zeros((lost, 2))]),
         )
 
@@ -146,10 +126,10 @@ class PlantWorld(DirectWorld):
 
     def _settle(self) -> None:
         begin = self._root.get_time()
-        while self._root.get_time() < begin + LONGEST_SETTLING and not self._lost():
+        while self._root.get_time() < begin + direct_world.LONGEST_SETTLING and not self._lost():
             self._simulator.AdvanceTo(self._root.get_time() + _LOOK)
             velocity = np.abs(self._plant.GetVelocities(self._context, self._body.model_instance())).max()
-            if self._root.get_time() > begin + _LEAST_SETTLING and velocity < AT_REST:
+            if self._root.get_time() > begin + _LEAST_SETTLING and velocity < direct_world.AT_REST:
                 return
 
     def _pose(self) -> FloatArray:
@@ -165,27 +145,23 @@ class PlantWorld(DirectWorld):
     def _poses(self, states: FloatArray) -> FloatArray:
         """(T, 3) from rows of the plant's state; NaN where the object is not flat on the table."""
         start = self._body.floating_positions_start()
-        return flat_pose(states[:, start + 4 : start + 7], *states[:, start : start + 4].T)
-
-    def _tips(self, states: FloatArray) -> FloatArray:
-        names = ("finger_x", "finger_y")
-        return states[:, [self._plant.GetJointByName(name).position_start() for name in names]]
+        return direct_world.flat_pose(states[:, start + 4 : start + 7], *states[:, start : start + 4].T)
 
 
-def _add_finger(plant: MultibodyPlant) -> ModelInstanceIndex:
+def _add_finger(plant: MultibodyPlant) -> tree.ModelInstanceIndex:
     """An upright round finger on two prismatic joints with a drive too stiff to give way."""
     instance = plant.AddModelInstance("finger")
-    inertia = SpatialInertia.SolidSphereWithMass(1.0, 0.02)
+    inertia = tree.SpatialInertia.SolidSphereWithMass(1.0, 0.02)
     carriage = plant.AddRigidBody("carriage", instance, inertia)
     finger = plant.AddRigidBody("finger", instance, inertia)
     for name, parent, child, axis in (
         ("finger_x", plant.world_frame(), carriage.body_frame(), [1.0, 0.0, 0.0]),
         ("finger_y", carriage.body_frame(), finger.body_frame(), [0.0, 1.0, 0.0]),
     ):
-        joint = plant.AddJoint(PrismaticJoint(name, parent, child, np.array(axis)))
-        plant.AddJointActuator(name, joint).set_controller_gains(PdControllerGains(p=1e7, d=1e5))
+        joint = plant.AddJoint(tree.PrismaticJoint(name, parent, child, np.array(axis)))
+        plant.AddJointActuator(name, joint).set_controller_gains(tree.PdControllerGains(p=1e7, d=1e5))
     contact = ProximityProperties()
-    friction = CoulombFriction(FINGER_FRICTION, FINGER_FRICTION)
+    friction = CoulombFriction(sliding_object.FINGER_FRICTION, sliding_object.FINGER_FRICTION)
     AddContactMaterial(dissipation=20.0, point_stiffness=1e8, friction=friction, properties=contact)
     X_FG = RigidTransform(np.array([0.0, 0.0, _FINGER_HEIGHT + FINGER_LENGTH / 2]))
     plant.RegisterCollisionGeometry(finger, X_FG, Cylinder(FINGER_RADIUS, FINGER_LENGTH), "finger", contact)

@@ -1,12 +1,11 @@
 """Figure 6 of the paper: how often each method brings an object to the edge, and by how many pushes."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
+from slipmap.diagrams.application.campaigns.direct_world import DirectWorld
 from slipmap.diagrams.application.campaigns.experiments import (
     PREGRASP_ACTIONS,
     PREGRASP_SUCCESS,
@@ -14,15 +13,14 @@ from slipmap.diagrams.application.campaigns.experiments import (
     Summary,
 )
 from slipmap.diagrams.application.campaigns.methods_compared import compare_methods
+from slipmap.diagrams.application.campaigns.worlds import identified, world_of
 from slipmap.models.geometry import angle_between
-from slipmap.planners.settings import METHODS
+from slipmap.models.inference.belief import Belief
+from slipmap.models.physics.cell_grid import FloatArray
+from slipmap.planners.pregrasp import Pregrasp, bring_to_edge
+from slipmap.planners.push_decisions import ObjectFell
+from slipmap.planners.settings import METHODS, PregraspSettings
 from slipmap.planners.trials import TrialOutcome
-
-if TYPE_CHECKING:
-    from slipmap.diagrams.application.campaigns.direct_world import DirectWorld
-    from slipmap.models.inference.belief import Belief
-    from slipmap.models.physics.cell_grid import FloatArray
-    from slipmap.planners.pregrasp import Pregrasp
 
 NEAR = 0.02
 """From the goal, m; with `NEAR_ANGLE` the paper's success."""
@@ -40,8 +38,6 @@ def trial(*, seed: int, truth: str, object_name: str, method: str, belief_seed: 
     Returns:
         See `result_of`.
     """
-    from slipmap.diagrams.application.campaigns.worlds import identified, world_of
-
     belief = identified(truth, object_name, belief_seed)
     world = world_of(truth, object_name)
     ended, yaw = brought_to_edge(world, belief, seed, method)
@@ -52,9 +48,6 @@ def brought_to_edge(
     world: DirectWorld, belief: Belief, seed: int, method: str = "probabilistic"
 ) -> tuple[Pregrasp, float]:
     """How the procedure ended from the table's middle, and the yaw (rad) that it began with."""
-    from slipmap.planners.pregrasp import bring_to_edge
-    from slipmap.planners.settings import PregraspSettings
-
     thing = world.true_object
     rng = np.random.default_rng([seed, 3])
     yaw = float(rng.uniform(-np.pi, np.pi))
@@ -74,8 +67,6 @@ def result_of(world: DirectWorld, ended: Pregrasp, yaw: float) -> dict[str, Any]
         method knows it; `fate`: that, or `fell`, `missed` (taken for a success, but it is not) or `gave up`;
         `reason` in the procedure's words; `pushes`; `yaw`.
     """
-    from slipmap.planners.push_decisions import ObjectFell
-
     try:
         pose = world.true_pose
     except ObjectFell:

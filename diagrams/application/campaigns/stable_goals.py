@@ -8,16 +8,19 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from slipmap.diagrams.application.campaigns import experiments
+from slipmap.diagrams.application.campaigns.direct_world import DirectWorld
+from slipmap.diagrams.application.campaigns.worlds import identified, world_of
 from slipmap.models.geometry import rotated
-from slipmap.planners.settings import METHODS
+from slipmap.models.physics.balance import balance_margins, fall_probability
+from slipmap.models.physics.cell_grid import FloatArray
+from slipmap.planners.goals import Graspable
+from slipmap.planners.pregrasp import planning_belief
+from slipmap.planners.push_decisions import ObjectFell
+from slipmap.planners.settings import METHODS, GoalSettings
 from slipmap.planners.trials import Estimate, TrialOutcome, share
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
-    from slipmap.diagrams.application.campaigns.direct_world import DirectWorld
-    from slipmap.models.physics.cell_grid import FloatArray
-    from slipmap.planners.goals import Graspable
 
 _POSES = 10
 """At which an object is put down in a trial."""
@@ -36,12 +39,6 @@ def trial(*, seed: int, truth: str, object_name: str) -> dict[str, Any]:
         `poses`; `fell` for each; `stay_probability` of the whole belief, without any safety margin; and for
         each method `chosen`: a list of its draws, each telling for every pose whether it is a goal.
     """
-    from slipmap.diagrams.application.campaigns.worlds import identified, world_of
-    from slipmap.models.physics.balance import balance_margins, fall_probability
-    from slipmap.planners.goals import Graspable
-    from slipmap.planners.pregrasp import planning_belief
-    from slipmap.planners.settings import GoalSettings
-
     belief = identified(truth, object_name, seed)
     world = world_of(truth, object_name)
     thing = world.true_object
@@ -88,8 +85,6 @@ def _poses(thing: Graspable, world: DirectWorld, rng: np.random.Generator) -> Fl
 
 
 def _falls(world: DirectWorld, pose: FloatArray) -> bool:
-    from slipmap.planners.push_decisions import ObjectFell
-
     world.reset(pose, np.random.default_rng(0))
     try:
         _ = world.true_pose

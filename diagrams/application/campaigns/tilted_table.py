@@ -14,15 +14,21 @@ import numpy as np
 
 from slipmap.diagrams.application.campaigns import experiments
 from slipmap.diagrams.application.campaigns.methods_compared import compare_methods
+from slipmap.diagrams.application.campaigns.plant_world import PlantWorld
 from slipmap.diagrams.application.campaigns.pregrasp_success import FATES, brought_to_edge, result_of
+from slipmap.diagrams.application.campaigns.worlds import as_dataset, explored
+from slipmap.diagrams.station.hidden_effects import HiddenEffectsConfig, TableTilt
+from slipmap.models.geometry import turned_to
+from slipmap.models.inference.belief import Belief
+from slipmap.models.inference.identification import identify
+from slipmap.models.objects.benchmark_objects import benchmark_object
+from slipmap.models.physics.paper_notation import add
+from slipmap.planners.pregrasp import Pregrasp
+from slipmap.planners.robust_push import NEGLIGIBLE
 from slipmap.planners.trials import Estimate, TrialOutcome, mean
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
-    from slipmap.diagrams.application.campaigns.plant_world import PlantWorld
-    from slipmap.models.inference.belief import Belief
-    from slipmap.planners.pregrasp import Pregrasp
 
 TILT = 2.0
 """Slope of the table, deg."""
@@ -47,10 +53,6 @@ def trial(*, seed: int, object_name: str, model: str, belief_seed: int) -> dict[
 
 @lru_cache(maxsize=8)
 def _world(object_name: str) -> PlantWorld:
-    from slipmap.diagrams.application.campaigns.plant_world import PlantWorld
-    from slipmap.diagrams.station.hidden_effects import HiddenEffectsConfig, TableTilt
-    from slipmap.models.objects.benchmark_objects import benchmark_object
-
     hidden = HiddenEffectsConfig(table_tilt=TableTilt(down_x=float(np.radians(TILT))))
     return PlantWorld(benchmark_object(object_name), hidden=hidden)
 
@@ -58,9 +60,6 @@ def _world(object_name: str) -> PlantWorld:
 @lru_cache(maxsize=8)
 def _learned(object_name: str, seed: int) -> tuple[Belief, Belief]:
     """Beliefs of `MODELS`, from the same pushes."""
-    from slipmap.diagrams.application.campaigns.worlds import as_dataset, explored
-    from slipmap.models.inference.identification import identify
-
     world = _world(object_name)
     plain, trials = explored(world, seed)
     tilted = identify(as_dataset(world, trials), ["table_tilt"], seed=seed)
@@ -68,10 +67,6 @@ def _learned(object_name: str, seed: int) -> tuple[Belief, Belief]:
 
 
 def _errors(belief: Belief, ended: Pregrasp) -> list[float]:
-    from slipmap.models.geometry import turned_to
-    from slipmap.models.physics.paper_notation import add
-    from slipmap.planners.robust_push import NEGLIGIBLE
-
     errors = []
     for made in ended.pushes:
         if made.trial.object_pose.time[-1] < made.trial.tip_pose.time[-1]:
@@ -90,7 +85,10 @@ def _summary(outcomes: Sequence[TrialOutcome]) -> experiments.Summary:
         parameter="model", methods=MODELS,
     )  # fmt: skip
     errors = {
-        name: {model: _mean_error(results) for model, results in of.items()}
+        name: {
+            model: mean([float(np.mean(one["errors"])) for one in results if one["errors"]])
+            for model, results in of.items()
+        }
         for name, of in compared.results.items()
     }
     title = f"Brought to the edge of a table tilted by {TILT:g}°"
@@ -108,10 +106,6 @@ def _summary(outcomes: Sequence[TrialOutcome]) -> experiments.Summary:
         {"tilt": TILT, "success": told.pop("success"), "errors": experiments.as_json(errors), **told},
         lambda: [_error_figure(errors), *compared.figures(title, {})],
     )
-
-
-def _mean_error(results: Sequence[dict[str, Any]]) -> Estimate:
-    return mean([float(np.mean(one["errors"])) for one in results if one["errors"]])
 
 
 def _error_figure(errors: dict[str, dict[str, Estimate]]) -> Figure:

@@ -1,7 +1,5 @@
 """Figure 7 of the paper: how often an unknown object ends in the gripper, with arm and camera in the loop."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 

@@ -3,8 +3,6 @@
 Each object's world is built, and each belief is made, once in a process.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import lru_cache

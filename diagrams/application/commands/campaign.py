@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -76,7 +77,8 @@ def campaign(
     prepare_kernels()
     try:
         specs = _by_methods(chosen.specs(names, trials or chosen.trials, seed, truth), methods)
-        _check_truth(truth)
+        if truth == "bullet" and find_spec("pybullet") is None:
+            raise BadInput("Bullet is not installed; `pip install 'slipmap[bench]'` brings it")
         with Progress() as progress:
             outcomes = run_trials(
                 specs,
@@ -101,8 +103,7 @@ def campaign(
         "failed": {o.spec.name: o.failure for o in outcomes if o.failure is not None},
     }
     write_json(folder / f"{experiment}-{truth}.json", document)
-    if json_file is not None:
-        write_json(json_file, document)
+    write_json(json_file, document)
     note(f"trials are in {files}, the picture is {picture}")
 
 
@@ -128,13 +129,6 @@ def _by_methods(specs: list[TrialSpec], methods: Sequence[str]) -> list[TrialSpe
         if method not in known:
             raise BadInput(f"method {method!r} is unknown; choose among {', '.join(known)}")
     return [spec for spec in specs if spec.parameters["method"] in methods]
-
-
-def _check_truth(truth: str) -> None:
-    from importlib.util import find_spec
-
-    if truth == "bullet" and find_spec("pybullet") is None:
-        raise BadInput("Bullet is not installed; `pip install 'slipmap[bench]'` brings it")
 
 
 def _show(summary: Summary, outcomes: Sequence[TrialOutcome]) -> None:

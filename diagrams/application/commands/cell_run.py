@@ -77,25 +77,14 @@ class CellRun(NamedTuple):
 
     @contextmanager
     def in_view(self) -> Iterator[tuple[Meshcat | None, Progress]]:
-        """Meshcat, if it is asked for, and progress; the recording is written where the block ends well.
-
-        Raises:
-            BadInput: this machine cannot render pictures, or the scenario or the real cell cannot be had.
-        """
-        from slipmap.diagrams.hardware.network import HardwareError
-        from slipmap.diagrams.perception.renderer import RendererUnavailable
-        from slipmap.diagrams.station.scenario import ScenarioError
-
+        """Meshcat, if it is asked for, and progress; the recording is written where the block ends well."""
         recording = self.recording
         meshcat = _meshcat(self.open_meshcat) if self.open_meshcat or recording is not None else None
         with Progress() as progress:
             prepare_kernels()
             if meshcat is not None and recording is not None:
                 meshcat.StartRecording(frames_per_second=15.0)
-            try:
-                yield meshcat, progress
-            except (HardwareError, RendererUnavailable, ScenarioError) as error:
-                raise BadInput(str(error)) from error
+            yield meshcat, progress
             if meshcat is not None and recording is not None:
                 with progress.step("writing the recording"):
                     meshcat.StopRecording()
@@ -124,11 +113,7 @@ def _meshcat(show: bool) -> Meshcat:
 
 
 def cell_options(folder: str) -> Option:
-    """The options of a `CellRun`, which the command takes as its argument `cell`.
-
-    Args:
-        folder: where it leaves things unless told otherwise.
-    """
+    """The options of a `CellRun`, which the command takes as its argument `cell`; `folder` is the default."""
     options: list[Option] = [
         click.option(
             "--hardware", is_flag=True,
@@ -176,14 +161,14 @@ def scenario_of(path: Path | None, object_name: str | None) -> Scenario:
     Raises:
         BadInput: the file, the object's name, or an object that does not lie on the table.
     """
-    from slipmap.diagrams.station.scenario import Scenario, ScenarioError, read_scenario
+    from slipmap.diagrams.station.scenario import Scenario, read_scenario
 
     try:
         scenario = Scenario() if path is None else read_scenario(path, object_name)
         scenario.object.name = object_name or scenario.object.name
         thing = scenario.object.make()
-    except ScenarioError as error:
-        raise BadInput(str(error)) from error
+    except BadInput:
+        raise
     except ValueError as error:
         where = "" if path is None or object_name is not None else f"{path}: "
         raise BadInput(f"{where}object: {error}") from error

@@ -1,4 +1,5 @@
-"""`slipmap predict` and `slipmap compare`: how far a model is from measured pushes, and where it fails."""
+"""`slipmap predict`, `compare` and `diagnose`: how far a model is from measured pushes, where it fails, and
+which physical effect it misses."""
 
 from __future__ import annotations
 
@@ -58,8 +59,7 @@ def predict(
 
         with progress.step("drawing"):
             drawn = write_figures(output, push_figures(pushes, measured))
-    if json_file is not None:
-        write_json(json_file, _prediction_document(belief, measured.name, pushes))
+    write_json(json_file, _prediction_document(belief, measured.name, pushes))
     from slipmap.diagrams.application.reports.tables import show_errors
 
     click.echo(f"{measured.name}, {len(pushes)} pushes; belief learnt from {belief.dataset}\n")
@@ -121,8 +121,9 @@ def compare(
         )
         with progress.step("drawing"):
             write_text(output, report(results, measured))
-    if json_file is not None:
-        write_json(json_file, _comparison_document(results, effect_names))
+    before, *after = (result.to_json() for result in results)
+    both = {"before": before, "after": after[0], "effects": list(effect_names)} if after else before
+    write_json(json_file, both)
     show(results)
     note(f"report: {output}")
 
@@ -184,17 +185,62 @@ def _told(results: Sequence[Comparison]) -> list[str]:
     return [summary_of_two(*results), *findings, learnt]
 
 
-def _comparison_document(results: Sequence[Comparison], effect_names: Sequence[str]) -> dict[str, Any]:
-    """One comparison as it is; two as `before` and `after`, with the names of the effects."""
-    if len(results) == 1:
-        return results[0].to_json()
-    before, after = (result.to_json() for result in results)
-    return {"before": before, "after": after, "effects": list(effect_names)}
-
-
 def _check_fit_pushes(dataset: PushDataset) -> None:
     if not dataset.fit_trials:
         raise BadInput(
             f"dataset {dataset.name} has no push with the role fit to learn from; name a belief with"
             " --belief, or give at least one push that role"
         )
+
+
+@click.command()
+@options.dataset_argument
+@options.effect_file_option
+@click.option(
+    "--quick", is_flag=True,
+    help="A look at ten pushes with larger steps; no p-values, and no report unless -o asks for one.",
+)  # fmt: skip
+@options.count_option(
+    "--draws", least=99, most=100_000, default=199,
+    about="Datasets to simulate for the p-values; the smallest p is 1 / (N + 1).",
+)  # fmt: skip
+@options.seed_option
+@options.report_option("diagnosis.html")
+@options.object_option
+@options.json_option
+def diagnose(
+    dataset: Path,
+    effect_files: tuple[Path, ...],
+    quick: bool,
+    draws: int,
+    seed: int,
+    output: Path,
+    object_name: str | None,
+    json_file: Path | None,
+) -> None:
+    """Find out which physical effect the model misses.
+
+    Fits the model without effects to pushes of DATASET, asks every effect of the library, and every one of
+    your own files, what it would explain, and asks those that explain most what they leave. The verdict is
+    one effect, a set that the data cannot tell apart, none, something unknown, or too little data. A share
+    of the pushes is locked away before and judges the answer.
+    """
+    effects = options.find_effects(effect_files)
+    with Progress() as progress:
+        measured = options.load_dataset(dataset, object_name, progress)
+        prepare_kernels()
+        from slipmap.planners import telling_push
+
+        result = telling_push.diagnose(
+            measured, effects=effects, draws=draws, quick=quick, seed=seed, progress=progress
+        )
+        wanted = not quick or options.asked_for("output")
+        if wanted:
+            from slipmap.diagrams.application.reports.diagnosis_sections import diagnosis_report
+
+            write_text(output, diagnosis_report(result, measured, effects, progress))
+    write_json(json_file, result.to_json())
+    from slipmap.diagrams.application.reports.diagnosis_words import show_diagnosis
+
+    show_diagnosis(result, measured, effects)
+    note(f"report: {output}" if wanted else "no report of a quick look; -o FILE asks for one")

@@ -52,8 +52,7 @@ def demo(folder: Path, seed: int, fit_pushes: int, heldout_pushes: int, json_fil
         result = identification.identify(dataset, seed=seed, progress=progress)
         drawn = keep(result, dataset, belief, None, progress, truth)
     comparison = _against_truth(result, truth)
-    if json_file is not None:
-        write_json(json_file, {**result.to_json(), "truth": comparison})
+    write_json(json_file, {**result.to_json(), "truth": comparison})
     show(result, dataset)
     _show_comparison(result, comparison)
     note(f"pushes: {place}")

@@ -40,8 +40,7 @@ def effects(
             raise BadInput(
                 "--picture draws one effect; name it, as in `slipmap effects tether --picture tether.png`"
             )
-        if json_file is not None:
-            write_json(json_file, {"effects": [{"name": e.name, "sentence": e.sentence} for e in known]})
+        write_json(json_file, {"effects": [{"name": e.name, "sentence": e.sentence} for e in known]})
         table("Effects that slipmap knows", ("name", "what it is"), [(e.name, e.sentence) for e in known])
         paragraph(
             "`slipmap effects NAME` explains one; docs/effects.md in the sources says how to write your own."
@@ -57,8 +56,7 @@ def effects(
 
         for path in write_figures(picture, [effect_figure(effect)]):
             note(f"picture: {path}")
-    if json_file is not None:
-        write_json(json_file, _document(effect, text))
+    write_json(json_file, _document(effect, text))
     _explain(effect, text)
 
 

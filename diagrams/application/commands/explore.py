@@ -17,11 +17,8 @@ from slipmap.models.files import BadInput, write_json
 from slipmap.planners.settings import METHODS, STRATEGIES
 
 if TYPE_CHECKING:
-    from slipmap.diagrams.loops.exploration_loop import LoopOptions, RecordedRun
     from slipmap.diagrams.loops.exploration_run import ExplorationRun
-    from slipmap.diagrams.loops.pregrasp_loop import PregraspOptions, PregraspRun
-    from slipmap.diagrams.loops.run_folder import RunFolder
-    from slipmap.diagrams.station.scenario import Scenario
+    from slipmap.diagrams.loops.pregrasp_loop import PregraspRun
     from slipmap.diagrams.systems.model_monitor import Watch
 
 
@@ -78,6 +75,7 @@ def explore(
 
     The robot is simulated, unless --hardware is given.
     """
+    from slipmap.diagrams.loops import exploration_run
     from slipmap.diagrams.loops.exploration_loop import LoopOptions
     from slipmap.diagrams.loops.run_folder import PUSHES, ExplorationFolder, resumed
 
@@ -114,11 +112,21 @@ def explore(
     cell.check_outputs(json_file)
     if before is not None and resume is None:
         record.keep(before)
-    run, failure, stopped = _run_exploration(scenario, wanted, cell, record, before)
+    failure, stopped = "", False
+    with cell.in_view() as (meshcat, progress):
+        try:
+            run = exploration_run.explore(
+                scenario, wanted,
+                hardware=cell.address, meshcat=meshcat, progress=progress, record=record, before=before,
+            )  # fmt: skip
+        except exploration_run.ExplorationFailed as error:
+            stopped = isinstance(error, exploration_run.ExplorationStopped)
+            if error.run is None:
+                raise (click.Abort() if stopped else click.ClickException(str(error))) from error
+            run, failure = error.run, f"{error}."
     written = cell_run.leave(run.identification, run.dataset, cell.folder, cell.recording)
     record.end()
-    if json_file is not None:
-        write_json(json_file, {**_learned_json(run), "monitor": run.watch.to_json(), "failure": failure})
+    write_json(json_file, {**_learned_json(run), "monitor": run.watch.to_json(), "failure": failure})
     _show_exploration(run)
     cell_run.show_files(written)
     if failure:
@@ -161,30 +169,36 @@ def pregrasp(
 
     The robot is simulated, unless --hardware is given.
     """
+    from slipmap.diagrams.loops import pregrasp_loop
     from slipmap.diagrams.loops.exploration_loop import LoopOptions
-    from slipmap.diagrams.loops.pregrasp_loop import PregraspOptions
+    from slipmap.diagrams.loops.exploration_run import ExplorationFailed, ExplorationStopped
     from slipmap.diagrams.loops.run_folder import PregraspFolder
 
     scenario = cell_run.scenario_of(scenario_file, object_name)
     exploration = LoopOptions(pushes=pushes, seed=seed, effects=cell_run.effects_of_library(effect_names))
-    wanted = PregraspOptions(exploration, method=method)
+    wanted = pregrasp_loop.PregraspOptions(exploration, method=method)
     if cell.hardware and method == "true":
         raise BadInput("--method true: the truth is known of a simulated object alone; choose another method")
     make_folder(cell.folder)
     record = PregraspFolder(cell.folder, scenario)
     cell.check_outputs(json_file)
     try:
-        run = _run_pregrasp(scenario, wanted, cell, record)
-    except BaseException:
+        with cell.in_view() as (meshcat, progress):
+            run = pregrasp_loop.pregrasp(
+                scenario, wanted, hardware=cell.address, meshcat=meshcat, progress=progress, record=record
+            )
+    except BaseException as error:
         if not cell.hardware:
             record.end()  # a simulation can be made again: the same command may replace what it left
+        if isinstance(error, ExplorationFailed):
+            stopped = isinstance(error, ExplorationStopped)
+            raise (click.Abort() if stopped else click.ClickException(str(error))) from error
         raise
     written = cell_run.leave(
         run.exploration.identification, run.exploration.dataset, cell.folder, cell.recording
     )
     record.end()
-    if json_file is not None:
-        write_json(json_file, {**_learned_json(run.exploration), "pregrasp": run.to_json()})
+    write_json(json_file, {**_learned_json(run.exploration), "pregrasp": run.to_json()})
     _show_exploration(run.exploration)
     _show_pregrasp(run)
     cell_run.show_files(written)
@@ -204,36 +218,6 @@ def _refuse_beside(context: click.Context, because: str, *settled: str) -> None:
         given = context.get_parameter_source(parameter.name or "") is not click.core.ParameterSource.DEFAULT
         if name in settled and given:
             raise BadInput(f"{because}; leave out --{name}")
-
-
-def _run_exploration(
-    scenario: Scenario,
-    wanted: LoopOptions,
-    cell: cell_run.CellRun,
-    record: RunFolder,
-    before: RecordedRun | None,
-) -> tuple[ExplorationRun, str, bool]:
-    """Run the loop; returns what it brought, why it ended early, if it did, and whether Ctrl-C ended it.
-
-    Raises:
-        BadInput: this machine cannot render pictures, or the real cell cannot be reached.
-        click.ClickException: the loop stopped before anything could be learned.
-    """
-    from slipmap.diagrams.loops import exploration_run
-
-    failure, stopped = "", False
-    with cell.in_view() as (meshcat, progress):
-        try:
-            run = exploration_run.explore(
-                scenario, wanted,
-                hardware=cell.address, meshcat=meshcat, progress=progress, record=record, before=before,
-            )  # fmt: skip
-        except exploration_run.ExplorationFailed as error:
-            stopped = isinstance(error, exploration_run.ExplorationStopped)
-            if error.run is None:
-                raise (click.Abort() if stopped else click.ClickException(str(error))) from error
-            run, failure = error.run, f"{error}."
-    return run, failure, stopped
 
 
 def _learned_json(run: ExplorationRun) -> dict[str, Any]:
@@ -288,29 +272,6 @@ def _monitor_words(watch: Watch) -> str:
             " `slipmap explore --after` go on with the effect that it names."
         )
     return f"Monitor: no alarm; {numbers}, evidence at most {peak:.1f} of the {1 / LEVEL:.0f} that it takes."
-
-
-def _run_pregrasp(
-    scenario: Scenario, wanted: PregraspOptions, cell: cell_run.CellRun, record: RunFolder
-) -> PregraspRun:
-    """Run the loop to its end.
-
-    Raises:
-        BadInput: this machine cannot render pictures, or the real cell cannot be reached.
-        click.ClickException: the loop stopped before anything could be learned.
-    """
-    from slipmap.diagrams.loops import pregrasp_loop
-    from slipmap.diagrams.loops.exploration_run import ExplorationFailed, ExplorationStopped
-
-    with cell.in_view() as (meshcat, progress):
-        try:
-            return pregrasp_loop.pregrasp(
-                scenario, wanted, hardware=cell.address, meshcat=meshcat, progress=progress, record=record
-            )
-        except ExplorationStopped as error:
-            raise click.Abort() from error
-        except ExplorationFailed as error:
-            raise click.ClickException(str(error)) from error
 
 
 def _show_pregrasp(run: PregraspRun) -> None:

@@ -83,8 +83,7 @@ def identify(
             friction_laws=not plain,
         )
         drawn = keep(result, measured, output, pictures, progress)
-    if json_file is not None:
-        write_json(json_file, result.to_json())
+    write_json(json_file, result.to_json())
     show(result, measured)
     tell_files(output, drawn)
 
@@ -131,8 +130,7 @@ def fit(
 
         result = identification.fit(measured, effects, hypotheses=hypotheses, seed=seed, progress=progress)
         drawn = keep(result, measured, output, pictures, progress)
-    if json_file is not None:
-        write_json(json_file, result.to_json())
+    write_json(json_file, result.to_json())
     show(result, measured)
     show_effects(result)
     _show_gain(result)
@@ -156,7 +154,10 @@ def keep(
     paths = write_figures(folder / f"{output.stem}.maps.png", [maps_figure(result.belief, truth=truth)])
     progress("drawing", 1, 2)
     shown = _chosen(result.pushes)
-    title = "" if len(shown) == len(result.pushes) else _choice(shown, result.pushes, dataset)
+    title = ""
+    if len(shown) < len(result.pushes):
+        count = f"{len(shown)} of {len(result.pushes)} pushes"
+        title = f"{dataset.name}: {count}, from the best to the worst predicted"
     paths += write_figures(folder / f"{output.stem}.pushes.png", push_figures(shown, dataset, title=title))
     progress("drawing", 2, 2)
     if title:
@@ -176,10 +177,6 @@ def _chosen(pushes: Sequence[Prediction]) -> Sequence[Prediction]:
     ranked = sorted(judges, key=lambda push: push.final_add)
     count = min(_CHOSEN, len(ranked))
     return [ranked[round(k * (len(ranked) - 1) / max(count - 1, 1))] for k in range(count)]
-
-
-def _choice(shown: Sequence[Prediction], pushes: Sequence[Prediction], dataset: PushDataset) -> str:
-    return f"{dataset.name}: {len(shown)} of {len(pushes)} pushes, from the best to the worst predicted"
 
 
 def show(result: Identification, dataset: PushDataset) -> None:

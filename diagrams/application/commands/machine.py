@@ -1,7 +1,5 @@
 """`slipmap bench`: how fast the model runs on this machine, and against other simulators."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import click
@@ -23,8 +21,7 @@ def bench(json_file: Path | None) -> None:
         from slipmap.diagrams.application import benchmark
 
         result = benchmark.run_benchmark(progress=progress)
-    if json_file is not None:
-        write_json(json_file, result)
+    write_json(json_file, result)
     click.echo(benchmark.format_table(result))
 
 
@@ -74,8 +71,7 @@ def doctor(json_file: Path | None) -> None:
         if not finding.ok:
             click.echo(f"{'':<8} -> {finding.remedy}")
     lacking = [finding.name for finding in found if finding.needed and not finding.ok]
-    if json_file is not None:
-        write_json(json_file, {"ready": not lacking, "checks": [finding.to_json() for finding in found]})
+    write_json(json_file, {"ready": not lacking, "checks": [vars(finding) for finding in found]})
     if lacking:
         raise BadInput(f"this machine lacks {', '.join(lacking)}; the lines above say how to get it")
     click.echo("All that slipmap needs is there.")

@@ -100,7 +100,7 @@ def effect_option(*, required: bool, purpose: str) -> Option:
     """The option `--effect NAME`, which may be given several times."""
     return click.option(
         "--effect", "effect_names", multiple=True, required=required, metavar="NAME",
-        shell_complete=_completed(_effect_names),
+        shell_complete=_completed(lambda: [effect.name for effect in find_effects(())]),
         help=f"{purpose}, such as table_tilt; may be given several times.",
     )  # fmt: skip
 
@@ -116,10 +116,6 @@ def objects_option(name: str, *, about: str, default: str = "all six") -> Option
 def _completed(names: Callable[[], Sequence[str]]) -> Callable[..., list[str]]:
     """What a shell offers for an option whose values are names; they are asked for when it does."""
     return lambda context, parameter, begun: [name for name in names() if name.startswith(begun)]
-
-
-def _effect_names() -> list[str]:
-    return [effect.name for effect in find_effects(())]
 
 
 def _object_names() -> Sequence[str]:

@@ -1,6 +1,7 @@
-"""`slipmap record` and `slipmap replay`: pushes that somebody else makes, as they happen or from a log.
+"""`slipmap record` and `slipmap replay`: pushes that somebody else makes, as they happen or from a log; and
+`slipmap station`, a twin of the real cell, behind the same messages.
 
-Both find the pushes among the messages of a robot's cell; the second learns from them.
+The first two find the pushes among the messages of a robot's cell; the second learns from them.
 """
 
 from __future__ import annotations
@@ -53,7 +54,7 @@ def record(
     """
     from slipmap.diagrams.hardware.control import until_ctrl_c
     from slipmap.diagrams.hardware.message_stream import MessageStream
-    from slipmap.diagrams.hardware.network import GRIPPER_COMMAND, IIWA_COMMAND, HardwareError
+    from slipmap.diagrams.hardware.network import GRIPPER_COMMAND, IIWA_COMMAND
     from slipmap.diagrams.loops.push_listener import HEARD, PushListener, hearing, record_pushes, why_none
     from slipmap.models.measurements.writing import PushRecorder, is_replaced
 
@@ -64,16 +65,12 @@ def record(
     with ExitStack() as stack:
         log = None if log_file is None else stack.enter_context(_new_log(log_file))
         commands = (IIWA_COMMAND, GRIPPER_COMMAND) if log_file is not None else ()
-        try:
-            stream = MessageStream(url, [*HEARD, *commands])
-            stack.callback(stream.close)
-            note(f"listening at {url}; Ctrl-C ends it")
-            with until_ctrl_c() as stopped:
-                record_pushes(
-                    stream, listener, PushRecorder(output), status, log=log, most=pushes, stopped=stopped
-                )
-        except HardwareError as error:
-            raise BadInput(str(error)) from error
+        stream = MessageStream(url, [*HEARD, *commands])
+        stack.callback(stream.close)
+        note(f"listening at {url}; Ctrl-C ends it")
+        with until_ctrl_c() as stopped:
+            recorder = PushRecorder(output)
+            record_pushes(stream, listener, recorder, status, log=log, most=pushes, stopped=stopped)
     status(hearing(listener))
     lag = None
     if listener.pushes:
@@ -82,8 +79,7 @@ def record(
         note(f"pushes: {output}")
     if log_file is not None:
         note(f"messages: {log_file}")
-    if json_file is not None:
-        write_json(json_file, _heard(listener, lag))
+    write_json(json_file, _heard(listener, lag))
     if not listener.pushes:
         raise click.ClickException(f"no push was recorded: {why_none(listener)}")
 
@@ -126,13 +122,12 @@ def replay(
     written = cell_run.leave(identification, dataset, folder)
     show(identification, dataset)
     lag = _shown_lag(dataset)
-    if json_file is not None:
-        write_json(json_file, {**identification.to_json(), "heard": _heard(listener, lag)})
+    write_json(json_file, {**identification.to_json(), "heard": _heard(listener, lag)})
     cell_run.show_files(written)
 
 
 def _listen(log: Path, listener: PushListener, folder: Path) -> None:
-    from slipmap.diagrams.hardware.message_stream import BadLog, LogReader
+    from slipmap.diagrams.hardware.message_stream import LogReader
     from slipmap.diagrams.loops.push_listener import hearing, record_pushes
     from slipmap.diagrams.loops.run_folder import PUSHES
     from slipmap.models.measurements.writing import PushRecorder
@@ -143,8 +138,6 @@ def _listen(log: Path, listener: PushListener, folder: Path) -> None:
             record_pushes(reader, listener, PushRecorder(folder / PUSHES), status)
     except OSError as error:
         raise BadInput(f"{log}: cannot be read ({error.strerror})") from error
-    except BadLog as error:
-        raise BadInput(str(error)) from error
     status(hearing(listener))
     if reader.cut_off:
         note(f"warning: {log} ends in the midst of a message; what comes before is used")
@@ -192,3 +185,29 @@ def _new_log(path: Path) -> Iterator[BinaryIO]:
         raise BadInput(f"{path}: is there already; choose another name")
     with writing(path), open(path, "xb") as file:
         yield file
+
+
+@click.command()
+@cell_run.lcm_option
+@cell_run.scenario_option
+@cell_run.station_object_option
+def station(url: str, scenario_file: Path | None, object_name: str | None) -> None:
+    """Simulate a robot's cell behind the messages of a real one.
+
+    Arm, gripper and camera send and take LCM messages in real time as the drivers of a real iiwa, a Schunk
+    gripper and a depth camera do, so that `slipmap explore --hardware` in another process cannot tell the
+    difference. It runs until Ctrl-C. Every ten seconds it tells whether it keeps up with real time.
+    """
+    from slipmap.diagrams.hardware.network import address_settings
+    from slipmap.diagrams.hardware.twin import dropped_words, report_words, run_twin
+
+    scenario = cell_run.scenario_of(scenario_file, object_name)
+    if scenario_file is None:
+        scenario.simulation.time_step = 0.005  # s: the twin must keep up with real time
+    try:
+        address_settings(url)
+        note(f"the cell of the {scenario.object.called} comes up at {url} …")
+        last = run_twin(scenario, url, lambda report: note(report_words(report)))
+    except ValueError as error:
+        raise BadInput(str(error)) from error
+    note(f"stopped after {last.simulated:.1f} s, {last.behind:.2f} s behind real time{dropped_words(last)}")

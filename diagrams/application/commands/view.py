@@ -1,7 +1,5 @@
 """`slipmap view`: a belief in a browser, to be turned and looked at from all sides."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path

@@ -17,22 +17,3 @@ from slipmap.diagrams.application.figures.residual_figures import (
     table_figure,
 )
 from slipmap.diagrams.application.figures.style import draw_cells, draw_outline, save
-
-__all__ = [
-    "calibration_figure",
-    "correlation_figure",
-    "draw_cells",
-    "draw_outline",
-    "effect_figure",
-    "error_figure",
-    "factor_figure",
-    "gain_figure",
-    "locked_figure",
-    "maps_figure",
-    "object_figure",
-    "push_figures",
-    "residual_figures",
-    "save",
-    "table_figure",
-    "telling_push_figure",
-]

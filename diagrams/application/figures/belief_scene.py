@@ -45,7 +45,6 @@ def title(belief: Belief, size: FloatArray) -> bytes:
     """What is shown, and how to read it.
 
     Args:
-        belief: that is shown.
         size: (2,) of the panel, of which its proportion matters.
     """
     figure = _paper(size, 12.0)
@@ -175,19 +174,12 @@ def belief_scene(belief: Belief) -> meshcat.Visualizer:
 
 @dataclass(frozen=True)
 class _Layout:
-    """Where everything lies on the ground; the origin is in the middle.
+    """Where everything lies on the ground; the origin is in the middle."""
 
-    Attributes:
-        maps_across: whether maps are side by side, rather than hypotheses.
-        counts: of maps and of hypotheses.
-        unit: size of the object, m.
-        pitch: (2,) from object to object, m.
-    """
-
-    maps_across: bool
-    counts: tuple[int, int]
-    unit: float
-    pitch: FloatArray
+    maps_across: bool  # whether maps are side by side, rather than hypotheses
+    counts: tuple[int, int]  # of maps and of hypotheses
+    unit: float  # size of the object, m
+    pitch: FloatArray  # (2,) from object to object, m
 
     @classmethod
     def of(cls, counts: tuple[int, int], size: FloatArray, maps_across: bool) -> _Layout:

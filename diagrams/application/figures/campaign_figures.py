@@ -1,9 +1,6 @@
 """Pictures of many trials: curves over the number of pushes, bars beside the paper's, and calibration."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
-from typing import Protocol
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -11,6 +8,7 @@ from matplotlib.figure import Figure
 
 from slipmap.diagrams.systems.look import BELIEF, FAINT, FINGER, INK, OTHER, PAPER, styled
 from slipmap.models.physics.cell_grid import FloatArray
+from slipmap.planners.calibration import CalibrationResult
 from slipmap.planners.trials import Estimate
 
 _COLORS = (BELIEF, FINGER, OTHER, FAINT)
@@ -24,7 +22,6 @@ def curves_figure(title: str, curves: Mapping[str, Mapping[str, Sequence[Estimat
     """One panel an object, in it one curve a label over the number of pushes, with 95 % intervals, in mm.
 
     Args:
-        title: above all.
         curves: object, label, and one estimate (m) after each push.
     """
     columns = max(1, min(_COLUMNS, len(curves)))
@@ -60,7 +57,6 @@ def shares_figure(
     """Bars of shares in per cent with 95 % intervals, grouped by object, and the paper's numbers as marks.
 
     Args:
-        title: above all.
         shares: object, method, share.
         paper: object, method, and the paper's share from and to, in per cent, where it has one.
     """
@@ -74,7 +70,6 @@ def means_figure(title: str, means: Mapping[str, Mapping[str, Estimate]], factor
     """Bars of means with 95 % intervals, grouped by object.
 
     Args:
-        title: above all.
         means: object, label, mean.
         factor: that turns them into the unit.
         unit: that is shown.
@@ -123,7 +118,6 @@ def reliability_figure(title: str, bins: Mapping[str, Sequence[tuple[float, Esti
     """Share of events against the probability that was stated for them.
 
     Args:
-        title: above all.
         bins: label, and for each bin the mean of the stated probabilities and the share that came true.
     """
     figure = Figure(figsize=(4.2, 4.2), layout="constrained")
@@ -151,20 +145,8 @@ def _ends(estimate: Estimate) -> tuple[float, float]:
     return estimate.value, estimate.value
 
 
-class Calibration(Protocol):
-    """What is drawn of a calibration: the number of objects, and where the truths fell."""
-
-    @property
-    def objects(self) -> int:
-        """Number of simulated objects."""
-
-    @property
-    def ranks(self) -> Mapping[str, FloatArray]:
-        """For each quantity (m,) probability-integral values of the truth, in [0, 1]."""
-
-
 @styled
-def calibration_figure(result: Calibration) -> Figure:
+def calibration_figure(result: CalibrationResult) -> Figure:
     """For each quantity, the share of truths inside the central interval against the interval's probability.
 
     On the diagonal the intervals are right; below it they are too narrow, above it too wide. The band holds

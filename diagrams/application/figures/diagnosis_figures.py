@@ -1,7 +1,5 @@
 """What a diagnosis rests on, gains of all candidates and locked pushes, and the push to make next."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 
@@ -156,8 +154,6 @@ def telling_push_figure(told: dict[str, Any], diagnosis: Diagnosis, dataset: Pus
 
     Args:
         told: result of `slipmap.planners.telling_push.next_push`.
-        diagnosis: it was made for.
-        dataset: that was diagnosed.
     """
     grid = dataset.grid
     push = push_of(told, float(len(dataset.trials)))

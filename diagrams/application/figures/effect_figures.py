@@ -1,7 +1,5 @@
 """What an effect does to one push of one object, with its formula."""
 
-from __future__ import annotations
-
 import textwrap
 from collections.abc import Sequence
 
@@ -57,7 +55,7 @@ def effect_figure(effect: Effect) -> Figure:
     smoothing = Smoothing(penetration=1e-4)
     plain = Slider(grid, _RADIUS, smoothing=smoothing).rollout(maps, [push])
     values = _shown_values(effect, grid, push, plain)
-    rows = np.vstack([effect.nulls + share * _above_null(effect, values) for share in _SHARES])
+    rows = np.vstack([effect.nulls + share * (values - effect.nulls) for share in _SHARES])
     rows = np.where(effect.amplitudes, rows, values)
     out = Slider(grid, _RADIUS, effects=[effect], smoothing=smoothing).rollout(_with(maps, rows), [push])
 
@@ -140,10 +138,6 @@ def _push() -> Push:
     return Push(
         _STEP, placed(local, _START), _START, pose_times=times, force_times=times - _STEP / 2, order=_ORDER
     )
-
-
-def _above_null(effect: Effect, values: FloatArray) -> FloatArray:
-    return np.where(effect.amplitudes, values - effect.nulls, 0.0)
 
 
 def _shown_values(effect: Effect, grid: CellGrid, push: Push, plain: Rollouts) -> FloatArray:

@@ -1,7 +1,5 @@
 """Maps of mass, friction and their product, several hypotheses side by side, after the paper's Figure 2."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,13 +11,7 @@ from matplotlib.colors import LogNorm, Normalize
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from slipmap.diagrams.application.figures.style import (
-    PlainNumbers,
-    draw_cells,
-    draw_outline,
-    outline_path,
-    scale_bar,
-)
+from slipmap.diagrams.application.figures import style
 from slipmap.diagrams.systems.look import (
     BELIEF,
     INK,
@@ -165,9 +157,9 @@ def _drawn(belief: Belief, columns: list[_Column], rows: list[_Row]) -> Figure:
         _footprint(panel, belief, column.maps)
         for r, row in enumerate(rows, start=1):
             panel = axes(r, c)
-            draw_cells(panel, belief.grid, row.values[c], colors=row.colours, norm=row.norm)
+            style.draw_cells(panel, belief.grid, row.values[c], colors=row.colours, norm=row.norm)
             _marks(panel, belief, column.maps, mass=r == 1, friction=r == len(rows))
-    scale_bar(axes(0, len(columns) - 1), low - margin, float(extent.max()))
+    style.scale_bar(axes(0, len(columns) - 1), low - margin, float(extent.max()))
     for r, name in enumerate(["footprint", *(row.name for row in rows)]):
         middle = down - _TOP - (r + 0.5) * height - r * _GAP
         figure.text((left - 0.2) / across_at_least, middle / down, name, ha="right", va="center", fontsize=10)
@@ -181,14 +173,14 @@ def _drawn(belief: Belief, columns: list[_Column], rows: list[_Row]) -> Figure:
 
 
 def _footprint(axes: Axes, belief: Belief, maps: Maps) -> None:
-    draw_outline(axes, belief.grid, color="none", fill=PAPER)
+    style.draw_outline(axes, belief.grid, color="none", fill=PAPER)
     corners = belief.grid.width / 2 * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
     squares = PolyCollection(
         list(belief.grid.centers[:, None] + corners), facecolors="none", edgecolors="#d5d0c6", linewidths=0.4
     )
-    squares.set_clip_path(outline_path(belief.grid), axes.transData)
+    squares.set_clip_path(style.outline_path(belief.grid), axes.transData)
     axes.add_collection(squares, autolim=False)
-    draw_outline(axes, belief.grid)  # last, or the pale squares cut it up
+    style.draw_outline(axes, belief.grid)  # last, or the pale squares cut it up
     axes.plot(*belief.centers_of_mass.T, **_DOT)
     # The ground is pale, and a seam around the marks would hide the dots.
     _marks(axes, belief, maps, seam=0.0)
@@ -215,7 +207,7 @@ def _colour_bar(figure: Figure, place: tuple[float, float, float, float], row: _
     arrow = beyond(row.values, float(norm.vmax or 0.0))
     bar = figure.colorbar(ScalarMappable(norm, row.colours), cax=figure.add_axes(place), extend=arrow)
     if isinstance(norm, LogNorm):
-        bar.formatter, bar.minorformatter = PlainNumbers(), PlainNumbers()
+        bar.formatter, bar.minorformatter = style.PlainNumbers(), style.PlainNumbers()
     bar.set_label(row.unit)
     bar.outline.set_linewidth(0.5)
 

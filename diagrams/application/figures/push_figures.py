@@ -1,7 +1,5 @@
 """Pushes as measured and as predicted: drawn over each other, and how far off models are, push by push."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -11,13 +9,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patheffects import withStroke
 
-from slipmap.diagrams.application.figures.style import (
-    PlainNumbers,
-    draw_finger,
-    draw_outline,
-    light_grid,
-    scale_bar,
-)
+from slipmap.diagrams.application.figures import style
 from slipmap.diagrams.application.reports.comparison_words import ROLES, short_name
 from slipmap.diagrams.systems.look import BELIEF, FAINT, FINGER, INK, OTHER, PAPER, styled
 from slipmap.models.geometry import placed, radius_of_gyration
@@ -52,23 +44,15 @@ _MOST_NAMES = 40
 
 @dataclass(frozen=True, eq=False)
 class _Scene:
-    """What one panel shows.
+    """What one panel shows."""
 
-    Attributes:
-        push: measured and predicted poses.
-        start: (3,) first measured pose.
-        middle: sample at which the object has gone half of its way, or None where only the end was measured.
-        finger: (k, 2) path of the finger near the object, m.
-        low: (2,) lower corner of all this, m.
-        high: (2,) upper corner, m.
-    """
-
-    push: Prediction
-    start: FloatArray
+    push: Prediction  # measured and predicted poses
+    start: FloatArray  # (3,) first measured pose
+    # sample at which the object has gone half of its way, or None where only the end was measured
     middle: int | None
-    finger: FloatArray
-    low: FloatArray
-    high: FloatArray
+    finger: FloatArray  # (k, 2) path of the finger near the object, m
+    low: FloatArray  # (2,) lower corner of all this, m
+    high: FloatArray  # (2,) upper corner, m
 
 
 @styled
@@ -76,7 +60,6 @@ def push_figures(predictions: Sequence[Prediction], dataset: PushDataset, *, tit
     """A panel for each push, `_PANELS_A_PAGE` a figure; all panels of one figure have the same scale.
 
     Args:
-        predictions: pushes of `dataset`.
         dataset: for the outline and the finger's path.
         title: heading; the dataset's name where empty.
 
@@ -148,7 +131,7 @@ def _page(scenes: list[_Scene], dataset: PushDataset, heading: str) -> Figure:
         axes.spines[:].set_color("#dddddd")
         _panel(axes, scene, dataset)
         if k == 0:
-            scale_bar(axes, middle + span * np.array([-0.45, -0.41]), span)
+            style.scale_bar(axes, middle + span * np.array([-0.45, -0.41]), span)
     figure.legend(
         handles=_legend(any(len(scene.finger) for scene in scenes)),
         loc="lower center",
@@ -161,22 +144,22 @@ def _page(scenes: list[_Scene], dataset: PushDataset, heading: str) -> Figure:
 
 def _panel(axes: Axes, scene: _Scene, dataset: PushDataset) -> None:
     push, grid = scene.push, dataset.grid
-    draw_outline(axes, grid, scene.start, color=FAINT, width=0.7, fill=PAPER)
+    style.draw_outline(axes, grid, scene.start, color=FAINT, width=0.7, fill=PAPER)
     faint = float(np.clip(4.0 / len(push.hypotheses), 0.12, 0.5))
     if scene.middle is not None:
         for pose in push.hypotheses[:, scene.middle]:
-            draw_outline(axes, grid, pose, color=BELIEF, width=0.8, alpha=0.55 * faint)
-        draw_outline(axes, grid, push.measured[scene.middle], alpha=0.7)
+            style.draw_outline(axes, grid, pose, color=BELIEF, width=0.8, alpha=0.55 * faint)
+        style.draw_outline(axes, grid, push.measured[scene.middle], alpha=0.7)
     for pose in push.hypotheses[:, -1]:
-        draw_outline(axes, grid, pose, color=BELIEF, width=0.8, alpha=faint)
-    draw_outline(axes, grid, push.measured[-1], width=1.2)
+        style.draw_outline(axes, grid, pose, color=BELIEF, width=0.8, alpha=faint)
+    style.draw_outline(axes, grid, push.measured[-1], width=1.2)
     centroid = grid.centers.mean(axis=0)
     for poses, colour in ((push.predicted, BELIEF), (push.measured, INK)):
         track = placed(centroid, np.vstack([scene.start, poses]))
         axes.plot(*track.T, color=colour, linewidth=1.1)
     if len(scene.finger):
         axes.plot(*scene.finger.T, color=FINGER, linewidth=1.0)
-        draw_finger(axes, scene.finger[0], scene.finger[-1], dataset.finger_radius, 0.9)
+        style.draw_finger(axes, scene.finger[0], scene.finger[-1], dataset.finger_radius, 0.9)
     numbers = f"ADD {1e3 * push.final_add:.1f} mm, spread {1e3 * push.spread:.1f} mm"
     axes.set_title(f"{short_name(push.trial)}, {ROLES[push.role]}\n{numbers}", pad=4, fontsize=8.5)
 
@@ -262,9 +245,9 @@ def error_figure(comparisons: Sequence[Comparison]) -> Figure:
             )  # fmt: skip
     axes.set_yscale("log")
     axes.yaxis.set_major_formatter("{x:g}")
-    axes.yaxis.set_minor_formatter(PlainNumbers())
+    axes.yaxis.set_minor_formatter(style.PlainNumbers())
     axes.set(xlim=(-0.6, len(pushes) - 0.4), ylabel="ADD at the end, mm")
     axes.set_xticks(x[: len(names)], names, rotation=90 if upright else 0, fontsize=7.5)
-    light_grid(axes, "y")
+    style.light_grid(axes, "y")
     figure.legend(loc="upper right", ncols=columns, bbox_to_anchor=(0.995, 1.01), handletextpad=0.3)
     return figure

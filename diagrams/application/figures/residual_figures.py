@@ -4,8 +4,6 @@ A condition is speed, direction, phase, time or order. Fields lie over the table
 was touched. Correlations over lags have bounds that whole pushes give.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -97,9 +95,6 @@ def _push_means(values: FloatArray, push: np.ndarray, weights: FloatArray) -> Fl
 def correlation_figure(comparisons: Sequence[Comparison]) -> Figure:
     """Three correlations over lags; the band holds all lags of 95 % of chance results.
 
-    Args:
-        comparisons: one model, or two over the same pushes.
-
     Raises:
         ValueError: the first comparison has no correlations.
     """
@@ -159,9 +154,10 @@ def factor_figure(comparisons: Sequence[Comparison], factor: str, quantity: str 
     axes.axhspan(-small, small, color=PAPER, linewidth=0, zorder=0)
     first = _wanted(comparisons[0], quantity)
     edges = _edges(factor, condition(first.at))
+    (chosen,) = [f for f in (MOTION_FACTORS if quantity == "motion" else FORCE_FACTORS) if f.name == factor]
     for k, comparison in enumerate(comparisons):
         residuals = _wanted(comparison, quantity)
-        values = 100 * _component(residuals, factor, quantity, component)
+        values = 100 * chosen.components(residuals)[component]
         shift = (k - 0.5 * (len(comparisons) - 1)) * 0.12
         _bins(axes, condition(residuals.at), values, residuals, edges, MODEL_COLOURS[k], shift)
     _ticks(axes, factor)
@@ -169,11 +165,6 @@ def factor_figure(comparisons: Sequence[Comparison], factor: str, quantity: str 
     axes.set_title(f"{_NAMES[quantity].capitalize()}, {component}", loc="left", fontsize=9.5)
     light_grid(axes, "y")
     return figure
-
-
-def _component(residuals: Residuals, factor: str, quantity: str, component: str) -> FloatArray:
-    (chosen,) = [f for f in (MOTION_FACTORS if quantity == "motion" else FORCE_FACTORS) if f.name == factor]
-    return chosen.components(residuals)[component]
 
 
 def _edges(factor: str, x: FloatArray) -> FloatArray:
@@ -408,12 +399,7 @@ def _finish(
 
 
 def residual_figures(comparisons: Sequence[Comparison], dataset: PushDataset) -> dict[str, Figure]:
-    """Every picture that these comparisons allow, by `<quantity>.<factor>`.
-
-    Args:
-        comparisons: one model, or two over the same pushes.
-        dataset: for the outline.
-    """
+    """Every picture that these comparisons allow, by `<quantity>.<factor>`."""
     figures: dict[str, Figure] = {}
     for quantity in ("motion", "force"):
         known = [c for c in comparisons if _residuals_of(c, quantity) is not None]

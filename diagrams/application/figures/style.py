@@ -1,7 +1,5 @@
 """One look for all pictures: sizes, colours, and how they are written to disk."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Literal
 

@@ -1,7 +1,5 @@
 """What a report says of one model, or of two over the same pushes: errors, pushes, patterns, correlations."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from html import escape
 from typing import Any
@@ -11,17 +9,7 @@ from matplotlib.figure import Figure
 
 from slipmap.diagrams.application.figures import correlation_figure, error_figure, residual_figures
 from slipmap.diagrams.application.figures.residual_figures import pattern_of
-from slipmap.diagrams.application.reports.comparison_words import (
-    QUANTITIES,
-    ROLES,
-    finding,
-    judged,
-    millimetres,
-    p_text,
-    role_name,
-    short_name,
-    size_text,
-)
+from slipmap.diagrams.application.reports import comparison_words as words
 from slipmap.diagrams.application.reports.html_page import Section, part, picture, table
 from slipmap.models.inference.comparison import Comparison
 from slipmap.models.inference.observations import Observation
@@ -63,7 +51,6 @@ def comparison_sections(comparisons: Sequence[Comparison], dataset: PushDataset)
 
     Args:
         comparisons: one model, or two over the same pushes, the first being the one before.
-        dataset: its pushes.
 
     Raises:
         ValueError: none or more than two models, or models over different pushes.
@@ -90,13 +77,12 @@ def check_same_pushes(comparisons: Sequence[Comparison]) -> None:
 
 
 def _error_section(comparisons: Sequence[Comparison]) -> Section:
-    rows, marked = [], []
+    rows = []
     first = comparisons[0]
     for role, totals in first.totals.items():
-        name = role_name(role, totals)
+        name = f"{totals.pushes} {words.ROLES[role]}"
         for comparison in comparisons:
             rows.append([name, comparison.label, *_cells(comparison.totals[role].model)])
-            marked.append(False)
         rows.append([name, "uniform object", *_cells(totals.uniform)])
         rows.append([name, "object does not move", *_cells(totals.resting)])
     numbers = table(
@@ -120,14 +106,14 @@ def _floor(comparison: Comparison) -> str:
         text = "No noise is declared and no push was repeated, so there is no noise floor to show."
     elif floor.source == "repeats":
         text = (
-            f"Noise floor {millimetres(floor.add)} mm: mean ADD of {floor.repeats} pushes in"
+            f"Noise floor {words.millimetres(floor.add)} mm: mean ADD of {floor.repeats} pushes in"
             f" {len(floor.groups)} groups of repeats (same start relative to the object, same finger path)"
             " from the mean of their group."
         )
     else:
         text = (
-            f"Noise floor {millimetres(floor.add)} mm: the ADD that the declared noise of one pose makes. No"
-            " push was repeated, so how far real pushes scatter is not known."
+            f"Noise floor {words.millimetres(floor.add)} mm: the ADD that the declared noise of one pose"
+            " makes. No push was repeated, so how far real pushes scatter is not known."
         )
     return f'<p class="note">{escape(text)}</p>'
 
@@ -137,9 +123,9 @@ def _cells(errors: Errors) -> list[str]:
         return f"{value:.{digits}f}" if np.isfinite(value) else "–"
 
     return [
-        millimetres(errors.final_add),
-        millimetres(errors.mean_add),
-        millimetres(errors.position),
+        words.millimetres(errors.final_add),
+        words.millimetres(errors.mean_add),
+        words.millimetres(errors.position),
         shown(float(np.degrees(errors.angle)), 2),
         shown(errors.fit, 1),
         shown(errors.force, 2),
@@ -150,7 +136,7 @@ def _cells(errors: Errors) -> list[str]:
 def _push_section(comparisons: Sequence[Comparison], dataset: PushDataset) -> Section:
     """The section with its data; first shown is the worst of the pushes that count."""
     first = comparisons[0]
-    role, _ = judged(first)
+    role, _ = words.judged(first)
     worst = max(
         (b for b, push in enumerate(first.pushes) if push.role == role),
         key=lambda b: first.pushes[b].errors.final_add,
@@ -195,8 +181,8 @@ def _push(told: Sequence[Prediction], centers: FloatArray) -> dict[str, Any]:
     start = observation.push.start_pose
     times = np.concatenate([[0.0], np.asarray(observation.push.pose_times)])
     return {
-        "name": short_name(observation.trial),
-        "role": ROLES[observation.role],
+        "name": words.short_name(observation.trial),
+        "role": words.ROLES[observation.role],
         "times": _rounded(times),
         "measured": _rounded(np.vstack([start, observation.poses])),
         "predicted": [_rounded(np.vstack([start, push.predicted])) for push in told],
@@ -239,7 +225,9 @@ def _heads(comparisons: Sequence[Comparison]) -> str:
 def _row(comparisons: Sequence[Comparison], b: int) -> str:
     push = comparisons[0].pushes[b]
     largest = max(p.errors.final_add for comparison in comparisons for p in comparison.pushes) or 1.0
-    cells = [f'<td>{escape(short_name(push.trial))}</td><td class="short">{ROLES[push.role]}</td>']
+    cells = [
+        f'<td>{escape(words.short_name(push.trial))}</td><td class="short">{words.ROLES[push.role]}</td>'
+    ]
     for comparison in comparisons:
         errors = comparison.pushes[b].errors
         values = {
@@ -275,7 +263,7 @@ def _structure_section(comparisons: Sequence[Comparison], dataset: PushDataset) 
     parts = []
     for comparison in comparisons:
         name = f"<b>{escape(comparison.label)}:</b> " if len(comparisons) > 1 else ""
-        parts.append(f"<p>{name}{escape(finding(comparison))}</p>")
+        parts.append(f"<p>{name}{escape(words.finding(comparison))}</p>")
     if any(comparison.mostly_unseen and comparison.significant for comparison in comparisons):
         parts.append(f'<p class="note">{escape(_MOSTLY_UNSEEN)}</p>')
     for comparison in comparisons:
@@ -297,12 +285,12 @@ def _structure_section(comparisons: Sequence[Comparison], dataset: PushDataset) 
 def _pattern_table(comparison: Comparison, *, named: bool) -> str:
     rows = [
         [
-            QUANTITIES[pattern.quantity],
+            words.QUANTITIES[pattern.quantity],
             pattern.title,
             pattern.strongest,
-            size_text(pattern),
-            p_text(pattern.p),
-            p_text(pattern.p_corrected),
+            words.size_text(pattern),
+            words.p_text(pattern.p),
+            words.p_text(pattern.p_corrected),
         ]
         for pattern in comparison.structure
     ]
@@ -330,7 +318,7 @@ def _figure(key: str, figure: Figure, comparisons: Sequence[Comparison], title: 
     for name in _FIELDS.get(factor, (factor,)):
         pattern = pattern_of(comparison, name, quantity)
         if pattern is not None:
-            text = f"{pattern.title}: p = {p_text(pattern.p_corrected)}, corrected".replace(
+            text = f"{pattern.title}: p = {words.p_text(pattern.p_corrected)}, corrected".replace(
                 "= below", "below"
             )
             text = escape(text[0].upper() + text[1:])
@@ -359,8 +347,9 @@ def _correlation_section(comparisons: Sequence[Comparison]) -> Section:
         picture(correlation_figure(comparisons), "Correlations over lags", wide=True)
         + f"<p>Left: how long the pose residual remembers itself. {escape(memory)} Middle and right: the"
         f" residual against the finger's velocity, in its direction ({along}, p"
-        f" {p_text(found.finger_along.p)}) and to its left ({left}, p {p_text(found.finger_left.p)}). A"
-        " negative correlation in its direction means that measured poses trail behind.</p>"
+        f" {words.p_text(found.finger_along.p)}) and to its left ({left}, p"
+        f" {words.p_text(found.finger_left.p)}). A negative correlation in its direction means that measured"
+        " poses trail behind.</p>"
         '<p class="note">Bands hold all lags of 95 % of chance results: pairs of different pushes for the'
         " left picture, random signs of whole pushes for the others. These two p-values are for looking; the"
         " tests above are the ones that are corrected together.</p>"

@@ -1,7 +1,5 @@
 """What a comparison found, in words that terminal and report share."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 
@@ -124,11 +122,6 @@ def pushes_needed(tests: int) -> int:
     while smallest_p(count) * tests >= LEVEL:
         count += 1
     return count
-
-
-def role_name(role: str, totals: Totals) -> str:
-    """`8 held out`."""
-    return f"{totals.pushes} {ROLES[role]}"
 
 
 def millimetres(metres: float) -> str:

@@ -1,26 +1,12 @@
 """The HTML report of a diagnosis: verdict, ranking, locked pushes, next push, both models push by push."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from html import escape
 
 from slipmap.diagrams.application.figures import gain_figure, locked_figure, telling_push_figure
+from slipmap.diagrams.application.reports import diagnosis_words as phrases
 from slipmap.diagrams.application.reports.comparison_sections import comparison_sections
 from slipmap.diagrams.application.reports.comparison_words import finding
-from slipmap.diagrams.application.reports.diagnosis_words import (
-    QUICK,
-    after_label,
-    before_label,
-    evidence,
-    improvement,
-    locked_table,
-    push_facts,
-    ranking,
-    rivals_sentence,
-    sizes,
-    tried,
-)
 from slipmap.diagrams.application.reports.effect_words import effect_in_words, parameter_rows
 from slipmap.diagrams.application.reports.html_page import Section, page, part, picture, table
 from slipmap.models.effects.effect import Effect
@@ -37,10 +23,7 @@ def diagnosis_report(
     """The report, a whole HTML document.
 
     Args:
-        diagnosis: of the dataset.
-        dataset: its pushes.
         effects: all that were tried.
-        progress: called with (stage, done, total).
     """
     comparisons = compared(diagnosis, dataset, progress)
     report = progress or silent
@@ -50,12 +33,16 @@ def diagnosis_report(
         f"{count} measured {'push' if count == 1 else 'pushes'} of {len(dataset.grid)} cells, {len(effects)}"
         f" effects tried in {diagnosis.seconds:.0f} s; seed {diagnosis.seed}"
     )
-    lead = [*sizes(diagnosis, dataset.grid), improvement(diagnosis), rivals_sentence(diagnosis)]
+    lead = [
+        *phrases.sizes(diagnosis, dataset.grid),
+        phrases.improvement(diagnosis),
+        phrases.rivals_sentence(diagnosis),
+    ]
     if not diagnosis.effects:
         lead.append(finding(comparisons[0]))
     sections = []
     if diagnosis.effects:
-        sections.append(_answer_section(diagnosis, dataset, tried(diagnosis, effects)))
+        sections.append(_answer_section(diagnosis, dataset, phrases.tried(diagnosis, effects)))
     elif diagnosis.depends_on is not None:
         sections.append(_unknown_section(diagnosis))
     sections.append(_ranking_section(diagnosis))
@@ -77,9 +64,9 @@ def compared(
 ) -> list[Comparison]:
     """The model without effects, and the best one where it differs, against all pushes."""
     pushes = with_locked(dataset, diagnosis.locked)
-    models = [(before_label(diagnosis), diagnosis.without_effects)]
+    models = [(phrases.before_label(diagnosis), diagnosis.without_effects)]
     if diagnosis.with_effects is not None:
-        models.append((after_label(diagnosis), diagnosis.with_effects))
+        models.append((phrases.after_label(diagnosis), diagnosis.with_effects))
     return [
         compare(pushes, learnt.belief, seed=diagnosis.seed, label=label, progress=progress)
         for label, learnt in models
@@ -116,14 +103,14 @@ def _unknown_section(diagnosis: Diagnosis) -> Section:
 
 def _ranking_section(diagnosis: Diagnosis) -> Section:
     columns = ["effect", "gain", "p", "refitted", "left on top", "p of that", "standing"]
-    note = f'<p class="note">{escape(QUICK)}</p>' if diagnosis.quick else ""
+    note = f'<p class="note">{escape(phrases.QUICK)}</p>' if diagnosis.quick else ""
     numbers = table(
-        columns, ranking(diagnosis), numbers=range(1, 6),
+        columns, phrases.ranking(diagnosis), numbers=range(1, 6),
         marked=[c.name in diagnosis.effects for c in diagnosis.candidates],
     )  # fmt: skip
     drawn = gain_figure(diagnosis)
     body = (
-        f"<p>{escape(evidence(diagnosis))}</p>{note}"
+        f"<p>{escape(phrases.evidence(diagnosis))}</p>{note}"
         + picture(drawn, "Gains of all candidates", wide=len(drawn.axes) > 1)
         + f"<details><summary>All numbers</summary>{numbers}</details>"
     )
@@ -131,7 +118,7 @@ def _ranking_section(diagnosis: Diagnosis) -> Section:
 
 
 def _locked_section(diagnosis: Diagnosis) -> Section:
-    names, rows = locked_table(diagnosis)
+    names, rows = phrases.locked_table(diagnosis)
     numbers = table(["mean over pushes", *names], rows, numbers=range(1, 1 + len(names)))
     count = len(diagnosis.locked)
     which = "This push was" if count == 1 else f"These {count} pushes were"
@@ -146,7 +133,9 @@ def _locked_section(diagnosis: Diagnosis) -> Section:
 def _next_push_section(diagnosis: Diagnosis, dataset: PushDataset) -> Section:
     push = diagnosis.next_push
     assert push is not None
-    facts = "".join(f"<dt>{escape(name)}</dt><dd>{escape(value)}</dd>" for name, value in push_facts(push))
+    facts = "".join(
+        f"<dt>{escape(name)}</dt><dd>{escape(value)}</dd>" for name, value in phrases.push_facts(push)
+    )
     drawn = picture(
         telling_push_figure(push, diagnosis, dataset),
         "The next push, and where each model says it ends",

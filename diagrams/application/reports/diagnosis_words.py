@@ -1,7 +1,5 @@
 """What a diagnosis found: in words and tables that terminal and report share, and on the terminal."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 
 import click
@@ -193,13 +191,7 @@ def tried(diagnosis: Diagnosis, effects: Sequence[Effect]) -> list[Effect]:
 
 
 def show_diagnosis(diagnosis: Diagnosis, dataset: PushDataset, effects: Sequence[Effect]) -> None:
-    """Print what a diagnosis found.
-
-    Args:
-        diagnosis: of the dataset.
-        dataset: its pushes.
-        effects: all that were tried.
-    """
+    """Print what a diagnosis of a dataset found; `effects` are all that were tried."""
     paragraph(f"Verdict: {diagnosis.verdict}. {diagnosis.sentence}")
     for text in (*sizes(diagnosis, dataset.grid), improvement(diagnosis), rivals_sentence(diagnosis)):
         paragraph(text)

@@ -1,7 +1,5 @@
 """Sizes of effects as a person would say them: a tilt in degrees and where it leads, not two slopes."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
@@ -17,16 +15,9 @@ Estimates = Mapping[str, ParameterEstimate]
 
 @dataclass(frozen=True)
 class Reading:
-    """One number that a person asks for, with its 90 % interval, in the unit of its text.
+    """One number that a person asks for, with its 90 % interval, in the unit of its text."""
 
-    Attributes:
-        text: with `{}` where the number goes, such as `tilt {}°`.
-        value: the number.
-        low: lower end of the interval.
-        high: upper end.
-    """
-
-    text: str
+    text: str  # with `{}` where the number goes, such as `tilt {}°`
     value: float
     low: float
     high: float
@@ -44,8 +35,6 @@ def effect_in_words(name: str, estimates: Sequence[ParameterEstimate], grid: Cel
     """How large an effect is, in one line; the parameters as they are where there is no better way to say it.
 
     Args:
-        name: of the effect.
-        estimates: of all its parameters.
         grid: the object's, for what its size decides.
     """
     reader = READERS.get(name)

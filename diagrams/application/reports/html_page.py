@@ -1,22 +1,16 @@
-"""HTML pages: sections put together into one file with styles, scripts and data inside, and a page's picture.
+"""HTML pages: sections put together into one file with styles, scripts and data inside.
 
 The template `page.html` is filled by hand: an engine for templates would be a further dependency, and its
 templates, with what loads them, no shorter than the few functions here.
 """
 
-from __future__ import annotations
-
 import base64
 import io
 import json
-import shutil
-import subprocess
-import tempfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from html import escape
 from importlib.resources import files
-from pathlib import Path
 from typing import Any
 
 import matplotlib
@@ -25,32 +19,16 @@ from matplotlib.figure import Figure
 from slipmap.diagrams.systems.look import STYLE
 from slipmap.models.files import plain
 
-_BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
-_FLAGS = (
-    "--headless", "--no-sandbox", "--disable-gpu", "--enable-unsafe-swiftshader", "--hide-scrollbars",
-    "--no-first-run", "--disable-background-networking", "--disable-component-update", "--disable-sync",
-    "--disable-dev-shm-usage", "--virtual-time-budget=4000",
-)  # fmt: skip
-_PATIENCE = 60.0  # s for a browser to draw a page
-
 
 @dataclass(frozen=True, eq=False)
 class Section:
-    """One part of a report.
+    """One part of a report."""
 
-    Attributes:
-        key: identifies it in links and in the data.
-        title: heading.
-        body: HTML.
-        data: what its scripts need, JSON-able.
-        script: name of a script in this folder that gives its body life; empty for none.
-    """
-
-    key: str
+    key: str  # identifies it in links and in the data
     title: str
     body: str
-    data: Mapping[str, Any] = field(default_factory=dict)
-    script: str = ""
+    data: Mapping[str, Any] = field(default_factory=dict)  # what its scripts need, JSON-able
+    script: str = ""  # name of a script in this folder that gives its body life; empty for none
 
 
 def page(
@@ -59,7 +37,6 @@ def page(
     """A whole HTML document.
 
     Args:
-        title: of the page.
         subtitle: a line below it: what was compared, when and with what.
         lead: paragraphs that say what was found, the most important first.
         sections: in the order of reading; keys must differ.
@@ -102,7 +79,6 @@ def picture(figure: Figure, alternative: str, *, wide: bool = False) -> str:
     """An `img` element that holds the figure; letters are drawn, so that it looks alike everywhere.
 
     Args:
-        figure: to be shown.
         alternative: what it shows, for those who cannot see it.
         wide: as wide as the page, instead of its own width at most.
     """
@@ -129,8 +105,6 @@ def table(
     """An HTML table of plain texts.
 
     Args:
-        columns: headings.
-        rows: cells.
         numbers: columns to align on the right.
         marked: for each row whether it is to stand out.
         caption: sentence above it.
@@ -147,34 +121,3 @@ def table(
         f'<div class="scroll"><table>{title}<thead><tr>{head}</tr></thead>'
         f"<tbody>{''.join(lines)}</tbody></table></div>"
     )
-
-
-def page_picture(page: Path, width: int = 1000, height: int = 700) -> bytes | None:
-    """PNG of the upper part of a page.
-
-    Args:
-        page: HTML file that needs no network.
-        width: of the window, pixels.
-        height: of the same.
-
-    Returns:
-        The picture; None where there is no Chromium or Chrome, or it makes none.
-
-    Raises:
-        FileNotFoundError: there is no such page.
-    """
-    address = page.resolve(strict=True).as_uri()
-    program = next((path for name in _BROWSERS if (path := shutil.which(name))), None)
-    if program is None:
-        return None
-    with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as folder:
-        picture = Path(folder) / "page.png"
-        command = [
-            program, *_FLAGS, f"--user-data-dir={folder}/profile", f"--window-size={width},{height}",
-            f"--screenshot={picture}", address,
-        ]  # fmt: skip
-        try:
-            subprocess.run(command, capture_output=True, check=False, timeout=_PATIENCE)
-        except subprocess.TimeoutExpired:
-            return None
-        return picture.read_bytes() if picture.is_file() else None

@@ -1,21 +1,11 @@
 """Tables that tell a person what an identification or a prediction found."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 
 import click
 import numpy as np
 
-from slipmap.diagrams.application.reports.comparison_words import (
-    QUANTITIES,
-    ROLES,
-    decimals,
-    millimetres,
-    p_text,
-    short_name,
-    size_text,
-)
+from slipmap.diagrams.application.reports import comparison_words as phrases
 from slipmap.diagrams.application.terminal import paragraph, table
 from slipmap.models.inference.comparison import Comparison
 from slipmap.models.inference.friction_laws import PLAIN, TOGETHER
@@ -51,7 +41,7 @@ _LAW_WORDS = {
 def show_errors(pushes: Sequence[Prediction], dataset: PushDataset) -> None:
     """How far off predicted ends are: by role, against two baselines, push by push, and what that means."""
     rows = []
-    for role, name in ROLES.items():
+    for role, name in phrases.ROLES.items():
         group = [push for push in pushes if push.role == role]
         for label, average in (("mean", np.mean), ("median", np.median)):
             if group:
@@ -127,8 +117,8 @@ def _show_pushes(pushes: Sequence[Prediction]) -> None:
         shown = sorted(pushes, key=lambda push: -push.final_add)[:_MOST_ROWS]
     rows = [
         [
-            short_name(push.trial),
-            ROLES[push.role],
+            phrases.short_name(push.trial),
+            phrases.ROLES[push.role],
             *map(_millimetres, (push.final_add, push.spread, push.uniform_add, push.no_motion_add)),
             remark(push),
         ]
@@ -151,19 +141,15 @@ def remark(push: Prediction) -> str:
 
 
 def show_comparison(results: Sequence[Comparison]) -> None:
-    """Means of the errors by role beside the baselines, and what the residuals hang together with.
-
-    Args:
-        results: one model, or two over the same pushes.
-    """
+    """Means of the errors by role beside the baselines, and what the residuals hang together with."""
     first, rows = results[0], []
     for role, totals in first.totals.items():
         models = [(result.label, result.totals[role].model) for result in results]
         for name, errors in (*models, ("uniform", totals.uniform), ("no motion", totals.resting)):
-            rows.append([f"{ROLES[role]}, {name}", *_errors(errors)])
+            rows.append([f"{phrases.ROLES[role]}, {name}", *_errors(errors)])
     floor = ""
     if first.floor is not None:
-        floor = f"; noise floor {millimetres(first.floor.add)} mm ({first.floor.source})"
+        floor = f"; noise floor {phrases.millimetres(first.floor.add)} mm ({first.floor.source})"
     table(
         f"Mean errors, mm: ADD at the end and on average, position{floor}",
         ["pushes", "end", "average", "position", "angle, °", "fit, %", "force, %"],
@@ -186,10 +172,10 @@ def _show_patterns(result: Comparison, head: str) -> None:
         ["of", "", "size", "p"],
         [
             [
-                QUANTITIES[pattern.quantity],
+                phrases.QUANTITIES[pattern.quantity],
                 f"{pattern.title}: {pattern.strongest}",
-                size_text(pattern).split(" (")[0],
-                p_text(pattern.p_corrected) + ("*" if pattern.significant else " "),
+                phrases.size_text(pattern).split(" (")[0],
+                phrases.p_text(pattern.p_corrected) + ("*" if pattern.significant else " "),
             ]
             for pattern in shown
         ],
@@ -198,7 +184,7 @@ def _show_patterns(result: Comparison, head: str) -> None:
 
 
 def _errors(errors: Errors) -> list[str]:
-    numbers = [millimetres(value) for value in (errors.final_add, errors.mean_add, errors.position)]
+    numbers = [phrases.millimetres(value) for value in (errors.final_add, errors.mean_add, errors.position)]
     others = (float(np.degrees(errors.angle)), errors.fit, 100 * errors.force_share)
     return numbers + [f"{value:.1f}" if np.isfinite(value) else "–" for value in others]
 
@@ -207,7 +193,6 @@ def show_quantities(quantities: Sequence[Quantity], *, doubted: bool) -> None:
     """Value, 90 % interval and reason, first what the pushes show, then what they leave open.
 
     Args:
-        quantities: of a belief.
         doubted: whether its predictions do not hold, see `is_doubted`.
     """
     condition = "IF THE MODEL WERE RIGHT, shown" if doubted else "Shown"
@@ -239,7 +224,7 @@ def shown(quantity: Quantity, *values: float) -> tuple[str, ...]:
     low, high = factor * quantity.low, factor * quantity.high
     decades = low > 0 and high > 5 * low
     numbers = [
-        f"{number:.{decimals(number if decades else high - low)}f}"
+        f"{number:.{phrases.decimals(number if decades else high - low)}f}"
         for number in (*(factor * value for value in values), low, high)
     ]
     return (*numbers[:-2], f"{numbers[-2]} to {numbers[-1]}")

@@ -123,8 +123,8 @@ def test_a_misspelt_word_is_recognised(slipmap, tmp_path, monkeypatch, arguments
 @pytest.mark.parametrize(
     ("command", "loop"),
     [
-        ("explore", "slipmap.diagrams.application.commands.explore._run_exploration"),
-        ("pregrasp", "slipmap.diagrams.application.commands.explore._run_pregrasp"),
+        ("explore", "slipmap.diagrams.loops.exploration_run.explore"),
+        ("pregrasp", "slipmap.diagrams.loops.pregrasp_loop.pregrasp"),
     ],
 )
 def test_the_robot_is_told_of_effects(slipmap, tmp_path, monkeypatch, command, loop):

@@ -10,7 +10,7 @@ import pytest
 from schemas import assert_as_described
 from test_command_line import ENVIRONMENT, hear_ctrl_c
 
-from slipmap.diagrams.application.commands.explore_study import _judged
+from slipmap.diagrams.application.commands.studies import _judged
 from slipmap.diagrams.loops import exploration_run
 from slipmap.diagrams.loops.exploration_run import ExplorationStopped
 

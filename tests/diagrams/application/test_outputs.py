@@ -274,7 +274,7 @@ def test_compiling_is_announced_once_where_kernels_are_new(tmp_path, capsys, mon
 
 
 def test_coverage_comes_with_its_range_and_verdict():
-    from slipmap.diagrams.application.commands.calibrate import coverage_rows
+    from slipmap.diagrams.application.commands.studies import coverage_rows
 
     ranks = {"a": np.full(40, 0.5), "b": np.r_[np.full(20, 0.5), np.full(20, 0.999)], "c": np.full(400, 0.5)}
     result = SimpleNamespace(objects=40, ranks=ranks, coverage={"a": 1.0, "b": 0.5, "c": 1.0})

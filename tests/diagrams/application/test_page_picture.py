@@ -6,7 +6,7 @@ import pytest
 from browser import chromium
 from PIL import Image
 
-from slipmap.diagrams.application.reports.html_page import page_picture
+from notebooks.pages import page_picture
 
 
 @pytest.mark.skipif(

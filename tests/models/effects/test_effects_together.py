@@ -19,8 +19,7 @@ from pushed_with_effects import (
     with_values,
 )
 
-from slipmap.models.effects import Effect, Parameter
-from slipmap.models.effects import program as programs
+from slipmap.models.effects import Effect, Parameter, program as programs
 from slipmap.models.physics.kernel import rollout_one
 from slipmap.models.physics.rollout import Slider
 

@@ -12,8 +12,7 @@ import numpy as np
 import pytest
 import yaml
 from example_dataset import example_in
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
+from hypothesis import HealthCheck, given, settings, strategies as st
 
 from slipmap.models.measurements import DatasetError, read_dataset
 from slipmap.models.measurements.trial_checks import unwrapped

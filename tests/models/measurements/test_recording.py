@@ -15,8 +15,7 @@ import numpy as np
 import pytest
 from example_dataset import example_in
 
-from slipmap.models.measurements import DatasetError, read_dataset, write_dataset
-from slipmap.models.measurements import writing as recording
+from slipmap.models.measurements import DatasetError, read_dataset, write_dataset, writing as recording
 from slipmap.models.measurements.writing import PushRecorder
 
 

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 import shapely
 from centred_cells import cells_from_centres
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 from numpy.testing import assert_allclose
 from shapely.geometry import Polygon
 

@@ -23,9 +23,7 @@ from scipy.spatial import cKDTree
 
 from slipmap.models.geometry import rotated
 from slipmap.models.physics.cell_grid import FloatArray, checked_points
-from slipmap.models.physics.paper_notation import add as add
-from slipmap.models.physics.paper_notation import cell_poses as cell_poses
-from slipmap.models.physics.paper_notation import checked_triple
+from slipmap.models.physics.paper_notation import add as add, cell_poses as cell_poses, checked_triple
 
 _NEIGHBOUR = 1.2  # cell widths; diagonal neighbours are 1.41 apart
 

@@ -5,8 +5,7 @@ import time
 import numpy as np
 import paper_reference as paper
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 from numpy.testing import assert_allclose
 
 from slipmap.models.objects import cells_from_polygon

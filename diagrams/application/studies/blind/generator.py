@@ -54,34 +54,21 @@ _TRIES = 6
 
 @dataclass(frozen=True)
 class Truth:
-    """What is hidden in a dataset.
+    """What is hidden in a dataset."""
 
-    Attributes:
-        name: of the dataset.
-        seed: it came from.
-        verdict: 'none' or 'effect'.
-        effect: its name, None where there is none.
-        in_library: whether slipmap's library has it.
-        resembles: effects of the library that act like it.
-        strength: 'clear' or 'weak', None where there is none.
-        parameters: of the effect, SI.
-        final_change_mm: mean, median, max and per_trial: how far the effect moved the recorded end of each
-            push, mean over the cells.
-        largest_change_mm: the same at any time of any push.
-        force_change_rms: N, mean over the pushes.
-    """
-
-    name: str
-    seed: int
-    verdict: str
-    effect: str | None
-    in_library: bool
-    resembles: tuple[str, ...]
-    strength: str | None
-    parameters: dict[str, Any]
+    name: str  # of the dataset
+    seed: int  # it came from
+    verdict: str  # 'none' or 'effect'
+    effect: str | None  # its name, None where there is none
+    in_library: bool  # whether slipmap's library has it
+    resembles: tuple[str, ...]  # effects of the library that act like it
+    strength: str | None  # 'clear' or 'weak', None where there is none
+    parameters: dict[str, Any]  # of the effect, SI
+    # mean, median, max and per_trial: how far the effect moved the recorded end of each push, mean over the
+    # cells
     final_change_mm: dict[str, Any]
-    largest_change_mm: float
-    force_change_rms: float
+    largest_change_mm: float  # the same at any time of any push
+    force_change_rms: float  # N, mean over the pushes
 
     @classmethod
     def read(cls, file: Path) -> Truth:
@@ -109,11 +96,9 @@ def generate(
     The same seed gives the same files to the last bit. A folder that is there already is replaced.
 
     Args:
-        seed: of every draw.
         folder: of the dataset; its name is the dataset's.
         effect: instead of a random one; `PLAIN` for none.
         strength: instead of a random one.
-        pushes: number of them.
     """
     rng = np.random.default_rng([seed, 0x51EB])
     drawn_effect, drawn_strength = _draw_effect(rng)
@@ -231,21 +216,19 @@ def _record(
         noisy[rng.random(len(times)) < _DROPOUTS] = np.nan
         return np.round(np.column_stack([times, noisy]), 6).tolist()
 
-    def known(times: FloatArray, values: FloatArray) -> FloatArray:
-        return np.column_stack([np.interp(times, motion.clock, column) for column in values.T])
-
     tip_noise, force_noise = _NOISE["tip"], _NOISE["force"]
     t = stamps()
     poses = effect.reported(t, motion.clock, motion.poses)
     record = {"object_pose": rows(t, poses, [_NOISE["position"], _NOISE["position"], _NOISE["angle"]])}
     t = stamps()
-    tip = np.column_stack([known(t, motion.hand), np.zeros(len(t))])
+    tip = np.column_stack([exact(t, motion.clock, motion.hand), np.zeros(len(t))])
     record["tip_pose"] = rows(t, tip, [tip_noise, tip_noise, 0.0])
     t = stamps()
     # A force sensor's filter: the mean over the time from half a row before to half a row after.
     half = 0.5 / _RATE
     low, high = np.maximum(t - half, 0.0), t + half
-    wrench = (known(high, motion.impulse) - known(low, motion.impulse)) / (high - low)[:, None]
+    passed = exact(high, motion.clock, motion.impulse) - exact(low, motion.clock, motion.impulse)
+    wrench = passed / (high - low)[:, None]
     record["ft_wrench"] = rows(t, wrench, [force_noise, force_noise, force_noise * thing.finger_radius])
     return record
 

@@ -1,7 +1,5 @@
 """Random objects: footprints of square cells with maps of mass and friction."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
@@ -22,29 +20,20 @@ def rotation_matrix(angle: float) -> FloatArray:
 
 @dataclass(frozen=True, eq=False)
 class SlidingObject:
-    """A rigid footprint on a table and the round finger that pushes it.
+    """A rigid footprint on a table and the round finger that pushes it."""
 
-    Attributes:
-        shape: what it looks like, such as 'hammer'.
-        cells: (n, 2) column and row of every cell.
-        width: of a cell, m.
-        origin: (2,) corner of cell (0, 0) in the object frame, m.
-        mass, mu: (n,) kg, and friction against the table.
-        mu_finger: friction against the finger.
-        finger_radius, height: m.
-        weighed: whether the dataset tells the total mass.
-    """
-
-    shape: str
-    cells: NDArray[np.int64]
-    width: float
-    origin: FloatArray
+    shape: str  # what it looks like, such as 'hammer'
+    cells: NDArray[np.int64]  # (n, 2) column and row of every cell
+    width: float  # of a cell, m
+    origin: FloatArray  # (2,) corner of cell (0, 0) in the object frame, m
+    # mass, mu: (n,) kg, and friction against the table
     mass: FloatArray
     mu: FloatArray
-    mu_finger: float
+    mu_finger: float  # friction against the finger
+    # finger_radius, height: m
     finger_radius: float
     height: float
-    weighed: bool = False
+    weighed: bool = False  # whether the dataset tells the total mass
 
     @cached_property
     def centers(self) -> FloatArray:

@@ -1,7 +1,5 @@
 """Random pushes: slow, medium, fast, accelerating and in strokes; straight and curved; three ways to end."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -56,20 +54,14 @@ class FingerPath:
 
 @dataclass(frozen=True, eq=False)
 class PushPlan:
-    """One push: what the finger does to an object that rests at a pose.
+    """One push: what the finger does to an object that rests at a pose."""
 
-    Attributes:
-        kind, end: such as 'medium' and 'abrupt'.
-        duration: of the recording, s.
-        pose: (3,) of the object before, m and rad.
-        path: of the finger, m.
-    """
-
+    # kind, end: such as 'medium' and 'abrupt'
     kind: str
     end: str
-    duration: float
-    pose: FloatArray
-    path: FingerPath
+    duration: float  # of the recording, s
+    pose: FloatArray  # (3,) of the object before, m and rad
+    path: FingerPath  # of the finger, m
 
 
 def random_plan(rng: np.random.Generator, thing: SlidingObject, kind: str) -> PushPlan:

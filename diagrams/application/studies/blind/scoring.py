@@ -1,7 +1,5 @@
 """How good diagnoses are: what was hidden against what was said."""
 
-from __future__ import annotations
-
 import textwrap
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
@@ -60,21 +58,13 @@ class Rate:
 
 @dataclass(frozen=True)
 class Score:
-    """Of many diagnoses.
+    """Of many diagnoses."""
 
-    Attributes:
-        confusion: counts by truth and by what was said (the keys of `COLUMNS`).
-        named: how often each effect was named alone, by truth.
-        rates: the figures that matter.
-        cases: one entry a dataset.
-        failed: names of datasets that gave no diagnosis, and why.
-    """
-
-    confusion: dict[str, dict[str, int]]
-    named: dict[str, dict[str, int]]
-    rates: tuple[Rate, ...]
-    cases: tuple[dict[str, Any], ...]
-    failed: dict[str, str]
+    confusion: dict[str, dict[str, int]]  # counts by truth and by what was said (the keys of `COLUMNS`)
+    named: dict[str, dict[str, int]]  # how often each effect was named alone, by truth
+    rates: tuple[Rate, ...]  # the figures that matter
+    cases: tuple[dict[str, Any], ...]  # one entry a dataset
+    failed: dict[str, str]  # names of datasets that gave no diagnosis, and why
 
     def to_json(self) -> dict[str, Any]:
         """For programs."""

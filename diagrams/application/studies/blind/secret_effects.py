@@ -5,8 +5,6 @@ velocities are in the world frame, m and m/s, unless said otherwise. A function 
 arguments are the parameters that the truth file tells, in SI. `LIBRARY` and `OUTSIDE` say how they are drawn.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -29,24 +27,17 @@ Vector = tuple[float, float]
 
 @dataclass(eq=False)
 class Instant:
-    """The state of the object at one time step, as effects see it.
+    """The state of the object at one time step, as effects see it."""
 
-    Attributes:
-        time: since the push began, s.
-        step: s.
-        pose, twist: (3,) of the object frame.
-        points: (p, 2) that carry load, object frame.
-        loads: (p,) N on them in the plain world.
-        contact, friction: (3,) force of finger and of table, and torque about the object frame's origin, of
-            the step before.
-    """
-
-    time: float
-    step: float
+    time: float  # since the push began, s
+    step: float  # s
+    # pose, twist: (3,) of the object frame
     pose: FloatArray
     twist: FloatArray
-    points: FloatArray
-    loads: FloatArray
+    points: FloatArray  # (p, 2) that carry load, object frame
+    loads: FloatArray  # (p,) N on them in the plain world
+    # contact, friction: (3,) force of finger and of table, and torque about the object frame's origin, of the
+    # step before
     contact: FloatArray
     friction: FloatArray
 
@@ -120,7 +111,7 @@ class Chance(NamedTuple):
 
 
 def exact(times: FloatArray, clock: FloatArray, poses: FloatArray) -> FloatArray:
-    """(T, 3) what an exact tracker reports at `times` of the true `poses`, which are known at `clock`."""
+    """(T, c) what an exact sensor reports at `times` of true `poses` (N, c), which are known at `clock`."""
     return np.column_stack([np.interp(times, clock, column) for column in poses.T])
 
 
@@ -446,20 +437,13 @@ def _skate(c: Chance) -> dict[str, Any]:
 
 
 class Kind(NamedTuple):
-    """An effect before it is drawn.
+    """An effect before it is drawn."""
 
-    Attributes:
-        name: of it in the library, if it is there.
-        make: its function.
-        draw: gives the arguments of the function.
-        kind: tells effects of one name apart.
-        resembles: effects of the library that act alike; naming one of them is a near miss, not a blunder.
-    """
-
-    name: str
-    make: Callable[..., Effect]
-    draw: Callable[[Chance], dict[str, Any]]
-    kind: str = ""
+    name: str  # of it in the library, if it is there
+    make: Callable[..., Effect]  # its function
+    draw: Callable[[Chance], dict[str, Any]]  # gives the arguments of the function
+    kind: str = ""  # tells effects of one name apart
+    # effects of the library that act alike; naming one of them is a near miss, not a blunder
     resembles: tuple[str, ...] = ()
 
     @property

@@ -9,24 +9,13 @@ limit: the law of Coulomb with a true state of rest. A point clings within its b
 micrometres and slides beyond it at constant force. Explicit in time, with no equations to solve.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np
 from pydrake.geometry import AddContactMaterial, Box, ProximityProperties, SceneGraph, Sphere
 from pydrake.math import RigidTransform
+from pydrake.multibody import tree
 from pydrake.multibody.plant import CoulombFriction, DiscreteContactApproximation, MultibodyPlant
-from pydrake.multibody.tree import (
-    FixedOffsetFrame,
-    ModelInstanceIndex,
-    PlanarJoint,
-    PrismaticJoint,
-    PrismaticSpring,
-    RigidBody,
-    SpatialInertia,
-    UnitInertia,
-)
 from pydrake.systems.framework import DiagramBuilder
 
 from slipmap.diagrams.application.studies.blind.objects import FloatArray, SlidingObject
@@ -44,19 +33,12 @@ _DAMPING_TIME = 1.5e-3  # s, force of a clinging bristle per rate, over its stif
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """What happened in one push, at every step of time.
+    """What happened in one push, at every step of time."""
 
-    Attributes:
-        clock: (N,) s.
-        poses: (N, 3) of the object frame.
-        hand: (N, 2) of the finger as its robot knows it; the tip itself where nothing bends.
-        impulse: (N, 3) of the contact force on the object since the start, N·s, and of its torque about the
-            hand, N·m·s.
-    """
-
-    clock: FloatArray
-    poses: FloatArray
-    hand: FloatArray
+    clock: FloatArray  # (N,) s
+    poses: FloatArray  # (N, 3) of the object frame
+    hand: FloatArray  # (N, 2) of the finger as its robot knows it; the tip itself where nothing bends
+    # (N, 3) of the contact force on the object since the start, N·s, and of its torque about the hand, N·m·s
     impulse: FloatArray
 
 
@@ -170,7 +152,7 @@ class World:
         loose = effect.loose_mass
         fixed = replace(thing, mass=thing.mass * (1.0 - (loose.mass / thing.total_mass if loose else 0.0)))
         body = plant.AddRigidBody("object", pushed, _flat_inertia(fixed))
-        slide = plant.AddJoint(PlanarJoint("slide", plant.world_frame(), body.body_frame(), np.zeros(3)))
+        slide = plant.AddJoint(tree.PlanarJoint("slide", plant.world_frame(), body.body_frame(), np.zeros(3)))
         surface = _surface(thing.mu_finger)
         for number, (center, size) in enumerate(thing.rectangles()):
             place = RigidTransform([*center, 0.0])
@@ -216,41 +198,41 @@ def _surface(mu: float) -> ProximityProperties:
     return properties
 
 
-def _flat_inertia(thing: SlidingObject) -> SpatialInertia:
+def _flat_inertia(thing: SlidingObject) -> tree.SpatialInertia:
     """Of the cells as uniform squares in one plane, about the object frame's origin."""
     share = thing.mass / thing.total_mass
     x, y = thing.centers.T
     square = thing.width**2 / 12
     xx, yy, xy = share @ (y**2 + square), share @ (x**2 + square), share @ (x * y)
-    unit = UnitInertia(xx, yy, xx + yy, -xy, 0.0, 0.0)
-    return SpatialInertia(thing.total_mass, [*thing.center_of_mass, 0.0], unit)
+    unit = tree.UnitInertia(xx, yy, xx + yy, -xy, 0.0, 0.0)
+    return tree.SpatialInertia(thing.total_mass, [*thing.center_of_mass, 0.0], unit)
 
 
 def _cart(
     plant: MultibodyPlant,
-    instance: ModelInstanceIndex,
-    parent: RigidBody,
+    instance: tree.ModelInstanceIndex,
+    parent: tree.RigidBody,
     name: str,
     mass: float,
     *,
     place: tuple[float, float] = (0.0, 0.0),
     stiffness: float = 0.0,
     damping: float = 0.0,
-) -> tuple[RigidBody, list[PrismaticJoint]]:
+) -> tuple[tree.RigidBody, list[tree.PrismaticJoint]]:
     """A body that moves along x and y of its parent from `place`, on springs where they have a stiffness."""
-    ball = UnitInertia.SolidSphere(0.005)
+    ball = tree.UnitInertia.SolidSphere(0.005)
     frame = plant.AddFrame(
-        FixedOffsetFrame(f"{name} rest", parent.body_frame(), RigidTransform([*place, 0.0]))
+        tree.FixedOffsetFrame(f"{name} rest", parent.body_frame(), RigidTransform([*place, 0.0]))
     )
     joints = []
     for axis, direction in (("x", [1.0, 0.0, 0.0]), ("y", [0.0, 1.0, 0.0])):
         body = plant.AddRigidBody(
-            f"{name} {axis}", instance, SpatialInertia(0.0 if axis == "x" else mass, np.zeros(3), ball)
+            f"{name} {axis}", instance, tree.SpatialInertia(0.0 if axis == "x" else mass, np.zeros(3), ball)
         )
-        joint = PrismaticJoint(f"{name} {axis}", frame, body.body_frame(), direction, damping=damping)
+        joint = tree.PrismaticJoint(f"{name} {axis}", frame, body.body_frame(), direction, damping=damping)
         joints.append(plant.AddJoint(joint))
         if stiffness > 0:
-            plant.AddForceElement(PrismaticSpring(joints[-1], 0.0, stiffness))
+            plant.AddForceElement(tree.PrismaticSpring(joints[-1], 0.0, stiffness))
         frame = body.body_frame()
     return body, joints
 

@@ -1,0 +1,369 @@
+"""What slipmap finds, against truths that are known, many times over.
+
+`slipmap explore-study` explores objects, `slipmap calibrate` counts how often intervals hold the truth, and
+`slipmap blind-test` hides effects in simulated datasets, diagnoses them all, and counts what was found.
+"""
+
+from __future__ import annotations
+
+import json
+import multiprocessing
+import shutil
+import signal
+import time
+import traceback
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import click
+
+from slipmap.diagrams.application.commands import options
+from slipmap.diagrams.application.commands.cell_run import Stopped, scenario_of
+from slipmap.diagrams.application.outputs import make_folder, write_figures
+from slipmap.diagrams.application.terminal import Progress, note, paragraph, prepare_kernels, table
+from slipmap.models.files import BadInput, write_json, write_text
+
+if TYPE_CHECKING:
+    from slipmap.diagrams.application.studies.blind.scoring import Score
+    from slipmap.diagrams.loops.exploration_run import ExplorationRun
+    from slipmap.planners.calibration import CalibrationResult
+
+
+@click.command("explore-study")
+@options.objects_option("--object", about="Object to explore")
+@options.count_option("--runs", most=1000, default=10, about="Runs of each object, with seeds from SEED on.")
+@options.explorations_option
+@options.count_option("--checks", most=100, default=10, about="Random pushes after these, to judge with.")
+@options.results_option("folder", default="explore-study")
+@options.seed_option
+@options.json_option
+def explore_study(
+    object_names: tuple[str, ...],
+    runs: int,
+    pushes: int,
+    checks: int,
+    folder: Path,
+    seed: int,
+    json_file: Path | None,
+) -> None:
+    """Explore objects several times and judge the predictions.
+
+    Tells how well each object's further pushes were predicted. Each run leaves a JSON file in DIR, and its
+    pushes as a dataset. What is there already is not run again, so a study that was stopped goes on. A run
+    of 15 pushes takes two to three minutes.
+    """
+    from slipmap.diagrams.loops.exploration_run import ExplorationStopped
+    from slipmap.models.objects.benchmark_objects import BENCHMARK_OBJECTS
+
+    names = object_names or tuple(BENCHMARK_OBJECTS)
+    make_folder(folder)
+    prepare_kernels()
+    rows: dict[str, list[dict[str, Any]]] = {name: [] for name in names}
+    for name in names:
+        for number in range(seed, seed + runs):
+            try:
+                rows[name].append(_row(folder, name, number, pushes, checks))
+            except (ExplorationStopped, KeyboardInterrupt) as error:
+                raise Stopped(
+                    f"stopped at {name}, seed {number}, of which nothing is kept. The runs before are in"
+                    f" {folder}; called again, the study goes on where it was."
+                ) from error
+    _show(rows)
+    write_json(json_file, rows)
+
+
+def _row(folder: Path, name: str, seed: int, pushes: int, checks: int) -> dict[str, Any]:
+    """Result of one run, from its file or run now.
+
+    Raises:
+        ExplorationStopped: Ctrl-C; nothing of this run is kept.
+    """
+    path = folder / f"{name}-{seed}.json"
+    if path.exists():
+        return _row_of(path, pushes, checks)
+    from slipmap.diagrams.loops.exploration_loop import LoopOptions
+    from slipmap.diagrams.loops.exploration_run import ExplorationFailed, ExplorationStopped, explore
+    from slipmap.models.measurements import write_dataset
+
+    options_of_run = LoopOptions(pushes=pushes, checks=checks, seed=seed)
+    try:
+        with Progress() as progress:
+            scenario = scenario_of(None, name)
+            run = explore(scenario, options_of_run, progress=progress, learn_when_stopped=False)
+    except ExplorationStopped:
+        raise
+    except ExplorationFailed as error:
+        row: dict[str, Any] = {"failed": str(error)}
+    else:
+        write_dataset(run.dataset, folder / f"{name}-{seed}", overwrite=True)
+        row = _judged(run)
+    row |= {"pushes": pushes, "checks": checks}
+    write_json(path, row)
+    note(f"{name}, seed {seed}: {row.get('failed') or 'error {:.1f} mm'.format(1e3 * row['error'])}")
+    return row
+
+
+def _row_of(path: Path, pushes: int, checks: int) -> dict[str, Any]:
+    """What an earlier study left, if it asked for the same."""
+    try:
+        row = dict(json.loads(path.read_text(encoding="utf-8")))
+        asked = row["pushes"], row["checks"]
+    except (ValueError, KeyError, TypeError) as error:
+        raise BadInput(f"{path}: is no run of a study; move it away") from error
+    if asked != (pushes, checks):
+        raise BadInput(
+            f"{path}: is a run of {asked[0]} pushes and {asked[1]} checks, this study asks for {pushes} and"
+            f" {checks}; name another folder with -o"
+        )
+    return row
+
+
+def _judged(run: ExplorationRun) -> dict[str, Any]:
+    import numpy as np
+
+    from slipmap.models.inference.summaries import in_region
+
+    found = run.identification
+    centers, p = found.belief.centers_of_mass, found.belief.probability
+    mean = p @ centers
+    off = run.true_center_of_mass - mean
+    return {
+        "error": float(found.errors("heldout").mean()),
+        "uniform": float(found.errors("heldout", "uniform_add").mean()),
+        "center_of_mass_off": float(np.hypot(*off)),
+        "center_of_mass_inside": in_region(run.true_center_of_mass, centers, p),
+        "simulated": run.simulated,
+        "seconds": run.seconds,
+    }
+
+
+def _show(rows: dict[str, list[dict[str, Any]]]) -> None:
+    cells, inside, done = [], 0, 0
+    for name, results in rows.items():
+        good = [row for row in results if "failed" not in row]
+        done += len(good)
+        count = sum(row["center_of_mass_inside"] for row in good)
+        failed = len(results) - len(good)
+        means = [
+            f"{1e3 * sum(row[key] for row in good) / len(good):.{digits}f}" if good else "–"
+            for key, digits in (("error", 1), ("uniform", 1), ("center_of_mass_off", 0))
+        ]
+        cells.append([name, str(len(good)), str(failed), *means, str(count)])
+        inside += count
+    table(
+        "Final error (ADD) on further pushes, mm",
+        ["object", "runs", "failed", "belief", "uniform", "centre of mass off", "inside 90 %"],
+        cells,
+        numbers=(1, 2, 3, 4, 5, 6),
+    )
+    paragraph(f"The centre of mass lies in the belief's 90 % region in {inside} of {done} runs.")
+
+
+_LEVEL = 0.9
+_TELLS_NOTHING = 0.3
+"""Width of the 95 % range of a share that does not tell right intervals from wrong ones."""
+
+
+@click.command()
+@options.count_option(
+    "--objects", most=10_000, default=40, about="Objects to simulate; the more, the sharper the answer."
+)
+@options.seed_option
+@options.picture_option("-o", "--output", about="Picture of the reliability curves (.png, .pdf or .svg).")
+@options.json_option
+def calibrate(objects: int, seed: int, output: Path | None, json_file: Path | None) -> None:
+    """Check that 90 % intervals hold the truth 90 % of the time.
+
+    Draws objects at random, pushes them in simulation, identifies each, and counts how often the truth
+    lies inside the belief's 90 % interval. The range behind each count (95 %, Clopper and Pearson) is what
+    the true share may be, as so many objects tell it. Takes several seconds an object.
+    """
+    with Progress() as progress:
+        prepare_kernels()
+        from slipmap.planners import calibration
+
+        result = calibration.calibrate(objects=objects, seed=seed, progress=progress)
+        if output is not None:
+            from slipmap.diagrams.application.figures import calibration_figure
+
+            write_figures(output, [calibration_figure(result)])
+    rows = coverage_rows(result)
+    numbers = {name: getattr(result, name) for name in ("objects", "seed", "seconds", "ranks")}
+    write_json(json_file, {**numbers, "level": _LEVEL, "coverage": rows})
+    table(
+        f"Truths inside the {_LEVEL:.0%} interval, {result.objects} objects in {result.seconds:.0f} s",
+        ["quantity", "inside", "of", "share", "95 % range", "verdict"],
+        [
+            [row["name"], str(row["inside"]), str(row["of"]), f"{row['share']:.0%}",
+             f"{row['low']:.0%} to {row['high']:.0%}", row["verdict"]]
+            for row in rows
+        ],
+        numbers=(1, 2, 3, 4),
+    )  # fmt: skip
+    if output is not None:
+        note(f"picture: {output}")
+
+
+def coverage_rows(result: CalibrationResult) -> list[dict[str, Any]]:
+    """Truths inside, with the 95 % range of their share and what it says of the intervals."""
+    from scipy.stats import beta
+
+    rows = []
+    for name, share in result.coverage.items():
+        count = len(result.ranks[name])
+        inside = round(share * count)
+        # Several pushes of one object are one story: count no more independent draws than objects.
+        draws = min(count, result.objects)
+        hits = share * draws
+        low = float(beta.ppf(0.025, hits, draws - hits + 1)) if inside else 0.0
+        high = float(beta.ppf(0.975, hits + 1, draws - hits)) if inside < count else 1.0
+        verdict = "too narrow" if high < _LEVEL else "too wide" if low > _LEVEL else "as it should be"
+        if verdict == "as it should be" and high - low > _TELLS_NOTHING:
+            verdict = "too few objects to tell"
+        rows.append(
+            {"name": name, "inside": inside, "of": count, "share": share, "low": low, "high": high,
+             "verdict": verdict}
+        )  # fmt: skip
+    return rows
+
+
+@click.command("blind-test")
+@options.seed_option
+@options.count_option(
+    "--count", most=10_000, default=20, metavar="M", about="Datasets, one for each seed from SEED on."
+)
+@options.results_option(default="blind-test", about="Folder of datasets, diagnoses and score.")
+@options.count_option(
+    "--jobs", most=64, default=1, metavar="J",
+    about="Datasets at the same time, each in a process of its own.",
+)  # fmt: skip
+def blind_test(seed: int, count: int, output: Path, jobs: int) -> None:
+    """Hide effects in simulated pushes, and see what is found.
+
+    An independent simulator, which shares no physics with the model, draws an object, 24 pushes and a hidden
+    effect, or none, from each seed. Every dataset is diagnosed and compared with its truth. What is in DIR
+    already is not done again, so a run that was stopped goes on; only failures are tried anew. Writes
+    score.md and score.json. A dataset takes about half a minute to simulate.
+    """
+    make_folder(output)
+    prepare_kernels()
+    cases = [_Case(output, number) for number in range(seed, seed + count)]
+    waiting = [case for case in cases if not case.result.exists()]
+    if len(waiting) < count:
+        note(f"{count - len(waiting)} of {count} datasets have their diagnosis in {output} already")
+    if waiting:
+        at_once = f", {jobs} at a time" if jobs > 1 and len(waiting) > 1 else ""
+        what = f"{len(waiting)} dataset{'s' * (len(waiting) > 1)}"
+        note(f"{what} to simulate and diagnose{at_once}; about a minute each …")
+    started = time.monotonic()
+    for done, (case, outcome) in enumerate(_run_all(waiting, jobs), start=1):
+        left = (time.monotonic() - started) / done * (len(waiting) - done)
+        duration = f"{left:.0f} s" if left < 90 else f"{left / 60:.0f} min"
+        note(f"{done} of {len(waiting)}, {duration} left: {case.name}, {outcome}")
+    score = _score(cases)
+    write_json(output / "score.json", score.to_json())
+    write_text(output / "score.md", score.markdown())
+    click.echo(score.text(), nl=False)
+    note(f"score: {output / 'score.md'}")
+
+
+class _Case(NamedTuple):
+    """A dataset, by its seed, and where it and its diagnosis lie."""
+
+    folder: Path
+    seed: int
+
+    @property
+    def name(self) -> str:
+        return f"blind-{self.seed:05d}"
+
+    @property
+    def result(self) -> Path:
+        return self.folder / f"{self.name}.result.json"
+
+    @property
+    def failure(self) -> Path:
+        return self.folder / f"{self.name}.failure.json"
+
+
+def _run_all(cases: Sequence[_Case], jobs: int) -> Iterator[tuple[_Case, str]]:
+    """Each dataset as it is done, and its outcome."""
+    if jobs == 1 or not cases:
+        yield from ((case, _run(case)) for case in cases)
+        return
+    # Forked processes would share the threads of numba and BLAS with this one; Ctrl-C is for this one alone.
+    pool = ProcessPoolExecutor(
+        min(jobs, len(cases)),
+        multiprocessing.get_context("spawn"),
+        initializer=signal.signal,
+        initargs=(signal.SIGINT, signal.SIG_IGN),
+    )
+    futures = {pool.submit(_run, case): case for case in cases}
+    try:
+        for future in as_completed(futures):
+            case, error = futures[future], future.exception()
+            if error is not None:
+                _record_failure(case, error)
+            yield case, f"failed: {error}" if error is not None else future.result()
+    except BaseException:
+        pool.shutdown(wait=False, cancel_futures=True)
+        _stop_workers(cases[0].folder)
+        raise
+    pool.shutdown()
+
+
+def _stop_workers(folder: Path) -> None:
+    """End the processes at work, and remove what they were writing."""
+    workers = multiprocessing.active_children()
+    for worker in workers:
+        worker.terminate()
+    for worker in workers:
+        worker.join()
+        for part in folder.glob(f".{worker.pid}.*"):
+            shutil.rmtree(part) if part.is_dir() else part.unlink()
+
+
+def _run(case: _Case) -> str:
+    """Generate a dataset unless it is there, diagnose it, write the result, and tell it in a few words."""
+    from slipmap.diagrams.application.studies.blind import generator, scoring
+    from slipmap.models.inference.diagnosis.procedure import diagnose
+    from slipmap.models.measurements import read_dataset
+
+    dataset = case.folder / case.name
+    try:
+        # The truth is written last: where it is, the dataset is whole.
+        file = generator.truth_file(dataset)
+        truth = generator.Truth.read(file) if file.exists() else generator.generate(case.seed, dataset)
+        result: dict[str, Any] = diagnose(read_dataset(dataset), seed=case.seed).to_json()
+        # A result that cannot be scored is a failure of its dataset, not of all at the end.
+        scoring.score([(truth, result)])
+        write_json(case.result, result)
+    except Exception as error:
+        return f"failed: {_record_failure(case, error)}"
+    case.failure.unlink(missing_ok=True)
+    hidden = f"{truth.effect} ({truth.strength})" if truth.effect else "nothing hidden"
+    names = result["effects"] if result["verdict"] == "ambiguous" else [result["effect"]]
+    return f"{hidden} → {' '.join([result['verdict'], ', '.join(filter(None, names))]).strip()}"
+
+
+def _record_failure(case: _Case, error: BaseException) -> str:
+    """Write an error down; returns it in a line."""
+    said = f"{type(error).__name__}: {' '.join(str(error).split())}"
+    write_json(case.failure, {"error": said, "traceback": "".join(traceback.format_exception(error))})
+    return said
+
+
+def _score(cases: Sequence[_Case]) -> Score:
+    from slipmap.diagrams.application.studies.blind.generator import Truth, truth_file
+    from slipmap.diagrams.application.studies.blind.scoring import score
+
+    pairs, failed = [], {}
+    for case in cases:
+        if case.result.exists():
+            truth = Truth.read(truth_file(case.folder / case.name))
+            pairs.append((truth, json.loads(case.result.read_text(encoding="utf-8"))))
+        else:
+            failed[case.name] = json.loads(case.failure.read_text(encoding="utf-8"))["error"]
+    return score(pairs, failed)

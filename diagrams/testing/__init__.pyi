@@ -1,0 +1,19 @@
+from .assertions import (
+    assert_alarm as assert_alarm,
+    assert_better_than_uniform as assert_better_than_uniform,
+    assert_held as assert_held,
+    assert_limits_kept as assert_limits_kept,
+    assert_names as assert_names,
+    assert_predicts as assert_predicts,
+    assert_quiet as assert_quiet,
+)
+from .cell import (
+    LOCKSTEP as LOCKSTEP,
+    TWIN as TWIN,
+    Cell as Cell,
+    Faults as Faults,
+    open_cell as open_cell,
+    small_scenario as small_scenario,
+)
+from .command_log import CommandLog as CommandLog
+from .faults import Fault as Fault
