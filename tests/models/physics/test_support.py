@@ -5,8 +5,7 @@ import pickle
 import numpy as np
 import pytest
 import shapely
-from hypothesis import assume, given, settings
-from hypothesis import strategies as st
+from hypothesis import assume, given, settings, strategies as st
 
 from slipmap.models.effects import LIBRARY
 from slipmap.models.geometry import compose, placed, relative
