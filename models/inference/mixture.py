@@ -16,6 +16,7 @@ than `_ENOUGH_PUSHES`, such maps count only where they explain the pushes exactl
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
@@ -199,8 +200,8 @@ def _likeliest(every: Sequence[Explanation]) -> Explanation:
 def shared_out(every: Sequence[Explanation]) -> list[Explanation]:
     """Explanations with their shares, the largest first, without those below `LEAST_SHARE`."""
     every, best = _admitted(every), _likeliest(every)
-    temperature = best.likelihood.rows_counted / len(best.likelihood.observations)
-    temperature *= best.model_error / MODEL_ERRORS[0]
+    rows = best.likelihood.rows_counted / len(best.likelihood.observations)
+    temperature = rows * best.model_error / MODEL_ERRORS[0]
     evidence = np.array([one.log_evidence for one in every])
     shares = np.array([PLAUSIBLE.get(one.structure, 1.0) for one in every])
     if np.isfinite(best.log_evidence):
@@ -277,17 +278,17 @@ def mixed_belief(
         trials=[observation.trial for observation in likelihood.observations],
         settings={
             **trusted(every[0].ladder),
-            "friction_laws": _by([(one.law, share / total) for one, share in kept]),
-            "structures": _by([(one.structure, share / total) for one, share in kept]),
+            "friction_laws": _by([one.law for one, _ in kept], [share for _, share in kept]),
+            "structures": _by([one.structure for one, _ in kept], [share for _, share in kept]),
         },
     )
 
 
-def _by(shares: Sequence[tuple[str, float]]) -> dict[str, float]:
-    """Sums of shares by name, the largest first."""
-    sums: dict[str, float] = {}
-    for name, share in shares:
-        sums[name] = sums.get(name, 0.0) + share
+def _by(names: Sequence[str], shares: Sequence[float]) -> dict[str, float]:
+    """Share of the whole by name, the largest first."""
+    total = math.fsum(shares)
+    pairs = list(zip(names, shares, strict=True))
+    sums = {key: math.fsum(share for name, share in pairs if name == key) / total for key in names}
     return dict(sorted(sums.items(), key=lambda item: -item[1]))
 
 

@@ -47,6 +47,8 @@ class PriorSettings:
         unknown_mass: σ_total where it was not; the median is then 1 kg.
         length: reach of the covariance in diameters of the footprint.
         white: share of the variance that neighbours do not share.
+        sharp: whether borders are sharp: the covariance falls exponentially, as the chance that random cuts
+            leave two cells in one part (Lakshminarayanan et al., 2016), not by a Gaussian.
         largest_friction: upper bound of mu and mu_f.
         modes: most coordinates a map may have; finer variation cannot be seen from pushes.
     """
@@ -62,6 +64,7 @@ class PriorSettings:
     unknown_mass: float = 2.0
     length: float = 0.20
     white: float = 0.30
+    sharp: bool = False
     largest_friction: float = 3.0
     modes: int = 40
 
@@ -70,17 +73,19 @@ STRUCTURES = {
     "uneven": PriorSettings(load_map=0.4, split=0.5, white=0.8, modes=100),
     "smooth": PriorSettings(),
     "varied": PriorSettings(load_map=0.8, split=0.5, modes=60),
-    "few points": PriorSettings(load_map=2.5, split=0.5, white=0.95, modes=200),
+    "parts": PriorSettings(load_map=3.5, split=0.5, white=0.05, sharp=True, length=0.5, modes=60),
+    "few points": PriorSettings(load_map=4.0, split=0.5, white=0.95, modes=200),
     "uniform": PriorSettings(load_map=0.1, split=0.1, modes=20),
 }
-"""What objects are like: maps that vary little, from cell to cell or smoothly, that vary much, whose load
-rests on few cells, or that hardly vary. Of the first two, the smooth one is for pushes that a law explains
-exactly; else the law's faults are better taken up by single cells, where they bend no whole region."""
+"""What objects are like: maps that vary little, from cell to cell or smoothly, that vary much, that fall into
+parts, whose load rests on few cells, or that hardly vary. Of the first two, the smooth one is for pushes that
+a law explains exactly; else the law's faults are better taken up by single cells, where they bend no whole
+region."""
 
-PLAUSIBLE = {"uneven": 0.4, "smooth": 0.4, "varied": 0.3, "few points": 0.2, "uniform": 0.1}
+PLAUSIBLE = {"uneven": 0.4, "smooth": 0.4, "varied": 0.2, "parts": 0.2, "few points": 0.2, "uniform": 0.1}
 """How likely each is before any push, up to a factor."""
 
-BOLD = ("varied", "few points")
+BOLD = ("varied", "parts", "few points")
 """Those that can follow the errors of a wrong law."""
 
 
@@ -296,9 +301,9 @@ def covariance_basis(grid: CellGrid, settings: PriorSettings) -> FloatArray:
     """(n, r) square root of the covariance of a map over the cells, cut to its leading modes."""
     centers = grid.centers
     diameter = float(np.hypot(*(np.ptp(centers, axis=0) + grid.width)))
-    distance2 = ((centers[:, None] - centers[None]) ** 2).sum(axis=-1)
-    smooth = np.exp(-0.5 * distance2 / (settings.length * diameter) ** 2)
-    covariance = (1.0 - settings.white) * smooth + settings.white * np.eye(len(centers))
+    distance = np.hypot(*(centers[:, None] - centers[None]).transpose(2, 0, 1)) / (settings.length * diameter)
+    alike = np.exp(-distance if settings.sharp else -0.5 * distance**2)
+    covariance = (1.0 - settings.white) * alike + settings.white * np.eye(len(centers))
     values, vectors = np.linalg.eigh(covariance)
     order = np.argsort(values)[::-1][: settings.modes]
     return vectors[:, order] * np.sqrt(np.maximum(values[order], 0.0))

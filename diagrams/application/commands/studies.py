@@ -176,8 +176,8 @@ _TELLS_NOTHING = 0.3
 def calibrate(objects: int, seed: int, output: Path | None, json_file: Path | None) -> None:
     """Check that 90 % intervals hold the truth 90 % of the time.
 
-    Draws objects at random, pushes them in simulation, identifies each, and counts how often the truth
-    lies inside the belief's 90 % interval. The range behind each count (95 %, Clopper and Pearson) is what
+    Draws objects of five kinds at random, pushes them in simulation, identifies each, and counts how often
+    the truth lies inside the belief's 90 % interval. The range behind each count (95 %, Clopper and Pearson) is what
     the true share may be, as so many objects tell it. Takes several seconds an object.
     """
     with Progress() as progress:
@@ -190,7 +190,7 @@ def calibrate(objects: int, seed: int, output: Path | None, json_file: Path | No
 
             write_figures(output, [calibration_figure(result)])
     rows = coverage_rows(result)
-    numbers = {name: getattr(result, name) for name in ("objects", "seed", "seconds", "ranks")}
+    numbers = {name: getattr(result, name) for name in ("objects", "seed", "seconds", "ranks", "by_kind")}
     write_json(json_file, {**numbers, "level": _LEVEL, "coverage": rows})
     table(
         f"Truths inside the {_LEVEL:.0%} interval, {result.objects} objects in {result.seconds:.0f} s",
@@ -202,6 +202,13 @@ def calibrate(objects: int, seed: int, output: Path | None, json_file: Path | No
         ],
         numbers=(1, 2, 3, 4),
     )  # fmt: skip
+    names = list(result.coverage)
+    table(
+        "Share inside, by kind of object",
+        ["kind", *names],
+        [[kind, *(f"{held[name]:.0%}" for name in names)] for kind, held in result.by_kind.items()],
+        numbers=tuple(range(1, len(names) + 1)),
+    )
     if output is not None:
         note(f"picture: {output}")
 

@@ -10,6 +10,7 @@ from slipmap.models.inference.belief import BeliefError
 from slipmap.models.inference.hypotheses import accuracy_weights
 from slipmap.models.inference.identification import identify
 from slipmap.models.inference.prediction import predict
+from slipmap.models.inference.prior import PriorSettings
 from slipmap.models.inference.results import Quantity
 from slipmap.models.measurements import DatasetError, read_dataset
 
@@ -84,7 +85,12 @@ def test_units_of_mass_do_not_matter(recorded, result):
     )
     scaled = identify(heavy, hypotheses=12, seed=3, friction_laws=False)
     assert scaled.errors("heldout") == pytest.approx(result.errors("heldout"), abs=5e-5)
-    assert scaled.belief.maps.mass / 1000.0 == pytest.approx(result.belief.maps.mass, rel=1e-3)
+    # Fits of wild maps end where rounding has them end; those of smooth ones in one place.
+    light, heavy_belief = (
+        identify(d, hypotheses=12, seed=3, prior_settings=PriorSettings(), friction_laws=False).belief
+        for d in (recorded.dataset, heavy)
+    )
+    assert heavy_belief.maps.mass / 1000.0 == pytest.approx(light.maps.mass, rel=1e-3)
 
 
 def test_result_is_json(result):
@@ -133,14 +139,14 @@ def test_accuracy_weights_punish_the_misfit_alone():
 @pytest.mark.parametrize(
     ("name", "limit", "measure"),
     [
-        ("real/cpush_square", 8e-3, "heldout_error_mean"),
+        ("real/cpush_square", 6e-3, "heldout_error_mean"),
         ("real/mcube_steel", 15e-3, "heldout_error_median"),
-        ("real/mit_abs_rect1", 2.9e-3, "heldout_error_mean"),
-        ("effects/public-none", 1.2e-3, "heldout_error_mean"),
+        ("real/mit_abs_rect1", 2.6e-3, "heldout_error_mean"),
+        ("effects/public-none", 0.6e-3, "heldout_error_mean"),
     ],
 )
 def test_measured_pushes(shared_data, name, limit, measure):
-    document = identify(read_dataset(shared_data / name), friction_laws=False).to_json()
+    document = identify(read_dataset(shared_data / name)).to_json()
     assert document[measure] < limit
     assert document["heldout_error_mean"] < document["uniform_error_mean"]
 

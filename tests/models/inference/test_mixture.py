@@ -142,7 +142,8 @@ def test_shares_follow_the_tempered_evidence() -> None:
 def test_the_further_the_model_is_off_the_less_evidence_tells() -> None:
     exact = shares(explained("plain", "own", 10.0), explained("a", "own", 14.0))
     off = shares(explained("plain", "own", 10.0, 0.04), explained("a", "own", 14.0, 0.04))
-    assert off["a own"] == pytest.approx(1 / (1 + np.exp(-4.0 / 40.0))) < exact["a own"]
+    assert off["a own"] == pytest.approx(1 / (1 + np.exp(-4.0 / 40.0)))
+    assert off["a own"] < exact["a own"] - 0.1
 
 
 def test_few_pushes_do_not_speak_for_wild_maps_that_merely_follow_them() -> None:
@@ -172,9 +173,9 @@ def test_pushes_speak_for_the_structure_that_made_them(recorded, structure) -> N
     pushes = [c.push([0.0, 0.0, 0.3]) for c in candidate_pushes(grid, 0.006, rng, 14, length=(0.05, 0.1))]
     dataset = record_pushes(recorded.slider, truth, pushes, rng, heldout=4, mass=1.0)
     found = identify(dataset, friction_laws=False)
-    likeliest, share = next(iter(found.belief.settings["structures"].items()))
-    assert likeliest in ("smooth", "uniform") if structure == "smooth" else likeliest == structure
-    assert share > 0.5
+    shares = found.belief.settings["structures"]
+    own = ("smooth", "uniform") if structure == "smooth" else (structure,)
+    assert sum(shares.get(name, 0.0) for name in own) > 0.5
 
     def arm(load: np.ndarray) -> float:
         center = load @ grid.centers / load.sum()

@@ -112,7 +112,9 @@ def test_the_less_poses_are_trusted_the_less_are_forces(recorded):
 
 
 def test_hypotheses_take_turns_under_every_likelihood_of_the_ladder(recorded):
-    belief = identify(bent(recorded.dataset, 0.1), hypotheses=7, seed=1, friction_laws=False).belief
+    belief = identify(
+        bent(recorded.dataset, 0.1), hypotheses=7, seed=1, prior_settings=PriorSettings(), friction_laws=False
+    ).belief
     errors = belief.settings["model_errors"]
     assert len(errors) >= 3
     for rung in range(len(errors)):

@@ -124,7 +124,7 @@ def test_loads_hold_the_weight_where_it_acts(case: tuple[CellGrid, FloatArray, F
     assume(hull.distance(shapely.Point(center)) < 1e-9)
     weight = GRAVITY * mass.sum()
     assert found.sum() == pytest.approx(weight, rel=1e-6)
-    assert found @ grid.centers == pytest.approx(weight * center, abs=1e-3 * weight * grid.width)
+    assert found @ grid.centers == pytest.approx(weight * center, abs=5e-3 * weight * grid.width)
     if shares.min() == 1:
         assert found == pytest.approx(GRAVITY * mass, rel=1e-12)
         return
