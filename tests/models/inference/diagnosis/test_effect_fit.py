@@ -43,4 +43,4 @@ def test_sizes_hold_the_truth_where_the_strict_fit_is_too_sure(shared_data: Path
     sizes = {size.name: size for size in found.candidates[0].parameters}
     for name, value in truth.items():
         assert sizes[name].low < value < sizes[name].high
-        assert sizes[name].high - sizes[name].low < 0.8 * tilt
+        assert sizes[name].high - sizes[name].low < 0.85 * tilt
