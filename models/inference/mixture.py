@@ -11,7 +11,8 @@ errors along a push for as independent as the likelihood does, and the likelihoo
 neither is so, the less the further the best model is off.
 
 Maps that vary much can follow the errors of a wrong law in a few pushes, and then predict badly. With fewer
-than `_ENOUGH_PUSHES`, such maps count only where they explain the pushes exactly, with the smallest α.
+than `_ENOUGH_PUSHES`, such maps count only where they explain the pushes exactly by the plain law, with the
+smallest α.
 """
 
 from __future__ import annotations
@@ -180,7 +181,7 @@ def explain(
     likeliest = _likeliest(every).law
     for structure in rest:
         for law in ((), *others):
-            if not law or name_of(law) == likeliest:
+            if not law or (name_of(law) == likeliest and len(observations) >= _ENOUGH_PUSHES):
                 ask(law, structure)
     progress(1, 1)
     return shared_out(every)
@@ -190,7 +191,8 @@ def _admitted(every: Sequence[Explanation]) -> list[Explanation]:
     """Those that so many pushes can speak for."""
     if len(every[0].likelihood.observations) >= _ENOUGH_PUSHES:
         return list(every)
-    return [one for one in every if one.structure not in BOLD or one.model_error == MODEL_ERRORS[0]]
+    exact = [one for one in every if one.law == PLAIN and one.model_error == MODEL_ERRORS[0]]
+    return [one for one in every if one.structure not in BOLD or one in exact]
 
 
 def _likeliest(every: Sequence[Explanation]) -> Explanation:
