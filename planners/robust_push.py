@@ -6,8 +6,9 @@ the one that the hypotheses, weighed by their probabilities, expect nearest to t
 number of candidates, so that the choice does not depend on the machine.
 
 Beyond the paper: candidates vary in length and a little in direction; the finger's control noise, and what
-the model was found to be off by, are imagined together with the hypotheses; falling costs in each; there may be many targets, any of which will do; and
-what is compared is the expected number of pushes to a target, into which the gap enters.
+the model was found to be off by, are imagined together with the hypotheses; falling costs in each; there may
+be many targets, any of which will do; and what is compared is the expected number of pushes to a target, into
+which the gap enters.
 Without that, the object would be pushed near to a target at once, from where turning it takes more pushes
 than before.
 
@@ -79,7 +80,7 @@ class Scenarios:
 
     @classmethod
     def of(cls, belief: Belief, settings: PushSettings, rng: np.random.Generator) -> Scenarios:
-        """Every hypothesis that counts, as often as the settings ask for, with noise and drift of mean zero."""
+        """Every hypothesis that counts, as often as the settings ask for; noise and drift have mean zero."""
         kept = np.flatnonzero(belief.probability > NEGLIGIBLE)
         copies = -(-settings.scenarios // len(kept))
         hypothesis = np.tile(kept, copies)

@@ -24,10 +24,10 @@ LEVEL = 0.01
 outside the region that gives one at once."""
 
 LEAST_P = 0.005
-"""One push is not believed to be rarer as evidence: nobody knows errors that well. It takes three such pushes."""
+"""As evidence one push is not believed to be rarer, so that it takes three such pushes."""
 
 MODEL_ERROR = 0.03
-"""α, by which share of the way the model is off anyway; regions have what was learnt of that, where it was."""
+"""α, by which share of the way the model is off anyway; regions have what was learnt of that, if it was."""
 
 FORCE_ERROR = 0.1
 """β, the same for the mean force of a push: in the simulated station without any hidden effect it was 2 to 5
@@ -92,7 +92,7 @@ class ModelMonitor(PythonSystem):
         alarm: abstract bool. It is given when the evidence reaches 1/LEVEL, and taken back only when the
             evidence is down at 1 again, that is when pushes have been predicted as well as usual for a while.
             A push that ends outside the region of level 1 - LEVEL (`push_misfit.resting_region`) gives it at
-            once, without evidence until the next push.
+            once, whatever the evidence.
         watch: abstract, `Watch`, all of it.
 
     A push is judged when its record is complete, by where the object came to rest (on its way, the arm may

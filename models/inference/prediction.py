@@ -256,7 +256,7 @@ def predict_observations(
         middle = motion.middle_poses
         ends, p = motion.poses[:, -1], motion.probability
         sigma = end_deviations(belief, observation.push.start_pose, ends, noise)
-        lone = [interval(ends[:, i], p, more=float(sigma[i]))[1:] for i in range(3)]
+        alone = [interval(ends[:, i], p, more=float(sigma[i]))[1:] for i in range(3)]
         likely = motion.likeliest_poses[-1]
         even = uniform[b]
         results.append(
@@ -268,9 +268,7 @@ def predict_observations(
                 resting=resting_errors(observation, grid, noise),
                 spread=float(p @ add(ends, middle[-1], grid.centers)),
                 start_sensitivity=float(np.mean([add(s[b], likely, grid.centers) for s in shifted]) / shift),
-                end_interval=np.array(
-                    [interval(ends[:, i], p, more=float(sigma[i]))[1:] for i in range(3)]
-                ).T,
+                end_interval=np.array(alone).T,
                 end_region=EndRegion.of(ends, p, sigma),
             )
         )

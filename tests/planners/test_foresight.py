@@ -159,10 +159,8 @@ def test_an_object_that_may_end_elsewhere_falls_more_often():
     settings = PushSettings(candidates=12, scenarios=60, position_noise=0.0, angle_noise=0.0)
     sure = belief_about(THING, hypotheses=1)
     near_the_rim = np.array([0.30, 0.0, 0.4])
-    falls = [
-        imagined(replace(sure, settings={**sure.settings, "end_errors": errors}), settings, near_the_rim)[1].falls
-        for errors in ([0.0, 0.0], [0.1, 0.1])
-    ]
+    believed = [replace(sure, settings={"end_errors": errors}) for errors in ([0.0, 0.0], [0.1, 0.1])]
+    falls = [imagined(belief, settings, near_the_rim)[1].falls for belief in believed]
     doubtful = (falls[1] > 0.0) & (falls[1] < 1.0)
     assert not ((falls[0] > 0.0) & (falls[0] < 1.0)).any()
     assert doubtful.any()

@@ -148,13 +148,13 @@ def _summary(outcomes: Sequence[TrialOutcome]) -> experiments.Summary:
         [
             experiments.TableText(
                 "Pushes that end inside the belief's regions, %",
-                ("object", "", "pushes", *(f"{level:.0%}" for level in LEVELS), "off, mm", "spread, mm"),
+                ("object", "", "pushes", *(f"{x:.0%}" for x in LEVELS), "off, mm", "spread, mm"),
                 rows,
             )
         ],
-        "Errors and spreads are medians. Pushes of one belief have its errors in common: the intervals, which"
-        f" take them for independent, are too narrow. After {lost} pushes the object did not lie on the table;"
-        " they are left out.",
+        "Errors and spreads are medians. Pushes of one belief have its errors in common: intervals, which"
+        f" take them for independent, are too narrow. {lost} pushes after which the object did not lie on the"
+        " table are left out.",
         {"coverage": found, "lost": lost},
         lambda: _figure(pushes),
     )
@@ -165,7 +165,8 @@ def _cells(row: dict[str, Any]) -> list[str]:
     shares = [row[f"inside_{100 * level:.0f}"] for level in LEVELS]
     inside = [f"{100 * value:.0f}" for value in shares[:-1]]
     surest = share(round(shares[-1] * count), count).percent()
-    return [str(count), *inside, surest, *(f"{1e3 * row[name]:.1f}" for name in ("error_median", "spread_median"))]
+    medians = [f"{1e3 * row[name]:.1f}" for name in ("error_median", "spread_median")]
+    return [str(count), *inside, surest, *medians]
 
 
 def _figure(pushes: dict[str, list[dict[str, Any]]]) -> list[Figure]:

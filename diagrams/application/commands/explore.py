@@ -275,8 +275,8 @@ def _monitor_words(watch: Watch) -> str:
     if outside:
         worst = max(outside, key=lambda push: push.error / push.allowed)
         numbers += (
-            f"; {len(outside)} ended outside {'its' if len(outside) == 1 else 'their'} 95 % region, worst push"
-            f" {worst.trial + 1}: {1e3 * worst.error:.1f} mm off, {1e3 * worst.allowed:.1f} mm expected at most"
+            f"; outside the 95 % region {len(outside)}, the worst push {worst.trial + 1}:"
+            f" {1e3 * worst.error:.1f} mm off where {1e3 * worst.allowed:.1f} mm were expected at most"
         )
     peak = max(push.evidence for push in watch.judged)
     if any(push.alarm for push in watch.judged):

@@ -111,7 +111,7 @@ def surprises(pushes: Sequence[Prediction]) -> Surprises:
     beyond = so_many <= 1.0 - LEVEL_INSIDE + 1e-9 or worst.rarity * count <= 1.0 - LEVEL_INSIDE
     text = (
         f"push {short_name(worst.trial)} ended {millimetres(worst.final_add)} mm from its prediction, where"
-        f" {LEVEL_INSIDE:.0%} of such pushes end within {millimetres(worst.allowed_add)} mm."
+        f" {100 * LEVEL_INSIDE:.0f} % of such pushes end within {millimetres(worst.allowed_add)} mm."
     )
     if len(found) > 1:
         also = _listed_names([short_name(push.trial) for push in found[1:]])
