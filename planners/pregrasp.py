@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from slipmap.models.inference.belief import Belief
+from slipmap.models.inference.belief import END_ERRORS, Belief
 from slipmap.models.inference.identification import identify
 from slipmap.models.inference.prediction import uniform_maps
 from slipmap.models.measurements import PushDataset, Trial
@@ -65,7 +65,9 @@ def planning_belief(
 
 
 def _alone(belief: Belief, maps: Maps, method: str) -> Belief:
+    """One hypothesis that is taken for the truth; what the belief's model was off by is not for it."""
     settings = {**belief.settings, "planning": method}
+    settings.pop(END_ERRORS, None)
     return replace(belief, maps=maps, probability=np.ones(1), settings=settings)
 
 

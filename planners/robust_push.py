@@ -5,9 +5,10 @@ the cell most in line with the way of the expected centre of mass, the others ar
 the one that the hypotheses, weighed by their probabilities, expect nearest to the target. `timeout` is a
 number of candidates, so that the choice does not depend on the machine.
 
-Beyond the paper: candidates vary in length and a little in direction; the finger's control noise is imagined
-together with the hypotheses; falling costs in each; there may be many targets, any of which will do; and
-what is compared is the expected number of pushes to a target, into which the gap enters.
+Beyond the paper: candidates vary in length and a little in direction; the finger's control noise, and what
+the model was found to be off by, are imagined together with the hypotheses; falling costs in each; there may
+be many targets, any of which will do; and what is compared is the expected number of pushes to a target, into
+which the gap enters.
 Without that, the object would be pushed near to a target at once, from where turning it takes more pushes
 than before.
 
@@ -46,6 +47,8 @@ STRIDE = 2.5e-3
 """Way of the finger in one time step, m. Against steps of 0.5 mm, pushes of 0.1 m of the hammer end within
 0.2 mm (95 %), of 0.25 m within 0.4 mm."""
 
+_DRIFTS = 20240607  # seed of what the model is off by
+
 NEGLIGIBLE = 1e-4
 """Probability below which a hypothesis is not imagined."""
 
@@ -62,6 +65,8 @@ class Scenarios:
         centers_of_mass: (S, 2) object frame, m.
         least_margins: (S,) balance margin below which the object counts as falling, m.
         noise: (S, 3) by which the finger's path is off: x, y in m, angle about its begin in rad.
+        drift: (S, 3) by which the model is off: x, y (shares of the cells' way) and angle (rad a metre of
+            way), drawn as large as `Belief.end_errors`; zero where the belief has not learnt that.
     """
 
     slider: Slider
@@ -71,10 +76,11 @@ class Scenarios:
     centers_of_mass: FloatArray
     least_margins: FloatArray
     noise: FloatArray
+    drift: FloatArray
 
     @classmethod
     def of(cls, belief: Belief, settings: PushSettings, rng: np.random.Generator) -> Scenarios:
-        """Every hypothesis that counts, as often as the settings ask for, with noise of mean zero."""
+        """Every hypothesis that counts, as often as the settings ask for; noise and drift have mean zero."""
         kept = np.flatnonzero(belief.probability > NEGLIGIBLE)
         copies = -(-settings.scenarios // len(kept))
         hypothesis = np.tile(kept, copies)
@@ -82,6 +88,12 @@ class Scenarios:
         noise = rng.standard_normal((len(hypothesis), 3))
         noise -= probability @ noise
         noise *= [settings.position_noise, settings.position_noise, np.radians(settings.angle_noise)]
+        drift = np.zeros((len(hypothesis), 3))
+        if belief.end_errors.any():
+            # Draws of their own: what is drawn later from `rng` is the same with and without them.
+            drift = np.random.default_rng(_DRIFTS).standard_normal(drift.shape)
+            drift -= probability @ drift
+            drift *= belief.end_errors / np.maximum(np.sqrt(probability @ drift**2), 1e-9)
         return cls(
             belief.slider,
             belief.maps[hypothesis],
@@ -90,10 +102,19 @@ class Scenarios:
             belief.centers_of_mass[hypothesis],
             least_margins(belief, settings)[hypothesis],
             noise,
+            drift,
         )
 
     def __len__(self) -> int:
         return len(self.probability)
+
+    def drifted(self, pose: FloatArray, poses: FloatArray) -> FloatArray:
+        """(…, S, 3) where the model has the object at `poses`, from `pose` (3,), moved by the drift of each
+        scenario over the way."""
+        if not self.drift.any():
+            return poses
+        way = PoseMetric(self.slider.grid).gap(poses, pose)
+        return poses + way[..., None] * self.drift
 
     def of_hypotheses(self, poses: FloatArray) -> FloatArray:
         """(K', 3) poses (S, 3) averaged over the noise of each hypothesis that is imagined."""
@@ -171,13 +192,14 @@ def foresee(
     imagined, tipped_at, reached = _rolled_out(
         scenarios, scenarios.slider.on(table), pushes, starts, L, relative(errors, np.zeros(3))
     )  # fmt: skip
-    poses = compose(errors[:, :, None], imagined).transpose(1, 2, 0, 3)
+    poses = scenarios.drifted(pose, compose(errors[:, :, None], imagined).transpose(1, 2, 0, 3))
     moves = relative(pose, poses)
     near = np.flatnonzero(reached.any(axis=0))
     if onward and len(near):
         anywhere = [pushes[c] for c in near], starts[:, near], L
         far_off = _rolled_out(scenarios, scenarios.slider.on(None), *anywhere)[0]
-        moves[near] = relative(pose, compose(errors[:, near, None], far_off).transpose(1, 2, 0, 3))
+        ends = compose(errors[:, near, None], far_off).transpose(1, 2, 0, 3)
+        moves[near] = relative(pose, scenarios.drifted(pose, ends))
     tips = tipped_at.T[:, None] <= looks[:, None]
     beyond = np.isfinite(poses).all(axis=-1) & ~_surely_on(poses, scenarios.slider.grid, table)
     centers = np.broadcast_to(scenarios.centers_of_mass, (C, L, S, 2))[beyond]

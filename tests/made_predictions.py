@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from slipmap.models.inference.end_region import EndRegion
 from slipmap.models.inference.observations import Observation
 from slipmap.models.inference.prediction import Motion, Prediction
 from slipmap.models.inference.push_errors import Errors
@@ -25,8 +26,10 @@ def made_prediction(
     no_motion_add=0.1,
     uniform_add=0.05,
     start_sensitivity=1.0,
+    excess=0.1,
 ):
-    """Its poses are zeros unless they are given: measured (S, 3), hypotheses (K, S, 3)."""
+    """Its poses are zeros unless they are given: measured (S, 3), hypotheses (K, S, 3). Its end is so many
+    times as far off as the 95 % region reaches."""
     measured = np.zeros((len(times), 3)) if measured is None else measured
     hypotheses = measured[None] if hypotheses is None else hypotheses
     count = len(hypotheses)
@@ -43,4 +46,12 @@ def made_prediction(
         spread,
         start_sensitivity,
         np.zeros((2, 3)),
+        region_left_by(excess, measured[-1]),
     )
+
+
+def region_left_by(excess, end):
+    """A region that an end (3,) is so many times as far out of as it reaches."""
+    plain = EndRegion.of(np.zeros((1, 3)), np.ones(1), np.full(3, 1e-3))
+    off = np.array([1e-3, 0.0, 0.0])
+    return EndRegion(end - off * excess / plain.excess(off), plain.covariance, plain.freedom)

@@ -49,7 +49,7 @@ def simulated_hammer(seed: int = 0, *, fit: int = 6, heldout: int = 4) -> tuple[
 
 def true_values(belief: Belief, truth: Maps) -> dict[str, float]:
     """What an identification reports as quantities, for true maps (one model): name to value, SI."""
-    certain = replace(belief, maps=truth, probability=np.ones(1))
+    certain = replace(belief, maps=truth, probability=np.ones(1), effects=())
     load = truth.mass[0] * truth.mu[0]
     middle = load @ belief.grid.centers / load.sum()
     return {

@@ -192,6 +192,7 @@ class ExplorationBlocks:
                 (see, "object_pose", self.visualizer),
                 (see, "seen_object", self.visualizer),
                 (self.multiverse, "mean_pose", (self.visualizer, "predicted_pose")),
+                (self.monitor, "watch", self.visualizer),
                 (command, "active_push", (self.visualizer, "push")),
             ]
         return wires

@@ -42,6 +42,9 @@ KEY = (
 BOARD = (0.60, 0.42)
 """Size of the legend, m."""
 
+NOTICE = (0.60, 0.10)
+"""Size of the sign over it that a push surprised, m."""
+
 _ROUND = np.array([1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 7.0, 10.0])
 
 
@@ -129,6 +132,28 @@ def blank_legend() -> bytes:
     return _png(figure)
 
 
+@styled
+def notice(push: int, error: float, allowed: float) -> bytes:
+    """PNG of a sign that a push surprised.
+
+    Args:
+        push: its number in the recording, from 0.
+        error: distance of the cells from where they were predicted, m.
+        allowed: error up to which it would not have surprised, m.
+    """
+    inch = 6.4
+    figure = Figure(figsize=(NOTICE[0] * inch, NOTICE[1] * inch), dpi=220)
+    figure.patch.set_edgecolor(RED)
+    figure.patch.set_linewidth(3.0)
+    said = f"Push {push + 1} ended {1e3 * error:.1f} mm from its prediction"
+    figure.text(0.05, 0.68, said, fontsize=12, color=RED, va="center", weight="bold")
+    figure.text(
+        0.05, 0.28, f"expected: {1e3 * allowed:.1f} mm at most. Does the model miss something?",
+        fontsize=10, color=INK, va="center",
+    )  # fmt: skip
+    return _png(figure)
+
+
 def _board(title: str) -> Figure:
     """The title, and below what the colours over the object mean."""
     inch = 6.4
@@ -179,6 +204,7 @@ class BeliefVisualizer(PythonSystem):
             `TrialLogger`, or made by `ObservedPose.of` from a pose (3,).
         predicted_pose: (3,) x, y (m), θ (rad) in the world; NaN where there is none.
         push: abstract, None, a `TablePush`, or an `ActivePush`, which has one as its `push`.
+        watch: abstract, `Watch` of a `ModelMonitor`.
         seen_object: abstract, `SeenObject` or None: the tiles then lie `CLEARANCE` over the highest of its
             `cell_heights` (m) instead of at `height`.
 
@@ -186,8 +212,9 @@ class BeliefVisualizer(PythonSystem):
     the observed outline (black) and the predicted one (orange); residual arrows from predicted to observed
     cells, `MAGNIFIED` times as long (red); the centres of mass of the hypotheses, their size growing with
     probability (white). The push on the table (blue). A board with the colour scale and the
-    probabilities, empty until there is a belief. Sliders choose the hypothesis (by falling probability) and
-    the map; they are read when this system publishes, as everything else is.
+    probabilities, empty until there is a belief, and over it a sign while the last push that was judged is
+    one that surprised. Sliders choose the hypothesis (by falling probability) and the map; they are read when
+    this system publishes, as everything else is.
 
     A recording keeps transforms and properties alone. Therefore every map of every belief is an object of its
     own, which is made visible at its time; a page from `StaticHtml` shows them as chosen while recording.
@@ -229,7 +256,7 @@ class BeliefVisualizer(PythonSystem):
         self._board = X_WB or RigidTransform(RollPitchYaw(-0.3, 0.0, np.pi / 4), BOARD_PLACE)
         self.declare_inputs("belief", "object_pose")
         self.DeclareVectorInputPort("predicted_pose", 3)
-        self.declare_inputs("push", "seen_object")
+        self.declare_inputs("push", "seen_object", "watch")
         self._forget()
         for name in (HYPOTHESIS, MAP):
             meshcat.DeleteSlider(name, strict=False)
@@ -256,8 +283,10 @@ class BeliefVisualizer(PythonSystem):
 
     def _draw(self, context: Context) -> None:
         time = context.get_time()
-        ports = ("belief", "object_pose", "predicted_pose", "push", "seen_object")
-        belief, seen, predicted, push, seen_object = (self.optional_input(context, name) for name in ports)
+        ports = ("belief", "object_pose", "predicted_pose", "push", "seen_object", "watch")
+        belief, seen, predicted, push, seen_object, watch = (
+            self.optional_input(context, name) for name in ports
+        )
         if seen_object is not None:
             self._level = float(np.max(seen_object.cell_heights)) + CLEARANCE
         if belief is not None and not _same(belief, self._drawn_belief):
@@ -271,6 +300,7 @@ class BeliefVisualizer(PythonSystem):
                 predicted = None
             self._place(observed, predicted, time)
         self._draw_push(getattr(push, "push", push), time)
+        self._warn(watch, time)
 
     def _add_blank_board(self, time: float) -> None:
         """A board that is seen until there is a belief."""
@@ -278,6 +308,19 @@ class BeliefVisualizer(PythonSystem):
             self._hidden("board/0", billboard(blank_legend(), *BOARD))
             self._meshcat.SetTransform(f"{self._path}/board", self._board, 0.0)
             self._show("board", "board/0", time)
+
+    def _warn(self, watch: Any, time: float) -> None:
+        """A sign over the board while the last push that was judged is one that surprised."""
+        last = watch.judged[-1] if watch is not None and watch.judged else None
+        if last is None or not last.surprising:
+            self._show("notice", "", time)
+            return
+        name = f"notice/{last.trial}"
+        if self._visible.get("notice") != name:
+            self._hidden(name, billboard(notice(last.trial, last.error, last.allowed), *NOTICE))
+            above = np.array([0.0, 0.0, (BOARD[1] + NOTICE[1]) / 2 + 0.01])
+            self._meshcat.SetTransform(f"{self._path}/notice", self._board @ RigidTransform(above), 0.0)
+            self._show("notice", name, time)
 
     def _add_belief(self, belief: Belief) -> None:
         """Make all objects of a belief, invisible."""

@@ -9,21 +9,25 @@ from pydrake.systems.framework import Context
 
 from slipmap.diagrams.systems.multiverse_slider import Universes
 from slipmap.diagrams.systems.python_system import PythonSystem, held, read
+from slipmap.models.geometry import turned_to
 from slipmap.models.inference import push_misfit
 from slipmap.models.inference.error_model import ErrorModel
 from slipmap.models.inference.observations import observe
+from slipmap.models.inference.summaries import middle_poses
 from slipmap.models.measurements import Trial
 from slipmap.models.measurements.push_dataset import Noise
 from slipmap.models.physics.cell_grid import FloatArray
+from slipmap.models.physics.paper_notation import add
 
 LEVEL = 0.01
-"""At least 1/LEVEL pushes pass on average before a false alarm."""
+"""At least 1/LEVEL pushes pass on average before a false alarm by evidence; of a right model so few end
+outside the region that gives one at once."""
 
 LEAST_P = 0.005
-"""One push is not believed to be rarer: nobody knows errors that well. An alarm takes three such pushes."""
+"""As evidence one push is not believed to be rarer, so that it takes three such pushes."""
 
 MODEL_ERROR = 0.03
-"""α, by which share of the way the model is off anyway."""
+"""α, by which share of the way the model is off anyway; regions have what was learnt of that, if it was."""
 
 FORCE_ERROR = 0.1
 """β, the same for the mean force of a push: in the simulated station without any hidden effect it was 2 to 5
@@ -39,6 +43,9 @@ class Judged:
     p: float  # probability of a misfit as large if nothing is missing
     evidence: float  # E after this push
     alarm: bool  # whether it is given after this push
+    error: float  # distance of the cells from the middle of the hypotheses (ADD), m
+    allowed: float  # error in this direction up to which the push would not surprise, m
+    surprising: bool  # whether it ended outside the 95 % region, see `Prediction.surprising`
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,6 +91,8 @@ class ModelMonitor(PythonSystem):
         evidence: (1,) E of `slipmap.models.inference.push_misfit`.
         alarm: abstract bool. It is given when the evidence reaches 1/LEVEL, and taken back only when the
             evidence is down at 1 again, that is when pushes have been predicted as well as usual for a while.
+            A push that ends outside the region of level 1 - LEVEL (`push_misfit.resting_region`) gives it at
+            once, whatever the evidence.
         watch: abstract, `Watch`, all of it.
 
     A push is judged when its record is complete, by where the object came to rest (on its way, the arm may
@@ -151,5 +160,12 @@ class ModelMonitor(PythonSystem):
             taught=belief.taught,
         )  # fmt: skip
         evidence = max(watch.evidence, 1.0) * push_misfit.bet(max(p, LEAST_P))
-        alarm = evidence >= 1.0 / LEVEL or (watch.alarm and evidence > 1.0)
-        return Judged(number, misfit, p, evidence, alarm)
+        region = push_misfit.resting_region(start, universes.poses, belief, self._error)
+        seen = turned_to(end, region.middle[2])
+        middle = middle_poses(universes.poses, belief.probability, belief.grid)
+        off, excess = float(add(seen, middle, belief.grid.centers)), region.excess(seen)
+        by_evidence = evidence >= 1.0 / LEVEL or (watch.alarm and evidence > 1.0)
+        return Judged(
+            number, misfit, p, evidence, by_evidence or not region.holds(seen, 1.0 - LEVEL),
+            off, off / max(excess, 1e-9), not region.holds(seen),
+        )  # fmt: skip

@@ -19,6 +19,7 @@ import numpy as np
 from slipmap.models.effects.effect import Effect
 from slipmap.models.effects.library import LIBRARY
 from slipmap.models.files import UnreadableFile, check_archive, replaced_file
+from slipmap.models.geometry import radius_of_gyration
 from slipmap.models.measurements import PushDataset, Table
 from slipmap.models.physics.balance import corners_of
 from slipmap.models.physics.cell_grid import CellGrid, FloatArray
@@ -27,6 +28,9 @@ from slipmap.models.physics.rollout import Maps, Slider, Smoothing
 FORMAT = "slipmap-belief/1"
 LARGEST_FILE = 2**29
 """Bytes of a belief, unpacked; 1000 hypotheses about 5000 cells have 80 MB."""
+
+END_ERRORS = "end_errors"
+"""Under this name a belief keeps what `cross_validation.end_errors` says of the pushes that taught it."""
 
 _ANEW = "`slipmap identify` or `slipmap fit` writes it anew"
 
@@ -169,6 +173,13 @@ class Belief:
     def on(self, table: Table | None) -> Belief:
         """The same hypotheses about pushes on another table, or on one whose rim is not known."""
         return self if table == self.table else replace(self, table=table)
+
+    @property
+    def end_errors(self) -> FloatArray:
+        """(3,) what the model is off by where a push ends, beyond what hypotheses differ by: standard
+        deviations of x, y (shares of the cells' way) and θ (rad a metre of way); zero where not learnt."""
+        place, turn = self.settings.get(END_ERRORS, [0.0, 0.0])
+        return np.array([place, place, turn / radius_of_gyration(self.grid)])
 
     @property
     def centers_of_mass(self) -> FloatArray:

@@ -56,7 +56,7 @@ class Totals:
 
 
 def _push_to_json(push: Prediction) -> dict[str, object]:
-    names = ("trial", "role", "ends_only", "spread")
+    names = ("trial", "role", "ends_only", "spread", "surprising", "excess")
     return {name: getattr(push, name) for name in names} | _errors_to_json(
         push.errors, push.uniform, push.resting
     )

@@ -22,13 +22,14 @@ import numpy as np
 from slipmap.models.effects.effect import Effect
 from slipmap.models.effects.library import LIBRARY
 from slipmap.models.effects.registry import effects_named
+from slipmap.models.inference.belief import END_ERRORS
 from slipmap.models.inference.cross_validation import end_errors, leave_out
 from slipmap.models.inference.error_model import sensor_noise
 from slipmap.models.inference.identifiability import effect_quantities, quantities
 from slipmap.models.inference.likelihood import Likelihood, LikelihoodSettings
 from slipmap.models.inference.mixture import explain, mixed_belief
 from slipmap.models.inference.observations import Observation, observe_all
-from slipmap.models.inference.prediction import END_ERRORS, predict_observations, predicted_motion
+from slipmap.models.inference.prediction import predict_observations, predicted_motion
 from slipmap.models.inference.prior import MapPrior, PriorSettings, slider_for
 from slipmap.models.inference.results import Identification
 from slipmap.models.measurements import DatasetError, PushDataset

@@ -13,8 +13,9 @@ from functools import cached_property
 
 import numpy as np
 
-from slipmap.models.geometry import radius_of_gyration
+from slipmap.models.geometry import turned_to
 from slipmap.models.inference.belief import Belief, BeliefError
+from slipmap.models.inference.end_region import EndRegion
 from slipmap.models.inference.error_model import SensorNoise, sensor_noise
 from slipmap.models.inference.observations import Observation, observe_all
 from slipmap.models.inference.push_errors import Errors, errors, resting_errors
@@ -75,6 +76,7 @@ class Prediction:
         end_interval: (2, 3) lower and upper end of the 90 % interval of each of x, y, θ of the end as the
             tracker would measure it: the hypotheses' spread, what the model is off by, and the tracker's
             noise.
+        end_region: x, y and θ of the end together, of any level, of the same three.
     """
 
     observation: Observation
@@ -85,6 +87,36 @@ class Prediction:
     spread: float
     start_sensitivity: float
     end_interval: FloatArray
+    end_region: EndRegion
+
+    @property
+    def surprising(self) -> bool:
+        """Whether the measured end lies outside its 95 % region, as one push in twenty of a right model does.
+
+        Each of three 90 % intervals is missed by one push in ten; `end_region` takes x, y and θ together, so
+        that looking at three numbers makes no more surprises.
+        """
+        return not self.end_region.holds(self._seen_end)
+
+    @property
+    def rarity(self) -> float:
+        """How often a push of a right model ends at least as far out as the measured end; below 0.05 it is
+        `surprising`."""
+        return self.end_region.rarity(self._seen_end)
+
+    @property
+    def excess(self) -> float:
+        """How many times as far off the measured end is as its 95 % region reaches in that direction."""
+        return self.end_region.excess(self._seen_end)
+
+    @property
+    def allowed_add(self) -> float:
+        """Error (ADD) up to which this end, in the direction where it was measured, would not surprise, m."""
+        return self.final_add / max(self.excess, 1e-9)
+
+    @property
+    def _seen_end(self) -> FloatArray:
+        return turned_to(self.measured[-1], self.end_region.middle[2])
 
     @property
     def trial(self) -> str:
@@ -134,7 +166,10 @@ class Prediction:
 
     def to_json(self) -> dict[str, object]:
         """All numbers of the end; lengths in m, poses x, y (m), θ (rad) in the world."""
-        names = ("trial", "role", "final_add", "spread", "no_motion_add", "uniform_add", "start_sensitivity")
+        names = (
+            "trial", "role", "final_add", "spread", "no_motion_add", "uniform_add", "start_sensitivity",
+            "surprising", "excess",
+        )  # fmt: skip
         low, high = self.end_interval
         return {name: getattr(self, name) for name in names} | {
             "path_add": self.errors.mean_add,
@@ -219,7 +254,10 @@ def predict_observations(
     results = []
     for b, (observation, motion) in enumerate(zip(observations, motions, strict=True)):
         middle = motion.middle_poses
-        end = motion.likeliest_poses[-1]
+        ends, p = motion.poses[:, -1], motion.probability
+        sigma = end_deviations(belief, observation.push.start_pose, ends, noise)
+        alone = [interval(ends[:, i], p, more=float(sigma[i]))[1:] for i in range(3)]
+        likely = motion.likeliest_poses[-1]
         even = uniform[b]
         results.append(
             Prediction(
@@ -228,27 +266,28 @@ def predict_observations(
                 errors=errors(observation, middle, motion.mean_forces, grid, noise),
                 uniform=errors(observation, even.poses[0], even.forces[0], grid, noise),
                 resting=resting_errors(observation, grid, noise),
-                spread=float(motion.probability @ add(motion.poses[:, -1], middle[-1], grid.centers)),
-                start_sensitivity=float(np.mean([add(s[b], end, grid.centers) for s in shifted]) / shift),
-                end_interval=_end_interval(belief, observation, motion, noise),
+                spread=float(p @ add(ends, middle[-1], grid.centers)),
+                start_sensitivity=float(np.mean([add(s[b], likely, grid.centers) for s in shifted]) / shift),
+                end_interval=np.array(alone).T,
+                end_region=EndRegion.of(ends, p, sigma),
             )
         )
     report("predicting", 3, 3)
     return tuple(results)
 
 
-END_ERRORS = "end_errors"
-"""Under this name a belief keeps what `cross_validation.end_errors` says of the pushes that taught it."""
+def end_deviations(belief: Belief, start: FloatArray, ends: FloatArray, noise: SensorNoise) -> FloatArray:
+    """(3,) standard deviations of x, y, θ of a measured end beyond what hypotheses differ by: what the model
+    is off by on this way, and the tracker's noise.
 
-
-def _end_interval(belief: Belief, observation: Observation, motion: Motion, noise: SensorNoise) -> FloatArray:
-    """See `Prediction.end_interval`."""
-    ends = motion.poses[:, -1]
-    travel = motion.probability @ add(ends, observation.push.start_pose, belief.grid.centers)
-    place, turn = belief.settings.get(END_ERRORS, [0.0, 0.0])
-    sigma = travel * np.array([place, place, turn / radius_of_gyration(belief.grid)])
-    sigma = np.hypot(sigma, [noise.position, noise.position, noise.angle])
-    return np.array([interval(ends[:, i], motion.probability, more=float(sigma[i]))[1:] for i in range(3)]).T
+    Args:
+        belief: what was learnt.
+        start: (3,) pose before the push.
+        ends: (K, 3) where its hypotheses end.
+        noise: of the sensors.
+    """
+    travel = belief.probability @ add(ends, start, belief.grid.centers)
+    return np.hypot(travel * belief.end_errors, [noise.position, noise.position, noise.angle])
 
 
 def uniform_maps(belief: Belief) -> Maps:

@@ -14,9 +14,11 @@ import numpy as np
 from scipy.special import chdtrc, fdtrc
 
 from slipmap.models.geometry import at_centroid, radius_of_gyration
-from slipmap.models.inference.belief import Belief
+from slipmap.models.inference.belief import END_ERRORS, Belief
+from slipmap.models.inference.end_region import EndRegion
 from slipmap.models.inference.error_model import ErrorModel, SensorNoise, travelled
 from slipmap.models.inference.observations import Observation
+from slipmap.models.inference.prediction import end_deviations
 from slipmap.models.physics.cell_grid import CellGrid, FloatArray
 from slipmap.models.physics.rollout import Push
 
@@ -110,6 +112,24 @@ def resting_misfit(
     # hidden effects had p < 0.01; with a spread held to be exact, 11 %.
     p = fdtrc(n, 2 * taught, square / n) if taught else chdtrc(n, square)
     return float(np.sqrt(square / n)), float(p)
+
+
+def resting_region(start: FloatArray, predicted: FloatArray, belief: Belief, error: ErrorModel) -> EndRegion:
+    """Where an object may come to rest: the region of `Prediction.end_region`, of ends that were seen.
+
+    Args:
+        start: (3,) pose before the push.
+        predicted: (K, 3) where the hypotheses of the belief ended.
+        belief: what it was predicted from; where it has not learnt what its model is off by, α counts.
+        error: noise of the poses, and α.
+    """
+    if END_ERRORS in belief.settings:
+        sigma = end_deviations(belief, start, predicted, error.noise)
+    else:
+        push = Push(1.0, np.full((2, 2), np.nan), start, pose_times=np.ones(1))
+        seen = observation_of(push, (belief.probability @ predicted)[None])
+        sigma = whitening_factors(seen, error, belief.grid)[:, 0, 0] / [1, 1, radius_of_gyration(belief.grid)]
+    return EndRegion.of(predicted, belief.probability, sigma)
 
 
 def bet(p: float) -> float:

@@ -14,6 +14,7 @@ from slipmap.planners import robust_push
 from slipmap.planners.contact_lines import ContactContour
 from slipmap.planners.robust_push import Scenarios, foresee, least_margins
 from slipmap.planners.settings import PushSettings
+from slipmap.planners.waypoints import PoseMetric
 from tests.planners.cell_world import RADIUS, TABLE, belief_about
 
 THING = benchmark_object("hammer")
@@ -135,3 +136,31 @@ def test_tipping_between_looks_is_a_fall(monkeypatch):
     assert seen.falls.max() == pytest.approx(1.0)
     assert (np.diff(seen.falls, axis=1) >= 0).all()
     assert seen.falls[:, 0].max() < 1.0
+
+
+def test_what_the_model_is_off_by_is_imagined_in_proportion_to_the_way():
+    """The region of a plan is as wide as the belief says that ends are off; other draws stay as they were."""
+    settings = PushSettings(candidates=6, scenarios=400, position_noise=0.0, angle_noise=0.0)
+    sure = belief_about(THING, hypotheses=1)
+    doubtful = replace(sure, settings={**sure.settings, "end_errors": [0.1, 0.05]})
+    plain, seen = imagined(sure, settings)
+    drifting, wide = imagined(doubtful, settings)
+    assert not plain.drift.any() and (plain.noise == drifting.noise).all()
+    off = wide.poses - seen.poses
+    assert np.abs(np.einsum("s,clsx->clx", drifting.probability, off)).max() < 1e-9
+    metric = PoseMetric(sure.grid)
+    way = metric.gap(seen.poses[:, :, 0], POSE)
+    expected = way[..., None] * [0.1, 0.1, 0.05 / metric.radius]
+    assert off.std(axis=2) == pytest.approx(expected, rel=1e-6)
+    assert (wide.poses[:, -1].std(axis=1)[:, :2] > 1e-3).any()
+
+
+def test_an_object_that_may_end_elsewhere_falls_more_often():
+    settings = PushSettings(candidates=12, scenarios=60, position_noise=0.0, angle_noise=0.0)
+    sure = belief_about(THING, hypotheses=1)
+    near_the_rim = np.array([0.30, 0.0, 0.4])
+    believed = [replace(sure, settings={"end_errors": errors}) for errors in ([0.0, 0.0], [0.1, 0.1])]
+    falls = [imagined(belief, settings, near_the_rim)[1].falls for belief in believed]
+    doubtful = (falls[1] > 0.0) & (falls[1] < 1.0)
+    assert not ((falls[0] > 0.0) & (falls[0] < 1.0)).any()
+    assert doubtful.any()

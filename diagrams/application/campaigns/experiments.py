@@ -24,6 +24,7 @@ ABOUT = {
     "fig6": "pushing to the table's edge by four methods",
     "fig7": "the whole procedure with arm and camera",
     "tilt": "pushing over a tilted table without and with the tilt in the model",
+    "coverage": "pushes to the table's edge that end where the belief says",
 }
 """Every experiment, named after the paper's figure, and what goes beyond the paper."""
 
@@ -34,6 +35,7 @@ _PLACES = {
     "fig6": "pregrasp_success:FIGURE_6",
     "fig7": "whole_procedure:FIGURE_7",
     "tilt": "tilted_table:TILTED_TABLE",
+    "coverage": "belief_coverage:COVERAGE",
 }
 
 

@@ -133,7 +133,8 @@ def _by_methods(specs: list[TrialSpec], methods: Sequence[str]) -> list[TrialSpe
 
 def _show(summary: Summary, outcomes: Sequence[TrialOutcome]) -> None:
     for shown in summary.tables:
-        table(shown.title, shown.columns, shown.rows, numbers=range(1, len(shown.columns)))
+        words = shown.columns.index("") if "" in shown.columns[1:] else 0
+        table(shown.title, shown.columns, shown.rows, numbers=range(words + 1, len(shown.columns)))
     paragraph("Intervals hold 95 %. " + summary.remark)
     failed = [outcome for outcome in outcomes if outcome.failure is not None]
     if failed:

@@ -191,7 +191,7 @@ def leave(
     with Progress() as progress:
         pictures = keep(identification, dataset, belief, None, progress)
         comparison = compare(dataset, identification.belief, seed=0, label="model", progress=progress)
-        text = report([comparison], dataset)
+        text = report([comparison], dataset, str(folder / "pushes"))
     write_text(folder / "report.html", text)
     written = {"pushes": folder / "pushes", "belief": belief, "report": folder / "report.html"}
     written |= {f"picture of {path.stem.removeprefix('belief.')}": path for path in pictures}

@@ -63,7 +63,7 @@ def predict(
     from slipmap.diagrams.application.reports.tables import show_errors
 
     click.echo(f"{measured.name}, {len(pushes)} pushes; belief learnt from {belief.dataset}\n")
-    show_errors(pushes, measured)
+    show_errors(pushes, measured, str(dataset))
     for path in drawn:
         note(f"picture: {path}")
 
@@ -120,11 +120,11 @@ def compare(
             else [comparison.compare(measured, belief, seed=seed, progress=progress)]
         )
         with progress.step("drawing"):
-            write_text(output, report(results, measured))
+            write_text(output, report(results, measured, str(dataset)))
     before, *after = (result.to_json() for result in results)
     both = {"before": before, "after": after[0], "effects": list(effect_names)} if after else before
     write_json(json_file, both)
-    show(results)
+    show(results, str(dataset))
     note(f"report: {output}")
 
 
@@ -143,12 +143,17 @@ def _prediction_document(belief: Belief, dataset: str, pushes: Sequence[Predicti
     }
 
 
-def report(comparisons: list[Comparison], dataset: PushDataset) -> str:
-    """The HTML of one model, or of two over the same pushes."""
+def report(comparisons: list[Comparison], dataset: PushDataset, where: str = "DATASET") -> str:
+    """The HTML of one model, or of two over the same pushes.
+
+    Args:
+        where: the dataset, as a command takes it.
+    """
     from slipmap.diagrams.application.reports.comparison_sections import (
         check_same_pushes,
         comparison_sections,
     )
+    from slipmap.diagrams.application.reports.comparison_words import headline
     from slipmap.diagrams.application.reports.html_page import page
 
     first = comparisons[0]
@@ -156,11 +161,15 @@ def report(comparisons: list[Comparison], dataset: PushDataset) -> str:
     subtitle = f"{len(first.pushes)} measured pushes of {len(dataset.grid)} cells{learnt}; seed {first.seed}"
     check_same_pushes(comparisons)
     title = f"{dataset.name}: model against measurement"
-    return page(title, subtitle, _told(comparisons), comparison_sections(comparisons, dataset))
+    return page(
+        title, subtitle, _told(comparisons), comparison_sections(comparisons, dataset),
+        headline=headline(comparisons[-1], where),
+    )  # fmt: skip
 
 
-def show(results: Sequence[Comparison]) -> None:
-    """Print what was found of one model, or of two over the same pushes."""
+def show(results: Sequence[Comparison], where: str = "DATASET") -> None:
+    """Print what was found of one model, or of two over the same pushes; `where` as of `report`."""
+    from slipmap.diagrams.application.reports.comparison_words import headline
     from slipmap.diagrams.application.reports.tables import show_comparison
 
     first = results[0]
@@ -168,6 +177,8 @@ def show(results: Sequence[Comparison]) -> None:
     show_comparison(results)
     for text in _told(results):
         paragraph(text)
+    if loud := headline(results[-1], where):
+        paragraph(loud)
 
 
 def _told(results: Sequence[Comparison]) -> list[str]:

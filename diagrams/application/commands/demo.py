@@ -53,7 +53,7 @@ def demo(folder: Path, seed: int, fit_pushes: int, heldout_pushes: int, json_fil
         drawn = keep(result, dataset, belief, None, progress, truth)
     comparison = _against_truth(result, truth)
     write_json(json_file, {**result.to_json(), "truth": comparison})
-    show(result, dataset)
+    show(result, dataset, str(place))
     _show_comparison(result, comparison)
     note(f"pushes: {place}")
     tell_files(belief, drawn)

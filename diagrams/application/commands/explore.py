@@ -128,6 +128,7 @@ def explore(
     record.end()
     write_json(json_file, {**_learned_json(run), "monitor": run.watch.to_json(), "failure": failure})
     _show_exploration(run)
+    _show_surprises(run, cell.folder)
     cell_run.show_files(written)
     if failure:
         kept = (
@@ -201,6 +202,7 @@ def pregrasp(
     write_json(json_file, {**_learned_json(run.exploration), "pregrasp": run.to_json()})
     _show_exploration(run.exploration)
     _show_pregrasp(run)
+    _show_surprises(run.exploration, cell.folder)
     cell_run.show_files(written)
     if not run.held:
         kept = f"the object is not held: {run.reason}. What was recorded is kept in {cell.folder}."
@@ -228,7 +230,7 @@ def _learned_json(run: ExplorationRun) -> dict[str, Any]:
 def _show_exploration(run: ExplorationRun) -> None:
     from slipmap.diagrams.application.commands.identify import show, show_effects
 
-    show(run.identification, run.dataset)
+    show(run.identification, run.dataset, None)
     show_effects(run.identification)
     truth = run.truth()
     if truth is None:
@@ -237,6 +239,13 @@ def _show_exploration(run: ExplorationRun) -> None:
         _show_truth(truth)
         paragraph(f"{run.simulated:.0f} s of simulated time took {run.seconds:.0f} s.")
     paragraph(_monitor_words(run.watch))
+
+
+def _show_surprises(run: ExplorationRun, folder: Path) -> None:
+    """What the last lines must not leave out: pushes that missed by more than their intervals."""
+    from slipmap.diagrams.application.reports.tables import show_surprises
+
+    show_surprises(run.identification.pushes, str(folder / "pushes"))
 
 
 def _show_truth(truth: dict[str, Any]) -> None:
@@ -262,6 +271,13 @@ def _monitor_words(watch: Watch) -> str:
     largest = max(push.misfit for push in watch.judged)
     count = f"{len(watch.judged)} push{'es' * (len(watch.judged) > 1)}"
     numbers = f"{count} held against the belief before each, largest misfit {largest:.1f} (1 is usual)"
+    outside = [push for push in watch.judged if push.surprising]
+    if outside:
+        worst = max(outside, key=lambda push: push.error / push.allowed)
+        numbers += (
+            f"; outside the 95 % region {len(outside)}, the worst push {worst.trial + 1}:"
+            f" {1e3 * worst.error:.1f} mm off where {1e3 * worst.allowed:.1f} mm were expected at most"
+        )
     peak = max(push.evidence for push in watch.judged)
     if any(push.alarm for push in watch.judged):
         first = next(push.trial for push in watch.judged if push.alarm)

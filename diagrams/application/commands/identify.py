@@ -84,7 +84,7 @@ def identify(
         )
         drawn = keep(result, measured, output, pictures, progress)
     write_json(json_file, result.to_json())
-    show(result, measured)
+    show(result, measured, str(dataset))
     tell_files(output, drawn)
 
 
@@ -131,7 +131,7 @@ def fit(
         result = identification.fit(measured, effects, hypotheses=hypotheses, seed=seed, progress=progress)
         drawn = keep(result, measured, output, pictures, progress)
     write_json(json_file, result.to_json())
-    show(result, measured)
+    show(result, measured, str(dataset))
     show_effects(result)
     _show_gain(result)
     tell_files(output, drawn)
@@ -179,8 +179,8 @@ def _chosen(pushes: Sequence[Prediction]) -> Sequence[Prediction]:
     return [ranked[round(k * (len(ranked) - 1) / max(count - 1, 1))] for k in range(count)]
 
 
-def show(result: Identification, dataset: PushDataset) -> None:
-    """Print what was found."""
+def show(result: Identification, dataset: PushDataset, where: str | None) -> None:
+    """Print what was found; `where` as of `show_errors`."""
     from slipmap.diagrams.application.reports.tables import (
         is_doubted,
         show_errors,
@@ -193,7 +193,7 @@ def show(result: Identification, dataset: PushDataset) -> None:
         f" {len(dataset.heldout_trials)} held out\n"
         f"{len(result.belief)} hypotheses in {result.seconds:.0f} s\n"
     )
-    show_errors(result.pushes, dataset)
+    show_errors(result.pushes, dataset, where)
     show_friction_laws(result.friction_laws)
     show_quantities(result.quantities, doubted=is_doubted(result.pushes, dataset))
 

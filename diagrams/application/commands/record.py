@@ -120,7 +120,7 @@ def replay(
 
         identification = identify(dataset, hypotheses=hypotheses, seed=seed, progress=progress)
     written = cell_run.leave(identification, dataset, folder)
-    show(identification, dataset)
+    show(identification, dataset, str(folder / "pushes"))
     lag = _shown_lag(dataset)
     write_json(json_file, {**identification.to_json(), "heard": _heard(listener, lag)})
     cell_run.show_files(written)

@@ -2,8 +2,13 @@
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
+
+from scipy.special import bdtrc
 
 from slipmap.models.inference.comparison import Comparison, Totals
+from slipmap.models.inference.end_region import LEVEL as LEVEL_INSIDE
+from slipmap.models.inference.prediction import Prediction
 from slipmap.models.inference.residual_structure import LEVEL, Pattern
 from slipmap.models.inference.sign_flips import smallest_p
 
@@ -45,6 +50,83 @@ def summary(comparison: Comparison) -> str:
     return text
 
 
+MANY_TIMES = 5.0
+"""Errors over the noise from which an error counts as the model's."""
+
+NO_BETTER = 0.95
+"""Share of a uniform object's error from which maps are said to predict no better than it does."""
+
+
+def headline(comparison: Comparison, where: str = "DATASET") -> str:
+    """What a reader must not miss: a model no better than a uniform object, pushes that ended elsewhere than
+    any of its hypotheses allows; empty where there is neither.
+
+    Args:
+        where: the dataset, as a command takes it.
+    """
+    role, _ = judged(comparison)
+    far_off = no_better_than_uniform(comparison)
+    surprise = surprises([push for push in comparison.pushes if push.role == role])
+    said = [text for text in (far_off, surprise.text) if text]
+    if far_off or surprise.beyond_chance:
+        said.append(advice(where))
+    return " ".join(said)
+
+
+def advice(where: str) -> str:
+    """What to do about a model that is wrong."""
+    return f"`slipmap diagnose {where}` asks which physical effect the model misses."
+
+
+def no_better_than_uniform(comparison: Comparison) -> str:
+    """An error of many times the noise that a uniform object makes, too; empty where it is not so."""
+    role, totals = judged(comparison)
+    ours, uniform, floor = totals.model.final_add, totals.uniform.final_add, comparison.floor
+    if floor is None or not (ours > MANY_TIMES * floor.add and ours > NO_BETTER * uniform):
+        return ""
+    noise = {"repeats": "repeated pushes scatter by", "declared noise": "the sensors alone leave"}
+    which = "Held-out pushes" if role == "heldout" else "Pushes"
+    return (
+        f"{which} end {millimetres(ours)} mm off: {ours / max(floor.add, 1e-9):.0f} times what"
+        f" {noise[floor.source]}, and {ours / max(uniform, 1e-9):.2g} times the error of a uniform object, so"
+        " that the maps explain nothing of it. The model is wrong."
+    )
+
+
+@dataclass(frozen=True)
+class Surprises:
+    """Pushes that ended outside their 95 % regions, in words."""
+
+    text: str  # empty where there is none
+    beyond_chance: bool  # whether so many, or one so far out, are more than a right model explains
+
+
+def surprises(pushes: Sequence[Prediction]) -> Surprises:
+    """Which pushes missed by more than their intervals, by how much, and whether chance explains that."""
+    found = sorted((push for push in pushes if push.surprising), key=lambda push: push.rarity)
+    if not found:
+        return Surprises("", beyond_chance=False)
+    count, worst = len(pushes), found[0]
+    so_many = float(bdtrc(len(found) - 1, count, 1.0 - LEVEL_INSIDE))
+    beyond = so_many <= 1.0 - LEVEL_INSIDE + 1e-9 or worst.rarity * count <= 1.0 - LEVEL_INSIDE
+    text = (
+        f"push {short_name(worst.trial)} ended {millimetres(worst.final_add)} mm from its prediction, where"
+        f" {100 * LEVEL_INSIDE:.0f} % of such pushes end within {millimetres(worst.allowed_add)} mm."
+    )
+    if len(found) > 1:
+        also = _listed_names([short_name(push.trial) for push in found[1:]])
+        text += f" So did {also}: {len(found)} of {count} pushes end outside their intervals."
+    if not beyond:
+        text += f" Of {count} pushes of a right model {max(1.0, (1.0 - LEVEL_INSIDE) * count):.0f} may."
+    start = "SURPRISING: " if beyond else "Surprising: "
+    return Surprises(start + text, beyond)
+
+
+def _listed_names(names: Sequence[str]) -> str:
+    shown = list(names[:5]) + ([f"{len(names) - 5} more"] if len(names) > 5 else [])
+    return shown[0] if len(shown) == 1 else f"{', '.join(shown[:-1])} and {shown[-1]}"
+
+
 def summary_of_two(before: Comparison, after: Comparison) -> str:
     """How far off two models over the same pushes are."""
     role, totals = judged(before)
@@ -71,6 +153,8 @@ def finding(comparison: Comparison) -> str:
                 f" it takes at least {pushes_needed(tests)}."
             )
         text = "What is left shows no pattern beyond chance and what is negligible"
+        if headline(comparison):
+            text = "None of the conditions alone explains what is left"
         most = max(pattern.pushes for pattern in comparison.structure)
         if smallest_p(most) * len(comparison.structure) > 0.1 * LEVEL:
             text += f", but {_pushes(most)} can show only very clear ones"

@@ -38,8 +38,12 @@ _LAW_WORDS = {
 """Laws of `slipmap.models.inference.friction_laws` with at most one effect, for a person."""
 
 
-def show_errors(pushes: Sequence[Prediction], dataset: PushDataset) -> None:
-    """How far off predicted ends are: by role, against two baselines, push by push, and what that means."""
+def show_errors(pushes: Sequence[Prediction], dataset: PushDataset, where: str | None) -> None:
+    """How far off predicted ends are: by role, against two baselines, push by push, and what that means.
+
+    Args:
+        where: the dataset as a command takes it; None where the caller tells of surprising pushes.
+    """
     rows = []
     for role, name in phrases.ROLES.items():
         group = [push for push in pushes if push.role == role]
@@ -56,6 +60,16 @@ def show_errors(pushes: Sequence[Prediction], dataset: PushDataset) -> None:
     _show_pushes(pushes)
     for doubt in doubts(pushes, dataset):
         paragraph(doubt)
+    if where is not None:
+        show_surprises(pushes, where)
+
+
+def show_surprises(pushes: Sequence[Prediction], where: str) -> None:
+    """Say which of the pushes that judge (all where none is held out) missed by more than their intervals."""
+    held = [push for push in pushes if push.role == "heldout"]
+    found = phrases.surprises(held or pushes)
+    if found.text:
+        paragraph(f"{found.text} {phrases.advice(where)}" if found.beyond_chance else found.text)
 
 
 def is_doubted(pushes: Sequence[Prediction], dataset: PushDataset) -> bool:
@@ -134,10 +148,14 @@ def _show_pushes(pushes: Sequence[Prediction]) -> None:
 
 
 def remark(push: Prediction) -> str:
-    """What a reader should know of a push that starts near to balance; empty for others."""
-    if not push.start_sensitivity >= _SENSITIVE:
-        return ""
-    return f"half a millimetre decides: it moves the end by {0.5 * push.start_sensitivity:.0f} mm"
+    """What a reader should know of a push that missed by more than its interval, or that starts near to
+    balance; empty for others."""
+    said = []
+    if push.surprising:
+        said.append(f"SURPRISING: {_millimetres(push.allowed_add)} mm expected at most")
+    if push.start_sensitivity >= _SENSITIVE:
+        said.append(f"half a millimetre decides: it moves the end by {0.5 * push.start_sensitivity:.0f} mm")
+    return "; ".join(said)
 
 
 def show_comparison(results: Sequence[Comparison]) -> None:

@@ -25,8 +25,10 @@ from slipmap.diagrams.application.figures import (
 from slipmap.diagrams.application.figures.residual_figures import CONDITIONS, residual_figures
 from slipmap.diagrams.application.reports.comparison_words import (
     finding,
+    headline,
     pushes_needed,
     sentence_part,
+    short_name,
     summary,
     summary_of_two,
 )
@@ -34,6 +36,7 @@ from slipmap.diagrams.application.reports.html_page import Section, page, part, 
 from slipmap.models.inference.belief import Belief
 from slipmap.models.inference.comparison import compare
 from slipmap.models.measurements import read_dataset
+from tests.made_predictions import region_left_by
 
 
 @pytest.fixture(scope="module")
@@ -139,6 +142,41 @@ def test_few_pushes_are_told_as_such(learnt):
     assert "cannot be told from 4 pushes" in finding(result)
     assert f"at least {pushes_needed(len(result.structure))}" in finding(result)
     assert pushes_needed(20) == 10  # 20 tests × 2/2^10 is the first below 5 %
+
+
+def test_an_error_of_many_times_the_noise_that_a_uniform_object_makes_too_is_told(learnt):
+    """It is no "pattern beyond chance", and it is not passed over: the ratios are named, and what to do."""
+    dataset, _, result = learnt
+    assert headline(result) == ""
+    quiet = tuple(replace(pattern, p=0.5, p_corrected=1.0, pushes=12) for pattern in result.structure)
+    totals, floor = result.totals["heldout"], result.floor
+    errors = replace(totals.model, final_add=23 * floor.add)
+    even = replace(totals.uniform, final_add=22 * floor.add)
+    wrong = replace(totals, model=errors, uniform=even)
+    bad = replace(result, structure=quiet, totals={**result.totals, "heldout": wrong})
+    said = headline(bad, "demo/pushes")
+    assert "23 times what the sensors alone leave, and 1 times the error of a uniform object" in said
+    assert said.endswith("`slipmap diagnose demo/pushes` asks which physical effect the model misses.")
+    assert "pattern beyond chance" not in finding(bad)
+    assert finding(bad).startswith("None of the conditions alone explains what is left")
+    page = Page(report([bad], dataset, "demo/pushes"))
+    assert said in page.text and page.text.index(said) < page.text.index(summary(bad))
+    better = replace(wrong, uniform=replace(even, final_add=30 * floor.add))
+    fine = replace(bad, totals={**result.totals, "heldout": better})
+    assert headline(fine) == "" and "no pattern beyond chance" in finding(fine)
+
+
+def test_a_push_that_surprises_stands_in_the_headline(learnt):
+    dataset, _, result = learnt
+    last = result.pushes[-1]
+    off = replace(last, end_region=region_left_by(9.0, last.measured[-1]))
+    found = replace(result, pushes=(*result.pushes[:-1], off))
+    said = headline(found, "demo/pushes")
+    assert said.startswith(f"SURPRISING: push {short_name(last.trial)} ended")
+    assert "slipmap diagnose demo/pushes" in said
+    assert said in Page(report([found], dataset, "demo/pushes")).text
+    (told,) = [push for push in found.to_json()["pushes"] if push["surprising"]]
+    assert told["trial"] == last.trial and told["excess"] == pytest.approx(9.0)
 
 
 def test_patterns_in_words(learnt):

@@ -20,6 +20,7 @@ from scipy.stats import binomtest
 
 from slipmap.diagrams.application import terminal as console
 from slipmap.diagrams.application.commands.identify import _chosen
+from slipmap.diagrams.application.reports.comparison_words import surprises
 from slipmap.diagrams.application.reports.tables import (
     doubts,
     is_doubted,
@@ -200,7 +201,7 @@ def test_error_table_averages_by_role_against_both_baselines(capsys):
         prediction("trials/001.json", "fit", final_add=0.003, uniform_add=0.04, no_motion_add=0.09),
         prediction("trials/002.json", "heldout", final_add=0.0071, start_sensitivity=30.0),
     ]
-    show_errors(pushes, recorded_by(Noise()))
+    show_errors(pushes, recorded_by(Noise()), "pushes")
     lines = [line.split() for line in capsys.readouterr().out.splitlines()]
     assert ["2", "fit", "mean", "2.0", "30.0", "60.0"] in lines
     assert ["1", "held", "out", "median", "7.1", "50.0", "100.0"] in lines
@@ -226,6 +227,32 @@ def test_errors_beyond_spread_and_noise_are_told(error, noise, said):
     assert doubts(held[:2], recorded_by(noise)) == []
 
 
+def test_one_push_that_misses_by_more_than_its_interval_is_told(capsys):
+    """A single held-out push is enough; what to do is told with the folder that the pushes are in."""
+    usual = prediction("trials/000.json", "fit", excess=3.0)
+    wrong = prediction("trials/001.json", "heldout", final_add=0.022, excess=10.0)
+    show_errors([usual, wrong], recorded_by(Noise()), "demo/pushes")
+    out = capsys.readouterr().out
+    said = " ".join(out.split())
+    assert "SURPRISING: push 001 ended 22.0 mm from its prediction" in said
+    assert "95 % of such pushes end within 2.2 mm" in said
+    assert "`slipmap diagnose demo/pushes`" in said
+    assert "SURPRISING: 2.2 mm expected at most" in remark(wrong)
+    show_errors([usual, prediction(role="heldout")], recorded_by(Noise()), "demo/pushes")
+    assert "diagnose" not in capsys.readouterr().out
+
+
+def test_as_many_surprises_as_chance_has_send_nobody_to_diagnose():
+    usual = [prediction(f"trials/{k:03d}.json", "heldout") for k in range(29)]
+    barely = prediction("trials/030.json", "heldout", final_add=0.004, excess=1.05)
+    found = surprises([*usual, barely])
+    assert not found.beyond_chance and "Of 30 pushes of a right model 2 may" in found.text
+    far = prediction("trials/030.json", "heldout", final_add=0.004, excess=2.0)
+    assert surprises([*usual, far]).beyond_chance
+    assert surprises([*usual[:10], *[barely] * 3]).beyond_chance
+    assert surprises(usual).text == ""
+
+
 def test_a_belief_no_better_than_a_uniform_object_is_told():
     held = [prediction(role="heldout", final_add=0.004, uniform_add=0.0045) for _ in range(3)]
     (said,) = doubts(held, recorded_by(Noise()))
@@ -236,7 +263,7 @@ def test_a_belief_no_better_than_a_uniform_object_is_told():
 
 def test_many_pushes_are_cut_to_the_worst(capsys):
     pushes = [prediction(f"trials/{k:03d}.json", final_add=1e-3 * (k % 50)) for k in range(50)]
-    show_errors(pushes, recorded_by(Noise()))
+    show_errors(pushes, recorded_by(Noise()), "pushes")
     out = capsys.readouterr().out
     assert "30 worst pushes of 50" in out
     rows = [line.split()[0] for line in out.splitlines() if " fit " in line and line[:3].isdigit()]

@@ -24,12 +24,14 @@ from slipmap.diagrams.systems.belief_visualizer import (
     HYPOTHESIS,
     MAP,
     MAPS,
+    NOTICE,
     VIEW,
     BeliefVisualizer,
     legend,
     shown,
 )
 from slipmap.diagrams.systems.look import MAP_COLORS
+from slipmap.diagrams.systems.model_monitor import Judged, Watch
 from slipmap.diagrams.systems.unlit_meshes import tiles
 from slipmap.models.inference.belief import Belief
 from slipmap.models.physics.rollout import Maps
@@ -58,6 +60,13 @@ def observed_at(time: float) -> Any:
 
 def seen_object_at(time: float) -> Any:
     return None if time < LOOKED else SimpleNamespace(cell_heights=np.array([0.012, 0.031, 0.02]))
+
+
+def watch_at(time: float) -> Any:
+    usual = Judged(5, 1.0, 0.5, 1.0, False, 2e-3, 5e-3, False)
+    off = Judged(6, 9.0, 1e-6, 40.0, True, 22e-3, 2e-3, True)
+    judged = () if time < 0.35 else (usual,) if time < 0.55 else (usual, off) if time < 0.75 else (off, usual)
+    return Watch(len(judged), np.zeros(3), judged)
 
 
 def predicted_at(time: float) -> np.ndarray:
@@ -101,11 +110,12 @@ def drawn() -> Iterator[tuple[Recorder, Diagram]]:
                 "object_pose": observed_at,
                 "push": lambda t: PUSHES[int(t > CHANGE)],
                 "seen_object": seen_object_at,
+                "watch": watch_at,
             },
         )
     )
     visualizer = builder.AddSystem(BeliefVisualizer(recorder, period=0.1))  # type: ignore[arg-type]
-    for port in ("belief", "object_pose", "predicted_pose", "push", "seen_object"):
+    for port in ("belief", "object_pose", "predicted_pose", "push", "seen_object", "watch"):
         builder.Connect(player.GetOutputPort(port), visualizer.GetInputPort(port))
     yield recorder, builder.Build()
 
@@ -222,6 +232,19 @@ def test_residual_arrows_point_from_predicted_to_observed_cells(played: tuple[Re
     direction = place.rotation().matrix()[:2, 0]
     assert np.allclose(direction, (end - begin) / np.linalg.norm(end - begin), atol=1e-6)
     assert scale[-1][0] == pytest.approx(5 * np.linalg.norm(end - begin))
+
+
+def test_a_sign_is_up_while_the_last_push_is_one_that_surprised(
+    played: tuple[Recorder, Simulator],
+) -> None:
+    recorder, simulator = played
+    for until, signs in ((0.45, set()), (0.65, {"notice/6"}), (0.9, set())):
+        simulator.AdvanceTo(until)
+        assert {path for path in recorder.visible() if path.startswith("notice")} == signs
+    X_WN = next(pose for path, pose, _ in recorder.transforms if path == "/belief/notice")
+    corners = 0.5 * np.array([[x * NOTICE[0], 0.0, z * NOTICE[1]] for x in (-1, 1) for z in (-1, 1)])
+    place = on_screen(np.array([X_WN.multiply(corner) for corner in corners]))
+    assert (np.abs(place) < [4 / 3, 1.0]).all(), "a window of 4:3 holds it"
 
 
 def test_tiles_have_the_colours_of_their_values() -> None:

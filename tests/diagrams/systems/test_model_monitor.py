@@ -12,11 +12,13 @@ from moving_blocks import H, Player, block, block_belief, moved, seen, table_pus
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import Context, Diagram, DiagramBuilder
 
-from slipmap.diagrams.systems.model_monitor import LEVEL, ModelMonitor
+from slipmap.diagrams.systems.model_monitor import LEVEL, Judged, ModelMonitor
 from slipmap.diagrams.systems.multiverse_slider import Universes, placed
 from slipmap.models.effects.registry import effects_named
+from slipmap.models.inference.end_region import EndRegion
 from slipmap.models.inference.error_model import ErrorModel
-from slipmap.models.inference.push_misfit import pose_noise, resting_misfit
+from slipmap.models.inference.prediction import end_deviations
+from slipmap.models.inference.push_misfit import pose_noise, resting_misfit, resting_region
 from slipmap.models.measurements import Trial
 from slipmap.models.measurements.push_dataset import Channel, Noise
 from slipmap.models.measurements.simulated import record_pushes
@@ -103,6 +105,7 @@ class After:
     misfit: float
     residual: FloatArray
     judged: int
+    pushes: tuple[Judged, ...] = ()
 
 
 def watched(diagram: Diagram, told: tuple[Told, ...]) -> list[After]:
@@ -115,7 +118,11 @@ def watched(diagram: Diagram, told: tuple[Told, ...]) -> list[After]:
         context: Context = monitor.GetMyContextFromRoot(simulator.get_context())
         names = ("evidence", "misfit", "residual", "alarm", "watch")
         evidence, misfit, residual, alarm, watch = (monitor.GetOutputPort(n).Eval(context) for n in names)
-        rows.append(After(float(evidence[0]), alarm, float(misfit[0]), residual.copy(), len(watch.judged)))
+        rows.append(
+            After(
+                float(evidence[0]), alarm, float(misfit[0]), residual.copy(), len(watch.judged), watch.judged
+            )
+        )
     return rows
 
 
@@ -127,10 +134,11 @@ def test_quiet_on_pushes_as_believed(diagram: Diagram) -> None:
 
 
 def test_loud_on_a_tilted_table_and_calm_again(diagram: Diagram) -> None:
-    """The alarm comes within a few pushes, stays for one push as usual, and goes in the end."""
+    """The evidence for an alarm comes within a few pushes, the alarm stays for one push as usual, and goes in
+    the end."""
     tilted = pushes_seen("table_tilt", (0.05, -0.06), 8, 7)
     rows = watched(diagram, tilted)
-    first = next(b for b, row in enumerate(rows) if row.alarm)
+    first = next(b for b, row in enumerate(rows) if row.evidence >= 1.0 / LEVEL)
     assert 2 <= first <= 4
     rows = watched(diagram, tilted[: first + 1] + pushes_seen("", (), 20, 7))
     alarms = [row.alarm for row in rows]
@@ -183,6 +191,35 @@ def test_a_push_that_no_belief_predicted_does_not_count(diagram: Diagram) -> Non
     assert rows[0].evidence == 1.0
     assert np.isnan(rows[0].misfit)
     assert np.isnan(rows[0].residual).all()
+
+
+def test_one_push_far_outside_its_region_is_told_at_once(diagram: Diagram) -> None:
+    """Three such pushes are what evidence takes; pushes as believed take the alarm back."""
+    usual = pushes_seen("", (), 8, 7)
+    off = replace(usual[1], end=usual[1].end + np.array([0.02, 0.0, 0.0]))
+    rows = watched(diagram, (usual[0], off, *usual[2:]))
+    assert [row.alarm for row in rows[:2]] == [False, True] and not rows[-1].alarm
+    assert max(row.evidence for row in rows) < 1.0 / LEVEL
+    first, wrong, *_, last = rows[-1].pushes
+    assert [push.surprising for push in rows[-1].pushes[:3]] == [False, True, False]
+    assert wrong.error == pytest.approx(0.02, rel=0.2) and wrong.allowed < wrong.error / 2
+    assert first.error < first.allowed and last.error < last.allowed
+
+
+def test_the_region_is_that_of_predictions_where_the_model_has_learnt_its_errors() -> None:
+    """A model that was off by a tenth of the way is off by that again, and it is no surprise."""
+    (told,) = pushes_seen("", (), 1, 7)
+    assert told.universes is not None
+    error = ErrorModel(pose_noise(5e-4, 4e-3), 0.03, 0.0)
+    belief, poses = told.universes.belief, told.universes.poses
+    learnt = replace(belief, settings={**belief.settings, "end_errors": [0.3, 0.3]})
+    elsewhere = told.end + np.array([0.02, 0.0, 0.0])
+    assert not resting_region(told.start, poses, belief, error).holds(elsewhere)
+    region = resting_region(told.start, poses, learnt, error)
+    assert region.holds(elsewhere)
+    sigma = end_deviations(learnt, told.start, poses, error.noise)
+    same = EndRegion.of(poses, belief.probability, sigma)
+    assert np.allclose(region.covariance, same.covariance)
 
 
 def test_noise_must_be_known() -> None:

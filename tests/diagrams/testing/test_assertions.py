@@ -69,7 +69,8 @@ def test_predictions_are_judged_by_the_worst_push():
 
 
 def watched(*evidence: float) -> Watch:
-    judged = [Judged(k, 3.0, 0.01, value, value >= 100) for k, value in enumerate(evidence)]
+    usual = 0.01, 0.02, False
+    judged = [Judged(k, 3.0, 0.01, value, value >= 100, *usual) for k, value in enumerate(evidence)]
     return Watch(len(judged), np.zeros(3), tuple(judged))
 
 

@@ -39,6 +39,14 @@ def _pretend(figure: str, seed: int, parameters: dict[str, Any]) -> dict[str, An
         }
         return {"poses": [[0, 0, 0]] * POSES, "fell": fell, "chosen": chosen,
                 "stay_probability": [1.0, 0.96, 0.02, 0.6]}  # fmt: skip
+    if figure == "coverage":
+        places = ["table", "table", "rim_at_end", "over_rim"]
+        rarities = [0.8, 0.3, 0.07, 0.01 + seed]
+        pushes = [
+            {"place": place, "rarity": rarity, "error": 1e-3 * (k + 1), "spread": 2e-3}
+            for k, (place, rarity) in enumerate(zip(places, rarities, strict=True))
+        ]
+        return {"pushes": pushes, "lost": 1}
     if figure == "tilt":
         good = parameters["model"] == "with the tilt" or seed == 1
         fate, errors = ("success", [2e-3, 4e-3]) if good else ("missed", [])
@@ -234,3 +242,22 @@ def test_what_the_missing_tilt_costs(tmp_path: Path, capsys: pytest.CaptureFixtu
 def test_the_tilted_table_is_the_plants_alone(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert run(["campaign", "tilt", "--truth", "bullet", "-o", str(tmp_path)]) == 2
     assert "leave out --truth" in capsys.readouterr().err
+
+
+def test_ends_inside_the_regions_are_counted_by_place(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    code, document = _campaign("coverage", tmp_path, ["book", "wrench"], 2)
+    assert code == 0
+    assert set(document["coverage"]) == {"book", "wrench", "all"}
+    of_book = document["coverage"]["book"]
+    assert of_book["table"] == {
+        "pushes": 4, "inside_50": 0.5, "inside_90": 1.0, "inside_95": 1.0,
+        "error_median": pytest.approx(1.5e-3), "spread_median": pytest.approx(2e-3),
+    }  # fmt: skip
+    rim = of_book["rim_at_end"]
+    assert [rim[key] for key in ("pushes", "inside_50", "inside_90", "inside_95")] == [2, 0.0, 0.0, 1.0]
+    over = document["coverage"]["all"]["over_rim"]
+    assert [over[key] for key in ("pushes", "inside_50", "inside_90", "inside_95")] == [4, 0.5, 0.5, 0.5]
+    assert document["lost"] == 4
+    assert _lines(capsys.readouterr().out, "all")[1].split()[:6] == ["all", "rim", "at", "4", "0", "0"]

@@ -1,0 +1,72 @@
+"""The region of an end holds as many ends of a right model as it says, and is left where one is off."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import slipmap
+from slipmap.models.inference.end_region import EndRegion
+from slipmap.models.inference.error_model import sensor_noise
+from slipmap.models.inference.observations import observe_all
+from slipmap.models.inference.prediction import predict_observations
+
+SIGMA = np.array([1e-3, 2e-3, 0.02])
+LEANING = np.array([[2e-3, 1e-3, 0.05], [0.0, 1e-3, -0.02], [0.0, 0.0, 0.01]])
+
+
+@pytest.mark.parametrize(("hypotheses", "off"), [(1, 1.0), (8, 0.0), (8, 1.0), (20, 0.3)])
+def test_of_ends_as_told_as_many_lie_inside_as_the_level_says(hypotheses: int, off: float) -> None:
+    """Hypotheses are as few draws of the same distribution as the truth is one of."""
+    rng = np.random.default_rng(3)
+    inside = np.zeros(3)
+    count = 1500
+    for _ in range(count):
+        spread = LEANING.T @ rng.normal(size=(3, hypotheses + 1)) * (hypotheses > 1)
+        noise = max(off, 1e-3) * SIGMA
+        region = EndRegion.of(spread[:, 1:].T, np.full(hypotheses, 1 / hypotheses), noise)
+        end = spread[:, 0] + noise * rng.normal(size=3)
+        inside += [region.holds(end, level) for level in (0.5, 0.9, 0.95)]
+    assert inside / count == pytest.approx([0.5, 0.9, 0.95], abs=0.04)
+
+
+def test_three_intervals_of_ninety_percent_would_surprise_more_often() -> None:
+    rng = np.random.default_rng(4)
+    region = EndRegion.of(np.zeros((1, 3)), np.ones(1), SIGMA)
+    ends = SIGMA * rng.normal(size=(2000, 3))
+    alone = (np.abs(ends) > 1.645 * SIGMA).any(axis=1).mean()
+    together = np.mean([not region.holds(end) for end in ends])
+    assert alone > 0.25 and together == pytest.approx(0.05, abs=0.015)
+
+
+def test_what_hypotheses_do_together_is_no_surprise_and_what_they_do_not_is() -> None:
+    """They lean: who ends farther turns more. Each number of an end that turns less is a usual one."""
+    lean = np.linspace(-2.0, 2.0, 40)[:, None]
+    region = EndRegion.of(lean * [2e-3, 0.0, 0.05], np.full(40, 1 / 40), 0.1 * SIGMA)
+    assert region.holds(np.array([2e-3, 0.0, 0.05]))
+    assert not region.holds(np.array([2e-3, 0.0, -0.05]))
+
+
+def test_excess_is_one_on_the_border() -> None:
+    region = EndRegion.of(np.zeros((1, 3)), np.ones(1), SIGMA)
+    way = np.array([1e-3, -1e-3, 0.01])
+    border = way / region.excess(way)
+    assert region.excess(border) == pytest.approx(1.0)
+    assert region.rarity(border) == pytest.approx(0.05)
+    assert region.excess(3.0 * border) == pytest.approx(3.0)
+
+
+def test_a_push_that_ends_elsewhere_surprises_and_one_as_predicted_does_not() -> None:
+    dataset, _ = slipmap.simulated_hammer(seed=2, fit=4, heldout=3)
+    belief = slipmap.identify(dataset, hypotheses=8, friction_laws=False).belief
+    seen, noise = observe_all(dataset), sensor_noise(dataset)
+    assert not any(push.surprising for push in predict_observations(belief, seen, noise))
+    moved = replace(seen[-1], poses=seen[-1].poses + np.array([0.03, 0.0, 0.0]))
+    (push,) = predict_observations(belief, [moved], noise)
+    assert push.surprising and push.rarity < 0.05 and push.excess > 1.0
+    assert push.allowed_add == pytest.approx(push.final_add / push.excess)
+    turned = replace(seen[-1], poses=seen[-1].poses + np.array([0.0, 0.0, 2 * np.pi]))
+    (push,) = predict_observations(belief, [turned], noise)
+    assert not push.surprising, "a whole turn more is none"
