@@ -21,6 +21,7 @@ Entry = tuple[str, Role]
 _YAML_ENDINGS = (".yaml", ".yml")
 _MIT_ENDINGS = mit_files.JSON_ENDINGS + mit_files.HDF5_ENDINGS
 _HELDOUT_SHARE = 4
+_MOST_NAMED = 5  # files that one warning names
 _KINDS = (
     "a push dataset (a folder with a dataset.yaml), MIT push files (.json, .h5, .hdf5) or CSV files (.csv)"
 )
@@ -99,21 +100,38 @@ def _assembled(
 ) -> PushDataset:
     """Dataset of files in a folder; each is read by its name, role, content and path."""
     trials = []
+    found: list[tuple[str, str, str]] = []
     for index, (name, role) in enumerate(entries):
         content = parsing.read_bytes(folder / name)
         fingerprint.add(name, content)
         trial, doubts = read(name, role, content, str(folder / name))
         trials.append(trial)
-        warnings += doubts
+        found += [(f"{folder / name}", name, doubt) for doubt in doubts]
         if progress is not None:
             progress(index + 1, len(entries))
-    warnings += check_trials(setup, trials, str(source))
+    warnings += _gathered(found) + check_trials(setup, trials, str(source))
     return PushDataset(
         **vars(setup),
         trials=tuple(trials),
         fingerprint=fingerprint.hexdigest(),
         warnings=tuple(warnings),
     )
+
+
+def _gathered(found: Sequence[tuple[str, str, str]]) -> list[str]:
+    """Doubts about files of these paths and names, one a kind: files that share it are named in one text."""
+    kinds: dict[str, list[tuple[str, str, str]]] = {}
+    for path, name, doubt in found:
+        place, _, fault = doubt.removeprefix(path).partition(": ")
+        kinds.setdefault(fault, []).append((name + place, fault, doubt))
+    texts = []
+    for alike in kinds.values():
+        if len(alike) == 1:
+            texts.append(alike[0][2])
+        else:
+            more = f" and {len(alike) - _MOST_NAMED} more" if len(alike) > _MOST_NAMED else ""
+            texts.append(f"{'; '.join(place for place, _, _ in alike[:_MOST_NAMED])}{more}: {alike[0][1]}")
+    return texts
 
 
 # A folder of the format push-dataset/1.

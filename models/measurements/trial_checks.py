@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from slipmap.models.geometry import placed, seen_from
 from slipmap.models.measurements import parsing
+from slipmap.models.measurements.bad_rows import sound_rows
 from slipmap.models.measurements.push_dataset import CHANNELS, Channel, DatasetError, Role, Setup, Trial
 from slipmap.models.physics.cell_grid import FloatArray
 
@@ -49,8 +50,9 @@ def trial_from_tables(
 ) -> tuple[Trial, list[str]]:
     """Trial of the tables `object_pose`, `tip_pose` and, where measured, `ft_wrench`.
 
-    Rows in which a used column is NaN are dropped; theta is unwrapped over the rest. An empty `ft_wrench`
-    counts as not measured.
+    Rows in which a used column is NaN are dropped, and so are rows of a tracker that cannot be true, see
+    `sound_rows`; theta is unwrapped over the rest. The torque of `ft_wrench` counts as 0 where it is NaN. An
+    empty `ft_wrench` counts as not measured.
 
     Args:
         tables: rows (T, 4) of t, x, y, theta or t, fx, fy, tau; the theta of the tip is not used.
@@ -65,17 +67,23 @@ def trial_from_tables(
     for required in ("object_pose", "tip_pose"):
         if required not in tables:
             raise DatasetError(f"{where}: `{required}` is missing; a trial needs object_pose and tip_pose")
-    pose = _channel(tables, "object_pose", where)
+    pose, rows = _channel(tables, "object_pose", where)
     warnings = _degrees(pose, where)
-    pose = Channel(pose.time, np.column_stack([pose.values[:, :2], unwrapped(pose.values[:, 2])]))
-    tip = _channel(tables, "tip_pose", where)
+    if warnings:  # then what looks like half a turn is half a degree
+        pose = Channel(pose.time, np.column_stack([pose.values[:, :2], unwrapped(pose.values[:, 2])]))
+    else:
+        pose, warnings = _sound(pose, rows, f"{where}, object_pose")
+        pose = Channel(pose.time, np.column_stack([pose.values[:, :2], unwrapped(pose.values[:, 2])]))
+    tip, rows = _channel(tables, "tip_pose", where)
+    tip, doubts = _sound(tip, rows, f"{where}, tip_pose")
+    warnings += doubts
     lasts = float(pose.time[-1] - pose.time[0])
     if lasts > _LONGEST_PUSH:
         raise DatasetError(
             f"{where}, object_pose: lasts {lasts:.6g} s, the longest push may last {_LONGEST_PUSH:g} s;"
             " times are in s, were these milliseconds? Cut a long recording into its pushes"
         )
-    wrench = _channel(tables, "ft_wrench", where) if len(tables.get("ft_wrench", ())) else None
+    wrench = _channel(tables, "ft_wrench", where)[0] if len(tables.get("ft_wrench", ())) else None
     if len(pose.time) < 2:
         raise DatasetError(f"{where}, object_pose: one usable row; a trial needs a first and a last pose")
     return Trial(name, role, pose, tip, wrench), warnings
@@ -108,10 +116,29 @@ def check_trials(setup: Setup, trials: Sequence[Trial], where: str) -> list[str]
     return warnings
 
 
-def _channel(tables: Mapping[str, FloatArray], name: str, where: str) -> Channel:
+def _sound(channel: Channel, rows: NDArray[np.int_], where: str) -> tuple[Channel, list[str]]:
+    """A tracker's channel without the rows that cannot be true, and what was wrong with them."""
+    kept, found, stays = sound_rows(channel.time, channel.values)
+    warnings = [
+        f"{where}, row{'s' if len(bad) > 1 else ''} {_listed([str(rows[row]) for row in bad])}:"
+        f" {fault}; left out"
+        for fault, bad in found.items()
+    ]
+    if stays:
+        warnings.append(f"{where}: {stays}; is that true, or does the tracker's frame jump?")
+    return Channel(channel.time[kept], channel.values[kept]), warnings
+
+
+def _channel(tables: Mapping[str, FloatArray], name: str, where: str) -> tuple[Channel, NDArray[np.int_]]:
+    """A channel, and which rows of the table it has."""
     where = f"{where}, {name}"
     columns = len(CHANNELS[name])
     rows = tables[name][:, : columns + 1]
+    if name == "ft_wrench":  # the torque may be missing: nothing that is learnt goes by it
+        torque = np.where(
+            np.isnan(rows[:, 3:]) & ~np.isnan(rows[:, :3]).any(axis=1)[:, None], 0.0, rows[:, 3:]
+        )
+        rows = np.column_stack([rows[:, :3], torque])
     if len(rows) == 0:
         raise DatasetError(f"{where}: has no rows; the trial is empty, take it out of the dataset")
     _refuse(np.isinf(rows), rows, where, "is infinite; write NaN where a sensor dropped out")
@@ -131,7 +158,7 @@ def _channel(tables: Mapping[str, FloatArray], name: str, where: str) -> Channel
             f"{where}, row {row}: time {time[late[0] + 1]} s {what} that of row {before}, {time[late[0]]} s;"
             " sort the rows and leave repeated ones out"
         )
-    return Channel(time, rows[kept, 1:])
+    return Channel(time, rows[kept, 1:]), kept
 
 
 def _refuse(bad: NDArray[np.bool_], rows: FloatArray, where: str, complaint: str) -> None:
