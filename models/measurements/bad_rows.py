@@ -75,7 +75,7 @@ def _sudden(step: FloatArray, next_: FloatArray) -> bool:
 
 def _step(values: FloatArray, one: int, other: int) -> FloatArray:
     """(2,) from one row to another; 0 beyond the ends."""
-    if not (0 <= min(one, other) and max(one, other) < len(values)):
+    if min(one, other) < 0 or max(one, other) >= len(values):
         return np.zeros(2)
     return _apart(values[one], values[other])
 

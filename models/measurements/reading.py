@@ -3,6 +3,7 @@ a push; or bare files of pushes."""
 
 import os
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any, get_args
@@ -10,6 +11,7 @@ from typing import Any, get_args
 from slipmap.models.measurements import csv_files, mit_files, parsing
 from slipmap.models.measurements.parsing import Fingerprint
 from slipmap.models.measurements.push_dataset import CHANNELS, DatasetError, PushDataset, Role, Setup, Trial
+from slipmap.models.measurements.sessions import cut_at_carries
 from slipmap.models.measurements.setup_description import SETUP_KEYS, parse_setup
 from slipmap.models.measurements.trial_checks import check_trials, json_tables, trial_from_tables
 from slipmap.models.progress import StageProgress
@@ -17,6 +19,7 @@ from slipmap.models.progress import StageProgress
 FORMAT = "push-dataset/1"
 DESCRIPTION_FILE = "dataset.yaml"
 Entry = tuple[str, Role]
+Reader = Callable[[str, Role, bytes, str], tuple[list[Trial], list[str]]]
 
 _YAML_ENDINGS = (".yaml", ".yml")
 _MIT_ENDINGS = mit_files.JSON_ENDINGS + mit_files.HDF5_ENDINGS
@@ -28,7 +31,11 @@ _KINDS = (
 
 
 def read_dataset(
-    path: str | os.PathLike[str], *, object_name: str | None = None, progress: StageProgress | None = None
+    path: str | os.PathLike[str],
+    *,
+    object_name: str | None = None,
+    progress: StageProgress | None = None,
+    keep_all: bool = False,
 ) -> PushDataset:
     """Read push measurements.
 
@@ -40,13 +47,19 @@ def read_dataset(
     - CSV files, one or a folder of them; see `csv_files` for the columns. The force is that of the finger on
       the object already.
 
-    MIT and CSV files say nothing of roles: in sorted order the last quarter (rounded down) is heldout.
+    MIT and CSV files say nothing of roles: in sorted order the last quarter (rounded down) is heldout. A file in
+    which the object is carried while the finger is away is cut into its pushes there.
+
+    What does not fit is told in the dataset's `warnings`. Single pushes whose geometry is off while that of the
+    others fits are left out; what is common to all stays, for `diagnose`.
 
     Args:
         object_name: what was pushed, for MIT and CSV files: a shape of the MIT dataset (rect1, hex, ...; with
             its mass and the 4.75 mm finger) or a YAML file with the keys object, finger and, if wanted, name,
             description, table, gravity, noise of a dataset.yaml, and csv, see `parse_columns`.
         progress: called after each trial with the number read and the number of all.
+        keep_all: leave no push out; of a push dataset, `keep: true` or `keep: false` beside a file in its
+            `trials` forces either for that push.
 
     Raises:
         DatasetError: for every fault in the files, naming file, trial and row.
@@ -67,12 +80,12 @@ def read_dataset(
         is_folder = source.is_dir()
         description = source / DESCRIPTION_FILE if is_folder else source
         if not (description.exists() if is_folder else _is(source, _YAML_ENDINGS)):
-            return _read_files(source, object_name, progress)
+            return _read_files(source, object_name, progress, keep_all)
         if object_name is not None:
             raise DatasetError(
                 f"{description}: a push dataset describes its object itself; name none beside it"
             )
-        return _read_push_format(description, progress)
+        return _read_push_format(description, progress, keep_all)
     except OSError as error:
         raise DatasetError(f"{str(path)!r} cannot be read ({error})") from None
 
@@ -95,21 +108,34 @@ def _assembled(
     source: Path,
     folder: Path,
     entries: Sequence[Entry],
-    read: Callable[[str, Role, bytes, str], tuple[Trial, list[str]]],
+    read: Reader,
     progress: StageProgress | None,
+    keep: Callable[[Trial], bool | None],
+    assign: Callable[[list[Trial]], list[Trial]] | None = None,
 ) -> PushDataset:
-    """Dataset of files in a folder; each is read by its name, role, content and path."""
-    trials = []
+    """Dataset of files in a folder; each is read by its name, role, content and path.
+
+    `keep` says whether a trial stays whatever the checks say, goes, or is judged (None). `assign` gives roles to
+    all trials where files may hold several pushes.
+    """
+    trials: list[Trial] = []
     found: list[tuple[str, str, str]] = []
     for index, (name, role) in enumerate(entries):
         content = parsing.read_bytes(folder / name)
         fingerprint.add(name, content)
-        trial, doubts = read(name, role, content, str(folder / name))
-        trials.append(trial)
+        pushes, doubts = read(name, role, content, str(folder / name))
+        if assign is not None:
+            pushes, cuts = cut_at_carries(setup, pushes, str(folder / name))
+            doubts = doubts + cuts
+        trials += pushes
         found += [(f"{folder / name}", name, doubt) for doubt in doubts]
         if progress is not None:
             progress(index + 1, len(entries))
-    warnings += _gathered(found) + check_trials(setup, trials, str(source))
+    if assign is not None:
+        trials = assign(trials)
+    trials, doubts = check_trials(setup, trials, str(source), keep)
+    trials = [replace(trial, kept=True) if keep(trial) else trial for trial in trials]
+    warnings += _gathered(found) + doubts
     return PushDataset(
         **vars(setup),
         trials=tuple(trials),
@@ -137,7 +163,7 @@ def _gathered(found: Sequence[tuple[str, str, str]]) -> list[str]:
 # A folder of the format push-dataset/1.
 
 
-def _read_push_format(description: Path, progress: StageProgress | None) -> PushDataset:
+def _read_push_format(description: Path, progress: StageProgress | None, keep_all: bool) -> PushDataset:
     where = str(description)
     content, document = parsing.read_yaml(description, where)
     check_format(document, where)
@@ -145,12 +171,18 @@ def _read_push_format(description: Path, progress: StageProgress | None) -> Push
     warnings += parsing.unknown_keys(document, ("format", "trials", *SETUP_KEYS), where)
     fingerprint = Fingerprint()
     fingerprint.add(DESCRIPTION_FILE, content)
-    entries = _entries(document, description.parent, where, warnings)
+    entries, forced = _entries(document, description.parent, where, warnings)
     folder = description.parent
-    return _assembled(setup, fingerprint, warnings, description, folder, entries, _read_record, progress)
+    return _assembled(
+        setup, fingerprint, warnings, description, folder, entries, _one(_read_record), progress,
+        keep=lambda trial: forced.get(trial.name, True if keep_all else None),
+    )  # fmt: skip
 
 
-def _entries(document: dict[str, Any], folder: Path, where: str, warnings: list[str]) -> list[Entry]:
+def _entries(
+    document: dict[str, Any], folder: Path, where: str, warnings: list[str]
+) -> tuple[list[Entry], dict[str, bool]]:
+    """The trials of a description, and what it says about keeping some of them."""
     listed = parsing.required(
         document, "trials", where, "list the trials, [{file: trials/000.json, role: fit}]"
     )
@@ -159,10 +191,11 @@ def _entries(document: dict[str, Any], folder: Path, where: str, warnings: list[
             f"{where}: trials must be a list of one or more entries, got {parsing.shown(listed)}"
         )
     entries: list[Entry] = []
+    forced: dict[str, bool] = {}
     files: dict[Path, int] = {}
     for row, value in enumerate(listed):
         place = f"{where}: trials, row {row}"
-        entry = parsing.section(value, ("file", "role"), place, warnings)
+        entry = parsing.section(value, ("file", "role", "keep"), place, warnings)
         name = parsing.text(parsing.required(entry, "file", place, "name the trial's file"), f"{place}: file")
         role = entry.get("role", "fit")
         if role not in get_args(Role):
@@ -171,8 +204,15 @@ def _entries(document: dict[str, Any], folder: Path, where: str, warnings: list[
         if file in files:
             raise DatasetError(f"{place}: {name} is listed twice (first in row {files[file]}); list it once")
         files[file] = row
+        if "keep" in entry:
+            if not isinstance(entry["keep"], bool):
+                raise DatasetError(
+                    f"{place}: keep must be true or false, got {parsing.shown(entry['keep'])}; leave it out to"
+                    " have the push judged"
+                )
+            forced[name] = entry["keep"]
         entries.append((name, role))
-    return entries
+    return entries, forced
 
 
 def _inside(folder: Path, name: str, where: str) -> Path:
@@ -198,25 +238,42 @@ def _read_record(name: str, role: Role, content: bytes, where: str) -> tuple[Tri
 # Bare files of pushes, whose object is named or described elsewhere.
 
 
-def _read_files(source: Path, object_name: str | None, progress: StageProgress | None) -> PushDataset:
+def _read_files(
+    source: Path, object_name: str | None, progress: StageProgress | None, keep_all: bool
+) -> PushDataset:
     files = _record_files(source) if source.is_dir() else [source]
     fingerprint = Fingerprint()
-    read: Callable[[str, Role, bytes, str], tuple[Trial, list[str]]]
+    read: Reader
     if _is(files[0], csv_files.CSV_ENDINGS):
         setup, warnings, columns = _setup(object_name, None, source, fingerprint)
-        read = partial(csv_files.read_csv_trial, columns=columns)
+        read = partial(csv_files.read_csv_trials, columns=columns)
     elif _is(files[0], _MIT_ENDINGS):
         _refuse_part_of_a_dataset(files[0])
         setup, warnings, _ = _setup(object_name, mit_files.named_shape(files), source, fingerprint)
         warnings += mit_files.surface_warnings(files)
-        read = mit_files.read_mit_trial
+        read = _one(mit_files.read_mit_trial)
     else:
         raise DatasetError(f"{source}: a file of another kind; wanted is {_KINDS}")
-    learned = len(files) - len(files) // _HELDOUT_SHARE
-    entries: list[Entry] = [
-        (file.name, "fit" if index < learned else "heldout") for index, file in enumerate(files)
-    ]
-    return _assembled(setup, fingerprint, warnings, source, files[0].parent, entries, read, progress)
+    entries: list[Entry] = [(file.name, "fit") for file in files]
+    return _assembled(
+        setup, fingerprint, warnings, source, files[0].parent, entries, read, progress,
+        keep=lambda trial: True if keep_all else None, assign=_last_held_out,
+    )  # fmt: skip
+
+
+def _one(read: Callable[[str, Role, bytes, str], tuple[Trial, list[str]]]) -> Reader:
+    """A reader of files that hold one push."""
+
+    def read_all(name: str, role: Role, content: bytes, where: str) -> tuple[list[Trial], list[str]]:
+        trial, doubts = read(name, role, content, where)
+        return [trial], doubts
+
+    return read_all
+
+
+def _last_held_out(trials: list[Trial]) -> list[Trial]:
+    learned = len(trials) - len(trials) // _HELDOUT_SHARE
+    return trials[:learned] + [replace(trial, role="heldout") for trial in trials[learned:]]
 
 
 def _is(file: Path, endings: tuple[str, ...]) -> bool:

@@ -77,7 +77,7 @@ def test_a_frame_that_turns_and_stays_is_named_and_kept(example):
 
 
 def test_a_hit_is_no_jump(example):
-    """At 50 Hz an object that is struck at 0.7 m/s moves 14 mm from one row to the next, and stops as fast."""
+    """At 50 Hz an object that is struck at 0.7 m/s moves 14 mm a row, and stops as fast."""
     rows = push_record()
     time = np.arange(60) * 0.02
     moved = np.clip(0.7 * (time - 0.4), 0.0, 0.14)
