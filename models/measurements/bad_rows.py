@@ -20,6 +20,7 @@ _MOST_ROWS = 5  # that a jump lasts, or
 _MOST_SHARE = 0.1  # of the rows
 _END_ROWS = 2  # of a jump at an end of the record, from which nothing comes back
 _END_FACTOR = 3.0  # which must be larger
+_BLIND = 0.2  # s without a row, after which it may be anywhere
 _FEWEST_ROWS = 6  # fewer tell nothing about each other
 
 
@@ -94,7 +95,8 @@ def _jumps(
     step = _apart(values[1:], values[:-1])
     speed = step / np.diff(time)[:, None]
     usual = np.percentile(speed, 90, axis=0)
-    large = (step > 1.0) & (speed > _FASTER * usual)
+    blind = np.diff(time) > max(_BLIND, 5.0 * float(np.median(np.diff(time))))
+    large = (step > 1.0) & (speed > _FASTER * usual) & ~blind[:, None]
     steps = np.flatnonzero(large.any(axis=1))
     longest = max(_MOST_ROWS, int(_MOST_SHARE * len(time)))
     jumps: list[tuple[NDArray[np.int_], str]] = []

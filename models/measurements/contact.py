@@ -27,6 +27,7 @@ _GAP_ROWS = 3.0  # usual steps without a pose, across which nothing is said
 _MOST_TRIALS, _ROWS_EACH = 40, 25  # that are looked at
 _LARGEST_GAP, _LARGEST_DEPTH = 0.01, 0.03  # m that count
 _LARGEST_LAG = 0.15  # s
+_MOST_OF_RADIUS = 0.8  # by which a finger can be thinner than was said
 _GAIN, _GAIN_UNSIZED = 0.6, 0.75  # of the misfit may be left; without a size that is fitted
 _LEAST_GAIN = 5e-4  # m
 _AS_GOOD = 1.2  # times the least misfit, for a simpler cause
@@ -195,20 +196,23 @@ def _causes(setup: Setup, pushes: Sequence[ContactRows]) -> Iterator[Cause]:
         return lambda setup, rows: gaps(setup, rows.tips, change(rows.poses))
 
     yield Cause("is theta's sign right?", "sign", posed(lambda poses: poses * [1.0, 1.0, -1.0]))
-    for angle in (90, 180, -90):
+    for angle in (90, -90, 180):  # that is taken off
         turn = np.array([0.0, 0.0, np.radians(angle)])
         yield Cause(
-            f"is theta, or the outline, turned by {-angle}°?", "turn", posed(lambda p, turn=turn: p + turn)
+            f"is theta, or the outline, turned by {-angle if abs(angle) == 90 else 180}°?",
+            "turn",
+            posed(lambda p, turn=turn: p + turn),
         )
     if not all(rows.trial.ends_only for rows in pushes):
         yield _lag(setup, pushes)
         (less,) = _fitted(setup, pushes, 1, _thinner_finger)
-        yield Cause(
-            f"is finger.radius {1e3 * (setup.finger_radius - less):.1f} mm rather than"
-            f" {1e3 * setup.finger_radius:.1f} mm, or the outline too large?",
-            "radius",
-            lambda setup, rows: _thinner_finger(setup, rows, np.array([less])),
-        )
+        if less < _MOST_OF_RADIUS * setup.finger_radius:
+            yield Cause(
+                f"is finger.radius {1e3 * (setup.finger_radius - less):.1f} mm rather than"
+                f" {1e3 * setup.finger_radius:.1f} mm, or the outline too large?",
+                "radius",
+                lambda setup, rows: _thinner_finger(setup, rows, np.array([less])),
+            )
     shift = _fitted(setup, pushes, 2, _shifted_tip)
     yield Cause(
         f"tip_offset ({_millimetres(shift[0])}, {_millimetres(shift[1])}) mm: is it the finger's point, not the flange's"
@@ -219,7 +223,7 @@ def _causes(setup: Setup, pushes: Sequence[ContactRows]) -> Iterator[Cause]:
     offset = _fitted(setup, pushes, 3, _offset_frame)
     yield Cause(
         f"the tracked frame sits at ({_millimetres(offset[0])}, {_millimetres(offset[1])}) mm in the object's,"
-        f" turned by {np.degrees(offset[2]) + 0.0:.1f}°, which the effect tracker_offset explains: is the outline given"
+        f" turned by {round(float(np.degrees(offset[2])), 1) + 0.0:.1f}°, which the effect tracker_offset explains: is the outline given"
         " in the tracked frame?",
         "tracker_offset",
         lambda setup, rows: _offset_frame(setup, rows, offset),
@@ -227,7 +231,7 @@ def _causes(setup: Setup, pushes: Sequence[ContactRows]) -> Iterator[Cause]:
 
 
 def _millimetres(length: float) -> str:
-    return f"{1e3 * length:.1f}".removesuffix(".0").replace("-0", "0", 1 if abs(length) < 5e-5 else 0)
+    return f"{round(1e3 * length, 1) + 0.0:g}"
 
 
 def _lag(setup: Setup, pushes: Sequence[ContactRows]) -> Cause:

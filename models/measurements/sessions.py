@@ -15,6 +15,7 @@ _CARRIED = 0.01  # m that the object moves meanwhile
 _SPEED = 0.015  # m/s of an object that does not rest
 _WINDOW = 0.1  # s
 _PAUSE = 0.1  # s of rest between two motions
+_BLIND = 0.2  # s without a pose, in which a motion is one of its own
 _FEWEST_ROWS = 6  # of a push
 _PUSHED = 2e-3  # m that the object moves in a push
 
@@ -41,7 +42,8 @@ def carries(setup: Setup, trial: Trial) -> list[Carry]:
     if len(steps) == 0:
         return []
     pauses = pose.time[steps[1:]] - pose.time[steps[:-1] + 1]
-    runs = np.split(steps, np.flatnonzero(pauses > _PAUSE) + 1)
+    blind = np.diff(pose.time)[steps] > max(_BLIND, 5.0 * float(np.median(np.diff(pose.time))))
+    runs = np.split(steps, np.flatnonzero((pauses > _PAUSE) | blind[1:] | blind[:-1]) + 1)
     found = []
     gap = gaps(setup, trial.tip_pose.at(pose.time), pose.values)
     if all(gap[run[0]] > _AWAY for run in runs):
