@@ -102,10 +102,10 @@ def _jumps(
     jumps: list[tuple[NDArray[np.int_], str]] = []
     stays: list[tuple[int, str]] = []
     done = -1
-    for place, first in enumerate(steps):
+    for place, first in enumerate(steps.tolist()):
         if first <= done:
             continue
-        for last in steps[place + 1 :]:
+        for last in steps[place + 1 :].tolist():
             if last - first > longest:
                 break
             # Meanwhile the object may have gone on as it does elsewhere.
@@ -129,7 +129,7 @@ def _jumps(
             jumps.append((np.arange(first + 1, len(time)), _words(step[first], "from what came before")))
             break
         else:
-            stays.append((int(first), _words(step[first], "").strip()))
+            stays.append((first, _words(step[first], "").strip()))
     return jumps, stays
 
 

@@ -1,5 +1,5 @@
-"""Does the finger touch the object where the record says? Depth of its rim in the outline over whole pushes, what
-explains it in all of them, and the angle of the force to the contact's normal."""
+"""Does the finger touch the object where the record says? Depth of its rim in the outline over whole pushes,
+what explains it in all of them, and the angle of the force to the contact's normal."""
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
@@ -39,7 +39,7 @@ _WOULD_FIT = 0.85  # of the rows fit; of half of them it is said anyway
 
 
 def gaps(setup: Setup, tips: FloatArray, poses: FloatArray) -> FloatArray:
-    """(k,) air between the finger's rim at (k, 2) and the outline at poses (k, 3) or (3,), m; negative inside."""
+    """(k,) air between the finger, at (k, 2) and the outline at poses (k, 3) or (3,), m; negative inside."""
     return signed_distance(setup, tips, poses) - setup.finger_radius
 
 
@@ -87,8 +87,9 @@ class ContactRows:
 
     def chosen(self, rows: NDArray[np.int_]) -> "ContactRows":
         """Some of the rows."""
-        parts = (self.time, self.tips, self.poses, self.pressed, self.gap)
-        return ContactRows(self.trial, *(part[rows] for part in parts))
+        return ContactRows(
+            self.trial, self.time[rows], self.tips[rows], self.poses[rows], self.pressed[rows], self.gap[rows]
+        )
 
 
 def contact_rows(setup: Setup, trial: Trial) -> ContactRows | None:
@@ -201,7 +202,7 @@ def _causes(setup: Setup, pushes: Sequence[ContactRows]) -> Iterator[Cause]:
         yield Cause(
             f"is theta, or the outline, turned by {-angle if abs(angle) == 90 else 180}°?",
             "turn",
-            posed(lambda p, turn=turn: p + turn),
+            posed(turn.__add__),
         )
     if not all(rows.trial.ends_only for rows in pushes):
         yield _lag(setup, pushes)
@@ -215,23 +216,23 @@ def _causes(setup: Setup, pushes: Sequence[ContactRows]) -> Iterator[Cause]:
             )
     shift = _fitted(setup, pushes, 2, _shifted_tip)
     yield Cause(
-        f"tip_offset ({_millimetres(shift[0])}, {_millimetres(shift[1])}) mm: is it the finger's point, not the flange's"
-        " or the tool's, that was recorded?",
+        f"tip_offset {_millimetres(shift)} mm: is it the finger's point, not the flange's or the tool's, that"
+        " was recorded?",
         "tip_offset",
         lambda setup, rows: _shifted_tip(setup, rows, shift),
     )
     offset = _fitted(setup, pushes, 3, _offset_frame)
+    turned = round(float(np.degrees(offset[2])), 1) + 0.0
     yield Cause(
-        f"the tracked frame sits at ({_millimetres(offset[0])}, {_millimetres(offset[1])}) mm in the object's,"
-        f" turned by {round(float(np.degrees(offset[2])), 1) + 0.0:.1f}°, which the effect tracker_offset explains: is the outline given"
-        " in the tracked frame?",
+        f"the tracked frame sits at {_millimetres(offset[:2])} mm in the object's, turned by {turned:.1f}°,"
+        " which the effect tracker_offset explains: is the outline given in the tracked frame?",
         "tracker_offset",
         lambda setup, rows: _offset_frame(setup, rows, offset),
     )
 
 
-def _millimetres(length: float) -> str:
-    return f"{round(1e3 * length, 1) + 0.0:g}"
+def _millimetres(lengths: FloatArray) -> str:
+    return f"({', '.join(f'{round(1e3 * float(length), 1) + 0.0:g}' for length in lengths)})"
 
 
 def _lag(setup: Setup, pushes: Sequence[ContactRows]) -> Cause:
@@ -305,8 +306,8 @@ def force_complaint(setup: Setup, pushes: Sequence[ContactRows]) -> str | None:
     if best is None and wrong < 0.5:
         return None
     said = (
-        f"the force points {np.degrees(np.median(np.abs(off))):.0f}° off the contact's normal in the median, and"
-        f" more than 60°, which no friction allows, on {100 * wrong:.0f} % of the rows; "
+        f"the force points {np.degrees(np.median(np.abs(off))):.0f}° off the contact's normal in the median,"
+        f" and more than 60°, which no friction allows, on {100 * wrong:.0f} % of the rows; "
     )
     if best is None:
         return (
@@ -314,8 +315,8 @@ def force_complaint(setup: Setup, pushes: Sequence[ContactRows]) -> str | None:
             " world frame, is it in the sensor's or the tool's?"
         )
     return (
-        f"{said}{best} {100 * fits:.0f} % would fit; ft_wrench is the force of the finger on the object in the world"
-        " frame"
+        f"{said}{best} {100 * fits:.0f} % would fit; ft_wrench is the force of the finger on the object in"
+        " the world frame"
     )
 
 
@@ -345,7 +346,7 @@ def _middle(angles: FloatArray) -> float:
 
 
 def _normals_and_forces(setup: Setup, rows: ContactRows) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Directions of the inward normal and of the force in the world, and the object's, while it is pressed, rad."""
+    """Directions of inward normal, force and object in the world while the finger presses, rad."""
     trial = rows.trial
     empty = (np.zeros(0), np.zeros(0), np.zeros(0))
     if trial.ft_wrench is None or trial.ends_only:

@@ -101,11 +101,12 @@ def parse_columns(value: object, where: str) -> CsvColumns:
 def read_csv_trials(
     name: str, role: Role, content: bytes, where: str, columns: CsvColumns = STANDARD
 ) -> tuple[list[Trial], list[str]]:
-    """The pushes of one file, in s, m, rad, N and N·m unless `columns` says else, the force that on the object.
+    """The pushes of one file, in s, m, rad, N and N·m unless `columns` says else; the force is that on the
+    object.
 
-    Channels share the column t and need not share rates: a channel has a row where its cells are filled. Where
-    there is a column push_id, each of its values is a push, called after the file and it, in the order in
-    which they come first. The torque counts as 0 where the file has none.
+    Channels share the column t and need not share rates: a channel has a row where its cells are filled.
+    Where there is a column push_id, each of its values is a push, called after the file and it, in the order
+    in which they come first. The torque counts as 0 where the file has none.
 
     Raises:
         DatasetError: missing columns, cells that are no numbers, and what `trial_from_tables` refuses. Rows
@@ -211,16 +212,16 @@ def _refuse_header(header: list[str], where: str, columns: CsvColumns) -> None:
         return
     if header[:1] == ["Format Version"] or "Take Name" in header:
         raise DatasetError(
-            f"{where}: this is an export of OptiTrack Motive, with several lines of header, quaternions and often"
-            f" mm and Y up; slipmap reads tables of one header line: {columns.expected}, in s, m, rad and N,"
-            " or other names and units as the key csv of the YAML file of --object says"
+            f"{where}: this is an export of OptiTrack Motive, with several lines of header, quaternions and"
+            " often mm and Y up (then theta is the turn about Y, and y on the table is -Z). Write a table"
+            f" with one line of header: {columns.expected}"
         )
     if len(header) == 1:
         for sign, named in ((";", "semicolons"), ("\t", "tabs"), (None, "blanks")):
             if len(header[0].split(sign)) > 1:
                 raise DatasetError(
-                    f"{where}: its cells are parted by {named}, not by commas; save it anew with commas between"
-                    " cells and points in numbers"
+                    f"{where}: its cells are parted by {named}, not by commas; save it anew with commas"
+                    " between cells and points in numbers"
                 )
     lacking = ", ".join(columns.names[name] for name in missing)
     raise DatasetError(

@@ -7,10 +7,19 @@ from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any, get_args
+from warnings import warn
 
 from slipmap.models.measurements import csv_files, mit_files, parsing
 from slipmap.models.measurements.parsing import Fingerprint
-from slipmap.models.measurements.push_dataset import CHANNELS, DatasetError, PushDataset, Role, Setup, Trial
+from slipmap.models.measurements.push_dataset import (
+    CHANNELS,
+    DatasetError,
+    DatasetWarning,
+    PushDataset,
+    Role,
+    Setup,
+    Trial,
+)
 from slipmap.models.measurements.sessions import cut_at_carries
 from slipmap.models.measurements.setup_description import SETUP_KEYS, parse_setup
 from slipmap.models.measurements.trial_checks import check_trials, json_tables, trial_from_tables
@@ -47,11 +56,12 @@ def read_dataset(
     - CSV files, one or a folder of them; see `csv_files` for the columns. The force is that of the finger on
       the object already.
 
-    MIT and CSV files say nothing of roles: in sorted order the last quarter (rounded down) is heldout. A file in
-    which the object is carried while the finger is away is cut into its pushes there.
+    MIT and CSV files say nothing of roles: in sorted order the last quarter (rounded down) is heldout. A file
+    in which the object is carried while the finger is away is cut into its pushes there.
 
-    What does not fit is told in the dataset's `warnings`. Single pushes whose geometry is off while that of the
-    others fits are left out; what is common to all stays, for `diagnose`.
+    What does not fit is told in the dataset's `warnings`, and by Python's as `DatasetWarning`. Single pushes
+    whose geometry is off while that of the others fits are left out; what is common to all stays, for
+    `diagnose`.
 
     Args:
         object_name: what was pushed, for MIT and CSV files: a shape of the MIT dataset (rect1, hex, ...; with
@@ -73,6 +83,15 @@ def read_dataset(
         ...     [trial.name for trial in slipmap.read_dataset(path).trials]
         ['trials/000.json', 'trials/001.json']
     """
+    dataset = _read(path, object_name, progress, keep_all)
+    for text in dataset.warnings:
+        warn(text, DatasetWarning, stacklevel=2)
+    return dataset
+
+
+def _read(
+    path: str | os.PathLike[str], object_name: str | None, progress: StageProgress | None, keep_all: bool
+) -> PushDataset:
     source = Path(path)
     try:
         if not source.exists():
@@ -115,8 +134,8 @@ def _assembled(
 ) -> PushDataset:
     """Dataset of files in a folder; each is read by its name, role, content and path.
 
-    `keep` says whether a trial stays whatever the checks say, goes, or is judged (None). `assign` gives roles to
-    all trials where files may hold several pushes.
+    `keep` says whether a trial stays whatever the checks say, goes, or is judged (None). `assign` gives roles
+    to all trials where files may hold several pushes.
     """
     trials: list[Trial] = []
     found: list[tuple[str, str, str]] = []
@@ -207,8 +226,8 @@ def _entries(
         if "keep" in entry:
             if not isinstance(entry["keep"], bool):
                 raise DatasetError(
-                    f"{place}: keep must be true or false, got {parsing.shown(entry['keep'])}; leave it out to"
-                    " have the push judged"
+                    f"{place}: keep must be true or false, got {parsing.shown(entry['keep'])}; leave it out"
+                    " to have the push judged"
                 )
             forced[name] = entry["keep"]
         entries.append((name, role))

@@ -30,7 +30,7 @@ class Carry(NamedTuple):
 
 
 def carries(setup: Setup, trial: Trial) -> list[Carry]:
-    """Motions that begin at rest, with the finger more than 20 mm away, beside others that begin at the finger."""
+    """Motions that begin at rest with the finger over 20 mm away, beside some that begin at the finger."""
     pose = trial.object_pose
     if trial.ends_only or not trial.has_finger or len(pose.time) < _FEWEST_ROWS:
         return []
@@ -63,7 +63,7 @@ def carried_text(carry: Carry) -> str:
 
 
 def cut_at_carries(setup: Setup, trials: Sequence[Trial], where: str) -> tuple[list[Trial], list[str]]:
-    """Each trial without the stretches in which the object is carried, as so many pushes, called file#1 and on.
+    """Each trial without the stretches in which the object is carried, as pushes called file#1 and on.
 
     Raises:
         DatasetError: nothing is left of a trial.

@@ -124,15 +124,15 @@ def check_trials(
 ) -> tuple[list[Trial], list[str]]:
     """The trials that stay, and warnings, one a kind of fault, each naming its trials.
 
-    What is off in all pushes alike is told and kept: an effect may explain it. Single pushes that are off while
-    the others fit are left out.
+    What is off in all pushes alike is told and kept: an effect may explain it. Single pushes that are off
+    while the others fit are left out.
 
     Args:
         keep: True for a trial that stays whatever is found, False for one that goes, None to judge it.
 
     Raises:
-        DatasetError: two equal files, channels without a common time, or pushes in which the object is carried
-            about while the finger is away.
+        DatasetError: two equal files, channels without a common time, or pushes in which the object is
+            carried about while the finger is away.
     """
     chosen = [trial for trial in trials if keep(trial) is not False]
     if not chosen:
@@ -222,8 +222,8 @@ def _judged(
             deep = [rows for rows in deep if rows not in alone]
         if deep and cause is None:
             warnings.append(
-                f"{_listed([rows.trial.name for rows in deep])}: {_deep_text(deep, len(pushes))}: is theta's sign,"
-                " the frame, the clock or the finger's point right, and finger.radius and the outline?"
+                f"{_listed([rows.trial.name for rows in deep])}: {_deep_text(deep, len(pushes))}: is theta's"
+                " sign, the frame, the clock or the finger's point right, and finger.radius and the outline?"
             )
     odd = {trial.name for trial in trials if trial.name in faults and not stays(trial)}
     for end, names in (
@@ -239,10 +239,10 @@ def _judged(
 
 def _deep_text(deep: Sequence[ContactRows], count: int) -> str:
     at_start = sum(_from_start(rows) for rows in deep) > len(deep) / 2
-    return (
-        f"the finger {'starts' if at_start else 'goes'} {_depth_text(deep)} {'inside' if at_start else 'into'} the"
-        f" object {'in' if at_start else 'during'} {len(deep)} of {count} pushes"
-    )
+    of_all = f"{len(deep)} of {count} pushes"
+    if at_start:
+        return f"the finger starts {_depth_text(deep)} inside the object in {of_all}"
+    return f"the finger goes {_depth_text(deep)} into the object during {of_all}"
 
 
 def _from_start(rows: ContactRows) -> bool:
@@ -273,10 +273,8 @@ def _channel(tables: Mapping[str, FloatArray], name: str, where: str) -> tuple[C
     columns = len(CHANNELS[name])
     rows = tables[name][:, : columns + 1]
     if name == "ft_wrench":  # the torque may be missing: nothing that is learnt goes by it
-        torque = np.where(
-            np.isnan(rows[:, 3:]) & ~np.isnan(rows[:, :3]).any(axis=1)[:, None], 0.0, rows[:, 3:]
-        )
-        rows = np.column_stack([rows[:, :3], torque])
+        measured = np.isfinite(rows[:, :3]).all(axis=1)
+        rows = np.column_stack([rows[:, :3], np.where(measured & np.isnan(rows[:, 3]), 0.0, rows[:, 3])])
     if len(rows) == 0:
         raise DatasetError(f"{where}: has no rows; the trial is empty, take it out of the dataset")
     _refuse(np.isinf(rows), rows, where, "is infinite; write NaN where a sensor dropped out")

@@ -8,7 +8,7 @@ import yaml
 from straight_pushes import RADIUS, forced, posed, reread, straight_pushes, tipped
 
 from slipmap.models.geometry import compose, rotated
-from slipmap.models.measurements import Channel, DatasetError, read_dataset, write_dataset
+from slipmap.models.measurements import Channel, DatasetError, DatasetWarning, read_dataset, write_dataset
 
 
 def same(trial):
@@ -30,8 +30,11 @@ def test_exact_contact_is_read_without_a_word(tmp_path):
     ("change", "words"),
     [
         (posed(lambda pose: pose * [1.0, 1.0, -1.0]), ["is theta's sign right?"]),
-        (posed(lambda pose: pose + [0.0, 0.0, np.pi / 2]), ["is theta, or the outline, turned by", "90°?"]),
-        (tipped(lambda tip: tip + [0.006, -0.003]), ["tip_offset (6, -3) mm", "not the flange's"]),
+        (
+            posed(lambda pose: np.add(pose, [0.0, 0.0, np.pi / 2])),
+            ["is theta, or the outline, turned by", "90°?"],
+        ),
+        (tipped(lambda tip: np.add(tip, [0.006, -0.003])), ["tip_offset (6, -3) mm", "not the flange's"]),
         (
             posed(lambda pose: compose(pose, np.array([0.004, 0.005, 0.0]))),
             ["tracked frame sits at (4, 5) mm in the object's", "turned by 0.0°", "effect tracker_offset"],
@@ -46,6 +49,12 @@ def test_what_is_common_to_all_pushes_is_named_and_kept(tmp_path, change, words)
     assert len(deep) == 1, dataset.warnings
     for word in ["the object", "of 12 pushes; it would be 0.0 mm but for one thing", *words]:
         assert word in deep[0], deep[0]
+
+
+def test_warnings_reach_python(tmp_path):
+    with pytest.warns(DatasetWarning, match=r"tip_offset \(6, -3\) mm") as caught:
+        reread(tmp_path, straight_pushes(), tipped(lambda tip: np.add(tip, [0.006, -0.003])))
+    assert len(caught) == 1 and caught[0].filename.endswith("straight_pushes.py")
 
 
 def test_a_finger_thicker_than_it_is_and_what_nothing_explains(tmp_path):

@@ -83,7 +83,7 @@ def test_a_session_as_one_trial_is_refused(tmp_path, recorded):
 
 
 def test_one_push_in_which_the_object_is_carried_is_left_out(tmp_path, recorded):
-    trials, time, pose, tip = recorded
+    _, time, pose, tip = recorded
     dataset = straight_pushes()
     bad = replace(
         dataset.trials[2], object_pose=Channel(time, pose), tip_pose=Channel(time, tip), ft_wrench=None
