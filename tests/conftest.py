@@ -73,8 +73,7 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Let xdist keep the order below; faulty measurements of tests are told by their datasets."""
-    config.addinivalue_line("filterwarnings", "ignore::slipmap.models.measurements.DatasetWarning")
+    """Let xdist keep the order below."""
     if hasattr(config.option, "loadscopereorder"):
         config.option.loadscopereorder = False
 

@@ -3,7 +3,6 @@
 from slipmap.models.measurements.push_dataset import (
     Channel,
     DatasetError,
-    DatasetWarning,
     Noise,
     PushDataset,
     Table,

@@ -37,10 +37,6 @@ class DatasetError(ValueError):
         super().__init__(" ".join(text.split()))
 
 
-class DatasetWarning(UserWarning):
-    """What looks wrong about measurements that can be used."""
-
-
 @dataclass(frozen=True, eq=False)
 class Channel:
     """One sensor's rows, on the sensor's own time stamps.

@@ -1,20 +1,19 @@
 """Reading push measurements: a folder of the format push-dataset/1, which is a dataset.yaml and one JSON file
 a push; or bare files of pushes."""
 
+import logging
 import os
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any, get_args
-from warnings import warn
 
 from slipmap.models.measurements import csv_files, mit_files, parsing
 from slipmap.models.measurements.parsing import Fingerprint
 from slipmap.models.measurements.push_dataset import (
     CHANNELS,
     DatasetError,
-    DatasetWarning,
     PushDataset,
     Role,
     Setup,
@@ -30,6 +29,7 @@ DESCRIPTION_FILE = "dataset.yaml"
 Entry = tuple[str, Role]
 Reader = Callable[[str, Role, bytes, str], tuple[list[Trial], list[str]]]
 
+_LOG = logging.getLogger("slipmap.measurements")
 _YAML_ENDINGS = (".yaml", ".yml")
 _MIT_ENDINGS = mit_files.JSON_ENDINGS + mit_files.HDF5_ENDINGS
 _HELDOUT_SHARE = 4
@@ -45,6 +45,7 @@ def read_dataset(
     object_name: str | None = None,
     progress: StageProgress | None = None,
     keep_all: bool = False,
+    tell: Callable[[str], object] = _LOG.warning,
 ) -> PushDataset:
     """Read push measurements.
 
@@ -59,9 +60,8 @@ def read_dataset(
     MIT and CSV files say nothing of roles: in sorted order the last quarter (rounded down) is heldout. A file
     in which the object is carried while the finger is away is cut into its pushes there.
 
-    What does not fit is told in the dataset's `warnings`, and by Python's as `DatasetWarning`. Single pushes
-    whose geometry is off while that of the others fits are left out; what is common to all stays, for
-    `diagnose`.
+    What does not fit is told, and kept in the dataset's `warnings`. Single pushes whose geometry is off while
+    that of the others fits are left out; what is common to all stays, for `diagnose`.
 
     Args:
         object_name: what was pushed, for MIT and CSV files: a shape of the MIT dataset (rect1, hex, ...; with
@@ -70,6 +70,7 @@ def read_dataset(
         progress: called after each trial with the number read and the number of all.
         keep_all: leave no push out; of a push dataset, `keep: true` or `keep: false` beside a file in its
             `trials` forces either for that push.
+        tell: called with each warning; Python's logging by default, which shows it.
 
     Raises:
         DatasetError: for every fault in the files, naming file, trial and row.
@@ -84,8 +85,8 @@ def read_dataset(
         ['trials/000.json', 'trials/001.json']
     """
     dataset = _read(path, object_name, progress, keep_all)
-    for text in dataset.warnings:
-        warn(text, DatasetWarning, stacklevel=2)
+    for warning in dataset.warnings:
+        tell(warning)
     return dataset
 
 

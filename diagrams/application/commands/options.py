@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Callable, Iterator, Sequence
 from functools import wraps
 from itertools import combinations
@@ -183,18 +182,14 @@ def load_dataset(path: Path, object_name: str | None, progress: Progress) -> Pus
     Raises:
         DatasetError: it cannot be used.
     """
-    from slipmap.models.measurements import DatasetWarning, read_dataset
+    from slipmap.models.measurements import read_dataset
 
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", DatasetWarning)  # they are shown below
-        dataset = read_dataset(
-            path,
-            object_name=object_name,
-            progress=lambda done, total: progress("reading pushes", done, total),
-        )
-    for warning in dataset.warnings:
-        note(f"warning: {warning}")
-    return dataset
+    return read_dataset(
+        path,
+        object_name=object_name,
+        progress=lambda done, total: progress("reading pushes", done, total),
+        tell=lambda warning: note(f"warning: {warning}"),
+    )
 
 
 # Parameters that are written though their type does not say so.

@@ -12,7 +12,6 @@ import shutil
 import signal
 import time
 import traceback
-import warnings
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from pathlib import Path
@@ -330,16 +329,14 @@ def _run(case: _Case) -> str:
     """Generate a dataset unless it is there, diagnose it, write the result, and tell it in a few words."""
     from slipmap.diagrams.application.studies.blind import generator, scoring
     from slipmap.models.inference.diagnosis.procedure import diagnose
-    from slipmap.models.measurements import DatasetWarning, read_dataset
+    from slipmap.models.measurements import read_dataset
 
     dataset = case.folder / case.name
     try:
         # The truth is written last: where it is, the dataset is whole.
         file = generator.truth_file(dataset)
         truth = generator.Truth.read(file) if file.exists() else generator.generate(case.seed, dataset)
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", DatasetWarning)  # what is hidden may look wrong
-            pushes = read_dataset(dataset)
+        pushes = read_dataset(dataset, tell=lambda warning: None)  # what is hidden may look wrong
         result: dict[str, Any] = diagnose(pushes, seed=case.seed).to_json()
         # A result that cannot be scored is a failure of its dataset, not of all at the end.
         scoring.score([(truth, result)])

@@ -8,7 +8,7 @@ import yaml
 from straight_pushes import RADIUS, forced, posed, reread, straight_pushes, tipped
 
 from slipmap.models.geometry import compose, rotated
-from slipmap.models.measurements import Channel, DatasetError, DatasetWarning, read_dataset, write_dataset
+from slipmap.models.measurements import Channel, DatasetError, read_dataset, write_dataset
 
 
 def same(trial):
@@ -51,10 +51,13 @@ def test_what_is_common_to_all_pushes_is_named_and_kept(tmp_path, change, words)
         assert word in deep[0], deep[0]
 
 
-def test_warnings_reach_python(tmp_path):
-    with pytest.warns(DatasetWarning, match=r"tip_offset \(6, -3\) mm") as caught:
-        reread(tmp_path, straight_pushes(), tipped(lambda tip: np.add(tip, [0.006, -0.003])))
-    assert len(caught) == 1 and caught[0].filename.endswith("straight_pushes.py")
+def test_warnings_reach_python(tmp_path, caplog):
+    dataset = reread(tmp_path, straight_pushes(), tipped(lambda tip: np.add(tip, [0.006, -0.003])))
+    assert [record.getMessage() for record in caplog.records] == list(dataset.warnings)
+    assert caplog.records[0].levelname == "WARNING" and "tip_offset (6, -3) mm" in caplog.text
+    told = []
+    read_dataset(tmp_path / "pushes", tell=told.append)
+    assert told == list(dataset.warnings) and len(caplog.records) == 1
 
 
 def test_a_finger_thicker_than_it_is_and_what_nothing_explains(tmp_path):
