@@ -334,7 +334,7 @@ def resumed(folder: Path) -> tuple[Scenario, LoopOptions, RecordedRun]:
         options = LoopOptions(**{**stored, "effects": tuple(stored.get("effects", ()))})
         first = FirstPicture.load(folder / PICTURE)
         grid = first.seen(scenario.camera.intrinsics).grid
-        dataset = read_dataset(folder / PUSHES)
+        dataset = read_dataset(folder / PUSHES, keep_all=True)
         pushes = run["pushes"][: len(dataset.trials)]
         choices = tuple(_choice_of(push["poke"]) for push in pushes)
         digests = [push["digest"] for push in pushes]

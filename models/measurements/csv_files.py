@@ -4,10 +4,11 @@ import csv
 import io
 import math
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from slipmap.models.measurements import parsing
 from slipmap.models.measurements.push_dataset import CHANNELS, DatasetError, Role, Trial
@@ -32,7 +33,11 @@ _UNITS: Mapping[str, Mapping[str, float]] = {
 }
 """Our names, and how much of the SI unit each unit is that a column may have."""
 
+PUSH_COLUMN = "push_id"
+"""Parts a file into its pushes where it is there."""
+
 _OPTIONAL = CHANNELS["ft_wrench"]
+_FORCE, _TORQUE = _OPTIONAL[:2], _OPTIONAL[2]
 _REQUIRED = tuple(name for name in _UNITS if name not in _OPTIONAL)
 
 
@@ -93,28 +98,48 @@ def parse_columns(value: object, where: str) -> CsvColumns:
     return CsvColumns(names, factors)
 
 
-def read_csv_trial(
+def read_csv_trials(
     name: str, role: Role, content: bytes, where: str, columns: CsvColumns = STANDARD
-) -> tuple[Trial, list[str]]:
-    """One push file, in s, m, rad, N and N·m unless `columns` says else, the force that on the object.
+) -> tuple[list[Trial], list[str]]:
+    """The pushes of one file, in s, m, rad, N and N·m unless `columns` says else; the force is that on the
+    object.
 
     Channels share the column t and need not share rates: a channel has a row where its cells are filled.
+    Where there is a column push_id, each of its values is a push, called after the file and it, in the order
+    in which they come first. The torque counts as 0 where the file has none.
 
     Raises:
         DatasetError: missing columns, cells that are no numbers, and what `trial_from_tables` refuses. Rows
             count from 0 below the header.
     """
-    header, numbers = _numbers(content, where, columns)
-    column = {
-        ours: columns.factors[ours] * numbers[:, header.index(theirs)]
-        for ours, theirs in columns.names.items()
-        if theirs in header
-    }
-    warnings = [
-        f"{where}: the column {parsing.shown(unknown)} is unknown and ignored; {columns.expected}"
-        for unknown in header
-        if unknown not in columns.names.values()
-    ]
+    table = _table(content, where, columns)
+    warnings = []
+    if table.unknown:
+        listed = ", ".join(parsing.shown(unknown) for unknown in table.unknown)
+        several = len(table.unknown) > 1
+        warnings.append(
+            f"{where}: the column{'s' if several else ''} {listed} {'are' if several else 'is'} unknown and"
+            f" ignored; {columns.expected}"
+        )
+    trials = []
+    for push, rows in table.pushes.items():
+        place = f"{where}, {PUSH_COLUMN} {push}" if push else where
+        tables = _channels({ours: values[rows] for ours, values in table.values.items()}, place, columns)
+        trial, doubts = trial_from_tables(f"{name}#{push}" if push else name, role, tables, place)
+        trials.append(trial)
+        warnings += doubts
+    return trials, warnings
+
+
+class _Table(NamedTuple):
+    """A file's numbers by our names, the rows of each push, and the names of columns nobody asked for."""
+
+    values: Mapping[str, FloatArray]
+    pushes: Mapping[str, NDArray[np.int_]]
+    unknown: Sequence[str]
+
+
+def _channels(column: Mapping[str, FloatArray], where: str, columns: CsvColumns) -> dict[str, FloatArray]:
     tables = {}
     for channel, names in CHANNELS.items():
         if all(ours in column for ours in names):
@@ -126,13 +151,12 @@ def read_csv_trial(
                 raise DatasetError(
                     f"{where}, {channel}, row {untimed[0]}: has values but no time {time}; fill it in"
                 )
-    if "ft_wrench" in tables and np.isnan(tables["ft_wrench"][:, 1:]).all():
+    if "ft_wrench" in tables and np.isnan(tables["ft_wrench"][:, 1:3]).all():
         del tables["ft_wrench"]  # the columns are there, but nothing was measured
-    trial, doubts = trial_from_tables(name, role, tables, where)
-    return trial, warnings + doubts
+    return tables
 
 
-def _numbers(content: bytes, where: str, columns: CsvColumns) -> tuple[list[str], FloatArray]:
+def _table(content: bytes, where: str, columns: CsvColumns) -> _Table:
     try:
         lines = list(csv.reader(io.StringIO(content.decode("utf-8-sig"), newline="")))
     except (csv.Error, ValueError) as error:
@@ -142,36 +166,81 @@ def _numbers(content: bytes, where: str, columns: CsvColumns) -> tuple[list[str]
     if not lines:
         raise DatasetError(f"{where}: the file is empty; {columns.expected}")
     header = [name.strip() for name in lines[0]]
-    absent = {name for name, theirs in columns.names.items() if theirs not in header}
-    missing = [name for name in _REQUIRED if name in absent]
-    if 0 < len(absent & set(_OPTIONAL)) < len(_OPTIONAL):
-        missing += [name for name in _OPTIONAL if name in absent]
-    if missing:
-        lacking = ", ".join(columns.names[name] for name in missing)
-        if len(header) == 1 and any(sign in header[0] for sign in ";\t"):
-            raise DatasetError(
-                f"{where}: its cells are not parted by commas; save it anew with commas between cells and"
-                " points in numbers"
-            )
-        raise DatasetError(
-            f"{where}: the header {parsing.shown(','.join(header))} lacks {lacking}; {columns.expected}."
-            " Other names and units are told under the key csv of the YAML file of --object"
-        )
-    name, uses = Counter(header).most_common(1)[0]
+    _refuse_header(header, where, columns)
+    ours = {theirs: name for name, theirs in columns.names.items()}
+    counted = Counter(name for name in header if name in ours or name == PUSH_COLUMN)
+    name, uses = counted.most_common(1)[0]
     if uses > 1:
         raise DatasetError(
             f"{where}: the header has the column {parsing.shown(name)} {uses} times; {columns.expected}"
         )
-    rows = []
+    rows: list[list[float]] = []
+    used = [(place, name) for place, name in enumerate(header) if name in ours]
+    push_place = header.index(PUSH_COLUMN) if PUSH_COLUMN in header and PUSH_COLUMN not in ours else None
+    pushes: dict[str, list[int]] = {}
     for row, cells in enumerate(lines[1:]):
         if not cells:
             continue
         if len(cells) != len(header):
             raise DatasetError(f"{where}, row {row}: has {len(cells)} cells, the header {len(header)}")
-        rows.append(
-            [_cell(cell, f"{where}, row {row}, {name}") for cell, name in zip(cells, header, strict=True)]
+        push = "" if push_place is None else cells[push_place].strip()
+        if push_place is not None and not push:
+            raise DatasetError(
+                f"{where}, row {row}: its {PUSH_COLUMN} is empty; say which push it belongs to"
+            )
+        pushes.setdefault(push, []).append(len(rows))
+        rows.append([_cell(cells[place], f"{where}, row {row}, {name}") for place, name in used])
+    array = np.array(rows, dtype=float).reshape(-1, len(used))
+    values = {
+        ours[name]: columns.factors[ours[name]] * array[:, place] for place, (_, name) in enumerate(used)
+    }
+    if "force_x" in values and "force_tau" not in values:
+        values["force_tau"] = np.zeros(len(array))
+    unknown = [name for name in header if name not in ours and not (name == PUSH_COLUMN or name == "")]
+    parted = {push: np.array(chosen, dtype=int) for push, chosen in (pushes or {"": []}).items()}
+    return _Table(values, parted, unknown)
+
+
+def _refuse_header(header: list[str], where: str, columns: CsvColumns) -> None:
+    absent = {name for name, theirs in columns.names.items() if theirs not in header}
+    missing = [name for name in _REQUIRED if name in absent]
+    if len(absent & set(_FORCE)) == 1:
+        missing += [name for name in _FORCE if name in absent]
+    elif _FORCE[0] in absent and _TORQUE not in absent:
+        missing += _FORCE
+    if not missing:
+        return
+    if header[:1] == ["Format Version"] or "Take Name" in header:
+        raise DatasetError(
+            f"{where}: this is an export of OptiTrack Motive, with several lines of header, quaternions and"
+            " often mm and Y up (then theta is the turn about Y, and y on the table is -Z). Write a table"
+            f" with one line of header: {columns.expected}"
         )
-    return header, np.array(rows, dtype=float).reshape(-1, len(header))
+    if len(header) == 1:
+        for sign, named in ((";", "semicolons"), ("\t", "tabs"), (None, "blanks")):
+            if len(header[0].split(sign)) > 1:
+                raise DatasetError(
+                    f"{where}: its cells are parted by {named}, not by commas; save it anew with commas"
+                    " between cells and points in numbers"
+                )
+    lacking = ", ".join(columns.names[name] for name in missing)
+    raise DatasetError(
+        f"{where}: the header {parsing.shown(','.join(header))} lacks {lacking}; {columns.expected}."
+        f" Other names and units are told under the key csv of the YAML file of --object{_further(header)}"
+    )
+
+
+def _further(header: list[str]) -> str:
+    """What else can be said of a header whose columns are of another kind."""
+    ends = {name.rsplit(".", 1)[-1].lower() for name in header}
+    said = ""
+    if {"qx", "qy", "qz", "qw"} <= ends or {"x", "y", "z", "w"} <= ends:
+        said += (
+            ". Quaternions are not read: of an object that stays level theta = 2 atan2(qz, qw), up being z"
+        )
+    if ends & {"nanosec", "nsecs", "nsec"}:
+        said += ". Time is one column: sec + 1e-9 nanosec"
+    return said
 
 
 def _cell(cell: str, where: str) -> float:

@@ -77,7 +77,8 @@ class Trial:
         object_pose: (T, 3) x, y in m and unwrapped theta in rad of the object frame in the world frame.
         tip_pose: (T, 2) centre of the finger in the world frame, m.
         ft_wrench: (T, 3) force of the finger on the object in the world frame, N, and torque about the
-            finger's axis, N·m; None where force was not measured.
+            finger's axis, N·m, which is 0 where it was not; None where force was not measured.
+        kept: whether it is to stay in its dataset whatever checks on reading find.
 
     Raises:
         DatasetError: an unknown role, a wrong number of columns, or fewer than two object poses.
@@ -94,6 +95,7 @@ class Trial:
     object_pose: Channel
     tip_pose: Channel
     ft_wrench: Channel | None = None
+    kept: bool = False
 
     def __post_init__(self) -> None:
         if self.role not in ("fit", "heldout"):

@@ -1,15 +1,25 @@
 """Reading push measurements: a folder of the format push-dataset/1, which is a dataset.yaml and one JSON file
 a push; or bare files of pushes."""
 
+import logging
 import os
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any, get_args
 
 from slipmap.models.measurements import csv_files, mit_files, parsing
 from slipmap.models.measurements.parsing import Fingerprint
-from slipmap.models.measurements.push_dataset import CHANNELS, DatasetError, PushDataset, Role, Setup, Trial
+from slipmap.models.measurements.push_dataset import (
+    CHANNELS,
+    DatasetError,
+    PushDataset,
+    Role,
+    Setup,
+    Trial,
+)
+from slipmap.models.measurements.sessions import cut_at_carries
 from slipmap.models.measurements.setup_description import SETUP_KEYS, parse_setup
 from slipmap.models.measurements.trial_checks import check_trials, json_tables, trial_from_tables
 from slipmap.models.progress import StageProgress
@@ -17,17 +27,25 @@ from slipmap.models.progress import StageProgress
 FORMAT = "push-dataset/1"
 DESCRIPTION_FILE = "dataset.yaml"
 Entry = tuple[str, Role]
+Reader = Callable[[str, Role, bytes, str], tuple[list[Trial], list[str]]]
 
+_LOG = logging.getLogger("slipmap.measurements")
 _YAML_ENDINGS = (".yaml", ".yml")
 _MIT_ENDINGS = mit_files.JSON_ENDINGS + mit_files.HDF5_ENDINGS
 _HELDOUT_SHARE = 4
+_MOST_NAMED = 5  # files that one warning names
 _KINDS = (
     "a push dataset (a folder with a dataset.yaml), MIT push files (.json, .h5, .hdf5) or CSV files (.csv)"
 )
 
 
 def read_dataset(
-    path: str | os.PathLike[str], *, object_name: str | None = None, progress: StageProgress | None = None
+    path: str | os.PathLike[str],
+    *,
+    object_name: str | None = None,
+    progress: StageProgress | None = None,
+    keep_all: bool = False,
+    tell: Callable[[str], object] = _LOG.warning,
 ) -> PushDataset:
     """Read push measurements.
 
@@ -39,13 +57,20 @@ def read_dataset(
     - CSV files, one or a folder of them; see `csv_files` for the columns. The force is that of the finger on
       the object already.
 
-    MIT and CSV files say nothing of roles: in sorted order the last quarter (rounded down) is heldout.
+    MIT and CSV files say nothing of roles: in sorted order the last quarter (rounded down) is heldout. A file
+    in which the object is carried while the finger is away is cut into its pushes there.
+
+    What does not fit is told, and kept in the dataset's `warnings`. Single pushes whose geometry is off while
+    that of the others fits are left out; what is common to all stays, for `diagnose`.
 
     Args:
         object_name: what was pushed, for MIT and CSV files: a shape of the MIT dataset (rect1, hex, ...; with
             its mass and the 4.75 mm finger) or a YAML file with the keys object, finger and, if wanted, name,
             description, table, gravity, noise of a dataset.yaml, and csv, see `parse_columns`.
         progress: called after each trial with the number read and the number of all.
+        keep_all: leave no push out; of a push dataset, `keep: true` or `keep: false` beside a file in its
+            `trials` forces either for that push.
+        tell: called with each warning; Python's logging by default, which shows it.
 
     Raises:
         DatasetError: for every fault in the files, naming file, trial and row.
@@ -59,6 +84,15 @@ def read_dataset(
         ...     [trial.name for trial in slipmap.read_dataset(path).trials]
         ['trials/000.json', 'trials/001.json']
     """
+    dataset = _read(path, object_name, progress, keep_all)
+    for warning in dataset.warnings:
+        tell(warning)
+    return dataset
+
+
+def _read(
+    path: str | os.PathLike[str], object_name: str | None, progress: StageProgress | None, keep_all: bool
+) -> PushDataset:
     source = Path(path)
     try:
         if not source.exists():
@@ -66,12 +100,12 @@ def read_dataset(
         is_folder = source.is_dir()
         description = source / DESCRIPTION_FILE if is_folder else source
         if not (description.exists() if is_folder else _is(source, _YAML_ENDINGS)):
-            return _read_files(source, object_name, progress)
+            return _read_files(source, object_name, progress, keep_all)
         if object_name is not None:
             raise DatasetError(
                 f"{description}: a push dataset describes its object itself; name none beside it"
             )
-        return _read_push_format(description, progress)
+        return _read_push_format(description, progress, keep_all)
     except OSError as error:
         raise DatasetError(f"{str(path)!r} cannot be read ({error})") from None
 
@@ -94,20 +128,34 @@ def _assembled(
     source: Path,
     folder: Path,
     entries: Sequence[Entry],
-    read: Callable[[str, Role, bytes, str], tuple[Trial, list[str]]],
+    read: Reader,
     progress: StageProgress | None,
+    keep: Callable[[Trial], bool | None],
+    assign: Callable[[list[Trial]], list[Trial]] | None = None,
 ) -> PushDataset:
-    """Dataset of files in a folder; each is read by its name, role, content and path."""
-    trials = []
+    """Dataset of files in a folder; each is read by its name, role, content and path.
+
+    `keep` says whether a trial stays whatever the checks say, goes, or is judged (None). `assign` gives roles
+    to all trials where files may hold several pushes.
+    """
+    trials: list[Trial] = []
+    found: list[tuple[str, str, str]] = []
     for index, (name, role) in enumerate(entries):
         content = parsing.read_bytes(folder / name)
         fingerprint.add(name, content)
-        trial, doubts = read(name, role, content, str(folder / name))
-        trials.append(trial)
-        warnings += doubts
+        pushes, doubts = read(name, role, content, str(folder / name))
+        if assign is not None:
+            pushes, cuts = cut_at_carries(setup, pushes, str(folder / name))
+            doubts = doubts + cuts
+        trials += pushes
+        found += [(f"{folder / name}", name, doubt) for doubt in doubts]
         if progress is not None:
             progress(index + 1, len(entries))
-    warnings += check_trials(setup, trials, str(source))
+    if assign is not None:
+        trials = assign(trials)
+    trials, doubts = check_trials(setup, trials, str(source), keep)
+    trials = [replace(trial, kept=True) if keep(trial) else trial for trial in trials]
+    warnings += _gathered(found) + doubts
     return PushDataset(
         **vars(setup),
         trials=tuple(trials),
@@ -116,10 +164,26 @@ def _assembled(
     )
 
 
+def _gathered(found: Sequence[tuple[str, str, str]]) -> list[str]:
+    """Doubts about files of these paths and names, one a kind: files that share it are named in one text."""
+    kinds: dict[str, list[tuple[str, str, str]]] = {}
+    for path, name, doubt in found:
+        place, _, fault = doubt.removeprefix(path).partition(": ")
+        kinds.setdefault(fault, []).append((name + place, fault, doubt))
+    texts = []
+    for alike in kinds.values():
+        if len(alike) == 1:
+            texts.append(alike[0][2])
+        else:
+            more = f" and {len(alike) - _MOST_NAMED} more" if len(alike) > _MOST_NAMED else ""
+            texts.append(f"{'; '.join(place for place, _, _ in alike[:_MOST_NAMED])}{more}: {alike[0][1]}")
+    return texts
+
+
 # A folder of the format push-dataset/1.
 
 
-def _read_push_format(description: Path, progress: StageProgress | None) -> PushDataset:
+def _read_push_format(description: Path, progress: StageProgress | None, keep_all: bool) -> PushDataset:
     where = str(description)
     content, document = parsing.read_yaml(description, where)
     check_format(document, where)
@@ -127,12 +191,18 @@ def _read_push_format(description: Path, progress: StageProgress | None) -> Push
     warnings += parsing.unknown_keys(document, ("format", "trials", *SETUP_KEYS), where)
     fingerprint = Fingerprint()
     fingerprint.add(DESCRIPTION_FILE, content)
-    entries = _entries(document, description.parent, where, warnings)
+    entries, forced = _entries(document, description.parent, where, warnings)
     folder = description.parent
-    return _assembled(setup, fingerprint, warnings, description, folder, entries, _read_record, progress)
+    return _assembled(
+        setup, fingerprint, warnings, description, folder, entries, _one(_read_record), progress,
+        keep=lambda trial: forced.get(trial.name, True if keep_all else None),
+    )  # fmt: skip
 
 
-def _entries(document: dict[str, Any], folder: Path, where: str, warnings: list[str]) -> list[Entry]:
+def _entries(
+    document: dict[str, Any], folder: Path, where: str, warnings: list[str]
+) -> tuple[list[Entry], dict[str, bool]]:
+    """The trials of a description, and what it says about keeping some of them."""
     listed = parsing.required(
         document, "trials", where, "list the trials, [{file: trials/000.json, role: fit}]"
     )
@@ -141,10 +211,11 @@ def _entries(document: dict[str, Any], folder: Path, where: str, warnings: list[
             f"{where}: trials must be a list of one or more entries, got {parsing.shown(listed)}"
         )
     entries: list[Entry] = []
+    forced: dict[str, bool] = {}
     files: dict[Path, int] = {}
     for row, value in enumerate(listed):
         place = f"{where}: trials, row {row}"
-        entry = parsing.section(value, ("file", "role"), place, warnings)
+        entry = parsing.section(value, ("file", "role", "keep"), place, warnings)
         name = parsing.text(parsing.required(entry, "file", place, "name the trial's file"), f"{place}: file")
         role = entry.get("role", "fit")
         if role not in get_args(Role):
@@ -153,8 +224,15 @@ def _entries(document: dict[str, Any], folder: Path, where: str, warnings: list[
         if file in files:
             raise DatasetError(f"{place}: {name} is listed twice (first in row {files[file]}); list it once")
         files[file] = row
+        if "keep" in entry:
+            if not isinstance(entry["keep"], bool):
+                raise DatasetError(
+                    f"{place}: keep must be true or false, got {parsing.shown(entry['keep'])}; leave it out"
+                    " to have the push judged"
+                )
+            forced[name] = entry["keep"]
         entries.append((name, role))
-    return entries
+    return entries, forced
 
 
 def _inside(folder: Path, name: str, where: str) -> Path:
@@ -180,25 +258,42 @@ def _read_record(name: str, role: Role, content: bytes, where: str) -> tuple[Tri
 # Bare files of pushes, whose object is named or described elsewhere.
 
 
-def _read_files(source: Path, object_name: str | None, progress: StageProgress | None) -> PushDataset:
+def _read_files(
+    source: Path, object_name: str | None, progress: StageProgress | None, keep_all: bool
+) -> PushDataset:
     files = _record_files(source) if source.is_dir() else [source]
     fingerprint = Fingerprint()
-    read: Callable[[str, Role, bytes, str], tuple[Trial, list[str]]]
+    read: Reader
     if _is(files[0], csv_files.CSV_ENDINGS):
         setup, warnings, columns = _setup(object_name, None, source, fingerprint)
-        read = partial(csv_files.read_csv_trial, columns=columns)
+        read = partial(csv_files.read_csv_trials, columns=columns)
     elif _is(files[0], _MIT_ENDINGS):
         _refuse_part_of_a_dataset(files[0])
         setup, warnings, _ = _setup(object_name, mit_files.named_shape(files), source, fingerprint)
         warnings += mit_files.surface_warnings(files)
-        read = mit_files.read_mit_trial
+        read = _one(mit_files.read_mit_trial)
     else:
         raise DatasetError(f"{source}: a file of another kind; wanted is {_KINDS}")
-    learned = len(files) - len(files) // _HELDOUT_SHARE
-    entries: list[Entry] = [
-        (file.name, "fit" if index < learned else "heldout") for index, file in enumerate(files)
-    ]
-    return _assembled(setup, fingerprint, warnings, source, files[0].parent, entries, read, progress)
+    entries: list[Entry] = [(file.name, "fit") for file in files]
+    return _assembled(
+        setup, fingerprint, warnings, source, files[0].parent, entries, read, progress,
+        keep=lambda trial: True if keep_all else None, assign=_last_held_out,
+    )  # fmt: skip
+
+
+def _one(read: Callable[[str, Role, bytes, str], tuple[Trial, list[str]]]) -> Reader:
+    """A reader of files that hold one push."""
+
+    def read_all(name: str, role: Role, content: bytes, where: str) -> tuple[list[Trial], list[str]]:
+        trial, doubts = read(name, role, content, where)
+        return [trial], doubts
+
+    return read_all
+
+
+def _last_held_out(trials: list[Trial]) -> list[Trial]:
+    learned = len(trials) - len(trials) // _HELDOUT_SHARE
+    return trials[:learned] + [replace(trial, role="heldout") for trial in trials[learned:]]
 
 
 def _is(file: Path, endings: tuple[str, ...]) -> bool:

@@ -2,16 +2,27 @@
 cannot be used is refused, what looks wrong is said."""
 
 import hashlib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import shapely
 from numpy.typing import NDArray
 
-from slipmap.models.geometry import placed, seen_from
+from slipmap.models.geometry import placed
 from slipmap.models.measurements import parsing
+from slipmap.models.measurements.bad_rows import sound_rows
+from slipmap.models.measurements.contact import (
+    CALIBRATION_ERROR,
+    ContactRows,
+    common_cause,
+    contact_rows,
+    force_complaint,
+    gaps,
+)
 from slipmap.models.measurements.push_dataset import CHANNELS, Channel, DatasetError, Role, Setup, Trial
+from slipmap.models.measurements.sessions import carried_text, carries
 from slipmap.models.physics.cell_grid import FloatArray
 
 COLUMNS = 4
@@ -23,7 +34,6 @@ _LONGEST_PUSH = 1000.0  # s
 _SHORTEST_STEP = 1e-9  # s
 _WHOLE_TURN = 2.0 * np.pi
 
-_CALIBRATION_ERROR = 3e-3  # m; good laboratories have 2 mm
 _LARGEST_SPEED = 10.0  # m/s
 _SPEED_WINDOW = 0.1  # s; time stamps jitter too much for row by row speeds
 _SLOWEST_RATE = 2.0  # s between rows
@@ -33,6 +43,15 @@ _EARLY_END = 0.1  # s
 _SLOW_TIP = 5e-3  # m/s
 _THROUGH = 0.01  # m
 _MOST_ROWS = 500  # of a track that are compared with the outline
+_LONERS = 10  # one push in so many may be left out, or one,
+_FEWEST_TRIALS = 5  # of so many or more
+_ALONE = 1.5  # times as deep as the others
+
+_PULLS = (
+    "the force points against the finger's way, as if it pulled; ft_wrench is the force of the finger on the"
+    " object, is it given the other way round?"
+)
+_FORCED = "`keep: true` beside its file in dataset.yaml, or keep_all=True in Python, has it stay"
 
 
 def json_tables(record: Mapping[str, Any], where: str) -> dict[str, FloatArray]:
@@ -49,8 +68,9 @@ def trial_from_tables(
 ) -> tuple[Trial, list[str]]:
     """Trial of the tables `object_pose`, `tip_pose` and, where measured, `ft_wrench`.
 
-    Rows in which a used column is NaN are dropped; theta is unwrapped over the rest. An empty `ft_wrench`
-    counts as not measured.
+    Rows in which a used column is NaN are dropped, and so are rows of a tracker that cannot be true, see
+    `sound_rows`; theta is unwrapped over the rest. The torque of `ft_wrench` counts as 0 where it is NaN. An
+    empty `ft_wrench` counts as not measured.
 
     Args:
         tables: rows (T, 4) of t, x, y, theta or t, fx, fy, tau; the theta of the tip is not used.
@@ -65,17 +85,23 @@ def trial_from_tables(
     for required in ("object_pose", "tip_pose"):
         if required not in tables:
             raise DatasetError(f"{where}: `{required}` is missing; a trial needs object_pose and tip_pose")
-    pose = _channel(tables, "object_pose", where)
+    pose, rows = _channel(tables, "object_pose", where)
     warnings = _degrees(pose, where)
-    pose = Channel(pose.time, np.column_stack([pose.values[:, :2], unwrapped(pose.values[:, 2])]))
-    tip = _channel(tables, "tip_pose", where)
+    if warnings:  # then what looks like half a turn is half a degree
+        pose = Channel(pose.time, np.column_stack([pose.values[:, :2], unwrapped(pose.values[:, 2])]))
+    else:
+        pose, warnings = _sound(pose, rows, f"{where}, object_pose")
+        pose = Channel(pose.time, np.column_stack([pose.values[:, :2], unwrapped(pose.values[:, 2])]))
+    tip, rows = _channel(tables, "tip_pose", where)
+    tip, doubts = _sound(tip, rows, f"{where}, tip_pose")
+    warnings += doubts
     lasts = float(pose.time[-1] - pose.time[0])
     if lasts > _LONGEST_PUSH:
         raise DatasetError(
             f"{where}, object_pose: lasts {lasts:.6g} s, the longest push may last {_LONGEST_PUSH:g} s;"
             " times are in s, were these milliseconds? Cut a long recording into its pushes"
         )
-    wrench = _channel(tables, "ft_wrench", where) if len(tables.get("ft_wrench", ())) else None
+    wrench = _channel(tables, "ft_wrench", where)[0] if len(tables.get("ft_wrench", ())) else None
     if len(pose.time) < 2:
         raise DatasetError(f"{where}, object_pose: one usable row; a trial needs a first and a last pose")
     return Trial(name, role, pose, tip, wrench), warnings
@@ -90,28 +116,165 @@ def unwrapped(angle: FloatArray) -> FloatArray:
     return result
 
 
-def check_trials(setup: Setup, trials: Sequence[Trial], where: str) -> list[str]:
-    """Warnings of a dataset's trials, one a kind of fault, each naming its trials.
+def check_trials(
+    setup: Setup,
+    trials: Sequence[Trial],
+    where: str,
+    keep: Callable[[Trial], bool | None] = lambda trial: None,
+) -> tuple[list[Trial], list[str]]:
+    """The trials that stay, and warnings, one a kind of fault, each naming its trials.
+
+    What is off in all pushes alike is told and kept: an effect may explain it. Single pushes that are off
+    while the others fit are left out.
+
+    Args:
+        keep: True for a trial that stays whatever is found, False for one that goes, None to judge it.
 
     Raises:
-        DatasetError: two equal trials, channels without a common time, or a finger that starts inside the
-            object by more than 3 mm and three standard deviations of the sensors.
+        DatasetError: two equal files, channels without a common time, or pushes in which the object is
+            carried about while the finger is away.
     """
-    _refuse_copies(trials, where)
+    chosen = [trial for trial in trials if keep(trial) is not False]
+    if not chosen:
+        raise DatasetError(f"{where}: every trial says `keep: false`; one push is the least")
+    warnings = _copies(chosen, where)
     found: dict[str, list[str]] = {}
-    for trial in trials:
+    for trial in chosen:
         for fault in _faults(setup, trial, where):
             found.setdefault(fault, []).append(trial.name)
-    warnings = [f"{_listed(names)}: {fault}" for fault, names in found.items()]
-    if not any(trial.role == "fit" for trial in trials):
+    seen = []
+    for trial in chosen:
+        # A frozen tracker and degrees for rad are told already; what follows from them is not.
+        if not _stands_still(setup, trial) and not _degrees(trial.object_pose, ""):
+            rows = contact_rows(setup, trial)
+            seen += [rows] if rows is not None else []
+    odd, told, frame_wrong = _judged(setup, chosen, seen, where, lambda trial: bool(keep(trial)))
+    complaint = None if frame_wrong else force_complaint(setup, seen)
+    if complaint is not None:
+        found.pop(_PULLS, None)  # of which that is the cause
+        told.append(f"{where}: {complaint}")
+    warnings += [f"{_listed(names)}: {fault}" for fault, names in found.items()] + told
+    chosen = [trial for trial in chosen if trial.name not in odd]
+    if not any(trial.role == "fit" for trial in chosen):
         warnings.append(f"{where}: every trial is heldout; there is nothing to learn from")
-    return warnings
+    return chosen, warnings
 
 
-def _channel(tables: Mapping[str, FloatArray], name: str, where: str) -> Channel:
+def _judged(
+    setup: Setup,
+    trials: Sequence[Trial],
+    pushes: Sequence[ContactRows],
+    where: str,
+    stays: Callable[[Trial], bool],
+) -> tuple[set[str], list[str], bool]:
+    """Names of trials to leave out, what is said of them and of all, and whether the object's frame is wrong.
+
+    A push is left out where its finger goes deeper than calibration allows after what is common to all is
+    taken off, or where the object is carried, while that is so in at most a tenth of the pushes.
+    """
+    carried = {trial.name: found[0] for trial in trials if (found := carries(setup, trial))}
+    few = max(1, len(trials) // _LONERS) if len(trials) >= _FEWEST_TRIALS else 0
+    fit = {trial.name for trial in trials if trial.role == "fit"}
+    faults = {name: carried_text(carry) for name, carry in carried.items()}
+    limit = CALIBRATION_ERROR + 3.0 * float(np.hypot(setup.noise.position or 0.0, setup.noise.tip or 0.0))
+    deep = [rows for rows in pushes if rows.depth > limit or -rows.gap[0] > limit]
+    warnings = []
+    frame_wrong = False
+    if faults and (len(faults) > few or (fit and fit <= set(faults))):
+        for trial in trials:
+            # Where the finger goes into the object too, the frames are wrong, and it may not be away.
+            if trial.name in faults and not stays(trial) and not deep:
+                raise DatasetError(
+                    f"{where}: {trial.name}: {faults[trial.name]}; cut the recording into its pushes"
+                )
+        first, *others = faults
+        more = f" (and {len(others)} more pushes)" if others else ""
+        warnings.append(
+            f"{first}{more}: {faults[first]}; is it a recording of several pushes, or a frame wrong?"
+        )
+        faults = {}
+    if deep:
+        cause = common_cause(setup, pushes)
+        fixed = (
+            pushes if cause is None else [replace(rows, gap=cause.applied(setup, rows)) for rows in pushes]
+        )
+        left = [rows for rows in fixed if rows.depth > limit]
+        if cause is not None and len(left) <= len(deep) / 2:
+            frame_wrong = cause.kind in ("sign", "turn")
+            warnings.append(
+                f"{_listed([rows.trial.name for rows in deep])}: {_deep_text(deep, len(pushes))};"
+                f" it would be {_depth_text(fixed)} but for one thing: {cause.text}"
+            )
+            pushes, deep = fixed, left
+        else:
+            cause = None
+        usual = max((rows.depth for rows in pushes if rows not in deep), default=0.0)
+        alone = [rows for rows in deep if max(rows.depth, -rows.gap[0]) > _ALONE * usual]
+        alone = [rows for rows in alone if rows.trial.name not in faults]
+        gone = {rows.trial.name for rows in alone} | set(faults)
+        if len(deep) + len(faults) <= few and not (fit and fit <= gone):
+            for rows in alone:
+                verb, where_ = ("starts", "inside") if _from_start(rows) else ("goes", "into")
+                faults[rows.trial.name] = (
+                    f"the finger {verb} {_depth_text(alone)} {where_} the object, while it fits in"
+                    f" {len(pushes) - len(deep)} of {len(pushes)} pushes"
+                )
+            deep = [rows for rows in deep if rows not in alone]
+        if deep and cause is None:
+            warnings.append(
+                f"{_listed([rows.trial.name for rows in deep])}: {_deep_text(deep, len(pushes))}: is theta's"
+                " sign, the frame, the clock or the finger's point right, and finger.radius and the outline?"
+            )
+    odd = {trial.name for trial in trials if trial.name in faults and not stays(trial)}
+    for end, names in (
+        (f"left out; {_FORCED}", [name for name in faults if name in odd]),
+        ("kept, as was asked for", [name for name in faults if name not in odd]),
+    ):
+        kinds: dict[str, list[str]] = {}
+        for name in names:
+            kinds.setdefault(faults[name], []).append(name)
+        warnings += [f"{_listed(alike)}: {fault}; {end}" for fault, alike in kinds.items()]
+    return odd, warnings, frame_wrong
+
+
+def _deep_text(deep: Sequence[ContactRows], count: int) -> str:
+    at_start = sum(_from_start(rows) for rows in deep) > len(deep) / 2
+    of_all = f"{len(deep)} of {count} pushes"
+    if at_start:
+        return f"the finger starts {_depth_text(deep)} inside the object in {of_all}"
+    return f"the finger goes {_depth_text(deep)} into the object during {of_all}"
+
+
+def _from_start(rows: ContactRows) -> bool:
+    return bool(-rows.gap[0] > 0.8 * rows.deepest)
+
+
+def _depth_text(pushes: Sequence[ContactRows]) -> str:
+    depth = 1e3 * max(0.0, float(np.median([rows.deepest for rows in pushes])))
+    return f"{depth:.0f} mm" if depth > 9.5 else f"{depth:.1f} mm"
+
+
+def _sound(channel: Channel, rows: NDArray[np.int_], where: str) -> tuple[Channel, list[str]]:
+    """A tracker's channel without the rows that cannot be true, and what was wrong with them."""
+    kept, found, stays = sound_rows(channel.time, channel.values)
+    warnings = [
+        f"{where}, row{'s' if len(bad) > 1 else ''} {_listed([str(rows[row]) for row in bad])}:"
+        f" {fault}; left out"
+        for fault, bad in found.items()
+    ]
+    if stays:
+        warnings.append(f"{where}: {stays}; is that true, or does the tracker's frame jump?")
+    return Channel(channel.time[kept], channel.values[kept]), warnings
+
+
+def _channel(tables: Mapping[str, FloatArray], name: str, where: str) -> tuple[Channel, NDArray[np.int_]]:
+    """A channel, and which rows of the table it has."""
     where = f"{where}, {name}"
     columns = len(CHANNELS[name])
     rows = tables[name][:, : columns + 1]
+    if name == "ft_wrench":  # the torque may be missing: nothing that is learnt goes by it
+        measured = np.isfinite(rows[:, :3]).all(axis=1)
+        rows = np.column_stack([rows[:, :3], np.where(measured & np.isnan(rows[:, 3]), 0.0, rows[:, 3])])
     if len(rows) == 0:
         raise DatasetError(f"{where}: has no rows; the trial is empty, take it out of the dataset")
     _refuse(np.isinf(rows), rows, where, "is infinite; write NaN where a sensor dropped out")
@@ -131,7 +294,7 @@ def _channel(tables: Mapping[str, FloatArray], name: str, where: str) -> Channel
             f"{where}, row {row}: time {time[late[0] + 1]} s {what} that of row {before}, {time[late[0]]} s;"
             " sort the rows and leave repeated ones out"
         )
-    return Channel(time, rows[kept, 1:])
+    return Channel(time, rows[kept, 1:]), kept
 
 
 def _refuse(bad: NDArray[np.bool_], rows: FloatArray, where: str, complaint: str) -> None:
@@ -172,15 +335,11 @@ def _faults(setup: Setup, trial: Trial, where: str) -> Iterator[str]:
     if _stands_still(setup, trial):
         yield "the object's pose never changes though the finger goes through it; was the tracker frozen?"
     if moved and _pulls(setup, trial):
-        yield (
-            "the force points against the finger's way, as if it pulled; ft_wrench is the force of the finger"
-            " on the object, is it given the other way round?"
-        )
+        yield _PULLS
     _refuse_foreign_clocks(trial, where)
-    _refuse_finger_inside(setup, trial, where)
     if _fastest(trial.tip_pose) > _LARGEST_SPEED:
         yield f"the tip moves faster than {_LARGEST_SPEED:g} m/s; are positions in m and times in s?"
-    if moved and _clearance(setup, trial) > _TOUCH_RADII * setup.finger_radius + _CALIBRATION_ERROR:
+    if moved and _clearance(setup, trial) > _TOUCH_RADII * setup.finger_radius + CALIBRATION_ERROR:
         yield "the object moves, but the tip never touches its outline; is one of them in a wrong frame?"
     if _ends_early(trial):
         yield "the tip's rows end while it still moves; it is held at its last position from there on"
@@ -190,8 +349,7 @@ def _stands_still(setup: Setup, trial: Trial) -> bool:
     """Whether not a digit of the pose changes, and the finger's rim goes 10 mm and more into the object."""
     if len(trial.object_pose.time) < 3 or np.ptp(trial.object_pose.values, axis=0).any():
         return False
-    deepest = float(np.min(_signed_distance(setup, trial.tip_pose.values, trial, trial.start)))
-    return deepest < setup.finger_radius - _THROUGH
+    return bool(np.min(gaps(setup, trial.tip_pose.values, trial.object_pose.values[0])) < -_THROUGH)
 
 
 def _pulls(setup: Setup, trial: Trial) -> bool:
@@ -206,18 +364,23 @@ def _pulls(setup: Setup, trial: Trial) -> bool:
     return bool(work.sum() < -0.5 * (size[1:] * np.hypot(*step.T))[pushing].sum()) if len(work) else False
 
 
-def _refuse_copies(trials: Sequence[Trial], where: str) -> None:
+def _copies(trials: Sequence[Trial], where: str) -> list[str]:
+    """Warnings of equal pushes in one file; those in two files are refused."""
     seen: dict[bytes, str] = {}
+    warnings = []
     for trial in trials:
         digest = hashlib.sha256()
         for channel in trial.channels.values():
             digest.update(np.round(channel.time - trial.start, 6).tobytes())
             digest.update(channel.values.tobytes())
         first = seen.setdefault(digest.digest(), trial.name)
-        if first != trial.name:
-            raise DatasetError(
-                f"{where}: {trial.name} holds the same measurement as {first}; a push counts once, remove one"
-            )
+        if first == trial.name:
+            continue
+        fault = f"{where}: {trial.name} holds the same measurement as {first}; a push counts once"
+        if "#" not in first or first.rpartition("#")[0] != trial.name.rpartition("#")[0]:
+            raise DatasetError(f"{fault}, remove one")
+        warnings.append(f"{fault}, is one a copy?")
+    return warnings
 
 
 def _refuse_foreign_clocks(trial: Trial, where: str) -> None:
@@ -230,18 +393,6 @@ def _refuse_foreign_clocks(trial: Trial, where: str) -> None:
                 f" {channel.time[-1]:.3f} s, those of object_pose from {first:.3f} to {last:.3f} s; stamp all"
                 " channels with one clock"
             )
-
-
-def _refuse_finger_inside(setup: Setup, trial: Trial, where: str) -> None:
-    depth = setup.finger_radius - float(
-        _signed_distance(setup, trial.tip_pose.at([trial.start]), trial, trial.start)[0]
-    )
-    noise = np.hypot(setup.noise.position or 0.0, setup.noise.tip or 0.0)
-    if depth > _CALIBRATION_ERROR + 3.0 * noise:
-        raise DatasetError(
-            f"{where}: {trial.name}, row 0: the finger starts {1e3 * depth:.1f} mm inside the object; check"
-            " finger.radius, the outline, the frames of object_pose and tip_pose, and that theta is in rad"
-        )
 
 
 def _moved(setup: Setup, trial: Trial) -> bool:
@@ -261,16 +412,7 @@ def _clearance(setup: Setup, trial: Trial) -> float:
         return float(min(track.distance(outline) for outline in outlines)) - setup.finger_radius
     chosen = np.unique(np.linspace(0, len(trial.tip_pose.time) - 1, _MOST_ROWS).astype(int))
     tips = trial.tip_pose.values[chosen]
-    distance = _signed_distance(setup, tips, trial, trial.tip_pose.time[chosen])
-    return float(np.min(distance)) - setup.finger_radius
-
-
-def _signed_distance(setup: Setup, tips: FloatArray, trial: Trial, times: FloatArray | float) -> FloatArray:
-    """(k,) distance of world points (k, 2) to the object's rim at the given times, negative inside, m."""
-    poses = np.broadcast_to(trial.object_pose.at(times), (len(tips), 3))
-    points = shapely.points(seen_from(tips, poses))
-    rim = shapely.distance(setup.grid.polygon.boundary, points)
-    return np.where(shapely.contains(setup.grid.polygon, points), -rim, rim)
+    return float(np.min(gaps(setup, tips, trial.object_pose.at(trial.tip_pose.time[chosen]))))
 
 
 def _fastest(channel: Channel) -> float:

@@ -108,7 +108,10 @@ def _rows(channel: Channel) -> list[list[float]]:
 
 def _description_text(dataset: PushDataset, names: list[str]) -> str:
     """The dataset.yaml of a dataset whose trials have these names."""
-    trials = [{"file": name, "role": trial.role} for name, trial in zip(names, dataset.trials, strict=True)]
+    trials = [
+        {"file": name, "role": trial.role, **({"keep": True} if trial.kept else {})}
+        for name, trial in zip(names, dataset.trials, strict=True)
+    ]
     return yaml.dump(
         {"format": FORMAT, **setup_document(dataset), "trials": trials}, Dumper=_Dumper,
         sort_keys=False, allow_unicode=True, default_flow_style=None, width=110,

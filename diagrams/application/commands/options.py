@@ -184,12 +184,12 @@ def load_dataset(path: Path, object_name: str | None, progress: Progress) -> Pus
     """
     from slipmap.models.measurements import read_dataset
 
-    dataset = read_dataset(
-        path, object_name=object_name, progress=lambda done, total: progress("reading pushes", done, total)
+    return read_dataset(
+        path,
+        object_name=object_name,
+        progress=lambda done, total: progress("reading pushes", done, total),
+        tell=lambda warning: note(f"warning: {warning}"),
     )
-    for warning in dataset.warnings:
-        note(f"warning: {warning}")
-    return dataset
 
 
 # Parameters that are written though their type does not say so.

@@ -98,9 +98,14 @@ def test_faults_name_the_row_below_the_header(tmp_path, change, words):
             ["lacks t;", "expected are t, object_x, object_y, object_theta, tip_x, tip_y and"],
         ),
         (HEADER.replace("tip_x,tip_y", "finger_x,finger_y"), ["lacks tip_x, tip_y"]),
-        (HEADER.replace(",", ";"), ["commas between cells"]),
-        (HEADER.replace(",", "\t"), ["commas between cells"]),
-        (HEADER.replace("force_tau", "torque"), ["lacks force_tau", "force_x, force_y, force_tau"]),
+        (HEADER.replace(",", ";"), ["parted by semicolons", "commas between cells"]),
+        (HEADER.replace(",", "\t"), ["parted by tabs", "commas between cells"]),
+        (HEADER.replace(",", " "), ["parted by blanks", "commas between cells"]),
+        ("Format Version,1.23,Take Name,push", ["export of OptiTrack Motive", "expected are t, object_x"]),
+        (HEADER.replace("object_theta", "qx,qy,qz,qw"), ["lacks object_theta", "2 atan2(qz, qw)"]),
+        (HEADER.replace("t,", "stamp.sec,stamp.nanosec,", 1), ["lacks t", "sec + 1e-9 nanosec"]),
+        (HEADER.replace("force_y", "fy"), ["lacks force_y", "force_x, force_y, force_tau"]),
+        (HEADER.replace("force_x,force_y", "fx,fy"), ["lacks force_x, force_y"]),
         (HEADER + ",t", ["the column 't' 2 times"]),
     ],
 )
@@ -115,6 +120,49 @@ def test_an_unknown_column_is_mentioned(tmp_path):
     rows = [row + ",1.5" for row in lines()]
     warnings = read_dataset(write(tmp_path, rows, HEADER + ",humidity"), object_name="rect1").warnings
     assert len(warnings) == 1 and "'humidity' is unknown" in warnings[0]
+
+
+def test_text_in_columns_nobody_asked_for_is_ignored(tmp_path):
+    rows = [f"{row},True,push,/world" for row in lines()]
+    header = HEADER + ",in_contact,phase,phase"
+    dataset = read_dataset(write(tmp_path, rows, header), object_name="rect1")
+    assert dataset.warnings[0].count("'phase'") == 2 and "are unknown and ignored" in dataset.warnings[0]
+    assert len(dataset.warnings) == 1 and len(dataset.trials[0].object_pose.time) == 40
+    with pytest.raises(DatasetError, match="'/world' is no number"):
+        read_dataset(
+            write(tmp_path, rows, HEADER.replace("force_tau", "tau") + ",in_contact,phase,force_tau"),
+            object_name="rect1",
+        )
+
+
+@pytest.mark.parametrize("torque", ["missing", "empty", "nan"])
+def test_the_torque_is_optional(tmp_path, torque):
+    cells = [row.split(",") for row in lines()]
+    rows = [",".join(row[:8] + {"missing": [], "empty": [""], "nan": ["nan"]}[torque]) for row in cells]
+    header = ",".join(HEADER.split(",")[: 8 if torque == "missing" else 9])
+    dataset = read_dataset(write(tmp_path, rows, header), object_name="rect1")
+    force = dataset.trials[0].ft_wrench
+    assert dataset.warnings == () and len(force.time) == 40
+    np.testing.assert_array_equal(force.values[-1], [2.0, 0.1, 0.0])
+
+
+def test_a_column_push_id_parts_a_file_into_pushes(tmp_path):
+    rows = [f"{name},{row}" for push, name in enumerate(["a", "b", "c", "d"]) for row in lines(push)]
+    dataset = read_dataset(write(tmp_path, rows, "push_id," + HEADER), object_name="rect1")
+    assert [(trial.name, trial.role) for trial in dataset.trials] == [
+        ("push.csv#a", "fit"), ("push.csv#b", "fit"), ("push.csv#c", "fit"), ("push.csv#d", "heldout"),
+    ]  # fmt: skip
+    assert dataset.warnings == () and dataset.trials[2].tip_pose.values[0, 1] == 0.002
+    rows[3] = rows[3][1:]
+    with pytest.raises(DatasetError, match="row 3: its push_id is empty"):
+        read_dataset(write(tmp_path, rows, "push_id," + HEADER), object_name="rect1")
+
+
+def test_a_push_that_a_file_holds_twice_is_told(tmp_path):
+    rows = [f"{name},{row}" for name in "ab" for row in lines()]
+    dataset = read_dataset(write(tmp_path, rows, "push_id," + HEADER), object_name="rect1")
+    (warning,) = dataset.warnings
+    assert len(dataset.trials) == 2 and "push.csv#b holds the same measurement as push.csv#a" in warning
 
 
 @pytest.mark.parametrize("content", [b"", b"\xff\xfe", b"t,object_x\x00\n", b'"' + b"x" * 200_000, b"\n\n"])

@@ -110,13 +110,3 @@ def test_the_same_push_at_another_time(example):
         for row in rows:
             row[0] += 100.0
     refused(example, "trials/002.json holds the same measurement as trials/000.json")
-
-
-@pytest.mark.parametrize(("inside", "fault"), [(0.0025, False), (0.0045, True), (0.02, True), (0.08, True)])
-def test_a_finger_that_starts_inside_the_object(example, inside, fault):
-    for row in record(example)["tip_pose"]:
-        row[1] += 0.004 + inside  # the first row is 4 mm before contact
-    if fault:
-        refused(example, "trials/001.json, row 0", f"{1e3 * inside:.0f}"[0], "mm inside the object")
-    else:
-        assert read_dataset(example.write()).warnings == ()

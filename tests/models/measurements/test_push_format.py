@@ -75,7 +75,7 @@ def test_rows_with_nan_are_dropped_channel_by_channel(example):
     rows["tip_pose"][7][3] = math.nan  # theta of the tip is not used
     rows["ft_wrench"][9][3] = math.nan
     trial = read_dataset(example.write()).trials[1]
-    assert [len(c.time) for c in (trial.object_pose, trial.tip_pose, trial.ft_wrench)] == [98, 99, 49]
+    assert [len(c.time) for c in (trial.object_pose, trial.tip_pose, trial.ft_wrench)] == [98, 99, 50]
     assert rows["object_pose"][2][0] in trial.object_pose.time
     assert rows["object_pose"][3][0] not in trial.object_pose.time
 

@@ -19,7 +19,11 @@ DATASETS = [
 def test_every_shipped_dataset_is_read_without_complaint(shared_data, name):
     dataset = read_dataset(shared_data / name)
     document = yaml.safe_load((shared_data / name / "dataset.yaml").read_text())
-    assert dataset.warnings == ()
+    if name == "effects/public-latency":  # whose poses are 60 ms late, as its truth says
+        (warning,) = dataset.warnings
+        assert "poses stamped 61 ms late" in warning or "poses stamped 60 ms late" in warning
+    else:
+        assert dataset.warnings == ()
     assert [(t.name, t.role) for t in dataset.trials] == [(t["file"], t["role"]) for t in document["trials"]]
     assert len(dataset.grid) == len(document["object"]["cells"]["centers"])
     for trial in dataset.trials:

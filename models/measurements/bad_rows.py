@@ -1,0 +1,142 @@
+"""Rows of a tracker that cannot be true: exactly zero where the object is elsewhere, as receivers publish for
+what they do not see, and jumps or flips from which the next rows come back.
+
+A single pose turned by half a turn would otherwise turn every later row by a whole one when angles are
+unwrapped.
+"""
+
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+from slipmap.models.geometry import angle_between
+from slipmap.models.physics.cell_grid import FloatArray
+
+_JUMP = 0.01  # m
+_TURN = 0.5  # rad
+_FASTER = 3.0  # than nearly all other steps of the record
+_MOST_ROWS = 5  # that a jump lasts, or
+_MOST_SHARE = 0.1  # of the rows
+_END_ROWS = 2  # of a jump at an end of the record, from which nothing comes back
+_END_FACTOR = 3.0  # which must be larger
+_BLIND = 0.2  # s without a row, after which it may be anywhere
+_FEWEST_ROWS = 6  # fewer tell nothing about each other
+
+
+def sound_rows(time: FloatArray, values: FloatArray) -> tuple[NDArray[np.bool_], dict[str, list[int]], str]:
+    """Which rows can be true.
+
+    Args:
+        time: (T,) increasing, s.
+        values: (T, 2) positions, m, or (T, 3) with an angle as it was recorded, rad.
+
+    Returns:
+        (T,) whether a row is kept; what is wrong with the others, with their numbers; and a complaint about
+        jumps that stay, empty where there are none.
+    """
+    kept = np.ones(len(time), dtype=bool)
+    found: dict[str, list[int]] = {}
+    if len(time) < _FEWEST_ROWS:
+        return kept, found, ""
+    for run in _zero_runs(values):
+        kept[run] = False
+        found.setdefault("is exactly zero while the rows around it are not", []).extend(run.tolist())
+    rows = np.flatnonzero(kept)
+    jumps, stays = _jumps(time[rows], values[rows])
+    for run, words in jumps:
+        kept[rows[run]] = False
+        found.setdefault(words, []).extend(rows[run].tolist())
+    complaint = ""
+    if stays:
+        step, words = stays[0]
+        complaint = f"{words} after row {rows[step]}, t = {time[rows[step]]:.3f} s, and stays there"
+    return kept, found, complaint
+
+
+def _zero_runs(values: FloatArray) -> Iterator[NDArray[np.int_]]:
+    """Rows of zeros whose neighbours on every side lie elsewhere."""
+    zero = np.flatnonzero((values == 0.0).all(axis=1))
+    if not 0 < len(zero) < len(values) - 1:
+        return
+    for run in np.split(zero, np.flatnonzero(np.diff(zero) > 1) + 1):
+        beside = [(row, row + side) for row, side in ((run[0] - 1, -1), (run[-1] + 1, 1))]
+        inside = [(row, next_) for row, next_ in beside if 0 <= row < len(values)]
+        away = [_apart(values[row], 0.0 * values[row]) for row, _ in inside]
+        if all(step.max() > 1.0 for step in away) and (
+            len(inside) > 1 or _sudden(away[0], _step(values, *inside[0]))
+        ):
+            yield run
+
+
+def _sudden(step: FloatArray, next_: FloatArray) -> bool:
+    """Whether a step is large beside the next one; that of an object that was struck is not."""
+    return bool(((step > 1.0) & (step > _FASTER * next_)).any())
+
+
+def _step(values: FloatArray, one: int, other: int) -> FloatArray:
+    """(2,) from one row to another; 0 beyond the ends."""
+    if min(one, other) < 0 or max(one, other) >= len(values):
+        return np.zeros(2)
+    return _apart(values[one], values[other])
+
+
+def _apart(one: FloatArray, other: FloatArray) -> FloatArray:
+    """(…, 2) how far two rows are apart: of their places in 10 mm, of their angles in 0.5 rad."""
+    place = np.hypot(*np.moveaxis(one[..., :2] - other[..., :2], -1, 0)) / _JUMP
+    turn = np.abs(angle_between(one[..., 2], other[..., 2])) / _TURN if one.shape[-1] > 2 else 0.0 * place
+    return np.stack([place, turn], axis=-1)
+
+
+def _jumps(
+    time: FloatArray, values: FloatArray
+) -> tuple[list[tuple[NDArray[np.int_], str]], list[tuple[int, str]]]:
+    """Runs of rows that jump and come back, and steps after which the record stays elsewhere."""
+    step = _apart(values[1:], values[:-1])
+    speed = step / np.diff(time)[:, None]
+    usual = np.percentile(speed, 90, axis=0)
+    blind = np.diff(time) > max(_BLIND, 5.0 * float(np.median(np.diff(time))))
+    large = (step > 1.0) & (speed > _FASTER * usual) & ~blind[:, None]
+    steps = np.flatnonzero(large.any(axis=1))
+    longest = max(_MOST_ROWS, int(_MOST_SHARE * len(time)))
+    jumps: list[tuple[NDArray[np.int_], str]] = []
+    stays: list[tuple[int, str]] = []
+    done = -1
+    for place, first in enumerate(steps.tolist()):
+        if first <= done:
+            continue
+        for last in steps[place + 1 :].tolist():
+            if last - first > longest:
+                break
+            # Meanwhile the object may have gone on as it does elsewhere.
+            allowed = np.maximum(1.0, _FASTER * usual * (time[last + 1] - time[first])) / 2.0
+            if (_apart(values[last + 1], values[first]) < allowed).all():
+                jumps.append((np.arange(first + 1, last + 1), _words(step[first], "and comes back")))
+                done = last
+                break
+        else:
+            last = first
+        if done >= first:
+            continue
+        # Where nothing comes back, one or two rows at an end are taken for what is wrong.
+        beside = np.maximum(_step(values, first - 1, first), _step(values, first + 1, first + 2))
+        if not _sudden(step[first], beside):
+            continue
+        huge = bool((step[first] > _END_FACTOR).any())
+        if first < _END_ROWS and huge:
+            jumps.append((np.arange(first + 1), _words(step[first], "to what follows")))
+        elif first >= len(time) - 1 - _END_ROWS and huge:
+            jumps.append((np.arange(first + 1, len(time)), _words(step[first], "from what came before")))
+            break
+        else:
+            stays.append((first, _words(step[first], "").strip()))
+    return jumps, stays
+
+
+def _words(step: FloatArray, end: str) -> str:
+    place, turn = float(step[0] * _JUMP), float(np.degrees(step[1] * _TURN))
+    if step[1] > 1.0 and step[1] * _TURN > place:
+        near = min((90.0, 180.0), key=lambda angle: abs(angle - turn))
+        size = f"about {near:.0f}°" if abs(near - turn) < 15.0 else "far"
+        return f"theta turns by {size} {end}"
+    return f"jumps {end}" if end else f"jumps by {1e3 * place:.0f} mm"

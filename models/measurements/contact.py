@@ -1,0 +1,368 @@
+"""Does the finger touch the object where the record says? Depth of its rim in the outline over whole pushes,
+what explains it in all of them, and the angle of the force to the contact's normal."""
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+import shapely
+from numpy.typing import NDArray
+
+from slipmap.models.geometry import angle_between, compose, rotated, seen_from
+from slipmap.models.measurements.push_dataset import Setup, Trial
+from slipmap.models.physics.cell_grid import FloatArray
+
+CALIBRATION_ERROR = 3e-3  # m; good laboratories have 2 mm
+
+_MOST_ROWS = 500  # of a trial
+_NEAR = 1e-3  # m of air within which a row is one of contact
+_DEEPEST_SHARE = 0.05  # of those rows, which jitter may spoil
+_WINDOW = 0.1  # s over which speeds are taken
+_MOVING = 0.3  # of the speed that the object hardly exceeds
+_SLOWEST = 2e-3  # m/s
+_GAP_ROWS = 3.0  # usual steps without a pose, across which nothing is said
+
+# Of what may be common to all pushes.
+_MOST_TRIALS, _ROWS_EACH = 40, 25  # that are looked at
+_LARGEST_GAP, _LARGEST_DEPTH = 0.01, 0.03  # m that count
+_LARGEST_LAG = 0.15  # s
+_MOST_OF_RADIUS = 0.8  # by which a finger can be thinner than was said
+_GAIN, _GAIN_UNSIZED = 0.6, 0.75  # of the misfit may be left; without a size that is fitted
+_LEAST_GAIN = 5e-4  # m
+_AS_GOOD = 1.2  # times the least misfit, for a simpler cause
+
+_OFF_NORMAL = np.pi / 3.0  # beyond any friction of a finger
+_FEWEST_FORCES = 10  # rows
+_SOME_WRONG = 0.2  # of the rows beyond that, where something makes
+_WOULD_FIT = 0.85  # of the rows fit; of half of them it is said anyway
+
+
+def gaps(setup: Setup, tips: FloatArray, poses: FloatArray) -> FloatArray:
+    """(k,) air between the finger, at (k, 2) and the outline at poses (k, 3) or (3,), m; negative inside."""
+    return signed_distance(setup, tips, poses) - setup.finger_radius
+
+
+def signed_distance(setup: Setup, tips: FloatArray, poses: FloatArray) -> FloatArray:
+    """(k,) distance of world points (k, 2) to the object's rim, negative inside, m."""
+    points = shapely.points(seen_from(tips, np.broadcast_to(poses, (len(tips), 3))))
+    rim = shapely.distance(setup.grid.polygon.boundary, points)
+    return np.where(shapely.contains(setup.grid.polygon, points), -rim, rim)
+
+
+@dataclass(frozen=True, eq=False)
+class ContactRows:
+    """A trial at times at which finger and object are known.
+
+    Attributes:
+        trial: the push.
+        time: (k,) s.
+        tips: (k, 2) finger, m.
+        poses: (k, 3) object.
+        pressed: (k,) whether the object moves, so that the finger has to touch it, unless it coasts.
+        gap: (k,) air between them, m.
+    """
+
+    trial: Trial
+    time: FloatArray
+    tips: FloatArray
+    poses: FloatArray
+    pressed: NDArray[np.bool_]
+    gap: FloatArray
+
+    @property
+    def deepest(self) -> float:
+        """Greatest depth of the rim, m; negative where there is air."""
+        return -float(np.min(self.gap))
+
+    @property
+    def depth(self) -> float:
+        """Depth which one row in twenty of those in contact exceeds, m."""
+        if self.trial.ends_only:  # after its last row the finger may have gone on, or back
+            return max(-float(self.gap[0]), -float(self.gap[-1]) - CALIBRATION_ERROR)
+        near = np.sort(self.gap[self.gap < _NEAR])
+        if len(near) < 3:
+            return self.deepest
+        return -float(near[max(1, int(np.ceil(_DEEPEST_SHARE * len(near))))])
+
+    def chosen(self, rows: NDArray[np.int_]) -> "ContactRows":
+        """Some of the rows."""
+        return ContactRows(
+            self.trial, self.time[rows], self.tips[rows], self.poses[rows], self.pressed[rows], self.gap[rows]
+        )
+
+
+def contact_rows(setup: Setup, trial: Trial) -> ContactRows | None:
+    """The finger's rows with the poses between which they lie; None without a finger.
+
+    Where only the ends are known, these two.
+    """
+    if not trial.has_finger:
+        return None
+    pose, tip = trial.object_pose, trial.tip_pose
+    begin, end = pose.time[[0, -1]]
+    if trial.ends_only:
+        time = np.array([begin, end])
+    else:
+        time = tip.time[(tip.time >= begin) & (tip.time <= end)]
+        if len(time) < len(pose.time) / 4:
+            time = pose.time
+        time = np.concatenate([[begin], time[time > begin]])
+        time = time[np.unique(np.linspace(0, len(time) - 1, _MOST_ROWS).astype(int))]
+        after = np.clip(np.searchsorted(pose.time, time), 1, len(pose.time) - 1)
+        step = pose.time[after] - pose.time[after - 1]
+        known = (step <= _GAP_ROWS * np.median(np.diff(pose.time))) | np.isin(time, pose.time)
+        time = time[known]
+    tips, poses = tip.at(time), pose.at(time)
+    if trial.ends_only:  # of what moved, the finger mostly stops where it pushed it to
+        pressed = np.array([False, not np.array_equal(pose.values[0], pose.values[-1])])
+    else:
+        pressed = _moving(setup, trial, time)
+    return ContactRows(trial, time, tips, poses, pressed, gaps(setup, tips, poses))
+
+
+def _moving(setup: Setup, trial: Trial, time: FloatArray) -> NDArray[np.bool_]:
+    pose = trial.object_pose
+    window = max(_WINDOW, 2.0 * float(np.median(np.diff(pose.time))))
+    late = np.minimum(time + 0.5 * window, pose.time[-1])
+    early = np.maximum(time - 0.5 * window, pose.time[0])
+    step = pose.at(late) - pose.at(early)
+    reach = 0.5 * float(np.max(np.hypot(*setup.grid.exterior.T)))
+    moved = np.hypot(step[:, 0], step[:, 1]) + reach * np.abs(step[:, 2])
+    noise = np.hypot(setup.noise.position or 0.0, reach * (setup.noise.angle or 0.0))
+    speed = moved / np.maximum(late - early, 1e-9)
+    return np.asarray(
+        (speed > max(_SLOWEST, _MOVING * float(np.percentile(speed, 90)))) & (moved > 4.0 * noise)
+    )
+
+
+# What is common to all pushes.
+
+_SIZED = ("lag", "radius", "tip_offset", "tracker_offset")
+
+
+class Cause(NamedTuple):
+    """What would make the finger touch the object in all pushes."""
+
+    text: str  # a question for whom it concerns
+    kind: str  # sign, turn, lag, radius, tip_offset or tracker_offset
+    applied: Callable[[Setup, ContactRows], FloatArray]  # the gaps with it
+
+
+def _plain(setup: Setup, rows: ContactRows) -> FloatArray:
+    return gaps(setup, rows.tips, rows.poses)
+
+
+def common_cause(setup: Setup, pushes: Sequence[ContactRows]) -> Cause | None:
+    """The simplest of the known causes that makes most of depth and air disappear in all pushes, or None."""
+    places = np.unique(np.linspace(0, len(pushes) - 1, _MOST_TRIALS).astype(int))
+    thinned = [_thinned(pushes[place]) for place in places]
+    thinned = [rows for rows in thinned if len(rows.time)]
+    if not thinned:
+        return None
+    before = _misfit(setup, thinned, _plain)
+    tried = [(cause, _misfit(setup, thinned, cause.applied)) for cause in _causes(setup, thinned)]
+    least = min(misfit for _, misfit in tried)
+    for cause, misfit in tried:
+        needed = _GAIN if cause.kind in _SIZED else _GAIN_UNSIZED
+        if misfit <= _AS_GOOD * least + 1e-4 and misfit < min(needed * before, before - _LEAST_GAIN):
+            return cause
+    return None
+
+
+def _thinned(rows: ContactRows) -> ContactRows:
+    """Rows that say something: of contact, or of motion with the finger near."""
+    telling = np.flatnonzero((rows.gap < 0.0) | (rows.pressed & (rows.gap < 2.0 * _LARGEST_GAP)))
+    if len(telling) > _ROWS_EACH:
+        telling = telling[np.unique(np.linspace(0, len(telling) - 1, _ROWS_EACH).astype(int))]
+    return rows.chosen(telling)
+
+
+def _residual(rows: ContactRows, gap: FloatArray) -> FloatArray:
+    return np.clip(gap, -_LARGEST_DEPTH, np.where(rows.pressed, _LARGEST_GAP, 0.0))
+
+
+def _misfit(
+    setup: Setup, pushes: Sequence[ContactRows], applied: Callable[[Setup, ContactRows], FloatArray]
+) -> float:
+    """Mean over pushes of the rms of depth and air, m; one push counts no more than 20 mm."""
+    each = [np.sqrt(np.mean(_residual(rows, applied(setup, rows)) ** 2)) for rows in pushes]
+    return float(np.mean(np.minimum(each, 0.02)))
+
+
+def _causes(setup: Setup, pushes: Sequence[ContactRows]) -> Iterator[Cause]:
+    """Each with its best size, the simplest first."""
+
+    def posed(change: Callable[[FloatArray], FloatArray]) -> Callable[[Setup, ContactRows], FloatArray]:
+        return lambda setup, rows: gaps(setup, rows.tips, change(rows.poses))
+
+    yield Cause("is theta's sign right?", "sign", posed(lambda poses: poses * [1.0, 1.0, -1.0]))
+    for angle in (90, -90, 180):  # that is taken off
+        turn = np.array([0.0, 0.0, np.radians(angle)])
+        yield Cause(
+            f"is theta, or the outline, turned by {-angle if abs(angle) == 90 else 180}°?",
+            "turn",
+            posed(turn.__add__),
+        )
+    if not all(rows.trial.ends_only for rows in pushes):
+        yield _lag(setup, pushes)
+        (less,) = _fitted(setup, pushes, 1, _thinner_finger)
+        if less < _MOST_OF_RADIUS * setup.finger_radius:
+            yield Cause(
+                f"is finger.radius {1e3 * (setup.finger_radius - less):.1f} mm rather than"
+                f" {1e3 * setup.finger_radius:.1f} mm, or the outline too large?",
+                "radius",
+                lambda setup, rows: _thinner_finger(setup, rows, np.array([less])),
+            )
+    shift = _fitted(setup, pushes, 2, _shifted_tip)
+    yield Cause(
+        f"tip_offset {_millimetres(shift)} mm: is it the finger's point, not the flange's or the tool's, that"
+        " was recorded?",
+        "tip_offset",
+        lambda setup, rows: _shifted_tip(setup, rows, shift),
+    )
+    offset = _fitted(setup, pushes, 3, _offset_frame)
+    turned = round(float(np.degrees(offset[2])), 1) + 0.0
+    yield Cause(
+        f"the tracked frame sits at {_millimetres(offset[:2])} mm in the object's, turned by {turned:.1f}°,"
+        " which the effect tracker_offset explains: is the outline given in the tracked frame?",
+        "tracker_offset",
+        lambda setup, rows: _offset_frame(setup, rows, offset),
+    )
+
+
+def _millimetres(lengths: FloatArray) -> str:
+    return f"({', '.join(f'{round(1e3 * float(length), 1) + 0.0:g}' for length in lengths)})"
+
+
+def _lag(setup: Setup, pushes: Sequence[ContactRows]) -> Cause:
+    def late(lag: float) -> Callable[[Setup, ContactRows], FloatArray]:
+        return lambda setup, rows: gaps(setup, rows.tips, rows.trial.object_pose.at(rows.time + lag))
+
+    best = 0.0
+    for step in (0.02, 0.005, 0.001):
+        tried = best + step * np.arange(-8, 9) if step == 0.02 else best + step * np.arange(-4, 5)
+        tried = tried[np.abs(tried) <= _LARGEST_LAG + 0.02]
+        best = float(min(tried, key=lambda lag: _misfit(setup, pushes, late(float(lag)))))
+    size = f"{1e3 * abs(best):.0f} ms"
+    return Cause(
+        f"are the object's poses stamped {size} late?" if best > 0 else f"is the finger stamped {size} late?",
+        "lag",
+        late(best),
+    )
+
+
+def _thinner_finger(setup: Setup, rows: ContactRows, less: FloatArray) -> FloatArray:
+    return gaps(setup, rows.tips, rows.poses) + less[0]
+
+
+def _shifted_tip(setup: Setup, rows: ContactRows, shift: FloatArray) -> FloatArray:
+    return gaps(setup, rows.tips - shift, rows.poses)
+
+
+def _offset_frame(setup: Setup, rows: ContactRows, offset: FloatArray) -> FloatArray:
+    """Gaps where the tracked frame sits at `offset` (3,) in the object's."""
+    back = np.append(rotated(-offset[:2], -offset[2]), -offset[2])
+    return gaps(setup, rows.tips, compose(rows.poses, back))
+
+
+def _fitted(
+    setup: Setup,
+    pushes: Sequence[ContactRows],
+    count: int,
+    applied: Callable[[Setup, ContactRows, FloatArray], FloatArray],
+) -> FloatArray:
+    """Parameters (count,) of least misfit, in which pushes and rows that stand alone count little."""
+    from scipy.optimize import least_squares
+
+    scale = np.array([1e-3, 1e-3, 1e-2])[:count]
+
+    def residuals(scaled: FloatArray) -> FloatArray:
+        each = [_residual(rows, applied(setup, rows, scale * scaled)) for rows in pushes]
+        return 1e3 * np.concatenate([part / np.sqrt(len(part)) for part in each])
+
+    found = least_squares(residuals, np.full(count, 0.1), loss="soft_l1", f_scale=0.3, max_nfev=40)
+    return np.asarray(scale * found.x)
+
+
+# The force.
+
+
+def force_complaint(setup: Setup, pushes: Sequence[ContactRows]) -> str | None:
+    """What is wrong with the direction of the force on most rows, or None."""
+    pairs = [_normals_and_forces(setup, rows) for rows in pushes]
+    normal, force, theta = (np.concatenate([pair[k] for pair in pairs] or [np.zeros(0)]) for k in range(3))
+    if len(normal) < _FEWEST_FORCES:
+        return None
+    off = angle_between(force, normal)
+    wrong = float(np.mean(np.abs(off) > _OFF_NORMAL))
+    if wrong < _SOME_WRONG:
+        return None
+    best, fits = None, _WOULD_FIT
+    for words, angle in _other_frames(force, normal, theta):
+        share = float(np.mean(np.abs(angle_between(angle, normal)) < _OFF_NORMAL))
+        if share > fits + (0.05 if best else 0.0):
+            best, fits = words, share
+    if best is None and wrong < 0.5:
+        return None
+    said = (
+        f"the force points {np.degrees(np.median(np.abs(off))):.0f}° off the contact's normal in the median,"
+        f" and more than 60°, which no friction allows, on {100 * wrong:.0f} % of the rows; "
+    )
+    if best is None:
+        return (
+            f"{said}no turn or mirroring mends it; ft_wrench is the force of the finger on the object in the"
+            " world frame, is it in the sensor's or the tool's?"
+        )
+    return (
+        f"{said}{best} {100 * fits:.0f} % would fit; ft_wrench is the force of the finger on the object in"
+        " the world frame"
+    )
+
+
+def _other_frames(
+    force: FloatArray, normal: FloatArray, theta: FloatArray
+) -> Iterator[tuple[str, FloatArray]]:
+    """What may have been done to forces, the likeliest first, and their directions without it, rad."""
+    yield "with its sign turned, as the force of the object on the finger is,", force + np.pi
+    turn = -_middle(angle_between(force, normal))
+    degrees = 15.0 * round(float(np.degrees(angle_between(turn, 0.0))) / 15.0)
+    yield f"turned by about {degrees:.0f}°, as from the sensor's or the tool's frame,", force + turn
+    for words, sum_ in (
+        ("fx negated", np.pi), ("fy negated", 0.0), ("fx and fy swapped", 0.5 * np.pi),
+        ("fx and fy swapped and negated", -0.5 * np.pi),
+    ):  # fmt: skip
+        yield f"with {words}", sum_ - force
+    yield "turned by theta, as from the object's frame,", force + theta
+
+
+def _middle(angles: FloatArray) -> float:
+    """The angle that most of them are near: the mean of those within 60° of the fullest direction, rad."""
+    centers = np.radians(np.arange(-180, 180, 5))
+    near = np.abs(angle_between(angles[:, None], centers)) < _OFF_NORMAL
+    center = centers[np.argmax(near.sum(axis=0))]
+    apart = angle_between(angles, center)
+    return float(center + np.mean(apart[np.abs(apart) < _OFF_NORMAL]))
+
+
+def _normals_and_forces(setup: Setup, rows: ContactRows) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Directions of inward normal, force and object in the world while the finger presses, rad."""
+    trial = rows.trial
+    empty = (np.zeros(0), np.zeros(0), np.zeros(0))
+    if trial.ft_wrench is None or trial.ends_only:
+        return empty
+    force = trial.ft_wrench.at(rows.time)[:, :2]
+    inside = (rows.time >= trial.ft_wrench.time[0]) & (rows.time <= trial.ft_wrench.time[-1])
+    size = np.hypot(*force.T)
+    enough = max(0.3 * float(size.max(initial=0.0)), 3.0 * (setup.noise.force or 0.0))
+    distance = rows.gap + setup.finger_radius
+    used = inside & rows.pressed & (size > enough) & (np.abs(rows.gap) < 2.0 * CALIBRATION_ERROR)
+    used &= np.abs(distance) > 1e-3  # else the direction to the rim says little
+    if not used.any():
+        return empty
+    points = seen_from(rows.tips[used], rows.poses[used])
+    lines = shapely.shortest_line(shapely.points(points), setup.grid.polygon.boundary)
+    ends = shapely.get_coordinates(lines).reshape(-1, 2, 2)
+    towards = np.sign(distance[used])[:, None] * (ends[:, 1] - ends[:, 0])
+    direction = np.arctan2(towards[:, 1], towards[:, 0]) + rows.poses[used, 2]
+    return direction, np.arctan2(force[used, 1], force[used, 0]), rows.poses[used, 2]

@@ -1,0 +1,126 @@
+"""Recordings of a whole session: where the object moves while the finger is away, someone carried it."""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from slipmap.models.geometry import angle_between
+from slipmap.models.measurements.contact import gaps
+from slipmap.models.measurements.push_dataset import Channel, DatasetError, Setup, Trial
+from slipmap.models.physics.cell_grid import FloatArray
+
+_AWAY = 0.02  # m between the finger's rim and the object
+_CARRIED = 0.01  # m that the object moves meanwhile
+_SPEED = 0.015  # m/s of an object that does not rest
+_WINDOW = 0.1  # s
+_PAUSE = 0.1  # s of rest between two motions
+_BLIND = 0.2  # s without a pose, in which a motion is one of its own
+_FEWEST_ROWS = 6  # of a push
+_PUSHED = 2e-3  # m that the object moves in a push
+
+
+class Carry(NamedTuple):
+    """A motion of the object with the finger away."""
+
+    first: int  # last row at rest before it
+    last: int  # first row after it
+    distance: float  # m, or of the outline's farthest point where it turns
+    time: float  # s
+
+
+def carries(setup: Setup, trial: Trial) -> list[Carry]:
+    """Motions that begin at rest with the finger over 20 mm away, beside some that begin at the finger."""
+    pose = trial.object_pose
+    if trial.ends_only or not trial.has_finger or len(pose.time) < _FEWEST_ROWS:
+        return []
+    reach = _reach(setup)
+    middle = 0.5 * (pose.time[1:] + pose.time[:-1])
+    step = _displacement(pose.values[1:], pose.values[:-1], reach)
+    around = _displacement(pose.at(middle + 0.5 * _WINDOW), pose.at(middle - 0.5 * _WINDOW), reach)
+    steps = np.flatnonzero((step > _CARRIED) | (around > _SPEED * _WINDOW + 4.0 * _noise(setup, reach)))
+    if len(steps) == 0:
+        return []
+    pauses = pose.time[steps[1:]] - pose.time[steps[:-1] + 1]
+    blind = np.diff(pose.time)[steps] > max(_BLIND, 5.0 * float(np.median(np.diff(pose.time))))
+    runs = np.split(steps, np.flatnonzero((pauses > _PAUSE) | blind[1:] | blind[:-1]) + 1)
+    found = []
+    gap = gaps(setup, trial.tip_pose.at(pose.time), pose.values)
+    if all(gap[run[0]] > _AWAY for run in runs):
+        return []  # nothing was pushed: the finger is in another frame
+    for run in runs:
+        first, last = int(run[0]), int(run[-1]) + 1
+        moved = float(_displacement(pose.values[last], pose.values[first], reach))
+        if first > 0 and gap[first] > _AWAY and moved > _CARRIED:
+            shift = float(np.hypot(*(pose.values[last] - pose.values[first])[:2]))
+            found.append(Carry(first, last, max(shift, moved - shift), float(pose.time[first])))
+    return found
+
+
+def carried_text(carry: Carry) -> str:
+    """What happened, in words for errors and warnings."""
+    return f"the object moves {carry.distance:.1g} m while the finger is away at t = {carry.time:.1f} s"
+
+
+def cut_at_carries(setup: Setup, trials: Sequence[Trial], where: str) -> tuple[list[Trial], list[str]]:
+    """Each trial without the stretches in which the object is carried, as pushes called file#1 and on.
+
+    Raises:
+        DatasetError: nothing is left of a trial.
+    """
+    reach = _reach(setup)
+    result: list[Trial] = []
+    warnings = []
+    for trial in trials:
+        found = carries(setup, trial)
+        if not found:
+            result.append(trial)
+            continue
+        time = trial.object_pose.time
+        begins = [time[0], *(time[carry.last] for carry in found)]
+        ends = [*(time[carry.first] for carry in found), time[-1]]
+        pieces = [_between(trial, begin, end, reach) for begin, end in zip(begins, ends, strict=True)]
+        pushes = [piece for piece in pieces if piece is not None]
+        if not pushes:
+            raise DatasetError(f"{where}: {carried_text(found[0])}; cut the recording into its pushes")
+        warnings.append(
+            f"{where}: {carried_text(found[0])}"
+            + (f", and {len(found) - 1} times more" if len(found) > 1 else "")
+            + f"; the recording is cut there into {len(pushes)} pushes"
+        )
+        result += [_named(push, f"{trial.name}#{number}") for number, push in enumerate(pushes, 1)]
+    return result, warnings
+
+
+def _named(trial: Trial, name: str) -> Trial:
+    return Trial(name, trial.role, trial.object_pose, trial.tip_pose, trial.ft_wrench)
+
+
+def _between(trial: Trial, begin: float, end: float, reach: float) -> Trial | None:
+    """What was measured from `begin` to `end`; None where that is no push."""
+    channels = {name: _part(channel, begin, end) for name, channel in trial.channels.items()}
+    pose, tip = channels["object_pose"], channels["tip_pose"]
+    if pose is None or tip is None or len(pose.time) < _FEWEST_ROWS:
+        return None
+    if float(np.max(_displacement(pose.values, pose.values[0], reach))) < _PUSHED:
+        return None
+    return Trial(trial.name, trial.role, pose, tip, channels.get("ft_wrench"))
+
+
+def _part(channel: Channel, begin: float, end: float) -> Channel | None:
+    inside = (channel.time >= begin) & (channel.time <= end)
+    return Channel(channel.time[inside], channel.values[inside]) if inside.any() else None
+
+
+def _displacement(one: FloatArray, other: FloatArray, reach: float) -> FloatArray:
+    """(…) how far a point at the outline moves from one pose (…, 3) to another, m."""
+    shift = np.hypot(one[..., 0] - other[..., 0], one[..., 1] - other[..., 1])
+    return np.asarray(shift + reach * np.abs(angle_between(one[..., 2], other[..., 2])))
+
+
+def _reach(setup: Setup) -> float:
+    return float(np.max(np.hypot(*setup.grid.exterior.T)))
+
+
+def _noise(setup: Setup, reach: float) -> float:
+    return float(np.hypot(setup.noise.position or 0.0, reach * (setup.noise.angle or 0.0)))

@@ -1,0 +1,102 @@
+"""Rows that cannot be true are left out, before angles are unwrapped, and named."""
+
+import math
+
+import numpy as np
+import pytest
+from example_dataset import push_record
+from spoilt_datasets import record
+
+from slipmap.models.measurements import read_dataset
+
+
+def flip(rows, row, angle=math.pi):
+    rows[row][3] += angle
+
+
+@pytest.mark.parametrize("row", [0, 1, 40, 98, 99])
+@pytest.mark.parametrize("angle", [math.pi, -math.pi, math.pi / 2])
+def test_a_flipped_row_is_left_out_and_later_rows_turn_no_further(example, row, angle):
+    flip(record(example)["object_pose"], row, angle)
+    dataset = read_dataset(example.write())
+    (warning,) = dataset.warnings
+    shown = f"{abs(round(math.degrees(angle)))}°"
+    assert f"trials/001.json, object_pose, row {row}: theta turns by about {shown}" in warning
+    pose = dataset.trials[1].object_pose
+    assert len(pose.time) == 99
+    np.testing.assert_allclose(pose.values[:, 2], 0.2 * pose.values[:, 0], atol=1e-12)
+
+
+def test_flips_in_several_pushes_are_one_warning(example):
+    for index in range(3):
+        flip(record(example, index)["object_pose"], 30 + index)
+    (warning,) = read_dataset(example.write()).warnings
+    assert warning.startswith("trials/000.json, object_pose, row 30; trials/001.json, object_pose, row 31; ")
+
+
+@pytest.mark.parametrize("at", [[0, 1, 2], [50], [20, 21, 22, 23, 24, 25, 26, 27, 60], [97, 98, 99]])
+def test_zeros_of_an_occluded_object_are_left_out(example, at):
+    for rows in record(example).values():
+        for row in rows:
+            row[0] += 5.0
+    for key in ("object_pose", "tip_pose"):
+        for row in record(example)[key]:
+            row[1], row[2] = row[1] + 0.3, row[2] - 0.2
+    for row in at:
+        record(example)["object_pose"][row][1:] = [0.0, 0.0, 0.0]
+    dataset = read_dataset(example.write())
+    (warning,) = dataset.warnings
+    assert f"row{'s' if len(at) > 1 else ''} {at[0]}" in warning and "is exactly zero" in warning
+    assert len(dataset.trials[1].object_pose.time) == 100 - len(at)
+    assert dataset.trials[1].object_pose.values[:, 0].min() > 0.29
+
+
+def test_an_object_that_rests_at_zero_is_no_fault(example):
+    """As simulated pushes begin: here 8 rows are exactly zero before the finger arrives."""
+    assert sum(row[1:] == [0.0, 0.0, 0.0] for row in record(example)["object_pose"]) > 5
+    assert read_dataset(example.write()).warnings == ()
+
+
+@pytest.mark.parametrize("key", ["object_pose", "tip_pose"])
+@pytest.mark.parametrize("rows", [[50], [50, 51, 52]])
+def test_a_jump_and_back_is_left_out(example, key, rows):
+    for row in rows:
+        record(example)[key][row][2] += 0.04
+    dataset = read_dataset(example.write())
+    (warning,) = dataset.warnings
+    assert f"{key}, row" in warning and "jumps and comes back; left out" in warning
+    assert len(getattr(dataset.trials[1], key).time) == 100 - len(rows)
+
+
+def test_a_frame_that_turns_and_stays_is_named_and_kept(example):
+    for row in record(example)["object_pose"][60:]:
+        row[3] += math.pi / 2
+    dataset = read_dataset(example.write())
+    assert any("theta turns by about 90° after row 59" in warning for warning in dataset.warnings)
+    assert len(dataset.trials[1].object_pose.time) == 100
+
+
+def test_a_hit_is_no_jump(example):
+    """At 50 Hz an object that is struck at 0.7 m/s moves 14 mm a row, and stops as fast."""
+    rows = push_record()
+    time = np.arange(60) * 0.02
+    moved = np.clip(0.7 * (time - 0.4), 0.0, 0.14)
+    rows["object_pose"] = np.column_stack([time, moved, 0.0 * time, 4.0 * moved]).tolist()
+    rows["tip_pose"] = np.column_stack([time, 0.7 * (time - 0.4) - 0.055, 0 * time, 0 * time])[:31].tolist()
+    del rows["ft_wrench"]
+    example.records["trials/001.json"] = rows
+    dataset = read_dataset(example.write())
+    assert len(dataset.trials[1].object_pose.time) == 60
+    assert not any("left out" in warning or "stays" in warning for warning in dataset.warnings)
+
+
+@pytest.mark.parametrize("case", ["occluded_rows_are_zero", "theta_one_row_flipped"])
+def test_shared_cases_are_as_smooth_as_without_the_fault(shared_data, case):
+    folder = shared_data / "cases" / case
+    if not folder.is_dir():
+        pytest.skip(f"no {folder}")
+    dataset = read_dataset(folder)
+    assert len(dataset.warnings) == 1 and "left out" in dataset.warnings[0]
+    for trial in dataset.trials:
+        step = np.abs(np.diff(trial.object_pose.values, axis=0))
+        assert step[:, :2].max() < 0.02 and step[:, 2].max() < 0.3, trial.name

@@ -1,0 +1,189 @@
+"""Contact over whole pushes: what is common to all is named and kept, single pushes are left out."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import yaml
+from straight_pushes import RADIUS, forced, posed, reread, straight_pushes, tipped
+
+from slipmap.models.geometry import compose, rotated
+from slipmap.models.measurements import Channel, DatasetError, read_dataset, write_dataset
+
+
+def same(trial):
+    return trial
+
+
+def late(seconds):
+    return lambda trial: replace(
+        trial, object_pose=Channel(trial.object_pose.time + seconds, trial.object_pose.values)
+    )
+
+
+def test_exact_contact_is_read_without_a_word(tmp_path):
+    dataset = reread(tmp_path, straight_pushes(), same)
+    assert dataset.warnings == () and len(dataset.trials) == 12
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (posed(lambda pose: pose * [1.0, 1.0, -1.0]), ["is theta's sign right?"]),
+        (
+            posed(lambda pose: np.add(pose, [0.0, 0.0, np.pi / 2])),
+            ["is theta, or the outline, turned by", "90°?"],
+        ),
+        (tipped(lambda tip: np.add(tip, [0.006, -0.003])), ["tip_offset (6, -3) mm", "not the flange's"]),
+        (
+            posed(lambda pose: compose(pose, np.array([0.004, 0.005, 0.0]))),
+            ["tracked frame sits at (4, 5) mm in the object's", "turned by 0.0°", "effect tracker_offset"],
+        ),
+        (late(0.06), ["are the object's poses stamped 60 ms late?"]),
+    ],
+)
+def test_what_is_common_to_all_pushes_is_named_and_kept(tmp_path, change, words):
+    dataset = reread(tmp_path, straight_pushes(), change)
+    assert len(dataset.trials) == 12
+    deep = [warning for warning in dataset.warnings if "mm but for" in warning]
+    assert len(deep) == 1, dataset.warnings
+    for word in ["the object", "of 12 pushes; it would be 0.0 mm but for one thing", *words]:
+        assert word in deep[0], deep[0]
+
+
+def test_warnings_reach_python(tmp_path, caplog):
+    dataset = reread(tmp_path, straight_pushes(), tipped(lambda tip: np.add(tip, [0.006, -0.003])))
+    assert [record.getMessage() for record in caplog.records] == list(dataset.warnings)
+    assert caplog.records[0].levelname == "WARNING" and "tip_offset (6, -3) mm" in caplog.text
+    told = []
+    read_dataset(tmp_path / "pushes", tell=told.append)
+    assert told == list(dataset.warnings) and len(caplog.records) == 1
+
+
+def test_a_finger_thicker_than_it_is_and_what_nothing_explains(tmp_path):
+    thick = replace(straight_pushes(), finger_radius=RADIUS + 0.005)
+    (warning,) = reread(tmp_path, thick, same).warnings
+    assert "the finger goes 5.0 mm into the object during 12 of 12" in warning
+    assert "is finger.radius 6.1 mm rather than 11.0 mm" in warning
+
+    def scattered(trial):
+        number = int(trial.name[7:10])
+        return tipped(lambda tip: tip + 0.012 * np.array([np.cos(number**2), np.sin(number**2)]))(trial)
+
+    warnings = reread(tmp_path, straight_pushes(), scattered).warnings
+    (deep,) = [warning for warning in warnings if "the finger goes" in warning]
+    assert "is theta's sign, the frame, the clock or the finger's point right" in deep
+
+
+def test_single_pushes_are_left_out_and_can_be_kept(tmp_path):
+    deeper = tipped(lambda tip: tip + 0.3 * (tip[-1] - tip[0]) / np.hypot(*(tip[-1] - tip[0])) * 0.03)
+    dataset = reread(tmp_path, straight_pushes(), deeper, only=5)
+    (warning,) = dataset.warnings
+    assert warning.startswith(
+        "trials/005.json: the finger goes 9.0 mm into the object, while it fits in 11 of 12"
+    )
+    assert "left out; `keep: true` beside its file" in warning
+    assert len(dataset.trials) == 11 and "trials/005.json" not in [trial.name for trial in dataset.trials]
+
+    path = tmp_path / "pushes" / "dataset.yaml"
+    document = yaml.safe_load(path.read_text())
+    document["trials"][5]["keep"], document["trials"][7]["keep"] = True, False
+    path.write_text(yaml.safe_dump(document))
+    forced_ = read_dataset(path.parent)
+    names = [trial.name for trial in forced_.trials]
+    assert "trials/005.json" in names and "trials/007.json" not in names
+    assert "kept, as was asked for" in forced_.warnings[0]
+    again = read_dataset(write_dataset(forced_, tmp_path / "again"))
+    assert [trial.name for trial in again.trials] == names
+    assert len(read_dataset(write_dataset(forced_, tmp_path / "third"), keep_all=True).trials) == 11
+    document["trials"][5]["keep"] = "yes please"
+    path.write_text(yaml.safe_dump(document))
+    with pytest.raises(DatasetError, match="trials, row 5: keep must be true or false, got 'yes please'"):
+        read_dataset(path.parent)
+
+
+def test_of_few_pushes_none_is_left_out(tmp_path):
+    """Of four, one says little about the others; the last push to learn from stays in any case."""
+    deeper = tipped(lambda tip: tip + 0.3 * (tip[-1] - tip[0]) / np.hypot(*(tip[-1] - tip[0])) * 0.03)
+    assert len(reread(tmp_path, straight_pushes(4), deeper, only=1).trials) == 4
+    one_fit = straight_pushes(8)
+    trials = tuple(replace(t, role="fit" if n == 1 else "heldout") for n, t in enumerate(one_fit.trials))
+    assert len(reread(tmp_path, replace(one_fit, trials=trials), deeper, only=1).trials) == 8
+
+
+def test_a_finger_that_starts_inside_is_no_reason_to_refuse(tmp_path):
+    inside = tipped(lambda tip: tip + (tip[60] - tip[0]) / np.hypot(*(tip[60] - tip[0])) * 0.008)
+    (warning,) = reread(tmp_path, straight_pushes(), inside).warnings
+    assert "of 12 pushes" in warning and "8.0 mm" in warning
+
+
+@pytest.mark.parametrize("turned", [90, -90, 120])
+def test_a_force_in_another_frame_is_named_with_its_turn(tmp_path, turned):
+    def change(wrench):
+        return np.column_stack([rotated(wrench[:, :2], np.radians(turned)), wrench[:, 2]])
+
+    (warning,) = reread(tmp_path, straight_pushes(), forced(change)).warnings
+    assert f"on 100 % of the rows; turned by about {-turned}°" in warning
+    assert "100 % would fit; ft_wrench is the force of the finger on the object in the world" in warning
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda w: -w, "with its sign turned, as the force of the object on the finger is"),
+        (lambda w: w * [-1, 1, 1], "with fx negated"),
+        (lambda w: w * [1, -1, 1], "with fy negated"),
+        (lambda w: w[:, [1, 0, 2]], "with fx and fy swapped 100 %"),
+    ],
+)
+def test_a_force_with_other_axes_is_named(tmp_path, change, words):
+    (warning,) = reread(tmp_path, straight_pushes(), forced(change)).warnings
+    assert words in warning
+
+
+def test_a_force_in_the_objects_frame_is_named(tmp_path):
+    def change(trial):
+        theta = trial.object_pose.at(trial.ft_wrench.time)[:, 2]
+        wrench = trial.ft_wrench.values
+        turned = np.column_stack([rotated(wrench[:, :2], -theta), wrench[:, 2]])
+        return replace(trial, ft_wrench=Channel(trial.ft_wrench.time, turned))
+
+    (warning,) = reread(tmp_path, straight_pushes(), change).warnings
+    assert "turned by theta, as from the object's frame, 100 % would fit" in warning
+
+
+def test_a_force_within_friction_is_no_fault(tmp_path):
+    def change(wrench):
+        return np.column_stack([rotated(wrench[:, :2], 0.5), wrench[:, 2]])
+
+    assert reread(tmp_path, straight_pushes(), forced(change)).warnings == ()
+
+
+def case(shared_data, name):
+    folder = shared_data / "cases" / name
+    if not folder.is_dir():
+        pytest.skip(f"no {folder}")
+    return read_dataset(folder)
+
+
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        ("theta_sign_wrong_y_up", ["goes 12 mm into the object during 10 of 10", "is theta's sign right?"]),
+        ("tip_is_flange_not_finger", ["tip_offset (4, -2) mm"]),
+        ("force_in_rotated_frame", ["off the contact's normal", "turned by about -90°"]),
+    ],
+)
+def test_shared_cases_are_named(shared_data, name, words):
+    (warning,) = case(shared_data, name).warnings
+    assert all(word in warning for word in words), warning
+
+
+def test_the_reference_of_the_rotated_force_is_read_without_a_word(shared_data):
+    assert case(shared_data, "force_right_frame_reference").warnings == ()
+
+
+@pytest.mark.parametrize("kind", ["real_mit", "real_feet", "edge", "engines"])
+def test_good_measurements_have_no_warning(shared_data, kind):
+    for path in sorted(shared_data.glob(f"{kind}/*/dataset.yaml")):
+        assert read_dataset(path).warnings == (), path
