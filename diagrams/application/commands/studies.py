@@ -177,8 +177,8 @@ def calibrate(objects: int, seed: int, output: Path | None, json_file: Path | No
     """Check that 90 % intervals hold the truth 90 % of the time.
 
     Draws objects of five kinds at random, pushes them in simulation, identifies each, and counts how often
-    the truth lies inside the belief's 90 % interval. The range behind each count (95 %, Clopper and Pearson) is what
-    the true share may be, as so many objects tell it. Takes several seconds an object.
+    the truth lies inside the belief's 90 % interval. The range behind each count (95 %, Clopper and Pearson)
+    is what the true share may be, as so many objects tell it. Takes several seconds an object.
     """
     with Progress() as progress:
         prepare_kernels()

@@ -133,7 +133,10 @@ def test_calibrate_prints_draws_and_writes_coverage(slipmap, tmp_path, monkeypat
     def calibrate(*, objects, seed, progress):
         progress("objects", objects, objects)
         coverage = {"centre of mass, x": 0.88, "total friction": 0.0}
-        return SimpleNamespace(objects=objects, seed=seed, seconds=1.0, coverage=coverage, ranks=ranks)
+        by_kind = {"even": coverage}
+        return SimpleNamespace(
+            objects=objects, seed=seed, seconds=1.0, coverage=coverage, ranks=ranks, by_kind=by_kind
+        )
 
     monkeypatch.setattr(planners, "calibration", SimpleNamespace(calibrate=calibrate), raising=False)
     picture, result = tmp_path / "curves.png", tmp_path / "c.json"
@@ -143,5 +146,7 @@ def test_calibrate_prints_draws_and_writes_coverage(slipmap, tmp_path, monkeypat
     assert ["total", "friction", "0", "25", "0%", "0%", "to", "14%", "too", "narrow"] in rows
     document = json.loads(result.read_text())
     assert (document["objects"], document["seed"], document["coverage"][0]["inside"]) == (25, 3, 22)
+    assert document["by_kind"] == {"even": {"centre of mass, x": 0.88, "total friction": 0.0}}
+    assert ["even", "88%", "0%"] in rows
     np.testing.assert_allclose(document["ranks"]["centre of mass, x"], ranks["centre of mass, x"])
     assert cv2.imread(str(picture)).std() > 5
