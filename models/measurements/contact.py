@@ -153,8 +153,11 @@ def _plain(setup: Setup, rows: ContactRows) -> FloatArray:
     return gaps(setup, rows.tips, rows.poses)
 
 
-def common_cause(setup: Setup, pushes: Sequence[ContactRows]) -> Cause | None:
-    """The simplest of the known causes that makes most of depth and air disappear in all pushes, or None."""
+def common_cause(setup: Setup, pushes: Sequence[ContactRows], deep: int) -> Cause | None:
+    """The simplest of the known causes that makes most of depth and air disappear in all pushes, or None.
+
+    Where the finger is deep in one push alone, only causes without a size count: others fit anything.
+    """
     places = np.unique(np.linspace(0, len(pushes) - 1, _MOST_TRIALS).astype(int))
     thinned = [_thinned(pushes[place]) for place in places]
     thinned = [rows for rows in thinned if len(rows.time)]
@@ -164,6 +167,8 @@ def common_cause(setup: Setup, pushes: Sequence[ContactRows]) -> Cause | None:
     tried = [(cause, _misfit(setup, thinned, cause.applied)) for cause in _causes(setup, thinned)]
     least = min(misfit for _, misfit in tried)
     for cause, misfit in tried:
+        if deep < 2 and cause.kind in _SIZED:
+            continue
         needed = _GAIN if cause.kind in _SIZED else _GAIN_UNSIZED
         if misfit <= _AS_GOOD * least + 1e-4 and misfit < min(needed * before, before - _LEAST_GAIN):
             return cause

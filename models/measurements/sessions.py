@@ -85,7 +85,7 @@ def cut_at_carries(setup: Setup, trials: Sequence[Trial], where: str) -> tuple[l
             raise DatasetError(f"{where}: {carried_text(found[0])}; cut the recording into its pushes")
         warnings.append(
             f"{where}: {carried_text(found[0])}"
-            + (f", and {len(found) - 1} times more" if len(found) > 1 else "")
+            + ("" if len(found) == 1 else f" and {len(found) - 1} more time{'s' if len(found) > 2 else ''}")
             + f"; the recording is cut there into {len(pushes)} pushes"
         )
         result += [_named(push, f"{trial.name}#{number}") for number, push in enumerate(pushes, 1)]

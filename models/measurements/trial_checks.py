@@ -194,7 +194,7 @@ def _judged(
         )
         faults = {}
     if deep:
-        cause = common_cause(setup, pushes)
+        cause = common_cause(setup, pushes, len(deep))
         fixed = (
             pushes if cause is None else [replace(rows, gap=cause.applied(setup, rows)) for rows in pushes]
         )

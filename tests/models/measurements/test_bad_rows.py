@@ -76,11 +76,12 @@ def test_a_frame_that_turns_and_stays_is_named_and_kept(example):
     assert len(dataset.trials[1].object_pose.time) == 100
 
 
-def test_a_hit_is_no_jump(example):
+@pytest.mark.parametrize("way", [0.14, 0.05])
+def test_a_hit_is_no_jump(example, way):
     """At 50 Hz an object that is struck at 0.7 m/s moves 14 mm a row, and stops as fast."""
     rows = push_record()
     time = np.arange(60) * 0.02
-    moved = np.clip(0.7 * (time - 0.4), 0.0, 0.14)
+    moved = np.clip(0.7 * (time - 0.4), 0.0, way)
     rows["object_pose"] = np.column_stack([time, moved, 0.0 * time, 4.0 * moved]).tolist()
     rows["tip_pose"] = np.column_stack([time, 0.7 * (time - 0.4) - 0.055, 0 * time, 0 * time])[:31].tolist()
     del rows["ft_wrench"]

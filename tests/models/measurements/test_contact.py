@@ -105,10 +105,18 @@ def test_single_pushes_are_left_out_and_can_be_kept(tmp_path):
 def test_of_few_pushes_none_is_left_out(tmp_path):
     """Of four, one says little about the others; the last push to learn from stays in any case."""
     deeper = tipped(lambda tip: tip + 0.3 * (tip[-1] - tip[0]) / np.hypot(*(tip[-1] - tip[0])) * 0.03)
-    assert len(reread(tmp_path, straight_pushes(4), deeper, only=1).trials) == 4
+    four = reread(tmp_path, straight_pushes(4), deeper, only=2)
+    assert len(four.trials) == 4 and "1 of 4 pushes: is theta's sign, the frame" in four.warnings[0]
     one_fit = straight_pushes(8)
     trials = tuple(replace(t, role="fit" if n == 1 else "heldout") for n, t in enumerate(one_fit.trials))
     assert len(reread(tmp_path, replace(one_fit, trials=trials), deeper, only=1).trials) == 8
+
+
+def test_one_push_tells_no_offset(tmp_path):
+    """Three numbers explain any single push."""
+    tip = tipped(lambda tip: np.add(tip, [0.012, 0.012]))
+    (warning,) = [w for w in reread(tmp_path, straight_pushes(1), tip).warnings if "the finger" in w]
+    assert "1 of 1 pushes: is theta's sign, the frame, the clock or the finger's point right" in warning
 
 
 def test_a_finger_that_starts_inside_is_no_reason_to_refuse(tmp_path):
