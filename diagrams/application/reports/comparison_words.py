@@ -103,12 +103,14 @@ class Surprises:
 
 def surprises(pushes: Sequence[Prediction]) -> Surprises:
     """Which pushes missed by more than their intervals, by how much, and whether chance explains that."""
-    found = sorted((push for push in pushes if push.surprising), key=lambda push: push.rarity)
+    beyond_region = (push for push in pushes if push.surprising)
+    found = sorted(beyond_region, key=lambda push: push.allowed_add - push.final_add)
     if not found:
         return Surprises("", beyond_chance=False)
     count, worst = len(pushes), found[0]
+    rarest = min(push.rarity for push in found)
     so_many = float(bdtrc(len(found) - 1, count, 1.0 - LEVEL_INSIDE))
-    beyond = so_many <= 1.0 - LEVEL_INSIDE + 1e-9 or worst.rarity * count <= 1.0 - LEVEL_INSIDE
+    beyond = so_many <= 1.0 - LEVEL_INSIDE + 1e-9 or rarest * count <= 1.0 - LEVEL_INSIDE
     text = (
         f"push {short_name(worst.trial)} ended {millimetres(worst.final_add)} mm from its prediction, where"
         f" {100 * LEVEL_INSIDE:.0f} % of such pushes end within {millimetres(worst.allowed_add)} mm."
