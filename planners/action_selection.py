@@ -31,17 +31,11 @@ _TOUCH_WAY = 0.004  # m that a tap's finger goes on slowly after it should have 
 
 @dataclass(frozen=True, eq=False)
 class Choice:
-    """A push that was chosen, and where it meets the object.
+    """A push that was chosen, and where it meets the object."""
 
-    Attributes:
-        push: on the table.
-        contact: (2,) point of first touch, object frame, m.
-        direction: (2,) of the finger's motion, object frame.
-    """
-
-    push: TablePush
-    contact: FloatArray
-    direction: FloatArray
+    push: TablePush  # on the table
+    contact: FloatArray  # (2,) point of first touch, object frame, m
+    direction: FloatArray  # (2,) of the finger's motion, object frame
 
     def __deepcopy__(self, memo: object) -> Choice:
         return self

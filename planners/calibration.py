@@ -36,23 +36,16 @@ KINDS = ("two materials", "even", "smooth", "feet", "light middle")
 
 @dataclass(frozen=True, eq=False)
 class CalibrationResult:
-    """How often intervals held the truth.
+    """How often intervals held the truth."""
 
-    Attributes:
-        objects: how many were identified.
-        seed: of every draw.
-        seconds: taken.
-        coverage: share of 90 % intervals that held the truth, by quantity.
-        ranks: (m,) for each quantity, the belief's cumulative probability at the truth, uniform in [0, 1]
-            for a calibrated belief.
-        by_kind: the coverage of objects of each of `KINDS` that was drawn.
-    """
-
-    objects: int
-    seed: int
-    seconds: float
-    coverage: dict[str, float]
+    objects: int  # how many were identified
+    seed: int  # of every draw
+    seconds: float  # taken
+    coverage: dict[str, float]  # share of 90 % intervals that held the truth, by quantity
+    # (m,) for each quantity, the belief's cumulative probability at the truth, uniform in [0, 1] for a
+    # calibrated belief
     ranks: dict[str, FloatArray] = field(repr=False)
+    # the coverage of objects of each of `KINDS` that was drawn
     by_kind: dict[str, dict[str, float]] = field(repr=False)
 
 

@@ -21,19 +21,12 @@ _TRIES = 20  # draws of as many lines as are wanted, before fewer are taken
 
 @dataclass(frozen=True, eq=False)
 class ContactLines:
-    """C lines along which a round finger can push, all free until they touch; object frame.
+    """C lines along which a round finger can push, all free until they touch; object frame."""
 
-    Attributes:
-        places: (C,) arc length along the exterior, m.
-        angles: (C,) from the inward normal to the direction, counter-clockwise, rad.
-        touches: (C, 2) finger centre at first touch, m.
-        directions: (C, 2) unit vectors of the finger's motion.
-    """
-
-    places: FloatArray
-    angles: FloatArray
-    touches: FloatArray
-    directions: FloatArray
+    places: FloatArray  # (C,) arc length along the exterior, m
+    angles: FloatArray  # (C,) from the inward normal to the direction, counter-clockwise, rad
+    touches: FloatArray  # (C, 2) finger centre at first touch, m
+    directions: FloatArray  # (C, 2) unit vectors of the finger's motion
 
     def __len__(self) -> int:
         return len(self.places)

@@ -28,25 +28,15 @@ class NoReachablePush(ValueError):
 
 @dataclass(frozen=True, eq=False)
 class Candidate:
-    """A straight push of a round finger against one cell of the contour.
+    """A straight push of a round finger against one cell of the contour."""
 
-    Attributes:
-        cell: the cell.
-        contact: (2,) point of the outline that is touched first, object frame, m.
-        direction: (2,) unit vector of the finger's motion, object frame.
-        touch: (2,) finger centre at first touch, object frame, m.
-        approach: way of the finger before it touches, m.
-        length: way of the finger from first touch to its stop, m.
-        speed: of the finger between speeding up and slowing down, m/s.
-    """
-
-    cell: int
-    contact: FloatArray
-    direction: FloatArray
-    touch: FloatArray
-    approach: float
-    length: float
-    speed: float
+    cell: int  # the cell
+    contact: FloatArray  # (2,) point of the outline that is touched first, object frame, m
+    direction: FloatArray  # (2,) unit vector of the finger's motion, object frame
+    touch: FloatArray  # (2,) finger centre at first touch, object frame, m
+    approach: float  # way of the finger before it touches, m
+    length: float  # way of the finger from first touch to its stop, m
+    speed: float  # of the finger between speeding up and slowing down, m/s
 
     def way_at(self, pose: FloatArray, length: float) -> tuple[FloatArray, FloatArray]:
         """Finger centre (2,) before and at the end of a push of some length (m), world, m.

@@ -24,43 +24,27 @@ _ENOUGH_MARGIN = 0.02  # m; more is not better
 
 @dataclass(frozen=True, eq=False)
 class Goal:
-    """A pose at the edge with a grasp.
+    """A pose at the edge with a grasp."""
 
-    Attributes:
-        pose: (3,) of the object, world, m and rad.
-        grasp: the best there.
-        fall_probability: of hypotheses whose balance margin there is below the settings' margin.
-        margin: balance margin that the object has with probability 1 - epsilon, m.
-        room: about how much farther over the table the object could lie and still be grasped so, m.
-        value: by which goals are ranked, larger is better: the grasp's value (`GraspLines.ranked`) and the
-            margin, up to 20 mm, together.
-    """
-
-    pose: FloatArray
-    grasp: Grasp
-    fall_probability: float
-    margin: float
-    room: float
+    pose: FloatArray  # (3,) of the object, world, m and rad
+    grasp: Grasp  # the best there
+    fall_probability: float  # of hypotheses whose balance margin there is below the settings' margin
+    margin: float  # balance margin that the object has with probability 1 - epsilon, m
+    room: float  # about how much farther over the table the object could lie and still be grasped so, m
+    # by which goals are ranked, larger is better: the grasp's value (`GraspLines.ranked`) and the margin, up
+    # to 20 mm, together
     value: float
 
 
 @dataclass(frozen=True, eq=False)
 class Graspable:
-    """An object as planning the grasp knows it, with its grasps; made by `of`, once for a belief.
+    """An object as planning the grasp knows it, with its grasps; made by `of`, once for a belief."""
 
-    Attributes:
-        grid: cells and outline.
-        centers_of_mass: (K, 2) of the hypotheses, object frame, m.
-        probability: (K,) of the hypotheses.
-        lines: all its grasps.
-        settings: what goals must be like.
-    """
-
-    grid: CellGrid
-    centers_of_mass: FloatArray
-    probability: FloatArray
-    lines: GraspLines
-    settings: GoalSettings
+    grid: CellGrid  # cells and outline
+    centers_of_mass: FloatArray  # (K, 2) of the hypotheses, object frame, m
+    probability: FloatArray  # (K,) of the hypotheses
+    lines: GraspLines  # all its grasps
+    settings: GoalSettings  # what goals must be like
 
     @staticmethod
     def of(

@@ -43,23 +43,14 @@ Raster = NDArray[np.float32]
 
 @dataclass(frozen=True)
 class Gripper:
-    """A parallel gripper of two round pins; by default the robot's own.
+    """A parallel gripper of two round pins; by default the robot's own."""
 
-    Attributes:
-        opening: largest distance between the axes of the pins, m.
-        finger_radius: of a pin, m.
-        finger_length: of a pin in front of the hand, m.
-        hand_radius: half the hand's width across the closing direction, m.
-        hand_distance: from the pins' ends back to the middle of the hand, m.
-        force: largest force of a pin, N.
-    """
-
-    opening: float = GRIPPER_OPENING
-    finger_radius: float = FINGER_RADIUS
-    finger_length: float = FINGER_LENGTH
-    hand_radius: float = HAND_RADIUS
-    hand_distance: float = HAND_DISTANCE
-    force: float = GRIP_FORCE
+    opening: float = GRIPPER_OPENING  # largest distance between the axes of the pins, m
+    finger_radius: float = FINGER_RADIUS  # of a pin, m
+    finger_length: float = FINGER_LENGTH  # of a pin in front of the hand, m
+    hand_radius: float = HAND_RADIUS  # half the hand's width across the closing direction, m
+    hand_distance: float = HAND_DISTANCE  # from the pins' ends back to the middle of the hand, m
+    force: float = GRIP_FORCE  # largest force of a pin, N
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,25 +59,18 @@ class Grasp:
 
     The hand comes on a straight line along `approach`, at half the height of the object's top, and stops with
     the pins' ends at `tip`. `GraspLines` states what is checked.
-
-    Attributes:
-        patch: (2,) middle of the line along which the lower pin supports the object, object frame, m.
-        approach: direction in which the hand comes, from x of the object frame, rad.
-        opening: distance between the axes of the pins until they close, m.
-        tip: (2,) where the pins end, object frame, m.
-        height: of the object's top between the pins, m.
-        length: between the inner end of the lower contact and the outer end of the upper one, m: the arm at
-            which two opposed forces carry the weight.
-        force: of the lower pin, by which the object stays level with probability 1 - epsilon, N.
     """
 
+    # (2,) middle of the line along which the lower pin supports the object, object frame, m
     patch: FloatArray
-    approach: float
-    opening: float
-    tip: FloatArray
-    height: float
+    approach: float  # direction in which the hand comes, from x of the object frame, rad
+    opening: float  # distance between the axes of the pins until they close, m
+    tip: FloatArray  # (2,) where the pins end, object frame, m
+    height: float  # of the object's top between the pins, m
+    # between the inner end of the lower contact and the outer end of the upper one, m: the arm at which two
+    # opposed forces carry the weight
     length: float
-    force: float
+    force: float  # of the lower pin, by which the object stays level with probability 1 - epsilon, N
 
     def at(self, pose: FloatArray) -> FloatArray:
         """(4,) x, y, z (m) of the point half-way between the pins' ends and the approach's yaw (rad), world.
@@ -103,16 +87,11 @@ class HeightMap:
     """Least and largest height at points of the object frame; 0 outside the outline.
 
     A height is known where neighbouring cells are equally high; between others it may be any between theirs.
-
-    Attributes:
-        corner: (2,) the raster's first point, m; its rows go along y, its columns along x.
-        lowest: least height, m.
-        highest: largest height, m.
     """
 
-    corner: FloatArray
-    lowest: Raster
-    highest: Raster
+    corner: FloatArray  # (2,) the raster's first point, m; its rows go along y, its columns along x
+    lowest: Raster  # least height, m
+    highest: Raster  # largest height, m
 
     @staticmethod
     def of(grid: CellGrid, heights: FloatArray) -> HeightMap:
@@ -192,28 +171,17 @@ class GraspLines:
       asked for the same force.
 
     and at a pose (`reach`): lower pin and hand, swept along the line, stay off the table by `clearance`.
-
-    Attributes:
-        direction: (L, 2) in which the hand moves.
-        offset: (L,) of the line to the left of the origin, m.
-        start: (L,) coordinate along the line of the first place, where the outline begins, m.
-        force: (L, S) that the grasp needs, N; inf where the grasp fails the check.
-        height: (L, S) of what the pins pass, m.
-        lower: (L, S) inner end of the lower contact, coordinate along the line, m.
-        upper: (L, S) outer end of the upper contact, likewise.
-        gripper: whose grasps they are.
-        clearance: m.
     """
 
-    direction: FloatArray
-    offset: FloatArray
-    start: FloatArray
-    force: FloatArray
-    height: FloatArray
-    lower: FloatArray
-    upper: FloatArray
-    gripper: Gripper
-    clearance: float
+    direction: FloatArray  # (L, 2) in which the hand moves
+    offset: FloatArray  # (L,) of the line to the left of the origin, m
+    start: FloatArray  # (L,) coordinate along the line of the first place, where the outline begins, m
+    force: FloatArray  # (L, S) that the grasp needs, N; inf where the grasp fails the check
+    height: FloatArray  # (L, S) of what the pins pass, m
+    lower: FloatArray  # (L, S) inner end of the lower contact, coordinate along the line, m
+    upper: FloatArray  # (L, S) outer end of the upper contact, likewise
+    gripper: Gripper  # whose grasps they are
+    clearance: float  # m
 
     def reach(self, poses: FloatArray, table: Table) -> FloatArray:
         """(P, L) farthest coordinate of the pins' ends at which the table is clear of pins and hand, m.

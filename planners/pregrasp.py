@@ -152,31 +152,18 @@ def explore(
 
 @dataclass(frozen=True, eq=False)
 class Pregrasp:
-    """How the procedure ended.
+    """How the procedure ended."""
 
-    Attributes:
-        success: whether the object lies at a goal, as seen, and can be grasped there.
-        reason: in words, of success or failure.
-        method: that planned.
-        belief: identified, of all hypotheses; None where the object could not be explored.
-        explorations: pushes that it was learned from.
-        goals: that there were to choose from.
-        goal: the last that was aimed at; None where it did not come to that.
-        pose: (3,) as seen last, world; None where it did not come to that.
-        grasp: the best at this pose; None without success.
-        pushes: towards the goal.
-    """
-
-    success: bool
-    reason: str
-    method: str
-    belief: Belief | None
-    explorations: tuple[Trial, ...] = ()
-    goals: tuple[Goal, ...] = ()
-    goal: Goal | None = None
-    pose: FloatArray | None = None
-    grasp: Grasp | None = None
-    pushes: tuple[MadePush, ...] = ()
+    success: bool  # whether the object lies at a goal, as seen, and can be grasped there
+    reason: str  # in words, of success or failure
+    method: str  # that planned
+    belief: Belief | None  # identified, of all hypotheses; None where the object could not be explored
+    explorations: tuple[Trial, ...] = ()  # pushes that it was learned from
+    goals: tuple[Goal, ...] = ()  # that there were to choose from
+    goal: Goal | None = None  # the last that was aimed at; None where it did not come to that
+    pose: FloatArray | None = None  # (3,) as seen last, world; None where it did not come to that
+    grasp: Grasp | None = None  # the best at this pose; None without success
+    pushes: tuple[MadePush, ...] = ()  # towards the goal
 
 
 def pregrasp(

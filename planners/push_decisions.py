@@ -40,32 +40,20 @@ class NoPushLeft(Exception):
 
 @dataclass(frozen=True, eq=False)
 class Way:
-    """Where the object is being pushed.
+    """Where the object is being pushed."""
 
-    Attributes:
-        goal: index of the goal.
-        waypoints: (n, 3) that are left, the goal last, world.
-    """
-
-    goal: int
-    waypoints: FloatArray
+    goal: int  # index of the goal
+    waypoints: FloatArray  # (n, 3) that are left, the goal last, world
 
 
 @dataclass(frozen=True, eq=False)
 class Pursuit:
-    """What came of pushing so far; nothing before the first push.
+    """What came of pushing so far; nothing before the first push."""
 
-    Attributes:
-        way: that is followed; None at first.
-        served: goal, by its index, of every push that was made.
-        refused: pushes that the robot refused since the last that was made.
-        refusal: why it refused the last of these.
-    """
-
-    way: Way | None = None
-    served: tuple[int, ...] = ()
-    refused: tuple[TablePush, ...] = ()
-    refusal: str = ""
+    way: Way | None = None  # that is followed; None at first
+    served: tuple[int, ...] = ()  # goal, by its index, of every push that was made
+    refused: tuple[TablePush, ...] = ()  # pushes that the robot refused since the last that was made
+    refusal: str = ""  # why it refused the last of these
 
     def made(self, way: Way) -> Pursuit:
         """After one more push on a way was made."""
@@ -82,19 +70,12 @@ class Pursuit:
 
 @dataclass(frozen=True, eq=False)
 class Decision:
-    """What to do next.
+    """What to do next."""
 
-    Attributes:
-        planned: the next push; None where pushing ends.
-        way: that it follows; None where there never was one.
-        reached: whether pushing ends because the object lies within the tolerances of a goal.
-        reason: why it ends, in words.
-    """
-
-    planned: PlannedPush | None
-    way: Way | None
-    reached: bool = False
-    reason: str = ""
+    planned: PlannedPush | None  # the next push; None where pushing ends
+    way: Way | None  # that it follows; None where there never was one
+    reached: bool = False  # whether pushing ends because the object lies within the tolerances of a goal
+    reason: str = ""  # why it ends, in words
 
 
 def decide(
@@ -288,38 +269,23 @@ class World(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class MadePush:
-    """A push towards a goal, and what was recorded of it.
+    """A push towards a goal, and what was recorded of it."""
 
-    Attributes:
-        before: (3,) pose as seen before, world.
-        goal: that it served.
-        planned: push and prediction.
-        trial: what was recorded.
-    """
-
-    before: FloatArray
-    goal: Goal
-    planned: PlannedPush
-    trial: Trial
+    before: FloatArray  # (3,) pose as seen before, world
+    goal: Goal  # that it served
+    planned: PlannedPush  # push and prediction
+    trial: Trial  # what was recorded
 
 
 @dataclass(frozen=True, eq=False)
 class Pushing:
-    """How pushing to a goal ended.
+    """How pushing to a goal ended."""
 
-    Attributes:
-        reached: whether the object lies within the tolerances of `goal`, as seen.
-        goal: the last that was aimed at; None where there was no push.
-        pose: (3,) as seen last, world.
-        pushes: that were made.
-        reason: in words.
-    """
-
-    reached: bool
-    goal: Goal | None
-    pose: FloatArray
-    pushes: tuple[MadePush, ...]
-    reason: str
+    reached: bool  # whether the object lies within the tolerances of `goal`, as seen
+    goal: Goal | None  # the last that was aimed at; None where there was no push
+    pose: FloatArray  # (3,) as seen last, world
+    pushes: tuple[MadePush, ...]  # that were made
+    reason: str  # in words
 
 
 def push_to_goal(

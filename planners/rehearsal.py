@@ -31,17 +31,11 @@ _REST = 0.1  # s that it waits before it starts
 
 @dataclass(frozen=True, eq=False)
 class Rival:
-    """A model that may be true.
+    """A model that may be true."""
 
-    Attributes:
-        name: for a person.
-        slider: model.
-        maps: one hypothesis.
-    """
-
-    name: str
-    slider: Slider
-    maps: Maps
+    name: str  # for a person
+    slider: Slider  # model
+    maps: Maps  # one hypothesis
 
     @classmethod
     def of(cls, fitted: Fitted, name: str | None = None, z: FloatArray | None = None) -> Rival:
@@ -53,15 +47,10 @@ class Rival:
 
 @dataclass(frozen=True, eq=False)
 class Predictions:
-    """What one model predicts for B pushes; NaN where it cannot be computed, as where the object tips.
+    """What one model predicts for B pushes; NaN where it cannot be computed, as where the object tips."""
 
-    Attributes:
-        poses: (B, S, 3) as the tracker reports them.
-        forces: (B, S, 2) of the finger on the object, means over equal stretches of time, world, N.
-    """
-
-    poses: FloatArray
-    forces: FloatArray
+    poses: FloatArray  # (B, S, 3) as the tracker reports them
+    forces: FloatArray  # (B, S, 2) of the finger on the object, means over equal stretches of time, world, N
 
 
 def straight_push(

@@ -55,27 +55,17 @@ NEGLIGIBLE = 1e-4
 
 @dataclass(frozen=True, eq=False)
 class Scenarios:
-    """S pairs of a hypothesis and a noise of the finger's control.
+    """S pairs of a hypothesis and a noise of the finger's control."""
 
-    Attributes:
-        slider: the model.
-        maps: S hypotheses.
-        probability: (S,) sums to one.
-        hypothesis: (S,) index in the belief.
-        centers_of_mass: (S, 2) object frame, m.
-        least_margins: (S,) balance margin below which the object counts as falling, m.
-        noise: (S, 3) by which the finger's path is off: x, y in m, angle about its begin in rad.
-        drift: (S, 3) by which the model is off: x, y (shares of the cells' way) and angle (rad a metre of
-            way), drawn as large as `Belief.end_errors`; zero where the belief has not learnt that.
-    """
-
-    slider: Slider
-    maps: Maps
-    probability: FloatArray
-    hypothesis: np.ndarray
-    centers_of_mass: FloatArray
-    least_margins: FloatArray
-    noise: FloatArray
+    slider: Slider  # the model
+    maps: Maps  # S hypotheses
+    probability: FloatArray  # (S,) sums to one
+    hypothesis: np.ndarray  # (S,) index in the belief
+    centers_of_mass: FloatArray  # (S, 2) object frame, m
+    least_margins: FloatArray  # (S,) balance margin below which the object counts as falling, m
+    noise: FloatArray  # (S, 3) by which the finger's path is off: x, y in m, angle about its begin in rad
+    # (S, 3) by which the model is off: x, y (shares of the cells' way) and angle (rad a metre of way), drawn
+    # as large as `Belief.end_errors`; zero where the belief has not learnt that
     drift: FloatArray
 
     @classmethod
@@ -124,27 +114,17 @@ class Scenarios:
 
 @dataclass(frozen=True, eq=False)
 class Foresight:
-    """What C lines of push with L lengths would do in S scenarios.
+    """What C lines of push with L lengths would do in S scenarios."""
 
-    Attributes:
-        lines: of push.
-        begins: (C, 2) finger centre before it moves, world, m.
-        directions: (C, 2) unit vectors of the finger's motion, world.
-        lengths: (L,) way of the finger after first touch, m.
-        poses: (C, L, S, 3) of the object at the end, world; NaN where the model found no answer.
-        falls: (C, L) probability that its margin of balance falls below the settings' on the way.
-        probability: (S,) of the scenarios.
-        moves: (C, L, S, 3) poses at the end seen from that before, had the table no rim; those of `poses`
-            where the rim is not near, or where this was not asked for.
-    """
-
-    lines: ContactLines
-    begins: FloatArray
-    directions: FloatArray
-    lengths: FloatArray
-    poses: FloatArray
-    falls: FloatArray
-    probability: FloatArray
+    lines: ContactLines  # of push
+    begins: FloatArray  # (C, 2) finger centre before it moves, world, m
+    directions: FloatArray  # (C, 2) unit vectors of the finger's motion, world
+    lengths: FloatArray  # (L,) way of the finger after first touch, m
+    poses: FloatArray  # (C, L, S, 3) of the object at the end, world; NaN where the model found no answer
+    falls: FloatArray  # (C, L) probability that its margin of balance falls below the settings' on the way
+    probability: FloatArray  # (S,) of the scenarios
+    # (C, L, S, 3) poses at the end seen from that before, had the table no rim; those of `poses` where the
+    # rim is not near, or where this was not asked for
     moves: FloatArray
 
 
@@ -334,24 +314,16 @@ _SHIFT, _TILT = 0.008, np.radians(6.0)  # standard deviations of these from thos
 
 @dataclass(frozen=True, eq=False)
 class PlannedPush:
-    """A push and what is expected of it.
+    """A push and what is expected of it."""
 
-    Attributes:
-        push: on the table.
-        target: index of the target that it serves.
-        gap: expected distance of the cells from where they are in the target, after the push, m.
-        fall_probability: that the object falls on the way or at the end.
-        predicted: (K, 3) pose after the push in each hypothesis that is not negligible, without control noise
-            on average, world.
-        pushes: expected number of pushes to the target, this one included.
-    """
-
-    push: TablePush
-    target: int
-    gap: float
-    fall_probability: float
+    push: TablePush  # on the table
+    target: int  # index of the target that it serves
+    gap: float  # expected distance of the cells from where they are in the target, after the push, m
+    fall_probability: float  # that the object falls on the way or at the end
+    # (K, 3) pose after the push in each hypothesis that is not negligible, without control noise on average,
+    # world
     predicted: FloatArray
-    pushes: float
+    pushes: float  # expected number of pushes to the target, this one included
 
 
 def plan_push(

@@ -18,62 +18,44 @@ with every cell the same; with the truth."""
 
 @dataclass
 class GoalSettings(CheckedSettings):
-    """Which poses at the edge are goals.
-
-    Attributes:
-        epsilon: largest probability that the object falls there (the paper's failure threshold).
-        margin: a hypothesis counts as falling when its centre of mass is less than this inside the
-            support, m; what a belief is too sure of belongs here.
-        samples: poses that are tried.
-        count: goals that are kept at most, the best ones.
-        clearance: of the gripper from table and object until it closes, m.
-        least_contact: shortest length over which the pins hold, m.
-        tolerance: heights that differ by less count as one when the upper pin comes down, m.
-        friction: least friction coefficient between pins and object.
-        mass: what the object is taken to weigh where no mass is given, kg.
-    """
+    """Which poses at the edge are goals."""
 
     _section = "goals: "
 
+    # largest probability that the object falls there (the paper's failure threshold)
     epsilon: float = within(0.1, 0.0, 0.5)
+    # a hypothesis counts as falling when its centre of mass is less than this inside the support, m; what a
+    # belief is too sure of belongs here
     margin: float = within(0.005, 0.0, 0.1)
-    samples: int = within(2000, 1, 1_000_000)
-    count: int = within(100, 1, 1_000_000)
-    clearance: float = within(0.005, 0.001, 0.05)
-    least_contact: float = within(0.015, 0.005, 0.1)
+    samples: int = within(2000, 1, 1_000_000)  # poses that are tried
+    count: int = within(100, 1, 1_000_000)  # goals that are kept at most, the best ones
+    clearance: float = within(0.005, 0.001, 0.05)  # of the gripper from table and object until it closes, m
+    least_contact: float = within(0.015, 0.005, 0.1)  # shortest length over which the pins hold, m
+    # heights that differ by less count as one when the upper pin comes down, m
     tolerance: float = within(0.003, 0.0, 0.02)
-    friction: float = within(0.2, 0.01, 2.0)
-    mass: float = within(1.0, 0.001, 100.0)
+    friction: float = within(0.2, 0.01, 2.0)  # least friction coefficient between pins and object
+    mass: float = within(1.0, 0.001, 100.0)  # what the object is taken to weigh where no mass is given, kg
 
 
 @dataclass
 class PokeSettings:
-    """What pushes to learn from are like; a scenario file calls them pokes.
+    """What pushes to learn from are like; a scenario file calls them pokes."""
 
-    Attributes:
-        shortest, longest: way of the finger after first touch, m.
-        slowest, fastest: speed of the finger, m/s.
-        taps: share of the pushes that are taps: the finger touches the object gently, speeds up, and stops
-            short, so that the object slides on by itself. Slow pushes alone leave the centre of mass open.
-        tap_speed: of the finger in a tap, m/s.
-        approach: way of the finger before first touch, m.
-        cone: largest angle between direction and inward normal, deg.
-        candidates: size of the set to choose from.
-        region: the object's middle is kept within so far of `center`, m.
-        center: x and y of the region, world, m.
-    """
-
+    # shortest, longest: way of the finger after first touch, m
     shortest: float = 0.04
     longest: float = 0.08
+    # slowest, fastest: speed of the finger, m/s
     slowest: float = 0.04
     fastest: float = 0.08
+    # share of the pushes that are taps: the finger touches the object gently, speeds up, and stops short, so
+    # that the object slides on by itself. Slow pushes alone leave the centre of mass open.
     taps: float = within(0.8, 0.0, 1.0)
-    tap_speed: float = within(0.3, 0.05, 2.0)
-    approach: float = within(0.015, 1e-3, 0.1)
-    cone: float = within(25.0, 0.0, 80.0)
-    candidates: int = within(60, 1, 10_000)
-    region: float = within(0.1, 0.01, 1.0)
-    center: list[float] = field(default_factory=lambda: [0.0, 0.0])
+    tap_speed: float = within(0.3, 0.05, 2.0)  # of the finger in a tap, m/s
+    approach: float = within(0.015, 1e-3, 0.1)  # way of the finger before first touch, m
+    cone: float = within(25.0, 0.0, 80.0)  # largest angle between direction and inward normal, deg
+    candidates: int = within(60, 1, 10_000)  # size of the set to choose from
+    region: float = within(0.1, 0.01, 1.0)  # the object's middle is kept within so far of `center`, m
+    center: list[float] = field(default_factory=lambda: [0.0, 0.0])  # x and y of the region, world, m
 
     def is_tap(self, number: int) -> bool:
         """Whether a push, counted from 0, is a tap; taps are spread evenly, a slow push comes first."""
@@ -94,70 +76,46 @@ class PokeSettings:
 
 @dataclass
 class PushSettings(CheckedSettings):
-    """How a push towards a goal is chosen (Algorithm 3).
-
-    Attributes:
-        candidates: lines along which a push is imagined at first, each with all its lengths.
-        refinements: lines imagined next, near the best of these.
-        cone: largest angle between a push and the inward normal, deg.
-        longest: way of the finger after first touch, m.
-        lengths: of pushes that are compared, evenly spread up to `longest`.
-        approach: way of the finger before first touch, m.
-        speed: of the finger, m/s.
-        scenarios: least number of hypotheses; fewer are imagined several times, each with another noise.
-        position_noise: one standard deviation of where the finger really goes, m.
-        angle_noise: the same of the push's direction, deg.
-        tolerance: distance from the goal, as seen, that is near enough, m. The paper has 20 mm; perception
-            takes its share of that.
-        tolerance_angle: angle from the goal that is near enough, deg; the paper has 15.
-        margin: distance of the centre of mass from the edge of its support below which an object counts as
-            falling, m.
-        fall_cost: pushes that are as bad as a fall.
-    """
+    """How a push towards a goal is chosen (Algorithm 3)."""
 
     _section = "push."
 
+    # lines along which a push is imagined at first, each with all its lengths
     candidates: int = within(64, 4, 10_000)
-    refinements: int = within(32, 0, 10_000)
-    cone: float = within(25.0, 0.0, 80.0)
-    longest: float = within(0.28, 0.01, 1.0)
-    lengths: int = within(28, 2, 500)
-    approach: float = within(0.02, 1e-3, 0.1)
-    speed: float = within(0.08, 1e-3, 1.0)
+    refinements: int = within(32, 0, 10_000)  # lines imagined next, near the best of these
+    cone: float = within(25.0, 0.0, 80.0)  # largest angle between a push and the inward normal, deg
+    longest: float = within(0.28, 0.01, 1.0)  # way of the finger after first touch, m
+    lengths: int = within(28, 2, 500)  # of pushes that are compared, evenly spread up to `longest`
+    approach: float = within(0.02, 1e-3, 0.1)  # way of the finger before first touch, m
+    speed: float = within(0.08, 1e-3, 1.0)  # of the finger, m/s
+    # least number of hypotheses; fewer are imagined several times, each with another noise
     scenarios: int = within(20, 1, 1000)
+    # one standard deviation of where the finger really goes, m
     position_noise: float = within(0.002, 0.0, 0.05)
-    angle_noise: float = within(1.0, 0.0, 20.0)
+    angle_noise: float = within(1.0, 0.0, 20.0)  # the same of the push's direction, deg
+    # distance from the goal, as seen, that is near enough, m. The paper has 20 mm; perception takes its share
+    # of that.
     tolerance: float = within(0.018, 1e-3, 0.5)
+    # angle from the goal that is near enough, deg; the paper has 15
     tolerance_angle: float = within(13.5, 0.1, 180.0)
+    # distance of the centre of mass from the edge of its support below which an object counts as falling, m
     margin: float = within(0.005, 0.0, 0.1)
-    fall_cost: float = within(30.0, 0.0, 1e6)
+    fall_cost: float = within(30.0, 0.0, 1e6)  # pushes that are as bad as a fall
 
 
 @dataclass
 class PregraspSettings:
-    """The whole procedure (Algorithm 4).
+    """The whole procedure (Algorithm 4)."""
 
-    Attributes:
-        explorations: pushes to learn from.
-        strategy: how these are chosen, one of `slipmap.planners.settings.STRATEGIES`.
-        hypotheses: K of the belief.
-        poke: what the pushes to learn from are like.
-        goals: what goals at the table's edge must be like.
-        push: how pushes towards the goal are chosen.
-        pushes: most pushes towards a goal.
-        patience: most pushes towards one and the same goal; then it is left out.
-        refusals: most pushes that the robot may refuse in a row.
-    """
-
-    explorations: int = within(5, 1, 1000)
-    strategy: str = "most-distinctive"
-    hypotheses: int = within(20, 2, 10_000)
-    poke: PokeSettings = field(default_factory=PokeSettings)
-    goals: GoalSettings = field(default_factory=GoalSettings)
-    push: PushSettings = field(default_factory=PushSettings)
-    pushes: int = within(20, 1, 1000)
-    patience: int = within(6, 1, 1000)
-    refusals: int = within(10, 1, 1000)
+    explorations: int = within(5, 1, 1000)  # pushes to learn from
+    strategy: str = "most-distinctive"  # how these are chosen, one of `slipmap.planners.settings.STRATEGIES`
+    hypotheses: int = within(20, 2, 10_000)  # K of the belief
+    poke: PokeSettings = field(default_factory=PokeSettings)  # what the pushes to learn from are like
+    goals: GoalSettings = field(default_factory=GoalSettings)  # what goals at the table's edge must be like
+    push: PushSettings = field(default_factory=PushSettings)  # how pushes towards the goal are chosen
+    pushes: int = within(20, 1, 1000)  # most pushes towards a goal
+    patience: int = within(6, 1, 1000)  # most pushes towards one and the same goal; then it is left out
+    refusals: int = within(10, 1, 1000)  # most pushes that the robot may refuse in a row
 
     def check(self) -> None:
         """Raise ValueError, naming the field, where a number makes no sense."""

@@ -119,17 +119,11 @@ class TablePush:
 
 @dataclass(frozen=True, eq=False)
 class Pace:
-    """A finger's way over time, with constant accelerations between knots.
+    """A finger's way over time, with constant accelerations between knots."""
 
-    Attributes:
-        times: (m,) from 0, s.
-        ways: (m,) gone until then, m.
-        speeds: (m,) then, m/s.
-    """
-
-    times: FloatArray
-    ways: FloatArray
-    speeds: FloatArray
+    times: FloatArray  # (m,) from 0, s
+    ways: FloatArray  # (m,) gone until then, m
+    speeds: FloatArray  # (m,) then, m/s
 
     @property
     def duration(self) -> float:

@@ -143,25 +143,15 @@ def push_of(asked: dict[str, Any], order: float = 0.0) -> Push:
 
 @dataclass(frozen=True)
 class Habits:
-    """What the recorded pushes were like.
+    """What the recorded pushes were like."""
 
-    Attributes:
-        low: (2,) corner of the places at which the object was, m.
-        high: (2,) opposite corner.
-        speeds: slow, medium and fast, m/s.
-        lengths: shortest and longest way to propose, m.
-        pose_rows: rows of the tracker that an observed pose is the mean of.
-        force_rows: the same of a force; 0 where none was measured.
-        pushes: their number.
-    """
-
-    low: FloatArray
-    high: FloatArray
-    speeds: tuple[float, float, float]
-    lengths: tuple[float, float]
-    pose_rows: float
-    force_rows: float
-    pushes: int
+    low: FloatArray  # (2,) corner of the places at which the object was, m
+    high: FloatArray  # (2,) opposite corner
+    speeds: tuple[float, float, float]  # slow, medium and fast, m/s
+    lengths: tuple[float, float]  # shortest and longest way to propose, m
+    pose_rows: float  # rows of the tracker that an observed pose is the mean of
+    force_rows: float  # the same of a force; 0 where none was measured
+    pushes: int  # their number
 
 
 def habits_of(observations: Sequence[Observation], dataset: PushDataset) -> Habits:
@@ -190,24 +180,16 @@ def habits_of(observations: Sequence[Observation], dataset: PushDataset) -> Habi
 
 @dataclass(frozen=True, eq=False)
 class Instruction:
-    """What a person is to do: put the object somewhere and push it.
+    """What a person is to do: put the object somewhere and push it."""
 
-    Attributes:
-        pose: (3,) at which to put the object, world, m and rad.
-        contact: (2,) point of its outline that is touched first, object frame, m.
-        begin, end: (2,) finger centre at first and at last, world, m.
-        speed: of the finger, m/s.
-        length: way of the finger from first touch to its stop, m.
-        dwell: s that it stands still half-way.
-    """
-
-    pose: FloatArray
-    contact: FloatArray
+    pose: FloatArray  # (3,) at which to put the object, world, m and rad
+    contact: FloatArray  # (2,) point of its outline that is touched first, object frame, m
+    # begin, end: (2,) finger centre at first and at last, world, m
     begin: FloatArray
     end: FloatArray
-    speed: float
-    length: float
-    dwell: float
+    speed: float  # of the finger, m/s
+    length: float  # way of the finger from first touch to its stop, m
+    dwell: float  # s that it stands still half-way
 
     @classmethod
     def of(cls, push: Candidate, pose: FloatArray, speed: float, length: float, dwell: float) -> Instruction:

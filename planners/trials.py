@@ -30,20 +30,15 @@ class CampaignError(ValueError):
 class TrialSpec:
     """A trial to be made, on whatever machine.
 
-    Attributes:
-        name: of the trial and its file; letters, digits, '-', '_' and '.'.
-        function: `module:function`, called as function(seed=seed, **parameters); returns what JSON can hold.
-        parameters: what JSON can hold.
-        seed: of every random draw in it.
-
     Raises:
         CampaignError: a name that is no file name, or parameters that JSON cannot hold.
     """
 
-    name: str
+    name: str  # of the trial and its file; letters, digits, '-', '_' and '.'
+    # `module:function`, called as function(seed=seed, **parameters); returns what JSON can hold
     function: str
-    parameters: Mapping[str, Any]
-    seed: int
+    parameters: Mapping[str, Any]  # what JSON can hold
+    seed: int  # of every random draw in it
 
     def __post_init__(self) -> None:
         if not self.name.strip("._-") or not all(c.isalnum() or c in "-_." for c in self.name):
@@ -75,18 +70,12 @@ class TrialSpec:
 
 @dataclass(frozen=True)
 class TrialOutcome:
-    """What came of a trial.
+    """What came of a trial."""
 
-    Attributes:
-        spec: the trial.
-        result: what its function returned, or None where it failed.
-        failure: why it failed, or None.
-        seconds: that it took, s; the only part that depends on the machine.
-    """
-
-    spec: TrialSpec
-    result: Any
-    failure: str | None
+    spec: TrialSpec  # the trial
+    result: Any  # what its function returned, or None where it failed
+    failure: str | None  # why it failed, or None
+    # that it took, s; the only part that depends on the machine
     seconds: float = field(compare=False, default=0.0)
 
 
@@ -266,18 +255,13 @@ _LEVEL = 0.95  # of all intervals
 
 @dataclass(frozen=True)
 class Estimate:
-    """A number and its 95 % interval.
+    """A number and its 95 % interval."""
 
-    Attributes:
-        value: NaN where there is nothing to estimate it from.
-        low, high: ends of the interval.
-        count: trials that it comes from.
-    """
-
-    value: float
+    value: float  # NaN where there is nothing to estimate it from
+    # low, high: ends of the interval
     low: float
     high: float
-    count: int
+    count: int  # trials that it comes from
 
     def percent(self) -> str:
         """As in a table: `97 (91 to 99)`."""

@@ -16,18 +16,13 @@ as if an object that is pushed at 50 mm/s were 10 ms early."""
 
 @dataclass(frozen=True)
 class CameraLag:
-    """How late object poses are beside finger positions.
+    """How late object poses are beside finger positions."""
 
-    Attributes:
-        value: s; negative where poses are early.
-        low, high: 90 % interval over refits, widened by `_CERTAIN`, s.
-        pushes: that show it.
-    """
-
-    value: float
+    value: float  # s; negative where poses are early
+    # low, high: 90 % interval over refits, widened by `_CERTAIN`, s
     low: float
     high: float
-    pushes: int
+    pushes: int  # that show it
 
     @property
     def shown(self) -> bool:

@@ -33,21 +33,13 @@ from slipmap.models.progress import Progress, about, silent
 
 @dataclass(frozen=True)
 class Totals:
-    """Means over the pushes of one role; NaN where no push has the number.
+    """Means over the pushes of one role; NaN where no push has the number."""
 
-    Attributes:
-        pushes: their number.
-        model: means of all errors.
-        uniform: the same of a uniform object.
-        resting: the same of an object that does not move.
-        median_add: median final ADD of the model, m.
-    """
-
-    pushes: int
-    model: Errors
-    uniform: Errors
-    resting: Errors
-    median_add: float
+    pushes: int  # their number
+    model: Errors  # means of all errors
+    uniform: Errors  # the same of a uniform object
+    resting: Errors  # the same of an object that does not move
+    median_add: float  # median final ADD of the model, m
 
     def to_json(self) -> dict[str, object]:
         """All numbers."""
@@ -68,33 +60,19 @@ def _errors_to_json(model: Errors, uniform: Errors, resting: Errors) -> dict[str
 
 @dataclass(frozen=True, eq=False)
 class Comparison:
-    """Result of `compare`.
+    """Result of `compare`."""
 
-    Attributes:
-        label: what the model is called, such as `base` or `with table_tilt`.
-        dataset: name of the pushes.
-        learnt_from: name of the dataset that taught the belief.
-        pushes: one by one.
-        totals: by role; a role without pushes is missing.
-        floor: error below which models cannot be told apart, or None where it is not known.
-        motion: residual velocities, or None where nothing moves.
-        force: residual forces, or None where force was not measured.
-        structure: what residuals depend on, the surest first.
-        correlations: over time, or None where too few pushes show their course.
-        seed: of every random draw.
-    """
-
-    label: str
-    dataset: str
-    learnt_from: str
-    pushes: tuple[Prediction, ...]
-    totals: dict[str, Totals]
-    floor: NoiseFloor | None
-    motion: Residuals | None
-    force: Residuals | None
-    structure: tuple[Pattern, ...]
-    correlations: Correlations | None
-    seed: int
+    label: str  # what the model is called, such as `base` or `with table_tilt`
+    dataset: str  # name of the pushes
+    learnt_from: str  # name of the dataset that taught the belief
+    pushes: tuple[Prediction, ...]  # one by one
+    totals: dict[str, Totals]  # by role; a role without pushes is missing
+    floor: NoiseFloor | None  # error below which models cannot be told apart, or None where it is not known
+    motion: Residuals | None  # residual velocities, or None where nothing moves
+    force: Residuals | None  # residual forces, or None where force was not measured
+    structure: tuple[Pattern, ...]  # what residuals depend on, the surest first
+    correlations: Correlations | None  # over time, or None where too few pushes show their course
+    seed: int  # of every random draw
 
     @property
     def significant(self) -> tuple[Pattern, ...]:

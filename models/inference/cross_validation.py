@@ -27,17 +27,11 @@ _FOLDS = 8
 
 @dataclass(frozen=True, eq=False)
 class LeftOut:
-    """A model fitted to pushes without each fold of them.
+    """A model fitted to pushes without each fold of them."""
 
-    Attributes:
-        likelihood: of all B pushes.
-        fits: one for each fold.
-        fold: (B,) which one a push was left out of.
-    """
-
-    likelihood: Likelihood
-    fits: Fits
-    fold: NDArray[np.int64]
+    likelihood: Likelihood  # of all B pushes
+    fits: Fits  # one for each fold
+    fold: NDArray[np.int64]  # (B,) which one a push was left out of
 
     def ends(self) -> FloatArray:
         """(B, 3) world poses in which the pushes end, each by the model fitted to the others."""

@@ -31,11 +31,6 @@ _LEAST_FREEDOM = 1.0
 class EndRegion:
     """Where n numbers may lie together, of a right model; of an end they are x, y (m) and θ (rad).
 
-    Attributes:
-        middle: (n,) the hypotheses' mean.
-        covariance: (n, n) of all that a push is off by.
-        freedom: degrees of freedom with which that is known.
-
     Example:
         >>> import numpy as np
         >>> from slipmap.models.inference.end_region import EndRegion
@@ -44,9 +39,9 @@ class EndRegion:
         (True, False)
     """
 
-    middle: FloatArray
-    covariance: FloatArray
-    freedom: float
+    middle: FloatArray  # (n,) the hypotheses' mean
+    covariance: FloatArray  # (n, n) of all that a push is off by
+    freedom: float  # degrees of freedom with which that is known
 
     @classmethod
     def of(cls, draws: FloatArray, probability: FloatArray, sigma: FloatArray) -> EndRegion:

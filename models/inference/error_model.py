@@ -30,34 +30,22 @@ FORCE_MEMORY = 0.3
 
 @dataclass(frozen=True)
 class SensorNoise:
-    """Standard deviations of one row of a sensor, m, rad, N.
+    """Standard deviations of one row of a sensor, m, rad, N."""
 
-    Attributes:
-        position: of x and y each.
-        angle: of θ.
-        force: of each component of the force.
-        declared: whether the dataset says so; else they were estimated from the scatter of neighbouring rows.
-    """
-
-    position: float
-    angle: float
-    force: float
+    position: float  # of x and y each
+    angle: float  # of θ
+    force: float  # of each component of the force
+    # whether the dataset says so; else they were estimated from the scatter of neighbouring rows
     declared: bool
 
 
 @dataclass(frozen=True)
 class ErrorModel:
-    """Sensor noise, and what the best model of its kind is off by.
+    """Sensor noise, and what the best model of its kind is off by."""
 
-    Attributes:
-        noise: of the sensors.
-        motion: α.
-        force: β.
-    """
-
-    noise: SensorNoise
-    motion: float
-    force: float
+    noise: SensorNoise  # of the sensors
+    motion: float  # α
+    force: float  # β
 
     def pose_covariance(self, observation: Observation, travel: FloatArray, radius: float) -> FloatArray:
         """(3, S, S) of x, y and ρ θ of one push, which are independent of each other.

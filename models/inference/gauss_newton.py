@@ -23,21 +23,13 @@ starts."""
 
 @dataclass(frozen=True, eq=False)
 class Fits:
-    """K fitted hypotheses.
+    """K fitted hypotheses."""
 
-    Attributes:
-        z: (K, d) coordinates.
-        offsets: (K, B, 3) start offsets, m and rad.
-        cost: (K,) weighted cost, prior included.
-        push_cost: (K, B) cost of each push, unweighted.
-        hessian: (K, d, d) of the weighted data cost; add the identity for the prior.
-    """
-
-    z: FloatArray
-    offsets: FloatArray
-    cost: FloatArray
-    push_cost: FloatArray
-    hessian: FloatArray
+    z: FloatArray  # (K, d) coordinates
+    offsets: FloatArray  # (K, B, 3) start offsets, m and rad
+    cost: FloatArray  # (K,) weighted cost, prior included
+    push_cost: FloatArray  # (K, B) cost of each push, unweighted
+    hessian: FloatArray  # (K, d, d) of the weighted data cost; add the identity for the prior
 
     def best(self) -> Fits:
         """The one of lowest cost."""

@@ -43,21 +43,13 @@ class _Measure:
 
 @dataclass(frozen=True)
 class _Seen:
-    """What the pushes that taught were like, for the reasons.
+    """What the pushes that taught were like, for the reasons."""
 
-    Attributes:
-        turned: largest angle between begin and end, rad.
-        coasted: whether an object slid on its own from the begin.
-        touched: whether there was a finger.
-        forces: whether there are forces that count.
-        missed: α by which the model is off.
-    """
-
-    turned: float
-    coasted: bool
-    touched: bool
-    forces: bool
-    missed: float
+    turned: float  # largest angle between begin and end, rad
+    coasted: bool  # whether an object slid on its own from the begin
+    touched: bool  # whether there was a finger
+    forces: bool  # whether there are forces that count
+    missed: float  # α by which the model is off
 
     @classmethod
     def of(cls, likelihood: Likelihood) -> _Seen:

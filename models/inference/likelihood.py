@@ -33,48 +33,28 @@ _JACOBIANS = 2**28
 
 @dataclass(frozen=True)
 class LikelihoodSettings:
-    """What the data are trusted with.
+    """What the data are trusted with."""
 
-    Attributes:
-        model_error: α, error of the best model as a share of the way travelled.
-        base_error: σ_0, m.
-        independent: as how many independent poses a push counts.
-        independent_forces: the same for its forces; they are there for the scale of friction.
-        force_error: error of the best model's force as a share of the push's typical force.
-        huber: residuals beyond so many standard deviations count linearly.
-        start_position: standard deviation of the start where noise is not declared, m.
-        start_angle: the same for the angle, rad.
-    """
-
-    model_error: float = 0.005
-    base_error: float = 5e-4
-    independent: float = 4.0
-    independent_forces: float = 1.0
-    force_error: float = 0.15
-    huber: float = 2.0
-    start_position: float = 1e-4
-    start_angle: float = 1e-3
+    model_error: float = 0.005  # α, error of the best model as a share of the way travelled
+    base_error: float = 5e-4  # σ_0, m
+    independent: float = 4.0  # as how many independent poses a push counts
+    independent_forces: float = 1.0  # the same for its forces; they are there for the scale of friction
+    force_error: float = 0.15  # error of the best model's force as a share of the push's typical force
+    huber: float = 2.0  # residuals beyond so many standard deviations count linearly
+    start_position: float = 1e-4  # standard deviation of the start where noise is not declared, m
+    start_angle: float = 1e-3  # the same for the angle, rad
 
 
 @dataclass(frozen=True, eq=False)
 class NormalEquations:
-    """Quadratic model of the cost around the present maps, start offsets eliminated.
+    """Quadratic model of the cost around the present maps, start offsets eliminated."""
 
-    Attributes:
-        cost: (K, B) robust cost of each push, its start offset's prior included.
-        hessian: (K, d, d) Gauss-Newton, weighted sum over pushes.
-        gradient: (K, d).
-        start_gain: (B, K, 3, 3) inverse Hessian of each push's start offset.
-        start_gradient: (B, K, 3).
-        coupling: (B, K, d, 3) maps by start.
-    """
-
-    cost: FloatArray
-    hessian: FloatArray
-    gradient: FloatArray
-    start_gain: FloatArray
-    start_gradient: FloatArray
-    coupling: FloatArray
+    cost: FloatArray  # (K, B) robust cost of each push, its start offset's prior included
+    hessian: FloatArray  # (K, d, d) Gauss-Newton, weighted sum over pushes
+    gradient: FloatArray  # (K, d)
+    start_gain: FloatArray  # (B, K, 3, 3) inverse Hessian of each push's start offset
+    start_gradient: FloatArray  # (B, K, 3)
+    coupling: FloatArray  # (B, K, d, 3) maps by start
 
 
 class PushLikelihood(ABC):

@@ -64,21 +64,13 @@ _FINGER_STARTS = (0.12, 0.35, 1.0)
 
 @dataclass(frozen=True, eq=False)
 class Explanation:
-    """A model that was fitted to the pushes.
+    """A model that was fitted to the pushes."""
 
-    Attributes:
-        law: `plain`, or the names of its effects, see `friction_laws`.
-        structure: of the maps, see `prior.STRUCTURES`.
-        ladder: of `fit_with_trust`.
-        log_evidence: of the best fit in it, α's prior included; -inf where a fit failed.
-        share: of the belief.
-    """
-
-    law: str
-    structure: str
-    ladder: Ladder
-    log_evidence: float
-    share: float = 1.0
+    law: str  # `plain`, or the names of its effects, see `friction_laws`
+    structure: str  # of the maps, see `prior.STRUCTURES`
+    ladder: Ladder  # of `fit_with_trust`
+    log_evidence: float  # of the best fit in it, α's prior included; -inf where a fit failed
+    share: float = 1.0  # of the belief
 
     @property
     def likelihood(self) -> Likelihood:

@@ -32,29 +32,18 @@ pass without rattling the force, and what strikes the object does not throw it."
 
 @dataclass(frozen=True, eq=False)
 class Observation:
-    """One trial, ready to be compared with a rollout.
+    """One trial, ready to be compared with a rollout."""
 
-    Attributes:
-        trial: its name.
-        role: `fit` or `heldout`.
-        push: what drives the object; its pose and force times are those of the rows below.
-        poses: (S, 3) measured world poses, m and rad.
-        pose_rows: (S,) rows of the tracker that each is the mean of.
-        start_rows: the same of the pose that the push starts from.
-        forces: (T, 2) measured force of the finger on the object, world, N; T may be 0.
-        force_rows: (T,) rows of the sensor that each is the mean of.
-        sliding: (T,) whether a force counts: the finger moves and presses, and neither its first touch nor
-            its stop is near, where force depends on contact stiffness rather than on friction.
-    """
-
-    trial: str
-    role: str
-    push: Push
-    poses: FloatArray
-    pose_rows: FloatArray
-    start_rows: int
-    forces: FloatArray
-    force_rows: FloatArray
+    trial: str  # its name
+    role: str  # `fit` or `heldout`
+    push: Push  # what drives the object; its pose and force times are those of the rows below
+    poses: FloatArray  # (S, 3) measured world poses, m and rad
+    pose_rows: FloatArray  # (S,) rows of the tracker that each is the mean of
+    start_rows: int  # the same of the pose that the push starts from
+    forces: FloatArray  # (T, 2) measured force of the finger on the object, world, N; T may be 0
+    force_rows: FloatArray  # (T,) rows of the sensor that each is the mean of
+    # (T,) whether a force counts: the finger moves and presses, and neither its first touch nor its stop is
+    # near, where force depends on contact stiffness rather than on friction
     sliding: np.ndarray
 
     def travel(self, centers: FloatArray) -> FloatArray:

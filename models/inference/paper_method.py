@@ -56,18 +56,13 @@ _STEPS = 20
 class EqualSteps:
     """A trial at T + 1 times, dt apart: what Algorithm 1 learns from.
 
-    Attributes:
-        dt: s.
-        poses: (T + 1, 3) x^g, world pose of the object, m and unwrapped rad; T >= 2.
-        tip: (T + 1, 2) finger centre, world, m; NaN where there is no finger.
-
     Raises:
         ValueError: shapes that do not fit, fewer than three poses, poses not finite, dt not positive.
     """
 
-    dt: float
-    poses: FloatArray
-    tip: FloatArray
+    dt: float  # s
+    poses: FloatArray  # (T + 1, 3) x^g, world pose of the object, m and unwrapped rad; T >= 2
+    tip: FloatArray  # (T + 1, 2) finger centre, world, m; NaN where there is no finger
 
     def __post_init__(self) -> None:
         poses, tip = np.asarray(self.poses, dtype=float), np.asarray(self.tip, dtype=float)

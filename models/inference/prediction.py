@@ -30,19 +30,12 @@ from slipmap.models.progress import Progress, silent
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """What K hypotheses say of one push from its first pose on.
+    """What K hypotheses say of one push from its first pose on."""
 
-    Attributes:
-        poses: (K, S, 3) world poses at the observation's pose times, m and rad.
-        forces: (K, T, 2) forces of the finger on the object at its force times, world, N.
-        probability: (K,) of the hypotheses.
-        grid: cells of the object.
-    """
-
-    poses: FloatArray
-    forces: FloatArray
-    probability: FloatArray
-    grid: CellGrid
+    poses: FloatArray  # (K, S, 3) world poses at the observation's pose times, m and rad
+    forces: FloatArray  # (K, T, 2) forces of the finger on the object at its force times, world, N
+    probability: FloatArray  # (K,) of the hypotheses
+    grid: CellGrid  # cells of the object
 
     @cached_property
     def middle_poses(self) -> FloatArray:
@@ -62,32 +55,21 @@ class Motion:
 
 @dataclass(frozen=True, eq=False)
 class Prediction:
-    """One push as measured, as a belief predicts it from its first pose, and how far apart they are.
+    """One push as measured, as a belief predicts it from its first pose, and how far apart they are."""
 
-    Attributes:
-        observation: what was measured.
-        motion: what the hypotheses say.
-        errors: of `predicted`.
-        uniform: errors of a uniform object with the belief's mass, friction and finger.
-        resting: errors of an object that does not move.
-        spread: probability-weighted mean ADD of the hypotheses from `predicted` at the end, m.
-        start_sensitivity: how many metres the predicted end moves (ADD) for a metre of sideways shift of
-            the start; large where the push starts near to balance and half a millimetre decides.
-        end_interval: (2, 3) lower and upper end of the 90 % interval of each of x, y, θ of the end as the
-            tracker would measure it: the hypotheses' spread, what the model is off by, and the tracker's
-            noise.
-        end_region: x, y and θ of the end together, of any level, of the same three.
-    """
-
-    observation: Observation
-    motion: Motion
-    errors: Errors
-    uniform: Errors
-    resting: Errors
-    spread: float
+    observation: Observation  # what was measured
+    motion: Motion  # what the hypotheses say
+    errors: Errors  # of `predicted`
+    uniform: Errors  # errors of a uniform object with the belief's mass, friction and finger
+    resting: Errors  # errors of an object that does not move
+    spread: float  # probability-weighted mean ADD of the hypotheses from `predicted` at the end, m
+    # how many metres the predicted end moves (ADD) for a metre of sideways shift of the start; large where
+    # the push starts near to balance and half a millimetre decides
     start_sensitivity: float
+    # (2, 3) lower and upper end of the 90 % interval of each of x, y, θ of the end as the tracker would
+    # measure it: the hypotheses' spread, what the model is off by, and the tracker's noise
     end_interval: FloatArray
-    end_region: EndRegion
+    end_region: EndRegion  # x, y and θ of the end together, of any level, of the same three
 
     @property
     def surprising(self) -> bool:

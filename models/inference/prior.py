@@ -33,40 +33,24 @@ from slipmap.models.physics.step import EXTRA_COLUMNS, INERTIA_COLUMNS
 
 @dataclass(frozen=True)
 class PriorSettings:
-    """Strength of the prior, in standard deviations of natural logarithms.
+    """Strength of the prior, in standard deviations of natural logarithms."""
 
-    Attributes:
-        load_map: σ_load, how much a cell's product of mass and friction differs from the mean.
-        mass_share: a, how much of that comes from the mass where nothing else is known.
-        split: σ_split, how much mass and friction differ from that in opposite senses.
-        friction_scale: σ_scale of the mean friction.
-        friction_mean: mu_0.
-        finger_friction: σ_f.
-        finger_friction_mean: mu_f0.
-        known_mass: σ_total where the object was weighed.
-        unknown_mass: σ_total where it was not; the median is then 1 kg.
-        length: reach of the covariance in diameters of the footprint.
-        white: share of the variance that neighbours do not share.
-        sharp: whether borders are sharp: the covariance falls exponentially, as the chance that random cuts
-            leave two cells in one part (Lakshminarayanan et al., 2016), not by a Gaussian.
-        largest_friction: upper bound of mu and mu_f.
-        modes: most coordinates a map may have; finer variation cannot be seen from pushes.
-    """
-
-    load_map: float = 0.35
-    mass_share: float = 0.8
-    split: float = 0.30
-    friction_scale: float = 0.7
-    friction_mean: float = 0.3
-    finger_friction: float = 0.8
-    finger_friction_mean: float = 0.35
-    known_mass: float = 0.02
-    unknown_mass: float = 2.0
-    length: float = 0.20
-    white: float = 0.30
+    load_map: float = 0.35  # σ_load, how much a cell's product of mass and friction differs from the mean
+    mass_share: float = 0.8  # a, how much of that comes from the mass where nothing else is known
+    split: float = 0.30  # σ_split, how much mass and friction differ from that in opposite senses
+    friction_scale: float = 0.7  # σ_scale of the mean friction
+    friction_mean: float = 0.3  # mu_0
+    finger_friction: float = 0.8  # σ_f
+    finger_friction_mean: float = 0.35  # mu_f0
+    known_mass: float = 0.02  # σ_total where the object was weighed
+    unknown_mass: float = 2.0  # σ_total where it was not; the median is then 1 kg
+    length: float = 0.20  # reach of the covariance in diameters of the footprint
+    white: float = 0.30  # share of the variance that neighbours do not share
+    # whether borders are sharp: the covariance falls exponentially, as the chance that random cuts leave two
+    # cells in one part (Lakshminarayanan et al., 2016), not by a Gaussian
     sharp: bool = False
-    largest_friction: float = 3.0
-    modes: int = 40
+    largest_friction: float = 3.0  # upper bound of mu and mu_f
+    modes: int = 40  # most coordinates a map may have; finer variation cannot be seen from pushes
 
 
 STRUCTURES = {

@@ -19,34 +19,23 @@ from slipmap.models.physics.paper_notation import add
 
 @dataclass(frozen=True)
 class Errors:
-    """Errors of one prediction of one push; NaN where a number does not exist.
+    """Errors of one prediction of one push; NaN where a number does not exist."""
 
-    Attributes:
-        final_add: mean distance of the cells at the end, m.
-        mean_add: the same averaged over the compared poses; the final one where only the end was measured.
-        position: distance of the object frame's origin at the end, m.
-        angle: absolute error of the angle at the end, rad.
-        fit: 100 (1 - ‖y - ŷ‖ / ‖y - mean(y)‖) over all poses, the angle weighed with the cells' radius of
-            gyration; the NRMSE fit of MATLAB's `compare`. 100 is perfect, 0 as good as the mean pose.
-        fit_x: the same for x alone; strongly negative where the object hardly moves along x.
-        fit_y: for y.
-        fit_theta: for the angle.
-        force: root mean square of the force error where the finger presses steadily, N.
-        force_share: the same over the root mean square of the measured force.
-        misfit: root mean square over all poses, and over forces where the finger presses steadily, of the
-            error in standard deviations of the sensors' noise; 1 is perfect.
-    """
-
-    final_add: float
+    final_add: float  # mean distance of the cells at the end, m
+    # the same averaged over the compared poses; the final one where only the end was measured
     mean_add: float
-    position: float
-    angle: float
+    position: float  # distance of the object frame's origin at the end, m
+    angle: float  # absolute error of the angle at the end, rad
+    # 100 (1 - ‖y - ŷ‖ / ‖y - mean(y)‖) over all poses, the angle weighed with the cells' radius of gyration;
+    # the NRMSE fit of MATLAB's `compare`. 100 is perfect, 0 as good as the mean pose.
     fit: float
-    fit_x: float
-    fit_y: float
-    fit_theta: float
-    force: float
-    force_share: float
+    fit_x: float  # the same for x alone; strongly negative where the object hardly moves along x
+    fit_y: float  # for y
+    fit_theta: float  # for the angle
+    force: float  # root mean square of the force error where the finger presses steadily, N
+    force_share: float  # the same over the root mean square of the measured force
+    # root mean square over all poses, and over forces where the finger presses steadily, of the error in
+    # standard deviations of the sensors' noise; 1 is perfect
     misfit: float
 
     def to_json(self) -> dict[str, float]:
@@ -94,19 +83,15 @@ def errors(
 
 @dataclass(frozen=True)
 class Paired:
-    """How two models' misfits of the same pushes compare, push by push.
+    """How two models' misfits of the same pushes compare, push by push."""
 
-    Attributes:
-        ratio: geometric mean over pushes of the second model's misfit over the first one's; one push that
-            starts near to balance does not decide it.
-        low: lower end of its 90 % interval, from the scatter over pushes (Student's t of the logarithms); 0
-            where there are fewer than two.
-        high: upper end; infinite where there are fewer than two.
-    """
-
+    # geometric mean over pushes of the second model's misfit over the first one's; one push that starts near
+    # to balance does not decide it
     ratio: float
+    # lower end of its 90 % interval, from the scatter over pushes (Student's t of the logarithms); 0 where
+    # there are fewer than two
     low: float
-    high: float
+    high: float  # upper end; infinite where there are fewer than two
 
     @classmethod
     def of(cls, first: FloatArray, second: FloatArray) -> Paired:
@@ -152,19 +137,12 @@ def _rms(vectors: FloatArray) -> float:
 
 @dataclass(frozen=True)
 class NoiseFloor:
-    """An error below which nobody can tell two models apart.
+    """An error below which nobody can tell two models apart."""
 
-    Attributes:
-        add: ADD at the end of a push, m.
-        source: `repeats` or `declared noise`.
-        repeats: number of pushes that have a repeat.
-        groups: names of the pushes that repeat each other.
-    """
-
-    add: float
-    source: str
-    repeats: int
-    groups: tuple[tuple[str, ...], ...]
+    add: float  # ADD at the end of a push, m
+    source: str  # `repeats` or `declared noise`
+    repeats: int  # number of pushes that have a repeat
+    groups: tuple[tuple[str, ...], ...]  # names of the pushes that repeat each other
 
     def to_json(self) -> dict[str, object]:
         """All fields."""

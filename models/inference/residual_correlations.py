@@ -39,40 +39,24 @@ def _plain(value: object) -> object:
 
 @dataclass(frozen=True, eq=False)
 class Correlation(_Fields):
-    """Correlation over lags, with what chance gives.
+    """Correlation over lags, with what chance gives."""
 
-    Attributes:
-        name: `memory`, `finger_along` or `finger_left`.
-        lags: (L,) s; at a positive one the residual follows.
-        values: (L,) correlation, -1 to 1.
-        bounds: (L,) |values| stays below them with 95 % probability at all lags together, by chance.
-        p: of the largest excess.
-    """
-
-    name: str
-    lags: FloatArray
-    values: FloatArray
-    bounds: FloatArray
-    p: float
+    name: str  # `memory`, `finger_along` or `finger_left`
+    lags: FloatArray  # (L,) s; at a positive one the residual follows
+    values: FloatArray  # (L,) correlation, -1 to 1
+    bounds: FloatArray  # (L,) |values| stays below them with 95 % probability at all lags together, by chance
+    p: float  # of the largest excess
 
 
 @dataclass(frozen=True, eq=False)
 class Correlations(_Fields):
-    """All correlations of one comparison.
+    """All correlations of one comparison."""
 
-    Attributes:
-        memory: of the residual with itself.
-        finger_along: of the residual with the finger's velocity, in its direction.
-        finger_left: of the residual with the finger's velocity, to its left.
-        memory_time: lag at which the memory has fallen to 1/e, s; NaN where it never does.
-        independent: about so many independent residuals a push holds: its duration over twice that.
-    """
-
-    memory: Correlation
-    finger_along: Correlation
-    finger_left: Correlation
-    memory_time: float
-    independent: float
+    memory: Correlation  # of the residual with itself
+    finger_along: Correlation  # of the residual with the finger's velocity, in its direction
+    finger_left: Correlation  # of the residual with the finger's velocity, to its left
+    memory_time: float  # lag at which the memory has fallen to 1/e, s; NaN where it never does
+    independent: float  # about so many independent residuals a push holds: its duration over twice that
 
 
 @dataclass(frozen=True, eq=False)

@@ -34,20 +34,13 @@ _ALWAYS = "always"
 
 @dataclass(frozen=True)
 class Factor:
-    """One condition that residuals are held against.
+    """One condition that residuals are held against."""
 
-    Attributes:
-        name: key, such as `table_direction`.
-        title: for a person, such as `direction of motion on the table`.
-        features: numbers that the conditions give.
-        components: of the residuals; all products of the two are tested together.
-        along_the_push: whether it compares parts of one push, which a push known by its ends cannot show.
-    """
-
-    name: str
-    title: str
-    features: Callable[[Conditions], Columns]
-    components: _Components
+    name: str  # key, such as `table_direction`
+    title: str  # for a person, such as `direction of motion on the table`
+    features: Callable[[Conditions], Columns]  # numbers that the conditions give
+    components: _Components  # of the residuals; all products of the two are tested together
+    # whether it compares parts of one push, which a push known by its ends cannot show
     along_the_push: bool = False
 
     def products(self, residuals: Residuals) -> tuple[list[str], FloatArray, FloatArray]:
@@ -203,32 +196,20 @@ OUTLYING = 2.0
 
 @dataclass(frozen=True)
 class Pattern:
-    """How strongly residuals depend on one factor, and whether chance explains that.
+    """How strongly residuals depend on one factor, and whether chance explains that."""
 
-    Attributes:
-        factor: key of the factor, such as `table_direction`.
-        title: for a person.
-        quantity: `motion`, `force` or `delay`.
-        strongest: the product of feature and component that deviates most, in words.
-        size: its size: residual per typical (rms) change of the feature, as a share of the push's speed (for
-            motion) or of the typical force (for force); for `delay` seconds.
-        low: lower end of its 95 % interval (pushes as units).
-        high: upper end.
-        p: by sign flips of whole pushes.
-        p_corrected: after Holm's correction over all patterns of the comparison.
-        pushes: with any evidence.
-    """
-
-    factor: str
-    title: str
-    quantity: str
-    strongest: str
+    factor: str  # key of the factor, such as `table_direction`
+    title: str  # for a person
+    quantity: str  # `motion`, `force` or `delay`
+    strongest: str  # the product of feature and component that deviates most, in words
+    # its size: residual per typical (rms) change of the feature, as a share of the push's speed (for motion)
+    # or of the typical force (for force); for `delay` seconds
     size: float
-    low: float
-    high: float
-    p: float
-    p_corrected: float
-    pushes: int
+    low: float  # lower end of its 95 % interval (pushes as units)
+    high: float  # upper end
+    p: float  # by sign flips of whole pushes
+    p_corrected: float  # after Holm's correction over all patterns of the comparison
+    pushes: int  # with any evidence
 
     @property
     def significant(self) -> bool:

@@ -44,27 +44,17 @@ PHASE_NAMES = {
 
 @dataclass(frozen=True, eq=False)
 class Conditions:
-    """Conditions of N pieces of pushes: where, which way, how fast, touching how.
+    """Conditions of N pieces of pushes: where, which way, how fast, touching how."""
 
-    Attributes:
-        push: (N,) index of the push.
-        time: (N,) middle, s after the first pose.
-        share: (N,) the same as a share of the push's duration.
-        place: (N, 2) cells' centroid on the table, m.
-        angle: (N,) of the object frame, rad.
-        velocity: (N, 3) of the centroid in the world, m/s, and turning times the cells' radius of gyration.
-        contact: (N, 2) contact in the object frame, m; NaN where nothing touches.
-        phase: (N,) see `Phase`.
-    """
-
-    push: NDArray[np.int64]
-    time: FloatArray
-    share: FloatArray
-    place: FloatArray
-    angle: FloatArray
+    push: NDArray[np.int64]  # (N,) index of the push
+    time: FloatArray  # (N,) middle, s after the first pose
+    share: FloatArray  # (N,) the same as a share of the push's duration
+    place: FloatArray  # (N, 2) cells' centroid on the table, m
+    angle: FloatArray  # (N,) of the object frame, rad
+    # (N, 3) of the centroid in the world, m/s, and turning times the cells' radius of gyration
     velocity: FloatArray
-    contact: FloatArray
-    phase: NDArray[np.int64]
+    contact: FloatArray  # (N, 2) contact in the object frame, m; NaN where nothing touches
+    phase: NDArray[np.int64]  # (N,) see `Phase`
 
     def __len__(self) -> int:
         return len(self.push)
@@ -184,19 +174,14 @@ def _nearest(points: FloatArray, grid: CellGrid) -> tuple[FloatArray, FloatArray
 
 @dataclass(frozen=True, eq=False)
 class Residuals:
-    """Residual velocities or forces of N pieces of pushes.
+    """Residual velocities or forces of N pieces of pushes."""
 
-    Attributes:
-        at: conditions of the pieces.
-        values: (N, 3) residual velocity in the world, m/s, the turning times the cells' radius of gyration;
-            or (N, 2) residual force on the object in the world, N.
-        weights: (N,) duration of a piece, s; of a force 1.
-        scale: (B,) what makes pushes comparable: mean speed of each push, m/s; or the typical force, N.
-    """
-
-    at: Conditions
+    at: Conditions  # conditions of the pieces
+    # (N, 3) residual velocity in the world, m/s, the turning times the cells' radius of gyration; or (N, 2)
+    # residual force on the object in the world, N
     values: FloatArray
-    weights: FloatArray
+    weights: FloatArray  # (N,) duration of a piece, s; of a force 1
+    # (B,) what makes pushes comparable: mean speed of each push, m/s; or the typical force, N
     scale: FloatArray
 
     @property

@@ -16,25 +16,15 @@ from slipmap.models.physics.cell_grid import FloatArray
 
 @dataclass(frozen=True)
 class Quantity:
-    """One physical quantity, what the belief says of it, and whether these pushes show it.
+    """One physical quantity, what the belief says of it, and whether these pushes show it."""
 
-    Attributes:
-        name: for a person, such as `centre of mass, x`.
-        unit: SI; `-` where it has none.
-        value: median over the belief.
-        low: lower end of the 90 % interval.
-        high: upper end.
-        shown: whether the data leave less than half of the width that the prior has, or it was weighed.
-        reason: why, or why not.
-    """
-
-    name: str
-    unit: str
-    value: float
-    low: float
-    high: float
-    shown: bool
-    reason: str
+    name: str  # for a person, such as `centre of mass, x`
+    unit: str  # SI; `-` where it has none
+    value: float  # median over the belief
+    low: float  # lower end of the 90 % interval
+    high: float  # upper end
+    shown: bool  # whether the data leave less than half of the width that the prior has, or it was weighed
+    reason: str  # why, or why not
 
     def __str__(self) -> str:
         """Name and interval: `total friction: 1.746 to 1.776 N`."""

@@ -28,15 +28,10 @@ _EXHAUSTIVE = 12
 
 @dataclass(frozen=True, eq=False)
 class SignFlipTest:
-    """Result of one test.
+    """Result of one test."""
 
-    Attributes:
-        z: (d,) standardised sum of each coordinate.
-        p: probability of so large a maximum by chance alone.
-    """
-
-    z: FloatArray
-    p: float
+    z: FloatArray  # (d,) standardised sum of each coordinate
+    p: float  # probability of so large a maximum by chance alone
 
     @property
     def strongest(self) -> int:

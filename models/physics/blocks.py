@@ -40,21 +40,13 @@ _BLOCK = FIXED_ROWS * LANES
 
 
 class Layout(NamedTuple):
-    """How many parameters a Jacobian has, and of which kinds.
+    """How many parameters a Jacobian has, and of which kinds."""
 
-    Attributes:
-        n: number of loads.
-        others: number of parameters after them; no Jacobian is wanted where it is 0.
-        memory: E.
-        effects: number of the effects' parameters.
-        masses: number of masses, 0 or n.
-    """
-
-    n: int
-    others: int
-    memory: int
-    effects: int
-    masses: int
+    n: int  # number of loads
+    others: int  # number of parameters after them; no Jacobian is wanted where it is 0
+    memory: int  # E
+    effects: int  # number of the effects' parameters
+    masses: int  # number of masses, 0 or n
 
 
 @compiled(forceinline=True)

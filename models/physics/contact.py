@@ -43,56 +43,39 @@ tangential move of the tip turns the normal and shifts the point."""
 
 
 class Cone(NamedTuple):
-    """The law of all contacts of a push.
+    """The law of all contacts of a push."""
 
-    Attributes:
-        mu: friction with the finger.
-        give: penetration under one newton, m/N.
-        compliance: of the finger, in series with it, m/N.
-        tangential: 1/R_t, kg.
-        damping: τ/h, most by which damping stiffens a contact within a step.
-        ramp: penetration at which half of that acts, m.
-    """
-
-    mu: float
-    give: float
-    compliance: float
-    tangential: float
-    damping: float
-    ramp: float
+    mu: float  # friction with the finger
+    give: float  # penetration under one newton, m/N
+    compliance: float  # of the finger, in series with it, m/N
+    tangential: float  # 1/R_t, kg
+    damping: float  # τ/h, most by which damping stiffens a contact within a step
+    ramp: float  # penetration at which half of that acts, m
 
 
 class Contact(NamedTuple):
     """One contact in one step, in the step's middle frame. A twist v moves the object at the contact with
     n_x v_x + n_y v_y + n_w omega along the normal and -n_y v_x + n_x v_y + t_w omega along the tangent.
-
-    Attributes:
-        nx, ny: normal, out of the object.
-        x, y: point of contact, m.
-        nw, tw: n_w and t_w, m.
-        closing: normal speed at which the step would just end in touch, m/s.
-        drag: tangential speed of the finger, m/s.
-        turn, slide: see `CONTACT_COLUMNS`.
-        gap: at the start of the step, as seen from its middle, m.
-        stiffening: 1 + τ/h.
-        normal: 1/R_n, kg.
-        ratio: R_t / R_n.
     """
 
+    # nx, ny: normal, out of the object
     nx: float
     ny: float
+    # x, y: point of contact, m
     x: float
     y: float
+    # nw, tw: n_w and t_w, m
     nw: float
     tw: float
-    closing: float
-    drag: float
+    closing: float  # normal speed at which the step would just end in touch, m/s
+    drag: float  # tangential speed of the finger, m/s
+    # turn, slide: see `CONTACT_COLUMNS`
     turn: float
     slide: float
-    gap: float
-    stiffening: float
-    normal: float
-    ratio: float
+    gap: float  # at the start of the step, as seen from its middle, m
+    stiffening: float  # 1 + τ/h
+    normal: float  # 1/R_n, kg
+    ratio: float  # R_t / R_n
 
 
 @compiled(forceinline=True)

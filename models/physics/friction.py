@@ -54,31 +54,24 @@ _FAST = {"reassoc", "contract", "arcp", "nsz"}
 
 
 class EffectCells(NamedTuple):
-    """The cells as a step with effects sees them.
+    """The cells as a step with effects sees them."""
 
-    Attributes:
-        load: (n,) friction loads times their factors, f_i s_i, N; n is a multiple of `LANES`.
-        rx, ry: (n,) cell centres, object frame, m.
-        rho2, eps2: ρ², m², and ε², m²/s².
-        stretched: whether any Q is not 1.
-        qxx, qxy, qyy: (n,) each cell's Q, object frame; without entries unless stretched.
-        longest: largest eigenvalue of all Q, or 1 if that is larger.
-        drag: Σ D, Σ D r_x, Σ D r_y, Σ D (|r|² + w²/6).
-        blades: (k, 4) F, b.
-    """
-
+    # (n,) friction loads times their factors, f_i s_i, N; n is a multiple of `LANES`
     load: NDArray[np.float64]
+    # rx, ry: (n,) cell centres, object frame, m
     rx: NDArray[np.float64]
     ry: NDArray[np.float64]
+    # rho2, eps2: ρ², m², and ε², m²/s²
     rho2: float
     eps2: float
-    stretched: bool
+    stretched: bool  # whether any Q is not 1
+    # qxx, qxy, qyy: (n,) each cell's Q, object frame; without entries unless stretched
     qxx: NDArray[np.float64]
     qxy: NDArray[np.float64]
     qyy: NDArray[np.float64]
-    longest: float
-    drag: tuple[float, float, float, float]
-    blades: NDArray[np.float64]
+    longest: float  # largest eigenvalue of all Q, or 1 if that is larger
+    drag: tuple[float, float, float, float]  # Σ D, Σ D r_x, Σ D r_y, Σ D (|r|² + w²/6)
+    blades: NDArray[np.float64]  # (k, 4) F, b
 
 
 @compiled(fastmath=_FAST)

@@ -120,19 +120,14 @@ _FIRST, _END = np.zeros(1, np.int64), np.ones(1)
 
 
 class Room(NamedTuple):
-    """Where a rollout keeps its derivatives and contacts.
+    """Where a rollout keeps its derivatives and contacts."""
 
-    Attributes:
-        S, before, F: blocks after a step, before it, and of the finger's force, see `blocks.py`.
-        slopes: see `Slopes`.
-        contacts: (MAX_CONTACTS, CONTACT_COLUMNS).
-    """
-
+    # S, before, F: blocks after a step, before it, and of the finger's force, see `blocks.py`
     S: NDArray[np.float64]
     before: NDArray[np.float64]
     F: NDArray[np.float64]
-    slopes: Slopes
-    contacts: NDArray[np.float64]
+    slopes: Slopes  # see `Slopes`
+    contacts: NDArray[np.float64]  # (MAX_CONTACTS, CONTACT_COLUMNS)
 
 
 @compiled(inline="always")

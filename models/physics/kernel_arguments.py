@@ -16,114 +16,77 @@ IntArray = NDArray[np.int64]
 
 
 class Common(NamedTuple):
-    """What all hypotheses and pushes have in common: object, finger and smoothing.
+    """What all hypotheses and pushes have in common: object, finger and smoothing."""
 
-    Attributes:
-        rx, ry: (n,) cell centres, object frame, m.
-        cell_width: w, m.
-        edges: (E, 4) outline, the object to the left.
-        radius: finger radius, m.
-        size: largest distance of an outline corner from the object frame's origin, m.
-        smoothing: (4,) slip speed ε, stick_speed, penetration, relaxation; see `Smoothing`.
-    """
-
+    # rx, ry: (n,) cell centres, object frame, m
     rx: FloatArray
     ry: FloatArray
-    cell_width: float
-    edges: FloatArray
-    radius: float
-    size: float
-    smoothing: FloatArray
+    cell_width: float  # w, m
+    edges: FloatArray  # (E, 4) outline, the object to the left
+    radius: float  # finger radius, m
+    size: float  # largest distance of an outline corner from the object frame's origin, m
+    smoothing: FloatArray  # (4,) slip speed ε, stick_speed, penetration, relaxation; see `Smoothing`
 
 
 class ReducedMaps(NamedTuple):
-    """K hypotheses, as far as a step depends on them.
+    """K hypotheses, as far as a step depends on them."""
 
-    Attributes:
-        load: (K, n) friction loads f_i, N.
-        inertia: (K, 4) m, s_x, s_y, J.
-        mu: (K,) finger friction.
-        mass: (K, n) of the cells, kg; without columns where no table is given.
-    """
-
-    load: FloatArray
-    inertia: FloatArray
-    mu: FloatArray
-    mass: FloatArray
+    load: FloatArray  # (K, n) friction loads f_i, N
+    inertia: FloatArray  # (K, 4) m, s_x, s_y, J
+    mu: FloatArray  # (K,) finger friction
+    mass: FloatArray  # (K, n) of the cells, kg; without columns where no table is given
 
 
 class JoinedPushes(NamedTuple):
-    """B pushes end to end; `*_at` (B + 1,) are the offsets at which they begin.
+    """B pushes end to end; `*_at` (B + 1,) are the offsets at which they begin."""
 
-    Attributes:
-        h: (B,) steps, s.
-        tip, wrench: as in `Push`; a push without a wrench has no rows there.
-        start_poses, start_twists: (K, B, 3) world; object frame.
-        sample_step, sample_fraction: (S,) ascending steps in whose course poses are wanted; place in it.
-        sample_time: (S,) the same as times from the start of the push, s.
-        force_step: (T,) ascending steps whose contact force is wanted.
-    """
-
-    h: FloatArray
+    h: FloatArray  # (B,) steps, s
+    # tip, wrench: as in `Push`; a push without a wrench has no rows there
     tip: FloatArray
     tip_at: IntArray
     wrench: FloatArray
     wrench_at: IntArray
+    # start_poses, start_twists: (K, B, 3) world; object frame
     start_poses: FloatArray
     start_twists: FloatArray
+    # sample_step, sample_fraction: (S,) ascending steps in whose course poses are wanted; place in it
     sample_step: IntArray
     sample_fraction: FloatArray
-    sample_time: FloatArray
+    sample_time: FloatArray  # (S,) the same as times from the start of the push, s
     sample_at: IntArray
-    force_step: IntArray
+    force_step: IntArray  # (T,) ascending steps whose contact force is wanted
     force_at: IntArray
 
 
 class Formulas(NamedTuple):
-    """Compiled formulas of effects and what they are evaluated at besides the state.
+    """Compiled formulas of effects and what they are evaluated at besides the state."""
 
-    Attributes:
-        addresses: (4,) of the functions body, cells, cell slopes, memory.
-        sizes: (5,) numbers of memory entries, parameters, blades; whether cells are changed; whether Q is.
-        constants: (B, CONSTANTS), see there; of the first the time before the first step.
-        parameters: (K, P) of the effects.
-        delay: (K,) of the tracker, s; empty for none.
-    """
-
-    addresses: IntArray
+    addresses: IntArray  # (4,) of the functions body, cells, cell slopes, memory
+    # (5,) numbers of memory entries, parameters, blades; whether cells are changed; whether Q is
     sizes: IntArray
-    constants: FloatArray
-    parameters: FloatArray
-    delay: FloatArray
+    constants: FloatArray  # (B, CONSTANTS), see there; of the first the time before the first step
+    parameters: FloatArray  # (K, P) of the effects
+    delay: FloatArray  # (K,) of the tracker, s; empty for none
 
 
 class Results(NamedTuple):
-    """What rollouts of K hypotheses under B pushes fill in.
+    """What rollouts of K hypotheses under B pushes fill in."""
 
-    Attributes:
-        poses: (K, S, 3) world.
-        rates: (K, S, 3) velocity of the poses, zero where the tracker's delay reaches beyond the push; for a
-            derivative by the delay alone, else without samples.
-        forces: (K, T, 2) of the finger on the object, world, N.
-        d_poses: (K, S, 3, P) derivatives, or P = 0 for none.
-        d_forces: (K, T, 2, P) the same.
-        end: (K, B, 7) last pose, last twist (object frame), and the number of evaluations, negative if a step
-            did not converge.
-        rim: (K, B, RIM_RESULTS), see there; without entries where no table is given.
-        mass_poses: (K, S, 3, n) derivatives by the cells' masses, the friction loads and the inertia being
-            held, of the poses after a push first came near the rim; without entries where no table is given.
-        mass_forces: (K, T, 2, n) the same.
-    """
-
-    poses: FloatArray
+    poses: FloatArray  # (K, S, 3) world
+    # (K, S, 3) velocity of the poses, zero where the tracker's delay reaches beyond the push; for a
+    # derivative by the delay alone, else without samples
     rates: FloatArray
-    forces: FloatArray
-    d_poses: FloatArray
-    d_forces: FloatArray
+    forces: FloatArray  # (K, T, 2) of the finger on the object, world, N
+    d_poses: FloatArray  # (K, S, 3, P) derivatives, or P = 0 for none
+    d_forces: FloatArray  # (K, T, 2, P) the same
+    # (K, B, 7) last pose, last twist (object frame), and the number of evaluations, negative if a step did
+    # not converge
     end: FloatArray
-    rim: FloatArray
+    rim: FloatArray  # (K, B, RIM_RESULTS), see there; without entries where no table is given
+    # (K, S, 3, n) derivatives by the cells' masses, the friction loads and the inertia being held, of the
+    # poses after a push first came near the rim; without entries where no table is given
     mass_poses: FloatArray
-    mass_forces: FloatArray
+    mass_forces: FloatArray  # (K, T, 2, n) the same
 
 
 def empty_results(

@@ -34,15 +34,12 @@ _SMALL = 0.1  # rad; up to here the series below are exact to rounding
 
 
 class Turn(NamedTuple):
-    """Rotation by an angle α, as by the hundredths of a radian of a step.
+    """Rotation by an angle α, as by the hundredths of a radian of a step."""
 
-    Attributes:
-        cos, sin: of α.
-        sinc, sinc_slope: sin(α)/α and its derivative by α.
-    """
-
+    # cos, sin: of α
     cos: float
     sin: float
+    # sinc, sinc_slope: sin(α)/α and its derivative by α
     sinc: float
     sinc_slope: float
 

@@ -37,17 +37,13 @@ _FAST = {"reassoc", "contract", "arcp", "nsz"}
 
 
 class Cells(NamedTuple):
-    """The cells as the step sees them.
+    """The cells as the step sees them."""
 
-    Attributes:
-        load: (n,) friction loads f_i, N; n is a multiple of `LANES`.
-        rx, ry: (n,) cell centres, m.
-        rho2, eps2: ρ², m², and ε², m²/s².
-    """
-
-    load: NDArray[np.float64]
+    load: NDArray[np.float64]  # (n,) friction loads f_i, N; n is a multiple of `LANES`
+    # rx, ry: (n,) cell centres, m
     rx: NDArray[np.float64]
     ry: NDArray[np.float64]
+    # rho2, eps2: ρ², m², and ε², m²/s²
     rho2: float
     eps2: float
 

@@ -33,20 +33,14 @@ from slipmap.models.physics.support import FIRST_FORCE, FIRST_POSE, REACHED, RIM
 
 @dataclass(frozen=True)
 class Smoothing:
-    """Where the model is softer than Coulomb's law; small enough not to show in a push.
+    """Where the model is softer than Coulomb's law; small enough not to show in a push."""
 
-    Attributes:
-        slip_speed: ε of the friction norm, m/s; below it base friction acts like a viscous hold.
-        stick_speed: creep of a sticking finger contact under the object's whole friction load, m/s.
-        penetration: depth to which the finger sinks in under the object's whole friction load, m.
-        relaxation: time constant with which a compressed contact would spring back if nothing but its own
-            damping held it, s; about 2 sqrt(penetration / (mu g)) for an object to stay on the finger that
-            strikes it.
-    """
-
-    slip_speed: float = 1e-5
+    slip_speed: float = 1e-5  # ε of the friction norm, m/s; below it base friction acts like a viscous hold
+    # creep of a sticking finger contact under the object's whole friction load, m/s
     stick_speed: float = 1e-5
-    penetration: float = 1e-5
+    penetration: float = 1e-5  # depth to which the finger sinks in under the object's whole friction load, m
+    # time constant with which a compressed contact would spring back if nothing but its own damping held it,
+    # s; about 2 sqrt(penetration / (mu g)) for an object to stay on the finger that strikes it
     relaxation: float = 4e-3
 
     def __post_init__(self) -> None:
@@ -57,34 +51,23 @@ class Smoothing:
 
 @dataclass(frozen=True, eq=False)
 class Rollouts:
-    """Results for K models and B pushes; samples of all pushes are joined, `poses_of(b)` takes one push.
+    """Results for K models and B pushes; samples of all pushes are joined, `poses_of(b)` takes one push."""
 
-    Attributes:
-        poses: (K, S, 3) world poses at the pushes' `pose_times`.
-        forces: (K, T, 2) force of the finger on the object, world, N.
-        end: (K, B, 6) last pose (world) and twist (object frame).
-        evaluations: (K, B) evaluations of the step's function.
-        pose_at: (B + 1,) offsets of the pushes in S.
-        force_at: (B + 1,) the same in T.
-        d_poses: (K, S, 3, P) derivative by the reduced columns, empty if not asked for: by friction loads
-            (n), m, s_x, s_y, J, finger friction, start pose (3), start twist (3) and the parameters of
-            effects. Where any push came near the table's rim there are n more: by the cells' masses, as far
-            as loads shift with them.
-        d_forces: (K, T, 2, P) the same for the forces.
-        tips: (K, B) time from the push's start at which the object first tips over the rim, s; infinite where
-            it does not, or where no table is known. Poses after that are not to be trusted.
-        reached: (K, B) whether the object came so near the rim that cells may have been beyond it.
-    """
-
-    poses: FloatArray
-    forces: FloatArray
-    end: FloatArray
-    evaluations: NDArray[np.int64]
-    pose_at: NDArray[np.int64]
-    force_at: NDArray[np.int64]
+    poses: FloatArray  # (K, S, 3) world poses at the pushes' `pose_times`
+    forces: FloatArray  # (K, T, 2) force of the finger on the object, world, N
+    end: FloatArray  # (K, B, 6) last pose (world) and twist (object frame)
+    evaluations: NDArray[np.int64]  # (K, B) evaluations of the step's function
+    pose_at: NDArray[np.int64]  # (B + 1,) offsets of the pushes in S
+    force_at: NDArray[np.int64]  # (B + 1,) the same in T
+    # (K, S, 3, P) derivative by the reduced columns, empty if not asked for: by friction loads (n), m, s_x,
+    # s_y, J, finger friction, start pose (3), start twist (3) and the parameters of effects. Where any push
+    # came near the table's rim there are n more: by the cells' masses, as far as loads shift with them.
     d_poses: FloatArray
-    d_forces: FloatArray
+    d_forces: FloatArray  # (K, T, 2, P) the same for the forces
+    # (K, B) time from the push's start at which the object first tips over the rim, s; infinite where it does
+    # not, or where no table is known. Poses after that are not to be trusted.
     tips: FloatArray
+    # (K, B) whether the object came so near the rim that cells may have been beyond it
     reached: NDArray[np.bool_]
 
     @property

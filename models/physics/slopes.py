@@ -37,17 +37,7 @@ MU = INERTIA
 
 
 class Taken(NamedTuple):
-    """A step that was taken; attributes as in `Step`, and
-
-    Attributes:
-        new: twist v⁺ after it.
-        minimum: see `Solution`.
-        free: momentum of the free motion.
-        applied: given forces of the push.
-        impulse: of the finger on the object, middle frame, N s.
-        way: see `Way`.
-        evaluations: see `Solution`.
-    """
+    """A step that was taken; attributes as in `Step`, and"""
 
     v: tuple[float, float, float]
     h: float
@@ -57,28 +47,23 @@ class Taken(NamedTuple):
     quarter: Turn
     first: Contact
     second: Contact
-    new: tuple[float, float, float]
-    minimum: Minimum
-    free: tuple[float, float, float]
-    applied: Applied
-    impulse: tuple[float, float]
-    way: Way
-    evaluations: int
+    new: tuple[float, float, float]  # twist v⁺ after it
+    minimum: Minimum  # see `Solution`
+    free: tuple[float, float, float]  # momentum of the free motion
+    applied: Applied  # given forces of the push
+    impulse: tuple[float, float]  # of the finger on the object, middle frame, N s
+    way: Way  # see `Way`
+    evaluations: int  # see `Solution`
 
 
 class Slopes(NamedTuple):
-    """Direct derivatives: three rows of the gradient, then two of the impulse (N s, middle frame).
+    """Direct derivatives: three rows of the gradient, then two of the impulse (N s, middle frame)."""
 
-    Attributes:
-        state: (5, 6 + E + 2) by the state before the step, by the E entries of memory, by the compliance of
-            the finger, and by the sum of loads through the contact's stiffness.
-        other: (5, X) by the parameters after the loads.
-        twist: (2, 3) of the impulse by v⁺.
-    """
-
+    # (5, 6 + E + 2) by the state before the step, by the E entries of memory, by the compliance of the
+    # finger, and by the sum of loads through the contact's stiffness
     state: NDArray[np.float64]
-    other: NDArray[np.float64]
-    twist: NDArray[np.float64]
+    other: NDArray[np.float64]  # (5, X) by the parameters after the loads
+    twist: NDArray[np.float64]  # (2, 3) of the impulse by v⁺
 
 
 @compiled()

@@ -57,91 +57,66 @@ _HESSIAN_TOLERANCE = 1e-8
 
 
 class Frame(NamedTuple):
-    """Middle frame of a step, in which its problem is written, and the finger seen from it.
+    """Middle frame of a step, in which its problem is written, and the finger seen from it."""
 
-    Attributes:
-        cos, sin: of its angle in the world.
-        tip_x, tip_y: finger centre in the middle of the step, m.
-        speed_x, speed_y: velocity of the finger, m/s.
-        spring_x, spring_y: speed at which a finger that bends would straighten within the step if nothing
-            held it, m/s; 0 for a rigid one.
-    """
-
+    # cos, sin: of its angle in the world
     cos: float
     sin: float
+    # tip_x, tip_y: finger centre in the middle of the step, m
     tip_x: float
     tip_y: float
+    # speed_x, speed_y: velocity of the finger, m/s
     speed_x: float
     speed_y: float
+    # spring_x, spring_y: speed at which a finger that bends would straighten within the step if nothing held
+    # it, m/s; 0 for a rigid one
     spring_x: float
     spring_y: float
 
 
 class Applied(NamedTuple):
-    """Impulse of given forces in a step, middle frame.
+    """Impulse of given forces in a step, middle frame."""
 
-    Attributes:
-        x, y: N s.
-        turning: derivative of its moment about the origin by the object's angle, N m s.
-        spin: its moment about the origin, N m s.
-    """
-
+    # x, y: N s
     x: float
     y: float
-    turning: float
-    spin: float
+    turning: float  # derivative of its moment about the origin by the object's angle, N m s
+    spin: float  # its moment about the origin, N m s
 
 
 class Step(NamedTuple):
-    """One step before it is solved.
+    """One step before it is solved."""
 
-    Attributes:
-        cells: `Cells`, or another class registered with `newton.register_cells`.
-        inertia: m, s_x, s_y, J.
-        star: momentum of the free motion and of applied forces: p_x, p_y and L about the frame's origin.
-        h: its length, s.
-        first, second: nearest contact and the next.
-        contacts: how many of them there are.
-        cone: law of the contacts.
-        size: radius of the object, m, at which rotation counts.
-        v: twist before it, object frame.
-        quarter: `Turn` by h omega / 4.
-        frame: its middle frame.
-    """
-
-    cells: Any
-    inertia: tuple[float, float, float, float]
+    cells: Any  # `Cells`, or another class registered with `newton.register_cells`
+    inertia: tuple[float, float, float, float]  # m, s_x, s_y, J
+    # momentum of the free motion and of applied forces: p_x, p_y and L about the frame's origin
     star: tuple[float, float, float]
-    h: float
+    h: float  # its length, s
+    # first, second: nearest contact and the next
     first: Contact
     second: Contact
-    contacts: int
-    cone: Cone
-    size: float
-    v: tuple[float, float, float]
-    quarter: Turn
-    frame: Frame
+    contacts: int  # how many of them there are
+    cone: Cone  # law of the contacts
+    size: float  # radius of the object, m, at which rotation counts
+    v: tuple[float, float, float]  # twist before it, object frame
+    quarter: Turn  # `Turn` by h omega / 4
+    frame: Frame  # its middle frame
 
 
 class Way(NamedTuple):
-    """How a step moves the pose: along the screw of v⁺, by h sinc(h omega/2) R(θ + h omega/2) v⁺.
+    """How a step moves the pose: along the screw of v⁺, by h sinc(h omega/2) R(θ + h omega/2) v⁺."""
 
-    Attributes:
-        quarter: `Turn` by h omega/4.
-        half_cos, half_sin: of h omega/2.
-        cos, sin: of the angle half-way.
-        wx, wy: direction times speed, world.
-        length: h sinc(h omega/2), s.
-    """
-
-    quarter: Turn
+    quarter: Turn  # `Turn` by h omega/4
+    # half_cos, half_sin: of h omega/2
     half_cos: float
     half_sin: float
+    # cos, sin: of the angle half-way
     cos: float
     sin: float
+    # wx, wy: direction times speed, world
     wx: float
     wy: float
-    length: float
+    length: float  # h sinc(h omega/2), s
 
 
 class Solution(NamedTuple):

@@ -29,15 +29,10 @@ _NO_DELAY = np.zeros(0)
 
 @dataclass(frozen=True, eq=False)
 class StepModels:
-    """K models as the kernel takes them, so that steps need not check and sum the maps again.
+    """K models as the kernel takes them, so that steps need not check and sum the maps again."""
 
-    Attributes:
-        maps: with the parameters of all effects.
-        reduced: fields of `ReducedMaps`.
-    """
-
-    maps: Maps
-    reduced: tuple[FloatArray, ...]
+    maps: Maps  # with the parameters of all effects
+    reduced: tuple[FloatArray, ...]  # fields of `ReducedMaps`
 
 
 class Stepper(Slider):

@@ -57,59 +57,48 @@ _FAST = {"reassoc", "contract", "arcp", "nsz", "nnan"}
 
 
 class Rim(NamedTuple):
-    """The table under one model in one push, and room for what follows from it; N is n, filled up.
+    """The table under one model in one push, and room for what follows from it; N is n, filled up."""
 
-    Attributes:
-        top: centre (2), radius, half the sides (2), m, cosine and sine of the table's angle; the radius is 0
-            for a rectangle, the sides for a disc.
-        room: distance of the object's origin from the middle of a round table up to which all cells are
-            wholly supported however it lies, m; for a rectangular one that distance from the sides, negative.
-        blur: W, m.
-        scale: L, m.
-        center: of mass, object frame, m.
-        rx, ry, mass, plain: (N,) centres, m, masses, kg, and friction loads with all cells supported, N.
-        share, held: (N,) s_i and m_i s_i.
-        factor, load: (N,) φ_i and friction loads, N.
-        plane: (3,) a, b_x, b_y.
-        at: (4,) pose that they belong to: x, y, cosine and sine.
-        parts: (6,) of the matrix A of F's second derivatives: A_00, the rest of its first row over that (2),
-            and the inverse of what is left of the others (xx, xy, yy).
-        flags: (3,) whether cells may be beyond the rim in this step; in this push until now; whether the rows
-            of the Jacobian that hold the cells' centres were written over.
-        found: (RIM_RESULTS,).
-        ones: (N,).
-        by_pose: (3, N) derivatives of the shares by x, y, θ of the object; without columns if there is no
-            Jacobian, as all that follow.
-        by_load: (3, N) see `load_gradients`.
-        total, moving, pressing: (N,), (N,) and (2, N), see `_weigh`.
-        lift: (3, 4) how the gradient changes with what a, b_x, b_y are solved for, and with the mass itself;
-            zero while no cells are beyond the rim.
-    """
-
+    # centre (2), radius, half the sides (2), m, cosine and sine of the table's angle; the radius is 0 for a
+    # rectangle, the sides for a disc
     top: tuple[float, float, float, float, float, float, float]
+    # distance of the object's origin from the middle of a round table up to which all cells are wholly
+    # supported however it lies, m; for a rectangular one that distance from the sides, negative
     room: float
-    blur: float
-    scale: float
-    center: tuple[float, float]
+    blur: float  # W, m
+    scale: float  # L, m
+    center: tuple[float, float]  # of mass, object frame, m
+    # rx, ry, mass, plain: (N,) centres, m, masses, kg, and friction loads with all cells supported, N
     rx: NDArray[np.float64]
     ry: NDArray[np.float64]
     mass: NDArray[np.float64]
     plain: NDArray[np.float64]
+    # share, held: (N,) s_i and m_i s_i
     share: NDArray[np.float64]
     held: NDArray[np.float64]
+    # factor, load: (N,) φ_i and friction loads, N
     factor: NDArray[np.float64]
     load: NDArray[np.float64]
-    plane: NDArray[np.float64]
-    at: NDArray[np.float64]
+    plane: NDArray[np.float64]  # (3,) a, b_x, b_y
+    at: NDArray[np.float64]  # (4,) pose that they belong to: x, y, cosine and sine
+    # (6,) of the matrix A of F's second derivatives: A_00, the rest of its first row over that (2), and the
+    # inverse of what is left of the others (xx, xy, yy)
     parts: NDArray[np.float64]
+    # (3,) whether cells may be beyond the rim in this step; in this push until now; whether the rows of the
+    # Jacobian that hold the cells' centres were written over
     flags: NDArray[np.int64]
-    found: NDArray[np.float64]
-    ones: NDArray[np.float64]
+    found: NDArray[np.float64]  # (RIM_RESULTS,)
+    ones: NDArray[np.float64]  # (N,)
+    # (3, N) derivatives of the shares by x, y, θ of the object; without columns if there is no Jacobian, as
+    # all that follow
     by_pose: NDArray[np.float64]
-    by_load: NDArray[np.float64]
+    by_load: NDArray[np.float64]  # (3, N) see `load_gradients`
+    # total, moving, pressing: (N,), (N,) and (2, N), see `_weigh`
     total: NDArray[np.float64]
     moving: NDArray[np.float64]
     pressing: NDArray[np.float64]
+    # (3, 4) how the gradient changes with what a, b_x, b_y are solved for, and with the mass itself; zero
+    # while no cells are beyond the rim
     lift: NDArray[np.float64]
 
 

@@ -68,79 +68,55 @@ from slipmap.models.physics.support import (
 
 
 class Model(NamedTuple):
-    """One hypothesis under one push.
+    """One hypothesis under one push."""
 
-    Attributes:
-        load: (n,) friction loads, N, and their sum.
-        cells: the same as `Cells`.
-        body: m, s_x, s_y, J.
-        about_center: moment of inertia about the centre of mass, kg m².
-        cone: law of the contacts with a rigid finger.
-        stick_speed: see `Smoothing`.
-        cell_width: m.
-        size: see `Common`.
-    """
-
-    load: NDArray[np.float64]
+    load: NDArray[np.float64]  # (n,) friction loads, N, and their sum
     load_sum: float
-    cells: Cells
-    body: tuple[float, float, float, float]
-    about_center: float
-    cone: Cone
-    stick_speed: float
-    cell_width: float
-    size: float
+    cells: Cells  # the same as `Cells`
+    body: tuple[float, float, float, float]  # m, s_x, s_y, J
+    about_center: float  # moment of inertia about the centre of mass, kg m²
+    cone: Cone  # law of the contacts with a rigid finger
+    stick_speed: float  # see `Smoothing`
+    cell_width: float  # m
+    size: float  # see `Common`
 
 
 class Effects(NamedTuple):
-    """Formulas of effects, and room for what they are evaluated at and give, as in `friction.py`.
+    """Formulas of effects, and room for what they are evaluated at and give, as in `friction.py`."""
 
-    Attributes:
-        addresses: as in `Formulas`.
-        memory: E.
-        blades: how many there are.
-        cells, stretch: whether cells are changed; whether Q is.
-        begin: time before the first step, s.
-        y: (Y,) what formulas are evaluated at; it keeps the memory from step to step.
-        c: (CONSTANTS,).
-        out, dout: (BODY_OUTPUTS + 4 blades,) and (…, Y) of the body.
-        blade: (blades, 4) part of `out`.
-        factor, drag: (n,) of the cells, or without entries.
-        qxx, qxy, qyy: (n,) Q of the cells, filled up, or without entries.
-        share, load: (n,) factors, not below 0, and loads times them, filled up.
-        by_load: (3, n) see `load_gradients`, filled up.
-        by_factor, by_drag, by_stretch: (3, n), (3, n), (9, n) what `weigh_cells` and others fill in.
-        after: (AFTER,).
-        own, down: (E - FORCE,) and (…, Y + AFTER) of the effects' own memory.
-        G: (3, Y) derivative of the gradient by y.
-    """
-
-    addresses: NDArray[np.int64]
-    memory: int
-    blades: int
+    addresses: NDArray[np.int64]  # as in `Formulas`
+    memory: int  # E
+    blades: int  # how many there are
+    # cells, stretch: whether cells are changed; whether Q is
     cells: bool
     stretch: bool
-    begin: float
-    y: NDArray[np.float64]
-    c: NDArray[np.float64]
+    begin: float  # time before the first step, s
+    y: NDArray[np.float64]  # (Y,) what formulas are evaluated at; it keeps the memory from step to step
+    c: NDArray[np.float64]  # (CONSTANTS,)
+    # out, dout: (BODY_OUTPUTS + 4 blades,) and (…, Y) of the body
     out: NDArray[np.float64]
     dout: NDArray[np.float64]
-    blade: NDArray[np.float64]
+    blade: NDArray[np.float64]  # (blades, 4) part of `out`
+    # factor, drag: (n,) of the cells, or without entries
     factor: NDArray[np.float64]
     drag: NDArray[np.float64]
+    # qxx, qxy, qyy: (n,) Q of the cells, filled up, or without entries
     qxx: NDArray[np.float64]
     qxy: NDArray[np.float64]
     qyy: NDArray[np.float64]
+    # share, load: (n,) factors, not below 0, and loads times them, filled up
     share: NDArray[np.float64]
     load: NDArray[np.float64]
-    by_load: NDArray[np.float64]
+    by_load: NDArray[np.float64]  # (3, n) see `load_gradients`, filled up
+    # by_factor, by_drag, by_stretch: (3, n), (3, n), (9, n) what `weigh_cells` and others fill in
     by_factor: NDArray[np.float64]
     by_drag: NDArray[np.float64]
     by_stretch: NDArray[np.float64]
-    after: NDArray[np.float64]
+    after: NDArray[np.float64]  # (AFTER,)
+    # own, down: (E - FORCE,) and (…, Y + AFTER) of the effects' own memory
     own: NDArray[np.float64]
     down: NDArray[np.float64]
-    G: NDArray[np.float64]
+    G: NDArray[np.float64]  # (3, Y) derivative of the gradient by y
 
 
 class Motion(NamedTuple):
@@ -156,21 +132,14 @@ class Motion(NamedTuple):
 
 
 class Terms(NamedTuple):
-    """What of a step effects change.
+    """What of a step effects change."""
 
-    Attributes:
-        cells: `Cells`, or `EffectCells`.
-        cone: law of the contacts.
-        kappa: factor on the inertia.
-        added: impulse of forces, middle frame: two components, N s, and moment about the origin, N m s.
-        bend: how far the finger stands off its record, world, m.
-    """
-
-    cells: Any
-    cone: Cone
-    kappa: float
+    cells: Any  # `Cells`, or `EffectCells`
+    cone: Cone  # law of the contacts
+    kappa: float  # factor on the inertia
+    # impulse of forces, middle frame: two components, N s, and moment about the origin, N m s
     added: tuple[float, float, float]
-    bend: tuple[float, float]
+    bend: tuple[float, float]  # how far the finger stands off its record, world, m
 
 
 @compiled()

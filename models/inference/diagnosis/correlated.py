@@ -24,17 +24,11 @@ from slipmap.models.physics.rollout import Push, Rollouts
 
 @dataclass(frozen=True, eq=False)
 class Whitener:
-    """Inverse Cholesky factors of the covariances of one push.
+    """Inverse Cholesky factors of the covariances of one push."""
 
-    Attributes:
-        pose: (3, S, S) of x, y and ρ θ.
-        force: (T, T) of a component of the forces that count.
-        log_determinant: logarithm of the determinant of the factors, by which densities are normalised.
-    """
-
-    pose: FloatArray
-    force: FloatArray
-    log_determinant: float
+    pose: FloatArray  # (3, S, S) of x, y and ρ θ
+    force: FloatArray  # (T, T) of a component of the forces that count
+    log_determinant: float  # logarithm of the determinant of the factors, by which densities are normalised
 
     def __call__(self, pose: FloatArray, force: FloatArray) -> FloatArray:
         """Whiten columns of residuals or derivatives: (…, S, 3, c) and (…, T, 2, c) to (…, 3 S + 2 T, c)."""
@@ -125,19 +119,12 @@ def _force_steps(observation: Observation) -> tuple[FloatArray, FloatArray]:
 
 @dataclass(frozen=True, eq=False)
 class Linearised:
-    """Residuals of one push and their derivatives, of one model and not whitened.
+    """Residuals of one push and their derivatives, of one model and not whitened."""
 
-    Attributes:
-        pose: (S, 3) predicted minus measured, (dx, dy, ρ dθ) at the cells' centroid, m.
-        pose_slopes: (S, 3, d + 3) by coordinates and start.
-        force: (T, 2) predicted minus measured force where it counts, N.
-        force_slopes: (T, 2, d + 3).
-    """
-
-    pose: FloatArray
-    pose_slopes: FloatArray
-    force: FloatArray
-    force_slopes: FloatArray
+    pose: FloatArray  # (S, 3) predicted minus measured, (dx, dy, ρ dθ) at the cells' centroid, m
+    pose_slopes: FloatArray  # (S, 3, d + 3) by coordinates and start
+    force: FloatArray  # (T, 2) predicted minus measured force where it counts, N
+    force_slopes: FloatArray  # (T, 2, d + 3)
 
     def by(self, columns: NDArray[np.int64]) -> Linearised:
         """The same with derivatives by some coordinates (c,) and the start."""

@@ -28,23 +28,14 @@ MODES = 20
 
 @dataclass(frozen=True, eq=False)
 class Fitted:
-    """One fitted model.
+    """One fitted model."""
 
-    Attributes:
-        effects: that it has.
-        likelihood: that was fitted, with its prior and error model.
-        z: (d,) coordinates.
-        prior_mean: (d,) where the prior was centred.
-        offsets: (B, 3) starts of the pushes.
-        cost: that was reached.
-    """
-
-    effects: tuple[Effect, ...]
-    likelihood: CorrelatedLikelihood
-    z: FloatArray
-    prior_mean: FloatArray
-    offsets: FloatArray
-    cost: float
+    effects: tuple[Effect, ...]  # that it has
+    likelihood: CorrelatedLikelihood  # that was fitted, with its prior and error model
+    z: FloatArray  # (d,) coordinates
+    prior_mean: FloatArray  # (d,) where the prior was centred
+    offsets: FloatArray  # (B, 3) starts of the pushes
+    cost: float  # that was reached
 
     @property
     def standard_deviations(self) -> FloatArray:

@@ -14,17 +14,11 @@ from slipmap.models.physics.cell_grid import FloatArray
 
 @dataclass(frozen=True, eq=False)
 class LockedErrors:
-    """Errors on each of L locked pushes.
+    """Errors on each of L locked pushes."""
 
-    Attributes:
-        path: (L,) ADD averaged over the trajectory, m.
-        final: (L,) ADD at the end, m.
-        misfit: (L,) of each, see `push_errors.Errors`.
-    """
-
-    path: FloatArray
-    final: FloatArray
-    misfit: FloatArray
+    path: FloatArray  # (L,) ADD averaged over the trajectory, m
+    final: FloatArray  # (L,) ADD at the end, m
+    misfit: FloatArray  # (L,) of each, see `push_errors.Errors`
 
     @property
     def total_misfit(self) -> float:

@@ -12,25 +12,15 @@ from slipmap.models.inference.diagnosis.screening import Screening
 
 @dataclass(frozen=True, eq=False)
 class Outcome:
-    """A verdict.
+    """A verdict."""
 
-    Attributes:
-        verdict: one of `results.VERDICTS`.
-        sentence: the verdict for a person.
-        best: fitted model with the best effects, or without.
-        effects: what the data cannot rule out, best first; together if `together`.
-        together: whether the effects are needed at the same time.
-        depends_on: sentence of the probe that finds structure that no effect explains.
-        rivals: fitted models of the effects.
-    """
-
-    verdict: str
-    sentence: str
-    best: Fitted
-    effects: tuple[str, ...] = ()
-    together: bool = False
-    depends_on: str | None = None
-    rivals: tuple[Fitted, ...] = ()
+    verdict: str  # one of `results.VERDICTS`
+    sentence: str  # the verdict for a person
+    best: Fitted  # fitted model with the best effects, or without
+    effects: tuple[str, ...] = ()  # what the data cannot rule out, best first; together if `together`
+    together: bool = False  # whether the effects are needed at the same time
+    depends_on: str | None = None  # sentence of the probe that finds structure that no effect explains
+    rivals: tuple[Fitted, ...] = ()  # fitted models of the effects
 
 
 def nothing_missing(base: Fitted) -> Outcome:

@@ -52,17 +52,11 @@ def log_determinant(likelihood: CorrelatedLikelihood, rows: Sequence[Linearised]
 
 @dataclass(frozen=True, eq=False)
 class PushEquations:
-    """Normal equations of each push for D sets of residuals.
+    """Normal equations of each push for D sets of residuals."""
 
-    Attributes:
-        normal: (B, d, d) N_b.
-        slope: (B, d, D) J_bᵀ r_b.
-        square: (B, D) |r_b|².
-    """
-
-    normal: FloatArray
-    slope: FloatArray
-    square: FloatArray
+    normal: FloatArray  # (B, d, d) N_b
+    slope: FloatArray  # (B, d, D) J_bᵀ r_b
+    square: FloatArray  # (B, D) |r_b|²
 
     @classmethod
     def of(cls, jacobians: Sequence[FloatArray], residuals: Sequence[FloatArray]) -> PushEquations:

@@ -29,17 +29,11 @@ _SECONDS_TRIED, _SECOND_SHARE = 2, 0.3
 
 @dataclass(frozen=True, eq=False)
 class Refits:
-    """Candidates refitted in full.
+    """Candidates refitted in full."""
 
-    Attributes:
-        error: error model of the best of them.
-        fits: by name, those that come near the best.
-        gains: fall of the cost by each, nats.
-    """
-
-    error: ErrorModel
-    fits: dict[str, Fitted]
-    gains: dict[str, float]
+    error: ErrorModel  # error model of the best of them
+    fits: dict[str, Fitted]  # by name, those that come near the best
+    gains: dict[str, float]  # fall of the cost by each, nats
 
     @property
     def order(self) -> list[str]:

@@ -53,67 +53,41 @@ def estimates_by_effect(learnt: Identification) -> dict[str, tuple[ParameterEsti
 
 @dataclass(frozen=True, eq=False)
 class CandidateResult:
-    """What the data say of one candidate.
+    """What the data say of one candidate."""
 
-    Attributes:
-        name: of the effect.
-        gain: in predictive score on pushes left out, to first order, nats.
-        p_value: share of simulated datasets without any missing effect whose largest gain is at least that;
-            None where nothing was simulated.
-        fitted_gain: fall of the cost when all is refitted with the effect, nats; None where it was not
-            refitted.
-        rejected_by: the effect or probe whose addition shows that this one does not explain the data; None
-            where none does, or where it was not asked.
-        remaining_gain: of that addition, nats.
-        remaining_p: its p-value.
-        in_set: whether the data cannot rule it out.
-        parameters: where it was refitted.
-    """
-
-    name: str
-    gain: float
+    name: str  # of the effect
+    gain: float  # in predictive score on pushes left out, to first order, nats
+    # share of simulated datasets without any missing effect whose largest gain is at least that; None where
+    # nothing was simulated
     p_value: float | None
+    # fall of the cost when all is refitted with the effect, nats; None where it was not refitted
     fitted_gain: float | None = None
+    # the effect or probe whose addition shows that this one does not explain the data; None where none does,
+    # or where it was not asked
     rejected_by: str | None = None
-    remaining_gain: float | None = None
-    remaining_p: float | None = None
-    in_set: bool = False
-    parameters: tuple[ParameterEstimate, ...] = ()
+    remaining_gain: float | None = None  # of that addition, nats
+    remaining_p: float | None = None  # its p-value
+    in_set: bool = False  # whether the data cannot rule it out
+    parameters: tuple[ParameterEstimate, ...] = ()  # where it was refitted
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Diagnosis(Outcome):
-    """Result of `diagnose`: the verdict and what it rests on.
+    """Result of `diagnose`: the verdict and what it rests on."""
 
-    Attributes:
-        candidates: all that were tried, best first.
-        p_value: of the largest gain; None where nothing was simulated.
-        open_trials: pushes that were fitted.
-        locked: names of those locked away.
-        without_effects: what `identify` learns from the open pushes.
-        with_effects: the same with the best effects; None where there is none.
-        base: fitted model without effects.
-        motion_error: α of the final error model.
-        force_error: β of the final error model.
-        quick: whether calibration was skipped.
-        seconds: it took.
-        seed: of all draws.
-        next_push: what to do next as plain numbers, filled in by a planner; None where nothing is to be
-            told apart.
-    """
-
-    candidates: tuple[CandidateResult, ...]
-    p_value: float | None
-    open_trials: tuple[str, ...]
-    locked: tuple[str, ...]
-    without_effects: Identification
-    with_effects: Identification | None
-    base: Fitted
-    motion_error: float
-    force_error: float
-    quick: bool
-    seconds: float
-    seed: int
+    candidates: tuple[CandidateResult, ...]  # all that were tried, best first
+    p_value: float | None  # of the largest gain; None where nothing was simulated
+    open_trials: tuple[str, ...]  # pushes that were fitted
+    locked: tuple[str, ...]  # names of those locked away
+    without_effects: Identification  # what `identify` learns from the open pushes
+    with_effects: Identification | None  # the same with the best effects; None where there is none
+    base: Fitted  # fitted model without effects
+    motion_error: float  # α of the final error model
+    force_error: float  # β of the final error model
+    quick: bool  # whether calibration was skipped
+    seconds: float  # it took
+    seed: int  # of all draws
+    # what to do next as plain numbers, filled in by a planner; None where nothing is to be told apart
     next_push: dict[str, object] | None = field(default=None)
 
     @property

@@ -36,23 +36,16 @@ _FREE = 3.0
 
 @dataclass(frozen=True, eq=False)
 class Screening:
-    """Gains of candidates on top of a fitted model.
+    """Gains of candidates on top of a fitted model."""
 
-    Attributes:
-        candidates: the effects that were tried.
-        gain: (C,) best gain of each over its starts, in nats.
-        start: (C,) which start it was.
-        chance: (C, D) the same gains for simulated data without any missing effect.
-        turned: (C, D) the same for the data with the residuals of whole pushes turned round at random; the
-            first are the data as they are.
-        sharpness: (C,) smallest standard deviation that the data leave of an amplitude, in its scales.
-    """
-
-    candidates: tuple[Effect, ...]
-    gain: FloatArray
-    start: np.ndarray
-    chance: FloatArray
+    candidates: tuple[Effect, ...]  # the effects that were tried
+    gain: FloatArray  # (C,) best gain of each over its starts, in nats
+    start: np.ndarray  # (C,) which start it was
+    chance: FloatArray  # (C, D) the same gains for simulated data without any missing effect
+    # (C, D) the same for the data with the residuals of whole pushes turned round at random; the first are
+    # the data as they are
     turned: FloatArray
+    # (C,) smallest standard deviation that the data leave of an amplitude, in its scales
     sharpness: FloatArray
 
     @property
@@ -161,19 +154,12 @@ def screen(
 
 
 class _Stacked(NamedTuple):
-    """Whitened derivatives of all pushes by everything that may be among a model's coordinates.
+    """Whitened derivatives of all pushes by everything that may be among a model's coordinates."""
 
-    Attributes:
-        jacobians: (R_b, W) of each push.
-        residuals: (R_b,) of each push.
-        base_columns: of the fitted model.
-        own_columns: of each effect, for each of its starts; of those in the model none.
-    """
-
-    jacobians: list[FloatArray]
-    residuals: list[FloatArray]
-    base_columns: np.ndarray
-    own_columns: list[list[np.ndarray]]
+    jacobians: list[FloatArray]  # (R_b, W) of each push
+    residuals: list[FloatArray]  # (R_b,) of each push
+    base_columns: np.ndarray  # of the fitted model
+    own_columns: list[list[np.ndarray]]  # of each effect, for each of its starts; of those in the model none
 
 
 def _stacked(

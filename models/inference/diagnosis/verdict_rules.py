@@ -81,33 +81,21 @@ _BLIND = 1.0
 
 @dataclass(frozen=True)
 class Remainder:
-    """What is left to gain on top of a candidate.
+    """What is left to gain on top of a candidate."""
 
-    Attributes:
-        rejected_by: the effect or probe whose gain shows that the candidate does not explain the data, or
-            None.
-        gain: of that addition, or else the largest, nats.
-        p_value: of that gain; None where chance was not simulated.
-        clean: whether nothing at all is left.
-    """
-
+    # the effect or probe whose gain shows that the candidate does not explain the data, or None
     rejected_by: str | None
-    gain: float
-    p_value: float | None
-    clean: bool
+    gain: float  # of that addition, or else the largest, nats
+    p_value: float | None  # of that gain; None where chance was not simulated
+    clean: bool  # whether nothing at all is left
 
 
 @dataclass(frozen=True)
 class Rules:
-    """What counts, for some candidates.
+    """What counts, for some candidates."""
 
-    Attributes:
-        effects: the named candidates; all others are probes.
-        simulated: whether chance was simulated, so that there are p-values.
-    """
-
-    effects: tuple[Effect, ...]
-    simulated: bool
+    effects: tuple[Effect, ...]  # the named candidates; all others are probes
+    simulated: bool  # whether chance was simulated, so that there are p-values
 
     def p_value(self, screening: Screening, gain: float) -> float | None:
         """Of a gain; None where chance was not simulated."""
