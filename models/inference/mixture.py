@@ -56,7 +56,7 @@ _MANY_PUSHES = 20
 LEAST_SHARE = 0.05
 """What has less than this is left out."""
 
-_FEW_PUSHES, _ENOUGH_PUSHES, _MANY_PUSHES = 3, 8, 20
+_ENOUGH_PUSHES, _MANY_PUSHES = 8, 20
 
 _FINGER_STARTS = (0.12, 0.35, 1.0)
 """Finger frictions to start from: contact that sticks and contact that slides are different valleys."""
@@ -170,9 +170,6 @@ def explain(
         others = []
     for law in others:
         ask(law, usual)
-    if len(observations) < _FEW_PUSHES:
-        # One or two pushes are explained exactly by any wild maps.
-        rest = [name for name in rest if name not in BOLD]
     likeliest = _likeliest(every).law
     for structure in rest:
         for law in ((), *others):
