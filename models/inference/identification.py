@@ -64,7 +64,7 @@ def identify(
         prior_settings: how strongly maps are held together before any push; if None, each of `STRUCTURES`
             takes part, as much as the pushes speak for it.
         friction_laws: whether other laws of friction than the plain one take part, each as much as the
-            pushes speak for it (see `friction_laws`); takes about four times as long. The method `paper`
+            pushes speak for it (see `friction_laws`); takes longer. The method `paper`
             knows the plain one alone.
 
     Raises:

@@ -159,7 +159,7 @@ def remark(push: Prediction) -> str:
 
 
 def show_comparison(results: Sequence[Comparison]) -> None:
-    """Means of the errors by role beside the baselines, and what the residuals hang together with."""
+    """Means of the errors by role beside the baselines, and what the residuals depend on."""
     first, rows = results[0], []
     for role, totals in first.totals.items():
         models = [(result.label, result.totals[role].model) for result in results]
