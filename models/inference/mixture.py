@@ -48,15 +48,12 @@ from slipmap.models.progress import Progress, StageProgress, part_of
 if TYPE_CHECKING:
     from slipmap.models.inference.diagnosis.fitting import Fitted
 
-ENOUGH_PUSHES = 8
-"""From so many on, any structure is weighed by its evidence."""
-
-_MANY_PUSHES = 20
-
 LEAST_SHARE = 0.05
 """What has less than this is left out."""
 
 _ENOUGH_PUSHES, _MANY_PUSHES = 8, 20
+"""From so many on, any structure is weighed by its evidence; and other laws are left alone where no law is
+near."""
 
 _FINGER_STARTS = (0.12, 0.35, 1.0)
 """Finger frictions to start from: contact that sticks and contact that slides are different valleys."""
