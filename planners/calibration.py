@@ -15,6 +15,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from slipmap.models.inference.identifiability import friction_arms
 from slipmap.models.inference.identification import identify
 from slipmap.models.inference.results import Identification
 from slipmap.models.inference.summaries import interval
@@ -106,7 +107,7 @@ def _one_object(rng: np.random.Generator, index: int, kind: str) -> list[tuple[s
     p = belief.probability
     com = (truth.mass @ grid.centers / truth.mass.sum(axis=1, keepdims=True))[0]
     friction = float((truth.mass * truth.mu).sum() * slider.gravity)
-    arms, arm = _friction_arms(belief.maps, grid), float(_friction_arms(truth, grid)[0])
+    arms, arm = friction_arms(grid, belief.maps), float(friction_arms(grid, truth)[0])
     found = [
         (QUANTITIES[axis], _rank(belief.centers_of_mass[:, axis], p, float(com[axis]))) for axis in (0, 1)
     ]
@@ -121,14 +122,6 @@ def _as_declared(dataset: PushDataset, factor: float, *, force: bool) -> PushDat
     noise = Noise(**{name: value and value * factor for name, value in vars(dataset.noise).items()})
     trials = dataset.trials if force else tuple(replace(one, ft_wrench=None) for one in dataset.trials)
     return replace(dataset, noise=noise, trials=trials)
-
-
-def _friction_arms(maps: Maps, grid: CellGrid) -> FloatArray:
-    """(K,) mean distance of friction from its centre, m."""
-    load = maps.mass * maps.mu
-    share = load / load.sum(axis=1, keepdims=True)
-    arms = grid.centers[None] - (share @ grid.centers)[:, None]
-    return np.asarray((share * np.hypot(arms[..., 0], arms[..., 1])).sum(axis=1))
 
 
 def _position_ranks(result: Identification, ends: FloatArray) -> list[tuple[str, float]]:

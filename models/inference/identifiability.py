@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -19,7 +20,7 @@ from slipmap.models.inference.gauss_newton import Fits, fit
 from slipmap.models.inference.likelihood import Likelihood
 from slipmap.models.inference.results import Quantity
 from slipmap.models.inference.summaries import interval
-from slipmap.models.physics.cell_grid import FloatArray
+from slipmap.models.physics.cell_grid import CellGrid, FloatArray
 from slipmap.models.physics.rollout import Maps, Slider
 
 SHOWN_SHARE = 0.25
@@ -138,6 +139,14 @@ def _gradient(measure: _Measure, likelihood: Likelihood, z: FloatArray) -> Float
     return (values[: prior.size] - values[prior.size :]) / (2.0 * difference)
 
 
+def friction_arms(grid: CellGrid, maps: Maps) -> FloatArray:
+    """(K,) mean distance of friction from its centre, m."""
+    load = maps.mass * maps.mu
+    share = load / load.sum(axis=1, keepdims=True)
+    from_center = grid.centers - (share @ grid.centers)[:, None]
+    return np.asarray((share * np.hypot(*from_center.transpose(2, 0, 1))).sum(axis=1))
+
+
 def _measures(slider: Slider, seen: _Seen, weighed: bool) -> list[_Measure]:
     centers = slider.grid.centers
     g = slider.gravity
@@ -158,11 +167,6 @@ def _measures(slider: Slider, seen: _Seen, weighed: bool) -> list[_Measure]:
     def inertia(maps: Maps) -> FloatArray:
         m, sx, sy, second = slider.inertia(maps.mass).T
         return second - (sx**2 + sy**2) / m
-
-    def arm(maps: Maps) -> FloatArray:
-        return np.array(
-            [np.hypot(*(centers - c).T) @ s for c, s in zip(middle(maps), share(maps), strict=True)]
-        )
 
     no_force = (
         "no force was measured and the finger's motion is given: in slow motion, scaling all friction leaves "
@@ -189,8 +193,8 @@ def _measures(slider: Slider, seen: _Seen, weighed: bool) -> list[_Measure]:
                      "the way the object turns when pushed", seen.unless_missed(no_axis))
             for i, axis in enumerate("xy")
         ),
-        _Measure("friction arm (mean distance from its centre)", "m", arm, True,
-                 "how much the object turns", seen.unless_missed(no_turn)),
+        _Measure("friction arm (mean distance from its centre)", "m", partial(friction_arms, slider.grid),
+                 True, "how much the object turns", seen.unless_missed(no_turn)),
         _Measure("total mass", "kg", lambda m: m.mass.sum(axis=1), True,
                  "weighed beforehand" if weighed else "acceleration against measured force", slow,
                  given=weighed),

@@ -1,19 +1,18 @@
-"""What many weighted hypotheses say together: the pose in their middle, an interval, a region.
+"""What many weighted hypotheses say together: the pose in their middle, an interval.
 
 Hypotheses can part ways, where a push goes to one side of balance or to the other. Their mean then lies where
 none of them is, and follows those that go farthest astray. What is judged is ADD, a distance, and the
 expected distance is least at the geometric median.
 
 Hypotheses are few, so that quantiles of them are too coarse. They are taken for draws from a normal
-distribution, with their weighted moments, and intervals and regions are those for another draw: Student's
-interval and Hotelling's ellipse, for as many draws as the weights p leave, 1 / Σ p².
+distribution, with their weighted moments, and intervals are those for another draw: Student's, for as many
+draws as the weights p leave, 1 / Σ p². For several numbers together see `end_region`.
 """
 
 from __future__ import annotations
 
 import numpy as np
 from scipy.special import stdtrit
-from scipy.stats import f
 
 from slipmap.models.geometry import at_centroid, from_centroid, radius_of_gyration
 from slipmap.models.physics.cell_grid import CellGrid, FloatArray
@@ -74,25 +73,6 @@ def interval(
     middle = float(x[order][np.searchsorted(np.cumsum(probability[order]), 0.5)])
     low, high = float(mean - width), float(mean + width)
     return (float(np.exp(middle)), float(np.exp(low)), float(np.exp(high))) if log else (middle, low, high)
-
-
-def in_region(point: FloatArray, points: FloatArray, probability: FloatArray, *, level: float = 0.9) -> bool:
-    """Whether a point lies in the ellipse that draws suggest; with hardly more than two, any does.
-
-    Args:
-        point: (2,).
-        points: (K, 2) draws.
-        probability: (K,) weights.
-        level: share of cases in which the truth shall lie inside.
-    """
-    count = _effective_number(probability)
-    if count <= 3.0:
-        return True  # so few say nothing of their spread
-    mean = probability @ points
-    off, around = point - mean, points - mean
-    spread = around.T @ (around * probability[:, None]) * count / (count - 1.0)
-    limit = 2.0 * (count**2 - 1.0) / (count * (count - 2.0)) * f.ppf(level, 2, count - 2.0)
-    return bool(off @ np.linalg.solve(spread, off) < limit)
 
 
 def _effective_number(probability: FloatArray) -> float:

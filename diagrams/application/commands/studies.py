@@ -123,7 +123,7 @@ def _row_of(path: Path, pushes: int, checks: int) -> dict[str, Any]:
 def _judged(run: ExplorationRun) -> dict[str, Any]:
     import numpy as np
 
-    from slipmap.models.inference.summaries import in_region
+    from slipmap.models.inference.end_region import EndRegion
 
     found = run.identification
     centers, p = found.belief.centers_of_mass, found.belief.probability
@@ -133,7 +133,7 @@ def _judged(run: ExplorationRun) -> dict[str, Any]:
         "error": float(found.errors("heldout").mean()),
         "uniform": float(found.errors("heldout", "uniform_add").mean()),
         "center_of_mass_off": float(np.hypot(*off)),
-        "center_of_mass_inside": in_region(run.true_center_of_mass, centers, p),
+        "center_of_mass_inside": EndRegion.of(centers, p, np.zeros(2)).holds(run.true_center_of_mass, 0.9),
         "simulated": run.simulated,
         "seconds": run.seconds,
     }
@@ -161,7 +161,6 @@ def _show(rows: dict[str, list[dict[str, Any]]]) -> None:
     paragraph(f"The centre of mass lies in the belief's 90 % region in {inside} of {done} runs.")
 
 
-_LEVEL = 0.9
 _TELLS_NOTHING = 0.3
 """Width of the 95 % range of a share that does not tell right intervals from wrong ones."""
 
@@ -191,9 +190,10 @@ def calibrate(objects: int, seed: int, output: Path | None, json_file: Path | No
             write_figures(output, [calibration_figure(result)])
     rows = coverage_rows(result)
     numbers = {name: getattr(result, name) for name in ("objects", "seed", "seconds", "ranks", "by_kind")}
-    write_json(json_file, {**numbers, "level": _LEVEL, "coverage": rows})
+    write_json(json_file, {**numbers, "level": calibration.LEVEL, "coverage": rows})
     table(
-        f"Truths inside the {_LEVEL:.0%} interval, {result.objects} objects in {result.seconds:.0f} s",
+        f"Truths inside the {calibration.LEVEL:.0%} interval, {result.objects} objects in"
+        f" {result.seconds:.0f} s",
         ["quantity", "inside", "of", "share", "95 % range", "verdict"],
         [
             [row["name"], str(row["inside"]), str(row["of"]), f"{row['share']:.0%}",
@@ -217,6 +217,8 @@ def coverage_rows(result: CalibrationResult) -> list[dict[str, Any]]:
     """Truths inside, with the 95 % range of their share and what it says of the intervals."""
     from scipy.stats import beta
 
+    from slipmap.planners.calibration import LEVEL
+
     rows = []
     for name, share in result.coverage.items():
         count = len(result.ranks[name])
@@ -226,7 +228,7 @@ def coverage_rows(result: CalibrationResult) -> list[dict[str, Any]]:
         hits = share * draws
         low = float(beta.ppf(0.025, hits, draws - hits + 1)) if inside else 0.0
         high = float(beta.ppf(0.975, hits + 1, draws - hits)) if inside < count else 1.0
-        verdict = "too narrow" if high < _LEVEL else "too wide" if low > _LEVEL else "as it should be"
+        verdict = "too narrow" if high < LEVEL else "too wide" if low > LEVEL else "as it should be"
         if verdict == "as it should be" and high - low > _TELLS_NOTHING:
             verdict = "too few objects to tell"
         rows.append(

@@ -1,7 +1,8 @@
 import numpy as np
 import pytest
 
-from slipmap.models.inference.summaries import in_region, interval
+from slipmap.models.inference.end_region import EndRegion
+from slipmap.models.inference.summaries import interval
 
 
 def test_interval_of_many_draws_is_the_normal_one():
@@ -27,5 +28,5 @@ def test_the_region_holds_nine_in_ten_of_what_is_drawn_as_the_hypotheses_are(cou
     mixed = np.array([[1.0, 0.0], [0.7, 0.3]])
     drawn = rng.standard_normal((4000, count + 1, 2)) @ mixed
     equal = np.full(count, 1 / count)
-    inside = np.mean([in_region(points[0], points[1:], equal) for points in drawn])
+    inside = np.mean([EndRegion.of(p[1:], equal, np.zeros(2)).holds(p[0], 0.9) for p in drawn])
     assert inside == pytest.approx(0.9, abs=0.02)
