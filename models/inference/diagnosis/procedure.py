@@ -153,6 +153,9 @@ class Inquiry:
         rng: np.random.Generator,
         report: Progress,
     ) -> None:
+        measured = any(observation.sliding.any() for observation in observations)
+        # A force that was not measured says nothing of its sensor.
+        effects = tuple(effect for effect in effects if measured or not effect.only_force)
         self.effects = effects
         self.draws = draws
         self.rng = rng
