@@ -94,7 +94,9 @@ class Slots:
             reported = Names("pose", dict(zip(("x", "y", "theta"), self.measured, strict=True)))
             self.measured = ask("measured", 3, reported, p) or self.measured
             self.delay += (ask("delay", 1, p) or [zero])[0]
-            self.felt = ask("felt", 2, Names("force", dict(zip("xy", self.felt, strict=True))), p) or self.felt
+            self.felt = (
+                ask("felt", 2, Names("force", dict(zip("xy", self.felt, strict=True))), p) or self.felt
+            )
             self.force_delay += (ask("force_delay", 1, p) or [zero])[0]
         self.blades = len(blades) // 4
         self.body = [*wrench, inertia, compliance, *blades]

@@ -64,7 +64,9 @@ class ForceFrame(Effect):
     sentence = "The force sensor's axes are not the world's: its force is turned or mirrored."
     parameters = (
         Parameter("angle", "rad", "turn of the reported force", -3.5, 3.5, 0.3, 0.0),
-        Parameter("mirror", "1", "1: y is negated before the turn; between, it is weakened", 0.0, 1.0, 0.3, 0.0),
+        Parameter(
+            "mirror", "1", "1: y is negated before the turn; between, it is weakened", 0.0, 1.0, 0.3, 0.0
+        ),
     )
 
     def felt(self, force: Any, p: Any) -> Any:

@@ -88,7 +88,10 @@ def _program_of(effects: tuple[Effect, ...]) -> Program:
         effects,
         np.array([function.address if function else 0 for function in functions], dtype=np.int64),
         np.array(module.SIZES, dtype=np.int64),
-        *(getattr(module, name, None) for name in ("measured", "delay", "felt", "force_delay")),
+        getattr(module, "measured", None),
+        getattr(module, "delay", None),
+        getattr(module, "felt", None),
+        getattr(module, "force_delay", None),
         module,
     )
 

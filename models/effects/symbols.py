@@ -155,7 +155,7 @@ def after_names() -> dict[str, Any]:
 
 
 def written_names(kind: str, extra: tuple[str, ...] = ()) -> dict[str, Any]:
-    """The names of `body`, `cell`, `after`, `pose` or `push` (the finger's force) as letters in LaTeX, for formulas to be read."""
+    """The names of `body`, `cell`, `after`, `pose` or `push` as letters in LaTeX, for formulas to be read."""
     letters = {
         "x": "x", "y": "y", "theta": r"\theta", "vx": r"\dot{x}",
         "vy": r"\dot{y}", "omega": r"\omega", "com_x": r"\bar{r}_{x}", "com_y": r"\bar{r}_{y}",

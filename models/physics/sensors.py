@@ -1,7 +1,7 @@
 """What tracker and force sensor report of a true motion, as the effects in a model say, with derivatives.
 
-The tracker's delay is the kernel's business: it knows every pose within a step. All else is done here after a
-rollout. A force that is reported late is taken between the means of the two steps about the time that it is of.
+The tracker's delay is the kernel's business: it knows every pose within a step. All else is done here after
+a rollout. A force that is reported late is taken between the means of the two steps about its time.
 """
 
 from __future__ import annotations
@@ -80,8 +80,8 @@ class Sensors:
     def reported(
         self, results: Results, true: JoinedPushes, joined: JoinedPushes, starts: TrueStarts, cells: int
     ) -> Results:
-        """Turn true poses and forces into reported ones, and derivatives by true starts into those by reported
-        ones.
+        """Turn true poses and forces into reported ones, and derivatives by true starts into those by
+        reported ones.
 
         Args:
             results: of a rollout; its arrays are changed.
@@ -135,7 +135,7 @@ class Sensors:
             by_mass[...] = by_force @ by_mass
 
     def _place(self, k: int, b: int, joined: JoinedPushes) -> tuple[FloatArray, int]:
-        """(T,) middles of which steps, on end, the forces of push b are of that model k reports; and the number
+        """(T,) of which steps, in fractions, the forces are that model k reports of push b; and the number
         of its steps."""
         wanted = joined.force_step[joined.force_at[b] : joined.force_at[b + 1]]
         steps = int(joined.tip_at[b + 1] - joined.tip_at[b]) - 1
@@ -148,9 +148,7 @@ class Sensors:
             clear_unreached(results.mass_forces, results.rim, true.force_at, FIRST_FORCE)
             results.rim[..., FIRST_FORCE] = 0.0
         K, T = len(self.values), int(joined.force_at[-1])
-        found = {
-            name: np.empty((K, T, *getattr(results, name).shape[2:]), dtype=float) for name in names
-        }
+        found = {name: np.empty((K, T, *getattr(results, name).shape[2:]), dtype=float) for name in names}
         P = self.values.shape[1]
         for k in range(K):
             for b in range(len(joined.h)):

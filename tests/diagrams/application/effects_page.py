@@ -62,9 +62,9 @@ A class overrides what it changes and leaves the rest:
 {methods}
 
 `body` knows {body}. `cell` knows all that and {cell}; its `x` and `y` are those of the cell.
-`models/effects/symbols.py` says what each is. `pose` has `x`, `y`, `theta`, `force` has `x` and `y`. `positive_part` and `smooth_step` there are a maximum and
-a step that can be differentiated. To carry numbers from step to step, name them in `memory` and renew
-them in `remember`.
+`models/effects/symbols.py` says what each is. `pose` has `x`, `y` and `theta`, `force` has `x` and `y`.
+`positive_part` and `smooth_step` there are a maximum and a step that can be differentiated. To carry
+numbers from step to step, name them in `memory` and renew them in `remember`.
 """
 
 _METHODS = {
