@@ -142,9 +142,27 @@ class Effect:
         """By how much the tracker's poses are late, s; 0 without the effect."""
         return None
 
+    def felt(self, force: Any, p: Any) -> Any:
+        """(F_x, F_y) that the force sensor reports where the finger truly pushes with `force`, world, N."""
+        return None
+
+    def force_delay(self, p: Any) -> Any:
+        """By how much the sensor's forces are late, s; 0 without the effect."""
+        return None
+
     def starts(self, scene: Scene) -> list[dict[str, float]]:
         """Guesses of the parameters without a null to begin a search from; others keep their start."""
         return [{}]
+
+    def far_starts(self) -> list[dict[str, float]]:
+        """Values of parameters with a null from which a search begins too, where the way from there may lead
+        astray; an angle may have to turn by half a turn."""
+        return []
+
+    @property
+    def only_force(self) -> bool:
+        """Whether it changes nothing but the measured force."""
+        return all(getattr(type(self), name) is getattr(Effect, name) for name in _OF_MOTION)
 
     @property
     def nulls(self) -> FloatArray:
@@ -184,6 +202,15 @@ class Effect:
                     f"effect {self.name}: starts() gives {name} = {value!r}; it must be a finite number"
                 )
         return [dict(guess) for guess in given]
+
+    def with_far_starts(self, values: FloatArray) -> FloatArray:
+        """(1 + F, P) parameters (P,), and the same with each of the `far_starts`."""
+        rows = np.tile(values, (1 + len(self.far_starts()), 1))
+        names = [parameter.name for parameter in self.parameters]
+        for row, far in zip(rows[1:], self.far_starts(), strict=True):
+            for name, value in far.items():
+                row[names.index(name)] = value
+        return rows
 
     def start_values(self, scene: Scene) -> FloatArray:
         """(G, P) `guesses` as arrays within the parameters' ranges; what they do not name at its `center`.
@@ -241,5 +268,10 @@ def _failing_line(error: BaseException) -> str:
             return f"{path.name}, line {frame.lineno}"
     return "unknown place"
 
+
+_OF_MOTION = (
+    "friction", "drag", "stretch", "force", "blade", "inertia", "compliance", "remember", "measured", "delay",
+)  # fmt: skip
+"""Methods of what changes how objects move, or what is seen of it."""
 
 _LONGEST = 400  # characters of what an error in an effect's code may say

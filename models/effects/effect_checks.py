@@ -12,7 +12,16 @@ import sympy as sp
 
 from slipmap.models.effects.effect import Effect, EffectError, Parameter, Scene
 from slipmap.models.effects.formulas import Slots, derivative
-from slipmap.models.effects.symbols import FORCE_NAMES, body_names, cell_names, memory_name, parameter_name
+from slipmap.models.effects.symbols import (
+    FORCE_NAMES,
+    POSE_SYMBOLS,
+    PUSH_SYMBOLS,
+    body_names,
+    cell_names,
+    memory_name,
+    parameter_name,
+    real,
+)
 from slipmap.models.effects.written import QUANTITIES
 
 Values = dict[sp.Symbol, float]
@@ -54,7 +63,7 @@ def check_effect(effect: Effect, where: str) -> None:
 
 def _check_that_it_acts(effect: Effect, slots: Slots) -> None:
     """Refuse formulas, as those without a `return`, that are the same whatever the parameters are."""
-    outputs = [*slots.body, *slots.cell, slots.delay, *slots.measured, *slots.renewed]
+    outputs = [*slots.body, *slots.cell, *slots.reports, *slots.renewed]
     within = {str(symbol) for output in outputs for symbol in sp.sympify(output).free_symbols}
     names = [p.name for p in effect.parameters if p.null is not None]
     if not within & {parameter_name(effect.name, name) for name in names}:
@@ -68,7 +77,7 @@ def _check_that_it_acts(effect: Effect, slots: Slots) -> None:
 def _check_values(effect: Effect, slots: Slots) -> None:
     """Evaluate the formulas at random states, with the effect at its null and at random parameters."""
     rng = np.random.default_rng(0)
-    outputs = [sp.sympify(entry) for entry in (*slots.body, *slots.cell, slots.delay, *slots.measured)]
+    outputs = [sp.sympify(entry) for entry in (*slots.body, *slots.cell, *slots.reports)]
     symbols = sorted({s for entry in outputs for s in entry.free_symbols}, key=str)
     evaluate = sp.lambdify(symbols, outputs, modules="math")
     parameters = {parameter_name(effect.name, p.name): p for p in effect.parameters}
@@ -103,17 +112,19 @@ def _check_values(effect: Effect, slots: Slots) -> None:
                     " that away from 0, as in sqrt(x**2 + y**2 + 0.01**2)"
                 )
         if null:
-            pose = [values.get(symbol, 0.0) for symbol in sp.symbols("pose_x pose_y pose_theta", real=True)]
-            _check_vanished(effect, results, slots.blades, pose)
+            true = [values.get(real(name), 0.0) for name in (*POSE_SYMBOLS, *PUSH_SYMBOLS)]
+            _check_vanished(effect, results, slots.blades, true[:3], true[3:])
 
 
-def _check_vanished(effect: Effect, results: Sequence[float], blades: int, pose: Sequence[float]) -> None:
+def _check_vanished(
+    effect: Effect, results: Sequence[float], blades: int, pose: Sequence[float], push: Sequence[float]
+) -> None:
     """Refuse values at the null that differ from those without effects, as `_check_values` orders them."""
     # A blade is nothing where its force is nothing, wherever it stands.
     blade = (0, None, None, None)
     wrench, cell = (0, 0, 0), (1, 0, 1, 0, 1)
     inertia, compliance, delay = 1, 0, 0
-    plain = (*wrench, inertia, compliance, *(blades * blade), *cell, delay, *pose)
+    plain = (*wrench, inertia, compliance, *(blades * blade), *cell, *pose, delay, *push, delay)
     for value, wanted in zip(results, plain, strict=True):
         if wanted is not None and abs(value - wanted) > 1e-12 * max(1.0, abs(wanted)):
             nulls = [f"{p.name} = {p.null}" for p in effect.parameters if p.null is not None]
@@ -219,7 +230,7 @@ def _check_methods(kind: type[Effect]) -> None:
     for name, value in own.items():
         if name.startswith("_") or not inspect.isroutine(value) or hasattr(Effect, name):
             continue
-        methods = (*FORMULAS, "remember", "starts")
+        methods = (*FORMULAS, "remember", "starts", "far_starts")
         near = difflib.get_close_matches(name, methods, n=1)
         hint = f"did you mean {near[0]}()?" if near else f"there are {', '.join(methods)}."
         raise EffectError(

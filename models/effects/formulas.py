@@ -19,6 +19,8 @@ from slipmap.models.effects.symbols import (
     CONSTANT_NAMES,
     FORCE_NAMES,
     INERTIA_NAMES,
+    POSE_SYMBOLS,
+    PUSH_SYMBOLS,
     STATE_NAMES,
     Names,
     after_names,
@@ -42,17 +44,19 @@ class Slots:
         drag: of a cell.
         stretch: q_xx, q_xy, q_yy of a cell.
         renewed: the effects' own memory after the step.
-        measured: x, y, theta as reported, or None.
-        delay: s, or None.
+        measured: x, y, theta as reported.
+        delay: s.
+        felt: the finger's force as reported.
+        force_delay: s.
     """
 
     def __init__(self, effects: Sequence[Effect]) -> None:
         one, zero = sp.Integer(1), sp.Integer(0)
         force = [real(name) for name in FORCE_NAMES]
-        pose = [real("pose_x"), real("pose_y"), real("pose_theta")]
-        self.factor, self.drag, self.delay = one, zero, zero
+        pose, push = [real(name) for name in POSE_SYMBOLS], [real(name) for name in PUSH_SYMBOLS]
+        self.factor, self.drag, self.delay, self.force_delay = one, zero, zero, zero
         self.renewed: list[Any] = []
-        self.measured = list(pose)
+        self.measured, self.felt = list(pose), list(push)
         wrench, stretch, inertia, compliance = [zero, zero, zero], [one, zero, one], one, zero
         blades: list[Any] = []
         for e in effects:
@@ -90,12 +94,16 @@ class Slots:
             reported = Names("pose", dict(zip(("x", "y", "theta"), self.measured, strict=True)))
             self.measured = ask("measured", 3, reported, p) or self.measured
             self.delay += (ask("delay", 1, p) or [zero])[0]
+            self.felt = (
+                ask("felt", 2, Names("force", dict(zip("xy", self.felt, strict=True))), p) or self.felt
+            )
+            self.force_delay += (ask("force_delay", 1, p) or [zero])[0]
         self.blades = len(blades) // 4
         self.body = [*wrench, inertia, compliance, *blades]
         self.stretch = [sp.sympify(entry) for entry in stretch]
-        self.measures = self.measured != pose
+        self.measures, self.feels = self.measured != pose, self.felt != push
         self.stretches = self.stretch != [one, zero, one]
-        formulas = [*self.body, *self.cell, *self.renewed, *self.measured]
+        formulas = [*self.body, *self.cell, *self.renewed, *self.reports]
         asked = {symbol for formula in formulas for symbol in sp.sympify(formula).free_symbols}
         needs_memory = bool(self.renewed) or compliance != zero or bool(asked & set(force))
         own = [real(memory_name(e.name, name)) for e in effects for name in e.memory]
@@ -104,7 +112,7 @@ class Slots:
         inertia_symbols = [real(name) for name in INERTIA_NAMES]
         self.y = [*(real(name) for name in STATE_NAMES), *self.memory, *inertia_symbols, *self.parameters]
         given = (*CONSTANT_NAMES, "r_x", "r_y", *AFTER_SYMBOLS)
-        strangers = (asked | sp.sympify(self.delay).free_symbols) - {*self.y, *pose, *map(real, given)}
+        strangers = asked - {*self.y, *pose, *push, *map(real, given)}
         if strangers:
             names = ", ".join(e.name for e in effects)
             raise EffectError(
@@ -116,6 +124,11 @@ class Slots:
     def cell(self) -> list[Any]:
         """Everything that is changed of a cell: factor, drag, stretch."""
         return [self.factor, self.drag, *self.stretch]
+
+    @property
+    def reports(self) -> list[Any]:
+        """Everything that the sensors change: pose and its delay, force and its delay."""
+        return [*self.measured, self.delay, *self.felt, self.force_delay]
 
 
 def _ask(effect: Effect, method: str, length: int, *arguments: Any) -> list[Any] | None:
@@ -238,9 +251,15 @@ def module_source(effects: Sequence[Effect]) -> str:
         text += _cell_functions(slots, printer)
     if slots.renewed:
         text += _memory_function(slots, printer)
-    text += _measurement(slots)
+    if slots.measures:
+        text += _report("measured", slots.measured, POSE_SYMBOLS, slots.parameters)
+    if slots.feels:
+        text += _report("felt", slots.felt, PUSH_SYMBOLS, slots.parameters)
+    for name, delay in (("delay", slots.delay), ("force_delay", slots.force_delay)):
+        if delay != 0:
+            text += _delay(name, delay, slots.parameters)
     sizes = (len(slots.memory), len(slots.parameters), slots.blades, int(cells), int(slots.stretches))
-    return text + f"\n\nSIZES = {sizes}\nMEASURES = {slots.measures}\nDELAYS = {slots.delay != 0}\n"
+    return text + f"\n\nSIZES = {sizes}\n"
 
 
 def _cell_functions(slots: Slots, printer: Any) -> str:
@@ -283,33 +302,36 @@ def _memory_function(slots: Slots, printer: Any) -> str:
     return _function("memory", "y, c, after, own, down", slots, [*read, *_straight(printer, targets)])
 
 
-def _measurement(slots: Slots) -> str:
-    """The functions `measured` and `delay`, for numpy."""
-    printer = NumPyPrinter({"fully_qualified_modules": True})
-    pose = [real("pose_x"), real("pose_y"), real("pose_theta")]
-    read = [f"    {symbol} = p[{k}]" for k, symbol in enumerate(slots.parameters)]
-    P = len(slots.parameters)
-    targets = [(f"out[..., {k}] =", e) for k, e in enumerate(slots.measured)]
-    targets += [
-        (f"by_pose[..., {k}, {j}] =", derivative(e, s))
-        for k, e in enumerate(slots.measured)
-        for j, s in enumerate(pose)
-    ]
-    targets += _slopes("by_p[..., {k}, {j}]", slots.measured, slots.parameters)
+def _report(name: str, formulas: Sequence[Any], true: Sequence[str], parameters: Sequence[Any]) -> str:
+    """A function for numpy of true numbers (…,) and parameters: what a sensor reports of them (…, n), and its
+    derivatives by the true numbers (…, n, n) and by the parameters (…, n, P)."""
+    n, P = len(formulas), len(parameters)
+    targets = [(f"out[..., {k}] =", e) for k, e in enumerate(formulas)]
+    targets += _slopes("by_true[..., {k}, {j}]", formulas, [real(symbol) for symbol in true])
+    targets += _slopes("by_p[..., {k}, {j}]", formulas, parameters)
     lines = [
         "",
         "",
-        "def measured(pose_x, pose_y, pose_theta, p):",
-        *read,
-        "    shape = numpy.shape(pose_x)",
-        "    out = numpy.zeros((*shape, 3))",
-        "    by_pose = numpy.zeros((*shape, 3, 3))",
-        f"    by_p = numpy.zeros((*shape, 3, {P}))",
-        *_straight(printer, targets),
-        "    return out, by_pose, by_p",
+        f"def {name}({', '.join(true)}, p):",
+        *(f"    {symbol} = p[{k}]" for k, symbol in enumerate(parameters)),
+        f"    shape = numpy.shape({true[0]})",
+        f"    out = numpy.zeros((*shape, {n}))",
+        f"    by_true = numpy.zeros((*shape, {n}, {n}))",
+        f"    by_p = numpy.zeros((*shape, {n}, {P}))",
+        *_straight(NumPyPrinter({"fully_qualified_modules": True}), targets),
+        "    return out, by_true, by_p",
     ]
-    lines += ["", "", "def delay(p):", *read, f"    slopes = numpy.zeros({P})"]
-    for target, slope in _slopes("slopes[{j}]", [slots.delay], slots.parameters):
-        lines.append(f"    {target} {printer.doprint(slope)}")
-    lines.append(f"    return float({printer.doprint(slots.delay)}), slopes")
     return "\n".join([*lines, ""])
+
+
+def _delay(name: str, delay: Any, parameters: Sequence[Any]) -> str:
+    """A function of the parameters: a delay and its derivatives (P,)."""
+    printer = NumPyPrinter({"fully_qualified_modules": True})
+    lines = ["", "", f"def {name}(p):"]
+    lines += [f"    {symbol} = p[{k}]" for k, symbol in enumerate(parameters)]
+    lines += [f"    slopes = numpy.zeros({len(parameters)})"]
+    lines += [
+        f"    {target} {printer.doprint(slope)}"
+        for target, slope in _slopes("slopes[{j}]", [delay], parameters)
+    ]
+    return "\n".join([*lines, f"    return float({printer.doprint(delay)}), slopes", ""])

@@ -42,6 +42,79 @@ class TrackerScale(Effect):
         return (1 + p.excess) * pose.x, (1 + p.excess) * pose.y, pose.theta
 
 
+class TrackerShift(Effect):
+    name = "tracker_shift"
+    sentence = (
+        "Tracker and finger are not in one frame: the tracker is shifted or turned in the world, or the"
+        " finger's recorded point is off its centre."
+    )
+    parameters = (
+        Parameter("x", "m", "reported place less the true one, seen from the finger", -0.1, 0.1, 3e-3, 0.0),
+        Parameter("y", "m", "the same, y", -0.1, 0.1, 3e-3, 0.0),
+        Parameter("angle", "rad", "turn of the tracker about the world's origin", -0.6, 0.6, 0.01, 0.0),
+    )
+
+    def measured(self, pose: Any, p: Any) -> Any:
+        c, s = sp.cos(p.angle), sp.sin(p.angle)
+        return c * pose.x - s * pose.y + p.x, s * pose.x + c * pose.y + p.y, pose.theta + p.angle
+
+
+class ForceFrame(Effect):
+    name = "force_frame"
+    sentence = "The force sensor's axes are not the world's: its force is turned or mirrored."
+    parameters = (
+        Parameter("angle", "rad", "turn of the reported force", -3.5, 3.5, 0.3, 0.0),
+        Parameter(
+            "mirror", "1", "1: y is negated before the turn; between, it is weakened", 0.0, 1.0, 0.3, 0.0
+        ),
+    )
+
+    def felt(self, force: Any, p: Any) -> Any:
+        c, s, y = sp.cos(p.angle), sp.sin(p.angle), (1 - 2 * p.mirror) * force.y
+        return c * force.x - s * y, s * force.x + c * y
+
+    def far_starts(self) -> list[dict[str, float]]:
+        return [
+            {"angle": angle, "mirror": mirror}
+            for angle in (-np.pi / 2, 0.0, np.pi / 2, np.pi)
+            for mirror in (0.0, 1.0)
+            if angle or mirror
+        ]
+
+
+class ForceBias(Effect):
+    name = "force_bias"
+    sentence = "The force sensor adds a constant force: it was not zeroed."
+    parameters = (
+        Parameter("x", "N", "force that is added", -100.0, 100.0, 0.03, 0.0, weight_power=1.0),
+        Parameter("y", "N", "the same, y", -100.0, 100.0, 0.03, 0.0, weight_power=1.0),
+    )
+
+    def felt(self, force: Any, p: Any) -> Any:
+        return force.x + p.x, force.y + p.y
+
+
+class ForceScale(Effect):
+    name = "force_scale"
+    sentence = "The force sensor's gain is off, of both axes or of one."
+    parameters = (
+        Parameter("excess", "1", "reported forces above true ones, as a share", -0.9, 2.0, 0.1, 0.0),
+        Parameter("stretch", "1", "the same of x alone, and as much below of y", -0.9, 0.9, 0.1, 0.0),
+    )
+
+    def felt(self, force: Any, p: Any) -> Any:
+        return (1 + p.excess + p.stretch) * force.x, (1 + p.excess - p.stretch) * force.y
+
+
+class ForceLatency(Effect):
+    name = "force_latency"
+    sentence = "The force sensor reports late."
+    parameters = (Parameter("latency", "s", "by how much the force is late", -0.3, 0.5, 0.03, 0.0),)
+
+    def force_delay(self, p: Any) -> Any:
+        return p.latency
+
+
 class ViscousFriction(Effect):
     name = "viscous_friction"
     sentence = "A drag in proportion to speed and area, as from a film of oil, comes on top of dry friction."
@@ -332,4 +405,9 @@ LIBRARY: tuple[Effect, ...] = (
     ImpulseFriction(),
     TrackerOffset(),
     TrackerScale(),
+    TrackerShift(),
+    ForceFrame(),
+    ForceBias(),
+    ForceScale(),
+    ForceLatency(),
 )

@@ -23,6 +23,8 @@ from slipmap.models.files import replaced_file
 from slipmap.models.physics.compiled import CACHE_FOLDER
 
 FloatArray = NDArray[np.float64]
+Report = Callable[..., tuple[FloatArray, FloatArray, FloatArray]]
+Delay = Callable[[FloatArray], tuple[float, FloatArray]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,9 +37,11 @@ class Program:
     sizes: NDArray[np.int64]  # (5,) as in `slipmap.models.physics.kernel_arguments.Formulas`
     # x, y, θ (…,) and parameters to (…, 3) poses as the tracker reports them, and their derivatives by the
     # true pose (…, 3, 3) and by the parameters (…, 3, P); None where no effect changes them
-    measured: Callable[..., tuple[FloatArray, FloatArray, FloatArray]] | None
+    measured: Report | None
     # parameters to the tracker's delay and its derivative (P,); None where there is none
-    delay: Callable[[FloatArray], tuple[float, FloatArray]] | None
+    delay: Delay | None
+    felt: Report | None  # the same of the finger's force: F_x, F_y (…,) to (…, 2)
+    force_delay: Delay | None  # and of its delay
     module: ModuleType  # what holds the machine code; without it the addresses would lead nowhere
 
     @property
@@ -84,8 +88,10 @@ def _program_of(effects: tuple[Effect, ...]) -> Program:
         effects,
         np.array([function.address if function else 0 for function in functions], dtype=np.int64),
         np.array(module.SIZES, dtype=np.int64),
-        module.measured if module.MEASURES else None,
-        module.delay if module.DELAYS else None,
+        getattr(module, "measured", None),
+        getattr(module, "delay", None),
+        getattr(module, "felt", None),
+        getattr(module, "force_delay", None),
         module,
     )
 

@@ -25,6 +25,10 @@ else:
 
 STATE_NAMES = ("q_x", "q_y", "q_theta", "v_x", "v_y", "omega")
 FORCE_NAMES = ("force_x", "force_y")
+POSE_SYMBOLS = ("pose_x", "pose_y", "pose_theta")
+"""Names of the symbols of the true pose, of which the tracker reports another."""
+PUSH_SYMBOLS = ("push_x", "push_y")
+"""Names of the symbols of the finger's true force, of which the sensor reports another."""
 INERTIA_NAMES = ("m", "s_x", "s_y", "J")
 CONSTANT_NAMES = ("time", "h", "order", "gravity", "width", "c_x", "c_y", "g_xx", "g_xy", "g_yy", "n")
 
@@ -151,7 +155,7 @@ def after_names() -> dict[str, Any]:
 
 
 def written_names(kind: str, extra: tuple[str, ...] = ()) -> dict[str, Any]:
-    """The names of `body`, `cell`, `after` or `pose` as letters in LaTeX, for formulas to be read."""
+    """The names of `body`, `cell`, `after`, `pose` or `push` as letters in LaTeX, for formulas to be read."""
     letters = {
         "x": "x", "y": "y", "theta": r"\theta", "vx": r"\dot{x}",
         "vy": r"\dot{y}", "omega": r"\omega", "com_x": r"\bar{r}_{x}", "com_y": r"\bar{r}_{y}",
@@ -162,6 +166,8 @@ def written_names(kind: str, extra: tuple[str, ...] = ()) -> dict[str, Any]:
     }  # fmt: skip
     if kind == "pose":
         letters = {name: letters[name] for name in ("x", "y", "theta")}
+    if kind == "push":
+        letters = {"x": letters["force_x"], "y": letters["force_y"]}
     if kind == "cell":
         letters |= {
             "x": "X", "y": "Y", "rx": "r_{x}", "ry": "r_{y}", "ux": "u_{x}", "uy": "u_{y}",

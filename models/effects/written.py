@@ -34,6 +34,8 @@ QUANTITIES = {
     "compliance": (("C",), "true tip = recorded tip - C × force on the object"),
     "measured": ((r"\hat{x}", r"\hat{y}", r"\hat{\theta}"), "pose that the tracker reports"),
     "delay": ((r"\Delta t",), "the tracker reports the pose of Δt ago"),
+    "felt": ((r"\hat{F}_{x}", r"\hat{F}_{y}"), "force that the sensor reports"),
+    "force_delay": ((r"\Delta t_{F}",), "the sensor reports the force of Δt_F ago"),
 }  # fmt: skip
 """Method of an effect: letters of its results, and what they are."""
 
@@ -59,7 +61,8 @@ LETTERS = {
 """What the letters of `written_names` mean."""
 
 _PLAIN = {
-    r"\theta": "θ", r"\omega": "ω", r"\tau": "τ", r"\kappa": "κ", r"\Delta t": "Δt", r"\hat{x}": "x_seen",
+    r"\theta": "θ", r"\omega": "ω", r"\tau": "τ", r"\kappa": "κ", r"\Delta t": "Δt", r"\Delta t_{F}": "Δt_F",
+    r"\hat{F}_{x}": "F_x_seen", r"\hat{F}_{y}": "F_y_seen", r"\hat{x}": "x_seen",
     r"\hat{y}": "y_seen", r"\hat{\theta}": "θ_seen", r"\dot{x}": "vx", r"\dot{y}": "vy",
 }  # fmt: skip
 
@@ -124,9 +127,10 @@ def _equations(effect: Effect, p: Any) -> Iterator[tuple[str, tuple[str, ...], S
     body = Names(f"effect {effect.name}: body", written_names("body", memory))
     cell = Names(f"effect {effect.name}: cell", written_names("cell", memory))
     after = Names(f"effect {effect.name}: after", written_names("after"))
-    pose = Names("pose", written_names("pose"))
+    pose, push = Names("pose", written_names("pose")), Names("force", written_names("push"))
     arguments: dict[str, tuple[Any, ...]] = {
         "friction": (cell, p), "drag": (cell, p), "stretch": (cell, p), "measured": (pose, p), "delay": (p,),
+        "felt": (push, p), "force_delay": (p,),
     }  # fmt: skip
     for method, (names, _) in QUANTITIES.items():
         value = call_formula(effect, method, *arguments.get(method, (body, p)))

@@ -9,7 +9,7 @@ half its width, or where it was measured beforehand.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
@@ -51,6 +51,7 @@ class _Seen:
     touched: bool  # whether there was a finger
     forces: bool  # whether there are forces that count
     missed: float  # α by which the model is off
+    contradicted: bool = False  # whether forces were left out because they contradict the contact
 
     @classmethod
     def of(cls, likelihood: Likelihood) -> _Seen:
@@ -72,13 +73,16 @@ class _Seen:
         return f"the model itself is off by {100 * self.missed:.0f} % of the way"
 
 
-def quantities(belief: Belief, likelihood: Likelihood, information: Fits | None) -> tuple[Quantity, ...]:
+def quantities(
+    belief: Belief, likelihood: Likelihood, information: Fits | None, *, contradicted: bool = False
+) -> tuple[Quantity, ...]:
     """Value, 90 % interval and verdict for each quantity.
 
     Args:
         belief: the hypotheses.
         likelihood: of the pushes they were fitted to.
         information: the plain best fit; None where the maps came from another method, then one is made.
+        contradicted: whether a force was measured that contradicts the contact, and was left out for that.
     """
     prior = likelihood.prior
     if information is None:
@@ -86,7 +90,8 @@ def quantities(belief: Belief, likelihood: Likelihood, information: Fits | None)
     posterior = np.linalg.inv(information.hessian[0] + np.eye(prior.size))
     weighed = prior.total_spread == prior.settings.known_mass
     results = []
-    for measure in _measures(prior.slider, _Seen.of(likelihood), weighed):
+    seen = replace(_Seen.of(likelihood), contradicted=contradicted)
+    for measure in _measures(prior.slider, seen, weighed):
         gradient = _gradient(measure, likelihood, information.z[0])
         before = float(gradient @ gradient)
         after = float(gradient @ posterior @ gradient)
@@ -172,6 +177,11 @@ def _measures(slider: Slider, seen: _Seen, weighed: bool) -> list[_Measure]:
         "no force was measured and the finger's motion is given: in slow motion, scaling all friction leaves "
         "every pose unchanged"
     )
+    if seen.contradicted:
+        no_force = (
+            "the measured force contradicts the contact and was left out: put its frame right, or learn with"
+            " the effect force_frame"
+        )
     weak_force = "the forces that count (steady pushing) are too few"
     slow = seen.unless_missed(
         "what slid on its own did so too short or too much alike"

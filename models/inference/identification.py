@@ -33,6 +33,7 @@ from slipmap.models.inference.prediction import predict_observations, predicted_
 from slipmap.models.inference.prior import MapPrior, PriorSettings, slider_for
 from slipmap.models.inference.results import Identification
 from slipmap.models.measurements import DatasetError, PushDataset
+from slipmap.models.measurements.trial_checks import contradicted_by_contact
 from slipmap.models.progress import Progress, about, silent
 
 if TYPE_CHECKING:
@@ -127,11 +128,17 @@ def learn(
     """
     started = time.perf_counter() if started is None else started
     fitted = [observation for observation in observations if observation.role == "fit"]
+    effects = () if found is None else found.effects
+    # A force that contradicts the contact teaches nothing unless an effect explains it.
+    contradicted = not any(effect.only_force for effect in effects) and contradicted_by_contact(
+        dataset, dataset.fit_trials
+    )
+    if contradicted:
+        fitted = [observation.without_forces for observation in fitted]
 
     every = explain(
         dataset, fitted, prior_settings, partial(report, "fitting"), found, plain_only=not friction_laws
     )
-    effects = () if found is None else found.effects
     belief = mixed_belief(dataset, every, effects, hypotheses, seed, report)
     noise = sensor_noise(dataset)
     motions = predicted_motion(belief, observations)
@@ -141,7 +148,7 @@ def learn(
     belief = replace(belief, settings=told)
     predictions = predict_observations(belief, observations, noise, report, lambda *_: motions)
     likelihood, information = every[0].likelihood, every[0].best
-    facts = quantities(belief, likelihood, information)
+    facts = quantities(belief, likelihood, information, contradicted=contradicted)
     facts = (*facts, *effect_quantities(belief, effects, likelihood, information))
     shares = belief.settings["friction_laws"]
     return Identification(belief, predictions, facts, time.perf_counter() - started, shares)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.ndimage import binary_erosion, uniform_filter1d
@@ -45,6 +45,11 @@ class Observation:
     # (T,) whether a force counts: the finger moves and presses, and neither its first touch nor its stop is
     # near, where force depends on contact stiffness rather than on friction
     sliding: np.ndarray
+
+    @property
+    def without_forces(self) -> Observation:
+        """The same, as if no force counted."""
+        return replace(self, sliding=np.zeros(len(self.sliding), dtype=bool))
 
     def travel(self, centers: FloatArray) -> FloatArray:
         """(S,) ADD between each measured pose and the start, m."""

@@ -160,6 +160,12 @@ def check_trials(
     return chosen, warnings
 
 
+def contradicted_by_contact(setup: Setup, trials: Sequence[Trial]) -> bool:
+    """Whether the measured force points where no friction of a finger allows, in most of some trials."""
+    seen = [rows for trial in trials if (rows := contact_rows(setup, trial)) is not None]
+    return force_complaint(setup, seen) is not None
+
+
 def _judged(
     setup: Setup,
     trials: Sequence[Trial],

@@ -27,6 +27,7 @@ from slipmap.models.physics.kernel_arguments import (
 )
 from slipmap.models.physics.maps import Maps
 from slipmap.models.physics.pushes import Push, join_pushes
+from slipmap.models.physics.sensors import Sensors, clear_unreached
 from slipmap.models.physics.step import EXTRA_COLUMNS, INERTIA_COLUMNS
 from slipmap.models.physics.support import FIRST_FORCE, FIRST_POSE, REACHED, RIM_RESULTS, TIPS
 
@@ -253,14 +254,14 @@ class Slider:
         """
         joined = join_pushes(pushes, len(maps), start_poses, start_twists)
         columns = self.columns if sensitivities else 0
-        late = self.program is not None and self.program.delay is not None
         tables = self._top if table_poses is None else self._tables(table_poses, (len(maps), len(pushes), 3))
         rim, masses = (0, 0) if self._top is None else (RIM_RESULTS, len(self.grid) if sensitivities else 0)
-        results = empty_results(len(maps), joined, columns, late and sensitivities, rim, masses)
         if self.program is None:
+            results = empty_results(len(maps), joined, columns, False, rim, masses)
             rollout_all(self._common, self._reduced(maps), joined, None, tables, results)
         else:
-            self._fill(self.program, results, maps, joined, [push.order for push in pushes], tables)
+            order = [push.order for push in pushes]
+            results = self._with_effects(self.program, maps, joined, order, tables, columns, rim, masses)
         return _finished(joined, results)
 
     def _tables(self, poses: FloatArray, shape: tuple[int, ...]) -> FloatArray | None:
@@ -287,63 +288,30 @@ class Slider:
             raise ValueError(f"maps have {values.shape[1]} effect parameters, the {owner} {len(nulls)}")
         return values
 
-    def _fill(
+    def _with_effects(
         self,
         program: Program,
-        results: Results,
         maps: Maps,
         joined: JoinedPushes,
         order: Sequence[float],
         tables: FloatArray | None,
-    ) -> None:
-        """Simulate with effects, and fill in the results; `order` as in `Push`, `tables` as for kernels."""
-        K, P = len(maps), program.parameters
-        values = self._effect_values(maps)
-        starts = self._true_starts(program, joined.start_poses, values)
-        delays, delay_slopes = np.zeros(K), np.zeros((K, P))
-        if program.delay is not None:
-            for k in range(K):
-                delays[k], delay_slopes[k] = program.delay(values[k])
-        constants = self._constants(joined.h, order)
-        formulas = Formulas(program.addresses, program.sizes, constants, np.ascontiguousarray(values), delays)
-        true = joined._replace(start_poses=starts[0])
+        columns: int,
+        rim: int,
+        masses: int,
+    ) -> Results:
+        """Simulate with effects; `order` as in `Push`, `tables` as for kernels, sizes as in
+        `empty_results`."""
+        values = np.ascontiguousarray(self._effect_values(maps))
+        sensors = Sensors.of(program, values)
+        starts = sensors.true_starts(joined.start_poses)
+        true = sensors.with_steps_before(joined)._replace(start_poses=starts.poses)
+        rates = program.delay is not None and columns > 0
+        results = empty_results(len(maps), true, columns, rates, rim, masses)
+        formulas = Formulas(
+            program.addresses, program.sizes, self._constants(joined.h, order), values, sensors.delays
+        )
         rollout_all(self._common, self._reduced(maps), true, formulas, tables, results)
-        if results.rates.shape[1] > 0:
-            results.d_poses[..., -P:] -= results.rates[..., None] * delay_slopes[:, None, None]
-        if program.measured is not None:
-            self._report(program, results, joined, values, *starts[1:])
-
-    def _report(
-        self,
-        program: Program,
-        results: Results,
-        joined: JoinedPushes,
-        values: FloatArray,
-        by_measured: FloatArray,
-        by_effect: FloatArray,
-    ) -> None:
-        """Turn true poses into reported ones, and derivatives by true starts into those by reported ones."""
-        poses, d_poses, d_forces, end = results.poses, results.d_poses, results.d_forces, results.end
-        by_mass = results.mass_poses
-        assert program.measured is not None
-        n, P = len(self.grid), program.parameters
-        derive = d_poses.shape[-1] > 0
-        starts = slice(n + INERTIA_COLUMNS + 1, n + INERTIA_COLUMNS + 4)
-        for b in range(len(joined.h) if derive else 0):
-            for d, at in ((d_poses, joined.sample_at), (d_forces, joined.force_at)):
-                rows = d[:, at[b] : at[b + 1]]
-                by_start = rows[..., starts].copy()
-                rows[..., -P:] += np.einsum("ksij,kjp->ksip", by_start, by_effect[:, b])
-                rows[..., starts] = np.einsum("ksij,kjl->ksil", by_start, by_measured[:, b])
-        for k in range(len(poses)):
-            poses[k], by_pose, by_p = program.measured(*poses[k].T, values[k])
-            end[k, :, :3] = program.measured(*end[k, :, :3].T, values[k])[0]
-            if derive:
-                d_poses[k] = by_pose @ d_poses[k]
-                d_poses[k][..., -P:] += by_p
-                if by_mass.shape[-1]:
-                    _clear_unreached(by_mass[k : k + 1], results.rim[k : k + 1], joined.sample_at, FIRST_POSE)
-                    by_mass[k] = by_pose @ by_mass[k]
+        return sensors.reported(results, true, joined, starts, len(self.grid))
 
     def _constants(self, h: ArrayLike, order: ArrayLike) -> FloatArray:
         """(B, CONSTANTS) of pushes with steps h (B,) at places `order` (B,) in the experiment; time is 0."""
@@ -357,30 +325,6 @@ class Slider:
         result[:, 0], result[:, 1], result[:, 2] = 0.0, h, order
         result[:, 3:] = [*shared, float(len(centers))]
         return result
-
-    def _true_starts(
-        self, program: Program, reported: FloatArray, values: FloatArray
-    ) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """True poses where the tracker reports some (K, B, 3), and derivatives by report and parameters.
-
-        The formulas give the report of a true pose; Newton's method inverts them.
-        """
-        K, B, _ = reported.shape
-        P = values.shape[1]
-        identity = np.broadcast_to(np.eye(3), (K, B, 3, 3))
-        if program.measured is None:
-            return reported, identity, np.zeros((K, B, 3, P))
-        true, by_report, by_effect = reported.copy(), np.empty((K, B, 3, 3)), np.empty((K, B, 3, P))
-        for k in range(K):
-            for _ in range(20):
-                seen, by_pose, by_p = program.measured(*true[k].T, values[k])
-                error = seen - reported[k]
-                true[k] -= np.linalg.solve(by_pose, error[..., None])[..., 0]
-                if np.abs(error).max() < 1e-13:
-                    break
-            by_report[k] = np.linalg.inv(by_pose)
-            by_effect[k] = -by_report[k] @ by_p
-        return true, by_report, by_effect
 
     def _reduced(self, maps: Maps) -> tuple[FloatArray, ...]:
         """Fields of `ReducedMaps`, of maps that are checked."""
@@ -401,20 +345,6 @@ def _top_of(table: Table) -> FloatArray:
     return np.array([[[*table.center, 0.0, *(corners[2] - np.asarray(table.center)), 1.0, 0.0]]])
 
 
-def _clear_unreached(d: FloatArray, rim: FloatArray, at: NDArray[np.int64], first: int) -> None:
-    """Fill in the zeros of derivatives by masses (K, S, …) that the kernel left out, before the rim was near.
-
-    Args:
-        d: derivatives.
-        rim: (K, B, RIM_RESULTS).
-        at: (B + 1,) offsets of the pushes in S.
-        first: entry of `rim` that holds the first row of a push that the kernel wrote.
-    """
-    reached, begun = rim[..., REACHED] > 0, rim[..., first].astype(np.int64)
-    for k, b in np.ndindex(*reached.shape):
-        d[k, at[b] : at[b] + begun[k, b] if reached[k, b] else at[b + 1]] = 0.0
-
-
 def _finished(joined: JoinedPushes, results: Results) -> Rollouts:
     """What a kernel filled in, as `Rollouts`.
 
@@ -430,8 +360,8 @@ def _finished(joined: JoinedPushes, results: Results) -> Rollouts:
     if rim.shape[-1]:
         tips, reached = rim[..., TIPS], rim[..., REACHED] > 0
     if results.mass_poses.shape[-1] and reached.any():
-        _clear_unreached(results.mass_poses, rim, joined.sample_at, FIRST_POSE)
-        _clear_unreached(results.mass_forces, rim, joined.force_at, FIRST_FORCE)
+        clear_unreached(results.mass_poses, rim, joined.sample_at, FIRST_POSE)
+        clear_unreached(results.mass_forces, rim, joined.force_at, FIRST_FORCE)
         d_poses = np.concatenate([d_poses, results.mass_poses], axis=-1)
         d_forces = np.concatenate([d_forces, results.mass_forces], axis=-1)
     if not (np.isfinite(d_poses).all() and np.isfinite(d_forces).all()):

@@ -19,6 +19,7 @@ from slipmap.models.physics.friction import AFTER, FORCE
 from slipmap.models.physics.kernel import INPUTS, single_steps
 from slipmap.models.physics.maps import Maps
 from slipmap.models.physics.rollout import RolloutError, Slider, Smoothing
+from slipmap.models.physics.sensors import Sensors
 from slipmap.models.physics.step import EXTRA_COLUMNS
 from slipmap.models.physics.support import RIM_RESULTS
 
@@ -102,7 +103,8 @@ class Stepper(Slider):
         K = len(models.maps)
         reported = np.array(np.broadcast_to(poses, (K, 3)), dtype=float)
         states = np.zeros((K, self.size))
-        states[:, :3] = self._true_starts(self.program, reported[:, None], models.maps.effects)[0][:, 0]
+        sensors = Sensors.of(self.program, models.maps.effects)
+        states[:, :3] = sensors.true_starts(reported[:, None]).poses[:, 0]
         states[:, 3:6] = 0.0 if twists is None else twists
         return states
 

@@ -237,6 +237,7 @@ def diagnose(
     of the pushes is locked away before and judges the answer.
     """
     effects = options.find_effects(effect_files)
+    where = str(dataset)
     with Progress() as progress:
         measured = options.load_dataset(dataset, object_name, progress)
         prepare_kernels()
@@ -249,9 +250,10 @@ def diagnose(
         if wanted:
             from slipmap.diagrams.application.reports.diagnosis_sections import diagnosis_report
 
-            write_text(output, diagnosis_report(result, measured, effects, progress))
-    write_json(json_file, result.to_json())
+            told = diagnosis_report(result, measured, effects, where, progress)
+            write_text(output, told)
+    write_json(json_file, result.to_json(where))
     from slipmap.diagrams.application.reports.diagnosis_words import show_diagnosis
 
-    show_diagnosis(result, measured, effects)
+    show_diagnosis(result, measured, effects, where)
     note(f"report: {output}" if wanted else "no report of a quick look; -o FILE asks for one")

@@ -73,7 +73,8 @@ def effect_figure(effect: Effect) -> Figure:
     middle = bottom + 0.5 * (top - bottom)
     gap = 0.3 / height
     _distances(figure.add_axes((0.63, middle + gap, 0.35, top - middle - gap)), grid, push, plain, out)
-    _forces(figure.add_axes((0.63, bottom + gap / 2, 0.35, middle - bottom - gap)), push, plain, out)
+    forces = figure.add_axes((0.63, bottom + gap / 2, 0.35, middle - bottom - gap))
+    _forces(forces, push, plain, out, by_component=effect.only_force)
     begin = below - 0.42
     figure.text(0.02, begin / height, "\n".join(size), va="top", fontsize=9, linespacing=1.35)
     _formulas(figure, text, begin - _SIZE_LINE * len(size), height)
@@ -157,6 +158,8 @@ def _shown_values(effect: Effect, grid: CellGrid, push: Push, plain: Rollouts) -
         gap = np.array([add(poses, plain.poses[0], grid.centers).max() for poses in out.poses])
         before = float(np.hypot(*plain.forces[0].T).mean())
         change = np.abs(np.hypot(*np.moveaxis(out.forces, -1, 0)).mean(axis=1) / before - 1)
+        if effect.only_force:
+            change = np.hypot(*np.moveaxis(out.forces - plain.forces, -1, 0)).mean(axis=1) / before
         # An effect that has reached its limit shows no better when doubled.
         if gap.max() > 2e-3 and gap.max() < 1.2 * reached:
             break
@@ -211,18 +214,24 @@ def _distances(axes: Axes, grid: CellGrid, push: Push, plain: Rollouts, out: Rol
     axes.set(ylabel="cells apart, mm", xticklabels=[], ylim=(0, None), xlim=(0, times[-1]))
 
 
-def _forces(axes: Axes, push: Push, plain: Rollouts, out: Rollouts) -> None:
-    """Force of the finger, mean over 20 ms so that the first touch does not hide the rest."""
+def _forces(axes: Axes, push: Push, plain: Rollouts, out: Rollouts, *, by_component: bool) -> None:
+    """Force of the finger, its size or both components, mean over 20 ms so that the first touch does not hide
+    the rest."""
 
     def smooth(forces: FloatArray) -> FloatArray:
-        return np.convolve(np.hypot(*forces.T), np.full(20, 1 / 20), mode="same")
+        rows = forces.T if by_component else np.hypot(*forces.T)[None]
+        return np.array([np.convolve(row, np.full(20, 1 / 20), mode="same") for row in rows])
 
     times = np.asarray(push.force_times)
-    axes.plot(times, smooth(plain.forces[0]), color=INK, linewidth=1.2, linestyle="--", label="without")
+    axes.plot(times, smooth(plain.forces[0])[0], color=INK, linewidth=1.2, linestyle="--", label="without")
     for forces, tint, share in zip(out.forces, _TINTS, ("a third", "two thirds", "full size"), strict=True):
-        axes.plot(times, smooth(forces), color=BELIEF, alpha=tint, linewidth=1.2, label=share)
-    every = np.array([smooth(f) for f in (plain.forces[0], *out.forces)])[:, 100:]
-    axes.set(xlabel="time, s", ylabel="force, N", xlim=(0, times[-1]), ylim=(0, 1.25 * every.max()))
+        axes.plot(times, smooth(forces)[0], color=BELIEF, alpha=tint, linewidth=1.2, label=share)
+    every = np.array([smooth(f) for f in (plain.forces[0], *out.forces)])
+    for row, (color, tint) in zip(every, [(INK, 1.0), *((BELIEF, tint) for tint in _TINTS)], strict=True):
+        axes.plot(times, row[1:].T, color=color, alpha=tint, linewidth=1.2, linestyle=":")
+    high, low = every[..., 100:].max(), min(0.0, every[..., 100:].min())
+    label = "force (dotted: y), N" if by_component else "force, N"
+    axes.set(xlabel="time, s", ylabel=label, xlim=(0, times[-1]), ylim=(1.25 * low, 1.25 * high))
     axes.legend(
         loc="lower right", bbox_to_anchor=(1.0, 0.98), ncols=4, handlelength=1.3, columnspacing=1.0,
         fontsize=7.5,

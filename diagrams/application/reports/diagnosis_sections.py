@@ -18,12 +18,17 @@ from slipmap.models.progress import Progress, silent
 
 
 def diagnosis_report(
-    diagnosis: Diagnosis, dataset: PushDataset, effects: Sequence[Effect], progress: Progress | None = None
+    diagnosis: Diagnosis,
+    dataset: PushDataset,
+    effects: Sequence[Effect],
+    where: str = "DATASET",
+    progress: Progress | None = None,
 ) -> str:
     """The report, a whole HTML document.
 
     Args:
         effects: all that were tried.
+        where: the dataset as a command takes it.
     """
     comparisons = compared(diagnosis, dataset, progress)
     report = progress or silent
@@ -40,6 +45,7 @@ def diagnosis_report(
     ]
     if not diagnosis.effects:
         lead.append(finding(comparisons[0]))
+    lead.append(f"Next: {diagnosis.next_step(where)}")
     sections = []
     if diagnosis.effects:
         sections.append(_answer_section(diagnosis, dataset, phrases.tried(diagnosis, effects)))

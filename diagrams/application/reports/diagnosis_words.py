@@ -11,7 +11,7 @@ from slipmap.diagrams.application.terminal import paragraph, table
 from slipmap.models.effects.effect import Effect
 from slipmap.models.effects.probes import PROBES
 from slipmap.models.inference.diagnosis.results import CandidateResult, Diagnosis
-from slipmap.models.inference.diagnosis.verdict_rules import LEVEL
+from slipmap.models.inference.diagnosis.verdict_rules import LEVEL, QUICK_GAIN, ROUGH
 from slipmap.models.measurements import PushDataset
 from slipmap.models.physics.cell_grid import CellGrid
 
@@ -43,14 +43,27 @@ def standing(candidate: CandidateResult, diagnosis: Diagnosis) -> str:
         gain = "" if candidate.remaining_gain is None else f" gains {nats(candidate.remaining_gain)} more"
         named = f"“{probe_sentence(found)}”" if probe_sentence(found) else found
         return f"{named} on top{gain}"
-    if diagnosis.verdict in ("adequate", "undecided"):
-        if candidate.p_value is not None and candidate.p_value <= LEVEL:
-            alone = len(diagnosis.open_trials) == 1
-            return "no other push to agree with" if alone else "the pushes do not agree on it"
-        return "gains no more than chance"
+    for names, text in diagnosis.objections.items():
+        if candidate.name in names.split(" and "):
+            return text
     if candidate.fitted_gain is not None:
-        return "less than the best"
-    return "far from the best"
+        best = max(c.fitted_gain for c in diagnosis.candidates if c.fitted_gain is not None)
+        if candidate.fitted_gain < best:
+            return f"explains {nats(best - candidate.fitted_gain)} less than the best"
+        return _disagreed(diagnosis)
+    if candidate.p_value is None:
+        return "gains too little" if candidate.gain <= QUICK_GAIN else "behind the best on a short search"
+    if candidate.p_value > LEVEL:
+        return "gains no more than chance"
+    return "far from the best" if diagnosis.effects else _disagreed(diagnosis)
+
+
+def _disagreed(diagnosis: Diagnosis) -> str:
+    """Why the candidate that explains most is not the answer, where nothing was found on top of it."""
+    if diagnosis.verdict == "undecided" and diagnosis.motion_error > ROUGH:
+        alone = len(diagnosis.open_trials) == 1
+        return "no other push to agree with" if alone else "the pushes do not agree on it"
+    return "too little of it shows"
 
 
 def probe_sentence(name: str) -> str:
@@ -133,12 +146,12 @@ def ranking(diagnosis: Diagnosis) -> list[list[str]]:
 
 
 def rivals_sentence(diagnosis: Diagnosis) -> str:
-    """Which effects the data cannot rule out besides the first; empty where there is nothing to say."""
+    """Which effects the pushes cannot rule out besides the first; empty where there is nothing to say."""
     if any(len(fitted.effects) > 1 for fitted in diagnosis.rivals[1:]):
         return ""  # The verdict's sentence lists the pairs.
     if diagnosis.verdict == "ambiguous":
         first, *others = diagnosis.effects
-        return f"{first} fits best; the data cannot rule out {', '.join(others)}."
+        return f"{first} fits best; the pushes cannot rule out {', '.join(others)}."
     if diagnosis.verdict == "effect":
         return "Every other effect that was tried is ruled out."
     return ""
@@ -190,8 +203,11 @@ def tried(diagnosis: Diagnosis, effects: Sequence[Effect]) -> list[Effect]:
     return [by_name[name] for name in diagnosis.effects if name in by_name]
 
 
-def show_diagnosis(diagnosis: Diagnosis, dataset: PushDataset, effects: Sequence[Effect]) -> None:
-    """Print what a diagnosis of a dataset found; `effects` are all that were tried."""
+def show_diagnosis(
+    diagnosis: Diagnosis, dataset: PushDataset, effects: Sequence[Effect], where: str = "DATASET"
+) -> None:
+    """Print what a diagnosis of a dataset found; `effects` are all that were tried, `where` is the dataset as
+    a command takes it."""
     paragraph(f"Verdict: {diagnosis.verdict}. {diagnosis.sentence}")
     for text in (*sizes(diagnosis, dataset.grid), improvement(diagnosis), rivals_sentence(diagnosis)):
         paragraph(text)
@@ -214,6 +230,7 @@ def show_diagnosis(diagnosis: Diagnosis, dataset: PushDataset, effects: Sequence
     _show_locked(diagnosis)
     if diagnosis.next_push is not None:
         paragraph(f"Next push: {diagnosis.next_push['sentence']}")
+    paragraph(f"Next: {diagnosis.next_step(where)}")
 
 
 def _show_locked(diagnosis: Diagnosis) -> None:

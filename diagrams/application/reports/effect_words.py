@@ -157,6 +157,33 @@ def _latency(p: Estimates, grid: CellGrid) -> list[Reading]:
     return [_scaled("the tracker is {} ms late", p["latency"], 1e3)]
 
 
+def _shift(p: Estimates, grid: CellGrid) -> list[Reading]:
+    return [
+        _scaled("poses lie {} mm", p["x"], 1e3),
+        _scaled("{} mm (x, y) off where the finger's record has them", p["y"], 1e3),
+        _scaled("turned by {}° about the world's origin", p["angle"], 180.0 / np.pi),
+        _scaled("or else the finger's recorded point is off its centre by {} mm", p["x"], -1e3),
+        _scaled("{} mm", p["y"], -1e3),
+    ]
+
+
+def _force_frame(p: Estimates, grid: CellGrid) -> list[Reading]:
+    turned = _scaled("the reported force is turned by {}°", p["angle"], 180.0 / np.pi)
+    if p["mirror"].value < 0.5:
+        return [turned]
+    return [Reading("the reported force is mirrored, y negated ({} of 1)", *_ends(p["mirror"])), turned]
+
+
+def _ends(estimate: ParameterEstimate) -> tuple[float, float, float]:
+    return estimate.value, estimate.low, estimate.high
+
+
+def _late_force(p: Estimates, grid: CellGrid) -> list[Reading]:
+    if p["latency"].value < 0:
+        return [_scaled("the force is {} ms early", p["latency"], -1e3)]
+    return [_scaled("the force is {} ms late", p["latency"], 1e3)]
+
+
 def _each(*readings: tuple[str, str, float]) -> Reader:
     """Reads parameters one by one; each reading is a text, a parameter and a factor on it."""
     return lambda p, grid: [_scaled(text, p[name], factor) for text, name, factor in readings]
@@ -203,5 +230,13 @@ READERS: dict[str, Reader] = {
         ("turned by {}°", "angle", 180.0 / np.pi),
     ),
     "tracker_scale": _each(("reported lengths are {} % above true ones", "excess", 100.0)),
+    "tracker_shift": _shift,
+    "force_frame": _force_frame,
+    "force_bias": _each(("the sensor adds {} N along x", "x", 1.0), ("{} N along y", "y", 1.0)),
+    "force_scale": _each(
+        ("reported forces are {} % above true ones", "excess", 100.0),
+        ("those along x {} % more, along y as much less", "stretch", 100.0),
+    ),
+    "force_latency": _late_force,
 }
 """Effects of the library, each with a way to say its size."""

@@ -49,6 +49,7 @@ class FitData:
         observations: the same.
         pushes: to roll out, with the times of all forces that count.
         stretches: (T, steps) of each push, the matrix that takes the means of these forces.
+        radius: ρ of the object's cells, m.
     """
 
     def __init__(self, observations: Sequence[Observation], grid: CellGrid) -> None:
@@ -58,7 +59,7 @@ class FitData:
             replace(o.push, force_times=times) for o, (times, _) in zip(self.observations, dense, strict=True)
         ]
         self.stretches = [stretch for _, stretch in dense]
-        self._radius = radius_of_gyration(grid)
+        self.radius = radius_of_gyration(grid)
         self._travel = [travelled(o, grid.centers) for o in self.observations]
         self._kept: dict[tuple[str, SensorNoise, float], list[tuple[FloatArray, float]]] = {}
 
@@ -66,7 +67,7 @@ class FitData:
         """Of all pushes; what was computed once for an α or a β is kept."""
         poses = self._once(
             ("pose", error.noise, error.motion),
-            lambda b: error.pose_covariance(self.observations[b], self._travel[b], self._radius),
+            lambda b: error.pose_covariance(self.observations[b], self._travel[b], self.radius),
         )
         forces = self._once(
             ("force", error.noise, error.force), lambda b: error.force_covariance(self.observations[b])[None]

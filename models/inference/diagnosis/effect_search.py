@@ -44,8 +44,12 @@ def find_effects(
     stage(1, 3)
     scene = fitter.scene(base)
     starts = screen(fitter, base, effects, len(effects), scene, 1, rng).start
-    guesses = [effect.start_values(scene)[int(start)] for effect, start in zip(effects, starts, strict=True)]
-    found = fitter.with_effects(effects, base.likelihood.error, base, np.concatenate(guesses), afresh=True)
+    error = base.likelihood.error
+    guesses = [
+        fitter.start_of(effect, effect.start_values(scene)[int(start)], error, base)
+        for effect, start in zip(effects, starts, strict=True)
+    ]
+    found = fitter.with_effects(effects, error, base, np.concatenate(guesses), afresh=True)
     if found is None:
         raise DatasetError(
             f"the model with {', '.join(effect.name for effect in effects)} cannot be fitted to dataset"

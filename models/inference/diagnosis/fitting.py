@@ -103,6 +103,22 @@ class Fitter:
     def _forgiving(self, prior: MapPrior) -> Likelihood:
         return Likelihood(prior, self.observations, self.dataset.noise, LikelihoodSettings())
 
+    def start_of(self, effect: Effect, values: FloatArray, error: ErrorModel, near: Fitted) -> FloatArray:
+        """(P,) where to begin with an effect: at some parameters (P,), or at the one of its far starts that
+        explains the pushes best with the maps of a fit."""
+        tried = effect.with_far_starts(values)
+        if len(tried) == 1:
+            return values
+        prior = self.prior((effect,))
+        likelihood = CorrelatedLikelihood(prior, self.measured, error)
+        z = np.concatenate(
+            [np.tile(near.z[: prior.plain], (len(tried), 1)), prior.effect_coordinates(tried)], axis=1
+        )
+        offsets = np.repeat(near.offsets[None], len(tried), axis=0)
+        weights = np.ones((len(tried), len(near.offsets)))
+        cost = likelihood.linearise(z, offsets, np.ones(len(tried)), weights).cost.sum(axis=1)
+        return tried[int(np.argmin(cost))]
+
     def with_effects(
         self,
         effects: Sequence[Effect],

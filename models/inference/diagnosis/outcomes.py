@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 from slipmap.models.effects.probes import PROBES
 from slipmap.models.inference.diagnosis.fitting import Fitted
 from slipmap.models.inference.diagnosis.screening import Screening
+from slipmap.models.inference.diagnosis.verdict_rules import STAYS_OFF
 
 
 @dataclass(frozen=True, eq=False)
@@ -21,6 +22,8 @@ class Outcome:
     together: bool = False  # whether the effects are needed at the same time
     depends_on: str | None = None  # sentence of the probe that finds structure that no effect explains
     rivals: tuple[Fitted, ...] = ()  # fitted models of the effects
+    # what speaks against those that the open pushes would name, by their names
+    objections: Mapping[str, str] = field(default_factory=dict)
 
 
 def nothing_missing(base: Fitted) -> Outcome:
@@ -64,34 +67,69 @@ def too_faint(base: Fitted) -> Outcome:
     return Outcome("undecided", sentence, base)
 
 
-def refuted_by_locked_pushes(answer: Outcome, base: Fitted) -> Outcome:
-    """The pushes that were locked away do not become better with the answer, or not beyond chance."""
+def without_those_objected_to(
+    answer: Outcome, objections: Mapping[str, str], base: Fitted, screening: Screening
+) -> Outcome:
+    """An answer less those of its rivals that something speaks against.
+
+    Args:
+        answer: with rivals.
+        objections: what speaks against some of them, by `name_of`.
+        base: the model without effects.
+        screening: gains on top of that.
+    """
+    kept = [rival for rival in answer.rivals if name_of(rival) not in objections]
+    if len(kept) == len(answer.rivals):
+        return answer
+    if kept:
+        whole = one_of(kept) if len(kept[0].effects) == 1 else two_at_once(kept)
+        return replace(whole, objections=objections)
+    names = list(objections)
+    clauses = dict.fromkeys(objections.values())
+    stays_off = STAYS_OFF in clauses
     sentence = (
-        f"On the open pushes {' and '.join(answer.effects)} would explain much, but the misfit of the locked"
-        " pushes does not clearly fall with it: the pushes are too few, or scatter too much, to decide."
+        f"On the open pushes {' or '.join(names)} would explain {'something' if stays_off else 'much'}, but"
+        f" {' or '.join(clauses)}"
+    )
+    if stays_off:
+        found = unknown(base, screening)
+        return replace(
+            found,
+            sentence=f"{sentence}: that is not what is missing. {found.sentence}",
+            objections=objections,
+        )
+    return Outcome(
+        "undecided",
+        f"{sentence}: the pushes are too few, or scatter too much, to decide.",
+        base,
+        objections=objections,
+    )
+
+
+def far_off(base: Fitted, misfit: float) -> Outcome:
+    """Nothing gains, but predictions are far off; `misfit` is that of the typical push."""
+    sentence = (
+        f"The model is not adequate: it misses pushes by {misfit:.0f} times the sensors' noise. But no effect"
+        " that was tried explains that; something else is wrong: frames, clocks or units of the sensors, or"
+        " the object's outline."
     )
     return Outcome("undecided", sentence, base)
 
 
-def no_help_to_locked_pushes(answer: Outcome, base: Fitted, screening: Screening) -> Outcome:
-    """The pushes that were locked away stay as far off with the answer as without."""
-    found = unknown(base, screening)
-    sentence = (
-        f"On the open pushes {' and '.join(answer.effects)} would explain something, but the locked pushes"
-        f" are as far off with it as without: it is not what is missing. {found.sentence}"
-    )
-    return Outcome("unknown", sentence, base, depends_on=found.depends_on)
+def name_of(rival: Fitted) -> str:
+    """The effects of a model, for a person."""
+    return " and ".join(effect.name for effect in rival.effects)
 
 
 def one_of(rivals: Sequence[Fitted]) -> Outcome:
-    """One effect, or a set that the data cannot tell apart, best first."""
+    """One effect, or a set that the pushes cannot tell apart, best first."""
     names = tuple(fitted.effects[0].name for fitted in rivals)
     listed = ", ".join(names)
     if len(rivals) == 1:
         return Outcome(
-            "effect", f"The data miss one effect: {listed}.", rivals[0], names, rivals=tuple(rivals)
+            "effect", f"The model lacks one effect: {listed}.", rivals[0], names, rivals=tuple(rivals)
         )
-    sentence = f"An effect is missing; the data cannot tell which of these it is: {listed}."
+    sentence = f"The model lacks an effect; the pushes cannot tell which of these it is: {listed}."
     return Outcome("ambiguous", sentence, rivals[0], names, rivals=tuple(rivals))
 
 
@@ -104,10 +142,10 @@ def two_at_once(found: Sequence[Fitted]) -> Outcome:
     rivals = tuple(different.values())
     if len(rivals) == 1:
         names = tuple(effect.name for effect in best.effects)
-        sentence = f"The data miss two effects at once: {names[0]} and {names[1]}."
+        sentence = f"The model lacks two effects at once: {names[0]} and {names[1]}."
         return Outcome("effect", sentence, best, names, together=True, rivals=rivals)
-    listed = ", or ".join(" and ".join(effect.name for effect in pair.effects) for pair in rivals)
-    sentence = f"Two effects at once are missing; the data cannot tell which: {listed}."
+    listed = ", or ".join(map(name_of, rivals))
+    sentence = f"The model lacks two effects at once; the pushes cannot tell which: {listed}."
     union = dict.fromkeys(effect.name for pair in rivals for effect in pair.effects)
     return Outcome("ambiguous", sentence, best, tuple(union), rivals=rivals)
 

@@ -49,9 +49,9 @@ from slipmap.models.inference.diagnosis.verdict_rules import (
     UNKNOWN_GAIN,
     Remainder,
     Rules,
-    locked_pushes_object,
-    locked_pushes_stay_off,
+    far_above_noise,
     not_outdone,
+    objection,
     with_better_predictors,
     worth_asking,
 )
@@ -60,6 +60,7 @@ from slipmap.models.inference.identification import identify, learn
 from slipmap.models.inference.observations import Observation, observe_all
 from slipmap.models.inference.results import Identification
 from slipmap.models.measurements import DatasetError, PushDataset
+from slipmap.models.physics.cell_grid import FloatArray
 from slipmap.models.progress import Progress, StageProgress, about, silent
 
 
@@ -110,16 +111,23 @@ def diagnose(
     everything = observe_all(divided)
     own = about("without effects", report)
     without = identify(divided, seed=seed, progress=own)
-    learnt = [
-        learn(divided, everything, rival, seed=seed, report=about("with effects", report))
+    with_each = {
+        outcomes.name_of(rival): learn(
+            divided, everything, rival, seed=seed, report=about("with effects", report)
+        )
         for rival in outcome.rivals
-    ]
+    }
     before = locked_errors(without)
-    after = locked_errors(learnt[0]) if learnt else before
-    if outcome.effects and locked_pushes_object(inquiry.error.motion, before, after):
-        outcome, learnt = outcomes.refuted_by_locked_pushes(outcome, inquiry.base), []
-    elif outcome.effects and locked_pushes_stay_off(before, after):
-        outcome, learnt = outcomes.no_help_to_locked_pushes(outcome, inquiry.base, inquiry.first), []
+    objections = {
+        name: text
+        for rival, (name, own) in zip(outcome.rivals, with_each.items(), strict=True)
+        if (text := objection(rival.effects, own, inquiry.error.motion, before, locked_errors(own)))
+    }
+    outcome = outcomes.without_those_objected_to(outcome, objections, inquiry.base, inquiry.first)
+    learnt = [with_each[outcomes.name_of(rival)] for rival in outcome.rivals]
+    misfit = far_above_noise(inquiry.misfit() if before is None else before.misfit)
+    if misfit is not None and outcome.verdict == "adequate":
+        outcome = outcomes.far_off(inquiry.base, misfit)
     return Diagnosis(
         **vars(outcome),
         candidates=tuple(inquiry.candidates(learnt)),
@@ -153,6 +161,9 @@ class Inquiry:
         rng: np.random.Generator,
         report: Progress,
     ) -> None:
+        measured = any(observation.sliding.any() for observation in observations)
+        # A force that was not measured says nothing of its sensor.
+        effects = tuple(effect for effect in effects if measured or not effect.only_force)
         self.effects = effects
         self.draws = draws
         self.rng = rng
@@ -174,7 +185,8 @@ class Inquiry:
     def run(self) -> Outcome:
         """Go through the steps."""
         self.first = self._ask_every_effect()
-        if not self.rules.missing(self.first):
+        missing = self.rules.missing(self.first)
+        if not missing and far_above_noise(self.misfit()) is None:
             return self._nothing_found()
         self.refits = refit_candidates(
             self.fitter, self.base, self.first, self.effects, self.scene,
@@ -183,6 +195,8 @@ class Inquiry:
         self.error = self.refits.error
         if self._found_better_base():
             return self.run()
+        if not missing and max(self.refits.gains.values(), default=0.0) < UNKNOWN_GAIN:
+            return self._nothing_found()
         disagreement = self._disagreement()
         if disagreement is not None:
             return disagreement
@@ -216,6 +230,16 @@ class Inquiry:
         named = [effect in self.effects for effect in first.candidates]
         self.p_value = self.rules.p_value(first, float(first.gain[named].max()))
         return first
+
+    def misfit(self) -> FloatArray:
+        """(B,) of each open push by the model without effects, in sensor noise, forces among it."""
+        noise = self.fitter.noise
+        sigma = np.array([noise.position, noise.position, noise.angle * self.fitter.measured.radius])
+        found = []
+        for push in self.base.likelihood.rows(self.base.z, self.base.offsets):
+            parts = [(push.pose / sigma).ravel(), (push.force / noise.force).ravel()]
+            found.append(float(np.sqrt((np.concatenate(parts) ** 2).mean())))
+        return np.array(found)
 
     def _nothing_found(self) -> Outcome:
         """Adequate, unless the pushes could not have shown an effect of ordinary size."""

@@ -62,7 +62,7 @@ def refit_candidates(
     for step, i in enumerate(named):
         progress(step, len(named) + 2)
         effect = first.candidates[i]
-        guess = effect.start_values(scene)[int(first.start[i])]
+        guess = fitter.start_of(effect, effect.start_values(scene)[int(first.start[i])], error, base)
         if quick:
             fitted = fitter.with_effects(
                 (effect,), error, None, guess, afresh=True, iterations=1, forgiving=6

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from slipmap.models.effects.effect import Effect, bounds
+from slipmap.models.effects.library import LIBRARY
 from slipmap.models.inference.diagnosis.fitting import Fitted
 from slipmap.models.inference.diagnosis.locked import LockedErrors, locked_errors
 from slipmap.models.inference.diagnosis.outcomes import Outcome
@@ -121,8 +122,29 @@ class Diagnosis(Outcome):
         found = {candidate.name: candidate.parameters for candidate in self.candidates}
         return tuple(p for name in self.effects for p in found.get(name, ()))
 
-    def to_json(self) -> dict[str, object]:
-        """The machine-readable result; lengths in m, null where there is none."""
+    def next_step(self, where: str = "DATASET") -> str:
+        """What to do next, with the command to type; `where` is the dataset as a command takes it."""
+        again = f"`slipmap diagnose {where}`"
+        push = "make the next push" if self.next_push is not None else "record more pushes"
+        if self.quick and self.verdict != "adequate":
+            return f"{again}, without --quick, says how sure that is."
+        if self.verdict == "adequate":
+            return f"`slipmap identify {where} -o belief.npz` learns the model to plan with."
+        if self.verdict == "effect":
+            names = " ".join(f"--effect {name}" for name in self.effects)
+            more = "" if set(self.best.effects) <= set(LIBRARY) else " --effect-file FILE"
+            return f"`slipmap fit {where} {names}{more} -o belief.npz` learns the model with it."
+        if self.verdict == "ambiguous":
+            return f"{push} with the others, then {again} again."
+        if self.verdict == "unknown":
+            return (
+                f"`slipmap compare {where}` shows where and how it fails; write the effect down and try it"
+                f" with `slipmap diagnose {where} --effect-file FILE`."
+            )
+        return f"{push}, then {again} again; `slipmap compare {where}` shows where the model fails."
+
+    def to_json(self, where: str = "DATASET") -> dict[str, object]:
+        """The machine-readable result; lengths in m, null where there is none; `where` as for `next_step`."""
 
         def mean(errors: LockedErrors | None, name: str) -> float | None:
             return None if errors is None else float(getattr(errors, name).mean())
@@ -158,6 +180,7 @@ class Diagnosis(Outcome):
             "motion_error": self.motion_error,
             "force_error": self.force_error,
             "next_push": self.next_push,
+            "next_step": self.next_step(where),
             "calibrated": not self.quick,
             "seconds": self.seconds,
             "seed": self.seed,

@@ -11,6 +11,8 @@ from slipmap.models.effects.effect import Effect
 from slipmap.models.inference.diagnosis.locked import LockedErrors
 from slipmap.models.inference.diagnosis.screening import Screening
 from slipmap.models.inference.push_errors import Paired
+from slipmap.models.inference.results import Identification
+from slipmap.models.physics.cell_grid import FloatArray
 
 LEVEL = 0.01
 """Gains that come about by chance more seldom than this count."""
@@ -18,7 +20,7 @@ LEVEL = 0.01
 FEWEST_DRAWS = 99
 """Simulated datasets without which no p-value could reach the level."""
 
-_QUICK_GAIN = 8.0
+QUICK_GAIN = 8.0
 """Gain, in nats, that counts where chance was not simulated."""
 
 _MATERIAL = 0.03
@@ -43,6 +45,10 @@ question, but a faint finding that no effect explains is not two effects."""
 
 _FAR_OFF = 2.0
 """Misfit of locked pushes, in sensor noise, that calls for an explanation."""
+
+_FAR_ABOVE_NOISE = 3.0
+"""Misfit, in sensor noise, from which no model is adequate: that of the typical push, so that one which
+starts near to balance does not decide. Of simulated pushes with nothing hidden it is 1.0 to 1.6."""
 
 _LEAST_HELP = 0.1
 """Share by which an answer has to lower it. The true effect lowers it several times over; one that bends to
@@ -103,7 +109,7 @@ class Rules:
 
     def beyond_chance(self, screening: Screening, gain: float) -> bool:
         """Whether chance hardly gains as much."""
-        return screening.p_value(gain) <= LEVEL if self.simulated else gain > _QUICK_GAIN
+        return screening.p_value(gain) <= LEVEL if self.simulated else gain > QUICK_GAIN
 
     def found(self, screening: Screening, floor: float, probe_floor: float) -> int | None:
         """Index of the candidate whose gain counts most, or None where all of it may be chance.
@@ -222,19 +228,59 @@ def with_better_predictors(
     return [*accepted, *(name for name in gains if name not in accepted and joins(name))]
 
 
+def objection(
+    effects: Sequence[Effect],
+    learnt: Identification,
+    motion_error: float,
+    before: LockedErrors | None,
+    after: LockedErrors | None,
+) -> str | None:
+    """What speaks against an answer that the open pushes gave, in a clause; None where nothing does.
+
+    Args:
+        effects: of the answer.
+        learnt: with them, from the open pushes.
+        motion_error: α.
+        before: errors of the locked pushes without the answer.
+        after: the same with it.
+    """
+    for effect in effects:
+        if holds_null(effect, learnt):
+            whose = "its" if len(effects) == 1 else f"{effect.name}'s"
+            return f"{whose} 90 % interval holds nothing at all"
+    if locked_pushes_object(motion_error, before, after):
+        return "the locked pushes do not clearly become better with it"
+    if locked_pushes_stay_off(before, after):
+        return STAYS_OFF
+    return None
+
+
+STAYS_OFF = "the locked pushes are as far off with it as without"
+"""The objection of `locked_pushes_stay_off`."""
+
+
+def holds_null(effect: Effect, learnt: Identification) -> bool:
+    """Whether the 90 % interval of every parameter at whose null an effect is nothing holds that null."""
+    told = learnt.effect_estimates[effect.name]
+    amplitudes = [parameter for parameter in effect.parameters if parameter.null is not None]
+    return all(told[p.name]["low"] <= p.center <= told[p.name]["high"] for p in amplitudes)
+
+
 def locked_pushes_object(
     motion_error: float, before: LockedErrors | None, after: LockedErrors | None
 ) -> bool:
     """Whether pushes that were locked away speak against an answer, or not clearly for it where they scatter.
 
-    Their misfit has to fall, and where pushes scatter by more than chance from push to push would have it.
+    Their misfit has to fall: as a geometric mean and, where it is near to the noise, as a root mean square,
+    too. Where pushes scatter it has to fall by more than chance from push to push would have it.
     """
     if before is None or after is None:
         return False
     paired = Paired.of(before.misfit, after.misfit)
     if motion_error > ROUGH and len(before.misfit) > 1:
         return paired.verdict != "for"
-    return paired.ratio > 1.0
+    near = before.total_misfit < _FAR_OFF
+    return paired.ratio >= 1.0 or (near and after.total_misfit >= before.total_misfit)
 
 
 def locked_pushes_stay_off(before: LockedErrors | None, after: LockedErrors | None) -> bool:
@@ -242,3 +288,9 @@ def locked_pushes_stay_off(before: LockedErrors | None, after: LockedErrors | No
     if before is None or after is None or before.total_misfit < _FAR_OFF:
         return False
     return Paired.of(before.misfit, after.misfit).ratio > 1.0 - _LEAST_HELP
+
+
+def far_above_noise(misfit: FloatArray) -> float | None:
+    """The misfit of the typical push, of pushes with some (L,), where that is far above the noise."""
+    typical = float(np.exp(np.log(misfit).mean())) if len(misfit) else 0.0
+    return typical if typical > _FAR_ABOVE_NOISE else None

@@ -62,14 +62,15 @@ A class overrides what it changes and leaves the rest:
 {methods}
 
 `body` knows {body}. `cell` knows all that and {cell}; its `x` and `y` are those of the cell.
-`models/effects/symbols.py` says what each is. `positive_part` and `smooth_step` there are a maximum and
-a step that can be differentiated. To carry numbers from step to step, name them in `memory` and renew
-them in `remember`.
+`models/effects/symbols.py` says what each is. `pose` has `x`, `y` and `theta`, `force` has `x` and `y`.
+`positive_part` and `smooth_step` there are a maximum and a step that can be differentiated. To carry
+numbers from step to step, name them in `memory` and renew them in `remember`.
 """
 
 _METHODS = {
     "friction": "cell, p", "drag": "cell, p", "stretch": "cell, p", "force": "body, p", "blade": "body, p",
     "inertia": "body, p", "compliance": "body, p", "measured": "pose, p", "delay": "p",
+    "felt": "force, p", "force_delay": "p",
 }  # fmt: skip
 
 

@@ -130,15 +130,49 @@ def test_standing_tells_why_each_is_ruled_out(tilted):
     )
     probed = of(found, "tether", rejected_by="force_by_time", remaining_gain=12.34)
     assert probed == "“a force on the object that comes and goes with time” on top gains 12.3 more"
-    assert of(found, "tether") == "far from the best"
-    assert of(found, "tether", fitted_gain=1.0) == "less than the best"
+    assert of(found, "tether") == "gains no more than chance"
+    best = max(c.fitted_gain for c in found.candidates if c.fitted_gain is not None)
+    assert of(found, "tether", fitted_gain=best - 859.3) == "explains 859 less than the best"
     assert of(replace(found, verdict="adequate", effects=()), "tether") == "gains no more than chance"
-    undecided = replace(found, verdict="undecided", effects=())
+    undecided = replace(found, verdict="undecided", effects=(), motion_error=0.1)
     assert of(undecided, "tether") == "gains no more than chance"
     rare = CandidateResult("tether", 20.0, 0.005)
+    assert standing(rare, found) == "far from the best"
     assert standing(rare, undecided) == "the pushes do not agree on it"
     one = replace(undecided, open_trials=undecided.open_trials[:1])
     assert standing(rare, one) == "no other push to agree with"
+    refuted = replace(undecided, objections={"tether": "its 90 % interval holds nothing at all"})
+    assert of(refuted, "tether", fitted_gain=best) == "its 90 % interval holds nothing at all"
+
+
+def test_no_gain_that_counts_is_called_chance(tilted):
+    """A quick look has no p-values, and a first-order gain says little of what a refit gains."""
+    _, found = tilted
+    undecided = replace(found, verdict="undecided", effects=(), motion_error=0.1)
+    for candidate in (
+        CandidateResult("tether", 2280.0, None),
+        CandidateResult("tether", 42.7, 0.3, fitted_gain=14994.0),
+    ):
+        for diagnosis in (found, undecided):
+            assert "chance" not in standing(candidate, diagnosis)
+
+
+@pytest.mark.parametrize(
+    ("verdict", "command"),
+    [
+        ("adequate", "slipmap identify my/pushes -o"),
+        ("effect", "slipmap fit my/pushes --effect table_tilt"), ("ambiguous", "slipmap diagnose my/pushes"),
+        ("unknown", "slipmap compare my/pushes"),
+        ("undecided", "slipmap compare my/pushes"),
+    ],
+)  # fmt: skip
+def test_every_verdict_ends_with_a_command(tilted, verdict, command, capsys):
+    dataset, found = tilted
+    told = replace(found, verdict=verdict, quick=False)
+    assert f"`{command}" in told.next_step("my/pushes")
+    show_diagnosis(told, dataset, EFFECTS, "my/pushes")
+    assert " ".join(capsys.readouterr().out.split()).endswith(told.next_step("my/pushes"))
+    assert told.to_json("my/pushes")["next_step"] == told.next_step("my/pushes")
 
 
 def test_every_key_of_the_json_is_documented(tilted):
@@ -231,7 +265,7 @@ def test_a_set_is_named_and_names_cannot_break_the_report(tilted):
         next_push={**PUSH, "sentence": "<b>"},
     )
     page = assert_alone(diagnosis_report(odd, replace(dataset, name="<i>"), EFFECTS))
-    assert "the data cannot rule out sensor_latency" in page.text
+    assert "the pushes cannot rule out sensor_latency" in page.text
     assert "<script>alert(1)</script>" in page.text and "<b>" in page.text
 
 

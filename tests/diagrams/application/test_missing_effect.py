@@ -37,7 +37,7 @@ def test_from_a_model_that_fails_to_one_that_has_the_effect(slipmap, tmp_path):
     assert found["p_value"] == pytest.approx(1 / 100)
     assert found["parameters"]["sensor_latency"]["latency"]["value"] == pytest.approx(LATENCY, abs=0.004)
     assert found["heldout_error_after"] < 0.2 * found["heldout_error_before"]
-    assert said.out.startswith("Verdict: effect. The data miss one effect: sensor_latency.")
+    assert said.out.startswith("Verdict: effect. The model lacks one effect: sensor_latency.")
     assert "sensor_latency: the tracker is 7" in said.out or "sensor_latency: the tracker is 8" in said.out
     assert found["next_push"]["sentence"] in " ".join(said.out.split())
     assert "asking every effect: done" in said.err and f"report: {html}" in said.err

@@ -18,7 +18,7 @@ def found() -> Diagnosis:
 def test_both_effects_are_named(found):
     assert (found.verdict, found.together) == ("effect", True)
     assert set(found.effects) == {"table_tilt", "viscous_friction"}
-    assert found.sentence == "The data miss two effects at once: table_tilt and viscous_friction."
+    assert found.sentence == "The model lacks two effects at once: table_tilt and viscous_friction."
     rejected = {candidate.name: candidate.rejected_by for candidate in found.candidates}
     assert rejected["table_tilt"] == "viscous_friction"  # the tilt alone leaves the oil
     assert found.after.total_misfit < 0.2 * found.before.total_misfit

@@ -35,6 +35,11 @@ SHOWN: dict[str, tuple[float, ...]] = {
     "impulse_friction": (0.7,),
     "tracker_offset": (0.004, -0.003, 0.05),
     "tracker_scale": (0.02,),
+    "tracker_shift": (0.004, -0.003, 0.02),
+    "force_frame": (0.4, 0.2),
+    "force_bias": (0.1, -0.07),
+    "force_scale": (0.1, 0.05),
+    "force_latency": (0.033,),
 }
 """Parameters, in order, away from their nulls."""
 

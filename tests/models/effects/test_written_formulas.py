@@ -82,7 +82,8 @@ def test_the_text_computes_what_the_code_does(name: str) -> None:
     compared = 0
     for method, (letters, _) in QUANTITIES.items():
         arguments = {method: (cell, p) for method in ("friction", "drag", "stretch")}
-        arguments |= {"measured": (body, p), "delay": (p,)}
+        arguments |= {"measured": (body, p), "delay": (p,), "force_delay": (p,)}
+        arguments |= {"felt": (SimpleNamespace(x=body.force_x, y=body.force_y), p)}
         value = getattr(effect, method)(*arguments.get(method, (body, p)))
         if value is None:
             continue

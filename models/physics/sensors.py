@@ -1,0 +1,215 @@
+"""What tracker and force sensor report of a true motion, as the effects in a model say, with derivatives.
+
+The tracker's delay is the kernel's business: it knows every pose within a step. All else is done here after
+a rollout. A force that is reported late is taken between the means of the two steps about its time.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from slipmap.models.effects.program import Delay, Program
+from slipmap.models.physics.cell_grid import FloatArray
+from slipmap.models.physics.kernel_arguments import JoinedPushes, Results
+from slipmap.models.physics.step import INERTIA_COLUMNS
+from slipmap.models.physics.support import FIRST_FORCE, FIRST_POSE, REACHED
+
+
+@dataclass(frozen=True, eq=False)
+class TrueStarts:
+    """Where objects truly start, in K models of B pushes with P parameters of effects."""
+
+    poses: FloatArray  # (K, B, 3)
+    by_report: FloatArray  # (K, B, 3, 3) derivatives by the reported ones
+    by_effect: FloatArray  # (K, B, 3, P) derivatives by the parameters
+
+
+@dataclass(frozen=True, eq=False)
+class Sensors:
+    """Tracker and force sensor of K models."""
+
+    program: Program
+    values: FloatArray  # (K, P) parameters of the effects
+    # (K,) of the tracker and of the force, s; (K, P) their derivatives
+    delays: FloatArray
+    delay_slopes: FloatArray
+    force_delays: FloatArray
+    force_delay_slopes: FloatArray
+
+    @classmethod
+    def of(cls, program: Program, values: FloatArray) -> Sensors:
+        """Those of a program's effects with parameters (K, P)."""
+        return cls(program, values, *_delays(program.delay, values), *_delays(program.force_delay, values))
+
+    def true_starts(self, reported: FloatArray) -> TrueStarts:
+        """Where objects are that the tracker reports at poses (K, B, 3).
+
+        The formulas give the report of a true pose; Newton's method inverts them.
+        """
+        K, B, _ = reported.shape
+        P = self.values.shape[1]
+        if self.program.measured is None:
+            identity = np.broadcast_to(np.eye(3), (K, B, 3, 3))
+            return TrueStarts(reported, identity, np.zeros((K, B, 3, P)))
+        true, by_report, by_effect = reported.copy(), np.empty((K, B, 3, 3)), np.empty((K, B, 3, P))
+        for k in range(K):
+            for _ in range(20):
+                seen, by_pose, by_p = self.program.measured(*true[k].T, self.values[k])
+                error = seen - reported[k]
+                true[k] -= np.linalg.solve(by_pose, error[..., None])[..., 0]
+                if np.abs(error).max() < 1e-13:
+                    break
+            by_report[k] = np.linalg.inv(by_pose)
+            by_effect[k] = -by_report[k] @ by_p
+        return TrueStarts(true, by_report, by_effect)
+
+    def with_steps_before(self, joined: JoinedPushes) -> JoinedPushes:
+        """The pushes with all steps whose force is needed where the sensor reports forces late."""
+        if self.program.force_delay is None:
+            return joined
+        steps, at = [], [0]
+        for b in range(len(joined.h)):
+            needed = [_about(*self._place(k, b, joined))[0] for k in range(len(self.values))]
+            steps.append(np.unique(needed))
+            at.append(at[-1] + len(steps[-1]))
+        return joined._replace(force_step=np.concatenate(steps), force_at=np.array(at, dtype=np.int64))
+
+    def reported(
+        self, results: Results, true: JoinedPushes, joined: JoinedPushes, starts: TrueStarts, cells: int
+    ) -> Results:
+        """Turn true poses and forces into reported ones, and derivatives by true starts into those by
+        reported ones.
+
+        Args:
+            results: of a rollout; its arrays are changed.
+            true: what was rolled out.
+            joined: what was asked for.
+            starts: of `true`.
+            cells: n.
+        """
+        P = self.values.shape[1]
+        derive = results.d_poses.shape[-1] > 0
+        if derive and self.program.delay is not None:
+            results.d_poses[..., -P:] -= results.rates[..., None] * self.delay_slopes[:, None, None]
+        if self.program.force_delay is not None:
+            results = self._late(results, true, joined)
+        if derive and self.program.measured is not None:
+            _by_reported_starts(results, joined, starts, cells + INERTIA_COLUMNS + 1)
+        for k in range(len(self.values)):
+            self._report_poses(results, joined, k)
+            self._report_forces(results, joined, k)
+        return results
+
+    def _report_poses(self, results: Results, joined: JoinedPushes, k: int) -> None:
+        measured, values = self.program.measured, self.values[k]
+        if measured is None:
+            return
+        d_poses, by_mass = results.d_poses[k], results.mass_poses[k]
+        results.poses[k], by_pose, by_p = measured(*results.poses[k].T, values)
+        results.end[k, :, :3] = measured(*results.end[k, :, :3].T, values)[0]
+        if d_poses.shape[-1]:
+            d_poses[...] = by_pose @ d_poses
+            d_poses[..., -len(values) :] += by_p
+        if by_mass.shape[-1]:
+            clear_unreached(
+                results.mass_poses[k : k + 1], results.rim[k : k + 1], joined.sample_at, FIRST_POSE
+            )
+            by_mass[...] = by_pose @ by_mass
+
+    def _report_forces(self, results: Results, joined: JoinedPushes, k: int) -> None:
+        felt, values = self.program.felt, self.values[k]
+        if felt is None:
+            return
+        d_forces, by_mass = results.d_forces[k], results.mass_forces[k]
+        results.forces[k], by_force, by_p = felt(*results.forces[k].T, values)
+        if d_forces.shape[-1]:
+            d_forces[...] = by_force @ d_forces
+            d_forces[..., -len(values) :] += by_p
+        if by_mass.shape[-1]:
+            clear_unreached(
+                results.mass_forces[k : k + 1], results.rim[k : k + 1], joined.force_at, FIRST_FORCE
+            )
+            by_mass[...] = by_force @ by_mass
+
+    def _place(self, k: int, b: int, joined: JoinedPushes) -> tuple[FloatArray, int]:
+        """(T,) of which steps, in fractions, the forces are that model k reports of push b; and the number
+        of its steps."""
+        wanted = joined.force_step[joined.force_at[b] : joined.force_at[b + 1]]
+        steps = int(joined.tip_at[b + 1] - joined.tip_at[b]) - 1
+        return wanted - self.force_delays[k] / joined.h[b], steps
+
+    def _late(self, results: Results, true: JoinedPushes, joined: JoinedPushes) -> Results:
+        """Forces at the times asked for, from those of the steps about the times that they are of."""
+        names = ("forces", "d_forces", "mass_forces")
+        if results.mass_forces.shape[-1]:
+            clear_unreached(results.mass_forces, results.rim, true.force_at, FIRST_FORCE)
+            results.rim[..., FIRST_FORCE] = 0.0
+        K, T = len(self.values), int(joined.force_at[-1])
+        found = {name: np.empty((K, T, *getattr(results, name).shape[2:]), dtype=float) for name in names}
+        P = self.values.shape[1]
+        for k in range(K):
+            for b in range(len(joined.h)):
+                rows = slice(joined.force_at[b], joined.force_at[b + 1])
+                steps, share, slope = _about(*self._place(k, b, joined))
+                have = true.force_step[true.force_at[b] : true.force_at[b + 1]]
+                at, after, before = true.force_at[b] + np.searchsorted(have, steps)
+                for name in names:
+                    own = getattr(results, name)[k]
+                    weight = share.reshape(-1, *(1,) * (own.ndim - 1))
+                    found[name][k, rows] = own[at] + weight * (own[after] - own[at])
+                if results.d_forces.shape[-1]:
+                    rate = results.forces[k, after] - results.forces[k, before]
+                    rate *= (slope / joined.h[b])[:, None]
+                    found["d_forces"][k, rows, :, -P:] -= rate[..., None] * self.force_delay_slopes[k]
+        return results._replace(**found)
+
+
+def _delays(delay: Delay | None, values: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Delays (K,) and their derivatives (K, P)."""
+    found, slopes = np.zeros(len(values)), np.zeros(values.shape)
+    if delay is not None:
+        for k, own in enumerate(values):
+            found[k], slopes[k] = delay(own)
+    return found, slopes
+
+
+def _about(place: FloatArray, steps: int) -> tuple[NDArray[np.int64], FloatArray, FloatArray]:
+    """Steps (3, T) at or before each place (T,), after it and before it; the share of the one after; and what
+    the difference of the last two has to be multiplied by for the slope by the place.
+
+    Beyond the ends of the push its first or last force holds.
+    """
+    held = np.clip(place, 0.0, steps - 1)
+    at = np.floor(held).astype(np.int64)
+    after, before = np.minimum(at + 1, steps - 1), np.maximum(np.ceil(held).astype(np.int64) - 1, 0)
+    moves = (held == place) & (after > before)
+    return np.array([at, after, before]), held - at, np.where(moves, 1.0 / np.maximum(after - before, 1), 0.0)
+
+
+def _by_reported_starts(results: Results, joined: JoinedPushes, starts: TrueStarts, first: int) -> None:
+    """Turn derivatives by the true start, from column `first` on, into those by the reported one."""
+    P = starts.by_effect.shape[-1]
+    columns = slice(first, first + 3)
+    for b in range(len(joined.h)):
+        for d, at in ((results.d_poses, joined.sample_at), (results.d_forces, joined.force_at)):
+            rows = d[:, at[b] : at[b + 1]]
+            by_start = rows[..., columns].copy()
+            rows[..., -P:] += np.einsum("ksij,kjp->ksip", by_start, starts.by_effect[:, b])
+            rows[..., columns] = np.einsum("ksij,kjl->ksil", by_start, starts.by_report[:, b])
+
+
+def clear_unreached(d: FloatArray, rim: FloatArray, at: NDArray[np.int64], first: int) -> None:
+    """Fill in the zeros of derivatives by masses (K, S, …) that the kernel left out, before the rim was near.
+
+    Args:
+        d: derivatives.
+        rim: (K, B, RIM_RESULTS).
+        at: (B + 1,) offsets of the pushes in S.
+        first: entry of `rim` that holds the first row of a push that the kernel wrote.
+    """
+    reached, begun = rim[..., REACHED] > 0, rim[..., first].astype(np.int64)
+    for k, b in np.ndindex(*reached.shape):
+        d[k, at[b] : at[b] + begun[k, b] if reached[k, b] else at[b + 1]] = 0.0
