@@ -12,7 +12,9 @@ from slipmap.diagrams.application.audit.probes import CREEP_LOAD, STEADY_SPEEDS,
 from slipmap.models.geometry import cross
 from slipmap.models.physics.cell_grid import FloatArray
 
-Key = Literal["factor", "speed", "diamond", "square", "grain", "lean", "load_follows_slip", "torsion", "creep"]
+Key = Literal[
+    "factor", "speed", "diamond", "square", "grain", "lean", "load_follows_slip", "torsion", "creep"
+]
 
 SPIN_OF_SQUARE, SPIN_OF_DIAMOND = 4 / np.pi, 2 * np.sqrt(2) / np.pi
 """Torque of a spin over a cone's: the means of |cos| + |sin| and of max(|cos|, |sin|)."""

@@ -51,7 +51,9 @@ class DrakeEngine:
     dt: ClassVar[float] = 2e-3
     approximation: ClassVar[str] = "lagged"  # of contact, Drake's default
     hydroelastic: ClassVar[bool] = False  # a soft plate a cell instead of feet
-    stiction: ClassVar[float] = 1e-5  # m/s, below which friction lets an object creep; Drake's default is 1e-3
+    stiction: ClassVar[float] = (
+        1e-5  # m/s, below which friction lets an object creep; Drake's default is 1e-3
+    )
 
     def __init__(self, scene: EngineScene, gravity: FloatArray) -> None:
         builder = DiagramBuilder()
@@ -126,7 +128,9 @@ class DrakeEngine:
         unit = UnitInertia().SetFromRotationalInertia(inertia, mass)
         body = plant.AddRigidBody("object", instance, SpatialInertia(mass, np.zeros(3), unit).Shift(-center))
         self._feet, self._sides = [], []
-        self._sink = scene.mass.mean() * 9.81 * _PLATE / _MODULUS / scene.grid.width**2 if self.hydroelastic else _SINK
+        self._sink = (
+            scene.mass.mean() * 9.81 * _PLATE / _MODULUS / scene.grid.width**2 if self.hydroelastic else _SINK
+        )
         for cell, (place, weight, mu) in enumerate(
             zip(scene.grid.centers, 9.81 * scene.mass, scene.mu, strict=True)
         ):

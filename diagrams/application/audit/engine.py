@@ -212,7 +212,9 @@ class Subject:
         except BaseException as error:  # as by sys.exit()
             raise BadInput(f"engine {self.name}: {method}() failed in {failure(error)}") from error
 
-    def ask_numbers(self, method: str, function: Callable[..., Any], length: int, *arguments: Any) -> FloatArray:
+    def ask_numbers(
+        self, method: str, function: Callable[..., Any], length: int, *arguments: Any
+    ) -> FloatArray:
         """The same of a method that gives so many numbers.
 
         Raises:

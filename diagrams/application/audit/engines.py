@@ -87,7 +87,9 @@ def find_engine(spec: str) -> Subject:
 
 def installed() -> list[str]:
     """Names of the built-in engines that this machine has."""
-    return [name for name, engine in BUILT_IN.items() if importlib.util.find_spec(_module(engine)) is not None]
+    return [
+        name for name, engine in BUILT_IN.items() if importlib.util.find_spec(_module(engine)) is not None
+    ]
 
 
 def version(spec: str) -> str:
@@ -123,9 +125,7 @@ def _with_settings(spec: str, engine: BuiltIn, settings: str) -> type:
             raise BadInput(f"engine {spec}: there is no setting {setting!r}; there are {', '.join(known)}")
     if importlib.util.find_spec(_module(engine)) is None:
         extra = "slipmap" if engine.package == "drake" else "slipmap[bench]"
-        raise BadInput(
-            f"engine {spec}: {engine.package} is not installed; `pip install '{extra}'` brings it"
-        )
+        raise BadInput(f"engine {spec}: {engine.package} is not installed; `pip install '{extra}'` brings it")
     module, _, name = engine.where.partition(":")
     kind = getattr(import_module(f"{__package__}.{module}"), name)
     return type(name, (kind,), chosen)

@@ -53,7 +53,9 @@ class Answers:
     friction: FloatArray
     steady: FloatArray  # (4,) friction at `STEADY_SPEEDS` over Coulomb's
     spin: FloatArray  # (16,) torque of a spin in place over Coulomb's
-    slow_spin: float  # torque of a slow spin while the object slides, less Coulomb's, over that of a spin in place
+    slow_spin: (
+        float  # torque of a slow spin while the object slides, less Coulomb's, over that of a spin in place
+    )
     creep: FloatArray  # (3,) speed under a load that friction can hold, m/s
 
 
