@@ -33,6 +33,10 @@ SHOWN: dict[str, tuple[float, ...]] = {
     "load_transfer": (0.02, 0.03),
     "skate": (0.2, 0.4, 0.01, -0.015),
     "impulse_friction": (0.7,),
+    "friction_diamond": (0.6,),
+    "friction_square": (0.7,),
+    "slip_load": (0.6,),
+    "torsional_friction": (0.01,),
     "tracker_offset": (0.004, -0.003, 0.05),
     "tracker_scale": (0.02,),
 }
