@@ -26,7 +26,7 @@ _COMMANDS = (
     "machine:doctor", "demo", "explore", "explore:pregrasp", "record:station", "record", "record:replay",
     "describe_object", "identify", "compare:predict", "view", "compare", "compare:diagnose", "identify:fit",
     "effects", "studies:calibrate", "studies:explore_study", "campaign", "studies:blind_test",
-    "machine:bench", "machine:completion",
+    "audit", "machine:bench", "machine:completion",
 )  # fmt: skip
 """Modules of commands, and the function in them where it has another name."""
 

@@ -122,6 +122,13 @@ class Effect:
         """(F, n_x, n_y, r_x, r_y): F newtons resist motion of the object's point r along a unit vector n."""
         return None
 
+    def pyramid(self, body: Any, p: Any) -> Any:
+        """(c, d, angle): friction follows c times its cone, and d times a square turned by an angle in the world.
+
+        A cell's norm φ becomes c φ + d (|u·e| + |u·n|), e at the angle, n across it; (1, 0, 0) without.
+        """
+        return None
+
     def inertia(self, body: Any, p: Any) -> Any:
         """Factor on mass and moment of inertia (not on weight), 1 without the effect."""
         return None

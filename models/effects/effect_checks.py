@@ -113,18 +113,21 @@ def _check_values(effect: Effect, slots: Slots) -> None:
                 )
         if null:
             true = [values.get(real(name), 0.0) for name in (*POSE_SYMBOLS, *PUSH_SYMBOLS)]
-            _check_vanished(effect, results, slots.blades, true[:3], true[3:])
+            _check_vanished(effect, results, slots, true[:3], true[3:])
 
 
 def _check_vanished(
-    effect: Effect, results: Sequence[float], blades: int, pose: Sequence[float], push: Sequence[float]
+    effect: Effect, results: Sequence[float], slots: Slots, pose: Sequence[float], push: Sequence[float]
 ) -> None:
     """Refuse values at the null that differ from those without effects, as `_check_values` orders them."""
     # A blade is nothing where its force is nothing, wherever it stands.
-    blade = (0, None, None, None)
+    blade, pyramid = (0, None, None, None), (1, 0, None, None)
     wrench, cell = (0, 0, 0), (1, 0, 1, 0, 1)
     inertia, compliance, delay = 1, 0, 0
-    plain = (*wrench, inertia, compliance, *(blades * blade), *cell, *pose, delay, *push, delay)
+    plain = (
+        *wrench, inertia, compliance, *(slots.blades * blade), *(slots.pyramids * pyramid), *cell, *pose,
+        delay, *push, delay,
+    )  # fmt: skip
     for value, wanted in zip(results, plain, strict=True):
         if wanted is not None and abs(value - wanted) > 1e-12 * max(1.0, abs(wanted)):
             nulls = [f"{p.name} = {p.null}" for p in effect.parameters if p.null is not None]

@@ -39,7 +39,7 @@ class Slots:
         parameters: symbols of all parameters.
         memory: symbols of what is carried along; empty, or the last force and the effects' own.
         y: all that the formulas are differentiated by.
-        body: the first entries of `friction.BODY_OUTPUTS`, then four for each blade.
+        body: the first entries of `friction.BODY_OUTPUTS`, then four for each blade, then those of pyramids.
         factor: of a cell's friction.
         drag: of a cell.
         stretch: q_xx, q_xy, q_yy of a cell.
@@ -59,6 +59,8 @@ class Slots:
         self.measured, self.felt = list(pose), list(push)
         wrench, stretch, inertia, compliance = [zero, zero, zero], [one, zero, one], one, zero
         blades: list[Any] = []
+        pyramids: list[list[Any]] = []
+        cone: Any = one
         for e in effects:
             ask = partial(_ask, e)
             p = Names(
@@ -82,6 +84,13 @@ class Slots:
             if blade:
                 strength, nx, ny, rx, ry = blade
                 blades += [strength, nx, ny, rx * ny - ry * nx]
+            pyramid = ask("pyramid", 3, body, p)
+            if pyramid:
+                rest, edge, angle = pyramid
+                along, up = sp.cos(angle), sp.sin(angle)
+                cone *= rest
+                pyramids = [[rest * entry[0], *entry[1:]] for entry in pyramids]
+                pyramids.append([edge, cos * along + sin * up, cos * up - sin * along])
             inertia *= (ask("inertia", 1, body, p) or [one])[0]
             compliance += (ask("compliance", 1, body, p) or [zero])[0]
             after = Names(f"effect {e.name}: after", after_names())
@@ -98,8 +107,9 @@ class Slots:
                 ask("felt", 2, Names("force", dict(zip("xy", self.felt, strict=True))), p) or self.felt
             )
             self.force_delay += (ask("force_delay", 1, p) or [zero])[0]
-        self.blades = len(blades) // 4
-        self.body = [*wrench, inertia, compliance, *blades]
+        self.blades, self.pyramids = len(blades) // 4, len(pyramids)
+        edges = [cone, *(number for entry in pyramids for number in entry)] if pyramids else []
+        self.body = [*wrench, inertia, compliance, *blades, *edges]
         self.stretch = [sp.sympify(entry) for entry in stretch]
         self.measures, self.feels = self.measured != pose, self.felt != push
         self.stretches = self.stretch != [one, zero, one]
@@ -258,7 +268,10 @@ def module_source(effects: Sequence[Effect]) -> str:
     for name, delay in (("delay", slots.delay), ("force_delay", slots.force_delay)):
         if delay != 0:
             text += _delay(name, delay, slots.parameters)
-    sizes = (len(slots.memory), len(slots.parameters), slots.blades, int(cells), int(slots.stretches))
+    sizes = (
+        len(slots.memory), len(slots.parameters), slots.blades, int(cells), int(slots.stretches),
+        slots.pyramids,
+    )  # fmt: skip
     return text + f"\n\nSIZES = {sizes}\n"
 
 

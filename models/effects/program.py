@@ -34,7 +34,7 @@ class Program:
     effects: tuple[Effect, ...]  # in the order of their parameters
     # (4,) of the functions body, cells, cell slopes, memory; 0 for those that `sizes` rules out
     addresses: NDArray[np.int64]
-    sizes: NDArray[np.int64]  # (5,) as in `slipmap.models.physics.kernel_arguments.Formulas`
+    sizes: NDArray[np.int64]  # (6,) as in `slipmap.models.physics.kernel_arguments.Formulas`
     # x, y, θ (…,) and parameters to (…, 3) poses as the tracker reports them, and their derivatives by the
     # true pose (…, 3, 3) and by the parameters (…, 3, P); None where no effect changes them
     measured: Report | None

@@ -30,6 +30,10 @@ QUANTITIES = {
     "blade": (
         ("F", "n_{x}", "n_{y}", "r_{x}", "r_{y}"), "motion of the object's point r along n is resisted by F",
     ),
+    "pyramid": (
+        ("c", "d", r"\alpha"),
+        "friction's norm is c |u| + d (|u·e| + |u·n|), e at the angle α in the world and n across it",
+    ),
     "inertia": ((r"\kappa",), "factor on the mass that has to be accelerated"),
     "compliance": (("C",), "true tip = recorded tip - C × force on the object"),
     "measured": ((r"\hat{x}", r"\hat{y}", r"\hat{\theta}"), "pose that the tracker reports"),
@@ -61,8 +65,8 @@ LETTERS = {
 """What the letters of `written_names` mean."""
 
 _PLAIN = {
-    r"\theta": "θ", r"\omega": "ω", r"\tau": "τ", r"\kappa": "κ", r"\Delta t": "Δt", r"\Delta t_{F}": "Δt_F",
-    r"\hat{F}_{x}": "F_x_seen", r"\hat{F}_{y}": "F_y_seen", r"\hat{x}": "x_seen",
+    r"\theta": "θ", r"\omega": "ω", r"\tau": "τ", r"\kappa": "κ", r"\alpha": "α", r"\Delta t": "Δt",
+    r"\Delta t_{F}": "Δt_F", r"\hat{F}_{x}": "F_x_seen", r"\hat{F}_{y}": "F_y_seen", r"\hat{x}": "x_seen",
     r"\hat{y}": "y_seen", r"\hat{\theta}": "θ_seen", r"\dot{x}": "vx", r"\dot{y}": "vy",
 }  # fmt: skip
 
@@ -92,7 +96,7 @@ def written(effect: Effect) -> Written:
     Raises:
         EffectError: a formula fails.
     """
-    taken = {"x", "y", "theta", "m", "g", "t", "h", "k", "w", "u", "a", "s", "D", "F", "C", "J", "X", "Y"}
+    taken = {"x", "y", "theta", "m", "g", "t", "h", "k", "w", "u", "a", "s", "D", "F", "C", "J", "X", "Y", "c", "d"}
     latex_of = {q.name: latex_name(f"{q.name}_p" if q.name in taken else q.name) for q in effect.parameters}
     p = Names(f"effect {effect.name}: p", {name: real(text) for name, text in latex_of.items()})
     with writing():

@@ -6,7 +6,11 @@ A cell of load f_i under a friction factor s_i dissipates f_i s_i φ_i with
 
 Q_i being symmetric and positive; Q = 1 is Coulomb's law of `newton.py`. Drag adds
 ½ D_i (|u_i|² + w²/6 omega²), and a blade, which resists with F along n, F sqrt((b·v)² + ε²) with
-b = (n_x, n_y, r × n). All of them are convex in the twist v, so the step stays what it is.
+b = (n_x, n_y, r × n). A pyramid of friction, by which simulators replace the cone, takes the place of a part of
+the norm: c φ_i + d (ψ(u_i·e) + ψ(u_i·n)), e and n being unit vectors across each other and
+ψ(w) = sqrt(w² + (ρ omega)² + ε_p²). With e along x it is a square, d = 1; a diamond is d = 1/√2 with e along the
+diagonal, as max(|x|, |y|) = (|x + y| + |x - y|)/2. All of them are convex in the twist v, so the step stays
+what it is.
 
 What the formulas of effects are evaluated at, y (Y,), joins
 
@@ -35,7 +39,7 @@ INERTIA = 4
 
 BODY_OUTPUTS = 5
 """Wrench (middle frame: 2 forces, torque about the origin), inertia factor, compliance of the finger (m/N);
-each blade adds F, b_x, b_y, b_omega."""
+each blade adds F, b_x, b_y, b_omega. Where there are pyramids, c follows, and d, e_x, e_y of each."""
 
 INERTIA_FACTOR = 3
 COMPLIANCE = 4
@@ -49,6 +53,10 @@ centroid (2), the inverse of their second moments about it (xx, xy, yy; 1/m²), 
 
 AFTER = 8
 """What memory is renewed from besides y: x, y, θ, v_x, v_y, omega after the step and the force in it."""
+
+RIDGE = 10.0
+"""ε_p in ε: where all cells slide along one side of a pyramid, the step would find sharper ones with many
+more evaluations."""
 
 _FAST = {"reassoc", "contract", "arcp", "nsz"}
 
@@ -72,6 +80,15 @@ class EffectCells(NamedTuple):
     longest: float  # largest eigenvalue of all Q, or 1 if that is larger
     drag: tuple[float, float, float, float]  # Σ D, Σ D r_x, Σ D r_y, Σ D (|r|² + w²/6)
     blades: NDArray[np.float64]  # (k, 4) F, b
+    cone: float  # c, 1 without pyramids
+    pyramids: NDArray[np.float64]  # (k, 3) d, e_x, e_y
+
+
+@compiled(forceinline=True)
+def _ridge(pyramid, k):  # type: ignore[no-untyped-def]
+    """d and the unit vector of a pyramid (3,): e where k is even, n across it where k is odd."""
+    d, ex, ey = pyramid[0], pyramid[1], pyramid[2]
+    return (d, ex, ey) if k % 2 == 0 else (d, -ey, ex)
 
 
 @compiled(fastmath=_FAST)
@@ -120,6 +137,33 @@ def _stretched_sums(cells, v):  # type: ignore[no-untyped-def]
     return (gx, gy, gw), (hxx, hxy, hxw, hyy, hyw, hww + cells.rho2 * a_sum), bend
 
 
+@compiled(fastmath=_FAST)
+def _ridge_sums(cells, v, ex, ey):  # type: ignore[no-untyped-def]
+    """The sums of friction along one unit vector e: along e and about the origin; Hessian as e e, e omega and
+    omega omega; and the bound on its change."""
+    vx, vy, omega = v
+    load, rx, ry = cells.load, cells.rx, cells.ry
+    along = vx * ex + vy * ey
+    spin = cells.rho2 * omega
+    constant = spin * omega + RIDGE * RIDGE * cells.eps2
+    ge = gw = hee = hew = hww = bend = 0.0
+    for i in range(load.shape[0]):
+        arm = rx[i] * ey - ry[i] * ex
+        w = along + omega * arm
+        inverse = 1.0 / math.sqrt(w * w + constant)
+        a = load[i] * inverse
+        flat = a * inverse
+        b = flat * inverse
+        turning = w * arm + spin
+        bend += flat
+        ge += a * w
+        gw += a * turning
+        hee += a - b * w * w
+        hew += a * arm - b * w * turning
+        hww += a * (arm * arm + cells.rho2) - b * turning * turning
+    return (ge, gw), (hee, hew, hww), bend
+
+
 @compiled()
 def _effect_model(cells, inertia, star, h, v):  # type: ignore[no-untyped-def]
     """`smooth_model` of `EffectCells`."""
@@ -127,6 +171,24 @@ def _effect_model(cells, inertia, star, h, v):  # type: ignore[no-untyped-def]
         _stretched_sums(cells, v) if cells.stretched else coulomb_sums(cells, v)
     )
     vx, vy, omega = v
+    if cells.pyramids.shape[0] > 0:
+        cone = cells.cone
+        gx, gy, gw, bend = cone * gx, cone * gy, cone * gw, cone * bend
+        hxx, hxy, hyy = cone * hxx, cone * hxy, cone * hyy
+        hxw, hyw, hww = cone * hxw, cone * hyw, cone * hww
+        for k in range(2 * cells.pyramids.shape[0]):
+            d, ex, ey = _ridge(cells.pyramids[k // 2], k)
+            (ge, gspin), (hee, hew, hspin), more = _ridge_sums(cells, v, ex, ey)
+            gx += d * ge * ex
+            gy += d * ge * ey
+            gw += d * gspin
+            hxx += d * hee * ex * ex
+            hxy += d * hee * ex * ey
+            hyy += d * hee * ey * ey
+            hxw += d * hew * ex
+            hyw += d * hew * ey
+            hww += d * hspin
+            bend += d * more
     drag, drag_x, drag_y, drag_w = cells.drag
     hxx += drag
     hyy += drag
@@ -210,6 +272,66 @@ def load_gradients(cells, v, by_load):  # type: ignore[no-untyped-def]
             row_x[i] = ux * inverse
             row_y[i] = uy * inverse
             row_w[i] = (rx[i] * uy - ry[i] * ux + spin) * inverse
+    if cells.pyramids.shape[0] > 0:
+        for a in range(3):
+            for i in range(row_x.shape[0]):
+                by_load[a, i] *= cells.cone
+        constant = spin * omega + RIDGE * RIDGE * cells.eps2
+        for k in range(2 * cells.pyramids.shape[0]):
+            d, ex, ey = _ridge(cells.pyramids[k // 2], k)
+            along = vx * ex + vy * ey
+            for i in range(row_x.shape[0]):
+                arm = rx[i] * ey - ry[i] * ex
+                w = along + omega * arm
+                a = d / math.sqrt(w * w + constant)
+                row_x[i] += a * w * ex
+                row_y[i] += a * w * ey
+                row_w[i] += a * (w * arm + spin)
+
+
+@compiled()
+def pyramid_slopes(cells, dnumbers, v, h, G):  # type: ignore[no-untyped-def]
+    """Add to G (3, Y) the derivative of the gradient through c, and through d and e of each pyramid.
+
+    `dnumbers` (1 + 3 k, Y) are the derivatives of these; v is the twist after the step.
+    """
+    vx, vy, omega = v
+    load, rx, ry = cells.load, cells.rx, cells.ry
+    spin = cells.rho2 * omega
+    constant = spin * omega + RIDGE * RIDGE * cells.eps2
+    (gx, gy, gw), _, _ = _stretched_sums(cells, v) if cells.stretched else coulomb_sums(cells, v)
+    for j in range(G.shape[1]):
+        change = h * dnumbers[0, j]
+        G[0, j] += change * gx
+        G[1, j] += change * gy
+        G[2, j] += change * gw
+    for k in range(2 * cells.pyramids.shape[0]):
+        d, ex, ey = _ridge(cells.pyramids[k // 2], k)
+        (ge, gspin), _, _ = _ridge_sums(cells, v, ex, ey)
+        # Changes of both sums with the vector's x and y.
+        ge_x = ge_y = gw_x = gw_y = 0.0
+        for i in range(load.shape[0]):
+            x, y = rx[i], ry[i]
+            ux, uy = vx - omega * y, vy + omega * x
+            arm = x * ey - y * ex
+            w = ux * ex + uy * ey
+            inverse = 1.0 / math.sqrt(w * w + constant)
+            a = load[i] * inverse
+            b = a * inverse * inverse
+            steep = a - b * w * w
+            ge_x += steep * ux
+            ge_y += steep * uy
+            gw_x += steep * ux * arm - a * w * y - b * w * ux * spin
+            gw_y += steep * uy * arm + a * w * x - b * w * uy * spin
+        row = 1 + 3 * (k // 2)
+        for j in range(G.shape[1]):
+            dd, dx, dy = dnumbers[row, j], dnumbers[row + 1, j], dnumbers[row + 2, j]
+            if k % 2 == 1:
+                dx, dy = -dy, dx
+            along = dd * ge + d * (ge_x * dx + ge_y * dy)
+            G[0, j] += h * (along * ex + d * ge * dx)
+            G[1, j] += h * (along * ey + d * ge * dy)
+            G[2, j] += h * (dd * gspin + d * (gw_x * dx + gw_y * dy))
 
 
 @compiled(fastmath={"contract"})
@@ -242,7 +364,7 @@ def stretch_gradients(cells, v, h, by_stretch):  # type: ignore[no-untyped-def]
         py = qxy[i] * ux + qyy[i] * uy
         pw = x * py - y * px + spin
         phi2 = ux * px + uy * py + constant
-        a = h * cells.load[i] / math.sqrt(phi2)
+        a = h * cells.cone * cells.load[i] / math.sqrt(phi2)
         b = a / phi2
         by_xx, by_xy, by_yy = 0.5 * b * ux * ux, b * ux * uy, 0.5 * b * uy * uy
         by_stretch[0, i] = a * ux - by_xx * px

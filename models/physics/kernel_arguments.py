@@ -62,7 +62,8 @@ class Formulas(NamedTuple):
     """Compiled formulas of effects and what they are evaluated at besides the state."""
 
     addresses: IntArray  # (4,) of the functions body, cells, cell slopes, memory
-    # (5,) numbers of memory entries, parameters, blades; whether cells are changed; whether Q is
+    # (6,) numbers of memory entries, parameters, blades; whether cells are changed; whether Q is; number of
+    # pyramids
     sizes: IntArray
     constants: FloatArray  # (B, CONSTANTS), see there; of the first the time before the first step
     parameters: FloatArray  # (K, P) of the effects

@@ -37,6 +37,7 @@ from slipmap.models.physics.friction import (
     drag_sums,
     load_gradients,
     longest_axis,
+    pyramid_slopes,
     stretch_gradients,
     weigh_cells,
 )
@@ -86,17 +87,21 @@ class Effects(NamedTuple):
 
     addresses: NDArray[np.int64]  # as in `Formulas`
     memory: int  # E
-    blades: int  # how many there are
+    # blades, pyramids: how many there are
+    blades: int
+    pyramids: int
     # cells, stretch: whether cells are changed; whether Q is
     cells: bool
     stretch: bool
     begin: float  # time before the first step, s
     y: NDArray[np.float64]  # (Y,) what formulas are evaluated at; it keeps the memory from step to step
     c: NDArray[np.float64]  # (CONSTANTS,)
-    # out, dout: (BODY_OUTPUTS + 4 blades,) and (…, Y) of the body
+    # out, dout: (BODY_OUTPUTS + 4 blades, and 1 + 3 pyramids if any,) and (…, Y) of the body
     out: NDArray[np.float64]
     dout: NDArray[np.float64]
-    blade: NDArray[np.float64]  # (blades, 4) part of `out`
+    # blade, pyramid: (blades, 4) and (pyramids, 3) parts of `out`
+    blade: NDArray[np.float64]
+    pyramid: NDArray[np.float64]
     # factor, drag: (n,) of the cells, or without entries
     factor: NDArray[np.float64]
     drag: NDArray[np.float64]
@@ -174,8 +179,10 @@ def _some_effects(formulas, k, b, model, columns, memory):  # type: ignore[no-un
     given = Formulas(*formulas)
     sizes = given.sizes
     E, P, blades, cells, stretch = sizes[0], sizes[1], sizes[2], sizes[3] != 0, sizes[4] != 0
+    pyramids = sizes[5]
     known, own = STATE + E, max(0, E - FORCE)
-    Y, outputs = known + INERTIA + P, BODY_OUTPUTS + 4 * blades
+    after_blades = BODY_OUTPUTS + 4 * blades
+    Y, outputs = known + INERTIA + P, after_blades + (1 + 3 * pyramids if pyramids > 0 else 0)
     n, filled = model.load.shape[0], model.cells.rx.shape[0]
     changed, stretched = n if cells else 0, filled if stretch else 0
     # One piece of memory for many, as each one takes time to get.
@@ -205,8 +212,9 @@ def _some_effects(formulas, k, b, model, columns, memory):  # type: ignore[no-un
     derive = columns > 0
     changes = derive and cells
     effects = Effects(
-        given.addresses, E, blades, cells, stretch, c[0], y, c, out, np.zeros((outputs, Y)),
-        out[BODY_OUTPUTS:].reshape(blades, 4), factor, drag, qxx, qxy, qyy, share, load,
+        given.addresses, E, blades, pyramids, cells, stretch, c[0], y, c, out, np.zeros((outputs, Y)),
+        out[BODY_OUTPUTS:after_blades].reshape(blades, 4),
+        out[outputs - 3 * pyramids :].reshape(pyramids, 3), factor, drag, qxx, qxy, qyy, share, load,
         np.zeros((3, filled)) if derive else none,
         np.zeros((3, n)) if changes else none,
         np.zeros((3, n)) if changes else none,
@@ -321,7 +329,8 @@ def _changed_terms(effects, rim, model, motion, number, h):  # type: ignore[no-u
         _renew_loads(rim, effects.load, plain.load)
     cells = EffectCells(
         effects.load, plain.rx, plain.ry, plain.rho2, plain.eps2, effects.stretch, qxx, qxy, qyy, longest,
-        drag, effects.blade,
+        drag, effects.blade, out[BODY_OUTPUTS + 4 * effects.blades] if effects.pyramids > 0 else 1.0,
+        effects.pyramid,
     )  # fmt: skip
     compliance = out[COMPLIANCE]
     mu, give, _, _, damping, ramp = model.cone
@@ -371,6 +380,8 @@ def add_effect_slopes(effects, rim, model, terms, taken, slopes):  # type: ignor
     set_body_slopes(G, model.body, new, taken.free, dout, h)
     if effects.blades > 0:
         blade_slopes(effects.blade, dout[BODY_OUTPUTS:], new, cells.eps2, h, G)
+    if effects.pyramids > 0:
+        pyramid_slopes(cells, dout[BODY_OUTPUTS + 4 * effects.blades :], new, h, G)
     if effects.cells:
         load_gradients(cells, new, effects.by_load)
         drag_gradients(cells, new, h, model.cell_width, effects.by_drag)
@@ -397,7 +408,7 @@ def carry_loads(effects, rim, S, layout, model, terms, taken, slopes, pose):  # 
         rim.flags[CHANGED] = 1
         set_load_slopes(S, layout, rim.by_load, rim.total, h, slopes.state)
         return 0
-    if effects is None or (effects.memory == 0 and not effects.cells):
+    if effects is None or (effects.memory == 0 and effects.pyramids == 0 and not effects.cells):
         _put_back_places(rim, S, layout)
         carry_plain_loads(S, model.cells, new, h, slopes.state, minimum, pose)
         return padded(layout.n) // LANES

@@ -1,0 +1,281 @@
+"""What an audit asks of a physics engine, and the engine that is Coulomb's law itself.
+
+An engine is a class. The audit makes one object of it for each scene and direction of gravity, lays the object
+down with `reset`, and moves on with `step`; it looks at nothing but `pose`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any, ClassVar, Protocol
+
+import numpy as np
+
+from slipmap.models.effects.effect import Effect, failure
+from slipmap.models.files import BadInput
+from slipmap.models.geometry import placed
+from slipmap.models.objects.meshes import convex_pieces
+from slipmap.models.physics.cell_grid import CellGrid, FloatArray
+from slipmap.models.physics.maps import Maps
+from slipmap.models.physics.stepper import Stepper
+
+AWAY = np.array([8.0, 8.0])
+"""Where the finger stands while it shall not touch, m."""
+
+LONGEST_STEP = 0.02
+"""s"""
+
+GRAVITY = 9.81
+LEVEL = np.array([0.0, 0.0, -GRAVITY])
+REST = np.zeros(3)
+
+
+@dataclass(frozen=True, eq=False)
+class EngineScene:
+    """A flat rigid object on a level table without end, and a round finger.
+
+    Each cell rests on the table with its own weight m_i g, and the table resists its motion with mu_i m_i g.
+
+    Attributes:
+        grid: `grid.centers` (n, 2) and `grid.width` of the cells, `grid.exterior` (k, 2) of the outline, object
+            frame, m.
+        mass: (n,) of the cells, kg, each a square plate.
+        mu: (n,) friction coefficients between the cells and the table.
+        mu_finger: the same between outline and finger.
+        finger_radius: m.
+    """
+
+    grid: CellGrid
+    mass: FloatArray
+    mu: FloatArray
+    mu_finger: float
+    finger_radius: float
+
+    @property
+    def pieces(self) -> list[FloatArray]:
+        """Corners (k, 2) of convex polygons that together are the outline, object frame, m."""
+        return [np.asarray(piece.exterior.coords)[:-1] for piece in convex_pieces(self.grid.polygon)]
+
+    @property
+    def maps(self) -> Maps:
+        """The same as one hypothesis of the model."""
+        return Maps(self.mass, self.mu, np.array([self.mu_finger]))
+
+    @property
+    def center_of_mass(self) -> FloatArray:
+        """(2,) object frame, m."""
+        return np.asarray(self.mass @ self.grid.centers / self.mass.sum())
+
+    @property
+    def moment_of_inertia(self) -> float:
+        """About the vertical axis through the centre of mass, kg m²."""
+        away = self.grid.centers - self.center_of_mass
+        return float(self.mass @ ((away**2).sum(axis=1) + self.grid.width**2 / 6))
+
+
+class Engine(Protocol):
+    """One object on one table in a physics engine.
+
+    Attributes:
+        dt: time step, s, of the class. The audit also runs a subclass with half of it.
+
+    Args:
+        scene: what is simulated.
+        gravity: (3,) acceleration, z up, m/s². It may be tilted.
+    """
+
+    dt: ClassVar[float]
+
+    def __init__(self, scene: EngineScene, gravity: FloatArray) -> None: ...
+
+    def reset(self, pose: FloatArray, velocity: FloatArray, tip: FloatArray) -> None:
+        """Lay the object down on the table.
+
+        Args:
+            pose: (3,) x, y, θ of the object frame, world, m and rad.
+            velocity: (3,) of the object frame's origin, world, m/s, and rad/s.
+            tip: (2,) centre of the finger, world, m; far away where it shall not touch.
+        """
+
+    def step(
+        self, tip: FloatArray, tip_velocity: FloatArray, next_tip: FloatArray, next_velocity: FloatArray
+    ) -> FloatArray:
+        """Advance by dt, while the finger, which nothing can stop, goes from `tip` to `next_tip`.
+
+        Returns:
+            (2,) force of the finger on the object, world, N.
+        """
+
+    def pose(self) -> FloatArray:
+        """(3,) x, y, θ of the object frame, world, m and rad."""
+
+
+class CoulombEngine:
+    """The model itself; a subclass may give it effects that the audit is to find."""
+
+    dt: ClassVar[float] = 2e-3
+    effects: ClassVar[Sequence[Effect]] = ()
+    parameters: ClassVar[Sequence[float]] = ()  # of the effects
+
+    def __init__(self, scene: EngineScene, gravity: FloatArray) -> None:
+        self._scene, self._gravity = scene, np.asarray(gravity, dtype=float)
+        self._stepper = Stepper(
+            scene.grid, scene.finger_radius, self.dt, self.effects, gravity=-float(self._gravity[2])
+        )
+        maps = scene.maps
+        self._models = self._stepper.models(
+            Maps(maps.mass, maps.mu, maps.mu_finger, np.array([self.parameters], dtype=float))
+        )
+
+    def reset(self, pose: FloatArray, velocity: FloatArray, tip: FloatArray) -> None:
+        """See `Engine`."""
+        c, s = np.cos(pose[2]), np.sin(pose[2])
+        vx, vy, omega = velocity
+        twist = np.array([[c * vx + s * vy, c * vy - s * vx, omega]])
+        self._state = self._stepper.start(self._models, np.asarray(pose, dtype=float), twist)
+
+    def step(
+        self, tip: FloatArray, tip_velocity: FloatArray, next_tip: FloatArray, next_velocity: FloatArray
+    ) -> FloatArray:
+        """See `Engine`."""
+        along = self._scene.mass.sum() * self._gravity[:2]
+        wrench = np.array([*along, *self._scene.center_of_mass, 0.0])
+        self._state, _ = self._stepper.step(
+            self._models, self._state, wrench=wrench, tip=np.array([tip, next_tip])
+        )
+        return np.asarray(self._state[0, 6:8])
+
+    def pose(self) -> FloatArray:
+        """See `Engine`."""
+        return np.asarray(self._state[0, :3])
+
+
+class Subject:
+    """An engine under audit.
+
+    Args:
+        name: as the user calls it.
+        kind: its class, see `Engine`.
+
+        full_dt: the engine's own step where `kind` has half of it, s.
+
+    Attributes:
+        dt: its time step, s.
+
+    Raises:
+        BadInput: the class lacks what `Engine` asks for.
+    """
+
+    def __init__(self, name: str, kind: Any, full_dt: float | None = None) -> None:
+        self.name, self._kind = name, kind
+        missing = [part for part in ("reset", "step", "pose") if not callable(getattr(kind, part, None))]
+        if missing:
+            raise BadInput(f"engine {name}: it has no {' and no '.join(missing)}(); see docs/audit.md")
+        dt = getattr(kind, "dt", None)
+        if not (isinstance(dt, int | float) and 0 < dt <= LONGEST_STEP):
+            raise BadInput(
+                f"engine {name}: its class needs a time step `dt` above 0 and at most {LONGEST_STEP:g} s, got"
+                f" {'none' if dt is None else repr(dt)}"
+            )
+        self.dt = float(dt)
+        self.full_dt = full_dt or self.dt
+
+    def halved(self) -> Subject:
+        """The same engine at half its time step."""
+        return Subject(self.name, type(self._kind.__name__, (self._kind,), {"dt": self.dt / 2}), self.dt)
+
+    def lay(self, scene: EngineScene, gravity: FloatArray = LEVEL) -> Laid:
+        """An engine with a scene in it, under a gravity (3,), m/s².
+
+        Raises:
+            BadInput: it cannot be made, or it does not take the step of its class.
+        """
+        engine = self.ask("__init__", self._kind, scene, np.array(gravity, dtype=float))
+        if getattr(engine, "dt", None) != self.dt:
+            raise BadInput(
+                f"engine {self.name}: __init__ sets dt = {getattr(engine, 'dt', None)!r}, so that it cannot be"
+                " run at half its step; give the class the attribute dt, and have the engine use self.dt"
+            )
+        return Laid(self, engine, scene)
+
+    def ask(self, method: str, function: Callable[..., Any], *arguments: Any) -> Any:
+        """What a method of the engine returns.
+
+        Raises:
+            BadInput: it fails; names the method, file and line.
+        """
+        try:
+            return function(*arguments)
+        except (BadInput, KeyboardInterrupt):
+            raise
+        except BaseException as error:  # as by sys.exit()
+            raise BadInput(f"engine {self.name}: {method}() failed in {failure(error)}") from error
+
+    def ask_numbers(
+        self, method: str, function: Callable[..., Any], length: int, *arguments: Any
+    ) -> FloatArray:
+        """The same of a method that gives so many numbers.
+
+        Raises:
+            BadInput: it fails, or gives something else.
+        """
+        value = self.ask(method, function, *arguments)
+        try:
+            numbers = np.array(value, dtype=float)
+        except (TypeError, ValueError):
+            numbers = np.zeros(0)
+        if numbers.shape != (length,) or not np.isfinite(numbers).all():
+            raise BadInput(
+                f"engine {self.name}: {method}() must return {length} finite numbers, got {value!r:.80}"
+            )
+        return numbers
+
+
+class Laid:
+    """An engine with a scene in it; `Subject.lay` makes it."""
+
+    def __init__(self, subject: Subject, engine: Engine, scene: EngineScene) -> None:
+        self._subject, self._engine, self._scene = subject, engine, scene
+
+    def push(self, tip: FloatArray, pose: FloatArray, velocity: FloatArray = REST) -> FloatArray:
+        """Poses (T + 1, 3) of the object frame, world, angles continuous, while the finger goes along a path.
+
+        Args:
+            tip: (T + 1, 2) centre of the finger at the ends of steps, world, m.
+            pose, velocity: (3,) of the object frame at first, world.
+
+        Raises:
+            BadInput: a method fails, or gives something else than finite numbers.
+        """
+        subject, engine = self._subject, self._engine
+        pose, velocity = np.array(pose, dtype=float), np.array(velocity, dtype=float)
+        speed = np.gradient(tip, subject.dt, axis=0)
+        subject.ask("reset", engine.reset, pose.copy(), velocity.copy(), tip[0].copy())
+        poses = [subject.ask_numbers("pose", engine.pose, 3)]
+        if np.abs(poses[0] - pose)[:2].max() > 1e-3:
+            raise BadInput(
+                f"engine {subject.name}: after reset() at x, y, θ = {pose.round(4).tolist()} pose() gives"
+                f" {poses[0].round(4).tolist()}; both are of the object frame in the world, m and rad"
+            )
+        for k in range(len(tip) - 1):
+            path = (tip[k].copy(), speed[k].copy(), tip[k + 1].copy(), speed[k + 1].copy())
+            subject.ask_numbers("step", engine.step, 2, *path)
+            poses.append(subject.ask_numbers("pose", engine.pose, 3))
+        result = np.array(poses)
+        result[:, 2] = pose[2] + np.unwrap(result[:, 2] - pose[2])
+        return result
+
+    def slide(self, velocity: FloatArray, duration: float) -> FloatArray:
+        """(T + 1, 3) centre of mass and angle, world, of an object that is let go; row k is at k dt.
+
+        Args:
+            velocity: (3,) of the centre of mass, world, m/s, and rad/s.
+            duration: s.
+        """
+        center = self._scene.center_of_mass
+        x, y, omega = velocity
+        origin = np.array([x + omega * center[1], y - omega * center[0], omega])
+        steps = round(duration / self._subject.dt)
+        poses = self.push(np.tile(AWAY, (steps + 1, 1)), REST, origin)
+        return np.column_stack([placed(center, poses), poses[:, 2]])

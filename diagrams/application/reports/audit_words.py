@@ -1,0 +1,155 @@
+"""An audit of physics engines in words: what is printed, and the page."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from html import escape
+
+from slipmap.diagrams.application.audit.procedure import Audit
+from slipmap.diagrams.application.figures.audit_figures import ends_figure, friction_figure, prices_figure
+from slipmap.diagrams.application.reports.effect_words import unit_text
+from slipmap.diagrams.application.reports.html_page import Section, page, picture, table
+from slipmap.diagrams.application.terminal import paragraph, table as print_table
+
+_COLUMNS = ("engine", "mm from Coulomb's law", "at half the step", "step, ms", "named", "best effect")
+
+
+def headline(audit: Audit) -> str:
+    """The one number."""
+    return f"{audit.name} ends {1e3 * audit.pushed.price:.2g} mm from Coulomb's law."
+
+
+def named(audit: Audit) -> str:
+    """What is named, in one sentence each."""
+    if not audit.defects:
+        return "Nothing is named: the probes follow Coulomb's law within their tolerances."
+    return " ".join(f"{d.title[0].upper()}{d.title[1:]}: {d.sentence}" for d in audit.defects)
+
+
+def pushed(audit: Audit) -> str:
+    """What the number is made of."""
+    worst, moved = 1e3 * audit.pushed.errors.max(), 1e3 * audit.standard.moved
+    said = (
+        f"That is the mean over {len(audit.pushed.errors)} pushes which move the object by {moved:.0f} mm; the"
+        f" worst ends {worst:.2g} mm off. At half its time step it ends {1e3 * audit.pushed_half.price:.2g} mm off."
+    )
+    if audit.explained:
+        best = audit.explained[0]
+        said += (
+            f" The effect {best.effect.name}, fitted with the maps held, leaves"
+            f" {1e3 * best.price:.2g} mm of it."
+        )
+    return said
+
+
+def remedies(audit: Audit) -> str:
+    """What to set."""
+    return f"To be nearer: {'; '.join(audit.remedies)}." if audit.remedies else ""
+
+
+def overview(audits: Sequence[Audit]) -> list[tuple[str, ...]]:
+    """Rows of the table of engines, under `_COLUMNS`."""
+    rows = []
+    for audit in audits:
+        best = audit.explained[0] if audit.explained else None
+        rows.append(
+            (
+                audit.name, f"{1e3 * audit.pushed.price:.2f}", f"{1e3 * audit.pushed_half.price:.2f}",
+                f"{1e3 * audit.dt:g}", ", ".join(_short(audit)) or "nothing",
+                "" if best is None else f"{best.effect.name}, {1e3 * best.price:.2f} mm left",
+            )
+        )  # fmt: skip
+    return rows
+
+
+def show_audits(audits: Sequence[Audit], beside: Mapping[str, float]) -> None:
+    """Print what was found."""
+    for audit in audits:
+        for text in (headline(audit), named(audit), pushed(audit), remedies(audit)):
+            paragraph(text)
+        print_table("", ("", "size", "±", "tolerance", "named"), _measure_rows(audit), numbers=(1, 2, 3))
+    rows = overview(audits)
+    rows += [(name, f"{1e3 * price:.2f}", "", "", "not probed", "") for name, price in beside.items()]
+    print_table("Engines", _COLUMNS, rows, numbers=(1, 2, 3))
+
+
+def audit_report(audits: Sequence[Audit], beside: Mapping[str, float]) -> str:
+    """The page, a whole HTML document."""
+    first = audits[0]
+    one = len(audits) == 1
+    title = f"Audit of {first.name}" if one else "Audit of physics engines"
+    subtitle = ", ".join(dict.fromkeys(filter(None, (audit.version for audit in audits))))
+    lead = [named(first), pushed(first), remedies(first)] if one else [headline(audit) for audit in audits]
+    prices = {audit.name: audit.pushed.price for audit in audits} | dict(beside)
+    body = picture(prices_figure(prices), "How far engines end from Coulomb's law.", wide=True)
+    body += table(_COLUMNS, overview(audits), numbers=(1, 2, 3))
+    sections = [Section("engines", "Engines", body)]
+    sections += [_section(audit, number) for number, audit in enumerate(audits)]
+    sections.append(Section("how", "How it was measured", _HOW))
+    return page(
+        title, subtitle, list(filter(None, lead)), sections, headline=headline(first) if one else ""
+    )  # fmt: skip
+
+
+_HOW = (
+    "<p>Probes are asked of a plate of even weight and friction: it is let go in 24 directions at three speeds,"
+    " kept sliding at four speeds by a gravity as steep as friction, let go with 16 spins, and left alone under"
+    " a load that friction can hold. A size is named where it is beyond its tolerance and twice its"
+    " uncertainty, in which the change at half the time step is counted. Pushes are 24 of an L of two materials"
+    " whose maps are known; Coulomb's law is slipmap's own model with these maps.</p>"
+)
+
+
+def _section(audit: Audit, number: int) -> Section:
+    paragraphs = "".join(
+        f"<p>{escape(text)}</p>" for text in (named(audit), pushed(audit), remedies(audit)) if text
+    )
+    body = paragraphs + picture(
+        friction_figure(audit), f"Friction of {audit.name} by direction, over Coulomb's."
+    )
+    body += table(
+        ("probe", "size", "±", "tolerance", "named"), _measure_rows(audit), numbers=(1, 2, 3),
+        marked=[measure.named for measure in audit.measures],
+        caption="Sizes are 0 by Coulomb's law.",
+    )  # fmt: skip
+    body += (
+        picture(ends_figure(audit), "The four pushes that end farthest from Coulomb's law.", wide=True)
+        + "<p>Grey: before the push. Black: its end by Coulomb's law. Blue: in the engine.</p>"
+    )
+    if audit.explained:
+        rows = [
+            (
+                one.effect.name, f"{1e3 * one.price:.2f}",
+                ", ".join(
+                    f"{p.name} {value:.3g} {unit_text(p.unit)}".strip()
+                    for p, value in zip(one.effect.parameters, one.values, strict=True)
+                ),
+            )
+            for one in audit.explained
+        ]  # fmt: skip
+        body += table(
+            ("effect", "mm left", "fitted"), rows, numbers=(1,),
+            caption="Effects that lower the number, fitted with the maps held.",
+        )  # fmt: skip
+    return Section(f"engine-{number}", audit.name, body)
+
+
+def _measure_rows(audit: Audit) -> list[tuple[str, ...]]:
+    rows = []
+    for m in audit.measures:
+        scale, unit = (100.0, "%") if m.unit == "1" else (1.0, m.unit)
+        rows.append(
+            (
+                m.title, f"{scale * m.value:.2f} {unit}", f"{scale * m.uncertainty:.2f}",
+                f"{scale * m.tolerance:g}", "yes" if m.named else "",
+            )
+        )  # fmt: skip
+    return rows
+
+
+def _short(audit: Audit) -> list[str]:
+    result = []
+    for d in audit.defects:
+        size = f"{100 * d.value:.0f} %" if d.unit == "1" else f"{d.value:.2g} {d.unit}"
+        result.append(f"{d.title} ({size})")
+    return result
