@@ -114,7 +114,8 @@ def _check_vanished(effect: Effect, results: Sequence[float], slots: Slots, pose
     wrench, cell = (0, 0, 0), (1, 0, 1, 0, 1)
     inertia, compliance, delay = 1, 0, 0
     plain = (
-        *wrench, inertia, compliance, *(slots.blades * blade), *(slots.pyramids * pyramid), *cell, delay, *pose,
+        *wrench, inertia, compliance, *(slots.blades * blade), *(slots.pyramids * pyramid), *cell, delay,
+        *pose,
     )  # fmt: skip
     for value, wanted in zip(results, plain, strict=True):
         if wanted is not None and abs(value - wanted) > 1e-12 * max(1.0, abs(wanted)):

@@ -63,7 +63,8 @@ LETTERS = {
 """What the letters of `written_names` mean."""
 
 _PLAIN = {
-    r"\theta": "θ", r"\omega": "ω", r"\tau": "τ", r"\alpha": "α", r"\kappa": "κ", r"\Delta t": "Δt", r"\hat{x}": "x_seen",
+    r"\theta": "θ", r"\omega": "ω", r"\tau": "τ", r"\alpha": "α", r"\kappa": "κ", r"\Delta t": "Δt",
+    r"\hat{x}": "x_seen",
     r"\hat{y}": "y_seen", r"\hat{\theta}": "θ_seen", r"\dot{x}": "vx", r"\dot{y}": "vy",
 }  # fmt: skip
 
@@ -93,7 +94,7 @@ def written(effect: Effect) -> Written:
     Raises:
         EffectError: a formula fails.
     """
-    taken = {"x", "y", "theta", "m", "g", "t", "h", "k", "w", "u", "a", "s", "D", "F", "C", "J", "X", "Y", "c", "d"}
+    taken = {"theta", *"xymgthkwuasDFCJXYcd"}
     latex_of = {q.name: latex_name(f"{q.name}_p" if q.name in taken else q.name) for q in effect.parameters}
     p = Names(f"effect {effect.name}: p", {name: real(text) for name, text in latex_of.items()})
     with writing():

@@ -69,7 +69,7 @@ them in `remember`.
 
 _METHODS = {
     "friction": "cell, p", "drag": "cell, p", "stretch": "cell, p", "force": "body, p", "blade": "body, p",
-    "inertia": "body, p", "compliance": "body, p", "measured": "pose, p", "delay": "p",
+    "pyramid": "body, p", "inertia": "body, p", "compliance": "body, p", "measured": "pose, p", "delay": "p",
 }  # fmt: skip
 
 
