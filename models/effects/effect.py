@@ -123,9 +123,9 @@ class Effect:
         return None
 
     def pyramid(self, body: Any, p: Any) -> Any:
-        """(c, d, angle): friction follows c times its cone, and d times a square turned by an angle in the world.
+        """(c, d, angle): friction's norm |u| becomes c |u| + d (|u·e| + |u·n|), a pyramid's.
 
-        A cell's norm φ becomes c φ + d (|u·e| + |u·n|), e at the angle, n across it; (1, 0, 0) without.
+        Of the unit vectors e is at the angle in the world, n across it; (1, 0, 0) without.
         """
         return None
 

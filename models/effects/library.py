@@ -391,8 +391,8 @@ class ImpulseFriction(Effect):
 class FrictionDiamond(Effect):
     name = "friction_diamond"
     sentence = (
-        "Friction follows a pyramid of the world's axes instead of a cone: along x it takes from what is left along"
-        " y, as MuJoCo has it unless told otherwise."
+        "Friction follows a pyramid instead of a cone, and is smaller on the diagonals of the world's axes,"
+        " as MuJoCo has it by default."
     )
     parameters = (
         Parameter("share", "1", "1: a pyramid; between, cone and pyramid in parts", 0.0, 1.0, 0.3, 0.0),
@@ -404,10 +404,7 @@ class FrictionDiamond(Effect):
 
 class FrictionSquare(Effect):
     name = "friction_square"
-    sentence = (
-        "Friction along the world's x and along y is solved each by itself, as simulators do, and is larger on"
-        " the diagonals."
-    )
+    sentence = "Friction along the world's x and y is solved each by itself, and is larger on the diagonals."
     parameters = (
         Parameter("share", "1", "1: two frictions; between, they and a cone in parts", 0.0, 1.0, 0.3, 0.0),
     )
@@ -420,17 +417,15 @@ class SlipLoad(Effect):
     name = "slip_load"
     sentence = "Cells that slip faster carry more: contacts of a simulator lift what slides over them."
     parameters = (
-        Parameter(
-            "share", "1", "in a spin in place, load as the square of slip is 1, even load 0", -1.0, 3.0, 0.5, 0.0
-        ),
+        Parameter("share", "1", "0: even; 1: as the square of slip, in a spin in place", -1.0, 3.0, 0.5, 0.0),
     )
 
     def friction(self, cell: Any, p: Any) -> Any:
-        # The square of slip is quadratic in place. A part that rises evenly across the object would tip it, so
-        # that what turns is left: ω² (|r - r_com|² - ρ²), over the mean square; its sum over the masses is 0.
+        # The square of slip is quadratic in place. A part that rises evenly across the object would tip it;
+        # left is ω² (|r - r_com|² - ρ²), over the mean square. Its sum over the masses is 0.
         x, y = cell.cos * cell.rx - cell.sin * cell.ry, cell.sin * cell.rx + cell.cos * cell.ry
         apart2 = (x - cell.com_x) ** 2 + (y - cell.com_y) ** 2
-        radius2 = cell.moment / cell.mass - cell.com_x**2 - cell.com_y**2
+        radius2 = cell.moment / cell.mass - cell.com_x**2 - cell.com_y**2 - cell.width**2 / 6
         spin2 = cell.omega**2
         mean2 = cell.com_vx**2 + cell.com_vy**2 + spin2 * radius2 + REST_SPEED**2
         shift = p.share * spin2 * (apart2 - radius2) / mean2
@@ -440,10 +435,8 @@ class SlipLoad(Effect):
 
 class TorsionalFriction(Effect):
     name = "torsional_friction"
-    sentence = "A torque resists every spin, beside what the cells' friction does; or helps it, where negative."
-    parameters = (
-        Parameter("radius", "m", "the torque over the object's weight", -0.05, 0.05, 2e-3, 0.0),
-    )
+    sentence = "A torque resists every spin beside the friction of the cells, or helps it where negative."
+    parameters = (Parameter("radius", "m", "the torque over the object's weight", -0.05, 0.05, 2e-3, 0.0),)
 
     def force(self, body: Any, p: Any) -> Any:
         # Rounded below a degree a second, or a step could turn the spin around.

@@ -96,7 +96,7 @@ def written(effect: Effect) -> Written:
     Raises:
         EffectError: a formula fails.
     """
-    taken = {"x", "y", "theta", "m", "g", "t", "h", "k", "w", "u", "a", "s", "D", "F", "C", "J", "X", "Y", "c", "d"}
+    taken = {"theta", *"xymgthkwuasDFCJXYcd"}
     latex_of = {q.name: latex_name(f"{q.name}_p" if q.name in taken else q.name) for q in effect.parameters}
     p = Names(f"effect {effect.name}: p", {name: real(text) for name, text in latex_of.items()})
     with writing():

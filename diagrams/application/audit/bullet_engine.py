@@ -23,7 +23,10 @@ _TABLE, _FEET, _SIDES, _FINGER = 1, 2, 4, 8  # collision groups
 
 
 class BulletEngine:
-    """Bullet's multibody solver. A foot is as stiff as its cell is heavy, so that each carries its own weight."""
+    """Bullet's multibody solver.
+
+    A foot is as stiff as its cell is heavy, so that each carries the weight of its cell.
+    """
 
     dt: ClassVar[float] = 2e-3
     cone: ClassVar[bool] = True  # friction as a cone; else along two axes, each by itself

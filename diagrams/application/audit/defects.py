@@ -66,7 +66,7 @@ class _Shape:
 
 
 def pyramid_force(kind: str, direction: FloatArray) -> FloatArray:
-    """(…, 2) friction against motion in directions (…, 2), over μ N, of a whole pyramid of the world's axes."""
+    """(…, 2) friction over μ N of a whole pyramid of the world's axes, for motion in directions (…, 2)."""
     x, y = direction[..., 0], direction[..., 1]
     if kind == "square":
         return np.stack([-_sign(x), -_sign(y)], axis=-1)
@@ -86,9 +86,10 @@ def measures(full: Answers, half: Answers, dt: float) -> list[Measure]:
             "anisotropic_table",
         ),
         Measure(
-            "lean", "leaning friction", np.degrees(shape.lean), np.degrees(abs(shape.lean - finer.lean)), 1.0, "°",
-            f"Friction leaves the line of motion by up to {np.degrees(shape.lean):.1f}°, with no grain to explain"
-            " it.", "impulse_friction",
+            "lean", "leaning friction", np.degrees(shape.lean),
+            np.degrees(abs(shape.lean - finer.lean)), 1.0, "°",
+            f"Friction leaves the line of motion by up to {np.degrees(shape.lean):.1f}°, with no grain to"
+            " explain it.", "impulse_friction",
         ),
     ]  # fmt: skip
     torsion = full.slow_spin, half.slow_spin
@@ -100,8 +101,8 @@ def measures(full: Answers, half: Answers, dt: float) -> list[Measure]:
         result.append(
             Measure(
                 "torsion", "torsional friction", torsion[0], abs(torsion[0] - torsion[1]), 0.05, "1",
-                f"A torque {way} any spin, with {_percent(abs(torsion[0]))} of what Coulomb's law gives a spin in"
-                " place.", "torsional_friction",
+                f"A torque {way} any spin, with {_percent(abs(torsion[0]))} of what Coulomb's law gives a"
+                " spin in place.", "torsional_friction",
             )
         )  # fmt: skip
     excess = spin - 1 - (torsion[0] if has_torsion else 0.0)
@@ -160,7 +161,8 @@ def _pyramid(shape: _Shape, finer: _Shape) -> Measure:
         title, sentence = "friction pyramid, a diamond", "Friction along x takes from friction along y"
     return Measure(
         kind, title, share, change, 0.1, "1",
-        f"{sentence}: on the world's diagonals it is {corner:.2f} times that along the axes.", f"friction_{kind}",
+        f"{sentence}: on the world's diagonals it is {corner:.2f} times that along the axes.",
+        f"friction_{kind}",
     )  # fmt: skip
 
 
@@ -168,8 +170,8 @@ def _creep(full: Answers, half: Answers) -> Measure:
     value = 1e3 * float(full.creep.max())
     return Measure(
         "creep", "creep", value, abs(value - 1e3 * float(half.creep.max())), 0.02, "mm/s",
-        f"Under {_percent(CREEP_LOAD)} of the force that friction can hold the object creeps at {value:.2g} mm/s.",
-        None,
+        f"Under {_percent(CREEP_LOAD)} of the force that friction can hold the object creeps at"
+        f" {value:.2g} mm/s.", None,
     )  # fmt: skip
 
 
@@ -196,7 +198,7 @@ def _shape(answers: Answers, dt: float, full_dt: float) -> _Shape:
 def _beside_pyramid(
     answers: Answers, kind: str, share: float, dt: float, full_dt: float
 ) -> tuple[float, float, float]:
-    """Sum of squares that a pyramid and waves of half a turn leave, and the waves: along motion, and across."""
+    """Sum of squares that a pyramid and two waves a turn leave, and their sizes: along motion, and across."""
 
     def friction(direction: FloatArray) -> FloatArray:
         return (share - 1) * direction + share * pyramid_force(kind, direction)

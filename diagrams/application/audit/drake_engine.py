@@ -77,9 +77,8 @@ class DrakeEngine:
         plant.Finalize()
         finger = plant.GetCollisionGeometriesForBody(plant.GetBodyByName("finger"))
         feet, sides = GeometrySet(self._feet), GeometrySet(self._sides)
-        for one, other in (
-            (GeometrySet([ground]), sides), (GeometrySet(finger), feet), (GeometrySet(finger), GeometrySet([ground])),
-        ):  # fmt: skip
+        table_set, tip = GeometrySet([ground]), GeometrySet(finger)
+        for one, other in ((table_set, sides), (tip, feet), (tip, table_set)):
             rule = CollisionFilterDeclaration().ExcludeBetween(one, other)
             scene_graph.collision_filter_manager().Apply(rule)
         self._plant, self._object = plant, plant.GetBodyByName("object")
@@ -166,10 +165,9 @@ class DrakeEngine:
         heavy = SpatialInertia(_FINGER_MASS, np.zeros(3), UnitInertia.SolidSphere(scene.finger_radius))
         carriage = plant.AddRigidBody("carriage", self._instance, SpatialInertia.Zero())
         finger = plant.AddRigidBody("finger", self._instance, heavy)
-        for parent, child, axis in (
-            (plant.world_frame(), carriage.body_frame(), [1, 0, 0]), (carriage.body_frame(), finger.body_frame(), [0, 1, 0]),
-        ):  # fmt: skip
-            plant.AddJoint(PrismaticJoint(f"finger {axis}", parent, child, axis))
+        frames = (plant.world_frame(), carriage.body_frame(), finger.body_frame())
+        for name, axis, parent, child in zip("xy", np.eye(3), frames, frames[1:], strict=False):
+            plant.AddJoint(PrismaticJoint(f"finger {name}", parent, child, axis))
         properties = ProximityProperties()
         _contact(properties, _FINGER_FRICTION, 9.81 * float(scene.mass.sum()) / 1e-5)
         X_FG = RigidTransform([0, 0, _HEIGHT])

@@ -1,6 +1,6 @@
 """What an audit asks of a physics engine, and the engine that is Coulomb's law itself.
 
-An engine is a class. The audit makes one object of it for each scene and direction of gravity, lays the object
+An engine is a class. The audit makes one instance for each scene and direction of gravity, lays the object
 down with `reset`, and moves on with `step`; it looks at nothing but `pose`.
 """
 
@@ -38,8 +38,8 @@ class EngineScene:
     Each cell rests on the table with its own weight m_i g, and the table resists its motion with mu_i m_i g.
 
     Attributes:
-        grid: `grid.centers` (n, 2) and `grid.width` of the cells, `grid.exterior` (k, 2) of the outline, object
-            frame, m.
+        grid: `grid.centers` (n, 2) and `grid.width` of the cells, `grid.exterior` (k, 2) of the outline,
+            object frame, m.
         mass: (n,) of the cells, kg, each a square plate.
         mu: (n,) friction coefficients between the cells and the table.
         mu_finger: the same between outline and finger.
@@ -194,8 +194,8 @@ class Subject:
         engine = self.ask("__init__", self._kind, scene, np.array(gravity, dtype=float))
         if getattr(engine, "dt", None) != self.dt:
             raise BadInput(
-                f"engine {self.name}: __init__ sets dt = {getattr(engine, 'dt', None)!r}, so that it cannot be"
-                " run at half its step; give the class the attribute dt, and have the engine use self.dt"
+                f"engine {self.name}: __init__ sets dt = {getattr(engine, 'dt', None)!r}, so that it cannot"
+                " be run at half its step; give the class the attribute dt, and have the engine use self.dt"
             )
         return Laid(self, engine, scene)
 

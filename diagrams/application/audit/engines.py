@@ -34,7 +34,8 @@ BUILT_IN = {
         {
             "diamond": 'cone="elliptic" in MuJoCo\'s <option> gives a cone (mujoco:elliptic)',
             "creep": "impratio of 10 to 100 in MuJoCo's <option> cures creep (mujoco:elliptic,impratio=100)",
-            "load_follows_slip": "no setting of MuJoCo is known to cure it: impratio and the time step do not",
+            "load_follows_slip": "no setting of MuJoCo is known against load that follows slip: impratio and"
+            " the time step do not help",
         },
     ),
     "bullet": BuiltIn(
@@ -42,7 +43,7 @@ BUILT_IN = {
         ("dt", "iterations"),
         {
             "square": "setPhysicsEngineParameter(enableConeFriction=1) gives a cone (bullet:cone)",
-            "lean": "no setting of Bullet's multibody solver is known to cure it",
+            "lean": "no setting of Bullet's multibody solver is known against leaning friction",
         },
     ),
     "drake": BuiltIn(
@@ -53,7 +54,7 @@ BUILT_IN = {
         },
         ("dt", "stiction"),
         {
-            "load_follows_slip": 'discrete_contact_approximation="lagged" cures it (drake:lagged)',
+            "load_follows_slip": 'discrete_contact_approximation="lagged" has even loads (drake:lagged)',
             "creep": "a smaller stiction_tolerance (drake:stiction=1e-5)",
         },
     ),

@@ -19,9 +19,9 @@ _FINGER_CONTACT = 'condim="3" solref="-1e4 -200"'  # stiff; the default gives wa
 
 
 class MujocoEngine:
-    """MuJoCo as it is delivered: cone of friction, impratio, solver and softness of contacts are its defaults.
+    """MuJoCo with its defaults: pyramid of friction, impratio, solver, softness of contacts.
 
-    A contact's impedance is such that at rest each foot carries the weight of its cell.
+    The impedance of each contact is such that at rest each foot carries the weight of its cell.
     """
 
     dt: ClassVar[float] = 2e-3  # MuJoCo's default

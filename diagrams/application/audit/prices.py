@@ -1,4 +1,4 @@
-"""Pushes of a standard object with known maps: how far an engine ends from Coulomb's law, and what explains it."""
+"""Pushes of an object with known maps: how far an engine ends from Coulomb's law, and what explains it."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 """Direct questions to an engine: how friction depends on direction, speed and spin, and whether it holds.
 
-All are asked of a plate of even weight and friction, whose answers by Coulomb's law are known. Contacts of some
-engines hop while they slide, so that friction comes in blows: whatever can be kept sliding evenly, by a
+All are asked of a plate of even weight and friction, whose answers by Coulomb's law are known. Contacts of
+some engines hop while they slide, so that friction comes in blows: whatever can be kept sliding evenly, by a
 gravity as steep as friction, is; the others are averaged over several speeds.
 """
 
@@ -9,8 +9,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from slipmap.diagrams.application.audit.engine import GRAVITY, LEVEL, REST, CoulombEngine, Subject
 from slipmap.diagrams.application.audit.scenes import MU, plain_scene
@@ -104,10 +106,10 @@ def ask(subject: Subject, reference: type[CoulombEngine], report: Report) -> Ans
 
 def _tilted(along: FloatArray) -> FloatArray:
     """(3,) gravity with a part (2,) along the table, m/s²."""
-    return LEVEL + [*along, 0.0]
+    return LEVEL + np.append(along, 0.0)
 
 
-def _parabola(times: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _parabola(times: NDArray[np.floating[Any]], values: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Velocity half-way and acceleration of what is seen at times, by least squares."""
     bend, slope, _ = np.polyfit(times - times.mean(), values, 2)
     return slope, 2 * bend
@@ -120,8 +122,8 @@ def _check_gravity(subject: Subject) -> None:
     if moved < 0.1 * wanted:
         raise BadInput(
             f"engine {subject.name}: under a gravity of {_tilted(along).round(2).tolist()} m/s² the object"
-            f" moves by {1e3 * moved:.1f} mm in {_LAID} s, where Coulomb's law makes it {1e3 * wanted:.0f} mm;"
-            " __init__ must use the gravity that it is given, tilted or not"
+            f" moves by {1e3 * moved:.1f} mm in {_LAID} s, by Coulomb's law {1e3 * wanted:.0f} mm; __init__"
+            " must use the gravity that it is given, tilted or not"
         )
 
 
@@ -141,11 +143,11 @@ def slide_speeds(dt: float) -> FloatArray:
 
 
 def seen_in_slides(paths: Sequence[FloatArray], dt: float) -> tuple[FloatArray, FloatArray]:
-    """Mean direction and friction (…, 2), as in `Answers`, of paths (T + 1, …, 2) of free slides with steps dt."""
+    """Mean direction and friction (…, 2), as in `Answers`, of free slides: paths (T + 1, …, 2), steps dt."""
     ways, frictions = [], []
     for path in paths:
         first = round(_EARLY[0] / _EARLY[1] * (len(path) - 1))
-        times = dt * np.arange(first, len(path))
+        times = dt * np.arange(float(first), len(path))
         flat = path[first:].reshape(len(times), -1)
         velocity, acceleration = (part.reshape(path.shape[1:]) for part in _parabola(times, flat))
         ways.append(velocity / np.linalg.norm(velocity, axis=-1, keepdims=True))
@@ -186,7 +188,7 @@ def _steady_slide(subject: Subject, speed: float) -> float:
         laid = subject.lay(plain_scene(), _tilted(np.array([along, 0.0])))
         path = laid.slide(np.array([speed, 0.0, 0.0]), _SETTLED + _STEADY)
         first = round(_SETTLED / subject.dt)
-        along -= float(_parabola(subject.dt * np.arange(first, len(path)), path[first:, 0])[1])
+        along -= float(_parabola(subject.dt * np.arange(float(first), len(path)), path[first:, 0])[1])
         if path[-1, 0] - path[first, 0] < 0.2 * speed * _STEADY:
             along *= 1.1  # it stands still, so that friction is at least this
     return along / (MU * GRAVITY)
@@ -199,7 +201,9 @@ def _spin_torque(subject: Subject, rate: float) -> float:
     stop = abs(rate) * scene.moment_of_inertia / (MU * GRAVITY * scene.mass @ arms)
     path = subject.lay(scene).slide(np.array([0.0, 0.0, rate]), _LATE[1] * stop)
     first = round(_LATE[0] * stop / subject.dt)
-    return float(-np.sign(rate) * _parabola(subject.dt * np.arange(first, len(path)), path[first:, 2])[1])
+    return float(
+        -np.sign(rate) * _parabola(subject.dt * np.arange(float(first), len(path)), path[first:, 2])[1]
+    )
 
 
 def _slow_spin_torque(subject: Subject) -> float:
@@ -208,7 +212,7 @@ def _slow_spin_torque(subject: Subject) -> float:
     turns = []
     for rate in (-_SLOW_SPIN, _SLOW_SPIN):
         path = laid.slide(np.array([_SLOW_SLIDE, 0.0, rate]), 20 * subject.full_dt)
-        turns.append(-np.sign(rate) * _parabola(subject.dt * np.arange(len(path)), path[:, 2])[1])
+        turns.append(-np.sign(rate) * _parabola(subject.dt * np.arange(float(len(path))), path[:, 2])[1])
     return float(np.mean(turns))
 
 

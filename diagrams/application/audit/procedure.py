@@ -108,21 +108,21 @@ def audit(
         stage = f"{subject.name}, probes at {1e3 * one.dt:g} ms"
         answers.append(probes.ask(one, CoulombEngine, _counter(report, stage, probes.COUNT)))
     found = measures(answers[0], answers[1], subject.dt)
-    pushes = [
+    pushed, pushed_half = (
         push_all(one, standard, _counter(report, f"{subject.name}, pushes at {1e3 * one.dt:g} ms", COUNT))
         for one in (subject, half)
-    ]
+    )
     tried = laws(LIBRARY)
     explained = []
     for number, effect in enumerate(tried):
         report(f"{subject.name}, what explains it: {effect.name}", number, len(tried))
-        explained.append(explain(pushes[0], standard, effect))
+        explained.append(explain(pushed, standard, effect))
     report(f"{subject.name}, what explains it", len(tried), len(tried))
-    better = [one for one in explained if one.price < _LOWER * pushes[0].price]
-    better = sorted(better, key=lambda one: one.price) if pushes[0].price > _NOTHING else []
+    better = [one for one in explained if one.price < _LOWER * pushed.price]
+    better = sorted(better, key=lambda one: one.price) if pushed.price > _NOTHING else []
     return Audit(
-        subject.name, engines.version(subject.name), subject.dt, answers[0], tuple(found), *pushes,
-        tuple(better), standard,
+        subject.name, engines.version(subject.name), subject.dt, answers[0], tuple(found), pushed,
+        pushed_half, tuple(better), standard,
     )  # fmt: skip
 
 

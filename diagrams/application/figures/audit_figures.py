@@ -12,7 +12,7 @@ from slipmap.diagrams.systems.look import BELIEF, FAINT, FINGER, INK, styled
 
 @styled
 def friction_figure(audit: Audit) -> Figure:
-    """Polar plot: friction against the direction of motion, over Coulomb's; lines show where the force points."""
+    """Polar plot: friction over Coulomb's by the direction of motion; a line at each shows its direction."""
     figure = Figure(figsize=(4.6, 4.6), layout="constrained")
     axes = figure.add_subplot(projection="polar")
     angle = np.arctan2(*audit.answers.direction.T[::-1])
@@ -26,7 +26,7 @@ def friction_figure(audit: Audit) -> Figure:
         axes.plot(np.arctan2(ends[:, 1], ends[:, 0]), np.hypot(*ends.T), color=FINGER, linewidth=1.0)
     axes.plot(angle, size, "o", color=BELIEF, markersize=4, label=audit.name)
     axes.set_ylim(0, max(1.5, 1.1 * size.max() + 0.25))
-    axes.set_rticks([0.5, 1.0, 1.5])
+    axes.set_yticks([0.5, 1.0, 1.5])
     axes.grid(color="#e7e4dd", linewidth=0.6)
     axes.spines["polar"].set_color("#e7e4dd")
     axes.legend(loc="upper left", bbox_to_anchor=(-0.1, 1.1))

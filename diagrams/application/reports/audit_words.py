@@ -11,7 +11,7 @@ from slipmap.diagrams.application.reports.effect_words import unit_text
 from slipmap.diagrams.application.reports.html_page import Section, page, picture, table
 from slipmap.diagrams.application.terminal import paragraph, table as print_table
 
-_COLUMNS = ("engine", "mm from Coulomb's law", "at half the step", "step, ms", "named", "best effect")
+_COLUMNS = ("engine", "mm off", "at half its step", "step, ms", "named", "effect that explains most")
 
 
 def headline(audit: Audit) -> str:
@@ -30,8 +30,9 @@ def pushed(audit: Audit) -> str:
     """What the number is made of."""
     worst, moved = 1e3 * audit.pushed.errors.max(), 1e3 * audit.standard.moved
     said = (
-        f"That is the mean over {len(audit.pushed.errors)} pushes which move the object by {moved:.0f} mm; the"
-        f" worst ends {worst:.2g} mm off. At half its time step it ends {1e3 * audit.pushed_half.price:.2g} mm off."
+        f"That is the mean over {len(audit.pushed.errors)} pushes, which move the object by {moved:.0f} mm;"
+        f" the worst ends {worst:.2g} mm off. At half its time step the engine ends"
+        f" {1e3 * audit.pushed_half.price:.2g} mm off."
     )
     if audit.explained:
         best = audit.explained[0]
@@ -49,7 +50,7 @@ def remedies(audit: Audit) -> str:
 
 def overview(audits: Sequence[Audit]) -> list[tuple[str, ...]]:
     """Rows of the table of engines, under `_COLUMNS`."""
-    rows = []
+    rows: list[tuple[str, ...]] = []
     for audit in audits:
         best = audit.explained[0] if audit.explained else None
         rows.append(
@@ -67,10 +68,19 @@ def show_audits(audits: Sequence[Audit], beside: Mapping[str, float]) -> None:
     for audit in audits:
         for text in (headline(audit), named(audit), pushed(audit), remedies(audit)):
             paragraph(text)
-        print_table("", ("", "size", "±", "tolerance", "named"), _measure_rows(audit), numbers=(1, 2, 3))
-    rows = overview(audits)
-    rows += [(name, f"{1e3 * price:.2f}", "", "", "not probed", "") for name, price in beside.items()]
-    print_table("Engines", _COLUMNS, rows, numbers=(1, 2, 3))
+        print_table(
+            audit.name, ("probe", "size", "±", "tolerance", "named"), _measure_rows(audit), numbers=(1, 2, 3)
+        )
+    rows = [
+        (
+            audit.name,
+            f"{1e3 * audit.pushed.price:.2f}",
+            ", ".join(d.title for d in audit.defects) or "nothing",
+        )
+        for audit in audits
+    ]
+    rows += [(name, f"{1e3 * price:.2f}", "(not probed)") for name, price in beside.items()]
+    print_table("Engines", ("engine", "mm off", "named"), rows, numbers=(1,))
 
 
 def audit_report(audits: Sequence[Audit], beside: Mapping[str, float]) -> str:
@@ -92,11 +102,11 @@ def audit_report(audits: Sequence[Audit], beside: Mapping[str, float]) -> str:
 
 
 _HOW = (
-    "<p>Probes are asked of a plate of even weight and friction: it is let go in 24 directions at three speeds,"
-    " kept sliding at four speeds by a gravity as steep as friction, let go with 16 spins, and left alone under"
-    " a load that friction can hold. A size is named where it is beyond its tolerance and twice its"
-    " uncertainty, in which the change at half the time step is counted. Pushes are 24 of an L of two materials"
-    " whose maps are known; Coulomb's law is slipmap's own model with these maps.</p>"
+    "<p>Probes are asked of a plate of even weight and friction: it is let go in 24 directions at three"
+    " speeds, kept sliding at four speeds by a gravity as steep as friction, let go with 16 spins, and left"
+    " alone under a load that friction can hold. A size is named where it is beyond its tolerance and twice"
+    " its uncertainty, in which the change at half the time step is counted. Pushes are 24 of an L of two"
+    " materials whose maps are known; Coulomb's law is slipmap's own model with these maps.</p>"
 )
 
 
@@ -135,7 +145,7 @@ def _section(audit: Audit, number: int) -> Section:
 
 
 def _measure_rows(audit: Audit) -> list[tuple[str, ...]]:
-    rows = []
+    rows: list[tuple[str, ...]] = []
     for m in audit.measures:
         scale, unit = (100.0, "%") if m.unit == "1" else (1.0, m.unit)
         rows.append(

@@ -218,6 +218,10 @@ READERS: dict[str, Reader] = {
         ("centre of mass {} mm above it", "mass_height", 1e3),
     ),
     "impulse_friction": _each(("friction leans {} % as far as in Bullet", "share", 100.0)),
+    "friction_diamond": _each(("{} % of the way from a cone to a diamond", "share", 100.0)),
+    "friction_square": _each(("{} % of the way from a cone to a square", "share", 100.0)),
+    "slip_load": _each(("{} % of the load follows slip in a spin", "share", 100.0)),
+    "torsional_friction": _each(("a torque of the weight at {} mm against every spin", "radius", 1e3)),
     "skate": _each(
         ("sideways resistance {} % of the weight", "resistance", 100.0),
         ("rolling along {}° of the object", "angle", 180.0 / np.pi),

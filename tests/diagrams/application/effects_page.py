@@ -69,7 +69,7 @@ numbers from step to step, name them in `memory` and renew them in `remember`.
 
 _METHODS = {
     "friction": "cell, p", "drag": "cell, p", "stretch": "cell, p", "force": "body, p", "blade": "body, p",
-    "inertia": "body, p", "compliance": "body, p", "measured": "pose, p", "delay": "p",
+    "pyramid": "body, p", "inertia": "body, p", "compliance": "body, p", "measured": "pose, p", "delay": "p",
     "felt": "force, p", "force_delay": "p",
 }  # fmt: skip
 
