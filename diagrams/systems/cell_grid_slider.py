@@ -17,6 +17,7 @@ from pydrake.systems.scalar_conversion import TemplateSystem
 
 from slipmap.diagrams.systems.python_system import HoldsOutputFunctions, WithoutOwnDict, weakly
 from slipmap.models.effects.effect import Effect
+from slipmap.models.effects.program import Report
 from slipmap.models.geometry import placed
 from slipmap.models.inference.belief import Belief
 from slipmap.models.measurements.push_dataset import Table
@@ -59,12 +60,17 @@ def pose_then(stepper: Stepper, pose: Any, history: Any, effects: Any) -> Any:
             steps = with_gradient(np.array([steps]), slopes[None] / stepper.h, effects)[0]
         then = np.vstack([pose, history])[whole : whole + 2]
         pose = then[0] + (steps - whole) * (then[1] - then[0])
-    if stepper.program.measured is None:
-        return pose
-    if not derivatives:
-        return stepper.reported(pose, values)[0]
-    reported, by_pose, by_effects = stepper.reported(values_of(pose), values)
-    return with_gradient(reported, np.hstack([by_pose, by_effects]), np.concatenate([pose, effects]))
+    return _reported(stepper.program.measured, pose, effects)
+
+
+def _reported(report: Report | None, true: Any, effects: Any) -> Any:
+    """What a sensor reports (n,) of true numbers (n,), with derivatives where they have some."""
+    if report is None:
+        return true
+    reported, by_true, by_effects = report(*values_of(true), values_of(effects))
+    if true.dtype != object:
+        return reported
+    return with_gradient(reported, np.hstack([by_true, by_effects]), np.concatenate([true, effects]))
 
 
 def values_of(numbers: Any) -> FloatArray:
@@ -98,7 +104,8 @@ def CellGridSlider_(T: type) -> type:
                 between (latency, offset, scale) that is the true one.
             object_twist: (3,) v_x, v_y (m/s), omega (rad/s) in the object frame, at its origin.
             cell_positions: (2 n,) x_1, y_1, x_2, … of the cells' centres in the world at `object_pose`, m.
-            finger_force: (2,) mean force of the finger on the object in the last step, world, N.
+            finger_force: (2,) mean force of the finger on the object in the last step, world, N, as a force
+                sensor reports it; a sensor that is late reports in time here.
 
         The state is one discrete vector: true pose (3), twist (3), the finger's last force (2), what the
         effects remember, and where the tracker may be late, the last true poses.
@@ -164,11 +171,11 @@ def CellGridSlider_(T: type) -> type:
             self._models_entry = entry.cache_index()
             self._wrench = self.DeclareVectorInputPort("wrench", 5).get_index()
             self._finger = self.DeclareVectorInputPort("finger", 4).get_index()
-            of_pose = {self.xd_ticket(), self.numeric_parameter_ticket(NumericParameterIndex(EFFECTS))}
-            self.DeclareVectorOutputPort("object_pose", 3, self._output_pose, of_pose)
+            of_sensors = {self.xd_ticket(), self.numeric_parameter_ticket(NumericParameterIndex(EFFECTS))}
+            self.DeclareVectorOutputPort("object_pose", 3, self._output_pose, of_sensors)
             self.DeclareVectorOutputPort("object_twist", 3, self._output_twist, {self.xd_ticket()})
-            self.DeclareVectorOutputPort("cell_positions", 2 * len(grid), self._output_cells, of_pose)
-            self.DeclareVectorOutputPort("finger_force", 2, self._output_force, {self.xd_ticket()})
+            self.DeclareVectorOutputPort("cell_positions", 2 * len(grid), self._output_cells, of_sensors)
+            self.DeclareVectorOutputPort("finger_force", 2, self._output_force, of_sensors)
             self.DeclarePeriodicDiscreteUpdateEvent(h, 0.0, self._step)
 
         def _construct_copy(self, other: Any, converter: Any = None) -> None:
@@ -254,7 +261,8 @@ def CellGridSlider_(T: type) -> type:
             output.SetFromVector(context.get_discrete_state_vector().CopyToVector()[3:6])
 
         def _output_force(self, context: Any, output: Any) -> None:
-            output.SetFromVector(context.get_discrete_state_vector().CopyToVector()[6:8])
+            force = context.get_discrete_state_vector().CopyToVector()[6:8]
+            output.SetFromVector(_reported(self.stepper.program.felt, force, _parameters(context)[EFFECTS]))
 
     return Impl
 

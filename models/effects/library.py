@@ -94,16 +94,18 @@ class ForceBias(Effect):
         return force.x + p.x, force.y + p.y
 
 
-class ForceScale(Effect):
-    name = "force_scale"
-    sentence = "The force sensor's gain is off, of both axes or of one."
+class ForceGains(Effect):
+    name = "force_gains"
+    sentence = "The force sensor's axes have gains that differ."
     parameters = (
-        Parameter("excess", "1", "reported forces above true ones, as a share", -0.9, 2.0, 0.1, 0.0),
-        Parameter("stretch", "1", "the same of x alone, and as much below of y", -0.9, 0.9, 0.1, 0.0),
+        Parameter(
+            "excess", "1", "gain of x above the mean, as a share; of y as much below", -0.9, 0.9, 0.3, 0.0
+        ),
     )
 
     def felt(self, force: Any, p: Any) -> Any:
-        return (1 + p.excess + p.stretch) * force.x, (1 + p.excess - p.stretch) * force.y
+        # A gain that both have in common is the same as another friction.
+        return (1 + p.excess) * force.x, (1 - p.excess) * force.y
 
 
 class ForceLatency(Effect):
@@ -470,6 +472,6 @@ LIBRARY: tuple[Effect, ...] = (
     TrackerShift(),
     ForceFrame(),
     ForceBias(),
-    ForceScale(),
+    ForceGains(),
     ForceLatency(),
 )

@@ -221,8 +221,8 @@ def _causes(setup: Setup, pushes: Sequence[ContactRows]) -> Iterator[Cause]:
             )
     shift = _fitted(setup, pushes, 2, _shifted_tip)
     yield Cause(
-        f"tip_offset {_millimetres(shift)} mm: is it the finger's point, not the flange's or the tool's, that"
-        " was recorded?",
+        f"tip_offset {_millimetres(shift)} mm, which the effect tracker_shift explains: is it the finger's"
+        " point, not the flange's or the tool's, that was recorded?",
         "tip_offset",
         lambda setup, rows: _shifted_tip(setup, rows, shift),
     )

@@ -40,7 +40,7 @@ class Stepper(Slider):
     """A `Slider` that takes single steps of length h.
 
     The state (Z,) of a model is x, y, θ (world), v_x, v_y, omega (object frame), the finger's last force
-    (world, N), and the effects' memory. Its pose is the true one; `reported` gives what a tracker says.
+    (world, N), and the effects' memory. All are the true ones, whatever sensors report.
 
     Args:
         grid: cells and outline.
@@ -168,16 +168,6 @@ class Stepper(Slider):
         if self.program.delay is None:
             return 0.0, np.zeros(self.program.parameters)
         return self.program.delay(parameters)
-
-    def reported(
-        self, poses: FloatArray, parameters: FloatArray
-    ) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Reports of true poses (…, 3), and derivatives by them (…, 3, 3) and by parameters (…, 3, P)."""
-        if self.program.measured is None:
-            shape = poses.shape[:-1]
-            identity = np.broadcast_to(np.eye(3), (*shape, 3, 3))
-            return poses, identity, np.zeros((*shape, 3, self.program.parameters))
-        return self.program.measured(poses[..., 0], poses[..., 1], poses[..., 2], parameters)
 
 
 __all__ = ["NO_FINGER", "NO_WRENCH", "StepModels", "Stepper"]

@@ -237,9 +237,8 @@ READERS: dict[str, Reader] = {
     "tracker_shift": _shift,
     "force_frame": _force_frame,
     "force_bias": _each(("the sensor adds {} N along x", "x", 1.0), ("{} N along y", "y", 1.0)),
-    "force_scale": _each(
-        ("reported forces are {} % above true ones", "excess", 100.0),
-        ("those along x {} % more, along y as much less", "stretch", 100.0),
+    "force_gains": _each(
+        ("the force's gain along x is {} % above the mean, along y as much below", "excess", 100.0)
     ),
     "force_latency": _late_force,
 }

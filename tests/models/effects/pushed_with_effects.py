@@ -42,7 +42,7 @@ SHOWN: dict[str, tuple[float, ...]] = {
     "tracker_shift": (0.004, -0.003, 0.02),
     "force_frame": (0.4, 0.2),
     "force_bias": (0.1, -0.07),
-    "force_scale": (0.1, 0.05),
+    "force_gains": (0.1,),
     "force_latency": (0.033,),
 }
 """Parameters, in order, away from their nulls."""

@@ -179,6 +179,69 @@ def test_geometry_of_a_tracked_frame_that_is_off() -> None:
     assert longer == pytest.approx(there * [1.05, 1.05, 1], abs=1e-12)
 
 
+def test_a_tracker_shifted_and_turned_is_a_finger_in_another_frame() -> None:
+    """Pushing in the one frame what is seen in the other: rigidly joined at every instant."""
+    x, y, angle = 0.01, -0.02, 0.3
+    c, s = np.cos(angle), np.sin(angle)
+
+    def seen(poses: np.ndarray) -> np.ndarray:
+        return np.column_stack(
+            [
+                x + c * poses[:, 0] - s * poses[:, 1],
+                y + s * poses[:, 0] + c * poses[:, 1],
+                poses[:, 2] + angle,
+            ]
+        )
+
+    push = steady_push(0.4, yaw=0.2)
+    true = slide([], [], push, grid=SQUARE)
+    elsewhere = Push(push.h, push.tip, seen(push.start_pose[None])[0], force_times=push.force_times)
+    out = slide([EFFECTS["tracker_shift"]], [x, y, angle], elsewhere, grid=SQUARE)
+    assert out.poses[0] == pytest.approx(seen(true.poses[0]), abs=1e-12)
+    assert out.forces == pytest.approx(true.forces, abs=1e-9)
+
+
+def test_a_tracker_shifted_in_the_world_is_a_finger_recorded_off_its_centre() -> None:
+    push, off = steady_push(0.0), np.array([4e-3, -2e-3])
+    true = slide([], [], push, grid=SQUARE)
+    recorded = Push(push.h, push.tip + off, push.start_pose, force_times=push.force_times)
+    out = slide([EFFECTS["tracker_shift"]], [*-off, 0.0], recorded, grid=SQUARE)
+    # The world of this finger lies off by as much, and the tracker's report is put back.
+    assert out.poses == pytest.approx(true.poses, abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("name", "values", "reported"),
+    [
+        ("force_frame", [np.pi / 2, 0.0], lambda fx, fy: (-fy, fx)),
+        ("force_frame", [0.0, 1.0], lambda fx, fy: (fx, -fy)),
+        ("force_frame", [np.pi, 1.0], lambda fx, fy: (-fx, fy)),
+        ("force_frame", [np.pi / 2, 1.0], lambda fx, fy: (fy, fx)),
+        ("force_bias", [0.3, -0.2], lambda fx, fy: (fx + 0.3, fy - 0.2)),
+        ("force_gains", [0.1], lambda fx, fy: (1.1 * fx, 0.9 * fy)),
+    ],
+)
+def test_a_force_sensor_reports_another_force_of_the_same_motion(name, values, reported) -> None:  # type: ignore[no-untyped-def]
+    push = steady_push(0.7, yaw=0.1)
+    true, out = slide([], [], push, grid=SQUARE), slide([EFFECTS[name]], values, push, grid=SQUARE)
+    assert np.array_equal(out.poses, true.poses)
+    assert pytest.approx(np.array(reported(*true.forces[0].T)), abs=1e-12) == out.forces[0].T
+
+
+def test_a_late_force_is_that_of_before() -> None:
+    """Late by some steps it is their force; by half a step more, the mean of two; at first, the first one."""
+    push, steps = steady_push(0.7, yaw=0.1), 12
+    true = slide([], [], push, grid=SQUARE).forces[0]
+    late = slide([EFFECTS["force_latency"]], [steps * push.h], push, grid=SQUARE).forces[0]
+    assert late[steps:] == pytest.approx(true[:-steps], abs=1e-9)
+    assert late[:steps] == pytest.approx(np.tile(true[0], (steps, 1)), abs=1e-9)
+    between = slide([EFFECTS["force_latency"]], [(steps + 0.5) * push.h], push, grid=SQUARE).forces[0]
+    middle = 0.5 * (true[:-1] + true[1:])
+    assert between[steps + 1 :] == pytest.approx(middle[:-steps], abs=1e-9)
+    early = slide([EFFECTS["force_latency"]], [-steps * push.h], push, grid=SQUARE).forces[0]
+    assert early[:-steps] == pytest.approx(true[steps:], abs=1e-9)
+
+
 def test_drift_scales_the_force_by_the_order_of_the_push() -> None:
     plain = steady_force("", [], 0.0)
     assert plain == pytest.approx(MU * MASS * G, rel=1e-4)

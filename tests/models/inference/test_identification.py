@@ -54,6 +54,26 @@ def test_without_force_the_scale_of_friction_is_reported_open(recorded):
     assert facts["centre of friction, x"].shown and facts["finger friction"].shown
 
 
+def test_a_force_that_contradicts_the_contact_teaches_nothing(recorded):
+    def turned(trial):
+        x, y, torque = trial.ft_wrench.values.T
+        return replace(trial, ft_wrench=replace(trial.ft_wrench, values=np.column_stack([-y, x, torque])))
+
+    dataset = replace(recorded.dataset, trials=tuple(map(turned, recorded.dataset.trials)))
+    found = identify(dataset, hypotheses=8, friction_laws=False)
+    friction = next(quantity for quantity in found.quantities if quantity.name == "total friction")
+    assert not friction.shown and "contradicts the contact" in friction.reason
+    blind = replace(dataset, trials=tuple(replace(trial, ft_wrench=None) for trial in dataset.trials))
+    same = identify(blind, hypotheses=8, friction_laws=False)
+    np.testing.assert_allclose(found.belief.maps.mu, same.belief.maps.mu, rtol=1e-6)
+    # With the effect that explains it, it teaches as much as ever.
+    mended = identify(dataset, ["force_frame"], hypotheses=8, friction_laws=False)
+    known = {quantity.name: quantity for quantity in mended.quantities}
+    assert known["total friction"].shown
+    assert known["total friction"].value == pytest.approx(recorded.friction, rel=0.05)
+    assert known["force_frame: angle"].value == pytest.approx(np.pi / 2, abs=0.03)
+
+
 def test_with_force_the_scale_of_friction_is_shown(recorded, result):
     facts = {quantity.name: quantity for quantity in result.quantities}
     friction = facts["total friction"]

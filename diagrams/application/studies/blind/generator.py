@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import shapely
 import yaml
 
 from slipmap.diagrams.application.studies.blind.objects import (
@@ -18,7 +17,6 @@ from slipmap.diagrams.application.studies.blind.objects import (
     FloatArray,
     SlidingObject,
     random_object,
-    rotation_matrix,
 )
 from slipmap.diagrams.application.studies.blind.push_plans import (
     HELDOUT,
@@ -40,9 +38,6 @@ from slipmap.diagrams.application.studies.blind.secret_effects import (
 from slipmap.diagrams.application.studies.blind.world import Motion, World
 from slipmap.models.files import replaced_file
 from slipmap.models.geometry import placed
-
-LARGEST_OVERLAP = 0.002
-"""Depth up to which a tracker that is off may put the finger into the object at the start of a push, m."""
 
 _RATE = 100.0  # Hz
 _NOISE = {"position": 2.5e-4, "angle": float(np.radians(0.15)), "tip": 5e-5, "force": 0.05}  # SI
@@ -105,7 +100,7 @@ def generate(
     effect, strength = effect or drawn_effect, strength or drawn_strength
     thing = random_object(np.random.default_rng([seed, 1]))
     hidden = effect.drawn(Chance(np.random.default_rng([seed, 2]), strength, thing))
-    plans, plain = _plans(np.random.default_rng([seed, 3]), thing, hidden, pushes)
+    plans, plain = _plans(np.random.default_rng([seed, 3]), thing, pushes)
     changed = plain
     if hidden.changes_motion:
         world = World(thing, hidden)
@@ -156,32 +151,20 @@ def _draw_effect(rng: np.random.Generator) -> tuple[Kind, Strength]:
 
 
 def _plans(
-    rng: np.random.Generator, thing: SlidingObject, effect: Effect, pushes: int
+    rng: np.random.Generator, thing: SlidingObject, pushes: int
 ) -> tuple[list[PushPlan], list[Motion]]:
-    """Pushes that move the object in the plain world, and how.
-
-    A tracker that is off must not put the finger into the object: whoever records that looks for the fault.
-    """
+    """Pushes that move the object in the plain world, and how."""
     world = World(thing, Effect())
     plans, motions = [], []
     for kind in [KINDS[i % len(KINDS)] for i in rng.permutation(max(pushes, len(KINDS)))[:pushes]]:
         for _ in range(_TRIES):
             plan = random_plan(rng, thing, kind)
-            while _recorded_overlap(thing, plan, effect) > LARGEST_OVERLAP:
-                plan = random_plan(rng, thing, kind)
             motion = world.push(plan)
             if _distance(thing, motion.poses[-1], motion.poses[0]) > _LEAST_MOVED:
                 break
         plans.append(plan)
         motions.append(motion)
     return plans, motions
-
-
-def _recorded_overlap(thing: SlidingObject, plan: PushPlan, effect: Effect) -> float:
-    """Depth of the finger in the recorded object at the start, m; negative where they are apart."""
-    x, y, angle = effect.reported(np.zeros(1), np.zeros(1), plan.pose[None])[0]
-    finger = (plan.path.start - [x, y]) @ rotation_matrix(angle)
-    return thing.finger_radius - shapely.Point(finger).distance(thing.footprint)
 
 
 def _change(
@@ -192,7 +175,8 @@ def _change(
     recorded = effect.reported(times, motion.clock, motion.poses)
     apart = _distance(thing, recorded, exact(times, plain.clock, plain.poses))
     every = round(motion.clock.size / (_RATE * motion.clock[-1]))
-    force = _RATE * np.diff((motion.impulse - plain.impulse)[::every, :2], axis=0)
+    pushed, plainly = (_RATE * np.diff(one.impulse[::every, :2], axis=0) for one in (motion, plain))
+    force = effect.felt(pushed) - plainly
     return float(apart[-1]), float(apart.max()), float(np.sqrt((force**2).sum(axis=1).mean()))
 
 
@@ -229,6 +213,7 @@ def _record(
     low, high = np.maximum(t - half, 0.0), t + half
     passed = exact(high, motion.clock, motion.impulse) - exact(low, motion.clock, motion.impulse)
     wrench = passed / (high - low)[:, None]
+    wrench[:, :2] = effect.felt(wrench[:, :2])
     record["ft_wrench"] = rows(t, wrench, [force_noise, force_noise, force_noise * thing.finger_radius])
     return record
 

@@ -119,6 +119,10 @@ def _level() -> FloatArray:
     return np.array([0.0, 0.0, -GRAVITY])
 
 
+def _as_it_is(forces: FloatArray) -> FloatArray:
+    return forces
+
+
 Factor = FloatArray | float | None
 Report = Callable[[FloatArray, FloatArray, FloatArray], FloatArray]
 
@@ -140,6 +144,7 @@ class Effect:
         friction_factor: (p,) or one factor on every point's friction; None for 1.
         force: (3,) on the object and torque about its origin; None for no force.
         reported: see `exact`.
+        felt: what the force sensor says of true forces (T, 2).
     """
 
     parameters: dict[str, Any] = field(default_factory=dict)
@@ -154,11 +159,12 @@ class Effect:
     friction_factor: Callable[[Instant], Factor] = lambda now: None
     force: Callable[[Instant], FloatArray | None] = lambda now: None
     reported: Report = exact
+    felt: Callable[[FloatArray], FloatArray] = _as_it_is
 
     @property
     def changes_motion(self) -> bool:
         """False for sensors, which change what is recorded alone, and for the plain world."""
-        return bool(self.parameters) and self.reported is exact
+        return bool(self.parameters) and self.reported is exact and self.felt is _as_it_is
 
 
 # Forces that pull, drag or carry the object.
@@ -364,6 +370,27 @@ def tracker_scale(scale: float) -> Effect:
     return Effect(reported=lambda times, clock, poses: exact(times, clock, poses) * [scale, scale, 1.0])
 
 
+def tracker_shift(x: float, y: float) -> Effect:
+    """The tracker sees all places (`x`, `y`) off; or a tool's point was recorded for the finger's centre."""
+    off = np.array([x, y, 0.0])
+    return Effect(reported=lambda times, clock, poses: exact(times, clock, poses) + off)
+
+
+# The force sensor, likewise.
+
+
+def force_frame(angle: float, negated: bool) -> Effect:
+    """Forces come in axes turned by `angle`, their y negated before where that is so."""
+    turn = rotation_matrix(angle) * [1.0, -1.0 if negated else 1.0]
+    return Effect(felt=lambda forces: forces @ turn.T)
+
+
+def force_bias(x: float, y: float) -> Effect:
+    """The sensor was not zeroed: it adds (`x`, `y`), N."""
+    added = np.array([x, y])
+    return Effect(felt=lambda forces: forces + added)
+
+
 # How they are drawn: the arguments, in the order in which chance is asked for them.
 
 
@@ -420,6 +447,17 @@ def _sticky_line(c: Chance) -> dict[str, Any]:
 
 def _finger_compliance(c: Chance) -> dict[str, Any]:
     return {"compliance": c.size((4e-3, 8e-3), (1e-3, 2e-3)) / (0.6 * c.thing.friction_force)}
+
+
+def _force_frame(c: Chance) -> dict[str, Any]:
+    negated = c.strength == "clear" and c.rng.random() < 0.3
+    return {"angle": c.signed((0.3, np.pi), (0.06, 0.12)), "negated": bool(negated)}
+
+
+def _force_bias(c: Chance) -> dict[str, Any]:
+    force = c.thing.friction_force
+    x, y = c.vector((0.15, 0.4), (0.04, 0.08))
+    return {"x": x * force, "y": y * force}
 
 
 def _loose_mass(c: Chance) -> dict[str, Any]:
@@ -485,8 +523,13 @@ LIBRARY = (
     Kind("skate", skate, _skate),
     Kind("sensor_latency", sensor_latency, lambda c: {"latency": c.size((0.05, 0.08), (0.015, 0.025))}),
     Kind("tracker_offset", tracker_offset, lambda c: dict(
-        zip("xy", c.vector((4e-3, 8e-3), (1e-3, 2e-3)), strict=True)
+        zip("xy", c.vector((4e-3, 1e-2), (1e-3, 2e-3)), strict=True)
     )),
+    Kind("tracker_shift", tracker_shift, lambda c: dict(
+        zip("xy", c.vector((3e-3, 8e-3), (8e-4, 1.5e-3)), strict=True)
+    )),
+    Kind("force_frame", force_frame, _force_frame),
+    Kind("force_bias", force_bias, _force_bias),
     Kind("tracker_scale", tracker_scale, lambda c: {"scale": 1.0 + c.signed((0.02, 0.04), (0.005, 0.01))}),
 )  # fmt: skip
 OUTSIDE = (

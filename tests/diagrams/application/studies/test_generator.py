@@ -2,18 +2,14 @@
 
 import json
 import pickle
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from slipmap.diagrams.application.studies.blind import generator
 from slipmap.diagrams.application.studies.blind.generator import (
-    LARGEST_OVERLAP,
     Truth,
     _draw_effect,
-    _plans,
-    _recorded_overlap,
     generate,
     truth_file,
 )
@@ -22,11 +18,9 @@ from slipmap.diagrams.application.studies.blind.secret_effects import (
     LIBRARY,
     OUTSIDE,
     PLAIN,
-    Chance,
+    force_frame,
     sensor_latency,
     table_tilt,
-    tracker_offset,
-    tracker_scale,
 )
 from slipmap.diagrams.application.studies.blind.world import World
 from slipmap.models.measurements import read_dataset
@@ -140,16 +134,17 @@ def test_a_late_tracker_changes_poses_and_no_forces(plain, tmp_path):
     assert repr(one["object_pose"]) != repr(other["object_pose"])
 
 
-def test_a_tracker_that_is_off_leaves_the_recorded_finger_outside(monkeypatch):
-    """Where the finger starts is settled before anything moves; here every push moves the object."""
-    moved = SimpleNamespace(poses=np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0]]))
-    monkeypatch.setattr(generator, "World", lambda *_: SimpleNamespace(push=lambda plan: moved))
-    for effect in (tracker_scale, tracker_offset):
-        for seed in range(20):
-            thing = random_object(np.random.default_rng(seed))
-            hidden = KINDS[effect].drawn(Chance(np.random.default_rng(seed), "clear", thing))
-            (plan,), _ = _plans(np.random.default_rng(seed), thing, hidden, 1)
-            assert _recorded_overlap(thing, plan, hidden) <= LARGEST_OVERLAP
+def test_a_force_sensor_that_lies_changes_forces_and_no_poses(plain, tmp_path):
+    turned = generate(4, tmp_path / "turned", effect=KINDS[force_frame], strength="clear", pushes=1)
+    assert turned.largest_change_mm == 0.0 and turned.force_change_rms > 0.05
+    one, other = (
+        json.loads((path / "trials/000.json").read_text()) for path in (plain[0], tmp_path / "turned")
+    )
+    assert all(repr(one[key]) == repr(other[key]) for key in ("object_pose", "tip_pose"))  # NaN is NaN
+    true, said = (np.array(record["ft_wrench"], dtype=float)[:, 1:3] for record in (one, other))
+    size = np.hypot(*true.T)
+    assert np.nanmax(np.abs(np.hypot(*said.T) - size)) < 0.3 < np.nanmax(size)  # noise apart
+    assert np.nanmax(np.abs(said - true)) > 0.3
 
 
 @pytest.mark.usefixtures("plain_pushes_once")
@@ -160,8 +155,11 @@ def test_every_effect_can_be_drawn_simulated_and_read(effect, tmp_path):
     assert truth.parameters and truth.largest_change_mm + 10 * truth.force_change_rms > 0.05
     # What moves the finger or the tracked object apart from their records is seen as depth in the outline.
     warnings = read_dataset(tmp_path / "set").warnings
-    apart = effect.name in ("finger_compliance", "sensor_latency", "tracker_scale", "tracker_offset")
-    assert all(apart and "the finger goes" in warning for warning in warnings)
+    apart = effect.name in (
+        "finger_compliance", "sensor_latency", "tracker_scale", "tracker_offset", "tracker_shift",
+    )  # fmt: skip
+    seen = ("the finger goes", "the finger starts") if apart else ("the force",) * effect.name.count("force_")
+    assert all(any(words in warning for words in seen) for warning in warnings)
 
 
 @pytest.mark.usefixtures("plain_pushes_once")

@@ -7,13 +7,18 @@ import pytest
 
 from slipmap.models.effects.library import LIBRARY
 from slipmap.models.effects.probes import PROBES
-from slipmap.models.inference.diagnosis import procedure as steps
+from slipmap.models.inference.diagnosis import outcomes, procedure as steps
 from slipmap.models.inference.diagnosis.locked import LockedErrors
 from slipmap.models.inference.diagnosis.verdict_rules import (
+    STAYS_OFF,
     Remainder,
     Rules,
+    far_above_noise,
+    holds_null,
+    locked_pushes_object,
     locked_pushes_stay_off,
     not_outdone,
+    objection,
     with_better_predictors,
 )
 
@@ -40,6 +45,82 @@ def test_one_push_near_to_balance_does_not_refute_an_answer():
 
 def test_without_locked_pushes_nothing_is_refuted():
     assert not locked_pushes_stay_off(None, None)
+
+
+def errors(*misfits):
+    return LockedErrors(*3 * [np.array(misfits)])
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "objects"),
+    [
+        ((1.5, 1.7), (1.4, 1.5), False),
+        ((1.5, 1.5), (1.5, 1.5), True),  # nothing falls
+        ((1.2, 2.0), (0.9, 2.3), True),  # near to the noise the root mean square has to fall, too
+        ((2.0, 10.2), (1.1, 15.1), False),  # far from it one push near to balance does not decide
+        ((20.0, 20.0), (21.0, 21.0), True),
+    ],
+)
+def test_locked_pushes_that_do_not_fall_veto_at_any_misfit(before, after, objects):
+    assert locked_pushes_object(0.01, errors(*before), errors(*after)) is objects
+
+
+TILT, MASS = (
+    next(effect for effect in LIBRARY if effect.name == name) for name in ("table_tilt", "loose_mass")
+)
+
+
+def learnt(effect, **intervals):
+    told = {p.name: {"low": -1.0, "high": 1.0} for p in effect.parameters}
+    told |= {name: {"low": low, "high": high} for name, (low, high) in intervals.items()}
+    return SimpleNamespace(effect_estimates={effect.name: told})
+
+
+@pytest.mark.parametrize(
+    ("effect", "intervals", "holds"),
+    [
+        (TILT, {"down_x": (-0.01, 0.02), "down_y": (-0.02, 0.01)}, True),
+        (TILT, {"down_x": (0.01, 0.02), "down_y": (-0.02, 0.01)}, False),
+        (MASS, {"share": (0.0, 0.23), "rate": (6.0, 9.0), "damping": (0.1, 0.2)}, True),
+        (MASS, {"share": (0.1, 0.23)}, False),
+    ],
+)
+def test_an_interval_that_holds_nothing_at_all_vetoes(effect, intervals, holds):
+    own = learnt(effect, **intervals)
+    assert holds_null(effect, own) is holds
+    said = objection((effect,), own, 0.01, errors(20.0, 20.0), errors(2.0, 2.0))
+    assert (said is not None) is holds
+
+
+def test_a_rival_that_something_speaks_against_leaves_the_set():
+    names = ("table_tilt", "loose_mass")
+    rivals = tuple(SimpleNamespace(effects=(effect,)) for effect in (TILT, MASS))
+    both = outcomes.one_of(rivals)
+    assert (both.verdict, both.effects) == ("ambiguous", names)
+    screening = SimpleNamespace(candidates=(PROBES[0],), gain=np.array([9.0]))
+
+    def left(**objections):
+        return outcomes.without_those_objected_to(both, objections, None, screening)
+
+    assert left() is both
+    one = left(table_tilt="no")
+    assert (one.verdict, one.effects, one.objections) == ("effect", ("loose_mass",), {"table_tilt": "no"})
+    none = left(table_tilt="no", loose_mass="its interval")
+    assert (none.verdict, none.effects, none.rivals) == ("undecided", (), ())
+    assert "table_tilt or loose_mass" in none.sentence and "no or its interval" in none.sentence
+    off = left(table_tilt=STAYS_OFF, loose_mass=STAYS_OFF)
+    assert (off.verdict, off.depends_on is None) == ("unknown", False)
+
+
+@pytest.mark.parametrize(
+    ("misfit", "far"), [((1.4, 1.5, 1.6), False), ((1.4, 1.4, 12.0), False), ((9.0, 11.0, 35.0), True)]
+)
+def test_a_typical_misfit_far_above_the_noise_is_not_adequate(misfit, far):
+    found = far_above_noise(np.array(misfit))
+    assert (found is not None) is far
+    if far:
+        said = outcomes.far_off(None, found)
+        assert said.verdict == "undecided" and "not adequate" in said.sentence and "15 times" in said.sentence
 
 
 def verdict(monkeypatch, gain, found=()):
