@@ -6,6 +6,7 @@ and tables, is loaded when the first of them is drawn.
 
 from __future__ import annotations
 
+import re
 import sys
 import textwrap
 import time
@@ -21,6 +22,7 @@ from slipmap.models.files import BadInput
 WIDTH = 80
 """Columns of everything that is not shown on a terminal."""
 
+_CONTROL = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f\u202a-\u202e\u2066-\u2069]")
 _WIDEST = 100  # columns of a table
 _GAP = 3  # columns between those of a table
 _HEARTBEAT = 15.0  # s after which a long stage reports again in a log file
@@ -28,9 +30,15 @@ _LONGEST_STAGE = 34  # letters beside a bar; what is longer is cut
 _BAR = 16  # columns of a bar where there is room: with the numbers, 80 columns hold all
 
 
+def printable(text: str) -> str:
+    """A text in which control characters, as names of files and datasets may hold them, are spelled out:
+    they could move the cursor, or write what nobody said."""
+    return _CONTROL.sub(lambda found: found[0].encode("unicode_escape").decode(), text)
+
+
 def note(text: str) -> None:
     """A line on stderr."""
-    click.echo(text, err=True)
+    click.echo(printable(text), err=True)
 
 
 def wrapped(text: str, indent: str) -> str:

@@ -32,6 +32,7 @@ from slipmap.models.files import BadInput, UnreadableFile, read_bounded
 from slipmap.models.measurements.parsing import shown_error
 from slipmap.models.measurements.push_dataset import Table
 from slipmap.models.objects.benchmark_objects import benchmark_object
+from slipmap.models.objects.meshes import DIRECTIONS
 from slipmap.models.objects.true_object import (
     DEFAULT_CELLS,
     DEFAULT_MU_FINGER,
@@ -68,6 +69,8 @@ class ObjectSettings:
     mu: float | None = None
     # of the mesh, 0.001 for millimetres; as the file says where missing, else 1
     metres_per_unit: float | None = None
+    up: str | None = None  # the mesh's axis that points up, such as y or -z; as its format says where missing
+    background: int = 0  # label of the pixels that are not the object
     metres_per_pixel: float = 0.001  # side of a pixel, m
     # masses, frictions: of each label
     masses: dict[str, float] = field(default_factory=dict)
@@ -92,6 +95,8 @@ class ObjectSettings:
                 )
             if value is not None and not (np.isfinite(value) and value > 0):
                 raise ValueError(f"object.{name} must be positive, got {value}")
+        if self.up is not None and (self.mesh is None or self.up not in DIRECTIONS):
+            raise ValueError(f"object.up is one of {', '.join(DIRECTIONS)}, for a mesh, got {self.up!r}")
         if self.mesh is not None and (self.mass is None or self.mu is None):
             raise ValueError("object: an object from a mesh needs mass (kg) and mu")
         for name in (*self.masses, *self.frictions):
@@ -114,6 +119,7 @@ class ObjectSettings:
             return object_from_mesh(
                 self.mesh, self.mass, self.mu,
                 mu_finger=self.mu_finger, count=self.cells, metres_per_unit=self.metres_per_unit,
+                up=None if self.up is None else DIRECTIONS[self.up],
             )  # fmt: skip
         if self.labels is not None:
             return object_from_labels(
@@ -124,6 +130,7 @@ class ObjectSettings:
                 height=self.height,
                 mu_finger=self.mu_finger,
                 count=self.cells,
+                background=self.background,
             )
         return benchmark_object(self.name)
 

@@ -19,9 +19,10 @@ from slipmap.models.files import BadInput, write_text
 if TYPE_CHECKING:
     from pydrake.geometry import Meshcat
 
-    from slipmap.diagrams.station.scenario import Scenario
+    from slipmap.diagrams.station.scenario import ObjectSettings, Scenario
     from slipmap.models.inference.results import Identification
     from slipmap.models.measurements import PushDataset
+    from slipmap.models.objects.true_object import TrueObject
 
 
 class Stopped(click.ClickException):
@@ -172,11 +173,23 @@ def scenario_of(path: Path | None, object_name: str | None) -> Scenario:
     except ValueError as error:
         where = "" if path is None or object_name is not None else f"{path}: "
         raise BadInput(f"{where}object: {error}") from error
+    if scenario.object.mesh is not None:
+        _show_mesh(scenario.object, thing)
     try:
         scenario.check_placement(thing)
     except ValueError as error:
         raise BadInput(str(error) if path is None else f"{path}: {error}") from error
     return scenario
+
+
+def _show_mesh(settings: ObjectSettings, thing: TrueObject) -> None:
+    from slipmap.models.objects.meshes import up_axis
+
+    assert settings.mesh is not None
+    corners = thing.grid.exterior
+    size = " by ".join(f"{1e3 * side:.0f} mm" for side in corners.max(axis=0) - corners.min(axis=0))
+    axis = settings.up or up_axis(settings.mesh)
+    note(f"object {thing.name}: {size}, {1e3 * thing.height.max():.3g} mm high with {axis} up")
 
 
 def leave(
