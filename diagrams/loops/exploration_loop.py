@@ -31,6 +31,7 @@ from slipmap.models.inference.belief import Belief
 from slipmap.models.measurements import PushDataset, Trial
 from slipmap.models.measurements.push_dataset import Noise
 from slipmap.models.perception.first_look import FirstPicture
+from slipmap.models.perception.seen_object import UNSEEN_ANGLE, angle_held
 from slipmap.models.physics.cell_grid import CellGrid
 from slipmap.models.robots import FINGER_RADIUS
 from slipmap.planners.action_selection import Choice
@@ -295,12 +296,13 @@ def hypothesis_step(time_step: float) -> float:
 
 def recorded_dataset(trials: Sequence[Trial], grid: CellGrid, scenario: Scenario) -> PushDataset:
     """What the loop recorded, as a push dataset."""
+    noise = replace(SENSORS, angle=UNSEEN_ANGLE) if all(map(angle_held, trials)) else SENSORS
     return dataset_of(
         trials,
         grid,
         name=scenario.object.called,
         finger_radius=FINGER_RADIUS,
-        noise=SENSORS,
+        noise=noise,
         table=scenario.table.make(),
         description="Recorded by the station's arm and depth camera.",
     )

@@ -16,6 +16,7 @@ from shapely.geometry import Polygon
 
 from slipmap.models.files import check_archive
 from slipmap.models.objects.footprints import cells_from_polygon, rings_of
+from slipmap.models.perception.edge_kernels import mean_misfits
 from slipmap.models.perception.object_mask import (
     SMOOTHING,
     HeightPicture,
@@ -25,7 +26,7 @@ from slipmap.models.perception.object_mask import (
     smoothed_heights,
 )
 from slipmap.models.perception.pinhole_camera import DepthImage, PinholeCamera, View, pixel_size
-from slipmap.models.perception.pose_tracking import fit_edges
+from slipmap.models.perception.pose_tracking import angle_shown, fit_edges
 from slipmap.models.perception.seen_object import Outline, Reason, Relief, SeenObject, footprint, outline_of
 from slipmap.models.perception.table_plane import TablePlane, fit_table
 from slipmap.models.physics.cell_grid import CellGrid, FloatArray
@@ -90,8 +91,14 @@ def first_look(
     )
     # The outline was traced and poses are fitted to edges; what differs between the two cancels out of every
     # motion if the first pose is fitted as well.
-    fit = fit_edges(HeightPicture(heights), view, seen, seen.first_pose, _REACHES)
-    return replace(seen, first_pose=fit.pose)
+    picture = HeightPicture(heights)
+    fit = fit_edges(picture, view, seen, seen.first_pose, _REACHES)
+    fitted = replace(seen, first_pose=fit.pose)
+    ((misfit, _),) = mean_misfits(picture, view.lens, fitted.shape, fit.pose[None], pixel_size(view), 1)
+    if angle_shown(picture, view, fitted):
+        return replace(fitted, misfit=float(misfit))
+    held = replace(seen, misfit=float(misfit), angle_seen=False)
+    return replace(held, first_pose=fit_edges(picture, view, held, held.first_pose, _REACHES).pose)
 
 
 def object_center(frames: Sequence[DepthImage], view: View, blocked: Mask | None = None) -> FloatArray:

@@ -232,6 +232,12 @@ def _show_exploration(run: ExplorationRun) -> None:
 
     show(run.identification, run.dataset, None)
     show_effects(run.identification)
+    if not run.angle_seen:
+        paragraph(
+            "The object is round, as far as the camera sees. Its angle cannot be seen and was held; it counts"
+            " as unknown to a radian. Errors of predicted pushes include the turning that nobody saw, and"
+            " where the mass lies is told in the frame of an object that does not turn."
+        )
     truth = run.truth()
     if truth is None:
         paragraph(f"It took {run.seconds:.0f} s.")

@@ -47,6 +47,7 @@ def leaves(settings: Any, where: tuple[str, ...] = ()):
 CHOICES = {
     "object.name": "wrench",
     "object.labels": "shoe.png",
+    "object.up": "-y",
     "object.masses": {"1": 0.5},
     "object.frictions": {"1": 0.5, "2": 0.25},
     "table.shape": "rectangle",
@@ -72,7 +73,7 @@ def test_the_defaults_survive_a_round_trip(read):
     assert read(yaml_dump_typed(Scenario())) == Scenario()
 
 
-TOGETHER = ("object.mesh", "object.mass", "object.mu", "object.metres_per_unit")
+TOGETHER = ("object.mesh", "object.mass", "object.mu", "object.metres_per_unit", "object.up")
 """Fields of an object from a mesh, which need one another."""
 
 ALONE = {path: value for path, value in DEFAULTS.items() if ".".join(path) not in TOGETHER}
@@ -91,12 +92,13 @@ def test_every_field_can_be_set_alone(read, path, value):
 
 
 def test_an_object_from_a_mesh_is_set_as_a_whole(read):
-    settings = read("object: {mesh: shoe.obj, mass: 0.8, mu: 0.3, metres_per_unit: 0.001}")
+    settings = read("object: {mesh: shoe.obj, mass: 0.8, mu: 0.3, metres_per_unit: 0.001, up: y}")
     assert [getattr(settings.object, name.split(".")[1]) for name in TOGETHER] == [
         "shoe.obj",
         0.8,
         0.3,
         0.001,
+        "y",
     ]
 
 
