@@ -20,7 +20,6 @@ from typing import Any
 import numpy as np
 import yaml
 from pydrake.common.yaml import yaml_load_typed
-from shapely.affinity import rotate, translate
 
 from slipmap.diagrams.execution.settings import ExecutionConfig
 from slipmap.diagrams.hardware.guard import GuardSettings
@@ -45,7 +44,6 @@ from slipmap.planners.settings import GoalSettings, PokeSettings, PushSettings
 LARGEST = 2**16
 """Bytes of a scenario file; one with all that can be set has 5 kB."""
 
-_CLEARANCE = 0.02  # m, between the finger on its way and what it passes over
 _LONGEST = 60  # characters of a name or value in an error text
 _LONGEST_LABEL = 9  # digits
 
@@ -229,29 +227,6 @@ class Scenario:
     goals: GoalSettings = field(default_factory=lambda: GoalSettings(count=60))
     pushes: PushSettings = field(default_factory=PushSettings)
     simulation: SimulationSettings = field(default_factory=SimulationSettings)
-
-    def check_placement(self, thing: TrueObject) -> None:
-        """Raise ValueError unless the object lies on the table, and the finger can pass over it."""
-        x, y, degrees = self.object.pose
-        lies = translate(rotate(thing.grid.polygon, degrees, origin=(0.0, 0.0)), x, y)
-        corners = np.asarray(lies.exterior.coords)
-        if self.table.shape == "round":
-            on_table = bool((np.hypot(*corners.T) < self.table.radius).all())
-            size = f"a radius of {self.table.radius:g} m"
-        else:
-            on_table = bool((np.abs(corners) < np.array(self.table.size) / 2).all())
-            size = f"{self.table.size[0]:g} m by {self.table.size[1]:g} m"
-        if not on_table:
-            raise ValueError(
-                f"object.pose: {thing.name} at x = {x:g} m, y = {y:g} m, {np.ptp(corners[:, 0]):.2f} m by"
-                f" {np.ptp(corners[:, 1]):.2f} m, does not lie on the table, which has {size}"
-            )
-        highest = self.execution.safe_height - _CLEARANCE
-        if thing.height.max() > highest:
-            raise ValueError(
-                f"object {thing.name} is {thing.height.max():.3f} m high; the finger passes over what is at"
-                f" most {highest:.3f} m high (execution.safe_height less {_CLEARANCE} m)"
-            )
 
 
 def read_scenario(path: str | Path, object_name: str | None = None) -> Scenario:

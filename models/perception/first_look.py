@@ -18,10 +18,12 @@ from slipmap.models.files import check_archive
 from slipmap.models.objects.footprints import cells_from_polygon, rings_of
 from slipmap.models.perception.edge_kernels import mean_misfits
 from slipmap.models.perception.object_mask import (
+    LEAST_AREA,
     SMOOTHING,
     HeightPicture,
     Heights,
     Mask,
+    least_height,
     object_mask,
     smoothed_heights,
 )
@@ -122,7 +124,11 @@ def _standing_object(
     heights = smoothed_heights(raw, blocked)
     mask = object_mask(heights, view)
     if mask is None:
-        raise ObjectNotSeen("no object", "nothing stands on the table")
+        raise ObjectNotSeen(
+            "no object",
+            f"nothing on the table is higher than the {1e3 * least_height(heights):.0f} mm that this camera"
+            f" tells from it and covers more than {1e4 * LEAST_AREA:.0f} cm²",
+        )
     if blocked is not None:
         size = 2 * _ARM_NEAR + 1
         around = cv2.dilate(mask.astype(np.uint8), np.ones((size, size), np.uint8)) > 0

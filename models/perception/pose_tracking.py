@@ -16,7 +16,14 @@ import numpy as np
 
 from slipmap.models.geometry import angle_between, placed
 from slipmap.models.perception import edge_kernels
-from slipmap.models.perception.object_mask import HeightPicture, Heights, Mask, object_mask, smoothed_heights
+from slipmap.models.perception.object_mask import (
+    HeightPicture,
+    Heights,
+    Mask,
+    least_height,
+    object_mask,
+    smoothed_heights,
+)
 from slipmap.models.perception.pinhole_camera import DepthImage, View, pixel_size
 from slipmap.models.perception.seen_object import UNSEEN_ANGLE, ObservedPose, SeenObject
 from slipmap.models.physics.cell_grid import FloatArray
@@ -110,8 +117,13 @@ def track(
     heights = smoothed_heights(raw, blocked)
     mask = object_mask(heights, view)
     hidden = search.hidden_share(heights, previous) > 1 - _LEAST_SEEN
+    if mask is None and hidden:
+        return ObservedPose.unseen("occluded", time)
     if mask is None:
-        return ObservedPose.unseen("occluded" if hidden else "left the table", time)
+        least = 1e3 * least_height(heights)
+        detail = f"it left the table, or does not stand out: nothing is higher than {least:.0f} mm"
+        return ObservedPose.unseen("left the table", time, detail)
+    anywhere = None
     if search.area(mask) > _LEAST_AREA_ANYWHERE:
         anywhere = search.anywhere(heights, mask, previous)
         if anywhere is not None and (anywhere.unmistakable or search.covers(anywhere, mask)):
@@ -121,7 +133,10 @@ def track(
         return ObservedPose.unseen("occluded", time)
     if np.any(around & (raw < -0.05)):  # tilts over the edge
         return ObservedPose.unseen("left the table", time)
-    return ObservedPose.unseen("no object", time)
+    tried = [found for found in (*tried, anywhere) if found is not None]
+    misfit = min((found.misfit for found in tried), default=1.0)
+    detail = f"what stands on the table does not fit the outline that was seen first (misfit {misfit:.2f})"
+    return ObservedPose.unseen("no object", time, detail)
 
 
 class EdgeFit(NamedTuple):

@@ -80,6 +80,12 @@ class ObservedPose:
     # too much of it), "left the table", or what is wrong with the picture
     reason: Reason = ""
     time: float = 0.0  # at which the picture was taken, s
+    detail: str = ""  # more about the reason, for people; empty where it says all
+
+    @property
+    def why(self) -> str:
+        """Why it could not be seen, in words."""
+        return self.detail or self.reason or "no picture"
 
     @staticmethod
     def of(pose: ArrayLike, time: float = 0.0, covariance: FloatArray | None = None) -> ObservedPose:
@@ -94,9 +100,9 @@ class ObservedPose:
         return ObservedPose(np.asarray(pose, dtype=float), spread, True, "", time)
 
     @staticmethod
-    def unseen(reason: Reason, time: float = 0.0) -> ObservedPose:
+    def unseen(reason: Reason, time: float = 0.0, detail: str = "") -> ObservedPose:
         """No pose, for a reason."""
-        return ObservedPose(np.full(3, np.nan), np.full((3, 3), np.nan), False, reason, time)
+        return ObservedPose(np.full(3, np.nan), np.full((3, 3), np.nan), False, reason, time, detail)
 
 
 def angle_held(trial: Trial) -> bool:

@@ -156,12 +156,16 @@ def effects_of_library(names: Sequence[str]) -> tuple[str, ...]:
     return tuple(effect.name for effect in effects_named(names)) if names else ()
 
 
-def scenario_of(path: Path | None, object_name: str | None) -> Scenario:
+def scenario_of(path: Path | None, object_name: str | None, *, simulated: bool = False) -> Scenario:
     """The scenario of a file, if any, with another object, if any.
 
+    Args:
+        simulated: whether the arm is to push that object in a simulation.
+
     Raises:
-        BadInput: the file, the object's name, or an object that does not lie on the table.
+        BadInput: the file, the object's name, or an object that cannot be pushed and seen where it lies.
     """
+    from slipmap.diagrams.station.placement import check_placement
     from slipmap.diagrams.station.scenario import Scenario, read_scenario
 
     try:
@@ -176,7 +180,11 @@ def scenario_of(path: Path | None, object_name: str | None) -> Scenario:
     if scenario.object.mesh is not None:
         _show_mesh(scenario.object, thing)
     try:
-        scenario.check_placement(thing)
+        check_placement(scenario, thing)
+        if simulated:
+            from slipmap.diagrams.loops.exploration_loop import check_reach
+
+            check_reach(scenario, thing)
     except ValueError as error:
         raise BadInput(str(error) if path is None else f"{path}: {error}") from error
     return scenario

@@ -87,7 +87,7 @@ def explore(
         scenario, wanted, before = resumed(resume)
     else:
         if after is None:
-            scenario = cell_run.scenario_of(scenario_file, object_name)
+            scenario = cell_run.scenario_of(scenario_file, object_name, simulated=not cell.hardware)
         else:
             _refuse_beside(context, "--after takes the cell of the run before", "object", "scenario")
             if after.resolve() == cell.folder.resolve():
@@ -175,7 +175,7 @@ def pregrasp(
     from slipmap.diagrams.loops.exploration_run import ExplorationFailed, ExplorationStopped
     from slipmap.diagrams.loops.run_folder import PregraspFolder
 
-    scenario = cell_run.scenario_of(scenario_file, object_name)
+    scenario = cell_run.scenario_of(scenario_file, object_name, simulated=not cell.hardware)
     exploration = LoopOptions(pushes=pushes, seed=seed, effects=cell_run.effects_of_library(effect_names))
     wanted = pregrasp_loop.PregraspOptions(exploration, method=method)
     if cell.hardware and method == "true":

@@ -174,6 +174,7 @@ def test_what_cannot_be_seen_is_said(scene, look):
     assert (gone.valid, gone.reason) == (False, "left the table")
     other = track(scene.depth(((-0.03, -0.03, 0.03, 0.03, 0.05),), (0.1, 0.1, 0.0)), scene.view, seen, last)
     assert (other.valid, other.reason) == (False, "no object")
+    assert "it left the table" in gone.why and "does not fit the outline" in other.why
 
 
 def test_a_previous_pose_that_is_not_a_number_is_refused(scene, look):
