@@ -44,14 +44,14 @@ def note(text: str) -> None:
 def wrapped(text: str, indent: str) -> str:
     """A text in lines of 80 columns of which those after the first are indented; no word is broken."""
     return textwrap.fill(
-        text, WIDTH, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False
+        printable(text), WIDTH, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False
     )
 
 
 def paragraph(text: str) -> None:
     """A text on stdout, broken into lines of 80 columns; nothing where it is empty."""
     if text:
-        click.echo(textwrap.fill(text, WIDTH))
+        click.echo(textwrap.fill(printable(text), WIDTH))
 
 
 def status(text: str) -> None:
@@ -181,8 +181,11 @@ class _Pace:
         made = self._done - self._first
         if made <= 0 or self._total <= 1:
             return None
-        each = (self._last - self._began) / made
-        at_work = min(time.monotonic() - self._last, each)
+        now = time.monotonic()
+        # Parts that were on file come at once, and say nothing of those that are not: what is at work has
+        # taken its time, too.
+        each = max((self._last - self._began) / made, (now - self._began) / (made + 1))
+        at_work = min(now - self._last, each)
         return max(each * (self._total - self._done) - at_work, 0.0)
 
     def __str__(self) -> str:
@@ -250,6 +253,7 @@ class _Bars:
 
 
 def _cut(text: str) -> str:
+    text = printable(text)
     return text if len(text) <= _LONGEST_STAGE else text[: _LONGEST_STAGE - 1] + "…"
 
 
@@ -280,8 +284,8 @@ def table(
         heading = _broken(*texts[index]) if is_number and crowded else name
         grid.add_column(heading, justify="right" if is_number else "left", no_wrap=is_number, overflow="fold")
     for row in rows:
-        grid.add_row(*map(Text, row))
-    console.print(Text(title, style="bold"))
+        grid.add_row(*(Text(printable(cell)) for cell in row))
+    console.print(Text(printable(title), style="bold"))
     console.print(grid)
     console.print()
 

@@ -78,22 +78,38 @@ class CellRun(NamedTuple):
 
     @contextmanager
     def in_view(self) -> Iterator[tuple[Meshcat | None, Progress]]:
-        """Meshcat, if it is asked for, and progress; the recording is written where the block ends well."""
-        recording = self.recording
-        meshcat = _meshcat(self.open_meshcat) if self.open_meshcat or recording is not None else None
+        """Meshcat, if it is asked for, and progress."""
+        recorded = self.recording is not None
+        meshcat = _meshcat(self.open_meshcat) if self.open_meshcat or recorded else None
         with Progress() as progress:
             prepare_kernels()
-            if meshcat is not None and recording is not None:
+            if meshcat is not None and recorded:
                 meshcat.StartRecording(frames_per_second=15.0)
             yield meshcat, progress
-            if meshcat is not None and recording is not None:
-                with progress.step("writing the recording"):
-                    meshcat.StopRecording()
-                    meshcat.PublishRecording()
-                    write_text(recording, str(meshcat.StaticHtml()))
+        if meshcat is not None and recorded:
+            meshcat.StopRecording()
         if self.open_meshcat and meshcat is not None:
             note(f"the view is at {meshcat.web_url()}; press Enter to end")
             wait_for_enter()
+
+    def keep_recording(self, meshcat: Meshcat | None) -> None:
+        """Write the recording, if it is asked for: last of all, so that it alone is lost without room for it.
+
+        Raises:
+            BadInput: it cannot be written.
+        """
+        if meshcat is None or self.recording is None:
+            return
+        try:
+            with Progress() as progress, progress.step("writing the recording"):
+                meshcat.PublishRecording()
+                write_text(self.recording, str(meshcat.StaticHtml()))
+        except BadInput as error:
+            raise BadInput(
+                f"{error}; the recording alone is lost, {self.folder} holds all else (a run that was cut off"
+                f" goes on with `slipmap explore --resume {self.folder}`)"
+            ) from error
+        show_files({"recording": self.recording})
 
 
 def _meshcat(show: bool) -> Meshcat:
@@ -201,7 +217,7 @@ def _show_mesh(settings: ObjectSettings, thing: TrueObject) -> None:
 
 
 def leave(
-    identification: Identification, dataset: PushDataset, folder: Path, recording: Path | None = None
+    identification: Identification, dataset: PushDataset, folder: Path, progress: Progress
 ) -> dict[str, Path]:
     """Write belief, pictures and report beside the pushes; returns what lies where."""
     from slipmap.diagrams.application.commands.compare import report
@@ -209,14 +225,12 @@ def leave(
     from slipmap.models.inference.comparison import compare
 
     belief = folder / "belief.npz"
-    with Progress() as progress:
-        pictures = keep(identification, dataset, belief, None, progress)
-        comparison = compare(dataset, identification.belief, seed=0, label="model", progress=progress)
-        text = report([comparison], dataset, str(folder / "pushes"))
+    pictures = keep(identification, dataset, belief, None, progress)
+    comparison = compare(dataset, identification.belief, seed=0, label="model", progress=progress)
+    text = report([comparison], dataset, str(folder / "pushes"))
     write_text(folder / "report.html", text)
     written = {"pushes": folder / "pushes", "belief": belief, "report": folder / "report.html"}
-    written |= {f"picture of {path.stem.removeprefix('belief.')}": path for path in pictures}
-    return written if recording is None else {**written, "recording": recording}
+    return written | {f"picture of {path.stem.removeprefix('belief.')}": path for path in pictures}
 
 
 def show_files(written: Mapping[str, Path]) -> None:

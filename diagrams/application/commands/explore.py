@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from slipmap.diagrams.application.commands import cell_run, options
-from slipmap.diagrams.application.outputs import make_folder
+from slipmap.diagrams.application.outputs import lock_folder, make_folder
 from slipmap.diagrams.application.terminal import paragraph, table
-from slipmap.models.files import BadInput, write_json
+from slipmap.models.files import BadInput, together, write_json
 from slipmap.planners.settings import METHODS, STRATEGIES
 
 if TYPE_CHECKING:
@@ -108,6 +108,7 @@ def explore(
         was = "in simulation; leave out" if cell.hardware else "in a real cell; add"
         raise BadInput(f"{resume or after}: that run was made {was} --hardware to go on with it")
     make_folder(cell.folder)
+    lock_folder(cell.folder)
     record = ExplorationFolder(cell.folder, scenario, wanted, before if resume is not None else None)
     cell.check_outputs(json_file)
     if before is not None and resume is None:
@@ -124,12 +125,14 @@ def explore(
             if error.run is None:
                 raise (click.Abort() if stopped else click.ClickException(str(error))) from error
             run, failure = error.run, f"{error}."
-    written = cell_run.leave(run.identification, run.dataset, cell.folder, cell.recording)
-    record.end()
-    write_json(json_file, {**_learned_json(run), "monitor": run.watch.to_json(), "failure": failure})
+        with record.going_on(len(run.dataset.trials)), together():
+            written = cell_run.leave(run.identification, run.dataset, cell.folder, progress)
+            record.end()
+            write_json(json_file, {**_learned_json(run), "monitor": run.watch.to_json(), "failure": failure})
     _show_exploration(run)
     _show_surprises(run, cell.folder)
     cell_run.show_files(written)
+    cell.keep_recording(meshcat)
     if failure:
         kept = (
             f"{failure} What was recorded until then is kept; go on with `slipmap explore --resume"
@@ -181,6 +184,7 @@ def pregrasp(
     if cell.hardware and method == "true":
         raise BadInput("--method true: the truth is known of a simulated object alone; choose another method")
     make_folder(cell.folder)
+    lock_folder(cell.folder)
     record = PregraspFolder(cell.folder, scenario)
     cell.check_outputs(json_file)
     try:
@@ -188,6 +192,11 @@ def pregrasp(
             run = pregrasp_loop.pregrasp(
                 scenario, wanted, hardware=cell.address, meshcat=meshcat, progress=progress, record=record
             )
+            with together():
+                explored = run.exploration
+                written = cell_run.leave(explored.identification, explored.dataset, cell.folder, progress)
+                record.end()
+                write_json(json_file, {**_learned_json(explored), "pregrasp": run.to_json()})
     except BaseException as error:
         if not cell.hardware:
             record.end()  # a simulation can be made again: the same command may replace what it left
@@ -195,15 +204,11 @@ def pregrasp(
             stopped = isinstance(error, ExplorationStopped)
             raise (click.Abort() if stopped else click.ClickException(str(error))) from error
         raise
-    written = cell_run.leave(
-        run.exploration.identification, run.exploration.dataset, cell.folder, cell.recording
-    )
-    record.end()
-    write_json(json_file, {**_learned_json(run.exploration), "pregrasp": run.to_json()})
     _show_exploration(run.exploration)
     _show_pregrasp(run)
     _show_surprises(run.exploration, cell.folder)
     cell_run.show_files(written)
+    cell.keep_recording(meshcat)
     if not run.held:
         kept = f"the object is not held: {run.reason}. What was recorded is kept in {cell.folder}."
         raise cell_run.Stopped(kept) if run.interrupted else click.ClickException(kept)
