@@ -4,12 +4,18 @@ import errno
 import json
 import math
 import os
+import signal
 import tempfile
+import threading
 import zipfile
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from contextvars import ContextVar
 from pathlib import Path
 from typing import Any
+
+_WAITING: ContextVar[dict[Path, Path] | None] = ContextVar("files that appear together", default=None)
+"""Temporary names by the files that they become."""
 
 
 class BadInput(Exception):
@@ -125,13 +131,64 @@ def replaced_folder(path: Path) -> Iterator[Path]:
 
 @contextmanager
 def whole_file(path: Path) -> Iterator[Path]:
-    """As `replaced_file`, for a place that a user named.
+    """As `replaced_file`, for a place that a user named; inside `together` it appears with the others.
 
     Raises:
         BadInput: the place cannot be written to.
     """
-    with writing(path), replaced_file(path) as part:
+    waiting = _WAITING.get()
+    if waiting is None:
+        with writing(path), replaced_file(path) as part:
+            yield part
+        return
+    file = Path(os.path.realpath(path))
+    part = waiting.setdefault(file, file.with_name(f".{os.getpid()}.{len(waiting)}.{file.name[-40:]}"))
+    with writing(path):
         yield part
+
+
+@contextmanager
+def together() -> Iterator[None]:
+    """What the block writes as `whole_file` appears when it ends well, all at once, or not at all; signals
+    to end wait until all of it is there.
+
+    Raises:
+        BadInput: a place cannot be written to.
+        KeyboardInterrupt: a signal came meanwhile.
+    """
+    waiting: dict[Path, Path] = {}
+    token = _WAITING.set(waiting)
+    try:
+        yield
+        with _undisturbed():
+            for file, part in waiting.items():
+                with writing(file):
+                    os.replace(part, file)
+    finally:
+        _WAITING.reset(token)
+        for part in waiting.values():
+            part.unlink(missing_ok=True)
+
+
+@contextmanager
+def _undisturbed() -> Iterator[None]:
+    """Keep signals to end until the block is over; Python hears them in its main thread alone."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    came: list[int] = []
+    before = {
+        number: signal.signal(number, lambda number, frame: came.append(number))
+        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+        if signal.getsignal(number) not in (signal.SIG_IGN, signal.SIG_DFL, None)
+    }
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+    if came:
+        raise KeyboardInterrupt
 
 
 @contextmanager

@@ -19,6 +19,7 @@ from typing import Any, Literal
 import numpy as np
 
 from slipmap.models.files import replaced_file
+from slipmap.models.process_end import prepare_worker
 from slipmap.models.progress import StageProgress
 
 
@@ -211,7 +212,7 @@ def _in_parallel(specs: Sequence[TrialSpec], workers: int, sent: list[TrialSpec]
 
     # With one job joblib would stay in this process, which a trial must not be able to kill.
     jobs_at_once = max(2, workers)
-    with parallel_config("loky", inner_max_num_threads=1):
+    with parallel_config("loky", inner_max_num_threads=1, initializer=prepare_worker):
         yield from Parallel(
             n_jobs=jobs_at_once, batch_size=1, pre_dispatch=workers, return_as="generator_unordered"
         )(jobs())

@@ -13,10 +13,12 @@ import sys
 import traceback
 from collections import Counter
 from collections.abc import Sequence
+from typing import Any, TextIO, cast
 
 import click
 
 from slipmap.diagrams.application.commands.options import OutputFile, keep_files_apart
+from slipmap.diagrams.application.terminal import note
 from slipmap.models.files import BadInput
 
 SUCCESS, INTERNAL_FAILURE, WRONG_USE, STOPPED = 0, 1, 2, 130
@@ -114,11 +116,9 @@ def run(arguments: Sequence[str]) -> int:
         return _told(error.format_message(), error.exit_code)
     except BadInput as error:
         return _told(str(error), WRONG_USE)
-    except BrokenPipeError:
-        # Whoever read the output has closed it; what is left must not fail once more at exit.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return INTERNAL_FAILURE
     except OSError as error:
+        if error.errno == errno.ENOSPC:
+            return _told("what is printed cannot be written: the disk is full; make room", WRONG_USE)
         # Wherever a path is first looked at, of what is read as of what is written.
         if error.errno == errno.ENAMETOOLONG:
             said = f"the name {error.filename} is too long for this disk; choose a shorter one"
@@ -184,8 +184,46 @@ def _internal(error: Exception) -> int:
 
 
 def _told(message: str, code: int) -> int:
-    click.echo(f"slipmap: {message}", err=True)
+    note(f"slipmap: {message}")
     return code
+
+
+class _Output:
+    """A text stream whose reader may close it: the rest is written to nobody then, the command goes on."""
+
+    def __init__(self, stream: TextIO) -> None:
+        self._stream = stream
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._stream, name)
+
+    def write(self, text: str) -> int:
+        try:
+            return self._stream.write(text)
+        except BrokenPipeError:
+            self._give_up()
+            return len(text)
+
+    def flush(self) -> None:
+        try:
+            self._stream.flush()
+        except BrokenPipeError:
+            self._give_up()
+
+    def _give_up(self) -> None:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), self._stream.fileno())
+
+
+def _opened(stream: TextIO | None, descriptor: int) -> TextIO:
+    """Standard output or error; into nothing where the command was started without it."""
+    if stream is None:
+        nowhere = os.open(os.devnull, os.O_WRONLY)
+        if nowhere != descriptor:
+            os.dup2(nowhere, descriptor)
+        stream = os.fdopen(descriptor, "w")
+    if hasattr(stream, "reconfigure"):
+        stream.reconfigure(errors="replace")
+    return cast(TextIO, _Output(stream))
 
 
 def main() -> None:
@@ -200,9 +238,7 @@ def main() -> None:
     for number in (signal.SIGTERM, signal.SIGHUP):
         if signal.getsignal(number) != signal.SIG_IGN:  # as under nohup
             signal.signal(number, signal.default_int_handler)
-    for stream in (sys.stdout, sys.stderr):
-        if hasattr(stream, "reconfigure"):
-            stream.reconfigure(errors="replace")
+    sys.stdout, sys.stderr = _opened(sys.stdout, 1), _opened(sys.stderr, 2)
     sys.exit(run(sys.argv[1:]))
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import fcntl
+import os
 import tempfile
 from collections.abc import Sequence
 from contextlib import suppress
@@ -62,6 +64,27 @@ def make_folder(folder: Path) -> None:
     if command is not None:
         command.call_on_close(lambda: _remove_empty(made))
     check_folder(folder, folder)
+
+
+def lock_folder(folder: Path) -> None:
+    """Keep a folder for this command until it ends, so that no other writes the same run there.
+
+    Raises:
+        BadInput: another command has it.
+    """
+    with writing(folder):
+        place = os.open(folder, os.O_RDONLY)
+    command = click.get_current_context(silent=True)
+    if command is not None:
+        command.call_on_close(lambda: os.close(place))
+    try:
+        fcntl.flock(place, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError as error:
+        raise BadInput(
+            f"{folder}: another slipmap is writing a run there; wait until it ends, or choose another folder"
+        ) from error
+    except OSError:
+        pass  # some network disks cannot lock a folder
 
 
 def _remove_empty(folders: Sequence[Path]) -> None:

@@ -6,6 +6,7 @@ and tables, is loaded when the first of them is drawn.
 
 from __future__ import annotations
 
+import re
 import sys
 import textwrap
 import time
@@ -21,6 +22,7 @@ from slipmap.models.files import BadInput
 WIDTH = 80
 """Columns of everything that is not shown on a terminal."""
 
+_CONTROL = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f\u202a-\u202e\u2066-\u2069]")
 _WIDEST = 100  # columns of a table
 _GAP = 3  # columns between those of a table
 _HEARTBEAT = 15.0  # s after which a long stage reports again in a log file
@@ -28,22 +30,28 @@ _LONGEST_STAGE = 34  # letters beside a bar; what is longer is cut
 _BAR = 16  # columns of a bar where there is room: with the numbers, 80 columns hold all
 
 
+def printable(text: str) -> str:
+    """A text in which control characters, as names of files and datasets may hold them, are spelled out:
+    they could move the cursor, or write what nobody said."""
+    return _CONTROL.sub(lambda found: found[0].encode("unicode_escape").decode(), text)
+
+
 def note(text: str) -> None:
     """A line on stderr."""
-    click.echo(text, err=True)
+    click.echo(printable(text), err=True)
 
 
 def wrapped(text: str, indent: str) -> str:
     """A text in lines of 80 columns of which those after the first are indented; no word is broken."""
     return textwrap.fill(
-        text, WIDTH, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False
+        printable(text), WIDTH, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False
     )
 
 
 def paragraph(text: str) -> None:
     """A text on stdout, broken into lines of 80 columns; nothing where it is empty."""
     if text:
-        click.echo(textwrap.fill(text, WIDTH))
+        click.echo(textwrap.fill(printable(text), WIDTH))
 
 
 def status(text: str) -> None:
@@ -173,8 +181,11 @@ class _Pace:
         made = self._done - self._first
         if made <= 0 or self._total <= 1:
             return None
-        each = (self._last - self._began) / made
-        at_work = min(time.monotonic() - self._last, each)
+        now = time.monotonic()
+        # Parts that were on file come at once, and say nothing of those that are not: what is at work has
+        # taken its time, too.
+        each = max((self._last - self._began) / made, (now - self._began) / (made + 1))
+        at_work = min(now - self._last, each)
         return max(each * (self._total - self._done) - at_work, 0.0)
 
     def __str__(self) -> str:
@@ -242,6 +253,7 @@ class _Bars:
 
 
 def _cut(text: str) -> str:
+    text = printable(text)
     return text if len(text) <= _LONGEST_STAGE else text[: _LONGEST_STAGE - 1] + "…"
 
 
@@ -272,8 +284,8 @@ def table(
         heading = _broken(*texts[index]) if is_number and crowded else name
         grid.add_column(heading, justify="right" if is_number else "left", no_wrap=is_number, overflow="fold")
     for row in rows:
-        grid.add_row(*map(Text, row))
-    console.print(Text(title, style="bold"))
+        grid.add_row(*(Text(printable(cell)) for cell in row))
+    console.print(Text(printable(title), style="bold"))
     console.print(grid)
     console.print()
 

@@ -5,12 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any, TypeVar
 
 import numpy as np
 from pydrake.geometry import Meshcat
 from pydrake.systems.framework import Context, Diagram, DiagramBuilder, LeafSystem, System
 
+from slipmap.diagrams.execution.clearance import Obstacle
 from slipmap.diagrams.execution.plans import ArmChecks
 from slipmap.diagrams.execution.push_executor import ObjectWatch, PushExecutor
 from slipmap.diagrams.hardware.guard import CommandGuard
@@ -30,10 +32,13 @@ from slipmap.diagrams.systems.supervisors import PATIENCE, PATIENCE_REAL, PushSu
 from slipmap.models.inference.belief import Belief
 from slipmap.models.measurements import PushDataset, Trial
 from slipmap.models.measurements.push_dataset import Noise
+from slipmap.models.objects.true_object import TrueObject
 from slipmap.models.perception.first_look import FirstPicture
+from slipmap.models.perception.seen_object import UNSEEN_ANGLE, angle_held
 from slipmap.models.physics.cell_grid import CellGrid
 from slipmap.models.robots import FINGER_RADIUS
-from slipmap.planners.action_selection import Choice
+from slipmap.planners.action_selection import Choice, choose_push
+from slipmap.planners.exploration import NoReachablePush
 
 LONGEST_STEP = 0.005
 """s, of the hypotheses that run beside the real object; with twice that, taps end 1 mm elsewhere."""
@@ -167,6 +172,7 @@ class ExplorationBlocks:
             (command, "status", self.logger),
             (command, "active_push", (arm, "push"), (self.multiverse, "push")),
             (self.logger, "trials", self.supervisor, self.identification, self.monitor),
+            (self.logger, "missed", self.supervisor),
             (self.identification, "learned", self.supervisor),
             (self.identification, "belief", self.exploration, self.multiverse),
             (self.finger, "finger", self.multiverse),
@@ -293,14 +299,37 @@ def hypothesis_step(time_step: float) -> float:
     return min(time_step * max(1, int(LONGEST_STEP / time_step + 1e-9)), LONGEST_STEP)
 
 
+def check_reach(scenario: Scenario, thing: TrueObject) -> None:
+    """Refuse an object of which the arm can make no push where it lies.
+
+    Raises:
+        ScenarioError: says so, with how many pushes were tried.
+    """
+    x, y, degrees = scenario.object.pose
+    pose = np.array([x, y, np.radians(degrees)])
+    checks = ArmChecks(scenario.arm.models, scenario.table.make(), scenario.execution)
+    try:
+        choose_push(
+            thing.grid, pose, FINGER_RADIUS, strategy="random", settings=scenario.pokes, tap=False,
+            allowed=partial(checks.can_push, Obstacle(thing.grid, thing.height, pose)),
+            rng=np.random.default_rng(0),
+        )  # fmt: skip
+    except NoReachablePush as error:
+        raise ScenarioError(
+            f"object.pose: the arm can push {thing.name} at x = {x:g} m, y = {y:g} m nowhere; move it towards"
+            f" the middle of the table ({error})"
+        ) from error
+
+
 def recorded_dataset(trials: Sequence[Trial], grid: CellGrid, scenario: Scenario) -> PushDataset:
     """What the loop recorded, as a push dataset."""
+    noise = replace(SENSORS, angle=UNSEEN_ANGLE) if all(map(angle_held, trials)) else SENSORS
     return dataset_of(
         trials,
         grid,
         name=scenario.object.called,
         finger_radius=FINGER_RADIUS,
-        noise=SENSORS,
+        noise=noise,
         table=scenario.table.make(),
         description="Recorded by the station's arm and depth camera.",
     )

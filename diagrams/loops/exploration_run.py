@@ -33,6 +33,7 @@ from slipmap.diagrams.systems.model_monitor import Watch
 from slipmap.models.inference.results import Identification
 from slipmap.models.measurements import PushDataset
 from slipmap.models.objects.true_object import TrueObject
+from slipmap.models.perception.seen_object import angle_held
 from slipmap.models.physics.cell_grid import FloatArray
 from slipmap.models.progress import Progress, silent
 from slipmap.planners.exploration import turn
@@ -50,6 +51,10 @@ DOING = {
     "recording": "recording",
     "learning": "learning",
 }
+
+
+ROUND = "the object is round, as far as the camera sees: its angle is held"
+"""Said of an object whose angle cannot be seen."""
 
 
 class ExplorationFailed(RuntimeError):
@@ -77,6 +82,11 @@ class ExplorationRun:
     X_SO: FloatArray | None
     simulated: float  # s of simulated time, or of the real cell's
     seconds: float  # s that it took
+
+    @property
+    def angle_seen(self) -> bool:
+        """Whether the camera saw the object turn."""
+        return not all(map(angle_held, self.dataset.trials))
 
     @property
     def true_center_of_mass(self) -> FloatArray:
@@ -139,7 +149,10 @@ def explore(
     pushes = options.pushes + options.checks
 
     def watch(status: LoopStatus, context: Context) -> None:
-        report(f"exploring: {DOING[status.mode]}", status.push, pushes)
+        doing = DOING[status.mode]
+        if status.mode == "choosing" and not output_of(loop, "perception", "seen_object", context).angle_seen:
+            doing = f"{doing}; {ROUND}"
+        report(f"exploring: {doing}", status.push, pushes)
         if recording is not None:
             recording.look(context)
 

@@ -124,6 +124,7 @@ def pregrasp_loop(
             (planner, "plan", commander),
             (blocks.executor, "status", (commander, "execution")),
             (blocks.logger, "trials", commander),
+            (blocks.logger, "missed", commander),
             (blocks.station, "gripper.state_measured", commander),
             (commander, "active_grasp", (blocks.executor, "grasp")),
             (commander, "status", planner),

@@ -279,13 +279,13 @@ class ExplorationFolder(RunFolder):
                 _digests_of(recorded.trials), recorded.choices, recorded.places, strict=True
             )
         ]
-        with self._going_on(len(recorded.trials) - 1):
+        with self.going_on(len(recorded.trials) - 1):
             write_json(self._folder / RUN, self._run)
             super().keep(recorded)
 
     def note(self, push: int, rows: dict[str, Any]) -> None:
         """See `RunFolder.note`."""
-        with self._going_on(push):
+        with self.going_on(push):
             super().note(push, rows)
 
     def _begin(self, recorded: RecordedRun) -> dict[str, Any]:
@@ -301,8 +301,8 @@ class ExplorationFolder(RunFolder):
         }
 
     @contextmanager
-    def _going_on(self, kept: int) -> Iterator[None]:
-        """Add to what could not be written what is kept, and how to go on."""
+    def going_on(self, kept: int) -> Iterator[None]:
+        """Add to the error of what could not be written how many pushes are kept, and how to go on."""
         try:
             yield
         except BadInput as error:

@@ -140,12 +140,14 @@ class _Eye:
             begin, end = (
                 object_center(part, view, blocked) for part in (frames[:_TRIED_EVERY], frames[-_TRIED_EVERY:])
             )
-            if np.hypot(*(end - begin)) > _AT_REST:
-                return replace(memory, observed=ObservedPose.unseen("no object", time), frames=later)
+            moved = float(np.hypot(*(end - begin)))
+            if moved > _AT_REST:
+                detail = f"what stands on the table moves, by {moved:.1f} pixels while it is looked at"
+                return replace(memory, observed=ObservedPose.unseen("no object", time, detail), frames=later)
             seen = first_look(frames, view, self.cells, blocked)
         except (ObjectNotSeen, NoTable) as error:
             reason: Reason = error.reason if isinstance(error, ObjectNotSeen) else "no object"
-            return replace(memory, observed=ObservedPose.unseen(reason, time), frames=later)
+            return replace(memory, observed=ObservedPose.unseen(reason, time, str(error)), frames=later)
         observed = track(image, view, seen, seen.first_pose, blocked, time)
         history = memory.history.learned(frames, blocked)
         hidden = np.zeros(image.shape, bool) if blocked is None else blocked
@@ -216,7 +218,7 @@ class CellPerception(PythonSystem):
         self._X_WC = self.DeclareAbstractInputPort("X_WC", AbstractValue.Make(RigidTransform()))
         self._arm = self.DeclareVectorInputPort("arm_position", 7)
         self._age = self.DeclareVectorInputPort("image_age", 1)
-        start = _Memory(ObservedPose.unseen("no object"))
+        start = _Memory(ObservedPose.unseen("no object", detail="too few pictures came for the first look"))
         if known is not None:
             first, last_pose = known
             history = PictureHistory(noisy=first.noisy, missing=first.missing)

@@ -20,7 +20,6 @@ from typing import Any
 import numpy as np
 import yaml
 from pydrake.common.yaml import yaml_load_typed
-from shapely.affinity import rotate, translate
 
 from slipmap.diagrams.execution.settings import ExecutionConfig
 from slipmap.diagrams.hardware.guard import GuardSettings
@@ -32,6 +31,7 @@ from slipmap.models.files import BadInput, UnreadableFile, read_bounded
 from slipmap.models.measurements.parsing import shown_error
 from slipmap.models.measurements.push_dataset import Table
 from slipmap.models.objects.benchmark_objects import benchmark_object
+from slipmap.models.objects.meshes import DIRECTIONS
 from slipmap.models.objects.true_object import (
     DEFAULT_CELLS,
     DEFAULT_MU_FINGER,
@@ -44,7 +44,6 @@ from slipmap.planners.settings import GoalSettings, PokeSettings, PushSettings
 LARGEST = 2**16
 """Bytes of a scenario file; one with all that can be set has 5 kB."""
 
-_CLEARANCE = 0.02  # m, between the finger on its way and what it passes over
 _LONGEST = 60  # characters of a name or value in an error text
 _LONGEST_LABEL = 9  # digits
 
@@ -68,6 +67,8 @@ class ObjectSettings:
     mu: float | None = None
     # of the mesh, 0.001 for millimetres; as the file says where missing, else 1
     metres_per_unit: float | None = None
+    up: str | None = None  # the mesh's axis that points up, such as y or -z; as its format says where missing
+    background: int = 0  # label of the pixels that are not the object
     metres_per_pixel: float = 0.001  # side of a pixel, m
     # masses, frictions: of each label
     masses: dict[str, float] = field(default_factory=dict)
@@ -92,6 +93,8 @@ class ObjectSettings:
                 )
             if value is not None and not (np.isfinite(value) and value > 0):
                 raise ValueError(f"object.{name} must be positive, got {value}")
+        if self.up is not None and (self.mesh is None or self.up not in DIRECTIONS):
+            raise ValueError(f"object.up is one of {', '.join(DIRECTIONS)}, for a mesh, got {self.up!r}")
         if self.mesh is not None and (self.mass is None or self.mu is None):
             raise ValueError("object: an object from a mesh needs mass (kg) and mu")
         for name in (*self.masses, *self.frictions):
@@ -114,6 +117,7 @@ class ObjectSettings:
             return object_from_mesh(
                 self.mesh, self.mass, self.mu,
                 mu_finger=self.mu_finger, count=self.cells, metres_per_unit=self.metres_per_unit,
+                up=None if self.up is None else DIRECTIONS[self.up],
             )  # fmt: skip
         if self.labels is not None:
             return object_from_labels(
@@ -124,6 +128,7 @@ class ObjectSettings:
                 height=self.height,
                 mu_finger=self.mu_finger,
                 count=self.cells,
+                background=self.background,
             )
         return benchmark_object(self.name)
 
@@ -222,29 +227,6 @@ class Scenario:
     goals: GoalSettings = field(default_factory=lambda: GoalSettings(count=60))
     pushes: PushSettings = field(default_factory=PushSettings)
     simulation: SimulationSettings = field(default_factory=SimulationSettings)
-
-    def check_placement(self, thing: TrueObject) -> None:
-        """Raise ValueError unless the object lies on the table, and the finger can pass over it."""
-        x, y, degrees = self.object.pose
-        lies = translate(rotate(thing.grid.polygon, degrees, origin=(0.0, 0.0)), x, y)
-        corners = np.asarray(lies.exterior.coords)
-        if self.table.shape == "round":
-            on_table = bool((np.hypot(*corners.T) < self.table.radius).all())
-            size = f"a radius of {self.table.radius:g} m"
-        else:
-            on_table = bool((np.abs(corners) < np.array(self.table.size) / 2).all())
-            size = f"{self.table.size[0]:g} m by {self.table.size[1]:g} m"
-        if not on_table:
-            raise ValueError(
-                f"object.pose: {thing.name} at x = {x:g} m, y = {y:g} m, {np.ptp(corners[:, 0]):.2f} m by"
-                f" {np.ptp(corners[:, 1]):.2f} m, does not lie on the table, which has {size}"
-            )
-        highest = self.execution.safe_height - _CLEARANCE
-        if thing.height.max() > highest:
-            raise ValueError(
-                f"object {thing.name} is {thing.height.max():.3f} m high; the finger passes over what is at"
-                f" most {highest:.3f} m high (execution.safe_height less {_CLEARANCE} m)"
-            )
 
 
 def read_scenario(path: str | Path, object_name: str | None = None) -> Scenario:

@@ -3,6 +3,7 @@
 from itertools import groupby
 
 import numpy as np
+import shapely
 from pydrake import geometry
 from pydrake.common import MemoryFile
 from pydrake.math import RigidTransform, RollPitchYaw
@@ -11,7 +12,8 @@ from pydrake.multibody.plant import CoulombFriction, MultibodyPlant, MultibodyPl
 from pydrake.multibody.tree import ModelInstanceIndex, SpatialInertia, UnitInertia
 from pydrake.systems.framework import DiagramBuilder, LeafSystem
 
-from slipmap.models.objects.meshes import convex_pieces, shaded_obj
+from slipmap.models.objects.convex_pieces import convex_pieces
+from slipmap.models.objects.meshes import shaded_obj
 from slipmap.models.objects.true_object import TrueObject
 from slipmap.models.physics.cell_grid import FloatArray
 
@@ -33,6 +35,8 @@ SINK = 2e-5
 _FOOT_RADIUS = 5e-4  # m; lower than any finger passes over the table
 _CLEARANCE = 1e-4  # m; between the table and the blocks that finger and table's edge touch
 _BLOCK_SINK = 5e-5  # m; of a block under the weight of the whole object
+_MANY_CORNERS = 100  # of the outline of a block, as a scan has them: it is simplified,
+_SCAN_ERROR = 3e-4  # m, by no more than this
 _TABLE_STIFFNESS = 1e8  # N/m
 _DISSIPATION = 20.0  # s/m
 
@@ -196,7 +200,10 @@ def _share_round_table(
 def _block_corners(true_object: TrueObject) -> list[FloatArray]:
     result = []
     for block in true_object.blocks:
-        for piece in convex_pieces(block.outline):
+        outline = block.outline
+        if shapely.get_num_coordinates(outline) > _MANY_CORNERS:
+            outline = outline.simplify(_SCAN_ERROR)
+        for piece in convex_pieces(outline):
             ring = np.asarray(piece.exterior.coords)[:-1].T
             ends = [np.vstack([ring, np.full(ring.shape[1], z)]) for z in (_CLEARANCE, block.height)]
             result.append(np.hstack(ends))

@@ -17,6 +17,7 @@ from slipmap.diagrams.perception.depth_picture import add_depth_picture
 from slipmap.diagrams.perception.sight import ArmHulls
 from slipmap.diagrams.station.arm import add_arm, add_arm_drivers
 from slipmap.diagrams.station.hidden_effects import add_hidden_effects
+from slipmap.diagrams.station.placement import check_placement
 from slipmap.diagrams.station.rest import Hold, RestWatch
 from slipmap.diagrams.station.scenario import Scenario
 from slipmap.diagrams.station.sliding_object import (
@@ -76,7 +77,7 @@ class Station(PythonDiagram):
         super().__init__()
         builder = DiagramBuilder()
         self.true_object = scenario.object.make()
-        scenario.check_placement(self.true_object)
+        check_placement(scenario, self.true_object)
         plant, scene_graph = AddMultibodyPlant(plant_config(scenario.simulation.time_step), builder)
         add_table(plant, scenario.table.make(), scenario.table.friction)
         add_sliding_object(plant, self.true_object, scenario.table.friction)

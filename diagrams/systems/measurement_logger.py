@@ -34,6 +34,9 @@ _RESTED = 0.15  # s before the arm lifts the finger, from when on the object cer
 MISPLACED, TURNED = 4e-3, 0.05
 """m and rad by which two looks at an object at rest may differ, also one past the arm from one without it."""
 
+_MOVED = np.array([1e-3, 1e-3, 0.01])  # m, m, rad; less is what another look may show
+_FELT = 0.5  # N; less is what the arm feels without a touch
+
 Row = tuple[float, ...]
 
 
@@ -47,6 +50,7 @@ class _Recording:
     poses: tuple[Row, ...] = ()
     tips: tuple[Row, ...] = ()
     forces: tuple[Row, ...] = ()
+    missed: tuple[int, ...] = ()  # numbers of candidates that touched nothing
 
     def completed(self, role: Role, poses: Sequence[Row]) -> _Recording:
         """With one trial more, of the push under way, and these poses."""
@@ -59,7 +63,14 @@ class _Recording:
         name = f"trials/{len(self.trials):03d}.json"
         forces = channel(self.forces) if self.forces else None
         trial = Trial(name, role, channel(poses), channel(self.tips), forces)
-        return _Recording((*self.trials, trial), self.looks)
+        return _Recording((*self.trials, trial), self.looks, missed=self.missed)
+
+    def touched(self, rest: Row) -> bool:
+        """Whether the finger touched the object, which rests now: it moved, or pushed back."""
+        off = np.abs(np.subtract(rest, self.poses[0]))[1:]
+        if (off > _MOVED).any():
+            return True
+        return not self.forces or bool(np.hypot(*np.array(self.forces)[:, 1:3].T).max() > _FELT)
 
 
 class MeasurementLogger(PythonSystem):
@@ -72,6 +83,7 @@ class MeasurementLogger(PythonSystem):
     - `execution`: `ExecutionStatus`; `status`: `LoopStatus`.
     Outputs:
     - `trials`: tuple of `Trial`.
+    - `missed`: numbers of the candidates that touched nothing; they leave no trial.
     - `under_way`: dict of rows of the push that is made now, by channel as in a trial's file, but with the
       diagram's time; none before and after it.
 
@@ -89,7 +101,7 @@ class MeasurementLogger(PythonSystem):
         >>> import slipmap
         >>> logger = slipmap.MeasurementLogger(fit=3)
         >>> [logger.get_output_port(i).get_name() for i in range(logger.num_output_ports())]
-        ['trials', 'under_way']
+        ['trials', 'missed', 'under_way']
     """
 
     def __init__(self, fit: int, trials: Sequence[Trial] = ()) -> None:
@@ -103,6 +115,7 @@ class MeasurementLogger(PythonSystem):
         self._recording = self.DeclareAbstractState(held(_Recording(tuple(trials))))
         self.declare_steps(PERIOD, self._recording, self._record)
         self.declare_output_of("trials", self._recording, lambda recording: recording.trials)
+        self.declare_output_of("missed", self._recording, lambda recording: recording.missed)
         self.declare_output_of("under_way", self._recording, _under_way)
 
     def _record(self, context: Context, now: _Recording) -> _Recording:
@@ -117,7 +130,7 @@ class MeasurementLogger(PythonSystem):
                 before = now.looks if _lies_there(row, now.looks) else ()
                 now = replace(now, looks=(*before, row)[-LOOKS:])
                 if status.mode == "recording":
-                    now = self._completed(now)
+                    now = self._completed(now, status.number)
         elif execution.mode == "pushing":
             now = self._pushed(context, now, row)
         return now
@@ -143,12 +156,15 @@ class MeasurementLogger(PythonSystem):
             forces=(*new.forces, (time, float(force[0]), float(force[1]), 0.0)),
         )
 
-    def _completed(self, recording: _Recording) -> _Recording:
-        """The recording with the push under way as a trial, once enough poses were seen after it."""
+    def _completed(self, recording: _Recording, number: int) -> _Recording:
+        """The recording with the push under way as a trial, once enough poses were seen after it; a push that
+        touched nothing is no push to learn from."""
         if not recording.tips or len(recording.looks) < LOOKS:
             return recording
         end = recording.tips[-1][0]
         rest = _rest(recording.looks, end)
+        if not recording.touched(rest):
+            return replace(recording, poses=(), tips=(), forces=(), missed=(*recording.missed, number))
         rows = (*_credible([row for row in recording.poses if row[0] < end], rest), rest)
         return recording.completed("fit" if len(recording.trials) < self._fit else "heldout", rows)
 

@@ -16,6 +16,7 @@ from slipmap.models.inference.observations import observe
 from slipmap.models.inference.summaries import middle_poses
 from slipmap.models.measurements import Trial
 from slipmap.models.measurements.push_dataset import Noise
+from slipmap.models.perception.seen_object import UNSEEN_ANGLE, angle_held
 from slipmap.models.physics.cell_grid import FloatArray
 from slipmap.models.physics.paper_notation import add
 
@@ -97,7 +98,7 @@ class ModelMonitor(PythonSystem):
 
     A push is judged when its record is complete, by where the object came to rest (on its way, the arm may
     hide it), and by the mean force that the finger needed, where that is recorded and the push was no tap.
-    Pushes that no belief predicted do not count.
+    Pushes that no belief predicted do not count. An angle that cannot be seen (`angle_held`) is not judged.
 
     Args:
         sensors: noise of the recorded poses; position and angle are used.
@@ -120,8 +121,9 @@ class ModelMonitor(PythonSystem):
         self.set_name("model_monitor")
         if sensors.position is None or sensors.angle is None:
             raise ValueError(f"ModelMonitor: noise of position and angle must be given, got {sensors}")
-        self._error = ErrorModel(
-            push_misfit.pose_noise(sensors.position, sensors.angle), model_error, FORCE_ERROR
+        self._error, self._error_held = (
+            ErrorModel(push_misfit.pose_noise(sensors.position, angle), model_error, FORCE_ERROR)
+            for angle in (sensors.angle, UNSEEN_ANGLE)
         )
         self.declare_inputs("universes", "object_pose", "trials")
         self._watch = self.DeclareAbstractState(held(Watch(0, np.full(3, np.nan))))
@@ -152,16 +154,20 @@ class ModelMonitor(PythonSystem):
     def _judged(self, number: int, trial: Trial, universes: Universes, watch: Watch) -> Judged:
         belief = universes.belief
         start, end = trial.object_pose.values[[0, -1]]
+        held = angle_held(trial)
+        error = self._error_held if held else self._error
         observation = observe(trial, number)
         force = push_misfit.steady_force(observation)
         misfit, p = push_misfit.resting_misfit(
-            start, end, universes.poses, belief.probability, self._error, belief.grid,
+            start, end, universes.poses, belief.probability, error, belief.grid,
             None if force is None else (force, push_misfit.predicted_steady_forces(belief, observation)),
             taught=belief.taught,
         )  # fmt: skip
         evidence = max(watch.evidence, 1.0) * push_misfit.bet(max(p, LEAST_P))
-        region = push_misfit.resting_region(start, universes.poses, belief, self._error)
+        region = push_misfit.resting_region(start, universes.poses, belief, error)
         seen = turned_to(end, region.middle[2])
+        if held:  # it turned as far as nobody knows
+            seen[2] = region.middle[2]
         middle = middle_poses(universes.poses, belief.probability, belief.grid)
         off, excess = float(add(seen, middle, belief.grid.centers)), region.excess(seen)
         by_evidence = evidence >= 1.0 / LEVEL or (watch.alarm and evidence > 1.0)

@@ -26,6 +26,10 @@ PATIENCE_REAL = 100.0
 """The same where others look at the pictures, who may be late on a busy computer, s."""
 
 
+MOST_MISSED = 3
+"""Candidates for one push that may touch nothing before the loop gives up."""
+
+
 class PushSupervisor(PythonSystem):
     """Decides what the loop does next.
 
@@ -33,7 +37,8 @@ class PushSupervisor(PythonSystem):
     - `object_pose`: `ObservedPose`; `cell_grid`: `CellGrid | None`, the object as first seen.
     - `plan`: `ExplorationPlan | None` from the exploration.
     - `execution`: `ExecutionStatus` of the arm.
-    - `trials`: tuple of recorded `Trial`s; `learned`: how many of them the belief comes from.
+    - `trials`: tuple of recorded `Trial`s; `learned`: how many of them the belief comes from; `missed`
+      (optional): numbers of candidates that touched nothing, for which others are chosen.
     Outputs:
     - `status`: `LoopStatus`; `active_push`: `ActivePush | None`, what the arm is to do.
 
@@ -49,7 +54,7 @@ class PushSupervisor(PythonSystem):
         self._patience = patience
         self._fit = fit
         self._pushes = fit + heldout
-        self.declare_inputs("object_pose", "cell_grid", "plan", "execution", "trials", "learned")
+        self.declare_inputs("object_pose", "cell_grid", "plan", "execution", "trials", "learned", "missed")
         start = LoopStatus("learning", made - 1) if made else LoopStatus("looking", 0)
         self._status = self.DeclareAbstractState(held(start))
         self._active = self.DeclareAbstractState(held(None))
@@ -98,11 +103,16 @@ class PushSupervisor(PythonSystem):
                 if now.attempt + 1 == MOST_ATTEMPTS:
                     return LoopStatus("failed", now.push, now.attempt, execution.reason)
                 return LoopStatus("choosing", now.push, now.attempt + 1)
-            return LoopStatus("recording", now.push) if execution.mode == "home" else now
+            return LoopStatus("recording", now.push, now.attempt) if execution.mode == "home" else now
         if now.mode == "recording":
+            missed = self.optional_input(context, "missed") or ()
+            if now.number in missed:
+                if _too_often(missed, now):
+                    return LoopStatus("failed", now.push, now.attempt, _MISSED)
+                return LoopStatus("choosing", now.push, now.attempt + 1)
             if len(self.input(context, "trials")) > now.push:
                 return LoopStatus("learning", now.push)
-            return self._patient(context, now, "the object was not seen after the push")
+            return self._patient(context, now, _unrecorded(self.input(context, "object_pose")))
         if self.input(context, "learned") < min(now.push + 1, self._fit):
             return now
         done = now.push + 1
@@ -119,10 +129,28 @@ class PushSupervisor(PythonSystem):
         return now if waited < self._patience else LoopStatus("failed", now.push, now.attempt, reason)
 
 
+_MISSED = (
+    f"in {MOST_MISSED} pushes the finger touched nothing: the object did not move, and no force was felt; see"
+    " whether execution.tip_height is below the object's height, and the camera's pose"
+)
+
+
+def _too_often(missed: tuple[int, ...], now: LoopStatus) -> bool:
+    """Whether so many candidates for the present push missed that others will, too, or none is left."""
+    of_push = [number for number in missed if number // MOST_ATTEMPTS == now.push]
+    return len(of_push) >= MOST_MISSED or now.attempt + 1 == MOST_ATTEMPTS
+
+
 def _unseen(pose: ObservedPose | None) -> str:
     """Why the camera does not see the object, in words."""
-    why = "no picture" if pose is None or not pose.reason else pose.reason
-    return f"the camera does not see the object: {why}"
+    return f"the camera does not see the object: {'no picture' if pose is None else pose.why}"
+
+
+def _unrecorded(pose: ObservedPose | None) -> str:
+    """Why a push that was made has no end, in words."""
+    if pose is not None and pose.valid:
+        return "the object was not seen at rest after the push"
+    return f"the object was not seen after the push; {_unseen(pose)}"
 
 
 HOLD = 1.0
@@ -150,7 +178,8 @@ class PregraspSupervisor(PythonSystem):
     - `exploration`: `LoopStatus`, and `exploring_push`: `ActivePush | None`, of the `PushSupervisor`. Until
       exploring is finished, `status` and `active_push` are these; then come the modes `BRINGING`.
     - `object_pose`: `ObservedPose`; `plan`: `PregraspPlan | None`; `execution`: `ExecutionStatus` of the arm.
-    - `trials`: tuple of recorded `Trial`s; `gripper.state_measured`: (2,) opening and its rate, m and m/s.
+    - `trials`: tuple of recorded `Trial`s, `missed` (optional): as of `PushSupervisor`;
+      `gripper.state_measured`: (2,) opening and its rate, m and m/s.
     Outputs:
     - `status`: `LoopStatus`; pushes are counted on from those that explored.
     - `active_push`: `ActivePush | None`, `active_grasp`: `ActiveGrasp | None`: what the arm is to do.
@@ -166,6 +195,7 @@ class PregraspSupervisor(PythonSystem):
         super().__init__()
         self._patience = patience
         self.declare_inputs("exploration", "exploring_push", "object_pose", "plan", "execution", "trials")
+        self.declare_inputs("missed")
         self.DeclareVectorInputPort("gripper.state_measured", 2)
         self._bringing = self.DeclareAbstractState(held(None))
         self.declare_steps(PERIOD, self._bringing, self._decided)
@@ -221,9 +251,14 @@ class PregraspSupervisor(PythonSystem):
         if status.mode == "pushing":
             return to("recording") if answered and execution.mode == "home" else now
         if status.mode == "recording":
+            missed = self.optional_input(context, "missed") or ()
+            if status.number in missed:
+                if _too_often(missed, status):
+                    return to("failed", _MISSED)
+                return _Bringing(LoopStatus("planning", status.push, status.attempt + 1), time)
             if len(self.input(context, "trials")) > status.push:
                 return _Bringing(LoopStatus("planning", status.push + 1), time)
-            return patient(f"after the push {_unseen(self.input(context, 'object_pose'))}")
+            return patient(_unrecorded(self.input(context, "object_pose")))
         if status.mode == "grasping":
             return to("lifting") if answered and execution.mode == "lifting" else now
         if status.mode == "lifting":

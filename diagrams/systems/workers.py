@@ -2,7 +2,6 @@
 
 import gc
 import os
-import signal
 import sys
 import time
 from collections.abc import Callable, Iterator
@@ -10,6 +9,8 @@ from concurrent.futures import Executor, Future, wait
 from contextlib import contextmanager, suppress
 from importlib import import_module
 from typing import Any, ParamSpec, TypeVar
+
+from slipmap.models.process_end import prepare_worker
 
 Arguments = ParamSpec("Arguments")
 Result = TypeVar("Result")
@@ -74,7 +75,7 @@ def _load() -> None:
 
 
 def _prepare() -> None:
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the diagram's affair
+    prepare_worker()
     with suppress(OSError, AttributeError):
         # Who gave the diagram real-time priority, where there is such a thing, did not mean its workers.
         os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))

@@ -52,7 +52,7 @@ def parse_setup(document: dict[str, Any], where: str, default_name: str) -> tupl
     """
     warnings: list[str] = []
     shape = parsing.required(document, "object", where, "give at least its outline")
-    shape = parsing.section(shape, ("outline", "cells", *_OBJECT), f"{where}: object", warnings)
+    shape = parsing.section(shape, ("outline", "holes", "cells", *_OBJECT), f"{where}: object", warnings)
     finger = parsing.required(document, "finger", where, "give finger.radius in m")
     finger = parsing.section(finger, _FINGER, f"{where}: finger", warnings)
     grid = _grid(shape, f"{where}: object", warnings)
@@ -71,12 +71,13 @@ def parse_setup(document: dict[str, Any], where: str, default_name: str) -> tupl
 
 
 def setup_document(setup: Setup) -> dict[str, Any]:
-    """The keys of a dataset.yaml that `parse_setup` reads a setup from, but for openings in the outline."""
+    """The keys of a dataset.yaml that `parse_setup` reads a setup from."""
     document: dict[str, Any] = {
         "name": setup.name,
         "description": setup.description,
         "object": {
             "outline": setup.grid.exterior.tolist(),
+            **({"holes": [hole.tolist() for hole in setup.grid.holes]} if setup.grid.holes else {}),
             "cells": {"width": float(setup.grid.width), "centers": setup.grid.centers.tolist()},
             **_known(setup, _OBJECT),
         },
@@ -126,17 +127,24 @@ def _doubtful_object(measured: dict[str, float], grid: CellGrid, where: str) -> 
 def _grid(shape: dict[str, Any], where: str, warnings: list[str]) -> CellGrid:
     rows = parsing.required(shape, "outline", where, "give the corners of the footprint, [[x, y], ...] in m")
     outline = _outline(rows, f"{where}.outline", warnings)
+    openings = shape.get("holes") or []
+    if not isinstance(openings, list):
+        raise DatasetError(
+            f"{where}.holes: must be a list of rings, [[[x, y], ...], ...] in m,"
+            f" got {parsing.shown(openings)}"
+        )
+    holes = [_outline(ring, f"{where}.holes[{k}]", warnings) for k, ring in enumerate(openings)]
     cells = shape.get("cells")
     try:
         if cells is None:
             from slipmap.models.objects.footprints import cells_from_polygon
 
-            return cells_from_polygon(outline, count=_DEFAULT_CELLS)
+            return cells_from_polygon(outline, holes, count=_DEFAULT_CELLS)
         cells = parsing.section(cells, ("width", "centers"), f"{where}.cells", warnings)
         width = _LENGTH.read(cells.get("width"), f"{where}.cells.width")
         centers = parsing.table(cells.get("centers"), 2, f"{where}.cells.centers")
         _refuse_extent(np.append(centers, [[width, width]], axis=0), f"{where}.cells")
-        grid = CellGrid(centers, width, outline)
+        grid = CellGrid(centers, width, outline, tuple(holes))
     except DatasetError:
         raise
     except ValueError as error:
@@ -157,9 +165,11 @@ def _outline(rows: object, where: str, warnings: list[str]) -> FloatArray:
             f"{where}: the last corner repeats the first and is left out; the outline closes itself"
         )
         outline = outline[:-1]
-    repeated = np.flatnonzero((outline == np.roll(outline, 1, axis=0)).all(axis=1))
-    if len(outline) > 1 and len(repeated):
-        raise DatasetError(f"{where}, row {repeated[0]}: the same corner as the one before; leave it out")
+    repeated = (outline == np.roll(outline, 1, axis=0)).all(axis=1)
+    if len(outline) > 1 and repeated.any():
+        first = int(np.flatnonzero(repeated)[0])
+        warnings.append(f"{where}, row {first}: the same corner as the one before; it is left out")
+        outline = outline[~repeated]
     _refuse_extent(outline, where)
     return outline
 

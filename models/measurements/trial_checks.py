@@ -4,6 +4,7 @@ cannot be used is refused, what looks wrong is said."""
 import hashlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -414,7 +415,10 @@ def _clearance(setup: Setup, trial: Trial) -> float:
     """Least distance between the finger's rim and the outline over a trial, m; negative where it overlaps."""
     if trial.ends_only:  # the finger went straight, the object is anywhere between
         track = shapely.LineString(trial.tip_pose.values[[0, *range(len(trial.tip_pose.time))]])
-        outlines = [shapely.Polygon(placed(setup.grid.exterior, pose)) for pose in trial.object_pose.values]
+        outlines = [
+            shapely.transform(setup.grid.polygon, partial(placed, pose=pose))
+            for pose in trial.object_pose.values
+        ]
         return float(min(track.distance(outline) for outline in outlines)) - setup.finger_radius
     chosen = np.unique(np.linspace(0, len(trial.tip_pose.time) - 1, _MOST_ROWS).astype(int))
     tips = trial.tip_pose.values[chosen]

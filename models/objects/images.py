@@ -32,6 +32,9 @@ _PNG = b"\x89PNG\r\n\x1a\n"
 _TIFF_WIDTH, _TIFF_HEIGHT = 256, 257  # tags
 _SAVE_ANEW = "save it once more, as a greyscale PNG"
 _SPECK = 0.01  # of the object's area
+_MOST_BORDER = 0.5  # of the picture's border; more of it is covered by a background, not by an object
+# Without a change of depth or channels, but turned as the camera noted; OpenCV turns TIFF files anyway.
+_AS_STORED = cv2.IMREAD_ANYDEPTH | cv2.IMREAD_ANYCOLOR
 
 # The borders' middles along a straight edge of any direction lie in a strip less than a pixel wide.
 _STRIP = 1.0
@@ -68,7 +71,7 @@ def cells_from_label_image(
     Raises:
         ValueError: a file that cannot be read, an image that is not one channel of whole numbers, a scale
             that is not positive or makes the object wider than 5 m or narrower than 1 mm, no object, an
-            object in separate pieces, or wrong count or width.
+            object in separate pieces or along most of the picture's border, or wrong count or width.
 
     Example:
         >>> import numpy as np
@@ -82,7 +85,7 @@ def cells_from_label_image(
     image, source = _label_array(labels)
     if not (np.isfinite(metres_per_pixel) and metres_per_pixel > 0):
         raise ValueError(f"{source}: metres_per_pixel must be a positive length, got {metres_per_pixel}")
-    mask = _largest_piece(image != background, source, background)
+    mask = _largest_piece(image, source, background)
     rows, columns = np.nonzero(mask)
     origin = np.array([columns.mean(), rows.mean()])
     scale = np.array([metres_per_pixel, -metres_per_pixel])
@@ -120,9 +123,19 @@ def _label_array(labels: NDArray[np.integer] | str | PathLike[str]) -> tuple[Int
     return image.astype(np.int64), source
 
 
-def _largest_piece(mask: Mask, source: str, background: int) -> Mask:
+def _largest_piece(labels: IntArray, source: str, background: int) -> Mask:
+    mask = labels != background
     if not np.any(mask):
         raise ValueError(f"{source}: no object, every pixel has the background label {background}")
+    border = np.concatenate([mask[[0, -1]].ravel(), mask[1:-1, [0, -1]].ravel()])
+    if border.mean() > _MOST_BORDER and np.ptp(labels) > 0:  # one label may fill a picture cut to the object
+        rim = np.concatenate([labels[[0, -1]].ravel(), labels[1:-1, [0, -1]].ravel()])
+        label = int(np.bincount(rim[border] - rim.min()).argmax() + rim.min())
+        raise ValueError(
+            f"{source}: the object covers {100 * border.mean():.0f} % of the picture's border, as a"
+            f" background does. If {label} is the background, give background={label}; an object itself needs"
+            f" a margin of the background, here {background}, around it"
+        )
     _, piece, stats, _ = cv2.connectedComponentsWithStats(mask.astype(np.uint8), connectivity=4)
     areas = stats[1:, cv2.CC_STAT_AREA]
     kept = int(np.argmax(areas))
@@ -229,7 +242,7 @@ def straightened(points: FloatArray, kept: LinearRing) -> FloatArray:
 
 
 def read_picture(path: Path) -> NDArray[Any]:
-    """(H, W) or (H, W, channels) of a PNG, BMP, PGM or TIFF file, as stored.
+    """(H, W) or (H, W, channels) of a PNG, BMP, PGM or TIFF file, upright where it notes its orientation.
 
     OpenCV believes what a file declares: it makes room for gigabytes, and takes seconds for it, though the
     file has a few bytes.
@@ -255,7 +268,7 @@ def read_picture(path: Path) -> NDArray[Any]:
         )
     with _opencv_silent():  # what is wrong is told below
         try:
-            image = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_UNCHANGED)
+            image = cv2.imdecode(np.frombuffer(content, np.uint8), _AS_STORED)
         except cv2.error:
             image = None
     if image is None:

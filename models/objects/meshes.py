@@ -1,9 +1,10 @@
-"""Triangle meshes: cell grids from their silhouettes, solids over an outline, convex pieces for collision
-engines, and OBJ text with the normals that renderers want."""
+"""Triangle meshes: reading them upright and in metres, cell grids from their silhouettes, solids over an
+outline, and OBJ text with the normals that renderers want."""
 
 import logging
+import re
 from collections.abc import Sequence
-from itertools import combinations, pairwise
+from itertools import pairwise
 from os import PathLike
 from pathlib import Path
 
@@ -16,7 +17,7 @@ from scipy.spatial.transform import Rotation
 from shapely.geometry import Polygon
 from shapely.geometry.base import BaseGeometry
 
-from slipmap.models.files import UnreadableFile, check_file
+from slipmap.models.files import UnreadableFile, check_file, read_bounded
 from slipmap.models.geometry import cross
 from slipmap.models.objects.footprints import cells_from_polygon, rings_of, without_small_holes
 from slipmap.models.physics.cell_grid import CellGrid, FloatArray
@@ -27,12 +28,25 @@ LARGEST_EXTENT = 5.0
 SMALLEST_EXTENT = 1e-3
 """A footprint narrower than this (m) is taken for one in a wrong unit too."""
 
+DOUBTFUL_EXTENT = 1.0
+"""A footprint wider than this (m) is asked about."""
+
+DIRECTIONS = {
+    f"{sign}{axis}": tuple(float(f"{sign}{int(axis == other)}") for other in "xyz")
+    for sign in ("", "-")
+    for axis in "xyz"
+}
+"""Which way is up, by its name: x, y, z, -x, -y, -z."""
+
+_UNITS = {"mm": 0.001, "cm": 0.01, "inch": 0.0254, "m": 1.0}
+
 _LARGEST_FILE = 256 * 2**20  # bytes; five million triangles as STL
 _SNAP = 1e-7  # of the silhouette's extent
+_FINEST = 1e-5  # of the silhouette's extent; what lies nearer to a line between corners is no corner
 _SPECK = 1e-5  # of the silhouette's area
-_BULGE = 1e-4  # m; by how much a convex piece may stand out of the polygon
 _CREASE = np.deg2rad(35.0)  # faces that meet at a larger angle show an edge
 _ROUND_STEPS = 6
+_MOST_COLOURS = 16
 
 
 def cells_from_mesh(
@@ -40,7 +54,7 @@ def cells_from_mesh(
     *,
     count: int | None = None,
     width: float | None = None,
-    up: ArrayLike = (0, 0, 1),
+    up: ArrayLike | None = None,
     metres_per_unit: float | None = None,
 ) -> CellGrid:
     """Cell grid of a mesh's silhouette on the support plane (lines 1 and 2 of Algorithm 4).
@@ -54,7 +68,7 @@ def cells_from_mesh(
         mesh: a mesh, or the path of a file that trimesh can load; the parts of a scene are taken together.
         count: wanted number of cells, as in `cells_from_polygon`; or else
         width: side of a cell, m.
-        up: (3,) direction away from the table, in the mesh frame.
+        up: (3,) direction away from the table, in the mesh frame; that of the file's format where missing.
         metres_per_unit: length of the mesh's unit; as stated in the file where missing, else 1.
 
     Raises:
@@ -70,26 +84,59 @@ def cells_from_mesh(
         (15, 0.02)
     """
     loaded, source = _loaded(mesh)
-    vertices = np.asarray(loaded.vertices, dtype=float) * _unit(loaded, metres_per_unit, source)
-    flat = (vertices @ _turn_to_z(up).T)[:, :2]
+    unit = _unit(loaded, metres_per_unit, source)
+    if up is None:
+        up = DIRECTIONS["z" if isinstance(mesh, trimesh.Trimesh) else up_axis(mesh)]
+    flat = (np.asarray(loaded.vertices, dtype=float) * unit @ _turn_to_z(up).T)[:, :2]
     extent = float(np.ptp(flat, axis=0).max())
-    if extent > LARGEST_EXTENT:
+    if not SMALLEST_EXTENT <= extent <= LARGEST_EXTENT:
+        limit = "more than 5 m" if extent > LARGEST_EXTENT else "less than 1 mm"
         raise ValueError(
-            f"{source}: the footprint measures {extent:.4g} m, more than {LARGEST_EXTENT:.4g} m; if the mesh "
-            f"is in millimetres, give metres_per_unit=0.001"
-        )
-    if extent < SMALLEST_EXTENT:
-        raise ValueError(
-            f"{source}: the footprint measures {extent:.4g} m, less than {SMALLEST_EXTENT:.4g} m; "
-            f"metres_per_unit is the length of the mesh's unit in m, 0.001 for millimetres"
+            f"{source}: the footprint measures {extent:.4g} m, {limit}; {unit_advice(extent, unit)}"
         )
     polygon = _silhouette(flat[np.asarray(loaded.faces)], extent, bool(loaded.is_volume), source)
     rings = rings_of(without_small_holes(polygon, _SPECK * polygon.area))
     return cells_from_polygon(*rings, count=count, width=width)
 
 
+def unit_advice(extent: float, unit: float) -> str:
+    """Which unit of a mesh would give an object a size that a table holds.
+
+    Args:
+        extent: m, with the present unit.
+        unit: m.
+    """
+    sizes = {name: (metres, extent / unit * metres) for name, metres in _UNITS.items() if metres != unit}
+    fitting = [
+        f"metres_per_unit={metres:g} ({name}) gives {1e3 * size:.3g} mm"
+        for name, (metres, size) in sizes.items()
+        if 0.005 <= size <= DOUBTFUL_EXTENT
+    ]
+    if not fitting:
+        return "no common unit makes a thing of it that lies on a table; is it the right file?"
+    return f"what is the mesh's unit? {', '.join(fitting)}"
+
+
+def up_axis(path: str | PathLike[str]) -> str:
+    """A key of `DIRECTIONS`: y for glTF, as its specification says, and for COLLADA that of the file, else z.
+
+    Raises:
+        ValueError: the file cannot be read.
+    """
+    kind = Path(path).suffix.lower()
+    if kind in (".glb", ".gltf"):
+        return "y"
+    if kind == ".dae":
+        try:
+            named = re.search(rb"<up_axis>\s*([XYZ])_UP", read_bounded(Path(path), _LARGEST_FILE))
+        except UnreadableFile as error:
+            raise ValueError(f"mesh {path}: {error}") from error
+        return named[1].decode().lower() if named else "y"
+    return "z"
+
+
 def upright_mesh(
-    path: str | PathLike[str], up: ArrayLike = (0, 0, 1), metres_per_unit: float | None = None
+    path: str | PathLike[str], up: ArrayLike | None = None, metres_per_unit: float | None = None
 ) -> trimesh.Trimesh:
     """The mesh of a file in m, turned like its cells and set down on z = 0; arguments as `cells_from_mesh`.
 
@@ -98,7 +145,8 @@ def upright_mesh(
     """
     loaded, source = _loaded(path)
     mesh = loaded.copy()
-    vertices = mesh.vertices * _unit(loaded, metres_per_unit, source) @ _turn_to_z(up).T
+    turn = _turn_to_z(DIRECTIONS[up_axis(path)] if up is None else up)
+    vertices = mesh.vertices * _unit(loaded, metres_per_unit, source) @ turn.T
     mesh.vertices = vertices - [0.0, 0.0, vertices[:, 2].min()]
     mesh.units = "meters"
     return mesh
@@ -111,7 +159,8 @@ def _loaded(mesh: trimesh.Trimesh | str | PathLike[str]) -> tuple[trimesh.Trimes
         try:
             check_file(Path(mesh), _LARGEST_FILE)
             logging.getLogger("trimesh").setLevel(logging.CRITICAL)  # what is wrong is told below
-            mesh = trimesh.load_mesh(str(mesh))
+            # A picture on the surface says nothing of how the object slides, and may be large.
+            mesh = trimesh.load_mesh(str(mesh), skip_materials=True)
         except UnreadableFile as error:
             raise ValueError(f"{source}: {error}") from error
         except Exception as error:  # trimesh's readers raise whatever their parsers do
@@ -132,7 +181,8 @@ def _told(error: Exception, path: Path) -> str:
         return f"{said}; export it once more, as .stl, .obj or .ply"
     if "charset_normalizer" in str(error):  # asked for where a file is neither binary nor plain text
         return "it is damaged or cut short, or no mesh; export it once more"
-    return f"files that end in {path.suffix} need a further library; export it as .stl, .obj or .ply"
+    library = "pycollada" if path.suffix.lower() == ".dae" else "a further library"
+    return f"files that end in {path.suffix} need {library}; install it, or export the mesh as .stl or .obj"
 
 
 def _unit(mesh: trimesh.Trimesh, metres_per_unit: float | None, source: str) -> float:
@@ -170,38 +220,9 @@ def _silhouette(triangles: FloatArray, extent: float, closed: bool, source: str)
             f"{source}: the silhouette falls into {len(parts)} separate parts (x_min, y_min, x_max, y_max in "
             f"m: {boxes}); an object is one connected piece"
         )
-    outline = parts[0].simplify(_SNAP * extent)
+    outline = parts[0].simplify(_FINEST * extent)
     assert isinstance(outline, Polygon)
     return outline
-
-
-def convex_pieces(polygon: Polygon) -> list[Polygon]:
-    """Convex polygons that cover a polygon with corners and holes, and stand out by no more than 0.1 mm.
-
-    Triangles that share a side are joined, the longest common side first, as long as the result stays convex
-    (the algorithm of Hertel and Mehlhorn, which finds at most four times as many pieces as needed).
-    """
-    allowed = polygon.buffer(_BULGE)
-    pieces = list(shapely.get_parts(shapely.constrained_delaunay_triangles(polygon)))
-    joined = True
-    while joined:
-        joined = False
-        for _, first, second in sorted(_neighbours(pieces), reverse=True):
-            hull = shapely.union(pieces[first], pieces[second]).convex_hull
-            if allowed.covers(hull):
-                pieces[first] = hull
-                del pieces[second]
-                joined = True
-                break
-    return pieces
-
-
-def _neighbours(pieces: list[Polygon]) -> list[tuple[float, int, int]]:
-    """Pairs of pieces with a common side: its length, first, second."""
-    borders = [piece.boundary for piece in pieces]
-    pairs = combinations(range(len(pieces)), 2)
-    sides = [(float(shapely.length(shapely.intersection(borders[i], borders[j]))), i, j) for i, j in pairs]
-    return [side for side in sides if side[0] > 0]
 
 
 def shaded_obj(mesh: trimesh.Trimesh) -> str:
@@ -280,6 +301,17 @@ def coloured(parts: Sequence[tuple[trimesh.Trimesh, ArrayLike]]) -> trimesh.Trim
         axis=0,
     )
     return trimesh.Trimesh(vertices, faces, face_colors=colours, process=False)
+
+
+def plainly_coloured(mesh: trimesh.Trimesh, colour: ArrayLike) -> trimesh.Trimesh:
+    """The mesh with few colours on its faces: its own; their mean if they are many, as of a scan; the given
+    one (r, g, b, a from 0 to 1) if it has none, or a picture on its surface."""
+    if isinstance(mesh.visual, trimesh.visual.ColorVisuals) and mesh.visual.defined:
+        own = np.asarray(mesh.visual.face_colors, dtype=float)
+        if len(np.unique(own, axis=0)) <= _MOST_COLOURS:
+            return mesh
+        colour = np.average(own, axis=0, weights=np.maximum(mesh.area_faces, 1e-12)) / 255
+    return coloured([(mesh, colour)])
 
 
 def height_over(mesh: trimesh.Trimesh, points: FloatArray) -> FloatArray:

@@ -97,7 +97,7 @@ def object_from_mesh(
     *,
     mu_finger: float = DEFAULT_MU_FINGER,
     count: int = DEFAULT_CELLS,
-    up: ArrayLike = (0, 0, 1),
+    up: ArrayLike | None = None,
     metres_per_unit: float | None = None,
 ) -> TrueObject:
     """A user's own object of one material, from a mesh file.
@@ -130,8 +130,6 @@ def object_from_mesh(
             " the object needs a thickness everywhere"
         )
     colors = _region_colors(1)
-    if not mesh.visual.defined:
-        mesh = meshes.coloured([(mesh, colors[0])])
     return TrueObject(
         name=Path(path).stem,
         grid=grid,
@@ -140,7 +138,7 @@ def object_from_mesh(
         mu=np.full(len(grid), mu),
         mu_finger=mu_finger,
         height=height,
-        mesh=mesh,
+        mesh=meshes.plainly_coloured(mesh, colors[0]),
         colors=colors,
         blocks=(Block(grid.polygon, float(height.max())),),
     )
@@ -155,17 +153,19 @@ def object_from_labels(
     height: float = 0.03,
     mu_finger: float = DEFAULT_MU_FINGER,
     count: int = DEFAULT_CELLS,
+    background: int = 0,
 ) -> TrueObject:
     """A user's own object of several materials, from a picture whose pixels name its segments.
 
     Args:
-        path: picture with one channel, 0 where there is no object.
+        path: picture with one channel.
         metres_per_pixel: side of a pixel, m.
         mass: label to the segment's whole mass, kg, shared out evenly among its cells.
         mu: label to the segment's friction coefficient with the table.
         height: of the object, m.
         mu_finger: friction coefficient with the finger.
         count: wanted number of cells.
+        background: label of what is not the object.
 
     Raises:
         ValueError: a picture that cannot be used (see `cells_from_label_image`), a label without mass or
@@ -173,7 +173,7 @@ def object_from_labels(
     """
     source = f"label image {Path(path)}"
     _positive(height, f"{source}: height", "m")
-    grid, segments = cells_from_label_image(path, metres_per_pixel, count=count)
+    grid, segments = cells_from_label_image(path, metres_per_pixel, count=count, background=background)
     names, labels = np.unique(segments, return_inverse=True)
     listed = ", ".join(str(name) for name in names)
     for what, values in (("mass", mass), ("mu", mu)):

@@ -16,16 +16,19 @@ from shapely.geometry import Polygon
 
 from slipmap.models.files import check_archive
 from slipmap.models.objects.footprints import cells_from_polygon, rings_of
+from slipmap.models.perception.edge_kernels import mean_misfits
 from slipmap.models.perception.object_mask import (
+    LEAST_AREA,
     SMOOTHING,
     HeightPicture,
     Heights,
     Mask,
+    least_height,
     object_mask,
     smoothed_heights,
 )
 from slipmap.models.perception.pinhole_camera import DepthImage, PinholeCamera, View, pixel_size
-from slipmap.models.perception.pose_tracking import fit_edges
+from slipmap.models.perception.pose_tracking import angle_shown, fit_edges
 from slipmap.models.perception.seen_object import Outline, Reason, Relief, SeenObject, footprint, outline_of
 from slipmap.models.perception.table_plane import TablePlane, fit_table
 from slipmap.models.physics.cell_grid import CellGrid, FloatArray
@@ -90,8 +93,14 @@ def first_look(
     )
     # The outline was traced and poses are fitted to edges; what differs between the two cancels out of every
     # motion if the first pose is fitted as well.
-    fit = fit_edges(HeightPicture(heights), view, seen, seen.first_pose, _REACHES)
-    return replace(seen, first_pose=fit.pose)
+    picture = HeightPicture(heights)
+    fit = fit_edges(picture, view, seen, seen.first_pose, _REACHES)
+    fitted = replace(seen, first_pose=fit.pose)
+    ((misfit, _),) = mean_misfits(picture, view.lens, fitted.shape, fit.pose[None], pixel_size(view), 1)
+    if angle_shown(picture, view, fitted):
+        return replace(fitted, misfit=float(misfit))
+    held = replace(seen, misfit=float(misfit), angle_seen=False)
+    return replace(held, first_pose=fit_edges(picture, view, held, held.first_pose, _REACHES).pose)
 
 
 def object_center(frames: Sequence[DepthImage], view: View, blocked: Mask | None = None) -> FloatArray:
@@ -115,7 +124,11 @@ def _standing_object(
     heights = smoothed_heights(raw, blocked)
     mask = object_mask(heights, view)
     if mask is None:
-        raise ObjectNotSeen("no object", "nothing stands on the table")
+        raise ObjectNotSeen(
+            "no object",
+            f"nothing on the table is higher than the {1e3 * least_height(heights):.0f} mm that this camera"
+            f" tells from it and covers more than {1e4 * LEAST_AREA:.0f} cm²",
+        )
     if blocked is not None:
         size = 2 * _ARM_NEAR + 1
         around = cv2.dilate(mask.astype(np.uint8), np.ones((size, size), np.uint8)) > 0

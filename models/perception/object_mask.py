@@ -19,9 +19,12 @@ Mask = NDArray[np.bool_]
 _LOWEST = -0.005  # m; lower readings, beside the table, count as this: how deep the floor is does not matter
 _HIGHEST = 0.3  # m; nothing that stands on the table is higher
 _LEAST_WEIGHT = 0.3  # of a smoothed pixel's neighbourhood that has readings
-_LEAST_AREA = 4e-4  # m²
+LEAST_AREA = 4e-4
+"""What a camera takes for an object covers more of the table than this, m²,"""
+LEAST_HEIGHT = 4e-3
+"""and is higher, m; with much noise, than 4 standard deviations of the table's heights."""
 _FAINT, _CLEAR = 2.0, 4.0  # in standard deviations of the table's heights
-_FAINTEST, _CLEAREST = 2e-3, 4e-3  # m; the same for a table seen without noise
+_FAINTEST = 2e-3  # m; the same for a table seen without noise
 _RAGGED = 5  # pixels; what sticks out of an edge by less, and no further along it, is noise
 _RIM = 2  # pixels; an edge blurred over less is taken at half its height
 
@@ -71,6 +74,11 @@ def _table_noise(heights: Heights) -> float:
     return float(np.median(table) / 0.6745) if len(table) else 0.0
 
 
+def least_height(heights: Heights) -> float:
+    """Height over the table that tells an object from noise, in smoothed heights (H, W), m."""
+    return max(LEAST_HEIGHT, _CLEAR * _table_noise(heights))
+
+
 def object_mask(heights: Heights, view: View) -> Mask | None:
     """(H, W) pixels of the object in smoothed heights (H, W), m; None if nothing stands on the table.
 
@@ -83,7 +91,7 @@ def object_mask(heights: Heights, view: View) -> Mask | None:
     faint = heights > max(_FAINTEST, _FAINT * noise)
     faint = cv2.medianBlur(faint.astype(np.uint8), 3) > 0
     faint |= between(faint, np.isnan(heights))
-    found = _largest_piece(faint, heights > max(_CLEAREST, _CLEAR * noise), view)
+    found = _largest_piece(faint, heights > least_height(heights), view)
     if found is None:
         return None
     found = _without_rim(found, heights)
@@ -97,7 +105,7 @@ def _largest_piece(mask: Mask, seeds: Mask, view: View) -> Mask | None:
     area[0] = 0.0
     area[np.bincount(pieces[seeds], minlength=number) == 0] = 0.0
     largest = int(np.argmax(area))
-    if area[largest] * pixel_size(view) ** 2 < _LEAST_AREA:
+    if area[largest] * pixel_size(view) ** 2 < LEAST_AREA:
         return None
     return pieces == largest
 

@@ -26,6 +26,7 @@ from scipy.spatial import cKDTree
 from shapely.geometry import LinearRing, Polygon
 
 from slipmap.models.geometry import cross
+from slipmap.models.measurements.push_dataset import Trial
 from slipmap.models.objects.footprints import without_small_holes
 from slipmap.models.objects.images import border_middles, straightened, traced_outline
 from slipmap.models.perception.edge_kernels import SPACING, Land, Shape
@@ -60,6 +61,9 @@ _NEIGHBOURS = 4  # readings whose median is a height
 _FOR_PLANE = 12  # readings through which a plane is laid at the rim
 _WALL, _STEEP = 2.0, 6.0  # a reading that is lower than one beside it by more (pixels, slope) is no top
 
+UNSEEN_ANGLE = 1.0
+"""Standard deviation of the angle of an object whose angle cannot be seen, rad."""
+
 Reason = Literal["", "no object", "occluded", "left the table"] | Fault
 
 
@@ -76,6 +80,12 @@ class ObservedPose:
     # too much of it), "left the table", or what is wrong with the picture
     reason: Reason = ""
     time: float = 0.0  # at which the picture was taken, s
+    detail: str = ""  # more about the reason, for people; empty where it says all
+
+    @property
+    def why(self) -> str:
+        """Why it could not be seen, in words."""
+        return self.detail or self.reason or "no picture"
 
     @staticmethod
     def of(pose: ArrayLike, time: float = 0.0, covariance: FloatArray | None = None) -> ObservedPose:
@@ -90,9 +100,15 @@ class ObservedPose:
         return ObservedPose(np.asarray(pose, dtype=float), spread, True, "", time)
 
     @staticmethod
-    def unseen(reason: Reason, time: float = 0.0) -> ObservedPose:
+    def unseen(reason: Reason, time: float = 0.0, detail: str = "") -> ObservedPose:
         """No pose, for a reason."""
-        return ObservedPose(np.full(3, np.nan), np.full((3, 3), np.nan), False, reason, time)
+        return ObservedPose(np.full(3, np.nan), np.full((3, 3), np.nan), False, reason, time, detail)
+
+
+def angle_held(trial: Trial) -> bool:
+    """Whether a recorded push is one of an object whose angle could not be seen: it is the same in all rows,
+    to the last digit."""
+    return bool(np.ptp(trial.object_pose.values[:, 2]) == 0.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -180,6 +196,9 @@ class SeenObject:
     inner_slopes: FloatArray  # (k, 2) of the top there, along O's axes
     relief: Relief  # heights over the whole footprint
     table: TablePlane  # plane of the table in W
+    angle_seen: bool = True  # whether pictures tell the angle; that of a round object is held
+    # mean misfit of its own picture, see `mean_misfits`: of what is finer than pixels
+    misfit: float = 0.0
 
     @cached_property
     def shape(self) -> Shape:

@@ -10,9 +10,9 @@ import click
 
 from slipmap.diagrams.application.campaigns.experiments import ABOUT, experiment_of
 from slipmap.diagrams.application.commands import options
-from slipmap.diagrams.application.outputs import make_folder, write_figures
+from slipmap.diagrams.application.outputs import lock_folder, make_folder, write_figures
 from slipmap.diagrams.application.terminal import Progress, note, paragraph, prepare_kernels, table
-from slipmap.models.files import BadInput, write_json
+from slipmap.models.files import BadInput, together, write_json
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -74,6 +74,7 @@ def campaign(
     names = _checked(object_names or chosen.objects)
     files = folder / f"{experiment}-{truth}"
     make_folder(files)
+    lock_folder(files)
     prepare_kernels()
     try:
         specs = _by_methods(chosen.specs(names, trials or chosen.trials, seed, truth), methods)
@@ -92,8 +93,6 @@ def campaign(
         raise BadInput(str(error)) from error
     summary = chosen.summary(outcomes)
     picture = folder / f"{experiment}-{truth}.png"
-    _show(summary, outcomes)
-    write_figures(picture, summary.figures())
     document = summary.document | {
         "experiment": experiment,
         "truth": truth,
@@ -102,8 +101,11 @@ def campaign(
         "trials": len(outcomes),
         "failed": {o.spec.name: o.failure for o in outcomes if o.failure is not None},
     }
-    write_json(folder / f"{experiment}-{truth}.json", document)
-    write_json(json_file, document)
+    with together():
+        write_figures(picture, summary.figures())
+        write_json(folder / f"{experiment}-{truth}.json", document)
+        write_json(json_file, document)
+    _show(summary, outcomes)
     note(f"trials are in {files}, the picture is {picture}")
 
 

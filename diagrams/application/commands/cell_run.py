@@ -19,9 +19,10 @@ from slipmap.models.files import BadInput, write_text
 if TYPE_CHECKING:
     from pydrake.geometry import Meshcat
 
-    from slipmap.diagrams.station.scenario import Scenario
+    from slipmap.diagrams.station.scenario import ObjectSettings, Scenario
     from slipmap.models.inference.results import Identification
     from slipmap.models.measurements import PushDataset
+    from slipmap.models.objects.true_object import TrueObject
 
 
 class Stopped(click.ClickException):
@@ -77,22 +78,38 @@ class CellRun(NamedTuple):
 
     @contextmanager
     def in_view(self) -> Iterator[tuple[Meshcat | None, Progress]]:
-        """Meshcat, if it is asked for, and progress; the recording is written where the block ends well."""
-        recording = self.recording
-        meshcat = _meshcat(self.open_meshcat) if self.open_meshcat or recording is not None else None
+        """Meshcat, if it is asked for, and progress."""
+        recorded = self.recording is not None
+        meshcat = _meshcat(self.open_meshcat) if self.open_meshcat or recorded else None
         with Progress() as progress:
             prepare_kernels()
-            if meshcat is not None and recording is not None:
+            if meshcat is not None and recorded:
                 meshcat.StartRecording(frames_per_second=15.0)
             yield meshcat, progress
-            if meshcat is not None and recording is not None:
-                with progress.step("writing the recording"):
-                    meshcat.StopRecording()
-                    meshcat.PublishRecording()
-                    write_text(recording, str(meshcat.StaticHtml()))
+        if meshcat is not None and recorded:
+            meshcat.StopRecording()
         if self.open_meshcat and meshcat is not None:
             note(f"the view is at {meshcat.web_url()}; press Enter to end")
             wait_for_enter()
+
+    def keep_recording(self, meshcat: Meshcat | None) -> None:
+        """Write the recording, if it is asked for: last of all, so that it alone is lost without room for it.
+
+        Raises:
+            BadInput: it cannot be written.
+        """
+        if meshcat is None or self.recording is None:
+            return
+        try:
+            with Progress() as progress, progress.step("writing the recording"):
+                meshcat.PublishRecording()
+                write_text(self.recording, str(meshcat.StaticHtml()))
+        except BadInput as error:
+            raise BadInput(
+                f"{error}; the recording alone is lost, {self.folder} holds all else (a run that was cut off"
+                f" goes on with `slipmap explore --resume {self.folder}`)"
+            ) from error
+        show_files({"recording": self.recording})
 
 
 def _meshcat(show: bool) -> Meshcat:
@@ -155,12 +172,16 @@ def effects_of_library(names: Sequence[str]) -> tuple[str, ...]:
     return tuple(effect.name for effect in effects_named(names)) if names else ()
 
 
-def scenario_of(path: Path | None, object_name: str | None) -> Scenario:
+def scenario_of(path: Path | None, object_name: str | None, *, simulated: bool = False) -> Scenario:
     """The scenario of a file, if any, with another object, if any.
 
+    Args:
+        simulated: whether the arm is to push that object in a simulation.
+
     Raises:
-        BadInput: the file, the object's name, or an object that does not lie on the table.
+        BadInput: the file, the object's name, or an object that cannot be pushed and seen where it lies.
     """
+    from slipmap.diagrams.station.placement import check_placement
     from slipmap.diagrams.station.scenario import Scenario, read_scenario
 
     try:
@@ -172,15 +193,31 @@ def scenario_of(path: Path | None, object_name: str | None) -> Scenario:
     except ValueError as error:
         where = "" if path is None or object_name is not None else f"{path}: "
         raise BadInput(f"{where}object: {error}") from error
+    if scenario.object.mesh is not None:
+        _show_mesh(scenario.object, thing)
     try:
-        scenario.check_placement(thing)
+        check_placement(scenario, thing)
+        if simulated:
+            from slipmap.diagrams.loops.exploration_loop import check_reach
+
+            check_reach(scenario, thing)
     except ValueError as error:
         raise BadInput(str(error) if path is None else f"{path}: {error}") from error
     return scenario
 
 
+def _show_mesh(settings: ObjectSettings, thing: TrueObject) -> None:
+    from slipmap.models.objects.meshes import up_axis
+
+    assert settings.mesh is not None
+    corners = thing.grid.exterior
+    size = " by ".join(f"{1e3 * side:.0f} mm" for side in corners.max(axis=0) - corners.min(axis=0))
+    axis = settings.up or up_axis(settings.mesh)
+    note(f"object {thing.name}: {size}, {1e3 * thing.height.max():.3g} mm high with {axis} up")
+
+
 def leave(
-    identification: Identification, dataset: PushDataset, folder: Path, recording: Path | None = None
+    identification: Identification, dataset: PushDataset, folder: Path, progress: Progress
 ) -> dict[str, Path]:
     """Write belief, pictures and report beside the pushes; returns what lies where."""
     from slipmap.diagrams.application.commands.compare import report
@@ -188,14 +225,12 @@ def leave(
     from slipmap.models.inference.comparison import compare
 
     belief = folder / "belief.npz"
-    with Progress() as progress:
-        pictures = keep(identification, dataset, belief, None, progress)
-        comparison = compare(dataset, identification.belief, seed=0, label="model", progress=progress)
-        text = report([comparison], dataset, str(folder / "pushes"))
+    pictures = keep(identification, dataset, belief, None, progress)
+    comparison = compare(dataset, identification.belief, seed=0, label="model", progress=progress)
+    text = report([comparison], dataset, str(folder / "pushes"))
     write_text(folder / "report.html", text)
     written = {"pushes": folder / "pushes", "belief": belief, "report": folder / "report.html"}
-    written |= {f"picture of {path.stem.removeprefix('belief.')}": path for path in pictures}
-    return written if recording is None else {**written, "recording": recording}
+    return written | {f"picture of {path.stem.removeprefix('belief.')}": path for path in pictures}
 
 
 def show_files(written: Mapping[str, Path]) -> None:

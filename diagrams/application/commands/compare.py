@@ -11,8 +11,8 @@ import click
 
 from slipmap.diagrams.application.commands import options
 from slipmap.diagrams.application.outputs import write_figures
-from slipmap.diagrams.application.terminal import Progress, note, paragraph, prepare_kernels
-from slipmap.models.files import BadInput, write_json, write_text
+from slipmap.diagrams.application.terminal import Progress, note, paragraph, prepare_kernels, printable
+from slipmap.models.files import BadInput, together, write_json, write_text
 
 if TYPE_CHECKING:
     from slipmap.models.inference.belief import Belief
@@ -57,12 +57,13 @@ def predict(
         pushes = prediction.predict(belief, measured, progress)
         from slipmap.diagrams.application.figures import push_figures
 
-        with progress.step("drawing"):
-            drawn = write_figures(output, push_figures(pushes, measured))
-    write_json(json_file, _prediction_document(belief, measured.name, pushes))
+        with together():
+            with progress.step("drawing"):
+                drawn = write_figures(output, push_figures(pushes, measured))
+            write_json(json_file, _prediction_document(belief, measured.name, pushes))
     from slipmap.diagrams.application.reports.tables import show_errors
 
-    click.echo(f"{measured.name}, {len(pushes)} pushes; belief learnt from {belief.dataset}\n")
+    click.echo(printable(f"{measured.name}, {len(pushes)} pushes; belief learnt from {belief.dataset}\n"))
     show_errors(pushes, measured, str(dataset))
     for path in drawn:
         note(f"picture: {path}")
@@ -120,10 +121,12 @@ def compare(
             else [comparison.compare(measured, belief, seed=seed, progress=progress)]
         )
         with progress.step("drawing"):
-            write_text(output, report(results, measured, str(dataset)))
+            text = report(results, measured, str(dataset))
     before, *after = (result.to_json() for result in results)
     both = {"before": before, "after": after[0], "effects": list(effect_names)} if after else before
-    write_json(json_file, both)
+    with together():
+        write_text(output, text)
+        write_json(json_file, both)
     show(results, str(dataset))
     note(f"report: {output}")
 
@@ -173,7 +176,8 @@ def show(results: Sequence[Comparison], where: str = "DATASET") -> None:
     from slipmap.diagrams.application.reports.tables import show_comparison
 
     first = results[0]
-    click.echo(f"{first.dataset}, {len(first.pushes)} pushes; model learnt from {first.learnt_from}\n")
+    named = f"{first.dataset}, {len(first.pushes)} pushes; model learnt from {first.learnt_from}\n"
+    click.echo(printable(named))
     show_comparison(results)
     for text in _told(results):
         paragraph(text)
@@ -247,12 +251,13 @@ def diagnose(
             measured, effects=effects, draws=draws, quick=quick, seed=seed, progress=progress
         )
         wanted = not quick or options.asked_for("output")
-        if wanted:
-            from slipmap.diagrams.application.reports.diagnosis_sections import diagnosis_report
+        with together():
+            if wanted:
+                from slipmap.diagrams.application.reports.diagnosis_sections import diagnosis_report
 
-            told = diagnosis_report(result, measured, effects, where, progress)
-            write_text(output, told)
-    write_json(json_file, result.to_json(where))
+                told = diagnosis_report(result, measured, effects, where, progress)
+                write_text(output, told)
+            write_json(json_file, result.to_json(where))
     from slipmap.diagrams.application.reports.diagnosis_words import show_diagnosis
 
     show_diagnosis(result, measured, effects, where)

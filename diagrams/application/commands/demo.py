@@ -9,9 +9,9 @@ import click
 
 from slipmap.diagrams.application.commands import options
 from slipmap.diagrams.application.commands.identify import keep, show, tell_files
-from slipmap.diagrams.application.outputs import make_folder
+from slipmap.diagrams.application.outputs import lock_folder, make_folder
 from slipmap.diagrams.application.terminal import Progress, note, prepare_kernels, table
-from slipmap.models.files import write_json, writing
+from slipmap.models.files import together, write_json, writing
 
 if TYPE_CHECKING:
     from slipmap.models.inference.results import Identification
@@ -36,6 +36,7 @@ def demo(folder: Path, seed: int, fit_pushes: int, heldout_pushes: int, json_fil
     from slipmap.diagrams.loops.run_folder import refuse_robots_pushes
 
     make_folder(folder)
+    lock_folder(folder)
     refuse_robots_pushes(folder, "--output")
     place, belief = folder / "pushes", folder / "belief.npz"
     with Progress() as progress:
@@ -50,9 +51,10 @@ def demo(folder: Path, seed: int, fit_pushes: int, heldout_pushes: int, json_fil
                 write_dataset(recorded, place, overwrite=True)
         dataset = options.load_dataset(place, None, progress)
         result = identification.identify(dataset, seed=seed, progress=progress)
-        drawn = keep(result, dataset, belief, None, progress, truth)
-    comparison = _against_truth(result, truth)
-    write_json(json_file, {**result.to_json(), "truth": comparison})
+        comparison = _against_truth(result, truth)
+        with together():
+            drawn = keep(result, dataset, belief, None, progress, truth)
+            write_json(json_file, {**result.to_json(), "truth": comparison})
     show(result, dataset, str(place))
     _show_comparison(result, comparison)
     note(f"pushes: {place}")

@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from slipmap.diagrams.application.commands.options import Option, count_option, output_option
-from slipmap.diagrams.application.terminal import note
+from slipmap.diagrams.application.terminal import note, printable
 from slipmap.models.files import BadInput, write_text
 
 if TYPE_CHECKING:
-    from slipmap.models.physics.cell_grid import CellGrid
+    from slipmap.models.physics.cell_grid import CellGrid, FloatArray
 
 _PICTURES = (".png", ".bmp", ".tif", ".tiff", ".pgm")
 
@@ -34,7 +34,16 @@ def _positive(name: str, unit: str, about: str, *, required: bool = False) -> Op
 @_positive(
     "--metres-per-unit", "M", "Of a mesh, 0.001 for millimetres; as its file says where missing, else 1."
 )
+@click.option(
+    "--up",
+    type=click.Choice(("x", "y", "z", "-x", "-y", "-z")),
+    help="Axis of a mesh that points up. [default: y of glTF, what COLLADA says, else z]",
+)
 @_positive("--metres-per-pixel", "M", "Of a picture: side of a pixel.")
+@click.option(
+    "--background", type=click.IntRange(0, 65535), metavar="VALUE",
+    help="Of a picture: value of the pixels that are not the object. [default: 0]",
+)  # fmt: skip
 def describe_object(
     file: Path,
     output: Path,
@@ -42,13 +51,16 @@ def describe_object(
     mass: float | None,
     cells: int,
     metres_per_unit: float | None,
+    up: str | None,
     metres_per_pixel: float | None,
+    background: int | None,
 ) -> None:
     """Describe an object from a mesh or a picture, for --object.
 
-    FILE is a mesh (STL, OBJ, PLY), whose silhouette from above is the footprint and whose x and y are the
-    frame of the measured poses; or a greyscale picture from above (PNG) with 0 where there is no object. A
-    picture's frame has its origin at the middle of the object's area, x to the right and y up.
+    FILE is a mesh (STL, OBJ, PLY, glTF, COLLADA), whose silhouette from above is the footprint and whose x
+    and y, once the mesh is upright, are the frame of the measured poses; or a greyscale picture from above
+    (PNG) with 0 where there is no object. A picture's frame has its origin at the middle of the object's
+    area, x to the right and y up.
 
     `identify`, `compare`, `diagnose` and `fit` take what this writes beside CSV files.
     """
@@ -56,7 +68,17 @@ def describe_object(
 
     from slipmap.models.measurements.setup_description import parse_setup
 
-    shape = _shape(file, cells, metres_per_unit, metres_per_pixel)
+    if file.suffix.lower() in _PICTURES:
+        if metres_per_pixel is None or metres_per_unit is not None or up is not None:
+            raise BadInput(f"{file} is a picture: give --metres-per-pixel, no --metres-per-unit and no --up")
+        shape, standing = _pictured(file, cells, metres_per_pixel, background or 0), ""
+    else:
+        if metres_per_pixel is not None or background is not None:
+            raise BadInput(
+                f"{file} is no picture ({', '.join(_PICTURES)}): --metres-per-pixel and --background have no"
+                " meaning for it"
+            )
+        shape, standing = _modelled(file, cells, metres_per_unit, up)
     if mass is not None:
         shape["mass"] = mass
     document = {"name": file.stem, "object": shape, "finger": {"radius": finger}}
@@ -65,42 +87,66 @@ def describe_object(
         note(f"warning: {warning}")
     write_text(output, yaml.safe_dump(document, sort_keys=False, default_flow_style=None))
     low, high = setup.grid.exterior.min(axis=0), setup.grid.exterior.max(axis=0)
-    click.echo(
-        f"{file.stem}: {1e3 * (high - low)[0]:.0f} mm by {1e3 * (high - low)[1]:.0f} mm,"
-        f" {len(setup.grid)} cells of {1e3 * setup.grid.width:.1f} mm"
-    )
+    size = " by ".join(f"{1e3 * side:.0f} mm" for side in high - low)
+    holes = len(setup.grid.holes)
+    openings = f" with {holes} opening{'s' * (holes > 1)}" if holes else ""
+    cut = f"{len(setup.grid)} cells of {1e3 * setup.grid.width:.1f} mm"
+    click.echo(f"{printable(file.stem)}: {size}{openings}{standing}, {cut}")
     note(f"description: {output}; use it with --object {output}")
 
 
-def _shape(
-    file: Path, cells: int, metres_per_unit: float | None, metres_per_pixel: float | None
-) -> dict[str, Any]:
-    """The key `object` of a description.
-
-    Raises:
-        BadInput: the file cannot be used, or an option belongs to files of the other kind.
-    """
-    from slipmap.models.objects import cells_from_label_image, cells_from_mesh
-    from slipmap.models.objects.meshes import upright_mesh
+def _pictured(file: Path, cells: int, metres_per_pixel: float, background: int) -> dict[str, Any]:
+    """The key `object` of a description. Raises BadInput where the file cannot be used."""
+    from slipmap.models.objects import cells_from_label_image
 
     try:
-        if file.suffix.lower() in _PICTURES:
-            if metres_per_pixel is None or metres_per_unit is not None:
-                raise BadInput(f"{file} is a picture: give --metres-per-pixel and no --metres-per-unit")
-            return _footprint(cells_from_label_image(str(file), metres_per_pixel, count=cells)[0])
-        if metres_per_pixel is not None:
-            raise BadInput(
-                f"{file} is no picture ({', '.join(_PICTURES)}): --metres-per-pixel has no meaning for it"
-            )
-        grid = cells_from_mesh(str(file), count=cells, metres_per_unit=metres_per_unit)
-        height = float(upright_mesh(file, metres_per_unit=metres_per_unit).bounds[1, 2])
+        grid, _ = cells_from_label_image(str(file), metres_per_pixel, count=cells, background=background)
+    except ValueError as error:
+        raise BadInput(str(error).replace("background=", "--background ")) from error
+    return _footprint(grid)
+
+
+def _modelled(
+    file: Path, cells: int, metres_per_unit: float | None, up: str | None
+) -> tuple[dict[str, Any], str]:
+    """The key `object` of a description, and how the mesh stands.
+
+    Raises:
+        BadInput: the file cannot be used.
+    """
+    from slipmap.models.objects import cells_from_mesh, meshes
+
+    try:
+        axis = up or meshes.up_axis(file)
+        direction = meshes.DIRECTIONS[axis]
+        grid = cells_from_mesh(str(file), count=cells, metres_per_unit=metres_per_unit, up=direction)
+        height = float(meshes.upright_mesh(file, direction, metres_per_unit).bounds[1, 2])
     except ValueError as error:
         raise BadInput(str(error).replace("metres_per_unit=", "--metres-per-unit ")) from error
-    return {**_footprint(grid), **({"height": round(height, 7)} if height > 0 else {})}
+    extent = float((grid.exterior.max(axis=0) - grid.exterior.min(axis=0)).max())
+    if extent > meshes.DOUBTFUL_EXTENT:
+        advice = meshes.unit_advice(extent, metres_per_unit or 1.0).replace(
+            "metres_per_unit=", "--metres-per-unit "
+        )
+        note(f"warning: {printable(str(file))} is {extent:.3g} m large; if that is wrong, {advice}")
+    standing = f", {1e3 * height:.3g} mm high with {axis} up"
+    return {**_footprint(grid), **({"height": round(height, 7)} if height > 0 else {})}, standing
 
 
 def _footprint(grid: CellGrid) -> dict[str, Any]:
+    holes = [_written(hole) for hole in grid.holes]
     return {
-        "outline": grid.exterior.round(7).tolist(),
+        "outline": _written(grid.exterior),
+        **({"holes": holes} if holes else {}),
         "cells": {"width": float(grid.width), "centers": grid.centers.round(7).tolist()},
     }
+
+
+def _written(ring: FloatArray) -> list[list[float]]:
+    """The corners of a ring (k, 2) as they are written, without those that rounding makes equal."""
+    corners: list[list[float]] = ring.round(7).tolist()
+    return [
+        corner
+        for corner, before in zip(corners, corners[-1:] + corners[:-1], strict=True)
+        if corner != before
+    ]

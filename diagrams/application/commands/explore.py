@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from slipmap.diagrams.application.commands import cell_run, options
-from slipmap.diagrams.application.outputs import make_folder
+from slipmap.diagrams.application.outputs import lock_folder, make_folder
 from slipmap.diagrams.application.terminal import paragraph, table
-from slipmap.models.files import BadInput, write_json
+from slipmap.models.files import BadInput, together, write_json
 from slipmap.planners.settings import METHODS, STRATEGIES
 
 if TYPE_CHECKING:
@@ -87,7 +87,7 @@ def explore(
         scenario, wanted, before = resumed(resume)
     else:
         if after is None:
-            scenario = cell_run.scenario_of(scenario_file, object_name)
+            scenario = cell_run.scenario_of(scenario_file, object_name, simulated=not cell.hardware)
         else:
             _refuse_beside(context, "--after takes the cell of the run before", "object", "scenario")
             if after.resolve() == cell.folder.resolve():
@@ -108,6 +108,7 @@ def explore(
         was = "in simulation; leave out" if cell.hardware else "in a real cell; add"
         raise BadInput(f"{resume or after}: that run was made {was} --hardware to go on with it")
     make_folder(cell.folder)
+    lock_folder(cell.folder)
     record = ExplorationFolder(cell.folder, scenario, wanted, before if resume is not None else None)
     cell.check_outputs(json_file)
     if before is not None and resume is None:
@@ -124,12 +125,14 @@ def explore(
             if error.run is None:
                 raise (click.Abort() if stopped else click.ClickException(str(error))) from error
             run, failure = error.run, f"{error}."
-    written = cell_run.leave(run.identification, run.dataset, cell.folder, cell.recording)
-    record.end()
-    write_json(json_file, {**_learned_json(run), "monitor": run.watch.to_json(), "failure": failure})
+        with record.going_on(len(run.dataset.trials)), together():
+            written = cell_run.leave(run.identification, run.dataset, cell.folder, progress)
+            record.end()
+            write_json(json_file, {**_learned_json(run), "monitor": run.watch.to_json(), "failure": failure})
     _show_exploration(run)
     _show_surprises(run, cell.folder)
     cell_run.show_files(written)
+    cell.keep_recording(meshcat)
     if failure:
         kept = (
             f"{failure} What was recorded until then is kept; go on with `slipmap explore --resume"
@@ -175,12 +178,13 @@ def pregrasp(
     from slipmap.diagrams.loops.exploration_run import ExplorationFailed, ExplorationStopped
     from slipmap.diagrams.loops.run_folder import PregraspFolder
 
-    scenario = cell_run.scenario_of(scenario_file, object_name)
+    scenario = cell_run.scenario_of(scenario_file, object_name, simulated=not cell.hardware)
     exploration = LoopOptions(pushes=pushes, seed=seed, effects=cell_run.effects_of_library(effect_names))
     wanted = pregrasp_loop.PregraspOptions(exploration, method=method)
     if cell.hardware and method == "true":
         raise BadInput("--method true: the truth is known of a simulated object alone; choose another method")
     make_folder(cell.folder)
+    lock_folder(cell.folder)
     record = PregraspFolder(cell.folder, scenario)
     cell.check_outputs(json_file)
     try:
@@ -188,6 +192,11 @@ def pregrasp(
             run = pregrasp_loop.pregrasp(
                 scenario, wanted, hardware=cell.address, meshcat=meshcat, progress=progress, record=record
             )
+            with together():
+                explored = run.exploration
+                written = cell_run.leave(explored.identification, explored.dataset, cell.folder, progress)
+                record.end()
+                write_json(json_file, {**_learned_json(explored), "pregrasp": run.to_json()})
     except BaseException as error:
         if not cell.hardware:
             record.end()  # a simulation can be made again: the same command may replace what it left
@@ -195,15 +204,11 @@ def pregrasp(
             stopped = isinstance(error, ExplorationStopped)
             raise (click.Abort() if stopped else click.ClickException(str(error))) from error
         raise
-    written = cell_run.leave(
-        run.exploration.identification, run.exploration.dataset, cell.folder, cell.recording
-    )
-    record.end()
-    write_json(json_file, {**_learned_json(run.exploration), "pregrasp": run.to_json()})
     _show_exploration(run.exploration)
     _show_pregrasp(run)
     _show_surprises(run.exploration, cell.folder)
     cell_run.show_files(written)
+    cell.keep_recording(meshcat)
     if not run.held:
         kept = f"the object is not held: {run.reason}. What was recorded is kept in {cell.folder}."
         raise cell_run.Stopped(kept) if run.interrupted else click.ClickException(kept)
@@ -232,6 +237,12 @@ def _show_exploration(run: ExplorationRun) -> None:
 
     show(run.identification, run.dataset, None)
     show_effects(run.identification)
+    if not run.angle_seen:
+        paragraph(
+            "The object is round, as far as the camera sees. Its angle cannot be seen and was held; it counts"
+            " as unknown to a radian. Errors of predicted pushes include the turning that nobody saw, and"
+            " where the mass lies is told in the frame of an object that does not turn."
+        )
     truth = run.truth()
     if truth is None:
         paragraph(f"It took {run.seconds:.0f} s.")

@@ -14,8 +14,8 @@ import click
 
 from slipmap.diagrams.application.commands import options
 from slipmap.diagrams.application.outputs import make_folder, write_figures
-from slipmap.diagrams.application.terminal import Progress, note, paragraph, prepare_kernels
-from slipmap.models.files import BadInput, write_json
+from slipmap.diagrams.application.terminal import Progress, note, paragraph, prepare_kernels, printable
+from slipmap.models.files import BadInput, together, whole_file, write_json
 
 if TYPE_CHECKING:
     from slipmap.models.inference.prediction import Prediction
@@ -82,8 +82,9 @@ def identify(
             progress=progress,
             friction_laws=not plain,
         )
-        drawn = keep(result, measured, output, pictures, progress)
-    write_json(json_file, result.to_json())
+        with together():
+            drawn = keep(result, measured, output, pictures, progress)
+            write_json(json_file, result.to_json())
     show(result, measured, str(dataset))
     tell_files(output, drawn)
 
@@ -129,8 +130,9 @@ def fit(
         from slipmap.models.inference import identification
 
         result = identification.fit(measured, effects, hypotheses=hypotheses, seed=seed, progress=progress)
-        drawn = keep(result, measured, output, pictures, progress)
-    write_json(json_file, result.to_json())
+        with together():
+            drawn = keep(result, measured, output, pictures, progress)
+            write_json(json_file, result.to_json())
     show(result, measured, str(dataset))
     show_effects(result)
     _show_gain(result)
@@ -147,8 +149,13 @@ def keep(
 ) -> list[Path]:
     """Write a belief, and its pictures to a folder or beside it; returns the paths of the pictures."""
     from slipmap.diagrams.application.figures import maps_figure, push_figures
+    from slipmap.models.inference.belief import BeliefError
 
-    result.belief.save(output)
+    with whole_file(output) as part:
+        try:
+            result.belief.save(part)
+        except BeliefError as error:  # names the temporary file
+            raise error.__cause__ or error from error
     folder = pictures or output.parent
     progress("drawing", 0, 2)
     paths = write_figures(folder / f"{output.stem}.maps.png", [maps_figure(result.belief, truth=truth)])
@@ -189,8 +196,8 @@ def show(result: Identification, dataset: PushDataset, where: str | None) -> Non
     )
 
     click.echo(
-        f"{dataset.name}: {len(dataset.grid)} cells, {len(dataset.fit_trials)} pushes to learn from,"
-        f" {len(dataset.heldout_trials)} held out\n"
+        f"{printable(dataset.name)}: {len(dataset.grid)} cells, {len(dataset.fit_trials)} pushes to learn"
+        f" from, {len(dataset.heldout_trials)} held out\n"
         f"{len(result.belief)} hypotheses in {result.seconds:.0f} s\n"
     )
     show_errors(result.pushes, dataset, where)

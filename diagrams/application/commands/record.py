@@ -14,9 +14,9 @@ from typing import TYPE_CHECKING, Any, BinaryIO
 import click
 
 from slipmap.diagrams.application.commands import cell_run, options
-from slipmap.diagrams.application.outputs import check_folder, check_output, make_folder
+from slipmap.diagrams.application.outputs import check_folder, check_output, lock_folder, make_folder
 from slipmap.diagrams.application.terminal import Progress, note, paragraph, prepare_kernels, status
-from slipmap.models.files import BadInput, write_json, writing
+from slipmap.models.files import BadInput, together, write_json, writing
 
 if TYPE_CHECKING:
     from slipmap.diagrams.loops.push_listener import PushListener
@@ -106,6 +106,7 @@ def replay(
 
     scenario = cell_run.scenario_of(scenario_file, None)
     make_folder(folder)
+    lock_folder(folder)
     refuse_robots_pushes(folder, "--out")
     if json_file is not None:
         check_output(json_file)
@@ -119,10 +120,12 @@ def replay(
         from slipmap.models.inference.identification import identify
 
         identification = identify(dataset, hypotheses=hypotheses, seed=seed, progress=progress)
-    written = cell_run.leave(identification, dataset, folder)
-    show(identification, dataset, str(folder / "pushes"))
-    lag = _shown_lag(dataset)
-    write_json(json_file, {**identification.to_json(), "heard": _heard(listener, lag)})
+    with together():
+        with Progress() as progress:
+            written = cell_run.leave(identification, dataset, folder, progress)
+        show(identification, dataset, str(folder / "pushes"))
+        lag = _shown_lag(dataset)
+        write_json(json_file, {**identification.to_json(), "heard": _heard(listener, lag)})
     cell_run.show_files(written)
 
 

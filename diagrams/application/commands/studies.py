@@ -9,7 +9,6 @@ from __future__ import annotations
 import json
 import multiprocessing
 import shutil
-import signal
 import time
 import traceback
 from collections.abc import Iterator, Sequence
@@ -21,9 +20,10 @@ import click
 
 from slipmap.diagrams.application.commands import options
 from slipmap.diagrams.application.commands.cell_run import Stopped, scenario_of
-from slipmap.diagrams.application.outputs import make_folder, write_figures
+from slipmap.diagrams.application.outputs import lock_folder, make_folder, write_figures
 from slipmap.diagrams.application.terminal import Progress, note, paragraph, prepare_kernels, table
-from slipmap.models.files import BadInput, write_json, write_text
+from slipmap.models.files import BadInput, together, write_json, write_text
+from slipmap.models.process_end import prepare_worker
 
 if TYPE_CHECKING:
     from slipmap.diagrams.application.studies.blind.scoring import Score
@@ -59,6 +59,7 @@ def explore_study(
 
     names = object_names or tuple(BENCHMARK_OBJECTS)
     make_folder(folder)
+    lock_folder(folder)
     prepare_kernels()
     rows: dict[str, list[dict[str, Any]]] = {name: [] for name in names}
     for name in names:
@@ -184,13 +185,14 @@ def calibrate(objects: int, seed: int, output: Path | None, json_file: Path | No
         from slipmap.planners import calibration
 
         result = calibration.calibrate(objects=objects, seed=seed, progress=progress)
+    rows = coverage_rows(result)
+    numbers = {name: getattr(result, name) for name in ("objects", "seed", "seconds", "ranks", "by_kind")}
+    with together():
         if output is not None:
             from slipmap.diagrams.application.figures import calibration_figure
 
             write_figures(output, [calibration_figure(result)])
-    rows = coverage_rows(result)
-    numbers = {name: getattr(result, name) for name in ("objects", "seed", "seconds", "ranks", "by_kind")}
-    write_json(json_file, {**numbers, "level": calibration.LEVEL, "coverage": rows})
+        write_json(json_file, {**numbers, "level": calibration.LEVEL, "coverage": rows})
     table(
         f"Truths inside the {calibration.LEVEL:.0%} interval, {result.objects} objects in"
         f" {result.seconds:.0f} s",
@@ -257,6 +259,7 @@ def blind_test(seed: int, count: int, output: Path, jobs: int) -> None:
     score.md and score.json. A dataset takes about half a minute to simulate.
     """
     make_folder(output)
+    lock_folder(output)
     prepare_kernels()
     cases = [_Case(output, number) for number in range(seed, seed + count)]
     waiting = [case for case in cases if not case.result.exists()]
@@ -272,8 +275,9 @@ def blind_test(seed: int, count: int, output: Path, jobs: int) -> None:
         duration = f"{left:.0f} s" if left < 90 else f"{left / 60:.0f} min"
         note(f"{done} of {len(waiting)}, {duration} left: {case.name}, {outcome}")
     score = _score(cases)
-    write_json(output / "score.json", score.to_json())
-    write_text(output / "score.md", score.markdown())
+    with together():
+        write_json(output / "score.json", score.to_json())
+        write_text(output / "score.md", score.markdown())
     click.echo(score.text(), nl=False)
     note(f"score: {output / 'score.md'}")
 
@@ -306,8 +310,7 @@ def _run_all(cases: Sequence[_Case], jobs: int) -> Iterator[tuple[_Case, str]]:
     pool = ProcessPoolExecutor(
         min(jobs, len(cases)),
         multiprocessing.get_context("spawn"),
-        initializer=signal.signal,
-        initargs=(signal.SIGINT, signal.SIG_IGN),
+        initializer=prepare_worker,
     )
     futures = {pool.submit(_run, case): case for case in cases}
     try:

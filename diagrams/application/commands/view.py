@@ -58,6 +58,10 @@ def _served(page: str) -> Iterator[str]:
 
     class Answer(BaseHTTPRequestHandler):
         def do_GET(self) -> None:
+            # Else a page from elsewhere, whose name was made to lead here, could read the belief.
+            if self.headers.get("Host", "") not in names:
+                self.send_error(421)
+                return
             if self.path != "/":
                 self.send_error(404)
                 return
@@ -74,6 +78,7 @@ def _served(page: str) -> Iterator[str]:
         server = ThreadingHTTPServer(("127.0.0.1", _PORT), Answer)
     except OSError:
         server = ThreadingHTTPServer(("127.0.0.1", 0), Answer)
+    names = {f"{host}:{server.server_port}" for host in ("localhost", "127.0.0.1")}
     with server:
         Thread(target=server.serve_forever, daemon=True).start()
         try:

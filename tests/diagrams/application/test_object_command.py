@@ -7,8 +7,10 @@ import numpy as np
 import pytest
 import trimesh
 from refusals import assert_refused, files_in
+from shapely.geometry import Polygon
 
 from slipmap.models.measurements import read_dataset
+from slipmap.models.objects.meshes import lofted
 
 ROWS = "t,object_x,object_y,object_theta,tip_x,tip_y\n0,0,0,0,-0.2,0\n1,0,0,0,-0.1,0\n"
 
@@ -36,7 +38,7 @@ def test_a_mesh_becomes_an_object(slipmap, tmp_path, bracket):
     assert dataset.grid.polygon.area == pytest.approx(0.12 * 0.03 + 0.03 * 0.05)
     assert dataset.grid.centers.min() > 0.0 and dataset.height == pytest.approx(0.02)
     assert len(dataset.grid) == pytest.approx(40, rel=0.1)
-    assert said.out.startswith(f"bracket: 120 mm by 80 mm, {len(dataset.grid)} cells")
+    assert said.out.startswith(f"bracket: 120 mm by 80 mm, 20 mm high with z up, {len(dataset.grid)} cells")
     assert dataset.warnings == ()
 
 
@@ -50,9 +52,31 @@ def test_a_picture_becomes_an_object(slipmap, tmp_path):
     assert dataset.mass is None and dataset.height is None
 
 
+def test_openings_and_near_corners_are_written(slipmap, tmp_path):
+    ring = trimesh.creation.annulus(r_min=0.03, r_max=0.05, height=0.02)
+    ring.export(tmp_path / "ring.stl")
+    dataset, said = described(slipmap, tmp_path, tmp_path / "ring.stl")
+    (hole,) = dataset.grid.holes
+    np.testing.assert_allclose(np.hypot(*hole.T), 0.03, atol=1e-6)
+    assert " with an opening" not in said.out and "with 1 opening, 20 mm high" in said.out
+    assert np.hypot(*dataset.grid.centers.T).min() > 0.03
+    scan = Polygon([[0, 0], [80, 0], [80, 12.5], [80 - 4e-5, 12.5 + 4e-5], [40, 40], [0, 40]])
+    lofted(scan, [(0, 0), (0, 20)]).export(tmp_path / "scan.ply")
+    dataset, _ = described(slipmap, tmp_path, tmp_path / "scan.ply", "--metres-per-unit", 0.001)
+    assert len(dataset.grid.exterior) == 5 and dataset.warnings == ()
+
+
+def test_an_axis_and_a_large_object_are_asked_about(slipmap, tmp_path, bracket):
+    _, said = described(slipmap, tmp_path, bracket, "--metres-per-unit", 0.01, "--up", "y")
+    assert said.out.startswith("bracket: 1200 mm by 200 mm, 800 mm high with y up")
+    assert "is 1.2 m large; if that is wrong" in said.err and "0.001 (mm) gives 120 mm" in said.err
+
+
 def test_wrong_use_is_told_and_leaves_nothing(slipmap, tmp_path, bracket):
     output = ("-o", tmp_path / "thing.yaml", "--finger", 0.006)
-    assert_refused(slipmap("object", bracket, *output), "bracket.stl", "give --metres-per-unit 0.001")
+    assert_refused(
+        slipmap("object", bracket, *output), "bracket.stl", "--metres-per-unit 0.001 (mm) gives 120 mm"
+    )
     assert_refused(slipmap("object", bracket, "--metres-per-pixel", 1e-3, *output), "is no picture", ".png")
     (tmp_path / "a.png").write_bytes(b"")
     assert_refused(slipmap("object", tmp_path / "a.png", *output), "a.png", "give --metres-per-pixel")

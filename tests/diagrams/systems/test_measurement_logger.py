@@ -43,9 +43,9 @@ class Cell(DrivenBlock):
         for pose in poses:
             self.picture(pose)
 
-    def move(self, mode: str, rows: int) -> None:
+    def move(self, mode: str, rows: int, force=FORCE) -> None:
         """The finger goes along x for so many rows, and the arm feels a force all the while."""
-        self.set(execution=ExecutionStatus(mode, 0), tip_force=FORCE)
+        self.set(execution=ExecutionStatus(mode, 0), tip_force=force)
         for _ in range(rows):
             self.tip[0] += SPEED * PERIOD
             self.set(tip_pose=RigidTransform([*self.tip]))
@@ -101,6 +101,23 @@ def test_tip_and_force_are_recorded_only_while_the_finger_pushes(trial):
     assert trial.tip_pose.values[:, 1] == pytest.approx(np.full(100, 0.02))
     assert np.array_equal(trial.ft_wrench.time, trial.tip_pose.time)
     assert trial.ft_wrench.values == pytest.approx(np.tile([FORCE[0], FORCE[1], 0.0], (100, 1)))
+
+
+@pytest.mark.parametrize(
+    ("moved", "force", "kept"),
+    [((0, 0, 0), 0.0, False), ((4e-3, 0, 0), 0.0, True), ((0, 0, 0.03), 0.0, True), ((0, 0, 0), 2.0, True)],
+)
+def test_a_push_that_touched_nothing_is_no_trial(moved, force, kept):
+    """Neither did the object move nor was a force felt."""
+    cell = Cell()
+    cell.look(LOOKS * [(0.1, 0.2, 0.3)])
+    cell.set(status=LoopStatus("pushing", 0))
+    for doing in ("approaching", "pushing", "retreating"):
+        cell.move(doing, 20, np.array([force, 0.0, 0.0]))
+    cell.set(execution=ExecutionStatus("home", 0), status=LoopStatus("recording", 0))
+    cell.look(LOOKS * [tuple(np.array([0.1, 0.2, 0.3]) + moved)])
+    assert len(cell.trials) == kept
+    assert cell.read("missed") == (() if kept else (0,))
 
 
 def test_poses_seen_in_spite_of_the_arm_are_kept_and_others_left_out():

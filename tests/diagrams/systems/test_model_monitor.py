@@ -149,6 +149,17 @@ def test_loud_on_a_tilted_table_and_calm_again(diagram: Diagram) -> None:
     assert rows[released].evidence <= 1.0
 
 
+def test_an_angle_that_was_held_is_not_judged(diagram: Diagram) -> None:
+    """A round object turns, and nobody sees it; where it goes still counts."""
+    turned = pushes_seen("", (), 6, 7)
+    held = [replace(told, end=np.append(told.end[:2], told.start[2])) for told in turned]
+    assert max(abs(told.end[2] - told.start[2]) for told in turned) > 0.1
+    rows = watched(diagram, tuple(held))
+    assert not any(row.alarm for row in rows) and max(row.evidence for row in rows) < 0.2 / LEVEL
+    shifted = [replace(told, end=told.end + np.array([0.03, 0.03, 0.0])) for told in held]
+    assert any(row.alarm for row in watched(diagram, tuple(shifted)))
+
+
 @lru_cache
 def pushes_felt(stronger: float) -> tuple[Told, ...]:
     """Three pushes as believed, but for a force that is so many times as strong."""

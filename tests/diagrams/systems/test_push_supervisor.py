@@ -8,7 +8,7 @@ from driven_block import DrivenBlock, seen_at
 
 from slipmap.diagrams.execution.requests import ExecutionStatus
 from slipmap.diagrams.systems.loop_messages import MOST_ATTEMPTS, ExplorationPlan, LoopStatus
-from slipmap.diagrams.systems.supervisors import PATIENCE, PERIOD, PushSupervisor
+from slipmap.diagrams.systems.supervisors import MOST_MISSED, PATIENCE, PERIOD, PushSupervisor
 from slipmap.models.perception.seen_object import ObservedPose
 from slipmap.planners.action_selection import Choice
 from slipmap.planners.table_push import TablePush
@@ -25,7 +25,7 @@ class Loop(DrivenBlock):
     def __init__(self, fit: int = 1, heldout: int = 0, patience: float = PATIENCE) -> None:
         super().__init__(
             PushSupervisor(fit, heldout, patience=patience),
-            object_pose=UNSEEN, cell_grid=None, plan=None, execution=AT_HOME, trials=(), learned=0,
+            object_pose=UNSEEN, cell_grid=None, plan=None, execution=AT_HOME, trials=(), learned=0, missed=(),
         )  # fmt: skip
         self.advance(0.5 * PERIOD)  # decisions fall between the steps of the test
 
@@ -118,7 +118,7 @@ def test_attempts_are_counted_for_each_push_anew():
     loop.begin_push()
     assert mode(loop.step(execution=ExecutionStatus("refused", 0, "too far"))) == ("choosing", 0, 1)
     loop.step(plan=ExplorationPlan(1, CHOICE))
-    assert mode(loop.step(execution=ExecutionStatus("home", 1))) == ("recording", 0, 0)
+    assert mode(loop.step(execution=ExecutionStatus("home", 1))) == ("recording", 0, 1)
     loop.step(trials=(object(),))
     assert mode(loop.step(learned=1)) == ("looking", 1, 0)
 
@@ -162,7 +162,35 @@ def test_patience_begins_anew_with_each_mode():
     loop.step(execution=ExecutionStatus("approaching", 0))
     loop.advance(2 * PATIENCE)
     assert loop.step(execution=ExecutionStatus("home", 0)).mode == "recording"
-    assert "not seen after the push" in lost(loop).reason
+    assert "not seen at rest after the push" in lost(loop).reason
+
+
+def test_the_reason_is_told_in_its_details():
+    loop = Loop()
+    loop.set(object_pose=ObservedPose.unseen("no object", detail="nothing is higher than 4 mm"))
+    assert lost(loop).reason == "the camera does not see the object: nothing is higher than 4 mm"
+    loop = Loop()
+    loop.begin_push()
+    loop.step(execution=ExecutionStatus("home", 0), object_pose=ObservedPose.unseen("left the table"))
+    assert lost(loop).reason.startswith("the object was not seen after the push; the camera does")
+
+
+def test_for_a_push_that_touched_nothing_another_is_chosen_until_it_is_hopeless():
+    loop = Loop()
+    loop.begin_push()
+    refused = 4  # by the arm; that is no miss
+    for attempt in range(refused):
+        loop.step(execution=ExecutionStatus("refused", attempt, "too far"))
+        loop.step(plan=ExplorationPlan(attempt + 1, CHOICE))
+    missed = ()
+    for attempt in range(refused, refused + MOST_MISSED):
+        assert mode(loop.step(execution=ExecutionStatus("home", attempt))) == ("recording", 0, attempt)
+        missed = (*missed, attempt)
+        status = loop.step(missed=missed)
+        if len(missed) < MOST_MISSED:
+            assert mode(status) == ("choosing", 0, attempt + 1)
+            assert mode(loop.step(plan=ExplorationPlan(attempt + 1, CHOICE))) == ("pushing", 0, attempt + 1)
+    assert status.mode == "failed" and "touched nothing" in status.reason and "tip_height" in status.reason
 
 
 def test_an_object_that_is_lost_between_pushes_ends_the_loop():

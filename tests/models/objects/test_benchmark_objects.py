@@ -13,7 +13,8 @@ import trimesh
 from scipy.spatial import cKDTree
 
 from slipmap.models.objects.benchmark_objects import BENCHMARK_OBJECTS, benchmark_object
-from slipmap.models.objects.meshes import convex_pieces, height_over, lofted, rounded
+from slipmap.models.objects.convex_pieces import convex_pieces
+from slipmap.models.objects.meshes import height_over, lofted, rounded
 from slipmap.models.objects.true_object import TrueObject, object_from_labels, object_from_mesh
 
 METRES_PER_PIXEL = 0.53 / 640
@@ -175,3 +176,16 @@ def test_convex_pieces_cover_a_concave_outline() -> None:
     union = shapely.union_all(pieces)
     assert shapely.symmetric_difference(union, outline).area < 1e-3
     assert all(piece.area == pytest.approx(piece.convex_hull.area) for piece in pieces)
+
+
+def test_many_corners_become_convex_pieces() -> None:
+    """A lobed outline with an opening, as a scan has it: twice the corners, about twice the pieces."""
+    angles = np.linspace(0, 2 * np.pi, 600, endpoint=False)
+    radius = 0.06 + 0.008 * np.sin(7 * angles)
+    circle = np.column_stack([np.cos(angles), np.sin(angles)])
+    outline = shapely.Polygon(radius[:, None] * circle, [0.02 * circle])
+    pieces = convex_pieces(outline)
+    assert len(pieces) < 300
+    assert all(piece.area == pytest.approx(piece.convex_hull.area) for piece in pieces)
+    union = shapely.union_all(pieces)
+    assert outline.buffer(1.1e-4).covers(union) and union.buffer(1e-9).covers(outline)

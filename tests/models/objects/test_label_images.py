@@ -172,6 +172,33 @@ def test_object_at_the_border_of_the_picture():
     assert_allclose(grid.polygon.bounds, SCALE * np.array([-10, -5, 10, 5]), atol=1e-9)
 
 
+def test_a_background_is_not_taken_for_the_object():
+    picture = l_picture()
+    inverted = np.where(picture == 0, 255, 0)
+    nothing_zero = np.where(picture == 0, 200, picture)
+    with pytest.raises(ValueError, match=r"covers 100 % of the picture's border.* give background=255"):
+        cells_from_label_image(inverted, SCALE, count=9)
+    with pytest.raises(ValueError, match=r"give background=200"):
+        cells_from_label_image(nothing_zero, SCALE, count=9)
+    expected, _ = cells_from_label_image(picture, SCALE, count=9)
+    for image, background in ((inverted, 255), (nothing_zero, 200)):
+        grid, _ = cells_from_label_image(image, SCALE, count=9, background=background)
+        assert_allclose(grid.centers, expected.centers)
+
+
+@pytest.mark.parametrize("kind", ["png", "tiff"])
+def test_a_picture_is_turned_as_its_camera_noted(tmp_path, kind):
+    from PIL import Image
+
+    labels = np.zeros((20, 40), np.uint8)
+    labels[5:10, 4:36] = 1
+    noted = Image.Exif()
+    noted[274] = 6  # the first row is the right side
+    Image.fromarray(labels).save(tmp_path / f"photo.{kind}", exif=noted)
+    grid, _ = cells_from_label_image(tmp_path / f"photo.{kind}", SCALE, count=9)
+    assert_allclose(np.ptp(grid.exterior, axis=0), SCALE * np.array([5, 32]), atol=1e-9)
+
+
 def test_another_background():
     grid, segment = cells_from_label_image(
         np.where(l_picture() == 0, 255, l_picture()), SCALE, count=9, background=255

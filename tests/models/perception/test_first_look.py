@@ -1,3 +1,5 @@
+import re
+
 import numpy as np
 import pytest
 import shapely
@@ -73,6 +75,7 @@ def test_an_empty_table_and_an_arm_beside_the_object_are_said(scene, look):
     with pytest.raises(ObjectNotSeen) as none:
         look((), (0, 0, 0))
     assert none.value.reason == "no object"
+    assert re.search(r"higher than the [4-9] mm that this camera .* more than 4 cm²", str(none.value))
     arm = np.zeros((480, 640), bool)
     arm[200:280, 200:300] = True
     with pytest.raises(ObjectNotSeen) as hidden:

@@ -1,3 +1,5 @@
+from itertools import pairwise
+
 import numpy as np
 import pytest
 
@@ -172,9 +174,45 @@ def test_what_cannot_be_seen_is_said(scene, look):
     assert (gone.valid, gone.reason) == (False, "left the table")
     other = track(scene.depth(((-0.03, -0.03, 0.03, 0.03, 0.05),), (0.1, 0.1, 0.0)), scene.view, seen, last)
     assert (other.valid, other.reason) == (False, "no object")
+    assert "it left the table" in gone.why and "does not fit the outline" in other.why
 
 
 def test_a_previous_pose_that_is_not_a_number_is_refused(scene, look):
     seen = look(ELL, (0.0, 0.0, 0.3))
     with pytest.raises(ValueError, match="previous pose"):
         track(scene.depth(ELL, (0, 0, 0)), scene.view, seen, np.full(3, np.nan))
+
+
+def strips(radius, lobe=0.0, count=0):
+    """About what a polar curve encloses, 40 mm high."""
+    angles = np.linspace(0, 2 * np.pi, 400)
+    r = radius + lobe * np.cos(count * angles)
+    x, y = r * np.cos(angles), r * np.sin(angles)
+    edges = np.linspace(-radius - lobe, radius + lobe, 81)
+    inside = [np.abs(y[(x >= low) & (x <= high)]) for low, high in pairwise(edges)]
+    return tuple(
+        (low, -half.max(), high, half.max(), 0.04)
+        for (low, high), half in zip(pairwise(edges), inside, strict=True)
+        if len(half)
+    )
+
+
+@pytest.mark.parametrize("radius", [0.03, 0.09])
+def test_the_angle_of_a_round_object_is_held(scene, look, radius):
+    can = strips(radius)
+    seen = look(can, (0.0, 0.0, 0.3))
+    assert not seen.angle_seen and seen.first_pose[2] == 0.0
+    last = seen.first_pose
+    for k, pose in enumerate([(0.02, 0.01, 0.9), (0.04, -0.02, 1.7), (0.2, 0.2, -2.0)]):
+        observed = track(
+            scene.noisy(scene.depth(can, pose), np.random.default_rng(k)), scene.view, seen, last
+        )
+        assert observed.valid and observed.pose[2] == 0.0
+        np.testing.assert_allclose(observed.pose[:2] - seen.first_pose[:2], pose[:2], atol=1e-3)
+        assert observed.covariance[2, 2] >= 1.0 and np.linalg.eigvalsh(observed.covariance).min() > 0
+        last = observed.pose
+
+
+def test_the_angle_of_what_is_not_round_is_seen(look):
+    for boxes in (BLOCK, ELL, strips(0.05, 0.008, 4), ((-0.03, -0.03, 0.03, 0.03, 0.04),)):
+        assert look(boxes, (0.0, 0.0, 0.3)).angle_seen
