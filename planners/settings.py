@@ -17,6 +17,18 @@ with every cell the same; with the truth."""
 
 
 @dataclass
+class RepairSettings:
+    """How a robot looks into pushes that surprise its model."""
+
+    pushes: int = within(10, 0, 100)  # most pushes that it may ask for, beyond those of exploring
+    # the monitor's evidence from which on pushes are diagnosed; an alarm takes 100
+    doubt: float = within(10.0, 1.0, 100.0)
+    fewest: int = within(5, 4, 100)  # pushes below which a diagnosis is not worth its time
+    # pushes to make with an effect just adopted: if they surprise, it is looked into again
+    probation: int = within(2, 1, 100)
+
+
+@dataclass
 class GoalSettings(CheckedSettings):
     """Which poses at the edge are goals."""
 

@@ -21,6 +21,7 @@ from .diagrams.station.scenario import Scenario as Scenario
 from .diagrams.station.station import Station as Station
 from .diagrams.systems.belief_visualizer import BeliefVisualizer as BeliefVisualizer
 from .diagrams.systems.cell_grid_slider import CellGridSlider as CellGridSlider
+from .diagrams.systems.diagnosis import Diagnosis as Diagnosis
 from .diagrams.systems.exploration import Exploration as Exploration
 from .diagrams.systems.finger import FingerMotion as FingerMotion, FingerPath as FingerPath
 from .diagrams.systems.goal_and_push_planner import GoalAndPushPlanner as GoalAndPushPlanner

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
@@ -22,6 +23,7 @@ from slipmap.diagrams.station.arm import HOME, arm_model
 from slipmap.diagrams.station.scenario import Scenario, ScenarioError
 from slipmap.diagrams.station.station import Station
 from slipmap.diagrams.systems.belief_visualizer import BeliefVisualizer
+from slipmap.diagrams.systems.diagnosis import Diagnosis
 from slipmap.diagrams.systems.exploration import Exploration
 from slipmap.diagrams.systems.finger import FingerMotion
 from slipmap.diagrams.systems.identification import Identification
@@ -86,6 +88,8 @@ class LoopOptions:
         hypotheses: K.
         seed: of every draw.
         effects: of the library, which the model is given.
+        adapt: whether the model is repaired on the way: where pushes surprise it, they are diagnosed, and it
+            is given the effects that are named. Then every push teaches, and there are no `checks`.
 
     Example:
         >>> import slipmap
@@ -100,6 +104,16 @@ class LoopOptions:
     hypotheses: int = 20
     seed: int = 0
     effects: Sequence[str] = ()
+    adapt: bool = False
+
+    def __post_init__(self) -> None:
+        if self.adapt and self.checks:
+            raise ValueError("with adapt every push teaches: checks must be 0")
+
+    @property
+    def teaching(self) -> int:
+        """Pushes to learn from, at most."""
+        return sys.maxsize if self.adapt else self.pushes
 
 
 def exploration_loop(scenario: Scenario, options: LoopOptions, **parts: Any) -> Diagram:
@@ -140,6 +154,7 @@ class ExplorationBlocks:
     multiverse: MultiverseSlider
     monitor: ModelMonitor
     visualizer: BeliefVisualizer | None
+    diagnosis: Diagnosis | None
 
     def wires(self, command: LeafSystem) -> list[Wire]:
         """All connections; `command` is the system whose `status` and `active_push` command the arm."""
@@ -178,6 +193,16 @@ class ExplorationBlocks:
             (self.finger, "finger", self.multiverse),
             (self.multiverse, "universes", self.monitor),
         ]  # fmt: skip
+        if self.diagnosis is not None:
+            wires += [
+                (self.logger, "trials", self.diagnosis),
+                (see, "cell_grid", self.diagnosis),
+                (self.monitor, "watch", self.diagnosis),
+                (self.diagnosis, "effects", self.identification),
+                (self.diagnosis, "repair", self.supervisor),
+            ]
+            if self.visualizer is not None:
+                wires.append((self.diagnosis, "repair", self.visualizer))
         if self.guard is None:
             wires.append((arm, "iiwa.position", self.station))
         else:
@@ -243,6 +268,7 @@ def add_exploration(
     patience = PATIENCE if worker is None else PATIENCE_REAL
     known = None if before is None else (before.first, trials[-1].object_pose.values[-1])
     step = hypothesis_step(scenario.simulation.time_step)
+    make_dataset = partial(recorded_dataset, scenario=scenario)
 
     def add(name: str, system: Block) -> Block:
         return builder.AddNamedSystem(name, system)
@@ -264,12 +290,11 @@ def add_exploration(
         ),
         executor=add("executor", PushExecutor(model, HOME, execution, checks.table)),
         watch=add("object_watch", ObjectWatch()),
-        logger=add("logger", MeasurementLogger(options.pushes, trials)),
+        logger=add("logger", MeasurementLogger(options.teaching, trials)),
         identification=add(
             "identification",
             Identification(
-                lambda trials, grid: recorded_dataset(trials, grid, scenario),
-                hypotheses=options.hypotheses, seed=options.seed, effects=options.effects,
+                make_dataset, hypotheses=options.hypotheses, seed=options.seed, effects=options.effects,
                 learned=learned, worker=worker,
             ),
         ),
@@ -277,6 +302,13 @@ def add_exploration(
         multiverse=add("multiverse", MultiverseSlider(step)),
         monitor=add("model_monitor", ModelMonitor(SENSORS)),
         visualizer=None if meshcat is None else builder.AddSystem(BeliefVisualizer(meshcat)),
+        diagnosis=None if not options.adapt else add(
+            "diagnosis",
+            Diagnosis(
+                make_dataset, scenario.repair, pushes=options.pushes, effects=options.effects,
+                seed=options.seed, settled=len(trials), worker=worker,
+            ),
+        ),
     )  # fmt: skip
 
 

@@ -27,6 +27,7 @@ from slipmap.diagrams.loops.exploration_loop import (
 from slipmap.diagrams.loops.run_folder import Recording, RunFolder
 from slipmap.diagrams.station.scenario import Scenario
 from slipmap.diagrams.station.station import Station, take_fixed_steps
+from slipmap.diagrams.systems.diagnosis import Repair
 from slipmap.diagrams.systems.identification import learning
 from slipmap.diagrams.systems.loop_messages import LoopStatus
 from slipmap.diagrams.systems.model_monitor import Watch
@@ -50,6 +51,7 @@ DOING = {
     "pushing": "pushing",
     "recording": "recording",
     "learning": "learning",
+    "diagnosing": "asking what surprised the model",
 }
 
 
@@ -82,6 +84,7 @@ class ExplorationRun:
     X_SO: FloatArray | None
     simulated: float  # s of simulated time, or of the real cell's
     seconds: float  # s that it took
+    repair: Repair | None = None  # how the model was repaired on the way, where it was to adapt
 
     @property
     def angle_seen(self) -> bool:
@@ -152,7 +155,7 @@ def explore(
         doing = DOING[status.mode]
         if status.mode == "choosing" and not output_of(loop, "perception", "seen_object", context).angle_seen:
             doing = f"{doing}; {ROUND}"
-        report(f"exploring: {doing}", status.push, pushes)
+        report(f"exploring: {doing}", status.push, max(pushes, status.push + 1))
         if recording is not None:
             recording.look(context)
 
@@ -160,7 +163,8 @@ def explore(
         loop = exploration_loop(scenario, options, cell=cell, worker=worker, meshcat=meshcat, before=before)
         recording = None if record is None else Recording(loop, record, before)
         longest = LONGEST if cell is None else LONGEST_REAL
-        ended = run_loop(loop, "supervisor", ("finished", "failed"), longest * pushes, watch)
+        most = pushes + (scenario.repair.pushes if options.adapt else 0)
+        ended = run_loop(loop, "supervisor", ("finished", "failed"), longest * most, watch)
         if ended.interrupted and not learn_when_stopped:
             raise ExplorationStopped(f"stopped at push {ended.status.push + 1} of {pushes}")
         run = explored(loop, ended, scenario, options, report)
@@ -270,7 +274,8 @@ def explored(
     if not any(trial.role == "fit" for trial in trials):
         return None
     dataset = recorded_dataset(trials, output_of(loop, "perception", "cell_grid", ended.context), scenario)
-    learn = learning(options.effects)
+    repair = output_of(loop, "diagnosis", "repair", ended.context) if options.adapt else None
+    learn = learning(options.effects if repair is None else repair.effects)
     identification = learn(dataset, hypotheses=options.hypotheses, seed=options.seed, progress=report)
     return ExplorationRun(
         dataset,
@@ -280,6 +285,7 @@ def explored(
         ended.X_SO,
         ended.simulated,
         ended.seconds + time.perf_counter() - started,
+        repair,
     )
 
 

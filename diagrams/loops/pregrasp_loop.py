@@ -13,7 +13,13 @@ from slipmap.diagrams.execution.plans import ArmChecks
 from slipmap.diagrams.hardware.control import real_cell
 from slipmap.diagrams.hardware.interface import HardwareInterface
 from slipmap.diagrams.loops import exploration_run
-from slipmap.diagrams.loops.exploration_loop import LoopOptions, add_exploration, connect, output_of
+from slipmap.diagrams.loops.exploration_loop import (
+    LoopOptions,
+    Wire,
+    add_exploration,
+    connect,
+    output_of,
+)
 from slipmap.diagrams.loops.run_folder import Recording, RunFolder
 from slipmap.diagrams.perception.sight import Sight
 from slipmap.diagrams.station.arm import HOME
@@ -35,6 +41,7 @@ BRINGS = {
     "planning": "planning",
     "pushing": "pushing",
     "recording": "recording",
+    "diagnosing": "asking what surprised the model",
     "grasping": "grasping at the edge",
     "lifting": "lifting",
     "holding": "holding",
@@ -112,6 +119,12 @@ def pregrasp_loop(
     )
     patience = PATIENCE if worker is None else PATIENCE_REAL
     commander = builder.AddNamedSystem("pregrasp_supervisor", PregraspSupervisor(patience))
+    repaired: list[Wire] = []
+    if blocks.diagnosis is not None:
+        repaired = [
+            (blocks.diagnosis, "repair", commander),
+            (blocks.identification, "learned", commander),
+        ]
     connect(
         builder,
         [
@@ -128,6 +141,7 @@ def pregrasp_loop(
             (blocks.station, "gripper.state_measured", commander),
             (commander, "active_grasp", (blocks.executor, "grasp")),
             (commander, "status", planner),
+            *repaired,
         ],
     )
     loop = builder.Build()
@@ -166,6 +180,7 @@ class PregraspRun:
     # of pushes that were made towards the edge, and of the grasp where it came to that, in order
     plans: tuple[PregraspPlan, ...]
     true_height: float | None  # of the object's frame over the table at the end, m; None in a real cell
+    explorations: int  # pushes that explored, before those towards the edge
     interrupted: bool = False  # whether Ctrl-C ended it
 
     @property
@@ -189,8 +204,7 @@ class PregraspRun:
 
     def to_json(self) -> dict[str, Any]:
         """As plain data."""
-        first = self.options.exploration.pushes + self.options.exploration.checks
-        trials = self.exploration.dataset.trials[first:]
+        trials = self.exploration.dataset.trials[self.explorations :]
         rows = []
         for plan, trial in zip(self.pushes, trials, strict=False):
             assert plan.push is not None and plan.goal is not None
@@ -214,7 +228,7 @@ class PregraspRun:
             "held": self.held,
             "fate": self.fate,
             "reason": self.reason,
-            "explorations": self.options.exploration.pushes,
+            "explorations": self.explorations - self.options.exploration.checks,
             "pushes": rows,
             "grasp": None if not grasps else plain(grasps[-1].grasp.at(grasps[-1].pose)),
             "true_height": self.true_height,
@@ -268,16 +282,21 @@ def _run(
 ) -> PregraspRun:
     """Run a loop to its end; it may take some time (s) for each push."""
     report = progress or silent
-    first = options.exploration.pushes + options.exploration.checks
+    wanted = options.exploration.pushes + options.exploration.checks
     plans: dict[int, PregraspPlan] = {}
     recording = None if record is None else Recording(loop, record)
 
     def watch(status: LoopStatus, context: Context) -> None:
         if recording is not None:
             recording.look(context)
-        if status.push < first and status.mode in exploration_run.DOING:
-            report(f"exploring: {exploration_run.DOING[status.mode]}", status.push, first)
-        if status.push < first or status.mode not in BRINGS:
+        exploring: LoopStatus = output_of(loop, "supervisor", "status", context)
+        first = exploring.push
+        if exploring.mode != "finished":
+            if status.mode in exploration_run.DOING:
+                doing = exploration_run.DOING[status.mode]
+                report(f"exploring: {doing}", status.push, max(wanted, status.push + 1))
+            return
+        if status.mode not in BRINGS:
             return
         doing = BRINGS[status.mode]
         if status.mode in ("pushing", "recording"):
@@ -286,7 +305,8 @@ def _run(
         if status.mode in ("pushing", "grasping"):
             plans[status.push] = output_of(loop, "planner", "plan", context)
 
-    longest = patience * (first + options.pushes + 2)
+    more = scenario.repair.pushes if options.exploration.adapt else 0
+    longest = patience * (wanted + more + options.pushes + 2)
     ended = exploration_run.run_loop(loop, "pregrasp_supervisor", ("held", "failed"), longest, watch)
     exploration = exploration_run.explored(loop, ended, scenario, options.exploration, report)
     if exploration is None:
@@ -299,4 +319,5 @@ def _run(
     if isinstance(loop.GetSubsystemByName("station"), Station):
         height = float(output_of(loop, "station", "truth.object_pose", ended.context).translation()[2])
     made = [plans[number] for number in sorted(plans)]
-    return PregraspRun(exploration, options, held, reason, tuple(made), height, ended.interrupted)
+    first = output_of(loop, "supervisor", "status", ended.context).push
+    return PregraspRun(exploration, options, held, reason, tuple(made), height, first, ended.interrupted)

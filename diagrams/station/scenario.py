@@ -39,7 +39,7 @@ from slipmap.models.objects.true_object import (
     object_from_labels,
     object_from_mesh,
 )
-from slipmap.planners.settings import GoalSettings, PokeSettings, PushSettings
+from slipmap.planners.settings import GoalSettings, PokeSettings, PushSettings, RepairSettings
 
 LARGEST = 2**16
 """Bytes of a scenario file; one with all that can be set has 5 kB."""
@@ -205,6 +205,7 @@ class Scenario:
         pokes: how the object is explored.
         goals: where at the table's edge it may be left.
         pushes: how it is pushed there.
+        repair: how pushes that surprise the model are looked into, where the run is to adapt.
         simulation: how the world is stepped.
 
     Example:
@@ -226,6 +227,7 @@ class Scenario:
     pokes: PokeSettings = field(default_factory=PokeSettings)
     goals: GoalSettings = field(default_factory=lambda: GoalSettings(count=60))
     pushes: PushSettings = field(default_factory=PushSettings)
+    repair: RepairSettings = field(default_factory=RepairSettings)
     simulation: SimulationSettings = field(default_factory=SimulationSettings)
 
 

@@ -3,6 +3,7 @@
 `shown` turns a belief into colours, `legend` draws their scale; a page of the application uses them too.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from io import BytesIO
 from typing import Any
@@ -17,7 +18,9 @@ from pydrake.geometry import Meshcat
 from pydrake.math import RigidTransform, RollPitchYaw, RotationMatrix
 from pydrake.systems.framework import Context
 
+from slipmap.diagrams.systems.diagnosis import Repair
 from slipmap.diagrams.systems.look import FAINT, INK, MAP_COLORS, beyond, styled, top_of_scale
+from slipmap.diagrams.systems.model_monitor import Watch
 from slipmap.diagrams.systems.python_system import PythonSystem
 from slipmap.diagrams.systems.unlit_meshes import arrow, billboard, painted, ribbon, ringed_discs, tiles
 from slipmap.models.geometry import placed
@@ -43,7 +46,7 @@ BOARD = (0.60, 0.42)
 """Size of the legend, m."""
 
 NOTICE = (0.60, 0.10)
-"""Size of the sign over it that a push surprised, m."""
+"""Size of the sign over it, m."""
 
 _ROUND = np.array([1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 7.0, 10.0])
 
@@ -133,24 +136,25 @@ def blank_legend() -> bytes:
 
 
 @styled
-def notice(push: int, error: float, allowed: float) -> bytes:
-    """PNG of a sign that a push surprised.
+def notice(heading: str, line: str, errors: Sequence[float], *, alarming: bool) -> bytes:
+    """PNG of a sign over the board: what happened, and how far each push ended from its prediction.
 
     Args:
-        push: its number in the recording, from 0.
-        error: distance of the cells from where they were predicted, m.
-        allowed: error up to which it would not have surprised, m.
+        errors: of the pushes that were predicted, in order, m.
+        alarming: whether it is in red.
     """
-    inch = 6.4
+    inch, color = 6.4, RED if alarming else INK
     figure = Figure(figsize=(NOTICE[0] * inch, NOTICE[1] * inch), dpi=220)
-    figure.patch.set_edgecolor(RED)
+    figure.patch.set_edgecolor(color)
     figure.patch.set_linewidth(3.0)
-    said = f"Push {push + 1} ended {1e3 * error:.1f} mm from its prediction"
-    figure.text(0.05, 0.68, said, fontsize=12, color=RED, va="center", weight="bold")
-    figure.text(
-        0.05, 0.28, f"expected: {1e3 * allowed:.1f} mm at most. Does the model miss something?",
-        fontsize=10, color=INK, va="center",
-    )  # fmt: skip
+    figure.text(0.03, 0.68, heading, fontsize=8.5, color=color, va="center", weight="bold")
+    figure.text(0.03, 0.28, line, fontsize=7, color=INK, va="center")
+    bars = figure.add_axes((0.82, 0.14, 0.15, 0.52))
+    bars.bar(range(len(errors)), 1e3 * np.array(errors), color=color)
+    bars.set_xlim(-0.6, max(len(errors), 5) - 0.4)
+    bars.set_axis_off()
+    top = 1e3 * max(errors, default=0.0)
+    figure.text(0.97, 0.82, f"errors, to {top:.0f} mm", fontsize=6, color=INK, ha="right", va="center")
     return _png(figure)
 
 
@@ -176,6 +180,15 @@ def _png(figure: Figure) -> bytes:
 
 MOST = 12
 """Hypotheses that can be looked at one by one; the others are in the mean."""
+
+_DID = {
+    "adopts": "added to the model",
+    "keeps": "kept in the model",
+    "drops": "effect dropped again",
+    "pushes on": "another push, to find out",
+    "goes on without": "nothing to add to the model",
+}
+"""What the robot did about a `Finding`, by its action."""
 
 _ARROWS = 8  # residual arrows, on cells spread over the object
 
@@ -204,7 +217,7 @@ class BeliefVisualizer(PythonSystem):
             `TrialLogger`, or made by `ObservedPose.of` from a pose (3,).
         predicted_pose: (3,) x, y (m), θ (rad) in the world; NaN where there is none.
         push: abstract, None, a `TablePush`, or an `ActivePush`, which has one as its `push`.
-        watch: abstract, `Watch` of a `ModelMonitor`.
+        watch: abstract, `Watch` of a `ModelMonitor`; repair: abstract, `Repair` of a `Diagnosis`.
         seen_object: abstract, `SeenObject` or None: the tiles then lie `CLEARANCE` over the highest of its
             `cell_heights` (m) instead of at `height`.
 
@@ -213,8 +226,8 @@ class BeliefVisualizer(PythonSystem):
     cells, `MAGNIFIED` times as long (red); the centres of mass of the hypotheses, their size growing with
     probability (white). The push on the table (blue). A board with the colour scale and the
     probabilities, empty until there is a belief, and over it a sign while the last push that was judged is
-    one that surprised. Sliders choose the hypothesis (by falling probability) and the map; they are read when
-    this system publishes, as everything else is.
+    one that surprised, and from the first diagnosis on. Sliders choose the hypothesis (by falling
+    probability) and the map; they are read when this system publishes, as everything else is.
 
     A recording keeps transforms and properties alone. Therefore every map of every belief is an object of its
     own, which is made visible at its time; a page from `StaticHtml` shows them as chosen while recording.
@@ -256,7 +269,7 @@ class BeliefVisualizer(PythonSystem):
         self._board = X_WB or RigidTransform(RollPitchYaw(-0.3, 0.0, np.pi / 4), BOARD_PLACE)
         self.declare_inputs("belief", "object_pose")
         self.DeclareVectorInputPort("predicted_pose", 3)
-        self.declare_inputs("push", "seen_object", "watch")
+        self.declare_inputs("push", "seen_object", "watch", "repair")
         self._forget()
         for name in (HYPOTHESIS, MAP):
             meshcat.DeleteSlider(name, strict=False)
@@ -283,8 +296,8 @@ class BeliefVisualizer(PythonSystem):
 
     def _draw(self, context: Context) -> None:
         time = context.get_time()
-        ports = ("belief", "object_pose", "predicted_pose", "push", "seen_object", "watch")
-        belief, seen, predicted, push, seen_object, watch = (
+        ports = ("belief", "object_pose", "predicted_pose", "push", "seen_object", "watch", "repair")
+        belief, seen, predicted, push, seen_object, watch, repair = (
             self.optional_input(context, name) for name in ports
         )
         if seen_object is not None:
@@ -300,7 +313,7 @@ class BeliefVisualizer(PythonSystem):
                 predicted = None
             self._place(observed, predicted, time)
         self._draw_push(getattr(push, "push", push), time)
-        self._warn(watch, time)
+        self._sign(watch, repair, time)
 
     def _add_blank_board(self, time: float) -> None:
         """A board that is seen until there is a belief."""
@@ -309,15 +322,30 @@ class BeliefVisualizer(PythonSystem):
             self._meshcat.SetTransform(f"{self._path}/board", self._board, 0.0)
             self._show("board", "board/0", time)
 
-    def _warn(self, watch: Any, time: float) -> None:
-        """A sign over the board while the last push that was judged is one that surprised."""
-        last = watch.judged[-1] if watch is not None and watch.judged else None
-        if last is None or not last.surprising:
+    def _sign(self, watch: Watch | None, repair: Repair | None, time: float) -> None:
+        """A sign over the board where the last push that was judged surprised, or the model was repaired."""
+        judged = () if watch is None else watch.judged
+        found = repair.findings[-1] if repair is not None and repair.findings else None
+        alarming = bool(judged) and judged[-1].surprising
+        alarming = alarming and (found is None or found.pushes <= judged[-1].trial)
+        if alarming:
+            last = judged[-1]
+            name = f"notice/{last.trial}"
+            heading = f"Push {last.trial + 1} ended {1e3 * last.error:.1f} mm from its prediction"
+            line = f"expected: {1e3 * last.allowed:.1f} mm at most. Does the model miss something?"
+        elif found is not None:
+            name = f"notice/{len(judged)}-{found.pushes}"
+            heading = f"After push {found.pushes}: {_DID[found.action]}"
+            line = " and ".join(found.effects) or f"diagnosis: {found.verdict}"
+        else:
             self._show("notice", "", time)
             return
-        name = f"notice/{last.trial}"
         if self._visible.get("notice") != name:
-            self._hidden(name, billboard(notice(last.trial, last.error, last.allowed), *NOTICE))
+            errors = [push.error for push in judged]
+            picture = notice(
+                heading, line, errors, alarming=found is None or found.pushes <= judged[-1].trial
+            )
+            self._hidden(name, billboard(picture, *NOTICE))
             above = np.array([0.0, 0.0, (BOARD[1] + NOTICE[1]) / 2 + 0.01])
             self._meshcat.SetTransform(f"{self._path}/notice", self._board @ RigidTransform(above), 0.0)
             self._show("notice", name, time)

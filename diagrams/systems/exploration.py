@@ -33,9 +33,9 @@ class Exploration(PythonSystem):
     The draws of a push depend on the seed and the push's number alone.
 
     Args:
-        strategy: one of `slipmap.planners.settings.STRATEGIES`; pushes made to judge the belief are
-            random, and none of them is a tap.
-        fit: pushes to learn from.
+        strategy: one of `slipmap.planners.settings.STRATEGIES`; pushes after the first `fit`, made to judge
+            the belief or to find out what surprised it, are random, and none of them is a tap.
+        fit: pushes of the strategy.
         finger_radius: m.
         settings: what pushes to learn from are like.
         allowed: whether the arm can make a push of an object that lies somewhere.

@@ -31,9 +31,11 @@ class Identification(PythonSystem):
       `MeasurementLogger`. Those with the role `fit` are learned from.
     - `cell_grid`: abstract, `CellGrid`: the object's cells and outline in its own frame, m; the argument
       `grid` if not connected.
+    - `effects`: abstract, tuple of names of effects of the library that the model is given now; the argument
+      if not connected. Where they change, all is learnt anew.
     Outputs:
     - `belief`: abstract, `Belief`, or None before the first push.
-    - `learned`: abstract, int: number of pushes that it comes from.
+    - `learned`: abstract, int: number of pushes that it comes from; 0 where its effects are not those wanted.
 
     Without a worker the simulation waits while it computes, and to the clock of the diagram it takes no time.
     With one, the diagram goes on, and the same belief comes later.
@@ -47,7 +49,7 @@ class Identification(PythonSystem):
         gravity: m/s².
         noise: of the sensors; estimated from the rows where it is not given.
         method: of `identify`.
-        effects: of the library, which the model is given; then `method` does not count.
+        effects: of the library, which the model is given; then `method` must be the default.
         hypotheses: K.
         seed: of every draw.
         learned: called with every belief as it forms and its number of pushes, for progress.
@@ -90,33 +92,45 @@ class Identification(PythonSystem):
             noise=noise,
         )
         self._grid = grid
-        self._learn_from = partial(learning(effects, method), hypotheses=hypotheses, seed=seed)
+        learning(effects, method)
+        self._effects, self._method = tuple(effects), method
+        self._options = {"hypotheses": hypotheses, "seed": seed}
         self._learned = learned
         self._worker = worker
-        self.declare_inputs("trials", "cell_grid")
-        self._belief = self.DeclareAbstractState(held((None, 0)))
+        self.declare_inputs("trials", "cell_grid", "effects")
+        self._belief = self.DeclareAbstractState(held((None, 0, self._effects)))
         self._job = self.DeclareAbstractState(held(None))
         self.DeclarePeriodicUnrestrictedUpdateEvent(PERIOD, 0.0, self._learn)
         self.declare_output_of("belief", self._belief, lambda learned: learned[0])
-        self.declare_output_of("learned", self._belief, lambda learned: learned[1])
+        after = {self.abstract_state_ticket(self._belief), self.GetInputPort("effects").ticket()}
+        self.declare_output("learned", self._count, after)
+
+    def _wanted(self, context: Context) -> tuple[str, ...]:
+        given = self.optional_input(context, "effects")
+        return self._effects if given is None else given
+
+    def _count(self, context: Context) -> int:
+        _, count, effects = read(context, self._belief)
+        return int(count) if effects == self._wanted(context) else 0
 
     def _learn(self, context: Context, state: State) -> EventStatus:
-        job, count = read(context, self._job) or (None, 0)
+        job, count, effects = read(context, self._job) or (None, 0, ())
         if job is None:
             trials = [trial for trial in self.input(context, "trials") if trial.role == "fit"]
-            if len(trials) <= read(context, self._belief)[1]:
+            if len(trials) <= self._count(context) or not trials:
                 return EventStatus.DidNothing()
             grid = self.optional_input(context, "cell_grid") or self._grid
             if grid is None:
                 raise ValueError("Identification: connect the port cell_grid, or give the argument grid")
-            count = len(trials)
-            job = begun(self._worker, self._learn_from, self._make_dataset(trials, grid))
+            count, effects = len(trials), self._wanted(context)
+            learn = partial(learning(effects, self._method), **self._options)
+            job = begun(self._worker, learn, self._make_dataset(trials, grid))
         if not job.done():
-            replace_held(state, self._job, (job, count))
+            replace_held(state, self._job, (job, count, effects))
             return EventStatus.Succeeded()
         belief = job.result().belief
         replace_held(state, self._job, None)
-        replace_held(state, self._belief, (belief, count))
+        replace_held(state, self._belief, (belief, count, effects))
         if self._learned is not None:
             self._learned(belief, count)
         return EventStatus.Succeeded()

@@ -26,10 +26,20 @@ class LoopStatus:
 MOST_ATTEMPTS = 20
 """Candidates that the arm may refuse for one push before the loop gives up."""
 
-EXPLORING = ("looking", "choosing", "pushing", "recording", "learning", "finished", "failed")
-"""Modes of exploring."""
+EXPLORING = ("looking", "choosing", "pushing", "recording", "learning", "diagnosing", "finished", "failed")
+"""Modes of exploring; `diagnosing` only where the model is repaired on the way."""
 
-BRINGING = ("planning", "pushing", "recording", "grasping", "lifting", "holding", "held", "failed")
+BRINGING = (
+    "planning",
+    "pushing",
+    "recording",
+    "diagnosing",
+    "grasping",
+    "lifting",
+    "holding",
+    "held",
+    "failed",
+)
 """Modes of bringing the object to the table's edge and taking it, after those of exploring."""
 
 MODES = tuple(dict.fromkeys((*EXPLORING, *BRINGING)))

@@ -47,6 +47,7 @@ class Judged:
     error: float  # distance of the cells from the middle of the hypotheses (ADD), m
     allowed: float  # error in this direction up to which the push would not surprise, m
     surprising: bool  # whether it ended outside the 95 % region, see `Prediction.surprising`
+    effects: tuple[str, ...] = ()  # that the model had
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,7 +94,7 @@ class ModelMonitor(PythonSystem):
         alarm: abstract bool. It is given when the evidence reaches 1/LEVEL, and taken back only when the
             evidence is down at 1 again, that is when pushes have been predicted as well as usual for a while.
             A push that ends outside the region of level 1 - LEVEL (`push_misfit.resting_region`) gives it at
-            once, whatever the evidence.
+            once, whatever the evidence. A model that is given other effects begins without evidence.
         watch: abstract, `Watch`, all of it.
 
     A push is judged when its record is complete, by where the object came to rest (on its way, the arm may
@@ -163,15 +164,18 @@ class ModelMonitor(PythonSystem):
             None if force is None else (force, push_misfit.predicted_steady_forces(belief, observation)),
             taught=belief.taught,
         )  # fmt: skip
-        evidence = max(watch.evidence, 1.0) * push_misfit.bet(max(p, LEAST_P))
+        effects = tuple(effect.name for effect in belief.slider.effects)
+        same = not watch.judged or watch.judged[-1].effects == effects
+        before = max(watch.evidence, 1.0) if same else 1.0
+        evidence = before * push_misfit.bet(max(p, LEAST_P))
         region = push_misfit.resting_region(start, universes.poses, belief, error)
         seen = turned_to(end, region.middle[2])
         if held:  # it turned as far as nobody knows
             seen[2] = region.middle[2]
         middle = middle_poses(universes.poses, belief.probability, belief.grid)
         off, excess = float(add(seen, middle, belief.grid.centers)), region.excess(seen)
-        by_evidence = evidence >= 1.0 / LEVEL or (watch.alarm and evidence > 1.0)
+        by_evidence = evidence >= 1.0 / LEVEL or (same and watch.alarm and evidence > 1.0)
         return Judged(
             number, misfit, p, evidence, by_evidence or not region.holds(seen, 1.0 - LEVEL),
-            off, off / max(excess, 1e-9), not region.holds(seen),
+            off, off / max(excess, 1e-9), not region.holds(seen), effects,
         )  # fmt: skip

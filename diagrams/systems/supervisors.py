@@ -11,6 +11,7 @@ from typing import Any
 from pydrake.systems.framework import Context, EventStatus, State
 
 from slipmap.diagrams.execution.requests import ActiveGrasp, ActivePush, ExecutionStatus
+from slipmap.diagrams.systems.diagnosis import Repair
 from slipmap.diagrams.systems.loop_messages import MOST_ATTEMPTS, LoopStatus, PregraspPlan
 from slipmap.diagrams.systems.python_system import PythonSystem, held, read, replace_held
 from slipmap.models.perception.seen_object import ObservedPose
@@ -39,6 +40,8 @@ class PushSupervisor(PythonSystem):
     - `execution`: `ExecutionStatus` of the arm.
     - `trials`: tuple of recorded `Trial`s; `learned`: how many of them the belief comes from; `missed`
       (optional): numbers of candidates that touched nothing, for which others are chosen.
+    - `repair`: `Repair` of a `Diagnosis`, which is waited for after each push and may ask for more; not
+      connected where there is none.
     Outputs:
     - `status`: `LoopStatus`; `active_push`: `ActivePush | None`, what the arm is to do.
 
@@ -55,6 +58,7 @@ class PushSupervisor(PythonSystem):
         self._fit = fit
         self._pushes = fit + heldout
         self.declare_inputs("object_pose", "cell_grid", "plan", "execution", "trials", "learned", "missed")
+        self.declare_inputs("repair")
         start = LoopStatus("learning", made - 1) if made else LoopStatus("looking", 0)
         self._status = self.DeclareAbstractState(held(start))
         self._active = self.DeclareAbstractState(held(None))
@@ -113,10 +117,16 @@ class PushSupervisor(PythonSystem):
             if len(self.input(context, "trials")) > now.push:
                 return LoopStatus("learning", now.push)
             return self._patient(context, now, _unrecorded(self.input(context, "object_pose")))
-        if self.input(context, "learned") < min(now.push + 1, self._fit):
-            return now
         done = now.push + 1
-        return LoopStatus("finished" if done >= self._pushes else "looking", done)
+        repair: Repair | None = self.optional_input(context, "repair")
+        settled = repair is None or repair.trials >= done
+        if not settled and now.mode == "learning":
+            return LoopStatus("diagnosing", now.push)
+        fit = self._fit if repair is None else max(self._fit, repair.wanted)
+        if not settled or self.input(context, "learned") < min(done, fit):
+            return now
+        pushes = self._pushes + fit - self._fit
+        return LoopStatus("finished" if done >= pushes else "looking", done)
 
     def _look(self, context: Context, now: LoopStatus) -> LoopStatus:
         pose = self.input(context, "object_pose")
@@ -180,6 +190,8 @@ class PregraspSupervisor(PythonSystem):
     - `object_pose`: `ObservedPose`; `plan`: `PregraspPlan | None`; `execution`: `ExecutionStatus` of the arm.
     - `trials`: tuple of recorded `Trial`s, `missed` (optional): as of `PushSupervisor`;
       `gripper.state_measured`: (2,) opening and its rate, m and m/s.
+    - `repair`: `Repair`, and `learned`: pushes that the belief comes from; not connected where the model is
+      not repaired. Then each push is looked into and learned from before the next is planned.
     Outputs:
     - `status`: `LoopStatus`; pushes are counted on from those that explored.
     - `active_push`: `ActivePush | None`, `active_grasp`: `ActiveGrasp | None`: what the arm is to do.
@@ -195,7 +207,7 @@ class PregraspSupervisor(PythonSystem):
         super().__init__()
         self._patience = patience
         self.declare_inputs("exploration", "exploring_push", "object_pose", "plan", "execution", "trials")
-        self.declare_inputs("missed")
+        self.declare_inputs("missed", "repair", "learned")
         self.DeclareVectorInputPort("gripper.state_measured", 2)
         self._bringing = self.DeclareAbstractState(held(None))
         self.declare_steps(PERIOD, self._bringing, self._decided)
@@ -257,8 +269,15 @@ class PregraspSupervisor(PythonSystem):
                     return to("failed", _MISSED)
                 return _Bringing(LoopStatus("planning", status.push, status.attempt + 1), time)
             if len(self.input(context, "trials")) > status.push:
+                if self.optional_input(context, "repair") is not None:
+                    return to("diagnosing")
                 return _Bringing(LoopStatus("planning", status.push + 1), time)
             return patient(_unrecorded(self.input(context, "object_pose")))
+        if status.mode == "diagnosing":
+            done = status.push + 1
+            if self.input(context, "repair").trials < done or self.input(context, "learned") < done:
+                return now
+            return _Bringing(LoopStatus("planning", done), time)
         if status.mode == "grasping":
             return to("lifting") if answered and execution.mode == "lifting" else now
         if status.mode == "lifting":

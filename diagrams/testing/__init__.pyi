@@ -1,4 +1,5 @@
 from .assertions import (
+    assert_adopts as assert_adopts,
     assert_alarm as assert_alarm,
     assert_better_than_uniform as assert_better_than_uniform,
     assert_held as assert_held,

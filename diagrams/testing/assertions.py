@@ -65,6 +65,13 @@ def assert_names(diagnosis: Diagnosis, effect: str) -> None:
     assert named, f"{effect} is not named; verdict {diagnosis.verdict}: {diagnosis.sentence}"
 
 
+def assert_adopts(run: ExplorationRun, effect: str) -> None:
+    """The robot gave its model an effect on the way, and kept it to the end."""
+    assert run.repair is not None, "the run was not to adapt; ask for adapt=True"
+    said = "\n".join(f"push {found.pushes}: {found.verdict}, {found.action}" for found in run.repair.findings)
+    assert effect in run.repair.effects, f"{effect} is not in the model at the end\n{said or 'no diagnosis'}"
+
+
 def assert_held(run: PregraspRun) -> None:
     """The gripper holds the object in the end."""
     assert run.held, f"the object is not held after {len(run.pushes)} pushes to the edge: {run.reason}"

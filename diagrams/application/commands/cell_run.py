@@ -161,6 +161,13 @@ def cell_options(folder: str) -> Option:
     return decorate
 
 
+adapt_option = click.option(
+    "--adapt", is_flag=True,
+    help="Repair the model on the way: where pushes surprise it, diagnose them, push on while the answer is"
+    " open, and add the effect that is named. Every push teaches.",
+)  # fmt: skip
+
+
 def effects_of_library(names: Sequence[str]) -> tuple[str, ...]:
     """Names of effects of the library, as they were given.
 

@@ -38,6 +38,7 @@ if TYPE_CHECKING:
     help="How the next push is chosen (Algorithm 2).",
 )  # fmt: skip
 @options.effect_option(required=False, purpose="Effect of the library to add to the model that learns")
+@cell_run.adapt_option
 @cell_run.cell_options("exploration")
 @options.path_option(
     "--resume", metavar="DIR",
@@ -59,6 +60,7 @@ def explore(
     checks: int,
     strategy: str,
     effect_names: tuple[str, ...],
+    adapt: bool,
     cell: cell_run.CellRun,
     resume: Path | None,
     after: Path | None,
@@ -72,6 +74,7 @@ def explore(
     used. The pushes are left as a dataset, on which every other command works. Each is written as soon as it
     is recorded: a run that is killed is gone on with by --resume. Where pushes surprise the model and
     `slipmap diagnose` names an effect, --after begins with the pushes that are there, and --effect adds it.
+    With --adapt the robot does that by itself.
 
     The robot is simulated, unless --hardware is given.
     """
@@ -81,11 +84,25 @@ def explore(
 
     before = None
     if resume is not None:
-        settled = ("object", "scenario", "out", "effect", "after", "pushes", "checks", "strategy", "seed")
+        settled = (
+            "object",
+            "scenario",
+            "out",
+            "effect",
+            "after",
+            "pushes",
+            "checks",
+            "strategy",
+            "seed",
+            "adapt",
+        )
         _refuse_beside(context, "--resume goes on as it began", *settled)
         cell = cell._replace(folder=resume)
         scenario, wanted, before = resumed(resume)
     else:
+        if adapt:
+            _refuse_beside(context, "--adapt learns from every push", "checks")
+            checks = 0
         if after is None:
             scenario = cell_run.scenario_of(scenario_file, object_name, simulated=not cell.hardware)
         else:
@@ -103,7 +120,9 @@ def explore(
         if not pushes:
             raise BadInput("--pushes 0 leaves nothing to learn from; give 1 or more")
         effects = cell_run.effects_of_library(effect_names)
-        wanted = LoopOptions(pushes=pushes, checks=checks, strategy=strategy, seed=seed, effects=effects)
+        wanted = LoopOptions(
+            pushes=pushes, checks=checks, strategy=strategy, seed=seed, effects=effects, adapt=adapt
+        )
     if before is not None and cell.hardware is not before.of_a_real_cell:
         was = "in simulation; leave out" if cell.hardware else "in a real cell; add"
         raise BadInput(f"{resume or after}: that run was made {was} --hardware to go on with it")
@@ -152,6 +171,7 @@ def explore(
 @options.effect_option(
     required=False, purpose="Effect of the library to add to the model that learns and plans"
 )
+@cell_run.adapt_option
 @cell_run.cell_options("pregrasp")
 @options.seed_option
 @options.json_in_folder_option
@@ -161,6 +181,7 @@ def pregrasp(
     pushes: int,
     method: str,
     effect_names: tuple[str, ...],
+    adapt: bool,
     cell: cell_run.CellRun,
     seed: int,
     json_file: Path | None,
@@ -179,7 +200,8 @@ def pregrasp(
     from slipmap.diagrams.loops.run_folder import PregraspFolder
 
     scenario = cell_run.scenario_of(scenario_file, object_name, simulated=not cell.hardware)
-    exploration = LoopOptions(pushes=pushes, seed=seed, effects=cell_run.effects_of_library(effect_names))
+    effects = cell_run.effects_of_library(effect_names)
+    exploration = LoopOptions(pushes=pushes, seed=seed, effects=effects, adapt=adapt)
     wanted = pregrasp_loop.PregraspOptions(exploration, method=method)
     if cell.hardware and method == "true":
         raise BadInput("--method true: the truth is known of a simulated object alone; choose another method")
@@ -229,11 +251,15 @@ def _refuse_beside(context: click.Context, because: str, *settled: str) -> None:
 
 def _learned_json(run: ExplorationRun) -> dict[str, Any]:
     learned = run.identification
-    return {**learned.to_json(), "effects": learned.effect_estimates, "truth": run.truth()}
+    repair = None if run.repair is None else run.repair.to_json()
+    return {
+        **learned.to_json(), "effects": learned.effect_estimates, "truth": run.truth(), "repair": repair,
+    }  # fmt: skip
 
 
 def _show_exploration(run: ExplorationRun) -> None:
     from slipmap.diagrams.application.commands.identify import show, show_effects
+    from slipmap.diagrams.application.reports.repair_words import repair_story
 
     show(run.identification, run.dataset, None)
     show_effects(run.identification)
@@ -250,6 +276,9 @@ def _show_exploration(run: ExplorationRun) -> None:
         _show_truth(truth)
         paragraph(f"{run.simulated:.0f} s of simulated time took {run.seconds:.0f} s.")
     paragraph(_monitor_words(run.watch))
+    if run.repair is not None:
+        for sentence in repair_story(run.repair, run.watch):
+            paragraph(sentence)
 
 
 def _show_surprises(run: ExplorationRun, folder: Path) -> None:

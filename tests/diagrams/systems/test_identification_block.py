@@ -99,3 +99,14 @@ def test_a_model_that_is_given_an_effect_learns_it_with_the_maps():
 def test_an_unknown_effect_is_refused_before_anything_is_pushed():
     with pytest.raises(EffectError, match="table_tilt"):
         Identification(lambda trials, grid: DATASET, effects=["table_tlit"])
+
+
+def test_other_effects_are_learnt_with_at_once():
+    learner = Learner()
+    plain, count = learner.step(cell_grid=DATASET.grid, trials=FIT, effects=())
+    assert count == 2 and not plain.slider.effects
+    learner.set(effects=("table_tilt",))
+    assert (learner.read("belief"), learner.read("learned")) == (plain, 0)
+    tilted, count = learner.step()
+    assert count == 2 and [effect.name for effect in tilted.slider.effects] == ["table_tilt"]
+    assert learner.step() == (tilted, 2) and len(learner.asked) == 2

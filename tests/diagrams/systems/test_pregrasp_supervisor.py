@@ -8,6 +8,7 @@ import pytest
 from driven_block import DrivenBlock, seen_at
 
 from slipmap.diagrams.execution.requests import ActivePush, ExecutionStatus
+from slipmap.diagrams.systems.diagnosis import Repair
 from slipmap.diagrams.systems.loop_messages import MOST_ATTEMPTS, LoopStatus, PregraspPlan
 from slipmap.diagrams.systems.supervisors import HOLD, PATIENCE, PERIOD, PregraspSupervisor
 from slipmap.models.perception.seen_object import ObservedPose
@@ -163,3 +164,15 @@ def test_an_object_that_is_not_seen_after_a_push_ends_the_loop():
     loop.advance(4 * PERIOD)
     assert loop.read("status").mode == "failed"
     assert "left the table" in loop.read("status").reason
+
+
+def test_a_push_towards_the_edge_is_looked_into_and_learned_from():
+    loop = Loop()
+    loop.set(repair=Repair(2), learned=2)
+    assert loop.step(plan=PregraspPlan(FIRST, push=PLANNED)) == "pushing"
+    assert loop.step(execution=ExecutionStatus("home", FIRST)) == "recording"
+    assert loop.step(trials=(None,) * 3) == "diagnosing"
+    assert loop.step(learned=3) == "diagnosing"
+    assert loop.step(repair=Repair(3, ("tether",)), learned=0) == "diagnosing"
+    assert loop.step(learned=3) == "planning"
+    assert loop.read("status").push == 3

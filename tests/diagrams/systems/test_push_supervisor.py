@@ -7,6 +7,7 @@ import pytest
 from driven_block import DrivenBlock, seen_at
 
 from slipmap.diagrams.execution.requests import ExecutionStatus
+from slipmap.diagrams.systems.diagnosis import Repair
 from slipmap.diagrams.systems.loop_messages import MOST_ATTEMPTS, ExplorationPlan, LoopStatus
 from slipmap.diagrams.systems.supervisors import MOST_MISSED, PATIENCE, PERIOD, PushSupervisor
 from slipmap.models.perception.seen_object import ObservedPose
@@ -244,3 +245,21 @@ def test_an_arm_that_was_stopped_ends_the_loop_with_its_reason(when):
     assert (status.mode, status.reason) == ("failed", "joint 4 is pushed; look why")
     assert loop.read("active_push") is None
     assert loop.step(execution=AT_HOME).mode == "failed"
+
+
+def test_a_push_is_looked_into_and_may_ask_for_more():
+    loop = Loop(fit=1)
+    loop.set(repair=Repair())
+    loop.begin_push()
+    loop.step(execution=ExecutionStatus("home", 0))
+    assert loop.step(trials=(object(),)).mode == "learning"
+    assert loop.step(learned=1).mode == "diagnosing"
+    assert loop.step().mode == "diagnosing"
+    # The answer adds an effect, with which all is learnt anew, and asks for a push to try it.
+    assert loop.step(repair=Repair(1, ("table_tilt",), wanted=2), learned=0).mode == "diagnosing"
+    assert mode(loop.step(learned=1)) == ("looking", 1, 0)
+    loop.begin_push()
+    loop.step(execution=ExecutionStatus("home", loop.read("active_push").push_id))
+    loop.step(trials=2 * (object(),))
+    assert loop.step(learned=2).mode == "diagnosing"
+    assert mode(loop.step(repair=Repair(2, ("table_tilt",), wanted=2))) == ("finished", 2, 0)

@@ -1,0 +1,46 @@
+"""How a robot repaired its model on the way, in words."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from statistics import fmean
+
+from slipmap.diagrams.systems.diagnosis import Finding, Repair
+from slipmap.diagrams.systems.model_monitor import Judged, Watch
+
+_DID = {
+    "adopts": "The model was given {effects} from then on.",
+    "keeps": "The model kept {effects}.",
+    "drops": "The effect it had was dropped: it did not explain the pushes after all.",
+    "pushes on": "The robot made another push to find out.",
+    "goes on without": "The robot went on with the model it had.",
+}
+
+
+def repair_story(repair: Repair, watch: Watch) -> list[str]:
+    """Sentences: each diagnosis and what was done about it, then by how much the error fell."""
+    if not repair.findings:
+        return ["The model was not repaired: no push gave cause to look into it."]
+    said = [_finding(finding) for finding in repair.findings]
+    before = [push for push in watch.judged if not set(repair.effects) & set(push.effects)]
+    after = [push for push in watch.judged if set(repair.effects) & set(push.effects)]
+    if repair.effects and before and after:
+        said.append(
+            f"Before, {_errors(before)}; with {_names(repair.effects)}, {_errors(after)}, each predicted"
+            " before it was made."
+        )
+    return said
+
+
+def _finding(finding: Finding) -> str:
+    did = _DID[finding.action].format(effects=_names(finding.effects))
+    return f"After push {finding.pushes}, diagnosis: {finding.sentence} {did}"
+
+
+def _errors(judged: Sequence[Judged]) -> str:
+    mean = 1e3 * fmean(push.error for push in judged)
+    return f"{len(judged)} push{'es' * (len(judged) > 1)} ended {mean:.1f} mm off on average"
+
+
+def _names(effects: Sequence[str]) -> str:
+    return " and ".join(effects)

@@ -1,0 +1,138 @@
+"""When pushes are looked into, and what the robot does about the answer."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from driven_block import DrivenBlock
+
+from slipmap.diagrams.systems.diagnosis import PERIOD, Diagnosis, Repair
+from slipmap.diagrams.systems.model_monitor import Judged, Watch
+from slipmap.models.effects.registry import effects_named
+from slipmap.models.inference.diagnosis import procedure
+from slipmap.planners.settings import RepairSettings
+
+SETTINGS = RepairSettings(pushes=4, fewest=5, doubt=10.0, probation=2)
+PUSHES = 5  # of exploring
+
+
+@dataclass(frozen=True)
+class Push:
+    """All that the block does with a trial is to let it teach."""
+
+    number: int
+    role: str = "heldout"
+
+
+class Robot(DrivenBlock):
+    """A block whose diagnoses are what the test says, and which notes what it was asked."""
+
+    def __init__(self, monkeypatch, *answers: tuple[str, tuple[str, ...]], settled: int = 0) -> None:
+        self.asked: list[int] = []
+        waiting = list(answers)
+
+        def diagnose(dataset, *, seed):
+            assert all(push.role == "fit" for push in dataset)
+            self.asked.append(len(dataset))
+            verdict, effects = waiting.pop(0)
+            named = effects_named(effects)
+            rivals = [(effect,) for effect in named] if verdict == "ambiguous" else [named] if named else []
+            rivals = [SimpleNamespace(effects=tuple(rival)) for rival in rivals]
+            return SimpleNamespace(verdict=verdict, rivals=rivals, sentence=f"{verdict}.")
+
+        monkeypatch.setattr(procedure, "diagnose", diagnose)
+        block = Diagnosis(lambda trials, grid: trials, SETTINGS, pushes=PUSHES, settled=settled)
+        super().__init__(block, trials=(), cell_grid=None, watch=watch(0))
+        self.advance(0.5 * PERIOD)
+
+    def push(self, count: int, **seen) -> Repair:
+        """The repair after so many pushes and what the monitor made of them."""
+        self.set(trials=tuple(Push(k) for k in range(count)), watch=watch(count, **seen))
+        self.advance(2 * PERIOD)
+        return self.read("repair")
+
+
+def watch(count: int, evidence: float = 1.0, alarm: bool = False) -> Watch:
+    judged = Judged(count - 1, 1.0, 0.5, evidence, alarm, 1e-3, 5e-3, alarm)
+    return Watch(count, np.zeros(3), (judged,))
+
+
+def actions(repair: Repair) -> list[str]:
+    return [finding.action for finding in repair.findings]
+
+
+def test_pushes_that_end_as_predicted_are_not_looked_into(monkeypatch):
+    robot = Robot(monkeypatch)
+    for count in range(1, 9):
+        repair = robot.push(count, evidence=9.0)
+        assert (repair.trials, repair.wanted, repair.findings) == (count, 0, ())
+    assert robot.asked == []
+
+
+def test_it_waits_until_the_monitor_has_judged_the_push(monkeypatch):
+    robot = Robot(monkeypatch, ("effect", ("table_tilt",)))
+    robot.set(trials=tuple(Push(k) for k in range(6)), watch=watch(5, alarm=True))
+    robot.advance(2 * PERIOD)
+    assert robot.read("repair").trials == 0 and robot.asked == []
+    robot.push(6, alarm=True)
+    assert robot.asked == [6]
+
+
+@pytest.mark.parametrize("seen", [{"alarm": True}, {"evidence": 10.0}])
+def test_a_named_effect_is_adopted_and_put_to_the_test(monkeypatch, seen):
+    repair = Robot(monkeypatch, ("effect", ("table_tilt", "tether"))).push(6, **seen)
+    assert repair.effects == ("table_tilt", "tether")
+    assert (repair.wanted, actions(repair)) == (6 + SETTINGS.probation, ["adopts"])
+
+
+def test_of_effects_that_cannot_be_told_apart_the_simplest_is_adopted(monkeypatch):
+    repair = Robot(monkeypatch, ("ambiguous", ("tether", "table_tilt"))).push(5, alarm=True)
+    assert repair.effects == ("table_tilt",)
+
+
+def test_few_pushes_are_not_diagnosed_but_more_are_made(monkeypatch):
+    robot = Robot(monkeypatch)
+    repair = robot.push(SETTINGS.fewest - 1, alarm=True)
+    assert (robot.asked, repair.wanted, repair.findings) == ([], SETTINGS.fewest, ())
+
+
+def test_where_the_answer_is_open_another_push_is_asked_for_up_to_the_budget(monkeypatch):
+    most = PUSHES + SETTINGS.pushes
+    robot = Robot(monkeypatch, *[("undecided", ())] * 5)
+    for count in range(PUSHES, most + 1):
+        repair = robot.push(count, alarm=True)
+        assert repair.wanted == min(count + 1, most)
+    assert actions(repair) == ["pushes on"] * (most - PUSHES) + ["goes on without"]
+
+
+@pytest.mark.parametrize("verdict", ["unknown", "adequate"])
+def test_without_a_name_the_robot_goes_on(monkeypatch, verdict):
+    repair = Robot(monkeypatch, (verdict, ())).push(6, alarm=True)
+    assert (repair.effects, repair.wanted, actions(repair)) == ((), 0, ["goes on without"])
+
+
+def test_an_effect_that_does_not_help_is_dropped(monkeypatch):
+    robot = Robot(monkeypatch, ("effect", ("tether",)), ("undecided", ()), ("effect", ("table_tilt",)))
+    assert robot.push(5, alarm=True).effects == ("tether",)
+    assert robot.push(6).effects == ("tether",)
+    assert robot.push(7, alarm=True).effects == ()
+    repair = robot.push(8, alarm=True)
+    assert repair.effects == ("table_tilt",)
+    assert actions(repair) == ["adopts", "drops", "adopts"]
+    assert [finding["pushes"] for finding in repair.to_json()["findings"]] == robot.asked == [5, 7, 8]
+
+
+def test_an_effect_that_is_named_again_is_kept(monkeypatch):
+    robot = Robot(monkeypatch, ("effect", ("table_tilt",)), ("ambiguous", ("tether", "table_tilt")))
+    wanted = robot.push(5, alarm=True).wanted
+    repair = robot.push(6, alarm=True)
+    assert (repair.effects, actions(repair), repair.wanted) == (("table_tilt",), ["adopts", "keeps"], wanted)
+
+
+def test_pushes_of_an_earlier_process_are_settled(monkeypatch):
+    robot = Robot(monkeypatch, ("effect", ("tether",)), settled=6)
+    assert robot.push(6, alarm=True) == Repair(6)
+    assert replace(robot.push(7, alarm=True), findings=()).effects == ("tether",)
