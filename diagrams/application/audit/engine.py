@@ -15,7 +15,7 @@ import numpy as np
 from slipmap.models.effects.effect import Effect, failure
 from slipmap.models.files import BadInput
 from slipmap.models.geometry import placed
-from slipmap.models.objects.meshes import convex_pieces
+from slipmap.models.objects.convex_pieces import convex_pieces
 from slipmap.models.physics.cell_grid import CellGrid, FloatArray
 from slipmap.models.physics.maps import Maps
 from slipmap.models.physics.stepper import Stepper
