@@ -6,4 +6,5 @@ sources, `clocks` brings them to one clock by contact, and `recordings` cuts the
 dataset's `provenance` what was done. docs/import.md has a setup.yaml for each kind of file.
 """
 
+from slipmap.models.measurements.importing.guess import guess_setup
 from slipmap.models.measurements.importing.recordings import import_dataset

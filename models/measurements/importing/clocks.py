@@ -37,6 +37,8 @@ _RISE = 0.2  # s around the touch in which the force is to rise
 _FORCE_STEP = 0.02  # s of the coarse search for the force
 _LEAST_CORRELATION = 0.3
 _APPROACH = 5e-3  # m/s at least, when a finger touches
+_WAITS = 0.4  # s before the touch in which the object rests
+_PASSES = 0.04  # s around it in which the finger's way is straight
 
 
 class Lag(NamedTuple):
@@ -213,16 +215,17 @@ def _touches(setup: Setup, pose: Channel, tip: Channel) -> list[float]:
     moving = np.interp(tip.time, pose.time, _moving(setup, pose).astype(float)) > 0.5
     found = []
     for row in np.flatnonzero((gap[1:] <= 0.0) & (gap[:-1] > 0.0)):
-        soon = (tip.time > tip.time[row]) & (tip.time < tip.time[row] + 1.0)
-        before = np.searchsorted(tip.time, tip.time[row] - 0.1)
-        closing = (gap[before] - gap[row + 1]) / max(tip.time[row + 1] - tip.time[before], 1e-9)
-        if not moving[soon].any() or closing < _APPROACH or gap[before] < 0.5 * closing * 0.1:
+        touch = tip.time[row]
+        soon = (tip.time > touch) & (tip.time < touch + 1.0)
+        waits = (pose.time > touch - _WAITS) & (pose.time < touch - 0.25 * _WAITS)
+        way = np.flatnonzero((tip.time > touch - _PASSES) & (tip.time < touch + _PASSES))
+        if not moving[soon].any() or waits.sum() < 3 or len(way) < 4:
             continue
-        # On the way there: rows near the rim jitter, so that a line through the last of the approach decides.
-        way = slice(before, row + 2)
-        slope, level = np.polyfit(tip.time[way] - tip.time[row], gap[way], 1)
-        if slope < 0.0:
-            found.append(float(tip.time[row] - level / slope))
+        # Against the object as it waited: after the touch its own rows would hide when that was.
+        resting = np.median(pose.values[waits], axis=0)
+        slope, level = np.polyfit(tip.time[way] - touch, gaps(setup, tip.values[way], resting), 1)
+        if slope < -_APPROACH:
+            found.append(float(touch - level / slope))
     kept: list[float] = []
     for time in found:
         if not kept or time > kept[-1] + 0.5:

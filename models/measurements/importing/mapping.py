@@ -49,6 +49,7 @@ TIMES = ("t", "time", "timestamp", "stamp", "Time", "Timestamp", "time_s", "Time
 _LEVEL = np.radians(15.0)  # beyond which a turn about the vertical says little
 _FLAT = 5e-3  # m by which a height may vary
 _COMES_BACK = 1e-6  # s
+_LIFTED = 0.01  # m above where the finger pushes
 
 _TO_TABLE = {
     "z": np.eye(3),
@@ -68,6 +69,7 @@ class Mapped:
     table: FloatArray  # (T, 4) t, x, y, theta or t, fx, fy, tau
     done: list[str] = field(default_factory=list)  # what was done, for the provenance
     doubts: list[str] = field(default_factory=list)
+    lifted: FloatArray = field(default_factory=lambda: np.zeros(0))  # times of a finger that is up in the air
 
 
 def is_there(source: Source, name: str, channel: ChannelSetup) -> bool:
@@ -83,6 +85,7 @@ def mapped(source: Source, name: str, channel: ChannelSetup) -> Mapped:
     """
     time, concluded = _time(source, channel)
     done = [concluded] if concluded else []
+    height = np.zeros(0)
     doubts: list[str] = []
     up = channel.up or source.up
     if name == "ft_wrench":
@@ -91,15 +94,20 @@ def mapped(source: Source, name: str, channel: ChannelSetup) -> Mapped:
             values = -values
             done.append("sign turned")
     else:
-        values, more = _pose(source, name, channel, up)
+        values, height, more = _pose(source, name, channel, up)
         doubts += more
     table = np.column_stack([time, values])
+    lifted = np.zeros(0)
+    if name == "tip_pose" and np.isfinite(height).any():
+        lifted = time[height > np.nanpercentile(height, 1) + _LIFTED]
+        if len(lifted):
+            done.append(f"while {1e3 * _LIFTED:.0f} mm above its lowest, the finger touches nothing")
     table, order = _in_order(table, name)
     doubts += [f"{source.where}: {text}" for text in order]
     if not np.isfinite(table).all(axis=1).any() and not np.isfinite(table[:, :3]).all(axis=1).any():
         raise DatasetError(f"{source.where}: no row of {name} holds numbers in all its columns")
     done += _said(channel, up, source)
-    return Mapped(table, done, doubts)
+    return Mapped(table, done, doubts, lifted)
 
 
 def _said(channel: ChannelSetup, up: str, source: Source) -> Iterator[str]:
@@ -184,14 +192,15 @@ def _time(source: Source, channel: ChannelSetup) -> tuple[FloatArray, str]:
 
 def _pose(
     source: Source, name: str, channel: ChannelSetup, up: str
-) -> tuple[FloatArray, list[str]]:
-    """(T, 3) x, y, theta on the table, and what looks wrong."""
+) -> tuple[FloatArray, FloatArray, list[str]]:
+    """(T, 3) x, y, theta on the table, (T,) height above it, NaN where unknown, and what looks wrong."""
     columns = _needed(source, "position", channel, name)
     scale = channel.unit.get("position", LENGTHS[source.length])
     position = scale * np.column_stack([source.numbers(column) for column in columns])
     doubts = []
     turn = _turns(source, channel, name)
-    if position.shape[1] == 2:
+    known_height = position.shape[1] == 3
+    if not known_height:
         position = np.column_stack([position, np.zeros(len(position))])
         if up not in ("z", "-z") and channel.up:
             raise DatasetError(
@@ -220,7 +229,8 @@ def _pose(
     if isinstance(turn, tuple):
         theta = channel.sign * theta
     values = np.column_stack([place[:, :2], theta])
-    return _offset_taken_off(values, channel, name, matrices, up), doubts
+    height = place[:, 2] if known_height else np.full(len(place), np.nan)
+    return _offset_taken_off(values, channel, name, matrices, up), height, doubts
 
 
 def _turns(

@@ -36,6 +36,7 @@ from slipmap.models.measurements.push_dataset import CHANNELS, Channel, DatasetE
 from slipmap.models.measurements.reading import last_held_out, object_document
 from slipmap.models.measurements.sessions import cut_at_carries, cut_at_rests
 from slipmap.models.measurements.trial_checks import check_trials, trial_from_tables
+from slipmap.models.physics.cell_grid import FloatArray
 from slipmap.models.progress import StageProgress
 
 _LOG = logging.getLogger("slipmap.measurements")
@@ -318,6 +319,8 @@ def _one_clock(
         steps.append("there is no finger")
     trial, more = trial_from_tables(name, "fit", tables, name, longest=_LONGEST)
     doubts += more
+    if "tip_pose" in found and len(found["tip_pose"].lifted):
+        trial = _far_where_lifted(trial, found["tip_pose"].lifted, said, zero)
     for channel in ("tip_pose", "ft_wrench"):
         if channel not in sources:
             continue
@@ -338,9 +341,27 @@ def _one_clock(
     parted = [piece for push in pushes for piece in cut_at_rests(setup, push)]
     if len(parted) > len(pushes):
         steps.append("cut where the object rests and the finger leaves it")
+    parted = [_lowered(piece) for piece in parted]
     if len(parted) > 1 and parted[0].name != name:
         parted = [replace(push, name=f"{name}#{number}") for number, push in enumerate(parted, 1)]
     return parted, doubts, steps
+
+
+def _far_where_lifted(trial: Trial, lifted: FloatArray, said: ImportSetup, zero: float) -> Trial:
+    """The trial with a finger that is far away while it is up in the air, where it may cross the object."""
+    clock = said.channels["tip_pose"].clock
+    shift = (clock if isinstance(clock, float) else 0.0) - zero
+    tip = trial.tip_pose
+    far = np.isin(tip.time, lifted + shift)
+    return replace(trial, tip_pose=Channel(tip.time, tip.values + np.where(far, _NOWHERE, 0.0)[:, None]))
+
+
+def _lowered(trial: Trial) -> Trial:
+    """The trial without rows of a finger that is up in the air; with them where there are no others."""
+    tip = trial.tip_pose
+    away = tip.values - trial.object_pose.at(tip.time)[:, :2]
+    down = np.hypot(*away.T) < 0.5 * _NOWHERE
+    return replace(trial, tip_pose=Channel(tip.time[down], tip.values[down])) if down.any() else trial
 
 
 def _aligned(trial: Trial, channel: str, said: ImportSetup, near: bool) -> tuple[Trial, str]:
