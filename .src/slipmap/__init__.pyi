@@ -39,6 +39,7 @@ from .models.inference.belief import Belief as Belief
 from .models.inference.comparison import compare as compare, compare_with_effects as compare_with_effects
 from .models.inference.identification import fit as fit, identify as identify
 from .models.inference.prediction import predict as predict
+from .models.measurements.dataset_check import check_dataset as check_dataset
 from .models.measurements.importing import guess_setup as guess_setup, import_dataset as import_dataset
 from .models.measurements.push_dataset import PushDataset as PushDataset, Table as Table, Trial as Trial
 from .models.measurements.reading import read_dataset as read_dataset

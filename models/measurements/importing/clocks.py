@@ -6,6 +6,7 @@ while the object moves, and nowhere inside of it. A force rises when the finger 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -145,21 +146,31 @@ def _misfit(
 
 
 def _refined(
-    setup: Setup, pose: Channel, tip: Channel, moving: NDArray[np.bool_], lag: float
+    setup: Setup, pose: Channel, tip: Channel, moving: NDArray[np.bool_], lag: float, count: int = _FIT_ROWS
 ) -> Lag:
-    """The lag of least squares, beside a thickness that outline and finger may lack all along."""
+    """The lag of least squares, beside a thickness that outline and finger may lack all along.
+
+    While the object rests only depth beyond the noise counts: a finger that waits at the outline would lie
+    inside of it by chance in every second row.
+    """
     from scipy.optimize import least_squares
 
-    rows = _telling(moving, _FIT_ROWS)
-    noise = max(_JITTER, float(np.hypot(setup.noise.position or 0.0, setup.noise.tip or 0.0)))
+    rows = _telling(moving, count)
+    reach = 0.5 * float(np.max(np.hypot(*setup.grid.exterior.T)))
+    sigmas = (setup.noise.position or 0.0, setup.noise.tip or 0.0, reach * (setup.noise.angle or 0.0))
+    noise = max(_JITTER, float(np.linalg.norm(sigmas)))
+    most = np.where(moving[rows], _AIR, 0.0)
+    allowed = np.where(moving[rows], 0.0, 3.0 * noise)
 
     def residuals(unknown: FloatArray) -> FloatArray:
         shifted, thicker = lag + 1e-2 * unknown[0], 1e-3 * unknown[1]
         gap = gaps(setup, tip.at(pose.time[rows] - shifted), pose.values[rows]) - thicker
-        each = np.clip(gap, -_DEPTH, np.where(moving[rows], _AIR, 0.0)) / noise
+        each = np.clip(gap + allowed, -_DEPTH, most) / noise
         return np.append(each, np.sqrt(len(rows)) * thicker / _CALIBRATION / 3.0)
 
-    found = least_squares(residuals, np.zeros(2), loss="soft_l1", x_scale=0.1, diff_step=1e-2)
+    found = least_squares(
+        residuals, np.zeros(2), loss="soft_l1", x_scale=0.1, diff_step=1e-2, xtol=1e-4, ftol=1e-4
+    )
     value = lag + 1e-2 * float(found.x[0])
     # A thickness of the calibration's size would look like so much time.
     speed = float(np.median(np.hypot(*_velocity(pose, moving).T)))
@@ -195,18 +206,37 @@ def force_lag(setup: Setup, pose: Channel, tip: Channel, force: Channel, near: b
     if not scale > 0.0 or together[best] < _LEAST_CORRELATION * scale:
         return None
     coarse = float(lags[best])
-    touched = _touches(setup, pose, tip)
-    rises = [
-        rise - touch
-        for touch in touched
-        if (rise := _rise(force.time + coarse, size, touch)) is not None
-    ]
+    rises = rises_after_touch(setup, pose, tip, Channel(force.time + coarse, force.values))
     if not rises:
         return Lag(coarse, _FORCE_STEP, "by when it is large")
-    middle = float(np.median(rises))
-    spread = 1.4826 * float(np.median(np.abs(np.array(rises) - middle))) / np.sqrt(len(rises))
+    middle, error = middle_of(rises)
     count = f"{len(rises)} touch{'es' if len(rises) > 1 else ''}"
-    return Lag(coarse - middle, max(spread, 5e-4), f"by its rise at {count}")
+    return Lag(coarse - middle, max(error, 5e-4), f"by its rise at {count}")
+
+
+def rises_after_touch(setup: Setup, pose: Channel, tip: Channel, force: Channel) -> list[float]:
+    """How late the force rises at each touch that tells, s; negative where it is early."""
+    size = np.hypot(*(force.values[:, :2] - np.median(force.values[:, :2], axis=0)).T)
+    touched = _touches(setup, pose, tip)
+    return [rise - touch for touch in touched if (rise := _rise(force.time, size, touch)) is not None]
+
+
+def middle_of(values: Sequence[float]) -> tuple[float, float]:
+    """The median, and its standard error by the spread of the others."""
+    middle = float(np.median(values))
+    spread = 1.4826 * float(np.median(np.abs(np.array(values) - middle)))
+    return middle, spread / float(np.sqrt(len(values)))
+
+
+def lag_left(setup: Setup, pose: Channel, tip: Channel) -> Lag | None:
+    """What is missing between two clocks that are nearly one; None where the object does not move."""
+    moving = _moving(setup, pose)
+    moving &= (pose.time > tip.time[0] + _EDGE) & (pose.time < tip.time[-1] - _EDGE)
+    if int(moving.sum()) < _FEWEST_FREE:
+        return None
+    moving[moving] &= gaps(setup, tip.at(pose.time[moving]), pose.values[moving]) < _AIR
+    few = int(moving.sum()) < _FEWEST_FREE
+    return None if few else _refined(setup, pose, tip, moving, 0.0, _ROWS)
 
 
 def _touches(setup: Setup, pose: Channel, tip: Channel) -> list[float]:
