@@ -14,6 +14,7 @@ from .diagrams.application.figures import (
     save as save,
     table_figure as table_figure,
 )
+from .diagrams.application.simulator_models import export_belief as export_belief
 from .diagrams.loops.exploration_loop import LoopOptions as LoopOptions
 from .diagrams.loops.exploration_run import explore as explore
 from .diagrams.loops.pregrasp_loop import PregraspOptions as PregraspOptions, pregrasp as pregrasp

@@ -141,9 +141,7 @@ def check_dataset(dataset: PushDataset) -> DatasetCheck:
         Finding("reading", text, "note") for text in dataset.warnings if text not in said and len(text) < 600
     ]
     coverage = _coverage(dataset, rows)
-    effects = tuple(
-        Told(name, needs(coverage), reason) for name, (needs, reason) in EFFECT_NEEDS.items()
-    )
+    effects = tuple(Told(name, needs(coverage), reason) for name, (needs, reason) in EFFECT_NEEDS.items())
     return DatasetCheck(
         dataset.name, tuple(findings), coverage, tuple(_quantities(coverage)), effects,
         tuple(_advice(coverage)), dataset.provenance,
@@ -252,7 +250,8 @@ def _late(lag: float) -> str:
 
 def _speed(trial: Trial) -> float:
     """Speed of the object that one row in ten exceeds, m/s."""
-    time = np.linspace(*trial.object_pose.time[[0, -1]], 200)
+    begin, end = trial.object_pose.time[[0, -1]]
+    time = np.linspace(begin, end, 200)
     place = trial.object_pose.at(time)[:, :2]
     return float(np.percentile(np.hypot(*np.gradient(place, time, axis=0).T), 90))
 
@@ -260,9 +259,7 @@ def _speed(trial: Trial) -> float:
 def _depth(dataset: PushDataset, rows: Sequence[ContactRows]) -> list[Finding]:
     if not rows:
         return [Finding("contact", "there is no finger", "note")]
-    limit = CALIBRATION_ERROR + 3.0 * float(
-        np.hypot(dataset.noise.position or 0.0, dataset.noise.tip or 0.0)
-    )
+    limit = CALIBRATION_ERROR + 3.0 * float(np.hypot(dataset.noise.position or 0.0, dataset.noise.tip or 0.0))
     depth = np.array([one.depth for one in rows])
     air = [float(np.median(one.gap[one.pressed])) for one in rows if one.pressed.any()]
     deep = depth > limit
@@ -299,7 +296,9 @@ def _forces(dataset: PushDataset, rows: Sequence[ContactRows]) -> list[Finding]:
         size = float(np.hypot(*bias))
         matters = size > _BIASED * pushing and bias_matters(bias, error, rest[0][1].channels["ft_wrench"])
         text = f"({bias[0]:.3f}, {bias[1]:.3f}) N, {size:.2f} N, where pushing takes {pushing:.2g} N"
-        advice = "take it off: ft_wrench.offset of a setup.yaml, or leave rows before touch for slipmap import"
+        advice = (
+            "take it off: ft_wrench.offset of a setup.yaml, or leave rows before touch for slipmap import"
+        )
         findings.append(
             Finding("force at rest", text, "wrong" if matters else "good", advice if matters else "")
         )
@@ -390,7 +389,7 @@ def _quantities(seen: Coverage) -> list[Told]:
         Told("total friction", seen.forces or (seen.coasting > 0 and seen.mass_known),
              "force in steady sliding" if seen.forces else "needs force, or a weighed object that coasts"),
         Told("centre of friction", around,
-             f"{seen.arcs} of 8 parts of the outline touched, turned by up to {np.degrees(seen.turned):.0f}°"),
+             f"{seen.arcs} of 8 parts of the outline touched, {np.degrees(seen.turned):.0f}° turned at most"),
         Told("friction arm", seen.turned > np.radians(10.0), "how far the object turns"),
         Told("total mass", seen.mass_known or (inertia and seen.forces),
              "weighed beforehand" if seen.mass_known else "needs force with speed or coasting"),

@@ -1,4 +1,4 @@
-"""`slipmap check`: what is wrong with measured pushes, and what they could tell, before anything is learned."""
+"""`slipmap check`: what is wrong with measured pushes, and what they could tell, before any fit."""
 
 from __future__ import annotations
 
@@ -26,12 +26,16 @@ if TYPE_CHECKING:
 @options.json_option
 @click.pass_context
 def check(
-    context: click.Context, dataset: Path, output: Path | None, object_name: str | None, json_file: Path | None
+    context: click.Context,
+    dataset: Path,
+    output: Path | None,
+    object_name: str | None,
+    json_file: Path | None,
 ) -> None:
     """Say what is wrong with measured pushes, and what they could tell.
 
-    Looks at rates, gaps, clocks, contact and forces of DATASET, and at which places, directions and speeds its
-    pushes cover. Learns nothing. Exit code 1 where a finding would make results wrong.
+    Looks at rates, gaps, clocks, contact and forces of DATASET, and at which places, directions and speeds
+    its pushes cover. Learns nothing. Exit code 1 where a finding would make results wrong.
     """
     from slipmap.models.measurements import read_dataset
     from slipmap.models.measurements.dataset_check import check_dataset

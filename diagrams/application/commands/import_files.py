@@ -29,8 +29,8 @@ def import_files(
 ) -> None:
     """Make a push dataset of a laboratory's own files.
 
-    SOURCE is a file or a folder: tables of any kind, exports of Motive or Vicon, ROS bags, MCAP, MATLAB, HDF5,
-    zarr, LeRobot. The setup says which of them holds what.
+    SOURCE is a file or a folder: tables of any kind, exports of Motive or Vicon, ROS bags, MCAP, MATLAB,
+    HDF5, zarr, LeRobot. The setup says which of them holds what.
 
     A recording of many pushes is cut where the object rests and the finger leaves it. Clocks of several files
     are aligned by contact, and the force's bias is taken off. What was done stands in the dataset.yaml; a

@@ -1,7 +1,7 @@
 """Tables in files of arrays: MATLAB, HDF5, zarr and parquet (LeRobot).
 
-Nothing in them is executed: objects that need pickles are refused, links that lead out of a file or folder are
-not followed, and what would unpack to more than `MOST_NUMBERS` numbers is not unpacked.
+Nothing in them is executed: objects that need pickles are refused, links that lead out of a file or folder
+are not followed, and what would unpack to more than `MOST_NUMBERS` numbers is not unpacked.
 """
 
 from __future__ import annotations
@@ -30,8 +30,8 @@ from slipmap.models.physics.cell_grid import FloatArray
 _DEEPEST = 16  # folders inside a file
 _MOST_ARRAYS = 4096
 _BROKEN = (
-    OSError, RuntimeError, ValueError, TypeError, LookupError, OverflowError, MemoryError, NotImplementedError,
-    AttributeError, ArithmeticError, zlib.error,
+    OSError, RuntimeError, ValueError, TypeError, LookupError, MemoryError, AttributeError, ArithmeticError,
+    zlib.error,
 )  # fmt: skip
 """What libraries raise where a file is not what they expect."""
 
@@ -71,8 +71,9 @@ def _hdf5_items(group: Any, prefix: str = "", depth: int = 0) -> Iterator[tuple[
         item, path = group[name], f"{prefix}{name}"
         if isinstance(item, h5py.Group):
             yield from _hdf5_items(item, f"{path}/", depth + 1)
-        elif not (item.is_virtual or item.external) and 1 <= item.ndim <= 2:
-            if item.dtype.kind in "fiub" or item.dtype.names:
+        elif isinstance(item, h5py.Dataset) and not (item.is_virtual or item.external):
+            numbers = item.dtype.kind in "fiub" or bool(item.dtype.names)
+            if numbers and 1 <= item.ndim <= 2:
                 yield path, item
 
 

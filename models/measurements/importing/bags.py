@@ -155,7 +155,7 @@ def _ros(path: Path, where: str, topics: Collection[str]) -> Iterator[_Message]:
     try:
         from rosbags.rosbag1 import Reader as BagReader
         from rosbags.rosbag2 import Reader as FolderReader
-        from rosbags.typesys import Stores, get_typestore, get_types_from_msg
+        from rosbags.typesys import Stores, get_types_from_msg, get_typestore
     except ImportError:
         raise missing_library(where, "rosbags") from None
     first = path.suffix.lower() == ".bag"
@@ -193,7 +193,9 @@ def _bounded(chunk: Any, where: str) -> Any:
     def unpacked(stream: Any, content: bytes) -> bytes:
         result = bytes(stream.decompress(content, max_length=_LARGEST_CHUNK))
         if not stream.eof:
-            raise DatasetError(f"{where}: a chunk is cut short, or unpacks to more than {_LARGEST_CHUNK} bytes")
+            raise DatasetError(
+                f"{where}: a chunk is cut short, or unpacks to more than {_LARGEST_CHUNK} bytes"
+            )
         return result
 
     def of_bz2(content: bytes) -> bytes:
@@ -211,7 +213,7 @@ def _bounded(chunk: Any, where: str) -> Any:
     return chunk._replace(decompressor=kinds.get(chunk.decompressor, chunk.decompressor))
 
 
-def _mcap(path: Path, where: str, topics: Collection[str]) -> Iterator[_Message]:
+def _mcap(path: Path, where: str, topics: set[str]) -> Iterator[_Message]:
     """Messages of an MCAP file whose schemas are those of ROS or JSON."""
     try:
         from mcap.reader import make_reader
@@ -219,7 +221,7 @@ def _mcap(path: Path, where: str, topics: Collection[str]) -> Iterator[_Message]
         raise missing_library(where, "mcap") from None
     decoders: dict[int, Callable[[bytes], Any]] = {}
     with open(path, "rb") as file:
-        reader = make_reader(file, record_size_limit=_LARGEST_CHUNK)
+        reader = make_reader(file)
         summary = reader.get_summary()
         for chunk in summary.chunk_indexes if summary else ():
             if chunk.uncompressed_size > _LARGEST_CHUNK:

@@ -98,8 +98,9 @@ def _telling(moving: NDArray[np.bool_], count: int = _ROWS) -> NDArray[np.int_]:
     """Rows of motion and, a third, of rest."""
     chosen = []
     for rows, most in ((np.flatnonzero(moving), count), (np.flatnonzero(~moving), count // 3)):
-        places = np.unique(np.linspace(0, len(rows) - 1, most).astype(int)) if len(rows) else []
-        chosen.append(rows[places] if len(rows) else rows)
+        if len(rows):
+            rows = rows[np.unique(np.linspace(0, len(rows) - 1, most).astype(int))]
+        chosen.append(rows)
     return np.sort(np.concatenate(chosen))
 
 
@@ -317,5 +318,3 @@ def bias_matters(bias: FloatArray, error: FloatArray, force: Channel) -> bool:
     """Whether a force without touch is more than chance, and more than a hundredth of what is measured."""
     largest = float(np.percentile(np.hypot(*(force.values[:, :2] - bias).T), 99))
     return bool((np.abs(bias) > _ERRORS * error).any() and np.hypot(*bias) > _SHARE * largest)
-
-

@@ -91,9 +91,7 @@ def _patterns(names: Sequence[str]) -> dict[str, list[str]]:
     groups: dict[str, list[str]] = {}
     for name in names:
         groups.setdefault(re.sub(r"\d+", "*", name), []).append(name)
-    return {
-        pattern if len(group) > 1 else group[0]: group[:_MOST_FILES] for pattern, group in groups.items()
-    }
+    return {pattern if len(group) > 1 else group[0]: group[:_MOST_FILES] for pattern, group in groups.items()}
 
 
 def _candidates(source: Source, file: str) -> Iterator[_Found]:

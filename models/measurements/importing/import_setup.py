@@ -1,5 +1,5 @@
-"""What a setup.yaml says: beside object, finger, table and noise, as a dataset.yaml, where object pose, finger
-and force are in a laboratory's files, and how they are measured.
+"""What a setup.yaml says: beside object, finger, table and noise, as a dataset.yaml, where object pose,
+finger and force are in a laboratory's files, and how they are measured.
 
 The three channels are called as in a dataset: `object_pose`, `tip_pose` and `ft_wrench`. Keys that hold for
 all of them may stand at the top.
@@ -115,15 +115,13 @@ def parse_import_setup(
         entry = {key: value for key, value in shared.items() if key not in said} | said
         found = _channel(name, entry, place)
         usual, unit = _usual(name, columns)
-        channels[name] = replace(found, unit=unit | found.unit, usual=usual, named=name in document)
+        channels[name] = replace(found, unit={**unit, **found.unit}, usual=usual, named=name in document)
     if "object_pose" not in channels:
         raise DatasetError(f"{where}: `object_pose` is null; without the object's pose nothing is learnt")
     return ImportSetup(setup, channels, tuple(warnings))
 
 
-def _usual(
-    name: str, columns: csv_files.CsvColumns
-) -> tuple[dict[str, tuple[str, ...]], dict[str, float]]:
+def _usual(name: str, columns: csv_files.CsvColumns) -> tuple[dict[str, tuple[str, ...]], dict[str, float]]:
     """The columns of a channel by the key `csv`, and their units where they are not SI."""
     names = [columns.names[ours] for ours in CHANNELS[name]]
     kinds = ("force", "force", "torque") if name == "ft_wrench" else ("position", "position", "angle")
@@ -199,9 +197,7 @@ def _unit(value: object, where: str, force: bool) -> dict[str, Any]:
             raise DatasetError(f"{where}: {parsing.shown(kind)} has no unit; there are {', '.join(UNITS)}")
         if not isinstance(unit, str) or unit not in UNITS[kind]:
             place = where if isinstance(value, str) else f"{where}.{kind}"
-            raise DatasetError(
-                f"{place}: must be one of {', '.join(UNITS[kind])}, got {parsing.shown(unit)}"
-            )
+            raise DatasetError(f"{place}: must be one of {', '.join(UNITS[kind])}, got {parsing.shown(unit)}")
         result[kind] = UNITS[kind][unit]
     return {"unit": result}
 
@@ -258,7 +254,7 @@ def _angle(value: object, where: str) -> float:
 def _sign(value: object, where: str, force: bool) -> dict[str, Any]:
     if value not in (1, -1) or isinstance(value, bool):
         raise DatasetError(f"{where}: must be 1 or -1, got {parsing.shown(value)}")
-    return {"sign": float(value)}  # type: ignore[arg-type]
+    return {"sign": float(value)}
 
 
 def _offset(value: object, where: str, force: bool) -> dict[str, Any]:

@@ -1,5 +1,5 @@
-"""From a table of a file to a channel: poses of the object, positions of the finger or forces on the object, in
-the table's frame, SI units, rows in order of time."""
+"""From a table of a file to a channel: poses of the object, positions of the finger or forces on the object,
+in the table's frame, SI units, rows in order of time."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
+from numpy.typing import NDArray
 
 from slipmap.models.geometry import compose
 from slipmap.models.measurements.csv_files import LENGTHS
@@ -235,7 +236,7 @@ def _pose(
 
 def _turns(
     source: Source, channel: ChannelSetup, name: str
-) -> FloatArray | tuple[FloatArray, FloatArray]:
+) -> FloatArray | tuple[FloatArray, NDArray[np.bool_]]:
     """(T,) angles, or (T, 3, 3) turns with (T,) whether they are known."""
     from scipy.spatial.transform import Rotation
 
@@ -251,9 +252,9 @@ def _turns(
         cells = np.column_stack([source.numbers(column) for column in columns])
         if kind == "angle":
             return np.asarray(channel.unit.get("angle", 1.0) * cells[:, 0])
-        known = np.isfinite(cells).all(axis=1)
+        known = np.asarray(np.isfinite(cells).all(axis=1))
         if kind == "quaternion":
-            known &= np.linalg.norm(cells, axis=1) > 0.5
+            known = known & (np.linalg.norm(cells, axis=1) > 0.5)
         turns = np.tile(np.eye(3), (len(cells), 1, 1))
         if known.any():
             make = Rotation.from_quat if kind == "quaternion" else Rotation.from_rotvec

@@ -1,5 +1,5 @@
-"""From files of a laboratory to a push dataset: which files belong together, one recording each, and the pushes
-in them."""
+"""From files of a laboratory to a push dataset: which files belong together, one recording each, and the
+pushes in them."""
 
 from __future__ import annotations
 
@@ -155,10 +155,8 @@ def _listed(names: Sequence[str]) -> str:
 # Which files belong together.
 
 
-def _recordings(
-    files: Mapping[str, Path], said: ImportSetup, where: str
-) -> dict[str, dict[str, str]]:
-    """The file of each channel, for each recording; recordings are called after their file, or what differs."""
+def _recordings(files: Mapping[str, Path], said: ImportSetup, where: str) -> dict[str, dict[str, str]]:
+    """The file of each channel, for each recording, which is called after the file of the poses."""
     keyed = {
         name: {key: file for file in files if (key := _key(channel.source, file)) is not None}
         for name, channel in said.channels.items()
@@ -288,10 +286,15 @@ def _pushes_told_apart(
                 f"{sources['object_pose'].where}: cells of {columns['object_pose']} are empty; say which push"
                 " each row belongs to"
             )
-        yield f"{name}#{push}", {
-            channel: source.chosen(np.flatnonzero(numbers[channel] == push)) if channel in numbers else source
-            for channel, source in sources.items()
-        }
+        yield (
+            f"{name}#{push}",
+            {
+                channel: source.chosen(np.flatnonzero(numbers[channel] == push))
+                if channel in numbers
+                else source
+                for channel, source in sources.items()
+            },
+        )
 
 
 def _one_clock(
@@ -376,8 +379,8 @@ def _aligned(trial: Trial, channel: str, said: ImportSetup, near: bool) -> tuple
     if lag is None:
         stays = _overlap(pose, tip if channel == "tip_pose" else force)
         text = (
-            f"{trial.name}: contact does not tell the clock of {channel} from that of object_pose; are frames,"
-            f" outline and finger.radius right? Say {channel}.clock, the s to add to its stamps"
+            f"{trial.name}: contact does not tell the clock of {channel} from that of object_pose; are"
+            f" frames, outline and finger.radius right? Say {channel}.clock, the s to add to its stamps"
         )
         if not stays:
             raise DatasetError(text)

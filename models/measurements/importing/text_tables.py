@@ -9,7 +9,7 @@ from __future__ import annotations
 import csv
 import io
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -306,5 +306,3 @@ def _vicon(rows: list[list[str]], where: str) -> list[Source]:
     if not sources:
         raise DatasetError(f"{where}: holds no object with a position (TX, TY, TZ)")
     return sources
-
-

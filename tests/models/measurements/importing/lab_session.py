@@ -1,8 +1,8 @@
 """A made-up session in a laboratory: eight pushes of a hammer in one recording of each device.
 
-OptiTrack Motive exports at 120 Hz with y up, mm and quaternions; the robot logs in seconds since 1970 in its own
-frame and lifts the finger between pushes; a force sensor at 1 kHz is turned by 45° and biased; each has a clock
-of its own.
+OptiTrack Motive exports at 120 Hz with y up, mm and quaternions; the robot logs in seconds since 1970 in its
+own frame and lifts the finger between pushes; a force sensor at 1 kHz is turned by 45° and biased; each has a
+clock of its own.
 """
 
 from __future__ import annotations
