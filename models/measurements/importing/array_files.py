@@ -6,6 +6,7 @@ are not followed, and what would unpack to more than `MOST_NUMBERS` numbers is n
 
 from __future__ import annotations
 
+import json
 import math
 import zlib
 from collections.abc import Iterator, Mapping
@@ -135,8 +136,10 @@ def read_zarr(path: Path, where: str) -> list[Source]:
     for file in path.rglob("*"):
         if not file.resolve().is_relative_to(root):
             raise DatasetError(f"{where}: {file.relative_to(path)} leads out of the folder")
-        if file.name in (".zarray", "zarr.json") and '"pickle"' in file.read_text("utf-8", "replace"):
-            raise DatasetError(f"{where}: holds pickles, which can hold programs; write plain arrays")
+        if file.name in (".zarray", ".zmetadata", "zarr.json"):
+            said = parsing.parse_json(parsing.read_bytes(file), f"{where}, {file.relative_to(path)}")
+            if "pickle" in json.dumps(said, ensure_ascii=True):
+                raise DatasetError(f"{where}: holds pickles, which can hold programs; write plain arrays")
     found: dict[str, FloatArray] = {}
     try:
         for name, item in _zarr_items(zarr.open_group(str(path), mode="r"), zarr):

@@ -91,8 +91,9 @@ class _Rows:
 
     def add(self, time: float, row: Mapping[str, float]) -> None:
         """The next row."""
-        for name in row.keys() - self._cells.keys():
-            self._cells[name] = [float("nan")] * len(self.time)
+        for name in row:
+            if name not in self._cells:
+                self._cells[name] = [float("nan")] * len(self.time)
         for name, cells in self._cells.items():
             cells.append(row.get(name, float("nan")))
         self.time.append(time)

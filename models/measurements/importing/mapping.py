@@ -39,7 +39,7 @@ _OWN: dict[str, tuple[tuple[str, ...], ...]] = {
 """Names of columns that say themselves what they are."""
 
 _MESSAGES: dict[str, tuple[str, ...]] = {
-    "position": ("position", "translation"),
+    "position": ("position", "translation", "point"),
     "quaternion": ("orientation", "rotation"),
     "force": ("force",),
 }
@@ -142,7 +142,8 @@ def _columns(source: Source, kind: str, channel: ChannelSetup, usual_only: bool 
         suffix = _SUFFIXES[kind][0]
         ends = [name for name in source.columns if re.fullmatch(rf"(.*\.)?{message}\{suffix[0]}", name)]
         if len(ends) == 1:
-            return tuple(ends[0][: -len(suffix[0])] + end for end in suffix)
+            columns = tuple(ends[0][: -len(suffix[0])] + end for end in suffix)
+            return columns if kind == "quaternion" else tuple(c for c in columns if c in source.columns)
     return ()
 
 

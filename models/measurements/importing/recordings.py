@@ -249,7 +249,7 @@ def _recording(
         how = said.channels[channel]
         if not how.named and file != group["object_pose"]:
             continue
-        if not how.named and not (how.part or len(reader.tables(file)) == 1):
+        if not how.named and channel != "object_pose" and len(reader.tables(file)) > 1:
             continue
         source = reader.table(file, how)
         if how.named or channel == "object_pose" or is_there(source, channel, how):
