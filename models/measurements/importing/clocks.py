@@ -267,10 +267,10 @@ def _touches(setup: Setup, pose: Channel, tip: Channel) -> list[float]:
 def _rise(time: FloatArray, size: FloatArray, touch: float) -> float | None:
     """When the size of the force passes the middle between what it is before and after a touch, s."""
     near = np.flatnonzero((time > touch - _RISE) & (time < touch + _RISE))
-    if len(near) < 6:
+    early, late = near[time[near] < touch - 0.5 * _RISE], near[time[near] > touch + 0.5 * _RISE]
+    if len(early) < 3 or len(late) < 3:
         return None
-    before = float(np.median(size[near[time[near] < touch - 0.5 * _RISE]] if len(near) else size[:1]))
-    after = float(np.median(size[near[time[near] > touch + 0.5 * _RISE]]))
+    before, after = float(np.median(size[early])), float(np.median(size[late]))
     inside = size[near]
     noise = 1.4826 * float(np.median(np.abs(np.diff(inside)))) + 1e-9
     if after - before < 4.0 * noise:
