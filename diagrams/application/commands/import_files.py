@@ -68,6 +68,7 @@ def import_files(
         if sentence not in warned:
             status(sentence)
     heldout = len(dataset.heldout_trials)
-    click.echo(f"{dataset.name}: {len(dataset.trials)} pushes, {heldout} of them held out")
+    count = f"{len(dataset.trials)} push{'es' if len(dataset.trials) > 1 else ''}"
+    click.echo(f"{dataset.name}: {count}, {heldout} of them held out")
     note(f"dataset: {output}\npicture: {picture}")
     note(f"next: slipmap check {output}, then slipmap identify {output} -o belief.npz")

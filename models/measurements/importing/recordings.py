@@ -79,19 +79,18 @@ def import_dataset(
         >>> import slipmap
         >>> folder = pathlib.Path(tempfile.mkdtemp())
         >>> rows = [f"{t} {min(t, 50)} 0 0 {min(t, 50) - 26} 0" for t in range(80)]
-        >>> _ = (folder / "push.txt").write_text("ms x y theta fx fy" + chr(10) + chr(10).join(rows))
+        >>> _ = (folder / "push.txt").write_text("k x y theta a b" + chr(10) + chr(10).join(rows))
         >>> _ = (folder / "setup.yaml").write_text('''
         ... object: {outline: [[-0.02, -0.02], [0.02, -0.02], [0.02, 0.02], [-0.02, 0.02]]}
         ... finger: {radius: 0.006}
         ... unit: mm
-        ... time: ms
+        ... time: k
         ... rate: 100
         ... object_pose: {position: [x, y], angle: theta}
-        ... tip_pose: {position: [fx, fy]}
-        ... ft_wrench: null
+        ... tip_pose: {position: [a, b]}
         ... ''')
         >>> dataset = slipmap.import_dataset(folder / "push.txt", folder / "setup.yaml")
-        >>> [trial.name for trial in dataset.trials], dataset.trials[0].tip_pose.values[0].tolist()
+        >>> [trial.name for trial in dataset.trials], dataset.trials[0].tip_pose.values[0].round(3).tolist()
         (['push.txt'], [-0.026, 0.0])
     """
     paths = [Path(one) for one in ([sources] if isinstance(sources, str | os.PathLike) else sources)]
