@@ -9,10 +9,12 @@ from .diagrams.application.figures import (
     error_figure as error_figure,
     gain_figure as gain_figure,
     maps_figure as maps_figure,
+    measured_figure as measured_figure,
     push_figures as push_figures,
     save as save,
     table_figure as table_figure,
 )
+from .diagrams.application.simulator_models import export_belief as export_belief
 from .diagrams.loops.exploration_loop import LoopOptions as LoopOptions
 from .diagrams.loops.exploration_run import explore as explore
 from .diagrams.loops.pregrasp_loop import PregraspOptions as PregraspOptions, pregrasp as pregrasp
@@ -39,6 +41,8 @@ from .models.inference.belief import Belief as Belief
 from .models.inference.comparison import compare as compare, compare_with_effects as compare_with_effects
 from .models.inference.identification import fit as fit, identify as identify
 from .models.inference.prediction import predict as predict
+from .models.measurements.dataset_check import check_dataset as check_dataset
+from .models.measurements.importing import guess_setup as guess_setup, import_dataset as import_dataset
 from .models.measurements.push_dataset import PushDataset as PushDataset, Table as Table, Trial as Trial
 from .models.measurements.reading import read_dataset as read_dataset
 from .models.measurements.simulated import record_pushes as record_pushes

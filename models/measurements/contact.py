@@ -295,8 +295,7 @@ def _fitted(
 
 def force_complaint(setup: Setup, pushes: Sequence[ContactRows]) -> str | None:
     """What is wrong with the direction of the force on most rows, or None."""
-    pairs = [_normals_and_forces(setup, rows) for rows in pushes]
-    normal, force, theta = (np.concatenate([pair[k] for pair in pairs] or [np.zeros(0)]) for k in range(3))
+    normal, force, theta = normals_and_forces(setup, pushes)
     if len(normal) < _FEWEST_FORCES:
         return None
     off = angle_between(force, normal)
@@ -330,7 +329,7 @@ def _other_frames(
 ) -> Iterator[tuple[str, FloatArray]]:
     """What may have been done to forces, the likeliest first, and their directions without it, rad."""
     yield "with its sign turned, as the force of the object on the finger is,", force + np.pi
-    turn = -_middle(angle_between(force, normal))
+    turn = -middle_angle(angle_between(force, normal))
     degrees = 15.0 * round(float(np.degrees(angle_between(turn, 0.0))) / 15.0)
     yield f"turned by about {degrees:.0f}°, as from the sensor's or the tool's frame,", force + turn
     for words, sum_ in (
@@ -341,7 +340,7 @@ def _other_frames(
     yield "turned by theta, as from the object's frame,", force + theta
 
 
-def _middle(angles: FloatArray) -> float:
+def middle_angle(angles: FloatArray) -> float:
     """The angle that most of them are near: the mean of those within 60° of the fullest direction, rad."""
     centers = np.radians(np.arange(-180, 180, 5))
     near = np.abs(angle_between(angles[:, None], centers)) < _OFF_NORMAL
@@ -350,8 +349,16 @@ def _middle(angles: FloatArray) -> float:
     return float(center + np.mean(apart[np.abs(apart) < _OFF_NORMAL]))
 
 
+def normals_and_forces(
+    setup: Setup, pushes: Sequence[ContactRows]
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Directions of inward normal, force and object in the world while the finger presses, (k,) rad each."""
+    each = [_normals_and_forces(setup, rows) for rows in pushes]
+    normal, force, theta = (np.concatenate([one[k] for one in each] or [np.zeros(0)]) for k in range(3))
+    return normal, force, theta
+
+
 def _normals_and_forces(setup: Setup, rows: ContactRows) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Directions of inward normal, force and object in the world while the finger presses, rad."""
     trial = rows.trial
     empty = (np.zeros(0), np.zeros(0), np.zeros(0))
     if trial.ft_wrench is None or trial.ends_only:

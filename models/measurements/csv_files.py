@@ -17,19 +17,21 @@ from slipmap.models.physics.cell_grid import FloatArray
 
 CSV_ENDINGS = (".csv",)
 
-_LENGTHS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6}
-_ANGLES = {"rad": 1.0, "deg": 0.017453292519943295}
-_FORCES = {"N": 1.0, "mN": 1e-3, "kN": 1e3}
+LENGTHS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6}
+ANGLES = {"rad": 1.0, "deg": 0.017453292519943295}
+FORCES = {"N": 1.0, "mN": 1e-3, "kN": 1e3}
+TORQUES = {"N m": 1.0, "N mm": 1e-3, "mN m": 1e-3}
+TIMES = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 _UNITS: Mapping[str, Mapping[str, float]] = {
-    "t": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9},
-    "object_x": _LENGTHS,
-    "object_y": _LENGTHS,
-    "object_theta": _ANGLES,
-    "tip_x": _LENGTHS,
-    "tip_y": _LENGTHS,
-    "force_x": _FORCES,
-    "force_y": _FORCES,
-    "force_tau": {"N m": 1.0, "N mm": 1e-3, "mN m": 1e-3},
+    "t": TIMES,
+    "object_x": LENGTHS,
+    "object_y": LENGTHS,
+    "object_theta": ANGLES,
+    "tip_x": LENGTHS,
+    "tip_y": LENGTHS,
+    "force_x": FORCES,
+    "force_y": FORCES,
+    "force_tau": TORQUES,
 }
 """Our names, and how much of the SI unit each unit is that a column may have."""
 

@@ -204,6 +204,7 @@ class PushDataset(Setup):
         trials: in the order of the experiment.
         fingerprint: sha256 of the files that were read, wherever they lie. A selection of trials keeps it.
         warnings: what looks wrong without making the data useless.
+        provenance: where the pushes came from and what was done to them, a sentence each.
 
     Raises:
         DatasetError: no trials, two of one name, or a radius, gravity, height or mass that is not positive.
@@ -218,6 +219,7 @@ class PushDataset(Setup):
     trials: tuple[Trial, ...]
     fingerprint: str
     warnings: tuple[str, ...] = ()
+    provenance: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         for what, value in (

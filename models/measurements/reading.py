@@ -188,15 +188,19 @@ def _read_push_format(description: Path, progress: StageProgress | None, keep_al
     content, document = parsing.read_yaml(description, where)
     check_format(document, where)
     setup, warnings = parse_setup(document, where, default_name=description.resolve().parent.name)
-    warnings += parsing.unknown_keys(document, ("format", "trials", *SETUP_KEYS), where)
+    warnings += parsing.unknown_keys(document, ("format", "trials", "provenance", *SETUP_KEYS), where)
     fingerprint = Fingerprint()
     fingerprint.add(DESCRIPTION_FILE, content)
     entries, forced = _entries(document, description.parent, where, warnings)
     folder = description.parent
-    return _assembled(
+    dataset = _assembled(
         setup, fingerprint, warnings, description, folder, entries, _one(_read_record), progress,
         keep=lambda trial: forced.get(trial.name, True if keep_all else None),
     )  # fmt: skip
+    told = document.get("provenance") or []
+    if not isinstance(told, list):
+        raise DatasetError(f"{where}: provenance must be a list of sentences, got {parsing.shown(told)}")
+    return replace(dataset, provenance=tuple(parsing.text(one, f"{where}: provenance") for one in told))
 
 
 def _entries(
@@ -277,7 +281,7 @@ def _read_files(
     entries: list[Entry] = [(file.name, "fit") for file in files]
     return _assembled(
         setup, fingerprint, warnings, source, files[0].parent, entries, read, progress,
-        keep=lambda trial: True if keep_all else None, assign=_last_held_out,
+        keep=lambda trial: True if keep_all else None, assign=last_held_out,
     )  # fmt: skip
 
 
@@ -291,7 +295,8 @@ def _one(read: Callable[[str, Role, bytes, str], tuple[Trial, list[str]]]) -> Re
     return read_all
 
 
-def _last_held_out(trials: list[Trial]) -> list[Trial]:
+def last_held_out(trials: list[Trial]) -> list[Trial]:
+    """Trials of which the last quarter, rounded down, judges and the others teach."""
     learned = len(trials) - len(trials) // _HELDOUT_SHARE
     return trials[:learned] + [replace(trial, role="heldout") for trial in trials[learned:]]
 
@@ -338,22 +343,36 @@ def _setup(
             f" object_name) a shape of the MIT dataset ({', '.join(sorted(mit_files.MIT_SHAPES))}) or a YAML"
             f" file with the keys object and finger of a {DESCRIPTION_FILE}"
         )
-    file = Path(chosen)
-    if chosen not in mit_files.MIT_SHAPES and _is(file, _YAML_ENDINGS):
-        content, document = parsing.read_yaml(file, chosen)
-        fingerprint.add("object", content)
-        setup, warnings = parse_setup(document, chosen, default_name=source.stem)
-        warnings += parsing.unknown_keys(document, ("format", "trials", "csv", *SETUP_KEYS), chosen)
-        return setup, warnings, csv_files.parse_columns(document.get("csv"), f"{chosen}: csv")
-    shape = mit_files.mit_shape(chosen, str(source))
-    if named is not None and named != chosen:
+    if not _is_description(chosen) and named is not None and named != chosen:
+        mit_files.mit_shape(chosen, str(source))
         raise DatasetError(
             f"{source}: the file names say shape={named}, not {chosen}; leave the object's name out"
         )
+    document = object_document(chosen, fingerprint, str(source))
+    where = chosen if _is_description(chosen) else str(source)
+    setup, warnings = parse_setup(document, where, default_name=source.stem)
+    warnings += parsing.unknown_keys(document, ("format", "trials", "csv", *SETUP_KEYS), where)
+    return setup, warnings, csv_files.parse_columns(document.get("csv"), f"{where}: csv")
+
+
+def _is_description(chosen: str) -> bool:
+    return chosen not in mit_files.MIT_SHAPES and _is(Path(chosen), _YAML_ENDINGS)
+
+
+def object_document(chosen: str, fingerprint: Fingerprint, where: str = "--object") -> dict[str, Any]:
+    """The keys of a dataset.yaml that describe an object: of a YAML file, or of a shape of the MIT dataset.
+
+    Raises:
+        DatasetError: the file cannot be read, or there is no such shape.
+    """
+    if _is_description(chosen):
+        content, document = parsing.read_yaml(Path(chosen), chosen)
+        fingerprint.add("object", content)
+        return document
+    shape = mit_files.mit_shape(chosen, where)
     fingerprint.add("object", chosen.encode())
-    document = {
+    return {
         "description": f"Pushes of {chosen} of the MIT push dataset (Yu et al. 2016)",
         "object": {"outline": shape.outline.tolist(), "height": mit_files.THICKNESS, "mass": shape.mass},
         "finger": {"radius": mit_files.FINGER_RADIUS},
     }
-    return *parse_setup(document, str(source), default_name=source.stem), csv_files.STANDARD

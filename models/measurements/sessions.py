@@ -1,6 +1,7 @@
 """Recordings of a whole session: where the object moves while the finger is away, someone carried it."""
 
 from collections.abc import Sequence
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -18,6 +19,9 @@ _PAUSE = 0.1  # s of rest between two motions
 _BLIND = 0.2  # s without a pose, in which a motion is one of its own
 _FEWEST_ROWS = 6  # of a push
 _PUSHED = 2e-3  # m that the object moves in a push
+_SLOW = (3e-3, 0.3)  # m/s and s, that tell a slow push from rest
+_LEAVES = 5e-3  # m of air between two pushes
+_MARGIN = 0.5  # s that are kept before and after the object moves
 
 
 class Carry(NamedTuple):
@@ -31,30 +35,47 @@ class Carry(NamedTuple):
 
 def carries(setup: Setup, trial: Trial) -> list[Carry]:
     """Motions that begin at rest with the finger over 20 mm away, beside some that begin at the finger."""
-    pose = trial.object_pose
-    if trial.ends_only or not trial.has_finger or len(pose.time) < _FEWEST_ROWS:
+    if not trial.has_finger:
         return []
-    reach = _reach(setup)
-    middle = 0.5 * (pose.time[1:] + pose.time[:-1])
-    step = _displacement(pose.values[1:], pose.values[:-1], reach)
-    around = _displacement(pose.at(middle + 0.5 * _WINDOW), pose.at(middle - 0.5 * _WINDOW), reach)
-    steps = np.flatnonzero((step > _CARRIED) | (around > _SPEED * _WINDOW + 4.0 * _noise(setup, reach)))
-    if len(steps) == 0:
+    runs = _motions(setup, trial)
+    if not runs:
         return []
-    pauses = pose.time[steps[1:]] - pose.time[steps[:-1] + 1]
-    blind = np.diff(pose.time)[steps] > max(_BLIND, 5.0 * float(np.median(np.diff(pose.time))))
-    runs = np.split(steps, np.flatnonzero((pauses > _PAUSE) | blind[1:] | blind[:-1]) + 1)
     found = []
+    pose, reach = trial.object_pose, _reach(setup)
     gap = gaps(setup, trial.tip_pose.at(pose.time), pose.values)
-    if all(gap[run[0]] > _AWAY for run in runs):
+    if all(gap[first] > _AWAY for first, _ in runs):
         return []  # nothing was pushed: the finger is in another frame
-    for run in runs:
-        first, last = int(run[0]), int(run[-1]) + 1
+    for first, last in runs:
         moved = float(_displacement(pose.values[last], pose.values[first], reach))
         if first > 0 and gap[first] > _AWAY and moved > _CARRIED:
             shift = float(np.hypot(*(pose.values[last] - pose.values[first])[:2]))
             found.append(Carry(first, last, max(shift, moved - shift), float(pose.time[first])))
     return found
+
+
+def _motions(
+    setup: Setup, trial: Trial, speed: float = _SPEED, window: float = _WINDOW
+) -> list[tuple[int, int]]:
+    """The last row at rest before each motion of the object, and the first row after it.
+
+    Args:
+        speed: of an object that does not rest, m/s,
+        window: over which it is taken, s.
+    """
+    pose = trial.object_pose
+    if trial.ends_only or len(pose.time) < _FEWEST_ROWS:
+        return []
+    reach = _reach(setup)
+    middle = 0.5 * (pose.time[1:] + pose.time[:-1])
+    step = _displacement(pose.values[1:], pose.values[:-1], reach)
+    around = _displacement(pose.at(middle + 0.5 * window), pose.at(middle - 0.5 * window), reach)
+    steps = np.flatnonzero((step > _CARRIED) | (around > speed * window + 4.0 * _noise(setup, reach)))
+    if len(steps) == 0:
+        return []
+    pauses = pose.time[steps[1:]] - pose.time[steps[:-1] + 1]
+    blind = np.diff(pose.time)[steps] > max(_BLIND, 5.0 * float(np.median(np.diff(pose.time))))
+    runs = np.split(steps, np.flatnonzero((pauses > _PAUSE) | blind[1:] | blind[:-1]) + 1)
+    return [(int(run[0]), int(run[-1]) + 1) for run in runs]
 
 
 def carried_text(carry: Carry) -> str:
@@ -90,6 +111,41 @@ def cut_at_carries(setup: Setup, trials: Sequence[Trial], where: str) -> tuple[l
         )
         result += [_named(push, f"{trial.name}#{number}") for number, push in enumerate(pushes, 1)]
     return result, warnings
+
+
+def cut_at_rests(setup: Setup, trial: Trial) -> list[Trial]:
+    """A recording of several pushes cut where the object rests and the finger leaves it between two motions.
+
+    Each push begins half a second before its object moves and ends half a second after, and is called
+    name#1 and on. A recording of one push comes back as it is.
+    """
+    runs = _motions(setup, trial, *_SLOW) if trial.has_finger else []
+    pose, reach = trial.object_pose, _reach(setup)
+    gap = gaps(setup, trial.tip_pose.at(pose.time), pose.values) if len(runs) > 1 else np.zeros(0)
+    pushes: list[tuple[int, int]] = []
+    for first, last in runs:
+        if pushes and np.max(gap[pushes[-1][1] : first + 1], initial=0.0) < _LEAVES:
+            pushes[-1] = (pushes[-1][0], last)
+        else:
+            pushes.append((first, last))
+    pushes = [
+        (first, last)
+        for first, last in pushes
+        if float(np.max(_displacement(pose.values[first : last + 1], pose.values[first], reach))) > _PUSHED
+    ]
+    if len(pushes) < 2:
+        return [trial]
+    between = [0.5 * (pose.time[one[1]] + pose.time[two[0]]) for one, two in pairwise(pushes)]
+    found = []
+    for (first, last), begin, end in zip(
+        pushes, [pose.time[0], *between], [*between, pose.time[-1]], strict=True
+    ):
+        piece = _between(
+            trial, max(begin, pose.time[first] - _MARGIN), min(end, pose.time[last] + _MARGIN), reach
+        )
+        if piece is not None:
+            found.append(piece)
+    return [_named(push, f"{trial.name}#{number}") for number, push in enumerate(found, 1)]
 
 
 def _named(trial: Trial, name: str) -> Trial:

@@ -65,7 +65,7 @@ def json_tables(record: Mapping[str, Any], where: str) -> dict[str, FloatArray]:
 
 
 def trial_from_tables(
-    name: str, role: Role, tables: Mapping[str, FloatArray], where: str
+    name: str, role: Role, tables: Mapping[str, FloatArray], where: str, longest: float = _LONGEST_PUSH
 ) -> tuple[Trial, list[str]]:
     """Trial of the tables `object_pose`, `tip_pose` and, where measured, `ft_wrench`.
 
@@ -76,6 +76,7 @@ def trial_from_tables(
     Args:
         tables: rows (T, 4) of t, x, y, theta or t, fx, fy, tau; the theta of the tip is not used.
         where: the file, for error texts.
+        longest: time that the trial may last, s.
 
     Returns:
         The trial and what looks wrong about it.
@@ -97,9 +98,9 @@ def trial_from_tables(
     tip, doubts = _sound(tip, rows, f"{where}, tip_pose")
     warnings += doubts
     lasts = float(pose.time[-1] - pose.time[0])
-    if lasts > _LONGEST_PUSH:
+    if lasts > longest:
         raise DatasetError(
-            f"{where}, object_pose: lasts {lasts:.6g} s, the longest push may last {_LONGEST_PUSH:g} s;"
+            f"{where}, object_pose: lasts {lasts:.6g} s, the longest push may last {longest:g} s;"
             " times are in s, were these milliseconds? Cut a long recording into its pushes"
         )
     wrench = _channel(tables, "ft_wrench", where)[0] if len(tables.get("ft_wrench", ())) else None

@@ -112,8 +112,9 @@ def _description_text(dataset: PushDataset, names: list[str]) -> str:
         {"file": name, "role": trial.role, **({"keep": True} if trial.kept else {})}
         for name, trial in zip(names, dataset.trials, strict=True)
     ]
+    told = {"provenance": list(dataset.provenance)} if dataset.provenance else {}
     return yaml.dump(
-        {"format": FORMAT, **setup_document(dataset), "trials": trials}, Dumper=_Dumper,
+        {"format": FORMAT, **setup_document(dataset), **told, "trials": trials}, Dumper=_Dumper,
         sort_keys=False, allow_unicode=True, default_flow_style=None, width=110,
     )  # fmt: skip
 

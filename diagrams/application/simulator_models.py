@@ -1,0 +1,318 @@
+"""What was learned of an object as a model for other simulators: SDF, URDF or MJCF.
+
+Mass, centre of mass and inertia are those of the cells. A geometry has one friction coefficient, and how an
+engine spreads a rigid body's weight over many contacts is up to the engine. So the object stands on feet in
+the middles of parts of equal mass: equal loads on all of them hold it level, and these are what an engine
+finds whose contacts give way alike. Each foot rubs as its part does.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+from xml.etree import ElementTree as Xml
+
+import numpy as np
+import shapely
+
+from slipmap.models.files import BadInput, replaced_folder
+from slipmap.models.inference.belief import Belief
+from slipmap.models.physics.cell_grid import CellGrid, FloatArray
+
+Format = Literal["sdf", "urdf", "mjcf"]
+
+_ENDINGS: dict[str, str] = {"sdf": ".sdf", "urdf": ".urdf", "mjcf": ".xml"}
+_FOOT = 1e-3  # m, radius of a foot and air below the outline
+_HALVINGS = 5  # of the object, to 32 parts of equal mass
+DEFAULT_HEIGHT = 0.02
+"""m, of an object whose height is not known."""
+
+LOST = (
+    f"detail of the maps below the {2**_HALVINGS} feet, each of which sums up a part of equal mass",
+    "effects beyond the plain model, and how sure anything is, but for the spread of K files",
+    "a pair has one friction coefficient, which Drake takes from both bodies as 2 a b / (a + b) and Gazebo"
+    " as the smaller one: SDF and URDF are right on a table, and for a finger, of coefficient 1; MJCF always",
+    "MuJoCo's default cone is a pyramid, in which friction depends on the direction: keep cone=elliptic",
+    "pushes above the feet shift the load between them; push low to have what slipmap predicts",
+)
+"""What the formats cannot hold, and what has to be minded."""
+
+
+@dataclass(frozen=True)
+class Body:
+    """A rigid body that slides as a hypothesis says."""
+
+    mass: float  # kg
+    com: FloatArray  # (3,) m, object frame with z = 0 on the table
+    inertia: FloatArray  # (3, 3) about the centre of mass, kg m²
+    feet: FloatArray  # (F, 2) m
+    friction: FloatArray  # (F,) of each foot with the table
+    finger_friction: float
+
+
+def body_of(belief: Belief, hypothesis: int | None, height: float) -> Body:
+    """The body of one hypothesis, or of their mean."""
+    maps, p = belief.maps, belief.probability
+    if hypothesis is None:
+        mass = p @ maps.mass
+        load = p @ (maps.mass * maps.mu) * belief.gravity
+        finger = float(p @ maps.mu_finger)
+    else:
+        mass = maps.mass[hypothesis]
+        load = mass * maps.mu[hypothesis] * belief.gravity
+        finger = float(maps.mu_finger[hypothesis])
+    centers, width = belief.grid.centers, belief.grid.width
+    total = float(mass.sum())
+    com = mass @ centers / total
+    away = centers - com
+    second = (away.T * mass) @ away + total * width**2 / 12.0 * np.eye(2)
+    upright = total * height**2 / 12.0
+    inertia = np.zeros((3, 3))
+    inertia[0, 0], inertia[1, 1] = second[1, 1] + upright, second[0, 0] + upright
+    inertia[0, 1] = inertia[1, 0] = -second[0, 1]
+    inertia[2, 2] = second[0, 0] + second[1, 1]
+    feet, rubbing = _feet(centers, mass, load, _HALVINGS)
+    friction = rubbing * len(feet) / (total * belief.gravity)
+    return Body(total, np.append(com, 0.5 * height), inertia, feet, friction, finger)
+
+
+def _feet(
+    centers: FloatArray, mass: FloatArray, load: FloatArray, halvings: int
+) -> tuple[FloatArray, FloatArray]:
+    """(2^halvings, 2) middles of parts of equal mass, and (2^halvings,) the friction of each, N."""
+    middle = mass @ centers / mass.sum()
+    if halvings == 0:
+        return middle[None], np.array([load.sum()])
+    away = centers - middle
+    _, axes = np.linalg.eigh((away.T * mass) @ away)
+    order = np.argsort(away @ axes[:, -1], kind="stable")
+    half = 0.5 * mass.sum()
+    below = np.cumsum(mass[order]) - mass[order]
+    # The cell in the middle belongs to both.
+    first = np.clip((half - below) / np.maximum(mass[order], 1e-300), 0.0, 1.0)
+    halves = []
+    for share in (first, 1.0 - first):
+        kept = order[share > 0.0]
+        part = share[share > 0.0]
+        halves.append(_feet(centers[kept], part * mass[kept], part * load[kept], halvings - 1))
+    return np.concatenate([halves[0][0], halves[1][0]]), np.concatenate([halves[0][1], halves[1][1]])
+
+
+def convex_parts(grid: CellGrid) -> list[FloatArray]:
+    """Convex polygons (k, 2) that make up the outline, without gaps."""
+    polygon = grid.polygon
+    if _is_convex(polygon):
+        return [grid.exterior]
+    parts = list(shapely.get_parts(shapely.constrained_delaunay_triangles(polygon)))
+    merged = True
+    while merged:
+        merged = False
+        for first in range(len(parts)):
+            for second in range(first + 1, len(parts)):
+                both = shapely.union(parts[first], parts[second])
+                if both.geom_type == "Polygon" and _is_convex(both):
+                    parts[first] = both
+                    del parts[second]
+                    merged = True
+                    break
+            if merged:
+                break
+    return [np.array(part.convex_hull.exterior.coords)[:-1] for part in parts]
+
+
+def _is_convex(polygon: shapely.Polygon) -> bool:
+    return not polygon.interiors and bool(polygon.convex_hull.area - polygon.area < 1e-9)
+
+
+def export_belief(
+    belief: Belief,
+    to: Format,
+    folder: str | os.PathLike[str],
+    *,
+    height: float = DEFAULT_HEIGHT,
+    hypotheses: bool = False,
+) -> list[Path]:
+    """Write models for a simulator to a new folder: the mean, or one for each hypothesis.
+
+    The object frame is that of the outline, with z = 0 on the table. `LOST` says what the formats cannot
+    hold.
+
+    Args:
+        to: `sdf`, `urdf` or `mjcf`.
+        folder: a new one; SDF and URDF have meshes of the outline beside them.
+        height: of the object, m.
+        hypotheses: one file for each, called after its number, with its probability in it.
+
+    Returns:
+        The models.
+
+    Raises:
+        BadInput: the folder holds something.
+
+    Example:
+        >>> import slipmap, tempfile
+        >>> dataset, _ = slipmap.simulated_hammer(seed=1, fit=1, heldout=0)
+        >>> belief = slipmap.identify(dataset, hypotheses=2, friction_laws=False).belief
+        >>> folder = tempfile.mkdtemp() + "/models"
+        >>> [path.name for path in slipmap.export_belief(belief, "mjcf", folder, hypotheses=True)]
+        ['hammer_00.xml', 'hammer_01.xml']
+    """
+    target = Path(folder).absolute()
+    if target.exists() and (not target.is_dir() or any(target.iterdir())):
+        raise BadInput(f"{folder} is there already; name a new folder for the models")
+    name = "".join(sign if sign.isalnum() else "_" for sign in belief.dataset).strip("_") or "object"
+    numbers: Sequence[int | None] = range(len(belief)) if hypotheses else [None]
+    texts = {}
+    parts = convex_parts(belief.grid)
+    for number in numbers:
+        called = name if number is None else f"{name}_{number:02d}"
+        root = _WRITERS[to](name, body_of(belief, number, height), parts, height)
+        Xml.indent(root)
+        texts[called + _ENDINGS[to]] = _comment(belief, number) + Xml.tostring(root, encoding="unicode")
+    with replaced_folder(target) as fresh:
+        fresh.mkdir()
+        for file, text in texts.items():
+            (fresh / file).write_text(f'<?xml version="1.0"?>\n{text}\n', encoding="utf-8")
+        if to != "mjcf":
+            for number, corners in enumerate(parts):
+                (fresh / f"part_{number}.obj").write_text(_prism(corners, height), encoding="utf-8")
+    return [target / file for file in texts]
+
+
+def _comment(belief: Belief, hypothesis: int | None) -> str:
+    if hypothesis is None:
+        return f"<!-- The mean of {len(belief)} hypotheses of slipmap. -->\n"
+    share = belief.probability[hypothesis]
+    return f"<!-- Hypothesis {hypothesis} of {len(belief)} of slipmap, probability {share:.4g}. -->\n"
+
+
+def _prism(corners: FloatArray, height: float) -> str:
+    """An upright prism as OBJ, its faces outward."""
+    count = len(corners)
+    lines = [f"v {x:.9g} {y:.9g} {z:.9g}" for z in (_FOOT, height) for x, y in corners]
+    below, above = range(count, 0, -1), range(count + 1, 2 * count + 1)
+    lines += ["f " + " ".join(map(str, face)) for face in (below, above)]
+    for k in range(count):
+        after = (k + 1) % count
+        lines.append(f"f {k + 1} {after + 1} {count + after + 1} {count + k + 1}")
+    return "\n".join(lines) + "\n"
+
+
+def _child(parent: Xml.Element, tag: str, text: str = "", **attributes: str) -> Xml.Element:
+    element = Xml.SubElement(parent, tag, attributes)
+    element.text = text or None
+    return element
+
+
+def _numbers(values: Sequence[float] | FloatArray) -> str:
+    return " ".join(f"{float(value):.9g}" for value in values)
+
+
+def _of_pair(friction: float) -> float:
+    """A coefficient that Drake combines with 1 to that of the pair."""
+    return friction / (2.0 - friction) if friction < 1.9 else 19.0
+
+
+def _mjcf(name: str, body: Body, parts: Sequence[FloatArray], height: float) -> Xml.Element:
+    root = Xml.Element("mujoco", model=name)
+    _child(root, "option", cone="elliptic")
+    assets = _child(root, "asset")
+    for number, corners in enumerate(parts):
+        points = [_numbers((*corner, z)) for z in (_FOOT, height) for corner in corners]
+        _child(assets, "mesh", name=f"{name}_part_{number}", vertex="  ".join(points))
+    link = _child(_child(root, "worldbody"), "body", name=name)
+    _child(link, "freejoint")
+    i = body.inertia
+    _child(
+        link, "inertial", pos=_numbers(body.com), mass=_numbers([body.mass]),
+        fullinertia=_numbers([i[0, 0], i[1, 1], i[2, 2], i[0, 1], i[0, 2], i[1, 2]]),
+    )  # fmt: skip
+    for number in range(len(parts)):
+        _child(
+            link, "geom", name=f"{name}_outline_{number}", type="mesh", mesh=f"{name}_part_{number}",
+            friction=_numbers([body.finger_friction, 0, 0]), condim="3", priority="1",
+        )  # fmt: skip
+    for number, (place, friction) in enumerate(zip(body.feet, body.friction, strict=True)):
+        _child(
+            link, "geom", name=f"{name}_foot_{number}", type="sphere", size=_numbers([_FOOT]),
+            pos=_numbers((*place, _FOOT)), friction=_numbers([friction, 0, 0]), condim="3", priority="1",
+        )  # fmt: skip
+    return root
+
+
+def _sdf(name: str, body: Body, parts: Sequence[FloatArray], height: float) -> Xml.Element:
+    root = Xml.Element("sdf", {"version": "1.9", "xmlns:drake": "drake.mit.edu"})
+    link = _child(_child(root, "model", name=name), "link", name=name)
+    inertial = _child(link, "inertial")
+    _child(inertial, "pose", _numbers([*body.com, 0, 0, 0]))
+    _child(inertial, "mass", _numbers([body.mass]))
+    _inertia(_child(inertial, "inertia"), body, as_text=True)
+    shapes = [(f"outline_{number}", f"part_{number}.obj", body.finger_friction, np.zeros(3))
+              for number in range(len(parts))]  # fmt: skip
+    shapes += [
+        (f"foot_{number}", "", float(friction), np.append(place, _FOOT))
+        for number, (place, friction) in enumerate(zip(body.feet, body.friction, strict=True))
+    ]
+    for called, mesh, friction, place in shapes:
+        collision = _child(link, "collision", name=called)
+        _child(collision, "pose", _numbers([*place, 0, 0, 0]))
+        geometry = _child(collision, "geometry")
+        if mesh:
+            shape = _child(geometry, "mesh")
+            _child(shape, "uri", mesh)
+            _child(shape, "drake:declare_convex")
+            visual = _child(_child(link, "visual", name=f"{called}_visual"), "geometry")
+            _child(_child(visual, "mesh"), "uri", mesh)
+        else:
+            _child(_child(geometry, "sphere"), "radius", _numbers([_FOOT]))
+        ode = _child(_child(_child(collision, "surface"), "friction"), "ode")
+        _child(ode, "mu", _numbers([friction]))
+        _child(ode, "mu2", _numbers([friction]))
+        drake = _child(collision, "drake:proximity_properties")
+        for which in ("static", "dynamic"):
+            _child(drake, f"drake:mu_{which}", _numbers([_of_pair(friction)]))
+    return root
+
+
+def _urdf(name: str, body: Body, parts: Sequence[FloatArray], height: float) -> Xml.Element:
+    root = Xml.Element("robot", {"name": name, "xmlns:drake": "drake.mit.edu"})
+    link = _child(root, "link", name=name)
+    inertial = _child(link, "inertial")
+    _child(inertial, "origin", xyz=_numbers(body.com), rpy="0 0 0")
+    _child(inertial, "mass", value=_numbers([body.mass]))
+    _inertia(_child(inertial, "inertia"), body, as_text=False)
+    for number in range(len(parts)):
+        for kind in ("visual", "collision"):
+            element = _child(link, kind, name=f"outline_{number}_{kind}")
+            mesh = _child(_child(element, "geometry"), "mesh", filename=f"part_{number}.obj")
+            if kind == "collision":
+                _child(mesh, "drake:declare_convex")
+                _drake_friction(element, body.finger_friction)
+    for number, (place, friction) in enumerate(zip(body.feet, body.friction, strict=True)):
+        element = _child(link, "collision", name=f"foot_{number}")
+        _child(element, "origin", xyz=_numbers((*place, _FOOT)), rpy="0 0 0")
+        _child(_child(element, "geometry"), "sphere", radius=_numbers([_FOOT]))
+        _drake_friction(element, float(friction))
+    return root
+
+
+def _drake_friction(element: Xml.Element, friction: float) -> None:
+    properties = _child(element, "drake:proximity_properties")
+    for which in ("static", "dynamic"):
+        _child(properties, f"drake:mu_{which}", value=_numbers([_of_pair(friction)]))
+
+
+def _inertia(element: Xml.Element, body: Body, *, as_text: bool) -> None:
+    for row in range(3):
+        for column in range(row, 3):
+            key, value = f"i{'xyz'[row]}{'xyz'[column]}", _numbers([body.inertia[row, column]])
+            if as_text:
+                _child(element, key, value)
+            else:
+                element.set(key, value)
+
+
+_WRITERS = {"sdf": _sdf, "urdf": _urdf, "mjcf": _mjcf}

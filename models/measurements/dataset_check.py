@@ -1,0 +1,448 @@
+"""What can be said of a push dataset before anything is learned: whether the measurements fit each other, and
+what these pushes could tell."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+import shapely
+
+from slipmap.models.geometry import angle_between, rotated, seen_from
+from slipmap.models.measurements.contact import (
+    CALIBRATION_ERROR,
+    ContactRows,
+    contact_rows,
+    force_complaint,
+    normals_and_forces,
+)
+from slipmap.models.measurements.importing.clocks import (
+    bias_matters,
+    free_force,
+    lag_left,
+    middle_of,
+    rises_after_touch,
+)
+from slipmap.models.measurements.push_dataset import PushDataset, Trial
+from slipmap.models.physics.cell_grid import FloatArray
+
+Verdict = Literal["good", "note", "wrong"]
+
+_SLOW_RATE = 20.0  # Hz below which a contact is hardly seen
+_GAP = 0.25  # s without a pose of a moving object
+_WRONG_SHARE = 0.25  # of the pushes that are wrong, for the whole to be
+_NOTABLE_LAG = 1e-3  # m that object and finger are apart by it
+_FORCE_LATE = 0.01  # s
+_BIASED = 0.05  # of the force while pushing
+_OFF_NORMAL = np.radians(25.0)  # beyond most frictions of a finger, in the median
+_ARCS = 8  # parts of the outline's length
+_OCTANTS = 8
+_COASTS = 5e-3  # m that an object goes on without the finger
+_AWAY = 2e-3  # m
+_FAST = 0.1  # m/s at which inertia tells
+_SPEEDS = 2.0  # ratio of speeds that differ
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One thing that was looked at."""
+
+    what: str
+    found: str  # with numbers and units
+    verdict: Verdict  # `wrong` makes what is learned wrong
+    advice: str = ""  # what to do, where something is to be done
+
+
+@dataclass(frozen=True)
+class Told:
+    """Whether these pushes could tell a quantity or an effect, before any fit."""
+
+    name: str
+    could: bool
+    reason: str
+
+
+@dataclass(frozen=True)
+class Coverage:
+    """What the pushes have in common and in which they differ."""
+
+    pushes: int  # in which the object moves
+    arcs: int  # of eight equal lengths of the outline that were touched
+    table_octants: int  # of eight directions on the table in which the object moved
+    object_octants: int  # the same seen from the object
+    slowest: float  # of the objects' highest speeds, m/s
+    fastest: float  # the same
+    turned: float  # largest angle from begin to end, rad
+    spread: float  # largest distance between two places of the object, m
+    size: float  # of the object, m
+    coasting: int  # pushes in which it slides on its own
+    forces: bool
+    mass_known: bool
+
+    @property
+    def speeds_differ(self) -> bool:
+        """Whether some push is much faster than another."""
+        return self.fastest > _SPEEDS * self.slowest
+
+
+@dataclass(frozen=True)
+class DatasetCheck:
+    """What `check_dataset` found."""
+
+    dataset: str
+    findings: tuple[Finding, ...]
+    coverage: Coverage
+    quantities: tuple[Told, ...]
+    effects: tuple[Told, ...]
+    advice: tuple[str, ...]  # which pushes to add, and how
+    provenance: tuple[str, ...]
+
+    @property
+    def wrong(self) -> bool:
+        """Whether what is learned from these pushes would be wrong."""
+        return any(finding.verdict == "wrong" for finding in self.findings)
+
+    def to_json(self) -> dict[str, Any]:
+        """For `--json`."""
+        return {
+            "dataset": self.dataset,
+            "wrong": self.wrong,
+            "findings": [vars(finding) for finding in self.findings],
+            "coverage": vars(self.coverage),
+            "quantities": [vars(told) for told in self.quantities],
+            "effects": [vars(told) for told in self.effects],
+            "advice": list(self.advice),
+            "provenance": list(self.provenance),
+        }
+
+
+def check_dataset(dataset: PushDataset) -> DatasetCheck:
+    """Whether the measurements fit each other, and what they could tell, before any fit.
+
+    Example:
+        >>> import slipmap
+        >>> dataset, _ = slipmap.simulated_hammer(seed=1)
+        >>> check = slipmap.check_dataset(dataset)
+        >>> check.wrong, check.coverage.pushes
+        (False, 10)
+    """
+    rows = [one for trial in dataset.trials if (one := contact_rows(dataset, trial)) is not None]
+    findings = [
+        *_rates(dataset),
+        *_rows_left_out(dataset),
+        *_clocks(dataset),
+        *_depth(dataset, rows),
+        *_forces(dataset, rows),
+    ]
+    said = " ".join(finding.advice for finding in findings)
+    findings += [
+        Finding("reading", text, "note") for text in dataset.warnings if text not in said and len(text) < 600
+    ]
+    coverage = _coverage(dataset, rows)
+    effects = tuple(Told(name, needs(coverage), reason) for name, (needs, reason) in EFFECT_NEEDS.items())
+    return DatasetCheck(
+        dataset.name, tuple(findings), coverage, tuple(_quantities(coverage)), effects,
+        tuple(_advice(coverage)), dataset.provenance,
+    )  # fmt: skip
+
+
+# Whether measurements fit each other.
+
+
+def _rates(dataset: PushDataset) -> list[Finding]:
+    findings = []
+    for name, words in (("object_pose", "poses"), ("tip_pose", "finger"), ("ft_wrench", "force")):
+        steps = [
+            np.diff(channel.time)
+            for trial in dataset.trials
+            if (channel := trial.channels.get(name)) is not None and len(channel.time) > 2
+            and not (name == "object_pose" and trial.ends_only)
+        ]  # fmt: skip
+        if not steps:
+            if name == "ft_wrench":
+                findings.append(Finding("force", "was not measured", "note"))
+            continue
+        all_steps = np.concatenate(steps)
+        rate = 1.0 / float(np.median(all_steps))
+        text = f"{rate:.0f} Hz, longest gap {1e3 * all_steps.max():.0f} ms"
+        blind = [
+            trial.name
+            for trial in dataset.trials
+            if name == "object_pose" and not trial.ends_only and _longest_blind_motion(trial) > _GAP
+        ]
+        if rate < _SLOW_RATE:
+            advice = f"below {_SLOW_RATE:g} Hz touch and release are hardly seen; record faster"
+            findings.append(Finding(f"rate of {words}", text, "note", advice))
+        elif blind:
+            advice = f"the object moves unseen for more than {1e3 * _GAP:.0f} ms in {_listed(blind)}"
+            findings.append(Finding(f"rate of {words}", text, "note", advice))
+        else:
+            findings.append(Finding(f"rate of {words}", text, "good"))
+    return findings
+
+
+def _longest_blind_motion(trial: Trial) -> float:
+    """The longest time without a pose in which the object moves, s."""
+    pose = trial.object_pose
+    moved = np.hypot(*np.diff(pose.values[:, :2], axis=0).T) > 1e-3
+    return float(np.max(np.diff(pose.time)[moved], initial=0.0))
+
+
+def _rows_left_out(dataset: PushDataset) -> list[Finding]:
+    """Flips, zeros and stamps that go back, as reading and importing found them."""
+    texts = dict.fromkeys((*dataset.warnings, *dataset.provenance))
+    found = []
+    for what, words in (
+        ("flips", ("theta turns", "jumps")),
+        ("zeros", ("exactly zero",)),
+        ("stamps", ("go back", "have the stamp of the row before")),
+    ):
+        named = [text for text in texts if any(word in text for word in words)]
+        found.append(
+            Finding(what, named[0] if len(named) == 1 else f"{named[0]}; {len(named) - 1} more", "note")
+            if named
+            else Finding(what, "none", "good")
+        )
+    return found
+
+
+def _clocks(dataset: PushDataset) -> list[Finding]:
+    """Finger against object, and force against both, by contact."""
+    lags, late = [], []
+    speed = []
+    for trial in dataset.trials:
+        if trial.ends_only or not trial.has_finger:
+            continue
+        lag = lag_left(dataset, trial.object_pose, trial.tip_pose)
+        if lag is not None:
+            lags.append(lag.value)
+            speed.append(_speed(trial))
+        if trial.ft_wrench is not None:
+            late += rises_after_touch(dataset, trial.object_pose, trial.tip_pose, trial.ft_wrench)
+    findings = []
+    if lags:
+        middle, error = middle_of(lags)
+        apart = abs(middle) * float(np.median(speed))
+        text = f"finger {_late(middle)} against the object, ± {1e3 * error:.1f} ms"
+        advice = f"add {-middle:.3f} s to the object's stamps, or {middle:.3f} s to the finger's"
+        sure = abs(middle) > 3.0 * error and apart > _NOTABLE_LAG
+        verdict: Verdict = "wrong" if sure and apart > CALIBRATION_ERROR else "note" if sure else "good"
+        findings.append(Finding("clock of the finger", text, verdict, advice if sure else ""))
+    if late:
+        middle, error = middle_of(late)
+        text = f"force {_late(-middle)} against the touch, ± {1e3 * error:.1f} ms, {len(late)} touches"
+        sure = abs(middle) > max(_FORCE_LATE, 3.0 * error)
+        findings.append(
+            Finding("clock of the force", text, "note" if sure else "good",
+                    f"add {-middle:.3f} s to the stamps of the force" if sure else "")
+        )  # fmt: skip
+    return findings
+
+
+def _late(lag: float) -> str:
+    """Of what has to be added to stamps."""
+    if abs(lag) < 5e-4:
+        return "0 ms"
+    return f"{1e3 * abs(lag):.0f} ms {'early' if lag > 0 else 'late'}"
+
+
+def _speed(trial: Trial) -> float:
+    """Speed of the object that one row in ten exceeds, m/s."""
+    begin, end = trial.object_pose.time[[0, -1]]
+    time = np.linspace(begin, end, 200)
+    place = trial.object_pose.at(time)[:, :2]
+    return float(np.percentile(np.hypot(*np.gradient(place, time, axis=0).T), 90))
+
+
+def _depth(dataset: PushDataset, rows: Sequence[ContactRows]) -> list[Finding]:
+    if not rows:
+        return [Finding("contact", "there is no finger", "note")]
+    limit = CALIBRATION_ERROR + 3.0 * float(np.hypot(dataset.noise.position or 0.0, dataset.noise.tip or 0.0))
+    depth = np.array([one.depth for one in rows])
+    air = [float(np.median(one.gap[one.pressed])) for one in rows if one.pressed.any()]
+    deep = depth > limit
+    text = f"finger at most {1e3 * max(0.0, float(depth.max())):.1f} mm inside the outline"
+    if air:
+        text += f", {1e3 * float(np.median(air)):+.1f} mm of air while it pushes"
+    if deep.mean() > _WRONG_SHARE:
+        said = next((text for text in dataset.warnings if "the finger goes" in text or "starts" in text), "")
+        advice = said or "is theta's sign, the frame, the clock, the finger's point or finger.radius right?"
+        return [Finding("contact", f"{text}; too deep in {deep.sum()} of {len(rows)}", "wrong", advice)]
+    if air and float(np.median(air)) > 2.0 * CALIBRATION_ERROR:
+        return [Finding("contact", text, "note", "is finger.radius, or the outline, too small?")]
+    return [Finding("contact", text, "good")]
+
+
+def _forces(dataset: PushDataset, rows: Sequence[ContactRows]) -> list[Finding]:
+    forced = [trial for trial in dataset.trials if trial.ft_wrench is not None and trial.has_finger]
+    if not forced:
+        return []
+    findings = []
+    rest = [
+        (free, trial)
+        for trial in forced
+        if not trial.ends_only and trial.ft_wrench is not None
+        and (free := free_force(dataset, trial.object_pose, trial.tip_pose, trial.ft_wrench)) is not None
+    ]  # fmt: skip
+    pushing = float(
+        np.median([np.percentile(np.hypot(*trial.channels["ft_wrench"].values[:, :2].T), 80)
+                   for trial in forced])
+    )  # fmt: skip
+    if rest:
+        bias = np.median([free[0] for free, _ in rest], axis=0)
+        error = np.median([free[1] for free, _ in rest], axis=0) / np.sqrt(len(rest))
+        size = float(np.hypot(*bias))
+        matters = size > _BIASED * pushing and bias_matters(bias, error, rest[0][1].channels["ft_wrench"])
+        text = f"({bias[0]:.3f}, {bias[1]:.3f}) N, {size:.2f} N, where pushing takes {pushing:.2g} N"
+        advice = (
+            "take it off: ft_wrench.offset of a setup.yaml, or leave rows before touch for slipmap import"
+        )
+        findings.append(
+            Finding("force at rest", text, "wrong" if matters else "good", advice if matters else "")
+        )
+    normal, force, _ = normals_and_forces(dataset, rows)
+    if len(force) >= 10:
+        off = angle_between(force, normal)
+        middle = float(np.median(np.abs(off)))
+        text = f"{np.degrees(middle):.0f}° off the contact's normal in the median of {len(force)} rows"
+        complaint = force_complaint(dataset, rows)
+        if complaint is not None:
+            findings.append(Finding("force's direction", text, "wrong", complaint))
+        else:
+            unusual = middle > _OFF_NORMAL
+            findings.append(
+                Finding("force's direction", text, "note" if unusual else "good",
+                        "is its frame turned? Fingers seldom have so much friction" if unusual else "")
+            )  # fmt: skip
+    return findings
+
+
+# What they could tell.
+
+
+def _coverage(dataset: PushDataset, rows: Sequence[ContactRows]) -> Coverage:
+    reach = float(np.max(np.hypot(*dataset.grid.exterior.T)))
+    boundary = dataset.grid.polygon.exterior
+    arcs: set[int] = set()
+    for one in rows:
+        telling = one.pressed & (np.abs(one.gap) < 2.0 * CALIBRATION_ERROR)
+        if telling.any():
+            local = seen_from(one.tips[telling], one.poses[telling])
+            along = shapely.line_locate_point(boundary, shapely.points(local), normalized=True)
+            arcs |= set(np.minimum(_ARCS - 1, (_ARCS * along).astype(int)).tolist())
+    on_table: set[int] = set()
+    on_object: set[int] = set()
+    speeds, turns, places, coasting, moved = [], [], [], 0, 0
+    for trial in dataset.trials:
+        pose = trial.object_pose
+        way = pose.values[-1, :2] - pose.values[0, :2]
+        turn = float(pose.values[-1, 2] - pose.values[0, 2])
+        if np.hypot(*way) + reach * abs(turn) < _COASTS:
+            continue
+        moved += 1
+        turns.append(abs(turn))
+        places += [pose.values[0, :2], pose.values[-1, :2]]
+        on_table.add(_octant(way))
+        on_object.add(_octant(rotated(way, -pose.values[0, 2])))
+        if not trial.ends_only:
+            speeds.append(_speed(trial))
+            coasting += _coasted(dataset, trial)
+    place = np.array(places).reshape(-1, 2)
+    spread = float(np.max(np.hypot(*np.ptp(place, axis=0)), initial=0.0)) if len(place) else 0.0
+    return Coverage(
+        pushes=moved, arcs=len(arcs), table_octants=len(on_table), object_octants=len(on_object),
+        slowest=min(speeds, default=0.0), fastest=max(speeds, default=0.0), turned=max(turns, default=0.0),
+        spread=spread, size=float(np.hypot(*np.ptp(dataset.grid.exterior, axis=0))), coasting=coasting,
+        forces=any(trial.ft_wrench is not None for trial in dataset.trials),
+        mass_known=dataset.mass is not None,
+    )  # fmt: skip
+
+
+def _octant(way: FloatArray) -> int:
+    return int(np.floor((np.arctan2(way[1], way[0]) % (2.0 * np.pi)) / (2.0 * np.pi) * _OCTANTS)) % _OCTANTS
+
+
+def _coasted(dataset: PushDataset, trial: Trial) -> bool:
+    """Whether the object slides on its own: from its first row, or after the finger has left it."""
+    if trial.initial_velocity().any():
+        return True
+    if not trial.has_finger:
+        return False
+    from slipmap.models.measurements.contact import gaps
+
+    pose = trial.object_pose
+    free = gaps(dataset, trial.tip_pose.at(pose.time), pose.values) > _AWAY
+    steps = np.hypot(*np.diff(pose.values[:, :2], axis=0).T)
+    touched = np.flatnonzero(~free)
+    if not len(touched):
+        return False
+    after = np.arange(len(steps)) >= touched[0]
+    return bool(steps[after & free[1:] & free[:-1]].sum() > _COASTS)
+
+
+def _quantities(seen: Coverage) -> list[Told]:
+    inertia = seen.fastest > _FAST or seen.coasting > 0
+    around = seen.arcs >= 3 and seen.turned > np.radians(10.0)
+    return [
+        Told("total friction", seen.forces or (seen.coasting > 0 and seen.mass_known),
+             "force in steady sliding" if seen.forces else "needs force, or a weighed object that coasts"),
+        Told("centre of friction", around,
+             f"{seen.arcs} of 8 parts of the outline touched, {np.degrees(seen.turned):.0f}° turned at most"),
+        Told("friction arm", seen.turned > np.radians(10.0), "how far the object turns"),
+        Told("total mass", seen.mass_known or (inertia and seen.forces),
+             "weighed beforehand" if seen.mass_known else "needs force with speed or coasting"),
+        Told("centre of mass, moment of inertia", inertia and seen.turned > np.radians(10.0),
+             f"fastest {1e3 * seen.fastest:.0f} mm/s, {seen.coasting} pushes coast"),
+        Told("finger friction", seen.forces or seen.arcs >= 3, "sliding contacts, or force off the normal"),
+        Told("shares of parts of the object", seen.arcs >= 5 and around, "touches all around"),
+    ]  # fmt: skip
+
+
+_Needs = Callable[[Coverage], bool]
+EFFECT_NEEDS: Mapping[str, tuple[_Needs, str]] = {
+    "viscous_friction": (lambda c: c.speeds_differ and c.forces, "force at speeds that differ twofold"),
+    "stribeck_friction": (lambda c: c.speeds_differ and c.forces, "force at speeds that differ twofold"),
+    "anisotropic_table": (lambda c: c.table_octants >= 4, "four directions on the table"),
+    "anisotropic_object": (lambda c: c.object_octants >= 4, "four directions seen from the object"),
+    "table_tilt": (lambda c: c.table_octants >= 4, "opposite directions on the table"),
+    "table_friction_field": (lambda c: c.spread > 1.5 * c.size, "places one and a half objects apart"),
+    "tether": (lambda c: c.spread > 1.5 * c.size, "places one and a half objects apart"),
+    "sensor_latency": (lambda c: c.speeds_differ or c.fastest > _FAST, "fast pushes, or two speeds"),
+    "tracker_offset": (lambda c: c.turned > np.radians(30.0) or c.arcs >= 3, "three sides, or large turns"),
+    "tracker_scale": (lambda c: c.arcs >= 2 and c.spread > c.size, "long ways"),
+    "friction_drift": (lambda c: c.pushes >= 8, "eight pushes in the order of the experiment"),
+    "finger_compliance": (lambda c: c.forces, "force"),
+    "loose_mass": (lambda c: c.fastest > _FAST or c.coasting > 0, "fast starts and stops"),
+    "load_transfer": (lambda c: c.fastest > _FAST or c.coasting > 0 or c.arcs >= 4, "four sides, or braking"),
+    "skate": (lambda c: c.object_octants >= 4, "four directions seen from the object"),
+    "impulse_friction": (lambda c: c.table_octants >= 4, "four headings on the table"),
+}
+"""What pushes must be like for each effect of the library to show, and that in words."""
+
+
+def _advice(seen: Coverage) -> list[str]:
+    """Which pushes to add, the most telling first."""
+    wanted = []
+    if seen.pushes < 6:
+        wanted.append(f"{6 - seen.pushes} more pushes: six or more leave some to judge with")
+    if seen.arcs < 5:
+        wanted.append(
+            f"pushes at parts of the outline that were not touched ({_ARCS - seen.arcs} of {_ARCS})"
+        )
+    if seen.turned < np.radians(10.0):
+        wanted.append("pushes beside the middle, so that the object turns by 30° and more")
+    if seen.table_octants < 4:
+        wanted.append("pushes in other directions on the table, opposite ones among them")
+    if not seen.speeds_differ:
+        wanted.append("two pushes twice as fast as the others")
+    if seen.fastest < _FAST and not seen.coasting and not seen.mass_known:
+        wanted.append("a fast push that lets the object coast, or object.mass from a scale")
+    if not seen.forces:
+        wanted.append("force, if there is a sensor: without it total friction stays open")
+    return wanted
+
+
+def _listed(names: Sequence[str]) -> str:
+    return ", ".join(names[:5]) + (f" and {len(names) - 5} more" if len(names) > 5 else "")

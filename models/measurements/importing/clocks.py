@@ -1,0 +1,320 @@
+"""Clocks of several files brought together by contact, and the force of a sensor that nothing touches.
+
+The object moves only while the finger touches it: on the right clock the finger's rim lies on the outline
+while the object moves, and nowhere inside of it. A force rises when the finger reaches the outline.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from slipmap.models.measurements.contact import gaps
+from slipmap.models.measurements.push_dataset import Channel, Setup
+from slipmap.models.physics.cell_grid import FloatArray
+
+_STEP = 0.05  # s of the coarse search
+_MOST_LAGS = 3000  # that are tried by geometry, the likeliest by motion
+_ROWS = 150  # of the object that decide among them
+_AIR, _DEPTH = 0.02, 0.03  # m that count at most
+_FIT_ROWS = 1500
+_CALIBRATION = 2e-4  # m by which outline and finger may be thicker than said, all along
+_JITTER = 1e-4  # m, at least
+_SLOWEST = 3e-3  # m/s of an object that moves
+_EDGE = 0.15  # s at both ends of a motion in which it may rest still
+_NEAR_EPOCH = 2.0  # s by which two clocks that both count from 1970 may differ
+
+_FREE = 5e-3  # m of air without a force, however well frames fit
+_SWINGS = 0.3  # s
+_STARTED = 5e-4  # m from where the finger waited at first,
+_APART = 1e-3  # m from the outline there
+_FEWEST_FREE = 10  # rows
+_SHARE = 0.01  # of the largest force, which a bias that matters exceeds
+_ERRORS = 5.0  # standard errors, too
+_RISE = 0.2  # s around the touch in which the force is to rise
+_FORCE_STEP = 0.02  # s of the coarse search for the force
+_LEAST_CORRELATION = 0.3
+_APPROACH = 5e-3  # m/s at least, when a finger touches
+_WAITS = 0.4  # s before the touch in which the object rests
+_PASSES = 0.04  # s around it in which the finger's way is straight
+
+
+class Lag(NamedTuple):
+    """What has to be added to a channel's stamps."""
+
+    value: float  # s
+    error: float  # s, one standard deviation by the spread of what it was taken from
+    text: str  # how it was found
+
+
+def finger_lag(setup: Setup, pose: Channel, tip: Channel, near: bool) -> Lag | None:
+    """What brings the finger's clock to the object's; None where contact does not tell.
+
+    Args:
+        near: whether both clocks count from 1970, so that little is missing.
+    """
+    moving = _moving(setup, pose)
+    if not moving.any():
+        return None
+    rows = _telling(moving)
+    lags = _candidates(setup, pose, tip, moving, near)
+    if not len(lags):
+        return None
+    cost = np.array([_misfit(setup, pose, tip, rows, moving, lag) for lag in lags])
+    best = float(lags[np.argmin(cost)])
+    for step in (0.01, 0.002):
+        tried = best + step * np.arange(-8, 9)
+        best = float(min(tried, key=lambda lag: _misfit(setup, pose, tip, rows, moving, lag)))
+    if _misfit(setup, pose, tip, rows, moving, best) > 0.5 * _AIR:
+        return None
+    return _refined(setup, pose, tip, moving, best)
+
+
+def _moving(setup: Setup, pose: Channel) -> NDArray[np.bool_]:
+    """(T,) rows well inside of motions of the object."""
+    span = 0.1
+    step = pose.at(pose.time + 0.5 * span) - pose.at(pose.time - 0.5 * span)
+    reach = 0.5 * float(np.max(np.hypot(*setup.grid.exterior.T)))
+    speed = (np.hypot(step[:, 0], step[:, 1]) + reach * np.abs(step[:, 2])) / span
+    noise = np.hypot(setup.noise.position or 0.0, reach * (setup.noise.angle or 0.0)) / span
+    limit = max(_SLOWEST, 4.0 * noise, 0.2 * float(np.percentile(speed, 95)))
+    fast = speed > limit
+    # A row counts where all rows within the edge move, too.
+    still = np.flatnonzero(~fast)
+    if len(still) == 0:
+        return fast
+    after = np.searchsorted(still, np.arange(len(fast)))
+    last = pose.time[still[np.maximum(after - 1, 0)]]
+    following = pose.time[still[np.minimum(after, len(still) - 1)]]
+    since = np.where(after > 0, pose.time - last, np.inf)
+    until = np.where(after < len(still), following - pose.time, np.inf)
+    return fast & (since > _EDGE) & (until > _EDGE)
+
+
+def _telling(moving: NDArray[np.bool_], count: int = _ROWS) -> NDArray[np.int_]:
+    """Rows of motion and, a third, of rest."""
+    chosen = []
+    for rows, most in ((np.flatnonzero(moving), count), (np.flatnonzero(~moving), count // 3)):
+        if len(rows):
+            rows = rows[np.unique(np.linspace(0, len(rows) - 1, most).astype(int))]
+        chosen.append(rows)
+    return np.sort(np.concatenate(chosen))
+
+
+def _candidates(
+    setup: Setup, pose: Channel, tip: Channel, moving: NDArray[np.bool_], near: bool
+) -> FloatArray:
+    """Lags that are tried: all in steps, or where they are many, those at which both move together."""
+    least = pose.time[moving][0] - tip.time[-1]
+    most = pose.time[moving][-1] - tip.time[0]
+    if near:
+        least, most = max(least, -_NEAR_EPOCH), min(most, _NEAR_EPOCH)
+    lags = np.arange(least, most + _STEP, _STEP)
+    if len(lags) <= _MOST_LAGS:
+        return lags
+    grid = np.arange(pose.time[0], pose.time[-1], _STEP)
+    object_moves = np.interp(grid, pose.time, moving.astype(float))
+    times = np.arange(tip.time[0], tip.time[-1], _STEP)
+    speed = np.hypot(*np.gradient(tip.at(times), axis=0).T)
+    finger_moves = (speed > 0.2 * np.percentile(speed, 95)).astype(float)
+    together = _correlated(object_moves, finger_moves)
+    shift = pose.time[0] - tip.time[0] + _STEP * (np.arange(len(together)) - (len(times) - 1))
+    return np.sort(shift[np.argsort(-together, kind="stable")[:_MOST_LAGS]])
+
+
+def _correlated(one: FloatArray, other: FloatArray) -> FloatArray:
+    """(len(one) + len(other) - 1,) products at each shift of the other against the one."""
+    from scipy.fft import irfft, next_fast_len, rfft
+
+    size = len(one) + len(other) - 1
+    fast = next_fast_len(size)
+    return np.asarray(irfft(rfft(one, fast) * rfft(other[::-1], fast), fast)[:size])
+
+
+def _misfit(
+    setup: Setup, pose: Channel, tip: Channel, rows: NDArray[np.int_], moving: NDArray[np.bool_], lag: float
+) -> float:
+    """Rms of depth, and of air while the object moves, m; a finger that was not recorded is far."""
+    time = pose.time[rows] - lag
+    known = (time >= tip.time[0]) & (time <= tip.time[-1])
+    gap = np.full(len(rows), _AIR)
+    gap[known] = gaps(setup, tip.at(time[known]), pose.values[rows[known]])
+    residual = np.clip(gap, -_DEPTH, np.where(moving[rows], _AIR, 0.0))
+    return float(np.sqrt(np.mean(residual**2)))
+
+
+def _refined(
+    setup: Setup, pose: Channel, tip: Channel, moving: NDArray[np.bool_], lag: float, count: int = _FIT_ROWS
+) -> Lag:
+    """The lag of least squares, beside a thickness that outline and finger may lack all along.
+
+    While the object rests only depth beyond the noise counts: a finger that waits at the outline would lie
+    inside of it by chance in every second row.
+    """
+    from scipy.optimize import least_squares
+
+    rows = _telling(moving, count)
+    reach = 0.5 * float(np.max(np.hypot(*setup.grid.exterior.T)))
+    sigmas = (setup.noise.position or 0.0, setup.noise.tip or 0.0, reach * (setup.noise.angle or 0.0))
+    noise = max(_JITTER, float(np.linalg.norm(sigmas)))
+    most = np.where(moving[rows], _AIR, 0.0)
+    allowed = np.where(moving[rows], 0.0, 3.0 * noise)
+
+    def residuals(unknown: FloatArray) -> FloatArray:
+        shifted, thicker = lag + 1e-2 * unknown[0], 1e-3 * unknown[1]
+        gap = gaps(setup, tip.at(pose.time[rows] - shifted), pose.values[rows]) - thicker
+        each = np.clip(gap + allowed, -_DEPTH, most) / noise
+        return np.append(each, np.sqrt(len(rows)) * thicker / _CALIBRATION / 3.0)
+
+    found = least_squares(
+        residuals, np.zeros(2), loss="soft_l1", x_scale=0.1, diff_step=1e-2, xtol=1e-4, ftol=1e-4
+    )
+    value = lag + 1e-2 * float(found.x[0])
+    # A thickness of the calibration's size would look like so much time.
+    speed = float(np.median(np.hypot(*_velocity(pose, moving).T)))
+    error = _CALIBRATION / max(speed, 1e-3)
+    return Lag(value, error, f"by contact over {int(moving.sum())} rows of motion")
+
+
+def _velocity(pose: Channel, rows: NDArray[np.bool_]) -> FloatArray:
+    time = pose.time[rows]
+    return np.asarray((pose.at(time + 0.02) - pose.at(time - 0.02))[:, :2] / 0.04)
+
+
+def force_lag(setup: Setup, pose: Channel, tip: Channel, force: Channel, near: bool) -> Lag | None:
+    """What brings the force's clock to that of object and finger; None where it does not tell."""
+    moving = _moving(setup, pose).astype(float)
+    if not moving.any():
+        return None
+    size = np.hypot(*(force.values[:, :2] - np.median(force.values[:, :2], axis=0)).T)
+    grid = np.arange(pose.time[0], pose.time[-1], _FORCE_STEP)
+    times = np.arange(force.time[0], force.time[-1], _FORCE_STEP)
+    if len(times) < 10 or len(grid) < 10:
+        return None
+    pressed = np.interp(grid, pose.time, moving)
+    cells = np.clip(((force.time - force.time[0]) / _FORCE_STEP).astype(int), 0, len(times) - 1)
+    mean = np.bincount(cells, size, len(times)) / np.maximum(np.bincount(cells, minlength=len(times)), 1)
+    together = _correlated(pressed - pressed.mean(), mean - mean.mean())
+    lags = pose.time[0] - force.time[0] + _FORCE_STEP * (np.arange(len(together)) - (len(times) - 1))
+    if near:
+        inside = np.abs(lags) <= _NEAR_EPOCH
+        together, lags = together[inside], lags[inside]
+    best = int(np.argmax(together))
+    scale = np.std(pressed) * np.std(mean) * min(len(grid), len(times))
+    if not scale > 0.0 or together[best] < _LEAST_CORRELATION * scale:
+        return None
+    coarse = float(lags[best])
+    rises = rises_after_touch(setup, pose, tip, Channel(force.time + coarse, force.values))
+    if not rises:
+        return Lag(coarse, _FORCE_STEP, "by when it is large")
+    middle, error = middle_of(rises)
+    count = f"{len(rises)} touch{'es' if len(rises) > 1 else ''}"
+    return Lag(coarse - middle, max(error, 5e-4), f"by its rise at {count}")
+
+
+def rises_after_touch(setup: Setup, pose: Channel, tip: Channel, force: Channel) -> list[float]:
+    """How late the force rises at each touch that tells, s; negative where it is early."""
+    size = np.hypot(*(force.values[:, :2] - np.median(force.values[:, :2], axis=0)).T)
+    touched = _touches(setup, pose, tip)
+    return [rise - touch for touch in touched if (rise := _rise(force.time, size, touch)) is not None]
+
+
+def middle_of(values: Sequence[float]) -> tuple[float, float]:
+    """The median, and its standard error by the spread of the others."""
+    middle = float(np.median(values))
+    spread = 1.4826 * float(np.median(np.abs(np.array(values) - middle)))
+    return middle, spread / float(np.sqrt(len(values)))
+
+
+def lag_left(setup: Setup, pose: Channel, tip: Channel) -> Lag | None:
+    """What is missing between two clocks that are nearly one; None where the object does not move."""
+    moving = _moving(setup, pose)
+    moving &= (pose.time > tip.time[0] + _EDGE) & (pose.time < tip.time[-1] - _EDGE)
+    if int(moving.sum()) < _FEWEST_FREE:
+        return None
+    moving[moving] &= gaps(setup, tip.at(pose.time[moving]), pose.values[moving]) < _AIR
+    few = int(moving.sum()) < _FEWEST_FREE
+    return None if few else _refined(setup, pose, tip, moving, 0.0, _ROWS)
+
+
+def _touches(setup: Setup, pose: Channel, tip: Channel) -> list[float]:
+    """When the finger reaches the outline and the object begins to move, s."""
+    gap = gaps(setup, tip.values, pose.at(tip.time))
+    moving = np.interp(tip.time, pose.time, _moving(setup, pose).astype(float)) > 0.5
+    found = []
+    for row in np.flatnonzero((gap[1:] <= 0.0) & (gap[:-1] > 0.0)):
+        touch = tip.time[row]
+        soon = (tip.time > touch) & (tip.time < touch + 1.0)
+        waits = (pose.time > touch - _WAITS) & (pose.time < touch - 0.25 * _WAITS)
+        way = np.flatnonzero((tip.time > touch - _PASSES) & (tip.time < touch + _PASSES))
+        if not moving[soon].any() or waits.sum() < 3 or len(way) < 4:
+            continue
+        # Against the object as it waited: after the touch its own rows would hide when that was.
+        resting = np.median(pose.values[waits], axis=0)
+        slope, level = np.polyfit(tip.time[way] - touch, gaps(setup, tip.values[way], resting), 1)
+        if slope < -_APPROACH:
+            found.append(float(touch - level / slope))
+    kept: list[float] = []
+    for time in found:
+        if not kept or time > kept[-1] + 0.5:
+            kept.append(time)
+    return kept
+
+
+def _rise(time: FloatArray, size: FloatArray, touch: float) -> float | None:
+    """When the size of the force passes the middle between what it is before and after a touch, s."""
+    near = np.flatnonzero((time > touch - _RISE) & (time < touch + _RISE))
+    early, late = near[time[near] < touch - 0.5 * _RISE], near[time[near] > touch + 0.5 * _RISE]
+    if len(early) < 3 or len(late) < 3:
+        return None
+    before, after = float(np.median(size[early])), float(np.median(size[late]))
+    inside = size[near]
+    noise = 1.4826 * float(np.median(np.abs(np.diff(inside)))) + 1e-9
+    if after - before < 4.0 * noise:
+        return None
+    level = 0.5 * (before + after)
+    above = inside > level
+    # The step that parts the rows best: fewest above before it, fewest below after it.
+    wrong = np.append(0, np.cumsum(above)) + np.append(np.cumsum(~above[::-1])[::-1], 0)
+    step = int(np.argmin(wrong))
+    if not 0 < step < len(near):
+        return None
+    one, two = near[step - 1], near[step]
+    share = (level - size[one]) / (size[two] - size[one]) if size[two] > size[one] else 0.5
+    return float(time[one] + np.clip(share, 0.0, 1.0) * (time[two] - time[one]))
+
+
+def free_force(
+    setup: Setup, pose: Channel, tip: Channel, force: Channel
+) -> tuple[FloatArray, FloatArray, int] | None:
+    """What the sensor reads where nothing touches: (2,) N, (2,) standard error, and on how many rows; None
+    where there are too few of them."""
+    gap = gaps(setup, tip.at(force.time), pose.at(force.time))
+    begin, end = max(pose.time[0], tip.time[0]), min(pose.time[-1], tip.time[-1])
+    free = gap > _FREE
+    near = force.time[~free]
+    if len(near):  # what was touched swings, and so does its sensor
+        after = np.searchsorted(near, force.time)
+        free &= (after == 0) | (force.time - near[np.maximum(after - 1, 0)] > _SWINGS)
+    away = np.hypot(*(tip.values - tip.values[0]).T) > _STARTED
+    started = tip.time[np.argmax(away)] if away.any() else tip.time[-1]
+    if float(np.percentile(gap, 1)) < -_DEPTH / 3.0:
+        free[:] = False  # the frames are wrong, and the finger is not where it seems to be
+    free |= (force.time < started) & (np.abs(gap) > _APART)
+    free &= (force.time >= begin) & (force.time <= end)
+    if int(free.sum()) < _FEWEST_FREE:
+        return None
+    values = force.values[free, :2]
+    middle = np.median(values, axis=0)
+    # Rows of a slow wander count together: about a tenth of them is independent.
+    spread = 1.4826 * np.median(np.abs(values - middle), axis=0)
+    return middle, spread / np.sqrt(max(len(values) / 10.0, 1.0)), len(values)
+
+
+def bias_matters(bias: FloatArray, error: FloatArray, force: Channel) -> bool:
+    """Whether a force without touch is more than chance, and more than a hundredth of what is measured."""
+    largest = float(np.percentile(np.hypot(*(force.values[:, :2] - bias).T), 99))
+    return bool((np.abs(bias) > _ERRORS * error).any() and np.hypot(*bias) > _SHARE * largest)

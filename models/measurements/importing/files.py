@@ -1,0 +1,82 @@
+"""Which files there are, and the reader of each kind."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+from pathlib import Path, PurePosixPath
+
+from slipmap.models.measurements.importing.array_files import (
+    read_hdf5,
+    read_matlab,
+    read_parquet,
+    read_zarr,
+)
+from slipmap.models.measurements.importing.bags import BAG_ENDINGS, read_bag
+from slipmap.models.measurements.importing.source import Reader, Source
+from slipmap.models.measurements.importing.text_tables import TEXT_ENDINGS, read_text
+from slipmap.models.measurements.push_dataset import DatasetError
+
+_READERS: dict[str, Reader] = {
+    ".mat": read_matlab,
+    ".h5": read_hdf5,
+    ".hdf5": read_hdf5,
+    ".parquet": read_parquet,
+    ".zarr": read_zarr,
+    **dict.fromkeys(TEXT_ENDINGS, read_text),
+}
+_PICKLES = (".pkl", ".pickle", ".npy", ".npz", ".pt", ".pth", ".joblib")
+KINDS = ", ".join(sorted({*_READERS, *BAG_ENDINGS})) + " and folders of ROS 2 bags"
+
+
+def find_files(paths: Sequence[Path]) -> dict[str, Path]:
+    """Files that can be read, by the names by which a setup.yaml may call them, in order: those of a folder
+    by their path in it.
+
+    Raises:
+        DatasetError: a path that is missing, a file of another kind, or a folder that holds none.
+    """
+    found: dict[str, Path] = {}
+    for path in paths:
+        if not path.exists():
+            raise DatasetError(f"{str(path)!r}: there is no such file or folder")
+        if not path.is_dir() or _is_table(path):
+            if not _is_table(path):
+                raise DatasetError(f"{path}: a file of a kind that is not read; {_instead(path)}")
+            inside = {path.name: path}
+        else:
+            inside = {
+                PurePosixPath(file.relative_to(path)).as_posix(): file
+                for file in sorted(path.rglob("*"))
+                if _is_table(file)
+                and not any(_is_table(folder) for folder in file.parents if folder.is_relative_to(path))
+                and not any(part.startswith(".") for part in file.relative_to(path).parts)
+            }
+            root = path.resolve()
+            outside = [name for name, file in inside.items() if not file.resolve().is_relative_to(root)]
+            if outside:
+                raise DatasetError(f"{path}: {outside[0]} is a link that leads out of the folder")
+            if not inside:
+                raise DatasetError(f"{path}: holds no files that can be read; {KINDS}")
+        for name, file in inside.items():
+            found[name if name not in found else str(file)] = file
+    return found
+
+
+def _is_table(path: Path) -> bool:
+    if path.is_dir():
+        return path.suffix.lower() == ".zarr" or (path / "metadata.yaml").is_file()
+    return path.suffix.lower() in {*_READERS, *BAG_ENDINGS}
+
+
+def _instead(path: Path) -> str:
+    if path.suffix.lower() in _PICKLES:
+        return "such files can hold programs and are never loaded; write a table as CSV, HDF5 or parquet"
+    return f"there are readers for {KINDS}"
+
+
+def read_sources(path: Path, where: str, wanted: Collection[str] = ()) -> list[Source]:
+    """The tables of a file; of a bag the wanted topics alone, if any are named. Raises DatasetError."""
+    ending = path.suffix.lower()
+    if ending in BAG_ENDINGS or (path.is_dir() and ending != ".zarr"):
+        return read_bag(path, where, wanted)
+    return _READERS[ending](path, where)

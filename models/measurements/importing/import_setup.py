@@ -1,0 +1,277 @@
+"""What a setup.yaml says: beside object, finger, table and noise, as a dataset.yaml, where object pose,
+finger and force are in a laboratory's files, and how they are measured.
+
+The three channels are called as in a dataset: `object_pose`, `tip_pose` and `ft_wrench`. Keys that hold for
+all of them may stand at the top.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any, Literal
+
+import numpy as np
+
+from slipmap.models.measurements import csv_files, parsing
+from slipmap.models.measurements.parsing import Number
+from slipmap.models.measurements.push_dataset import CHANNELS, DatasetError, Setup
+from slipmap.models.measurements.setup_description import SETUP_KEYS, parse_setup
+from slipmap.models.physics.cell_grid import FloatArray
+
+UPWARD = ("z", "y", "x", "-z", "-y", "-x")
+"""Axes of a source that may point up."""
+
+CONTACT = "contact"
+"""For `clock` and, of the force, `frame`: what makes contact fit."""
+
+UNITS: Mapping[str, Mapping[str, float]] = {
+    "position": csv_files.LENGTHS,
+    "angle": csv_files.ANGLES,
+    "force": csv_files.FORCES,
+    "torque": csv_files.TORQUES,
+    "time": csv_files.TIMES,
+}
+"""What a unit may be of, and how much of the SI unit each is."""
+
+_SHARED = ("source", "time", "rate", "unit", "up", "frame", "push")
+_RATE = Number("Hz", 1e-3, 1e6)
+
+
+@dataclass(frozen=True)
+class ChannelSetup:
+    """Where a channel is in the files, and how it was measured."""
+
+    source: str = "*"  # pattern of the files' names
+    part: str = ""  # topic, rigid body or path inside the file
+    time: tuple[str, ...] = ()  # column of time, or those of seconds and nanoseconds
+    rate: float | None = None  # rows a second, where the file has frame numbers or no time at all, Hz
+    push: str = ""  # column that numbers pushes
+    # The columns of each: a name each, or one name whose x, y, z they are; empty where the file's kind tells.
+    position: tuple[str, ...] = ()
+    angle: tuple[str, ...] = ()
+    quaternion: tuple[str, ...] = ()  # x, y, z, w
+    rotation_vector: tuple[str, ...] = ()
+    force: tuple[str, ...] = ()
+    torque: tuple[str, ...] = ()
+    unit: Mapping[str, float] = field(default_factory=dict)  # SI units in one of each quantity
+    up: str = ""  # which axis points up; as the kind of file has it, else z
+    frame: FloatArray | None = None  # (4, 4) pose of the source's frame in the table's; None is equal
+    turned_by_contact: bool = False  # whether the force is turned to fit the contact
+    sign: float = 1.0  # of the angle, or of the force
+    offset: FloatArray | None = None  # where outline or finger sit in the tracked frame; the force's bias
+    clock: float | Literal["contact"] | None = None  # added to stamps, s; None is whatever is known
+    named: bool = True  # whether the setup speaks of it; else it is taken where its usual columns are
+    usual: Mapping[str, tuple[str, ...]] = field(default_factory=dict)  # columns under the key `csv`
+
+
+@dataclass(frozen=True)
+class ImportSetup:
+    """A setup.yaml."""
+
+    setup: Setup
+    channels: Mapping[str, ChannelSetup]  # by name, in the order of CHANNELS
+    warnings: tuple[str, ...]
+
+    @property
+    def parts(self) -> tuple[str, ...]:
+        """Topics that are wanted of bags; empty where some channel names none."""
+        named = [channel.part for channel in self.channels.values() if channel.named]
+        return tuple(named) if named and all(named) else ()
+
+
+def parse_import_setup(
+    document: dict[str, Any], where: str, default_name: str, described: dict[str, Any] | None = None
+) -> ImportSetup:
+    """A setup.yaml out of its parsed mapping.
+
+    Args:
+        document: keys of `SETUP_KEYS`, `csv`, the names of channels, and what channels share.
+        where: the file, for error texts.
+        default_name: of the dataset, where the document gives none.
+        described: keys `object` and `finger` where the document has none.
+
+    Raises:
+        DatasetError: a key that is missing, unknown or wrong. A slip of the pen in a transform would make all
+            numbers wrong, so that unknown keys are refused.
+    """
+    known = {*SETUP_KEYS, *CHANNELS, *_SHARED, "csv"}
+    unknown = parsing.unknown_keys(document, known, where)
+    if unknown:
+        raise DatasetError("; ".join(unknown).replace("unknown and ignored", "unknown"))
+    told = {key: value for key, value in (described or {}).items() if key in (*SETUP_KEYS, "csv")}
+    document = told | document
+    setup, warnings = parse_setup(document, where, default_name)
+    columns = csv_files.parse_columns(document.get("csv"), f"{where}: csv")
+    shared = {key: document[key] for key in _SHARED if key in document}
+    channels = {}
+    for name in CHANNELS:
+        if name in document and document[name] is None:
+            continue  # it was not measured, whatever columns there are
+        place = f"{where}: {name}"
+        said = parsing.mapping(document.get(name, {}), place)
+        entry = {key: value for key, value in shared.items() if key not in said} | said
+        found = _channel(name, entry, place)
+        usual, unit = _usual(name, columns)
+        channels[name] = replace(found, unit={**unit, **found.unit}, usual=usual, named=name in document)
+    if "object_pose" not in channels:
+        raise DatasetError(f"{where}: `object_pose` is null; without the object's pose nothing is learnt")
+    return ImportSetup(setup, channels, tuple(warnings))
+
+
+def _usual(name: str, columns: csv_files.CsvColumns) -> tuple[dict[str, tuple[str, ...]], dict[str, float]]:
+    """The columns of a channel by the key `csv`, and their units where they are not SI."""
+    names = [columns.names[ours] for ours in CHANNELS[name]]
+    kinds = ("force", "force", "torque") if name == "ft_wrench" else ("position", "position", "angle")
+    usual: dict[str, tuple[str, ...]] = {"time": (columns.names["t"],)}
+    unit = {"time": columns.factors["t"]}
+    for kind, ours, theirs in zip(kinds, CHANNELS[name], names, strict=False):
+        usual[kind] = (*usual.get(kind, ()), theirs)
+        unit[kind] = columns.factors[ours]
+    return usual, {kind: factor for kind, factor in unit.items() if factor != 1.0}
+
+
+def _channel(name: str, entry: dict[str, Any], where: str) -> ChannelSetup:
+    """A channel as `entry` says."""
+    force = name == "ft_wrench"
+    columns = ("force", "torque") if force else ("position", "angle", "quaternion", "rotation_vector")
+    allowed = {*_SHARED, "part", "sign", "offset", "clock", *columns}
+    unknown = parsing.unknown_keys(entry, allowed, where)
+    if unknown:
+        raise DatasetError("; ".join(unknown).replace("unknown and ignored", "unknown"))
+    turns = [key for key in columns[1:] if key in entry]
+    if not force and len(turns) > 1:
+        raise DatasetError(f"{where}: gives {' and '.join(turns)}; a turn is said once")
+    found: dict[str, Any] = {}
+    for key, value in entry.items():
+        place = f"{where}.{key}"
+        if key in ("source", "part", "push"):
+            found[key] = _name(value, place)
+        elif key in _COUNTS:
+            found[key] = _names(value, _COUNTS[key], place)
+        else:
+            found |= _OTHERS[key](value, place, force)
+    if "turned_by_contact" in found and not force:
+        raise DatasetError(f"{where}.frame: only a force is turned to fit the contact; give its pose")
+    return ChannelSetup(**found)
+
+
+_COUNTS = {
+    "time": (1, 2), "position": (1, 2, 3), "angle": (1,), "quaternion": (1, 4), "rotation_vector": (1, 3),
+    "force": (1, 2, 3), "torque": (1,),
+}  # fmt: skip
+"""How many columns each may be given by."""
+
+
+def _name(value: object, where: str) -> str:
+    """The name of a file, of a part or of a column, which may be a number."""
+    if isinstance(value, int) and not isinstance(value, bool) and value >= 0:
+        return str(value)
+    return parsing.text(value, where)
+
+
+def _names(value: object, counts: Sequence[int], where: str) -> tuple[str, ...]:
+    listed = value if isinstance(value, list) else [value]
+    if len(listed) not in counts:
+        wanted = " or ".join(map(str, counts))
+        raise DatasetError(f"{where}: {wanted} columns are wanted, got {parsing.shown(value)}")
+    return tuple(_name(one, where) for one in listed)
+
+
+def _rate(value: object, where: str, force: bool) -> dict[str, Any]:
+    return {"rate": _RATE.read(value, where)}
+
+
+def _unit(value: object, where: str, force: bool) -> dict[str, Any]:
+    """A unit alone is that of the position or of the force."""
+    if isinstance(value, str):
+        kinds = ("force",) if force and value in UNITS["force"] else ("position",)
+        said = {kind: value for kind in kinds}
+    else:
+        said = parsing.mapping(value, where)
+    result = {}
+    for kind, unit in said.items():
+        if kind not in UNITS:
+            raise DatasetError(f"{where}: {parsing.shown(kind)} has no unit; there are {', '.join(UNITS)}")
+        if not isinstance(unit, str) or unit not in UNITS[kind]:
+            place = where if isinstance(value, str) else f"{where}.{kind}"
+            raise DatasetError(f"{place}: must be one of {', '.join(UNITS[kind])}, got {parsing.shown(unit)}")
+        result[kind] = UNITS[kind][unit]
+    return {"unit": result}
+
+
+def _up(value: object, where: str, force: bool) -> dict[str, Any]:
+    if value not in UPWARD:
+        raise DatasetError(f"{where}: must be one of {', '.join(UPWARD)}, got {parsing.shown(value)}")
+    return {"up": value}
+
+
+def _frame(value: object, where: str, force: bool) -> dict[str, Any]:
+    """x, y and an angle; x, y, z and a quaternion; or a matrix of four rows."""
+    if value == CONTACT:
+        return {"turned_by_contact": True}
+    if not isinstance(value, list):
+        raise DatasetError(
+            f"{where}: the pose of the source's frame in the table's is [x, y, theta], m and rad (or 45 deg),"
+            f" [x, y, z, qx, qy, qz, qw] or a matrix of four rows, got {parsing.shown(value)}"
+        )
+    pose = np.eye(4)
+    if len(value) == 4:
+        pose = parsing.table(value, 4, where)
+    elif len(value) == 3:
+        x, y = parsing.number(value[0], where), parsing.number(value[1], where)
+        c, s = math.cos(angle := _angle(value[2], where)), math.sin(angle)
+        pose[:3] = [[c, -s, 0.0, x], [s, c, 0.0, y], [0.0, 0.0, 1.0, 0.0]]
+    elif len(value) == 7:
+        from scipy.spatial.transform import Rotation
+
+        numbers = np.array([parsing.number(one, where) for one in value])
+        if abs(np.linalg.norm(numbers[3:]) - 1.0) > 0.01:
+            raise DatasetError(f"{where}: qx, qy, qz, qw must have the length 1")
+        pose[:3, :3], pose[:3, 3] = Rotation.from_quat(numbers[3:]).as_matrix(), numbers[:3]
+    else:
+        raise DatasetError(f"{where}: 3, 7 or 4 by 4 numbers are wanted, got {parsing.shown(value)}")
+    turn = pose[:3, :3]
+    if not (np.isfinite(pose).all() and np.allclose(turn @ turn.T, np.eye(3), atol=1e-3)
+            and np.linalg.det(turn) > 0.0 and np.allclose(pose[3], [0, 0, 0, 1])):  # fmt: skip
+        raise DatasetError(f"{where}: is no pose; a turn has orthogonal rows of length 1, right-handed")
+    return {"frame": pose}
+
+
+def _angle(value: object, where: str) -> float:
+    """rad, or a text such as `45 deg`."""
+    match = re.fullmatch(r"\s*([-+\d.]+)\s*(deg|rad)\s*", value) if isinstance(value, str) else None
+    if match is None:
+        return parsing.number(value, where)
+    try:
+        return float(match[1]) * csv_files.ANGLES[match[2]]
+    except ValueError:
+        raise DatasetError(f"{where}: {parsing.shown(value)} is no angle") from None
+
+
+def _sign(value: object, where: str, force: bool) -> dict[str, Any]:
+    if value not in (1, -1) or isinstance(value, bool):
+        raise DatasetError(f"{where}: must be 1 or -1, got {parsing.shown(value)}")
+    return {"sign": float(value)}
+
+
+def _offset(value: object, where: str, force: bool) -> dict[str, Any]:
+    if not isinstance(value, list) or len(value) not in (2, 3):
+        said = "[fx, fy], N" if force else "[x, y], [x, y, theta] of the object or [x, y, z] of the finger, m"
+        raise DatasetError(f"{where}: must be {said}, got {parsing.shown(value)}")
+    numbers = [parsing.number(one, where) for one in value[:2]]
+    return {"offset": np.array([*numbers, *(_angle(one, where) for one in value[2:])])}
+
+
+def _clock(value: object, where: str, force: bool) -> dict[str, Any]:
+    if value == CONTACT:
+        return {"clock": CONTACT}
+    return {"clock": parsing.number(value, f"{where} (s that are added to the stamps, or contact)")}
+
+
+_OTHERS: Mapping[str, Callable[[object, str, bool], dict[str, Any]]] = {
+    "rate": _rate, "unit": _unit, "up": _up, "frame": _frame, "sign": _sign, "offset": _offset,
+    "clock": _clock,
+}  # fmt: skip

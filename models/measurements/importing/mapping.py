@@ -1,0 +1,347 @@
+"""From a table of a file to a channel: poses of the object, positions of the finger or forces on the object,
+in the table's frame, SI units, rows in order of time."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from slipmap.models.geometry import compose
+from slipmap.models.measurements.csv_files import LENGTHS
+from slipmap.models.measurements.importing.import_setup import ChannelSetup
+from slipmap.models.measurements.importing.source import Source
+from slipmap.models.measurements.importing.text_tables import seconds
+from slipmap.models.measurements.push_dataset import DatasetError
+from slipmap.models.physics.cell_grid import FloatArray
+
+_SUFFIXES: dict[str, tuple[tuple[str, ...], ...]] = {
+    "position": ((".x", ".y", ".z"), ("_x", "_y", "_z"), ("_0", "_1", "_2"), (".0", ".1", ".2")),
+    "force": ((".x", ".y", ".z"), ("_x", "_y", "_z"), ("_0", "_1", "_2"), (".0", ".1", ".2")),
+    "rotation_vector": ((".x", ".y", ".z"), ("_x", "_y", "_z"), ("_3", "_4", "_5"), (".3", ".4", ".5"),
+                        ("_0", "_1", "_2"), (".0", ".1", ".2")),
+    "quaternion": ((".x", ".y", ".z", ".w"), ("_x", "_y", "_z", "_w"), ("_0", "_1", "_2", "_3"),
+                   (".0", ".1", ".2", ".3")),
+}  # fmt: skip
+"""What follows one name that stands for several columns."""
+
+_OWN: dict[str, tuple[tuple[str, ...], ...]] = {
+    "position": (("x", "y", "z"), ("x", "y")),
+    "quaternion": (("qx", "qy", "qz", "qw"),),
+    "rotation_vector": (("rx", "ry", "rz"),),
+    "angle": (("theta",), ("yaw",)),
+    "force": (("fx", "fy", "fz"), ("fx", "fy")),
+    "torque": (),
+}
+"""Names of columns that say themselves what they are."""
+
+_MESSAGES: dict[str, tuple[str, ...]] = {
+    "position": ("position", "translation", "point"),
+    "quaternion": ("orientation", "rotation"),
+    "force": ("force",),
+}
+"""Fields of messages whose x, y, z (and w) they are."""
+
+TIMES = ("t", "time", "timestamp", "stamp", "Time", "Timestamp", "time_s", "Time (Seconds)")
+
+_LEVEL = np.radians(15.0)  # beyond which a turn about the vertical says little
+_FLAT = 5e-3  # m by which a height may vary
+_COMES_BACK = 1e-6  # s
+_LIFTED = 0.01  # m above where the finger pushes
+
+_TO_TABLE = {
+    "z": np.eye(3),
+    "-z": np.diag([1.0, -1.0, -1.0]),
+    "y": np.array([[1.0, 0, 0], [0, 0, -1.0], [0, 1.0, 0]]),
+    "-y": np.array([[1.0, 0, 0], [0, 0, 1.0], [0, -1.0, 0]]),
+    "x": np.array([[0, 1.0, 0], [0, 0, 1.0], [1.0, 0, 0]]),
+    "-x": np.array([[0, 1.0, 0], [0, 0, -1.0], [-1.0, 0, 0]]),
+}
+"""Turns by which the axis that points up becomes z: of y, (X, Y, Z) becomes (X, -Z, Y)."""
+
+
+@dataclass(frozen=True, eq=False)
+class Mapped:
+    """A channel of a recording."""
+
+    table: FloatArray  # (T, 4) t, x, y, theta or t, fx, fy, tau
+    done: list[str] = field(default_factory=list)  # what was done, for the provenance
+    doubts: list[str] = field(default_factory=list)
+    lifted: FloatArray = field(default_factory=lambda: np.zeros(0))  # times of a finger that is up in the air
+
+
+def is_there(source: Source, name: str, channel: ChannelSetup) -> bool:
+    """Whether a table has the columns of a channel of which the setup does not speak."""
+    return _columns(source, "force" if name == "ft_wrench" else "position", channel, usual_only=True) != ()
+
+
+def mapped(source: Source, name: str, channel: ChannelSetup) -> Mapped:
+    """The rows of a channel.
+
+    Raises:
+        DatasetError: columns that are missing or hold no numbers, no clock, or no row at all.
+    """
+    time, concluded = _time(source, channel)
+    done = [concluded] if concluded else []
+    height = np.zeros(0)
+    doubts: list[str] = []
+    up = channel.up or source.up
+    if name == "ft_wrench":
+        values = _force(source, channel, up)
+        if channel.sign < 0:
+            values = -values
+            done.append("sign turned")
+    else:
+        values, height, more = _pose(source, name, channel, up)
+        doubts += more
+    table = np.column_stack([time, values])
+    lifted = np.zeros(0)
+    if name == "tip_pose" and np.isfinite(height).any():
+        lifted = time[height > np.nanpercentile(height, 1) + _LIFTED]
+        if len(lifted):
+            done.append(f"while {1e3 * _LIFTED:.0f} mm above its lowest, the finger touches nothing")
+    table, order = _in_order(table, name)
+    doubts += [f"{source.where}: {text}" for text in order]
+    if not np.isfinite(table).all(axis=1).any() and not np.isfinite(table[:, :3]).all(axis=1).any():
+        raise DatasetError(f"{source.where}: no row of {name} holds numbers in all its columns")
+    done += _said(channel, up, source)
+    return Mapped(table, done, doubts, lifted)
+
+
+def _said(channel: ChannelSetup, up: str, source: Source) -> Iterator[str]:
+    if up != "z":
+        yield f"{up} is up" + ("" if channel.up else ", as such files have it unless `up` says else")
+    if not channel.unit.get("position") and source.length != "m":
+        yield f"lengths are in {source.length}, as the file says"
+    if channel.frame is not None:
+        yield "moved into the table's frame"
+    if channel.offset is not None:
+        yield f"offset {np.round(channel.offset, 5).tolist()} taken off"
+
+
+# Columns.
+
+
+def _columns(source: Source, kind: str, channel: ChannelSetup, usual_only: bool = False) -> tuple[str, ...]:
+    """The columns of a quantity; () where there are none."""
+    said = getattr(channel, kind)
+    if said:
+        return _expanded(source, kind, said)
+    usual = channel.usual.get(kind, ())
+    if usual and all(name in source.columns for name in usual):
+        return usual
+    if usual_only:
+        return ()
+    for own in _OWN[kind]:
+        if all(name in source.columns for name in own):
+            return own
+    for message in _MESSAGES.get(kind, ()):
+        suffix = _SUFFIXES[kind][0]
+        ends = [name for name in source.columns if re.fullmatch(rf"(.*\.)?{message}\{suffix[0]}", name)]
+        if len(ends) == 1:
+            columns = tuple(ends[0][: -len(suffix[0])] + end for end in suffix)
+            return columns if kind == "quaternion" else tuple(c for c in columns if c in source.columns)
+    return ()
+
+
+def _expanded(source: Source, kind: str, said: Sequence[str]) -> tuple[str, ...]:
+    """Columns by their names; one name of several columns stands for those that begin with it."""
+    if kind in _SUFFIXES and len(said) == 1:
+        (stem,) = said
+        for suffix in _SUFFIXES[kind]:
+            columns = tuple(stem + end for end in suffix)
+            present = [column in source.columns for column in columns]
+            if all(present):
+                return columns
+            if kind in ("position", "force") and all(present[:2]):
+                return columns[:2]
+        raise DatasetError(
+            f"{source.where}: there are no columns {stem}.x, {stem}.y or {stem}_0, {stem}_1; {source.listed}"
+        )
+    return tuple(source.name_of(column) for column in said)
+
+
+def _needed(source: Source, kind: str, channel: ChannelSetup, name: str) -> tuple[str, ...]:
+    columns = _columns(source, kind, channel)
+    if not columns:
+        raise DatasetError(f"{source.where}: which columns are the {kind} of {name}? {source.listed}")
+    return columns
+
+
+def _time(source: Source, channel: ChannelSetup) -> tuple[FloatArray, str]:
+    unit = channel.unit.get("time")
+    if channel.rate is not None:
+        frames = source.numbers(channel.time[0]) if channel.time else np.arange(float(len(source)))
+        return frames / channel.rate, f"frames counted as {channel.rate:g} Hz"
+    if channel.time:
+        return seconds(source, [source.name_of(column) for column in channel.time], unit)
+    if source.time is not None:
+        return source.time, ""
+    for name in (*channel.usual.get("time", ()), *TIMES):
+        if name in source.columns:
+            return seconds(source, [name], unit)
+    raise DatasetError(
+        f"{source.where}: which column is the time? Say `time`, or `rate` in Hz where rows are evenly apart;"
+        f" {source.listed}"
+    )
+
+
+# Poses.
+
+
+def _pose(
+    source: Source, name: str, channel: ChannelSetup, up: str
+) -> tuple[FloatArray, FloatArray, list[str]]:
+    """(T, 3) x, y, theta on the table, (T,) height above it, NaN where unknown, and what looks wrong."""
+    columns = _needed(source, "position", channel, name)
+    scale = channel.unit.get("position", LENGTHS[source.length])
+    position = scale * np.column_stack([source.numbers(column) for column in columns])
+    doubts = []
+    turn = _turns(source, channel, name)
+    known_height = position.shape[1] == 3
+    if not known_height:
+        position = np.column_stack([position, np.zeros(len(position))])
+        if up not in ("z", "-z") and channel.up:
+            raise DatasetError(
+                f"{source.where}: {name}: with up: {up} the position needs x, y and z, not two columns"
+            )
+    else:
+        doubts += _wrong_axis(position, up, source, name)
+    to_table = _TO_TABLE[up]
+    frame = np.eye(4) if channel.frame is None else channel.frame
+    whole = frame[:3, :3] @ to_table
+    place = position @ whole.T + frame[:3, 3]
+    if isinstance(turn, tuple):
+        turns, known = turn
+        matrices = whole @ turns @ to_table.T
+        theta = np.where(known, np.arctan2(matrices[:, 1, 0], matrices[:, 0, 0]), np.nan)
+        tilt = np.arccos(np.clip(matrices[known][:, 2, 2], -1.0, 1.0))
+        if name == "object_pose" and len(tilt) and np.median(tilt) > _LEVEL:
+            doubts.append(
+                f"{source.where}: the object's frame tilts by {np.degrees(np.median(tilt)):.0f}° against the"
+                " table; is `up` right, and does the tracked frame lie flat?"
+            )
+    else:
+        heading = np.arctan2(frame[1, 0], frame[0, 0])
+        theta = heading + channel.sign * turn
+        matrices = None
+    if isinstance(turn, tuple):
+        theta = channel.sign * theta
+    values = np.column_stack([place[:, :2], theta])
+    height = place[:, 2] if known_height else np.full(len(place), np.nan)
+    return _offset_taken_off(values, channel, name, matrices, up), height, doubts
+
+
+def _turns(
+    source: Source, channel: ChannelSetup, name: str
+) -> FloatArray | tuple[FloatArray, NDArray[np.bool_]]:
+    """(T,) angles, or (T, 3, 3) turns with (T,) whether they are known."""
+    from scipy.spatial.transform import Rotation
+
+    kinds = ("quaternion", "rotation_vector", "angle")
+    said = [kind for kind in kinds if getattr(channel, kind)]
+    usual = channel.usual.get("angle", ())
+    if not said and usual and all(column in source.columns for column in usual):
+        said = ["angle"]
+    for kind in said or kinds:
+        columns = _columns(source, kind, channel)
+        if not columns:
+            continue
+        cells = np.column_stack([source.numbers(column) for column in columns])
+        if kind == "angle":
+            return np.asarray(channel.unit.get("angle", 1.0) * cells[:, 0])
+        known = np.asarray(np.isfinite(cells).all(axis=1))
+        if kind == "quaternion":
+            known = known & (np.linalg.norm(cells, axis=1) > 0.5)
+        turns = np.tile(np.eye(3), (len(cells), 1, 1))
+        if known.any():
+            make = Rotation.from_quat if kind == "quaternion" else Rotation.from_rotvec
+            scale = 1.0 if kind == "quaternion" else channel.unit.get("angle", 1.0)
+            turns[known] = make(scale * cells[known]).as_matrix()
+        return turns, known
+    if name == "object_pose":
+        raise DatasetError(
+            f"{source.where}: which column is the object's angle, or its quaternion? {source.listed}"
+        )
+    return np.zeros(len(source))
+
+
+def _offset_taken_off(
+    values: FloatArray,
+    channel: ChannelSetup,
+    name: str,
+    matrices: FloatArray | None,
+    up: str,
+) -> FloatArray:
+    """Poses of the outline's frame, or positions of the finger's centre, instead of what was tracked."""
+    if channel.offset is None:
+        return values
+    offset = channel.offset
+    if name == "object_pose":
+        return compose(values, np.append(offset, np.zeros(3 - len(offset))))
+    if len(offset) == 3 and matrices is not None:
+        # In the tool's own axes.
+        shift = (matrices @ _TO_TABLE[up] @ offset)[:, :2]
+    else:
+        shift = offset[:2]
+    return np.column_stack([values[:, :2] + shift, values[:, 2]])
+
+
+def _wrong_axis(position: FloatArray, up: str, source: Source, name: str) -> list[str]:
+    """Whether another axis than the one that is to point up is that of constant height."""
+    known = position[np.isfinite(position).all(axis=1)]
+    if name != "object_pose" or len(known) < 10:
+        return []
+    spread = np.percentile(known, 95, axis=0) - np.percentile(known, 5, axis=0)
+    axis = "xyz".index(up[-1])
+    flattest = int(np.argmin(spread))
+    if flattest == axis or spread[axis] < _FLAT or spread[flattest] > 0.2 * spread[axis]:
+        return []
+    return [
+        f"{source.where}: the object's {up[-1]} varies by {1e3 * spread[axis]:.0f} mm and its"
+        f" {'xyz'[flattest]} by {1e3 * spread[flattest]:.1f} mm; is `up: {'xyz'[flattest]}` right?"
+    ]
+
+
+def _force(source: Source, channel: ChannelSetup, up: str) -> FloatArray:
+    """(T, 3) force on the table and torque; NaN where that was not measured."""
+    columns = _needed(source, "force", channel, "ft_wrench")
+    force = channel.unit.get("force", 1.0) * np.column_stack([source.numbers(name) for name in columns])
+    whole = _TO_TABLE[up]
+    if channel.frame is not None:
+        whole = channel.frame[:3, :3] @ whole
+    if force.shape[1] == 2:
+        if up not in ("z", "-z"):
+            raise DatasetError(f"{source.where}: ft_wrench: with up: {up} the force needs three columns")
+        force = np.column_stack([force, np.zeros(len(force))])
+    if channel.offset is not None:
+        force = force - np.append(channel.offset, np.zeros(3 - len(channel.offset)))
+    torque = np.full(len(force), np.nan)
+    if columns := _columns(source, "torque", channel):
+        torque = channel.unit.get("torque", 1.0) * source.numbers(columns[0])
+    return np.column_stack([(force @ whole.T)[:, :2], torque])
+
+
+# Rows.
+
+
+def _in_order(table: FloatArray, name: str) -> tuple[FloatArray, list[str]]:
+    """Rows with a time in its order, without those of one that stands twice, and what was amiss."""
+    rows = table[np.isfinite(table[:, 0]) & np.isfinite(table[:, 1:3]).all(axis=1)]
+    found = []
+    step = np.diff(rows[:, 0])
+    back = step < -_COMES_BACK
+    if back.any():
+        found.append(
+            f"stamps of {name} go back {int(back.sum())} times, by up to {-1e3 * step.min():.3g} ms; the rows"
+            " were sorted"
+        )
+        rows = rows[np.argsort(rows[:, 0], kind="stable")]
+    again = np.diff(rows[:, 0]) <= 1e-9
+    if again.any():
+        found.append(f"{int(again.sum())} rows of {name} have the stamp of the row before; left out")
+        rows = rows[np.append(True, ~again)]
+    return rows, found

@@ -1,0 +1,426 @@
+"""From files of a laboratory to a push dataset: which files belong together, one recording each, and the
+pushes in them."""
+
+from __future__ import annotations
+
+import logging
+import os
+import re
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from slipmap.models.geometry import angle_between, rotated
+from slipmap.models.measurements import parsing
+from slipmap.models.measurements.contact import contact_rows, middle_angle, normals_and_forces
+from slipmap.models.measurements.importing.clocks import (
+    Lag,
+    bias_matters,
+    finger_lag,
+    force_lag,
+    free_force,
+)
+from slipmap.models.measurements.importing.files import find_files, read_sources
+from slipmap.models.measurements.importing.import_setup import (
+    CONTACT,
+    ChannelSetup,
+    ImportSetup,
+    parse_import_setup,
+)
+from slipmap.models.measurements.importing.mapping import Mapped, is_there, mapped
+from slipmap.models.measurements.importing.source import Source
+from slipmap.models.measurements.parsing import Fingerprint
+from slipmap.models.measurements.push_dataset import CHANNELS, Channel, DatasetError, PushDataset, Trial
+from slipmap.models.measurements.reading import last_held_out, object_document
+from slipmap.models.measurements.sessions import cut_at_carries, cut_at_rests
+from slipmap.models.measurements.trial_checks import check_trials, trial_from_tables
+from slipmap.models.physics.cell_grid import FloatArray
+from slipmap.models.progress import StageProgress
+
+_LOG = logging.getLogger("slipmap.measurements")
+_EPOCH = 1e6  # s above which a clock counts from 1970, or another day long ago
+_NOWHERE = 100.0  # m from the object: where a finger is that is not there
+_LONGEST = 1e5  # s of a recording
+_MOST_LISTED = 40  # faults in one text
+
+Tables = dict[str, Mapped]
+
+
+def import_dataset(
+    sources: str | os.PathLike[str] | Sequence[str | os.PathLike[str]],
+    setup: str | os.PathLike[str],
+    *,
+    object_name: str | None = None,
+    progress: StageProgress | None = None,
+    tell: Callable[[str], object] = _LOG.warning,
+) -> PushDataset:
+    """A push dataset out of a laboratory's own files: motion-capture exports, robot logs, bags, tables.
+
+    Files that belong together are one recording: all that differ in the same text under the `*` of their
+    patterns. A recording is brought to one clock, cut into its pushes where the object rests and the finger
+    leaves, or is carried, and judged as `read_dataset` judges. What was done stands in the dataset's
+    `provenance`. The last quarter of the pushes is held out.
+
+    Args:
+        sources: files and folders.
+        setup: a setup.yaml: object and finger as in a dataset.yaml, and where pose, finger and force are; see
+            docs/import.md.
+        object_name: what was pushed, where the setup does not say it, as of `read_dataset`.
+        progress: called after each recording with the number done and the number of all.
+        tell: called with each warning.
+
+    Raises:
+        DatasetError: the setup is wrong, or files cannot be used: all that are wrong are named in one text.
+
+    Example:
+        >>> import pathlib, tempfile
+        >>> import slipmap
+        >>> folder = pathlib.Path(tempfile.mkdtemp())
+        >>> rows = [f"{t} {min(t, 50)} 0 0 {min(t, 50) - 26} 0" for t in range(80)]
+        >>> _ = (folder / "push.txt").write_text("k x y theta a b" + chr(10) + chr(10).join(rows))
+        >>> _ = (folder / "setup.yaml").write_text('''
+        ... object: {outline: [[-0.02, -0.02], [0.02, -0.02], [0.02, 0.02], [-0.02, 0.02]]}
+        ... finger: {radius: 0.006}
+        ... unit: mm
+        ... time: k
+        ... rate: 100
+        ... object_pose: {position: [x, y], angle: theta}
+        ... tip_pose: {position: [a, b]}
+        ... ''')
+        >>> dataset = slipmap.import_dataset(folder / "push.txt", folder / "setup.yaml")
+        >>> [trial.name for trial in dataset.trials], dataset.trials[0].tip_pose.values[0].round(3).tolist()
+        (['push.txt'], [-0.026, 0.0])
+    """
+    paths = [Path(one) for one in ([sources] if isinstance(sources, str | os.PathLike) else sources)]
+    where = str(setup)
+    content, document = parsing.read_yaml(Path(setup), where)
+    fingerprint = Fingerprint()
+    fingerprint.add("setup.yaml", content)
+    described = object_document(object_name, fingerprint) if object_name else None
+    said = parse_import_setup(document, where, Path(setup).stem, described)
+    files = find_files(paths)
+    groups = _recordings(files, said, where)
+    reader = _Files(files, said, fingerprint)
+    trials: list[Trial] = []
+    faults: list[str] = []
+    done: dict[str, list[str]] = {}
+    warnings = list(said.warnings)
+    for number, (name, group) in enumerate(groups.items(), 1):
+        try:
+            pushes, doubts, steps = _recording(name, group, said, reader)
+        except DatasetError as error:
+            faults.append(str(error))
+        else:
+            trials += pushes
+            warnings += doubts
+            for step in steps:
+                done.setdefault(step, []).append(name)
+        if progress is not None:
+            progress(number, len(groups))
+    if faults:
+        raise _all_told(faults, len(groups))
+    trials = last_held_out(trials)
+    kept, doubts = check_trials(said.setup, trials, where)
+    provenance = (
+        f"imported from {_listed(list(files))}",
+        *(step if len(names) == len(groups) else f"{_listed(names)}: {step}" for step, names in done.items()),
+        *warnings,
+    )
+    for warning in (*warnings, *doubts):
+        tell(warning)
+    return PushDataset(
+        **vars(said.setup), trials=tuple(kept), fingerprint=fingerprint.hexdigest(),
+        warnings=(*warnings, *doubts), provenance=tuple(" ".join(text.split()) for text in provenance),
+    )  # fmt: skip
+
+
+def _all_told(faults: Sequence[str], count: int) -> DatasetError:
+    unique = list(dict.fromkeys(faults))
+    if len(unique) == 1:
+        return DatasetError(unique[0])
+    more = f"; and {len(unique) - _MOST_LISTED} more" if len(unique) > _MOST_LISTED else ""
+    return DatasetError(
+        f"{len(faults)} of {count} recordings cannot be used: {'; '.join(unique[:_MOST_LISTED])}{more}"
+    )
+
+
+def _listed(names: Sequence[str]) -> str:
+    shown = ", ".join(names[:5])
+    return shown if len(names) <= 5 else f"{shown} and {len(names) - 5} more"
+
+
+# Which files belong together.
+
+
+def _recordings(files: Mapping[str, Path], said: ImportSetup, where: str) -> dict[str, dict[str, str]]:
+    """The file of each channel, for each recording, which is called after the file of the poses."""
+    keyed = {
+        name: {key: file for file in files if (key := _key(channel.source, file)) is not None}
+        for name, channel in said.channels.items()
+    }
+    for name, found in keyed.items():
+        if not found and said.channels[name].named:
+            raise DatasetError(
+                f"{where}: {name}.source: no file is called {parsing.shown(said.channels[name].source)};"
+                f" there are {_listed(list(files))}"
+            )
+    groups: dict[str, dict[str, str]] = {}
+    for key, file in keyed["object_pose"].items():
+        group = {}
+        for name, found in keyed.items():
+            if key in found:
+                group[name] = found[key]
+            elif len(found) == 1:  # one file for all recordings, such as a robot's log of the day
+                group[name] = next(iter(found.values()))
+            elif said.channels[name].named:
+                raise DatasetError(
+                    f"{where}: {name}.source: no file goes with {file}; under the * of both patterns the"
+                    " same text has to stand"
+                )
+        groups[file] = group
+    return groups
+
+
+def _key(pattern: str, name: str) -> str | None:
+    """What stands under the `*` of a pattern in a file's name; None where it does not fit."""
+    expression = ".*".join(re.escape(part) for part in pattern.split("*"))
+    match = re.fullmatch(expression.replace(".*", "(.*)"), name)
+    if match is None and "/" not in pattern:
+        match = re.fullmatch(expression.replace(".*", "(.*)"), name.rpartition("/")[2])
+        if match is not None and match.groups():
+            return "/".join((name.rpartition("/")[0], *match.groups()))
+    return None if match is None else "/".join(match.groups())
+
+
+class _Files:
+    """Tables of files, each read once; only the last few are kept."""
+
+    def __init__(self, files: Mapping[str, Path], said: ImportSetup, fingerprint: Fingerprint) -> None:
+        self._files, self._said, self._fingerprint = files, said, fingerprint
+        self._read: dict[str, list[Source]] = {}
+        self._added: set[str] = set()
+
+    def tables(self, name: str) -> list[Source]:
+        """The tables of a file. Raises DatasetError."""
+        if name not in self._read:
+            path = self._files[name]
+            while len(self._read) > len(CHANNELS):
+                self._read.pop(next(iter(self._read)))
+            self._read[name] = read_sources(path, str(path), self._said.parts)
+            if name not in self._added:
+                self._added.add(name)
+                for file in sorted(path.rglob("*")) if path.is_dir() else [path]:
+                    if file.is_file():
+                        self._fingerprint.add(name, file.read_bytes())
+        return self._read[name]
+
+    def table(self, file: str, channel: ChannelSetup) -> Source:
+        """The table of a channel. Raises DatasetError where it is not clear which one is meant."""
+        tables = self.tables(file)
+        if channel.part:
+            wanted = channel.part.strip("/").lower()
+            found = [table for table in tables if table.part.strip("/").lower() == wanted]
+            if not found:
+                found = [t for t in tables if t.part.strip("/").lower().split(":")[-1] == wanted]
+        else:
+            found = tables
+        if len(found) == 1 or (found and not channel.part and len(tables) == 1):
+            return found[0]
+        parts = _listed([table.part for table in tables])
+        if channel.part:
+            raise DatasetError(
+                f"{tables[0].file}: has no part {parsing.shown(channel.part)}; there are {parts}"
+            )
+        raise DatasetError(f"{tables[0].file}: has several parts; name one with `part`: {parts}")
+
+
+# One recording.
+
+
+def _recording(
+    name: str, group: Mapping[str, str], said: ImportSetup, reader: _Files
+) -> tuple[list[Trial], list[str], list[str]]:
+    """Pushes, what looks wrong, and what was done."""
+    sources: dict[str, Source] = {}
+    for channel, file in group.items():
+        how = said.channels[channel]
+        if not how.named and file != group["object_pose"]:
+            continue
+        if not how.named and channel != "object_pose" and len(reader.tables(file)) > 1:
+            continue
+        source = reader.table(file, how)
+        if how.named or channel == "object_pose" or is_there(source, channel, how):
+            sources[channel] = source
+    trials: list[Trial] = []
+    doubts: list[str] = []
+    steps: list[str] = []
+    for label, parts in _pushes_told_apart(name, sources, said):
+        found, more, done = _one_clock(label, parts, said)
+        trials += found
+        doubts += more
+        steps += done
+    return trials, doubts, list(dict.fromkeys(steps))
+
+
+def _pushes_told_apart(
+    name: str, sources: Mapping[str, Source], said: ImportSetup
+) -> Iterator[tuple[str, dict[str, Source]]]:
+    """The rows of each push by the column that numbers them, in the order in which pushes come."""
+    columns = {}
+    for channel, source in sources.items():
+        column = said.channels[channel].push or source.push or "push_id"
+        if column in source.columns:
+            columns[channel] = column
+        elif said.channels[channel].push:
+            source.name_of(column)
+    if "object_pose" not in columns:
+        yield name, dict(sources)
+        return
+    numbers = {channel: np.array(sources[channel].texts(column)) for channel, column in columns.items()}
+    for push in dict.fromkeys(numbers["object_pose"].tolist()):
+        if not push:
+            raise DatasetError(
+                f"{sources['object_pose'].where}: cells of {columns['object_pose']} are empty; say which push"
+                " each row belongs to"
+            )
+        yield (
+            f"{name}#{push}",
+            {
+                channel: source.chosen(np.flatnonzero(numbers[channel] == push))
+                if channel in numbers
+                else source
+                for channel, source in sources.items()
+            },
+        )
+
+
+def _one_clock(
+    name: str, sources: Mapping[str, Source], said: ImportSetup
+) -> tuple[list[Trial], list[str], list[str]]:
+    """Pushes of a recording whose channels are brought to the clock of the object's poses."""
+    setup = said.setup
+    found = {channel: mapped(source, channel, said.channels[channel]) for channel, source in sources.items()}
+    steps = [f"{channel}: {text}" for channel, one in found.items() for text in one.done]
+    doubts = [text for one in found.values() for text in one.doubts]
+    tables = {channel: one.table for channel, one in found.items()}
+    epochs = {channel: bool(len(rows) and rows[0, 0] > _EPOCH) for channel, rows in tables.items()}
+    zero = float(np.floor(tables["object_pose"][0, 0])) if epochs["object_pose"] else 0.0
+    for channel, rows in tables.items():
+        clock = said.channels[channel].clock
+        if isinstance(clock, float):
+            rows[:, 0] += clock
+            steps.append(f"{channel}: {clock:g} s added to the stamps")
+        rows[:, 0] -= zero
+    if zero:
+        steps.append(f"times count from {zero:.0f} s after 1970")
+    if "tip_pose" not in tables:
+        pose = tables["object_pose"]
+        tables["tip_pose"] = np.array([[pose[0, 0], pose[0, 1] + _NOWHERE, pose[0, 2], 0.0]])
+        steps.append("there is no finger")
+    trial, more = trial_from_tables(name, "fit", tables, name, longest=_LONGEST)
+    doubts += more
+    if "tip_pose" in found and len(found["tip_pose"].lifted):
+        trial = _far_where_lifted(trial, found["tip_pose"].lifted, said, zero)
+    for channel in ("tip_pose", "ft_wrench"):
+        if channel not in sources:
+            continue
+        clock = said.channels[channel].clock
+        other_file = sources[channel].file != sources["object_pose"].file
+        if clock == CONTACT or (clock is None and other_file):
+            near = epochs["object_pose"] and epochs[channel] and clock is None
+            trial, said_of_it = _aligned(trial, channel, said, near)
+            (steps if said_of_it.startswith(channel) else doubts).append(said_of_it)
+    if trial.ft_wrench is not None and trial.has_finger:
+        trial, more = _force_at_rest(trial, said)
+        steps += more
+        if said.channels["ft_wrench"].turned_by_contact:
+            trial, text = _turned(trial, said)
+            steps.append(text)
+    pushes, cuts = cut_at_carries(setup, [trial], name)
+    steps += ["cut where the object is carried while the finger is away"] if cuts else []
+    parted = [piece for push in pushes for piece in cut_at_rests(setup, push)]
+    if len(parted) > len(pushes):
+        steps.append("cut where the object rests and the finger leaves it")
+    parted = [_lowered(piece) for piece in parted]
+    if len(parted) > 1 and parted[0].name != name:
+        parted = [replace(push, name=f"{name}#{number}") for number, push in enumerate(parted, 1)]
+    return parted, doubts, steps
+
+
+def _far_where_lifted(trial: Trial, lifted: FloatArray, said: ImportSetup, zero: float) -> Trial:
+    """The trial with a finger that is far away while it is up in the air, where it may cross the object."""
+    clock = said.channels["tip_pose"].clock
+    shift = (clock if isinstance(clock, float) else 0.0) - zero
+    tip = trial.tip_pose
+    far = np.isin(tip.time, lifted + shift)
+    return replace(trial, tip_pose=Channel(tip.time, tip.values + np.where(far, _NOWHERE, 0.0)[:, None]))
+
+
+def _lowered(trial: Trial) -> Trial:
+    """The trial without rows of a finger that is up in the air; with them where there are no others."""
+    tip = trial.tip_pose
+    away = tip.values - trial.object_pose.at(tip.time)[:, :2]
+    down = np.hypot(*away.T) < 0.5 * _NOWHERE
+    return replace(trial, tip_pose=Channel(tip.time[down], tip.values[down])) if down.any() else trial
+
+
+def _aligned(trial: Trial, channel: str, said: ImportSetup, near: bool) -> tuple[Trial, str]:
+    """The trial with a channel's stamps on the clock of the object's poses, and how they came there."""
+    pose, tip, force = trial.object_pose, trial.tip_pose, trial.ft_wrench
+    lag: Lag | None
+    if channel == "tip_pose":
+        lag = finger_lag(said.setup, pose, tip, near)
+    else:
+        assert force is not None
+        lag = force_lag(said.setup, pose, tip, force, near)
+    if lag is None:
+        stays = _overlap(pose, tip if channel == "tip_pose" else force)
+        text = (
+            f"{trial.name}: contact does not tell the clock of {channel} from that of object_pose; are"
+            f" frames, outline and finger.radius right? Say {channel}.clock, the s to add to its stamps"
+        )
+        if not stays:
+            raise DatasetError(text)
+        return trial, f"{text}. The stamps were left as they are"
+    moved = trial.tip_pose if channel == "tip_pose" else force
+    assert moved is not None
+    channels = {channel: Channel(moved.time + lag.value, moved.values)}
+    text = f"{channel}: {lag.value:.4f} s added to the stamps, {lag.text} (± {1e3 * lag.error:.1f} ms)"
+    return replace(trial, **channels), text  # type: ignore[arg-type]
+
+
+def _overlap(pose: Channel, other: Channel | None) -> bool:
+    return other is not None and bool(other.time[-1] > pose.time[0] and other.time[0] < pose.time[-1])
+
+
+def _force_at_rest(trial: Trial, said: ImportSetup) -> tuple[Trial, list[str]]:
+    """The trial without what its force sensor reads where nothing touches."""
+    force = trial.ft_wrench
+    assert force is not None
+    if said.channels["ft_wrench"].offset is not None:
+        return trial, []
+    free = free_force(said.setup, trial.object_pose, trial.tip_pose, force)
+    if free is None:
+        return trial, ["ft_wrench: no rows before touch, so that its bias is not known and nothing taken off"]
+    bias, error, count = free
+    size = f"({bias[0]:.3f}, {bias[1]:.3f}) N on {count} rows without touch"
+    if not bias_matters(bias, error, force):
+        return trial, [f"ft_wrench: reads {size}, which is no bias; left as it is"]
+    values = force.values - np.append(bias, 0.0)
+    return replace(trial, ft_wrench=Channel(force.time, values)), [f"ft_wrench: bias {size} taken off"]
+
+
+def _turned(trial: Trial, said: ImportSetup) -> tuple[Trial, str]:
+    """The trial with its force turned so that it points along the contact's normal on the whole."""
+    rows = contact_rows(said.setup, trial)
+    normal, force, _ = normals_and_forces(said.setup, [rows] if rows is not None else [])
+    if len(force) < 10:
+        raise DatasetError(f"{trial.name}: too few rows with a force at a contact to turn ft_wrench by")
+    angle = -middle_angle(angle_between(force, normal))
+    assert trial.ft_wrench is not None
+    values = trial.ft_wrench.values.copy()
+    values[:, :2] = rotated(values[:, :2], angle)
+    text = f"ft_wrench: turned by {np.degrees(angle_between(angle, 0.0)):.1f}° to fit the contact"
+    return replace(trial, ft_wrench=Channel(trial.ft_wrench.time, values)), text

@@ -1,0 +1,161 @@
+"""What a laboratory's file holds: tables of named columns, each with the clock of its rows.
+
+Readers of all kinds of files make `Source`s of them and know nothing of pushes; `import_setup` says which
+columns are what, `mapping` makes poses and forces of these, and `recordings` pushes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from slipmap.models.measurements import parsing
+from slipmap.models.measurements.push_dataset import DatasetError
+from slipmap.models.physics.cell_grid import FloatArray
+
+LARGEST_FILE = 2**30
+"""Bytes of a file that is read; an hour of 20 channels at 1 kHz is about as much."""
+
+MOST_NUMBERS = 2**27
+"""Numbers of a table: 1 GiB."""
+
+MOST_CELLS = 2**24
+"""Cells of a text table, which take sixty bytes each."""
+
+Column = FloatArray | Sequence[str]
+"""(T,) numbers, NaN where there is none; or texts as they stand in the file."""
+
+_NO_NUMBER = frozenset({"", "n/a", "na", "#n/a", "nan", "null", "none", "-", "--", "?", "missing"})
+_MOST_NAMED = 12
+
+
+@dataclass(frozen=True, eq=False)
+class Source:
+    """A table of a file."""
+
+    file: str  # as error texts name it
+    part: str  # the topic, rigid body or path inside the file; empty where it is one table
+    columns: Mapping[str, Column]  # by name, all of one length
+    time: FloatArray | None = None  # (T,) s, where the kind of file says which column it is
+    length: str = "m"  # unit of lengths, as the file or its kind says
+    up: str = "z"  # the axis that points up, by the kind of file
+    decimal: str = "."  # of numbers in texts
+    first_row: int = 0  # what the first row counts as in error texts
+    push: str = ""  # the column that numbers pushes, where the kind of file has one
+
+    @property
+    def where(self) -> str:
+        """File and part, for error texts."""
+        return f"{self.file}, {self.part}" if self.part else self.file
+
+    def __len__(self) -> int:
+        return len(next(iter(self.columns.values()), ()))
+
+    def name_of(self, column: str) -> str:
+        """A column's name as it stands in the file, of that name or of its number, from 0.
+
+        Raises:
+            DatasetError: there is none.
+        """
+        if column in self.columns:
+            return column
+        if column.isdigit() and int(column) < len(self.columns):
+            return list(self.columns)[int(column)]
+        raise DatasetError(f"{self.where}: there is no column {parsing.shown(column)}; {self.listed}")
+
+    @property
+    def listed(self) -> str:
+        """Which columns there are, for error texts."""
+        names = [parsing.shown(name) if name.strip() != name or not name else name for name in self.columns]
+        more = f" and {len(names) - _MOST_NAMED} more" if len(names) > _MOST_NAMED else ""
+        return f"there are {', '.join(names[:_MOST_NAMED])}{more}"
+
+    def texts(self, column: str) -> list[str]:
+        """(T) cells of a column as texts."""
+        cells = self.columns[self.name_of(column)]
+        if isinstance(cells, np.ndarray):
+            return [f"{cell:g}" for cell in cells]
+        return [cell.strip() for cell in cells]
+
+    def numbers(self, column: str) -> FloatArray:
+        """(T,) a column as numbers; NaN for empty cells and words such as N/A.
+
+        Raises:
+            DatasetError: no such column, or a cell that is no number.
+        """
+        name = self.name_of(column)
+        cells = self.columns[name]
+        if isinstance(cells, np.ndarray):
+            return cells
+        if self.decimal != ".":
+            cells = [cell.replace(".", "").replace(self.decimal, ".") for cell in cells]
+        try:
+            return np.array([cell or "nan" for cell in cells], dtype=float)
+        except ValueError:
+            return np.array([self._number(cell, name, row) for row, cell in enumerate(cells)], dtype=float)
+
+    def _number(self, cell: str, name: str, row: int) -> float:
+        stripped = cell.strip()
+        if stripped.lower() in _NO_NUMBER:
+            return float("nan")
+        try:
+            if "_" in stripped:
+                raise ValueError
+            return float(stripped)
+        except ValueError:
+            raise DatasetError(
+                f"{self.where}, row {row + self.first_row}, {name}: {parsing.shown(cell)} is no number; leave"
+                " the cell empty where there is none"
+            ) from None
+
+    def chosen(self, rows: NDArray[np.int_]) -> Source:
+        """Some of the rows."""
+        columns: dict[str, Column] = {
+            name: cells[rows] if isinstance(cells, np.ndarray) else [cells[row] for row in rows]
+            for name, cells in self.columns.items()
+        }
+        time = None if self.time is None else self.time[rows]
+        return Source(
+            self.file, self.part, columns, time, self.length, self.up, self.decimal, self.first_row, self.push
+        )
+
+
+Reader = Callable[[Path, str], list[Source]]
+"""Reads a file that error texts call so."""
+
+
+def missing_library(where: str, library: str, extra: str = "import") -> DatasetError:
+    """That a library which is not always installed has to be."""
+    return DatasetError(
+        f"{where}: reading such files takes the library {library}; install it with `pip install"
+        f" 'slipmap[{extra}]'`"
+    )
+
+
+def tables_of_arrays(file: str, found: Mapping[str, FloatArray], separator: str = "/") -> list[Source]:
+    """Tables of arrays that lie at paths: those of one folder and length are the columns of a table; so are
+    the columns of an array, as `name.0`, `name.1`.
+
+    Every array with several columns is also a table of its own, with columns named by their numbers.
+    """
+    folders: dict[tuple[str, int], dict[str, Column]] = {}
+    own: list[Source] = []
+    for path, values in found.items():
+        folder, _, name = path.rpartition(separator)
+        table = folders.setdefault((folder, len(values)), {})
+        if values.ndim == 1:
+            table[name] = values
+        elif values.ndim == 2 and values.shape[1] == 1:
+            table[name] = values[:, 0]
+        elif values.ndim == 2:
+            for number in range(values.shape[1]):
+                table[f"{name}.{number}"] = values[:, number]
+            columns: dict[str, Column] = {str(k): values[:, k] for k in range(values.shape[1])}
+            own.append(Source(file, path, columns))
+    whole = [Source(file, folder or separator, table) for (folder, _), table in folders.items() if table]
+    taken = {source.part for source in whole}
+    return whole + [source for source in own if source.part not in taken]

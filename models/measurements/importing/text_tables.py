@@ -1,0 +1,308 @@
+"""Tables in text: CSV of any dialect, logs with blanks between cells, `rostopic echo -p`, and exports of
+motion-capture programs.
+
+Cells stay texts until a column is asked for, so that words in other columns do no harm.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import re
+from collections.abc import Sequence
+from datetime import UTC, datetime
+from pathlib import Path
+
+import numpy as np
+
+from slipmap.models.measurements import parsing
+from slipmap.models.measurements.importing.source import LARGEST_FILE, MOST_CELLS, Column, Source
+from slipmap.models.measurements.push_dataset import DatasetError
+from slipmap.models.physics.cell_grid import FloatArray
+
+TEXT_ENDINGS = (".csv", ".txt", ".tsv", ".dat", ".log")
+
+_CLOCK = re.compile(r"(?:(\d+):)?(\d+):(\d+(?:[.,]\d+)?)$")
+_PER_SECOND = ((1e17, 1e9, "ns"), (1e14, 1e6, "µs"), (1e11, 1e3, "ms"))
+"""Stamps since 1970 above the first number count so many a second: none between 1973 and 5138 is both."""
+
+_LINES_SNIFFED = 30
+_LENGTHS = {"meters": "m", "centimeters": "cm", "millimeters": "mm", "m": "m", "cm": "cm", "mm": "mm"}
+
+
+def read_text(path: Path, where: str) -> list[Source]:
+    """The tables of a text file.
+
+    Raises:
+        DatasetError: no text, no rows, or rows of other lengths than the header.
+    """
+    content = parsing.read_bytes(path, LARGEST_FILE)
+    encoding = "utf-16" if content[:2] in (b"\xff\xfe", b"\xfe\xff") else "utf-8-sig"
+    try:
+        text = content.decode(encoding)
+    except ValueError:
+        text = content.decode("latin-1")
+    if "\0" in text:
+        raise DatasetError(f"{where}: this is no text; is its ending right?")
+    lines = text.splitlines()
+    first = next((line for line in lines if line.strip()), "")
+    if not first:
+        raise DatasetError(f"{where}: the file is empty")
+    words = {cell.strip().strip('"') for cell in re.split(r"[,;\t]", first)}
+    if {"Format Version", "Take Name"} & words:
+        return _motive(_rows(text, _sign(lines), where), where)
+    if words <= {"Objects", "Segments", "Trajectories", "Model Outputs", ""}:
+        return _vicon(_rows(text, _sign(lines), where), where)
+    return [_table(text, lines, where)]
+
+
+def _sign(lines: Sequence[str]) -> str | None:
+    """What parts the cells: comma, semicolon, tab, or (None) blanks."""
+    sample = [line for line in lines if line.strip() and not _is_comment(line)][:_LINES_SNIFFED]
+    for sign in (";", "\t"):
+        if sample and all(sign in line for line in sample[:2]):
+            return sign
+    if all("," in line for line in sample[:2]) and not _decimal_commas(sample):
+        return ","
+    if sample and all(len(line.split()) > 1 for line in sample[:2]):
+        return None
+    return ","
+
+
+def _decimal_commas(sample: Sequence[str]) -> bool:
+    """Whether the commas are those of numbers, between blanks."""
+    cells = sample[-1].split()
+    return len(cells) > 1 and all(re.fullmatch(r"[-+]?\d+(,\d+)?(e[-+]?\d+)?", cell, re.I) for cell in cells)
+
+
+def _is_comment(line: str) -> bool:
+    return line.lstrip().startswith("#")
+
+
+def _rows(text: str, sign: str | None, where: str) -> list[list[str]]:
+    if sum(map(text.count, (sign or " ", "\n"))) > MOST_CELLS:
+        raise DatasetError(f"{where}: more than {MOST_CELLS} cells; cut the recording into several files")
+    try:
+        if sign is None:
+            return [line.split() for line in text.splitlines()]
+        return list(csv.reader(io.StringIO(text, newline=""), delimiter=sign, skipinitialspace=True))
+    except csv.Error as error:
+        raise DatasetError(f"{where}: not readable as a table ({parsing.shown_error(error)})") from None
+
+
+def _table(text: str, lines: Sequence[str], where: str) -> Source:
+    """A table with one line of header, or none, in whatever dialect."""
+    comments = 0
+    while comments < len(lines) and (_is_comment(lines[comments]) or not lines[comments].strip()):
+        comments += 1
+    body, header_line = lines[comments:], None
+    sign = _sign(body)
+    if not body or (comments and _is_header(lines[comments - 1].lstrip("# "), body[0], sign)):
+        header_line = lines[comments - 1].lstrip("# ") if comments else ""
+    rows = _rows("\n".join(body), sign, where)
+    decimal = "," if sign != "," and _uses_comma(rows) else "."
+    if header_line is not None:
+        names = _rows(header_line, sign, where)[0] if header_line else []
+    elif rows and all(_numeric(cell, decimal) for cell in rows[0]):
+        names = [str(number) for number in range(len(rows[0]))]
+    else:
+        names, rows = (rows[0], rows[1:]) if rows else ([], [])
+    names = [name.strip() for name in names]
+    wide = {len(row) for row in rows}
+    if len(names) > 1 and not names[-1] and wide <= {0, len(names), len(names) - 1}:
+        names = names[:-1]  # every line ends in the sign
+    source = Source(where, "", _columns(names, rows, where), decimal=decimal)
+    if names and names[0] == "%time":  # rostopic echo -p
+        stamp = next((name for name in names if name.endswith("header.stamp")), "%time")
+        time = source.numbers(stamp)
+        return Source(where, "", source.columns, 1e-9 * (time if time.any() else source.numbers("%time")))
+    return source
+
+
+def _is_header(comment: str, line: str, sign: str | None) -> bool:
+    """Whether a line of comment before the first row names its columns."""
+    names = comment.split(sign)
+    return len(names) > 1 and len(names) == len(line.split(sign))
+
+
+def _numeric(cell: str, decimal: str = ".") -> bool:
+    try:
+        float(cell.replace(decimal, ".") or "nan")
+    except ValueError:
+        return False
+    return True
+
+
+def _uses_comma(rows: Sequence[Sequence[str]]) -> bool:
+    cells = [cell for row in rows[1:_LINES_SNIFFED] for cell in row if "," in cell]
+    return any(_numeric(cell, ",") for cell in cells) and not any("." in cell for cell in cells)
+
+
+def _columns(names: Sequence[str], rows: Sequence[Sequence[str]], where: str) -> dict[str, Column]:
+    """Columns by name; of two of one name the second is called name.1, and so on."""
+    filled = [row for row in rows if row]
+    for number, row in enumerate(filled):
+        if len(row) != len(names) and not (len(row) == len(names) + 1 and not row[-1].strip()):
+            raise DatasetError(f"{where}, row {number}: has {len(row)} cells, the header {len(names)}")
+    if not filled:
+        raise DatasetError(f"{where}: holds a header and no rows")
+    named: dict[str, Column] = {}
+    for number, (name, cells) in enumerate(zip(names, zip(*filled, strict=False), strict=False)):
+        unique, repeated = name, 0
+        while unique in named:
+            repeated += 1
+            unique = f"{name}.{repeated}"
+        named[unique or f"column {number}" if unique in named else unique] = cells
+    return named
+
+
+def seconds(source: Source, columns: Sequence[str], unit: float | None) -> tuple[FloatArray, str]:
+    """(T,) times of one column, or of seconds and nanoseconds, s; and what was concluded, empty where nothing
+    was.
+
+    Texts may be ISO times, which count from 1970 in UTC, or hours:minutes:seconds. Numbers count `unit`
+    seconds each; without one, stamps since 1970 are known by their size and all others are s.
+    """
+    if len(columns) == 2:
+        return source.numbers(columns[0]) + 1e-9 * source.numbers(columns[1]), ""
+    cells = source.columns[source.name_of(columns[0])]
+    if not isinstance(cells, np.ndarray):
+        first = next((cell.strip() for cell in cells if cell.strip()), "")
+        if _moment(first) is not None and not _numeric(first, source.decimal):
+            return _moments(source, columns[0]), f"{columns[0]} holds times such as {parsing.shown(first)}"
+    time = source.numbers(columns[0])
+    if unit is not None:
+        return unit * time, ""
+    largest = float(np.nanmax(np.abs(time), initial=0.0)) if np.isfinite(time).any() else 0.0
+    for least, count, name in _PER_SECOND:
+        if largest > least:
+            return time / count, f"{columns[0]} counts {name} since 1970"
+    return time, ""
+
+
+def _moments(source: Source, column: str) -> FloatArray:
+    result = []
+    for row, cell in enumerate(source.texts(column)):
+        value = _moment(cell) if cell else float("nan")
+        if value is None:
+            raise DatasetError(f"{source.where}, row {row}, {column}: {parsing.shown(cell)} is no time")
+        result.append(value)
+    return np.array(result)
+
+
+def _moment(cell: str) -> float | None:
+    if match := _CLOCK.match(cell):
+        hours, minutes, rest = match.groups()
+        return 3600.0 * int(hours or 0) + 60.0 * int(minutes) + float(rest.replace(",", "."))
+    try:
+        moment = datetime.fromisoformat(cell.replace("/", "-"))
+    except ValueError:
+        return None
+    return (moment if moment.tzinfo else moment.replace(tzinfo=UTC)).timestamp()
+
+
+# Exports of motion-capture programs.
+
+
+def _motive(rows: list[list[str]], where: str) -> list[Source]:
+    """Rigid bodies of an export of OptiTrack Motive: name, x, y, z and a quaternion each, on one clock.
+
+    Motive's world has y up unless its export was told otherwise, which the file does not say.
+    """
+    said = dict(zip(rows[0][::2], rows[0][1::2], strict=False))
+    length = _LENGTHS.get(said.get("Length Units", "Meters").strip().lower())
+    if length is None:
+        raise DatasetError(f"{where}: lengths in {parsing.shown(said['Length Units'])} are not known")
+    place = next((k for k, row in enumerate(rows[:20]) if row and row[0].strip() == "Frame"), None)
+    names = next((row for row in rows[:20] if len(row) > 1 and row[1].strip() == "Name"), None)
+    if place is None or names is None or place == 0:
+        raise DatasetError(
+            f"{where}: an export of Motive without its lines Name and Frame; export it anew with the header"
+        )
+    kinds = next((row for row in rows[:20] if len(row) > 1 and row[1].strip() == "Type"), [])
+    what, axis = rows[place - 1], rows[place]
+    body = [row for row in rows[place + 1 :] if any(cell.strip() for cell in row)]
+    table = Source(where, "", _columns([str(k) for k in range(len(axis))], body, where), first_row=0)
+    time = table.numbers("1")
+    order = said.get("Rotation Type", "Quaternion").strip()
+    found: dict[str, dict[tuple[str, str], int]] = {}
+    for k in range(2, min(len(axis), len(names), len(what))):
+        marker = k < len(kinds) and "marker" in kinds[k].lower()
+        if names[k].strip() and not marker:
+            found.setdefault(names[k].strip(), {})[what[k].strip(), axis[k].strip()] = k
+    sources = []
+    for name, columns in found.items():
+        if not {("Position", sign) for sign in "XYZ"} <= columns.keys():
+            continue
+        values: dict[str, Column] = {
+            sign.lower(): table.numbers(str(columns["Position", sign])) for sign in "XYZ"
+        }
+        turn = [columns.get(("Rotation", sign)) for sign in "XYZW"]
+        turns = [table.numbers(str(k)) for k in turn if k is not None]
+        if len(turns) == 3:
+            turns = _quaternions(np.column_stack(turns), order, where)
+        if len(turns) == 4:
+            values |= zip(("qx", "qy", "qz", "qw"), turns, strict=True)
+        sources.append(Source(where, name, values, time, length, up="y"))
+    if not sources:
+        raise DatasetError(f"{where}: holds no rigid body with a position; export rigid bodies from Motive")
+    return sources
+
+
+def _quaternions(angles: FloatArray, order: str, where: str) -> list[FloatArray]:
+    """Columns x, y, z, w of Euler angles X, Y, Z in degrees, turned about moving axes in an order."""
+    from scipy.spatial.transform import Rotation
+
+    if sorted(order.upper()) != ["X", "Y", "Z"]:
+        raise DatasetError(f"{where}: rotations of the type {parsing.shown(order)} are not known")
+    known = np.isfinite(angles).all(axis=1)
+    result = np.full((len(angles), 4), np.nan)
+    columns = ["XYZ".index(axis) for axis in order.upper()]
+    if known.any():
+        turns = Rotation.from_euler(order.upper(), angles[known][:, columns], degrees=True)
+        result[known] = turns.as_quat()
+    return list(result.T)
+
+
+def _vicon(rows: list[list[str]], where: str) -> list[Source]:
+    """Objects of an export of Vicon Tracker or Nexus, whose frames count from a rate in the second line."""
+    place = next((k for k, row in enumerate(rows[:12]) if row and row[0].strip() == "Frame"), None)
+    if place is None or place < 2:
+        raise DatasetError(f"{where}: an export of Vicon without its line Frame; export it anew")
+    try:
+        rate = float(rows[1][0])
+        if not rate > 0.0:
+            raise ValueError
+    except (ValueError, IndexError):
+        raise DatasetError(f"{where}: its second line should be the rate in Hz") from None
+    units = rows[place + 1] if place + 1 < len(rows) else []
+    stop = next((k for k, row in enumerate(rows) if k > place + 1 and not any(map(str.strip, row))), None)
+    body = rows[place + 2 : stop]
+    table = Source(where, "", _columns([str(k) for k in range(len(rows[place]))], body, where))
+    time = table.numbers("0") / rate
+    if rows[place][1:2] and "sub" in rows[place][1].lower():
+        steps = float(np.nanmax(table.numbers("1"), initial=0.0)) + 1.0
+        time = time + table.numbers("1") / (steps * rate)
+    names, name = rows[place - 1], ""
+    bodies: dict[str, dict[str, Column]] = {}
+    lengths: dict[str, str] = {}
+    for k, column in enumerate(cell.strip() for cell in rows[place]):
+        if k < len(names) and names[k].strip():
+            name = re.sub(r"^Global Angle ", "", names[k].strip())
+        unit = units[k].strip().lower() if k < len(units) else ""
+        values = bodies.setdefault(name, {}) if name and k > 1 else {}
+        if re.fullmatch(r"T?[XYZ]", column):
+            values[column[-1].lower()] = table.numbers(str(k))
+            lengths[name] = _LENGTHS.get(unit, "mm")
+        elif column in ("RX", "RY", "RZ", "RW"):
+            in_degrees = "deg" in unit
+            values[f"r{column[1].lower()}"] = table.numbers(str(k)) * (np.pi / 180.0 if in_degrees else 1.0)
+    sources = []
+    for name, values in bodies.items():
+        if "rw" in values:
+            values = {column.replace("r", "q"): cells for column, cells in values.items()}
+        if {"x", "y", "z"} <= values.keys():
+            sources.append(Source(where, name, values, time, lengths[name]))
+    if not sources:
+        raise DatasetError(f"{where}: holds no object with a position (TX, TY, TZ)")
+    return sources

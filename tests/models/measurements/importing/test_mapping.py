@@ -1,0 +1,150 @@
+"""Units, axes that point up, frames, signs and offsets: the same push comes out however it was recorded."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+from tables import POSE, SETUP, TIME, TIP, WAY, written
+
+from slipmap.models.geometry import compose, seen_from
+from slipmap.models.measurements import DatasetError
+from slipmap.models.measurements.importing import import_dataset
+
+TURNED = POSE + np.array([0.1, -0.05, 0.4])
+NAMES = ["t", "x", "y", "z", "qx", "qy", "qz", "qw", "fx", "fy", "fz"]
+
+
+def trial_of(tmp_path, names, columns, setup):
+    file = written(tmp_path / "push.csv", names, columns, form="{:.9f}")
+    (tmp_path / "setup.yaml").write_text(SETUP + setup)
+    (trial,) = import_dataset(file, tmp_path / "setup.yaml", tell=lambda text: None).trials
+    return trial
+
+
+# Where the table's x, y and z point in the source, for each axis that is up: right-handed, by hand.
+AXES = {
+    "z": [[1, 0, 0], [0, 1, 0], [0, 0, 1]],
+    "-z": [[1, 0, 0], [0, -1, 0], [0, 0, -1]],
+    "y": [[1, 0, 0], [0, 0, -1], [0, 1, 0]],
+    "-y": [[1, 0, 0], [0, 0, 1], [0, -1, 0]],
+    "x": [[0, 1, 0], [0, 0, 1], [1, 0, 0]],
+    "-x": [[0, 1, 0], [0, 0, -1], [-1, 0, 0]],
+}
+
+
+@pytest.mark.parametrize("up", AXES)
+def test_each_axis_can_point_up(tmp_path, up):
+    axes = np.array(AXES[up], dtype=float)  # rows: axes of the table in the source
+    assert np.linalg.det(axes) == pytest.approx(1.0)
+    place = np.column_stack([TURNED[:, :2], np.full(len(TIME), 0.03)]) @ axes
+    turn = Rotation.from_rotvec(TURNED[:, 2:] * axes[2])
+    tip = np.column_stack([TIP, np.full(len(TIME), 0.02)]) @ axes
+    trial = trial_of(
+        tmp_path, NAMES, [TIME, place, turn.as_quat(), tip],
+        f"up: '{up}'\nobject_pose: {{position: [x, y, z], quaternion: [qx, qy, qz, qw]}}\n"
+        "tip_pose: {position: [fx, fy, fz]}\n",
+    )  # fmt: skip
+    assert trial.object_pose.values == pytest.approx(TURNED, abs=1e-7)
+    assert trial.tip_pose.values == pytest.approx(TIP, abs=1e-7)
+
+
+def test_a_frame_and_units(tmp_path):
+    frame = np.array([0.3, -0.2, np.radians(30.0)])
+    pose = np.column_stack([1e3 * seen_from(TURNED[:, :2], frame), np.degrees(TURNED[:, 2] - frame[2])])
+    tip = 1e3 * seen_from(TIP, frame)
+    trial = trial_of(
+        tmp_path, ["ms", "a", "b", "c", "d", "e"], [1e3 * TIME, pose, tip],
+        "time: ms\nframe: [0.3, -0.2, 30 deg]\nunit: {position: mm, angle: deg, time: ms}\n"
+        "object_pose: {position: [a, b], angle: c}\ntip_pose: {position: [d, e]}\n",
+    )  # fmt: skip
+    assert trial.object_pose.values == pytest.approx(TURNED, abs=1e-6)
+    assert trial.object_pose.time == pytest.approx(TIME, abs=1e-9)
+    assert trial.tip_pose.values == pytest.approx(TIP, abs=1e-6)
+
+
+def test_a_frame_as_a_matrix_or_a_quaternion(tmp_path):
+    turn = Rotation.from_euler("z", 30, degrees=True)
+    rows = np.eye(4)
+    rows[:3, :3], rows[:3, 3] = turn.as_matrix(), [0.3, -0.2, 0.5]
+    place = seen_from(TURNED[:, :2], np.array([0.3, -0.2, np.radians(30.0)]))
+    columns = [TIME, place, TURNED[:, 2] - np.radians(30.0)]
+    for frame in (rows.tolist(), [0.3, -0.2, 0.5, *turn.as_quat().tolist()]):
+        trial = trial_of(
+            tmp_path, ["t", "a", "b", "c"], columns,
+            f"object_pose: {{position: [a, b], angle: c, frame: {frame}}}\ntip_pose: null\n",
+        )  # fmt: skip
+        assert trial.object_pose.values == pytest.approx(TURNED, abs=1e-6)
+        assert not trial.has_finger
+
+
+def test_offsets_and_signs(tmp_path):
+    tracked = compose(TURNED, np.array([-0.01, 0.02, -0.3]))  # then the outline sits at the inverse of that
+    outline = np.append(seen_from(np.zeros(2), np.array([-0.01, 0.02, -0.3])), 0.3)
+    pushed = 2.0 * (POSE[:, 0] > 0)
+    force = np.column_stack([-pushed, 0.0 * TIME])
+    trial = trial_of(
+        tmp_path, ["t", "a", "b", "c", "d", "e", "f", "g"],
+        [TIME, tracked[:, :2], -tracked[:, 2], TIP - [0.004, 0.0], force + np.array([-0.5, 0.25])],
+        f"object_pose: {{position: [a, b], angle: c, sign: -1, offset: {outline.tolist()}}}\n"
+        "tip_pose: {position: [d, e], offset: [0.004, 0]}\n"
+        "ft_wrench: {force: [f, g], sign: -1, offset: [-0.5, 0.25]}\n",
+    )  # fmt: skip
+    assert trial.object_pose.values == pytest.approx(TURNED, abs=1e-7)
+    assert trial.tip_pose.values == pytest.approx(TIP, abs=1e-7)
+    assert trial.ft_wrench.values[:, 0] == pytest.approx(pushed, abs=1e-7)
+
+
+def test_an_offset_in_the_tools_axes(tmp_path):
+    # A flange that looks down, turned by 90° about the vertical; the finger is 40 mm beside and 100 mm below.
+    turn = Rotation.from_euler("xz", [180, 90], degrees=True)
+    offset = np.array([0.04, 0.0, 0.1])
+    flange = np.column_stack([TIP, np.full(len(TIME), 0.02)]) - turn.apply(offset)
+    quaternion = np.tile(turn.as_quat(), (len(TIME), 1))
+    trial = trial_of(
+        tmp_path, ["t", "a", "b", "c", "p_x", "p_y", "p_z", "q_x", "q_y", "q_z", "q_w"],
+        [TIME, POSE, flange, quaternion],
+        "object_pose: {position: [a, b], angle: c}\n"
+        "tip_pose: {position: p, quaternion: q, offset: [0.04, 0, 0.1]}\n",
+    )  # fmt: skip
+    assert trial.tip_pose.values == pytest.approx(TIP, abs=1e-7)
+
+
+def test_frames_and_rates(tmp_path):
+    trial = trial_of(
+        tmp_path, ["Frame", "a", "b", "c"], [np.arange(len(TIME)), POSE],
+        "rate: 100\ntime: Frame\nobject_pose: {position: [a, b], angle: c}\ntip_pose: null\n",
+    )  # fmt: skip
+    assert trial.object_pose.time == pytest.approx(TIME, abs=1e-9)
+
+
+def test_a_wrong_axis_is_said(tmp_path):
+    up = np.column_stack([TURNED[:, 0], 0.03 + 0 * TIME, -TURNED[:, 1] + 0.5 * WAY])
+    file = written(tmp_path / "push.csv", ["t", "x", "y", "z", "theta"], [TIME, up, TURNED[:, 2]])
+    (tmp_path / "setup.yaml").write_text(SETUP + "object_pose: {position: [x, y, z], angle: theta}\n")
+    said = []
+    import_dataset(file, tmp_path / "setup.yaml", tell=said.append)
+    assert any("is `up: y` right?" in text for text in said), said
+
+
+@pytest.mark.parametrize(
+    ("setup", "fault"),
+    [
+        ("object_pose: {position: [a, b], angel: c}", "angel"),
+        ("objekt_pose: {position: [a, b]}", "objekt_pose"),
+        ("object_pose: {position: [a, nowhere], angle: c}", "no column 'nowhere'; there are t, a, b, c"),
+        ("object_pose: {position: [a, b], angle: c, frame: [1, 2]}", "3, 7 or 4 by 4 numbers"),
+        ("object_pose: {position: [a, b], angle: c, frame: [0, 0, 0, 1, 1, 1, 1]}", "length 1"),
+        ("object_pose: {position: [a, b], angle: c, up: w}", "one of z, y, x"),
+        ("object_pose: {position: [a, b], angle: c, up: y}", "needs x, y and z"),
+        ("object_pose: {position: [a, b], angle: c, unit: inch}", "one of m, cm, mm"),
+        ("object_pose: {position: [a, b], angle: c, quaternion: q}", "a turn is said once"),
+        ("object_pose: {position: [a, b], angle: c, source: other.csv}", "no file is called 'other.csv'"),
+        ("object_pose: {position: [a, b], angle: c, sign: 2}", "1 or -1"),
+        ("object_pose: {position: [a, b], angle: c, frame: contact}", "only a force"),
+        ("object_pose: {position: [a, b]}", "object's angle"),
+        ("object_pose: {position: [a, b], angle: c, time: when}", "no column 'when'"),
+        ("object_pose: null", "is null"),
+    ],
+)
+def test_a_wrong_setup_is_refused(tmp_path, setup, fault):
+    with pytest.raises(DatasetError, match=fault.replace("[", r"\[")):
+        trial_of(tmp_path, ["t", "a", "b", "c"], [TIME, POSE], setup)

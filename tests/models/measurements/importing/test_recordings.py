@@ -1,0 +1,77 @@
+"""Which files belong together, what is cut, and what a guess says."""
+
+import numpy as np
+import pytest
+import yaml
+from tables import POSE, SETUP, TIME, TIP, written
+
+from slipmap.models.measurements import DatasetError
+from slipmap.models.measurements.importing import guess_setup, import_dataset
+
+SAYS = """
+object_pose: {source: cam_*.csv, position: [x, y], angle: theta, clock: 0}
+tip_pose: {source: robot_*.csv, position: [a, b], clock: 0.5}
+"""
+
+
+def pairs(tmp_path, count):
+    for k in range(count):
+        written(tmp_path / f"cam_{k}.csv", ["t", "x", "y", "theta"], [TIME, POSE + 0.01 * k])
+        written(tmp_path / f"robot_{k}.csv", ["t", "a", "b"], [TIME - 0.5, TIP + 0.01 * k])
+
+
+def test_files_go_together_by_what_stands_under_the_star(tmp_path):
+    pairs(tmp_path, 3)
+    (tmp_path / "s.yaml").write_text(SETUP + SAYS)
+    dataset = import_dataset(tmp_path, tmp_path / "s.yaml", tell=lambda text: None)
+    assert [trial.name for trial in dataset.trials] == ["cam_0.csv", "cam_1.csv", "cam_2.csv"]
+    for k, trial in enumerate(dataset.trials):
+        assert trial.tip_pose.values == pytest.approx(TIP + 0.01 * k, abs=1e-6)
+        assert trial.tip_pose.time == pytest.approx(TIME)
+    assert "tip_pose: 0.5 s added to the stamps" in dataset.provenance
+
+
+def test_a_file_without_its_partner_is_named(tmp_path):
+    pairs(tmp_path, 3)
+    (tmp_path / "robot_1.csv").unlink()
+    (tmp_path / "s.yaml").write_text(SETUP + SAYS)
+    with pytest.raises(DatasetError, match=r"no file goes with cam_1\.csv"):
+        import_dataset(tmp_path, tmp_path / "s.yaml")
+
+
+def test_the_force_is_turned_only_if_asked(tmp_path):
+    angle = 0.7
+    size = 2.0 * (POSE[:, 0] > 0)
+    columns = [TIME, POSE, TIP, size * np.cos(angle), size * np.sin(angle)]
+    file = written(tmp_path / "p.csv", ["t", "x", "y", "theta", "a", "b", "fx", "fy"], columns)
+    says = SETUP + "tip_pose: {position: [a, b]}\nft_wrench: {force: [fx, fy]%s}\n"
+    for asked, direction in (("", angle), (", frame: contact", 0.0)):
+        (tmp_path / "s.yaml").write_text(says % asked)
+        (trial,) = import_dataset(file, tmp_path / "s.yaml", tell=lambda text: None).trials
+        force = trial.ft_wrench.at(1.0)
+        assert np.arctan2(force[1], force[0]) == pytest.approx(direction, abs=0.03)
+
+
+def test_a_guess_is_right_but_for_what_no_file_says(tmp_path):
+    columns = [1e3 * TIME, 1e3 * POSE[:, :2], np.degrees(POSE[:, 2]) + 400.0, 1e3 * TIP]
+    file = written(
+        tmp_path / "p.csv", ["time", "block_x", "block_y", "block_theta", "tip_x", "tip_y"], columns
+    )
+    text = guess_setup(file)
+    assert all("#" in line or ":" in line for line in text.splitlines())
+    said = yaml.safe_load(text)
+    assert said["object_pose"] == {
+        "position": ["block_x", "block_y"], "angle": "block_theta", "time": "time",
+        "unit": {"time": "ms", "position": "mm", "angle": "deg"},
+    }  # fmt: skip
+    said |= yaml.safe_load(SETUP)
+    (tmp_path / "s.yaml").write_text(yaml.safe_dump(said))
+    (trial,) = import_dataset(file, tmp_path / "s.yaml", tell=lambda text: None).trials
+    assert trial.object_pose.values[:, :2] == pytest.approx(POSE[:, :2], abs=1e-8)
+    assert trial.tip_pose.values == pytest.approx(TIP, abs=1e-8)
+
+
+def test_nothing_to_guess(tmp_path):
+    (tmp_path / "p.csv").write_text("temperature,humidity\n1,2\n")
+    with pytest.raises(DatasetError, match="nothing looks like the pose of an object"):
+        guess_setup(tmp_path / "p.csv")

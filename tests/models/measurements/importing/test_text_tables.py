@@ -1,0 +1,146 @@
+"""Tables in text of many dialects, and exports of motion-capture programs, give the numbers in them."""
+
+import numpy as np
+import pytest
+from tables import POSE, SETUP, TIME, TIP, written
+
+from slipmap.models.measurements import DatasetError
+from slipmap.models.measurements.importing import import_dataset
+from slipmap.models.measurements.importing.text_tables import read_text, seconds
+
+
+def source(tmp_path, text):
+    (tmp_path / "a.csv").write_text(text)
+    return read_text(tmp_path / "a.csv", "a.csv")
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "t,x\n0,1.5\n0.5,-2.25\n",
+        "t;x\n0;1,5\n0,5;-2,25\n",
+        "t;x\n0;1.5\n0.5;-2.25\n",
+        "t\tx\n0\t1,5\n0,5\t-2,25\n",
+        "t x\n0 1.5\n0.5 -2.25\n",
+        "t   x\n0,0   1,5\n0,5   -2,25\n",
+        "# t x\n0 1.5\n0.5 -2.25\n",
+        "# written by a robot\nt,x\n0,1.5\n0.5,-2.25\n",
+        '"t","x"\r\n"0","1.5"\r\n"0.5","-2.25"\r\n',
+        "t, x,\n0, 1.5,\n0.5, -2.25,\n",
+        "\ufefft,x\n0,1.5\n0.5,-2.25\n",
+    ],
+)
+def test_dialects(tmp_path, text):
+    (table,) = source(tmp_path, text)
+    assert table.numbers("t") == pytest.approx([0.0, 0.5])
+    assert table.numbers("x") == pytest.approx([1.5, -2.25])
+
+
+def test_no_header(tmp_path):
+    (table,) = source(tmp_path, "0 1.5\n0.5 -2.25\n")
+    assert table.numbers("1") == pytest.approx([1.5, -2.25])
+
+
+def test_words_for_no_number_and_texts_nobody_asked_for(tmp_path):
+    (table,) = source(tmp_path, "t,x,phase\n0,N/A,push\n1,,push\n2,null,rest\n3,7,rest\n")
+    assert table.numbers("x")[3] == 7.0 and np.isnan(table.numbers("x")[:3]).all()
+    with pytest.raises(DatasetError, match="row 0, phase: 'push' is no number"):
+        table.numbers("phase")
+
+
+@pytest.mark.parametrize(
+    ("cells", "wanted"),
+    [
+        (["2024-02-06T15:25:00.020", "2024-02-06T15:25:01.5"], [1707233100.02, 1707233101.5]),
+        (["2024-02-06 15:25:00.020Z", "2024-02-06 16:25:01.5+01:00"], [1707233100.02, 1707233101.5]),
+        (["01:02:03.5", "01:02:04"], [3723.5, 3724.0]),
+        (["1700000000250000000", "1700000001000000000"], [1700000000.25, 1700000001.0]),
+        (["1700000000250", "1700000001000"], [1700000000.25, 1700000001.0]),
+        (["1700000000.25", "1700000001"], [1700000000.25, 1700000001.0]),
+    ],
+)
+def test_times(tmp_path, cells, wanted):
+    (table,) = source(tmp_path, "when,x\n" + "".join(f"{cell},1\n" for cell in cells))
+    assert seconds(table, ["when"], None)[0] == pytest.approx(wanted, abs=1e-6)
+
+
+def test_rostopic_echo(tmp_path):
+    names = "%time,field.header.seq,field.header.stamp,field.header.frame_id,field.pose.position.x"
+    (table,) = source(tmp_path, names + "\n1700000000300000000,1,1700000000250000000,/world,0.5\n")
+    assert table.time == pytest.approx([1700000000.25], abs=1e-6)
+    assert table.numbers("field.pose.position.x") == [0.5]
+
+
+def test_vicon(tmp_path):
+    text = (
+        "Objects\n200\n,,lab:block,,,,,,lab:finger,,,,,\n"
+        "Frame,Sub Frame,RX,RY,RZ,TX,TY,TZ,RX,RY,RZ,TX,TY,TZ\n,,deg,deg,deg,mm,mm,mm,deg,deg,deg,mm,mm,mm\n"
+        "1,0,0,0,90,100,200,30,0,0,0,10,20,30\n2,0,0,0,45,110,210,30,0,0,0,11,21,30\n"
+    )
+    block, finger = source(tmp_path, text)
+    assert (block.part, finger.part, block.length) == ("lab:block", "lab:finger", "mm")
+    assert np.diff(block.time) == pytest.approx([1 / 200])
+    assert block.numbers("rz") == pytest.approx(np.radians([90, 45]))
+    assert finger.numbers("x") == pytest.approx([10, 11])
+
+
+def test_vicon_is_imported(tmp_path):
+    rows = np.column_stack(
+        [np.arange(len(TIME)), 0 * TIME, np.zeros((len(TIME), 2)), np.degrees(POSE[:, 2] + 0.3),
+         1e3 * POSE[:, :2], 30 + 0 * TIME]
+    )  # fmt: skip
+    head = "Objects\n100\n,,lab:block,,,,,\nFrame,Sub Frame,RX,RY,RZ,TX,TY,TZ\n,,deg,deg,deg,mm,mm,mm\n"
+    (tmp_path / "v.csv").write_text(head + "\n".join(",".join(f"{c:.6f}" for c in row) for row in rows))
+    (tmp_path / "s.yaml").write_text(SETUP + "object_pose: {part: block}\ntip_pose: null\n")
+    (trial,) = import_dataset(tmp_path / "v.csv", tmp_path / "s.yaml").trials
+    assert trial.object_pose.values == pytest.approx(POSE + np.array([0.0, 0.0, 0.3]), abs=1e-6)
+
+
+def motive(order, axes, angles):
+    """One rigid body in Euler angles, degrees."""
+    kinds = ",".join(["Rotation"] * 3 + ["Position"] * 3)
+    rows = "\n".join(
+        f"{k},{k / 100},{a},{b},{c},0.1,0.05,0.2" for k, (a, b, c) in enumerate(angles)
+    )  # fmt: skip
+    return (
+        f"Format Version,1.23,Take Name,t,Rotation Type,{order},Length Units,Meters\n\n"
+        ",Type,Rigid Body,Rigid Body,Rigid Body,Rigid Body,Rigid Body,Rigid Body\n"
+        ",Name,b,b,b,b,b,b\n,ID,1,1,1,1,1,1\n"
+        f",,{kinds}\nFrame,Time (Seconds),{axes},X,Y,Z\n{rows}\n"
+    )
+
+
+def test_motive_in_euler_angles(tmp_path):
+    # A body that lies level and turns about Motive's y, which is up; beyond 90° the other two turn over.
+    (body,) = source(tmp_path, motive("XYZ", "X,Y,Z", [(0, 40, 0), (180, 40, 180)]))
+    turns = 2.0 * np.degrees(np.arctan2(body.numbers("qy"), body.numbers("qw")))
+    assert turns % 360.0 == pytest.approx([40.0, 140.0])
+    assert body.length == "m" and body.up == "y"
+
+
+@pytest.mark.parametrize(
+    ("text", "fault"),
+    [
+        ("", "empty"),
+        ("t,x\n", "no rows"),
+        ("t,x\n1,2,3\n", "row 0: has 3 cells, the header 2"),
+        ("a\0b", "no text"),
+        ("Format Version,1.23,Take Name,t\n1,2\n", "without its lines Name and Frame"),
+        ("Objects\nfast\n,,a\nFrame,Sub Frame,RX\n,,deg\n1,0,1\n", "the rate in Hz"),
+    ],
+)
+def test_a_broken_table_is_refused(tmp_path, text, fault):
+    with pytest.raises(DatasetError, match=fault):
+        source(tmp_path, text)
+
+
+def test_stamps_that_go_back_are_sorted_and_said(tmp_path):
+    order = np.arange(len(TIME))
+    order[[40, 41]] = [41, 40]
+    columns = [TIME[order], POSE[order], TIP[order]]
+    file = written(tmp_path / "p.csv", ["t", "x", "y", "theta", "a", "b"], columns)
+    (tmp_path / "s.yaml").write_text(SETUP + "tip_pose: {position: [a, b]}\n")
+    said = []
+    (trial,) = import_dataset(file, tmp_path / "s.yaml", tell=said.append).trials
+    assert (np.diff(trial.object_pose.time) > 0).all() and len(trial.object_pose.time) == len(TIME)
+    assert any("go back 1 times, by up to 10 ms" in text for text in said), said

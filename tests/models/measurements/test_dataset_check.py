@@ -1,0 +1,123 @@
+"""What is wrong with pushes is found with its size; what is right is left in peace."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from straight_pushes import forced, posed, straight_pushes, tipped
+
+from slipmap.models.effects.library import LIBRARY
+from slipmap.models.geometry import rotated
+from slipmap.models.measurements import Channel, read_dataset
+from slipmap.models.measurements.dataset_check import EFFECT_NEEDS, check_dataset
+
+
+def waited(trial):
+    """With 0.6 s before it in which nothing moves."""
+    early = 0.01 * np.arange(60)
+    channels = {
+        name: Channel(
+            np.concatenate([early, 0.6 + channel.time]),
+            np.concatenate([np.tile(channel.values[0], (60, 1)), channel.values]),
+        )
+        for name, channel in trial.channels.items()
+    }
+    return replace(trial, **channels)
+
+
+def changed(change):
+    dataset = straight_pushes(8)
+    return check_dataset(replace(dataset, trials=tuple(change(waited(one)) for one in dataset.trials)))
+
+
+def finding(check, what):
+    (found,) = (one for one in check.findings if one.what == what)
+    return found
+
+
+def test_nothing_is_wrong_with_good_pushes():
+    check = check_dataset(straight_pushes(8))
+    assert not check.wrong
+    assert {one.verdict for one in check.findings} == {"good"}, check.findings
+
+
+def test_a_late_finger_is_told_with_its_size():
+    def late(trial):
+        return replace(trial, tip_pose=Channel(trial.tip_pose.time + 0.05, trial.tip_pose.values))
+
+    check = changed(late)
+    found = finding(check, "clock of the finger")
+    assert found.verdict == "wrong"
+    assert float(found.found.split("finger ")[1].split(" ms late")[0]) == pytest.approx(50.0, abs=5.0)
+
+
+def test_a_late_force_is_told_with_its_size():
+    def late(trial):
+        return replace(trial, ft_wrench=Channel(trial.ft_wrench.time + 0.03, trial.ft_wrench.values))
+
+    found = finding(changed(late), "clock of the force")
+    assert found.verdict == "note"
+    assert float(found.found.split("force ")[1].split(" ms late")[0]) == pytest.approx(30.0, abs=6.0)
+
+
+def test_a_bias_is_told_with_its_size():
+    found = finding(changed(forced(lambda wrench: wrench + np.array([0.3, -0.4, 0.0]))), "force at rest")
+    assert found.verdict == "wrong" and "0.50 N" in found.found
+
+
+def test_a_turned_force_is_wrong():
+    def turned(wrench):
+        return np.column_stack([rotated(wrench[:, :2], np.radians(80.0)), wrench[:, 2]])
+
+    assert finding(changed(forced(turned)), "force's direction").verdict == "wrong"
+
+
+def test_a_finger_inside_the_object_is_wrong():
+    assert finding(changed(tipped(lambda tip: tip + np.array([0.01, 0.0]))), "contact").verdict == "wrong"
+
+
+def test_unseen_motion_is_told():
+    def gap(trial):
+        kept = np.r_[0:80, 115 : len(trial.object_pose.time)]
+        return replace(
+            trial, object_pose=Channel(trial.object_pose.time[kept], trial.object_pose.values[kept])
+        )
+
+    assert finding(changed(gap), "rate of poses").verdict == "note"
+
+
+def test_coverage_and_what_is_missing():
+    check = check_dataset(straight_pushes(8))
+    assert check.coverage.pushes == 8 and check.coverage.forces
+    assert check.coverage.fastest == pytest.approx(0.08, rel=0.05)
+    assert not check.coverage.speeds_differ
+    told = {one.name: one.could for one in (*check.quantities, *check.effects)}
+    assert told["total friction"] and not told["stribeck_friction"]
+    assert any("twice as fast" in wanted for wanted in check.advice)
+    still = changed(posed(lambda pose: 0.0 * pose + pose[0]))
+    assert still.coverage.pushes == 0 and not any(
+        one.could for one in still.quantities if "centre" in one.name
+    )
+
+
+def test_every_effect_of_the_library_has_its_needs():
+    assert EFFECT_NEEDS.keys() == {effect.name for effect in LIBRARY}
+
+
+@pytest.mark.parametrize(
+    ("name", "wrong"),
+    [
+        ("cases/force_in_rotated_frame", "force's direction"),
+        ("cases/theta_sign_wrong_y_up", "contact"),
+        ("cases/tip_is_flange_not_finger", "contact"),
+        ("effects/public-latency", "clock of the finger"),
+        ("real/mcube_steel", "clock of the finger"),
+        ("effects/public-none", None),
+        ("engines/mujoco_default", None),
+        ("real_feet/board_feet2", None),
+    ],
+)
+def test_measured_pushes(shared_data, name, wrong):
+    check = check_dataset(read_dataset(shared_data / name, tell=lambda text: None))
+    found = [one.what for one in check.findings if one.verdict == "wrong"]
+    assert (wrong in found) if wrong else not found, check.findings
