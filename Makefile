@@ -13,8 +13,8 @@ STAMP := $(VENV)/.slipmap-installed
 help: ## Show this list
 	@awk -F ':.*## ' '/^[a-z]+:.*## /{printf "  make %-9s %s\n", $$1, $$2}' Makefile
 
-demo: $(STAMP) ## Let a simulated robot take a hammer at the table's edge; results go to demo/
-	@$(BIN)/slipmap pregrasp --object hammer --out demo --record demo/recording.html
+demo: $(STAMP) ## Let a simulated robot find out that its table is tilted, and take a hammer at the edge; see demo/
+	@$(BIN)/slipmap pregrasp --scenario docs/examples/tilted-table.yaml --adapt --out demo --record demo/recording.html
 
 test: $(STAMP) ## Run all tests
 	@$(BIN)/python -m pytest -q -n 2 --dist loadfile

@@ -150,6 +150,7 @@ def explore(
             write_json(json_file, {**_learned_json(run), "monitor": run.watch.to_json(), "failure": failure})
     _show_exploration(run)
     _show_surprises(run, cell.folder)
+    _show_repair(run)
     cell_run.show_files(written)
     cell.keep_recording(meshcat)
     if failure:
@@ -229,6 +230,7 @@ def pregrasp(
     _show_exploration(run.exploration)
     _show_pregrasp(run)
     _show_surprises(run.exploration, cell.folder)
+    _show_repair(run.exploration)
     cell_run.show_files(written)
     cell.keep_recording(meshcat)
     if not run.held:
@@ -259,7 +261,6 @@ def _learned_json(run: ExplorationRun) -> dict[str, Any]:
 
 def _show_exploration(run: ExplorationRun) -> None:
     from slipmap.diagrams.application.commands.identify import show, show_effects
-    from slipmap.diagrams.application.reports.repair_words import repair_story
 
     show(run.identification, run.dataset, None)
     show_effects(run.identification)
@@ -276,9 +277,6 @@ def _show_exploration(run: ExplorationRun) -> None:
         _show_truth(truth)
         paragraph(f"{run.simulated:.0f} s of simulated time took {run.seconds:.0f} s.")
     paragraph(_monitor_words(run.watch))
-    if run.repair is not None:
-        for sentence in repair_story(run.repair, run.watch):
-            paragraph(sentence)
 
 
 def _show_surprises(run: ExplorationRun, folder: Path) -> None:
@@ -286,6 +284,15 @@ def _show_surprises(run: ExplorationRun, folder: Path) -> None:
     from slipmap.diagrams.application.reports.tables import show_surprises
 
     show_surprises(run.identification.pushes, str(folder / "pushes"))
+
+
+def _show_repair(run: ExplorationRun) -> None:
+    """How the model was repaired on the way, where the run was to adapt."""
+    if run.repair is not None:
+        from slipmap.diagrams.application.reports.repair_words import repair_story
+
+        for sentence in repair_story(run.repair, run.watch):
+            paragraph(sentence)
 
 
 def _show_truth(truth: dict[str, Any]) -> None:

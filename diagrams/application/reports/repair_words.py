@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from statistics import fmean
+from statistics import median
 
 from slipmap.diagrams.systems.diagnosis import Finding, Repair
 from slipmap.diagrams.systems.model_monitor import Judged, Watch
@@ -38,8 +38,8 @@ def _finding(finding: Finding) -> str:
 
 
 def _errors(judged: Sequence[Judged]) -> str:
-    mean = 1e3 * fmean(push.error for push in judged)
-    return f"{len(judged)} push{'es' * (len(judged) > 1)} ended {mean:.1f} mm off on average"
+    middle = 1e3 * median(push.error for push in judged)
+    return f"{len(judged)} push{'es' * (len(judged) > 1)} ended {middle:.1f} mm off in the median"
 
 
 def _names(effects: Sequence[str]) -> str:

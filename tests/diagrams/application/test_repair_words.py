@@ -1,0 +1,42 @@
+"""What a run with --adapt says of itself at its end."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from slipmap.diagrams.application.reports.repair_words import repair_story
+from slipmap.diagrams.systems.diagnosis import Finding, Repair
+from slipmap.diagrams.systems.model_monitor import Judged, Watch
+
+TILT = ("table_tilt",)
+
+
+def watch(*pushes: tuple[float, tuple[str, ...]]) -> Watch:
+    judged = [
+        Judged(number, 1.0, 0.5, 1.0, False, error, 0.01, False, effects)
+        for number, (error, effects) in enumerate(pushes, 1)
+    ]
+    return Watch(len(pushes) + 1, np.zeros(3), tuple(judged))
+
+
+def test_it_says_what_was_found_what_was_done_and_how_far_the_error_fell():
+    findings = (
+        Finding(5, "undecided", "Too little is seen.", (), "pushes on"),
+        Finding(6, "effect", "The model lacks one effect: table_tilt.", TILT, "adopts"),
+    )
+    seen = watch((0.010, ()), (0.024, ()), (0.030, ()), (0.004, TILT), (0.001, TILT), (0.030, TILT))
+    first, second, third = repair_story(Repair(6, TILT, 8, findings), seen)
+    assert first.startswith("After push 5, diagnosis: Too little is seen.")
+    assert first.endswith("made another push to find out.")
+    assert second.endswith("lacks one effect: table_tilt. The model was given table_tilt from then on.")
+    assert "3 pushes ended 24.0 mm off in the median" in third
+    assert "with table_tilt, 3 pushes ended 4.0 mm off in the median" in third
+
+
+def test_without_an_effect_no_fall_is_claimed():
+    assert repair_story(Repair(5), watch((0.01, ()))) == [
+        "The model was not repaired: no push gave cause to look into it."
+    ]
+    dropped = Finding(7, "undecided", "Too little is seen.", (), "drops")
+    (said,) = repair_story(Repair(7, (), 7, (dropped,)), watch((0.02, TILT), (0.03, ())))
+    assert said.endswith("it did not explain the pushes after all.")
