@@ -171,7 +171,8 @@ def _force_frame(p: Estimates, grid: CellGrid) -> list[Reading]:
     turned = _scaled("the reported force is turned by {}°", p["angle"], 180.0 / np.pi)
     if p["mirror"].value < 0.5:
         return [turned]
-    return [Reading("the reported force is mirrored, y negated ({} of 1)", *_ends(p["mirror"])), turned]
+    mirrored = Reading("the reported force is mirrored, y negated ({} of 1)", *_ends(p["mirror"]))
+    return [mirrored, _scaled("then turned by {}°", p["angle"], 180.0 / np.pi)]
 
 
 def _ends(estimate: ParameterEstimate) -> tuple[float, float, float]:

@@ -209,12 +209,12 @@ class Inquiry:
             self.accepted = with_better_predictors(kept, gains, predicted)
             return outcomes.one_of([self.refits.fits[name] for name in self.accepted])
         if float(self.first.gain.max()) < PROBE_GAIN:
-            return outcomes.too_faint(self.base)
+            return self._too_faint()
         found = self._pairs(rest)
         if found:
             return outcomes.two_at_once(found)
         if float(self.first.gain.max()) < UNKNOWN_GAIN:
-            return outcomes.too_faint(self.base)
+            return self._too_faint()
         return outcomes.unknown(self.base, next(iter(rest.values())))
 
     def _screen(self, fitted: Fitted, progress: StageProgress | None = None) -> Screening:
@@ -240,6 +240,11 @@ class Inquiry:
             parts = [(push.pose / sigma).ravel(), (push.force / noise.force).ravel()]
             found.append(float(np.sqrt((np.concatenate(parts) ** 2).mean())))
         return np.array(found)
+
+    def _too_faint(self) -> Outcome:
+        """Something gains, but too little; nor is what gains it, where pushes are missed by far."""
+        misfit = far_above_noise(self.misfit())
+        return outcomes.too_faint(self.base) if misfit is None else outcomes.far_off(self.base, misfit)
 
     def _nothing_found(self) -> Outcome:
         """Adequate, unless the pushes could not have shown an effect of ordinary size."""

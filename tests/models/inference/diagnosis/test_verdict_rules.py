@@ -123,7 +123,7 @@ def test_a_typical_misfit_far_above_the_noise_is_not_adequate(misfit, far):
         assert said.verdict == "undecided" and "not adequate" in said.sentence and "15 times" in said.sentence
 
 
-def verdict(monkeypatch, gain, found=()):
+def verdict(monkeypatch, gain, found=(), misfit=1.5):
     """Of an inquiry in which the largest gain is `gain` nats and no single effect is accepted."""
     candidates = (LIBRARY[0], PROBES[0])
     first = SimpleNamespace(candidates=candidates, gain=np.array([1.0, gain]))
@@ -134,7 +134,7 @@ def verdict(monkeypatch, gain, found=()):
         "rules": SimpleNamespace(missing=lambda screening: True),
         "fitter": None, "base": None, "effects": (), "scene": None, "draws": 0, "report": print,
         "accepted": [], "_ask_every_effect": lambda: first, "_found_better_base": lambda: False,
-        "_disagreement": lambda: None, "_ask_what_is_left": lambda: {"some": first},
+        "_disagreement": lambda: None, "misfit": lambda: np.array([misfit]), "_ask_what_is_left": lambda: {"some": first},
         "_pairs": lambda rest: list(found),
     }.items():  # fmt: skip
         setattr(inquiry, name, value)
@@ -144,6 +144,11 @@ def verdict(monkeypatch, gain, found=()):
 @pytest.mark.parametrize(("gain", "said"), [(15.0, "undecided"), (40.0, "undecided"), (60.0, "unknown")])
 def test_only_a_clear_finding_is_called_unknown(monkeypatch, gain, said):
     assert verdict(monkeypatch, gain).verdict == said
+
+
+def test_pushes_that_are_missed_by_far_do_not_show_too_little(monkeypatch):
+    assert "too little" in verdict(monkeypatch, 15.0).sentence
+    assert "not adequate" in verdict(monkeypatch, 15.0, misfit=40.0).sentence
 
 
 def pair(first, second):
