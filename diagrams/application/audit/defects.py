@@ -101,25 +101,25 @@ def measures(full: Answers, half: Answers, dt: float) -> list[Measure]:
             " explain it.", "impulse_friction",
         ),
     ]  # fmt: skip
-    torsion = full.slow_spin, half.slow_spin
+    torsion, torsion_unsure = _mean(full.slow_spin), _spread(full.slow_spin, half.slow_spin)
     spins = [answers.spin / _expected_spin(answers, pyramid, shape) for answers in (full, half)]
     spin, unsure = _mean(spins[0]), _spread(*spins)
     # Torsion is the same in place and in a slide; a pyramid resists a slow spin across its axes as it would.
     has_torsion = (
-        abs(torsion[0]) > max(0.05, _SURE * abs(torsion[0] - torsion[1]))
-        and (spin - 1) / torsion[0] > 0.5
+        abs(torsion) > max(0.05, _SURE * torsion_unsure)
+        and (spin - 1) / torsion > 0.5
         and pyramid.share < 0.05
     )
     if has_torsion:
-        way = "resists" if torsion[0] > 0 else "helps"
+        way = "resists" if torsion > 0 else "helps"
         result.append(
             Measure(
-                "torsion", "torsional friction", torsion[0], abs(torsion[0] - torsion[1]), 0.05, "1",
-                f"A torque {way} any spin, with {_percent(abs(torsion[0]))} of what Coulomb's law gives a"
-                " spin in place.", "torsional_friction" if torsion[0] > 0 else None,
+                "torsion", "torsional friction", torsion, torsion_unsure, 0.05, "1",
+                f"A torque {way} any spin, with {_percent(abs(torsion))} of what Coulomb's law gives a"
+                " spin in place.", "torsional_friction" if torsion > 0 else None,
             )
         )  # fmt: skip
-    excess = spin - 1 - (torsion[0] if has_torsion else 0.0)
+    excess = spin - 1 - (torsion if has_torsion else 0.0)
     result.append(
         Measure(
             "load_follows_slip", "load that follows slip", excess, unsure, 0.05, "1",

@@ -50,7 +50,7 @@ class Audit:
     def remedies(self) -> list[str]:
         """What to set to be nearer to Coulomb's law."""
         found = (engines.remedy(self.name, defect.key) for defect in self.defects)
-        return [remedy for remedy in found if remedy]
+        return sorted(filter(None, found), key=lambda remedy: remedy.startswith("against"))
 
     def to_json(self) -> dict[str, Any]:
         """The same as JSON knows it."""

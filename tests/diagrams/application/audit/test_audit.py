@@ -48,7 +48,6 @@ FRICTION, AREA = MU * GRAVITY * PLATE.mass.sum(), len(PLATE.grid) * PLATE.grid.w
     ("name", "values", "key", "size"),
     [
         ("friction_square", [0.7], "square", 0.7),
-        ("friction_diamond", [0.4], "diamond", 0.4),
         ("viscous_friction", [80.0], "speed", 80 * AREA * (0.3 - 0.02) / FRICTION),
         ("anisotropic_table", [0.05, 0.0], "grain", 0.05),
         ("torsional_friction", [2e-3], "torsion", 2e-3 / (MU * ARMS.mean())),
