@@ -34,8 +34,8 @@ BUILT_IN = {
         {
             "diamond": 'cone="elliptic" in MuJoCo\'s <option> gives a cone (mujoco:elliptic)',
             "creep": "impratio of 10 to 100 in MuJoCo's <option> cures creep (mujoco:elliptic,impratio=100)",
-            "load_follows_slip": "against load that follows slip no setting of MuJoCo is known (impratio and a"
-            " smaller step do not help)",
+            "load_follows_slip": "against load that follows slip no setting of MuJoCo is known (impratio and"
+            " a smaller step do not help)",
         },
     ),
     "bullet": BuiltIn(
