@@ -34,7 +34,9 @@ NOT_QUICK_FOLDERS = (
 )  # fmt: skip
 NOT_QUICK_FILES = (
     *COSTLY,
+    "test_audit.py",
     "test_benchmark.py",
+    "test_built_in_engines.py",
     "test_campaign_command.py",
     "test_collectable.py",
     "test_command_line.py",

@@ -437,15 +437,12 @@ class SlipLoad(Effect):
 
 class TorsionalFriction(Effect):
     name = "torsional_friction"
-    sentence = "A torque resists every spin beside the friction of the cells, or helps it where negative."
-    parameters = (Parameter("radius", "m", "the torque over the object's weight", -0.05, 0.05, 2e-3, 0.0),)
+    sentence = "A torque resists every spin beside the friction of the cells, however the object slides."
+    parameters = (Parameter("radius", "m", "the torque over the object's weight", 0.0, 0.05, 2e-3, 0.0),)
 
-    def force(self, body: Any, p: Any) -> Any:
-        # Rounded below a degree a second, or a step could turn the spin around.
-        return 0, 0, -p.radius * body.weight * body.omega / sp.sqrt(body.omega**2 + _SLOW_SPIN**2)
-
-
-_SLOW_SPIN = 0.02  # rad/s
+    def blade(self, body: Any, p: Any) -> Any:
+        # A blade so far away that it feels nothing but spin: along 1e-3 of a unit vector, at an arm of 1 km.
+        return p.radius * body.weight, 1e-3, 0, 0, -1e3
 
 
 LIBRARY: tuple[Effect, ...] = (

@@ -8,7 +8,15 @@ from typing import Literal
 import numpy as np
 from scipy.optimize import minimize_scalar
 
-from slipmap.diagrams.application.audit.probes import CREEP_LOAD, STEADY_SPEEDS, Answers, slides_of_point
+from slipmap.diagrams.application.audit.probes import (
+    CREEP_LOAD,
+    LATE,
+    SPINS,
+    STEADY_SPEEDS,
+    Answers,
+    slides_of_point,
+)
+from slipmap.diagrams.application.audit.scenes import plain_scene
 from slipmap.models.geometry import cross
 from slipmap.models.physics.cell_grid import FloatArray
 
@@ -62,6 +70,7 @@ class _Shape:
 
     pyramid: Pyramid
     grain: float  # half the difference of friction along and across a grain, as a share
+    along_x: float  # friction along x over its mean, by the grain
     lean: float  # largest angle by which friction leaves the line of motion otherwise, rad
 
 
@@ -79,7 +88,7 @@ def measures(full: Answers, half: Answers, dt: float) -> list[Measure]:
     shape, finer = _shape(full, dt, dt), _shape(half, dt / 2, dt)
     pyramid = shape.pyramid
     result = [
-        _factor(full, half), _speed(full, half), _pyramid(shape, finer),
+        _factor(full, half, shape), _speed(full, half), _pyramid(shape, finer),
         Measure(
             "grain", "grain", shape.grain, abs(shape.grain - finer.grain), 0.02, "1",
             f"Friction differs by {_percent(2 * shape.grain)} along and across one direction of the table.",
@@ -92,20 +101,25 @@ def measures(full: Answers, half: Answers, dt: float) -> list[Measure]:
             " explain it.", "impulse_friction",
         ),
     ]  # fmt: skip
-    torsion = full.slow_spin, half.slow_spin
-    # A pyramid resists a slow spin across its axes as torsion would.
-    has_torsion = abs(torsion[0]) > max(0.05, _SURE * abs(torsion[0] - torsion[1])) and pyramid.share < 0.05
-    spin, unsure = _mean(full.spin / pyramid.spin), _spread(full.spin, half.spin)
+    torsion, torsion_unsure = _mean(full.slow_spin), _spread(full.slow_spin, half.slow_spin)
+    spins = [answers.spin / _expected_spin(answers, pyramid, shape) for answers in (full, half)]
+    spin, unsure = _mean(spins[0]), _spread(*spins)
+    # Torsion is the same in place and in a slide; a pyramid resists a slow spin across its axes as it would.
+    has_torsion = (
+        abs(torsion) > max(0.05, _SURE * torsion_unsure)
+        and (spin - 1) / torsion > 0.5
+        and pyramid.share < 0.05
+    )
     if has_torsion:
-        way = "resists" if torsion[0] > 0 else "helps"
+        way = "resists" if torsion > 0 else "helps"
         result.append(
             Measure(
-                "torsion", "torsional friction", torsion[0], abs(torsion[0] - torsion[1]), 0.05, "1",
-                f"A torque {way} any spin, with {_percent(abs(torsion[0]))} of what Coulomb's law gives a"
-                " spin in place.", "torsional_friction",
+                "torsion", "torsional friction", torsion, torsion_unsure, 0.05, "1",
+                f"A torque {way} any spin, with {_percent(abs(torsion))} of what Coulomb's law gives a"
+                " spin in place.", "torsional_friction" if torsion > 0 else None,
             )
         )  # fmt: skip
-    excess = spin - 1 - (torsion[0] if has_torsion else 0.0)
+    excess = spin - 1 - (torsion if has_torsion else 0.0)
     result.append(
         Measure(
             "load_follows_slip", "load that follows slip", excess, unsure, 0.05, "1",
@@ -131,11 +145,17 @@ def _percent(share: float) -> str:
     return f"{100 * share:.3g} %"
 
 
-def _factor(full: Answers, half: Answers) -> Measure:
-    value = _mean(full.steady) - 1
+def _expected_spin(answers: Answers, pyramid: Pyramid, shape: _Shape) -> FloatArray:
+    """(16,) torque of spins in place over Coulomb's, if friction had no more to it than slides show."""
+    slip = np.mean(LATE) * np.abs(SPINS) * plain_scene().mean_arm
+    return np.asarray(pyramid.spin * np.interp(slip, STEADY_SPEEDS, answers.steady) / shape.along_x)
+
+
+def _factor(full: Answers, half: Answers, shape: _Shape) -> Measure:
+    value, finer = (float(answers.steady[0] / shape.along_x - 1) for answers in (full, half))
     return Measure(
-        "factor", "friction off by a factor", value, _spread(full.steady, half.steady), 0.02, "1",
-        f"Friction is {1 + value:.3f} times what the coefficient says.", None,
+        "factor", "friction off by a factor", value, abs(value - finer), 0.02, "1",
+        f"Friction of slow slides is {1 + value:.3f} times what the coefficient says.", None,
     )  # fmt: skip
 
 
@@ -190,15 +210,20 @@ def _shape(answers: Answers, dt: float, full_dt: float) -> _Shape:
         best = minimize_scalar(misfit, bounds=(0.0, 1.0), method="bounded", options={"xatol": 1e-3})
         fits.append((float(best.fun), kind, float(best.x)))
     _, kind, share = min(fits)
-    _, grain, lean = _beside_pyramid(answers, kind, share, dt, full_dt)
-    # Along a grain of size g friction leans by as much; what leans beyond is something else.
-    return _Shape(Pyramid("square" if kind == "square" else "diamond", share), grain, max(lean - grain, 0.0))
+    _, waves = _beside_pyramid(answers, kind, share, dt, full_dt)
+    grain, lean = float(np.hypot(*waves[:2])), float(np.hypot(*waves[2:]))
+    # Where friction changes with direction by a wave of size g, it leans by up to 2 g; what leans beyond is
+    # something else.
+    return _Shape(
+        Pyramid("square" if kind == "square" else "diamond", share), grain, 1 + float(waves[0]),
+        max(lean - 2 * grain, 0.0),
+    )  # fmt: skip
 
 
 def _beside_pyramid(
     answers: Answers, kind: str, share: float, dt: float, full_dt: float
-) -> tuple[float, float, float]:
-    """Sum of squares that a pyramid and two waves a turn leave, and their sizes: along motion, and across."""
+) -> tuple[float, FloatArray]:
+    """Sum of squares that a pyramid and two waves a turn leave, and (4,) these: along motion, and across."""
 
     def friction(direction: FloatArray) -> FloatArray:
         return (share - 1) * direction + share * pyramid_force(kind, direction)
@@ -212,5 +237,4 @@ def _beside_pyramid(
     seen = np.append(-np.sum(answers.friction * u, axis=1), -cross(u, answers.friction))
     found, *_ = np.linalg.lstsq(columns, seen, rcond=None)
     left = columns @ found - seen
-    found = found / found[0]
-    return float(left @ left), float(np.hypot(*found[1:3])), float(np.hypot(*found[3:]))
+    return float(left @ left), found[1:] / found[0]

@@ -68,6 +68,13 @@ class EngineScene:
         return np.asarray(self.mass @ self.grid.centers / self.mass.sum())
 
     @property
+    def mean_arm(self) -> float:
+        """Mean distance of the mass from its centre, m."""
+        return float(
+            self.mass @ np.linalg.norm(self.grid.centers - self.center_of_mass, axis=1) / self.mass.sum()
+        )
+
+    @property
     def moment_of_inertia(self) -> float:
         """About the vertical axis through the centre of mass, kg m²."""
         away = self.grid.centers - self.center_of_mass

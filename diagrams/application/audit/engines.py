@@ -34,8 +34,8 @@ BUILT_IN = {
         {
             "diamond": 'cone="elliptic" in MuJoCo\'s <option> gives a cone (mujoco:elliptic)',
             "creep": "impratio of 10 to 100 in MuJoCo's <option> cures creep (mujoco:elliptic,impratio=100)",
-            "load_follows_slip": "no setting of MuJoCo is known against load that follows slip: impratio and"
-            " the time step do not help",
+            "load_follows_slip": "against load that follows slip no setting of MuJoCo is known (impratio and"
+            " a smaller step do not help)",
         },
     ),
     "bullet": BuiltIn(
@@ -43,7 +43,7 @@ BUILT_IN = {
         ("dt", "iterations"),
         {
             "square": "setPhysicsEngineParameter(enableConeFriction=1) gives a cone (bullet:cone)",
-            "lean": "no setting of Bullet's multibody solver is known against leaning friction",
+            "lean": "against leaning friction no setting of Bullet's multibody solver is known",
         },
     ),
     "drake": BuiltIn(

@@ -24,24 +24,27 @@ DIRECTIONS = np.arange(24) * np.pi / 12
 """(24,) of the free slides, rad."""
 STEADY_SPEEDS = np.array([0.02, 0.05, 0.1, 0.3])
 """m/s, along x."""
+SPINS = np.outer([-1.0, 1.0], np.linspace(3.0, 8.0, 8)).ravel()
+"""rad/s, in place."""
 CREEP_LOAD = 0.6
 """Of what friction can hold."""
 
 _SLIDE_SPEEDS = np.array([0.2, 0.3, 0.45])  # m/s
-_SPINS = np.outer([-1.0, 1.0], np.linspace(3.0, 8.0, 8)).ravel()  # rad/s
 _STEPS = 40  # at least, until a free slide stops
-_FINE = 8  # steps of a point in one of the engine
+_FINE = 4  # steps of a point in one of the engine
 _EARLY = (0.05, 0.45)  # of the time until it stops, in which a direction changes little
-_LATE = (0.1, 0.75)  # the same of spins
+LATE = (0.1, 0.75)
+"""The same of spins."""
 _SETTLED, _STEADY = 0.1, 0.3  # s that an even slide is left to itself, and watched
-_SLOW_SPIN, _SLOW_SLIDE = 0.3, 0.15  # rad/s of an object that slides at so many m/s
+_SLOW_SPIN, _SLOW_STEPS = 0.8, 6  # rad/s, for so many steps
+_SLOW_SLIDES = np.array([0.15, 0.2, 0.25, 0.3])  # m/s of the object in the meantime
 _CREEP_DIRECTIONS = np.radians([0.0, 22.5, 45.0])
 _LAID, _CREPT = 0.25, 0.25  # s that a load is left to itself, and watched
 _STEEP = 1.5  # load, of what friction can hold, under which anything slides
 
 Report = Callable[[int], None]
 """Called with how many probes are done."""
-COUNT = 2 + len(DIRECTIONS) + len(STEADY_SPEEDS) + len(_SPINS) + len(_CREEP_DIRECTIONS)
+COUNT = 2 + len(DIRECTIONS) + len(STEADY_SPEEDS) + len(SPINS) + len(_CREEP_DIRECTIONS)
 """Probes of one engine at one step."""
 
 
@@ -55,18 +58,16 @@ class Answers:
     friction: FloatArray
     steady: FloatArray  # (4,) friction at `STEADY_SPEEDS` over Coulomb's
     spin: FloatArray  # (16,) torque of a spin in place over Coulomb's
-    slow_spin: (
-        float  # torque of a slow spin while the object slides, less Coulomb's, over that of a spin in place
-    )
+    # (8,) torque of slow spins while the object slides, less Coulomb's, over Coulomb's of a spin in place
+    slow_spin: FloatArray
     creep: FloatArray  # (3,) speed under a load that friction can hold, m/s
 
 
-def ask(subject: Subject, reference: type[CoulombEngine], report: Report) -> Answers:
+def ask(subject: Subject, report: Report) -> Answers:
     """Ask all probes of an engine.
 
     Args:
         subject: the engine.
-        reference: what spins are compared with.
         report: called after each of `COUNT` probes.
 
     Raises:
@@ -89,12 +90,12 @@ def ask(subject: Subject, reference: type[CoulombEngine], report: Report) -> Ans
     for speed in STEADY_SPEEDS:
         steady.append(_steady_slide(subject, speed))
         count()
-    same = Subject("Coulomb", type("Same", (reference,), {"dt": subject.dt}), subject.full_dt)
+    same = Subject("Coulomb", type("Same", (CoulombEngine,), {"dt": subject.dt}), subject.full_dt)
     spins = []
-    for rate in _SPINS:
+    for rate in SPINS:
         spins.append(_spin_torque(subject, rate) / _spin_torque(same, rate))
         count()
-    slow = (_slow_spin_torque(subject) - _slow_spin_torque(same)) / _spin_torque(same, _SPINS[-1])
+    slow = (_slow_spin_torques(subject) - _slow_spin_torques(same)) / _spin_torque(same, SPINS[-1])
     count()
     creep = []
     for angle in _CREEP_DIRECTIONS:
@@ -197,23 +198,24 @@ def _steady_slide(subject: Subject, speed: float) -> float:
 def _spin_torque(subject: Subject, rate: float) -> float:
     """Angular deceleration of an object that is let go with a spin, rad/s²."""
     scene = plain_scene()
-    arms = np.linalg.norm(scene.grid.centers - scene.center_of_mass, axis=1)
-    stop = abs(rate) * scene.moment_of_inertia / (MU * GRAVITY * scene.mass @ arms)
-    path = subject.lay(scene).slide(np.array([0.0, 0.0, rate]), _LATE[1] * stop)
-    first = round(_LATE[0] * stop / subject.dt)
+    stop = abs(rate) * scene.moment_of_inertia / (MU * GRAVITY * scene.mass.sum() * scene.mean_arm)
+    path = subject.lay(scene).slide(np.array([0.0, 0.0, rate]), LATE[1] * stop)
+    first = round(LATE[0] * stop / subject.dt)
     return float(
         -np.sign(rate) * _parabola(subject.dt * np.arange(float(first), len(path)), path[first:, 2])[1]
     )
 
 
-def _slow_spin_torque(subject: Subject) -> float:
-    """The same of a slow spin while a steep gravity keeps the object sliding."""
+def _slow_spin_torques(subject: Subject) -> FloatArray:
+    """(8,) the same of a slow spin, either way, while a steep gravity keeps the object sliding."""
     laid = subject.lay(plain_scene(), _tilted(np.array([MU * GRAVITY, 0.0])))
-    turns = []
-    for rate in (-_SLOW_SPIN, _SLOW_SPIN):
-        path = laid.slide(np.array([_SLOW_SLIDE, 0.0, rate]), 20 * subject.full_dt)
-        turns.append(-np.sign(rate) * _parabola(subject.dt * np.arange(float(len(path))), path[:, 2])[1])
-    return float(np.mean(turns))
+    torques = []
+    for speed in _SLOW_SLIDES:
+        for rate in (-_SLOW_SPIN, _SLOW_SPIN):
+            path = laid.slide(np.array([speed, 0.0, rate]), _SLOW_STEPS * subject.full_dt)
+            times = subject.dt * np.arange(float(len(path)))
+            torques.append(-np.sign(rate) * _parabola(times, path[:, 2])[1])
+    return np.array(torques)
 
 
 def _creep(subject: Subject, along: FloatArray) -> float:

@@ -10,7 +10,7 @@ import numpy as np
 
 from slipmap.diagrams.application.audit import engines, probes
 from slipmap.diagrams.application.audit.defects import Measure, measures
-from slipmap.diagrams.application.audit.engine import CoulombEngine, Subject
+from slipmap.diagrams.application.audit.engine import Subject
 from slipmap.diagrams.application.audit.prices import (
     COUNT,
     Explained,
@@ -50,7 +50,7 @@ class Audit:
     def remedies(self) -> list[str]:
         """What to set to be nearer to Coulomb's law."""
         found = (engines.remedy(self.name, defect.key) for defect in self.defects)
-        return [remedy for remedy in found if remedy]
+        return sorted(filter(None, found), key=lambda remedy: remedy.startswith("against"))
 
     def to_json(self) -> dict[str, Any]:
         """The same as JSON knows it."""
@@ -106,20 +106,19 @@ def audit(
     answers = []
     for one in (subject, half):
         stage = f"{subject.name}, probes at {1e3 * one.dt:g} ms"
-        answers.append(probes.ask(one, CoulombEngine, _counter(report, stage, probes.COUNT)))
+        answers.append(probes.ask(one, _counter(report, stage, probes.COUNT)))
     found = measures(answers[0], answers[1], subject.dt)
     pushed, pushed_half = (
         push_all(one, standard, _counter(report, f"{subject.name}, pushes at {1e3 * one.dt:g} ms", COUNT))
         for one in (subject, half)
     )
-    tried = laws(LIBRARY)
+    tried = laws(LIBRARY) if pushed.price > _NOTHING else []
     explained = []
     for number, effect in enumerate(tried):
         report(f"{subject.name}, what explains it: {effect.name}", number, len(tried))
         explained.append(explain(pushed, standard, effect))
-    report(f"{subject.name}, what explains it", len(tried), len(tried))
     better = [one for one in explained if one.price < _LOWER * pushed.price]
-    better = sorted(better, key=lambda one: one.price) if pushed.price > _NOTHING else []
+    better.sort(key=lambda one: one.price)
     return Audit(
         subject.name, engines.version(subject.name), subject.dt, answers[0], tuple(found), pushed,
         pushed_half, tuple(better), standard,
