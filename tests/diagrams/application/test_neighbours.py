@@ -7,11 +7,13 @@ import os
 import signal
 import subprocess
 import sys
+from types import SimpleNamespace
 
 import pytest
 from test_command_line import ENVIRONMENT, files_in
 
 from slipmap.diagrams.application import terminal
+from slipmap.diagrams.application.commands.cell_run import CellRun
 from slipmap.diagrams.application.outputs import lock_folder
 from slipmap.diagrams.application.terminal import printable
 from slipmap.models.files import BadInput, together, write_json, write_text
@@ -86,6 +88,14 @@ def test_an_exploration_is_refused_a_folder_in_use_before_it_writes(slipmap, tmp
     said = slipmap("explore", "--pushes", 1, "--checks", 0, "--out", tmp_path)
     assert said.code == 2 and "another slipmap is writing a run there" in said.err
     assert files_in(tmp_path) == []
+
+
+def test_a_recording_without_room_is_lost_alone(tmp_path):
+    """The folder of the recording is gone; so would be room on a disk that is full."""
+    cell = CellRun(False, "", False, tmp_path / "gone" / "run.html", tmp_path / "out")
+    meshcat = SimpleNamespace(PublishRecording=lambda: None, StaticHtml=lambda: "<html>")
+    with pytest.raises(BadInput, match=r"cannot write .*run\.html.*recording alone is lost.*--resume .*out"):
+        cell.keep_recording(meshcat)
 
 
 def test_workers_of_a_killed_process_end(tmp_path):
