@@ -2,13 +2,9 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
-
-LONGEST = 3.0
-"""s that one file may take, on a computer that has something else to do."""
 
 STRANGE = [
     b"\x00",
@@ -56,10 +52,9 @@ def spoilt(content: bytes, count: int, more: Sequence[bytes] = (), seed: int = 0
 def refusals(
     files: Iterator[bytes], read: Callable[[bytes], object], documented: type[Exception]
 ) -> tuple[int, int]:
-    """Files that were read and refused; each within `LONGEST`, in one paragraph, with no other exception."""
+    """Files that were read and refused; each in one paragraph, with no other exception."""
     read_well = refused = 0
     for content in files:
-        began = time.perf_counter()
         try:
             read(content)
             read_well += 1
@@ -67,6 +62,4 @@ def refusals(
             refused += 1
             assert "\n" not in str(error).strip(), str(error)
             assert len(str(error)) < 1500, str(error)
-        took = time.perf_counter() - began
-        assert took < LONGEST, (took, content[:200])
     return read_well, refused

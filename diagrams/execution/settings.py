@@ -3,6 +3,7 @@
 # Annotations stay objects: Drake's YAML reader looks at them.
 from dataclasses import dataclass
 
+from slipmap.models.robots import FINGER_RADIUS
 from slipmap.models.settings import CheckedSettings, within
 
 
@@ -13,6 +14,7 @@ class ExecutionConfig(CheckedSettings):
     _section = "execution."
 
     tip_height: float = within(0.004, 0.001, 0.05)  # of the finger's end over the table while it pushes, m
+    finger_radius: float = within(FINGER_RADIUS, 0.002, 0.02)  # of the round finger that pushes, m
     # of the finger's end over the table while it passes over things, m; the higher, the less of the table can
     # be reached
     safe_height: float = within(0.10, 0.02, 0.3)

@@ -53,7 +53,7 @@ class HeardCell(PythonDiagram):
         )
         self._export_arm(builder)
         self._export_camera(builder)
-        plant, scene_graph, arm = lone_arm(scenario.arm.models)
+        plant, scene_graph, arm = lone_arm(scenario.arm.models, scenario.execution.finger_radius)
         self.arm_hulls = ArmHulls(plant, scene_graph, [arm.iiwa, arm.gripper])
         builder.BuildInto(self)
         self.set_name("heard_cell")

@@ -38,7 +38,6 @@ from slipmap.models.objects.true_object import TrueObject
 from slipmap.models.perception.first_look import FirstPicture
 from slipmap.models.perception.seen_object import UNSEEN_ANGLE, angle_held
 from slipmap.models.physics.cell_grid import CellGrid
-from slipmap.models.robots import FINGER_RADIUS
 from slipmap.planners.action_selection import Choice, choose_push
 from slipmap.planners.exploration import NoReachablePush
 
@@ -284,7 +283,7 @@ def add_exploration(
         exploration=add(
             "exploration",
             Exploration(
-                options.strategy, options.pushes, FINGER_RADIUS, scenario.pokes,
+                options.strategy, options.pushes, execution.finger_radius, scenario.pokes,
                 checks.can_push, options.seed, worker, () if before is None else before.choices,
             ),
         ),
@@ -339,10 +338,11 @@ def check_reach(scenario: Scenario, thing: TrueObject) -> None:
     """
     x, y, degrees = scenario.object.pose
     pose = np.array([x, y, np.radians(degrees)])
-    checks = ArmChecks(scenario.arm.models, scenario.table.make(), scenario.execution)
+    execution = scenario.execution
+    checks = ArmChecks(scenario.arm.models, scenario.table.make(), execution)
     try:
         choose_push(
-            thing.grid, pose, FINGER_RADIUS, strategy="random", settings=scenario.pokes, tap=False,
+            thing.grid, pose, execution.finger_radius, strategy="random", settings=scenario.pokes, tap=False,
             allowed=partial(checks.can_push, Obstacle(thing.grid, thing.height, pose)),
             rng=np.random.default_rng(0),
         )  # fmt: skip
@@ -360,7 +360,8 @@ def recorded_dataset(trials: Sequence[Trial], grid: CellGrid, scenario: Scenario
         trials,
         grid,
         name=scenario.object.called,
-        finger_radius=FINGER_RADIUS,
+        finger_radius=scenario.execution.finger_radius,
+        gravity=scenario.gravity,
         noise=noise,
         table=scenario.table.make(),
         description="Recorded by the station's arm and depth camera.",

@@ -23,7 +23,8 @@ from slipmap.diagrams.loops.exploration_loop import (
 from slipmap.diagrams.loops.run_folder import Recording, RunFolder
 from slipmap.diagrams.perception.sight import Sight
 from slipmap.diagrams.station.arm import HOME
-from slipmap.diagrams.station.scenario import Scenario
+from slipmap.diagrams.station.scenario import Scenario, ScenarioError
+from slipmap.diagrams.station.sliding_object import GRAVITY
 from slipmap.diagrams.station.station import Station
 from slipmap.diagrams.systems.goal_and_push_planner import GoalAndPushPlanner
 from slipmap.diagrams.systems.loop_messages import LoopStatus, PregraspPlan
@@ -35,6 +36,7 @@ from slipmap.models.perception.pinhole_camera import View
 from slipmap.models.perception.seen_object import SeenObject
 from slipmap.models.physics.maps import Maps
 from slipmap.models.progress import silent
+from slipmap.models.robots import FINGER_RADIUS
 from slipmap.planners.settings import PregraspSettings
 
 BRINGS = {
@@ -88,8 +90,14 @@ def pregrasp_loop(
         cell, worker: see `exploration_loop`; a real cell knows no truth to plan with.
 
     Raises:
-        ScenarioError, ValueError, RendererUnavailable: see `exploration_loop`.
+        ScenarioError: also another finger, or stronger gravity, than grasps are planned for.
+        ValueError, RendererUnavailable: see `exploration_loop`.
     """
+    if scenario.execution.finger_radius != FINGER_RADIUS or scenario.gravity > GRAVITY:
+        raise ScenarioError(
+            f"pregrasp: grasps are planned for pins with a radius of {FINGER_RADIUS:g} m and a gravity of"
+            f" {GRAVITY:g} m/s² at most; leave out execution.finger_radius and gravity, or explore alone"
+        )
     builder = DiagramBuilder()
     blocks = add_exploration(
         builder, scenario, options.exploration, cell=cell, worker=worker, meshcat=meshcat

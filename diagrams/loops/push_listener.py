@@ -31,7 +31,6 @@ from slipmap.models.files import writing
 from slipmap.models.measurements import PushDataset
 from slipmap.models.measurements.writing import PushRecorder
 from slipmap.models.perception.seen_object import ObservedPose
-from slipmap.models.robots import FINGER_RADIUS
 
 HEARD = (*ARM, *CAMERA)
 """Channels that pushes are made out from."""
@@ -75,7 +74,7 @@ class PushListener:
         self._perception = see = builder.AddSystem(CellPerception(camera, cells, cell.arm_hulls))
         sense = builder.AddSystem(FingerSense(arm_model(models=scenario.arm.models)))
         aside = builder.AddSystem(ArmAside(camera.intrinsics, cell.arm_hulls))
-        self._finder = finder = builder.AddSystem(PushFinder(FINGER_RADIUS))
+        self._finder = finder = builder.AddSystem(PushFinder(scenario.execution.finger_radius))
         self._logger = logger = builder.AddSystem(MeasurementLogger(fit=10**9))
         connect(
             builder,

@@ -1,6 +1,9 @@
 """The arm: an iiwa 14 with a gripper, mounted beside the table, and the drivers that control it."""
 
+import re
+import tempfile
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 from pydrake import manipulation
@@ -36,12 +39,13 @@ IIWA_OUTPUTS = ("position_commanded", "position_measured", "velocity_estimated",
 """What the arm says of its joints; the ports of a cell are named `iiwa.` and one of these."""
 
 _FLOOR = -0.75  # m, where the stand ends
+_PIN_RADIUS = 0.0075  # m; of the finger but for its last 12 mm
 _SQUEEZE = 0.01  # m beyond closed that is asked for, so that it closes with all its force
 
 _DIRECTIVES = """
 directives:
 - add_model: {{name: iiwa, file: "{arm}"}}
-- add_model: {{name: gripper, file: "package://slipmap_robots/{gripper}"}}
+- add_model: {{name: gripper, file: "file://{gripper}"}}
 - add_weld:
     parent: iiwa::iiwa_link_7
     child: gripper::mount
@@ -74,7 +78,12 @@ def default_arm_base() -> RigidTransform:
     return RigidTransform(RollPitchYaw(0.0, np.deg2rad(90.0), 0.0), np.array([-0.70, 0.0, 0.6]))
 
 
-def add_arm(plant: MultibodyPlant, X_WB: RigidTransform | None = None, models: str = "primitives") -> Arm:
+def add_arm(
+    plant: MultibodyPlant,
+    X_WB: RigidTransform | None = None,
+    models: str = "primitives",
+    finger_radius: float = FINGER_RADIUS,
+) -> Arm:
     """Put the arm into a plant that is not finalized yet, at its home posture by default.
 
     No part of the arm or gripper collides with another one; all of them collide with everything else.
@@ -83,13 +92,14 @@ def add_arm(plant: MultibodyPlant, X_WB: RigidTransform | None = None, models: s
         plant: discrete, with a contact approximation other than `tamsi`, which could not couple the fingers.
         X_WB: pose of the base in the world; `default_arm_base` if None.
         models: a key of `ARM_MODELS`. Drake downloads its meshes at first use.
+        finger_radius: of the closed gripper's finger, m.
 
     Raises:
         ValueError: an unknown set of models.
         RuntimeError: the models cannot be had, or the plant cannot couple the fingers.
     """
     X_WB = default_arm_base() if X_WB is None else X_WB
-    iiwa, gripper = _parse(plant, X_WB, models)
+    iiwa, gripper = _parse(plant, X_WB, models, finger_radius)
     # One drive moves both fingers; uncoupled, a sideways push would shift them together.
     plant.AddCouplerConstraint(
         plant.GetJointByName("left_finger_joint", gripper),
@@ -100,22 +110,27 @@ def add_arm(plant: MultibodyPlant, X_WB: RigidTransform | None = None, models: s
         plant.GetJointByName(name, iiwa).set_default_positions([angle])
     if plant.geometry_source_is_registered():
         _add_stand(plant, X_WB)
-    return Arm(iiwa, gripper, plant.GetFrameByName("tip", gripper).index(), FINGER_RADIUS, X_WB, models)
+    return Arm(iiwa, gripper, plant.GetFrameByName("tip", gripper).index(), finger_radius, X_WB, models)
 
 
-def lone_arm(models: str = "primitives") -> tuple[MultibodyPlant, SceneGraph, Arm]:
+def lone_arm(
+    models: str = "primitives", finger_radius: float = FINGER_RADIUS
+) -> tuple[MultibodyPlant, SceneGraph, Arm]:
     """The arm alone in a finalized plant with a scene graph, for looking at its shapes; see `add_arm`."""
     plant, scene_graph = MultibodyPlant(1e-3), SceneGraph()
     plant.RegisterAsSourceForSceneGraph(scene_graph)
-    arm = add_arm(plant, models=models)
+    arm = add_arm(plant, models=models, finger_radius=finger_radius)
     plant.Finalize()
     return plant, scene_graph, arm
 
 
-def arm_model(X_WB: RigidTransform | None = None, models: str = "primitives") -> MultibodyPlant:
+def arm_model(
+    X_WB: RigidTransform | None = None, models: str = "primitives", gravity: FloatArray | None = None
+) -> MultibodyPlant:
     """The arm as its controller knows it: a finalized plant of 7 positions, the closed gripper its load.
 
-    Like the plant of `add_arm` it has a frame `tip`. Its discrete time step has no meaning.
+    Like the plant of `add_arm` it has a frame `tip`. Its discrete time step has no meaning. Gravity (3,) is
+    that of the world, m/s²; Drake's own if None.
 
     Raises:
         ValueError, RuntimeError: as `add_arm`.
@@ -130,6 +145,8 @@ def arm_model(X_WB: RigidTransform | None = None, models: str = "primitives") ->
     X_MH = hand.CalcPose(context, complete.GetFrameByName("mount", gripper))
 
     plant = MultibodyPlant(1e-3)
+    if gravity is not None:
+        plant.mutable_gravity_field().set_gravity_vector(gravity)
     (iiwa,) = _parser(plant).AddModelsFromUrl(_arm_url(models))
     plant.WeldFrames(
         plant.world_frame(),
@@ -155,7 +172,8 @@ def add_arm_drivers(builder: DiagramBuilder, plant: MultibodyPlant, arm: Arm) ->
     gripper closes with all the force that `gripper.force_limit` allows. That is (1,) the largest force of a
     finger, N, 40 if not connected; `gripper.state_measured` (2,) the opening and its rate, m and m/s.
     """
-    model = SharedPointerSystem.AddToBuilder(builder, arm_model(arm.X_WB, arm.models))
+    gravity = plant.gravity_field().gravity_vector()
+    model = SharedPointerSystem.AddToBuilder(builder, arm_model(arm.X_WB, arm.models, gravity))
     config = manipulation.IiwaDriver(control_mode="position_only", desired_kp_gains=STIFFNESS)
     iiwa = manipulation.SimIiwaDriver.AddToBuilder(builder, plant, arm.iiwa, config, model)
     builder.ExportInput(iiwa.GetInputPort("position"), "iiwa.position")
@@ -205,16 +223,29 @@ def _parser(plant: MultibodyPlant) -> Parser:
     return parser
 
 
+def _gripper_text(finger_radius: float) -> str:
+    """The gripper's model file, with another radius of the finger's last 12 mm and of the rest, which is a
+    little thinner."""
+    text = GRIPPER_MODEL.read_text(encoding="utf-8")
+    radii = {FINGER_RADIUS: finger_radius, _PIN_RADIUS: finger_radius - (FINGER_RADIUS - _PIN_RADIUS)}
+    given = "|".join(f"{radius:g}" for radius in radii)
+    return re.sub(f'radius="({given})"', lambda found: f'radius="{radii[float(found[1])]:.6g}"', text)
+
+
 def _parse(
-    plant: MultibodyPlant, X_WB: RigidTransform, models: str
+    plant: MultibodyPlant, X_WB: RigidTransform, models: str, finger_radius: float = FINGER_RADIUS
 ) -> tuple[ModelInstanceIndex, ModelInstanceIndex]:
     members = [f"iiwa::iiwa_link_{i}" for i in range(8)]
     members += [f"gripper::{part}" for part in ("hand", "left_finger", "right_finger")]
-    directives = _DIRECTIVES.format(
-        arm=_arm_url(models), gripper=GRIPPER_MODEL.name, flange=FLANGE_HEIGHT, members=", ".join(members)
-    )
+    arm = _arm_url(models)
     try:
-        ProcessModelDirectives(LoadModelDirectivesFromString(directives), _parser(plant))
+        with tempfile.TemporaryDirectory() as folder:
+            gripper_file = Path(folder) / GRIPPER_MODEL.name
+            gripper_file.write_text(_gripper_text(finger_radius), encoding="utf-8")
+            directives = _DIRECTIVES.format(
+                arm=arm, gripper=gripper_file, flange=FLANGE_HEIGHT, members=", ".join(members)
+            )
+            ProcessModelDirectives(LoadModelDirectivesFromString(directives), _parser(plant))
     except RuntimeError as error:
         if models == "primitives":
             raise

@@ -114,10 +114,10 @@ class HiddenEffectsConfig:
         return not any([*sizes, spots.gradient_x, spots.gradient_y, spots.patch])
 
 
-def tilted_gravity(tilt: TableTilt) -> FloatArray:
+def tilted_gravity(tilt: TableTilt, gravity: float = GRAVITY) -> FloatArray:
     """(3,) gravity in the frame of a table whose top falls by these slopes along x and y, m/s²."""
     down = np.array([np.tan(tilt.down_x), np.tan(tilt.down_y), -1.0])
-    return GRAVITY * down / np.linalg.norm(down)
+    return gravity * down / np.linalg.norm(down)
 
 
 class HiddenEffects(PythonSystem):
@@ -149,8 +149,9 @@ class HiddenEffects(PythonSystem):
         self._index = plant.GetBodyByName(BODY).index()
         self._base = np.column_stack([grid.centers, np.zeros(len(grid))])
         self._width = grid.width
-        self._load = true_object.mass * true_object.mu * GRAVITY
-        self._step_of_speed = true_object.mu * GRAVITY * plant.time_step()
+        self._gravity = gravity = -float(plant.gravity_field().gravity_vector()[2])
+        self._load = true_object.mass * true_object.mu * gravity
+        self._step_of_speed = true_object.mu * gravity * plant.time_step()
         self._mass = true_object.total_mass
         self._p_OC = true_object.center_of_mass
         self._refuse_stiff(plant.time_step())
@@ -198,7 +199,10 @@ class HiddenEffects(PythonSystem):
         touching = np.abs(p_WO[2] + arms[:, 2]) < _TOUCH
 
         places = [R @ self._p_OC]
-        forces = [self._mass * (tilted_gravity(self._config.table_tilt) - tilted_gravity(TableTilt()))]
+        tilted, level = (
+            tilted_gravity(tilt, self._gravity) for tilt in (self._config.table_tilt, TableTilt())
+        )
+        forces = [self._mass * (tilted - level)]
         tether = self._config.tether
         tied = R @ [tether.point_x, tether.point_y, 0.0]
         places.append(tied)

@@ -27,6 +27,7 @@ from slipmap.diagrams.perception.camera import CameraConfig
 from slipmap.diagrams.perception.depth_noise import DepthNoiseConfig
 from slipmap.diagrams.station.arm import ARM_MODELS
 from slipmap.diagrams.station.hidden_effects import HiddenEffectsConfig
+from slipmap.diagrams.station.sliding_object import GRAVITY
 from slipmap.models.files import BadInput, UnreadableFile, read_bounded
 from slipmap.models.measurements.parsing import shown_error
 from slipmap.models.measurements.push_dataset import Table
@@ -207,6 +208,7 @@ class Scenario:
         pushes: how it is pushed there.
         repair: how pushes that surprise the model are looked into, where the run is to adapt.
         simulation: how the world is stepped.
+        gravity: m/s².
 
     Example:
         >>> import slipmap
@@ -229,6 +231,12 @@ class Scenario:
     pushes: PushSettings = field(default_factory=PushSettings)
     repair: RepairSettings = field(default_factory=RepairSettings)
     simulation: SimulationSettings = field(default_factory=SimulationSettings)
+    gravity: float = GRAVITY
+
+    def check(self) -> None:
+        """Raise ValueError where gravity makes no sense."""
+        if not 0.1 <= self.gravity <= 50.0:
+            raise ValueError(f"gravity must lie between 0.1 and 50 m/s², got {self.gravity}")
 
 
 def read_scenario(path: str | Path, object_name: str | None = None) -> Scenario:

@@ -18,7 +18,7 @@ from slipmap.models.objects.true_object import TrueObject
 from slipmap.models.physics.cell_grid import FloatArray
 
 GRAVITY = 9.81
-"""m/s²; sets how stiff the feet are."""
+"""m/s², where nothing else is given."""
 BODY = "object"
 """Name of the body and of the model instance's only link."""
 DISC = "disc"
@@ -120,6 +120,7 @@ def add_sliding_object(
 
     Args:
         plant: registered with a scene graph, not finalized, a round table in it already; see `plant_config`.
+            Its gravity sets how stiff the feet are.
         table_friction: of the table's own geometry (`table_contact`).
         finger_friction: of the finger's own geometry; together with the blocks' it gives `mu_finger`.
         single_feet: one foot in the middle of each cell instead of four. Simulates several times faster; that
@@ -135,11 +136,11 @@ def add_sliding_object(
     )
     instance = plant.AddModelInstance(BODY)
     body = plant.AddRigidBody(BODY, instance, spatial_inertia(true_object))
-    grid = true_object.grid
+    grid, gravity = true_object.grid, -float(plant.gravity_field().gravity_vector()[2])
     feet = np.zeros((1, 2)) if single_feet else _FEET
     foot_shapes, block_shapes = [], []
     for cell, (center, mass) in enumerate(zip(grid.centers, true_object.mass, strict=True)):
-        wanted = mass * GRAVITY / len(feet) / SINK
+        wanted = mass * gravity / len(feet) / SINK
         contact = _contact(wanted * _TABLE_STIFFNESS / (_TABLE_STIFFNESS - wanted), foot_mu[cell])
         for foot, place in enumerate(center + grid.width * feet):
             X_OF = RigidTransform(np.array([*place, _FOOT_RADIUS]))
@@ -149,7 +150,7 @@ def add_sliding_object(
                     body, X_OF, geometry.Sphere(_FOOT_RADIUS), name_of_foot, contact
                 )
             )
-    contact = _contact(true_object.total_mass * GRAVITY / _BLOCK_SINK, block_mu[0])
+    contact = _contact(true_object.total_mass * gravity / _BLOCK_SINK, block_mu[0])
     for index, points in enumerate(_block_corners(true_object)):
         shape = geometry.Convex(points=points, label=f"{name} block {index}")
         block_shapes.append(

@@ -79,9 +79,11 @@ class Station(PythonDiagram):
         self.true_object = scenario.object.make()
         check_placement(scenario, self.true_object)
         plant, scene_graph = AddMultibodyPlant(plant_config(scenario.simulation.time_step), builder)
+        plant.mutable_gravity_field().set_gravity_vector([0.0, 0.0, -scenario.gravity])
         add_table(plant, scenario.table.make(), scenario.table.friction)
         add_sliding_object(plant, self.true_object, scenario.table.friction)
-        self.arm = add_arm(plant, models=scenario.arm.models)
+        radius = scenario.execution.finger_radius
+        self.arm = add_arm(plant, models=scenario.arm.models, finger_radius=radius)
         body = plant.GetBodyByName(BODY)
         x, y, degrees = scenario.object.pose
         plant.SetDefaultFloatingBaseBodyPose(body, resting_pose(x, y, float(np.radians(degrees))))

@@ -181,8 +181,8 @@ def _told(error: Exception, path: Path) -> str:
         return f"{said}; export it once more, as .stl, .obj or .ply"
     if "charset_normalizer" in str(error):  # asked for where a file is neither binary nor plain text
         return "it is damaged or cut short, or no mesh; export it once more"
-    library = "pycollada" if path.suffix.lower() == ".dae" else "a further library"
-    return f"files that end in {path.suffix} need {library}; install it, or export the mesh as .stl or .obj"
+    bring = "`pip install 'slipmap[collada]'`" if path.suffix.lower() == ".dae" else "a further library"
+    return f"files that end in {path.suffix} need {bring}; or export the mesh as .stl or .obj"
 
 
 def _unit(mesh: trimesh.Trimesh, metres_per_unit: float | None, source: str) -> float:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import time
 from dataclasses import replace
 from itertools import pairwise
 from types import SimpleNamespace
@@ -247,12 +246,9 @@ def test_nothing_to_find_out(world: World) -> None:
     assert next_push(world.diagnosis("adequate", []), world.dataset) is None
 
 
-def test_a_seed_gives_the_same_push_in_seconds(world: World) -> None:
+def test_a_seed_gives_the_same_push(world: World) -> None:
     rivals = [world.model("table_tilt", (0.06, 0.0)), world.model("tether", (1.0, 0.2, 0.0, 0.0, 0.0, 0.0))]
     diagnosis = world.diagnosis("ambiguous", rivals)
     first = next_push(diagnosis, world.dataset, 4)
-    began = time.perf_counter()
-    again = next_push(diagnosis, world.dataset, 4)
-    assert time.perf_counter() - began < 10
-    assert first == again
+    assert first == next_push(diagnosis, world.dataset, 4)
     assert next_push(diagnosis, world.dataset, 5) != first

@@ -7,6 +7,7 @@ import re
 import signal
 import subprocess
 import sys
+import urllib.error
 import urllib.request
 from dataclasses import replace
 from io import BytesIO
@@ -196,8 +197,10 @@ def test_the_page_is_served_until_it_is_ended(belief, tmp_path: Path, end: str, 
         (address,) = re.findall(r"http://localhost:\d+/", process.stderr.readline())
         with urllib.request.urlopen(address, timeout=10) as answer:
             assert "MeshCat" in answer.read().decode()
-        with pytest.raises(subprocess.TimeoutExpired):
-            process.wait(timeout=1.5)
+        elsewhere = urllib.request.Request(address, headers={"Host": "elsewhere.example"})
+        with pytest.raises(urllib.error.HTTPError, match="421"):
+            urllib.request.urlopen(elsewhere, timeout=10)
+        assert process.poll() is None
         if end == "enter":
             process.stdin.write("\n")
             process.stdin.flush()

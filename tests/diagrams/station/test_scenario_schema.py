@@ -29,6 +29,7 @@ BESIDE: dict[str, dict[str, Any]] = {
     "object.mass": OF_A_MESH,
     "object.mu": OF_A_MESH,
     "object.metres_per_unit": OF_A_MESH,
+    "object.up": OF_A_MESH,
     "execution.tip_height": {"safe_height": 0.3},
     "execution.safe_height": {"tip_height": 0.001},
     "pokes.shortest": {"longest": 10 - 1e-12},

@@ -1,5 +1,3 @@
-import time
-
 import numpy as np
 import pytest
 import yaml
@@ -45,12 +43,3 @@ def test_the_force_points_where_the_object_goes(shared_data):
             shift = trial.object_pose.at(trial.ft_wrench.time)[:, :2]
             work = np.sum(trial.ft_wrench.values[1:, :2] * np.diff(shift, axis=0))
             assert work > 0.0, (name, trial.name)
-
-
-def test_twenty_six_trials_are_read_in_below_half_a_second(shared_data):
-    spent = []
-    for _ in range(3):
-        start = time.perf_counter()
-        read_dataset(shared_data / "bullet/hammer_p0")
-        spent.append(time.perf_counter() - start)
-    assert min(spent) < 0.5

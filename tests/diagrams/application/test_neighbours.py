@@ -1,0 +1,147 @@
+"""Other processes: two commands on one folder, whoever reads the output, workers of a killed command; and
+what a command leaves when it is stopped while it writes."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+from types import SimpleNamespace
+
+import pytest
+from test_command_line import ENVIRONMENT, files_in
+
+from slipmap.diagrams.application import terminal
+from slipmap.diagrams.application.commands.cell_run import CellRun
+from slipmap.diagrams.application.outputs import lock_folder
+from slipmap.diagrams.application.terminal import printable
+from slipmap.models.files import BadInput, together, write_json, write_text
+
+HOLDS = """
+import sys
+from pathlib import Path
+from slipmap.diagrams.application.outputs import lock_folder
+lock_folder(Path(sys.argv[1]))
+print("held", flush=True)
+sys.stdin.read()
+"""
+MASTER = """
+import os, sys, time
+from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import get_context
+from slipmap.models.process_end import prepare_worker
+
+if __name__ == "__main__":
+    pool = ProcessPoolExecutor(1, get_context("spawn"), initializer=prepare_worker)
+    print(pool.submit(os.getpid).result(), flush=True)
+    pool.submit(time.sleep, 60)
+    time.sleep(60)
+"""
+
+
+def test_results_appear_together_or_not_at_all(tmp_path):
+    first, second = tmp_path / "belief.json", tmp_path / "report.html"
+    first.write_text("old")
+    with pytest.raises(RuntimeError), together():
+        write_json(first, {})
+        write_text(second, "new")
+        raise RuntimeError
+    assert files_in(tmp_path) == ["belief.json"] and first.read_text() == "old"
+    with together():
+        write_json(first, {})
+        write_text(second, "half")
+        write_text(second, "new")  # the last word counts
+        assert first.read_text() == "old" and not second.exists()
+    assert first.read_text() == "{}\n" and second.read_text() == "new"
+    assert files_in(tmp_path) == ["belief.json", "report.html"]
+
+
+def test_ctrl_c_while_results_appear_waits_until_all_are_there(tmp_path, monkeypatch):
+    replace = os.replace
+
+    def interrupted(part, file) -> None:
+        os.kill(os.getpid(), signal.SIGINT)
+        replace(part, file)
+
+    monkeypatch.setattr(os, "replace", interrupted)
+    with pytest.raises(KeyboardInterrupt), together():
+        write_text(tmp_path / "a", "new")
+        write_text(tmp_path / "b", "new")
+    assert files_in(tmp_path) == ["a", "b"]
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+
+
+def test_a_folder_has_one_writer_at_a_time(tmp_path):
+    pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE}
+    with subprocess.Popen([sys.executable, "-c", HOLDS, tmp_path], text=True, **pipes) as other:
+        assert other.stdout.readline() == "held\n"
+        with pytest.raises(BadInput, match="another slipmap is writing a run there"):
+            lock_folder(tmp_path)
+        other.kill()
+    lock_folder(tmp_path)
+    assert files_in(tmp_path) == []
+
+
+def test_an_exploration_is_refused_a_folder_in_use_before_it_writes(slipmap, tmp_path):
+    lock_folder(tmp_path)
+    said = slipmap("explore", "--pushes", 1, "--checks", 0, "--out", tmp_path)
+    assert said.code == 2 and "another slipmap is writing a run there" in said.err
+    assert files_in(tmp_path) == []
+
+
+def test_a_recording_without_room_is_lost_alone(tmp_path):
+    """The folder of the recording is gone; so would be room on a disk that is full."""
+    cell = CellRun(False, "", False, tmp_path / "gone" / "run.html", tmp_path / "out")
+    meshcat = SimpleNamespace(PublishRecording=lambda: None, StaticHtml=lambda: "<html>")
+    with pytest.raises(BadInput, match=r"cannot write .*run\.html.*recording alone is lost.*--resume .*out"):
+        cell.keep_recording(meshcat)
+
+
+def test_workers_of_a_killed_process_end(tmp_path):
+    """The worker has the pipe of its process, which closes when the last of them is gone."""
+    (tmp_path / "master.py").write_text(MASTER)
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.DEVNULL}
+    with subprocess.Popen([sys.executable, tmp_path / "master.py"], **pipes) as master:
+        os.kill(int(master.stdout.readline()), 0)  # the worker is there
+        master.kill()
+        assert master.stdout.read() == b""
+
+
+@pytest.mark.parametrize("reader", ["gone", "never there"])
+def test_an_output_that_is_closed_is_no_failure(reader):
+    command = [sys.executable, "-m", "slipmap", "effects"]
+    if reader == "gone":
+        there, gone = os.pipe()
+        os.close(there)
+        done = subprocess.run(command, env=ENVIRONMENT, stdout=gone, stderr=subprocess.PIPE)
+        os.close(gone)
+    else:
+        shell = ["sh", "-c", '"$@" >&-', "sh", *command]
+        done = subprocess.run(shell, env=ENVIRONMENT, stderr=subprocess.PIPE)
+    assert (done.returncode, done.stderr) == (0, b"")
+
+
+def test_control_characters_of_names_do_not_reach_the_terminal(capsys):
+    evil = "a\x1b]0;title\x07\x9b31m\u202eb\rc"
+    assert printable(evil) == r"a\x1b]0;title\x07\x9b31m\u202eb\rc"
+    assert printable("µ → 20 %\n\tok") == "µ → 20 %\n\tok"
+    terminal.note(evil)
+    terminal.paragraph(evil)
+    terminal.status(evil)
+    terminal.table(evil, ["name"], [[evil]])
+    said = capsys.readouterr()
+    assert not any(character in said.out + said.err for character in "\x1b\x07\x9b\u202e\r")
+
+
+def test_parts_that_come_at_once_do_not_promise_an_early_end(monkeypatch):
+    """Fifteen of two hundred are on file; the sixteenth is at work for half a minute."""
+    now = 0.0
+    monkeypatch.setattr(terminal.time, "monotonic", lambda: now)
+    pace = terminal._Pace(0)
+    pace.note(15, 200)
+    now = 30.0
+    assert pace.left() > 300.0
+    now = 32.0
+    pace.note(16, 200)
+    assert pace.left() == pytest.approx(184 * 2.0)
