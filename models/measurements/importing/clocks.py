@@ -19,9 +19,10 @@ from slipmap.models.physics.cell_grid import FloatArray
 _STEP = 0.05  # s of the coarse search
 _MOST_LAGS = 3000  # that are tried by geometry, the likeliest by motion
 _ROWS = 150  # of the object that decide among them
-_AIR, _DEPTH = 0.02, 0.03  # m that count at most
+_COARSE, _FINE = 5e-3, 2e-3  # m of depth or air that count half, of steps of both sizes
+_AIR, _DEPTH = 0.02, 0.03  # m that count at most in the fit
 _TOUCHES = 5e-3  # m, with what frames and outline are wrong by
-_LEAST_TOUCHED = 0.2  # of the rows of motion; the others may be of an object that is carried
+_LEAST_TOUCHED = 0.15  # of the rows of motion; the others may be of an object that is carried
 _FEWEST_ROWS = 10
 _FIT_ROWS = 1500
 _CALIBRATION = 2e-4  # m by which outline and finger may be thicker than said, all along
@@ -40,7 +41,7 @@ _SHARE = 0.01  # of the largest force, which a bias that matters exceeds
 _ERRORS = 5.0  # standard errors, too
 _RISE = 0.2  # s around the touch in which the force is to rise
 _FORCE_STEP = 0.02  # s of the coarse search for the force
-_DENSEST_ROWS = 1500  # of a force among which the usual one is sought
+_USUAL_ROWS = 1200  # of a force among which usual ones are sought
 _LEAST_CORRELATION = 0.3
 _APPROACH = 5e-3  # m/s at least, when a finger touches
 _WAITS = 0.4  # s before the touch in which the object rests
@@ -68,11 +69,11 @@ def finger_lag(setup: Setup, pose: Channel, tip: Channel, near: bool) -> Lag | N
     lags = _candidates(setup, pose, tip, moving, near)
     if not len(lags):
         return None
-    cost = np.array([_misfit(setup, pose, tip, rows, moving, lag) for lag in lags])
+    cost = [_misfit(setup, pose, tip, rows, moving, lag, _COARSE) for lag in lags]
     best = float(lags[np.argmin(cost)])
     for step in (0.01, 0.002):
         tried = best + step * np.arange(-8, 9)
-        best = float(min(tried, key=lambda lag: _misfit(setup, pose, tip, rows, moving, lag)))
+        best = float(min(tried, key=lambda lag: _misfit(setup, pose, tip, rows, moving, lag, _FINE)))
     time = pose.time - best
     known = moving & (time >= tip.time[0]) & (time <= tip.time[-1])
     touched = known.copy()
@@ -160,15 +161,22 @@ def _correlated(one: FloatArray, other: FloatArray) -> FloatArray:
 
 
 def _misfit(
-    setup: Setup, pose: Channel, tip: Channel, rows: NDArray[np.int_], moving: NDArray[np.bool_], lag: float
+    setup: Setup,
+    pose: Channel,
+    tip: Channel,
+    rows: NDArray[np.int_],
+    moving: NDArray[np.bool_],
+    lag: float,
+    scale: float,
 ) -> float:
-    """Rms of depth, and of air while the object moves, m; a finger that was not recorded is far."""
+    """Mean over rows of depth, and of air while the object moves, beside a length `scale`: from 0 to 1 each,
+    so that an object that is carried now and then does not decide. A finger that was not recorded is far."""
     time = pose.time[rows] - lag
     known = (time >= tip.time[0]) & (time <= tip.time[-1])
-    gap = np.full(len(rows), _AIR)
+    gap = np.full(len(rows), np.inf)
     gap[known] = gaps(setup, tip.at(time[known]), pose.values[rows[known]])
-    residual = np.clip(gap, -_DEPTH, np.where(moving[rows], _AIR, 0.0))
-    return float(np.sqrt(np.mean(residual**2)))
+    square = np.where(moving[rows], gap, np.minimum(gap, 0.0)) ** 2
+    return float(np.mean(1.0 - scale**2 / (scale**2 + square)))
 
 
 def _refined(
@@ -227,7 +235,7 @@ def force_lag(setup: Setup, pose: Channel, tip: Channel, force: Channel, near: b
     lags = pose.time[0] - force.time[0] + _FORCE_STEP * shifts
     inside = np.abs(lags) <= _NEAR_EPOCH if near else np.ones(len(lags), dtype=bool)
     best, coarse = _LEAST_CORRELATION, None
-    for rest in (_densest(force.values[:, :2]), np.median(force.values[:, :2], axis=0)):
+    for rest in _usual_forces(force.values[:, :2]):
         mean = np.bincount(cells, np.hypot(*(force.values[:, :2] - rest).T), len(times)) / rows
         together = np.where(inside, _correlated(pressed - pressed.mean(), mean - mean.mean()), -np.inf)
         scale = float(np.std(pressed) * np.std(mean)) * min(len(grid), len(times))
@@ -244,14 +252,19 @@ def force_lag(setup: Setup, pose: Channel, tip: Channel, force: Channel, near: b
     return Lag(coarse - middle, max(error, 5e-4), f"by its rise at {count}")
 
 
-def _densest(values: FloatArray) -> FloatArray:
-    """(2,) where most rows are near: what a sensor reads that nothing touches, also where it seldom is so."""
-    chosen = values[np.unique(np.linspace(0, len(values) - 1, _DENSEST_ROWS).astype(int))]
+def _usual_forces(values: FloatArray) -> list[FloatArray]:
+    """Up to three (2,) forces that most rows are near: one of them is what the sensor reads without touch."""
+    chosen = values[np.unique(np.linspace(0, len(values) - 1, _USUAL_ROWS).astype(int))]
     noise = float(np.median(np.abs(np.diff(values, axis=0)))) + 1e-9
     near = max(4.0 * noise, 0.02 * float(np.ptp(chosen, axis=0).max()))
-    apart = np.hypot(*np.moveaxis(chosen[:, None] - chosen[None], -1, 0))
-    middle = chosen[np.argmax((apart < near).sum(axis=1))]
-    return np.asarray(np.median(chosen[np.hypot(*(chosen - middle).T) < near], axis=0))
+    close = np.hypot(*np.moveaxis(chosen[:, None] - chosen[None], -1, 0)) < near
+    left = np.ones(len(chosen), dtype=bool)
+    found: list[FloatArray] = []
+    while len(found) < 3 and left.any():
+        members = close[np.argmax((close & left).sum(axis=1) * left)] & left
+        found.append(np.asarray(np.median(chosen[members], axis=0)))
+        left &= np.hypot(*(chosen - found[-1]).T) > 2.0 * near
+    return found
 
 
 def rises_after_touch(setup: Setup, pose: Channel, tip: Channel, force: Channel) -> list[float]:
@@ -317,9 +330,12 @@ def _rise(force: Channel, touch: float) -> float | None:
         return None
     level = 0.5 * (before + after)
     above = inside > level
-    # The step that parts the rows best: fewest above before it, fewest below after it.
-    wrong = np.append(0, np.cumsum(above)) + np.append(np.cumsum(~above[::-1])[::-1], 0)
-    step = int(np.argmin(wrong))
+    if level - before > 8.0 * noise:
+        step = int(np.argmax(above))  # what was struck may be off again for a moment
+    else:
+        # The step that parts the rows best: fewest above before it, fewest below after it.
+        wrong = np.append(0, np.cumsum(above)) + np.append(np.cumsum(~above[::-1])[::-1], 0)
+        step = int(np.argmin(wrong))
     if not 0 < step < len(near):
         return None
     one, two = near[step - 1], near[step]
