@@ -367,7 +367,7 @@ def _check_picture(message: drake.lcmt_image_array, pixel_format: int, size: tup
     channel = drake.lcmt_image.CHANNEL_TYPE_FLOAT32 if depth else drake.lcmt_image.CHANNEL_TYPE_UINT8
     if (image.pixel_format, image.channel_type, bool(image.bigendian)) != (pixel_format, channel, False):
         raise BadMessage(f"picture is not {'depth in 32 bit floats' if depth else 'RGBA in bytes'}")
-    pixels = _unpacked(image, 4 * width * height)
+    pixels = unpacked(image, 4 * width * height)
     if image.row_stride != 4 * width or len(pixels) != 4 * width * height:
         raise BadMessage("picture has not as many bytes as its size asks for")
     if depth:
@@ -381,7 +381,7 @@ def _check_picture(message: drake.lcmt_image_array, pixel_format: int, size: tup
     image.size, image.compression_method = len(image.data), drake.lcmt_image.COMPRESSION_METHOD_ZLIB
 
 
-def _unpacked(image: drake.lcmt_image, size: int) -> bytes:
+def unpacked(image: drake.lcmt_image, size: int) -> bytes:
     """Pixels of a picture; never more than one byte over their proper size, whatever is packed."""
     if image.compression_method == drake.lcmt_image.COMPRESSION_METHOD_NOT_COMPRESSED:
         return bytes(image.data)

@@ -17,9 +17,9 @@ import time
 from collections import deque
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
-from typing import IO, Any, cast
+from typing import IO, Any, Protocol, cast
 
 from slipmap.diagrams.hardware.child import Child, be_ready, have_priority
 from slipmap.diagrams.hardware.network import HardwareError, open_lcm
@@ -57,6 +57,28 @@ class Event:
         name = self.channel.encode()
         header = _HEADER.pack(_SYNC, self.number, self.utime, len(name), len(self.data))
         return b"".join((header, name, self.data))
+
+
+class EventLog(Protocol):
+    """Where events go as they came."""
+
+    name: str  # of the file
+
+    def write(self, event: Event) -> None:
+        """Add an event; its number is that in the log."""
+
+
+class LcmLog:
+    """A log as LCM's logger writes it. Args: file: opened for writing bytes."""
+
+    def __init__(self, file: IO[bytes]) -> None:
+        self.name = file.name
+        self._file, self._count = file, 0
+
+    def write(self, event: Event) -> None:
+        """Add an event."""
+        self._file.write(replace(event, number=self._count).encode())
+        self._count += 1
 
 
 class LogReader:

@@ -7,7 +7,7 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any
 
 import numpy as np
 from pydrake.systems.analysis import Simulator
@@ -16,7 +16,7 @@ from pydrake.systems.framework import DiagramBuilder
 from slipmap.diagrams.hardware import network
 from slipmap.diagrams.hardware.checked_messages import BadMessage, Received, check_stamp, rules
 from slipmap.diagrams.hardware.interface import HeardCell
-from slipmap.diagrams.hardware.message_stream import TICK, Event
+from slipmap.diagrams.hardware.message_stream import TICK, Event, EventLog
 from slipmap.diagrams.hardware.network import ARM, CAMERA, NEEDED
 from slipmap.diagrams.loops.exploration_loop import connect, recorded_dataset
 from slipmap.diagrams.loops.run_folder import keep_trials
@@ -201,7 +201,7 @@ def record_pushes(
     recorder: PushRecorder,
     tell: Tell,
     *,
-    log: BinaryIO | None = None,
+    log: EventLog | None = None,
     most: int | None = None,
     stopped: Callable[[], bool] = lambda: False,
 ) -> None:
@@ -217,7 +217,7 @@ def record_pushes(
         BadLog, HardwareError: of the events.
         BadInput: the disk is full or the place not writable; names the file.
     """
-    seen, described, spoke, logged, expected = False, 0, None, 0, 0
+    seen, described, spoke, expected = False, 0, None, 0
     for event in events:
         if stopped():
             return
@@ -233,8 +233,7 @@ def record_pushes(
         expected = event.number + 1
         if log is not None:
             with writing(Path(log.name)):
-                log.write(Event(logged, event.utime, event.channel, event.data).encode())
-            logged += 1
+                log.write(event)
         listener.hear(event)
         if not seen and listener.pose.valid:
             seen = True

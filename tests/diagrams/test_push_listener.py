@@ -11,7 +11,7 @@ import pytest
 
 from slipmap.diagrams.application.terminal import status
 from slipmap.diagrams.hardware import network
-from slipmap.diagrams.hardware.message_stream import TICK, Event, LogReader
+from slipmap.diagrams.hardware.message_stream import TICK, Event, LcmLog, LogReader
 from slipmap.diagrams.loops.push_listener import HEARD, PushListener, hearing, record_pushes, why_none
 from slipmap.models.measurements import PushDataset, read_dataset
 from slipmap.models.measurements.writing import PushRecorder
@@ -60,7 +60,7 @@ def recorded(cell, tmp_path_factory) -> Recorded:
     place = tmp_path_factory.mktemp("recorded")
     listener, told = PushListener(scenario(), "box", CELLS), []
     with open(place / "log", "wb") as log:
-        record_pushes(mixed, listener, PushRecorder(place / "box"), told.append, log=log)
+        record_pushes(mixed, listener, PushRecorder(place / "box"), told.append, log=LcmLog(log))
     return Recorded(events, listener, listener.dataset(), place / "box", place / "log", told)
 
 

@@ -71,6 +71,7 @@ def identify(
             measured = _first_pushes(measured, fit_pushes)
         if pictures is not None:
             make_folder(pictures)
+        _tell_findings(measured, dataset)
         prepare_kernels()
         from slipmap.models.inference import identification
 
@@ -87,6 +88,17 @@ def identify(
             write_json(json_file, result.to_json())
     show(result, measured, str(dataset))
     tell_files(output, drawn)
+
+
+def _tell_findings(dataset: PushDataset, where: Path) -> None:
+    """What `slipmap check` finds, in two lines."""
+    from slipmap.models.measurements.dataset_check import check_dataset
+
+    found = check_dataset(dataset)
+    wrong = [finding.what for finding in found.findings if finding.verdict == "wrong"]
+    more = f"; `slipmap check {where}` says more"
+    note(f"check: wrong with {', '.join(wrong)}{more}" if wrong else "check: nothing is wrong")
+    note(f"check: worth adding: {found.advice[0]}{more}" if found.advice else "check: nothing is missing")
 
 
 @click.command()

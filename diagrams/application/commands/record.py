@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, BinaryIO
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -19,9 +19,12 @@ from slipmap.diagrams.application.terminal import Progress, note, paragraph, pre
 from slipmap.models.files import BadInput, together, write_json, writing
 
 if TYPE_CHECKING:
+    from slipmap.diagrams.hardware.message_stream import EventLog
     from slipmap.diagrams.loops.push_listener import PushListener
     from slipmap.models.inference.camera_lag import CameraLag
     from slipmap.models.measurements import PushDataset
+
+MCAP_ENDING = ".mcap"
 
 
 @click.command()
@@ -33,7 +36,8 @@ if TYPE_CHECKING:
 )  # fmt: skip
 @options.path_option(
     "--log", "log_file",
-    about="Write all messages as they come to an LCM log, for `slipmap replay`; there must be none yet.",
+    about="Write all messages as they come to an LCM log, for `slipmap replay`, or to an MCAP file (.mcap),"
+    " which viewers open, too; there must be none yet.",
 )  # fmt: skip
 @options.count_option("--pushes", about="End by itself after N pushes.")
 @options.json_option
@@ -94,11 +98,11 @@ def record(
 def replay(
     log: Path, scenario_file: Path | None, folder: Path, hypotheses: int, seed: int, json_file: Path | None
 ) -> None:
-    """Find the pushes in a log of LCM, and learn from them.
+    """Find the pushes in a log of messages, and learn from them.
 
-    LOG is what `slipmap record --log` or LCM's `lcm-logger` wrote. It is gone through as fast as it can be,
-    by the senders' stamps, as if the cell were running. Leaves what `slipmap explore` leaves, and tells by
-    how much the camera is late.
+    LOG is what `slipmap record --log` (LCM or MCAP) or LCM's `lcm-logger` wrote. It is gone through as fast
+    as it can be, by the senders' stamps, as if the cell were running. Leaves what `slipmap explore` leaves,
+    and tells by how much the camera is late.
     """
     from slipmap.diagrams.application.commands.identify import show
     from slipmap.diagrams.loops.push_listener import PushListener, why_none
@@ -130,6 +134,7 @@ def replay(
 
 
 def _listen(log: Path, listener: PushListener, folder: Path) -> None:
+    from slipmap.diagrams.hardware.mcap_log import McapReader
     from slipmap.diagrams.hardware.message_stream import LogReader
     from slipmap.diagrams.loops.push_listener import hearing, record_pushes
     from slipmap.diagrams.loops.run_folder import PUSHES
@@ -137,7 +142,8 @@ def _listen(log: Path, listener: PushListener, folder: Path) -> None:
 
     try:
         with open(log, "rb") as file:
-            reader = LogReader(file, str(log))
+            is_mcap = log.suffix.lower() == MCAP_ENDING
+            reader = McapReader(file, str(log)) if is_mcap else LogReader(file, str(log))
             record_pushes(reader, listener, PushRecorder(folder / PUSHES), status)
     except OSError as error:
         raise BadInput(f"{log}: cannot be read ({error.strerror})") from error
@@ -182,12 +188,22 @@ def _lag_words(lag: CameraLag | None) -> str:
 
 
 @contextmanager
-def _new_log(path: Path) -> Iterator[BinaryIO]:
+def _new_log(path: Path) -> Iterator[EventLog]:
     check_output(path)
     if path.exists():
         raise BadInput(f"{path}: is there already; choose another name")
+    from slipmap.diagrams.hardware.mcap_log import McapLog
+    from slipmap.diagrams.hardware.message_stream import LcmLog
+
     with writing(path), open(path, "xb") as file:
-        yield file
+        if path.suffix.lower() != MCAP_ENDING:
+            yield LcmLog(file)
+            return
+        log = McapLog(file)
+        try:
+            yield log
+        finally:
+            log.close()
 
 
 @click.command()

@@ -19,11 +19,16 @@ from slipmap.models.physics.cell_grid import FloatArray
 _STEP = 0.05  # s of the coarse search
 _MOST_LAGS = 3000  # that are tried by geometry, the likeliest by motion
 _ROWS = 150  # of the object that decide among them
-_AIR, _DEPTH = 0.02, 0.03  # m that count at most
+_COARSE, _FINE = 5e-3, 2e-3  # m of depth or air that count half, of steps of both sizes
+_AIR, _DEPTH = 0.02, 0.03  # m that count at most in the fit
+_TOUCHES = 5e-3  # m, with what frames and outline are wrong by
+_LEAST_TOUCHED = 0.15  # of the rows of motion; the others may be of an object that is carried
+_FEWEST_ROWS = 10
 _FIT_ROWS = 1500
 _CALIBRATION = 2e-4  # m by which outline and finger may be thicker than said, all along
 _JITTER = 1e-4  # m, at least
 _SLOWEST = 3e-3  # m/s of an object that moves
+_SPANS = (0.1, 0.3, 0.8)  # s over which speeds are taken
 _EDGE = 0.15  # s at both ends of a motion in which it may rest still
 _NEAR_EPOCH = 2.0  # s by which two clocks that both count from 1970 may differ
 
@@ -36,6 +41,7 @@ _SHARE = 0.01  # of the largest force, which a bias that matters exceeds
 _ERRORS = 5.0  # standard errors, too
 _RISE = 0.2  # s around the touch in which the force is to rise
 _FORCE_STEP = 0.02  # s of the coarse search for the force
+_USUAL_ROWS = 1200  # of a force among which usual ones are sought
 _LEAST_CORRELATION = 0.3
 _APPROACH = 5e-3  # m/s at least, when a finger touches
 _WAITS = 0.4  # s before the touch in which the object rests
@@ -63,25 +69,36 @@ def finger_lag(setup: Setup, pose: Channel, tip: Channel, near: bool) -> Lag | N
     lags = _candidates(setup, pose, tip, moving, near)
     if not len(lags):
         return None
-    cost = np.array([_misfit(setup, pose, tip, rows, moving, lag) for lag in lags])
+    cost = [_misfit(setup, pose, tip, rows, moving, lag, _COARSE) for lag in lags]
     best = float(lags[np.argmin(cost)])
     for step in (0.01, 0.002):
         tried = best + step * np.arange(-8, 9)
-        best = float(min(tried, key=lambda lag: _misfit(setup, pose, tip, rows, moving, lag)))
-    if _misfit(setup, pose, tip, rows, moving, best) > 0.5 * _AIR:
+        best = float(min(tried, key=lambda lag: _misfit(setup, pose, tip, rows, moving, lag, _FINE)))
+    time = pose.time - best
+    known = moving & (time >= tip.time[0]) & (time <= tip.time[-1])
+    touched = known.copy()
+    touched[known] = np.abs(gaps(setup, tip.at(time[known]), pose.values[known])) < _TOUCHES
+    if touched.sum() < max(_FEWEST_ROWS, _LEAST_TOUCHED * moving.sum()):
         return None
-    return _refined(setup, pose, tip, moving, best)
+    # What moves far from the finger is carried, and tells nothing.
+    return _refined(setup, pose, tip, touched, best)
 
 
 def _moving(setup: Setup, pose: Channel) -> NDArray[np.bool_]:
-    """(T,) rows well inside of motions of the object."""
-    span = 0.1
-    step = pose.at(pose.time + 0.5 * span) - pose.at(pose.time - 0.5 * span)
+    """(T,) rows well inside of motions of the object.
+
+    Speeds are taken over the shortest time in which the rows' own noise lets the motion be seen.
+    """
     reach = 0.5 * float(np.max(np.hypot(*setup.grid.exterior.T)))
-    speed = (np.hypot(step[:, 0], step[:, 1]) + reach * np.abs(step[:, 2])) / span
-    noise = np.hypot(setup.noise.position or 0.0, reach * (setup.noise.angle or 0.0)) / span
-    limit = max(_SLOWEST, 4.0 * noise, 0.2 * float(np.percentile(speed, 95)))
-    fast = speed > limit
+    noise = _row_noise(pose, reach)
+    for span in _SPANS:
+        step = pose.at(pose.time + 0.5 * span) - pose.at(pose.time - 0.5 * span)
+        speed = (np.hypot(step[:, 0], step[:, 1]) + reach * np.abs(step[:, 2])) / span
+        fastest = float(np.percentile(speed, 95))
+        if 5.0 * noise / span < 0.5 * fastest:
+            break
+    fast = speed > max(_SLOWEST, 5.0 * noise / span, 0.2 * fastest)
+    edge = max(_EDGE, 0.75 * span)
     # A row counts where all rows within the edge move, too.
     still = np.flatnonzero(~fast)
     if len(still) == 0:
@@ -91,7 +108,16 @@ def _moving(setup: Setup, pose: Channel) -> NDArray[np.bool_]:
     following = pose.time[still[np.minimum(after, len(still) - 1)]]
     since = np.where(after > 0, pose.time - last, np.inf)
     until = np.where(after < len(still), following - pose.time, np.inf)
-    return fast & (since > _EDGE) & (until > _EDGE)
+    return fast & (since > edge) & (until > edge)
+
+
+def _row_noise(pose: Channel, reach: float) -> float:
+    """Standard deviation of the distance between two rows at one place, m, by third differences, which smooth
+    motion hardly has."""
+    if len(pose.time) < 8:
+        return 0.0
+    third = np.median(np.abs(np.diff(pose.values, 3, axis=0)), axis=0) / 0.6745 / np.sqrt(20.0)
+    return float(np.sqrt(2.0) * np.linalg.norm(third * [1.0, 1.0, reach]))
 
 
 def _telling(moving: NDArray[np.bool_], count: int = _ROWS) -> NDArray[np.int_]:
@@ -135,15 +161,22 @@ def _correlated(one: FloatArray, other: FloatArray) -> FloatArray:
 
 
 def _misfit(
-    setup: Setup, pose: Channel, tip: Channel, rows: NDArray[np.int_], moving: NDArray[np.bool_], lag: float
+    setup: Setup,
+    pose: Channel,
+    tip: Channel,
+    rows: NDArray[np.int_],
+    moving: NDArray[np.bool_],
+    lag: float,
+    scale: float,
 ) -> float:
-    """Rms of depth, and of air while the object moves, m; a finger that was not recorded is far."""
+    """Mean over rows of depth, and of air while the object moves, beside a length `scale`: from 0 to 1 each,
+    so that an object that is carried now and then does not decide. A finger that was not recorded is far."""
     time = pose.time[rows] - lag
     known = (time >= tip.time[0]) & (time <= tip.time[-1])
-    gap = np.full(len(rows), _AIR)
+    gap = np.full(len(rows), np.inf)
     gap[known] = gaps(setup, tip.at(time[known]), pose.values[rows[known]])
-    residual = np.clip(gap, -_DEPTH, np.where(moving[rows], _AIR, 0.0))
-    return float(np.sqrt(np.mean(residual**2)))
+    square = np.where(moving[rows], gap, np.minimum(gap, 0.0)) ** 2
+    return float(np.mean(1.0 - scale**2 / (scale**2 + square)))
 
 
 def _refined(
@@ -163,14 +196,17 @@ def _refined(
     most = np.where(moving[rows], _AIR, 0.0)
     allowed = np.where(moving[rows], 0.0, 3.0 * noise)
 
+    # Stamps since 1970 have no room for the small steps below.
+    near = Channel(tip.time + lag, tip.values)
+
     def residuals(unknown: FloatArray) -> FloatArray:
-        shifted, thicker = lag + 1e-2 * unknown[0], 1e-3 * unknown[1]
-        gap = gaps(setup, tip.at(pose.time[rows] - shifted), pose.values[rows]) - thicker
+        more, thicker = 1e-2 * unknown[0], 1e-3 * unknown[1]
+        gap = gaps(setup, near.at(pose.time[rows] - more), pose.values[rows]) - thicker
         each = np.clip(gap + allowed, -_DEPTH, most) / noise
-        return np.append(each, np.sqrt(len(rows)) * thicker / _CALIBRATION / 3.0)
+        return np.append(each, np.sqrt(len(rows)) * thicker / _CALIBRATION)
 
     found = least_squares(
-        residuals, np.zeros(2), loss="soft_l1", x_scale=0.1, diff_step=1e-2, xtol=1e-4, ftol=1e-4
+        residuals, np.full(2, 0.05), loss="soft_l1", x_scale=0.1, diff_step=1e-2, xtol=1e-5, ftol=1e-6
     )
     value = lag + 1e-2 * float(found.x[0])
     # A thickness of the calibration's size would look like so much time.
@@ -186,27 +222,28 @@ def _velocity(pose: Channel, rows: NDArray[np.bool_]) -> FloatArray:
 
 def force_lag(setup: Setup, pose: Channel, tip: Channel, force: Channel, near: bool) -> Lag | None:
     """What brings the force's clock to that of object and finger; None where it does not tell."""
-    moving = _moving(setup, pose).astype(float)
-    if not moving.any():
-        return None
-    size = np.hypot(*(force.values[:, :2] - np.median(force.values[:, :2], axis=0)).T)
+    moving = _moving(setup, pose)
+    moving &= gaps(setup, tip.at(pose.time), pose.values) < _AIR
     grid = np.arange(pose.time[0], pose.time[-1], _FORCE_STEP)
     times = np.arange(force.time[0], force.time[-1], _FORCE_STEP)
-    if len(times) < 10 or len(grid) < 10:
+    if not moving.any() or min(len(times), len(grid)) < 10:
         return None
-    pressed = np.interp(grid, pose.time, moving)
+    pressed = np.interp(grid, pose.time, moving.astype(float))
     cells = np.clip(((force.time - force.time[0]) / _FORCE_STEP).astype(int), 0, len(times) - 1)
-    mean = np.bincount(cells, size, len(times)) / np.maximum(np.bincount(cells, minlength=len(times)), 1)
-    together = _correlated(pressed - pressed.mean(), mean - mean.mean())
-    lags = pose.time[0] - force.time[0] + _FORCE_STEP * (np.arange(len(together)) - (len(times) - 1))
-    if near:
-        inside = np.abs(lags) <= _NEAR_EPOCH
-        together, lags = together[inside], lags[inside]
-    best = int(np.argmax(together))
-    scale = np.std(pressed) * np.std(mean) * min(len(grid), len(times))
-    if not scale > 0.0 or together[best] < _LEAST_CORRELATION * scale:
+    rows = np.maximum(np.bincount(cells, minlength=len(times)), 1)
+    shifts = np.arange(len(grid) + len(times) - 1) - len(times) + 1
+    lags = pose.time[0] - force.time[0] + _FORCE_STEP * shifts
+    inside = np.abs(lags) <= _NEAR_EPOCH if near else np.ones(len(lags), dtype=bool)
+    best, coarse = _LEAST_CORRELATION, None
+    for rest in _usual_forces(force.values[:, :2]):
+        mean = np.bincount(cells, np.hypot(*(force.values[:, :2] - rest).T), len(times)) / rows
+        together = np.where(inside, _correlated(pressed - pressed.mean(), mean - mean.mean()), -np.inf)
+        scale = float(np.std(pressed) * np.std(mean)) * min(len(grid), len(times))
+        place = int(np.argmax(together))
+        if scale > 0.0 and together[place] > best * scale:
+            best, coarse = float(together[place]) / scale, float(lags[place])
+    if coarse is None:
         return None
-    coarse = float(lags[best])
     rises = rises_after_touch(setup, pose, tip, Channel(force.time + coarse, force.values))
     if not rises:
         return Lag(coarse, _FORCE_STEP, "by when it is large")
@@ -215,11 +252,25 @@ def force_lag(setup: Setup, pose: Channel, tip: Channel, force: Channel, near: b
     return Lag(coarse - middle, max(error, 5e-4), f"by its rise at {count}")
 
 
+def _usual_forces(values: FloatArray) -> list[FloatArray]:
+    """Up to three (2,) forces that most rows are near: one of them is what the sensor reads without touch."""
+    chosen = values[np.unique(np.linspace(0, len(values) - 1, _USUAL_ROWS).astype(int))]
+    noise = float(np.median(np.abs(np.diff(values, axis=0)))) + 1e-9
+    near = max(4.0 * noise, 0.02 * float(np.ptp(chosen, axis=0).max()))
+    close = np.hypot(*np.moveaxis(chosen[:, None] - chosen[None], -1, 0)) < near
+    left = np.ones(len(chosen), dtype=bool)
+    found: list[FloatArray] = []
+    while len(found) < 3 and left.any():
+        members = close[np.argmax((close & left).sum(axis=1) * left)] & left
+        found.append(np.asarray(np.median(chosen[members], axis=0)))
+        left &= np.hypot(*(chosen - found[-1]).T) > 2.0 * near
+    return found
+
+
 def rises_after_touch(setup: Setup, pose: Channel, tip: Channel, force: Channel) -> list[float]:
     """How late the force rises at each touch that tells, s; negative where it is early."""
-    size = np.hypot(*(force.values[:, :2] - np.median(force.values[:, :2], axis=0)).T)
     touched = _touches(setup, pose, tip)
-    return [rise - touch for touch in touched if (rise := _rise(force.time, size, touch)) is not None]
+    return [rise - touch for touch in touched if (rise := _rise(force, touch)) is not None]
 
 
 def middle_of(values: Sequence[float]) -> tuple[float, float]:
@@ -264,12 +315,14 @@ def _touches(setup: Setup, pose: Channel, tip: Channel) -> list[float]:
     return kept
 
 
-def _rise(time: FloatArray, size: FloatArray, touch: float) -> float | None:
-    """When the size of the force passes the middle between what it is before and after a touch, s."""
+def _rise(force: Channel, touch: float) -> float | None:
+    """When the force is half way from what it is before a touch to what it is after, s."""
+    time = force.time
     near = np.flatnonzero((time > touch - _RISE) & (time < touch + _RISE))
     early, late = near[time[near] < touch - 0.5 * _RISE], near[time[near] > touch + 0.5 * _RISE]
     if len(early) < 3 or len(late) < 3:
         return None
+    size = np.hypot(*(force.values[:, :2] - np.median(force.values[early, :2], axis=0)).T)
     before, after = float(np.median(size[early])), float(np.median(size[late]))
     inside = size[near]
     noise = 1.4826 * float(np.median(np.abs(np.diff(inside)))) + 1e-9
@@ -277,9 +330,12 @@ def _rise(time: FloatArray, size: FloatArray, touch: float) -> float | None:
         return None
     level = 0.5 * (before + after)
     above = inside > level
-    # The step that parts the rows best: fewest above before it, fewest below after it.
-    wrong = np.append(0, np.cumsum(above)) + np.append(np.cumsum(~above[::-1])[::-1], 0)
-    step = int(np.argmin(wrong))
+    if level - before > 8.0 * noise:
+        step = int(np.argmax(above))  # what was struck may be off again for a moment
+    else:
+        # The step that parts the rows best: fewest above before it, fewest below after it.
+        wrong = np.append(0, np.cumsum(above)) + np.append(np.cumsum(~above[::-1])[::-1], 0)
+        step = int(np.argmin(wrong))
     if not 0 < step < len(near):
         return None
     one, two = near[step - 1], near[step]

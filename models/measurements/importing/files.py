@@ -51,6 +51,8 @@ def find_files(paths: Sequence[Path]) -> dict[str, Path]:
                 and not any(_is_table(folder) for folder in file.parents if folder.is_relative_to(path))
                 and not any(part.startswith(".") for part in file.relative_to(path).parts)
             }
+            if (path / "meta" / "info.json").is_file():  # LeRobot: tables about the tables
+                inside = {name: file for name, file in inside.items() if not name.startswith("meta/")}
             root = path.resolve()
             outside = [name for name, file in inside.items() if not file.resolve().is_relative_to(root)]
             if outside:

@@ -153,6 +153,8 @@ def _channel(name: str, entry: dict[str, Any], where: str) -> ChannelSetup:
             found[key] = _names(value, _COUNTS[key], place)
         else:
             found |= _OTHERS[key](value, place, force)
+    if name == "object_pose" and found.get("clock") == CONTACT:
+        raise DatasetError(f"{where}.clock: the others are brought to the object's clock; leave it out")
     if "turned_by_contact" in found and not force:
         raise DatasetError(f"{where}.frame: only a force is turned to fit the contact; give its pose")
     return ChannelSetup(**found)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from slipmap.diagrams.application.simulator_models import convex_parts, export_belief
+from slipmap.diagrams.application.simulator_models import body_of, convex_parts, export_belief
 from slipmap.models.files import BadInput
 from slipmap.models.geometry import placed
 from slipmap.models.inference.belief import Belief
@@ -55,6 +55,39 @@ def inertia_of_cells(belief, k):
     away = points - com
     second = (away.T * weights) @ away
     return weights.sum(), com, np.trace(second) * np.eye(3) - second
+
+
+def test_a_sliding_object_is_braked_as_by_its_cells(tmp_path):
+    """Thrown over MuJoCo's floor, it stops where friction of one coefficient lets it: v² / (2 μ g)."""
+    mujoco = pytest.importorskip("mujoco")
+    grid, truth = hammer()
+    even = Maps(truth.mass, np.full_like(truth.mu, 0.25), truth.mu_finger)
+    belief = Belief(grid, RADIUS, 9.81, even, np.ones(1), Smoothing(), "even", "", "gauss-newton", 0)
+    (path,) = export_belief(belief, "mjcf", tmp_path / "models", height=HEIGHT)
+    spec = mujoco.MjSpec.from_file(str(path))
+    spec.option.timestep, spec.option.impratio = 1e-3, 10.0
+    spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_PLANE, size=[1, 1, 0.1])
+    model = spec.compile()
+    data = mujoco.MjData(model)
+    data.qvel[0] = 0.5
+    for _ in range(500):
+        mujoco.mj_step(model, data)
+    assert data.qpos[0] == pytest.approx(0.5**2 / (2 * 0.25 * 9.81), rel=0.03)
+    assert abs(data.qpos[1]) < 1e-3
+
+
+def test_feet_carry_equal_loads_and_rub_as_their_parts(belief):
+    body = body_of(belief, 0, HEIGHT)
+    load = body.mass * 9.81 / len(body.feet)
+    rubbing = load * body.friction
+    cells = belief.maps.mass[0] * belief.maps.mu[0] * 9.81
+    centers = belief.grid.centers
+    assert body.feet.mean(axis=0) == pytest.approx(body.com[:2], abs=1e-9)
+    assert rubbing.sum() == pytest.approx(cells.sum())
+    middle = cells @ centers / cells.sum()
+    assert rubbing @ body.feet / rubbing.sum() == pytest.approx(middle, abs=1e-3)
+    arms = [f @ np.hypot(*(p - middle).T) / f.sum() for f, p in ((rubbing, body.feet), (cells, centers))]
+    assert arms[0] == pytest.approx(arms[1], rel=0.03)
 
 
 @pytest.mark.parametrize("kind", ["sdf", "urdf"])

@@ -112,8 +112,7 @@ def test_every_effect_of_the_library_has_its_needs():
         ("cases/tip_is_flange_not_finger", "contact"),
         ("effects/public-latency", "clock of the finger"),
         ("real/mcube_steel", "clock of the finger"),
-        ("effects/public-none", None),
-        ("engines/mujoco_default", None),
+        ("cases/force_right_frame_reference", None),
         ("real_feet/board_feet2", None),
     ],
 )

@@ -49,7 +49,7 @@ def ros_rows(store, first):
         yield "/ft", kinds["geometry_msgs/msg/WrenchStamped"](header(time), force), stamp
 
 
-def bag_of(tmp_path, first, packed=False):
+def bag_of(tmp_path, first, packed=False, plugin="SQLITE3"):
     pytest.importorskip("rosbags")
     from rosbags.rosbag1 import Writer as BagWriter
     from rosbags.rosbag2 import StoragePlugin, Writer as FolderWriter
@@ -57,7 +57,7 @@ def bag_of(tmp_path, first, packed=False):
 
     store = get_typestore(Stores.ROS1_NOETIC if first else Stores.ROS2_HUMBLE)
     path = tmp_path / ("a.bag" if first else "a")
-    writer = BagWriter(path) if first else FolderWriter(path, version=9, storage_plugin=StoragePlugin.SQLITE3)
+    writer = BagWriter(path) if first else FolderWriter(path, version=9, storage_plugin=StoragePlugin[plugin])
     if packed:
         writer.set_compression(BagWriter.CompressionFormat.BZ2)
     with writer:
@@ -77,6 +77,15 @@ def test_a_bag_of_ros_1(tmp_path):
 
 def test_a_bag_of_ros_2(tmp_path):
     check(tmp_path, bag_of(tmp_path, first=False))
+
+
+def test_mcap_of_ros_2(tmp_path):
+    pytest.importorskip("mcap")
+    folder = bag_of(tmp_path, first=False, plugin="MCAP")
+    check(tmp_path, folder)
+    (alone,) = folder.glob("*.mcap")
+    alone.rename(tmp_path / "alone.mcap")
+    check(tmp_path, tmp_path / "alone.mcap")
 
 
 def test_a_chunk_that_explodes_is_refused(tmp_path, monkeypatch):

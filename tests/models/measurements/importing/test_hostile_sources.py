@@ -14,7 +14,7 @@ from tables import POSE, SETUP, TIME, TIP, written
 from slipmap.models.measurements import DatasetError
 from slipmap.models.measurements.importing import guess_setup, import_dataset
 
-SETTINGS = settings(max_examples=60, derandomize=True, deadline=None, suppress_health_check=list(HealthCheck))
+SETTINGS = settings(max_examples=30, derandomize=True, deadline=None, suppress_health_check=list(HealthCheck))
 SAID = {
     **yaml.safe_load(SETUP),
     "object_pose": {"position": ["x", "y"], "angle": "theta", "frame": [0, 0, 0], "clock": 0.0},
@@ -89,7 +89,7 @@ def test_damaged_files(tmp_path, kind):
             test_mcap_in_json(tmp_path)
             (tmp_path / "s.yaml").write_text(SETUP)
     whole = file.read_bytes()
-    for _ in range(12):
+    for _ in range(8):
         content = bytearray(whole)
         for _ in range(rng.randrange(1, 6)):
             content[rng.randrange(len(content))] = rng.randrange(256)
