@@ -49,7 +49,7 @@ Then let it compete with the library, and learn with it:
   it is expected to have (`0.1` above), and `null`, the value at which the effect vanishes. At least one
   needs a null. With `weight_power=1.0` the expected size is meant per newton of the object's weight, so
   that light and heavy objects are treated alike. Parameters without a null only shape the effect;
-  `starts` says where to begin looking for them.
+  `starts` says where to begin looking for them, `far_starts` where else than at the nulls.
 - A faulty file is refused with file and line: wrong units, an effect that does not vanish at its null,
   formulas that are not finite or have no derivative where the object lies still (write
   `sqrt(vx**2 + vy**2 + 1e-4**2)`, not `sqrt(vx**2 + vy**2)`), names that do not exist, misspelt methods.

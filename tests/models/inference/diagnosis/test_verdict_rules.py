@@ -134,8 +134,8 @@ def verdict(monkeypatch, gain, found=(), misfit=1.5):
         "rules": SimpleNamespace(missing=lambda screening: True),
         "fitter": None, "base": None, "effects": (), "scene": None, "draws": 0, "report": print,
         "accepted": [], "_ask_every_effect": lambda: first, "_found_better_base": lambda: False,
-        "_disagreement": lambda: None, "misfit": lambda: np.array([misfit]), "_ask_what_is_left": lambda: {"some": first},
-        "_pairs": lambda rest: list(found),
+        "_disagreement": lambda: None, "misfit": lambda: np.array([misfit]),
+        "_ask_what_is_left": lambda: {"some": first}, "_pairs": lambda rest: list(found),
     }.items():  # fmt: skip
         setattr(inquiry, name, value)
     return inquiry.run()
