@@ -46,6 +46,7 @@ NOT_QUICK_FILES = (
     "test_explore_stopped.py",
     "test_explore_study.py",
     "test_mixture.py",
+    "test_neighbours.py",
     "test_front_door.py",
     "test_hostile_effect_files.py",
     "test_installed.py",

@@ -153,7 +153,8 @@ def explore(
 
     def watch(status: LoopStatus, context: Context) -> None:
         doing = DOING[status.mode]
-        if status.mode == "choosing" and not output_of(loop, "perception", "seen_object", context).angle_seen:
+        seen = output_of(loop, "perception", "seen_object", context)
+        if seen is not None and not seen.angle_seen:
             doing = f"{doing}; {ROUND}"
         report(f"exploring: {doing}", status.push, max(pushes, status.push + 1))
         if recording is not None:

@@ -152,6 +152,13 @@ def _largest_piece(labels: IntArray, source: str, background: int) -> Mask:
     return piece == kept + 1
 
 
+def openings(labels: NDArray[np.integer], background: int = 0) -> int:
+    """Number of openings, however small, in what is not background of a label image (H, W)."""
+    number, pieces = cv2.connectedComponents((labels == background).astype(np.uint8), connectivity=8)
+    border = np.concatenate([pieces[[0, -1]].ravel(), pieces[:, [0, -1]].ravel()])
+    return int(number - 1 - len(set(border.tolist()) - {0}))
+
+
 def _majority(grid: CellGrid, pixels: FloatArray, labels: IntArray) -> IntArray:
     names, label = np.unique(labels, return_inverse=True)
     cell = np.asarray(cKDTree(grid.centers).query(pixels)[1])

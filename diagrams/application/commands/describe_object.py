@@ -97,12 +97,15 @@ def describe_object(
 
 def _pictured(file: Path, cells: int, metres_per_pixel: float, background: int) -> dict[str, Any]:
     """The key `object` of a description. Raises BadInput where the file cannot be used."""
-    from slipmap.models.objects import cells_from_label_image
+    from slipmap.models.objects.images import cells_from_label_image, openings, read_picture
 
     try:
         grid, _ = cells_from_label_image(str(file), metres_per_pixel, count=cells, background=background)
     except ValueError as error:
         raise BadInput(str(error).replace("background=", "--background ")) from error
+    closed = openings(read_picture(file), background) - len(grid.holes)
+    if closed:
+        note(f"openings of less than 1 % of the object's area count as noise and are closed: {closed}")
     return _footprint(grid)
 
 

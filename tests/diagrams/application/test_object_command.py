@@ -66,6 +66,16 @@ def test_openings_and_near_corners_are_written(slipmap, tmp_path):
     assert len(dataset.grid.exterior) == 5 and dataset.warnings == ()
 
 
+def test_a_small_opening_is_not_closed_without_a_word(slipmap, tmp_path):
+    labels = np.zeros((60, 100), np.uint8)
+    labels[10:50, 10:90] = 1
+    labels[20:40, 20:40] = labels[30:33, 60:63] = 0
+    cv2.imwrite(str(tmp_path / "plate.png"), labels)
+    dataset, said = described(slipmap, tmp_path, tmp_path / "plate.png", "--metres-per-pixel", 0.001)
+    assert len(dataset.grid.holes) == 1 and "80 mm by 40 mm with 1 opening" in said.out
+    assert "are closed: 1\n" in said.err
+
+
 def test_an_axis_and_a_large_object_are_asked_about(slipmap, tmp_path, bracket):
     _, said = described(slipmap, tmp_path, bracket, "--metres-per-unit", 0.01, "--up", "y")
     assert said.out.startswith("bracket: 1200 mm by 200 mm, 800 mm high with y up")

@@ -120,7 +120,7 @@ def _cluster(workers: int, threads: int) -> Iterator[str]:
         yield running.scheduler_address
         # A cluster that is closed while a dead worker's place is filled again fails in doing so.
         with distributed.Client(running.scheduler_address) as client:
-            client.wait_for_workers(workers, timeout=60)
+            client.wait_for_workers(workers)
 
 
 def test_a_cluster_gives_the_same(tmp_path: Path) -> None:
