@@ -32,7 +32,7 @@ def check(
     object_name: str | None,
     json_file: Path | None,
 ) -> None:
-    """Say what is wrong with measured pushes, and what they could tell.
+    """Say what is wrong with pushes, and what they could tell.
 
     Looks at rates, gaps, clocks, contact and forces of DATASET, and at which places, directions and speeds
     its pushes cover. Learns nothing. Exit code 1 where a finding would make results wrong.
