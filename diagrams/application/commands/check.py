@@ -67,7 +67,8 @@ def _show(found: DatasetCheck, where: Path) -> None:
     table(f"{found.dataset}: what was measured", ["what", "found", ""], rows)
     for finding in found.findings:
         if finding.advice:
-            paragraph(f"{finding.what}: {finding.advice}.")
+            end = "" if finding.advice.endswith("?") else "."
+            paragraph(f"{finding.what}: {finding.advice}{end}")
     click.echo()
     for group, words in ((found.quantities, "quantities"), (found.effects, "effects")):
         could = [told.name for told in group if told.could]

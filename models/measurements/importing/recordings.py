@@ -197,7 +197,7 @@ class _Files:
             path = self._files[name]
             while len(self._read) > len(CHANNELS):
                 self._read.pop(next(iter(self._read)))
-            self._read[name] = read_sources(path, str(path), self._said.parts)
+            self._read[name] = read_sources(path, name, self._said.parts)
             if name not in self._added:
                 self._added.add(name)
                 for file in sorted(path.rglob("*")) if path.is_dir() else [path]:
