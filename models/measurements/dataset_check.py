@@ -35,6 +35,7 @@ _GAP = 0.25  # s without a pose of a moving object
 _WRONG_SHARE = 0.25  # of the pushes that are wrong, for the whole to be
 _NOTABLE_LAG = 1e-3  # m that object and finger are apart by it
 _FORCE_LATE = 0.01  # s
+_TAKEN = "taken off"  # says an import of a force's bias
 _BIASED = 0.05  # of the force while pushing
 _OFF_NORMAL = np.radians(25.0)  # beyond most frictions of a finger, in the median
 _ARCS = 8  # parts of the outline's length
@@ -296,12 +297,18 @@ def _forces(dataset: PushDataset, rows: Sequence[ContactRows]) -> list[Finding]:
         size = float(np.hypot(*bias))
         matters = size > _BIASED * pushing and bias_matters(bias, error, rest[0][1].channels["ft_wrench"])
         text = f"({bias[0]:.3f}, {bias[1]:.3f}) N, {size:.2f} N, where pushing takes {pushing:.2g} N"
+        gone = [
+            text.partition("ft_wrench: ")[2]
+            for text in dataset.provenance
+            if _TAKEN in text and "bias" in text
+        ]
+        if gone:
+            text += f"; on import: {gone[0]}{f', and {len(gone) - 1} more' if len(gone) > 1 else ''}"
         advice = (
             "take it off: ft_wrench.offset of a setup.yaml, or leave rows before touch for slipmap import"
         )
-        findings.append(
-            Finding("force at rest", text, "wrong" if matters else "good", advice if matters else "")
-        )
+        verdict: Verdict = "wrong" if matters else "note" if gone else "good"
+        findings.append(Finding("force at rest", text, verdict, advice if matters else ""))
     normal, force, _ = normals_and_forces(dataset, rows)
     if len(force) >= 10:
         off = angle_between(force, normal)

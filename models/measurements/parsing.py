@@ -11,7 +11,7 @@ import math
 import re
 import reprlib
 from collections import Counter
-from collections.abc import Hashable, Iterable
+from collections.abc import Hashable, Iterable, Sequence
 from itertools import chain
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -26,6 +26,7 @@ from slipmap.models.physics.cell_grid import FloatArray
 _LARGEST_RECORD = 64 * 2**20  # bytes; ten minutes of three channels at 250 Hz are 30 MB
 _LARGEST_YAML = 4 * 2**20  # bytes; 50,000 cells are 1.5 MB
 _DEEPEST_YAML = 50
+_MOST_FAULTS = 40  # in one text
 _LONGEST_NAME = 250  # characters of a path that an error text has in full
 
 
@@ -130,6 +131,16 @@ class Fingerprint:
     def hexdigest(self) -> str:
         """The fingerprint so far, 64 hexadecimal digits."""
         return self._digest.hexdigest()
+
+
+def all_faults(faults: Sequence[str], count: int, what: str) -> DatasetError:
+    """All that is wrong with some of `count` files or recordings (`what`), in one text."""
+    unique = list(dict.fromkeys(faults))
+    if len(unique) == 1:
+        return DatasetError(unique[0])
+    more = f"; and {len(unique) - _MOST_FAULTS} more" if len(unique) > _MOST_FAULTS else ""
+    listed = "; ".join(unique[:_MOST_FAULTS])
+    return DatasetError(f"{len(faults)} of {count} {what} cannot be used: {listed}{more}")
 
 
 def mapping(value: object, where: str) -> dict[str, Any]:

@@ -140,17 +140,24 @@ def _assembled(
     """
     trials: list[Trial] = []
     found: list[tuple[str, str, str]] = []
+    faults: list[str] = []
     for index, (name, role) in enumerate(entries):
-        content = parsing.read_bytes(folder / name)
-        fingerprint.add(name, content)
-        pushes, doubts = read(name, role, content, str(folder / name))
-        if assign is not None:
-            pushes, cuts = cut_at_carries(setup, pushes, str(folder / name))
-            doubts = doubts + cuts
+        try:
+            content = parsing.read_bytes(folder / name)
+            fingerprint.add(name, content)
+            pushes, doubts = read(name, role, content, str(folder / name))
+            if assign is not None:
+                pushes, cuts = cut_at_carries(setup, pushes, str(folder / name))
+                doubts = doubts + cuts
+        except DatasetError as error:
+            faults.append(str(error))
+            continue
         trials += pushes
         found += [(f"{folder / name}", name, doubt) for doubt in doubts]
         if progress is not None:
             progress(index + 1, len(entries))
+    if faults:
+        raise parsing.all_faults(faults, len(entries), "files")
     if assign is not None:
         trials = assign(trials)
     trials, doubts = check_trials(setup, trials, str(source), keep)

@@ -32,7 +32,7 @@ def check(
     object_name: str | None,
     json_file: Path | None,
 ) -> None:
-    """Say what is wrong with measured pushes, and what they could tell.
+    """Say what is wrong with pushes, and what they could tell.
 
     Looks at rates, gaps, clocks, contact and forces of DATASET, and at which places, directions and speeds
     its pushes cover. Learns nothing. Exit code 1 where a finding would make results wrong.
@@ -67,7 +67,8 @@ def _show(found: DatasetCheck, where: Path) -> None:
     table(f"{found.dataset}: what was measured", ["what", "found", ""], rows)
     for finding in found.findings:
         if finding.advice:
-            paragraph(f"{finding.what}: {finding.advice}.")
+            end = "" if finding.advice.endswith("?") else "."
+            paragraph(f"{finding.what}: {finding.advice}{end}")
     click.echo()
     for group, words in ((found.quantities, "quantities"), (found.effects, "effects")):
         could = [told.name for told in group if told.could]

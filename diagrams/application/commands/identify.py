@@ -71,7 +71,6 @@ def identify(
             measured = _first_pushes(measured, fit_pushes)
         if pictures is not None:
             make_folder(pictures)
-        _tell_findings(measured, dataset)
         prepare_kernels()
         from slipmap.models.inference import identification
 
@@ -87,6 +86,7 @@ def identify(
             drawn = keep(result, measured, output, pictures, progress)
             write_json(json_file, result.to_json())
     show(result, measured, str(dataset))
+    _tell_findings(measured, dataset)
     tell_files(output, drawn)
 
 

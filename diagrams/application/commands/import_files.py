@@ -38,6 +38,7 @@ def import_files(
     """
     from slipmap.models.measurements import write_dataset
     from slipmap.models.measurements.importing import guess_setup, import_dataset
+    from slipmap.models.measurements.writing import is_replaced
 
     if guess:
         if setup.exists():
@@ -49,6 +50,7 @@ def import_files(
     if output is None:
         raise click.UsageError("say with -o DATASET where the push dataset goes, or ask to --guess a setup")
     check_folder(output.absolute().parent, output)
+    is_replaced(output.resolve(), overwrite=True)
     with Progress() as progress:
         dataset = import_dataset(
             sources,

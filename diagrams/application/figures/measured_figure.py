@@ -36,7 +36,7 @@ def measured_figure(dataset: PushDataset) -> Figure:
     table = figure.add_axes((0.06, 0.11, 0.38, 0.78))
     gap_axes = figure.add_axes((0.53, 0.55, 0.45, 0.34))
     force_axes = figure.add_axes((0.53, 0.11, 0.45, 0.34), sharex=gap_axes)
-    now, ticks = 0.0, []
+    now, ticks, largest = 0.0, [], 0.0
     for trial in trials:
         first, last = trial.object_pose.values[[0, -1]]
         style.draw_outline(table, dataset.grid, first, color=FAINT, width=0.7)
@@ -54,11 +54,14 @@ def measured_figure(dataset: PushDataset) -> Figure:
         if trial.ft_wrench is not None:
             force = np.hypot(*trial.ft_wrench.values[:, :2].T)
             force_axes.plot(now + trial.ft_wrench.time - begin, force, color=INK, linewidth=0.6)
+            largest = max(largest, float(np.percentile(force, 99)))
         ticks.append(now)
         now += end - begin + _PAUSE
+    if largest > 0.0:  # the blow of a touch may be ten times the force of a push
+        force_axes.set_ylim(-0.05 * largest, 1.3 * largest)
     _label(table, gap_axes, force_axes, ticks, now)
     more = "" if len(trials) == len(dataset.trials) else f", {len(trials)} of {len(dataset.trials)} pushes"
-    figure.text(0.06, 0.97, f"{dataset.name}: what was measured{more}", va="top", fontsize=11)
+    figure.text(0.06, 0.985, f"{dataset.name}: what was measured{more}", va="top", fontsize=11)
     return figure
 
 

@@ -25,6 +25,7 @@ _READERS: dict[str, Reader] = {
     **dict.fromkeys(TEXT_ENDINGS, read_text),
 }
 _PICKLES = (".pkl", ".pickle", ".npy", ".npz", ".pt", ".pth", ".joblib")
+_NO_TABLES = ("readme", "license")  # beginnings of names of texts in a folder of tables
 KINDS = ", ".join(sorted({*_READERS, *BAG_ENDINGS})) + " and folders of ROS 2 bags"
 
 
@@ -50,6 +51,7 @@ def find_files(paths: Sequence[Path]) -> dict[str, Path]:
                 if _is_table(file)
                 and not any(_is_table(folder) for folder in file.parents if folder.is_relative_to(path))
                 and not any(part.startswith(".") for part in file.relative_to(path).parts)
+                and not file.stem.lower().startswith(_NO_TABLES)
             }
             if (path / "meta" / "info.json").is_file():  # LeRobot: tables about the tables
                 inside = {name: file for name, file in inside.items() if not name.startswith("meta/")}

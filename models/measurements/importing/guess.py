@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from slipmap.models.measurements.importing.files import find_files, read_sources
-from slipmap.models.measurements.importing.mapping import TIMES
+from slipmap.models.measurements.importing.mapping import TIMES, seconds_and_nanoseconds
 from slipmap.models.measurements.importing.source import Source
 from slipmap.models.measurements.push_dataset import DatasetError
 from slipmap.models.physics.cell_grid import FloatArray
@@ -191,11 +191,8 @@ def _time(source: Source) -> str:
     if source.time is not None:
         return ""
     names = list(source.columns)
-    for name in names:
-        whole = re.fullmatch(r"(.*)(secs?)", name)
-        for end in ("nanosec", "nsecs", "nsec", "nanosecs"):
-            if whole and f"{whole[1]}{end}" in source.columns:
-                return f"[{_quoted(name)}, {_quoted(whole[1] + end)}]"
+    for whole, part in seconds_and_nanoseconds(source):
+        return f"[{_quoted(whole)}, {_quoted(part)}]"
     if any(name in source.columns for name in TIMES):
         return next(_quoted(name) for name in TIMES if name in source.columns)
     likely = [name for name in names if re.search(r"time|stamp|^t$|\bt_", name, re.I)]

@@ -183,10 +183,24 @@ def _time(source: Source, channel: ChannelSetup) -> tuple[FloatArray, str]:
     for name in (*channel.usual.get("time", ()), *TIMES):
         if name in source.columns:
             return seconds(source, [name], unit)
+    pairs = seconds_and_nanoseconds(source)
+    if len(pairs) == 1:
+        return seconds(source, pairs[0], None)
     raise DatasetError(
         f"{source.where}: which column is the time? Say `time`, or `rate` in Hz where rows are evenly apart;"
         f" {source.listed}"
     )
+
+
+def seconds_and_nanoseconds(source: Source) -> list[tuple[str, str]]:
+    """Pairs of columns that are the parts of a stamp of ROS."""
+    found = []
+    for name in source.columns:
+        stem = re.fullmatch(r"(.*?)secs?", name)
+        for end in ("nanosec", "nsec", "nsecs", "nanosecs", "nanoseconds"):
+            if stem and f"{stem[1]}{end}" in source.columns:
+                found.append((name, f"{stem[1]}{end}"))
+    return found
 
 
 # Poses.

@@ -31,7 +31,7 @@ from slipmap.models.measurements.importing.import_setup import (
 )
 from slipmap.models.measurements.importing.mapping import Mapped, is_there, mapped
 from slipmap.models.measurements.importing.source import Source
-from slipmap.models.measurements.parsing import Fingerprint
+from slipmap.models.measurements.parsing import Fingerprint, all_faults
 from slipmap.models.measurements.push_dataset import CHANNELS, Channel, DatasetError, PushDataset, Trial
 from slipmap.models.measurements.reading import last_held_out, object_document
 from slipmap.models.measurements.sessions import cut_at_carries, cut_at_rests
@@ -43,7 +43,6 @@ _LOG = logging.getLogger("slipmap.measurements")
 _EPOCH = 1e6  # s above which a clock counts from 1970, or another day long ago
 _NOWHERE = 100.0  # m from the object: where a finger is that is not there
 _LONGEST = 1e5  # s of a recording
-_MOST_LISTED = 40  # faults in one text
 
 Tables = dict[str, Mapped]
 
@@ -120,7 +119,7 @@ def import_dataset(
         if progress is not None:
             progress(number, len(groups))
     if faults:
-        raise _all_told(faults, len(groups))
+        raise all_faults(faults, len(groups), "recordings")
     trials = last_held_out(trials)
     kept, doubts = check_trials(said.setup, trials, where)
     provenance = (
@@ -134,16 +133,6 @@ def import_dataset(
         **vars(said.setup), trials=tuple(kept), fingerprint=fingerprint.hexdigest(),
         warnings=(*warnings, *doubts), provenance=tuple(" ".join(text.split()) for text in provenance),
     )  # fmt: skip
-
-
-def _all_told(faults: Sequence[str], count: int) -> DatasetError:
-    unique = list(dict.fromkeys(faults))
-    if len(unique) == 1:
-        return DatasetError(unique[0])
-    more = f"; and {len(unique) - _MOST_LISTED} more" if len(unique) > _MOST_LISTED else ""
-    return DatasetError(
-        f"{len(faults)} of {count} recordings cannot be used: {'; '.join(unique[:_MOST_LISTED])}{more}"
-    )
 
 
 def _listed(names: Sequence[str]) -> str:
@@ -208,7 +197,7 @@ class _Files:
             path = self._files[name]
             while len(self._read) > len(CHANNELS):
                 self._read.pop(next(iter(self._read)))
-            self._read[name] = read_sources(path, str(path), self._said.parts)
+            self._read[name] = read_sources(path, name, self._said.parts)
             if name not in self._added:
                 self._added.add(name)
                 for file in sorted(path.rglob("*")) if path.is_dir() else [path]:

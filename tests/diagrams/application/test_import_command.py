@@ -80,6 +80,10 @@ def test_what_is_missing_is_said(slipmap, lab):
     said = slipmap("import", lab / "nothing.csv", "--setup", lab / "setup.yaml", "-o", lab / "pushes")
     assert said.code == 2 and "no such file" in said.err
     assert not (lab / "pushes").exists()
+    (lab / "thesis").mkdir()
+    (lab / "thesis" / "chapter.tex").write_text("")
+    said = slipmap("import", lab / "push.csv", "--setup", lab / "setup.yaml", "-o", lab / "thesis")
+    assert said.code == 2 and "holds other files" in " ".join(said.err.split())
 
 
 def test_export(slipmap, demo_folder, tmp_path):

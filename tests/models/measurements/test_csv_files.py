@@ -244,3 +244,12 @@ def test_another_encoding_is_told(tmp_path):
     (tmp_path / "push.csv").write_text("\n".join([HEADER, *lines()]), encoding="utf-16")
     with pytest.raises(DatasetError, match=r"push\.csv: not readable as CSV .* UTF-8"):
         read_dataset(tmp_path / "push.csv", object_name="rect1")
+
+
+def test_every_bad_file_of_a_folder_is_named(tmp_path):
+    names = "t,object_x,object_y,object_theta,tip_x,tip_y\n"
+    (tmp_path / "0.csv").write_text(names + "0,0,0,0,-0.2,0\n1,0,0,0,-0.2,0\n")
+    (tmp_path / "1.csv").write_text(names + "0,0,0,zero,-0.2,0\n")
+    (tmp_path / "2.csv").write_text("t,object_x\n0,0\n")
+    with pytest.raises(DatasetError, match=r"2 of 3 files cannot be used.*1\.csv.*'zero'.*2\.csv.*lacks"):
+        read_dataset(tmp_path, object_name="rect1")

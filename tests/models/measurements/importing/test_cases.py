@@ -21,7 +21,7 @@ CASES = {
     "formats_not_read/iso.csv": "",
     "formats_not_read/nanwords.csv": "",
     "formats_not_read/quat.csv": "object_pose: {quaternion: [qx, qy, qz, qw]}\n",
-    "formats_not_read/ros2.csv": "time: [header.stamp.sec, header.stamp.nanosec]\n",
+    "formats_not_read/ros2.csv": "",
     "formats_not_read/rtde.csv": "",
 }
 FORCED = ("notau.csv", "german.csv", "rtde.csv")

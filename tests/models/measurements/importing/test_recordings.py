@@ -23,6 +23,7 @@ def pairs(tmp_path, count):
 def test_files_go_together_by_what_stands_under_the_star(tmp_path):
     pairs(tmp_path, 3)
     (tmp_path / "s.yaml").write_text(SETUP + SAYS)
+    (tmp_path / "README.txt").write_text("These are pushes.")
     dataset = import_dataset(tmp_path, tmp_path / "s.yaml", tell=lambda text: None)
     assert [trial.name for trial in dataset.trials] == ["cam_0.csv", "cam_1.csv", "cam_2.csv"]
     for k, trial in enumerate(dataset.trials):
