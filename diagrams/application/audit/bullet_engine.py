@@ -8,6 +8,7 @@ import numpy as np
 import pybullet as p
 
 from slipmap.diagrams.application.audit.engine import AWAY, EngineScene
+from slipmap.diagrams.application.bullet_bodies import body_of_links, finger_on_rails
 from slipmap.models.physics.cell_grid import FloatArray
 
 _FOOT = 2e-3  # m, radius
@@ -16,9 +17,7 @@ _SINK = 2e-4  # m; of every foot under the weight of its cell
 _MARGIN = 1e-3  # m; by which Bullet blows up convex hulls
 _CLEARANCE = 4e-4  # m; of what the finger meets above the table
 _SIDE = 0.02  # m, its height
-_LINK_MASS = 1e-6  # kg
-_FINGER_MASS = 1e-2  # kg; a motor drives it that nothing in the scene can hold
-_MOTOR = [1e4, 1e4]  # N
+_MOTOR = [1e4, 1e4]  # N; nothing in the scene can hold it
 _TABLE, _FEET, _SIDES, _FINGER = 1, 2, 4, 8  # collision groups
 
 
@@ -96,14 +95,7 @@ class BulletEngine:
         n, count = len(centers), len(shapes)
         feet = np.column_stack([centers, np.full(n, _FOOT)])
         places = (np.vstack([feet, np.zeros((count - n, 3))]) - self._center).tolist()
-        level, here = [0, 0, 0, 1], [0, 0, 0]
-        body = p.createMultiBody(
-            float(scene.mass.sum()), -1, -1, here, level, linkMasses=[_LINK_MASS] * count,
-            linkCollisionShapeIndices=shapes, linkVisualShapeIndices=[-1] * count, linkPositions=places,
-            linkOrientations=[level] * count, linkInertialFramePositions=[here] * count,
-            linkInertialFrameOrientations=[level] * count, linkParentIndices=[0] * count,
-            linkJointTypes=[p.JOINT_FIXED] * count, linkJointAxis=[[0, 0, 1]] * count, **where,
-        )  # fmt: skip
+        body = body_of_links(p, where, float(scene.mass.sum()), shapes, places)
         away = centers - scene.center_of_mass
         own = scene.grid.width**2 / 12
         inertia = [scene.mass @ (away[:, 1] ** 2 + own), scene.mass @ (away[:, 0] ** 2 + own)]
@@ -124,20 +116,8 @@ class BulletEngine:
                 body, link, lateralFriction=scene.mu_finger, contactProcessingThreshold=0.0, **where
             )
             p.setCollisionFilterGroupMask(body, link, _SIDES, _FINGER, **where)
-        return int(body)
+        return body
 
     def _add_finger(self, scene: EngineScene) -> int:
-        where = self._where
-        shape = p.createCollisionShape(p.GEOM_SPHERE, radius=scene.finger_radius, **where)
-        level, here = [[0, 0, 0, 1]] * 2, [[0, 0, 0]] * 2
-        finger = p.createMultiBody(
-            0, -1, basePosition=[0, 0, _HEIGHT], linkMasses=[_FINGER_MASS] * 2,
-            linkCollisionShapeIndices=[-1, shape], linkVisualShapeIndices=[-1, -1], linkPositions=here,
-            linkOrientations=level, linkInertialFramePositions=here, linkInertialFrameOrientations=level,
-            linkParentIndices=[0, 1], linkJointTypes=[p.JOINT_PRISMATIC] * 2,
-            linkJointAxis=[[1, 0, 0], [0, 1, 0]], **where,
-        )  # fmt: skip
-        p.changeDynamics(finger, 1, lateralFriction=1.0, **where)
-        for link in (-1, 0, 1):
-            p.setCollisionFilterGroupMask(finger, link, _FINGER if link == 1 else 0, _SIDES, **where)
-        return int(finger)
+        shape = p.createCollisionShape(p.GEOM_SPHERE, radius=scene.finger_radius, **self._where)
+        return finger_on_rails(p, self._where, shape, _HEIGHT, _FINGER, _SIDES)

@@ -13,7 +13,6 @@ from pydrake.geometry import (
     CollisionFilterDeclaration,
     Convex,
     GeometrySet,
-    HalfSpace,
     ProximityProperties,
     Sphere,
 )
@@ -68,10 +67,10 @@ class DrakeEngine:
         table = ProximityProperties()
         _contact(table, _TABLE_FRICTION, None)
         if self.hydroelastic:
-            AddRigidHydroelasticProperties(table)
-        ground = plant.RegisterCollisionGeometry(
-            plant.world_body(), RigidTransform(), HalfSpace(), "table", table
-        )
+            AddRigidHydroelasticProperties(20.0, table)
+        # A half space would do, but Drake warns of it.
+        X_WT, top = RigidTransform([0.0, 0.0, -0.5]), Box(20.0, 20.0, 1.0)
+        ground = plant.RegisterCollisionGeometry(plant.world_body(), X_WT, top, "table", table)
         self._add_object(plant, scene)
         self._add_finger(plant, scene)
         plant.Finalize()

@@ -142,7 +142,7 @@ def prices_beside(
 
 
 _LOWER = 0.9  # of the price, at most, that an effect leaves
-_NOTHING = 1e-4  # m; a price below needs no explanation
+_NOTHING = 5e-4  # m; a price below needs no explanation
 
 
 def _counter(report: Progress, stage: str, total: int) -> probes.Report:

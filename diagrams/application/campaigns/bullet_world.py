@@ -4,6 +4,7 @@ import numpy as np
 import shapely
 from scipy.spatial.transform import Rotation
 
+from slipmap.diagrams.application.bullet_bodies import body_of_links, finger_on_rails
 from slipmap.diagrams.application.campaigns import direct_world
 from slipmap.diagrams.application.campaigns.direct_world import PERIOD, DirectWorld, Motion, WorldNoise
 from slipmap.diagrams.station.sliding_object import GRAVITY, spatial_inertia
@@ -21,8 +22,6 @@ _SINK = 2e-4  # m; of every foot under the weight of its cell
 _CLEARANCE = 4e-4  # m; of the prisms above the feet
 _FOOT_RADIUS = 2e-3  # m
 _MARGIN = 1e-3  # m; by which Bullet blows up convex hulls
-_LINK_MASS = 1e-6  # kg
-_FINGER_MASS = 1e-2  # kg
 _FINGER_HEIGHT = 2e-3  # m, of its end above the table
 _THICKNESS = 0.1  # m, of the table top
 _FLOOR = -0.72  # m
@@ -155,17 +154,8 @@ class BulletWorld(DirectWorld):
             for corners in self._prisms()
         ]
         n, count = len(feet), len(feet) + len(blocks)
-        level, here = [0, 0, 0, 1], [0, 0, 0]
         place, turn = self._X_IO
-        body = p.createMultiBody(
-            thing.total_mass, -1, -1, here, level,
-            linkMasses=[_LINK_MASS] * count, linkCollisionShapeIndices=feet + blocks,
-            linkVisualShapeIndices=[-1] * count, linkPositions=[place] * count,
-            linkOrientations=[turn] * count,
-            linkInertialFramePositions=[here] * count, linkInertialFrameOrientations=[level] * count,
-            linkParentIndices=[0] * count, linkJointTypes=[p.JOINT_FIXED] * count,
-            linkJointAxis=[[0, 0, 1]] * count, **where,
-        )  # fmt: skip
+        body = body_of_links(p, where, thing.total_mass, feet + blocks, [place] * count, turn)
         p.changeDynamics(
             body, -1, linearDamping=0, angularDamping=0, localInertiaDiagonal=inertia.tolist(), **where
         )
@@ -183,7 +173,7 @@ class BulletWorld(DirectWorld):
                 body, block, lateralFriction=thing.mu_finger, contactProcessingThreshold=0.0, **where
             )
             p.setCollisionFilterGroupMask(body, block, _BLOCKS, _FINGER | _TABLE, **where)
-        return int(body)
+        return body
 
     def _feet(self, centers: FloatArray) -> int:
         """A shape of spheres under cells (k, 2)."""
@@ -217,20 +207,11 @@ class BulletWorld(DirectWorld):
         return result
 
     def _add_finger(self) -> int:
-        p, where = self._p, self._where
-        shape = p.createCollisionShape(p.GEOM_CYLINDER, radius=FINGER_RADIUS, height=FINGER_LENGTH, **where)
-        level, here = [[0, 0, 0, 1]] * 2, [[0, 0, 0]] * 2
-        finger = p.createMultiBody(
-            0, -1, basePosition=[0, 0, _FINGER_HEIGHT + FINGER_LENGTH / 2], linkMasses=[_FINGER_MASS] * 2,
-            linkCollisionShapeIndices=[-1, shape], linkVisualShapeIndices=[-1, -1], linkPositions=here,
-            linkOrientations=level, linkInertialFramePositions=here, linkInertialFrameOrientations=level,
-            linkParentIndices=[0, 1], linkJointTypes=[p.JOINT_PRISMATIC] * 2,
-            linkJointAxis=[[1, 0, 0], [0, 1, 0]], **where,
-        )  # fmt: skip
-        p.changeDynamics(finger, 1, lateralFriction=1.0, **where)
-        for link in (-1, 0, 1):
-            p.setCollisionFilterGroupMask(finger, link, _FINGER if link == 1 else 0, _BLOCKS, **where)
-        return int(finger)
+        p, height = self._p, _FINGER_HEIGHT + FINGER_LENGTH / 2
+        shape = p.createCollisionShape(
+            p.GEOM_CYLINDER, radius=FINGER_RADIUS, height=FINGER_LENGTH, **self._where
+        )
+        return finger_on_rails(p, self._where, shape, height, _FINGER, _BLOCKS)
 
 
 def _groups(thing: TrueObject) -> list[list[int]]:

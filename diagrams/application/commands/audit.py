@@ -16,7 +16,7 @@ from slipmap.models.files import write_json, write_text
 @options.report_option("audit.html")
 @options.json_option
 def audit(engines: tuple[str, ...], output: Path, json_file: Path | None) -> None:
-    """Audit physics engines: how far they are from Coulomb's law of friction.
+    """Say how far a physics engine is from Coulomb's law.
 
     ENGINE is mujoco, bullet or drake, with settings after a colon, as mujoco:elliptic,impratio=100,
     bullet:pyramid, drake:sap or drake:hydroelastic; or a class in a file of your own, as

@@ -22,7 +22,7 @@ from slipmap.models.effects.symbols import after_names, body_names, cell_names
 from slipmap.models.effects.written import QUANTITIES, plain_text, written
 
 LETTERS = {
-    "x": "x", "y": "y", "theta": "θ", "com_x": "com_x", "com_y": "com_y", "com_vx": "com_vx",
+    "x": "x", "y": "y", "theta": "θ", "omega": "ω", "com_x": "com_x", "com_y": "com_y", "com_vx": "com_vx",
     "com_vy": "com_vy", "width": "w",
     "mass": "m", "moment": "J", "gravity": "g", "step": "h", "order": "k",
     "centroid_x": "c_x", "centroid_y": "c_y",
@@ -107,7 +107,7 @@ def test_every_letter_is_explained_and_mathtext_can_set_it(effect) -> None:  # t
     parser = MathTextParser("path")
     told = {letter for letter, _, _ in text.letters} | set(text.symbols.values())
     helpers = {f.text.split(" = ")[0] for f in text.formulas}
-    functions = {"exp", "sin", "cos", "sqrt", "max", "step"}
+    functions = {"exp", "sin", "cos", "sqrt", "max", "step", "pi"}
     for formula in text.formulas:
         assert parser.parse(f"${formula.latex}$")[0] > 10
         words = set(re.findall(r"[A-Za-zθωκτΔ]\w*", formula.text.split(" = ", 1)[1])) - functions
