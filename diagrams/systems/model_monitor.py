@@ -48,6 +48,7 @@ class Judged:
     allowed: float  # error in this direction up to which the push would not surprise, m
     surprising: bool  # whether it ended outside the 95 % region, see `Prediction.surprising`
     effects: tuple[str, ...] = ()  # that the model had
+    moved: float = np.nan  # by how much the push moved the cells (ADD), m
 
 
 @dataclass(frozen=True, eq=False)
@@ -178,4 +179,5 @@ class ModelMonitor(PythonSystem):
         return Judged(
             number, misfit, p, evidence, by_evidence or not region.holds(seen, 1.0 - LEVEL),
             off, off / max(excess, 1e-9), not region.holds(seen), effects,
+            float(add(start, end, belief.grid.centers)),
         )  # fmt: skip

@@ -38,8 +38,10 @@ def _finding(finding: Finding) -> str:
 
 
 def _errors(judged: Sequence[Judged]) -> str:
-    middle = 1e3 * median(push.error for push in judged)
-    return f"{len(judged)} push{'es' * (len(judged) > 1)} ended {middle:.1f} mm off in the median"
+    off = 1e3 * median(push.error for push in judged)
+    share = median(push.error / push.moved for push in judged)
+    count = f"{len(judged)} push{'es' * (len(judged) > 1)}"
+    return f"{count} ended {off:.1f} mm off in the median, {share:.0%} of how far they moved the object"
 
 
 def _names(effects: Sequence[str]) -> str:

@@ -13,7 +13,7 @@ TILT = ("table_tilt",)
 
 def watch(*pushes: tuple[float, tuple[str, ...]]) -> Watch:
     judged = [
-        Judged(number, 1.0, 0.5, 1.0, False, error, 0.01, False, effects)
+        Judged(number, 1.0, 0.5, 1.0, False, error, 0.01, False, effects, 0.1)
         for number, (error, effects) in enumerate(pushes, 1)
     ]
     return Watch(len(pushes) + 1, np.zeros(3), tuple(judged))
@@ -29,8 +29,8 @@ def test_it_says_what_was_found_what_was_done_and_how_far_the_error_fell():
     assert first.startswith("After push 5, diagnosis: Too little is seen.")
     assert first.endswith("made another push to find out.")
     assert second.endswith("lacks one effect: table_tilt. The model was given table_tilt from then on.")
-    assert "3 pushes ended 24.0 mm off in the median" in third
-    assert "with table_tilt, 3 pushes ended 4.0 mm off in the median" in third
+    assert "3 pushes ended 24.0 mm off in the median, 24% of how far they moved the object" in third
+    assert "with table_tilt, 3 pushes ended 4.0 mm off in the median, 4% of how" in third
 
 
 def test_without_an_effect_no_fall_is_claimed():
