@@ -189,12 +189,12 @@ def test_a_faulty_file_is_refused_with_what_is_wrong(tmp_path: Path, text: str, 
         ("mujoco:impratio=much", "impratio must be a number, got 'much'"),
     ],
 )
-def test_an_engine_that_is_not_there_is_told(spec: str, said: str) -> None:
+def test_an_unknown_engine_or_setting_is_refused(spec: str, said: str) -> None:
     with pytest.raises(BadInput, match=said):
         engines.find_engine(spec)
 
 
-def test_an_engine_that_is_not_installed_is_told_how_to_get(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_engine_that_is_not_installed_is_refused_with_the_remedy(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
     with pytest.raises(BadInput, match=r"pybullet is not installed; `pip install 'slipmap\[bench\]'`"):
         engines.find_engine("bullet:pyramid")
