@@ -38,7 +38,12 @@ from .models.inference.belief import Belief as Belief
 from .models.inference.comparison import compare as compare, compare_with_effects as compare_with_effects
 from .models.inference.identification import fit as fit, identify as identify
 from .models.inference.prediction import predict as predict
-from .models.measurements.push_dataset import PushDataset as PushDataset, Table as Table, Trial as Trial
+from .models.measurements.push_dataset import (
+    KnownMaps as KnownMaps,
+    PushDataset as PushDataset,
+    Table as Table,
+    Trial as Trial,
+)
 from .models.measurements.reading import read_dataset as read_dataset
 from .models.measurements.simulated import record_pushes as record_pushes
 from .models.measurements.writing import write_dataset as write_dataset

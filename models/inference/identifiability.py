@@ -9,7 +9,7 @@ half its width, or where it was measured beforehand.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -17,6 +17,7 @@ from slipmap.models.effects.effect import Effect
 from slipmap.models.inference.belief import Belief
 from slipmap.models.inference.gauss_newton import Fits, fit
 from slipmap.models.inference.likelihood import Likelihood
+from slipmap.models.inference.prior import MapPrior
 from slipmap.models.inference.results import Quantity
 from slipmap.models.inference.summaries import interval
 from slipmap.models.physics.cell_grid import FloatArray
@@ -83,12 +84,18 @@ def quantities(belief: Belief, likelihood: Likelihood, information: Fits | None)
     if information is None:
         information = fit(likelihood, np.array([prior.start(0.35)]))
     posterior = np.linalg.inv(information.hessian[0] + np.eye(prior.size))
-    weighed = prior.total_spread == prior.settings.known_mass
     results = []
-    for measure in _measures(prior.slider, _Seen.of(likelihood), weighed):
-        gradient = _gradient(measure, likelihood, information.z[0])
+    for measure in _measures(prior.slider, _Seen.of(likelihood), prior.mass is not None):
+        gradient = _gradient(measure, prior, information.z[0])
         before = float(gradient @ gradient)
         after = float(gradient @ posterior @ gradient)
+        if prior.known is not None:
+            free = MapPrior(prior.slider, prior.settings, prior.mass)
+            open_width = _gradient(measure, free, np.zeros(free.size))
+            if before < SHOWN_SHARE * float(open_width @ open_width):
+                measure = replace(
+                    measure, given=True, shown=measure.shown if measure.given else "known beforehand"
+                )
         shown = measure.given or after < SHOWN_SHARE * before
         value, low, high = interval(measure.of(belief.maps), belief.probability, log=measure.log)
         if measure.share:
@@ -127,9 +134,8 @@ def effect_quantities(
     return facts
 
 
-def _gradient(measure: _Measure, likelihood: Likelihood, z: FloatArray) -> FloatArray:
+def _gradient(measure: _Measure, prior: MapPrior, z: FloatArray) -> FloatArray:
     """Central differences over the coordinates (maps are cheap; the rollouts' part is in the Hessian)."""
-    prior = likelihood.prior
     difference = 1e-4
     shifts = difference * np.eye(prior.size)
     values = measure.of(prior.maps(np.concatenate([z + shifts, z - shifts])))

@@ -30,7 +30,7 @@ from slipmap.models.inference.likelihood import Likelihood, LikelihoodSettings
 from slipmap.models.inference.mixture import explain, mixed_belief
 from slipmap.models.inference.observations import Observation, observe_all
 from slipmap.models.inference.prediction import predict_observations, predicted_motion
-from slipmap.models.inference.prior import MapPrior, PriorSettings, slider_for
+from slipmap.models.inference.prior import STRUCTURES, MapPrior, PriorSettings, slider_for
 from slipmap.models.inference.results import Identification
 from slipmap.models.measurements import DatasetError, PushDataset
 from slipmap.models.progress import Progress, about, silent
@@ -131,6 +131,13 @@ def learn(
     every = explain(
         dataset, fitted, prior_settings, partial(report, "fitting"), found, plain_only=not friction_laws
     )
+    errors_of_known = None
+    if dataset.known is not None and found is None:
+        free, own = replace(dataset, known=None), partial(report, "fitting free maps")
+        errors_of_known = (
+            every[0].model_error,
+            explain(free, fitted, STRUCTURES["smooth"], own, plain_only=True)[0].model_error,
+        )
     effects = () if found is None else found.effects
     belief = mixed_belief(dataset, every, effects, hypotheses, seed, report)
     noise = sensor_noise(dataset)
@@ -144,7 +151,9 @@ def learn(
     facts = quantities(belief, likelihood, information)
     facts = (*facts, *effect_quantities(belief, effects, likelihood, information))
     shares = belief.settings["friction_laws"]
-    return Identification(belief, predictions, facts, time.perf_counter() - started, shares)
+    return Identification(
+        belief, predictions, facts, time.perf_counter() - started, shares, errors_of_known
+    )  # fmt: skip
 
 
 def _by_algorithm_1(

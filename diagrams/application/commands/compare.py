@@ -78,6 +78,7 @@ def predict(
 @options.report_option("comparison.html")
 @options.seed_option
 @options.object_option
+@options.maps_option
 @options.json_option
 def compare(
     dataset: Path,
@@ -87,6 +88,7 @@ def compare(
     output: Path,
     seed: int,
     object_name: str | None,
+    maps: Path | None,
     json_file: Path | None,
 ) -> None:
     """Compare a model with pushes, and see where it fails.
@@ -108,7 +110,7 @@ def compare(
     effects = effects_named(effect_names, known)
     belief = Belief.load(belief_file, known) if belief_file is not None else None
     with Progress() as progress:
-        measured = options.load_dataset(dataset, object_name, progress)
+        measured = options.load_dataset(dataset, object_name, progress, maps)
         prepare_kernels()
         from slipmap.models.inference import comparison
 
@@ -218,6 +220,7 @@ def _check_fit_pushes(dataset: PushDataset) -> None:
 @options.seed_option
 @options.report_option("diagnosis.html")
 @options.object_option
+@options.maps_option
 @options.json_option
 def diagnose(
     dataset: Path,
@@ -227,6 +230,7 @@ def diagnose(
     seed: int,
     output: Path,
     object_name: str | None,
+    maps: Path | None,
     json_file: Path | None,
 ) -> None:
     """Find out which physical effect the model misses.
@@ -238,7 +242,7 @@ def diagnose(
     """
     effects = options.find_effects(effect_files)
     with Progress() as progress:
-        measured = options.load_dataset(dataset, object_name, progress)
+        measured = options.load_dataset(dataset, object_name, progress, maps)
         prepare_kernels()
         from slipmap.planners import telling_push
 

@@ -144,6 +144,10 @@ object_option = click.option(
     " as rect1, or a YAML file with the keys object and finger of a dataset.yaml and, where columns have"
     " other names or units, csv.",
 )
+maps_option = path_option(
+    "--maps",
+    about="YAML file of what is known of the object's maps: the keys under `known` of a dataset.yaml.",
+)
 effect_file_option = path_option(
     "--effect-file", "effect_files", multiple=True,
     about="Python file with effects of your own, beside those of the library; may be given several times.",
@@ -176,8 +180,16 @@ def find_effects(files: Sequence[Path]) -> tuple[Effect, ...]:
     return known_effects(files)
 
 
-def load_dataset(path: Path, object_name: str | None, progress: Progress) -> PushDataset:
+def load_dataset(
+    path: Path, object_name: str | None, progress: Progress, maps: Path | None = None
+) -> PushDataset:
     """Read a dataset, with progress, and tell what looks wrong about it.
+
+    Args:
+        path: of the dataset.
+        object_name: what was pushed, where the dataset does not say it.
+        progress: called after each trial.
+        maps: file of what is known of the object's maps.
 
     Raises:
         DatasetError: it cannot be used.
@@ -187,6 +199,7 @@ def load_dataset(path: Path, object_name: str | None, progress: Progress) -> Pus
     return read_dataset(
         path,
         object_name=object_name,
+        maps=maps,
         progress=lambda done, total: progress("reading pushes", done, total),
         tell=lambda warning: note(f"warning: {warning}"),
     )
