@@ -27,7 +27,7 @@ from slipmap.models.inference.cross_validation import end_errors, leave_out
 from slipmap.models.inference.error_model import sensor_noise
 from slipmap.models.inference.identifiability import effect_quantities, quantities
 from slipmap.models.inference.likelihood import Likelihood, LikelihoodSettings
-from slipmap.models.inference.mixture import explain, mixed_belief
+from slipmap.models.inference.mixture import explain, mixed_belief, weighed
 from slipmap.models.inference.observations import Observation, observe_all
 from slipmap.models.inference.prediction import predict_observations, predicted_motion
 from slipmap.models.inference.prior import STRUCTURES, MapPrior, PriorSettings, slider_for
@@ -131,13 +131,11 @@ def learn(
     every = explain(
         dataset, fitted, prior_settings, partial(report, "fitting"), found, plain_only=not friction_laws
     )
-    errors_of_known = None
+    share_of_known = None
     if dataset.known is not None and found is None:
         free, own = replace(dataset, known=None), partial(report, "fitting free maps")
-        errors_of_known = (
-            every[0].model_error,
-            explain(free, fitted, STRUCTURES["smooth"], own, plain_only=True)[0].model_error,
-        )
+        rivals = (every[0], *explain(free, fitted, STRUCTURES["smooth"], own, plain_only=True))
+        share_of_known = weighed(rivals)[0].share
     effects = () if found is None else found.effects
     belief = mixed_belief(dataset, every, effects, hypotheses, seed, report)
     noise = sensor_noise(dataset)
@@ -152,7 +150,7 @@ def learn(
     facts = (*facts, *effect_quantities(belief, effects, likelihood, information))
     shares = belief.settings["friction_laws"]
     return Identification(
-        belief, predictions, facts, time.perf_counter() - started, shares, errors_of_known
+        belief, predictions, facts, time.perf_counter() - started, shares, share_of_known
     )  # fmt: skip
 
 

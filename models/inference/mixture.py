@@ -191,9 +191,9 @@ def _likeliest(every: Sequence[Explanation]) -> Explanation:
     return max(_admitted(every), key=lambda one: one.log_evidence)
 
 
-def shared_out(every: Sequence[Explanation]) -> list[Explanation]:
-    """Explanations with their shares, the largest first, without those below `LEAST_SHARE`."""
-    every, best = _admitted(every), _likeliest(every)
+def weighed(every: Sequence[Explanation]) -> list[Explanation]:
+    """Explanations with their shares, 0 for those below `LEAST_SHARE`."""
+    best = _likeliest(every)
     rows = best.likelihood.rows_counted / len(best.likelihood.observations)
     temperature = rows * best.model_error / MODEL_ERRORS[0]
     evidence = np.array([one.log_evidence for one in every])
@@ -203,7 +203,12 @@ def shared_out(every: Sequence[Explanation]) -> list[Explanation]:
     shares /= shares.sum()
     shares = np.where(shares < LEAST_SHARE, 0.0, shares)
     shares /= shares.sum()
-    kept = [replace(one, share=float(share)) for one, share in zip(every, shares, strict=True) if share > 0]
+    return [replace(one, share=float(share)) for one, share in zip(every, shares, strict=True)]
+
+
+def shared_out(every: Sequence[Explanation]) -> list[Explanation]:
+    """Explanations with their shares, the largest first, without those below `LEAST_SHARE`."""
+    kept = [one for one in weighed(_admitted(every)) if one.share > 0]
     return sorted(kept, key=lambda one: -one.share)
 
 

@@ -43,8 +43,8 @@ class Identification:
         seconds: that it took.
         friction_laws: share of the belief by law of friction, the largest first; `plain` alone where no
             other was tried, empty where none was chosen among.
-        errors_of_known: where maps were known beforehand, by which shares of the way the best model with them
-            is off, and the best with free maps (α of the likelihood).
+        share_of_known: where maps were known beforehand, the share that the pushes give the model with them
+            beside one with free maps; 0 where they speak against them.
         without_effects: of `fit`, what the model without the effects learnt from the same pushes.
     """
 
@@ -53,13 +53,8 @@ class Identification:
     quantities: tuple[Quantity, ...]
     seconds: float
     friction_laws: Mapping[str, float] = field(default_factory=dict)
-    errors_of_known: tuple[float, float] | None = None
+    share_of_known: float | None = None
     without_effects: Identification | None = None
-
-    @property
-    def known_in_doubt(self) -> bool:
-        """Whether free maps explain the pushes clearly better than what was said to be known."""
-        return self.errors_of_known is not None and self.errors_of_known[0] > self.errors_of_known[1]
 
     def errors(self, role: str, of: str = "final_add") -> FloatArray:
         """Final ADD (m) of all pushes with a role; `of` may also be `no_motion_add` or `uniform_add`."""
@@ -96,11 +91,6 @@ class Identification:
             for effect in self.belief.effects
             if any(f"{effect.name}: {p.name}" in facts for p in effect.parameters)
         }
-
-    def _known_document(self) -> dict[str, object]:
-        assert self.errors_of_known is not None
-        known, free = self.errors_of_known
-        return {"error_with": known, "error_with_free_maps": free, "in_doubt": self.known_in_doubt}
 
     def to_json(self) -> dict[str, object]:
         """The machine-readable result; lengths in m, null where there is nothing to average."""
@@ -139,7 +129,7 @@ class Identification:
                 for k in range(len(self.belief))
             ],
             "friction_laws": dict(self.friction_laws),
-            **({} if self.errors_of_known is None else {"known_maps": self._known_document()}),
+            **({} if self.share_of_known is None else {"share_of_known_maps": self.share_of_known}),
             "identifiable": [vars(quantity) for quantity in self.quantities],
             "seconds": self.seconds,
             "seed": self.belief.seed,

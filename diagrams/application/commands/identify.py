@@ -199,20 +199,16 @@ def show(result: Identification, dataset: PushDataset, where: str | None) -> Non
     )
     show_errors(result.pushes, dataset, where)
     show_friction_laws(result.friction_laws)
-    if result.errors_of_known is not None:
-        paragraph(_said_of_known(*result.errors_of_known))
+    if result.share_of_known is not None:
+        paragraph(_THEY_FIT if result.share_of_known else _THEY_DO_NOT_FIT)
     show_quantities(result.quantities, doubted=is_doubted(result.pushes, dataset))
 
 
-def _said_of_known(known: float, free: float) -> str:
-    """Whether pushes fit what was said to be known of the maps."""
-    if known <= free:
-        return "The pushes fit the maps that are known: free maps explain them no better."
-    return (
-        f"THE PUSHES DO NOT FIT THE MAPS THAT ARE KNOWN: with them the best model is off by about"
-        f" {100 * known:.2g} % of the way, with free maps by {100 * free:.2g} %. Either what is said to be"
-        " known is wrong, or an effect is missing that free maps can imitate; `slipmap diagnose` asks which."
-    )
+_THEY_FIT = "The pushes fit the maps that are known: free maps do not explain them much better."
+_THEY_DO_NOT_FIT = (
+    "THE PUSHES DO NOT FIT THE MAPS THAT ARE KNOWN: free maps explain them far better. Either what is said to"
+    " be known is wrong, or an effect is missing that free maps can imitate; `slipmap diagnose` asks which."
+)
 
 
 def tell_files(belief: Path, pictures: Sequence[Path]) -> None:
