@@ -10,6 +10,7 @@ from slipmap.models.effects.symbols import REST_SPEED, force_at_mass_center, pos
 
 class SensorLatency(Effect):
     name = "sensor_latency"
+    belongs_to = "tracker"
     sentence = "The tracker reports the object's pose late."
     parameters = (Parameter("latency", "s", "by how much the tracker is late", -0.3, 0.5, 0.03, 0.0),)
 
@@ -33,6 +34,7 @@ class TrackerOffset(Effect):
 
 class TrackerScale(Effect):
     name = "tracker_scale"
+    belongs_to = "tracker"
     sentence = "The tracker's lengths are off by a few percent."
     parameters = (
         Parameter("excess", "1", "reported lengths above true ones, as a share", -0.3, 0.3, 0.01, 0.0),
@@ -44,6 +46,7 @@ class TrackerScale(Effect):
 
 class ViscousFriction(Effect):
     name = "viscous_friction"
+    belongs_to = "table"
     sentence = "A drag in proportion to speed and area, as from a film of oil, comes on top of dry friction."
     parameters = (
         Parameter(
@@ -57,6 +60,7 @@ class ViscousFriction(Effect):
 
 class StribeckFriction(Effect):
     name = "stribeck_friction"
+    belongs_to = "table"
     sentence = "Friction falls with speed from a static to a kinetic level."
     parameters = (
         Parameter("excess", "1", "static friction above kinetic, as a share of it", 0.0, 3.0, 0.3, 0.0),
@@ -91,6 +95,7 @@ def _grain(along_x: str, along_xy: str) -> tuple[Parameter, Parameter]:
 
 class AnisotropicTable(Effect):
     name = "anisotropic_table"
+    belongs_to = "table"
     sentence = "Friction differs along and across the table's grain."
     parameters = _grain("x and lower along y where positive", "the diagonals")
 
@@ -110,6 +115,7 @@ class AnisotropicObject(Effect):
 
 class TableTilt(Effect):
     name = "table_tilt"
+    belongs_to = "table"
     sentence = "The table is not level: gravity has a component along it."
     parameters = (
         Parameter("down_x", "rad", "slope along x, downhill where positive", -0.4, 0.4, 0.03, 0.0),
@@ -122,6 +128,7 @@ class TableTilt(Effect):
 
 class TableFrictionField(Effect):
     name = "table_friction_field"
+    belongs_to = "table"
     sentence = "Friction varies with the place on the table: a gradient, a patch, or both."
     parameters = (
         Parameter("gradient_x", "1/m", "relative rise of friction along x", -8.0, 8.0, 1.0, 0.0),
@@ -192,6 +199,7 @@ class FrictionDrift(Effect):
 
 class FingerCompliance(Effect):
     name = "finger_compliance"
+    belongs_to = "finger"
     sentence = "The finger bends: its true tip gives way to the contact force."
     parameters = (Parameter("compliance", "m/N", "give of the tip", 0.0, 0.1, 4e-3, 0.0, weight_power=-1.0),)
 
@@ -281,6 +289,7 @@ class Skate(Effect):
 
 class ImpulseFriction(Effect):
     name = "impulse_friction"
+    belongs_to = "table"
     sentence = (
         "Friction is solved for as impulses along the world's x and y, as simulators do, and leans to the "
         "one that meets more mass."

@@ -25,6 +25,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 
 from slipmap.models.effects.effect import Effect, bounds, scales
 from slipmap.models.inference.known_cells import KnownCells
@@ -93,7 +94,46 @@ def slider_for(dataset: PushDataset, effects: Sequence[Effect] = ()) -> Slider:
     )  # fmt: skip
 
 
-class MapPrior:
+class EffectCoordinates:
+    """Coordinates z_p of effects, which follow those of maps.
+
+    Attributes:
+        plain: number of coordinates of the maps.
+        effect_centers: (P,) middles of the effects' parameters.
+        effect_scales: (P,) their standard deviations.
+        effect_bounds: (P,) each, lowest and highest values.
+        amplitudes: (P,) which of them have a null.
+    """
+
+    plain: int
+    effect_centers: FloatArray
+    effect_scales: FloatArray
+    effect_bounds: tuple[FloatArray, FloatArray]
+    amplitudes: NDArray[np.bool_]
+
+    @property
+    def size(self) -> int:
+        """Number of coordinates."""
+        return self.plain + len(self.effect_scales)
+
+    def effect_coordinates(self, values: FloatArray) -> FloatArray:
+        """z_p of effect parameters (…, P)."""
+        return (values - self.effect_centers) / self.effect_scales
+
+    def effect_values(self, z: FloatArray) -> FloatArray:
+        """(K, P) effect parameters at coordinates (K, size)."""
+        return np.clip(self.effect_centers + self.effect_scales * z[:, self.plain :], *self.effect_bounds)
+
+    def effect_deviations(self, hessian: FloatArray) -> FloatArray:
+        """(P,) standard deviations of the effects' parameters, everything else being refitted with them.
+
+        The Hessian (size, size) is the data's at the best fit, to which that of the prior is added.
+        """
+        covariance = np.linalg.inv(hessian + np.eye(self.size))
+        return np.sqrt(np.diagonal(covariance)[self.plain :]) * self.effect_scales
+
+
+class MapPrior(EffectCoordinates):
     """Coordinates of maps on one grid, see the formulas above.
 
     Args:
@@ -130,22 +170,18 @@ class MapPrior:
         if effect_prior is not None:
             self.effect_centers, self.effect_scales = effect_prior
         self.effect_bounds = bounds(effects)
+        self.amplitudes = np.concatenate([np.zeros(0, bool), *(effect.amplitudes for effect in effects)])
 
     @cached_property
     def basis(self) -> FloatArray:
         """(n, r) B: columns sorted by how much of the prior's variance they carry."""
         return covariance_basis(self.slider.grid, self.settings)
 
-    @property
-    def size(self) -> int:
-        """Number of coordinates: z_load (r), z_split (r), z_total, z_mu0, errors that known cells share, z_f,
-        z_p (P)."""
-        return 2 * self.basis.shape[1] + 2 + self.cells.levels + len(self.effect_scales)
-
-    @property
-    def plain(self) -> int:
-        """Number of coordinates without the effects'."""
-        return self.size - len(self.effect_scales)
+    @cached_property
+    def plain(self) -> int:  # type: ignore[override]
+        """Number of coordinates of the maps: z_load (r), z_split (r), z_total, z_mu0, errors that known cells
+        share, z_f."""
+        return 2 * self.basis.shape[1] + 2 + self.cells.levels
 
     def start(self, finger_friction: float) -> FloatArray:
         """(size,) coordinates of the middle of the prior with some finger friction."""
@@ -193,18 +229,6 @@ class MapPrior:
         z[:, self.plain :] = self.effect_coordinates(maps.effects)
         return z
 
-    def effect_coordinates(self, values: FloatArray) -> FloatArray:
-        """z_p of effect parameters (…, P)."""
-        return (values - self.effect_centers) / self.effect_scales
-
-    def effect_deviations(self, hessian: FloatArray) -> FloatArray:
-        """(P,) standard deviations of the effects' parameters, everything else being refitted with them.
-
-        The Hessian (size, size) is the data's at the best fit, to which that of the prior is added.
-        """
-        covariance = np.linalg.inv(hessian + np.eye(self.size))
-        return np.sqrt(np.diagonal(covariance)[self.plain :]) * self.effect_scales
-
     def spreads(self, strength: FloatArray) -> tuple[FloatArray, FloatArray]:
         """σ_load and σ_split of maps that vary more than usual by a factor, or less.
 
@@ -250,7 +274,7 @@ class MapPrior:
             np.where(cells.sharing, shared, shape),
             np.exp(np.clip(log_mu, -8.0, np.maximum(top, cells.log_friction + 1.0))),
             np.exp(np.clip(log_finger, -8.0, top)),
-            np.clip(self.effect_centers + self.effect_scales * z[:, self.plain :], *self.effect_bounds),
+            self.effect_values(z),
         )
 
     def chain(self, maps: Maps, derivative: FloatArray, strength: FloatArray | float = 1.0) -> FloatArray:
