@@ -36,6 +36,7 @@ from .models.effects.library import LIBRARY as LIBRARY
 from .models.effects.registry import effects_named as effects_named, load_effects as load_effects
 from .models.inference.belief import Belief as Belief
 from .models.inference.comparison import compare as compare, compare_with_effects as compare_with_effects
+from .models.inference.diagnosis.several import diagnose_together as diagnose_together
 from .models.inference.identification import fit as fit, identify as identify
 from .models.inference.prediction import predict as predict
 from .models.measurements.push_dataset import (

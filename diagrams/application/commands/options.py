@@ -128,6 +128,9 @@ complete_objects = _completed(_object_names)
 """The six objects, for `shell_complete`."""
 
 dataset_argument = click.argument("dataset", type=click.Path(path_type=Path))
+datasets_argument = click.argument(
+    "datasets", metavar="DATASET...", type=click.Path(path_type=Path), nargs=-1, required=True
+)
 json_option = output_option("--json", "json_file", about="Write the result as JSON.")
 json_in_folder_option = path_option(
     "--json", "json_file", about="Write the result as JSON; it may go into the folder of --out."

@@ -9,7 +9,7 @@ from functools import partial
 import numpy as np
 
 from slipmap.models.effects.effect import Effect
-from slipmap.models.inference.diagnosis.fitting import Fitted, Fitter
+from slipmap.models.inference.diagnosis.fitting import Fitted, Fitter, estimate_errors
 from slipmap.models.inference.diagnosis.screening import screen
 from slipmap.models.inference.error_model import sensor_noise
 from slipmap.models.inference.observations import Observation
@@ -52,7 +52,7 @@ def find_effects(
             f" {dataset.name}: its rollouts do not converge"
         )
     stage(2, 3)
-    error = fitter.estimate_errors(found)
+    error = estimate_errors(found, fitter.noise)
     found = fitter.with_effects(effects, error, found, found.values) or found
     stage(3, 3)
     return found

@@ -26,13 +26,6 @@ MODES = 20
 """Coordinates of each map; the finest ones cannot be told from noise and cost time."""
 
 
-_MOTION_ERRORS = (0.006, 0.01, 0.016, 0.025, 0.04, 0.06, 0.1, 0.16, 0.25)
-"""α to choose from; no cell grid is better than the first, however good the sensors are."""
-
-_FORCE_ERRORS = (0.02, 0.04, 0.08, 0.16, 0.32)
-"""β to choose from."""
-
-
 @dataclass(frozen=True, eq=False)
 class Fitted:
     """One fitted model."""
@@ -43,11 +36,6 @@ class Fitted:
     prior_mean: FloatArray  # (d,) where the prior was centred
     offsets: FloatArray  # (B, 3) starts of the pushes
     cost: float  # that was reached
-
-    @property
-    def parts(self) -> tuple[Fitted, ...]:
-        """The model as each dataset has it that it was fitted to."""
-        return (self,)
 
     @property
     def standard_deviations(self) -> FloatArray:
@@ -65,43 +53,20 @@ class Fitted:
     @property
     def values(self) -> FloatArray:
         """(P,) parameters of the effects."""
-        return self.likelihood.prior.effect_values(self.z[None])[0]
+        return self.maps.effects[0]
 
 
 class Fitter:
     """Fits models to the same open pushes of a dataset."""
 
-    kind: type[Fitted] = Fitted
-
     def __init__(self, dataset: PushDataset, observations: Sequence[Observation], noise: SensorNoise) -> None:
         self.dataset = dataset
         self.measured = FitData(observations, dataset.grid)
-        self.observations: Sequence[Observation] = self.measured.observations
+        self.observations = self.measured.observations
         self.noise = noise
         self.settings = PriorSettings(modes=MODES)
         self.weight: float | None = None
         self.forgiving_start: tuple[FloatArray, FloatArray]
-
-    @property
-    def parts(self) -> tuple[Fitter, ...]:
-        """A fitter of each dataset."""
-        return (self,)
-
-    def is_shared(self, effect: Effect) -> bool:
-        """Whether all datasets have one set of an effect's parameters."""
-        return True
-
-    def guess(self, effect: Effect, scene: Scene, start: int) -> FloatArray:
-        """(P,) parameters of an effect at one of its starts."""
-        return effect.start_values(scene)[start]
-
-    def strict(self, effects: Sequence[Effect], error: ErrorModel) -> CorrelatedLikelihood:
-        """The strict likelihood of the model with some effects."""
-        return CorrelatedLikelihood(self.prior(effects), self.measured, error)
-
-    def forgiving(self, prior: MapPrior) -> Likelihood:
-        """The forgiving likelihood of the model with a prior."""
-        return Likelihood(prior, self.observations, self.dataset.noise, LikelihoodSettings())
 
     def prior(self, effects: Sequence[Effect]) -> MapPrior:
         """Coordinates of the model with some effects."""
@@ -110,11 +75,11 @@ class Fitter:
 
     def base(self, error: ErrorModel, start: Fitted, progress: StageProgress | None = None) -> Fitted:
         """Fit the model without effects, from the maps of another fit."""
-        likelihood = self.strict((), error)
-        size = likelihood.prior.size
+        prior = self.prior(())
+        likelihood = CorrelatedLikelihood(prior, self.measured, error)
         # Gains are counted from here: what the search leaves undone would be taken for an effect.
-        return self._fitted(
-            (), likelihood, start.z[:size], np.zeros(size), start.offsets,
+        return _fitted(
+            (), likelihood, start.z[: prior.size], np.zeros(prior.size), start.offsets,
             iterations=80, tolerance=1e-5, progress=progress,
         )  # fmt: skip
 
@@ -125,14 +90,17 @@ class Fitter:
         with its many correlated rows, gets stuck on the way. What it leaves sets the first error model.
         """
         prior = self.prior(())
-        first = fit(self.forgiving(prior), prior.starts(), progress=part_of(progress, 0, 3)).best()
+        first = fit(self._forgiving(prior), prior.starts(), progress=part_of(progress, 0, 3)).best()
         self.forgiving_start = first.z[0], first.offsets[0]
         likelihood = CorrelatedLikelihood(prior, self.measured, ErrorModel(self.noise, 0.02, 0.08))
         fitted = Fitted((), likelihood, first.z[0], np.zeros(prior.size), first.offsets[0], np.inf)
         for place in (1, 2):
-            fitted = self.base(self.estimate_errors(fitted), fitted, part_of(progress, place, 3))
-        self.weight = self.weight_of(fitted)
+            fitted = self.base(estimate_errors(fitted, self.noise), fitted, part_of(progress, place, 3))
+        self.weight = self._weight_of(fitted)
         return fitted
+
+    def _forgiving(self, prior: MapPrior) -> Likelihood:
+        return Likelihood(prior, self.observations, self.dataset.noise, LikelihoodSettings())
 
     def with_effects(
         self,
@@ -161,10 +129,10 @@ class Fitter:
             The better fit, or None where none can be computed.
         """
         effects = tuple(effects)
-        likelihood = self.strict(effects, error)
-        prior = likelihood.prior
+        prior = self.prior(effects)
+        likelihood = CorrelatedLikelihood(prior, self.measured, error)
         plain = prior.plain
-        shaping = np.concatenate([np.zeros(plain, dtype=bool), ~prior.amplitudes])
+        shaping = np.concatenate([np.zeros(plain, dtype=bool), *(~effect.amplitudes for effect in effects)])
         parameters = prior.effect_coordinates(values)
         maps, offsets = self.forgiving_start if near is None else (near.z, near.offsets)
         start = np.concatenate([maps[:plain], parameters])
@@ -172,42 +140,17 @@ class Fitter:
         found: list[Fitted] = []
         if near is not None:
             with suppress(RolloutError, np.linalg.LinAlgError):
-                found.append(self._fitted(effects, likelihood, start, mean, offsets, iterations))
+                found.append(_fitted(effects, likelihood, start, mean, offsets, iterations))
         if afresh:
             maps, offsets = self.forgiving_start
             start = np.concatenate([maps, parameters])
             with suppress(RolloutError, np.linalg.LinAlgError):
                 first = fit(
-                    self.forgiving(prior), start[None], prior_mean=mean[None], offsets=offsets[None],
+                    self._forgiving(prior), start[None], prior_mean=mean[None], offsets=offsets[None],
                     iterations=forgiving,
                 )  # fmt: skip
-                found.append(
-                    self._fitted(effects, likelihood, first.z[0], mean, first.offsets[0], iterations)
-                )
+                found.append(_fitted(effects, likelihood, first.z[0], mean, first.offsets[0], iterations))
         return min(found, key=lambda fitted: fitted.cost, default=None)
-
-    def estimate_errors(self, fitted: Fitted) -> ErrorModel:
-        """The error model under which pushes left out are most probable, α and β on a grid."""
-        data = fitted.likelihood.measured
-        rows = fitted.likelihood.rows(fitted.z, fitted.offsets)
-        prior = fitted.likelihood.prior
-        columns, precision = np.arange(prior.size), np.ones(prior.size)
-        pull = fitted.z - fitted.prior_mean
-
-        @cache
-        def score(motion: float, force: float) -> float:
-            likelihood = CorrelatedLikelihood(prior, data, ErrorModel(self.noise, motion, force))
-            jacobians, residuals = whitened_rows(likelihood, rows)
-            equations = PushEquations.of(jacobians, [r[:, None] for r in residuals])
-            own = equations.scores(columns, precision, pull)[0][:, 0]
-            return float(own.sum()) - log_determinant(likelihood, rows)
-
-        motion, force = fitted.likelihood.error.motion, fitted.likelihood.error.force
-        for _ in range(2):
-            motion = max(_MOTION_ERRORS, key=lambda value: score(value, force))
-            if any(o.sliding.any() for o in data.observations):
-                force = max(_FORCE_ERRORS, key=lambda value: score(motion, value))
-        return ErrorModel(self.noise, motion, force)
 
     def scene(self, base: Fitted) -> Scene:
         """What effects have to know to begin their search, from a fit of the model without effects."""
@@ -216,37 +159,15 @@ class Fitter:
         return Scene(
             (float(center[0]), float(center[1])),
             float(np.abs(poses - center).max()),
-            self.reach,
+            float(np.linalg.norm(self.dataset.grid.exterior, axis=1).max()),
             _typical_speed(self.observations),
             len(self.observations),
-            self.weight_of(base),
+            self._weight_of(base),
         )
 
-    @property
-    def reach(self) -> float:
-        """Of the object about its frame's origin, m."""
-        return float(np.linalg.norm(self.dataset.grid.exterior, axis=1).max())
-
-    def weight_of(self, base: Fitted) -> float:
+    def _weight_of(self, base: Fitted) -> float:
         """N."""
         return float(base.likelihood.prior.maps(base.z[None]).mass.sum()) * self.dataset.gravity
-
-    def _fitted(
-        self,
-        effects: tuple[Effect, ...],
-        likelihood: CorrelatedLikelihood,
-        start: FloatArray,
-        mean: FloatArray,
-        offsets: FloatArray,
-        iterations: int,
-        tolerance: float = 2e-4,
-        progress: StageProgress | None = None,
-    ) -> Fitted:
-        found = fit(
-            likelihood, start[None], prior_mean=mean[None], offsets=offsets[None],
-            iterations=iterations, tolerance=tolerance, progress=progress,
-        )  # fmt: skip
-        return self.kind(effects, likelihood, found.z[0], mean, found.offsets[0], float(found.cost[0]))
 
 
 def _typical_speed(observations: Sequence[Observation]) -> float:
@@ -258,3 +179,51 @@ def _typical_speed(observations: Sequence[Observation]) -> float:
         if len(moving):
             speeds.append(float(moving.mean()))
     return float(np.median(speeds)) if speeds else 0.05
+
+
+def _fitted(
+    effects: tuple[Effect, ...],
+    likelihood: CorrelatedLikelihood,
+    start: FloatArray,
+    mean: FloatArray,
+    offsets: FloatArray,
+    iterations: int,
+    tolerance: float = 2e-4,
+    progress: StageProgress | None = None,
+) -> Fitted:
+    found = fit(
+        likelihood, start[None], prior_mean=mean[None], offsets=offsets[None],
+        iterations=iterations, tolerance=tolerance, progress=progress,
+    )  # fmt: skip
+    return Fitted(effects, likelihood, found.z[0], mean, found.offsets[0], float(found.cost[0]))
+
+
+_MOTION_ERRORS = (0.006, 0.01, 0.016, 0.025, 0.04, 0.06, 0.1, 0.16, 0.25)
+"""α to choose from; no cell grid is better than the first, however good the sensors are."""
+
+_FORCE_ERRORS = (0.02, 0.04, 0.08, 0.16, 0.32)
+"""β to choose from."""
+
+
+def estimate_errors(fitted: Fitted, noise: SensorNoise) -> ErrorModel:
+    """The error model under which pushes left out are most probable, α and β on a grid."""
+    data = fitted.likelihood.measured
+    rows = fitted.likelihood.rows(fitted.z, fitted.offsets)
+    prior = fitted.likelihood.prior
+    columns, precision = np.arange(prior.size), np.ones(prior.size)
+    pull = fitted.z - fitted.prior_mean
+
+    @cache
+    def score(motion: float, force: float) -> float:
+        likelihood = CorrelatedLikelihood(prior, data, ErrorModel(noise, motion, force))
+        jacobians, residuals = whitened_rows(likelihood, rows)
+        equations = PushEquations.of(jacobians, [r[:, None] for r in residuals])
+        own = equations.scores(columns, precision, pull)[0][:, 0]
+        return float(own.sum()) - log_determinant(likelihood, rows)
+
+    motion, force = fitted.likelihood.error.motion, fitted.likelihood.error.force
+    for _ in range(2):
+        motion = max(_MOTION_ERRORS, key=lambda value: score(value, force))
+        if any(o.sliding.any() for o in data.observations):
+            force = max(_FORCE_ERRORS, key=lambda value: score(motion, value))
+    return ErrorModel(noise, motion, force)

@@ -8,12 +8,7 @@ b given all the others needs no refit:
 
 Its sum over pushes is the score. All of it follows from N_b, J_bᵀr_b and |r_b|² of each push, so that a
 candidate costs one small factorisation a push, for the data and for many simulated data at once. A push is
-left out as a whole: what repeats within it is no evidence. A push of few rows is cheaper by these rows:
-
-    log p(r_b | others) = ½ log det(1 - G_b) - ½ ê_bᵀ (1 - G_b)⁻¹ ê_b + const.,   G_b = J_b H⁻¹ J_bᵀ.
-
-Several datasets that share some coordinates tell each other, as a normal equation for these, what is left
-when each has eliminated its own (`told`): to the pushes of one, the others are a richer prior.
+left out as a whole: what repeats within it is no evidence.
 """
 
 from __future__ import annotations
@@ -55,76 +50,25 @@ def log_determinant(likelihood: CorrelatedLikelihood, rows: Sequence[Linearised]
     return total
 
 
-Told = tuple[FloatArray, FloatArray]
-"""Normal matrix (s, s) and right-hand sides (s, D) for coordinates that datasets share."""
-
-_FEW_ROWS = 12
-"""A push with fewer rows is left out by its rows."""
-
-
-@dataclass(frozen=True, eq=False)
-class _Push:
-    """One push for D sets of residuals."""
-
-    jacobian: FloatArray  # (R, d) J_b
-    residuals: FloatArray  # (R, D) r_b
-    normal: FloatArray  # (d, d) N_b
-    slope: FloatArray  # (d, D) J_bᵀ r_b
-    square: FloatArray  # (D,) |r_b|²
-
-
 @dataclass(frozen=True, eq=False)
 class PushEquations:
     """Normal equations of each push for D sets of residuals."""
 
-    pushes: list[_Push]  # without normal equations where rows are few
-    normal: FloatArray  # (d, d) Σ N_b
-    slope: FloatArray  # (d, D) Σ J_bᵀ r_b
+    normal: FloatArray  # (B, d, d) N_b
+    slope: FloatArray  # (B, d, D) J_bᵀ r_b
+    square: FloatArray  # (B, D) |r_b|²
 
     @classmethod
     def of(cls, jacobians: Sequence[FloatArray], residuals: Sequence[FloatArray]) -> PushEquations:
         """From whitened Jacobians (R_b, d) and residuals (R_b, D)."""
-        d, D = jacobians[0].shape[1], residuals[0].shape[1]
-        normal, slope = np.zeros((d, d)), np.zeros((d, D))
-        pushes, none = [], np.zeros((0, 0))
-        for J, r in zip(jacobians, residuals, strict=True):
-            own, down = J.T @ J, J.T @ r
-            normal += own
-            slope += down
-            few = len(J) < _FEW_ROWS
-            pushes.append(_Push(J, r, none if few else own, none if few else down, (r**2).sum(axis=0)))
-        return cls(pushes, normal, slope)
-
-    def told(
-        self, columns: NDArray[np.int64], precision: FloatArray, pull: FloatArray, shared: NDArray[np.bool_]
-    ) -> Told:
-        """What these pushes say of the shared ones among the columns, their own refitted.
-
-        Args:
-            columns, precision, pull: as of `scores`; those of shared columns do not count here.
-            shared: (c,) which columns are shared.
-        """
-        normal, slope = self.normal[columns[:, None], columns], self.slope[columns].copy()
-        slope[:, 0] += np.where(shared, 0.0, pull)
-        own = ~shared
-        factor = scipy.linalg.cho_factor(
-            normal[np.ix_(own, own)] + np.diag(precision[own]), check_finite=False
+        return cls(
+            np.array([J.T @ J for J in jacobians]),
+            np.array([J.T @ r for J, r in zip(jacobians, residuals, strict=True)]),
+            np.array([(r**2).sum(axis=0) for r in residuals]),
         )
-        across = normal[np.ix_(own, shared)]
-        found = scipy.linalg.cho_solve(
-            factor, np.concatenate([across, slope[own]], axis=1), check_finite=False
-        )
-        s = across.shape[1]
-        return normal[np.ix_(shared, shared)] - across.T @ found[:, :s], slope[shared] - across.T @ found[
-            :, s:
-        ]
 
     def scores(
-        self,
-        columns: NDArray[np.int64],
-        precision: FloatArray,
-        pull: FloatArray | float = 0.0,
-        others: tuple[NDArray[np.bool_], Told] | None = None,
+        self, columns: NDArray[np.int64], precision: FloatArray, pull: FloatArray | float = 0.0
     ) -> tuple[FloatArray, FloatArray]:
         """Score (B, D) of each push for a model with some of the columns, and its best coordinates (c, D).
 
@@ -133,33 +77,21 @@ class PushEquations:
             precision: (c,) diagonal of Λ.
             pull: (c,) gradient of the prior at the optimum, added for the first set of residuals alone:
                 there the data and the prior hold each other.
-            others: which columns (c,) are shared with other datasets, and what those say of them.
         """
-        total = self.slope[columns]
+        normal = self.normal[:, columns[:, None], columns]
+        slope = self.slope[:, columns]
+        total = slope.sum(axis=0)
         total[:, 0] += pull
-        hessian = np.diag(precision) + self.normal[columns[:, None], columns]
-        if others is not None:
-            shared, (normal, slope) = others
-            hessian[np.ix_(shared, shared)] += normal
-            total[shared] += slope
+        hessian = np.diag(precision) + normal.sum(axis=0)
         factor = scipy.linalg.cho_factor(hessian, check_finite=False)
         whole = float(np.log(np.diagonal(factor[0])).sum())
         best = -scipy.linalg.cho_solve(factor, total, check_finite=False)
-        result = np.empty((len(self.pushes), best.shape[1]))
-        for b, push in enumerate(self.pushes):
-            if len(push.jacobian) < _FEW_ROWS:
-                J = push.jacobian[:, columns]
-                kept = np.eye(len(J)) - J @ scipy.linalg.cho_solve(factor, J.T, check_finite=False)
-                lower = np.linalg.cholesky(kept)
-                miss = push.residuals + J @ best
-                error = scipy.linalg.solve_triangular(lower, miss, lower=True, check_finite=False)
-                result[b] = np.log(np.diagonal(lower)).sum() - 0.5 * (error**2).sum(axis=0)
-                continue
-            own, slope = push.normal[columns[:, None], columns], push.slope[columns]
-            error_slope = slope + own @ best
-            square = push.square + (best * (slope + error_slope)).sum(axis=0)
-            rest = np.linalg.cholesky(hessian - own)
-            extra = scipy.linalg.solve_triangular(rest, error_slope, lower=True, check_finite=False)
-            left = float(np.log(np.diagonal(rest)).sum())
+        result = np.empty(self.square.shape)
+        for b in range(len(result)):
+            error_slope = slope[b] + normal[b] @ best
+            square = self.square[b] + (best * (slope[b] + error_slope)).sum(axis=0)
+            others = np.linalg.cholesky(hessian - normal[b])
+            extra = scipy.linalg.solve_triangular(others, error_slope, lower=True, check_finite=False)
+            left = float(np.log(np.diagonal(others)).sum())
             result[b] = left - whole - 0.5 * (square + (extra**2).sum(axis=0))
         return result, best

@@ -57,7 +57,7 @@ from slipmap.models.inference.diagnosis.verdict_rules import (
 )
 from slipmap.models.inference.error_model import sensor_noise
 from slipmap.models.inference.identification import identify, learn
-from slipmap.models.inference.observations import observe_all
+from slipmap.models.inference.observations import Observation, observe_all
 from slipmap.models.inference.results import Identification
 from slipmap.models.measurements import DatasetError, PushDataset
 from slipmap.models.progress import Progress, StageProgress, about, silent
@@ -103,8 +103,7 @@ def diagnose(
         raise DatasetError(f"dataset {dataset.name} has no push left to fit; give at least one the role fit")
     coarseness = QUICK_COARSENESS if quick else 1.0
     observations = observe_all(dataset, open_trials, coarseness)
-    fitter = Fitter(dataset, observations, sensor_noise(dataset))
-    inquiry = Inquiry(fitter, tuple(effects), 0 if quick else draws, rng, report)
+    inquiry = Inquiry(dataset, observations, tuple(effects), 0 if quick else draws, rng, report)
     outcome = inquiry.run()
     # The answer is judged by what `identify` and `fit` learn from the same pushes.
     divided = with_locked(dataset, locked)
@@ -147,7 +146,8 @@ class Inquiry:
 
     def __init__(
         self,
-        fitter: Fitter,
+        dataset: PushDataset,
+        observations: Sequence[Observation],
         effects: tuple[Effect, ...],
         draws: int,
         rng: np.random.Generator,
@@ -158,7 +158,7 @@ class Inquiry:
         self.rng = rng
         self.report = report
         self.rules = Rules(effects, simulated=draws > 0)
-        self.fitter = fitter
+        self.fitter = Fitter(dataset, observations, sensor_noise(dataset))
         report("fitting without effects", 0, 1)
         self.base = self.fitter.from_scratch(partial(report, "fitting without effects"))
         self.scene = self.fitter.scene(self.base)

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from slipmap.models.effects.effect import Effect, Scene
-from slipmap.models.inference.diagnosis.fitting import Fitted, Fitter
+from slipmap.models.inference.diagnosis.fitting import Fitted, Fitter, estimate_errors
 from slipmap.models.inference.diagnosis.screening import Screening
 from slipmap.models.inference.error_model import ErrorModel
 from slipmap.models.progress import StageProgress
@@ -62,7 +62,7 @@ def refit_candidates(
     for step, i in enumerate(named):
         progress(step, len(named) + 2)
         effect = first.candidates[i]
-        guess = fitter.guess(effect, scene, int(first.start[i]))
+        guess = effect.start_values(scene)[int(first.start[i])]
         if quick:
             fitted = fitter.with_effects(
                 (effect,), error, None, guess, afresh=True, iterations=1, forgiving=6
@@ -80,7 +80,7 @@ def refit_candidates(
         found = {name: fit for name, fit in found.items() if name in ahead or name == favourite}
     best = min(found.values(), key=lambda fitted: fitted.cost)
     progress(len(named), len(named) + 2)
-    error = fitter.estimate_errors(best)
+    error = estimate_errors(best, fitter.noise)
     plain = fitter.base(error, base)
     ceiling = best.cost + _WORTH_REFITTING * max(base.cost - best.cost, _WORTH_REFITTING_GAIN)
     fits = {}
@@ -105,7 +105,7 @@ def better_base(fitter: Fitter, base: Fitted, refits: Refits) -> Fitted | None:
     again = fitter.base(refits.error, best)
     if again.cost > fitter.base(refits.error, base).cost - _BETTER_BASE:
         return None
-    return fitter.base(fitter.estimate_errors(again), again)
+    return fitter.base(estimate_errors(again, fitter.noise), again)
 
 
 def pairs(
@@ -117,7 +117,7 @@ def pairs(
         if rest.gain[i] < _SECOND_SHARE * rest.gain.max():
             continue
         second = rest.candidates[i]
-        guess = fitter.guess(second, scene, int(rest.start[i]))
+        guess = second.start_values(scene)[int(rest.start[i])]
         values = np.concatenate([first.values, guess])
         error = first.likelihood.error
         pair = fitter.with_effects((*first.effects, second), error, first, values, afresh=True)

@@ -25,7 +25,7 @@ from slipmap.models.inference.diagnosis.fitting import Fitted, Fitter
 from slipmap.models.inference.diagnosis.predictive import PushEquations, whitened_rows
 from slipmap.models.physics.cell_grid import FloatArray
 from slipmap.models.physics.rollout import RolloutError
-from slipmap.models.progress import StageProgress, part_of
+from slipmap.models.progress import StageProgress
 
 _TOLERANCE = 1.0 / 30.0
 """Negligible amount of an effect, in scales of its amplitudes."""
@@ -87,79 +87,62 @@ def screen(
         progress: called with the number of parts done and that of all.
     """
     report = progress or (lambda done, total: None)
-    pairs = list(zip(fitter.parts, fitted.parts, strict=True))
-    stacks = [
-        _stacked(own, part, everything, scene, part_of(report, k, len(pairs) + 1))
-        for k, (own, part) in enumerate(pairs)
-    ]
-    report(len(pairs), len(pairs) + 1)
-    starts = stacks[0].own_columns
-    candidates = [i for i, columns in enumerate(starts) if columns]
+    jacobians, residuals, base_columns, own_columns = _stacked(fitter, fitted, everything, scene, report)
+    candidates = [i for i, columns in enumerate(own_columns) if columns]
+    guesses = max(len(own_columns[i]) for i in candidates)
+    report(guesses, guesses + 1)
     tolerated = [i for i in candidates if i < named]
-    shared = [fitter.is_shared(effect) for effect in everything]
-    parts = _drawn(stacks, [(i, shared[i]) for i in tolerated], draws, rng)
-    holds = [part.z - part.prior_mean for part in fitted.parts]
-    present = np.concatenate(
-        [np.zeros(0, bool), *(np.full(len(e.parameters), fitter.is_shared(e)) for e in fitted.effects)]
-    )
+    spare = np.concatenate([np.zeros(0, dtype=np.int64), *(own_columns[i][0] for i in tolerated)])
 
-    def columns_of(candidate: int | None, g: int, k: int) -> tuple[np.ndarray, ...]:
-        """Columns of a model with a candidate in dataset k, their precision, pull, and which are shared."""
-        base, own = stacks[k].base_columns, stacks[k].own_columns
-        blocks = [(own[i][0], _TOLERANCE, shared[i]) for i in tolerated if i != candidate]
-        if candidate is not None:
-            blocks.append((own[candidate][g], _FREE, shared[candidate]))
-        joined = np.concatenate([base, *(columns for columns, _, _ in blocks)])
-        precision = [np.ones(len(base)), *(np.full(len(c), width**-2.0) for c, width, _ in blocks)]
-        pull = np.zeros(len(joined))
-        pull[: len(base)] = holds[k]
-        common = [
-            np.zeros(len(base) - len(present), bool),
-            present,
-            *(np.full(len(c), s) for c, _, s in blocks),
-        ]
-        return joined, np.concatenate(precision), pull, np.concatenate(common)
-
-    def score(candidate: int | None, g: int) -> list[FloatArray]:
-        """Scores (B, 1 + 2 D) of each dataset's pushes."""
-        models = [columns_of(candidate, g, k) for k in range(len(parts))]
-        said = (
-            [part.told(*model) for part, model in zip(parts, models, strict=True)] if len(parts) > 1 else []
+    small = rng.standard_normal((len(spare), draws)) * _TOLERANCE
+    signs = rng.choice([-1.0, 1.0], (len(residuals), draws))
+    signs[:, 0] = 1.0
+    drawn = [
+        np.concatenate(
+            [r[:, None], rng.standard_normal((len(r), draws)) + J[:, spare] @ small, r[:, None] * turn],
+            axis=1,
         )
-        found = []
-        for k, (part, (columns, precision, pull, common)) in enumerate(zip(parts, models, strict=True)):
-            rest = [one for j, one in enumerate(said) if j != k]
-            others = (
-                (common, tuple(np.sum(both, axis=0) for both in zip(*rest, strict=True))) if rest else None
-            )
-            own, best = part.scores(columns, precision, pull, others)
-            if candidate is not None:
-                # An amplitude of the wrong sign, such as a negative drag, explains nothing.
-                signs = everything[candidate].signs[everything[candidate].amplitudes]
-                wrong = (best[len(best) - len(signs) :] * signs[:, None] < 0.0).any(axis=0)
-                own[:, wrong] = without[k][:, wrong]
-            found.append(own)
+        for J, r, turn in zip(jacobians, residuals, signs, strict=True)
+    ]
+    equations = PushEquations.of(jacobians, drawn)
+    pull = fitted.z - fitted.prior_mean
+
+    def score(candidate: int | None, g: int) -> FloatArray:
+        others = [own_columns[i][0] for i in tolerated if i != candidate]
+        columns = [base_columns, *others]
+        precision = [np.ones(len(base_columns)), *(np.full(len(c), _TOLERANCE**-2.0) for c in others)]
+        if candidate is not None:
+            columns.append(own_columns[candidate][g])
+            precision.append(np.full(len(columns[-1]), _FREE**-2.0))
+        joined = np.concatenate(columns)
+        hold = np.zeros(len(joined))
+        hold[: len(pull)] = pull
+        found, best = equations.scores(joined, np.concatenate(precision), hold)
+        if candidate is not None:
+            # An amplitude of the wrong sign, such as a negative drag, explains nothing.
+            signs = everything[candidate].signs[everything[candidate].amplitudes]
+            wrong = (best[len(best) - len(signs) :] * signs[:, None] < 0.0).any(axis=0)
+            found[:, wrong] = without[:, wrong]
         return found
 
-    without: list[FloatArray] = []
+    without = np.zeros(0)
     without = score(None, 0)
     gain, start, chance, turned, sharpness = [], [], [], [], []
+    total = equations.normal.sum(axis=0)
     for i in candidates:
-        tried = np.array(
-            [
-                sum((a - b).sum(axis=0) for a, b in zip(score(i, g), without, strict=True))
-                for g in range(len(starts[i]))
-            ]
-        )
-        best = int(np.argmax(tried[:, 0]))
-        gain.append(tried[best, 0])
+        tried = np.array([score(i, g) - without for g in range(len(own_columns[i]))])
+        totals = tried.sum(axis=1)
+        best = int(np.argmax(totals[:, 0]))
+        gain.append(totals[best, 0])
         start.append(best)
-        chance.append(tried[:, 1 : 1 + draws].max(axis=0))
-        turned.append(tried[:, 1 + draws :].max(axis=0))
-        sharpness.append(
-            min(_deviation(stack, part, i, best) for stack, part in zip(stacks, parts, strict=True))
-        )
-    report(len(pairs) + 1, len(pairs) + 1)
+        chance.append(totals[:, 1 : 1 + draws].max(axis=0))
+        turned.append(totals[:, 1 + draws :].max(axis=0))
+        both = np.concatenate([base_columns, own_columns[i][best]])
+        width = len(base_columns)
+        precision = np.concatenate([np.ones(width), np.full(len(both) - width, _FREE**-2.0)])
+        covariance = np.linalg.inv(total[both[:, None], both] + np.diag(precision))
+        sharpness.append(float(np.sqrt(np.diagonal(covariance)[width:].min())))
+    report(guesses + 1, guesses + 1)
     return Screening(
         tuple(everything[i] for i in candidates),
         np.array(gain),
@@ -168,42 +151,6 @@ def screen(
         np.array(turned),
         np.array(sharpness),
     )
-
-
-def _drawn(
-    stacks: Sequence[_Stacked], tolerated: Sequence[tuple[int, bool]], draws: int, rng: np.random.Generator
-) -> list[PushEquations]:
-    """Equations of each dataset for its residuals, for D drawn ones with negligible amounts of the tolerated
-    effects (index, whether datasets share it), and for its own with whole pushes turned round."""
-    amounts: dict[int, FloatArray] = {}
-    found = []
-    for stack in stacks:
-        spare = [stack.own_columns[i][0] for i, _ in tolerated]
-        for (i, common), own in zip(tolerated, spare, strict=True):
-            if not (common and i in amounts):
-                amounts[i] = rng.standard_normal((len(own), draws)) * _TOLERANCE
-        columns = np.concatenate([np.zeros(0, dtype=np.int64), *spare])
-        small = np.concatenate([np.zeros((0, draws)), *amounts.values()])
-        signs = rng.choice([-1.0, 1.0], (len(stack.residuals), draws))
-        signs[:, 0] = 1.0
-        residuals = [
-            np.concatenate(
-                [r[:, None], rng.standard_normal((len(r), draws)) + J[:, columns] @ small, r[:, None] * turn],
-                axis=1,
-            )
-            for J, r, turn in zip(stack.jacobians, stack.residuals, signs, strict=True)
-        ]
-        found.append(PushEquations.of(stack.jacobians, residuals))
-    return found
-
-
-def _deviation(stack: _Stacked, equations: PushEquations, candidate: int, start: int) -> float:
-    """Smallest standard deviation that the pushes of a dataset leave of a candidate's amplitudes."""
-    both = np.concatenate([stack.base_columns, stack.own_columns[candidate][start]])
-    width = len(stack.base_columns)
-    precision = np.concatenate([np.ones(width), np.full(len(both) - width, _FREE**-2.0)])
-    covariance = np.linalg.inv(equations.normal[both[:, None], both] + np.diag(precision))
-    return float(np.sqrt(np.diagonal(covariance)[width:].min()))
 
 
 class _Stacked(NamedTuple):
