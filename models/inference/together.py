@@ -42,7 +42,7 @@ _EXACT = 1e-3
 _SCREENED = 20
 """Pushes of a dataset that are enough to see which effects are worth refitting."""
 
-_START_STEPS = 6
+_START_STEPS = 3
 
 _BLIND = 1e3
 """Standard deviation, in scales, of a parameter of which a dataset says nothing."""
@@ -100,13 +100,12 @@ class Taught:
     ) -> tuple[MapPrior, FloatArray]:
         """Maps fitted with parameters (P,) of effects held, but for those that are free: the prior, and the
         coordinates (d,) in it."""
-        prior = _prior(self.dataset, effects, self.weight)
-        spread = np.where(free, prior.effect_scales, _EXACT * prior.effect_scales)
+        scales = _prior(self.dataset, effects, self.weight).effect_scales
+        spread = np.where(free, scales, _EXACT * scales)
         prior = _prior(self.dataset, effects, self.weight, (values, spread))
+        likelihood = Likelihood(prior, self.observations, self.dataset.noise, self.settings)
         start = np.concatenate([self.base.z[0], np.zeros(len(values))])
-        starts = np.concatenate([start[None], prior.starts()])
-        _, best = fit_with_trust(prior, self.observations, self.dataset.noise, starts, progress)[-1]
-        return prior, best.z[0]
+        return prior, fit(likelihood, start[None], offsets=self.base.offsets, progress=progress).z[0]
 
     def costs(self, observations: Sequence[Observation], prior: MapPrior, z: FloatArray) -> FloatArray:
         """(B,) costs of other pushes at coordinates z (d,), nats; starts are free within what the tracker

@@ -20,6 +20,8 @@ def show_together(diagnosis: JointDiagnosis, grid: CellGrid) -> None:
         name = diagnosis.effects[0]
         paragraph(f"{name}: {effect_in_words(name, diagnosis.parameters, grid)}.")
     paragraph(where_it_falls(diagnosis))
+    if diagnosis.effect is not None:
+        paragraph(f"Next: `slipmap fit DATASET --effect {diagnosis.effect}` for each dataset.")
     click.echo()
     table(
         "Effects that were tried, in nats",

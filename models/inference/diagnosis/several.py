@@ -7,7 +7,8 @@ tracker.
 3. What an effect gains is counted as evidence: the fall of the cost less what its parameters, free within
    their scales, would gain anyway (Laplace). Effects whose evidence comes near the best one's are rivals.
 4. The locked pushes judge each rival, the maps of every object fitted anew with the shared parameters held:
-   their cost has to fall. Rivals that are behind, open and locked pushes taken together, are out.
+   their cost has to fall, in all and in most datasets. Rivals that are behind, open and locked pushes taken
+   together, are out.
 
 Effects of an object have parameters of their own in each dataset; a whole locked object then has them free.
 """
@@ -47,7 +48,7 @@ _EVIDENCE = 5.0
 _RIVAL = 3.0
 """Nats by which a rival may be behind, and by which the cost of the locked pushes has to fall: 20 to 1."""
 
-_JUDGED = 4
+_JUDGED = 3
 """Effects that the locked pushes judge at most."""
 
 _WHOLE_FROM = 4
@@ -224,6 +225,12 @@ class _Judged:
         """Of all locked pushes."""
         return sum(self.falls)
 
+    @property
+    def falls_in_most(self) -> bool:
+        """Whether it is no single dataset's matter."""
+        judging = [fall for fall, now in zip(self.falls, self.after, strict=True) if now is not None]
+        return sum(fall > 0.0 for fall in judging) > len(judging) / 2
+
 
 class _Inquiry:
     """The steps of one diagnosis."""
@@ -276,7 +283,7 @@ class _Inquiry:
             self._judge(fits[name], evidence[name], part_of(stage, step, len(asked)))
             for step, name in enumerate(asked)
         ]
-        there = [one for one in judged if one.fall > _RIVAL and self._there(one)]
+        there = [one for one in judged if one.falls_in_most and one.fall > _RIVAL and self._there(one)]
         best = max((one.score for one in there), default=0.0)
         kept = sorted((one for one in there if one.score > best - _RIVAL), key=lambda one: -one.score)
         candidates = tuple(
@@ -398,7 +405,7 @@ def _between(values: FloatArray, deviations: FloatArray) -> float:
 
 def _intervals(effect: Effect, values: FloatArray, spread: FloatArray) -> tuple[ParameterEstimate, ...]:
     """90 % intervals, cut at the allowed range."""
-    low, high = bounds([effect])
-    lows, highs = np.maximum(values - 1.645 * spread, low), np.minimum(values + 1.645 * spread, high)
-    numbers = zip(effect.parameters, values.tolist(), lows.tolist(), highs.tolist(), strict=True)
+    allowed = bounds([effect])
+    rows = (np.clip(values + side * 1.645 * spread, *allowed).tolist() for side in (0, -1, 1))
+    numbers = zip(effect.parameters, *rows, strict=True)
     return tuple(ParameterEstimate(effect.name, p.name, p.unit, *own) for p, *own in numbers)
