@@ -175,8 +175,8 @@ def diagnose_together(
         >>> first, again = (slipmap.simulated_hammer(seed=s, fit=3, heldout=2)[0] for s in (1, 2))
         >>> again = dataclasses.replace(again, name="again")
         >>> tilt = slipmap.effects_named(["table_tilt"])
-        >>> slipmap.diagnose_together([first, again], effects=tilt).verdict
-        'adequate'
+        >>> slipmap.diagnose_together([first, again], effects=tilt).effects
+        ()
     """
     started = time.perf_counter()
     inquiry = _Inquiry(datasets, tuple(effects), frozenset(apart), seed, progress or silent)
