@@ -39,11 +39,17 @@ from .models.effects.library import LIBRARY as LIBRARY
 from .models.effects.registry import effects_named as effects_named, load_effects as load_effects
 from .models.inference.belief import Belief as Belief
 from .models.inference.comparison import compare as compare, compare_with_effects as compare_with_effects
+from .models.inference.diagnosis.several import diagnose_together as diagnose_together
 from .models.inference.identification import fit as fit, identify as identify
 from .models.inference.prediction import predict as predict
 from .models.measurements.dataset_check import check_dataset as check_dataset
 from .models.measurements.importing import guess_setup as guess_setup, import_dataset as import_dataset
-from .models.measurements.push_dataset import PushDataset as PushDataset, Table as Table, Trial as Trial
+from .models.measurements.push_dataset import (
+    KnownMaps as KnownMaps,
+    PushDataset as PushDataset,
+    Table as Table,
+    Trial as Trial,
+)
 from .models.measurements.reading import read_dataset as read_dataset
 from .models.measurements.simulated import record_pushes as record_pushes
 from .models.measurements.writing import write_dataset as write_dataset

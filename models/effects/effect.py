@@ -12,12 +12,14 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from numbers import Real
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from slipmap.models.physics.cell_grid import FloatArray
+
+Owner = Literal["object", "table", "tracker", "finger", "force sensor"]
 
 
 class EffectError(ValueError):
@@ -84,6 +86,8 @@ class Effect:
         sentence: what it is, for a person.
         parameters: at least one with a null value.
         memory: names of numbers that the effect carries from step to step; they start at 0.
+        belongs_to: what has the effect: datasets of several objects share it where they share that, and have
+            parameters of their own where it is the object's.
 
     Example:
         >>> import slipmap
@@ -101,6 +105,7 @@ class Effect:
     sentence: ClassVar[str]
     parameters: ClassVar[tuple[Parameter, ...]]
     memory: ClassVar[tuple[str, ...]] = ()
+    belongs_to: ClassVar[Owner] = "object"
 
     def friction(self, cell: Any, p: Any) -> Any:
         """Factor on the friction of a cell, 1 without the effect."""

@@ -10,6 +10,7 @@ from slipmap.models.effects.symbols import REST_SPEED, force_at_mass_center, pos
 
 class SensorLatency(Effect):
     name = "sensor_latency"
+    belongs_to = "tracker"
     sentence = "The tracker reports the object's pose late."
     parameters = (Parameter("latency", "s", "by how much the tracker is late", -0.3, 0.5, 0.03, 0.0),)
 
@@ -33,6 +34,7 @@ class TrackerOffset(Effect):
 
 class TrackerScale(Effect):
     name = "tracker_scale"
+    belongs_to = "tracker"
     sentence = "The tracker's lengths are off by a few percent."
     parameters = (
         Parameter("excess", "1", "reported lengths above true ones, as a share", -0.3, 0.3, 0.01, 0.0),
@@ -44,6 +46,7 @@ class TrackerScale(Effect):
 
 class TrackerShift(Effect):
     name = "tracker_shift"
+    belongs_to = "tracker"
     sentence = (
         "Tracker and finger are not in one frame: the tracker is shifted or turned in the world, or the"
         " finger's recorded point is off its centre."
@@ -61,6 +64,7 @@ class TrackerShift(Effect):
 
 class ForceFrame(Effect):
     name = "force_frame"
+    belongs_to = "force sensor"
     sentence = "The force sensor's axes are not the world's: its force is turned or mirrored."
     parameters = (
         Parameter("angle", "rad", "turn of the reported force", -3.5, 3.5, 0.3, 0.0),
@@ -84,6 +88,7 @@ class ForceFrame(Effect):
 
 class ForceBias(Effect):
     name = "force_bias"
+    belongs_to = "force sensor"
     sentence = "The force sensor adds a constant force: it was not zeroed."
     parameters = (
         Parameter("x", "N", "force that is added", -100.0, 100.0, 0.03, 0.0, weight_power=1.0),
@@ -96,6 +101,7 @@ class ForceBias(Effect):
 
 class ForceGains(Effect):
     name = "force_gains"
+    belongs_to = "force sensor"
     sentence = "The force sensor's axes have gains that differ."
     parameters = (
         Parameter(
@@ -110,6 +116,7 @@ class ForceGains(Effect):
 
 class ForceLatency(Effect):
     name = "force_latency"
+    belongs_to = "force sensor"
     sentence = "The force sensor reports late."
     parameters = (Parameter("latency", "s", "by how much the force is late", -0.3, 0.5, 0.03, 0.0),)
 
@@ -119,6 +126,7 @@ class ForceLatency(Effect):
 
 class ViscousFriction(Effect):
     name = "viscous_friction"
+    belongs_to = "table"
     sentence = "A drag in proportion to speed and area, as from a film of oil, comes on top of dry friction."
     parameters = (
         Parameter(
@@ -132,6 +140,7 @@ class ViscousFriction(Effect):
 
 class StribeckFriction(Effect):
     name = "stribeck_friction"
+    belongs_to = "table"
     sentence = "Friction falls with speed from a static to a kinetic level."
     parameters = (
         Parameter("excess", "1", "static friction above kinetic, as a share of it", 0.0, 3.0, 0.3, 0.0),
@@ -166,6 +175,7 @@ def _grain(along_x: str, along_xy: str) -> tuple[Parameter, Parameter]:
 
 class AnisotropicTable(Effect):
     name = "anisotropic_table"
+    belongs_to = "table"
     sentence = "Friction differs along and across the table's grain."
     parameters = _grain("x and lower along y where positive", "the diagonals")
 
@@ -185,6 +195,7 @@ class AnisotropicObject(Effect):
 
 class TableTilt(Effect):
     name = "table_tilt"
+    belongs_to = "table"
     sentence = "The table is not level: gravity has a component along it."
     parameters = (
         Parameter("down_x", "rad", "slope along x, downhill where positive", -0.4, 0.4, 0.03, 0.0),
@@ -197,6 +208,7 @@ class TableTilt(Effect):
 
 class TableFrictionField(Effect):
     name = "table_friction_field"
+    belongs_to = "table"
     sentence = "Friction varies with the place on the table: a gradient, a patch, or both."
     parameters = (
         Parameter("gradient_x", "1/m", "relative rise of friction along x", -8.0, 8.0, 1.0, 0.0),
@@ -267,6 +279,7 @@ class FrictionDrift(Effect):
 
 class FingerCompliance(Effect):
     name = "finger_compliance"
+    belongs_to = "finger"
     sentence = "The finger bends: its true tip gives way to the contact force."
     parameters = (Parameter("compliance", "m/N", "give of the tip", 0.0, 0.1, 4e-3, 0.0, weight_power=-1.0),)
 
@@ -356,6 +369,7 @@ class Skate(Effect):
 
 class ImpulseFriction(Effect):
     name = "impulse_friction"
+    belongs_to = "table"
     sentence = (
         "Friction is solved for as impulses along the world's x and y, as simulators do, and leans to the "
         "one that meets more mass."
@@ -392,6 +406,7 @@ class ImpulseFriction(Effect):
 
 class FrictionDiamond(Effect):
     name = "friction_diamond"
+    belongs_to = "table"
     sentence = (
         "Friction follows a pyramid instead of a cone, and is smaller on the diagonals of the world's axes,"
         " as MuJoCo has it by default."
@@ -406,6 +421,7 @@ class FrictionDiamond(Effect):
 
 class FrictionSquare(Effect):
     name = "friction_square"
+    belongs_to = "table"
     sentence = "Friction along the world's x and y is solved each by itself, and is larger on the diagonals."
     parameters = (
         Parameter("share", "1", "1: two frictions; between, they and a cone in parts", 0.0, 1.0, 0.3, 0.0),

@@ -31,6 +31,7 @@ def _factor(exponent: Any) -> Any:
 
 class ForceByPlace(Effect):
     name = "force_by_place"
+    belongs_to = "table"
     sentence = "A force on the object that depends on where on the table it is."
     parameters = (*_amplitudes("x", 6, 0.03), *_amplitudes("y", 6, 0.03))
 
@@ -43,6 +44,7 @@ class ForceByPlace(Effect):
 
 class FrictionByPlace(Effect):
     name = "friction_by_place"
+    belongs_to = "table"
     sentence = "Friction that depends on where on the table the object is."
     parameters = _amplitudes("a", 9, 0.2)
 
@@ -54,6 +56,7 @@ class FrictionByPlace(Effect):
 
 class FrictionBySpeed(Effect):
     name = "friction_by_speed"
+    belongs_to = "table"
     sentence = "Friction that depends on speed."
     parameters = _amplitudes("a", 4, 0.2)
 
@@ -64,6 +67,7 @@ class FrictionBySpeed(Effect):
 
 class FrictionByDirection(Effect):
     name = "friction_by_direction"
+    belongs_to = "table"
     sentence = "Friction that depends on the direction of motion."
     parameters = (*_amplitudes("t", 4, 0.1), *_amplitudes("o", 4, 0.1))
 
@@ -76,6 +80,7 @@ class FrictionByDirection(Effect):
 
 class FrictionByTime(Effect):
     name = "friction_by_time"
+    belongs_to = "table"
     sentence = "Friction that depends on the time since the push began."
     parameters = _amplitudes("a", 3, 0.2)
 
@@ -96,6 +101,7 @@ class FrictionByOrder(Effect):
 
 class ForceByTime(Effect):
     name = "force_by_time"
+    belongs_to = "table"
     sentence = "A force on the object that comes and goes with time."
     parameters = (
         *_amplitudes("x", 2, 0.03),
@@ -127,6 +133,7 @@ class ForceOnObject(Effect):
 
 class ForceBySpeed(Effect):
     name = "force_by_speed"
+    belongs_to = "table"
     sentence = "A force that depends on the object's velocity: along it, across it, or on its rotation."
     parameters = _amplitudes("a", 4, 0.05)
 

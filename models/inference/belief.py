@@ -21,6 +21,7 @@ from slipmap.models.effects.library import LIBRARY
 from slipmap.models.files import UnreadableFile, check_archive, replaced_file
 from slipmap.models.geometry import radius_of_gyration
 from slipmap.models.measurements import PushDataset, Table
+from slipmap.models.measurements.known_maps import known_document
 from slipmap.models.physics.balance import corners_of
 from slipmap.models.physics.cell_grid import CellGrid, FloatArray
 from slipmap.models.physics.rollout import Maps, Slider, Smoothing
@@ -154,6 +155,7 @@ class Belief:
                 "hypotheses": len(maps),
                 "fit_trials": list(trials),
                 "known_mass": dataset.mass,
+                **({} if dataset.known is None else {"known_maps": known_document(dataset.known)}),
                 **settings,
             },
             effects=slider.effects,

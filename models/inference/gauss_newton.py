@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.linalg
 
-from slipmap.models.inference.likelihood import NormalEquations, PushLikelihood
+from slipmap.models.inference.likelihood import NormalEquations, PushCosts
 from slipmap.models.physics.cell_grid import FloatArray
 from slipmap.models.progress import StageProgress, part_of
 
@@ -38,7 +38,7 @@ class Fits:
 
 
 def fit(
-    likelihood: PushLikelihood,
+    likelihood: PushCosts,
     start: FloatArray,
     *,
     weights: FloatArray | None = None,

@@ -18,6 +18,7 @@ from slipmap.models.effects.effect import Effect
 from slipmap.models.inference.belief import Belief
 from slipmap.models.inference.gauss_newton import Fits, fit
 from slipmap.models.inference.likelihood import Likelihood
+from slipmap.models.inference.prior import MapPrior
 from slipmap.models.inference.results import Quantity
 from slipmap.models.inference.summaries import interval
 from slipmap.models.physics.cell_grid import CellGrid, FloatArray
@@ -88,13 +89,19 @@ def quantities(
     if information is None:
         information = fit(likelihood, np.array([prior.start(0.35)]))
     posterior = np.linalg.inv(information.hessian[0] + np.eye(prior.size))
-    weighed = prior.total_spread == prior.settings.known_mass
     results = []
     seen = replace(_Seen.of(likelihood), contradicted=contradicted)
-    for measure in _measures(prior.slider, seen, weighed):
-        gradient = _gradient(measure, likelihood, information.z[0])
+    for measure in _measures(prior.slider, seen, prior.mass is not None):
+        gradient = _gradient(measure, prior, information.z[0])
         before = float(gradient @ gradient)
         after = float(gradient @ posterior @ gradient)
+        if prior.known is not None:
+            free = MapPrior(prior.slider, prior.settings, prior.mass)
+            open_width = _gradient(measure, free, np.zeros(free.size))
+            if before < SHOWN_SHARE * float(open_width @ open_width):
+                measure = replace(
+                    measure, given=True, shown=measure.shown if measure.given else "known beforehand"
+                )
         shown = measure.given or after < SHOWN_SHARE * before
         value, low, high = interval(measure.of(belief.maps), belief.probability, log=measure.log)
         if measure.share:
@@ -133,9 +140,8 @@ def effect_quantities(
     return facts
 
 
-def _gradient(measure: _Measure, likelihood: Likelihood, z: FloatArray) -> FloatArray:
+def _gradient(measure: _Measure, prior: MapPrior, z: FloatArray) -> FloatArray:
     """Central differences over the coordinates (maps are cheap; the rollouts' part is in the Hessian)."""
-    prior = likelihood.prior
     difference = 1e-4
     shifts = difference * np.eye(prior.size)
     values = measure.of(prior.maps(np.concatenate([z + shifts, z - shifts])))

@@ -27,10 +27,10 @@ from slipmap.models.inference.cross_validation import end_errors, leave_out
 from slipmap.models.inference.error_model import sensor_noise
 from slipmap.models.inference.identifiability import effect_quantities, quantities
 from slipmap.models.inference.likelihood import Likelihood, LikelihoodSettings
-from slipmap.models.inference.mixture import explain, mixed_belief
+from slipmap.models.inference.mixture import explain, mixed_belief, weighed
 from slipmap.models.inference.observations import Observation, observe_all
 from slipmap.models.inference.prediction import predict_observations, predicted_motion
-from slipmap.models.inference.prior import MapPrior, PriorSettings, slider_for
+from slipmap.models.inference.prior import STRUCTURES, MapPrior, PriorSettings, slider_for
 from slipmap.models.inference.results import Identification
 from slipmap.models.measurements import DatasetError, PushDataset
 from slipmap.models.measurements.trial_checks import contradicted_by_contact
@@ -139,6 +139,11 @@ def learn(
     every = explain(
         dataset, fitted, prior_settings, partial(report, "fitting"), found, plain_only=not friction_laws
     )
+    share_of_known = None
+    if dataset.known is not None and found is None:
+        free, own = replace(dataset, known=None), partial(report, "fitting free maps")
+        rivals = (every[0], *explain(free, fitted, STRUCTURES["smooth"], own, plain_only=True))
+        share_of_known = weighed(rivals)[0].share
     belief = mixed_belief(dataset, every, effects, hypotheses, seed, report)
     noise = sensor_noise(dataset)
     motions = predicted_motion(belief, observations)
@@ -151,7 +156,9 @@ def learn(
     facts = quantities(belief, likelihood, information, contradicted=contradicted)
     facts = (*facts, *effect_quantities(belief, effects, likelihood, information))
     shares = belief.settings["friction_laws"]
-    return Identification(belief, predictions, facts, time.perf_counter() - started, shares)
+    return Identification(
+        belief, predictions, facts, time.perf_counter() - started, shares, share_of_known
+    )  # fmt: skip
 
 
 def _by_algorithm_1(

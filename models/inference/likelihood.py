@@ -17,6 +17,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 
@@ -55,6 +56,18 @@ class NormalEquations:
     start_gain: FloatArray  # (B, K, 3, 3) inverse Hessian of each push's start offset
     start_gradient: FloatArray  # (B, K, 3)
     coupling: FloatArray  # (B, K, d, 3) maps by start
+
+
+class PushCosts(Protocol):
+    """What a fit has to know of B pushes."""
+
+    observations: Sequence[Observation]
+    start_sigma: FloatArray  # (B, 3) standard deviations of start offsets, m and rad
+
+    def linearise(
+        self, z: FloatArray, offsets: FloatArray, strength: FloatArray, weights: FloatArray
+    ) -> NormalEquations:
+        """Costs and normal equations, see `PushLikelihood.linearise`."""
 
 
 class PushLikelihood(ABC):

@@ -39,7 +39,7 @@ from slipmap.models.inference.hypotheses import (
 )
 from slipmap.models.inference.likelihood import Likelihood
 from slipmap.models.inference.observations import Observation
-from slipmap.models.inference.prior import BOLD, PLAUSIBLE, STRUCTURES, MapPrior, PriorSettings, slider_for
+from slipmap.models.inference.prior import BOLD, PLAUSIBLE, MapPrior, PriorSettings, slider_for, structures_of
 from slipmap.models.measurements import PushDataset
 from slipmap.models.physics.cell_grid import FloatArray
 from slipmap.models.physics.rollout import Maps, RolloutError, Slider
@@ -54,9 +54,6 @@ LEAST_SHARE = 0.05
 _ENOUGH_PUSHES, _MANY_PUSHES = 8, 20
 """From so many on, any structure is weighed by its evidence; and other laws are left alone where no law is
 near."""
-
-_FINGER_STARTS = (0.12, 0.35, 1.0)
-"""Finger frictions to start from: contact that sticks and contact that slides are different valleys."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,7 +101,7 @@ def explain(
     Args:
         dataset: the pushes, the object and its height.
         observations: pushes to learn from.
-        settings: the only prior of the maps; if None, all `STRUCTURES` are asked.
+        settings: the only prior of the maps; if None, all structures are asked that the object may have.
         progress: called with (done, total).
         found: fit of the model with effects, which all laws then have too, around the values that it found:
             nothing pulls them to their nulls any more where the forgiving likelihood sees little of them.
@@ -117,10 +114,10 @@ def explain(
         RolloutError: not even the plain law could be fitted.
     """
     given = () if found is None else found.effects
-    structures = STRUCTURES if settings is None else {"own": settings}
+    structures = {"own": settings} if settings is not None else structures_of(dataset)
     others = [] if plain_only else combinations(dataset, given)
     every: list[Explanation] = []
-    asked, total = 0, len(structures) + len(others) + (len(BOLD) if others else 0)
+    asked, total = 0, len(structures) + len(others) + (len(BOLD) if others and len(structures) > 1 else 0)
 
     def ask(law: Sequence[Effect], structure: str) -> None:
         """Fit from where the best so far of the law led, else from that of the plain one, else from uniform
@@ -131,7 +128,10 @@ def explain(
             means = np.concatenate([found.values, means])
             deviations = np.concatenate([found.likelihood.prior.effect_scales, deviations])
         slider = slider_for(dataset, (*given, *law))
-        prior = MapPrior(slider, structures[structure], dataset.mass, effect_prior=(means, deviations))
+        prior = MapPrior(
+            slider, structures[structure], dataset.mass,
+            effect_prior=(means, deviations), known=dataset.known,
+        )  # fmt: skip
         name, known = name_of(law), [one for one in every if one.law in (PLAIN, name_of(law))]
         if known:
             best = max(known, key=lambda one: (one.law == name, one.log_evidence)).maps
@@ -139,7 +139,7 @@ def explain(
             best = replace(best, effects=np.concatenate([best.effects, more[None]], axis=1))
             starts = np.array([prior.start(float(best.mu_finger[0])), *prior.moved(best)])
         else:
-            starts = np.array([prior.start(friction) for friction in _FINGER_STARTS])
+            starts = prior.starts()
             if found is not None:
                 starts = np.concatenate([starts, prior.near(found.maps)])
         own = part_of(progress, asked, total)
@@ -188,9 +188,9 @@ def _likeliest(every: Sequence[Explanation]) -> Explanation:
     return max(_admitted(every), key=lambda one: one.log_evidence)
 
 
-def shared_out(every: Sequence[Explanation]) -> list[Explanation]:
-    """Explanations with their shares, the largest first, without those below `LEAST_SHARE`."""
-    every, best = _admitted(every), _likeliest(every)
+def weighed(every: Sequence[Explanation]) -> list[Explanation]:
+    """Explanations with their shares, 0 for those below `LEAST_SHARE`."""
+    best = _likeliest(every)
     rows = best.likelihood.rows_counted / len(best.likelihood.observations)
     temperature = rows * best.model_error / MODEL_ERRORS[0]
     evidence = np.array([one.log_evidence for one in every])
@@ -200,7 +200,12 @@ def shared_out(every: Sequence[Explanation]) -> list[Explanation]:
     shares /= shares.sum()
     shares = np.where(shares < LEAST_SHARE, 0.0, shares)
     shares /= shares.sum()
-    kept = [replace(one, share=float(share)) for one, share in zip(every, shares, strict=True) if share > 0]
+    return [replace(one, share=float(share)) for one, share in zip(every, shares, strict=True)]
+
+
+def shared_out(every: Sequence[Explanation]) -> list[Explanation]:
+    """Explanations with their shares, the largest first, without those below `LEAST_SHARE`."""
+    kept = [one for one in weighed(_admitted(every)) if one.share > 0]
     return sorted(kept, key=lambda one: -one.share)
 
 

@@ -8,6 +8,9 @@ Maps are functions of whitened coordinates z, so that the prior is z ~ N(0, 1) i
     mu_f  = exp(log mu_f0 + σ_f z_f),        m_total = m_0 exp(σ_total z_total)
     effect parameters:  p = p_0 + scale z_p, within their bounds
 
+Where masses or frictions are known beforehand (`KnownMaps`), they are the middle, and deviations of known
+cells shrink to what their spread leaves (`known_cells`).
+
 B Bᵀ is a squared-exponential covariance over the cell centres plus a share of white noise: neighbouring
 cells are alike, but need not be. The product of mass and friction, which slow pushes show, varies by l alone;
 how it is split between the two, which they do not show, varies by s. (Independent spreads of mass and
@@ -17,15 +20,17 @@ positive and make the units immaterial: an object of 165 kg is as likely as one 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 
 from slipmap.models.effects.effect import Effect, bounds, scales
+from slipmap.models.inference.known_cells import KnownCells
 from slipmap.models.inference.observations import MEASURED_CONTACT
-from slipmap.models.measurements import PushDataset
+from slipmap.models.measurements import KnownMaps, PushDataset
 from slipmap.models.physics.cell_grid import CellGrid, FloatArray
 from slipmap.models.physics.rollout import Maps, Slider
 from slipmap.models.physics.step import EXTRA_COLUMNS, INERTIA_COLUMNS
@@ -69,8 +74,17 @@ region."""
 PLAUSIBLE = {"uneven": 0.4, "smooth": 0.4, "varied": 0.2, "parts": 0.2, "few points": 0.2, "uniform": 0.1}
 """How likely each is before any push, up to a factor."""
 
+_FINGER_STARTS = (0.12, 0.35, 1.0)
+
 BOLD = ("varied", "parts", "few points")
 """Those that can follow the errors of a wrong law."""
+
+
+def structures_of(dataset: PushDataset) -> Mapping[str, PriorSettings]:
+    """What an object may be like: any of `STRUCTURES`, unless every cell is known."""
+    if dataset.known is not None and dataset.known.complete:
+        return {"known": PriorSettings(modes=20)}
+    return STRUCTURES
 
 
 def slider_for(dataset: PushDataset, effects: Sequence[Effect] = ()) -> Slider:
@@ -80,7 +94,46 @@ def slider_for(dataset: PushDataset, effects: Sequence[Effect] = ()) -> Slider:
     )  # fmt: skip
 
 
-class MapPrior:
+class EffectCoordinates:
+    """Coordinates z_p of effects, which follow those of maps.
+
+    Attributes:
+        plain: number of coordinates of the maps.
+        effect_centers: (P,) middles of the effects' parameters.
+        effect_scales: (P,) their standard deviations.
+        effect_bounds: (P,) each, lowest and highest values.
+        amplitudes: (P,) which of them have a null.
+    """
+
+    plain: int
+    effect_centers: FloatArray
+    effect_scales: FloatArray
+    effect_bounds: tuple[FloatArray, FloatArray]
+    amplitudes: NDArray[np.bool_]
+
+    @property
+    def size(self) -> int:
+        """Number of coordinates."""
+        return self.plain + len(self.effect_scales)
+
+    def effect_coordinates(self, values: FloatArray) -> FloatArray:
+        """z_p of effect parameters (…, P)."""
+        return (values - self.effect_centers) / self.effect_scales
+
+    def effect_values(self, z: FloatArray) -> FloatArray:
+        """(K, P) effect parameters at coordinates (K, size)."""
+        return np.clip(self.effect_centers + self.effect_scales * z[:, self.plain :], *self.effect_bounds)
+
+    def effect_deviations(self, hessian: FloatArray) -> FloatArray:
+        """(P,) standard deviations of the effects' parameters, everything else being refitted with them.
+
+        The Hessian (size, size) is the data's at the best fit, to which that of the prior is added.
+        """
+        covariance = np.linalg.inv(hessian + np.eye(self.size))
+        return np.sqrt(np.diagonal(covariance)[self.plain :]) * self.effect_scales
+
+
+class MapPrior(EffectCoordinates):
     """Coordinates of maps on one grid, see the formulas above.
 
     Args:
@@ -90,6 +143,7 @@ class MapPrior:
         weight: of the object as far as known, N, for the scale of effects that are forces.
         effect_prior: means and standard deviations (P,) of the effects' parameters, where more is known of
             them than their nulls and scales tell.
+        known: what is known of the maps.
     """
 
     def __init__(
@@ -99,59 +153,74 @@ class MapPrior:
         mass: float | None,
         weight: float | None = None,
         effect_prior: tuple[FloatArray, FloatArray] | None = None,
+        known: KnownMaps | None = None,
     ) -> None:
         self.slider = slider
         self.settings = settings
-        self.total_mass = mass if mass is not None else 1.0
-        self.total_spread = settings.known_mass if mass is not None else settings.unknown_mass
+        self.known = known
+        self.cells = KnownCells.of(known or KnownMaps(), len(slider.grid), settings)
+        self.total_mass, self.total_spread = self.cells.total(mass, settings)
+        self.mass = mass
+        self.finger_mean, self.finger_spread = settings.finger_friction_mean, settings.finger_friction
+        if known is not None and known.finger_friction is not None:
+            self.finger_mean, self.finger_spread = known.finger_friction, known.finger_spread
         effects = slider.effects
         self.effect_centers = np.concatenate([np.zeros(0), *(effect.nulls for effect in effects)])
         self.effect_scales = scales(effects, weight or self.total_mass * slider.gravity)
         if effect_prior is not None:
             self.effect_centers, self.effect_scales = effect_prior
         self.effect_bounds = bounds(effects)
+        self.amplitudes = np.concatenate([np.zeros(0, bool), *(effect.amplitudes for effect in effects)])
 
     @cached_property
     def basis(self) -> FloatArray:
         """(n, r) B: columns sorted by how much of the prior's variance they carry."""
         return covariance_basis(self.slider.grid, self.settings)
 
-    @property
-    def size(self) -> int:
-        """Number of coordinates: z_load (r), z_split (r), z_total, z_mu0, z_f, z_p (P)."""
-        return 2 * self.basis.shape[1] + 3 + len(self.effect_scales)
-
-    @property
-    def plain(self) -> int:
-        """Number of coordinates without the effects'."""
-        return self.size - len(self.effect_scales)
+    @cached_property
+    def plain(self) -> int:  # type: ignore[override]
+        """Number of coordinates of the maps: z_load (r), z_split (r), z_total, z_mu0, errors that known cells
+        share, z_f."""
+        return 2 * self.basis.shape[1] + 2 + self.cells.levels
 
     def start(self, finger_friction: float) -> FloatArray:
-        """(size,) coordinates of the uniform object with some finger friction."""
+        """(size,) coordinates of the middle of the prior with some finger friction."""
         z = np.zeros(self.size)
-        finger = np.log(finger_friction / self.settings.finger_friction_mean) / self.settings.finger_friction
-        z[self.plain - 1] = finger
+        z[self.plain - 1] = np.log(finger_friction / self.finger_mean) / self.finger_spread
         return z
 
+    def starts(self) -> FloatArray:
+        """(K, size) coordinates to start a search from: contact that sticks and contact that slides are
+        different valleys, unless it is known which."""
+        known = self.known is not None and self.known.finger_friction is not None
+        return np.array([self.start(mu) for mu in ((self.finger_mean,) if known else _FINGER_STARTS)])
+
     def near(self, maps: Maps) -> FloatArray:
-        """(K, size) coordinates of some maps as well as the basis can have them; those of effects are 0."""
-        s, K = self.settings, len(maps)
+        """(K, size) coordinates of some maps as well as the basis can have them; those of effects are 0, and
+        known cells stay at their middles."""
+        s, K, cells = self.settings, len(maps), self.cells
+        free, sized = cells.free, cells.sized
         of_load, of_split = self.spreads(np.ones(1))
         log_mass, log_mu = np.log(maps.mass), np.log(maps.mu)
 
         def projected(spread: float, rows: FloatArray) -> tuple[FloatArray, FloatArray]:
             """Coordinates (K, r) of rows (K, n) up to a constant, and the rows that they give."""
             columns = np.column_stack([spread * self.basis, np.ones(self.basis.shape[0])])
-            z = np.asarray(np.linalg.lstsq(columns, rows.T, rcond=None)[0][:-1].T, dtype=np.float64)
+            found = np.linalg.lstsq(columns[free], rows[:, free].T, rcond=None)[0][:-1].T
+            z = np.asarray(found, dtype=np.float64)
             return z, z @ columns[:, :-1].T
 
         z_load, load = projected(float(of_load[0]), log_mass + log_mu)
         z_split, split = projected(float(of_split[0]), log_mass - s.mass_share * load)
-        level = (log_mu - (1.0 - s.mass_share) * load + split).mean(axis=1)
-        total = np.log(maps.mass.sum(axis=1) / self.total_mass) / self.total_spread
-        scale = (level - np.log(s.friction_mean)) / s.friction_scale
-        finger = np.log(maps.mu_finger / s.finger_friction_mean) / s.finger_friction
-        others = np.column_stack([total, scale, finger, np.zeros((K, len(self.effect_scales)))])
+        total = np.log(maps.mass[:, cells.sharing].sum(axis=1) / self.total_mass) / self.total_spread
+        shared = np.zeros((K, cells.levels))
+        if sized.any():
+            share = cells.friction_share
+            rest = log_mu - share * (1.0 - s.mass_share) * load + share * split
+            level = (rest - (cells.log_friction - np.log(s.friction_mean)))[:, sized].mean(axis=1)
+            shared[:, 0] = (level - np.log(s.friction_mean)) / s.friction_scale
+        finger = np.log(maps.mu_finger / self.finger_mean) / self.finger_spread
+        others = np.column_stack([total, shared, finger, np.zeros((K, len(self.effect_scales)))])
         return np.concatenate([z_load, z_split, others], axis=1)
 
     def moved(self, maps: Maps) -> FloatArray:
@@ -159,18 +228,6 @@ class MapPrior:
         z = self.near(maps)
         z[:, self.plain :] = self.effect_coordinates(maps.effects)
         return z
-
-    def effect_coordinates(self, values: FloatArray) -> FloatArray:
-        """z_p of effect parameters (…, P)."""
-        return (values - self.effect_centers) / self.effect_scales
-
-    def effect_deviations(self, hessian: FloatArray) -> FloatArray:
-        """(P,) standard deviations of the effects' parameters, everything else being refitted with them.
-
-        The Hessian (size, size) is the data's at the best fit, to which that of the prior is added.
-        """
-        covariance = np.linalg.inv(hessian + np.eye(self.size))
-        return np.sqrt(np.diagonal(covariance)[self.plain :]) * self.effect_scales
 
     def spreads(self, strength: FloatArray) -> tuple[FloatArray, FloatArray]:
         """σ_load and σ_split of maps that vary more than usual by a factor, or less.
@@ -193,26 +250,31 @@ class MapPrior:
     def maps(self, z: FloatArray, strength: FloatArray | float = 1.0) -> Maps:
         """Maps at coordinates (K, size); `strength` (K,) see `spreads`."""
         r = self.basis.shape[1]
-        s = self.settings
+        s, cells = self.settings, self.cells
         of_load, of_split = self.spreads(np.broadcast_to(strength, (len(z),)))
         load = of_load[:, None] * (z[:, :r] @ self.basis.T)
         split = of_split[:, None] * (z[:, r : 2 * r] @ self.basis.T)
-        shape = np.clip(s.mass_share * load + split, -20.0, 20.0)
-        shape = np.exp(shape - shape.max(axis=1, keepdims=True))
+        errors = z[:, 2 * r + 1 : self.plain - 1]
+        k = cells.friction_levels.shape[1]
+        shape = np.clip(cells.mass_share * (s.mass_share * load + split), -20.0, 20.0) + cells.log_mass
+        largest = shape[:, cells.sharing].max(axis=1, keepdims=True, initial=-np.inf)
+        shape = shape - np.where(cells.sharing, largest, -errors[:, k:] @ cells.mass_levels.T)
+        shape = np.exp(shape)
         total = self.total_mass * np.exp(np.clip(self.total_spread * z[:, 2 * r], -12.0, 12.0))
+        shared = total[:, None] * shape / (shape * cells.sharing).sum(axis=1, keepdims=True)
         log_mu = (
-            np.log(s.friction_mean)
-            + s.friction_scale * z[:, 2 * r + 1 : 2 * r + 2]
-            + (1.0 - s.mass_share) * load
-            - split
+            cells.log_friction
+            + errors[:, :k] @ cells.friction_levels.T
+            + cells.friction_share * ((1.0 - s.mass_share) * load)
+            - cells.friction_share * split
         )
-        log_finger = np.log(s.finger_friction_mean) + s.finger_friction * z[:, self.plain - 1]
+        log_finger = np.log(self.finger_mean) + self.finger_spread * z[:, self.plain - 1]
         top = np.log(s.largest_friction)
         return Maps(
-            total[:, None] * shape / shape.sum(axis=1, keepdims=True),
-            np.exp(np.clip(log_mu, -8.0, top)),
+            np.where(cells.sharing, shared, shape),
+            np.exp(np.clip(log_mu, -8.0, np.maximum(top, cells.log_friction + 1.0))),
             np.exp(np.clip(log_finger, -8.0, top)),
-            np.clip(self.effect_centers + self.effect_scales * z[:, self.plain :], *self.effect_bounds),
+            self.effect_values(z),
         )
 
     def chain(self, maps: Maps, derivative: FloatArray, strength: FloatArray | float = 1.0) -> FloatArray:
@@ -241,19 +303,23 @@ class MapPrior:
         so that a step can lead back inside.
         """
         K, n, r = len(maps), len(self.slider.grid), self.basis.shape[1]
-        s = self.settings
+        s, cells = self.settings, self.cells
         of_load, of_split = (
             spread[:, None, None] for spread in self.spreads(np.broadcast_to(strength, (K,)))
         )
         load = (maps.mass * maps.mu * self.slider.gravity)[..., None]
         moved = self.slider.inertia_basis.T * maps.mass[:, None]
+        massive, rubbing = (share[:, None] * self.basis for share in (cells.mass_share, cells.friction_share))
         # What the columns of loads and inertia, (n + 4), contribute: by log friction, by log mass.
-        by_friction = np.concatenate([load * self.basis, np.zeros((K, INERTIA_COLUMNS, r))], axis=1)
-        by_mass = np.concatenate([load * self.basis, moved @ self.basis], axis=1)
-        by_total = np.concatenate([load, moved.sum(axis=-1, keepdims=True)], axis=1)
-        share = maps.mass / maps.mass.sum(axis=1, keepdims=True)
-        by_mass -= by_total * (share @ self.basis)[:, None]
-        by_mean_friction = np.concatenate([load, np.zeros((K, INERTIA_COLUMNS, 1))], axis=1)
+        by_friction = np.concatenate([load * rubbing, np.zeros((K, INERTIA_COLUMNS, r))], axis=1)
+        by_mass = np.concatenate([load * massive, moved @ massive], axis=1)
+        by_total = np.concatenate(
+            [load * cells.sharing[:, None], (moved * cells.sharing).sum(axis=-1, keepdims=True)], axis=1
+        )
+        shared = maps.mass * cells.sharing
+        share = shared / shared.sum(axis=1, keepdims=True)
+        by_mass -= by_total * (share @ massive)[:, None]
+        still = np.zeros((K, INERTIA_COLUMNS, cells.friction_levels.shape[1]))
         masses = 0 if self.slider.table is None else n
         result = np.zeros((K, n + EXTRA_COLUMNS + len(self.effect_scales) + masses, self.size))
         result[:, : n + INERTIA_COLUMNS, : self.plain - 1] = np.concatenate(
@@ -261,20 +327,25 @@ class MapPrior:
                 of_load * (s.mass_share * by_mass + (1.0 - s.mass_share) * by_friction),
                 of_split * (by_mass - by_friction),
                 by_total * self.total_spread,
-                by_mean_friction * s.friction_scale,
+                np.concatenate([load * cells.friction_levels, still], axis=1),
+                np.concatenate([load * cells.mass_levels, moved @ cells.mass_levels], axis=1),
             ],
             axis=-1,
         )
-        result[:, n + INERTIA_COLUMNS, self.plain - 1] = s.finger_friction * maps.mu_finger
+        result[:, n + INERTIA_COLUMNS, self.plain - 1] = self.finger_spread * maps.mu_finger
         first = n + EXTRA_COLUMNS
         result[:, first : first + len(self.effect_scales), self.plain :] = np.diag(self.effect_scales)
         if masses:
-            by_load = maps.mass[..., None] * (self.basis - (share @ self.basis)[:, None])
-            result[:, -n:, : 2 * r + 1] = np.concatenate(
+            mass = maps.mass[..., None]
+            by_load = mass * (massive - cells.sharing[:, None] * (share @ massive)[:, None])
+            unmoving = np.zeros((K, n, cells.friction_levels.shape[1]))
+            result[:, -n:, : self.plain - 1] = np.concatenate(
                 [
                     of_load * s.mass_share * by_load,
                     of_split * by_load,
-                    maps.mass[..., None] * self.total_spread,
+                    mass * cells.sharing[:, None] * self.total_spread,
+                    unmoving,
+                    mass * cells.mass_levels,
                 ],
                 axis=-1,
             )

@@ -43,6 +43,8 @@ class Identification:
         seconds: that it took.
         friction_laws: share of the belief by law of friction, the largest first; `plain` alone where no
             other was tried, empty where none was chosen among.
+        share_of_known: where maps were known beforehand, the share that the pushes give the model with them
+            beside one with free maps; 0 where they speak against them.
         without_effects: of `fit`, what the model without the effects learnt from the same pushes.
     """
 
@@ -51,6 +53,7 @@ class Identification:
     quantities: tuple[Quantity, ...]
     seconds: float
     friction_laws: Mapping[str, float] = field(default_factory=dict)
+    share_of_known: float | None = None
     without_effects: Identification | None = None
 
     def errors(self, role: str, of: str = "final_add") -> FloatArray:
@@ -126,6 +129,7 @@ class Identification:
                 for k in range(len(self.belief))
             ],
             "friction_laws": dict(self.friction_laws),
+            **({} if self.share_of_known is None else {"share_of_known_maps": self.share_of_known}),
             "identifiable": [vars(quantity) for quantity in self.quantities],
             "seconds": self.seconds,
             "seed": self.belief.seed,

@@ -3,6 +3,7 @@
 from slipmap.models.measurements.push_dataset import (
     Channel,
     DatasetError,
+    KnownMaps,
     Noise,
     PushDataset,
     Table,

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
@@ -25,6 +25,9 @@ CHANNELS: Mapping[str, tuple[str, ...]] = {
     "ft_wrench": ("force_x", "force_y", "force_tau"),
 }
 """The channels of a trial and their columns beside time; force need not be measured."""
+
+LEAST_SPREAD = 1e-3
+"""Nothing is known more exactly, as a relative standard deviation."""
 
 _FAR_AWAY = 1.0  # m
 _LEAST_NOISE = {"position": 1e-6, "angle": 1e-5, "tip": 1e-6, "force": 1e-4}  # m, rad, m, N
@@ -181,6 +184,105 @@ class Table:
 
 
 @dataclass(frozen=True, eq=False)
+class KnownMaps:
+    """What is known of an object's maps before any push.
+
+    A spread is a relative standard deviation; half of its variance is common to all cells whose value is
+    known, half each cell's own.
+
+    Attributes:
+        mass: (n,) of each cell, kg, NaN where it is not known; None where no cell's is.
+        friction: (n,) coefficient of each cell with the table, likewise.
+        finger_friction: coefficient with the finger.
+        mass_spread: of all masses or (n,) of each.
+        friction_spread: of all coefficients or (n,) of each.
+        finger_spread: of the finger's.
+        mass_ratios: only the ratios of masses are known; all must have one. The total is the object's mass
+            where it was weighed, else free.
+        friction_ratios: only the ratios of coefficients are known, not their size.
+
+    Raises:
+        DatasetError: a value or spread that is not positive, or of another shape.
+
+    Example:
+        >>> import dataclasses
+        >>> import slipmap
+        >>> dataset, truth = slipmap.simulated_hammer(fit=1, heldout=0)
+        >>> known = slipmap.KnownMaps(truth.mass[0], truth.mu[0], mass_spread=0.01, friction_spread=0.05)
+        >>> dataclasses.replace(dataset, known=known).known.complete
+        True
+    """
+
+    mass: FloatArray | None = None
+    friction: FloatArray | None = None
+    finger_friction: float | None = None
+    mass_spread: FloatArray | float = 0.05
+    friction_spread: FloatArray | float = 0.05
+    finger_spread: float = 0.05
+    mass_ratios: bool = False
+    friction_ratios: bool = False
+
+    def __post_init__(self) -> None:
+        shapes = []
+        for name in ("mass", "friction"):
+            values, spread = getattr(self, name), getattr(self, f"{name}_spread")
+            if values is None:
+                continue
+            values = np.ascontiguousarray(values, dtype=float)
+            try:
+                spread = np.array(np.broadcast_to(np.asarray(spread, dtype=float), values.shape))
+            except ValueError:
+                raise DatasetError(
+                    f"known maps: {name} has {values.shape} values and {np.shape(spread)} spreads"
+                ) from None
+            self._check(name, values[~np.isnan(values)], spread[~np.isnan(values)])
+            if getattr(self, f"{name}_ratios") and np.isnan(values).any():
+                raise DatasetError(f"known maps: ratios of {name} need a value for every cell")
+            shapes.append(values.shape)
+            object.__setattr__(self, name, values)
+            object.__setattr__(self, f"{name}_spread", spread)
+        if any(len(shape) != 1 or shape != shapes[0] for shape in shapes):
+            raise DatasetError(f"known maps: mass and friction need one value a cell, got shapes {shapes}")
+        if self.finger_friction is not None:
+            self._check("finger_friction", np.array([self.finger_friction]), np.array([self.finger_spread]))
+
+    @staticmethod
+    def _check(name: str, values: FloatArray, spread: FloatArray) -> None:
+        if not (np.isfinite(values).all() and (values > 0).all()):
+            raise DatasetError(f"known maps: {name} must be positive and finite, NaN where it is not known")
+        if not ((spread >= LEAST_SPREAD) & (spread <= 1.0)).all():
+            raise DatasetError(
+                f"known maps: a spread of {name} lies in {LEAST_SPREAD:g} to 1 (relative standard deviation)"
+            )
+
+    @property
+    def complete(self) -> bool:
+        """Whether every cell's mass and friction is known, at least but for their size."""
+        maps = (self.mass, self.friction)
+        return all(values is not None and not np.isnan(values).any() for values in maps)
+
+    def check(self, cells: int, mass: float | None) -> None:
+        """Refuse what does not fit an object of some cells, and of some mass (kg) if it was weighed.
+
+        Raises:
+            DatasetError: another number of cells, or masses that contradict the scale.
+        """
+        for name in ("mass", "friction"):
+            values = getattr(self, name)
+            if values is not None and len(values) != cells:
+                raise DatasetError(f"known maps: {name} has {len(values)} values for {cells} cells")
+        if self.mass is None or mass is None or self.mass_ratios:
+            return
+        total, some = float(np.nansum(self.mass)), bool(np.isnan(self.mass).any())
+        off = abs(float(np.log(total / mass))) > 3.0 * np.hypot(np.max(self.mass_spread), 0.02)
+        if total >= mass if some else off:
+            raise DatasetError(
+                f"known maps: the masses add up to {total:.4g} kg, but the object weighs {mass:.4g} kg;"
+                " correct one of them"
+            )
+
+
+@dataclass(frozen=True, eq=False)
 class Setup:
     """What is pushed, with what and on what."""
 
@@ -194,6 +296,7 @@ class Setup:
     table: Table | None  # the table top, where known
     gravity: float  # m/s²
     noise: Noise  # standard deviations, where known
+    known: KnownMaps | None = field(default=None, kw_only=True)  # of the maps, before any push
 
 
 @dataclass(frozen=True, eq=False)
@@ -230,6 +333,8 @@ class PushDataset(Setup):
         ):
             if value is not None and not (math.isfinite(value) and value > 0):
                 raise DatasetError(f"dataset {self.name}: {what} must be positive and finite, got {value}")
+        if self.known is not None:
+            self.known.check(len(self.grid), self.mass)
         if not self.trials:
             raise DatasetError(f"dataset {self.name}: there are no trials; one push is the least")
         name, uses = Counter(trial.name for trial in self.trials).most_common(1)[0]

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any, get_args
 
 from slipmap.models.measurements import csv_files, mit_files, parsing
+from slipmap.models.measurements.known_maps import with_known_maps
 from slipmap.models.measurements.parsing import Fingerprint
 from slipmap.models.measurements.push_dataset import (
     CHANNELS,
@@ -45,6 +46,7 @@ def read_dataset(
     object_name: str | None = None,
     progress: StageProgress | None = None,
     keep_all: bool = False,
+    maps: str | os.PathLike[str] | None = None,
     tell: Callable[[str], object] = _LOG.warning,
 ) -> PushDataset:
     """Read push measurements.
@@ -70,6 +72,8 @@ def read_dataset(
         progress: called after each trial with the number read and the number of all.
         keep_all: leave no push out; of a push dataset, `keep: true` or `keep: false` beside a file in its
             `trials` forces either for that push.
+        maps: YAML file of what is known of the object's maps, instead of what a dataset.yaml says under
+            `known`.
         tell: called with each warning; Python's logging by default, which shows it.
 
     Raises:
@@ -85,6 +89,8 @@ def read_dataset(
         ['trials/000.json', 'trials/001.json']
     """
     dataset = _read(path, object_name, progress, keep_all)
+    if maps is not None:
+        dataset = with_known_maps(dataset, maps)
     for warning in dataset.warnings:
         tell(warning)
     return dataset

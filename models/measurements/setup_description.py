@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 import shapely
 
-from slipmap.models.measurements import parsing
+from slipmap.models.measurements import known_maps, parsing
 from slipmap.models.measurements.parsing import Number
 from slipmap.models.measurements.push_dataset import DatasetError, Noise, Setup, Table
 from slipmap.models.physics.cell_grid import CellGrid, FloatArray
 
-SETUP_KEYS = ("name", "description", "object", "finger", "table", "gravity", "noise")
+SETUP_KEYS = ("name", "description", "object", "finger", "table", "gravity", "noise", "known")
 
 _DEVIATION = "{where}: a standard deviation lies in 0 to {high:g}, got {value}"
 _THICK = "{where} is {value:g} m; no finger is that thick, divide by 1000?"
@@ -67,7 +67,11 @@ def parse_setup(document: dict[str, Any], where: str, default_name: str) -> tupl
     table = _table(document.get("table"), f"{where}: table", warnings)
     noise = _noise(document.get("noise"), f"{where}: noise", warnings)
     height, mass = measured.get("height"), measured.get("mass")
-    return Setup(name, description, grid, height, mass, radius, table, gravity, noise), warnings
+    known = None
+    if document.get("known") is not None:
+        known, doubts = known_maps.parse_known(document["known"], grid, mass, f"{where}: known")
+        warnings += doubts
+    return Setup(name, description, grid, height, mass, radius, table, gravity, noise, known=known), warnings
 
 
 def setup_document(setup: Setup) -> dict[str, Any]:
@@ -91,6 +95,8 @@ def setup_document(setup: Setup) -> dict[str, Any]:
     document["gravity"] = float(setup.gravity)
     if noise := _known(setup.noise, _NOISE):
         document["noise"] = noise
+    if setup.known is not None:
+        document["known"] = known_maps.known_document(setup.known)
     return document
 
 

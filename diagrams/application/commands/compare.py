@@ -15,6 +15,7 @@ from slipmap.diagrams.application.terminal import Progress, note, paragraph, pre
 from slipmap.models.files import BadInput, together, write_json, write_text
 
 if TYPE_CHECKING:
+    from slipmap.models.effects.effect import Effect
     from slipmap.models.inference.belief import Belief
     from slipmap.models.inference.comparison import Comparison
     from slipmap.models.inference.prediction import Prediction
@@ -79,6 +80,7 @@ def predict(
 @options.report_option("comparison.html")
 @options.seed_option
 @options.object_option
+@options.maps_option
 @options.json_option
 def compare(
     dataset: Path,
@@ -88,6 +90,7 @@ def compare(
     output: Path,
     seed: int,
     object_name: str | None,
+    maps: Path | None,
     json_file: Path | None,
 ) -> None:
     """Compare a model with pushes, and see where it fails.
@@ -109,7 +112,7 @@ def compare(
     effects = effects_named(effect_names, known)
     belief = Belief.load(belief_file, known) if belief_file is not None else None
     with Progress() as progress:
-        measured = options.load_dataset(dataset, object_name, progress)
+        measured = options.load_dataset(dataset, object_name, progress, maps)
         prepare_kernels()
         from slipmap.models.inference import comparison
 
@@ -209,7 +212,7 @@ def _check_fit_pushes(dataset: PushDataset) -> None:
 
 
 @click.command()
-@options.dataset_argument
+@options.datasets_argument
 @options.effect_file_option
 @click.option(
     "--quick", is_flag=True,
@@ -219,18 +222,27 @@ def _check_fit_pushes(dataset: PushDataset) -> None:
     "--draws", least=99, most=100_000, default=199,
     about="Datasets to simulate for the p-values; the smallest p is 1 / (N + 1).",
 )  # fmt: skip
+@click.option(
+    "--apart",
+    multiple=True,
+    type=click.Choice(["table", "tracker", "finger", "force sensor"]),
+    help="What several datasets do not share; may be given several times.",
+)
 @options.seed_option
 @options.report_option("diagnosis.html")
 @options.object_option
+@options.maps_option
 @options.json_option
 def diagnose(
-    dataset: Path,
+    datasets: tuple[Path, ...],
     effect_files: tuple[Path, ...],
     quick: bool,
     draws: int,
+    apart: tuple[str, ...],
     seed: int,
     output: Path,
     object_name: str | None,
+    maps: Path | None,
     json_file: Path | None,
 ) -> None:
     """Find out which physical effect the model misses.
@@ -239,11 +251,21 @@ def diagnose(
     your own files, what it would explain, and asks those that explain most what they leave. The verdict is
     one effect, a set that the data cannot tell apart, none, something unknown, or too little data. A share
     of the pushes is locked away before and judges the answer.
+
+    Several datasets, each of one object, are asked for what they miss together: maps are each object's own,
+    effects of table, tracker, finger and force sensor are one for all, unless --apart says that these differ.
     """
     effects = options.find_effects(effect_files)
+    if len(datasets) > 1:
+        _refuse_for_several()
+        _diagnose_together(datasets, effects, apart, seed, object_name, json_file)
+        return
+    if apart:
+        raise BadInput("--apart says what several datasets do not share; give two or more")
+    (dataset,) = datasets
     where = str(dataset)
     with Progress() as progress:
-        measured = options.load_dataset(dataset, object_name, progress)
+        measured = options.load_dataset(dataset, object_name, progress, maps)
         prepare_kernels()
         from slipmap.planners import telling_push
 
@@ -262,3 +284,32 @@ def diagnose(
 
     show_diagnosis(result, measured, effects, where)
     note(f"report: {output}" if wanted else "no report of a quick look; -o FILE asks for one")
+
+
+def _refuse_for_several() -> None:
+    for option, name in (("--quick", "quick"), ("--draws", "draws"), ("-o", "output"), ("--maps", "maps")):
+        if options.asked_for(name):
+            raise BadInput(
+                f"{option} is for one dataset; of several, leave it out (what is known of their maps stands"
+                " under `known` in each dataset.yaml)"
+            )
+
+
+def _diagnose_together(
+    datasets: Sequence[Path],
+    effects: Sequence[Effect],
+    apart: Sequence[str],
+    seed: int,
+    object_name: str | None,
+    json_file: Path | None,
+) -> None:
+    with Progress() as progress:
+        measured = [options.load_dataset(dataset, object_name, progress) for dataset in datasets]
+        prepare_kernels()
+        from slipmap.models.inference.diagnosis.several import diagnose_together
+
+        result = diagnose_together(measured, effects=effects, apart=apart, seed=seed, progress=progress)
+    write_json(json_file, result.to_json())
+    from slipmap.diagrams.application.reports.together_words import show_together
+
+    show_together(result, measured[0].grid)

@@ -43,6 +43,7 @@ if TYPE_CHECKING:
 @options.seed_option
 @options.count_option("--fit-pushes", about="Learn from the first N fit pushes alone.")
 @options.object_option
+@options.maps_option
 @options.pictures_option
 @options.json_option
 def identify(
@@ -54,6 +55,7 @@ def identify(
     seed: int,
     fit_pushes: int | None,
     object_name: str | None,
+    maps: Path | None,
     pictures: Path | None,
     json_file: Path | None,
 ) -> None:
@@ -66,7 +68,7 @@ def identify(
     predicted (belief.pushes.png), and prints how well it predicts and what these pushes show.
     """
     with Progress() as progress:
-        measured = options.load_dataset(dataset, object_name, progress)
+        measured = options.load_dataset(dataset, object_name, progress, maps)
         if fit_pushes is not None:
             measured = _first_pushes(measured, fit_pushes)
         if pictures is not None:
@@ -109,6 +111,7 @@ def _tell_findings(dataset: PushDataset, where: Path) -> None:
 @options.hypotheses_option
 @options.seed_option
 @options.object_option
+@options.maps_option
 @options.pictures_option
 @options.json_option
 def fit(
@@ -119,6 +122,7 @@ def fit(
     hypotheses: int,
     seed: int,
     object_name: str | None,
+    maps: Path | None,
     pictures: Path | None,
     json_file: Path | None,
 ) -> None:
@@ -135,7 +139,7 @@ def fit(
 
     effects = effects_named(effect_names, options.find_effects(effect_files))
     with Progress() as progress:
-        measured = options.load_dataset(dataset, object_name, progress)
+        measured = options.load_dataset(dataset, object_name, progress, maps)
         if pictures is not None:
             make_folder(pictures)
         prepare_kernels()
@@ -214,7 +218,16 @@ def show(result: Identification, dataset: PushDataset, where: str | None) -> Non
     )
     show_errors(result.pushes, dataset, where)
     show_friction_laws(result.friction_laws)
+    if result.share_of_known is not None:
+        paragraph(_THEY_FIT if result.share_of_known else _THEY_DO_NOT_FIT)
     show_quantities(result.quantities, doubted=is_doubted(result.pushes, dataset))
+
+
+_THEY_FIT = "The pushes fit the maps that are known: free maps do not explain them much better."
+_THEY_DO_NOT_FIT = (
+    "THE PUSHES DO NOT FIT THE MAPS THAT ARE KNOWN: free maps explain them far better. Either what is said to"
+    " be known is wrong, or an effect is missing that free maps can imitate; `slipmap diagnose` asks which."
+)
 
 
 def tell_files(belief: Path, pictures: Sequence[Path]) -> None:

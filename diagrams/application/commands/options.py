@@ -128,6 +128,9 @@ complete_objects = _completed(_object_names)
 """The six objects, for `shell_complete`."""
 
 dataset_argument = click.argument("dataset", type=click.Path(path_type=Path))
+datasets_argument = click.argument(
+    "datasets", metavar="DATASET...", type=click.Path(path_type=Path), nargs=-1, required=True
+)
 json_option = output_option("--json", "json_file", about="Write the result as JSON.")
 json_in_folder_option = path_option(
     "--json", "json_file", about="Write the result as JSON; it may go into the folder of --out."
@@ -143,6 +146,10 @@ object_option = click.option(
     help="What was pushed, for MIT and CSV files, which do not say it: a shape of the MIT push dataset such"
     " as rect1, or a YAML file with the keys object and finger of a dataset.yaml and, where columns have"
     " other names or units, csv.",
+)
+maps_option = path_option(
+    "--maps",
+    about="YAML file of what is known of the object's maps: the keys under `known` of a dataset.yaml.",
 )
 effect_file_option = path_option(
     "--effect-file", "effect_files", multiple=True,
@@ -176,8 +183,16 @@ def find_effects(files: Sequence[Path]) -> tuple[Effect, ...]:
     return known_effects(files)
 
 
-def load_dataset(path: Path, object_name: str | None, progress: Progress) -> PushDataset:
+def load_dataset(
+    path: Path, object_name: str | None, progress: Progress, maps: Path | None = None
+) -> PushDataset:
     """Read a dataset, with progress, and tell what looks wrong about it.
+
+    Args:
+        path: of the dataset.
+        object_name: what was pushed, where the dataset does not say it.
+        progress: called after each trial.
+        maps: file of what is known of the object's maps.
 
     Raises:
         DatasetError: it cannot be used.
@@ -187,6 +202,7 @@ def load_dataset(path: Path, object_name: str | None, progress: Progress) -> Pus
     return read_dataset(
         path,
         object_name=object_name,
+        maps=maps,
         progress=lambda done, total: progress("reading pushes", done, total),
         tell=lambda warning: note(f"warning: {warning}"),
     )

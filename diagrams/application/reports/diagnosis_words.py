@@ -212,6 +212,11 @@ def show_diagnosis(
     for text in (*sizes(diagnosis, dataset.grid), improvement(diagnosis), rivals_sentence(diagnosis)):
         paragraph(text)
     paragraph(QUICK if diagnosis.quick else "")
+    if diagnosis.without_effects.share_of_known == 0.0:
+        paragraph(
+            "THE PUSHES DO NOT FIT THE MAPS THAT ARE KNOWN: without effects, free maps explain them far"
+            " better. If no effect above explains that, what is said to be known is wrong."
+        )
     click.echo()
     table(
         f"Effects that were tried. {evidence(diagnosis)}",

@@ -70,7 +70,8 @@ class Fitter:
 
     def prior(self, effects: Sequence[Effect]) -> MapPrior:
         """Coordinates of the model with some effects."""
-        return MapPrior(slider_for(self.dataset, effects), self.settings, self.dataset.mass, self.weight)
+        d = self.dataset
+        return MapPrior(slider_for(d, effects), self.settings, d.mass, self.weight, known=d.known)
 
     def base(self, error: ErrorModel, start: Fitted, progress: StageProgress | None = None) -> Fitted:
         """Fit the model without effects, from the maps of another fit."""
@@ -89,9 +90,7 @@ class Fitter:
         with its many correlated rows, gets stuck on the way. What it leaves sets the first error model.
         """
         prior = self.prior(())
-        # Contact that sticks and contact that slides are different valleys.
-        starts = np.array([prior.start(finger_friction) for finger_friction in (0.12, 0.35, 1.0)])
-        first = fit(self._forgiving(prior), starts, progress=part_of(progress, 0, 3)).best()
+        first = fit(self._forgiving(prior), prior.starts(), progress=part_of(progress, 0, 3)).best()
         self.forgiving_start = first.z[0], first.offsets[0]
         likelihood = CorrelatedLikelihood(prior, self.measured, ErrorModel(self.noise, 0.02, 0.08))
         fitted = Fitted((), likelihood, first.z[0], np.zeros(prior.size), first.offsets[0], np.inf)

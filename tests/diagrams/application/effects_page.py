@@ -65,6 +65,10 @@ A class overrides what it changes and leaves the rest:
 `models/effects/symbols.py` says what each is. `pose` has `x`, `y` and `theta`, `force` has `x` and `y`.
 `positive_part` and `smooth_step` there are a maximum and a step that can be differentiated. To carry
 numbers from step to step, name them in `memory` and renew them in `remember`.
+
+Where several datasets are diagnosed together, `belongs_to` says what has the effect: `"object"`, as it is
+unless you say otherwise, gives each dataset parameters of its own; `"table"`, `"tracker"`, `"finger"` and
+`"force sensor"` one set for all.
 """
 
 _METHODS = {

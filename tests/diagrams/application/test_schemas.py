@@ -11,6 +11,9 @@ from jsonschema import Draft202012Validator
 from schemas import FOLDER, NAMES, assert_as_described, validator
 
 from slipmap.diagrams.application.command_line import slipmap
+from slipmap.models.measurements import KnownMaps
+from slipmap.models.measurements.known_maps import known_document
+from slipmap.models.measurements.setup_description import parse_setup
 
 ROOT = FOLDER.parents[1]
 
@@ -42,6 +45,20 @@ def test_the_least_dataset_of_the_page_is_as_described():
     page = (ROOT / "docs" / "file-formats.md").read_text(encoding="utf-8")
     least = page.split("```yaml\n")[1].split("```")[0]
     assert_as_described("push-dataset", yaml.safe_load(least))
+
+
+def test_the_known_maps_of_the_page_are_as_described_and_can_be_read(tmp_path):
+    page = (ROOT / "docs" / "file-formats.md").read_text(encoding="utf-8")
+    least, known = (
+        yaml.safe_load(page.split("```yaml\n")[1 + place].split("```")[0])
+        for place in (0, page[: page.index("\nknown:\n")].count("```yaml") - 1)
+    )
+    assert_as_described("push-dataset", {**least, **known})
+    known["known"]["mass"] = "uniform"
+    setup, warnings = parse_setup({**least, **known}, "dataset.yaml", "hammer")
+    assert warnings == [] and setup.known is not None and setup.known.complete
+    for one in (setup.known, KnownMaps(finger_friction=0.2)):
+        assert_as_described("push-dataset", {**least, "known": known_document(one)})
 
 
 def test_what_is_missing_unknown_or_of_another_kind_is_found(demo_folder):

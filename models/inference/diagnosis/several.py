@@ -1,0 +1,411 @@
+"""Which effect do several datasets miss together? Objects with maps of their own on one table, before one
+tracker.
+
+1. Of each dataset some pushes are locked away; of four datasets or more, one object in four as a whole.
+2. The model without effects is fitted to each, and every effect added to first order, all maps refitted.
+   Those that promise most are refitted in full.
+3. What an effect gains is counted as evidence: the fall of the cost less what its parameters, free within
+   their scales, would gain anyway (Laplace). Effects whose evidence comes near the best one's are rivals.
+4. The locked pushes judge each rival, the maps of every object fitted anew with the shared parameters held:
+   their cost has to fall, in all and in most datasets. Rivals that are behind, open and locked pushes taken
+   together, are out.
+
+Effects of an object have parameters of their own in each dataset; a whole locked object then has them free.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from slipmap.models.effects.effect import Effect, bounds
+from slipmap.models.effects.library import LIBRARY
+from slipmap.models.inference.belief import Belief
+from slipmap.models.inference.diagnosis.locked import LockedErrors, locked_trials
+from slipmap.models.inference.diagnosis.results import ParameterEstimate
+from slipmap.models.inference.error_model import sensor_noise
+from slipmap.models.inference.observations import Observation, observe_all
+from slipmap.models.inference.prediction import predicted_motion
+from slipmap.models.inference.prior import MapPrior
+from slipmap.models.inference.push_errors import errors
+from slipmap.models.inference.together import JointFit, Taught, Together, is_shared
+from slipmap.models.measurements import DatasetError, PushDataset
+from slipmap.models.physics.cell_grid import FloatArray
+from slipmap.models.physics.rollout import RolloutError
+from slipmap.models.progress import Progress, StageProgress, part_of, silent
+
+_REFITTED = 8
+"""Effects that are refitted in full."""
+
+_EVIDENCE = 5.0
+"""Nats from which an effect counts: 150 to 1."""
+
+_RIVAL = 3.0
+"""Nats by which a rival may be behind, and by which the cost of the locked pushes has to fall: 20 to 1."""
+
+_JUDGED = 3
+"""Effects that the locked pushes judge at most."""
+
+_WHOLE_FROM = 4
+"""Datasets from which on one in as many is locked away as a whole."""
+
+_NEAR_NOISE = 2.0
+"""Misfit of locked pushes, in sensor noise, up to which nothing calls for an explanation."""
+
+
+@dataclass(frozen=True, eq=False)
+class JointCandidate:
+    """What several datasets say of one effect."""
+
+    name: str
+    first_gain: float  # fall of the cost to first order, nats
+    gain: float | None  # the same refitted; None where it was not
+    evidence: float | None  # the same less what its parameters would gain anyway
+    in_set: bool  # whether the data cannot rule it out
+
+
+@dataclass(frozen=True, eq=False)
+class DatasetResult:
+    """One dataset of several."""
+
+    name: str
+    open_trials: tuple[str, ...]  # that were fitted
+    locked: tuple[str, ...]  # that judge
+    whole: bool  # whether the object was locked away as a whole: its pushes taught its maps alone
+    before: LockedErrors | None  # without effects; None where nothing was locked
+    after: LockedErrors | None  # with the best effect; None where there is none
+    fall: float | None  # of the cost of its locked pushes with the best effect, nats
+    # what this dataset alone says of the best effect's parameters, to first order; none of a whole locked one
+    alone: tuple[ParameterEstimate, ...]
+
+    def to_json(self) -> dict[str, Any]:
+        """The machine-readable result, lengths in m."""
+
+        def of(found: LockedErrors | None) -> dict[str, float] | None:
+            if found is None:
+                return None
+            return {
+                "path": float(found.path.mean()),
+                "final": float(found.final.mean()),
+                "misfit": found.total_misfit,
+            }
+
+        return {
+            "dataset": self.name,
+            "open_trials": list(self.open_trials),
+            "locked_trials": list(self.locked),
+            "whole": self.whole,
+            "before": of(self.before),
+            "after": of(self.after),
+            "fall": self.fall,
+            "alone": _by_name(self.alone),
+        }
+
+
+@dataclass(frozen=True, eq=False)
+class JointDiagnosis:
+    """Result of `diagnose_together`."""
+
+    verdict: str  # adequate, effect, ambiguous or undecided
+    sentence: str  # the verdict for a person
+    effects: tuple[str, ...]  # what the data cannot rule out, best first
+    shared: bool  # whether the datasets have one set of the best effect's parameters
+    parameters: tuple[ParameterEstimate, ...]  # shared ones of the best effect
+    candidates: tuple[JointCandidate, ...]  # best first
+    datasets: tuple[DatasetResult, ...]
+    fall: float | None  # of the cost of all locked pushes with the best effect, nats
+    seconds: float
+    seed: int
+
+    @property
+    def effect(self) -> str | None:
+        """The one effect that is named."""
+        return self.effects[0] if self.verdict == "effect" else None
+
+    def to_json(self) -> dict[str, Any]:
+        """The machine-readable result."""
+        return {
+            "verdict": self.verdict,
+            "sentence": self.sentence,
+            "effect": self.effect,
+            "effects": list(self.effects),
+            "shared": self.shared,
+            "parameters": _by_name(self.parameters),
+            "candidates": [vars(candidate) for candidate in self.candidates],
+            "datasets": [one.to_json() for one in self.datasets],
+            "fall": self.fall,
+            "seconds": self.seconds,
+            "seed": self.seed,
+        }
+
+
+def _by_name(estimates: Sequence[ParameterEstimate]) -> dict[str, dict[str, Any]]:
+    return {p.name: {"value": p.value, "low": p.low, "high": p.high, "unit": p.unit} for p in estimates}
+
+
+def diagnose_together(
+    datasets: Sequence[PushDataset],
+    *,
+    effects: Sequence[Effect] = LIBRARY,
+    apart: Collection[str] = (),
+    seed: int = 0,
+    progress: Progress | None = None,
+) -> JointDiagnosis:
+    """Find out which physical effect several datasets miss together.
+
+    Args:
+        datasets: two or more, each of one object.
+        effects: candidates.
+        apart: owners of effects that the datasets do not share, of `object`, `table`, `tracker`, `finger`,
+            `force sensor`; objects are never shared.
+        seed: of what is locked away.
+        progress: called with (stage, done, total).
+
+    Raises:
+        DatasetError: fewer than two datasets, two of one name, or one without a push left to fit.
+
+    Example:
+        >>> import dataclasses
+        >>> import slipmap
+        >>> first, again = (slipmap.simulated_hammer(seed=s, fit=3, heldout=2)[0] for s in (1, 2))
+        >>> again = dataclasses.replace(again, name="again")
+        >>> tilt = slipmap.effects_named(["table_tilt"])
+        >>> slipmap.diagnose_together([first, again], effects=tilt).effects
+        ()
+    """
+    started = time.perf_counter()
+    inquiry = _Inquiry(datasets, tuple(effects), frozenset(apart), seed, progress or silent)
+    return replace(inquiry.run(), seconds=time.perf_counter() - started)
+
+
+@dataclass(frozen=True, eq=False)
+class _Ground:
+    """One dataset before anything was asked."""
+
+    taught: Taught
+    locked: Sequence[Observation]
+    whole: bool
+
+    def judged(self, prior: MapPrior, z: FloatArray, seed: int) -> tuple[LockedErrors, FloatArray] | None:
+        """Errors of the locked pushes at coordinates z (d,), and their costs (L,); None without any."""
+        if not self.locked:
+            return None
+        dataset, slider = self.taught.dataset, prior.slider
+        belief = Belief.learnt(
+            dataset, slider, prior.maps(z[None]), np.ones(1), method="gauss-newton", seed=seed,
+            trials=[o.trial for o in self.taught.observations], settings={},
+        )  # fmt: skip
+        noise = sensor_noise(dataset)
+        found = [
+            errors(o, motion.middle_poses, motion.mean_forces, dataset.grid, noise)
+            for o, motion in zip(self.locked, predicted_motion(belief, self.locked), strict=True)
+        ]
+        names = ("mean_add", "final_add", "misfit")
+        rows = (np.array([getattr(one, name) for one in found]) for name in names)
+        return LockedErrors(*rows), self.taught.costs(self.locked, prior, z)
+
+
+@dataclass(frozen=True, eq=False)
+class _Judged:
+    """A rival that the locked pushes have judged."""
+
+    effect: Effect
+    fit: JointFit
+    after: list[LockedErrors | None]  # of each dataset
+    falls: list[float]  # of the costs of each dataset's locked pushes, nats
+    score: float  # evidence of the open pushes and fall of the locked ones, nats
+
+    @property
+    def fall(self) -> float:
+        """Of all locked pushes."""
+        return sum(self.falls)
+
+    @property
+    def falls_in_most(self) -> bool:
+        """Whether it is no single dataset's matter."""
+        judging = [fall for fall, now in zip(self.falls, self.after, strict=True) if now is not None]
+        return sum(fall > 0.0 for fall in judging) > len(judging) / 2
+
+
+class _Inquiry:
+    """The steps of one diagnosis."""
+
+    def __init__(
+        self,
+        datasets: Sequence[PushDataset],
+        effects: tuple[Effect, ...],
+        apart: frozenset[str],
+        seed: int,
+        report: Progress,
+    ) -> None:
+        names = [dataset.name for dataset in datasets]
+        if len(datasets) < 2 or len(set(names)) < len(names):
+            raise DatasetError(
+                f"several datasets are diagnosed together: give two or more of different names, got"
+                f" {', '.join(names) or 'none'}"
+            )
+        self.effects, self.apart, self.seed, self.report = effects, apart, seed, report
+        rng = np.random.default_rng(seed)
+        count = len(datasets)
+        whole = rng.choice(count, count // _WHOLE_FROM, replace=False)
+        stage = partial(report, "fitting without effects")
+        self.grounds = [
+            _ground(dataset, k in whole, rng, part_of(stage, k, count)) for k, dataset in enumerate(datasets)
+        ]
+        self.asked = [ground for ground in self.grounds if not ground.whole]
+        self.together = Together([ground.taught for ground in self.asked], apart)
+        self.before = [g.judged(g.taught.prior, g.taught.base.z[0], seed) for g in self.grounds]
+
+    def run(self) -> JointDiagnosis:
+        """Go through the steps; the time is left at 0."""
+        first = self.together.first_gains(self.effects, partial(self.report, "asking every effect"))
+        base = self.together.fitted((), ())
+        fits: dict[str, JointFit] = {}
+        evidence: dict[str, float] = {}
+        for step, one in enumerate(first[:_REFITTED]):
+            self.report("refitting with effects", step, _REFITTED)
+            try:
+                fit = self.together.fitted((one.effect,), (one.start,))
+            except (RolloutError, np.linalg.LinAlgError):
+                continue
+            fits[one.effect.name] = fit
+            evidence[one.effect.name] = base.cost - fit.cost - (fit.occam - base.occam)
+        self.report("refitting with effects", _REFITTED, _REFITTED)
+        ahead = [name for name in sorted(evidence, key=lambda name: -evidence[name])]
+        asked = [name for name in ahead if evidence[name] > _EVIDENCE][:_JUDGED]
+        stage = partial(self.report, "judging by locked pushes")
+        judged = [
+            self._judge(fits[name], evidence[name], part_of(stage, step, len(asked)))
+            for step, name in enumerate(asked)
+        ]
+        there = [one for one in judged if one.falls_in_most and one.fall > _RIVAL and self._there(one)]
+        best = max((one.score for one in there), default=0.0)
+        kept = sorted((one for one in there if one.score > best - _RIVAL), key=lambda one: -one.score)
+        candidates = tuple(
+            JointCandidate(
+                one.effect.name,
+                one.gain,
+                base.cost - fits[one.effect.name].cost if one.effect.name in fits else None,
+                evidence.get(one.effect.name),
+                any(one.effect is rival.effect for rival in kept),
+            )
+            for one in sorted(first, key=lambda one: -evidence.get(one.effect.name, one.gain - 1e6))
+        )
+        return self._answer(kept, judged, candidates)
+
+    def _judge(self, fit: JointFit, evidence: float, progress: StageProgress) -> _Judged:
+        """Errors on the locked pushes, every object's maps fitted anew with the effect held."""
+        (effect,) = fit.effects
+        shared = is_shared(effect, self.apart)
+        after: list[LockedErrors | None] = []
+        falls, asked = [], 0
+        for k, ground in enumerate(self.grounds):
+            own = ground.whole and not shared
+            values = effect.nulls if own else fit.values(0 if ground.whole else asked)
+            stage = part_of(progress, k, len(self.grounds))
+            free = np.full(len(values), own)
+            prior, z = ground.taught.holding((effect,), values, free, stage)
+            before, now = self.before[k], ground.judged(prior, z, self.seed)
+            after.append(None if now is None else now[0])
+            falls.append(0.0 if before is None or now is None else float((before[1] - now[1]).sum()))
+            asked += not ground.whole
+        return _Judged(effect, fit, after, falls, evidence + sum(falls))
+
+    def _there(self, one: _Judged) -> bool:
+        """Whether the interval of some amplitude does not hold its null."""
+        if not is_shared(one.effect, self.apart):
+            return True
+        pairs = zip(one.effect.parameters, self._estimates(one), strict=True)
+        return any(p.null is not None and not e.low <= p.null <= e.high for p, e in pairs)
+
+    def _estimates(self, one: _Judged) -> tuple[ParameterEstimate, ...]:
+        """Shared parameters with 90 % intervals, wider where the datasets differ by more than each allows."""
+        values, deviations = one.fit.values(0), one.fit.deviations(0)
+        alone = [one.fit.alone(k) for k in range(len(self.asked))]
+        for i in np.flatnonzero(one.effect.amplitudes):
+            scatter = _between(np.array([v[i] for v, _ in alone]), np.array([s[i] for _, s in alone]))
+            deviations[i] = np.sqrt(deviations[i] ** 2 + scatter / len(alone))
+        return _intervals(one.effect, values, deviations)
+
+    def _answer(
+        self, kept: Sequence[_Judged], judged: Sequence[_Judged], candidates: tuple[JointCandidate, ...]
+    ) -> JointDiagnosis:
+        names = tuple(one.effect.name for one in kept)
+        best = kept[0] if kept else None
+        squares = [one[0].misfit ** 2 for one in self.before if one is not None]
+        if len(names) == 1:
+            verdict, sentence = "effect", f"The datasets miss one effect: {names[0]}."
+        elif names:
+            verdict = "ambiguous"
+            sentence = f"An effect is missing; the data cannot tell which of these it is: {', '.join(names)}."
+        elif judged:
+            verdict = "undecided"
+            sentence = (
+                f"On the open pushes {judged[0].effect.name} would explain something, but the locked pushes"
+                " are not clearly better predicted with it."
+            )
+        elif squares and float(np.concatenate(squares).mean()) > _NEAR_NOISE**2:
+            verdict = "undecided"
+            sentence = (
+                "The model is farther off than the sensors' noise, but no effect that the datasets could miss"
+                " together explains it."
+            )
+        else:
+            verdict, sentence = "adequate", "The model explains the data; no effect is missing."
+        shared = best is not None and is_shared(best.effect, self.apart)
+        results, asked = [], 0
+        for k, ground in enumerate(self.grounds):
+            alone: tuple[ParameterEstimate, ...] = ()
+            if best is not None and not ground.whole:
+                alone = _intervals(best.effect, *best.fit.alone(asked))
+            asked += not ground.whole
+            results.append(
+                DatasetResult(
+                    ground.taught.dataset.name,
+                    tuple(o.trial for o in ground.taught.observations),
+                    tuple(o.trial for o in ground.locked),
+                    ground.whole,
+                    None if (before := self.before[k]) is None else before[0],
+                    None if best is None else best.after[k],
+                    None if best is None or before is None else best.falls[k],
+                    alone,
+                )
+            )
+        return JointDiagnosis(
+            verdict, sentence, names, shared,
+            self._estimates(best) if best is not None and shared else (),
+            candidates, tuple(results),
+            None if best is None else best.fall, 0.0, self.seed,
+        )  # fmt: skip
+
+
+def _ground(dataset: PushDataset, whole: bool, rng: np.random.Generator, progress: StageProgress) -> _Ground:
+    locked = locked_trials(dataset, rng)
+    open_trials = [trial for trial in dataset.trials if trial.name not in locked]
+    if not open_trials:
+        raise DatasetError(f"dataset {dataset.name} has no push left to fit; give at least one the role fit")
+    taught = Taught.of(dataset, observe_all(dataset, open_trials), progress)
+    judging = [trial for trial in dataset.trials if trial.name in locked]
+    return _Ground(taught, observe_all(dataset, judging), whole)
+
+
+def _between(values: FloatArray, deviations: FloatArray) -> float:
+    """Variance of a quantity between datasets, beyond what each one's standard deviation explains
+    (DerSimonian and Laird, 1986)."""
+    weights = deviations**-2.0
+    mean = float(weights @ values / weights.sum())
+    excess = float(weights @ (values - mean) ** 2) - (len(values) - 1)
+    return max(0.0, excess / float(weights.sum() - (weights**2).sum() / weights.sum()))
+
+
+def _intervals(effect: Effect, values: FloatArray, spread: FloatArray) -> tuple[ParameterEstimate, ...]:
+    """90 % intervals, cut at the allowed range."""
+    allowed = bounds([effect])
+    rows = (np.clip(values + side * 1.645 * spread, *allowed).tolist() for side in (0, -1, 1))
+    numbers = zip(effect.parameters, *rows, strict=True)
+    return tuple(ParameterEstimate(effect.name, p.name, p.unit, *own) for p, *own in numbers)

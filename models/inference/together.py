@@ -1,0 +1,371 @@
+"""One model of several datasets: objects with maps of their own, and effects of what they share.
+
+Coordinates are those of every object's maps, one after the other, then the effects': once where the datasets
+share what an effect belongs to (`Effect.belongs_to`), else once for each dataset. Normal equations are sums
+over the datasets, an arrow of blocks; they are small beside the rollouts, so that they are solved as one
+dense matrix and a fit takes time in proportion to its pushes. The likelihood is the forgiving one, each
+dataset with the α of largest evidence: it does not let a push near balance decide over all others.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from slipmap.models.effects.effect import Effect, Scene
+from slipmap.models.inference.gauss_newton import Fits, fit
+from slipmap.models.inference.hypotheses import fit_with_trust
+from slipmap.models.inference.likelihood import (
+    Likelihood,
+    LikelihoodSettings,
+    NormalEquations,
+    PushCosts,
+)
+from slipmap.models.inference.observations import Observation
+from slipmap.models.inference.prior import (
+    EffectCoordinates,
+    MapPrior,
+    slider_for,
+    structures_of,
+)
+from slipmap.models.measurements import PushDataset
+from slipmap.models.physics.cell_grid import FloatArray
+from slipmap.models.progress import StageProgress
+
+_EXACT = 1e-3
+"""Share of its scale by which a parameter may be off that is held."""
+
+_SCREENED = 20
+"""Pushes of a dataset that are enough to see which effects are worth refitting."""
+
+_START_STEPS = 3
+
+_BLIND = 1e3
+"""Standard deviation, in scales, of a parameter of which a dataset says nothing."""
+
+
+def is_shared(effect: Effect, apart: Collection[str]) -> bool:
+    """Whether several datasets have one set of an effect's parameters.
+
+    Args:
+        effect: which.
+        apart: owners of effects (`Effect.belongs_to`) that the datasets do not share.
+    """
+    return effect.belongs_to != "object" and effect.belongs_to not in apart
+
+
+@dataclass(frozen=True, eq=False)
+class Taught:
+    """What one dataset brings: its open pushes, and the fit of the model without effects to them."""
+
+    dataset: PushDataset
+    observations: Sequence[Observation]  # its open pushes
+    settings: LikelihoodSettings  # with the α of largest evidence
+    base: Fits  # one hypothesis
+
+    @classmethod
+    def of(cls, dataset: PushDataset, observations: Sequence[Observation], progress: StageProgress) -> Taught:
+        """Fit the model without effects.
+
+        Raises:
+            RolloutError: it cannot be computed.
+        """
+        prior = _prior(dataset, (), None)
+        likelihood, best = fit_with_trust(prior, observations, dataset.noise, prior.starts(), progress)[-1]
+        return cls(dataset, observations, likelihood.settings, best)
+
+    def few(self, most: int) -> Taught:
+        """The same with no more pushes than so many, spread evenly."""
+        count = len(self.observations)
+        kept = np.unique(np.linspace(0, count - 1, min(most, count)).round().astype(int))
+        base = replace(self.base, offsets=self.base.offsets[:, kept])
+        return replace(self, observations=[self.observations[b] for b in kept], base=base)
+
+    @property
+    def weight(self) -> float:
+        """N, as first fitted."""
+        return float(self.prior.maps(self.base.z).mass.sum()) * self.dataset.gravity
+
+    def likelihood(self, effects: Sequence[Effect], weight: float) -> Likelihood:
+        """Of the model with some effects; the weight sets the scale of effects that are forces."""
+        prior = _prior(self.dataset, effects, weight)
+        return Likelihood(prior, self.observations, self.dataset.noise, self.settings)
+
+    def holding(
+        self, effects: Sequence[Effect], values: FloatArray, free: NDArray[np.bool_], progress: StageProgress
+    ) -> tuple[MapPrior, FloatArray]:
+        """Maps fitted with parameters (P,) of effects held, but for those that are free: the prior, and the
+        coordinates (d,) in it."""
+        scales = _prior(self.dataset, effects, self.weight).effect_scales
+        spread = np.where(free, scales, _EXACT * scales)
+        prior = _prior(self.dataset, effects, self.weight, (values, spread))
+        likelihood = Likelihood(prior, self.observations, self.dataset.noise, self.settings)
+        start = np.concatenate([self.base.z[0], np.zeros(len(values))])
+        return prior, fit(likelihood, start[None], offsets=self.base.offsets, progress=progress).z[0]
+
+    def costs(self, observations: Sequence[Observation], prior: MapPrior, z: FloatArray) -> FloatArray:
+        """(B,) costs of other pushes at coordinates z (d,), nats; starts are free within what the tracker
+        sees, so that a push near balance does not count for more than it can tell."""
+        likelihood = Likelihood(prior, observations, self.dataset.noise, self.settings)
+        offsets, weights = np.zeros((1, len(observations), 3)), np.ones((1, len(observations)))
+        best = np.full(len(observations), np.inf)
+        for _ in range(_START_STEPS):
+            found = likelihood.linearise(z[None], offsets, np.ones(1), weights)
+            best = np.minimum(best, found.cost[0])
+            step = np.einsum("bij,bj->bi", found.start_gain[:, 0], found.start_gradient[:, 0])
+            offsets = np.clip(offsets - step, -4.0 * likelihood.start_sigma, 4.0 * likelihood.start_sigma)
+        return best
+
+    @property
+    def prior(self) -> MapPrior:
+        """Of the model without effects."""
+        return _prior(self.dataset, (), None)
+
+
+def _prior(
+    dataset: PushDataset,
+    effects: Sequence[Effect],
+    weight: float | None,
+    effect_prior: tuple[FloatArray, FloatArray] | None = None,
+) -> MapPrior:
+    settings = next(iter(structures_of(dataset).values()))  # the one that `identify` asks first
+    return MapPrior(
+        slider_for(dataset, effects), settings, dataset.mass, weight, effect_prior, known=dataset.known
+    )  # fmt: skip
+
+
+class JointPrior(EffectCoordinates):
+    """Coordinates of several datasets' maps and of effects.
+
+    Args:
+        priors: of each dataset, with the same effects in the same scales.
+        effects: these.
+        apart: as of `is_shared`.
+
+    Attributes:
+        places: (d_k,) where the coordinates of each dataset's prior stand.
+    """
+
+    def __init__(self, priors: Sequence[MapPrior], effects: Sequence[Effect], apart: Collection[str]) -> None:
+        begins = np.cumsum([0, *(prior.plain for prior in priors)])
+        self.plain = int(begins[-1])
+        places = [[np.arange(begin, end)] for begin, end in pairwise(begins)]
+        columns = [np.zeros(0, dtype=np.int64)]  # which parameters of a dataset's prior stand here
+        at, size = 0, self.plain
+        for effect in effects:
+            own = at + np.arange(len(effect.parameters))
+            for k, place in enumerate(places):
+                if k == 0 or not is_shared(effect, apart):
+                    columns.append(own)
+                    size += len(own)
+                place.append(np.arange(size - len(own), size))
+            at += len(own)
+        self.places = [np.concatenate(place) for place in places]
+        every, first = np.concatenate(columns), priors[0]
+        self.effect_centers, self.effect_scales = first.effect_centers[every], first.effect_scales[every]
+        self.effect_bounds = first.effect_bounds[0][every], first.effect_bounds[1][every]
+        self.amplitudes = first.amplitudes[every]
+
+
+class JointLikelihood:
+    """Costs of the pushes of several datasets, as `PushLikelihood` has them for one.
+
+    Args:
+        prior: their coordinates.
+        parts: likelihood of each.
+    """
+
+    def __init__(self, prior: JointPrior, parts: Sequence[PushCosts]) -> None:
+        self.prior = prior
+        self.parts = list(parts)
+        self.observations: Sequence[Observation] = [o for part in parts for o in part.observations]
+        self.start_sigma = np.concatenate([part.start_sigma for part in parts])
+        ends = np.cumsum([0, *(len(part.observations) for part in parts)])
+        self.pushes = [slice(int(begin), int(end)) for begin, end in pairwise(ends)]
+
+    def linearise(
+        self, z: FloatArray, offsets: FloatArray, strength: FloatArray, weights: FloatArray
+    ) -> NormalEquations:
+        """Costs and normal equations at coordinates z (K, d) and start offsets (K, B, 3)."""
+        K, d, B = len(z), self.prior.size, len(self.observations)
+        cost, hessian, gradient = np.zeros((K, B)), np.zeros((K, d, d)), np.zeros((K, d))
+        gain, slope, coupling = np.zeros((B, K, 3, 3)), np.zeros((B, K, 3)), np.zeros((B, K, d, 3))
+        for part, place, own in zip(self.parts, self.prior.places, self.pushes, strict=True):
+            found = part.linearise(z[:, place], offsets[:, own], strength, weights[:, own])
+            cost[:, own] = found.cost
+            hessian[:, place[:, None], place] += found.hessian
+            gradient[:, place] += found.gradient
+            gain[own], slope[own] = found.start_gain, found.start_gradient
+            coupling[own, :, place] = found.coupling
+        return NormalEquations(cost, hessian, gradient, gain, slope, coupling)
+
+
+@dataclass(frozen=True, eq=False)
+class FirstGain:
+    """What an effect would gain to first order, from the best of its starts."""
+
+    effect: Effect
+    gain: float  # fall of the cost, nats
+    start: FloatArray  # (P,) parameters, the amplitudes at their nulls
+
+
+class Together:
+    """The model of several datasets.
+
+    Args:
+        taught: the datasets.
+        apart: owners of effects that they do not share.
+    """
+
+    def __init__(self, taught: Sequence[Taught], apart: Collection[str] = ()) -> None:
+        self.taught = list(taught)
+        self.apart = frozenset(apart)
+        # Effects that are forces have one scale for all.
+        self.weight = float(np.exp(np.mean(np.log([one.weight for one in taught]))))
+        self.base_cost = sum(float(one.base.cost[0]) for one in taught)
+        self._offsets = np.concatenate([one.base.offsets for one in taught], axis=1)
+
+    def is_shared(self, effect: Effect) -> bool:
+        """Whether the datasets have one set of the effect's parameters."""
+        return is_shared(effect, self.apart)
+
+    def scene(self) -> Scene:
+        """What effects have to know to begin their search."""
+        observations = [o for one in self.taught for o in one.observations]
+        poses = np.concatenate([o.poses for o in observations])[:, :2]
+        center = 0.5 * (poses.min(axis=0) + poses.max(axis=0))
+        speeds = [np.hypot(*np.diff(o.push.tip, axis=0).T) / o.push.h for o in observations]
+        moving = [float(v[v > 1e-3].mean()) for v in speeds if (v > 1e-3).any()]
+        return Scene(
+            (float(center[0]), float(center[1])),
+            float(np.abs(poses - center).max()),
+            max(float(np.linalg.norm(one.dataset.grid.exterior, axis=1).max()) for one in self.taught),
+            float(np.median(moving)) if moving else 0.05,
+            len(observations),
+            self.weight,
+        )
+
+    def first_gains(self, effects: Sequence[Effect], progress: StageProgress) -> list[FirstGain]:
+        """What each effect would gain with all maps refitted, to first order and from at most `_SCREENED`
+        pushes of each dataset; the largest first."""
+        scene = self.scene()
+        starts = [effect.start_values(scene) for effect in effects]
+        at = np.cumsum([0, *(len(effect.parameters) for effect in effects)])
+        gains: list[list[float]] = [[] for _ in effects]
+        rounds = max(len(start) for start in starts)
+        few = [one.few(_SCREENED) for one in self.taught]
+        likelihoods = [one.likelihood(effects, self.weight) for one in few]
+        for g in range(rounds):
+            asked = [i for i, start in enumerate(starts) if g < len(start)]
+            said: list[list[tuple[FloatArray, FloatArray]]] = [[] for _ in effects]
+            for k, (one, likelihood) in enumerate(zip(few, likelihoods, strict=True)):
+                progress(g * len(self.taught) + k, rounds * len(self.taught))
+                prior = likelihood.prior
+                values = np.concatenate([start[min(g, len(start) - 1)] for start in starts])
+                z = np.concatenate([one.base.z[0], prior.effect_coordinates(values)])
+                weights = np.ones((1, len(one.observations)))
+                equations = likelihood.linearise(z[None], one.base.offsets, np.ones(1), weights)
+                for i in asked:
+                    own = prior.plain + at[i] + np.flatnonzero(effects[i].amplitudes)
+                    said[i].append(_eliminated(equations, one.base.z[0], own))
+            for i in asked:
+                if self.is_shared(effects[i]):
+                    normals, slopes = zip(*said[i], strict=True)
+                    said[i] = [(np.sum(normals, axis=0), np.sum(slopes, axis=0))]
+                gains[i].append(sum(_fall(normal, slope) for normal, slope in said[i]))
+        found = [
+            FirstGain(effect, max(own), start[int(np.argmax(own))])
+            for effect, own, start in zip(effects, gains, starts, strict=True)
+        ]
+        return sorted(found, key=lambda one: -one.gain)
+
+    def fitted(self, effects: Sequence[Effect], starts: Sequence[FloatArray]) -> JointFit:
+        """Fit the model with some effects, from parameters (P,) of each.
+
+        Raises:
+            RolloutError: it cannot be computed.
+        """
+        parts = [one.likelihood(effects, self.weight) for one in self.taught]
+        prior = JointPrior([part.prior for part in parts], effects, self.apart)
+        values = [
+            start if self.is_shared(effect) else np.tile(start, len(parts))
+            for effect, start in zip(effects, starts, strict=True)
+        ]
+        maps = [one.base.z[0] for one in self.taught]
+        parameters = prior.effect_coordinates(np.concatenate([np.zeros(0), *values]))
+        z = np.concatenate([*maps, parameters])
+        mean = np.where(np.concatenate([np.zeros(prior.plain, bool), ~prior.amplitudes]), z, 0.0)
+        likelihood = JointLikelihood(prior, parts)
+        found = fit(likelihood, z[None], prior_mean=mean[None], offsets=self._offsets, iterations=40)
+        return JointFit(tuple(effects), likelihood, mean, found)
+
+
+@dataclass(frozen=True, eq=False)
+class JointFit:
+    """One model fitted to several datasets."""
+
+    effects: tuple[Effect, ...]
+    likelihood: JointLikelihood
+    mean: FloatArray  # (d,) of the prior
+    found: Fits  # one hypothesis
+
+    @property
+    def cost(self) -> float:
+        """That was reached, nats."""
+        return float(self.found.cost[0])
+
+    @property
+    def occam(self) -> float:
+        """½ log det of the posterior's precision, in units of the prior's."""
+        size = self.likelihood.prior.size
+        return 0.5 * float(np.linalg.slogdet(self.found.hessian[0] + np.eye(size))[1])
+
+    def values(self, k: int) -> FloatArray:
+        """(P,) parameters of the effects as dataset k has them."""
+        prior = self.likelihood.parts[k].prior  # type: ignore[attr-defined]
+        return prior.effect_values(self.found.z[:, self.likelihood.prior.places[k]])[0]
+
+    def deviations(self, k: int) -> FloatArray:
+        """(P,) standard deviations of them, everything else being refitted."""
+        joint = self.likelihood.prior
+        own = joint.places[k][joint.places[k] >= joint.plain] - joint.plain
+        return joint.effect_deviations(self.found.hessian[0])[own]
+
+    def alone(self, k: int) -> tuple[FloatArray, FloatArray]:
+        """Parameters (P,) as dataset k by itself would have them, to first order, and their standard
+        deviations; without a prior of the effects. Those that only shape an effect are held."""
+        part, place = self.likelihood.parts[k], self.likelihood.prior.places[k]
+        prior: MapPrior = part.prior  # type: ignore[attr-defined]
+        z, pushes = self.found.z[:, place], self.likelihood.pushes[k]
+        offsets = self.found.offsets[:, pushes]
+        equations = part.linearise(z, offsets, np.ones(1), np.ones((1, offsets.shape[1])))
+        amplitudes = np.flatnonzero(prior.amplitudes)
+        pull = (self.found.z[0] - self.mean)[place][: prior.plain]
+        normal, slope = _eliminated(equations, pull, prior.plain + amplitudes)
+        covariance = np.linalg.inv(normal + _BLIND**-2.0 * np.eye(len(slope)))
+        coordinates, deviations = z[0, prior.plain :].copy(), np.zeros(len(prior.amplitudes))
+        coordinates[amplitudes] -= covariance @ slope
+        deviations[amplitudes] = np.sqrt(np.diagonal(covariance))
+        return prior.effect_centers + prior.effect_scales * coordinates, prior.effect_scales * deviations
+
+
+def _eliminated(
+    equations: NormalEquations, pull: FloatArray, own: np.ndarray
+) -> tuple[FloatArray, FloatArray]:
+    """Normal matrix and slope of some coordinates, the maps (the first ones, with a prior) eliminated."""
+    maps = np.arange(len(pull))
+    hessian, gradient = equations.hessian[0], equations.gradient[0]
+    across = hessian[np.ix_(maps, own)]
+    slopes = np.column_stack([across, gradient[maps] + pull])
+    solved = np.linalg.solve(hessian[np.ix_(maps, maps)] + np.eye(len(maps)), slopes)
+    normal = hessian[np.ix_(own, own)] - across.T @ solved[:, :-1]
+    return normal, gradient[own] - across.T @ solved[:, -1]
+
+
+def _fall(normal: FloatArray, slope: FloatArray) -> float:
+    """By how much the best step from zero lowers the cost, the prior included."""
+    return 0.5 * float(slope @ np.linalg.solve(normal + np.eye(len(slope)), slope))

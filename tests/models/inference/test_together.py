@@ -1,0 +1,111 @@
+"""One model of several datasets."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from slipmap.models.effects.effect import Effect, Parameter
+from slipmap.models.effects.library import AnisotropicObject, TableTilt
+from slipmap.models.inference.likelihood import Likelihood, LikelihoodSettings
+from slipmap.models.inference.observations import observe_all
+from slipmap.models.inference.prior import MapPrior, PriorSettings, slider_for
+from slipmap.models.inference.together import JointLikelihood, JointPrior, Taught, Together
+
+SETTINGS = PriorSettings(modes=5)
+OWN, SHARED = AnisotropicObject(), TableTilt()
+
+
+class Shift(Effect):
+    name = "shift"
+    sentence = "The tracker is shifted in the world."
+    belongs_to = "tracker"
+    parameters = (Parameter("x", "m", "along x", -0.1, 0.1, 3e-3, 0.0),)
+
+    def measured(self, pose, p):
+        return pose.x + p.x, pose.y, pose.theta
+
+
+def shifted(dataset, x):
+    """The same pushes before a tracker that reports x too much."""
+    trials = []
+    for trial in dataset.trials:
+        values = trial.object_pose.values + np.array([x, 0.0, 0.0])
+        pose = dataclasses.replace(trial.object_pose, values=values)
+        trials.append(dataclasses.replace(trial, object_pose=pose))
+    return dataclasses.replace(dataset, trials=tuple(trials), name=f"{dataset.name} shifted by {x}")
+
+
+@pytest.fixture(scope="module")
+def parts(recorded):
+    d = recorded.dataset
+    prior = MapPrior(slider_for(d, (OWN, SHARED)), SETTINGS, d.mass, 8.0)
+    observations = observe_all(d)
+    return [
+        Likelihood(prior, some, d.noise, LikelihoodSettings())
+        for some in (observations[:2], observations[2:5])
+    ]
+
+
+def test_coordinates_are_shared_as_effects_say(parts):
+    priors = [part.prior for part in parts]
+    plain = priors[0].plain
+    joint = JointPrior(priors, (OWN, SHARED), ())
+    assert joint.size == 2 * plain + 2 * 2 + 2
+    first, second = (place[plain:] - 2 * plain for place in joint.places)
+    assert list(first) == [0, 1, 4, 5] and list(second) == [2, 3, 4, 5]
+    assert JointPrior(priors, (OWN, SHARED), ("table",)).size == 2 * plain + 2 * 2 + 2 * 2
+
+
+def test_costs_and_slopes_are_those_of_both_datasets(parts):
+    joint = JointLikelihood(JointPrior([part.prior for part in parts], (OWN, SHARED), ()), parts)
+    rng = np.random.default_rng(0)
+    z = 0.3 * rng.standard_normal((1, joint.prior.size))
+    offsets, ones = np.zeros((1, 5, 3)), np.ones((1, 5))
+
+    def cost(z):
+        return joint.linearise(z, offsets, np.ones(1), ones).cost.sum()
+
+    equations = joint.linearise(z, offsets, np.ones(1), ones)
+    alone = [
+        part.linearise(z[:, place], offsets[:, own], np.ones(1), ones[:, own])
+        for part, place, own in zip(parts, joint.prior.places, joint.pushes, strict=True)
+    ]
+    assert equations.cost[0] == pytest.approx(np.concatenate([one.cost[0] for one in alone]))
+    # With a start offset held, the slope along a direction is that of the cost.
+    direction = rng.standard_normal((1, joint.prior.size))
+    numeric = (cost(z + 1e-5 * direction) - cost(z - 1e-5 * direction)) / 2e-5
+    held = equations.gradient[0] @ direction[0]
+    start = np.einsum("bkdj,bkij,bki->d", equations.coupling, equations.start_gain, equations.start_gradient)
+    assert held + start @ direction[0] == pytest.approx(numeric, rel=1e-3)
+
+
+def test_two_datasets_that_share_a_shift_know_it_better_than_each(recorded):
+    datasets = [shifted(recorded.dataset, 2e-3), shifted(recorded.dataset.with_fit_pushes(3), 2e-3)]
+    taught = [Taught.of(d, observe_all(d, d.fit_trials), lambda done, total: None) for d in datasets]
+    effect = Shift()
+    together = Together(taught)
+    (first,) = together.first_gains([effect], lambda done, total: None)
+    fitted = together.fitted([effect], [first.start])
+    base = together.fitted((), ())
+    assert base.cost == pytest.approx(together.base_cost, rel=1e-2)
+    assert base.cost - fitted.cost > 3.0 and first.gain > 3.0
+    assert fitted.values(0) == fitted.values(1) == pytest.approx(2e-3, abs=3e-4)
+    alone = [fitted.alone(k) for k in (0, 1)]
+    assert fitted.deviations(0) < min(deviation for _, deviation in alone)
+    # Precisions add up, as maps are not shared; that of the prior comes on top.
+    precision = sum(deviation**-2 for _, deviation in alone) + effect.parameters[0].scale ** -2
+    assert fitted.deviations(0) == pytest.approx(precision**-0.5, rel=0.02)
+
+
+def test_a_push_near_balance_counts_for_what_it_can_tell(recorded):
+    d = recorded.dataset
+    taught = Taught.of(d, observe_all(d, d.fit_trials), lambda done, total: None)
+    observations = observe_all(d, d.heldout_trials)
+    held = taught.likelihood((), 1.0).linearise(
+        taught.base.z, np.zeros((1, len(d.fit_trials), 3)), np.ones(1), np.ones((1, len(d.fit_trials)))
+    )
+    free = taught.costs(taught.observations, taught.prior, taught.base.z[0])
+    assert (free <= held.cost[0] + 1e-9).all() and free.sum() < held.cost.sum()
+    assert free == pytest.approx(taught.base.push_cost[0], rel=0.05, abs=0.02)
+    assert len(taught.costs(observations, taught.prior, taught.base.z[0])) == len(observations)
