@@ -16,9 +16,10 @@ from slipmap.models.physics.cell_grid import CellGrid
 def show_together(diagnosis: JointDiagnosis, grid: CellGrid) -> None:
     """Print it; `grid` is that of one object, for what its size decides."""
     paragraph(f"Verdict: {diagnosis.verdict}. {diagnosis.sentence}")
-    if diagnosis.parameters:
-        name = diagnosis.effects[0]
-        paragraph(f"{name}: {effect_in_words(name, diagnosis.parameters, grid)}.")
+    for name in diagnosis.effects:
+        estimates = [p for p in diagnosis.parameters if p.effect == name]
+        if estimates:
+            paragraph(f"{name}: {effect_in_words(name, estimates, grid)}.")
     paragraph(where_it_falls(diagnosis))
     if diagnosis.effect is not None:
         paragraph(f"Next: `slipmap fit DATASET --effect {diagnosis.effect}` for each dataset.")

@@ -115,7 +115,7 @@ class JointDiagnosis:
     sentence: str  # the verdict for a person
     effects: tuple[str, ...]  # what the data cannot rule out, best first
     shared: bool  # whether the datasets have one set of the best effect's parameters
-    parameters: tuple[ParameterEstimate, ...]  # shared ones of the best effect
+    parameters: tuple[ParameterEstimate, ...]  # shared ones of the effects, each fitted without the others
     candidates: tuple[JointCandidate, ...]  # best first
     datasets: tuple[DatasetResult, ...]
     fall: float | None  # of the cost of all locked pushes with the best effect, nats
@@ -135,7 +135,10 @@ class JointDiagnosis:
             "effect": self.effect,
             "effects": list(self.effects),
             "shared": self.shared,
-            "parameters": _by_name(self.parameters),
+            "parameters": {
+                name: _by_name([p for p in self.parameters if p.effect == name])
+                for name in dict.fromkeys(p.effect for p in self.parameters)
+            },
             "candidates": [vars(candidate) for candidate in self.candidates],
             "datasets": [one.to_json() for one in self.datasets],
             "fall": self.fall,
@@ -378,7 +381,7 @@ class _Inquiry:
             )
         return JointDiagnosis(
             verdict, sentence, names, shared,
-            self._estimates(best) if best is not None and shared else (),
+            tuple(p for one in kept if is_shared(one.effect, self.apart) for p in self._estimates(one)),
             candidates, tuple(results),
             None if best is None else best.fall, 0.0, self.seed,
         )  # fmt: skip
