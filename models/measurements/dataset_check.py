@@ -433,7 +433,8 @@ def _advice(seen: Coverage) -> list[str]:
     """Which pushes to add, the most telling first."""
     wanted = []
     if seen.pushes < 6:
-        wanted.append(f"{6 - seen.pushes} more pushes: six or more leave some to judge with")
+        more = 6 - seen.pushes
+        wanted.append(f"{more} more push{'es' * (more > 1)}: six or more leave some to judge with")
     if seen.arcs < 5:
         wanted.append(
             f"pushes at parts of the outline that were not touched ({_ARCS - seen.arcs} of {_ARCS})"
