@@ -17,8 +17,10 @@ with every cell the same; with the truth."""
 
 
 @dataclass
-class RepairSettings:
+class RepairSettings(CheckedSettings):
     """How a robot looks into pushes that surprise its model."""
+
+    _section = "repair: "
 
     pushes: int = within(10, 0, 100)  # most pushes that it may ask for, beyond those of exploring
     # the monitor's evidence from which on pushes are diagnosed; an alarm takes 100

@@ -43,6 +43,7 @@ MISPLACED = np.array([[2e-3, 0, 0.03], [-2e-3, 0, -0.03], [0, 2e-3, -0.03], [0, 
 
 _CANDIDATES, _FINALISTS = 300, 12
 _CONTACTS = 60
+_HARDLY_SEEN = 5  # effects, at most
 _FASTER = 1.5  # how much faster or slower than any recorded push a proposed one may be
 _DWELL = 0.5  # s that a finger stands still half-way
 _APPROACH = 0.01  # m between finger and object before
@@ -309,7 +310,7 @@ def _sharpened(best: Fitted) -> list[Rival]:
 
 def _hardly_seen(diagnosis: Diagnosis, dataset: PushDataset, habits: Habits) -> list[Rival]:
     """The model without effects, and with one effect of ordinary size each: the third of those that show in
-    the recorded pushes at all which show least."""
+    the recorded pushes at all which show least, five at most."""
     base = diagnosis.base
     plain = Rival.of(base)
     weight = float(plain.maps.mass.sum()) * dataset.gravity
@@ -335,7 +336,7 @@ def _hardly_seen(diagnosis: Diagnosis, dataset: PushDataset, habits: Habits) -> 
         rivals.append(Rival(effect.name, slider, maps))
     recorded = [_as_imagined(o) for o in base.likelihood.observations if np.isfinite(o.push.tip).all()]
     if not recorded:
-        return [plain, *rivals[:5]]
+        return [plain, *rivals[:_HARDLY_SEEN]]
     reference = predict(plain, recorded)
     seen = []
     for rival in rivals:
@@ -345,7 +346,7 @@ def _hardly_seen(diagnosis: Diagnosis, dataset: PushDataset, habits: Habits) -> 
         )  # fmt: skip
         seen.append(float(np.linalg.norm(apart)))
     visible = [k for k in np.argsort(seen) if seen[k] > 1e-3 or len(recorded) < 2]
-    return [plain, *(rivals[k] for k in visible[: max(2, len(visible) // 3)])]
+    return [plain, *(rivals[k] for k in visible[: min(max(2, len(visible) // 3), _HARDLY_SEEN)])]
 
 
 def _as_imagined(observation: Observation) -> Push:

@@ -22,7 +22,7 @@ def check_placement(scenario: "Scenario", thing: TrueObject) -> None:
     """Refuse an object that cannot be pushed and seen where it lies.
 
     Raises:
-        ValueError: it does not lie on the table, or not still; the finger cannot pass over it, or would in a
+        ValueError: it does not lie on the table; the finger cannot pass over it, or would in a
             push; the camera does not see it. The text has the numbers.
     """
     x, y, degrees = scenario.object.pose
@@ -30,6 +30,10 @@ def check_placement(scenario: "Scenario", thing: TrueObject) -> None:
     _check_table(scenario, thing, lies)
     _check_finger(scenario, thing)
     _check_camera(scenario, thing, lies)
+
+
+def check_rest(scenario: "Scenario", thing: TrueObject) -> None:
+    """Refuse an object that slides off a tilted table by itself. Raises ValueError with the numbers."""
     tilt = scenario.hidden.table_tilt
     slope = float(np.hypot(np.tan(tilt.down_x), np.tan(tilt.down_y)))
     friction = float(thing.mass @ thing.mu) / thing.total_mass

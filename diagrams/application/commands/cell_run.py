@@ -188,7 +188,7 @@ def scenario_of(path: Path | None, object_name: str | None, *, simulated: bool =
     Raises:
         BadInput: the file, the object's name, or an object that cannot be pushed and seen where it lies.
     """
-    from slipmap.diagrams.station.placement import check_placement
+    from slipmap.diagrams.station.placement import check_placement, check_rest
     from slipmap.diagrams.station.scenario import Scenario, read_scenario
 
     try:
@@ -204,6 +204,7 @@ def scenario_of(path: Path | None, object_name: str | None, *, simulated: bool =
         _show_mesh(scenario.object, thing)
     try:
         check_placement(scenario, thing)
+        check_rest(scenario, thing)
         if simulated:
             from slipmap.diagrams.loops.exploration_loop import check_reach
 

@@ -183,6 +183,7 @@ def calibrate(objects: int, seed: int, output: Path | None, json_file: Path | No
     with Progress() as progress:
         prepare_kernels()
         from slipmap.planners import calibration
+        from slipmap.planners.calibration import LEVEL
 
         result = calibration.calibrate(objects=objects, seed=seed, progress=progress)
     rows = coverage_rows(result)
@@ -192,9 +193,9 @@ def calibrate(objects: int, seed: int, output: Path | None, json_file: Path | No
             from slipmap.diagrams.application.figures import calibration_figure
 
             write_figures(output, [calibration_figure(result)])
-        write_json(json_file, {**numbers, "level": calibration.LEVEL, "coverage": rows})
+        write_json(json_file, {**numbers, "level": LEVEL, "coverage": rows})
     table(
-        f"Truths inside the {calibration.LEVEL:.0%} interval, {result.objects} objects in"
+        f"Truths inside the {LEVEL:.0%} interval, {result.objects} objects in"
         f" {result.seconds:.0f} s",
         ["quantity", "inside", "of", "share", "95 % range", "verdict"],
         [

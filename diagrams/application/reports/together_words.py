@@ -21,14 +21,19 @@ def show_together(diagnosis: JointDiagnosis, grid: CellGrid) -> None:
         if estimates:
             paragraph(f"{name}: {effect_in_words(name, estimates, grid)}.")
     paragraph(where_it_falls(diagnosis))
-    if diagnosis.effect is not None:
-        paragraph(f"Next: `slipmap fit DATASET --effect {diagnosis.effect}` for each dataset.")
+    paragraph(f"Next: {diagnosis.next_step()}")
     click.echo()
     table(
         "Effects that were tried, in nats",
         ["effect", "gain", "refitted", "evidence", "standing"],
         [
-            [c.name, nats(c.first_gain), nats(c.gain), nats(c.evidence), "not ruled out" if c.in_set else ""]
+            [
+                c.name,
+                nats(c.first_gain),
+                nats(c.gain),
+                nats(c.evidence),
+                "not ruled out" if c.in_set else "ruled out",
+            ]
             for c in diagnosis.candidates
         ],
         numbers=(1, 2, 3),

@@ -127,11 +127,27 @@ class JointDiagnosis:
         """The one effect that is named."""
         return self.effects[0] if self.verdict == "effect" else None
 
+    def next_step(self) -> str:
+        """What to do next, with the command to type."""
+        if self.effect is not None:
+            return (
+                f"`slipmap fit DATASET --effect {self.effect}`, for each dataset, learns the model with it."
+            )
+        if self.verdict == "adequate":
+            return (
+                "`slipmap identify DATASET -o belief.npz`, for each dataset, learns the model to plan with."
+            )
+        return (
+            "`slipmap diagnose DATASET` for each alone, as what only one of them has is not found together;"
+            " or --apart, which names what they do not share."
+        )
+
     def to_json(self) -> dict[str, Any]:
         """The machine-readable result."""
         return {
             "verdict": self.verdict,
             "sentence": self.sentence,
+            "next_step": self.next_step(),
             "effect": self.effect,
             "effects": list(self.effects),
             "shared": self.shared,

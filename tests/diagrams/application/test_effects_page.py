@@ -57,9 +57,9 @@ def test_the_magnet_is_found_in_pushes_over_it(recorded):
     assert values[1:] == pytest.approx(TRUE[1:], abs=0.01)
 
 
-def test_the_fan_of_the_readme_is_an_effect(tmp_path):
+def test_the_fan_of_the_page_on_python_is_an_effect(tmp_path):
     (code,) = re.findall(
-        r"```py\n(.*?)```", (PAGE.parents[1] / "README.md").read_text(encoding="utf-8"), flags=re.S
+        r"```py\n(.*?)```", (PAGE.parent / "python.md").read_text(encoding="utf-8"), flags=re.S
     )
     file = tmp_path / "fan.py"
     file.write_text("from slipmap.models.effects import Effect, Parameter\n\n\n" + code)

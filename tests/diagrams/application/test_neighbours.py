@@ -65,11 +65,16 @@ def test_ctrl_c_while_results_appear_waits_until_all_are_there(tmp_path, monkeyp
         replace(part, file)
 
     monkeypatch.setattr(os, "replace", interrupted)
-    with pytest.raises(KeyboardInterrupt), together():
-        write_text(tmp_path / "a", "new")
-        write_text(tmp_path / "b", "new")
+    # A shell that starts tests in the background has SIGINT ignored.
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:
+        with pytest.raises(KeyboardInterrupt), together():
+            write_text(tmp_path / "a", "new")
+            write_text(tmp_path / "b", "new")
+        assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    finally:
+        signal.signal(signal.SIGINT, before)
     assert files_in(tmp_path) == ["a", "b"]
-    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
 
 
 def test_a_folder_has_one_writer_at_a_time(tmp_path):

@@ -41,7 +41,7 @@ def read(tmp_path):
     return from_bytes
 
 
-@pytest.mark.parametrize(("content", "count"), [(WHOLE, 60), (SMALL, 400)], ids=["whole", "small"])
+@pytest.mark.parametrize(("content", "count"), [(WHOLE, 120), (SMALL, 400)], ids=["whole", "small"])
 def test_spoilt_scenarios(read, content, count):
     assert read(content) is not None
     read_well, refused = refusals(spoilt(content, count, WORDS), read, ScenarioError)

@@ -12,7 +12,7 @@ import yaml
 from pydrake.common.yaml import yaml_dump_typed
 
 from slipmap.diagrams.loops.exploration_loop import recorded_dataset
-from slipmap.diagrams.station.placement import check_placement
+from slipmap.diagrams.station.placement import check_placement, check_rest
 from slipmap.diagrams.station.scenario import Scenario, ScenarioError, read_scenario, read_settings
 from slipmap.models.measurements import Trial
 from slipmap.models.measurements.push_dataset import Channel
@@ -290,8 +290,10 @@ def test_an_object_must_lie_on_the_table_and_under_the_finger(read, text, named)
     scenario = read(text)
     if named is None:
         check_placement(scenario, scenario.object.make())
+        check_rest(scenario, scenario.object.make())
         return
     with pytest.raises(ValueError) as refused:
         check_placement(scenario, scenario.object.make())
+        check_rest(scenario, scenario.object.make())
     for part in named:
         assert part in str(refused.value)
