@@ -75,9 +75,10 @@ def page(now: dict[str, Any], before: dict[str, Any]) -> str:
     lines = [
         "# Accuracy of `identify` on held-out pushes",
         "",
-        "Seed 0, default settings; Bullet's sets from their first five fit pushes. `held` is the share of"
-        " held-out ends (x, y, θ apart) inside their 90 % intervals. In brackets: the version before, in a"
-        " run of its own; times are of a busy machine.",
+        "Made by `python tests/models/inference/accuracy_study.py DATA NUMBERS.json --page PAGE.md`: seed 0,",
+        "default settings, Bullet's sets from their first five fit pushes. `held` is the share of held-out ends",
+        "(x, y, θ apart) inside their 90 % intervals. In brackets, if anything: the version before. Times are of a",
+        "busy machine.",
         "",
         "| dataset | mean ADD, mm | median, mm | held | seconds |",
         "| --- | --- | --- | --- | --- |",
@@ -93,8 +94,8 @@ def page(now: dict[str, Any], before: dict[str, Any]) -> str:
     if mit:
         lines += [
             "",
-            "Single pushes of the MIT dataset: displacement of the object frame's origin and yaw at the end,"
-            " beside the published quartic and quadratic force-motion models on the same pushes.",
+            "Single pushes of the MIT dataset: displacement of the object frame's origin and yaw at the end,",
+            "beside the published quartic and quadratic force-motion models on the same pushes.",
             "",
             "| dataset | displacement, mm | yaw, deg | quartic | quadratic | held | seconds |",
             "| --- | --- | --- | --- | --- | --- | --- |",
