@@ -20,6 +20,7 @@ import shapely
 
 from slipmap.models.files import BadInput, replaced_folder
 from slipmap.models.inference.belief import Belief
+from slipmap.models.objects.convex_pieces import convex_pieces
 from slipmap.models.physics.cell_grid import CellGrid, FloatArray
 
 Format = Literal["sdf", "urdf", "mjcf"]
@@ -29,6 +30,9 @@ _FOOT = 1e-3  # m, radius of a foot and air below the outline
 _HALVINGS = 5  # of the object, to 32 parts of equal mass
 DEFAULT_HEIGHT = 0.02
 """m, of an object whose height is not known."""
+
+LEAST_HEIGHT, LARGEST_HEIGHT = 2e-3, 10.0
+"""m; an object stands on feet of 1 mm."""
 
 LOST = (
     f"detail of the maps below the {2**_HALVINGS} feet, each of which sums up a part of equal mass",
@@ -102,29 +106,9 @@ def _feet(
 
 
 def convex_parts(grid: CellGrid) -> list[FloatArray]:
-    """Convex polygons (k, 2) that make up the outline, without gaps."""
-    polygon = grid.polygon
-    if _is_convex(polygon):
-        return [grid.exterior]
-    parts = list(shapely.get_parts(shapely.constrained_delaunay_triangles(polygon)))
-    merged = True
-    while merged:
-        merged = False
-        for first in range(len(parts)):
-            for second in range(first + 1, len(parts)):
-                both = shapely.union(parts[first], parts[second])
-                if both.geom_type == "Polygon" and _is_convex(both):
-                    parts[first] = both
-                    del parts[second]
-                    merged = True
-                    break
-            if merged:
-                break
-    return [np.array(part.convex_hull.exterior.coords)[:-1] for part in parts]
-
-
-def _is_convex(polygon: shapely.Polygon) -> bool:
-    return not polygon.interiors and bool(polygon.convex_hull.area - polygon.area < 1e-9)
+    """Convex polygons (k, 2), counter-clockwise, that make up the outline without gaps."""
+    pieces = [shapely.orient_polygons(piece) for piece in convex_pieces(grid.polygon)]
+    return [np.array(piece.exterior.coords)[:-1] for piece in pieces]
 
 
 def export_belief(
@@ -150,7 +134,7 @@ def export_belief(
         The models.
 
     Raises:
-        BadInput: the folder holds something.
+        BadInput: the folder holds something; an unknown format, or a height below `LEAST_HEIGHT`.
 
     Example:
         >>> import slipmap, tempfile
@@ -160,6 +144,10 @@ def export_belief(
         >>> [path.name for path in slipmap.export_belief(belief, "mjcf", folder, hypotheses=True)]
         ['hammer_00.xml', 'hammer_01.xml']
     """
+    if to not in _WRITERS:
+        raise BadInput(f"there is no format {to!r}; there are {', '.join(_WRITERS)}")
+    if not LEAST_HEIGHT <= height <= LARGEST_HEIGHT:
+        raise BadInput(f"height must lie between {LEAST_HEIGHT:g} and {LARGEST_HEIGHT:g} m, got {height}")
     target = Path(folder).absolute()
     if target.exists() and (not target.is_dir() or any(target.iterdir())):
         raise BadInput(f"{folder} is there already; name a new folder for the models")

@@ -62,13 +62,19 @@ def parse_known(value: object, grid: CellGrid, mass: float | None, where: str) -
         raise DatasetError(f"{where}: regions must be a list, got {parsing.shown(regions)}")
     for row, region in enumerate(regions):
         _lay(region, maps, grid, usual, f"{where}: regions, row {row}", warnings)
-    finger = _Map.parsed(
-        "friction", fields.get("finger_friction"), 1, usual, f"{where}: finger_friction", warnings
-    )
+    rubbing = fields.get("finger_friction")
+    if isinstance(rubbing, dict) and "ratios" in rubbing:
+        raise DatasetError(f"{where}: finger_friction is one number, of which there are no ratios")
+    single = rubbing.get("value") if isinstance(rubbing, dict) else rubbing
+    if single is not None and (isinstance(single, bool) or not isinstance(single, int | float)):
+        raise DatasetError(f"{where}: finger_friction must be a number, got {parsing.shown(single)}")
+    finger = _Map.parsed("friction", rubbing, 1, usual, f"{where}: finger_friction", warnings)
     named = {name: one for name, one in maps.items() if not np.isnan(one.values).all()}
     if not named and np.isnan(finger.values[0]):
+        unknown = f" ({'; '.join(warnings)})" if warnings else ""
         raise DatasetError(
-            f"{where}: says nothing that is known; give mass, friction, finger_friction or regions"
+            f"{where}: says nothing that is known; give mass, friction, finger_friction or regions, as keys at"
+            f" its top{unknown}"
         )
     arguments: dict[str, Any] = {}
     for name, one in named.items():

@@ -23,7 +23,7 @@ from slipmap.models.physics.stepper import Stepper
 AWAY = np.array([8.0, 8.0])
 """Where the finger stands while it shall not touch, m."""
 
-LONGEST_STEP = 0.02
+SHORTEST_STEP, LONGEST_STEP = 1e-5, 0.02
 """s"""
 
 GRAVITY = 9.81
@@ -180,10 +180,10 @@ class Subject:
         if missing:
             raise BadInput(f"engine {name}: it has no {' and no '.join(missing)}(); see docs/audit.md")
         dt = getattr(kind, "dt", None)
-        if not (isinstance(dt, int | float) and 0 < dt <= LONGEST_STEP):
+        if not (isinstance(dt, int | float) and SHORTEST_STEP <= (full_dt or dt) <= LONGEST_STEP):
             raise BadInput(
-                f"engine {name}: its class needs a time step `dt` above 0 and at most {LONGEST_STEP:g} s, got"
-                f" {'none' if dt is None else repr(dt)}"
+                f"engine {name}: its time step `dt` must lie between {SHORTEST_STEP:g} and {LONGEST_STEP:g} s,"
+                f" got {'none' if dt is None else repr(dt)}"
             )
         self.dt = float(dt)
         self.full_dt = full_dt or self.dt

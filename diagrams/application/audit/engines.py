@@ -11,6 +11,8 @@ from importlib import import_module, metadata
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from slipmap.diagrams.application.audit.engine import Subject
 from slipmap.models.effects.effect import failure
 from slipmap.models.files import BadInput
@@ -120,6 +122,8 @@ def _with_settings(spec: str, engine: BuiltIn, settings: str) -> type:
                 number = float(value)
             except ValueError:
                 raise BadInput(f"engine {spec}: {word} must be a number, got {value!r}") from None
+            if not 0 < number < np.inf or (word == "iterations" and number % 1):
+                raise BadInput(f"engine {spec}: {word} must be a positive number, got {value!r}")
             chosen[word] = int(number) if word == "iterations" else number
         else:
             known = [*engine.words, *(f"{name}=…" for name in engine.numbers)]

@@ -21,7 +21,7 @@ from slipmap.models.files import writing
     help="New folder for the models.",
 )  # fmt: skip
 @click.option(
-    "--height", type=click.FloatRange(1e-3, 10.0), metavar="M",
+    "--height", type=click.FloatRange(2e-3, 10.0), metavar="M",
     help="Height of the object, m, which a belief does not hold; 0.02 where it is not said.",
 )  # fmt: skip
 @click.option(

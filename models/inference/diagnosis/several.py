@@ -19,11 +19,11 @@ import time
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 
-from slipmap.models.effects.effect import Effect, bounds
+from slipmap.models.effects.effect import Effect, Owner, bounds
 from slipmap.models.effects.library import LIBRARY
 from slipmap.models.inference.belief import Belief
 from slipmap.models.inference.diagnosis.locked import LockedErrors, locked_trials
@@ -187,6 +187,7 @@ def diagnose_together(
 
     Raises:
         DatasetError: fewer than two datasets, two of one name, or one without a push left to fit.
+        ValueError: an unknown owner in `apart`.
 
     Example:
         >>> import dataclasses
@@ -197,6 +198,9 @@ def diagnose_together(
         >>> slipmap.diagnose_together([first, again], effects=tilt).effects
         ()
     """
+    strangers = [owner for owner in apart if owner not in get_args(Owner)]
+    if strangers:
+        raise ValueError(f"apart: there is no {strangers[0]!r}; there are {', '.join(get_args(Owner))}")
     started = time.perf_counter()
     inquiry = _Inquiry(datasets, tuple(effects), frozenset(apart), seed, progress or silent)
     return replace(inquiry.run(), seconds=time.perf_counter() - started)

@@ -197,11 +197,18 @@ def test_parts_are_convex_and_leave_no_gap(exterior):
     for part in parts:
         sides = np.roll(part, -1, axis=0) - part
         turn = sides[:, 0] * np.roll(sides[:, 1], -1) - sides[:, 1] * np.roll(sides[:, 0], -1)
-        assert (turn > -1e-12).all() or (turn < 1e-12).all()
+        assert (turn > -1e-12).all(), "counter-clockwise, so that faces of the prism look outward"
         x, y = part.T
-        areas.append(0.5 * abs(np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y)))
+        areas.append(0.5 * np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y))
     assert sum(areas) == pytest.approx(grid.polygon.area)
     assert len(parts) <= 3
+
+
+@pytest.mark.parametrize("wrong", [{"to": "SDF"}, {"height": 1e-3}, {"height": float("nan")}])
+def test_what_makes_no_model_is_refused(tmp_path, belief, wrong):
+    with pytest.raises(BadInput):
+        export_belief(belief, **({"to": "sdf"} | wrong), folder=tmp_path / "models")
+    assert not (tmp_path / "models").exists()
 
 
 def test_a_folder_that_holds_something_is_left_alone(tmp_path, belief):

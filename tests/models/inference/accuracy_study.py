@@ -75,8 +75,8 @@ def page(now: dict[str, Any], before: dict[str, Any]) -> str:
     lines = [
         "# Accuracy of `identify` on held-out pushes",
         "",
-        "Made by `python tests/models/inference/accuracy_study.py DATA NUMBERS.json --page PAGE.md`: seed 0,",
-        "default settings, Bullet's sets from their first five fit pushes. `held` is the share of held-out ends",
+        "Made by `python tests/models/inference/accuracy_study.py DATA NUMBERS.json --page PAGE.md`:",
+        "seed 0, default settings, Bullet's sets from their first five fit pushes. `held` is the share of held-out ends",
         "(x, y, θ apart) inside their 90 % intervals. In brackets, if anything: the version before. Times are of a",
         "busy machine.",
         "",

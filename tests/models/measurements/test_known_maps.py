@@ -93,6 +93,9 @@ def test_a_file_says_it_instead_of_the_description(example, tmp_path):
         ({"friction": 0.3, "spread": 2}, ["known: spread: a relative standard deviation lies in 0.001 to 1"]),
         ({"mass": 1.2}, ["known: mass: must be `uniform` or a list", "object.mass"]),
         ({"mass": [1.0] * CELLS}, ["known: the masses add up to 25 kg, but the object weighs 1.2 kg"]),
+        ({"finger_friction": "uniform"}, ["known: finger_friction must be a number, got 'uniform'"]),
+        ({"finger_friction": {"value": 0.2, "ratios": True}}, ["finger_friction is one number"]),
+        ({"frction": 0.3}, ["known: says nothing that is known", "frction"]),
         ({"regions": [{"mass": 1}]}, ["known: regions, row 0: give either a disc or a polygon"]),
         (
             {"regions": [{"disc": {"center": [0, 0], "radius": 0.01}}]},

@@ -169,7 +169,8 @@ def test_a_broken_engine_is_refused_with_what_is_wrong(fault: str, said: str) ->
     [
         ("class Other: pass", "there is no class Engine in it; it has Other"),
         ("class Engine: dt = 1e-3", r"it has no reset and no step and no pose\(\)"),
-        (ENGINE.replace("4e-3", "'fast'"), "needs a time step `dt` above 0 and at most 0.02 s, got 'fast'"),
+        (ENGINE.replace("4e-3", "'fast'"), "`dt` must lie between 1e-05 and 0.02 s, got 'fast'"),
+        (ENGINE.replace("4e-3", "1e-11"), "`dt` must lie between 1e-05 and 0.02 s, got 1e-11"),
         ("import nowhere", r"cannot be run: engine.py, line 1: ModuleNotFoundError"),
     ],
 )
@@ -187,6 +188,8 @@ def test_a_faulty_file_is_refused_with_what_is_wrong(tmp_path: Path, text: str, 
         ("missing.py:Engine", "engine file missing.py: there is no such file"),
         ("mujoco:round", "there is no setting 'round'; there are pyramidal, elliptic, dt=…, impratio=…"),
         ("mujoco:impratio=much", "impratio must be a number, got 'much'"),
+        ("bullet:iterations=nan", "iterations must be a positive number, got 'nan'"),
+        ("bullet:iterations=-3", "iterations must be a positive number, got '-3'"),
     ],
 )
 def test_an_unknown_engine_or_setting_is_refused(spec: str, said: str) -> None:

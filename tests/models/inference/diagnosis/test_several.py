@@ -53,6 +53,11 @@ def test_a_single_dataset_and_two_of_one_name_are_refused(recorded):
             diagnose_together(datasets)
 
 
+def test_an_unknown_owner_is_refused(recorded):
+    with pytest.raises(ValueError, match="there is no 'force_sensor'; there are object, table, tracker"):
+        diagnose_together([recorded.dataset], apart=["force_sensor"])
+
+
 def test_variance_between_datasets_is_what_their_own_does_not_explain():
     deviations = np.array([0.1, 0.1, 0.1])
     assert _between(np.array([1.0, 1.05, 0.95]), deviations) == 0.0
