@@ -76,3 +76,41 @@ def test_nothing_to_guess(tmp_path):
     (tmp_path / "p.csv").write_text("temperature,humidity\n1,2\n")
     with pytest.raises(DatasetError, match="nothing looks like the pose of an object"):
         guess_setup(tmp_path / "p.csv")
+
+
+def forces(tmp_path, late, short):
+    """Four recordings whose force has a file of its own and is late; the third one begins in contact, and its
+    force is large for `short` s."""
+    touch = TIME[np.argmax(POSE[:, 0] > 0)]
+    for k in range(4):
+        rows = slice(60 if k == 2 else 0, None)
+        until = touch + short if k == 2 else 1.2
+        force = 2.0 * ((TIME >= touch) & (TIME < until)) + 0.02 * np.sin(40.0 * TIME + k)
+        written(
+            tmp_path / f"pose_{k}.csv", ["t", "x", "y", "theta", "a", "b"],
+            [TIME[rows], POSE[rows] + 0.01 * k * np.array([1.0, 0, 0]), TIP[rows] + [0.01 * k, 0.0]],
+        )  # fmt: skip
+        written(
+            tmp_path / f"force_{k}.csv", ["t", "fx", "fy"], [TIME[rows] + late, force[rows], 0.0 * TIME[rows]]
+        )
+    (tmp_path / "s.yaml").write_text(
+        SETUP + "object_pose: {source: pose_*.csv, position: [x, y], angle: theta}\n"
+        "tip_pose: {source: pose_*.csv, position: [a, b]}\n"
+        "ft_wrench: {source: force_*.csv, force: [fx, fy]}\n"
+    )
+
+
+def test_a_force_on_the_same_clock_keeps_its_stamps(tmp_path):
+    forces(tmp_path, late=0.0, short=0.3)
+    said = []
+    dataset = import_dataset(tmp_path, tmp_path / "s.yaml", tell=said.append)
+    for trial in dataset.trials:
+        assert trial.ft_wrench.time == pytest.approx(trial.object_pose.time, abs=1e-9)
+    assert any("pose_2.csv: ft_wrench alone" in text for text in said), said
+
+
+def test_a_clock_that_contact_does_not_show_is_that_of_the_session(tmp_path):
+    forces(tmp_path, late=0.25, short=0.3)
+    dataset = import_dataset(tmp_path, tmp_path / "s.yaml", tell=lambda text: None)
+    for trial in dataset.trials:
+        assert trial.ft_wrench.time == pytest.approx(trial.object_pose.time, abs=0.015)
