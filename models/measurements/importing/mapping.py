@@ -84,7 +84,7 @@ def mapped(source: Source, name: str, channel: ChannelSetup) -> Mapped:
     Raises:
         DatasetError: columns that are missing or hold no numbers, no clock, or no row at all.
     """
-    time, concluded = _time(source, channel)
+    time, concluded = times(source, channel)
     done = [concluded] if concluded else []
     height = np.zeros(0)
     doubts: list[str] = []
@@ -171,7 +171,8 @@ def _needed(source: Source, kind: str, channel: ChannelSetup, name: str) -> tupl
     return columns
 
 
-def _time(source: Source, channel: ChannelSetup) -> tuple[FloatArray, str]:
+def times(source: Source, channel: ChannelSetup) -> tuple[FloatArray, str]:
+    """(T,) stamps of the rows, s, and what was concluded about them. Raises DatasetError without a clock."""
     unit = channel.unit.get("time")
     if channel.rate is not None:
         frames = source.numbers(channel.time[0]) if channel.time else np.arange(float(len(source)))

@@ -11,6 +11,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from slipmap.models.geometry import angle_between, rotated
 from slipmap.models.measurements import parsing
@@ -30,13 +31,13 @@ from slipmap.models.measurements.importing.import_setup import (
     ImportSetup,
     parse_import_setup,
 )
-from slipmap.models.measurements.importing.mapping import Mapped, is_there, mapped
+from slipmap.models.measurements.importing.mapping import Mapped, is_there, mapped, times
 from slipmap.models.measurements.importing.source import Source
 from slipmap.models.measurements.parsing import Fingerprint, all_faults
 from slipmap.models.measurements.push_dataset import CHANNELS, Channel, DatasetError, PushDataset, Trial
 from slipmap.models.measurements.reading import last_held_out, object_document
 from slipmap.models.measurements.sessions import cut_at_carries, cut_at_rests
-from slipmap.models.measurements.trial_checks import check_trials, trial_from_tables
+from slipmap.models.measurements.trial_checks import check_trials, refuse_long, trial_from_tables
 from slipmap.models.physics.cell_grid import FloatArray
 from slipmap.models.progress import StageProgress
 
@@ -44,6 +45,8 @@ _LOG = logging.getLogger("slipmap.measurements")
 _EPOCH = 1e6  # s above which a clock counts from 1970, or another day long ago
 _NOWHERE = 100.0  # m from the object: where a finger is that is not there
 _LONGEST = 1e5  # s of a recording
+_FEWEST_ROWS = 10  # of a push after which stamps may start anew,
+_NEAR_START = 0.1  # of how long it lasted from where they began
 
 Tables = dict[str, Mapped]
 
@@ -247,7 +250,7 @@ def _recording(
     """The pushes of a recording.
 
     Args:
-        usual: what the session's recordings have to have added to the stamps of the force, where that is known.
+        usual: what the session's recordings lack in the stamps of the force, where that is known.
     """
     sources: dict[str, Source] = {}
     for channel, file in group.items():
@@ -260,7 +263,10 @@ def _recording(
         if how.named or channel == "object_pose" or is_there(source, channel, how):
             sources[channel] = source
     whole = _Recording()
-    for label, parts in _pushes_told_apart(name, sources, said):
+    pushes = dict(_pushes_told_apart(name, sources, said))
+    if len(pushes) > 1:
+        whole.steps.append("cut into pushes as they are numbered, or where stamps start anew")
+    for label, parts in pushes.items():
         found = _one_clock(label, parts, said, usual)
         whole.trials.extend(found.trials)
         whole.doubts.extend(found.doubts)
@@ -281,7 +287,7 @@ def _pushes_told_apart(
         elif said.channels[channel].push:
             source.name_of(column)
     if "object_pose" not in columns:
-        yield name, dict(sources)
+        yield from _cut_where_stamps_start_anew(name, sources, said)
         return
     numbers = {channel: np.array(sources[channel].texts(column)) for channel, column in columns.items()}
     for push in dict.fromkeys(numbers["object_pose"].tolist()):
@@ -299,6 +305,51 @@ def _pushes_told_apart(
                 for channel, source in sources.items()
             },
         )
+
+
+def _cut_where_stamps_start_anew(
+    name: str, sources: Mapping[str, Source], said: ImportSetup
+) -> Iterator[tuple[str, dict[str, Source]]]:
+    """The recording in pieces in which stamps go on; as it is where they never go back to the start."""
+    pieces = {
+        channel: np.split(np.arange(len(source)), _new_starts(times(source, said.channels[channel])[0]))
+        for channel, source in sources.items()
+    }
+    count = len(pieces["object_pose"])
+    for channel, rows in pieces.items():
+        if len(rows) != count:
+            raise DatasetError(
+                f"{sources['object_pose'].where}: stamps of object_pose go back to the start {count - 1}"
+                f" times, those of {channel} in {sources[channel].where} {len(rows) - 1} times; name the column that"
+                " numbers the pushes with `push`, or give each push files of its own"
+            )
+    if count == 1:
+        yield name, dict(sources)
+        return
+    for number in range(count):
+        rows = {channel: pieces[channel][number] for channel in sources}
+        yield (
+            f"{name}#{number + 1}",
+            {channel: source.chosen(rows[channel]) for channel, source in sources.items()},
+        )
+
+
+def _new_starts(time: FloatArray) -> NDArray[np.int_]:
+    """Rows at which stamps go back to, or near, where they began."""
+    known = np.flatnonzero(np.isfinite(time))
+    if len(known) < _FEWEST_ROWS:
+        return np.zeros(0, dtype=int)
+    row_period = float(np.median(np.abs(np.diff(time[known]))))
+    found: list[int] = []
+    first = last = latest = float(time[known[0]])
+    for row in known[1:].tolist():
+        now = float(time[row])
+        lasts = latest - first
+        if lasts > _FEWEST_ROWS * row_period and now < last and now < first + _NEAR_START * lasts:
+            found.append(row)
+            first = latest = now
+        last, latest = now, max(latest, now)
+    return np.array(found, dtype=int)
 
 
 def _one_clock(name: str, sources: Mapping[str, Source], said: ImportSetup, usual: Lag | None) -> _Recording:
@@ -362,6 +413,8 @@ def _one_clock(name: str, sources: Mapping[str, Source], said: ImportSetup, usua
     if len(parted) > len(pushes):
         steps.append("cut where the object rests and the finger leaves it")
     parted = [_lowered(piece) for piece in parted]
+    for piece in parted:
+        refuse_long(piece.object_pose, f"{piece.name}")
     if len(parted) > 1 and parted[0].name != name:
         parted = [replace(push, name=f"{name}#{number}") for number, push in enumerate(parted, 1)]
     return _Recording(parted, doubts, steps, force_lags)

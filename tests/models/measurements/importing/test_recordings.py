@@ -85,7 +85,7 @@ def forces(tmp_path, late, short):
     for k in range(4):
         rows = slice(60 if k == 2 else 0, None)
         until = touch + short if k == 2 else 1.2
-        force = 2.0 * ((TIME >= touch) & (TIME < until)) + 0.02 * np.sin(40.0 * TIME + k)
+        force = 2.0 * ((touch <= TIME) & (until > TIME)) + 0.02 * np.sin(40.0 * TIME + k)
         written(
             tmp_path / f"pose_{k}.csv", ["t", "x", "y", "theta", "a", "b"],
             [TIME[rows], POSE[rows] + 0.01 * k * np.array([1.0, 0, 0]), TIP[rows] + [0.01 * k, 0.0]],
@@ -114,3 +114,36 @@ def test_a_clock_that_contact_does_not_show_is_that_of_the_session(tmp_path):
     dataset = import_dataset(tmp_path, tmp_path / "s.yaml", tell=lambda text: None)
     for trial in dataset.trials:
         assert trial.ft_wrench.time == pytest.approx(trial.object_pose.time, abs=0.015)
+
+
+@pytest.mark.parametrize("again", [0.0, 0.02, -0.03])
+def test_stamps_that_start_anew_part_the_pushes(tmp_path, again):
+    columns = [
+        np.concatenate([TIME, TIME + again, TIME]),
+        *(np.concatenate([one, one + 0.01, one + 0.02]) for one in (POSE[:, :2], TIP)),
+        np.tile(POSE[:, 2], 3),
+    ]
+    file = written(tmp_path / "p.csv", ["t", "x", "y", "a", "b", "theta"], columns)
+    (tmp_path / "s.yaml").write_text(SETUP + "tip_pose: {position: [a, b]}\n")
+    dataset = import_dataset(file, tmp_path / "s.yaml", tell=lambda text: pytest.fail(text))
+    assert [trial.name for trial in dataset.trials] == ["p.csv#1", "p.csv#2", "p.csv#3"]
+    for k, trial in enumerate(dataset.trials):
+        assert trial.object_pose.values[:, :2] == pytest.approx(POSE[:, :2] + 0.01 * k, abs=1e-6)
+
+
+def test_stamps_that_start_anew_in_one_file_alone_are_refused(tmp_path):
+    twice = [np.tile(TIME, 2), np.tile(POSE, (2, 1))]
+    written(tmp_path / "cam.csv", ["t", "x", "y", "theta"], twice)
+    written(tmp_path / "robot.csv", ["t", "a", "b"], [TIME, TIP])
+    (tmp_path / "s.yaml").write_text(
+        SETUP + "object_pose: {source: cam.csv}\ntip_pose: {source: robot.csv, position: [a, b]}\n"
+    )
+    with pytest.raises(DatasetError, match=r"to the start 1 times, those of tip_pose in robot\.csv 0"):
+        import_dataset(tmp_path, tmp_path / "s.yaml")
+
+
+def test_a_push_that_no_reader_takes_is_refused(tmp_path):
+    file = written(tmp_path / "p.csv", ["t", "x", "y", "theta", "a", "b"], [1e3 * TIME, POSE, TIP])
+    (tmp_path / "s.yaml").write_text(SETUP + "tip_pose: {position: [a, b]}\n")
+    with pytest.raises(DatasetError, match=r"lasts 1490 s.*were these milliseconds"):
+        import_dataset(file, tmp_path / "s.yaml")
