@@ -34,15 +34,26 @@ DEFAULT_HEIGHT = 0.02
 LEAST_HEIGHT, LARGEST_HEIGHT = 2e-3, 10.0
 """m; an object stands on feet of 1 mm."""
 
-LOST = (
+LOST: tuple[str, ...] = (
     f"detail of the maps below the {2**_HALVINGS} feet, each of which sums up a part of equal mass",
     "effects beyond the plain model, and how sure anything is, but for the spread of K files",
-    "a pair has one friction coefficient, which Drake takes from both bodies as 2 a b / (a + b) and Gazebo"
-    " as the smaller one: SDF and URDF are right on a table, and for a finger, of coefficient 1; MJCF always",
-    "MuJoCo's default cone is a pyramid, in which friction depends on the direction: keep cone=elliptic",
-    "pushes above the feet shift the load between them; push low to have what slipmap predicts",
 )
-"""What the formats cannot hold, and what has to be minded."""
+"""What no format can hold."""
+
+_PUSH_LOW = "pushes above the feet shift the load between them; push low to have what slipmap predicts"
+_PAIRS = (
+    "a pair has one friction coefficient, which Drake takes from both bodies as 2 a b / (a + b) and Gazebo"
+    " as the smaller one: the model is right on a table, and for a finger, of coefficient 1"
+)
+TO_MIND: Mapping[Format, tuple[str, ...]] = {
+    "sdf": (_PAIRS, _PUSH_LOW),
+    "urdf": (_PAIRS, _PUSH_LOW),
+    "mjcf": (
+        "MuJoCo's default cone is a pyramid, in which friction depends on the direction: keep cone=elliptic",
+        _PUSH_LOW,
+    ),
+}
+"""What has to be minded of each format."""
 
 
 @dataclass(frozen=True)
@@ -122,7 +133,7 @@ def export_belief(
     """Write models for a simulator to a new folder: the mean, or one for each hypothesis.
 
     The object frame is that of the outline, with z = 0 on the table. `LOST` says what the formats cannot
-    hold.
+    hold, `TO_MIND` what to mind.
 
     Args:
         to: `sdf`, `urdf` or `mjcf`.

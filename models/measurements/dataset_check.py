@@ -21,6 +21,7 @@ from slipmap.models.measurements.contact import (
 from slipmap.models.measurements.importing.clocks import (
     bias_matters,
     free_force,
+    lag_by_rises,
     lag_left,
     middle_of,
     rises_after_touch,
@@ -232,12 +233,13 @@ def _clocks(dataset: PushDataset) -> list[Finding]:
         verdict: Verdict = "wrong" if sure and apart > CALIBRATION_ERROR else "note" if sure else "good"
         findings.append(Finding("clock of the finger", text, verdict, advice if sure else ""))
     if late:
-        middle, error = middle_of(late)
-        text = f"force {_late(-middle)} against the touch, ± {1e3 * error:.1f} ms, {len(late)} touches"
-        sure = abs(middle) > max(_FORCE_LATE, 3.0 * error)
+        force = next(trial.ft_wrench for trial in dataset.trials if trial.ft_wrench is not None)
+        lag = lag_by_rises(late, force)
+        text = f"force {_late(lag.value)} against the touch, ± {1e3 * lag.error:.1f} ms, {len(late)} touches"
+        sure = lag.sure and abs(lag.value) > _FORCE_LATE
         findings.append(
             Finding("clock of the force", text, "note" if sure else "good",
-                    f"add {-middle:.3f} s to the stamps of the force" if sure else "")
+                    f"add {lag.value:.3f} s to the stamps of the force" if sure else "")
         )  # fmt: skip
     return findings
 
@@ -425,6 +427,15 @@ EFFECT_NEEDS: Mapping[str, tuple[_Needs, str]] = {
     "load_transfer": (lambda c: c.fastest > _FAST or c.coasting > 0 or c.arcs >= 4, "four sides, or braking"),
     "skate": (lambda c: c.object_octants >= 4, "four directions seen from the object"),
     "impulse_friction": (lambda c: c.table_octants >= 4, "four headings on the table"),
+    "friction_diamond": (lambda c: c.table_octants >= 4, "four directions on the table"),
+    "friction_square": (lambda c: c.table_octants >= 4, "four directions on the table"),
+    "slip_load": (lambda c: c.turned > np.radians(10.0) and c.arcs >= 3, "three sides, and turns"),
+    "torsional_friction": (lambda c: c.turned > np.radians(10.0) and c.arcs >= 3, "three sides, and turns"),
+    "tracker_shift": (lambda c: c.arcs >= 3, "three sides"),
+    "force_frame": (lambda c: c.forces and c.arcs >= 2, "force on two sides"),
+    "force_bias": (lambda c: c.forces and c.table_octants >= 2, "force in two directions on the table"),
+    "force_gains": (lambda c: c.forces and c.table_octants >= 2, "force in two directions on the table"),
+    "force_latency": (lambda c: c.forces and c.pushes > 0, "force"),
 }
 """What pushes must be like for each effect of the library to show, and that in words."""
 

@@ -73,8 +73,8 @@ def parse_known(value: object, grid: CellGrid, mass: float | None, where: str) -
     if not named and np.isnan(finger.values[0]):
         unknown = f" ({'; '.join(warnings)})" if warnings else ""
         raise DatasetError(
-            f"{where}: says nothing that is known; give mass, friction, finger_friction or regions, as keys at"
-            f" its top{unknown}"
+            f"{where}: says nothing that is known; give mass, friction, finger_friction or regions, as keys"
+            f" at its top{unknown}"
         )
     arguments: dict[str, Any] = {}
     for name, one in named.items():

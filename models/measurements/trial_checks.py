@@ -97,16 +97,21 @@ def trial_from_tables(
     tip, rows = _channel(tables, "tip_pose", where)
     tip, doubts = _sound(tip, rows, f"{where}, tip_pose")
     warnings += doubts
+    refuse_long(pose, where, longest)
+    wrench = _channel(tables, "ft_wrench", where)[0] if len(tables.get("ft_wrench", ())) else None
+    if len(pose.time) < 2:
+        raise DatasetError(f"{where}, object_pose: one usable row; a trial needs a first and a last pose")
+    return Trial(name, role, pose, tip, wrench), warnings
+
+
+def refuse_long(pose: Channel, where: str, longest: float = _LONGEST_PUSH) -> None:
+    """Raises DatasetError where a push lasts longer than `longest` s."""
     lasts = float(pose.time[-1] - pose.time[0])
     if lasts > longest:
         raise DatasetError(
             f"{where}, object_pose: lasts {lasts:.6g} s, the longest push may last {longest:g} s;"
             " times are in s, were these milliseconds? Cut a long recording into its pushes"
         )
-    wrench = _channel(tables, "ft_wrench", where)[0] if len(tables.get("ft_wrench", ())) else None
-    if len(pose.time) < 2:
-        raise DatasetError(f"{where}, object_pose: one usable row; a trial needs a first and a last pose")
-    return Trial(name, role, pose, tip, wrench), warnings
 
 
 def unwrapped(angle: FloatArray) -> FloatArray:

@@ -182,8 +182,8 @@ class Subject:
         dt = getattr(kind, "dt", None)
         if not (isinstance(dt, int | float) and SHORTEST_STEP <= (full_dt or dt) <= LONGEST_STEP):
             raise BadInput(
-                f"engine {name}: its time step `dt` must lie between {SHORTEST_STEP:g} and {LONGEST_STEP:g} s,"
-                f" got {'none' if dt is None else repr(dt)}"
+                f"engine {name}: its time step `dt` must lie between {SHORTEST_STEP:g} and {LONGEST_STEP:g}"
+                f" s, got {'none' if dt is None else repr(dt)}"
             )
         self.dt = float(dt)
         self.full_dt = full_dt or self.dt

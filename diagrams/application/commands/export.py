@@ -43,17 +43,24 @@ def export(
     The object of BELIEF becomes a rigid body with its mass, centre of mass and inertia, on 32 small feet
     whose friction is that of the parts above them. What the format cannot hold is said.
     """
-    from slipmap.diagrams.application.simulator_models import DEFAULT_HEIGHT, LOST, Format, export_belief
+    from slipmap.diagrams.application.simulator_models import (
+        DEFAULT_HEIGHT,
+        LOST,
+        TO_MIND,
+        Format,
+        export_belief,
+    )
     from slipmap.models.inference.belief import Belief
 
     check_folder(output.absolute().parent, output)
     learned = Belief.load(belief, options.find_effects(effect_files))
+    to = cast(Format, kind)
     with writing(output):
-        paths = export_belief(
-            learned, cast(Format, kind), output, height=height or DEFAULT_HEIGHT, hypotheses=hypotheses
-        )
+        paths = export_belief(learned, to, output, height=height or DEFAULT_HEIGHT, hypotheses=hypotheses)
     for loss in LOST:
-        status(f"not in the models: {loss}" if loss in LOST[:2] else f"mind: {loss}")
+        status(f"not in the models: {loss}")
+    for remark in TO_MIND[to]:
+        status(f"mind: {remark}")
     if height is None:
         status(f"mind: the height counts as {DEFAULT_HEIGHT:g} m; say --height if it matters")
     click.echo(

@@ -100,7 +100,7 @@ def _tell_findings(dataset: PushDataset, where: Path) -> None:
     wrong = [finding.what for finding in found.findings if finding.verdict == "wrong"]
     more = f"; `slipmap check {where}` says more"
     note(f"check: wrong with {', '.join(wrong)}{more}" if wrong else "check: nothing is wrong")
-    note(f"check: worth adding: {found.advice[0]}{more}" if found.advice else "check: nothing is missing")
+    note(f"check: worth adding: {found.advice[0]}{more}" if found.advice else "check: no pushes need adding")
 
 
 @click.command()

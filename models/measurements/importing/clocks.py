@@ -16,6 +16,7 @@ from slipmap.models.measurements.contact import gaps
 from slipmap.models.measurements.push_dataset import Channel, Setup
 from slipmap.models.physics.cell_grid import FloatArray
 
+_SURE = 2.0  # errors
 _STEP = 0.05  # s of the coarse search
 _MOST_LAGS = 3000  # that are tried by geometry, the likeliest by motion
 _ROWS = 150  # of the object that decide among them
@@ -43,6 +44,7 @@ _RISE = 0.2  # s around the touch in which the force is to rise
 _FORCE_STEP = 0.02  # s of the coarse search for the force
 _USUAL_ROWS = 1200  # of a force among which usual ones are sought
 _LEAST_CORRELATION = 0.3
+_FEWEST_AGREEING = 2  # recordings of a session
 _APPROACH = 5e-3  # m/s at least, when a finger touches
 _WAITS = 0.4  # s before the touch in which the object rests
 _PASSES = 0.04  # s around it in which the finger's way is straight
@@ -54,6 +56,16 @@ class Lag(NamedTuple):
     value: float  # s
     error: float  # s, one standard deviation by the spread of what it was taken from
     text: str  # how it was found
+    by_touch: bool = True  # whether contact shows it; else only that both are large together
+
+    @property
+    def sure(self) -> bool:
+        """Whether it is more than its error may be."""
+        return abs(self.value) > _SURE * self.error
+
+    def contradicts(self, other: Lag) -> bool:
+        """Whether they cannot both be right."""
+        return abs(self.value - other.value) > 3.0 * float(np.hypot(self.error, other.error))
 
 
 def finger_lag(setup: Setup, pose: Channel, tip: Channel, near: bool) -> Lag | None:
@@ -246,10 +258,38 @@ def force_lag(setup: Setup, pose: Channel, tip: Channel, force: Channel, near: b
         return None
     rises = rises_after_touch(setup, pose, tip, Channel(force.time + coarse, force.values))
     if not rises:
-        return Lag(coarse, _FORCE_STEP, "by when it is large")
+        return Lag(coarse, max(_FORCE_STEP, _row_period(force)), "by when it is large", by_touch=False)
+    rise = lag_by_rises(rises, force)
+    return rise._replace(value=coarse + rise.value)
+
+
+def lag_by_rises(rises: Sequence[float], force: Channel) -> Lag:
+    """What has to be added to a force's stamps, of how late it rises at touches.
+
+    A row may hold the force of the time before or after its stamp, so that a row's time stays unknown.
+    """
     middle, error = middle_of(rises)
     count = f"{len(rises)} touch{'es' if len(rises) > 1 else ''}"
-    return Lag(coarse - middle, max(error, 5e-4), f"by its rise at {count}")
+    return Lag(-middle, float(np.hypot(error, _row_period(force))), f"by its rise at {count}")
+
+
+def usual_lag(lags: Sequence[Lag | None]) -> Lag | None:
+    """What recordings of one session agree on; None where they have clocks of their own, or are too few."""
+    known = [lag for lag in lags if lag is not None]
+    if len(known) < _FEWEST_AGREEING:
+        return None
+    middle = float(np.median([lag.value for lag in known]))
+    centre = Lag(middle, 0.0, "")
+    agreeing = [lag for lag in known if lag.by_touch and not lag.contradicts(centre)]
+    if len(agreeing) < max(_FEWEST_AGREEING, 0.5 * len(lags)):
+        return None
+    middle = float(np.median([lag.value for lag in agreeing]))
+    return Lag(middle, float(np.median([lag.error for lag in agreeing])), "as in the other recordings")
+
+
+def _row_period(channel: Channel) -> float:
+    """s from row to row."""
+    return float(np.median(np.diff(channel.time))) if len(channel.time) > 1 else 0.0
 
 
 def _usual_forces(values: FloatArray) -> list[FloatArray]:
@@ -304,6 +344,9 @@ def _touches(setup: Setup, pose: Channel, tip: Channel) -> list[float]:
         if not moving[soon].any() or waits.sum() < 3 or len(way) < 4:
             continue
         # Against the object as it waited: after the touch its own rows would hide when that was.
+        early, late = np.array_split(pose.values[waits], 2)
+        if np.hypot(*(np.median(late, axis=0) - np.median(early, axis=0))[:2]) > _STARTED:
+            continue  # it moved already; the gap's noise only looks like a touch
         resting = np.median(pose.values[waits], axis=0)
         slope, level = np.polyfit(tip.time[way] - touch, gaps(setup, tip.values[way], resting), 1)
         if slope < -_APPROACH:

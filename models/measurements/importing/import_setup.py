@@ -102,7 +102,7 @@ def parse_import_setup(
     if unknown:
         raise DatasetError("; ".join(unknown).replace("unknown and ignored", "unknown"))
     told = {key: value for key, value in (described or {}).items() if key in (*SETUP_KEYS, "csv")}
-    document = told | document
+    document = document | {key: _filled(document.get(key), value) for key, value in told.items()}
     setup, warnings = parse_setup(document, where, default_name)
     columns = csv_files.parse_columns(document.get("csv"), f"{where}: csv")
     shared = {key: document[key] for key in _SHARED if key in document}
@@ -112,13 +112,22 @@ def parse_import_setup(
             continue  # it was not measured, whatever columns there are
         place = f"{where}: {name}"
         said = parsing.mapping(document.get(name, {}), place)
-        entry = {key: value for key, value in shared.items() if key not in said} | said
-        found = _channel(name, entry, place)
+        found = _channel(name, shared | said, place)
+        if "unit" in shared:
+            of_all = _unit(shared["unit"], f"{where}: unit", name == "ft_wrench")["unit"]
+            found = replace(found, unit={**of_all, **found.unit})
         usual, unit = _usual(name, columns)
         channels[name] = replace(found, unit={**unit, **found.unit}, usual=usual, named=name in document)
     if "object_pose" not in channels:
         raise DatasetError(f"{where}: `object_pose` is null; without the object's pose nothing is learnt")
     return ImportSetup(setup, channels, tuple(warnings))
+
+
+def _filled(said: object, described: object) -> object:
+    """What a setup says; where it says nothing, or null, what describes the object."""
+    if isinstance(said, dict) and isinstance(described, dict):
+        return described | {key: value for key, value in said.items() if value is not None}
+    return described if said is None else said
 
 
 def _usual(name: str, columns: csv_files.CsvColumns) -> tuple[dict[str, tuple[str, ...]], dict[str, float]]:

@@ -84,7 +84,7 @@ def mapped(source: Source, name: str, channel: ChannelSetup) -> Mapped:
     Raises:
         DatasetError: columns that are missing or hold no numbers, no clock, or no row at all.
     """
-    time, concluded = _time(source, channel)
+    time, concluded = times(source, channel)
     done = [concluded] if concluded else []
     height = np.zeros(0)
     doubts: list[str] = []
@@ -171,7 +171,8 @@ def _needed(source: Source, kind: str, channel: ChannelSetup, name: str) -> tupl
     return columns
 
 
-def _time(source: Source, channel: ChannelSetup) -> tuple[FloatArray, str]:
+def times(source: Source, channel: ChannelSetup) -> tuple[FloatArray, str]:
+    """(T,) stamps of the rows, s, and what was concluded about them. Raises DatasetError without a clock."""
     unit = channel.unit.get("time")
     if channel.rate is not None:
         frames = source.numbers(channel.time[0]) if channel.time else np.arange(float(len(source)))
@@ -228,10 +229,12 @@ def _pose(
     frame = np.eye(4) if channel.frame is None else channel.frame
     whole = frame[:3, :3] @ to_table
     place = position @ whole.T + frame[:3, 3]
+    heading = np.arctan2(frame[1, 0], frame[0, 0])
     if isinstance(turn, tuple):
         turns, known = turn
         matrices = whole @ turns @ to_table.T
         theta = np.where(known, np.arctan2(matrices[:, 1, 0], matrices[:, 0, 0]), np.nan)
+        theta = heading + channel.sign * (theta - heading)
         tilt = np.arccos(np.clip(matrices[known][:, 2, 2], -1.0, 1.0))
         if name == "object_pose" and len(tilt) and np.median(tilt) > _LEVEL:
             doubts.append(
@@ -239,11 +242,9 @@ def _pose(
                 " table; is `up` right, and does the tracked frame lie flat?"
             )
     else:
-        heading = np.arctan2(frame[1, 0], frame[0, 0])
-        theta = heading + channel.sign * turn
+        # An angle about an axis that points down turns the other way on the table.
+        theta = heading + channel.sign * (-turn if up.startswith("-") else turn)
         matrices = None
-    if isinstance(turn, tuple):
-        theta = channel.sign * theta
     values = np.column_stack([place[:, :2], theta])
     height = place[:, 2] if known_height else np.full(len(place), np.nan)
     return _offset_taken_off(values, channel, name, matrices, up), height, doubts

@@ -7,10 +7,11 @@ import logging
 import os
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from slipmap.models.geometry import angle_between, rotated
 from slipmap.models.measurements import parsing
@@ -21,6 +22,7 @@ from slipmap.models.measurements.importing.clocks import (
     finger_lag,
     force_lag,
     free_force,
+    usual_lag,
 )
 from slipmap.models.measurements.importing.files import find_files, read_sources
 from slipmap.models.measurements.importing.import_setup import (
@@ -29,13 +31,13 @@ from slipmap.models.measurements.importing.import_setup import (
     ImportSetup,
     parse_import_setup,
 )
-from slipmap.models.measurements.importing.mapping import Mapped, is_there, mapped
+from slipmap.models.measurements.importing.mapping import Mapped, is_there, mapped, times
 from slipmap.models.measurements.importing.source import Source
 from slipmap.models.measurements.parsing import Fingerprint, all_faults
 from slipmap.models.measurements.push_dataset import CHANNELS, Channel, DatasetError, PushDataset, Trial
 from slipmap.models.measurements.reading import last_held_out, object_document
 from slipmap.models.measurements.sessions import cut_at_carries, cut_at_rests
-from slipmap.models.measurements.trial_checks import check_trials, trial_from_tables
+from slipmap.models.measurements.trial_checks import check_trials, refuse_long, trial_from_tables
 from slipmap.models.physics.cell_grid import FloatArray
 from slipmap.models.progress import StageProgress
 
@@ -43,6 +45,8 @@ _LOG = logging.getLogger("slipmap.measurements")
 _EPOCH = 1e6  # s above which a clock counts from 1970, or another day long ago
 _NOWHERE = 100.0  # m from the object: where a finger is that is not there
 _LONGEST = 1e5  # s of a recording
+_FEWEST_ROWS = 10  # of a push after which stamps may start anew,
+_NEAR_START = 0.1  # of how long it lasted from where they began
 
 Tables = dict[str, Mapped]
 
@@ -102,25 +106,29 @@ def import_dataset(
     files = find_files(paths)
     groups = _recordings(files, said, where)
     reader = _Files(files, said, fingerprint)
-    trials: list[Trial] = []
+    read: dict[str, _Recording] = {}
     faults: list[str] = []
-    done: dict[str, list[str]] = {}
-    warnings = list(said.warnings)
     for number, (name, group) in enumerate(groups.items(), 1):
         try:
-            pushes, doubts, steps = _recording(name, group, said, reader)
+            read[name] = _recording(name, group, said, reader)
         except DatasetError as error:
             faults.append(str(error))
-        else:
-            trials += pushes
-            warnings += doubts
-            for step in steps:
-                done.setdefault(step, []).append(name)
         if progress is not None:
             progress(number, len(groups))
     if faults:
         raise all_faults(faults, len(groups), "recordings")
-    trials = last_held_out(trials)
+    usual = usual_lag([lag for one in read.values() for lag in one.force_lags])
+    if usual is not None:
+        for name, one in read.items():
+            if any(_stands_alone(lag, usual) for lag in one.force_lags):
+                read[name] = _recording(name, groups[name], said, reader, usual)
+    done: dict[str, list[str]] = {}
+    warnings = list(said.warnings)
+    for name, one in read.items():
+        warnings += one.doubts
+        for step in dict.fromkeys(one.steps):
+            done.setdefault(step, []).append(name)
+    trials = last_held_out([trial for one in read.values() for trial in one.trials])
     kept, doubts = check_trials(said.setup, trials, where)
     provenance = (
         f"imported from {_listed(list(files))}",
@@ -228,10 +236,22 @@ class _Files:
 # One recording.
 
 
+@dataclass(frozen=True)
+class _Recording:
+    trials: list[Trial] = field(default_factory=list)
+    doubts: list[str] = field(default_factory=list)  # what looks wrong
+    steps: list[str] = field(default_factory=list)  # what was done
+    force_lags: list[Lag | None] = field(default_factory=list)  # of each part whose force was to be aligned
+
+
 def _recording(
-    name: str, group: Mapping[str, str], said: ImportSetup, reader: _Files
-) -> tuple[list[Trial], list[str], list[str]]:
-    """Pushes, what looks wrong, and what was done."""
+    name: str, group: Mapping[str, str], said: ImportSetup, reader: _Files, usual: Lag | None = None
+) -> _Recording:
+    """The pushes of a recording.
+
+    Args:
+        usual: what the session's recordings lack in the stamps of the force, where that is known.
+    """
     sources: dict[str, Source] = {}
     for channel, file in group.items():
         how = said.channels[channel]
@@ -242,15 +262,17 @@ def _recording(
         source = reader.table(file, how)
         if how.named or channel == "object_pose" or is_there(source, channel, how):
             sources[channel] = source
-    trials: list[Trial] = []
-    doubts: list[str] = []
-    steps: list[str] = []
-    for label, parts in _pushes_told_apart(name, sources, said):
-        found, more, done = _one_clock(label, parts, said)
-        trials += found
-        doubts += more
-        steps += done
-    return trials, doubts, list(dict.fromkeys(steps))
+    whole = _Recording()
+    pushes = dict(_pushes_told_apart(name, sources, said))
+    if len(pushes) > 1:
+        whole.steps.append("cut into pushes as they are numbered, or where stamps start anew")
+    for label, parts in pushes.items():
+        found = _one_clock(label, parts, said, usual)
+        whole.trials.extend(found.trials)
+        whole.doubts.extend(found.doubts)
+        whole.steps.extend(found.steps)
+        whole.force_lags.extend(found.force_lags)
+    return whole
 
 
 def _pushes_told_apart(
@@ -265,7 +287,7 @@ def _pushes_told_apart(
         elif said.channels[channel].push:
             source.name_of(column)
     if "object_pose" not in columns:
-        yield name, dict(sources)
+        yield from _cut_where_stamps_start_anew(name, sources, said)
         return
     numbers = {channel: np.array(sources[channel].texts(column)) for channel, column in columns.items()}
     for push in dict.fromkeys(numbers["object_pose"].tolist()):
@@ -285,9 +307,52 @@ def _pushes_told_apart(
         )
 
 
-def _one_clock(
+def _cut_where_stamps_start_anew(
     name: str, sources: Mapping[str, Source], said: ImportSetup
-) -> tuple[list[Trial], list[str], list[str]]:
+) -> Iterator[tuple[str, dict[str, Source]]]:
+    """The recording in pieces in which stamps go on; as it is where they never go back to the start."""
+    pieces = {
+        channel: np.split(np.arange(len(source)), _new_starts(times(source, said.channels[channel])[0]))
+        for channel, source in sources.items()
+    }
+    count = len(pieces["object_pose"])
+    for channel, rows in pieces.items():
+        if len(rows) != count:
+            raise DatasetError(
+                f"{sources['object_pose'].where}: stamps of object_pose go back to the start {count - 1}"
+                f" times, those of {channel} in {sources[channel].where} {len(rows) - 1} times; name the column that"
+                " numbers the pushes with `push`, or give each push files of its own"
+            )
+    if count == 1:
+        yield name, dict(sources)
+        return
+    for number in range(count):
+        rows = {channel: pieces[channel][number] for channel in sources}
+        yield (
+            f"{name}#{number + 1}",
+            {channel: source.chosen(rows[channel]) for channel, source in sources.items()},
+        )
+
+
+def _new_starts(time: FloatArray) -> NDArray[np.int_]:
+    """Rows at which stamps go back to, or near, where they began."""
+    known = np.flatnonzero(np.isfinite(time))
+    if len(known) < _FEWEST_ROWS:
+        return np.zeros(0, dtype=int)
+    row_period = float(np.median(np.abs(np.diff(time[known]))))
+    found: list[int] = []
+    first = last = latest = float(time[known[0]])
+    for row in known[1:].tolist():
+        now = float(time[row])
+        lasts = latest - first
+        if lasts > _FEWEST_ROWS * row_period and now < last and now < first + _NEAR_START * lasts:
+            found.append(row)
+            first = latest = now
+        last, latest = now, max(latest, now)
+    return np.array(found, dtype=int)
+
+
+def _one_clock(name: str, sources: Mapping[str, Source], said: ImportSetup, usual: Lag | None) -> _Recording:
     """Pushes of a recording whose channels are brought to the clock of the object's poses."""
     setup = said.setup
     found = {channel: mapped(source, channel, said.channels[channel]) for channel, source in sources.items()}
@@ -312,6 +377,7 @@ def _one_clock(
     doubts += more
     if "tip_pose" in found and len(found["tip_pose"].lifted):
         trial = _far_where_lifted(trial, found["tip_pose"].lifted, said, zero)
+    force_lags: list[Lag | None] = []
     for channel in ("tip_pose", "ft_wrench"):
         if channel not in sources:
             continue
@@ -319,8 +385,22 @@ def _one_clock(
         other_file = sources[channel].file != sources["object_pose"].file
         if clock == CONTACT or (clock is None and other_file):
             near = epochs["object_pose"] and epochs[channel] and clock is None
-            trial, said_of_it = _aligned(trial, channel, said, near)
-            (steps if said_of_it.startswith(channel) else doubts).append(said_of_it)
+            if channel == "tip_pose":
+                lag = finger_lag(setup, trial.object_pose, trial.tip_pose, near)
+            else:
+                force = trial.channels["ft_wrench"]
+                lag = force_lag(setup, trial.object_pose, trial.tip_pose, force, near)
+                force_lags.append(lag)
+                if usual is not None and _stands_alone(lag, usual):
+                    doubts.append(_outvoted(name, lag, usual))
+                    lag = usual
+            trial, text = _aligned(trial, channel, lag)
+            (steps if text.startswith(channel) else doubts).append(text)
+            if lag is not None and not lag.by_touch:
+                doubts.append(
+                    f"{name}: no touch confirms the clock of {channel}; compare contact and force in the"
+                    " picture, or say ft_wrench.clock, the s to add to its stamps"
+                )
     if trial.ft_wrench is not None and trial.has_finger:
         trial, more = _force_at_rest(trial, said)
         steps += more
@@ -333,9 +413,11 @@ def _one_clock(
     if len(parted) > len(pushes):
         steps.append("cut where the object rests and the finger leaves it")
     parted = [_lowered(piece) for piece in parted]
+    for piece in parted:
+        refuse_long(piece.object_pose, f"{piece.name}")
     if len(parted) > 1 and parted[0].name != name:
         parted = [replace(push, name=f"{name}#{number}") for number, push in enumerate(parted, 1)]
-    return parted, doubts, steps
+    return _Recording(parted, doubts, steps, force_lags)
 
 
 def _far_where_lifted(trial: Trial, lifted: FloatArray, said: ImportSetup, zero: float) -> Trial:
@@ -355,33 +437,36 @@ def _lowered(trial: Trial) -> Trial:
     return replace(trial, tip_pose=Channel(tip.time[down], tip.values[down])) if down.any() else trial
 
 
-def _aligned(trial: Trial, channel: str, said: ImportSetup, near: bool) -> tuple[Trial, str]:
+def _stands_alone(lag: Lag | None, usual: Lag) -> bool:
+    """Whether contact does not show a recording's lag, and the session's is another."""
+    return lag is None or (not lag.by_touch and lag.contradicts(usual))
+
+
+def _outvoted(name: str, lag: Lag | None, usual: Lag) -> str:
+    alone = "does not show its clock" if lag is None else f"would move it by {lag.value:.4f} s ({lag.text})"
+    return f"{name}: ft_wrench alone {alone}; the session as a whole has {usual.value:.4f} s, which counts"
+
+
+def _aligned(trial: Trial, channel: str, lag: Lag | None) -> tuple[Trial, str]:
     """The trial with a channel's stamps on the clock of the object's poses, and how they came there."""
-    pose, tip, force = trial.object_pose, trial.tip_pose, trial.ft_wrench
-    lag: Lag | None
-    if channel == "tip_pose":
-        lag = finger_lag(said.setup, pose, tip, near)
-    else:
-        assert force is not None
-        lag = force_lag(said.setup, pose, tip, force, near)
+    moved = trial.channels[channel]
     if lag is None:
-        stays = _overlap(pose, tip if channel == "tip_pose" else force)
         text = (
             f"{trial.name}: contact does not tell the clock of {channel} from that of object_pose; are"
             f" frames, outline and finger.radius right? Say {channel}.clock, the s to add to its stamps"
         )
-        if not stays:
+        if not _overlap(trial.object_pose, moved):
             raise DatasetError(text)
         return trial, f"{text}. The stamps were left as they are"
-    moved = trial.tip_pose if channel == "tip_pose" else force
-    assert moved is not None
+    if channel == "ft_wrench" and not lag.sure:
+        return trial, f"{channel}: stamps left as they are, on the clock of the poses within the error"
     channels = {channel: Channel(moved.time + lag.value, moved.values)}
     text = f"{channel}: {lag.value:.4f} s added to the stamps, {lag.text} (± {1e3 * lag.error:.1f} ms)"
     return replace(trial, **channels), text  # type: ignore[arg-type]
 
 
-def _overlap(pose: Channel, other: Channel | None) -> bool:
-    return other is not None and bool(other.time[-1] > pose.time[0] and other.time[0] < pose.time[-1])
+def _overlap(pose: Channel, other: Channel) -> bool:
+    return bool(other.time[-1] > pose.time[0] and other.time[0] < pose.time[-1])
 
 
 def _force_at_rest(trial: Trial, said: ImportSetup) -> tuple[Trial, list[str]]:

@@ -78,7 +78,7 @@ class Source:
         """(T) cells of a column as texts."""
         cells = self.columns[self.name_of(column)]
         if isinstance(cells, np.ndarray):
-            return [f"{cell:g}" for cell in cells]
+            return [np.format_float_positional(cell, trim="-") for cell in cells.tolist()]
         return [cell.strip() for cell in cells]
 
     def numbers(self, column: str) -> FloatArray:

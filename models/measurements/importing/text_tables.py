@@ -134,8 +134,10 @@ def _numeric(cell: str, decimal: str = ".") -> bool:
 
 
 def _uses_comma(rows: Sequence[Sequence[str]]) -> bool:
-    cells = [cell for row in rows[1:_LINES_SNIFFED] for cell in row if "," in cell]
-    return any(_numeric(cell, ",") for cell in cells) and not any("." in cell for cell in cells)
+    cells = [cell for row in rows[1:_LINES_SNIFFED] for cell in row]
+    commas = [cell for cell in cells if "," in cell and _numeric(cell, ",")]
+    points = any("." in cell and _numeric(cell, ".") for cell in cells)
+    return bool(commas) and not points and not any("." in cell for cell in commas)
 
 
 def _columns(names: Sequence[str], rows: Sequence[Sequence[str]], where: str) -> dict[str, Column]:

@@ -120,3 +120,12 @@ def test_measured_pushes(shared_data, name, wrong):
     check = check_dataset(read_dataset(shared_data / name, tell=lambda text: None))
     found = [one.what for one in check.findings if one.verdict == "wrong"]
     assert (wrong in found) if wrong else not found, check.findings
+
+
+def test_a_row_is_no_lag_of_the_force():
+    def early(trial):
+        return replace(trial, ft_wrench=Channel(trial.ft_wrench.time - 0.01, trial.ft_wrench.values))
+
+    found = finding(changed(early), "clock of the force")
+    assert found.verdict == "good" and not found.advice
+    assert float(found.found.split("± ")[1].split(" ms")[0]) >= 10.0

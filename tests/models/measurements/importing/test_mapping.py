@@ -148,3 +148,25 @@ def test_a_wrong_axis_is_said(tmp_path):
 def test_a_wrong_setup_is_refused(tmp_path, setup, fault):
     with pytest.raises(DatasetError, match=fault.replace("[", r"\[")):
         trial_of(tmp_path, ["t", "a", "b", "c"], [TIME, POSE], setup)
+
+
+def test_units_of_all_and_of_one_channel_are_merged(tmp_path):
+    trial = trial_of(
+        tmp_path, ["t", "a", "b", "c", "d", "e"], [1e3 * TIME, 1e2 * TURNED[:, :2], TURNED[:, 2], 1e3 * TIP],
+        "unit: {time: ms, position: mm}\n"
+        "object_pose: {position: [a, b], angle: c, unit: cm}\ntip_pose: {position: [d, e]}\n",
+    )  # fmt: skip
+    assert trial.object_pose.time == pytest.approx(TIME)
+    assert trial.object_pose.values == pytest.approx(TURNED, abs=1e-7)
+    assert trial.tip_pose.values == pytest.approx(TIP, abs=1e-7)
+
+
+def test_what_a_setup_leaves_empty_is_of_the_object(tmp_path):
+    file = written(tmp_path / "p.csv", ["t", "x", "y", "theta", "a", "b"], [TIME, POSE, TIP])
+    (tmp_path / "object.yaml").write_text(SETUP)
+    (tmp_path / "setup.yaml").write_text(
+        "object: {outline: null, mass: 0.5}\nfinger: {radius: null}\ntip_pose: {position: [a, b]}\n"
+    )
+    dataset = import_dataset(file, tmp_path / "setup.yaml", object_name=str(tmp_path / "object.yaml"))
+    assert dataset.finger_radius == 0.005 and dataset.mass == 0.5
+    assert dataset.grid.exterior[:, 0].max() == pytest.approx(0.03)

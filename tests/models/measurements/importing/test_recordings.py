@@ -76,3 +76,74 @@ def test_nothing_to_guess(tmp_path):
     (tmp_path / "p.csv").write_text("temperature,humidity\n1,2\n")
     with pytest.raises(DatasetError, match="nothing looks like the pose of an object"):
         guess_setup(tmp_path / "p.csv")
+
+
+def forces(tmp_path, late, short):
+    """Four recordings whose force has a file of its own and is late; the third one begins in contact, and its
+    force is large for `short` s."""
+    touch = TIME[np.argmax(POSE[:, 0] > 0)]
+    for k in range(4):
+        rows = slice(60 if k == 2 else 0, None)
+        until = touch + short if k == 2 else 1.2
+        force = 2.0 * ((touch <= TIME) & (until > TIME)) + 0.02 * np.sin(40.0 * TIME + k)
+        written(
+            tmp_path / f"pose_{k}.csv", ["t", "x", "y", "theta", "a", "b"],
+            [TIME[rows], POSE[rows] + 0.01 * k * np.array([1.0, 0, 0]), TIP[rows] + [0.01 * k, 0.0]],
+        )  # fmt: skip
+        written(
+            tmp_path / f"force_{k}.csv", ["t", "fx", "fy"], [TIME[rows] + late, force[rows], 0.0 * TIME[rows]]
+        )
+    (tmp_path / "s.yaml").write_text(
+        SETUP + "object_pose: {source: pose_*.csv, position: [x, y], angle: theta}\n"
+        "tip_pose: {source: pose_*.csv, position: [a, b]}\n"
+        "ft_wrench: {source: force_*.csv, force: [fx, fy]}\n"
+    )
+
+
+def test_a_force_on_the_same_clock_keeps_its_stamps(tmp_path):
+    forces(tmp_path, late=0.0, short=0.3)
+    said = []
+    dataset = import_dataset(tmp_path, tmp_path / "s.yaml", tell=said.append)
+    for trial in dataset.trials:
+        assert trial.ft_wrench.time == pytest.approx(trial.object_pose.time, abs=1e-9)
+    assert any("pose_2.csv: ft_wrench alone" in text for text in said), said
+
+
+def test_a_clock_that_contact_does_not_show_is_that_of_the_session(tmp_path):
+    forces(tmp_path, late=0.25, short=0.3)
+    dataset = import_dataset(tmp_path, tmp_path / "s.yaml", tell=lambda text: None)
+    for trial in dataset.trials:
+        assert trial.ft_wrench.time == pytest.approx(trial.object_pose.time, abs=0.015)
+
+
+@pytest.mark.parametrize("again", [0.0, 0.02, -0.03])
+def test_stamps_that_start_anew_part_the_pushes(tmp_path, again):
+    columns = [
+        np.concatenate([TIME, TIME + again, TIME]),
+        *(np.concatenate([one, one + 0.01, one + 0.02]) for one in (POSE[:, :2], TIP)),
+        np.tile(POSE[:, 2], 3),
+    ]
+    file = written(tmp_path / "p.csv", ["t", "x", "y", "a", "b", "theta"], columns)
+    (tmp_path / "s.yaml").write_text(SETUP + "tip_pose: {position: [a, b]}\n")
+    dataset = import_dataset(file, tmp_path / "s.yaml", tell=lambda text: pytest.fail(text))
+    assert [trial.name for trial in dataset.trials] == ["p.csv#1", "p.csv#2", "p.csv#3"]
+    for k, trial in enumerate(dataset.trials):
+        assert trial.object_pose.values[:, :2] == pytest.approx(POSE[:, :2] + 0.01 * k, abs=1e-6)
+
+
+def test_stamps_that_start_anew_in_one_file_alone_are_refused(tmp_path):
+    twice = [np.tile(TIME, 2), np.tile(POSE, (2, 1))]
+    written(tmp_path / "cam.csv", ["t", "x", "y", "theta"], twice)
+    written(tmp_path / "robot.csv", ["t", "a", "b"], [TIME, TIP])
+    (tmp_path / "s.yaml").write_text(
+        SETUP + "object_pose: {source: cam.csv}\ntip_pose: {source: robot.csv, position: [a, b]}\n"
+    )
+    with pytest.raises(DatasetError, match=r"to the start 1 times, those of tip_pose in robot\.csv 0"):
+        import_dataset(tmp_path, tmp_path / "s.yaml")
+
+
+def test_a_push_that_no_reader_takes_is_refused(tmp_path):
+    file = written(tmp_path / "p.csv", ["t", "x", "y", "theta", "a", "b"], [1e3 * TIME, POSE, TIP])
+    (tmp_path / "s.yaml").write_text(SETUP + "tip_pose: {position: [a, b]}\n")
+    with pytest.raises(DatasetError, match=r"lasts 1490 s.*were these milliseconds"):
+        import_dataset(file, tmp_path / "s.yaml")
