@@ -9,7 +9,7 @@ finds whose contacts give way alike. Each foot rubs as its part does.
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal

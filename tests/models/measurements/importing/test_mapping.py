@@ -170,3 +170,28 @@ def test_what_a_setup_leaves_empty_is_of_the_object(tmp_path):
     dataset = import_dataset(file, tmp_path / "setup.yaml", object_name=str(tmp_path / "object.yaml"))
     assert dataset.finger_radius == 0.005 and dataset.mass == 0.5
     assert dataset.grid.exterior[:, 0].max() == pytest.approx(0.03)
+
+
+@pytest.mark.parametrize("turn", ["angle: a", "quaternion: [qx, qy, qz, qw]"])
+def test_a_sign_turns_the_angle_alone_whatever_the_frame(tmp_path, turn):
+    frame = np.array([0.4, -0.25, np.radians(30.0)])
+    angle = -(TURNED[:, 2] - frame[2])
+    quaternion = Rotation.from_rotvec(angle[:, None] * np.array([0.0, 0.0, 1.0])).as_quat()
+    trial = trial_of(
+        tmp_path, ["t", "x", "y", "a", "qx", "qy", "qz", "qw", "fx", "fy"],
+        [TIME, seen_from(TURNED[:, :2], frame), angle, quaternion, seen_from(TIP, frame)],
+        f"frame: [0.4, -0.25, 30 deg]\nobject_pose: {{position: [x, y], {turn}, sign: -1}}\n"
+        "tip_pose: {position: [fx, fy]}\n",
+    )  # fmt: skip
+    assert trial.object_pose.values == pytest.approx(TURNED, abs=1e-6)
+
+
+def test_an_angle_about_an_axis_that_points_down_turns_the_other_way(tmp_path):
+    down = np.array([1.0, -1.0])
+    trial = trial_of(
+        tmp_path, ["t", "x", "y", "a", "fx", "fy"],
+        [TIME, TURNED[:, :2] * down, -TURNED[:, 2], TIP * down],
+        "up: '-z'\nobject_pose: {position: [x, y], angle: a}\ntip_pose: {position: [fx, fy]}\n",
+    )  # fmt: skip
+    assert trial.object_pose.values == pytest.approx(TURNED, abs=1e-7)
+    assert trial.tip_pose.values == pytest.approx(TIP, abs=1e-7)

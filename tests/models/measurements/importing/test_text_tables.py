@@ -6,6 +6,7 @@ from tables import POSE, SETUP, TIME, TIP, written
 
 from slipmap.models.measurements import DatasetError
 from slipmap.models.measurements.importing import import_dataset
+from slipmap.models.measurements.importing.source import Source
 from slipmap.models.measurements.importing.text_tables import read_text, seconds
 
 
@@ -46,6 +47,16 @@ def test_words_for_no_number_and_texts_nobody_asked_for(tmp_path):
     assert table.numbers("x")[3] == 7.0 and np.isnan(table.numbers("x")[:3]).all()
     with pytest.raises(DatasetError, match="row 0, phase: 'push' is no number"):
         table.numbers("phase")
+
+
+def test_a_text_with_a_comma_makes_no_decimal_commas(tmp_path):
+    (table,) = source(tmp_path, "t\tx\tnote\n0\t1.5\tok\n0.5\t-2.25\t1,2\n")
+    assert table.numbers("x") == pytest.approx([1.5, -2.25])
+
+
+def test_numbers_of_pushes_keep_all_their_digits():
+    table = Source("a.h5", "log", {"push": np.array([20240206001.0, 20240206002.0, 7.5])})
+    assert table.texts("push") == ["20240206001", "20240206002", "7.5"]
 
 
 @pytest.mark.parametrize(
