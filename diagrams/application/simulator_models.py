@@ -9,7 +9,7 @@ finds whose contacts give way alike. Each foot rubs as its part does.
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -30,7 +30,7 @@ _HALVINGS = 5  # of the object, to 32 parts of equal mass
 DEFAULT_HEIGHT = 0.02
 """m, of an object whose height is not known."""
 
-LOST: tuple[str, ...] = (
+LOST = (
     f"detail of the maps below the {2**_HALVINGS} feet, each of which sums up a part of equal mass",
     "effects beyond the plain model, and how sure anything is, but for the spread of K files",
 )
