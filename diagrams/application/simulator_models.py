@@ -34,7 +34,7 @@ DEFAULT_HEIGHT = 0.02
 LEAST_HEIGHT, LARGEST_HEIGHT = 2e-3, 10.0
 """m; an object stands on feet of 1 mm."""
 
-LOST: tuple[str, ...] = (
+LOST = (
     f"detail of the maps below the {2**_HALVINGS} feet, each of which sums up a part of equal mass",
     "effects beyond the plain model, and how sure anything is, but for the spread of K files",
 )

@@ -6,11 +6,13 @@ import os
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 
 from slipmap.models.measurements.importing.files import find_files, read_sources
+from slipmap.models.measurements.importing.import_setup import UNITS
 from slipmap.models.measurements.importing.mapping import TIMES, seconds_and_nanoseconds
 from slipmap.models.measurements.importing.source import Source
 from slipmap.models.measurements.push_dataset import DatasetError
@@ -22,8 +24,11 @@ _FORCE = ("force", "wrench", "ft", "netft", "load")
 _MILLIMETRES = 5.0  # above which no position on a table is in m
 _FULL_TURN = 6.6  # rad
 _SLOWEST = 0.5  # s from row to row; no sensor is slower
+_MOST_CHANGES = 0.1  # of the rows, in a column that numbers pushes
 _MOST_FILES = 3  # of each kind that are looked into
+_UNIT = re.compile(r"[ _.]?[\[(]?(?<=[ _.\[(])(ns|us|ms|s|mm|cm|m|deg|rad|mN|kN|N)[\])]?$")
 _PLANE = re.compile(r"(.*?)(x)([\])]?)$", re.IGNORECASE)
+_PUSH = re.compile(r"(push|trial)([_ ]?(id|no|nr|number|index|\d+))?$", re.IGNORECASE)
 
 
 @dataclass(frozen=True)
@@ -106,7 +111,8 @@ def _candidates(source: Source, file: str) -> Iterator[_Found]:
     """All triples and pairs of columns of a table that differ in x, y and z."""
     names = list(source.columns)
     for name in names:
-        match = _PLANE.match(name)
+        end = name[len(_bare(name)) :]  # its unit
+        match = _PLANE.match(_bare(name))
         if match is None or re.search(r"(orient|quat|rot|torque|moment|angular|^q|[._]q)", name, re.I):
             stem = re.fullmatch(r"(.*[._])0", name)
             if stem is None or not {f"{stem[1]}{k}" for k in range(3)} <= set(names):
@@ -114,7 +120,7 @@ def _candidates(source: Source, file: str) -> Iterator[_Found]:
             columns: tuple[str, ...] = tuple(f"{stem[1]}{k}" for k in range(3))
         else:
             axes = ("Y", "Z") if match[2] == "X" else ("y", "z")
-            others = [f"{match[1]}{axis}{match[3]}" for axis in axes]
+            others = [f"{match[1]}{axis}{match[3]}{end}" for axis in axes]
             if others[0] not in source.columns:
                 continue
             columns = (name, *(other for other in others if other in source.columns))
@@ -129,7 +135,8 @@ def _candidates(source: Source, file: str) -> Iterator[_Found]:
 def _turn(source: Source, first: str) -> tuple[str, tuple[str, ...]] | None:
     """Quaternion, rotation vector or angle that goes with a position whose first column this is."""
     names = set(source.columns)
-    stem = re.sub(r"(position|translation|pos|trans)?[._]?[xX0]$", "", first)
+    bare = {_bare(name): name for name in source.columns}
+    stem = re.sub(r"(position|translation|pos|trans)?[._]?[xX0]$", "", _bare(first))
     for quaternion in ("orientation.", "rotation.", "quat_", "quat.", "q", "_q", ".q", "_quat_"):
         columns = tuple(f"{stem}{quaternion}{axis}" for axis in "xyzw")
         if set(columns) <= names:
@@ -138,8 +145,8 @@ def _turn(source: Source, first: str) -> tuple[str, tuple[str, ...]] | None:
         return "rotation_vector", tuple(f"{stem}_{k}" for k in (3, 4, 5))
     for angle in ("theta", "yaw", "angle", "heading", "phi", "rz"):
         for column in (f"{stem}{angle}", f"{stem}_{angle}", f"{stem}.{angle}"):
-            if column in names:
-                return "angle", (column,)
+            if column in bare:
+                return "angle", (bare[column],)
     alone = [name for name in names if re.search(r"(^|[._])[qQ]w$|[qQ]uat\w*[._]w$", name)]
     if len(alone) == 1:  # of the whole table, whatever it is called
         columns = tuple(alone[0][:-1] + axis for axis in "xyzw")
@@ -148,8 +155,19 @@ def _turn(source: Source, first: str) -> tuple[str, tuple[str, ...]] | None:
     return None
 
 
+def _bare(name: str) -> str:
+    """The name of a column without its unit."""
+    return _UNIT.sub("", name) or name
+
+
+def _unit(name: str, kind: str) -> str:
+    """The unit of a quantity of this kind that a column's name ends in; empty where there is none."""
+    found = _UNIT.search(name)
+    return found[1] if found and found[1] in UNITS[kind] else ""
+
+
 def _is_force(one: _Found) -> bool:
-    last = one.columns[0].lower()
+    last = _bare(one.columns[0]).lower()
     return bool(re.search(r"force|wrench|(^|[._])f_?x$", last))
 
 
@@ -181,48 +199,72 @@ def _entry(name: str, one: _Found | None, several: bool) -> list[str]:
     elif name == "object_pose":
         lines.append("  angle: null  # which column is it?")
     time = _time(one.source)
-    if time:
-        lines.append(f"  time: {time}")
-    lines += _units(one, force)
+    if one.source.time is None:
+        said = ", ".join(map(_quoted, time))
+        unknown = "null  # which column is it? Or say `rate: 100`, Hz"
+        lines.append(f"  time: {(said if len(time) == 1 else f'[{said}]') if time else unknown}")
+    lines += [
+        f"  push: {_quoted(column)}  # it is constant in runs of rows"
+        for column in one.source.columns
+        if _numbers_pushes(one.source, column)
+    ][:1]
+    lines += _units(one, name, time)
     return lines
 
 
-def _time(source: Source) -> str:
+def _time(source: Source) -> tuple[str, ...]:
+    """The column of time, or those of seconds and nanoseconds; none where it is not seen, or known."""
     if source.time is not None:
-        return ""
-    names = list(source.columns)
-    for whole, part in seconds_and_nanoseconds(source):
-        return f"[{_quoted(whole)}, {_quoted(part)}]"
-    if any(name in source.columns for name in TIMES):
-        return next(_quoted(name) for name in TIMES if name in source.columns)
-    likely = [name for name in names if re.search(r"time|stamp|^t$|\bt_", name, re.I)]
-    if likely:
-        return _quoted(likely[0])
-    return "null  # which column is it? Or say `rate: 100`, Hz"
+        return ()
+    for pair in seconds_and_nanoseconds(source):
+        return pair
+    usual = [name for name in TIMES if name in source.columns]
+    likely = [name for name in source.columns if re.search(r"time|stamp|^t$|\bt_", name, re.I)]
+    return tuple((usual or likely)[:1])
 
 
-def _units(one: _Found, force: bool) -> list[str]:
-    """What sizes tell: mm, degrees, milliseconds, and the axis that points up."""
+def _numbers_pushes(source: Source, column: str) -> bool:
+    """Whether a column is called as one that numbers pushes, and is: constant in runs."""
+    if not _PUSH.match(column):
+        return False
+    cells = source.texts(column)
+    changes = sum(one != other for one, other in pairwise(cells))
+    return 0 < changes < _MOST_CHANGES * len(cells) and changes == len(set(cells)) - 1
+
+
+def _units(one: _Found, name: str, time: Sequence[str]) -> list[str]:
+    """What the names of columns, else sizes tell: mm, degrees, milliseconds, and the axis that points up."""
+    force = name == "ft_wrench"
     known = one.values[np.isfinite(one.values).all(axis=1)]
-    units = {}
-    lines = []
-    time = next((name for name in TIMES if name in one.source.columns), "")
-    if one.source.time is None and time:
+    named = {"force" if force else "position": _unit(one.columns[0], "force" if force else "position")}
+    sizes = {}
+    if len(time) == 1:
+        named["time"] = _unit(time[0], "time")
         try:
-            step = float(np.nanmedian(np.diff(one.source.numbers(time))))
+            step = float(np.nanmedian(np.diff(one.source.numbers(time[0]))))
         except DatasetError:  # words, such as ISO times
             step = 0.0
         if _SLOWEST < step < 1e3 * _SLOWEST:
-            units["time"] = "ms"
+            sizes["time"] = "ms"
     if not force and one.source.length == "m" and np.ptp(known, axis=0).max(initial=0.0) > _MILLIMETRES:
-        units["position"] = "mm"
-    if not force and one.turn is not None and one.turn[0] == "angle":
+        sizes["position"] = "mm"
+    if name == "object_pose" and one.turn is not None and one.turn[0] == "angle":
+        named["angle"] = _unit(one.turn[1][0], "angle")
         angle = one.source.numbers(one.turn[1][0])
         if np.nanmax(np.abs(angle), initial=0.0) > _FULL_TURN:
-            units["angle"] = "deg"
+            sizes["angle"] = "deg"
+    named = {kind: unit for kind, unit in named.items() if unit}
+    units = {
+        kind: (sizes | named)[kind]
+        for kind in ("time", "position", "angle", "force")
+        if kind in sizes or UNITS[kind].get(named.get(kind, ""), 1.0) != 1.0
+    }
+    lines = []
     if units:
         said = ", ".join(f"{kind}: {unit}" for kind, unit in units.items())
-        lines.append(f"  unit: {{{said}}}  # by the size of the numbers")
+        by = [words for words, group in (("names", named), ("the size of the numbers", sizes.keys() - named))
+              if units.keys() & group]  # fmt: skip
+        lines.append(f"  unit: {{{said}}}  # by {' and '.join(by)}")
     if force:
         return lines
     if known.shape[1] == 3:

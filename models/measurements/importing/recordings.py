@@ -320,8 +320,8 @@ def _cut_where_stamps_start_anew(
         if len(rows) != count:
             raise DatasetError(
                 f"{sources['object_pose'].where}: stamps of object_pose go back to the start {count - 1}"
-                f" times, those of {channel} in {sources[channel].where} {len(rows) - 1} times; name the column that"
-                " numbers the pushes with `push`, or give each push files of its own"
+                f" times, those of {channel} in {sources[channel].where} {len(rows) - 1} times; name the"
+                " column that numbers the pushes with `push`, or give each push files of its own"
             )
     if count == 1:
         yield name, dict(sources)

@@ -91,6 +91,7 @@ def test_export(slipmap, demo_folder, tmp_path):
     said = slipmap("export", belief, "--to", "mjcf", "-o", tmp_path / "models", "--hypotheses")
     assert said.code == 0, said.err
     assert "not in the models" in said.err and "height" in said.err
+    assert "elliptic" in said.err and "Gazebo" not in said.err
     files = sorted(path.name for path in (tmp_path / "models").iterdir())
     assert files[0] == "hammer_00.xml" and len(files) == 20
     assert "probability" in (tmp_path / "models" / files[0]).read_text()

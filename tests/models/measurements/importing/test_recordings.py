@@ -147,3 +147,29 @@ def test_a_push_that_no_reader_takes_is_refused(tmp_path):
     (tmp_path / "s.yaml").write_text(SETUP + "tip_pose: {position: [a, b]}\n")
     with pytest.raises(DatasetError, match=r"lasts 1490 s.*were these milliseconds"):
         import_dataset(file, tmp_path / "s.yaml")
+
+
+def test_a_guess_takes_units_from_names_and_finds_the_number_of_a_push(tmp_path):
+    columns = {
+        "time_ms": 1e3 * TIME, "block_x_cm": 1e2 * POSE[:, 0], "block_y_cm": 1e2 * POSE[:, 1],
+        "block_yaw_rad": POSE[:, 2] + 0.2, "tip_x [mm]": 1e3 * TIP[:, 0], "tip_y [mm]": 1e3 * TIP[:, 1],
+        "fx_mN": 0.0 * TIME, "fy_mN": 0.0 * TIME,
+    }  # fmt: skip
+    both = [np.concatenate([one, one]) for one in columns.values()]
+    number = np.repeat([3.0, 4.0], len(TIME))
+    names = ["trial", *columns, "trial_speed"]
+    file = written(tmp_path / "p.csv", names, [number, *both, 1.0 + 0.0 * number])
+    said = yaml.safe_load(guess_setup(file))
+    assert {one["push"] for one in (said[name] for name in said) if "push" in one} == {"trial"}
+    assert said["object_pose"]["unit"] == {"time": "ms", "position": "cm"}
+    assert said["object_pose"]["angle"] == "block_yaw_rad"
+    assert said["tip_pose"]["unit"] == {"time": "ms", "position": "mm"}
+    assert said["ft_wrench"] == {
+        "force": ["fx_mN", "fy_mN"], "time": "time_ms", "push": "trial",
+        "unit": {"time": "ms", "force": "mN"},
+    }  # fmt: skip
+    (tmp_path / "s.yaml").write_text(yaml.safe_dump(said | yaml.safe_load(SETUP)))
+    first, second = import_dataset(file, tmp_path / "s.yaml", tell=lambda text: None).trials
+    assert [first.name, second.name] == ["p.csv#3.000000", "p.csv#4.000000"]
+    assert second.object_pose.values == pytest.approx(POSE + np.array([0.0, 0.0, 0.2]), abs=1e-7)
+    assert second.tip_pose.values == pytest.approx(TIP, abs=1e-7)
