@@ -328,10 +328,9 @@ def _cut_where_stamps_start_anew(
         yield name, dict(sources)
         return
     for number in range(count):
-        rows = {channel: pieces[channel][number] for channel in sources}
         yield (
             f"{name}#{number + 1}",
-            {channel: source.chosen(rows[channel]) for channel, source in sources.items()},
+            {channel: source.chosen(pieces[channel][number]) for channel, source in sources.items()},
         )
 
 
