@@ -222,8 +222,8 @@ def _refuse_header(header: list[str], where: str, columns: CsvColumns) -> None:
         for sign, named in ((";", "semicolons"), ("\t", "tabs"), (None, "blanks")):
             if len(header[0].split(sign)) > 1:
                 raise DatasetError(
-                    f"{where}: its cells are parted by {named}, not by commas; save it anew with commas"
-                    " between cells and points in numbers"
+                    f"{where}: its cells are parted by {named}, not by commas; `slipmap import` reads"
+                    f" it: slipmap import {where} --guess"
                 )
     lacking = ", ".join(columns.names[name] for name in missing)
     raise DatasetError(

@@ -135,12 +135,30 @@ class Fingerprint:
 
 def all_faults(faults: Sequence[str], count: int, what: str) -> DatasetError:
     """All that is wrong with some of `count` files or recordings (`what`), in one text."""
-    unique = list(dict.fromkeys(faults))
-    if len(unique) == 1:
-        return DatasetError(unique[0])
+    unique = grouped(faults)
+    if len(set(faults)) == 1:
+        return DatasetError(faults[0])
     more = f"; and {len(unique) - _MOST_FAULTS} more" if len(unique) > _MOST_FAULTS else ""
     listed = "; ".join(unique[:_MOST_FAULTS])
     return DatasetError(f"{len(faults)} of {count} {what} cannot be used: {listed}{more}")
+
+
+def grouped(texts: Iterable[str]) -> list[str]:
+    """Each text once; of those that differ only in what stands before the first colon, such as the file, one
+    text that names them all."""
+    places: dict[str, list[str]] = {}
+    for text in dict.fromkeys(texts):
+        place, colon, complaint = text.partition(": ")
+        if colon:
+            places.setdefault(complaint, []).append(place)
+        else:
+            places.setdefault(text, [])
+    return [f"{_places(named)}: {complaint}" if named else complaint for complaint, named in places.items()]
+
+
+def _places(named: Sequence[str]) -> str:
+    more = f" and {len(named) - _MOST_FAULTS} more" if len(named) > _MOST_FAULTS else ""
+    return f"{', '.join(named[:_MOST_FAULTS])}{more}"
 
 
 def mapping(value: object, where: str) -> dict[str, Any]:

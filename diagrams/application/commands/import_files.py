@@ -15,7 +15,7 @@ from slipmap.models.files import BadInput, write_text, writing
 @click.command("import")
 @click.argument("sources", nargs=-1, required=True, type=click.Path(path_type=Path), metavar="SOURCE...")
 @options.path_option(
-    "--setup", required=True, metavar="YAML",
+    "--setup", default="setup.yaml", metavar="YAML",
     about="Where in the files object, finger and force are, and how they were measured (docs/import.md).",
 )  # fmt: skip
 @click.option(
@@ -49,6 +49,10 @@ def import_files(
         return
     if output is None:
         raise click.UsageError("say with -o DATASET where the push dataset goes, or ask to --guess a setup")
+    if not setup.exists():
+        raise BadInput(
+            f"{setup}: there is no such file; write a first one with --guess, or name yours with --setup"
+        )
     check_folder(output.absolute().parent, output)
     is_replaced(output.resolve(), overwrite=True)
     with Progress() as progress:

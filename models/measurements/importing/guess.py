@@ -241,7 +241,8 @@ def _units(one: _Found, name: str, time: Sequence[str]) -> list[str]:
     if len(time) == 1:
         named["time"] = _unit(time[0], "time")
         try:
-            step = float(np.nanmedian(np.diff(one.source.numbers(time[0]))))
+            steps = np.diff(one.source.numbers(time[0]))
+            step = float(np.median(steps[np.isfinite(steps)])) if np.isfinite(steps).any() else 0.0
         except DatasetError:  # words, such as ISO times
             step = 0.0
         if _SLOWEST < step < 1e3 * _SLOWEST:

@@ -357,6 +357,8 @@ def _in_order(table: FloatArray, name: str) -> tuple[FloatArray, list[str]]:
         rows = rows[np.argsort(rows[:, 0], kind="stable")]
     again = np.diff(rows[:, 0]) <= 1e-9
     if again.any():
-        found.append(f"{int(again.sum())} rows of {name} have the stamp of the row before; left out")
+        found.append(
+            f"{int(again.sum())} of {len(rows)} rows of {name} have the stamp of the row before; left out"
+        )
         rows = rows[np.append(True, ~again)]
     return rows, found

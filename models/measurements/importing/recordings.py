@@ -128,6 +128,7 @@ def import_dataset(
         warnings += one.doubts
         for step in dict.fromkeys(one.steps):
             done.setdefault(step, []).append(name)
+    warnings = parsing.grouped(warnings)
     trials = last_held_out([trial for one in read.values() for trial in one.trials])
     kept, doubts = check_trials(said.setup, trials, where)
     provenance = (

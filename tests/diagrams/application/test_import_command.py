@@ -80,6 +80,8 @@ def test_what_is_missing_is_said(slipmap, lab):
     said = slipmap("import", lab / "nothing.csv", "--setup", lab / "setup.yaml", "-o", lab / "pushes")
     assert said.code == 2 and "no such file" in said.err
     assert not (lab / "pushes").exists()
+    said = slipmap("import", lab / "push.csv", "--setup", lab / "none.yaml", "-o", lab / "pushes")
+    assert said.code == 2 and "--guess" in said.err
     (lab / "thesis").mkdir()
     (lab / "thesis" / "chapter.tex").write_text("")
     said = slipmap("import", lab / "push.csv", "--setup", lab / "setup.yaml", "-o", lab / "thesis")
