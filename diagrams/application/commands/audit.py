@@ -8,7 +8,7 @@ import click
 
 from slipmap.diagrams.application.commands import options
 from slipmap.diagrams.application.terminal import Progress, note, prepare_kernels
-from slipmap.models.files import write_json, write_text
+from slipmap.models.files import together, write_json, write_text
 
 
 @click.command()
@@ -36,12 +36,12 @@ def audit(engines: tuple[str, ...], output: Path, json_file: Path | None) -> Non
         beside = prices_beside(engines, standard, progress) if len(audits) == 1 else {}
         from slipmap.diagrams.application.reports.audit_words import audit_report, show_audits
 
-        with progress.step("drawing"):
+        document = {
+            "engines": [one.to_json() for one in audits],
+            "beside_mm": {k: 1e3 * v for k, v in beside.items()},
+        }
+        with progress.step("drawing"), together():
             write_text(output, audit_report(audits, beside))
-    document = {
-        "engines": [one.to_json() for one in audits],
-        "beside_mm": {k: 1e3 * v for k, v in beside.items()},
-    }
-    write_json(json_file, document)
+            write_json(json_file, document)
     show_audits(audits, beside)
     note(f"report: {output}")
