@@ -59,7 +59,7 @@ def inertia_of_cells(belief, k):
 
 def test_a_sliding_object_is_braked_as_by_its_cells(tmp_path):
     """Thrown over MuJoCo's floor, it stops where friction of one coefficient lets it: v² / (2 μ g)."""
-    mujoco = pytest.importorskip("mujoco")
+    mujoco = pytest.importorskip("mujoco", reason="MuJoCo comes with the extra `bench`")
     grid, truth = hammer()
     even = Maps(truth.mass, np.full_like(truth.mu, 0.25), truth.mu_finger)
     belief = Belief(grid, RADIUS, 9.81, even, np.ones(1), Smoothing(), "even", "", "gauss-newton", 0)
@@ -156,7 +156,7 @@ def test_a_push_in_drake(tmp_path, belief, push):
 
 
 def test_a_push_in_mujoco(tmp_path, belief, push):
-    mujoco = pytest.importorskip("mujoco")
+    mujoco = pytest.importorskip("mujoco", reason="MuJoCo comes with the extra `bench`")
     (path,) = export_belief(belief, "mjcf", tmp_path / "models", height=HEIGHT)
     spec = mujoco.MjSpec.from_file(str(path))
     spec.option.timestep, spec.option.impratio = 1e-3, 10.0

@@ -34,7 +34,7 @@ def test_an_engine_slides_and_is_pushed(spec: str) -> None:
 
 
 def test_mujocos_defects_are_named() -> None:
-    pytest.importorskip("mujoco")
+    pytest.importorskip("mujoco", reason="MuJoCo comes with the extra `bench`")
     subject = find_engine("mujoco")
     answers = probes.ask(subject, lambda done: None)
     found = {m.key: m.value for m in measures(answers, answers, subject.dt) if m.named}

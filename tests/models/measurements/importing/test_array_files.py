@@ -53,7 +53,7 @@ def test_hdf5_with_named_fields(tmp_path):
 
 
 def test_zarr(tmp_path):
-    zarr = pytest.importorskip("zarr")
+    zarr = pytest.importorskip("zarr", reason="zarr comes with the extra `import`")
     group = zarr.open_group(str(tmp_path / "a.zarr"), mode="w")
     log = group.create_group("log")
     for name, values in (("t", TIME), ("pose", POSE), ("tip", TIP)):
@@ -65,7 +65,7 @@ def test_zarr(tmp_path):
 
 
 def test_zarr_with_pickles_is_refused(tmp_path):
-    pytest.importorskip("zarr")
+    pytest.importorskip("zarr", reason="zarr comes with the extra `import`")
     folder = tmp_path / "a.zarr" / "x"
     folder.mkdir(parents=True)
     (tmp_path / "a.zarr" / ".zgroup").write_text('{"zarr_format": 2}')
@@ -80,7 +80,7 @@ def test_zarr_with_pickles_is_refused(tmp_path):
 
 
 def test_lerobot(tmp_path):
-    pyarrow = pytest.importorskip("pyarrow")
+    pyarrow = pytest.importorskip("pyarrow", reason="pyarrow comes with the extra `import`")
     from pyarrow import parquet
 
     state = np.column_stack([POSE, TIP])

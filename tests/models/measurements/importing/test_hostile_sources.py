@@ -76,7 +76,7 @@ def test_damaged_files(tmp_path, kind):
             for name, column in zip(("x", "y", "theta"), POSE.T, strict=True):
                 opened[name] = column
     elif kind == "parquet":
-        pyarrow = pytest.importorskip("pyarrow")
+        pyarrow = pytest.importorskip("pyarrow", reason="pyarrow comes with the extra `import`")
         from pyarrow import parquet
 
         parquet.write_table(pyarrow.table({"timestamp": TIME, "x": POSE[:, 0], "y": POSE[:, 1]}), file)
