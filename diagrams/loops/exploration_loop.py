@@ -331,7 +331,7 @@ def hypothesis_step(time_step: float) -> float:
 
 
 def check_reach(scenario: Scenario, thing: TrueObject) -> None:
-    """Refuse an object of which the arm can make no push where it lies.
+    """Refuse an object that the arm cannot push where it lies.
 
     Raises:
         ScenarioError: says so, with how many pushes were tried.
