@@ -65,7 +65,7 @@ class Diagnosis(PythonSystem):
         make_dataset: makes trials and grid a dataset with all that is known of the place.
         settings: how many pushes it may ask for, and when it asks.
         pushes: of exploring, to which these come.
-        effects: that the model has from the start.
+        effects: that the model has from the start, and keeps whatever is found.
         seed: of every draw.
         settled: pushes that were recorded before, which are not looked into by themselves.
         worker: who computes; this process if None, and then the simulation waits.
@@ -91,7 +91,7 @@ class Diagnosis(PythonSystem):
         super().__init__()
         self._make_dataset = make_dataset
         self._settings, self._most = settings, pushes + settings.pushes
-        self._seed, self._worker = seed, worker
+        self._given, self._seed, self._worker = tuple(effects), seed, worker
         self.declare_inputs("trials", "cell_grid", "watch")
         self._state = self.DeclareAbstractState(held((Repair(settled, tuple(effects)), None)))
         self.declare_steps(PERIOD, self._state, self._next)
@@ -120,10 +120,11 @@ class Diagnosis(PythonSystem):
         if found.verdict in ("effect", "ambiguous"):
             rivals = [rival.effects for rival in found.rivals]
             simplest = min(rivals, key=lambda rival: sum(len(effect.parameters) for effect in rival))
-            effects = tuple(effect.name for effect in simplest)
-        if effects:
+            effects = tuple(effect.name for effect in simplest if effect.name not in self._given)
+        named, effects = bool(effects), (*self._given, *effects)
+        if named:
             action = "keeps" if set(effects) == set(repair.effects) else "adopts"
-        elif repair.effects:
+        elif repair.effects != self._given:
             action = "drops"
         else:
             action = "pushes on" if found.verdict == "undecided" and count < self._most else "goes on without"

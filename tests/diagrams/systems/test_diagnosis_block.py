@@ -30,7 +30,7 @@ class Push:
 class Robot(DrivenBlock):
     """A block whose diagnoses are what the test says, and which notes what it was asked."""
 
-    def __init__(self, monkeypatch, *answers: tuple[str, tuple[str, ...]], settled: int = 0) -> None:
+    def __init__(self, monkeypatch, *answers: tuple[str, tuple[str, ...]], settled: int = 0, **given) -> None:
         self.asked: list[int] = []
         waiting = list(answers)
 
@@ -44,7 +44,7 @@ class Robot(DrivenBlock):
             return SimpleNamespace(verdict=verdict, rivals=rivals, sentence=f"{verdict}.")
 
         monkeypatch.setattr(procedure, "diagnose", diagnose)
-        block = Diagnosis(lambda trials, grid: trials, SETTINGS, pushes=PUSHES, settled=settled)
+        block = Diagnosis(lambda trials, grid: trials, SETTINGS, pushes=PUSHES, settled=settled, **given)
         super().__init__(block, trials=(), cell_grid=None, watch=watch(0))
         self.advance(0.5 * PERIOD)
 
@@ -136,3 +136,13 @@ def test_pushes_of_an_earlier_process_are_settled(monkeypatch):
     robot = Robot(monkeypatch, ("effect", ("tether",)), settled=6)
     assert robot.push(6, alarm=True) == Repair(6)
     assert replace(robot.push(7, alarm=True), findings=()).effects == ("tether",)
+
+
+def test_effects_that_the_user_gave_are_never_dropped(monkeypatch):
+    answers = [("effect", ("tether",)), ("undecided", ()), ("effect", ("table_tilt",))]
+    robot = Robot(monkeypatch, *answers, effects=("table_tilt",))
+    assert robot.read("effects") == ("table_tilt",)
+    assert robot.push(5, alarm=True).effects == ("table_tilt", "tether")
+    assert robot.push(6, alarm=True).effects == ("table_tilt",)
+    repair = robot.push(7, alarm=True)
+    assert (repair.effects, actions(repair)) == (("table_tilt",), ["adopts", "drops", "goes on without"])
