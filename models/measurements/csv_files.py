@@ -246,14 +246,4 @@ def _further(header: list[str]) -> str:
 
 
 def _cell(cell: str, where: str) -> float:
-    stripped = cell.strip()
-    if not stripped:
-        return math.nan
-    try:
-        if "_" in stripped:
-            raise ValueError
-        return float(stripped)
-    except ValueError:
-        raise DatasetError(
-            f"{where}: {parsing.shown(cell)} is no number; leave the cell empty where there is none"
-        ) from None
+    return parsing.number_in(cell, where) if cell.strip() else math.nan

@@ -11,6 +11,7 @@ import numpy as np
 import shapely
 
 from slipmap.models.geometry import angle_between, rotated, seen_from
+from slipmap.models.measurements import parsing
 from slipmap.models.measurements.contact import (
     CALIBRATION_ERROR,
     ContactRows,
@@ -178,7 +179,7 @@ def _rates(dataset: PushDataset) -> list[Finding]:
             advice = f"below {_SLOW_RATE:g} Hz touch and release are hardly seen; record faster"
             findings.append(Finding(f"rate of {words}", text, "note", advice))
         elif blind:
-            advice = f"the object moves unseen for more than {1e3 * _GAP:.0f} ms in {_listed(blind)}"
+            advice = f"the object moves unseen for more than {1e3 * _GAP:.0f} ms in {parsing.listed(blind)}"
             findings.append(Finding(f"rate of {words}", text, "note", advice))
         else:
             findings.append(Finding(f"rate of {words}", text, "good"))
@@ -461,7 +462,3 @@ def _advice(seen: Coverage) -> list[str]:
     if not seen.forces:
         wanted.append("force, if there is a sensor: without it total friction stays open")
     return wanted
-
-
-def _listed(names: Sequence[str]) -> str:
-    return ", ".join(names[:5]) + (f" and {len(names) - 5} more" if len(names) > 5 else "")

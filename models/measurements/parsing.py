@@ -302,3 +302,24 @@ def shown_error(error: Exception) -> str:
     line and column."""
     message = " ".join(re.sub(r'in "<(byte|unicode) string>", ', "", str(error)).split())
     return message if len(message) <= 200 else message[:197] + "..."
+
+
+def listed(names: Sequence[str]) -> str:
+    """The first names of a list, and how many more there are."""
+    return ", ".join(names[:5]) + (f" and {len(names) - 5} more" if len(names) > 5 else "")
+
+
+def number_in(cell: str, where: str) -> float:
+    """The number that a cell of a table holds; Python's underscores are none.
+
+    Raises:
+        DatasetError: it holds none; names the place.
+    """
+    try:
+        if "_" in cell:
+            raise ValueError
+        return float(cell)
+    except ValueError:
+        raise DatasetError(
+            f"{where}: {shown(cell)} is no number; leave the cell empty where there is none"
+        ) from None

@@ -22,8 +22,8 @@ def repair_story(repair: Repair, watch: Watch) -> list[str]:
     if not repair.findings:
         return ["The model was not repaired: no push gave cause to look into it."]
     said = [_finding(finding) for finding in repair.findings]
-    before = [push for push in watch.judged if not set(repair.effects) & set(push.effects)]
-    after = [push for push in watch.judged if set(repair.effects) & set(push.effects)]
+    after = [push for push in watch.judged if set(repair.effects) <= set(push.effects)]
+    before = [push for push in watch.judged if push not in after]
     if repair.effects and before and after:
         said.append(
             f"Before, {_errors(before)}; with {_names(repair.effects)}, {_errors(after)}, each predicted"

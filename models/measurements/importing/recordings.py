@@ -132,8 +132,11 @@ def import_dataset(
     trials = last_held_out([trial for one in read.values() for trial in one.trials])
     kept, doubts = check_trials(said.setup, trials, where)
     provenance = (
-        f"imported from {_listed(list(files))}",
-        *(step if len(names) == len(groups) else f"{_listed(names)}: {step}" for step, names in done.items()),
+        f"imported from {parsing.listed(list(files))}",
+        *(
+            step if len(names) == len(groups) else f"{parsing.listed(names)}: {step}"
+            for step, names in done.items()
+        ),
         *warnings,
     )
     for warning in (*warnings, *doubts):
@@ -142,11 +145,6 @@ def import_dataset(
         **vars(said.setup), trials=tuple(kept), fingerprint=fingerprint.hexdigest(),
         warnings=(*warnings, *doubts), provenance=tuple(" ".join(text.split()) for text in provenance),
     )  # fmt: skip
-
-
-def _listed(names: Sequence[str]) -> str:
-    shown = ", ".join(names[:5])
-    return shown if len(names) <= 5 else f"{shown} and {len(names) - 5} more"
 
 
 # Which files belong together.
@@ -162,7 +160,7 @@ def _recordings(files: Mapping[str, Path], said: ImportSetup, where: str) -> dic
         if not found and said.channels[name].named:
             raise DatasetError(
                 f"{where}: {name}.source: no file is called {parsing.shown(said.channels[name].source)};"
-                f" there are {_listed(list(files))}"
+                f" there are {parsing.listed(list(files))}"
             )
     groups: dict[str, dict[str, str]] = {}
     for key, file in keyed["object_pose"].items():
@@ -226,7 +224,7 @@ class _Files:
             found = tables
         if len(found) == 1 or (found and not channel.part and len(tables) == 1):
             return found[0]
-        parts = _listed([table.part for table in tables])
+        parts = parsing.listed([table.part for table in tables])
         if channel.part:
             raise DatasetError(
                 f"{tables[0].file}: has no part {parsing.shown(channel.part)}; there are {parts}"

@@ -99,18 +99,9 @@ class Source:
             return np.array([self._number(cell, name, row) for row, cell in enumerate(cells)], dtype=float)
 
     def _number(self, cell: str, name: str, row: int) -> float:
-        stripped = cell.strip()
-        if stripped.lower() in _NO_NUMBER:
+        if cell.strip().lower() in _NO_NUMBER:
             return float("nan")
-        try:
-            if "_" in stripped:
-                raise ValueError
-            return float(stripped)
-        except ValueError:
-            raise DatasetError(
-                f"{self.where}, row {row + self.first_row}, {name}: {parsing.shown(cell)} is no number; leave"
-                " the cell empty where there is none"
-            ) from None
+        return parsing.number_in(cell, f"{self.where}, row {row + self.first_row}, {name}")
 
     def chosen(self, rows: NDArray[np.int_]) -> Source:
         """Some of the rows."""

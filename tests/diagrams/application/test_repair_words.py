@@ -24,6 +24,10 @@ def test_it_says_what_was_found_what_was_done_and_how_far_the_error_fell():
         Finding(5, "undecided", "Too little is seen.", (), "pushes on"),
         Finding(6, "effect", "The model lacks one effect: table_tilt.", TILT, "adopts"),
     )
+    # An effect that the model had from the start does not count.
+    given, both = ("tether",), ("tether", *TILT)
+    kept = repair_story(Repair(6, both, 8, findings), watch((0.02, given), (0.03, given), (0.004, both)))[-1]
+    assert kept.startswith("Before, 2 pushes") and "with tether and table_tilt, 1 push ended 4.0 mm" in kept
     seen = watch((0.010, ()), (0.024, ()), (0.030, ()), (0.004, TILT), (0.001, TILT), (0.030, TILT))
     first, second, third = repair_story(Repair(6, TILT, 8, findings), seen)
     assert first.startswith("After push 5, diagnosis: Too little is seen.")
