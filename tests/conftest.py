@@ -15,8 +15,7 @@ if "PYTEST_XDIST_WORKER" in os.environ:
     os.environ.setdefault("NUMBA_NUM_THREADS", "1")
 
 # Which take longest, one or few tests each. Begun last, they would keep one worker while the other has
-# nothing left to do; by itself, xdist begins files with few tests last. The first one compiles the kernels
-# with effects, the second those without; all others find them in the cache.
+# nothing left to do; by itself, xdist begins files with few tests last.
 COSTLY = (
     "test_missing_effect.py",
     "test_explore.py",
@@ -27,6 +26,12 @@ COSTLY = (
     "test_two_effects.py",
     "test_generator.py",
 )
+
+# Where kernels are not compiled yet, the first file compiles them all. Meanwhile the other worker runs what
+# needs none of them; elsewhere it would compile the same kernels a second time.
+COMPILES, COMPILES_QUICK = COSTLY[0], "test_effect_derivatives.py"
+WITHOUT_KERNELS = ("models/measurements", "models/objects", "models/perception", "diagrams/perception")
+WITH_KERNELS_ALL_THE_SAME = ("test_simulated.py", "test_openings.py")
 
 # What `--quick` leaves out: plants, twins, browsers, notebooks, many processes, and long computations.
 NOT_QUICK_FOLDERS = (
@@ -92,7 +97,7 @@ def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool 
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Costly files first, the others as collected; or all at random, file by file."""
+    """Costly files early, most others as collected; or all at random, file by file."""
     if config.getoption("--quick"):
         left_out = [item for item in items if not NOT_QUICK_FIXTURES.isdisjoint(item.fixturenames)]
         config.hook.pytest_deselected(items=left_out)
@@ -103,8 +108,18 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
         files = {path: draw.random() for path in sorted({item.path for item in items})}
         items.sort(key=lambda item: (files[item.path], draw.random()))
         return
-    rank = {name: place for place, name in enumerate(COSTLY)}
-    items.sort(key=lambda item: rank.get(item.path.name, len(COSTLY)))
+    first = COMPILES_QUICK if config.getoption("--quick") else COMPILES
+    items.sort(key=lambda item: _rank(item.path, first))
+
+
+def _rank(path: Path, first: str) -> int:
+    """Place of a file: the one that compiles, those that need no kernels, the costly ones, all others."""
+    if path.name == first:
+        return -2
+    if path.name in COSTLY:
+        return COSTLY.index(path.name)
+    free = any(path.is_relative_to(TESTS / folder) for folder in WITHOUT_KERNELS)
+    return -1 if free and path.name not in WITH_KERNELS_ALL_THE_SAME else len(COSTLY)
 
 
 @pytest.fixture(scope="session")

@@ -26,9 +26,10 @@ TRACEBACK = "SLIPMAP_TRACEBACK"
 _STOPPED = "stopped; nothing half-written is left behind"
 _COMMANDS = (
     "machine:doctor", "demo", "explore", "explore:pregrasp", "record:station", "record", "record:replay",
-    "describe_object", "import_files", "check", "identify", "compare:predict", "view", "compare",
-    "compare:diagnose", "identify:fit", "effects", "export", "studies:calibrate", "studies:explore_study",
-    "campaign", "studies:blind_test", "audit", "machine:bench", "machine:completion",
+    "describe_object", "datasets:import_files", "datasets:check", "identify", "compare:predict",
+    "beliefs:view", "compare", "compare:diagnose", "identify:fit", "effects", "beliefs:export",
+    "studies:calibrate", "studies:explore_study", "campaign", "studies:blind_test", "audit",
+    "machine:bench", "machine:completion",
 )  # fmt: skip
 """Modules of commands, and the function in them where it has another name."""
 

@@ -22,8 +22,7 @@ from slipmap.diagrams.execution.arm_motion import (
 )
 from slipmap.diagrams.execution.clearance import ArmClearance, Obstacle, Surroundings
 from slipmap.diagrams.execution.finger_kinematics import FingerKinematics, OutOfReach
-from slipmap.diagrams.execution.requests import ActiveGrasp
-from slipmap.diagrams.execution.settings import ExecutionConfig
+from slipmap.diagrams.execution.requests import ActiveGrasp, ExecutionConfig
 from slipmap.diagrams.station.arm import HOME, arm_model
 from slipmap.models.measurements.push_dataset import Table
 from slipmap.models.physics.cell_grid import FloatArray

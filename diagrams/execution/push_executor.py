@@ -12,8 +12,13 @@ from slipmap.diagrams.execution.arm_motion import MotionRefused, Phase, Plan
 from slipmap.diagrams.execution.clearance import ArmClearance, Obstacle, Surroundings
 from slipmap.diagrams.execution.finger_kinematics import FingerKinematics, tip_force
 from slipmap.diagrams.execution.plans import ArmPlanner
-from slipmap.diagrams.execution.requests import ActiveGrasp, ActivePush, ExecutionStatus, Health
-from slipmap.diagrams.execution.settings import ExecutionConfig
+from slipmap.diagrams.execution.requests import (
+    ActiveGrasp,
+    ActivePush,
+    ExecutionConfig,
+    ExecutionStatus,
+    Health,
+)
 from slipmap.diagrams.systems.python_system import PythonSystem, held, read
 from slipmap.models.geometry import angle_between
 from slipmap.models.measurements.push_dataset import Table

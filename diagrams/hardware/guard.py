@@ -12,8 +12,7 @@ from pydrake.multibody.plant import MultibodyPlant
 from pydrake.systems.framework import Context
 
 from slipmap.diagrams.execution.finger_kinematics import FingerKinematics
-from slipmap.diagrams.execution.requests import Health
-from slipmap.diagrams.execution.settings import ExecutionConfig
+from slipmap.diagrams.execution.requests import ExecutionConfig, Health
 from slipmap.diagrams.hardware.command_stream import braking_time
 from slipmap.diagrams.systems.python_system import PythonSystem, held, read
 from slipmap.models.physics.cell_grid import FloatArray

@@ -24,12 +24,10 @@ from slipmap.models.perception.first_look import (
     median_depth,
     object_center,
 )
-from slipmap.models.perception.object_mask import Hull, Mask, draw_hulls
-from slipmap.models.perception.picture_check import PictureHistory, readings
-from slipmap.models.perception.pinhole_camera import DepthImage, PinholeCamera, View
+from slipmap.models.perception.object_mask import Hull, Mask, PictureHistory, draw_hulls, readings
+from slipmap.models.perception.pinhole_camera import DepthImage, NoTable, PinholeCamera, View
 from slipmap.models.perception.pose_tracking import load_kernels, track
 from slipmap.models.perception.seen_object import ObservedPose, Reason, SeenObject
-from slipmap.models.perception.table_plane import NoTable
 from slipmap.models.physics.cell_grid import FloatArray
 
 FRAMES = 15

@@ -21,7 +21,7 @@ import numpy as np
 import yaml
 from pydrake.common.yaml import yaml_load_typed
 
-from slipmap.diagrams.execution.settings import ExecutionConfig
+from slipmap.diagrams.execution.requests import ExecutionConfig
 from slipmap.diagrams.hardware.guard import GuardSettings
 from slipmap.diagrams.perception.camera import CameraConfig
 from slipmap.diagrams.perception.depth_noise import DepthNoiseConfig

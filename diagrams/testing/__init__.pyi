@@ -1,4 +1,5 @@
 from .assertions import (
+    CommandLog as CommandLog,
     assert_adopts as assert_adopts,
     assert_alarm as assert_alarm,
     assert_better_than_uniform as assert_better_than_uniform,
@@ -16,5 +17,4 @@ from .cell import (
     open_cell as open_cell,
     small_scenario as small_scenario,
 )
-from .command_log import CommandLog as CommandLog
 from .faults import Fault as Fault

@@ -14,10 +14,9 @@ from slipmap.diagrams.loops.exploration_run import DOING, ExplorationRun, explor
 from slipmap.diagrams.loops.pregrasp_loop import BRINGS, PregraspOptions, PregraspRun, pregrasp
 from slipmap.diagrams.loops.run_folder import ExplorationFolder, RunFolder, resumed
 from slipmap.diagrams.station.scenario import Scenario
-from slipmap.diagrams.testing.command_log import CommandLog, CommandRecorder
+from slipmap.diagrams.testing.assertions import CommandLog, CommandRecorder
 from slipmap.diagrams.testing.faults import Fault, RelayProcess
-from slipmap.diagrams.testing.lockstep import LockstepCell
-from slipmap.diagrams.testing.twin_process import TwinProcess, free_url
+from slipmap.diagrams.testing.twins import LockstepCell, TwinProcess, free_url
 from slipmap.models.physics.cell_grid import FloatArray
 
 TWIN, LOCKSTEP = "twin", "lockstep"

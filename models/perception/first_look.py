@@ -27,10 +27,16 @@ from slipmap.models.perception.object_mask import (
     object_mask,
     smoothed_heights,
 )
-from slipmap.models.perception.pinhole_camera import DepthImage, PinholeCamera, View, pixel_size
+from slipmap.models.perception.pinhole_camera import (
+    DepthImage,
+    PinholeCamera,
+    TablePlane,
+    View,
+    fit_table,
+    pixel_size,
+)
 from slipmap.models.perception.pose_tracking import angle_shown, fit_edges
 from slipmap.models.perception.seen_object import Outline, Reason, Relief, SeenObject, footprint, outline_of
-from slipmap.models.perception.table_plane import TablePlane, fit_table
 from slipmap.models.physics.cell_grid import CellGrid, FloatArray
 
 _OUTLINE_POINTS = 300

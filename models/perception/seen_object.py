@@ -30,10 +30,8 @@ from slipmap.models.measurements.push_dataset import Trial
 from slipmap.models.objects.footprints import without_small_holes
 from slipmap.models.objects.images import border_middles, straightened, traced_outline
 from slipmap.models.perception.edge_kernels import SPACING, Land, Shape
-from slipmap.models.perception.object_mask import HeightPicture, Heights, Mask
-from slipmap.models.perception.picture_check import Fault
-from slipmap.models.perception.pinhole_camera import View, pixel_size
-from slipmap.models.perception.table_plane import TablePlane
+from slipmap.models.perception.object_mask import Fault, HeightPicture, Heights, Mask
+from slipmap.models.perception.pinhole_camera import TablePlane, View, pixel_size
 from slipmap.models.physics.cell_grid import CellGrid, FloatArray
 
 _INSETS = np.array([1.0, 2.0, 3.0])  # pixels inside an edge; the highest of the heights there is the edge's

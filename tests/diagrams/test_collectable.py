@@ -20,7 +20,7 @@ from slipmap.diagrams.loops.pregrasp_loop import PregraspOptions, pregrasp_loop
 from slipmap.diagrams.systems.cell_grid_slider import CellGridSlider
 from slipmap.diagrams.systems.python_system import PythonSystem, weakly
 from slipmap.diagrams.testing.cell import small_scenario
-from slipmap.diagrams.testing.lockstep import LockstepCell
+from slipmap.diagrams.testing.twins import LockstepCell
 from slipmap.models.objects.benchmark_objects import benchmark_object
 from slipmap.models.physics.rollout import Maps
 

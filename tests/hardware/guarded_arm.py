@@ -12,8 +12,7 @@ from pydrake.systems.primitives import ConstantValueSource
 
 from slipmap.diagrams.execution.finger_kinematics import FingerKinematics
 from slipmap.diagrams.execution.push_executor import PushExecutor
-from slipmap.diagrams.execution.requests import ActivePush
-from slipmap.diagrams.execution.settings import ExecutionConfig
+from slipmap.diagrams.execution.requests import ActivePush, ExecutionConfig
 from slipmap.diagrams.hardware.guard import PERIOD, CommandGuard, GuardSettings
 from slipmap.diagrams.station.arm import arm_model
 from slipmap.planners.table_push import TablePush

@@ -16,7 +16,7 @@ from drake import (
 
 from slipmap.diagrams.execution.finger_kinematics import FingerKinematics
 from slipmap.diagrams.execution.plans import ArmPlanner
-from slipmap.diagrams.execution.settings import ExecutionConfig
+from slipmap.diagrams.execution.requests import ExecutionConfig
 from slipmap.diagrams.hardware import network
 from slipmap.diagrams.hardware.message_stream import Event
 from slipmap.diagrams.perception.camera import CameraConfig

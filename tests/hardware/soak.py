@@ -2,7 +2,7 @@
 
     python tests/hardware/soak.py --minutes 60 --seed 0 -o soak
 
-The cell is the twin in lockstep (`slipmap.diagrams.testing.lockstep`), behind all messages and checks, with
+The cell is the twin in lockstep (`slipmap.diagrams.testing.twins`), behind all messages and checks, with
 the guard's own limits: minutes are those of the simulation. Each session is a process that explores until it
 is done, a fault stops it, or it is killed; the next one goes on with its folder, where arm, gripper and
 object were left. At the end, what must not be is counted: pushes lost, limits exceeded, memory that grows.

@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from slipmap.diagrams.testing.command_log import CommandLog
+from slipmap.diagrams.testing.assertions import CommandLog
 from slipmap.diagrams.testing.faults import Fault
 
 PLANT, COMMANDS = "plant.npy", "commands.npy"
@@ -68,7 +68,7 @@ def main(folder: Path, task: Task) -> None:
     from slipmap.diagrams.loops.exploration_run import DOING, ExplorationFailed, explore
     from slipmap.diagrams.loops.run_folder import RUN, ExplorationFolder, resumed
     from slipmap.diagrams.testing.cell import LOCKSTEP, Faults, small_scenario
-    from slipmap.diagrams.testing.lockstep import LockstepCell
+    from slipmap.diagrams.testing.twins import LockstepCell
 
     # Few and large cells: what is soaked is the cell and what drives it, not how well it learns.
     options = LoopOptions(

@@ -8,6 +8,7 @@ from typing import Literal
 import numpy as np
 from scipy.optimize import minimize_scalar
 
+from slipmap.diagrams.application.audit.engine import plain_scene
 from slipmap.diagrams.application.audit.probes import (
     CREEP_LOAD,
     LATE,
@@ -16,7 +17,6 @@ from slipmap.diagrams.application.audit.probes import (
     Answers,
     slides_of_point,
 )
-from slipmap.diagrams.application.audit.scenes import plain_scene
 from slipmap.models.geometry import cross
 from slipmap.models.physics.cell_grid import FloatArray
 

@@ -1,4 +1,4 @@
-"""What an audit asks of a physics engine, and the engine that is Coulomb's law itself.
+"""What an audit asks of a physics engine, the engine that is Coulomb's law itself, and the objects it pushes.
 
 An engine is a class. The audit makes one instance for each scene and direction of gravity, lays the object
 down with `reset`, and moves on with `step`; it looks at nothing but `pose`.
@@ -15,6 +15,7 @@ import numpy as np
 from slipmap.models.effects.effect import Effect, failure
 from slipmap.models.files import BadInput
 from slipmap.models.geometry import placed
+from slipmap.models.objects import cells_from_polygon
 from slipmap.models.objects.convex_pieces import convex_pieces
 from slipmap.models.physics.cell_grid import CellGrid, FloatArray
 from slipmap.models.physics.maps import Maps
@@ -286,3 +287,25 @@ class Laid:
         steps = round(duration / self._subject.dt)
         poses = self.push(np.tile(AWAY, (steps + 1, 1)), REST, origin)
         return np.column_stack([placed(center, poses), poses[:, 2]])
+
+
+OUTLINE = 1e-3 * np.array([[-81, -63], [81, -63], [81, -9], [-27, -9], [-27, 63], [-81, 63]])
+"""(6, 2) corners of the L, m; cut into 39 cells of 18 mm."""
+
+MU, MU_FINGER, FINGER_RADIUS = 0.35, 0.25, 6e-3
+_CELLS = 39
+_FOOT_ABOVE = -0.018  # m; cells above this y are of the other material
+
+
+def plain_scene() -> EngineScene:
+    """Equal cells, friction `MU` everywhere."""
+    grid = cells_from_polygon(OUTLINE, count=_CELLS)
+    n = len(grid)
+    return EngineScene(grid, np.full(n, 1.0 / n), np.full(n, MU), MU_FINGER, FINGER_RADIUS)
+
+
+def two_material_scene() -> EngineScene:
+    """A light rough leg on a heavy smooth foot."""
+    grid = cells_from_polygon(OUTLINE, count=_CELLS)
+    leg = grid.centers[:, 1] > _FOOT_ABOVE + 1e-6
+    return EngineScene(grid, np.where(leg, 0.014, 0.034), np.where(leg, 0.5, 0.28), MU_FINGER, FINGER_RADIUS)

@@ -14,8 +14,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from slipmap.diagrams.application.audit.engine import GRAVITY, LEVEL, REST, CoulombEngine, Subject
-from slipmap.diagrams.application.audit.scenes import MU, plain_scene
+from slipmap.diagrams.application.audit.engine import (
+    GRAVITY,
+    LEVEL,
+    MU,
+    REST,
+    CoulombEngine,
+    Subject,
+    plain_scene,
+)
 from slipmap.models.files import BadInput
 from slipmap.models.geometry import rotated
 from slipmap.models.physics.cell_grid import FloatArray

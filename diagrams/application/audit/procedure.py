@@ -1,29 +1,186 @@
-"""An audit: probes that name, and pushes that price."""
+"""An audit: probes that name, and pushes of an object with known maps that price."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from scipy.optimize import least_squares
 
 from slipmap.diagrams.application.audit import engines, probes
 from slipmap.diagrams.application.audit.defects import Measure, measures
-from slipmap.diagrams.application.audit.engine import Subject
-from slipmap.diagrams.application.audit.prices import (
-    COUNT,
-    Explained,
-    Pushed,
-    StandardPushes,
-    explain,
-    laws,
-    push_all,
-    standard_pushes,
-)
+from slipmap.diagrams.application.audit.engine import EngineScene, Subject, two_material_scene
+from slipmap.models.effects.effect import Effect, Scene, bounds
 from slipmap.models.effects.library import LIBRARY
 from slipmap.models.files import BadInput
+from slipmap.models.physics.cell_grid import FloatArray
+from slipmap.models.physics.maps import Maps
+from slipmap.models.physics.paper_notation import add
+from slipmap.models.physics.rollout import Push, Slider
 from slipmap.models.progress import Progress, silent
+from slipmap.planners.exploration import Candidate, candidate_pushes
+
+COUNT = 24
+"""Pushes."""
+
+_SEED = 34
+_LENGTH, _SPEED = (0.04, 0.09), (0.03, 0.1)  # m after first touch; m/s
+_APPROACH, _RAMP, _REST = 5e-3, 0.05, 0.1  # m; s
+_STEP = 1e-3  # s, of the model
+_LOOKS = 12  # poses of a push that effects are fitted to
+
+Report = Callable[[int], None]
+"""Called with how many pushes are done."""
+
+
+@dataclass(frozen=True, eq=False)
+class StandardPushes:
+    """The pushes of an audit, and where they end by Coulomb's law."""
+
+    scene: EngineScene
+    candidates: tuple[Candidate, ...]
+    starts: FloatArray  # (24, 3) poses, world
+    times: FloatArray  # (24, 12) at which effects are fitted, s
+    law: FloatArray  # (24, 3) poses at the end by Coulomb's law, world
+    moved: float  # mean way of the object's points, m
+
+
+@dataclass(frozen=True, eq=False)
+class Pushed:
+    """What an engine made of the pushes."""
+
+    ends: FloatArray  # (24, 3) poses, world
+    looks: FloatArray  # (24, 12, 3) poses at `StandardPushes.times`
+    errors: FloatArray  # (24,) mean distance of the object's points from Coulomb's law at the end, m
+
+    @property
+    def price(self) -> float:
+        """The one number of an audit: mean of the errors, m."""
+        return float(self.errors.mean())
+
+
+@dataclass(frozen=True, eq=False)
+class Explained:
+    """What an effect makes of an engine's pushes, the maps being held."""
+
+    effect: Effect
+    values: FloatArray  # (P,) its parameters
+    errors: FloatArray  # (24,) as of `Pushed`, from the law with the effect, m
+
+    @property
+    def price(self) -> float:
+        """Mean of the errors, m."""
+        return float(self.errors.mean())
+
+
+def standard_pushes() -> StandardPushes:
+    """The same for every audit."""
+    scene, rng = two_material_scene(), np.random.default_rng(_SEED)
+    candidates = candidate_pushes(
+        scene.grid, scene.finger_radius, rng, COUNT, length=_LENGTH, speed=_SPEED, approach=_APPROACH
+    )
+    starts = np.column_stack([np.zeros((COUNT, 2)), rng.uniform(-np.pi, np.pi, COUNT)])
+    pushes = [_push(c, start, _STEP) for c, start in zip(candidates, starts, strict=True)]
+    lasting = _STEP * np.array([len(push.tip) - 1 for push in pushes])
+    times = np.linspace(0.25, 1.0, _LOOKS) * lasting[:, None]
+    ends = Slider(scene.grid, scene.finger_radius).rollout(scene.maps, pushes).end[0, :, :3]
+    moved = float(add(ends, starts, scene.grid.centers).mean())
+    return StandardPushes(scene, tuple(candidates), starts, times, ends, moved)
+
+
+def push_all(subject: Subject, standard: StandardPushes, report: Report) -> Pushed:
+    """Make an engine do the pushes.
+
+    Raises:
+        BadInput: the engine fails.
+    """
+    laid = subject.lay(standard.scene)
+    ends, looks = [], []
+    for index, (candidate, start) in enumerate(zip(standard.candidates, standard.starts, strict=True)):
+        push = _push(candidate, start, subject.dt)
+        poses = laid.push(push.tip, start)
+        clock = subject.dt * np.arange(len(poses))
+        ends.append(poses[-1])
+        looks.append(np.column_stack([np.interp(standard.times[index], clock, column) for column in poses.T]))
+        report(index + 1)
+    errors = add(np.array(ends), standard.law, standard.scene.grid.centers)
+    return Pushed(np.array(ends), np.array(looks), errors)
+
+
+def explain(pushed: Pushed, standard: StandardPushes, effect: Effect) -> Explained:
+    """Fit an effect's parameters to an engine's pushes, the maps being held.
+
+    Least squares of the object's poses, an angle counting at the object's radius, from each of the effect's
+    starts; the best is kept. Errors beyond a millimetre count for less than their square: a push in which the
+    finger slips off another side must not lead all others.
+    """
+    scene, grid = standard.scene, standard.scene.grid
+    slider = Slider(grid, scene.finger_radius, effects=[effect])
+    pushes = [
+        Push(_STEP, push.tip, push.start_pose, pose_times=times, order=float(index))
+        for index, (candidate, start, times) in enumerate(
+            zip(standard.candidates, standard.starts, standard.times, strict=True)
+        )
+        for push in [_push(candidate, start, _STEP)]
+    ]
+    radius = float(np.sqrt(np.mean((grid.centers**2).sum(axis=1))))
+    weights = 1e3 * np.array([1.0, 1.0, radius])  # mm
+    seen = pushed.looks.reshape(-1, 3)
+
+    def rolled(values: FloatArray, derive: bool) -> tuple[FloatArray, FloatArray]:
+        maps = Maps(scene.mass, scene.mu, np.array([scene.mu_finger]), values[None])
+        out = slider.rollout(maps, pushes, sensitivities=derive)
+        return out.poses[0], out.d_poses[0][..., -len(values) :] if derive else out.d_poses
+
+    def misfit(values: FloatArray) -> FloatArray:
+        return ((rolled(values, False)[0] - seen) * weights).ravel()
+
+    def slopes(values: FloatArray) -> FloatArray:
+        by_effect = rolled(values, True)[1]
+        return np.asarray((by_effect * weights[:, None]).reshape(-1, len(values)))
+
+    speeds = [candidate.speed for candidate in standard.candidates]
+    weight = float(scene.mass.sum() * slider.gravity)
+    around = Scene(
+        center=(0.0, 0.0),
+        reach=0.1,
+        radius=radius,
+        speed=float(np.median(speeds)),
+        pushes=COUNT,
+        weight=weight,
+    )
+    low, high = bounds([effect])
+    spans = np.array([p.scale * weight**p.weight_power for p in effect.parameters])
+    fits = []
+    for begin in effect.start_values(around):
+        # A little off the null, where the parameters that shape an effect have no slope.
+        begin = np.clip(begin + np.where(effect.amplitudes, 0.1 * spans, 0.0), low, high)
+        fits.append(
+            least_squares(
+                misfit, begin, jac=slopes, bounds=(low, high), x_scale=spans, max_nfev=30, loss="soft_l1"
+            )
+        )
+    best = min(fits, key=lambda fit: fit.cost)
+    ends = rolled(best.x, False)[0].reshape(COUNT, _LOOKS, 3)[:, -1]
+    return Explained(effect, best.x, add(pushed.ends, ends, grid.centers))
+
+
+def laws(effects: Sequence[Effect]) -> list[Effect]:
+    """Those of the effects that an engine may have: other laws of friction, load and contact."""
+    return [effect for effect in effects if effect.name in _LAWS]
+
+
+_LAWS = (
+    "friction_diamond", "friction_square", "slip_load", "torsional_friction", "impulse_friction",
+    "anisotropic_table", "anisotropic_object", "viscous_friction", "stribeck_friction", "load_transfer",
+    "finger_compliance",
+)  # fmt: skip
+
+
+def _push(candidate: Candidate, start: FloatArray, dt: float) -> Push:
+    return candidate.push(start, h=dt, ramp=_RAMP, rest=_REST)
 
 
 @dataclass(frozen=True, eq=False)

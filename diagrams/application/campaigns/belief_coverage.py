@@ -15,6 +15,7 @@ import numpy as np
 from slipmap.diagrams.application.campaigns import experiments
 from slipmap.diagrams.application.campaigns.direct_world import DirectWorld
 from slipmap.diagrams.application.campaigns.methods_compared import ALL
+from slipmap.diagrams.application.campaigns.trials import TrialOutcome, share
 from slipmap.diagrams.application.campaigns.worlds import as_dataset, identified, world_of
 from slipmap.models.geometry import placed
 from slipmap.models.inference.belief import Belief
@@ -27,7 +28,6 @@ from slipmap.planners.pregrasp import bring_to_edge
 from slipmap.planners.push_decisions import ObjectFell, PushNotMade
 from slipmap.planners.robust_push import plan_push
 from slipmap.planners.settings import PregraspSettings
-from slipmap.planners.trials import TrialOutcome, share
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from slipmap.planners.trials import TrialOutcome, TrialSpec
+    from slipmap.diagrams.application.campaigns.trials import TrialOutcome, TrialSpec
 
 
 ABOUT = {
@@ -100,7 +100,7 @@ class Experiment:
         Raises:
             CampaignError: a truth that the experiment cannot have.
         """
-        from slipmap.planners.trials import CampaignError, TrialSpec
+        from slipmap.diagrams.application.campaigns.trials import CampaignError, TrialSpec
 
         if self.plant_alone and truth != "plant":
             raise CampaignError(

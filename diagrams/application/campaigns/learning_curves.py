@@ -9,13 +9,13 @@ import numpy as np
 
 from slipmap.diagrams.application.campaigns import experiments
 from slipmap.diagrams.application.campaigns.direct_world import DirectWorld
+from slipmap.diagrams.application.campaigns.trials import Estimate, TrialOutcome, mean
 from slipmap.diagrams.application.campaigns.worlds import as_dataset, world_of
 from slipmap.models.inference.belief import Belief
 from slipmap.models.inference.identification import identify
 from slipmap.models.measurements import Trial
 from slipmap.planners.pregrasp import explore
 from slipmap.planners.settings import STRATEGIES, PregraspSettings
-from slipmap.planners.trials import Estimate, TrialOutcome, mean
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from slipmap.diagrams.application.campaigns.experiments import TableText, as_json
+from slipmap.diagrams.application.campaigns.trials import Estimate, TrialOutcome, mean, share
 from slipmap.planners.settings import METHODS
-from slipmap.planners.trials import Estimate, TrialOutcome, mean, share
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

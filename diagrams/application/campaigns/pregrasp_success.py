@@ -13,6 +13,7 @@ from slipmap.diagrams.application.campaigns.experiments import (
     Summary,
 )
 from slipmap.diagrams.application.campaigns.methods_compared import compare_methods
+from slipmap.diagrams.application.campaigns.trials import TrialOutcome
 from slipmap.diagrams.application.campaigns.worlds import identified, world_of
 from slipmap.models.geometry import angle_between
 from slipmap.models.inference.belief import Belief
@@ -20,7 +21,6 @@ from slipmap.models.physics.cell_grid import FloatArray
 from slipmap.planners.pregrasp import Pregrasp, bring_to_edge
 from slipmap.planners.push_decisions import ObjectFell
 from slipmap.planners.settings import METHODS, PregraspSettings
-from slipmap.planners.trials import TrialOutcome
 
 NEAR = 0.02
 """From the goal, m; with `NEAR_ANGLE` the paper's success."""

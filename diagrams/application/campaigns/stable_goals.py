@@ -9,6 +9,7 @@ import numpy as np
 
 from slipmap.diagrams.application.campaigns import experiments
 from slipmap.diagrams.application.campaigns.direct_world import DirectWorld
+from slipmap.diagrams.application.campaigns.trials import Estimate, TrialOutcome, share
 from slipmap.diagrams.application.campaigns.worlds import identified, world_of
 from slipmap.models.geometry import rotated
 from slipmap.models.physics.balance import balance_margins, fall_probability
@@ -17,7 +18,6 @@ from slipmap.planners.goals import Graspable
 from slipmap.planners.pregrasp import planning_belief
 from slipmap.planners.push_decisions import ObjectFell
 from slipmap.planners.settings import METHODS, GoalSettings
-from slipmap.planners.trials import Estimate, TrialOutcome, share
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -16,6 +16,7 @@ from slipmap.diagrams.application.campaigns import experiments
 from slipmap.diagrams.application.campaigns.methods_compared import compare_methods
 from slipmap.diagrams.application.campaigns.plant_world import PlantWorld
 from slipmap.diagrams.application.campaigns.pregrasp_success import FATES, brought_to_edge, result_of
+from slipmap.diagrams.application.campaigns.trials import Estimate, TrialOutcome, mean
 from slipmap.diagrams.application.campaigns.worlds import as_dataset, explored
 from slipmap.diagrams.station.hidden_effects import HiddenEffectsConfig, TableTilt
 from slipmap.models.geometry import turned_to
@@ -25,7 +26,6 @@ from slipmap.models.objects.benchmark_objects import benchmark_object
 from slipmap.models.physics.paper_notation import add
 from slipmap.planners.pregrasp import Pregrasp
 from slipmap.planners.robust_push import NEGLIGIBLE
-from slipmap.planners.trials import Estimate, TrialOutcome, mean
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -11,8 +11,8 @@ from slipmap.diagrams.application.campaigns.experiments import (
     Summary,
 )
 from slipmap.diagrams.application.campaigns.methods_compared import compare_methods
+from slipmap.diagrams.application.campaigns.trials import TrialOutcome
 from slipmap.planners.settings import METHODS
-from slipmap.planners.trials import TrialOutcome
 
 FATES = ("held", "fell", "dropped", "gave up")
 

@@ -28,8 +28,11 @@ def audit(engines: tuple[str, ...], output: Path, json_file: Path | None) -> Non
     subjects = [known.find_engine(spec) for spec in engines]
     with Progress() as progress:
         prepare_kernels()
-        from slipmap.diagrams.application.audit.prices import standard_pushes
-        from slipmap.diagrams.application.audit.procedure import audit as audited, prices_beside
+        from slipmap.diagrams.application.audit.procedure import (
+            audit as audited,
+            prices_beside,
+            standard_pushes,
+        )
 
         standard = standard_pushes()
         audits = [audited(subject, standard, progress) for subject in subjects]

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from slipmap.diagrams.application.campaigns.experiments import Summary
-    from slipmap.planners.trials import Backend, TrialOutcome, TrialSpec
+    from slipmap.diagrams.application.campaigns.trials import Backend, TrialOutcome, TrialSpec
 
 _SHOWN_FAILURES = 5
 
@@ -68,7 +68,7 @@ def campaign(
     """
     from joblib import cpu_count
 
-    from slipmap.planners.trials import CampaignError, run_trials
+    from slipmap.diagrams.application.campaigns.trials import CampaignError, run_trials
 
     chosen = experiment_of(experiment)
     names = _checked(object_names or chosen.objects)

@@ -27,8 +27,8 @@ from slipmap.models.process_end import prepare_worker
 
 if TYPE_CHECKING:
     from slipmap.diagrams.application.studies.blind.scoring import Score
+    from slipmap.diagrams.application.studies.calibration import CalibrationResult
     from slipmap.diagrams.loops.exploration_run import ExplorationRun
-    from slipmap.planners.calibration import CalibrationResult
 
 
 @click.command("explore-study")
@@ -182,8 +182,8 @@ def calibrate(objects: int, seed: int, output: Path | None, json_file: Path | No
     """
     with Progress() as progress:
         prepare_kernels()
-        from slipmap.planners import calibration
-        from slipmap.planners.calibration import LEVEL
+        from slipmap.diagrams.application.studies import calibration
+        from slipmap.diagrams.application.studies.calibration import LEVEL
 
         result = calibration.calibrate(objects=objects, seed=seed, progress=progress)
     rows = coverage_rows(result)
@@ -220,7 +220,7 @@ def coverage_rows(result: CalibrationResult) -> list[dict[str, Any]]:
     """Truths inside, with the 95 % range of their share and what it says of the intervals."""
     from scipy.stats import beta
 
-    from slipmap.planners.calibration import LEVEL
+    from slipmap.diagrams.application.studies.calibration import LEVEL
 
     rows = []
     for name, share in result.coverage.items():

@@ -8,8 +8,7 @@ from slipmap.diagrams.application.figures.diagnosis_figures import (
 )
 from slipmap.diagrams.application.figures.effect_figures import effect_figure
 from slipmap.diagrams.application.figures.map_figures import maps_figure
-from slipmap.diagrams.application.figures.measured_figure import measured_figure
-from slipmap.diagrams.application.figures.push_figures import error_figure, push_figures
+from slipmap.diagrams.application.figures.push_figures import error_figure, measured_figure, push_figures
 from slipmap.diagrams.application.figures.residual_figures import (
     correlation_figure,
     factor_figure,

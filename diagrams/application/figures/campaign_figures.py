@@ -6,10 +6,10 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from slipmap.diagrams.application.campaigns.trials import Estimate
+from slipmap.diagrams.application.studies.calibration import CalibrationResult
 from slipmap.diagrams.systems.look import BELIEF, FAINT, FINGER, INK, OTHER, PAPER, styled
 from slipmap.models.physics.cell_grid import FloatArray
-from slipmap.planners.calibration import CalibrationResult
-from slipmap.planners.trials import Estimate
 
 _COLORS = (BELIEF, FINGER, OTHER, FAINT)
 _COLUMNS = 3

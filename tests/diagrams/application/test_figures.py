@@ -14,6 +14,7 @@ from matplotlib.collections import PolyCollection
 from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 
+from slipmap.diagrams.application.campaigns.trials import Estimate
 from slipmap.diagrams.application.figures import (
     calibration_figure,
     effect_figure,
@@ -30,7 +31,6 @@ from slipmap.models.measurements.simulated import record_pushes
 from slipmap.models.physics.cell_grid import CellGrid
 from slipmap.models.physics.rollout import Maps
 from slipmap.planners.exploration import candidate_pushes
-from slipmap.planners.trials import Estimate
 from tests.made_predictions import made_prediction
 
 

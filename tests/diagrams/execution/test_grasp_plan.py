@@ -10,8 +10,7 @@ from slipmap.diagrams.execution.arm_motion import MotionRefused
 from slipmap.diagrams.execution.clearance import ArmClearance, Obstacle
 from slipmap.diagrams.execution.finger_kinematics import FingerKinematics
 from slipmap.diagrams.execution.plans import CLEAR, CLOSE, LIFT, ArmPlanner
-from slipmap.diagrams.execution.requests import ActiveGrasp
-from slipmap.diagrams.execution.settings import ExecutionConfig
+from slipmap.diagrams.execution.requests import ActiveGrasp, ExecutionConfig
 from slipmap.diagrams.station.arm import HOME, arm_model
 from slipmap.diagrams.station.table import ROUND_TABLE
 from slipmap.models.objects.footprints import cells_from_polygon

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from arm_rig import BOX_MASS, SAMPLE, done
 
-from slipmap.diagrams.execution.settings import ExecutionConfig
+from slipmap.diagrams.execution.requests import ExecutionConfig
 from slipmap.diagrams.station.arm import HOME
 from slipmap.models.robots import POSITION_LIMITS, SPEED_LIMITS
 from slipmap.planners.table_push import TablePush

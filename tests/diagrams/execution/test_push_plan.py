@@ -6,7 +6,7 @@ import pytest
 from slipmap.diagrams.execution.arm_motion import MotionRefused
 from slipmap.diagrams.execution.finger_kinematics import FingerKinematics
 from slipmap.diagrams.execution.plans import ArmPlanner
-from slipmap.diagrams.execution.settings import ExecutionConfig
+from slipmap.diagrams.execution.requests import ExecutionConfig
 from slipmap.diagrams.station.arm import HOME, arm_model
 from slipmap.models.robots import ACCELERATION_LIMITS, POSITION_LIMITS, SPEED_LIMITS
 from slipmap.planners.table_push import TablePush

@@ -14,8 +14,7 @@ from slipmap.diagrams.execution.clearance import APART, ArmClearance, Obstacle, 
 from slipmap.diagrams.execution.finger_kinematics import FingerKinematics
 from slipmap.diagrams.execution.plans import ArmPlanner
 from slipmap.diagrams.execution.push_executor import PERIOD, PushExecutor
-from slipmap.diagrams.execution.requests import ActivePush
-from slipmap.diagrams.execution.settings import ExecutionConfig
+from slipmap.diagrams.execution.requests import ActivePush, ExecutionConfig
 from slipmap.diagrams.station.arm import HOME, add_arm, arm_model
 from slipmap.diagrams.station.table import ROUND_TABLE
 from slipmap.models.objects.footprints import cells_from_polygon

@@ -6,8 +6,8 @@ import pytest
 from shapely.geometry import Polygon
 
 from slipmap.models.perception.object_mask import HeightPicture, object_mask, smoothed_heights
+from slipmap.models.perception.pinhole_camera import TablePlane
 from slipmap.models.perception.seen_object import contour
-from slipmap.models.perception.table_plane import TablePlane
 
 HEIGHT = 0.03
 FINE = 8  # pictures are made of so many times smaller pixels

@@ -2,8 +2,8 @@ import numpy as np
 import pytest
 from heights_seen import heights_seen
 
+from slipmap.models.perception.pinhole_camera import TablePlane
 from slipmap.models.perception.seen_object import Relief
-from slipmap.models.perception.table_plane import TablePlane
 
 ELL = ((-0.1, -0.06, 0.1, 0.0, 0.03), (-0.1, 0.0, -0.03, 0.08, 0.09))
 LEVEL = 2e-3  # m between the heights at which a ray is compared with the map

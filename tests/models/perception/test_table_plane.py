@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from slipmap.models.perception.table_plane import NoTable, TablePlane, fit_table
+from slipmap.models.perception.pinhole_camera import NoTable, TablePlane, fit_table
 
 
 def tilted(scene, slope_x, slope_y, height):

@@ -7,9 +7,8 @@ import pytest
 
 from slipmap.diagrams.application.audit import probes
 from slipmap.diagrams.application.audit.defects import measures
-from slipmap.diagrams.application.audit.engine import GRAVITY
+from slipmap.diagrams.application.audit.engine import GRAVITY, MU, plain_scene
 from slipmap.diagrams.application.audit.engines import BUILT_IN, find_engine
-from slipmap.diagrams.application.audit.scenes import MU, plain_scene
 
 
 @pytest.mark.parametrize("spec", ["mujoco:elliptic", "bullet", "drake:lagged"])

@@ -14,10 +14,10 @@ from schemas import assert_as_described, assert_json_as_described, validator
 from slipmap.diagrams.application.campaigns import pregrasp_success, tilted_table, whole_procedure
 from slipmap.diagrams.application.campaigns.experiments import ABOUT, experiment_of
 from slipmap.diagrams.application.campaigns.pregrasp_success import near
+from slipmap.diagrams.application.campaigns.trials import TrialOutcome, write_outcome
 from slipmap.diagrams.application.command_line import run
 from slipmap.planners.pregrasp import METHODS
 from slipmap.planners.settings import STRATEGIES
-from slipmap.planners.trials import TrialOutcome, write_outcome
 
 POSES = 4
 

@@ -8,10 +8,10 @@ import pytest
 
 from slipmap.diagrams.application.campaigns import whole_procedure
 from slipmap.diagrams.application.campaigns.experiments import experiment_of
+from slipmap.diagrams.application.campaigns.trials import TrialOutcome
 from slipmap.diagrams.loops import pregrasp_loop as pregrasp_run
 from slipmap.diagrams.loops.exploration_run import ExplorationFailed, ExplorationStopped
 from slipmap.planners.pregrasp import METHODS
-from slipmap.planners.trials import TrialOutcome
 
 
 def outcomes(figure: str, fates: dict[str, list[str | None]]) -> list[TrialOutcome]:

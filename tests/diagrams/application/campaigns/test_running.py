@@ -11,7 +11,13 @@ from pathlib import Path
 import pytest
 import trial_functions
 
-from slipmap.planners.trials import CRASHED, CampaignError, TrialSpec, read_outcome, run_trials
+from slipmap.diagrams.application.campaigns.trials import (
+    CRASHED,
+    CampaignError,
+    TrialSpec,
+    read_outcome,
+    run_trials,
+)
 
 HERE = str(Path(__file__).parent)
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from slipmap.planners.trials import mean, share
+from slipmap.diagrams.application.campaigns.trials import mean, share
 
 
 def test_wilsons_interval_solves_its_equation() -> None:
