@@ -28,7 +28,7 @@ _COMMANDS = (
     "machine:doctor", "demo", "explore", "explore:pregrasp", "record:station", "record", "record:replay",
     "describe_object", "datasets:import_files", "datasets:check", "identify", "compare:predict",
     "beliefs:view", "compare", "compare:diagnose", "identify:fit", "effects", "beliefs:export",
-    "studies:calibrate", "studies:explore_study", "campaign", "studies:blind_test", "audit",
+    "studies:calibrate", "studies:explore_study", "studies:campaign", "studies:blind_test", "studies:audit",
     "machine:bench", "machine:completion",
 )  # fmt: skip
 """Modules of commands, and the function in them where it has another name."""

@@ -9,7 +9,9 @@ import numpy as np
 from pydrake.trajectories import PiecewisePolynomial, Trajectory
 
 from slipmap.diagrams.execution.arm_motion import (
+    FingerKinematics,
     MotionRefused,
+    OutOfReach,
     Phase,
     Plan,
     braking,
@@ -21,7 +23,6 @@ from slipmap.diagrams.execution.arm_motion import (
     smooth,
 )
 from slipmap.diagrams.execution.clearance import ArmClearance, Obstacle, Surroundings
-from slipmap.diagrams.execution.finger_kinematics import FingerKinematics, OutOfReach
 from slipmap.diagrams.execution.requests import ActiveGrasp, ExecutionConfig
 from slipmap.diagrams.station.arm import HOME, arm_model
 from slipmap.models.measurements.push_dataset import Table

@@ -8,9 +8,8 @@ from pydrake.math import RigidTransform
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.systems.framework import Context
 
-from slipmap.diagrams.execution.arm_motion import MotionRefused, Phase, Plan
+from slipmap.diagrams.execution.arm_motion import FingerKinematics, MotionRefused, Phase, Plan, tip_force
 from slipmap.diagrams.execution.clearance import ArmClearance, Obstacle, Surroundings
-from slipmap.diagrams.execution.finger_kinematics import FingerKinematics, tip_force
 from slipmap.diagrams.execution.plans import ArmPlanner
 from slipmap.diagrams.execution.requests import (
     ActiveGrasp,

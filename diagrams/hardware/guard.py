@@ -11,7 +11,7 @@ import numpy as np
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.systems.framework import Context
 
-from slipmap.diagrams.execution.finger_kinematics import FingerKinematics
+from slipmap.diagrams.execution.arm_motion import FingerKinematics
 from slipmap.diagrams.execution.requests import ExecutionConfig, Health
 from slipmap.diagrams.hardware.command_stream import braking_time
 from slipmap.diagrams.systems.python_system import PythonSystem, held, read

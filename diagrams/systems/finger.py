@@ -8,7 +8,7 @@ from pydrake.math import RigidTransform
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.systems.framework import Context, EventStatus, State
 
-from slipmap.diagrams.execution.finger_kinematics import FingerKinematics, tip_force
+from slipmap.diagrams.execution.arm_motion import FingerKinematics, tip_force
 from slipmap.diagrams.systems.python_system import PythonSystem
 from slipmap.models.physics.cell_grid import FloatArray
 from slipmap.planners.table_push import TablePush

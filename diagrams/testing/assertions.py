@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 from drake import lcmt_iiwa_command
 
-from slipmap.diagrams.execution.finger_kinematics import FingerKinematics
+from slipmap.diagrams.execution.arm_motion import FingerKinematics
 from slipmap.diagrams.hardware.child import Child, be_ready
 from slipmap.diagrams.hardware.guard import GuardSettings
 from slipmap.diagrams.hardware.network import IIWA_COMMAND, LOOK_EVERY, open_lcm

@@ -10,7 +10,7 @@ from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder, EventStatus
 from pydrake.systems.primitives import ConstantValueSource
 
-from slipmap.diagrams.execution.finger_kinematics import FingerKinematics
+from slipmap.diagrams.execution.arm_motion import FingerKinematics
 from slipmap.diagrams.execution.push_executor import PushExecutor
 from slipmap.diagrams.execution.requests import ActivePush, ExecutionConfig
 from slipmap.diagrams.hardware.guard import PERIOD, CommandGuard, GuardSettings

@@ -14,7 +14,7 @@ from drake import (
     lcmt_schunk_wsg_status,
 )
 
-from slipmap.diagrams.execution.finger_kinematics import FingerKinematics
+from slipmap.diagrams.execution.arm_motion import FingerKinematics
 from slipmap.diagrams.execution.plans import ArmPlanner
 from slipmap.diagrams.execution.requests import ExecutionConfig
 from slipmap.diagrams.hardware import network

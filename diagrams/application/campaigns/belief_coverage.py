@@ -13,10 +13,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from slipmap.diagrams.application.campaigns import experiments
-from slipmap.diagrams.application.campaigns.direct_world import DirectWorld
 from slipmap.diagrams.application.campaigns.methods_compared import ALL
 from slipmap.diagrams.application.campaigns.trials import TrialOutcome, share
-from slipmap.diagrams.application.campaigns.worlds import as_dataset, identified, world_of
+from slipmap.diagrams.application.campaigns.worlds import DirectWorld, as_dataset, identified, world_of
 from slipmap.models.geometry import placed
 from slipmap.models.inference.belief import Belief
 from slipmap.models.inference.prediction import Prediction, predict
@@ -170,7 +169,7 @@ def _cells(row: dict[str, Any]) -> list[str]:
 
 
 def _figure(pushes: dict[str, list[dict[str, Any]]]) -> list[Figure]:
-    from slipmap.diagrams.application.figures.campaign_figures import shares_figure
+    from slipmap.diagrams.application.figures.study_figures import shares_figure
 
     inside = {
         name: {

@@ -5,8 +5,15 @@ import shapely
 from scipy.spatial.transform import Rotation
 
 from slipmap.diagrams.application.bullet_bodies import body_of_links, finger_on_rails
-from slipmap.diagrams.application.campaigns import direct_world
-from slipmap.diagrams.application.campaigns.direct_world import PERIOD, DirectWorld, Motion, WorldNoise
+from slipmap.diagrams.application.campaigns.worlds import (
+    AT_REST,
+    LONGEST_SETTLING,
+    PERIOD,
+    DirectWorld,
+    Motion,
+    WorldNoise,
+    flat_pose,
+)
 from slipmap.diagrams.station.sliding_object import GRAVITY, spatial_inertia
 from slipmap.diagrams.station.table import ROUND_TABLE
 from slipmap.models.measurements.push_dataset import Table
@@ -104,11 +111,11 @@ class BulletWorld(DirectWorld):
         return Motion(np.array(poses), np.array(tips), np.array(forces))
 
     def _settle(self) -> None:
-        for step in range(1, round(direct_world.LONGEST_SETTLING / STEP) + 1):
+        for step in range(1, round(LONGEST_SETTLING / STEP) + 1):
             self._p.stepSimulation(**self._where)
             if step % 50 == 0:
                 fastest = np.abs(self._p.getBaseVelocity(self._body, **self._where)).max()
-                if (step >= 250 and fastest < direct_world.AT_REST) or np.isnan(self._pose()).any():
+                if (step >= 250 and fastest < AT_REST) or np.isnan(self._pose()).any():
                     return
 
     def _pose(self) -> FloatArray:
@@ -116,7 +123,7 @@ class BulletWorld(DirectWorld):
         X_WI = p.getBasePositionAndOrientation(self._body, **self._where)
         place, turn = p.multiplyTransforms(*X_WI, *self._X_IO)
         x, y, z, w = np.array(turn)
-        return direct_world.flat_pose(np.array(place), w, x, y, z)
+        return flat_pose(np.array(place), w, x, y, z)
 
     def _move_finger(self, place: FloatArray) -> None:
         for joint in (0, 1):

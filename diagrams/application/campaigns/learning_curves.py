@@ -8,9 +8,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from slipmap.diagrams.application.campaigns import experiments
-from slipmap.diagrams.application.campaigns.direct_world import DirectWorld
 from slipmap.diagrams.application.campaigns.trials import Estimate, TrialOutcome, mean
-from slipmap.diagrams.application.campaigns.worlds import as_dataset, world_of
+from slipmap.diagrams.application.campaigns.worlds import DirectWorld, as_dataset, world_of
 from slipmap.models.inference.belief import Belief
 from slipmap.models.inference.identification import identify
 from slipmap.models.measurements import Trial
@@ -120,7 +119,7 @@ def _summary(title: str, what: str, curves: Curves, remark: str) -> experiments.
 
 
 def _figure(title: str, means: dict[str, dict[str, list[Estimate]]]) -> list[Figure]:
-    from slipmap.diagrams.application.figures.campaign_figures import curves_figure
+    from slipmap.diagrams.application.figures.study_figures import curves_figure
 
     return [curves_figure(title, means)]
 

@@ -66,7 +66,7 @@ class MethodsCompared:
 
     def figures(self, title: str, paper: Paper) -> list[Figure]:
         """Bars of success, marked with the paper's."""
-        from slipmap.diagrams.application.figures.campaign_figures import shares_figure
+        from slipmap.diagrams.application.figures.study_figures import shares_figure
 
         marks = {name: {method: (value, value) for method, value in of.items()} for name, of in paper.items()}
         return [shares_figure(title, self.success, marks)]

@@ -10,7 +10,15 @@ from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import TrajectorySource, VectorLogSink
 from pydrake.trajectories import PiecewisePolynomial
 
-from slipmap.diagrams.application.campaigns import direct_world
+from slipmap.diagrams.application.campaigns.worlds import (
+    AT_REST,
+    LONGEST_SETTLING,
+    PERIOD,
+    DirectWorld,
+    Motion,
+    WorldNoise,
+    flat_pose,
+)
 from slipmap.diagrams.station import sliding_object
 from slipmap.diagrams.station.hidden_effects import HiddenEffectsConfig, add_hidden_effects
 from slipmap.diagrams.station.table import ROUND_TABLE, TABLE_FRICTION, add_table
@@ -28,7 +36,7 @@ _LOOK = 0.02  # s between two looks whether the object rests or is lost
 _LEAST_SETTLING = 0.25  # s
 
 
-class PlantWorld(direct_world.DirectWorld):
+class PlantWorld(DirectWorld):
     """The object of the station on the station's table, pushed by a finger that nothing can stop.
 
     Args:
@@ -43,17 +51,16 @@ class PlantWorld(direct_world.DirectWorld):
         self,
         true_object: TrueObject,
         table: Table = ROUND_TABLE,
-        noise: direct_world.WorldNoise | None = None,
+        noise: WorldNoise | None = None,
         *,
         hidden: HiddenEffectsConfig | None = None,
         time_step: float = TIME_STEP,
     ) -> None:
         super().__init__(true_object, table, noise)
-        ratio = direct_world.PERIOD / time_step
+        ratio = PERIOD / time_step
         if abs(ratio - round(ratio)) > 1e-9:
             raise ValueError(
-                f"plant world: the time step must be a whole fraction of {direct_world.PERIOD} s, got"
-                f" {time_step}"
+                f"plant world: the time step must be a whole fraction of {PERIOD} s, got {time_step}"
             )
         self._time_step = time_step
         builder = DiagramBuilder()
@@ -90,7 +97,7 @@ class PlantWorld(direct_world.DirectWorld):
         self._plant.SetFreeBodyPose(self._context, self._body, sliding_object.resting_pose(*pose))
         self._take_finger_away()
 
-    def _drive(self, tip: FloatArray) -> direct_world.Motion:
+    def _drive(self, tip: FloatArray) -> Motion:
         h = self._time_step
         times = h * np.arange(len(tip))
         # The drive holds at the end of a step what is wanted at its beginning.
@@ -106,14 +113,14 @@ class PlantWorld(direct_world.DirectWorld):
             if self._lost():
                 break
             self._simulator.AdvanceTo(end)
-        stride = round(direct_world.PERIOD / h)
+        stride = round(PERIOD / h)
         joints = [self._plant.GetJointByName(name) for name in ("finger_x", "finger_y")]
         states = np.asarray(self._states.FindLog(self._root).data()).T[::stride]
         # What the object does to the finger, with the other sign.
         forces = _means(-np.asarray(self._contact.FindLog(self._root).data()).T, stride)
         self._take_finger_away()
         lost = 1 + (len(tip) - 1) // stride - len(states)
-        return direct_world.Motion(
+        return Motion(
             np.vstack([self._poses(states), np.full((lost, 3), np.nan)]),
             np.vstack(
                 [states[:, [joint.position_start() for joint in joints]], tip[::stride][len(states) :]]
@@ -126,10 +133,10 @@ class PlantWorld(direct_world.DirectWorld):
 
     def _settle(self) -> None:
         begin = self._root.get_time()
-        while self._root.get_time() < begin + direct_world.LONGEST_SETTLING and not self._lost():
+        while self._root.get_time() < begin + LONGEST_SETTLING and not self._lost():
             self._simulator.AdvanceTo(self._root.get_time() + _LOOK)
             velocity = np.abs(self._plant.GetVelocities(self._context, self._body.model_instance())).max()
-            if self._root.get_time() > begin + _LEAST_SETTLING and velocity < direct_world.AT_REST:
+            if self._root.get_time() > begin + _LEAST_SETTLING and velocity < AT_REST:
                 return
 
     def _pose(self) -> FloatArray:
@@ -145,7 +152,7 @@ class PlantWorld(direct_world.DirectWorld):
     def _poses(self, states: FloatArray) -> FloatArray:
         """(T, 3) from rows of the plant's state; NaN where the object is not flat on the table."""
         start = self._body.floating_positions_start()
-        return direct_world.flat_pose(states[:, start + 4 : start + 7], *states[:, start : start + 4].T)
+        return flat_pose(states[:, start + 4 : start + 7], *states[:, start : start + 4].T)
 
 
 def _add_finger(plant: MultibodyPlant) -> tree.ModelInstanceIndex:

@@ -5,7 +5,6 @@ from typing import Any
 
 import numpy as np
 
-from slipmap.diagrams.application.campaigns.direct_world import DirectWorld
 from slipmap.diagrams.application.campaigns.experiments import (
     PREGRASP_ACTIONS,
     PREGRASP_SUCCESS,
@@ -14,7 +13,7 @@ from slipmap.diagrams.application.campaigns.experiments import (
 )
 from slipmap.diagrams.application.campaigns.methods_compared import compare_methods
 from slipmap.diagrams.application.campaigns.trials import TrialOutcome
-from slipmap.diagrams.application.campaigns.worlds import identified, world_of
+from slipmap.diagrams.application.campaigns.worlds import DirectWorld, identified, world_of
 from slipmap.models.geometry import angle_between
 from slipmap.models.inference.belief import Belief
 from slipmap.models.physics.cell_grid import FloatArray

@@ -8,9 +8,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from slipmap.diagrams.application.campaigns import experiments
-from slipmap.diagrams.application.campaigns.direct_world import DirectWorld
 from slipmap.diagrams.application.campaigns.trials import Estimate, TrialOutcome, share
-from slipmap.diagrams.application.campaigns.worlds import identified, world_of
+from slipmap.diagrams.application.campaigns.worlds import DirectWorld, identified, world_of
 from slipmap.models.geometry import rotated
 from slipmap.models.physics.balance import balance_margins, fall_probability
 from slipmap.models.physics.cell_grid import FloatArray
@@ -150,7 +149,7 @@ def _reliability(results: Sequence[dict[str, Any]]) -> list[tuple[float, Estimat
 
 
 def _figure(precision: dict[str, dict[str, Estimate]], bins: list[tuple[float, Estimate]]) -> list[Figure]:
-    from slipmap.diagrams.application.figures.campaign_figures import reliability_figure, shares_figure
+    from slipmap.diagrams.application.figures.study_figures import reliability_figure, shares_figure
 
     marks = {name: experiments.STABLE_GOALS for name in precision}
     return [

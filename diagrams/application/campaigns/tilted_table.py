@@ -109,7 +109,7 @@ def _summary(outcomes: Sequence[TrialOutcome]) -> experiments.Summary:
 
 
 def _error_figure(errors: dict[str, dict[str, Estimate]]) -> Figure:
-    from slipmap.diagrams.application.figures.campaign_figures import means_figure
+    from slipmap.diagrams.application.figures.study_figures import means_figure
 
     return means_figure("Where pushes end off their prediction", errors, 1e3, "mm")
 

@@ -1,7 +1,9 @@
-"""What slipmap finds, against truths that are known, many times over.
+"""What slipmap and engines find, against truths that are known, many times over.
 
-`slipmap explore-study` explores objects, `slipmap calibrate` counts how often intervals hold the truth, and
-`slipmap blind-test` hides effects in simulated datasets, diagnoses them all, and counts what was found.
+`slipmap explore-study` explores objects, `slipmap calibrate` counts how often intervals hold the truth,
+`slipmap blind-test` hides effects in simulated datasets, diagnoses them all, and counts what was found,
+`slipmap campaign` repeats the paper's experiments beside the paper's own numbers, and `slipmap audit` says
+where physics engines leave Coulomb's law of friction, and by how many millimetres.
 """
 
 from __future__ import annotations
@@ -13,11 +15,13 @@ import time
 import traceback
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
+from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import click
 
+from slipmap.diagrams.application.campaigns.experiments import ABOUT, experiment_of
 from slipmap.diagrams.application.commands import options
 from slipmap.diagrams.application.commands.cell_run import Stopped, scenario_of
 from slipmap.diagrams.application.outputs import lock_folder, make_folder, write_figures
@@ -26,6 +30,10 @@ from slipmap.models.files import BadInput, together, write_json, write_text
 from slipmap.models.process_end import prepare_worker
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from slipmap.diagrams.application.campaigns.experiments import Summary
+    from slipmap.diagrams.application.campaigns.trials import Backend, TrialOutcome, TrialSpec
     from slipmap.diagrams.application.studies.blind.scoring import Score
     from slipmap.diagrams.application.studies.calibration import CalibrationResult
     from slipmap.diagrams.loops.exploration_run import ExplorationRun
@@ -71,7 +79,7 @@ def explore_study(
                     f"stopped at {name}, seed {number}, of which nothing is kept. The runs before are in"
                     f" {folder}; called again, the study goes on where it was."
                 ) from error
-    _show(rows)
+    _show_errors(rows)
     write_json(json_file, rows)
 
 
@@ -140,7 +148,7 @@ def _judged(run: ExplorationRun) -> dict[str, Any]:
     }
 
 
-def _show(rows: dict[str, list[dict[str, Any]]]) -> None:
+def _show_errors(rows: dict[str, list[dict[str, Any]]]) -> None:
     cells, inside, done = [], 0, 0
     for name, results in rows.items():
         good = [row for row in results if "failed" not in row]
@@ -381,3 +389,169 @@ def _score(cases: Sequence[_Case]) -> Score:
         else:
             failed[case.name] = json.loads(case.failure.read_text(encoding="utf-8"))["error"]
     return score(pairs, failed)
+
+
+_SHOWN_FAILURES = 5
+
+
+@click.command(epilog="Experiments: " + "; ".join(f"{name}, {about}" for name, about in ABOUT.items()) + ".")
+@click.argument("experiment", type=click.Choice(list(ABOUT)), metavar="EXPERIMENT")
+@options.objects_option("--objects", about="Object", default="all six; fig7: hammer")
+@click.option(
+    "--methods", "methods", multiple=True, metavar="NAME",
+    help="Method of fig6 and fig7; may be given several times. [default: all four]",
+)  # fmt: skip
+@options.count_option(
+    "--trials", most=100_000,
+    about="Trials of each object, with seeds from SEED on. [default: as the experiment needs]",
+)  # fmt: skip
+@click.option(
+    "--truth", type=click.Choice(["plant", "bullet"]), default="plant", show_default=True,
+    help="What plays the real world: Drake's MultibodyPlant, or Bullet (extra `bench`).",
+)  # fmt: skip
+@click.option(
+    "--backend", type=click.Choice(["processes", "dask"]), default="processes", show_default=True,
+    help="Where trials run: on this machine, or on a Dask cluster (extra `cluster`).",
+)  # fmt: skip
+@click.option("--scheduler", metavar="ADDRESS", help="Dask's scheduler, such as tcp://10.0.0.1:8786.")
+@options.count_option("--workers", most=1024, about="Processes on this machine. [default: one a core]")
+@options.results_option("folder", default="campaign")
+@options.seed_option
+@options.json_option
+def campaign(
+    experiment: str,
+    object_names: tuple[str, ...],
+    methods: tuple[str, ...],
+    trials: int | None,
+    truth: str,
+    backend: Backend,
+    scheduler: str | None,
+    workers: int | None,
+    folder: Path,
+    seed: int,
+    json_file: Path | None,
+) -> None:
+    """Repeat an experiment of the paper, or one beyond it.
+
+    Shows the numbers beside the paper's. Each trial leaves a file in DIR/EXPERIMENT-TRUTH. What is there
+    already is not run again, so a campaign that was stopped goes on; what failed is tried again. The same
+    seeds give the same table, whatever runs the trials.
+    """
+    from joblib import cpu_count
+
+    from slipmap.diagrams.application.campaigns.trials import CampaignError, run_trials
+
+    chosen = experiment_of(experiment)
+    names = _checked(object_names or chosen.objects)
+    files = folder / f"{experiment}-{truth}"
+    make_folder(files)
+    lock_folder(files)
+    prepare_kernels()
+    try:
+        specs = _by_methods(chosen.specs(names, trials or chosen.trials, seed, truth), methods)
+        if truth == "bullet" and find_spec("pybullet") is None:
+            raise BadInput("Bullet is not installed; `pip install 'slipmap[bench]'` brings it")
+        with Progress() as progress:
+            outcomes = run_trials(
+                specs,
+                files,
+                backend=backend,
+                workers=workers or cpu_count(),
+                scheduler=scheduler,
+                progress=lambda done, total: progress(f"{experiment}, trials", done, total),
+            )
+    except CampaignError as error:
+        raise BadInput(str(error)) from error
+    summary = chosen.summary(outcomes)
+    picture = folder / f"{experiment}-{truth}.png"
+    document = summary.document | {
+        "experiment": experiment,
+        "truth": truth,
+        "seed": seed,
+        "objects": list(names),
+        "trials": len(outcomes),
+        "failed": {o.spec.name: o.failure for o in outcomes if o.failure is not None},
+    }
+    with together():
+        write_figures(picture, summary.figures())
+        write_json(folder / f"{experiment}-{truth}.json", document)
+        write_json(json_file, document)
+    _show_summary(summary, outcomes)
+    note(f"trials are in {files}, the picture is {picture}")
+
+
+def _checked(object_names: Sequence[str]) -> tuple[str, ...]:
+    from slipmap.models.objects.benchmark_objects import BENCHMARK_OBJECTS, benchmark_object
+
+    for name in object_names:
+        try:
+            benchmark_object(name)
+        except ValueError as error:
+            raise BadInput(str(error)) from error
+    return tuple(dict.fromkeys(object_names)) or tuple(BENCHMARK_OBJECTS)
+
+
+def _by_methods(specs: list[TrialSpec], methods: Sequence[str]) -> list[TrialSpec]:
+    """The trials of some methods, all where none is named."""
+    if not methods:
+        return specs
+    known = list(dict.fromkeys(spec.parameters["method"] for spec in specs if "method" in spec.parameters))
+    if not known:
+        raise BadInput("--methods chooses among the methods of fig6 and fig7; this experiment has none")
+    for method in methods:
+        if method not in known:
+            raise BadInput(f"method {method!r} is unknown; choose among {', '.join(known)}")
+    return [spec for spec in specs if spec.parameters["method"] in methods]
+
+
+def _show_summary(summary: Summary, outcomes: Sequence[TrialOutcome]) -> None:
+    for shown in summary.tables:
+        words = shown.columns.index("") if "" in shown.columns[1:] else 0
+        table(shown.title, shown.columns, shown.rows, numbers=range(words + 1, len(shown.columns)))
+    paragraph("Intervals hold 95 %. " + summary.remark)
+    failed = [outcome for outcome in outcomes if outcome.failure is not None]
+    if failed:
+        note(f"{len(failed)} of {len(outcomes)} trials failed; the table leaves them out:")
+        for outcome in failed[:_SHOWN_FAILURES]:
+            note(f"  {outcome.spec.name}: {outcome.failure}")
+        if len(failed) > _SHOWN_FAILURES:
+            note("  …")
+
+
+@click.command()
+@click.argument("engines", metavar="ENGINE...", nargs=-1, required=True)
+@options.report_option("audit.html")
+@options.json_option
+def audit(engines: tuple[str, ...], output: Path, json_file: Path | None) -> None:
+    """Say how far a physics engine is from Coulomb's law.
+
+    ENGINE is mujoco, bullet or drake, with settings after a colon, as mujoco:elliptic,impratio=100,
+    bullet:pyramid, drake:sap or drake:hydroelastic; or a class in a file of your own, as
+    my_engine.py:Engine (docs/audit.md says what it needs). Probes name what is wrong, each with a size and
+    an uncertainty; 24 pushes of an object with known maps say what it costs, in millimetres.
+    """
+    from slipmap.diagrams.application.audit import engines as known
+
+    subjects = [known.find_engine(spec) for spec in engines]
+    with Progress() as progress:
+        prepare_kernels()
+        from slipmap.diagrams.application.audit.procedure import (
+            audit as audited,
+            prices_beside,
+            standard_pushes,
+        )
+
+        standard = standard_pushes()
+        audits = [audited(subject, standard, progress) for subject in subjects]
+        beside = prices_beside(engines, standard, progress) if len(audits) == 1 else {}
+        from slipmap.diagrams.application.reports.audit_words import audit_report, show_audits
+
+        document = {
+            "engines": [one.to_json() for one in audits],
+            "beside_mm": {k: 1e3 * v for k, v in beside.items()},
+        }
+        with progress.step("drawing"), together():
+            write_text(output, audit_report(audits, beside))
+            write_json(json_file, document)
+    show_audits(audits, beside)
+    note(f"report: {output}")

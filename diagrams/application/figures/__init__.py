@@ -1,6 +1,5 @@
 """Pictures of beliefs, pushes, comparisons, diagnoses, calibration: matplotlib Figures; `save` writes one."""
 
-from slipmap.diagrams.application.figures.campaign_figures import calibration_figure
 from slipmap.diagrams.application.figures.diagnosis_figures import (
     gain_figure,
     locked_figure,
@@ -16,4 +15,5 @@ from slipmap.diagrams.application.figures.residual_figures import (
     residual_figures,
     table_figure,
 )
+from slipmap.diagrams.application.figures.study_figures import calibration_figure
 from slipmap.diagrams.application.figures.style import draw_cells, draw_outline, save

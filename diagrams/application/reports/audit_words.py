@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from html import escape
 
 from slipmap.diagrams.application.audit.procedure import Audit
-from slipmap.diagrams.application.figures.audit_figures import ends_figure, friction_figure, prices_figure
+from slipmap.diagrams.application.figures.study_figures import ends_figure, friction_figure, prices_figure
 from slipmap.diagrams.application.reports.effect_words import unit_text
 from slipmap.diagrams.application.reports.html_page import Section, page, picture, table
 from slipmap.diagrams.application.terminal import paragraph, table as print_table

@@ -22,8 +22,8 @@ from slipmap.diagrams.application.figures import (
     push_figures,
     save,
 )
-from slipmap.diagrams.application.figures.campaign_figures import curves_figure, inside_share
 from slipmap.diagrams.application.figures.map_figures import centers_of_friction, centers_of_mass
+from slipmap.diagrams.application.figures.study_figures import curves_figure, inside_share
 from slipmap.diagrams.application.figures.style import PlainNumbers, outline_path, placed, round_length
 from slipmap.diagrams.systems.look import top_of_scale
 from slipmap.models.effects import LIBRARY

@@ -15,7 +15,7 @@ from pydrake.multibody.tree import SpatialInertia
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
 
-from slipmap.diagrams.execution.finger_kinematics import FingerKinematics
+from slipmap.diagrams.execution.arm_motion import FingerKinematics
 from slipmap.diagrams.execution.push_executor import PushExecutor
 from slipmap.diagrams.execution.requests import ActivePush
 from slipmap.diagrams.station.arm import HOME, add_arm, add_arm_drivers, arm_model

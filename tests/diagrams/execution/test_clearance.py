@@ -5,8 +5,8 @@ import pytest
 from pydrake.multibody.plant import AddMultibodyPlantSceneGraph
 from pydrake.systems.framework import DiagramBuilder
 
+from slipmap.diagrams.execution.arm_motion import FingerKinematics
 from slipmap.diagrams.execution.clearance import ArmClearance, Obstacle
-from slipmap.diagrams.execution.finger_kinematics import FingerKinematics
 from slipmap.diagrams.station.arm import HOME, add_arm, arm_model
 from slipmap.diagrams.station.table import ROUND_TABLE, add_table
 from slipmap.models.objects.footprints import cells_from_polygon

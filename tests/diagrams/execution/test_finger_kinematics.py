@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from slipmap.diagrams.execution.finger_kinematics import (
+from slipmap.diagrams.execution.arm_motion import (
     LIMIT_MARGIN,
     WORKING_POSTURE,
     FingerKinematics,

@@ -6,9 +6,8 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from slipmap.diagrams.execution.arm_motion import MotionRefused
+from slipmap.diagrams.execution.arm_motion import FingerKinematics, MotionRefused
 from slipmap.diagrams.execution.clearance import ArmClearance, Obstacle
-from slipmap.diagrams.execution.finger_kinematics import FingerKinematics
 from slipmap.diagrams.execution.plans import CLEAR, CLOSE, LIFT, ArmPlanner
 from slipmap.diagrams.execution.requests import ActiveGrasp, ExecutionConfig
 from slipmap.diagrams.station.arm import HOME, arm_model

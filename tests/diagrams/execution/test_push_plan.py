@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from slipmap.diagrams.execution.arm_motion import MotionRefused
-from slipmap.diagrams.execution.finger_kinematics import FingerKinematics
+from slipmap.diagrams.execution.arm_motion import FingerKinematics, MotionRefused
 from slipmap.diagrams.execution.plans import ArmPlanner
 from slipmap.diagrams.execution.requests import ExecutionConfig
 from slipmap.diagrams.station.arm import HOME, arm_model

@@ -9,9 +9,8 @@ from pydrake.math import RigidTransform, RotationMatrix
 from pydrake.multibody.plant import AddMultibodyPlantSceneGraph, CoulombFriction
 from pydrake.systems.framework import DiagramBuilder
 
-from slipmap.diagrams.execution.arm_motion import MotionRefused
+from slipmap.diagrams.execution.arm_motion import FingerKinematics, MotionRefused
 from slipmap.diagrams.execution.clearance import APART, ArmClearance, Obstacle, Surroundings
-from slipmap.diagrams.execution.finger_kinematics import FingerKinematics
 from slipmap.diagrams.execution.plans import ArmPlanner
 from slipmap.diagrams.execution.push_executor import PERIOD, PushExecutor
 from slipmap.diagrams.execution.requests import ActivePush, ExecutionConfig

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from slipmap.diagrams.execution.finger_kinematics import FingerKinematics, tip_force
+from slipmap.diagrams.execution.arm_motion import FingerKinematics, tip_force
 from slipmap.diagrams.station.arm import arm_model
 
 

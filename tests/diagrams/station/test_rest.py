@@ -10,7 +10,7 @@ from pydrake.math import RigidTransform, RollPitchYaw
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import EventStatus
 
-from slipmap.diagrams.execution.finger_kinematics import FingerKinematics
+from slipmap.diagrams.execution.arm_motion import FingerKinematics
 from slipmap.diagrams.perception.camera import CameraConfig
 from slipmap.diagrams.station.arm import HOME, arm_model
 from slipmap.diagrams.station.rest import QUIET

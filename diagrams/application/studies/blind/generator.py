@@ -14,15 +14,13 @@ import yaml
 
 from slipmap.diagrams.application.studies.blind.objects import (
     GRAVITY,
-    FloatArray,
-    SlidingObject,
-    random_object,
-)
-from slipmap.diagrams.application.studies.blind.push_plans import (
     HELDOUT,
     KINDS,
     TABLE_SIZE,
+    FloatArray,
     PushPlan,
+    SlidingObject,
+    random_object,
     random_plan,
 )
 from slipmap.diagrams.application.studies.blind.secret_effects import (

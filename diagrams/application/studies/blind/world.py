@@ -18,8 +18,7 @@ from pydrake.multibody import tree
 from pydrake.multibody.plant import CoulombFriction, DiscreteContactApproximation, MultibodyPlant
 from pydrake.systems.framework import DiagramBuilder
 
-from slipmap.diagrams.application.studies.blind.objects import FloatArray, SlidingObject
-from slipmap.diagrams.application.studies.blind.push_plans import PushPlan
+from slipmap.diagrams.application.studies.blind.objects import FloatArray, PushPlan, SlidingObject
 from slipmap.diagrams.application.studies.blind.secret_effects import Effect, Instant
 from slipmap.models.physics.compiled import LONE_FOLDER, compiled
 

@@ -11,8 +11,8 @@ import pytest
 from schemas import assert_as_described
 
 from slipmap.diagrams.application.audit import engines, probes, standard_pushes
-from slipmap.diagrams.application.audit.defects import measures
 from slipmap.diagrams.application.audit.engine import GRAVITY, LEVEL, MU, CoulombEngine, Subject, plain_scene
+from slipmap.diagrams.application.audit.probes import measures
 from slipmap.diagrams.application.audit.procedure import explain, push_all
 from slipmap.diagrams.application.command_line import run
 from slipmap.models.effects import LIBRARY

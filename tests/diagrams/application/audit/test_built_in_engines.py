@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from slipmap.diagrams.application.audit import probes
-from slipmap.diagrams.application.audit.defects import measures
 from slipmap.diagrams.application.audit.engine import GRAVITY, MU, plain_scene
 from slipmap.diagrams.application.audit.engines import BUILT_IN, find_engine
+from slipmap.diagrams.application.audit.probes import measures
 
 
 @pytest.mark.parametrize("spec", ["mujoco:elliptic", "bullet", "drake:lagged"])

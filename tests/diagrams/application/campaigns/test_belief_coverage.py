@@ -9,7 +9,7 @@ import pytest
 
 from slipmap.diagrams.application.campaigns import belief_coverage
 from slipmap.diagrams.application.campaigns.belief_coverage import PLACES, coverage, place_of, trial
-from slipmap.diagrams.application.campaigns.direct_world import WorldNoise
+from slipmap.diagrams.application.campaigns.worlds import WorldNoise
 from slipmap.models.measurements.push_dataset import Table
 from slipmap.models.objects.benchmark_objects import benchmark_object
 from tests.planners.cell_world import TABLE, CellWorld, belief_about

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from slipmap.diagrams.application.campaigns.direct_world import WorldNoise
+from slipmap.diagrams.application.campaigns.worlds import WorldNoise
 from slipmap.models.measurements.push_dataset import Noise, Table
 from slipmap.models.objects.benchmark_objects import benchmark_object
 from slipmap.models.physics.rollout import Push, Slider

@@ -191,7 +191,7 @@ def test_failed_trials_are_named(tmp_path: Path, capsys: pytest.CaptureFixture[s
     summary = experiment_of("fig4").summary(outcomes)
     assert summary.tables == []
     assert len(summary.figures()) == 1
-    from slipmap.diagrams.application.commands.campaign import _show
+    from slipmap.diagrams.application.commands.studies import _show
 
     _show(summary, outcomes)
     told = capsys.readouterr()

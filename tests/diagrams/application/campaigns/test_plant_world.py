@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from slipmap.diagrams.application.campaigns.direct_world import DirectWorld, WorldNoise, finger_path
 from slipmap.diagrams.application.campaigns.plant_world import PlantWorld
+from slipmap.diagrams.application.campaigns.worlds import DirectWorld, WorldNoise, finger_path
 from slipmap.diagrams.station.hidden_effects import HiddenEffectsConfig, TableTilt
 from slipmap.models.measurements.push_dataset import Noise
 from slipmap.models.objects.benchmark_objects import benchmark_object

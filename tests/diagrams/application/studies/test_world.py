@@ -7,8 +7,15 @@ import pytest
 import shapely
 from scipy.integrate import solve_ivp
 
-from slipmap.diagrams.application.studies.blind.objects import GRAVITY, SlidingObject, random_object
-from slipmap.diagrams.application.studies.blind.push_plans import KINDS, FingerPath, PushPlan, random_plan
+from slipmap.diagrams.application.studies.blind.objects import (
+    GRAVITY,
+    KINDS,
+    FingerPath,
+    PushPlan,
+    SlidingObject,
+    random_object,
+    random_plan,
+)
 from slipmap.diagrams.application.studies.blind.secret_effects import (
     Effect,
     anisotropic_table,
