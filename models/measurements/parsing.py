@@ -153,12 +153,10 @@ def grouped(texts: Iterable[str]) -> list[str]:
             places.setdefault(complaint, []).append(place)
         else:
             places.setdefault(text, [])
-    return [f"{_places(named)}: {complaint}" if named else complaint for complaint, named in places.items()]
-
-
-def _places(named: Sequence[str]) -> str:
-    more = f" and {len(named) - _MOST_FAULTS} more" if len(named) > _MOST_FAULTS else ""
-    return f"{', '.join(named[:_MOST_FAULTS])}{more}"
+    return [
+        f"{listed(named, _MOST_FAULTS)}: {complaint}" if named else complaint
+        for complaint, named in places.items()
+    ]
 
 
 def mapping(value: object, where: str) -> dict[str, Any]:
@@ -304,9 +302,9 @@ def shown_error(error: Exception) -> str:
     return message if len(message) <= 200 else message[:197] + "..."
 
 
-def listed(names: Sequence[str]) -> str:
+def listed(names: Sequence[str], most: int = 5) -> str:
     """The first names of a list, and how many more there are."""
-    return ", ".join(names[:5]) + (f" and {len(names) - 5} more" if len(names) > 5 else "")
+    return ", ".join(names[:most]) + (f" and {len(names) - most} more" if len(names) > most else "")
 
 
 def number_in(cell: str, where: str) -> float:

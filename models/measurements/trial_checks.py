@@ -160,7 +160,7 @@ def check_trials(
     if complaint is not None:
         found.pop(_PULLS, None)  # of which that is the cause
         told.append(f"{where}: {complaint}")
-    warnings += [f"{_listed(names)}: {fault}" for fault, names in found.items()] + told
+    warnings += [f"{parsing.listed(names)}: {fault}" for fault, names in found.items()] + told
     chosen = [trial for trial in chosen if trial.name not in odd]
     if not any(trial.role == "fit" for trial in chosen):
         warnings.append(f"{where}: every trial is heldout; there is nothing to learn from")
@@ -215,7 +215,7 @@ def _judged(
         if cause is not None and len(left) <= len(deep) / 2:
             frame_wrong = cause.kind in ("sign", "turn")
             warnings.append(
-                f"{_listed([rows.trial.name for rows in deep])}: {_deep_text(deep, len(pushes))};"
+                f"{parsing.listed([rows.trial.name for rows in deep])}: {_deep_text(deep, len(pushes))};"
                 f" it would be {_depth_text(fixed)} but for one thing: {cause.text}"
             )
             pushes, deep = fixed, left
@@ -235,8 +235,8 @@ def _judged(
             deep = [rows for rows in deep if rows not in alone]
         if deep and cause is None:
             warnings.append(
-                f"{_listed([rows.trial.name for rows in deep])}: {_deep_text(deep, len(pushes))}: is theta's"
-                " sign, the frame, the clock or the finger's point right, and finger.radius and the outline?"
+                f"{parsing.listed([rows.trial.name for rows in deep])}: {_deep_text(deep, len(pushes))}: is"
+                " theta's sign, the frame, the clock or the finger's point right, and finger.radius and the outline?"
             )
     odd = {trial.name for trial in trials if trial.name in faults and not stays(trial)}
     for end, names in (
@@ -246,7 +246,7 @@ def _judged(
         kinds: dict[str, list[str]] = {}
         for name in names:
             kinds.setdefault(faults[name], []).append(name)
-        warnings += [f"{_listed(alike)}: {fault}; {end}" for fault, alike in kinds.items()]
+        warnings += [f"{parsing.listed(alike)}: {fault}; {end}" for fault, alike in kinds.items()]
     return odd, warnings, frame_wrong
 
 
@@ -271,7 +271,7 @@ def _sound(channel: Channel, rows: NDArray[np.int_], where: str) -> tuple[Channe
     """A tracker's channel without the rows that cannot be true, and what was wrong with them."""
     kept, found, stays = sound_rows(channel.time, channel.values)
     warnings = [
-        f"{where}, row{'s' if len(bad) > 1 else ''} {_listed([str(rows[row]) for row in bad])}:"
+        f"{where}, row{'s' if len(bad) > 1 else ''} {parsing.listed([str(rows[row]) for row in bad])}:"
         f" {fault}; left out"
         for fault, bad in found.items()
     ]
@@ -448,8 +448,3 @@ def _ends_early(trial: Trial) -> bool:
         return False
     step = trial.tip_pose.values[-1] - trial.tip_pose.at(end - _EARLY_END)
     return bool(np.hypot(*step) > _SLOW_TIP * _EARLY_END)
-
-
-def _listed(names: list[str]) -> str:
-    shown = ", ".join(names[:5])
-    return shown if len(names) <= 5 else f"{shown} and {len(names) - 5} more"

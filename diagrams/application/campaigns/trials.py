@@ -300,6 +300,14 @@ def share(successes: int, count: int) -> Estimate:
     return Estimate(successes / count, float(interval.low), float(interval.high), count)
 
 
+def exact_range(hits: float, of: int) -> tuple[float, float]:
+    """95 % range of the true share where so many of so many hit (Clopper and Pearson)."""
+    from scipy.stats import beta
+
+    low = float(beta.ppf(0.025, hits, of - hits + 1)) if hits else 0.0
+    return low, float(beta.ppf(0.975, hits + 1, of - hits)) if hits < of else 1.0
+
+
 def mean(values: Sequence[float]) -> Estimate:
     """Of independent values, with Student's interval; no interval for fewer than two."""
     from scipy.stats import t

@@ -85,17 +85,8 @@ def explore(
     before = None
     if resume is not None:
         settled = (
-            "object",
-            "scenario",
-            "out",
-            "effect",
-            "after",
-            "pushes",
-            "checks",
-            "strategy",
-            "seed",
-            "adapt",
-        )
+            "object", "scenario", "out", "effect", "after", "pushes", "checks", "strategy", "seed", "adapt"
+        )  # fmt: skip
         _refuse_beside(context, "--resume goes on as it began", *settled)
         cell = cell._replace(folder=resume)
         scenario, wanted, before = resumed(resume)

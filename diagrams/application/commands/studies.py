@@ -226,8 +226,7 @@ def calibrate(objects: int, seed: int, output: Path | None, json_file: Path | No
 
 def coverage_rows(result: CalibrationResult) -> list[dict[str, Any]]:
     """Truths inside, with the 95 % range of their share and what it says of the intervals."""
-    from scipy.stats import beta
-
+    from slipmap.diagrams.application.campaigns.trials import exact_range
     from slipmap.diagrams.application.studies.calibration import LEVEL
 
     rows = []
@@ -236,9 +235,7 @@ def coverage_rows(result: CalibrationResult) -> list[dict[str, Any]]:
         inside = round(share * count)
         # Several pushes of one object are one story: count no more independent draws than objects.
         draws = min(count, result.objects)
-        hits = share * draws
-        low = float(beta.ppf(0.025, hits, draws - hits + 1)) if inside else 0.0
-        high = float(beta.ppf(0.975, hits + 1, draws - hits)) if inside < count else 1.0
+        low, high = exact_range(share * draws, draws)
         verdict = "too narrow" if high < LEVEL else "too wide" if low > LEVEL else "as it should be"
         if verdict == "as it should be" and high - low > _TELLS_NOTHING:
             verdict = "too few objects to tell"

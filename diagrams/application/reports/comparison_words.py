@@ -18,6 +18,8 @@ ROLES = {"fit": "fit", "heldout": "held out"}
 QUANTITIES = {"motion": "motion", "force": "force", "delay": "timing"}
 """What people read for the quantity of a pattern."""
 
+_NOISE = {"repeats": "repeated pushes scatter by", "declared noise": "the sensors alone leave"}
+
 
 def short_name(trial: str) -> str:
     """`trials/003.json` as `003`; a long name keeps its end, which tells it from others."""
@@ -45,8 +47,7 @@ def summary(comparison: Comparison) -> str:
         f" not move {millimetres(totals.resting.final_add)} mm."
     )
     if comparison.floor is not None:
-        source = {"repeats": "repeated pushes scatter by", "declared noise": "the sensors alone leave"}
-        text += f" For comparison, {source[comparison.floor.source]} {millimetres(comparison.floor.add)} mm."
+        text += f" For comparison, {_NOISE[comparison.floor.source]} {millimetres(comparison.floor.add)} mm."
     return text
 
 
@@ -84,11 +85,10 @@ def no_better_than_uniform(comparison: Comparison) -> str:
     ours, uniform, floor = totals.model.final_add, totals.uniform.final_add, comparison.floor
     if floor is None or not (ours > MANY_TIMES * floor.add and ours > NO_BETTER * uniform):
         return ""
-    noise = {"repeats": "repeated pushes scatter by", "declared noise": "the sensors alone leave"}
     which = "Held-out pushes" if role == "heldout" else "Pushes"
     return (
         f"{which} end {millimetres(ours)} mm off: {ours / max(floor.add, 1e-9):.0f} times what"
-        f" {noise[floor.source]}, and {ours / max(uniform, 1e-9):.2g} times the error of a uniform object, so"
+        f" {_NOISE[floor.source]}, and {ours / max(uniform, 1e-9):.2g} times the error of a uniform object, so"
         " that the maps explain nothing of it. The model is wrong."
     )
 

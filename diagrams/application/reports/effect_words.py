@@ -151,10 +151,14 @@ def _field(p: Estimates, grid: CellGrid) -> list[Reading]:
     ]
 
 
-def _latency(p: Estimates, grid: CellGrid) -> list[Reading]:
-    if p["latency"].value < 0:
-        return [_scaled("the tracker is {} ms early", p["latency"], -1e3)]
-    return [_scaled("the tracker is {} ms late", p["latency"], 1e3)]
+def _late(what: str) -> Reader:
+    def read(p: Estimates, grid: CellGrid) -> list[Reading]:
+        early = p["latency"].value < 0
+        return [
+            _scaled(f"{what} is {{}} ms {'early' if early else 'late'}", p["latency"], -1e3 if early else 1e3)
+        ]
+
+    return read
 
 
 def _shift(p: Estimates, grid: CellGrid) -> list[Reading]:
@@ -171,18 +175,8 @@ def _force_frame(p: Estimates, grid: CellGrid) -> list[Reading]:
     turned = _scaled("the reported force is turned by {}°", p["angle"], 180.0 / np.pi)
     if p["mirror"].value < 0.5:
         return [turned]
-    mirrored = Reading("the reported force is mirrored, y negated ({} of 1)", *_ends(p["mirror"]))
+    mirrored = _scaled("the reported force is mirrored, y negated ({} of 1)", p["mirror"], 1.0)
     return [mirrored, _scaled("then turned by {}°", p["angle"], 180.0 / np.pi)]
-
-
-def _ends(estimate: ParameterEstimate) -> tuple[float, float, float]:
-    return estimate.value, estimate.low, estimate.high
-
-
-def _late_force(p: Estimates, grid: CellGrid) -> list[Reading]:
-    if p["latency"].value < 0:
-        return [_scaled("the force is {} ms early", p["latency"], -1e3)]
-    return [_scaled("the force is {} ms late", p["latency"], 1e3)]
 
 
 def _each(*readings: tuple[str, str, float]) -> Reader:
@@ -206,7 +200,7 @@ READERS: dict[str, Reader] = {
         ("y {} mm", "anchor_y", 1e3),
         ("beyond {} mm of slack", "slack", 1e3),
     ),
-    "sensor_latency": _latency,
+    "sensor_latency": _late("the tracker"),
     "friction_drift": _each(("friction changes by {} % a push", "rate", 100.0)),
     "finger_compliance": _each(("the tip gives {} mm for each newton", "compliance", 1e3)),
     "loose_mass": _each(
@@ -241,6 +235,6 @@ READERS: dict[str, Reader] = {
     "force_gains": _each(
         ("the force's gain along x is {} % above the mean, along y as much below", "excess", 100.0)
     ),
-    "force_latency": _late_force,
+    "force_latency": _late("the force"),
 }
 """Effects of the library, each with a way to say its size."""

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy.stats import beta
 
+from slipmap.diagrams.application.campaigns.trials import exact_range
 from slipmap.diagrams.application.studies.blind.generator import Truth
 from slipmap.diagrams.application.terminal import WIDTH
 from slipmap.models.inference.diagnosis.results import VERDICTS
@@ -46,9 +46,7 @@ class Rate:
     @property
     def range(self) -> tuple[float, float]:
         """95 % range of the true share (Clopper and Pearson)."""
-        low = float(beta.ppf(0.025, self.hits, self.of - self.hits + 1)) if self.hits else 0.0
-        high = float(beta.ppf(0.975, self.hits + 1, self.of - self.hits)) if self.hits < self.of else 1.0
-        return low, high
+        return exact_range(self.hits, self.of)
 
     def text(self) -> str:
         """Count, share and range."""
