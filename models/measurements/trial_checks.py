@@ -236,7 +236,8 @@ def _judged(
         if deep and cause is None:
             warnings.append(
                 f"{parsing.listed([rows.trial.name for rows in deep])}: {_deep_text(deep, len(pushes))}: is"
-                " theta's sign, the frame, the clock or the finger's point right, and finger.radius and the outline?"
+                " theta's sign, the frame, the clock or the finger's point right, and finger.radius and the"
+                " outline?"
             )
     odd = {trial.name for trial in trials if trial.name in faults and not stays(trial)}
     for end, names in (

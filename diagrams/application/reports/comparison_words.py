@@ -88,8 +88,8 @@ def no_better_than_uniform(comparison: Comparison) -> str:
     which = "Held-out pushes" if role == "heldout" else "Pushes"
     return (
         f"{which} end {millimetres(ours)} mm off: {ours / max(floor.add, 1e-9):.0f} times what"
-        f" {_NOISE[floor.source]}, and {ours / max(uniform, 1e-9):.2g} times the error of a uniform object, so"
-        " that the maps explain nothing of it. The model is wrong."
+        f" {_NOISE[floor.source]}, and {ours / max(uniform, 1e-9):.2g} times the error of a uniform object,"
+        " so that the maps explain nothing of it. The model is wrong."
     )
 
 
