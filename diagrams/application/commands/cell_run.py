@@ -228,14 +228,14 @@ def leave(
     identification: Identification, dataset: PushDataset, folder: Path, progress: Progress
 ) -> dict[str, Path]:
     """Write belief, pictures and report beside the pushes; returns what lies where."""
-    from slipmap.diagrams.application.commands.compare import report
     from slipmap.diagrams.application.commands.identify import keep
+    from slipmap.diagrams.application.reports.comparison_report import comparison_report
     from slipmap.models.inference.comparison import compare
 
     belief = folder / "belief.npz"
     pictures = keep(identification, dataset, belief, None, progress)
     comparison = compare(dataset, identification.belief, seed=0, label="model", progress=progress)
-    text = report([comparison], dataset, str(folder / "pushes"))
+    text = comparison_report([comparison], dataset, str(folder / "pushes"))
     write_text(folder / "report.html", text)
     written = {"pushes": folder / "pushes", "belief": belief, "report": folder / "report.html"}
     return written | {f"picture of {path.stem.removeprefix('belief.')}": path for path in pictures}

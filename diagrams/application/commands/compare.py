@@ -123,8 +123,10 @@ def compare(
             if effects
             else [comparison.compare(measured, belief, seed=seed, progress=progress)]
         )
+        from slipmap.diagrams.application.reports.comparison_report import comparison_report
+
         with progress.step("drawing"):
-            text = report(results, measured, str(dataset))
+            text = comparison_report(results, measured, str(dataset))
     before, *after = (result.to_json() for result in results)
     both = {"before": before, "after": after[0], "effects": list(effect_names)} if after else before
     with together():
@@ -149,58 +151,19 @@ def _prediction_document(belief: Belief, dataset: str, pushes: Sequence[Predicti
     }
 
 
-def report(comparisons: list[Comparison], dataset: PushDataset, where: str = "DATASET") -> str:
-    """The HTML of one model, or of two over the same pushes.
-
-    Args:
-        where: the dataset, as a command takes it.
-    """
-    from slipmap.diagrams.application.reports.comparison_sections import (
-        check_same_pushes,
-        comparison_sections,
-    )
-    from slipmap.diagrams.application.reports.comparison_words import headline
-    from slipmap.diagrams.application.reports.html_page import page
-
-    first = comparisons[0]
-    learnt = "" if first.learnt_from == first.dataset else f", model learnt from {first.learnt_from}"
-    subtitle = f"{len(first.pushes)} measured pushes of {len(dataset.grid)} cells{learnt}; seed {first.seed}"
-    check_same_pushes(comparisons)
-    title = f"{dataset.name}: model against measurement"
-    return page(
-        title, subtitle, _told(comparisons), comparison_sections(comparisons, dataset),
-        headline=headline(comparisons[-1], where),
-    )  # fmt: skip
-
-
 def show(results: Sequence[Comparison], where: str = "DATASET") -> None:
-    """Print what was found of one model, or of two over the same pushes; `where` as of `report`."""
-    from slipmap.diagrams.application.reports.comparison_words import headline
+    """Print what was found of one model, or of two over the same pushes; `where` as a command takes it."""
+    from slipmap.diagrams.application.reports.comparison_words import findings, headline
     from slipmap.diagrams.application.reports.tables import show_comparison
 
     first = results[0]
     named = f"{first.dataset}, {len(first.pushes)} pushes; model learnt from {first.learnt_from}\n"
     click.echo(printable(named))
     show_comparison(results)
-    for text in _told(results):
+    for text in findings(results):
         paragraph(text)
     if loud := headline(results[-1], where):
         paragraph(loud)
-
-
-def _told(results: Sequence[Comparison]) -> list[str]:
-    """What was found, in words."""
-    from slipmap.diagrams.application.reports.comparison_words import finding, summary, summary_of_two
-
-    if len(results) == 1:
-        return [summary(results[0]), finding(results[0])]
-    learnt = (
-        "Both models were learnt as by `slipmap fit`, which takes the errors of one push as hanging together;"
-        " `slipmap identify`, and compare without --effect, count every measured pose for itself, so that"
-        " their model differs a little from the one without effects here."
-    )
-    findings = [f"{result.label}: {finding(result)}" for result in results]
-    return [summary_of_two(*results), *findings, learnt]
 
 
 def _check_fit_pushes(dataset: PushDataset) -> None:
@@ -275,7 +238,7 @@ def diagnose(
         wanted = not quick or options.asked_for("output")
         with together():
             if wanted:
-                from slipmap.diagrams.application.reports.diagnosis_sections import diagnosis_report
+                from slipmap.diagrams.application.reports.diagnosis_report import diagnosis_report
 
                 told = diagnosis_report(result, measured, effects, where, progress)
                 write_text(output, told)

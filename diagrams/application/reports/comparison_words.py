@@ -166,6 +166,18 @@ def finding(comparison: Comparison) -> str:
     return f"What is left has a pattern: {named}{more}."
 
 
+def findings(results: Sequence[Comparison]) -> list[str]:
+    """What was found of one model, or of two over the same pushes, in a paragraph each."""
+    if len(results) == 1:
+        return [summary(results[0]), finding(results[0])]
+    learnt = (
+        "Both models were learnt as by `slipmap fit`, which takes the errors of one push as hanging together;"
+        " `slipmap identify`, and compare without --effect, count every measured pose for itself, so that"
+        " their model differs a little from the one without effects here."
+    )
+    return [summary_of_two(*results), *(f"{result.label}: {finding(result)}" for result in results), learnt]
+
+
 def sentence_part(pattern: Pattern) -> str:
     """One pattern in a sentence, such as `the force depends on speed (19 %)`."""
     if pattern.quantity == "delay":

@@ -14,7 +14,6 @@ from matplotlib.figure import Figure
 from matplotlib.quiver import Quiver
 from report_page import Page, assert_alone
 
-from slipmap.diagrams.application.commands.compare import report
 from slipmap.diagrams.application.figures import (
     correlation_figure,
     error_figure,
@@ -23,6 +22,7 @@ from slipmap.diagrams.application.figures import (
     table_figure,
 )
 from slipmap.diagrams.application.figures.residual_figures import CONDITIONS, residual_figures
+from slipmap.diagrams.application.reports.comparison_report import comparison_report as report
 from slipmap.diagrams.application.reports.comparison_words import (
     finding,
     headline,

@@ -13,7 +13,7 @@ from hidden_effects import tilted_pushes
 from report_page import assert_alone
 
 from slipmap.diagrams.application.figures import gain_figure, locked_figure
-from slipmap.diagrams.application.reports.diagnosis_sections import compared, diagnosis_report
+from slipmap.diagrams.application.reports.diagnosis_report import compared, diagnosis_report
 from slipmap.diagrams.application.reports.diagnosis_words import push_facts, show_diagnosis, standing
 from slipmap.diagrams.application.reports.effect_words import READERS, effect_in_words, parameter_rows
 from slipmap.models.effects import LIBRARY

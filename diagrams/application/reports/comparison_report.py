@@ -1,4 +1,4 @@
-"""What a report says of one model, or of two over the same pushes: errors, pushes, patterns, correlations."""
+"""The HTML report of one model, or of two over the same pushes: errors, pushes, patterns, correlations."""
 
 from collections.abc import Sequence
 from html import escape
@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from slipmap.diagrams.application.figures import correlation_figure, error_figure, residual_figures
 from slipmap.diagrams.application.figures.residual_figures import pattern_of
 from slipmap.diagrams.application.reports import comparison_words as words
-from slipmap.diagrams.application.reports.html_page import Section, part, picture, table
+from slipmap.diagrams.application.reports.html_page import Section, page, part, picture, table
 from slipmap.models.inference.comparison import Comparison
 from slipmap.models.inference.observations import Observation
 from slipmap.models.inference.prediction import Prediction
@@ -46,16 +46,28 @@ _MOSTLY_UNSEEN = (
 )
 
 
-def comparison_sections(comparisons: Sequence[Comparison], dataset: PushDataset) -> list[Section]:
-    """All sections, in the order of reading.
+def comparison_report(comparisons: Sequence[Comparison], dataset: PushDataset, where: str = "DATASET") -> str:
+    """The report, a whole HTML document.
 
     Args:
         comparisons: one model, or two over the same pushes, the first being the one before.
+        where: the dataset, as a command takes it.
 
     Raises:
         ValueError: none or more than two models, or models over different pushes.
     """
-    check_same_pushes(comparisons)
+    first = comparisons[0]
+    learnt = "" if first.learnt_from == first.dataset else f", model learnt from {first.learnt_from}"
+    subtitle = f"{len(first.pushes)} measured pushes of {len(dataset.grid)} cells{learnt}; seed {first.seed}"
+    sections = comparison_sections(comparisons, dataset)
+    title = f"{dataset.name}: model against measurement"
+    headline = words.headline(comparisons[-1], where)
+    return page(title, subtitle, words.findings(comparisons), sections, headline)
+
+
+def comparison_sections(comparisons: Sequence[Comparison], dataset: PushDataset) -> list[Section]:
+    """All sections, in the order of reading; arguments and errors as of `comparison_report`."""
+    _check_same_pushes(comparisons)
     sections = [
         _error_section(comparisons),
         _push_section(comparisons, dataset),
@@ -67,8 +79,7 @@ def comparison_sections(comparisons: Sequence[Comparison], dataset: PushDataset)
     return sections
 
 
-def check_same_pushes(comparisons: Sequence[Comparison]) -> None:
-    """Raise ValueError unless there are one or two models over the same pushes."""
+def _check_same_pushes(comparisons: Sequence[Comparison]) -> None:
     if not 1 <= len(comparisons) <= 2:
         raise ValueError(f"a report shows one model or two, got {len(comparisons)}")
     pushes = [[push.trial for push in comparison.pushes] for comparison in comparisons]

@@ -5,7 +5,7 @@ from html import escape
 
 from slipmap.diagrams.application.figures import gain_figure, locked_figure, telling_push_figure
 from slipmap.diagrams.application.reports import diagnosis_words as phrases
-from slipmap.diagrams.application.reports.comparison_sections import comparison_sections
+from slipmap.diagrams.application.reports.comparison_report import comparison_sections
 from slipmap.diagrams.application.reports.comparison_words import finding
 from slipmap.diagrams.application.reports.effect_words import effect_in_words, parameter_rows
 from slipmap.diagrams.application.reports.html_page import Section, page, part, picture, table
