@@ -20,7 +20,7 @@ import shapely
 
 from slipmap.models.files import BadInput, replaced_folder
 from slipmap.models.inference.belief import Belief
-from slipmap.models.objects.convex_pieces import convex_pieces
+from slipmap.models.objects.footprints import convex_pieces
 from slipmap.models.physics.cell_grid import CellGrid, FloatArray
 
 Format = Literal["sdf", "urdf", "mjcf"]

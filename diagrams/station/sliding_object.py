@@ -12,7 +12,7 @@ from pydrake.multibody.plant import CoulombFriction, MultibodyPlant, MultibodyPl
 from pydrake.multibody.tree import ModelInstanceIndex, SpatialInertia, UnitInertia
 from pydrake.systems.framework import DiagramBuilder, LeafSystem
 
-from slipmap.models.objects.convex_pieces import convex_pieces
+from slipmap.models.objects.footprints import convex_pieces
 from slipmap.models.objects.meshes import shaded_obj
 from slipmap.models.objects.true_object import TrueObject
 from slipmap.models.physics.cell_grid import FloatArray

@@ -23,8 +23,15 @@ from slipmap.models.inference.prediction import (
     predict_observations,
 )
 from slipmap.models.inference.push_errors import Errors, NoiseFloor, noise_floor
-from slipmap.models.inference.residual_correlations import Correlations, correlations, delay_pattern
-from slipmap.models.inference.residual_structure import LEVEL, Pattern, corrected, factor_patterns
+from slipmap.models.inference.residual_structure import (
+    LEVEL,
+    Correlations,
+    Pattern,
+    corrected,
+    correlations,
+    delay_pattern,
+    factor_patterns,
+)
 from slipmap.models.inference.residuals import Residuals, force_residuals, motion_residuals
 from slipmap.models.inference.sign_flips import smallest_p
 from slipmap.models.measurements import PushDataset

@@ -16,7 +16,7 @@ from slipmap.models.effects.effect import Effect, failure
 from slipmap.models.files import BadInput
 from slipmap.models.geometry import placed
 from slipmap.models.objects import cells_from_polygon
-from slipmap.models.objects.convex_pieces import convex_pieces
+from slipmap.models.objects.footprints import convex_pieces
 from slipmap.models.physics.cell_grid import CellGrid, FloatArray
 from slipmap.models.physics.maps import Maps
 from slipmap.models.physics.stepper import Stepper

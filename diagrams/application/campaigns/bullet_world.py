@@ -17,7 +17,7 @@ from slipmap.diagrams.application.campaigns.worlds import (
 from slipmap.diagrams.station.sliding_object import GRAVITY, spatial_inertia
 from slipmap.diagrams.station.table import ROUND_TABLE
 from slipmap.models.measurements.push_dataset import Table
-from slipmap.models.objects.convex_pieces import convex_pieces
+from slipmap.models.objects.footprints import convex_pieces
 from slipmap.models.objects.true_object import TrueObject
 from slipmap.models.physics.cell_grid import FloatArray
 from slipmap.models.robots import FINGER_LENGTH, FINGER_RADIUS

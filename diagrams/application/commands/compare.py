@@ -273,6 +273,6 @@ def _diagnose_together(
 
         result = diagnose_together(measured, effects=effects, apart=apart, seed=seed, progress=progress)
     write_json(json_file, result.to_json())
-    from slipmap.diagrams.application.reports.together_words import show_together
+    from slipmap.diagrams.application.reports.diagnosis_words import show_together
 
     show_together(result, measured[0].grid)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from schemas import assert_as_described
 
-from slipmap.diagrams.application.reports.together_words import show_together, where_it_falls
+from slipmap.diagrams.application.reports.diagnosis_words import show_together, where_it_falls
 from slipmap.models.inference.diagnosis.locked import LockedErrors
 from slipmap.models.inference.diagnosis.results import ParameterEstimate
 from slipmap.models.inference.diagnosis.several import DatasetResult, JointCandidate, JointDiagnosis

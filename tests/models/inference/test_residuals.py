@@ -6,7 +6,7 @@ import pytest
 from slipmap.models.geometry import at_centroid, radius_of_gyration
 from slipmap.models.inference.observations import Observation
 from slipmap.models.inference.prediction import Motion
-from slipmap.models.inference.residual_correlations import correlations, delay_pattern
+from slipmap.models.inference.residual_structure import correlations, delay_pattern
 from slipmap.models.inference.residuals import Phase, conditions, force_residuals, motion_residuals
 from slipmap.models.objects import cells_from_polygon
 from slipmap.models.physics.rollout import Push

@@ -13,7 +13,7 @@ import trimesh
 from scipy.spatial import cKDTree
 
 from slipmap.models.objects.benchmark_objects import BENCHMARK_OBJECTS, benchmark_object
-from slipmap.models.objects.convex_pieces import convex_pieces
+from slipmap.models.objects.footprints import convex_pieces
 from slipmap.models.objects.meshes import height_over, lofted, rounded
 from slipmap.models.objects.true_object import TrueObject, object_from_labels, object_from_mesh
 
