@@ -190,10 +190,9 @@ def calibrate(objects: int, seed: int, output: Path | None, json_file: Path | No
     """
     with Progress() as progress:
         prepare_kernels()
-        from slipmap.diagrams.application.studies import calibration
-        from slipmap.diagrams.application.studies.calibration import LEVEL
+        from slipmap.diagrams.application.studies.calibration import LEVEL, calibrate as calibrated
 
-        result = calibration.calibrate(objects=objects, seed=seed, progress=progress)
+        result = calibrated(objects=objects, seed=seed, progress=progress)
     rows = coverage_rows(result)
     numbers = {name: getattr(result, name) for name in ("objects", "seed", "seconds", "ranks", "by_kind")}
     with together():

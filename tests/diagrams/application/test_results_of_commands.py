@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 from refusals import files_in
 
-from slipmap import planners
 from slipmap.models.inference.belief import Belief
 from slipmap.models.inference.summaries import middle_poses
 from slipmap.models.measurements import read_dataset
@@ -138,7 +137,7 @@ def test_calibrate_prints_draws_and_writes_coverage(slipmap, tmp_path, monkeypat
             objects=objects, seed=seed, seconds=1.0, coverage=coverage, ranks=ranks, by_kind=by_kind
         )
 
-    monkeypatch.setattr(planners, "calibration", SimpleNamespace(calibrate=calibrate), raising=False)
+    monkeypatch.setattr("slipmap.diagrams.application.studies.calibration.calibrate", calibrate)
     picture, result = tmp_path / "curves.png", tmp_path / "c.json"
     said = slipmap("calibrate", "--objects", 25, "--seed", 3, "-o", picture, "--json", result)
     assert said.code == 0

@@ -191,9 +191,9 @@ def test_failed_trials_are_named(tmp_path: Path, capsys: pytest.CaptureFixture[s
     summary = experiment_of("fig4").summary(outcomes)
     assert summary.tables == []
     assert len(summary.figures()) == 1
-    from slipmap.diagrams.application.commands.studies import _show
+    from slipmap.diagrams.application.commands.studies import _show_summary
 
-    _show(summary, outcomes)
+    _show_summary(summary, outcomes)
     told = capsys.readouterr()
     assert "1 of 1 trials failed" in told.err and "line 3: lost" in told.err
 
