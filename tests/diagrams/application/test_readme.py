@@ -24,7 +24,7 @@ from slipmap.models.inference.belief import Belief
 from slipmap.models.measurements import PushDataset, read_dataset
 
 ROOT = Path(__file__).resolve().parents[3]
-PAGES = ("README.md", *sorted(path.relative_to(ROOT).as_posix() for path in (ROOT / "docs").glob("*.md")))
+PAGES = ("README.md", *sorted(path.relative_to(ROOT).as_posix() for path in (ROOT / "docs").rglob("*.md")))
 NOTEBOOKS = tuple(sorted(path.relative_to(ROOT).as_posix() for path in (ROOT / "notebooks").glob("*.ipynb")))
 GIVEN = {"cell": Cell, "faults": Faults, "dataset": PushDataset}
 EXAMPLES = [example for page in PAGES for example in examples_of(ROOT, page)]
@@ -159,7 +159,7 @@ def test_every_page_can_be_reached_from_the_readme():
         if page.suffix == ".md" and page not in seen:
             seen.add(page)
             waiting += [page.parent / link for link in re.findall(r"\]\(([^)#:]+)", page.read_text())]
-    assert set((ROOT / "docs").glob("*.md")) <= seen
+    assert set((ROOT / "docs").rglob("*.md")) <= seen
 
 
 def test_the_citation_names_this_version_and_licence():
