@@ -167,10 +167,11 @@ def report(comparisons: list[Comparison], dataset: PushDataset, where: str = "DA
     subtitle = f"{len(first.pushes)} measured pushes of {len(dataset.grid)} cells{learnt}; seed {first.seed}"
     check_same_pushes(comparisons)
     title = f"{dataset.name}: model against measurement"
+    first_sentence, dot, others = headline(comparisons[-1], where).partition(". ")
+    lead = [text for text in (others, *_told(comparisons)) if text]
     return page(
-        title, subtitle, _told(comparisons), comparison_sections(comparisons, dataset),
-        headline=headline(comparisons[-1], where),
-    )  # fmt: skip
+        title, subtitle, lead, comparison_sections(comparisons, dataset), first_sentence + dot.rstrip()
+    )
 
 
 def show(results: Sequence[Comparison], where: str = "DATASET") -> None:

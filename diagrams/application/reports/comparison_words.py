@@ -41,8 +41,9 @@ def summary(comparison: Comparison) -> str:
     average = " on average" if totals.pushes > 1 else ""
     text = (
         f"{which}, the model ends {millimetres(totals.model.final_add)} mm from the measured pose{average}"
-        f" (ADD); a uniform object ends {millimetres(totals.uniform.final_add)} mm off, an object that does"
-        f" not move {millimetres(totals.resting.final_add)} mm."
+        " (ADD, the mean distance of the object's points); a uniform object ends"
+        f" {millimetres(totals.uniform.final_add)} mm off, an object that does not move"
+        f" {millimetres(totals.resting.final_add)} mm."
     )
     if comparison.floor is not None:
         source = {"repeats": "repeated pushes scatter by", "declared noise": "the sensors alone leave"}

@@ -51,7 +51,7 @@ def sentences(paragraph: str) -> list[str]:
 
 
 def claims(text: str) -> list[tuple[str, set[str], list[str]]]:
-    """Sentences and tables that tell a result: each with its numbers and the lab pages its section links to."""
+    """Sentences that tell a result, each with its numbers and the lab pages that its section links to."""
     found = []
     for section in re.split(r"^#+ .*$", re.sub(r"```.*?```", "", text, flags=re.S), flags=re.M):
         linked = re.findall(r"\]\((?:docs/)?lab/([\w-]+\.md)", section)
