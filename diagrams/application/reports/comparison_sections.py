@@ -295,7 +295,7 @@ def _pattern_table(comparison: Comparison, *, named: bool) -> str:
         for pattern in comparison.structure
     ]
     marked = [pattern.significant for pattern in comparison.structure]
-    columns = ["of", "hangs together with", "most in", "size (95 % interval)", "p", "p, all tests"]
+    columns = ["of", "depends on", "most in", "size (95 % interval)", "p", "p, all tests"]
     head = f"{comparison.label}: " if named else ""
     caption = (
         f"{head}{len(rows)} tests with {max((p.pushes for p in comparison.structure), default=0)} pushes as"

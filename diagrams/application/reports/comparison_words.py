@@ -152,8 +152,8 @@ def finding(comparison: Comparison) -> str:
             tests = len(comparison.structure)
             most = max((pattern.pushes for pattern in comparison.structure), default=0)
             return (
-                f"Whether the rest has a pattern cannot be told from {_pushes(most)}: with {tests} tests"
-                f" it takes at least {pushes_needed(tests)}."
+                f"{_pushes(most)} cannot show whether the remaining error has a pattern: {tests} tests take"
+                f" at least {pushes_needed(tests)}."
             )
         text = "What is left shows no pattern beyond chance and what is negligible"
         if headline(comparison):
