@@ -38,7 +38,7 @@ notebooks: $(STAMP) ## Run the notebooks anew and keep what they show
 
 docs: $(STAMP) ## Build the pages of docs/ as a site that can be searched: site/index.html
 	@$(BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[docs]'
-	@NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet
+	@NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build
 
 install: $(STAMP) ## Install slipmap into its environment, which the others do by themselves
 
