@@ -9,7 +9,7 @@ import click
 from slipmap.diagrams.application.commands import options
 from slipmap.diagrams.application.outputs import check_folder
 from slipmap.diagrams.application.terminal import note
-from slipmap.models.files import writing
+from slipmap.models.files import BadInput, writing
 
 
 @click.command()
@@ -24,9 +24,13 @@ def example(folder: Path) -> None:
     """
     from slipmap.diagrams.application.demonstration import tilted_block
     from slipmap.models.measurements import write_dataset
+    from slipmap.models.measurements.reading import DESCRIPTION_FILE
 
+    following = f"`slipmap identify {folder} -o belief.npz`"
+    if (folder / DESCRIPTION_FILE).exists():
+        raise BadInput(f"{folder}: there are pushes already; go on with {following}, or name another folder")
     check_folder(folder.absolute().parent, folder)
     with writing(folder):
         write_dataset(tilted_block(), folder)
     note(f"pushes: {folder}")
-    note(f"Next: `slipmap identify {folder} -o belief.npz`.")
+    note(f"Next: {following}.")
