@@ -8,7 +8,7 @@ PYTHON3 ?=
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.slipmap-installed
 .DEFAULT_GOAL := help
-.PHONY: help demo test quick lint types bench notebooks install clean
+.PHONY: help demo test quick lint types bench notebooks docs install clean
 
 help: ## Show this list
 	@awk -F ':.*## ' '/^[a-z]+:.*## /{printf "  make %-9s %s\n", $$1, $$2}' Makefile
@@ -35,6 +35,10 @@ bench: $(STAMP) ## Measure how fast slipmap is on this machine
 
 notebooks: $(STAMP) ## Run the notebooks anew and keep what they show
 	@$(BIN)/python notebooks/run.py notebooks/*.ipynb
+
+docs: $(STAMP) ## Build the pages of docs/ as a site that can be searched: site/index.html
+	@$(BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[docs]'
+	@NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build
 
 install: $(STAMP) ## Install slipmap into its environment, which the others do by themselves
 
@@ -63,5 +67,5 @@ $(STAMP): pyproject.toml
 	@touch $(STAMP)
 
 clean: ## Remove the demo's results, caches and build products; the environment stays
-	rm -rf demo simulated-demo notebooks/results build dist .src/slipmap.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis
+	rm -rf demo simulated-demo tilted site notebooks/results build dist .src/slipmap.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis
 	find . -path ./$(VENV) -prune -o -name __pycache__ -type d -exec rm -rf {} +

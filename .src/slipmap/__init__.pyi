@@ -1,7 +1,10 @@
 """Names that `import slipmap` offers and where each lies; `__init__.py` loads them on first use."""
 
 from . import diagrams as diagrams, models as models, planners as planners
-from .diagrams.application.demonstration import simulated_hammer as simulated_hammer
+from .diagrams.application.demonstration import (
+    simulated_hammer as simulated_hammer,
+    tilted_block as tilted_block,
+)
 from .diagrams.application.figures import (
     draw_cells as draw_cells,
     draw_outline as draw_outline,

@@ -25,7 +25,7 @@ SUCCESS, INTERNAL_FAILURE, WRONG_USE, STOPPED = 0, 1, 2, 130
 TRACEBACK = "SLIPMAP_TRACEBACK"
 _STOPPED = "stopped; nothing half-written is left behind"
 _COMMANDS = (
-    "machine:doctor", "demo", "explore", "explore:pregrasp", "record:station", "record", "record:replay",
+    "machine:doctor", "demo", "example", "explore", "explore:pregrasp", "record:station", "record", "record:replay",
     "describe_object", "datasets:import_files", "datasets:check", "identify", "compare:predict",
     "beliefs:view", "compare", "compare:diagnose", "identify:fit", "effects", "beliefs:export",
     "studies:calibrate", "studies:explore_study", "studies:campaign", "studies:blind_test", "studies:audit",
@@ -86,8 +86,8 @@ def slipmap(ctx: click.Context) -> None:
     From a few recorded pushes, slipmap learns how mass and friction are spread over an object, says how
     sure it is, predicts further pushes, and names the physical effect that its model misses.
 
-    New here? `slipmap demo` shows everything in half a minute and needs no data; `slipmap doctor` says
-    whether this machine has all that is needed.
+    New here? `slipmap example` writes pushes to try the commands on, `slipmap demo` shows a belief beside
+    the truth, and `slipmap doctor` says whether this machine has all that is needed.
     """
     if ctx.invoked_subcommand is None:
         click.echo(ctx.get_help(), err=True)

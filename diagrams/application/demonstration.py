@@ -1,11 +1,13 @@
-"""A push dataset that needs no robot: a hammer with known maps, pushed at random and recorded with noise."""
+"""Push datasets that need no robot: a hammer with known maps, and a block with a hidden effect."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 
 from slipmap.models.inference.belief import Belief
 from slipmap.models.measurements.push_dataset import PushDataset
+from slipmap.models.measurements.reading import read_dataset
 from slipmap.models.measurements.simulated import record_pushes
 from slipmap.models.objects.benchmark_objects import HEAD, hammer
 from slipmap.models.physics.rollout import Maps, Slider
@@ -45,6 +47,20 @@ def simulated_hammer(seed: int = 0, *, fit: int = 6, heldout: int = 4) -> tuple[
         mass=round(float(truth.mass.sum()), 3),
     )
     return dataset, truth
+
+
+def tilted_block() -> PushDataset:
+    """Twelve pushes of a block of 0.72 kg on a table that is not level, as `slipmap example` writes them.
+
+    They were simulated with a slope of 0.05 rad along x and -0.03 rad along y, and come with the package.
+
+    Example:
+        >>> import slipmap
+        >>> dataset = slipmap.tilted_block()
+        >>> len(dataset.trials), dataset.mass
+        (12, 0.72)
+    """
+    return read_dataset(Path(__file__).with_name("tilted_block"))
 
 
 def true_values(belief: Belief, truth: Maps) -> dict[str, float]:

@@ -342,7 +342,7 @@ def resumed(folder: Path) -> tuple[Scenario, LoopOptions, RecordedRun]:
     except (ScenarioError, DatasetError) as error:
         raise BadInput(str(error)) from error
     except (OSError, ValueError, KeyError, TypeError, BadZipFile) as error:
-        raise BadInput(f"{folder}: the run in it cannot be gone on with ({error}); begin anew") from error
+        raise BadInput(f"{folder}: the run in it cannot be continued ({error}); begin anew") from error
     if digests != [_digest_of(folder / PUSHES / trial.name) for trial in dataset.trials]:
         raise BadInput(f"{folder / PUSHES}: holds pushes that are not those of {folder / RUN}; begin anew")
     if not np.array_equal(grid.centers, dataset.grid.centers):

@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 COMMANDS = (
     "doctor",
     "demo",
+    "example",
     "explore",
     "pregrasp",
     "station",

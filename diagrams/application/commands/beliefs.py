@@ -119,7 +119,7 @@ def export(
     """Write what was learned as SDF, URDF or MJCF.
 
     The object of BELIEF becomes a rigid body with its mass, centre of mass and inertia, on 32 small feet
-    whose friction is that of the parts above them. What the format cannot hold is said.
+    whose friction is that of the parts above them. It says what the format cannot hold.
     """
     from slipmap.diagrams.application.simulator_models import (
         DEFAULT_HEIGHT,

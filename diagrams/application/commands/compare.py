@@ -73,9 +73,7 @@ def predict(
 @click.command()
 @options.dataset_argument
 @options.belief_option(required=False, more="; without it the fit pushes are learnt from first")
-@options.effect_option(
-    required=False, purpose="Compare the model without effects, and with this one, both learnt alike"
-)
+@options.effect_option(required=False, purpose="Effect to add, to compare with the model without it")
 @options.effect_file_option
 @options.report_option("comparison.html")
 @options.seed_option
@@ -95,10 +93,10 @@ def compare(
 ) -> None:
     """Compare a model with pushes, and see where it fails.
 
-    Every push of DATASET is predicted from its first pose. The report says how far off the model is beside
-    two simple ones and the noise, shows every push as measured and as predicted, and tests what the rest
-    hangs together with: place, direction, speed, phase, time and order. With --effect two models are
-    learnt from the fit pushes, without and with the effects, and shown side by side.
+    Every push of DATASET is predicted from its first pose. The report says how far off the model is
+    beside two simple ones and the noise, shows every push as measured and as predicted, and tests what
+    the remaining error depends on: place, direction, speed, phase, time and order. With --effect two
+    models are learnt from the fit pushes, without and with the effects, and shown side by side.
     """
     from slipmap.models.effects.registry import effects_named
     from slipmap.models.inference.belief import Belief
@@ -215,8 +213,9 @@ def diagnose(
     one effect, a set that the data cannot tell apart, none, something unknown, or too little data. A share
     of the pushes is locked away before and judges the answer.
 
-    Several datasets, each of one object, are asked for what they miss together: maps are each object's own,
-    effects of table, tracker, finger and force sensor are one for all, unless --apart says that these differ.
+    Several datasets, each of one object, are searched for what they miss together: each object has maps
+    of its own, while effects of table, tracker, finger and force sensor are shared, unless --apart says
+    otherwise.
     """
     effects = options.find_effects(effect_files)
     if len(datasets) > 1:

@@ -69,12 +69,12 @@ def explore(
 ) -> None:
     """Let a robot explore an object: look, poke, learn, again.
 
-    A Kuka iiwa with a finger pushes the object on its table, a depth camera watches, and after each push the
-    belief about mass and friction forms anew. Nothing but the camera's pictures and the arm's own sensors is
-    used. The pushes are left as a dataset, on which every other command works. Each is written as soon as it
-    is recorded: a run that is killed is gone on with by --resume. Where pushes surprise the model and
-    `slipmap diagnose` names an effect, --after begins with the pushes that are there, and --effect adds it.
-    With --adapt the robot does that by itself.
+    A Kuka iiwa with a finger pushes the object on its table, a depth camera watches, and after each push
+    the belief about mass and friction forms anew. Nothing but the camera's pictures and the arm's own
+    sensors is used. The pushes are left as a dataset, on which every other command works. Each is
+    written as soon as it is recorded: --resume continues a run that was killed. Where pushes surprise
+    the model and `slipmap diagnose` names an effect, --after begins with the pushes that are there, and
+    --effect adds it. With --adapt the robot does that by itself.
 
     The robot is simulated, unless --hardware is given.
     """

@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 @click.option(
     "--plain",
     is_flag=True,
-    help="Know no other law of friction than the plain one, which takes a third of the time.",
+    help="Use Coulomb's law of friction alone, which takes a third of the time.",
 )
 @options.hypotheses_option
 @options.seed_option

@@ -58,8 +58,8 @@ def doctor(json_file: Path | None) -> None:
     """Say whether this machine has all that slipmap needs.
 
     Looks for packages in the right versions, renders a test picture, compiles, writes to the cache, and
-    sends a message through LCM. What is missing is told with the command that gets it. The exit code is 0
-    if everything is there that slipmap does not do without; a browser and LCM are no part of that.
+    sends a message through LCM. For what is missing it names the command that installs it. Exit code 0
+    means that slipmap will run; a browser and LCM are optional.
     """
     from slipmap.diagrams.application.health import examine
 

@@ -51,10 +51,9 @@ def record(
 ) -> None:
     """Record the pushes in a robot's cell, whoever makes them.
 
-    Listens to the messages of a running cell, real or of `slipmap station`, and sends none. Each push is
-    written as soon as the object was seen at rest after it: of the finger, down beside the object, that moved
-    it. Every fourth push is held out to judge by. It runs until Ctrl-C, and then tells by how much the camera
-    is late.
+    Listens to the messages of a running cell, real or of `slipmap station`, and sends none. A push is
+    written as soon as the object, moved by the lowered finger, has been seen at rest again. Every fourth
+    push is held out to judge by. It runs until Ctrl-C, and then reports how late the camera is.
     """
     from slipmap.diagrams.hardware.control import until_ctrl_c
     from slipmap.diagrams.hardware.message_stream import MessageStream
@@ -100,9 +99,9 @@ def replay(
 ) -> None:
     """Find the pushes in a log of messages, and learn from them.
 
-    LOG is what `slipmap record --log` (LCM or MCAP) or LCM's `lcm-logger` wrote. It is gone through as fast
-    as it can be, by the senders' stamps, as if the cell were running. Leaves what `slipmap explore` leaves,
-    and tells by how much the camera is late.
+    LOG is what `slipmap record --log` (LCM or MCAP) or LCM's `lcm-logger` wrote. It is played as fast as
+    possible, by the senders' time stamps, as if the cell were running. Leaves what `slipmap explore`
+    leaves, and reports how late the camera is.
     """
     from slipmap.diagrams.application.commands.identify import show
     from slipmap.diagrams.loops.push_listener import PushListener, why_none
@@ -215,7 +214,7 @@ def station(url: str, scenario_file: Path | None, object_name: str | None) -> No
 
     Arm, gripper and camera send and take LCM messages in real time as the drivers of a real iiwa, a Schunk
     gripper and a depth camera do, so that `slipmap explore --hardware` in another process cannot tell the
-    difference. It runs until Ctrl-C. Every ten seconds it tells whether it keeps up with real time.
+    difference. It runs until Ctrl-C. Every ten seconds it reports whether it keeps up with real time.
     """
     from slipmap.diagrams.hardware.network import address_settings
     from slipmap.diagrams.hardware.twin import dropped_words, report_words, run_twin

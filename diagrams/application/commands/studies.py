@@ -58,7 +58,7 @@ def explore_study(
 ) -> None:
     """Explore objects several times and judge the predictions.
 
-    Tells how well each object's further pushes were predicted. Each run leaves a JSON file in DIR, and its
+    Says how well each object's further pushes were predicted. Each run leaves a JSON file in DIR, and its
     pushes as a dataset. What is there already is not run again, so a study that was stopped goes on. A run
     of 15 pushes takes two to three minutes.
     """
@@ -184,9 +184,9 @@ _TELLS_NOTHING = 0.3
 def calibrate(objects: int, seed: int, output: Path | None, json_file: Path | None) -> None:
     """Check that 90 % intervals hold the truth 90 % of the time.
 
-    Draws objects of five kinds at random, pushes them in simulation, identifies each, and counts how often
-    the truth lies inside the belief's 90 % interval. The range behind each count (95 %, Clopper and Pearson)
-    is what the true share may be, as so many objects tell it. Takes several seconds an object.
+    Draws objects of five kinds at random, pushes them in simulation, identifies each, and counts how
+    often the truth lies inside the belief's 90 % interval. The range behind each count (95 %, Clopper
+    and Pearson) says how well so many objects determine the true share. Takes several seconds an object.
     """
     with Progress() as progress:
         prepare_kernels()

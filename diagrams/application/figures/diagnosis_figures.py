@@ -161,8 +161,8 @@ def telling_push_figure(told: dict[str, Any], diagnosis: Diagnosis, dataset: Pus
     predictions = [predict(rival, [push]) for rival in rivals]
     figure = Figure(figsize=(8.0, 4.2))
     rows = -(-(len(rivals) + 1) // _LEGEND_COLUMNS)
-    top, bottom = 0.97, 0.07 + 0.05 * rows
-    axes = figure.add_axes((0.05, bottom, 0.5, top - bottom))
+    top, bottom = 0.97, 0.12 + 0.05 * rows
+    axes = figure.add_axes((0.09, bottom, 0.46, top - bottom))
     draw_outline(axes, grid, told["pose"], color=FAINT, width=0.8, fill=PAPER)
     axes.plot(*np.array([told["tip_start"], told["tip_end"]]).T, color=FINGER, linewidth=1.2)
     draw_finger(axes, told["tip_start"], told["tip_end"], dataset.finger_radius)
@@ -178,6 +178,8 @@ def telling_push_figure(told: dict[str, Any], diagnosis: Diagnosis, dataset: Pus
     low, high = points.min(axis=0) - 0.015, points.max(axis=0) + 0.015
     low[1] -= 0.02
     axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal")
+    axes.set(xlabel="table x, m", ylabel="table y, m")
+    axes.locator_params(nbins=6)
     axes.tick_params(labelsize=8)
     _table_edge(axes, dataset)
     scale_bar(axes, low + np.array([0.008, 0.014]), float((high - low).max()))
@@ -187,8 +189,8 @@ def telling_push_figure(told: dict[str, Any], diagnosis: Diagnosis, dataset: Pus
     figure.legend(handles=handles, loc="lower center", ncols=min(len(handles), _LEGEND_COLUMNS))
     if len(rivals) > 1:
         times = np.asarray(push.pose_times)
-        height = (top - bottom - 0.11) / 2
-        lower = figure.add_axes((0.64, bottom + 0.06, 0.34, height))
+        height = (top - bottom - 0.06) / 2
+        lower = figure.add_axes((0.64, bottom, 0.34, height))
         upper = figure.add_axes((0.64, top - height, 0.34, height), sharex=lower)
         for predicted, colour in zip(predictions, _COLOURS, strict=False):
             apart = add(predicted.poses[0], predictions[0].poses[0], grid.centers)

@@ -18,6 +18,8 @@ from slipmap.diagrams.systems.look import FINGER, INK, STYLE
 from slipmap.models.geometry import placed
 from slipmap.models.physics.cell_grid import CellGrid
 
+_EDGE = 0.04  # inches between a label and the edge of its figure
+
 
 class PlainNumbers(LogFormatter):
     """Labels of a logarithmic axis without formulas, at the ticks where matplotlib has room for them."""
@@ -25,6 +27,20 @@ class PlainNumbers(LogFormatter):
     def __call__(self, x: float, pos: int | None = None) -> str:
         """Label of the tick at `x`, empty where there is none."""
         return f"{x:g}" if super().__call__(x, pos) else ""
+
+
+def keep_labels_inside(figure: Figure) -> None:
+    """Narrow axes whose labels, such as long numbers, would be cut at the left or lower edge."""
+    for axes in figure.axes:
+        box = axes.get_tightbbox()
+        if box is None:
+            continue
+        left, bottom, right, top = axes.get_position(original=True).extents
+        missing_x = max(_EDGE * figure.dpi - box.x0, 0.0) / figure.bbox.width
+        missing_y = max(_EDGE * figure.dpi - box.y0, 0.0) / figure.bbox.height
+        if missing_x or missing_y:
+            left, bottom = left + missing_x, bottom + missing_y
+            axes.set_position((left, bottom, right - left, top - bottom))
 
 
 def save(figure: Figure, path: Path) -> None:

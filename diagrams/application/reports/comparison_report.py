@@ -61,8 +61,9 @@ def comparison_report(comparisons: Sequence[Comparison], dataset: PushDataset, w
     subtitle = f"{len(first.pushes)} measured pushes of {len(dataset.grid)} cells{learnt}; seed {first.seed}"
     sections = comparison_sections(comparisons, dataset)
     title = f"{dataset.name}: model against measurement"
-    headline = words.headline(comparisons[-1], where)
-    return page(title, subtitle, words.findings(comparisons), sections, headline)
+    headline, dot, others = words.headline(comparisons[-1], where).partition(". ")
+    lead = [text for text in (others, *words.findings(comparisons)) if text]
+    return page(title, subtitle, lead, sections, headline + dot.rstrip())
 
 
 def comparison_sections(comparisons: Sequence[Comparison], dataset: PushDataset) -> list[Section]:
@@ -306,7 +307,7 @@ def _pattern_table(comparison: Comparison, *, named: bool) -> str:
         for pattern in comparison.structure
     ]
     marked = [pattern.significant for pattern in comparison.structure]
-    columns = ["of", "hangs together with", "most in", "size (95 % interval)", "p", "p, all tests"]
+    columns = ["of", "depends on", "most in", "size (95 % interval)", "p", "p, all tests"]
     head = f"{comparison.label}: " if named else ""
     caption = (
         f"{head}{len(rows)} tests with {max((p.pushes for p in comparison.structure), default=0)} pushes as"

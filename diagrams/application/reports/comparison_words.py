@@ -43,8 +43,9 @@ def summary(comparison: Comparison) -> str:
     average = " on average" if totals.pushes > 1 else ""
     text = (
         f"{which}, the model ends {millimetres(totals.model.final_add)} mm from the measured pose{average}"
-        f" (ADD); a uniform object ends {millimetres(totals.uniform.final_add)} mm off, an object that does"
-        f" not move {millimetres(totals.resting.final_add)} mm."
+        " (ADD, the mean distance of the object's points); a uniform object ends"
+        f" {millimetres(totals.uniform.final_add)} mm off, an object that does not move"
+        f" {millimetres(totals.resting.final_add)} mm."
     )
     if comparison.floor is not None:
         text += f" For comparison, {_NOISE[comparison.floor.source]} {millimetres(comparison.floor.add)} mm."
@@ -151,8 +152,8 @@ def finding(comparison: Comparison) -> str:
             tests = len(comparison.structure)
             most = max((pattern.pushes for pattern in comparison.structure), default=0)
             return (
-                f"Whether the rest has a pattern cannot be told from {_pushes(most)}: with {tests} tests"
-                f" it takes at least {pushes_needed(tests)}."
+                f"{_pushes(most)} cannot show whether the remaining error has a pattern: {tests} tests take"
+                f" at least {pushes_needed(tests)}."
             )
         text = "What is left shows no pattern beyond chance and what is negligible"
         if headline(comparison):

@@ -94,7 +94,7 @@ def evidence(diagnosis: Diagnosis) -> str:
         text += f"; {count} more {'was' if count == 1 else 'were'} locked away to judge by"
     if diagnosis.p_value is not None:
         text += f". The largest gain has p = {p_shown(diagnosis.p_value)}, all candidates considered"
-    return f"{text}."
+    return f"{text}. Gains are in nats, natural logarithms of probability: 10 are a factor of 22,000."
 
 
 def improvement(diagnosis: Diagnosis) -> str:
@@ -108,10 +108,13 @@ def improvement(diagnosis: Diagnosis) -> str:
         f"{millimetres(float(e.mean()))} mm" for e in (before.path, after.path, before.final, after.final)
     )
     if not diagnosis.effect_objects:
-        return f"{which}, the model is {path} off on average and {end} at the end (ADD)."
+        return (
+            f"{which}, the model is {path} off on average and {end} at the end, by the mean distance of the"
+            " object's points (ADD)."
+        )
     return (
         f"{which}, the model without it is {path} off on average, with it {path_after}; at the end {end} and"
-        f" {end_after} (ADD)."
+        f" {end_after}, by the mean distance of the object's points (ADD)."
     )
 
 

@@ -7,6 +7,7 @@ templates, with what loads them, no shorter than the few functions here.
 import base64
 import io
 import json
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from html import escape
@@ -16,6 +17,7 @@ from typing import Any
 import matplotlib
 from matplotlib.figure import Figure
 
+from slipmap.diagrams.application.figures.style import keep_labels_inside
 from slipmap.diagrams.systems.look import STYLE
 from slipmap.models.files import plain
 
@@ -54,8 +56,8 @@ def page(
         "title": escape(title),
         "subtitle": escape(subtitle),
         "style": part("style.css"),
-        "headline": f'<p class="headline">{escape(headline)}</p>' if headline else "",
-        "lead": "\n".join(f"<p>{escape(text)}</p>" for text in lead),
+        "headline": f'<p class="headline">{_words(headline)}</p>' if headline else "",
+        "lead": "\n".join(f"<p>{_words(text)}</p>" for text in lead),
         "links": "\n".join(f'<a href="#{s.key}">{escape(s.title)}</a>' for s in sections),
         "sections": "\n".join(
             f'<section id="{s.key}">\n<h2>{escape(s.title)}</h2>\n{s.body}\n</section>' for s in sections
@@ -68,6 +70,11 @@ def page(
     for name, value in parts.items():
         text = text.replace(f"<!--{name}-->", value)
     return text
+
+
+def _words(text: str) -> str:
+    """Text with what stands in backquotes as code."""
+    return re.sub(r"`([^`]+)`", r"<code>\1</code>", escape(text))
 
 
 def part(name: str) -> str:
@@ -84,6 +91,7 @@ def picture(figure: Figure, alternative: str, *, wide: bool = False) -> str:
     """
     stream = io.BytesIO()
     with matplotlib.rc_context({**STYLE, "svg.fonttype": "path"}):
+        keep_labels_inside(figure)
         figure.savefig(stream, format="svg", metadata={"Date": None})
     width, height = figure.get_size_inches() * 96
     code = base64.b64encode(stream.getvalue()).decode("ascii")

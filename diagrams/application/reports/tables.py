@@ -119,8 +119,8 @@ def doubts(pushes: Sequence[Prediction], dataset: PushDataset) -> list[str]:
     uniform = float(np.mean([push.uniform_add for push in held]))
     if errors.mean() > HARDLY_BETTER * uniform:
         found.append(
-            f"An object that is alike all over predicts them about as well ({1e3 * uniform:.1f} mm, the"
-            f" belief {1e3 * errors.mean():.1f} mm): little of the maps has been put to the proof."
+            f"A uniform object predicts them about as well ({1e3 * uniform:.1f} mm, the"
+            f" belief {1e3 * errors.mean():.1f} mm): these pushes hardly test the maps."
         )
     return found
 
@@ -186,7 +186,7 @@ def _show_patterns(result: Comparison, head: str) -> None:
     ]
     tests = len(result.structure)
     table(
-        f"What the rest hangs together with{head}: the surest of {tests} tests (* significant)",
+        f"What the remaining error depends on{head}: the surest of {tests} tests (* significant)",
         ["of", "", "size", "p"],
         [
             [

@@ -125,7 +125,7 @@ class Diagnosis(Outcome):
     def next_step(self, where: str = "DATASET") -> str:
         """What to do next, with the command to type; `where` is the dataset as a command takes it."""
         again = f"`slipmap diagnose {where}`"
-        push = "make the next push" if self.next_push is not None else "record more pushes"
+        push = "record the proposed push" if self.next_push is not None else "record more pushes"
         if self.quick and self.verdict != "adequate":
             return f"{again}, without --quick, says how sure that is."
         if self.verdict == "adequate":
@@ -135,13 +135,13 @@ class Diagnosis(Outcome):
             more = "" if set(self.best.effects) <= set(LIBRARY) else " --effect-file FILE"
             return f"`slipmap fit {where} {names}{more} -o belief.npz` learns the model with it."
         if self.verdict == "ambiguous":
-            return f"{push} with the others, then {again} again."
+            return f"{push} beside the others, then run {again} again."
         if self.verdict == "unknown":
             return (
                 f"`slipmap compare {where}` shows where and how it fails; write the effect down and try it"
                 f" with `slipmap diagnose {where} --effect-file FILE`."
             )
-        return f"{push}, then {again} again; `slipmap compare {where}` shows where the model fails."
+        return f"{push}, then run {again} again; `slipmap compare {where}` shows where the model fails."
 
     def to_json(self, where: str = "DATASET") -> dict[str, object]:
         """The machine-readable result; lengths in m, null where there is none; `where` as for `next_step`."""

@@ -376,6 +376,7 @@ def _one_clock(name: str, sources: Mapping[str, Source], said: ImportSetup, usua
     if "tip_pose" in found and len(found["tip_pose"].lifted):
         trial = _far_where_lifted(trial, found["tip_pose"].lifted, said, zero)
     force_lags: list[Lag | None] = []
+    fingers: Lag | None = None
     for channel in ("tip_pose", "ft_wrench"):
         if channel not in sources:
             continue
@@ -384,10 +385,13 @@ def _one_clock(name: str, sources: Mapping[str, Source], said: ImportSetup, usua
         if clock == CONTACT or (clock is None and other_file):
             near = epochs["object_pose"] and epochs[channel] and clock is None
             if channel == "tip_pose":
-                lag = finger_lag(setup, trial.object_pose, trial.tip_pose, near)
+                lag = fingers = finger_lag(setup, trial.object_pose, trial.tip_pose, near)
             else:
                 force = trial.channels["ft_wrench"]
                 lag = force_lag(setup, trial.object_pose, trial.tip_pose, force, near)
+                beside = "tip_pose" in sources and sources[channel].file == sources["tip_pose"].file
+                if fingers is not None and beside and (lag is None or not lag.by_touch):
+                    lag = fingers._replace(text="as the finger's, of the same file")
                 force_lags.append(lag)
                 if usual is not None and _stands_alone(lag, usual):
                     doubts.append(_outvoted(name, lag, usual))

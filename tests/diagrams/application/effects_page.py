@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import textwrap
 from pathlib import Path
 
 from slipmap.diagrams.application.commands.effects import grouped, null_of
@@ -61,7 +62,9 @@ A class overrides what it changes and leaves the rest:
 | --- | --- |
 {methods}
 
-`body` knows {body}. `cell` knows all that and {cell}; its `x` and `y` are those of the cell.
+`body` knows {body}.
+
+`cell` knows all that and {cell}; its `x` and `y` are those of the cell.
 `models/effects/symbols.py` says what each is. `pose` has `x`, `y` and `theta`, `force` has `x` and `y`.
 `positive_part` and `smooth_step` there are a maximum and a step that can be differentiated. To carry
 numbers from step to step, name them in `memory` and renew them in `remember`.
@@ -95,7 +98,7 @@ def section(effect: Effect) -> str:
     if text.letters:
         groups = grouped((f"${latex}$", meaning) for _, latex, meaning in text.letters)
         told = "; ".join(f"{letters}: {meaning}" for letters, meaning in groups)
-        lines += [f"Here {told}.", ""]
+        lines += [*textwrap.wrap(f"Here {told}.", 150, break_long_words=False, break_on_hyphens=False), ""]
     lines += ["| parameter | unit | range | nothing at | meaning |", "| --- | --- | --- | --- | --- |"]
     for q in effect.parameters:
         name = text.symbols[q.name]
@@ -115,7 +118,7 @@ def own() -> str:
     return _OWN.format(
         code=MAGNET.read_text(encoding="utf-8"),
         methods="\n".join(rows),
-        body=", ".join(f"`{name}`" for name in [*body, "force_x", "force_y"]),
+        body=textwrap.fill(", ".join(f"`{name}`" for name in [*body, "force_x", "force_y"]), 140),
         cell=", ".join(f"`{name}`" for name in cell),
     )
 

@@ -119,10 +119,11 @@ def test_sections_of_other_commands_fit_in_and_cannot_break_the_page():
     extra = Section(
         "verdict", "Verdict <b>", table(["a"], [["<script>alert(1)</script>"]]), {"x": "</script>"}
     )
-    text = page("tom & <i>jerry</i>", "", ["a < b"], [extra])
+    text = page("tom & <i>jerry</i>", "", ["a < b", "`slipmap fit <x>` next"], [extra])
     parsed = Page(text)
     assert "tom & <i>jerry</i>" in parsed.text and "a < b" in parsed.text
     assert "<script>alert(1)</script>" in parsed.text
+    assert "<p><code>slipmap fit &lt;x&gt;</code> next</p>" in text
     assert json.loads(parsed.scripts[0][1]) == {"verdict": {"x": "</script>"}}
     with pytest.raises(ValueError, match="keys must differ"):
         page("t", "", [], [extra, extra])
@@ -139,7 +140,7 @@ def test_the_script_is_javascript(tmp_path):
 def test_few_pushes_are_told_as_such(learnt):
     _, _, result = learnt
     assert not result.testable
-    assert "cannot be told from 4 pushes" in finding(result)
+    assert "4 pushes cannot show whether" in finding(result)
     assert f"at least {pushes_needed(len(result.structure))}" in finding(result)
     assert pushes_needed(20) == 10  # 20 tests × 2/2^10 is the first below 5 %
 
@@ -174,7 +175,9 @@ def test_a_push_that_surprises_stands_in_the_headline(learnt):
     said = headline(found, "demo/pushes")
     assert said.startswith(f"SURPRISING: push {short_name(last.trial)} ended")
     assert "slipmap diagnose demo/pushes" in said
-    assert said in Page(report([found], dataset, "demo/pushes")).text
+    shown = Page(report([found], dataset, "demo/pushes")).text
+    large, others = said.replace("`", "").split(". ", maxsplit=1)
+    assert f"{large}.\n" in shown and others in shown
     (told,) = [push for push in found.to_json()["pushes"] if push["surprising"]]
     assert told["trial"] == last.trial and told["excess"] == pytest.approx(9.0)
 

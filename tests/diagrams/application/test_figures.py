@@ -24,7 +24,13 @@ from slipmap.diagrams.application.figures import (
 )
 from slipmap.diagrams.application.figures.map_figures import centers_of_friction, centers_of_mass
 from slipmap.diagrams.application.figures.study_figures import curves_figure, inside_share
-from slipmap.diagrams.application.figures.style import PlainNumbers, outline_path, placed, round_length
+from slipmap.diagrams.application.figures.style import (
+    PlainNumbers,
+    keep_labels_inside,
+    outline_path,
+    placed,
+    round_length,
+)
 from slipmap.diagrams.systems.look import top_of_scale
 from slipmap.models.effects import LIBRARY
 from slipmap.models.measurements.simulated import record_pushes
@@ -298,3 +304,17 @@ def test_logarithmic_scales_have_plain_numbers(belief, tmp_path):
     )
     written = words(maps_figure(replace(belief, maps=wide)), tmp_path / "maps.svg")
     assert {"0.01", "0.1", "1"} <= set(written) and not any("math" in text or "$" in text for text in written)
+
+
+def test_labels_of_long_numbers_stay_inside_their_figure():
+    figure = Figure(figsize=(3.6, 2.4))
+    axes = figure.add_axes((0.1, 0.1, 0.88, 0.8))
+    axes.plot([0.0, 1.0], [-125000.0, 0.0])
+    axes.set(xlabel="time, s", ylabel="% of the speed")
+    assert min(axes.get_tightbbox().min) < 0.0  # else there is nothing to mend
+    keep_labels_inside(figure)
+    inside = axes.get_tightbbox()
+    assert min(inside.min) > 0.0 and inside.x1 <= figure.bbox.x1
+    place = axes.get_position()
+    keep_labels_inside(figure)
+    assert np.allclose(axes.get_position().extents, place.extents)

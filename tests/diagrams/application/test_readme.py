@@ -16,15 +16,16 @@ import yaml
 from page_examples import Example, examples_of, read_closely
 
 from slipmap.diagrams.application.command_line import slipmap
+from slipmap.diagrams.application.demonstration import tilted_block
 from slipmap.diagrams.hardware.network import LCM_URL
 from slipmap.diagrams.testing import Cell, Faults
 from slipmap.models.effects import Effect
 from slipmap.models.effects.effect_checks import check_effect
 from slipmap.models.inference.belief import Belief
-from slipmap.models.measurements import PushDataset, read_dataset
+from slipmap.models.measurements import PushDataset, read_dataset, write_dataset
 
 ROOT = Path(__file__).resolve().parents[3]
-PAGES = ("README.md", *sorted(path.relative_to(ROOT).as_posix() for path in (ROOT / "docs").glob("*.md")))
+PAGES = ("README.md", *sorted(path.relative_to(ROOT).as_posix() for path in (ROOT / "docs").rglob("*.md")))
 NOTEBOOKS = tuple(sorted(path.relative_to(ROOT).as_posix() for path in (ROOT / "notebooks").glob("*.ipynb")))
 GIVEN = {"cell": Cell, "faults": Faults, "dataset": PushDataset}
 EXAMPLES = [example for page in PAGES for example in examples_of(ROOT, page)]
@@ -32,8 +33,9 @@ EXAMPLES = [example for page in PAGES for example in examples_of(ROOT, page)]
 
 @pytest.fixture
 def beside_the_demo(demo_folder, tmp_path, monkeypatch):
-    """A folder to be in, with what the demo left."""
+    """A folder to be in, with what the demo left, and the example."""
     (tmp_path / "demo").symlink_to(demo_folder / "demo")
+    write_dataset(tilted_block(), tmp_path / "tilted")
     monkeypatch.chdir(tmp_path)
     return tmp_path
 
@@ -159,7 +161,7 @@ def test_every_page_can_be_reached_from_the_readme():
         if page.suffix == ".md" and page not in seen:
             seen.add(page)
             waiting += [page.parent / link for link in re.findall(r"\]\(([^)#:]+)", page.read_text())]
-    assert set((ROOT / "docs").glob("*.md")) <= seen
+    assert set((ROOT / "docs").rglob("*.md")) <= seen
 
 
 def test_the_citation_names_this_version_and_licence():

@@ -1,13 +1,16 @@
 """Which files belong together, what is cut, and what a guess says."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 import yaml
 from tables import POSE, SETUP, TIME, TIP, written
 
-from slipmap.models.measurements import DatasetError
+from slipmap.models.measurements import DatasetError, read_dataset
 from slipmap.models.measurements.importing import guess_setup, import_dataset
 
+ROOT = Path(__file__).resolve().parents[4]
 SAYS = """
 object_pose: {source: cam_*.csv, position: [x, y], angle: theta, clock: 0}
 tip_pose: {source: robot_*.csv, position: [a, b], clock: 0.5}
@@ -114,6 +117,28 @@ def test_a_clock_that_contact_does_not_show_is_that_of_the_session(tmp_path):
     dataset = import_dataset(tmp_path, tmp_path / "s.yaml", tell=lambda text: None)
     for trial in dataset.trials:
         assert trial.ft_wrench.time == pytest.approx(trial.object_pose.time, abs=0.015)
+
+
+def test_a_force_that_no_touch_times_is_on_the_clock_of_the_finger_beside_it(tmp_path):
+    """Of a row every 33 ms the rise of the force shows no clock; that it stands in the robot's file does."""
+    dataset = read_dataset(ROOT / "diagrams" / "application" / "tilted_block")
+    for k, trial in enumerate(dataset.trials[:3]):
+        pose, tip, force = trial.object_pose, trial.tip_pose, trial.ft_wrench
+        written(tmp_path / f"cam_{k}.csv", ["t", "x", "y", "theta"], [pose.time, pose.values])
+        columns = [tip.time - 1.7, tip.values, force.at(tip.time)[:, :2]]
+        written(tmp_path / f"robot_{k}.csv", ["t", "a", "b", "fx", "fy"], columns)
+    outline = dataset.grid.exterior.tolist()
+    (tmp_path / "s.yaml").write_text(
+        f"object: {{outline: {outline}}}\nfinger: {{radius: 0.006}}\n"
+        "object_pose: {source: cam_*.csv, position: [x, y], angle: theta}\n"
+        "tip_pose: {source: robot_*.csv, position: [a, b]}\n"
+        "ft_wrench: {source: robot_*.csv, force: [fx, fy]}\n"
+    )
+    read = import_dataset(tmp_path, tmp_path / "s.yaml")
+    for trial, true in zip(read.trials, dataset.trials, strict=False):
+        assert trial.tip_pose.time[0] == pytest.approx(true.tip_pose.time[0], abs=0.01)
+        assert trial.ft_wrench.time[0] == trial.tip_pose.time[0]
+    assert any("as the finger's, of the same file" in step for step in read.provenance)
 
 
 @pytest.mark.parametrize("again", [0.0, 0.02, -0.03])

@@ -1,0 +1,36 @@
+"""`slipmap example`: pushes to try the commands on."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from slipmap.diagrams.application.commands import options
+from slipmap.diagrams.application.outputs import check_folder
+from slipmap.diagrams.application.terminal import note
+from slipmap.models.files import BadInput, writing
+
+
+@click.command()
+@options.path_option(
+    "-o", "--output", "folder", default="tilted", metavar="DIR", about="New folder for the pushes.",
+)  # fmt: skip
+def example(folder: Path) -> None:
+    """Write twelve pushes of a block, with a hidden effect to find.
+
+    They are simulated, and the table is not level, which the model does not know. Learn from them, see the
+    model fail, find out why, and mend it.
+    """
+    from slipmap.diagrams.application.demonstration import tilted_block
+    from slipmap.models.measurements import write_dataset
+    from slipmap.models.measurements.reading import DESCRIPTION_FILE
+
+    following = f"`slipmap identify {folder} -o belief.npz`"
+    if (folder / DESCRIPTION_FILE).exists():
+        raise BadInput(f"{folder}: there are pushes already; go on with {following}, or name another folder")
+    check_folder(folder.absolute().parent, folder)
+    with writing(folder):
+        write_dataset(tilted_block(), folder)
+    note(f"pushes: {folder}")
+    note(f"Next: {following}.")
