@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from statistics import median
 
-from slipmap.diagrams.systems.diagnosis import Finding, Repair
+from slipmap.diagrams.systems.diagnosis import FAILED, TRIED, Finding, Repair
 from slipmap.diagrams.systems.model_monitor import Judged, Watch
 
 _DID = {
     "adopts": "The model was given {effects} from then on.",
     "keeps": "The model kept {effects}.",
-    "drops": "The effect it had was dropped: it did not explain the pushes after all.",
+    "drops": "The effect that was added was dropped: it did not explain the pushes after all.",
     "pushes on": "The robot made another push to find out.",
     "goes on without": "The robot went on with the model it had.",
 }
@@ -34,7 +34,9 @@ def repair_story(repair: Repair, watch: Watch) -> list[str]:
 
 def _finding(finding: Finding) -> str:
     did = _DID[finding.action].format(effects=_names(finding.effects))
-    return f"After push {finding.pushes}, diagnosis: {finding.sentence} {did}"
+    looked = "" if finding.verdict in (FAILED, TRIED) else "diagnosis: "
+    said = f"After push {finding.pushes}, {looked}{finding.sentence} {did}"
+    return f"{said} The next pushes were chosen to tell {finding.telling}." if finding.telling else said
 
 
 def _errors(judged: Sequence[Judged]) -> str:
