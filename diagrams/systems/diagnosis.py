@@ -102,10 +102,11 @@ class Diagnosis(PythonSystem):
     - `repair`: `Repair`; `effects`: its tuple of names, for an `Identification`.
 
     While pushes end as predicted, all stays as it is. Where the monitor gives an alarm, or is in doubt, all
-    pushes are diagnosed. One effect, or two that are needed together, are adopted; of effects that these
-    pushes cannot tell apart, the simplest. Where the answer is `undecided` another push is asked for, and
-    which models it is to tell apart (`Repair.question`). Where the effect is unknown, and where nothing is
-    missing after all, the robot goes on without: what surprised it widens its intervals as it learns.
+    pushes are diagnosed; so they are where none of them surprises, but all together do. One effect, or two
+    that are needed together, are adopted; of effects that these pushes cannot tell apart, the simplest. Where
+    the answer is `undecided` another push is asked for, and which models it is to tell apart
+    (`Repair.question`). Where the effect is unknown, and where nothing is missing after all, the robot goes
+    on without: what surprised it widens its intervals as it learns.
 
     Adopted effects are tried by the next pushes: where these end no nearer to their predictions than a model
     without the effects, learnt from the pushes before, would have had them, the effects are dropped. Where
@@ -158,7 +159,7 @@ class Diagnosis(PythonSystem):
                 return now
             task: Any = None
             rest: tuple[Any, ...]
-            if watch.alarm or watch.evidence >= self._settings.doubt:
+            if self._doubtful(repair, len(trials), watch):
                 if len(trials) < self._settings.fewest:
                     return self._pushing_on(replace(repair, trials=len(trials))), None
                 task, rest = _diagnosed, (self._seed,)
@@ -180,6 +181,14 @@ class Diagnosis(PythonSystem):
         if isinstance(answer, _Answer):
             return self._concluded(repair, count, answer), None
         return self._tried(repair, count, self._errors(repair, self.input(context, "watch")), answer), None
+
+    def _doubtful(self, repair: Repair, count: int, watch: Watch) -> bool:
+        """Whether the pushes are to be diagnosed: by the last one, or by all of them together."""
+        if watch.alarm or watch.evidence >= self._settings.doubt:
+            return True
+        last = repair.findings[-1] if repair.findings else None
+        rested = last is None or last.action == "pushes on" or count >= last.pushes + self._settings.every
+        return count >= self._settings.fewest and rested and watch.joint_p <= self._settings.together
 
     def _concluded(self, repair: Repair, count: int, found: _Answer) -> Repair:
         """The repair after a diagnosis of so many pushes."""

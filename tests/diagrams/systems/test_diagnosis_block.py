@@ -85,8 +85,8 @@ class Robot(DrivenBlock):
         return self.read("repair")
 
 
-def judged(count, effects=(), evidence: float = 1.0, alarm: bool = False, error: float = 1e-3) -> Judged:
-    return Judged(count - 1, 1.0, 0.5, evidence, alarm, error, 5e-3, alarm, tuple(effects), 0.05)
+def judged(count, effects=(), evidence=1.0, alarm=False, error=1e-3, p=0.5) -> Judged:
+    return Judged(count - 1, 1.0, p, evidence, alarm, error, 5e-3, alarm, tuple(effects), 0.05)
 
 
 def watch(count: int, **seen) -> Watch:
@@ -239,3 +239,15 @@ def test_another_process_asks_an_open_question_anew(monkeypatch):
     first = Robot(monkeypatch, ("undecided", ())).push(5, alarm=True)
     robot = Robot(monkeypatch, ("undecided", ()), before=Repair.of_run(first.to_run()))
     assert robot.push(5, alarm=True) == first and robot.asked == [5]
+
+
+def test_pushes_that_surprise_together_are_looked_into_though_none_does_alone(monkeypatch):
+    robot = Robot(monkeypatch, ("undecided", ()), ("adequate", ()), ("adequate", ()))
+    for count in range(1, 13):
+        robot.push(count, p=0.15)
+    # From the fewest on, again at once while the answer is open, and then after a rest.
+    assert robot.asked == [SETTINGS.fewest, SETTINGS.fewest + 1, SETTINGS.fewest + 1 + SETTINGS.every]
+    quiet = Robot(monkeypatch)
+    for count in range(1, 13):
+        quiet.push(count, p=0.4)
+    assert quiet.asked == []
