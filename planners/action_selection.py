@@ -106,7 +106,7 @@ def choose_push(
         if allowed(choices[index].push):
             if question is None:
                 return choices[index]
-            why = f"to tell {question.words}: {worth[index]:.1f} standard deviations apart"
+            why = f"to tell {question.words}: {worth[index]:.1f} standard deviations"
             return replace(choices[index], why=why)
     if tapping:
         return choose_push(

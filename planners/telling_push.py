@@ -151,7 +151,8 @@ class Question:
     @property
     def words(self) -> str:
         """What is to be told apart, such as `table_tilt from tether`."""
-        return " from ".join(rival.name for rival in self.rivals)
+        *names, last = [rival.name for rival in self.rivals]
+        return f"{names[0]} from {last}" if len(names) == 1 else f"{', '.join(names)} and {last} apart"
 
     def told_by(self, pushes: Sequence[Push]) -> FloatArray:
         """(B,) separation of the two that differ least, in standard deviations of the error model; 0 where
