@@ -272,7 +272,7 @@ class LatePictures(PythonSystem):
     def __init__(self, latency: float, period: float) -> None:
         super().__init__()
         self._picture = self.DeclareAbstractInputPort("depth_image", AbstractValue.Make(ImageDepth32F()))
-        self._count = int(latency / period + 1e-9) + 1
+        self._count = max(int(np.ceil(latency / period - 1e-9)), 1)
         self._taken = self.DeclareAbstractState(held(()))
         self.DeclarePeriodicUnrestrictedUpdateEvent(period, -latency % period, self._take)
         self.DeclareAbstractOutputPort(
@@ -283,12 +283,12 @@ class LatePictures(PythonSystem):
         )
 
     def _take(self, context: Context, state: State) -> None:
-        taken = (*read(context, self._taken), ImageDepth32F(self._picture.Eval(context)))
-        replace_held(state, self._taken, taken[-self._count :])
+        picture = self.EvalAbstractInput(context, self._picture.get_index())
+        replace_held(state, self._taken, (*read(context, self._taken), picture.Clone())[-self._count :])
 
     def _late(self, context: Context, output: AbstractValue) -> None:
         taken = read(context, self._taken)
-        output.set_value(taken[0] if len(taken) == self._count else ImageDepth32F())
+        output.SetFrom(taken[0] if len(taken) == self._count else AbstractValue.Make(ImageDepth32F()))
 
 
 def add_hidden_effects(
