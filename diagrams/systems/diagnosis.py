@@ -207,7 +207,9 @@ class Diagnosis(PythonSystem):
             action = "pushes on"
         else:
             action = "goes on without" if effects == self._given else "keeps"
-        telling = "" if question is None or action == "goes on without" else question.words
+        if action == "goes on without":
+            question = None
+        telling = "" if question is None else question.words
         finding = Finding(count, found.verdict, found.sentence, effects, action, telling)
         after = Repair(count, effects, repair.wanted, (*repair.findings, finding), question)
         if action == "adopts":

@@ -139,6 +139,7 @@ def test_where_the_answer_is_open_another_push_is_asked_for_up_to_the_budget(mon
         repair = robot.push(count, alarm=True)
         assert repair.wanted == min(count + 1, most)
     assert actions(repair) == ["pushes on"] * (most - PUSHES) + ["goes on without"]
+    assert repair.question is None
 
 
 @pytest.mark.parametrize("verdict", ["unknown", "adequate"])
