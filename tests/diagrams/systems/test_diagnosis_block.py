@@ -252,3 +252,13 @@ def test_pushes_that_surprise_together_are_looked_into_though_none_does_alone(mo
     for count in range(1, 13):
         quiet.push(count, p=0.4)
     assert quiet.asked == []
+
+
+def test_an_effect_is_tried_against_the_one_that_it_replaced(monkeypatch):
+    robot = Robot(monkeypatch, ("effect", ("tether",)), ("effect", ("table_tilt",)), without=0.002)
+    robot.push(5, alarm=True)
+    robot.push(6, alarm=True)
+    robot.push(7, error=0.01)
+    repair = robot.push(8, error=0.01)
+    assert robot.compared == [("tether",)]
+    assert (repair.effects, actions(repair)) == (("tether",), ["adopts", "adopts", "drops"])
