@@ -70,7 +70,7 @@ def trial(*, seed: int, object_name: str, hidden: str, robot: str) -> dict[str, 
 
     Returns:
         What `PregraspRun.to_json` tells, `yaw`, `judged`, how far each push that was predicted ended off and
-        moved the object (m) and with which effects, and `repair`.
+        moved the object (m), its p, whether there was an alarm, and with which effects, and `repair`.
 
     Raises:
         KeyboardInterrupt: Ctrl-C, which says nothing of the object.
@@ -79,8 +79,9 @@ def trial(*, seed: int, object_name: str, hidden: str, robot: str) -> dict[str, 
     told, run = taken(scenario, seed, object_name, "probabilistic", adapt=robot == "adapting")
     if run is None:
         return told | {"judged": [], "repair": None}
+    names = ("trial", "error", "moved", "p", "alarm")
     judged = [
-        {"trial": one.trial, "error": one.error, "moved": one.moved, "effects": list(one.effects)}
+        {name: getattr(one, name) for name in names} | {"effects": list(one.effects)}
         for one in run.watch.judged
     ]
     return told | {"judged": judged, "repair": None if run.repair is None else run.repair.to_json()}
