@@ -11,13 +11,14 @@ turned by 60°.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from slipmap.models.geometry import radius_of_gyration
 from slipmap.models.inference.belief import Belief
-from slipmap.models.inference.observations import LONGEST_STEP, LONGEST_STRIDE
+from slipmap.models.inference.observations import LONGEST_STEP, LONGEST_STRIDE, SAMPLES
 from slipmap.models.physics.cell_grid import CellGrid, FloatArray
 from slipmap.models.physics.paper_notation import add
 from slipmap.models.physics.rollout import Push, RolloutError
@@ -25,6 +26,9 @@ from slipmap.planners.exploration import Candidate, NoReachablePush, candidate_p
 from slipmap.planners.rehearsal import AFTERWARDS, RAMP
 from slipmap.planners.settings import STRATEGIES, PokeSettings
 from slipmap.planners.table_push import TablePush
+
+if TYPE_CHECKING:
+    from slipmap.planners.telling_push import Question
 
 _TOUCH_WAY = 0.004  # m that a tap's finger goes on slowly after it should have touched, as it may be off
 
@@ -36,6 +40,7 @@ class Choice:
     push: TablePush  # on the table
     contact: FloatArray  # (2,) point of first touch, object frame, m
     direction: FloatArray  # (2,) of the finger's motion, object frame
+    why: str = ""  # it was chosen, where it is to tell models apart; else empty
 
     def __deepcopy__(self, memo: object) -> Choice:
         return self
@@ -51,6 +56,7 @@ def choose_push(
     past: Sequence[Choice] = (),
     settings: PokeSettings | None = None,
     tap: bool | None = None,
+    question: Question | None = None,
     allowed: Callable[[TablePush], bool] = lambda push: True,
     rng: np.random.Generator,
 ) -> Choice:
@@ -68,6 +74,8 @@ def choose_push(
         settings: what pushes to learn from are like.
         tap: whether it is to be a tap; by default as the settings say for the number of past pushes. Where
             the robot can make none of the taps, a slow push is chosen instead.
+        question: models that the push is to tell apart, which then decides instead of the strategy; such a
+            push is slow, as the finger must stay at the object.
         allowed: whether the robot can make a push; asked in order of preference until one is found.
         rng: source of every draw.
 
@@ -83,9 +91,12 @@ def choose_push(
         speed=(habits.slowest, habits.fastest), cone=float(np.radians(habits.cone)), approach=habits.approach,
     )  # fmt: skip
     tapping = habits.is_tap(len(past)) if tap is None else tap
+    tapping = tapping and question is None
     choices = [_choice(contact, pose, habits.tap_speed if tapping else None) for contact in contacts]
     choices = [choice for choice in choices if _stays(choice, grid, pose, habits)]
-    if strategy == "most-different" and past:
+    if question is not None:
+        worth = question.told_by([_imagined(choice.push, pose, question.habits.pushes) for choice in choices])
+    elif strategy == "most-different" and past:
         worth = _differences(choices, past, grid)
     elif strategy == "most-distinctive" and belief is not None and past:
         worth = _disagreements(choices, pose, belief)
@@ -93,7 +104,10 @@ def choose_push(
         worth = rng.random(len(choices))
     for index in np.argsort(-worth):
         if allowed(choices[index].push):
-            return choices[index]
+            if question is None:
+                return choices[index]
+            why = f"to tell {question.words}: {worth[index]:.1f} standard deviations"
+            return replace(choices[index], why=why)
     if tapping:
         return choose_push(
             grid, pose, finger_radius, strategy=strategy, belief=belief, past=past, settings=settings,
@@ -148,8 +162,11 @@ def _disagreements(choices: Sequence[Choice], pose: FloatArray, belief: Belief) 
     return np.where(rollouts.tipped.any(axis=0), 0.0, (pairs * weights).sum(axis=(1, 2)))
 
 
-def _imagined(push: TablePush, pose: FloatArray) -> Push:
+def _imagined(push: TablePush, pose: FloatArray, order: float = 0.0) -> Push:
+    """A push to be simulated, looked at as fits look at one; `order` is its place in the experiment."""
     pace = push.pace(push.speed / RAMP, push.speed / RAMP)
     h = min(LONGEST_STEP, LONGEST_STRIDE / push.speed)
     times = h * np.arange(np.ceil((pace.duration + AFTERWARDS) / h) + 1)
-    return Push(h, push.begin + np.outer(pace.at(times), push.direction), pose, pose_times=times[-1:])
+    looks = times[-1] * np.arange(1, SAMPLES + 1) / SAMPLES
+    tip = push.begin + np.outer(pace.at(times), push.direction)
+    return Push(h, tip, pose, pose_times=looks, force_times=times[1:] - h / 2, order=order)

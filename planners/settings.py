@@ -25,6 +25,9 @@ class RepairSettings(CheckedSettings):
     pushes: int = within(10, 0, 100)  # most pushes that it may ask for, beyond those of exploring
     # the monitor's evidence from which on pushes are diagnosed; an alarm takes 100
     doubt: float = within(10.0, 1.0, 100.0)
+    # p of all pushes together (`Watch.joint_p`) up to which they are diagnosed though none gave an alarm
+    together: float = within(0.25, 0.0, 1.0)
+    every: int = within(5, 1, 100)  # pushes between two diagnoses of that kind
     fewest: int = within(5, 4, 100)  # pushes below which a diagnosis is not worth its time
     # pushes to make with an effect just adopted: if they surprise, it is looked into again
     probation: int = within(2, 1, 100)

@@ -9,7 +9,8 @@ It is the one on which the models that are left differ most, or that shows best 
 - Unknown: the push with the largest residual, repeated with that changed on which the residual depends.
 - Adequate: none.
 
-Proposed pushes are like the recorded ones in place, length and speed (`Habits`).
+Proposed pushes are like the recorded ones in place, length and speed (`Habits`). A robot, which cannot lay
+the object elsewhere, asks a `Question` of the pushes that it can make (`robots_question`).
 """
 
 from __future__ import annotations
@@ -28,10 +29,11 @@ from slipmap.models.geometry import angle_between
 from slipmap.models.inference.diagnosis import procedure
 from slipmap.models.inference.diagnosis.fitting import Fitted
 from slipmap.models.inference.diagnosis.results import Diagnosis
+from slipmap.models.inference.error_model import ErrorModel
 from slipmap.models.inference.observations import Observation
 from slipmap.models.inference.prior import slider_for
 from slipmap.models.measurements import PushDataset
-from slipmap.models.physics.cell_grid import FloatArray
+from slipmap.models.physics.cell_grid import CellGrid, FloatArray
 from slipmap.models.physics.maps import Maps
 from slipmap.models.physics.rollout import Push
 from slipmap.models.progress import Progress, silent
@@ -44,6 +46,8 @@ MISPLACED = np.array([[2e-3, 0, 0.03], [-2e-3, 0, -0.03], [0, 2e-3, -0.03], [0, 
 _CANDIDATES, _FINALISTS = 300, 12
 _CONTACTS = 60
 _HARDLY_SEEN = 5  # effects, at most
+_LEADING = 2  # effects that a robot tells apart where the verdict is open
+_LEADS = 2.0  # nats that such an effect gains
 _FASTER = 1.5  # how much faster or slower than any recorded push a proposed one may be
 _DWELL = 0.5  # s that a finger stands still half-way
 _APPROACH = 0.01  # m between finger and object before
@@ -104,7 +108,8 @@ def next_push(diagnosis: Diagnosis, dataset: PushDataset, seed: int = 0) -> dict
     rng = np.random.default_rng(seed)
     if diagnosis.verdict == "unknown":
         return _worst_repeated(diagnosis, dataset, habits)
-    rivals, pairs, why = _question(diagnosis, dataset, habits)
+    question = _question(diagnosis, dataset, habits)
+    rivals = question.rivals
     try:
         # Many models take as long as many pushes.
         count = _CANDIDATES // 3 if diagnosis.quick or len(rivals) > 4 else _CANDIDATES
@@ -112,16 +117,14 @@ def next_push(diagnosis: Diagnosis, dataset: PushDataset, seed: int = 0) -> dict
         chosen = _instructions(dataset, habits, mu_finger, count, rng)
     except NoReachablePush:
         return None
-    best, separation, predictions = _most_telling(
-        rivals, pairs, chosen, diagnosis.best, dataset, habits, diagnosis.coarseness
-    )
+    best, separation, predictions = _most_telling(question, chosen, diagnosis.coarseness)
     if not separation > 0:
         return None
     names = [rival.name for rival in rivals]
     if diagnosis.verdict == "undecided":
         names = names[1:]
     asked = best.to_json() | {"separates": names, "separation": separation}
-    return asked | {"sentence": _sentence(asked, rivals, predictions, why)}
+    return asked | {"sentence": _sentence(asked, rivals, predictions, question.good_for)}
 
 
 def rivals_of(diagnosis: Diagnosis, dataset: PushDataset) -> list[Rival]:
@@ -131,7 +134,69 @@ def rivals_of(diagnosis: Diagnosis, dataset: PushDataset) -> list[Rival]:
     if diagnosis.verdict == "unknown":
         return [Rival.of(diagnosis.base)]
     habits = habits_of(diagnosis.base.likelihood.observations, dataset)
-    return _question(diagnosis, dataset, habits)[0]
+    return list(_question(diagnosis, dataset, habits).rivals)
+
+
+@dataclass(frozen=True, eq=False)
+class Question:
+    """Models that a push is to tell apart, and how well pushes would."""
+
+    rivals: tuple[Rival, ...]  # the models
+    pairs: tuple[tuple[int, int], ...]  # of them that count
+    good_for: str  # what an answer is good for, such as `tells them apart best`
+    error: ErrorModel  # what observed courses are off by anyway
+    grid: CellGrid  # the object
+    habits: Habits  # what the recorded pushes were like
+
+    @property
+    def words(self) -> str:
+        """What is to be told apart, such as `table_tilt from tether`."""
+        *names, last = [rival.name for rival in self.rivals]
+        return f"{names[0]} from {last}" if len(names) == 1 else f"{', '.join(names)} and {last} apart"
+
+    def told_by(self, pushes: Sequence[Push]) -> FloatArray:
+        """(B,) separation of the two that differ least, in standard deviations of the error model; 0 where
+        the finger slides off, unless it does so in all."""
+        predicted = [predict(rival, pushes) for rival in self.rivals]
+        apart = separations(
+            predicted, pushes, self.error, self.grid, self.habits.pose_rows, self.habits.force_rows
+        )
+        place = {pair: k for k, pair in enumerate(combinations(range(len(self.rivals)), 2))}
+        apart = apart[[place[pair] for pair in self.pairs]].min(axis=0)
+        kept = [all(keeps_touch(push, p.forces[b]) for p in predicted) for b, push in enumerate(pushes)]
+        return np.where(kept, apart, 0.0) if any(kept) else apart
+
+
+def robots_question(diagnosis: Diagnosis, dataset: PushDataset) -> Question | None:
+    """What a robot's next pushes are to tell apart: the models that are left, or the effect from none.
+
+    Of one effect it is whether it is there at all, as that is what the robot has to be sure of. Where the
+    verdict is `undecided`, it is which of the `_LEADING` effects that gain most, in ordinary size, if any is.
+
+    Args:
+        diagnosis: of the dataset.
+        dataset: that was diagnosed.
+
+    Returns:
+        None where nothing is to be told apart: `adequate` and `unknown`.
+    """
+    if diagnosis.verdict in ("adequate", "unknown"):
+        return None
+    habits = habits_of(diagnosis.base.likelihood.observations, dataset)
+    base = Rival.of(diagnosis.base)
+    if diagnosis.verdict == "effect":
+        best = diagnosis.best
+        return Question(
+            (Rival.of(best), base), ((0, 1),), "shows it best", best.likelihood.error, dataset.grid, habits
+        )
+    gains = [(c.gain if c.fitted_gain is None else c.fitted_gain, c.name) for c in diagnosis.candidates]
+    leading = [name for gain, name in sorted(gains, reverse=True)[:_LEADING] if gain > _LEADS]
+    if diagnosis.verdict == "undecided" and leading:
+        rivals = (*_of_ordinary_size(diagnosis, dataset, habits, leading), base)
+        pairs = tuple(combinations(range(len(rivals)), 2))
+        error = diagnosis.best.likelihood.error
+        return Question(rivals, pairs, "tells them apart best", error, dataset.grid, habits)
+    return _question(diagnosis, dataset, habits)
 
 
 def push_of(asked: dict[str, Any], order: float = 0.0) -> Push:
@@ -271,21 +336,21 @@ def _on_table(proposal: Instruction, dataset: PushDataset) -> bool:
     return bool((np.abs(points) < 0.5 * np.asarray(table.size)).all())
 
 
-def _question(
-    diagnosis: Diagnosis, dataset: PushDataset, habits: Habits
-) -> tuple[list[Rival], list[tuple[int, int]], str]:
+def _question(diagnosis: Diagnosis, dataset: PushDataset, habits: Habits) -> Question:
     """Models to tell apart, the pairs of them that count, and what that is good for."""
+
+    def of(rivals: Sequence[Rival], pairs: Sequence[tuple[int, int]], good_for: str) -> Question:
+        error = diagnosis.best.likelihood.error
+        return Question(tuple(rivals), tuple(pairs), good_for, error, dataset.grid, habits)
+
     if diagnosis.verdict == "undecided":
         rivals = _hardly_seen(diagnosis, dataset, habits)
-        return (
-            rivals,
-            [(0, k) for k in range(1, len(rivals))],
-            "would show best what the pushes so far show least",
-        )
+        pairs = [(0, k) for k in range(1, len(rivals))]
+        return of(rivals, pairs, "would show best what the pushes so far show least")
     if len(diagnosis.rivals) > 1:
         rivals = [Rival.of(fitted) for fitted in diagnosis.rivals]
-        return rivals, list(combinations(range(len(rivals)), 2)), "tells them apart best"
-    return _sharpened(diagnosis.best), [(0, 1)], "pins the parameter down best"
+        return of(rivals, list(combinations(range(len(rivals)), 2)), "tells them apart best")
+    return of(_sharpened(diagnosis.best), [(0, 1)], "pins the parameter down best")
 
 
 def _sharpened(best: Fitted) -> list[Rival]:
@@ -308,11 +373,11 @@ def _sharpened(best: Fitted) -> list[Rival]:
     return rivals
 
 
-def _hardly_seen(diagnosis: Diagnosis, dataset: PushDataset, habits: Habits) -> list[Rival]:
-    """The model without effects, and with one effect of ordinary size each: the third of those that show in
-    the recorded pushes at all which show least, five at most."""
-    base = diagnosis.base
-    plain = Rival.of(base)
+def _of_ordinary_size(
+    diagnosis: Diagnosis, dataset: PushDataset, habits: Habits, names: Sequence[str]
+) -> list[Rival]:
+    """The model without effects, given one effect of ordinary size each."""
+    plain = Rival.of(diagnosis.base)
     weight = float(plain.maps.mass.sum()) * dataset.gravity
     center = 0.5 * (habits.low + habits.high)
     scene = Scene(
@@ -323,10 +388,9 @@ def _hardly_seen(diagnosis: Diagnosis, dataset: PushDataset, habits: Habits) -> 
         habits.pushes,
         weight,
     )
-    tried = [c.name for c in diagnosis.candidates]
-    effects = [effect for effect in LIBRARY if not tried or effect.name in tried]
+    known = {effect.name: effect for effect in LIBRARY}
     rivals = []
-    for effect in effects:
+    for effect in (known[name] for name in names if name in known):
         start = effect.start_values(scene)[0]
         values = np.clip(
             np.where(effect.amplitudes, effect.nulls + scales([effect], weight), start), *bounds([effect])
@@ -334,6 +398,17 @@ def _hardly_seen(diagnosis: Diagnosis, dataset: PushDataset, habits: Habits) -> 
         slider = slider_for(dataset, [effect])
         maps = Maps(plain.maps.mass, plain.maps.mu, plain.maps.mu_finger, values[None])
         rivals.append(Rival(effect.name, slider, maps))
+    return rivals
+
+
+def _hardly_seen(diagnosis: Diagnosis, dataset: PushDataset, habits: Habits) -> list[Rival]:
+    """The model without effects, and with one effect of ordinary size each: the third of those that show in
+    the recorded pushes at all which show least, five at most."""
+    base = diagnosis.base
+    plain = Rival.of(base)
+    tried = {c.name for c in diagnosis.candidates}
+    names = [effect.name for effect in LIBRARY if not tried or effect.name in tried]
+    rivals = _of_ordinary_size(diagnosis, dataset, habits, names)
     recorded = [_as_imagined(o) for o in base.likelihood.observations if np.isfinite(o.push.tip).all()]
     if not recorded:
         return [plain, *rivals[:_HARDLY_SEEN]]
@@ -358,40 +433,23 @@ def _as_imagined(observation: Observation) -> Push:
 
 
 def _most_telling(
-    rivals: Sequence[Rival],
-    pairs: Sequence[tuple[int, int]],
-    proposals: Sequence[Instruction],
-    judge: Fitted,
-    dataset: PushDataset,
-    habits: Habits,
-    coarseness: float,
+    question: Question, proposals: Sequence[Instruction], coarseness: float
 ) -> tuple[Instruction, float, list[Predictions]]:
     """The best proposal, its separation, and what the rivals predict for it.
 
-    Pushes from which the finger slides off are left out. Among the best few, the one wins that still tells
-    most where the object is put down a little off.
+    Among the best few, the one wins that still tells most where the object is put down a little off.
     """
-    error, grid = judge.likelihood.error, dataset.grid
-    order = float(habits.pushes)
-    place = {pair: k for k, pair in enumerate(combinations(range(len(rivals)), 2))}
-    used = [place[pair] for pair in pairs]
-
-    def least(pushes: Sequence[Push]) -> FloatArray:
-        predicted = [predict(rival, pushes) for rival in rivals]
-        apart = separations(predicted, pushes, error, grid, habits.pose_rows, habits.force_rows)
-        apart = apart[used].min(axis=0)
-        kept = [all(keeps_touch(push, p.forces[b]) for p in predicted) for b, push in enumerate(pushes)]
-        return np.where(kept, apart, 0.0) if any(kept) else apart
-
-    score = least([proposal.push(order, coarseness=coarseness) for proposal in proposals])
+    order = float(question.habits.pushes)
+    score = question.told_by([proposal.push(order, coarseness=coarseness) for proposal in proposals])
     finalists = np.argsort(-score, kind="stable")[:_FINALISTS]
     pushes = [
         proposals[i].push(order, shift, coarseness=coarseness) for i in finalists for shift in MISPLACED
     ]
-    worst = least(pushes).reshape(len(finalists), -1).min(axis=1)
+    worst = question.told_by(pushes).reshape(len(finalists), -1).min(axis=1)
     winner = int(finalists[int(np.argmax(np.minimum(worst, score[finalists])))])
     nominal = [proposals[winner].push(order)]
-    return proposals[winner], float(score[winner]), [predict(rival, nominal) for rival in rivals]
+    predictions = [predict(rival, nominal) for rival in question.rivals]
+    return proposals[winner], float(score[winner]), predictions
 
 
 def _worst_repeated(diagnosis: Diagnosis, dataset: PushDataset, habits: Habits) -> dict[str, Any] | None:

@@ -23,12 +23,12 @@ from slipmap.diagrams.station.arm import HOME, arm_model
 from slipmap.diagrams.station.scenario import Scenario, ScenarioError
 from slipmap.diagrams.station.station import Station
 from slipmap.diagrams.systems.belief_visualizer import BeliefVisualizer
-from slipmap.diagrams.systems.diagnosis import Diagnosis
+from slipmap.diagrams.systems.diagnosis import Diagnosis, Repair
 from slipmap.diagrams.systems.exploration import Exploration
 from slipmap.diagrams.systems.finger import FingerMotion
 from slipmap.diagrams.systems.identification import Identification
 from slipmap.diagrams.systems.measurement_logger import MeasurementLogger, dataset_of
-from slipmap.diagrams.systems.model_monitor import ModelMonitor
+from slipmap.diagrams.systems.model_monitor import ModelMonitor, Watch
 from slipmap.diagrams.systems.multiverse_slider import MultiverseSlider
 from slipmap.diagrams.systems.supervisors import PATIENCE, PATIENCE_REAL, PushSupervisor
 from slipmap.models.inference.belief import Belief
@@ -58,6 +58,8 @@ class RecordedRun:
     places: tuple[list[float] | None, ...]
     grid: CellGrid  # the object as the camera made it out
     first: FirstPicture  # the picture from which
+    watch: Watch | None = None  # what the monitor saw
+    repair: Repair | None = None  # how the model was repaired, where it was to adapt
 
     @property
     def of_a_real_cell(self) -> bool:
@@ -65,8 +67,9 @@ class RecordedRun:
         return self.places[-1] is None
 
     def all_to_learn_from(self) -> RecordedRun:
-        """The same, of which every push is learned from, also those that were made to judge."""
-        return replace(self, trials=tuple(replace(trial, role="fit") for trial in self.trials))
+        """Its pushes alone, every one to be learned from, also those that were made to judge."""
+        trials = tuple(replace(trial, role="fit") for trial in self.trials)
+        return replace(self, trials=trials, watch=None, repair=None)
 
 
 Wire = tuple[Any, ...]
@@ -198,7 +201,7 @@ class ExplorationBlocks:
                 (see, "cell_grid", self.diagnosis),
                 (self.monitor, "watch", self.diagnosis),
                 (self.diagnosis, "effects", self.identification),
-                (self.diagnosis, "repair", self.supervisor),
+                (self.diagnosis, "repair", self.supervisor, self.exploration),
             ]
             if self.visualizer is not None:
                 wires.append((self.diagnosis, "repair", self.visualizer))
@@ -268,6 +271,9 @@ def add_exploration(
     known = None if before is None else (before.first, trials[-1].object_pose.values[-1])
     step = hypothesis_step(scenario.simulation.time_step)
     make_dataset = partial(recorded_dataset, scenario=scenario)
+    repair = Repair(len(trials), tuple(options.effects))
+    if before is not None and before.repair is not None:
+        repair = before.repair
 
     def add(name: str, system: Block) -> Block:
         return builder.AddNamedSystem(name, system)
@@ -299,13 +305,15 @@ def add_exploration(
         ),
         finger=add("finger", FingerMotion(step)),
         multiverse=add("multiverse", MultiverseSlider(step)),
-        monitor=add("model_monitor", ModelMonitor(SENSORS)),
+        monitor=add(
+            "model_monitor", ModelMonitor(SENSORS, before=None if before is None else before.watch)
+        ),
         visualizer=None if meshcat is None else builder.AddSystem(BeliefVisualizer(meshcat)),
         diagnosis=None if not options.adapt else add(
             "diagnosis",
             Diagnosis(
                 make_dataset, scenario.repair, pushes=options.pushes, effects=options.effects,
-                seed=options.seed, settled=len(trials), worker=worker,
+                seed=options.seed, before=repair, worker=worker,
             ),
         ),
     )  # fmt: skip

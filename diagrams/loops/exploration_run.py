@@ -29,7 +29,7 @@ from slipmap.diagrams.station.scenario import Scenario
 from slipmap.diagrams.station.station import Station, take_fixed_steps
 from slipmap.diagrams.systems.diagnosis import Repair
 from slipmap.diagrams.systems.identification import learning
-from slipmap.diagrams.systems.loop_messages import LoopStatus
+from slipmap.diagrams.systems.loop_messages import CHOOSING, LoopStatus
 from slipmap.diagrams.systems.model_monitor import Watch
 from slipmap.models.inference.results import Identification
 from slipmap.models.measurements import PushDataset
@@ -48,6 +48,7 @@ LONGEST_REAL = 300.0
 DOING = {
     "looking": "looking at the object",
     "choosing": "choosing a push",
+    "telling apart": "choosing the push that tells most",
     "pushing": "pushing",
     "recording": "recording",
     "learning": "learning",
@@ -238,7 +239,7 @@ def run_loop(
         status: LoopStatus = port.Eval(context_of_port)
         if status.mode in last:
             return EventStatus.ReachedTermination(loop.GetSubsystemByName(supervisor), status.mode)
-        if simulated and not first_look and status.mode == "choosing":
+        if simulated and not first_look and status.mode in CHOOSING:
             first_look.append(_frames(loop, root))
         watch(status, root)
         if simulated:

@@ -20,6 +20,8 @@ from pydrake.systems.framework import Context, Diagram
 
 from slipmap.diagrams.loops.exploration_loop import LoopOptions, RecordedRun, output_of, recorded_dataset
 from slipmap.diagrams.station.scenario import ObjectSettings, Scenario, ScenarioError, read_settings
+from slipmap.diagrams.systems.diagnosis import Repair
+from slipmap.diagrams.systems.model_monitor import Watch
 from slipmap.models.files import BadInput, whole_file, write_json, write_text, writing
 from slipmap.models.measurements import DatasetError, PushDataset, Trial, read_dataset
 from slipmap.models.measurements.parsing import read_bytes
@@ -211,18 +213,26 @@ class Recording:
         self._choices = () if before is None else before.choices
         self._places = () if before is None else before.places
         self._noted = 0
+        self._found: tuple[Any, ...] | None = None  # pushes that were judged and the repair, as kept last
 
     def look(self, root: Context) -> None:
         """Write down what is new; to be called often. Raises BadInput as `RunFolder.keep`."""
         trials = output_of(self._loop, "logger", "trials", root)
+        watch = output_of(self._loop, "model_monitor", "watch", root)
+        adapts = self._loop.HasSubsystemNamed("diagnosis")
+        repair = output_of(self._loop, "diagnosis", "repair", root) if adapts else None
+        found = (watch.judged, repair)
         if len(trials) > len(self._choices):
             plan = output_of(self._loop, "exploration", "plan", root)
             self._choices = (*self._choices, plan.choice)
             self._places = (*self._places, self._place(root))
+            self._found = None
+            self._noted = 0
+        if trials and found != self._found:
             grid = output_of(self._loop, "perception", "cell_grid", root)
             first = output_of(self._loop, "perception", "first_picture", root)
-            self._record.keep(RecordedRun(trials, self._choices, self._places, grid, first))
-            self._noted = 0
+            self._found = found
+            self._record.keep(RecordedRun(trials, self._choices, self._places, grid, first, watch, repair))
             return
         rows = output_of(self._loop, "logger", "under_way", root)
         measured = len(rows["tip_pose"])
@@ -279,6 +289,10 @@ class ExplorationFolder(RunFolder):
                 _digests_of(recorded.trials), recorded.choices, recorded.places, strict=True
             )
         ]
+        if recorded.watch is not None:
+            self._run["watch"] = recorded.watch.to_run()
+        if recorded.repair is not None:
+            self._run["repair"] = recorded.repair.to_run()
         with self.going_on(len(recorded.trials) - 1):
             write_json(self._folder / RUN, self._run)
             super().keep(recorded)
@@ -339,6 +353,8 @@ def resumed(folder: Path) -> tuple[Scenario, LoopOptions, RecordedRun]:
         choices = tuple(_choice_of(push["poke"]) for push in pushes)
         digests = [push["digest"] for push in pushes]
         places = tuple(push["place"] for push in pushes)
+        watch = Watch.of_run(run["watch"]) if "watch" in run else None
+        repair = Repair.of_run(run["repair"]) if "repair" in run else None
     except (ScenarioError, DatasetError) as error:
         raise BadInput(str(error)) from error
     except (OSError, ValueError, KeyError, TypeError, BadZipFile) as error:
@@ -349,7 +365,7 @@ def resumed(folder: Path) -> tuple[Scenario, LoopOptions, RecordedRun]:
         raise BadInput(f"{folder}: this slipmap cuts the object into other cells than were recorded")
     if places[-1] is not None:
         scenario.object.pose = places[-1]
-    return scenario, options, RecordedRun(dataset.trials, choices, places, grid, first)
+    return scenario, options, RecordedRun(dataset.trials, choices, places, grid, first, watch, repair)
 
 
 def _refuse_cut_off(folder: Path) -> None:
@@ -374,4 +390,5 @@ def _found_from_anywhere(thing: ObjectSettings) -> ObjectSettings:
 
 
 def _choice_of(stored: dict[str, Any]) -> Choice:
-    return Choice(TablePush(**stored["push"]), np.array(stored["contact"]), np.array(stored["direction"]))
+    push, contact, direction = TablePush(**stored["push"]), stored["contact"], stored["direction"]
+    return Choice(push, np.array(contact), np.array(direction), stored.get("why", ""))

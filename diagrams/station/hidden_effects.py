@@ -12,14 +12,16 @@ from pydrake.common.value import AbstractValue, Value
 from pydrake.math import RigidTransform
 from pydrake.multibody.math import SpatialForce, SpatialVelocity
 from pydrake.multibody.plant import ExternallyAppliedSpatialForce, MultibodyPlant
-from pydrake.systems.framework import Context, DiagramBuilder
+from pydrake.systems.framework import Context, DiagramBuilder, State
+from pydrake.systems.sensors import ImageDepth32F
 
 from slipmap.diagrams.station.sliding_object import BODY, GRAVITY, connect_motion
-from slipmap.diagrams.systems.python_system import PythonSystem
+from slipmap.diagrams.systems.python_system import PythonSystem, held, read, replace_held
 from slipmap.models.objects.true_object import TrueObject
 from slipmap.models.physics.cell_grid import FloatArray
 
 _TOUCH = 2e-3  # m; cells that are farther from the table's height do not slide on it
+_LATEST = 0.3  # s
 _SLOWEST = 1e-3  # m/s; below about this slip an extra friction fades out
 
 
@@ -98,6 +100,24 @@ class TableFrictionField(_Numbers):
 
 
 @dataclass
+class SensorLatency(_Numbers):
+    """Pictures show what was a while ago, and do not say so."""
+
+    _not_negative = ("latency",)
+
+    latency: float = 0.0  # s
+
+    def check(self) -> None:
+        """Raise ValueError where a field makes no sense."""
+        super().check()
+        if self.latency > _LATEST:
+            raise ValueError(
+                f"SensorLatency.latency must be at most {_LATEST:g} s, got {self.latency}: the arm would be"
+                " taken for aside while it is still in the picture"
+            )
+
+
+@dataclass
 class HiddenEffectsConfig:
     """Everything that can be hidden in the station's table; nothing is by default."""
 
@@ -105,13 +125,24 @@ class HiddenEffectsConfig:
     tether: Tether = field(default_factory=Tether)
     viscous_friction: ViscousFriction = field(default_factory=ViscousFriction)
     table_friction_field: TableFrictionField = field(default_factory=TableFrictionField)
+    sensor_latency: SensorLatency = field(default_factory=SensorLatency)
+
+    def check(self) -> None:
+        """Raise ValueError where a field makes no sense."""
+        for effect in fields(self):
+            getattr(self, effect.name).check()
 
     @property
     def is_null(self) -> bool:
         """Whether there is no effect at all."""
+        return not self.is_forceful and not self.sensor_latency.latency
+
+    @property
+    def is_forceful(self) -> bool:
+        """Whether there is an effect on the object itself."""
         tilt, spots = self.table_tilt, self.table_friction_field
         sizes = [tilt.down_x, tilt.down_y, self.tether.stiffness, self.viscous_friction.drag_per_area]
-        return not any([*sizes, spots.gradient_x, spots.gradient_y, spots.patch])
+        return any([*sizes, spots.gradient_x, spots.gradient_y, spots.patch])
 
 
 def tilted_gravity(tilt: TableTilt, gravity: float = GRAVITY) -> FloatArray:
@@ -142,8 +173,7 @@ class HiddenEffects(PythonSystem):
 
     def __init__(self, plant: MultibodyPlant, true_object: TrueObject, config: HiddenEffectsConfig) -> None:
         super().__init__()
-        for effect in fields(config):
-            getattr(config, effect.name).check()
+        config.check()
         grid = true_object.grid
         self._config = config
         self._index = plant.GetBodyByName(BODY).index()
@@ -231,11 +261,41 @@ def _pull(tether: Tether, p_WP: FloatArray) -> FloatArray:
     return tether.stiffness * (length - tether.slack) / length * way
 
 
+class LatePictures(PythonSystem):
+    """Hands on the depth picture of a while ago, to whoever looks at multiples of the camera's period.
+
+    Args:
+        latency: s.
+        period: of the camera, s.
+    """
+
+    def __init__(self, latency: float, period: float) -> None:
+        super().__init__()
+        self._picture = self.DeclareAbstractInputPort("depth_image", AbstractValue.Make(ImageDepth32F()))
+        self._count = max(int(np.ceil(latency / period - 1e-9)), 1)
+        self._taken = self.DeclareAbstractState(held(()))
+        self.DeclarePeriodicUnrestrictedUpdateEvent(period, -latency % period, self._take)
+        self.DeclareAbstractOutputPort(
+            "depth_image",
+            lambda: AbstractValue.Make(ImageDepth32F()),
+            self._late,
+            {self.abstract_state_ticket(self._taken)},
+        )
+
+    def _take(self, context: Context, state: State) -> None:
+        picture = self.EvalAbstractInput(context, self._picture.get_index())
+        replace_held(state, self._taken, (*read(context, self._taken), picture.Clone())[-self._count :])
+
+    def _late(self, context: Context, output: AbstractValue) -> None:
+        taken = read(context, self._taken)
+        output.SetFrom(taken[0] if len(taken) == self._count else AbstractValue.Make(ImageDepth32F()))
+
+
 def add_hidden_effects(
     builder: DiagramBuilder, plant: MultibodyPlant, true_object: TrueObject, config: HiddenEffectsConfig
 ) -> HiddenEffects | None:
-    """Connect the effects to a finalized plant; None, and nothing done, where there are none."""
-    if config.is_null:
+    """Connect the effects to a finalized plant; None, and nothing done, where none acts on the object."""
+    if not config.is_forceful:
         return None
     system = builder.AddNamedSystem("hidden_effects", HiddenEffects(plant, true_object, config))
     connect_motion(builder, plant, system)

@@ -16,7 +16,7 @@ from slipmap.diagrams.perception.depth_noise import DepthNoise
 from slipmap.diagrams.perception.depth_picture import add_depth_picture
 from slipmap.diagrams.perception.sight import ArmHulls
 from slipmap.diagrams.station.arm import add_arm, add_arm_drivers
-from slipmap.diagrams.station.hidden_effects import add_hidden_effects
+from slipmap.diagrams.station.hidden_effects import LatePictures, add_hidden_effects
 from slipmap.diagrams.station.placement import check_placement
 from slipmap.diagrams.station.rest import Hold, RestWatch
 from slipmap.diagrams.station.scenario import Scenario
@@ -78,6 +78,7 @@ class Station(PythonDiagram):
         builder = DiagramBuilder()
         self.true_object = scenario.object.make()
         check_placement(scenario, self.true_object)
+        scenario.hidden.check()
         plant, scene_graph = AddMultibodyPlant(plant_config(scenario.simulation.time_step), builder)
         plant.mutable_gravity_field().set_gravity_vector([0.0, 0.0, -scenario.gravity])
         add_table(plant, scenario.table.make(), scenario.table.friction)
@@ -137,7 +138,11 @@ def _export_camera(
     noise = builder.AddNamedSystem("depth_noise", DepthNoise(scenario.depth_noise, scenario.camera.rate))
     depth = add_depth_picture(builder, plant, scene_graph, scenario.camera, camera)
     builder.Connect(depth, noise.get_input_port())
-    builder.ExportOutput(noise.get_output_port(), "camera.depth_image")
+    pictures, latency = noise, scenario.hidden.sensor_latency.latency
+    if latency:
+        pictures = builder.AddNamedSystem("late_pictures", LatePictures(latency, 1.0 / scenario.camera.rate))
+        builder.Connect(noise.get_output_port(), pictures.get_input_port())
+    builder.ExportOutput(pictures.get_output_port(), "camera.depth_image")
     builder.ExportOutput(camera.GetOutputPort("color_image"), "camera.rgb_image")
     place = builder.AddNamedSystem(
         "camera_pose", ConstantValueSource(AbstractValue.Make(scenario.camera.X_WC))

@@ -6,6 +6,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from io import BytesIO
+from textwrap import fill
 from typing import Any
 
 import numpy as np
@@ -190,6 +191,8 @@ _DID = {
 }
 """What the robot did about a `Finding`, by its action."""
 
+_LINE = 60  # letters that fit into a line of the sign
+
 _ARROWS = 8  # residual arrows, on cells spread over the object
 
 LEAST_RESIDUAL = 3e-4
@@ -337,6 +340,8 @@ class BeliefVisualizer(PythonSystem):
             name = f"notice/{len(judged)}-{found.pushes}"
             heading = f"After push {found.pushes}: {_DID[found.action]}"
             line = " and ".join(found.effects) or f"diagnosis: {found.verdict}"
+            if found.telling:
+                line = fill(f"{line}; the next push tells {found.telling}", _LINE)
         else:
             self._show("notice", "", time)
             return

@@ -1,4 +1,4 @@
-"""Diagnosis as a block: where pushes surprise the model, it finds out which effects to add."""
+"""Diagnosis as a block: where pushes surprise, it finds out what the model misses, and tries it."""
 
 from __future__ import annotations
 
@@ -7,27 +7,40 @@ from concurrent.futures import Executor
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
+import numpy as np
 from pydrake.systems.framework import Context
 
+from slipmap.diagrams.systems.identification import learning
+from slipmap.diagrams.systems.model_monitor import Watch
 from slipmap.diagrams.systems.python_system import PythonSystem, held
 from slipmap.diagrams.systems.workers import begun
 from slipmap.models.inference.diagnosis import procedure
+from slipmap.models.inference.prediction import predict
 from slipmap.models.measurements import PushDataset, Trial
 from slipmap.models.physics.cell_grid import CellGrid
 from slipmap.planners.settings import RepairSettings
+from slipmap.planners.telling_push import Question, robots_question
 
 PERIOD = 0.05
+
+TELLS = 1e-3
+"""m by which errors with and without an effect must differ for a push to speak for either: camera and finger
+are off by a third of that."""
+
+FAILED, TRIED = "failed", "tried"
+"""Verdicts beside those of a diagnosis: it could not be made; effects were held against the next pushes."""
 
 
 @dataclass(frozen=True)
 class Finding:
-    """What came of one diagnosis, and what the robot did about it."""
+    """What came of one diagnosis or trial of effects, and what the robot did about it."""
 
-    pushes: int  # that were diagnosed
-    verdict: str  # see `slipmap.models.inference.diagnosis.results.VERDICTS`
+    pushes: int  # that were looked at
+    verdict: str  # see `slipmap.models.inference.diagnosis.results.VERDICTS`; or `FAILED`, `TRIED`
     sentence: str  # that says so
     effects: tuple[str, ...]  # that the model has from then on
     action: str  # `adopts`, `keeps`, `drops`, `pushes on`, `goes on without`
+    telling: str = ""  # what the next pushes are chosen to tell apart; empty where nothing is
 
 
 @dataclass(frozen=True)
@@ -38,10 +51,45 @@ class Repair:
     effects: tuple[str, ...] = ()  # that the model is to have
     wanted: int = 0  # pushes to learn from that it asks for, altogether
     findings: tuple[Finding, ...] = ()
+    question: Question | None = None  # what the next push is to tell apart
+
+    @property
+    def tried(self) -> Finding | None:
+        """The adoption of effects that no later finding has confirmed or taken back."""
+        last = self.findings[-1] if self.findings else None
+        return last if last is not None and last.action == "adopts" else None
 
     def to_json(self) -> dict[str, Any]:
-        """As plain data."""
+        """As plain data, for people and programs."""
         return {"effects": list(self.effects), "findings": [asdict(finding) for finding in self.findings]}
+
+    def to_run(self) -> dict[str, Any]:
+        """As plain data, for another process to go on from; the question is left out."""
+        return {"trials": self.trials, "wanted": self.wanted, **self.to_json()}
+
+    @classmethod
+    def of_run(cls, stored: dict[str, Any]) -> Repair:
+        """What `to_run` stored. Where the last push left a question, it is diagnosed once more, to ask it.
+
+        Raises:
+            KeyError, TypeError: data of something else.
+        """
+        findings = tuple(Finding(**{**one, "effects": tuple(one["effects"])}) for one in stored["findings"])
+        trials, effects = int(stored["trials"]), tuple(stored["effects"])
+        last = findings[-1] if findings else None
+        if last is not None and last.action == "pushes on" and last.telling and last.pushes == trials:
+            findings, trials = findings[:-1], trials - 1
+        return cls(trials, effects, int(stored["wanted"]), findings)
+
+
+@dataclass(frozen=True, eq=False)
+class _Answer:
+    """What a diagnosis came to, small enough to be handed from process to process."""
+
+    verdict: str
+    sentence: str
+    rivals: tuple[tuple[tuple[str, int], ...], ...] = ()  # names of their effects, and parameters of each
+    question: Question | None = None
 
 
 class Diagnosis(PythonSystem):
@@ -54,12 +102,16 @@ class Diagnosis(PythonSystem):
     - `repair`: `Repair`; `effects`: its tuple of names, for an `Identification`.
 
     While pushes end as predicted, all stays as it is. Where the monitor gives an alarm, or is in doubt, all
-    pushes are diagnosed. One effect, or
-    two that are needed together, are adopted; of effects that these pushes cannot tell apart, the simplest.
-    Where the answer is `undecided` another push is asked for. Where the effect is unknown, and where nothing
-    is missing after all, the robot goes on without: what surprised it widens its intervals as it learns. An
-    adopted effect after which pushes still surprise is looked into with all others again, and dropped where
-    it is not named any more.
+    pushes are diagnosed; so they are where none of them surprises, but all together do. One effect, or two
+    that are needed together, are adopted; of effects that these pushes cannot tell apart, the simplest. Where
+    the answer is `undecided` another push is asked for, and which models it is to tell apart
+    (`Repair.question`). Where the effect is unknown, and where nothing is missing after all, the robot goes
+    on without: what surprised it widens its intervals as it learns.
+
+    Adopted effects are tried by the next pushes: where these end no nearer to their predictions than a model
+    without the effects, learnt from the pushes before, would have had them, the effects are dropped. Where
+    they surprise, all pushes are diagnosed again, and an effect that is not named any more is dropped. What
+    a diagnosis raises is told as its finding, and the robot goes on with the model that it has.
 
     Args:
         make_dataset: makes trials and grid a dataset with all that is known of the place.
@@ -67,7 +119,7 @@ class Diagnosis(PythonSystem):
         pushes: of exploring, to which these come.
         effects: that the model has from the start, and keeps whatever is found.
         seed: of every draw.
-        settled: pushes that were recorded before, which are not looked into by themselves.
+        before: what an earlier process found; its pushes that are settled are not looked into by themselves.
         worker: who computes; this process if None, and then the simulation waits.
 
     Example:
@@ -85,7 +137,7 @@ class Diagnosis(PythonSystem):
         pushes: int,
         effects: Sequence[str] = (),
         seed: int = 0,
-        settled: int = 0,
+        before: Repair | None = None,
         worker: Executor | None = None,
     ) -> None:
         super().__init__()
@@ -93,7 +145,8 @@ class Diagnosis(PythonSystem):
         self._settings, self._most = settings, pushes + settings.pushes
         self._given, self._seed, self._worker = tuple(effects), seed, worker
         self.declare_inputs("trials", "cell_grid", "watch")
-        self._state = self.DeclareAbstractState(held((Repair(settled, tuple(effects)), None)))
+        start = Repair(effects=self._given) if before is None else before
+        self._state = self.DeclareAbstractState(held((start, None)))
         self.declare_steps(PERIOD, self._state, self._next)
         self.declare_output_of("repair", self._state, lambda state: state[0])
         self.declare_output_of("effects", self._state, lambda state: state[0].effects)
@@ -104,35 +157,120 @@ class Diagnosis(PythonSystem):
             trials, watch = self.input(context, "trials"), self.input(context, "watch")
             if not repair.trials < len(trials) == watch.trials:
                 return now
-            if not watch.alarm and watch.evidence < self._settings.doubt:
+            task: Any = None
+            rest: tuple[Any, ...]
+            if self._doubtful(repair, len(trials), watch):
+                if len(trials) < self._settings.fewest:
+                    return self._pushing_on(replace(repair, trials=len(trials))), None
+                task, rest = _diagnosed, (self._seed,)
+            elif repair.tried is not None and len(self._errors(repair, watch)) >= self._settings.probation:
+                task, rest = _errors_without, (repair.tried.pushes, self._without(repair), self._seed)
+            if task is None:
                 return replace(repair, trials=len(trials)), None
-            if len(trials) < self._settings.fewest:
-                return self._pushing_on(replace(repair, trials=len(trials))), None
             teaching = [replace(trial, role="fit") for trial in trials]
-            dataset = self._make_dataset(teaching, self.input(context, "cell_grid"))
-            job = (len(trials), begun(self._worker, procedure.diagnose, dataset, seed=self._seed))
+            grid = self.input(context, "cell_grid")
+            job = (len(trials), begun(self._worker, task, self._make_dataset, teaching, grid, *rest))
         count, result = job
-        return (self._concluded(repair, count, result.result()), None) if result.done() else (repair, job)
+        if not result.done():
+            return repair, job
+        try:
+            answer = result.result()
+        except Exception as error:  # whatever it is, the robot can go on with the model that it has
+            sentence = f"The diagnosis failed: {error or type(error).__name__}."
+            return self._concluded(repair, count, _Answer(FAILED, sentence)), None
+        if isinstance(answer, _Answer):
+            return self._concluded(repair, count, answer), None
+        return self._tried(repair, count, self._errors(repair, self.input(context, "watch")), answer), None
 
-    def _concluded(self, repair: Repair, count: int, found: procedure.Diagnosis) -> Repair:
+    def _doubtful(self, repair: Repair, count: int, watch: Watch) -> bool:
+        """Whether the pushes are to be diagnosed: by the last one, or by all of them together."""
+        if watch.alarm or watch.evidence >= self._settings.doubt:
+            return True
+        last = repair.findings[-1] if repair.findings else None
+        rested = last is None or last.action == "pushes on" or count >= last.pushes + self._settings.every
+        return count >= self._settings.fewest and rested and watch.joint_p <= self._settings.together
+
+    def _concluded(self, repair: Repair, count: int, found: _Answer) -> Repair:
         """The repair after a diagnosis of so many pushes."""
-        effects: tuple[str, ...] = ()
+        named: tuple[str, ...] = ()
         if found.verdict in ("effect", "ambiguous"):
-            rivals = [rival.effects for rival in found.rivals]
-            simplest = min(rivals, key=lambda rival: sum(len(effect.parameters) for effect in rival))
-            effects = tuple(effect.name for effect in simplest if effect.name not in self._given)
-        named, effects = bool(effects), (*self._given, *effects)
+            simplest = min(found.rivals, key=lambda rival: sum(size for _, size in rival))
+            named = tuple(name for name, _ in simplest if name not in self._given)
+        effects, question = (*self._given, *named), found.question
+        if found.verdict == FAILED:
+            effects, question = repair.effects, None
         if named:
             action = "keeps" if set(effects) == set(repair.effects) else "adopts"
-        elif repair.effects != self._given:
+        elif effects != repair.effects:
             action = "drops"
+        elif found.verdict == "undecided" and count < self._most:
+            action = "pushes on"
         else:
-            action = "pushes on" if found.verdict == "undecided" and count < self._most else "goes on without"
-        finding = Finding(count, found.verdict, found.sentence, effects, action)
-        after = replace(repair, trials=count, effects=effects, findings=(*repair.findings, finding))
+            action = "goes on without" if effects == self._given else "keeps"
+        if action == "goes on without":
+            question = None
+        telling = "" if question is None else question.words
+        finding = Finding(count, found.verdict, found.sentence, effects, action, telling)
+        after = Repair(count, effects, repair.wanted, (*repair.findings, finding), question)
         if action == "adopts":
             return replace(after, wanted=min(max(after.wanted, count + self._settings.probation), self._most))
         return self._pushing_on(after) if found.verdict == "undecided" else after
 
+    def _tried(self, repair: Repair, count: int, errors: dict[int, float], without: list[float]) -> Repair:
+        """The repair after effects were tried by pushes: errors with them by push, and without, m."""
+        assert repair.tried is not None
+        begun_at, names = repair.tried.pushes, " and ".join(repair.effects)
+        pairs = [(errors[k], without[k - begun_at]) for k in errors if k - begun_at < len(without)]
+        telling = [pair for pair in pairs if abs(pair[0] - pair[1]) > TELLS]
+        own, other = (1e3 * np.mean([pair[k] for pair in telling or pairs]) for k in (0, 1))
+        pushes = f"{len(telling or pairs)} push{'es' * (len(telling or pairs) > 1)}"
+        said = f"With {names}, {pushes} ended {own:.1f} mm off on average; without, {other:.1f} mm."
+        effects, action = repair.effects, "keeps"
+        if not telling:
+            said += " They do not tell."
+        elif own >= other:
+            effects, action = self._without(repair), "drops"
+        finding = Finding(count, TRIED, said, effects, action)
+        return Repair(count, effects, repair.wanted, (*repair.findings, finding))
+
+    def _without(self, repair: Repair) -> tuple[str, ...]:
+        """The effects that the model had before those that are tried."""
+        return repair.findings[-2].effects if len(repair.findings) > 1 else self._given
+
+    def _errors(self, repair: Repair, watch: Watch) -> dict[int, float]:
+        """By number of the push, errors of those that were predicted with the effects that are tried, m."""
+        assert repair.tried is not None
+        return {
+            push.trial: push.error
+            for push in watch.judged
+            if push.trial >= repair.tried.pushes and set(push.effects) == set(repair.effects)
+        }
+
     def _pushing_on(self, repair: Repair) -> Repair:
         return replace(repair, wanted=min(max(repair.wanted, repair.trials + 1), self._most))
+
+
+MakeDataset = Callable[[Sequence[Trial], CellGrid], PushDataset]
+
+
+def _diagnosed(make: MakeDataset, trials: Sequence[Trial], grid: CellGrid, seed: int) -> _Answer:
+    """The diagnosis of pushes; done in a worker."""
+    dataset = make(trials, grid)
+    found = procedure.diagnose(dataset, seed=seed)
+    rivals = tuple(
+        tuple((effect.name, len(effect.parameters)) for effect in rival.effects) for rival in found.rivals
+    )
+    return _Answer(found.verdict, found.sentence, rivals, robots_question(found, dataset))
+
+
+def _errors_without(
+    make: MakeDataset,
+    trials: Sequence[Trial],
+    grid: CellGrid,
+    count: int,
+    effects: tuple[str, ...],
+    seed: int,
+) -> list[float]:
+    """Errors (ADD) of the pushes after the first `count` by what these teach a model with some effects, m."""
+    belief = learning(effects)(make(trials[:count], grid), seed=seed).belief
+    return [push.final_add for push in predict(belief, make(trials[count:], grid))]

@@ -9,7 +9,7 @@ import numpy as np
 from pydrake.systems.framework import Context, EventStatus, State
 
 from slipmap.diagrams.execution.clearance import Obstacle
-from slipmap.diagrams.systems.loop_messages import ExplorationPlan, LoopStatus
+from slipmap.diagrams.systems.loop_messages import CHOOSING, ExplorationPlan, LoopStatus
 from slipmap.diagrams.systems.python_system import PythonSystem, held, read, replace_held
 from slipmap.diagrams.systems.workers import begun
 from slipmap.models.perception.seen_object import SeenObject
@@ -26,7 +26,8 @@ class Exploration(PythonSystem):
 
     Inputs:
     - `belief`: `Belief | None`; `object_pose`: `ObservedPose`; `seen_object`: `SeenObject | None`.
-    - `status`: `LoopStatus`; in the mode `choosing` a plan of its number is made.
+    - `status`: `LoopStatus`; in the mode `choosing` a plan of its number is made, and in `telling apart` one
+      that best answers the question of `repair`, the `Repair` of a `Diagnosis`.
     Outputs:
     - `plan`: `ExplorationPlan | None`; it stands until the loop asks for another.
 
@@ -34,7 +35,7 @@ class Exploration(PythonSystem):
 
     Args:
         strategy: one of `slipmap.planners.settings.STRATEGIES`; pushes after the first `fit`, made to judge
-            the belief or to find out what surprised it, are random, and none of them is a tap.
+            the belief, are random, and none of them is a tap.
         fit: pushes of the strategy.
         finger_radius: m.
         settings: what pushes to learn from are like.
@@ -71,7 +72,7 @@ class Exploration(PythonSystem):
         self._allowed = allowed
         self._seed = seed
         self._worker = worker
-        self.declare_inputs("belief", "object_pose", "seen_object", "status")
+        self.declare_inputs("belief", "object_pose", "seen_object", "status", "repair")
         self._plan = self.DeclareAbstractState(held(None))
         self._past = self.DeclareAbstractState(held(tuple(past)))
         self._job = self.DeclareAbstractState(held(None))
@@ -84,13 +85,16 @@ class Exploration(PythonSystem):
             status: LoopStatus = self.input(context, "status")
             plan: ExplorationPlan | None = read(context, self._plan)
             pose = self.input(context, "object_pose")
-            asked = status.mode == "choosing" and (plan is None or plan.number != status.number)
+            asked = status.mode in CHOOSING and (plan is None or plan.number != status.number)
             if not asked or not pose.valid:
                 return EventStatus.DidNothing()
             number, past = status.number, read(context, self._past)
             if status.attempt > 0:
                 past = past[:-1]  # the arm refused it
             strategy = self._strategy if status.push < self._fit else "random"
+            question = None
+            if status.mode == "telling apart":
+                question = self.input(context, "repair").question
             seen: SeenObject = self.input(context, "seen_object")
             job = begun(
                 self._worker,
@@ -103,6 +107,7 @@ class Exploration(PythonSystem):
                 past=past,
                 settings=self._settings,
                 tap=self._settings.is_tap(status.push) and status.push < self._fit,
+                question=question,
                 allowed=partial(self._allowed, Obstacle(seen.grid, seen.cell_heights, pose.pose)),
                 rng=np.random.default_rng([self._seed, status.push, status.attempt]),
             )

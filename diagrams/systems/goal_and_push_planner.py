@@ -46,6 +46,7 @@ class _Planning:
     known: Belief  # the belief that the method plans with
     thing: Graspable  # the object with its grasps
     goals: tuple[Goal, ...]  # that will do
+    effects: tuple[str, ...] = ()  # that the model has
     pursuit: Pursuit = field(default_factory=Pursuit)  # what came of pushing
     last: Decision | None = None  # the decision behind the plan
     plan: PregraspPlan | None = None  # what is to be done
@@ -88,7 +89,7 @@ class _Procedure:
     ) -> _Planning:
         """What is planned for a status; the object lies at a pose (3,)."""
         rng = np.random.default_rng([self.seed, status.push, status.attempt])
-        if planning is None:
+        if planning is None or planning.effects != _effects_of(belief):
             planning = self._begun(belief, seen, rng)
         return self._planned(planning.continued(status), status.number, pose, seen, rng)
 
@@ -101,7 +102,8 @@ class _Procedure:
             active = ActiveGrasp(0, goal.grasp, goal.pose, seen.grid, seen.cell_heights)
             return self.can_see(seen, goal.pose) and self.can_grasp(active)
 
-        return _Planning(known, thing, tuple(thing.sample_goals(self.table, rng, can_serve)))
+        goals = tuple(thing.sample_goals(self.table, rng, can_serve))
+        return _Planning(known, thing, goals, _effects_of(belief))
 
     def _planned(
         self, now: _Planning, number: int, pose: FloatArray, seen: SeenObject, rng: np.random.Generator
@@ -170,8 +172,9 @@ class GoalAndPushPlanner(PythonSystem):
     Outputs:
     - `plan`: `PregraspPlan | None`; it stands until the loop asks for another.
 
-    Goals are sampled at the first plan. Without a worker the simulation waits while the block computes. The
-    draws of a plan depend on the seed and its number alone.
+    Goals are sampled at the first plan, and anew where the belief comes to have other effects. Without a
+    worker the simulation waits while the block computes. The draws of a plan depend on the seed and its
+    number alone.
 
     Args:
         method: one of `slipmap.planners.settings.METHODS`.
@@ -234,6 +237,10 @@ class GoalAndPushPlanner(PythonSystem):
         replace_held(state, self._job, None)
         replace_held(state, self._planning, job.result())
         return EventStatus.Succeeded()
+
+
+def _effects_of(belief: Belief) -> tuple[str, ...]:
+    return tuple(effect.name for effect in belief.effects)
 
 
 def _same_place(one: Grasp, other: Grasp) -> bool:

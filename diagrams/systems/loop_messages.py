@@ -26,8 +26,22 @@ class LoopStatus:
 MOST_ATTEMPTS = 20
 """Candidates that the arm may refuse for one push before the loop gives up."""
 
-EXPLORING = ("looking", "choosing", "pushing", "recording", "learning", "diagnosing", "finished", "failed")
-"""Modes of exploring; `diagnosing` only where the model is repaired on the way."""
+EXPLORING = (
+    "looking",
+    "choosing",
+    "telling apart",
+    "pushing",
+    "recording",
+    "learning",
+    "diagnosing",
+    "finished",
+    "failed",
+)
+"""Modes of exploring. Where the model is repaired on the way, there is `diagnosing`, and `telling apart`
+instead of `choosing` where the next push is to tell the models apart that a diagnosis left."""
+
+CHOOSING = ("choosing", "telling apart")
+"""Modes in which a push is chosen."""
 
 BRINGING = (
     "planning",

@@ -1,11 +1,14 @@
 """`ModelMonitor`: is the object still doing what the model says? Residual, misfit, and an alarm."""
 
+from __future__ import annotations
+
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
 from pydrake.common.value import Value
 from pydrake.systems.framework import Context
+from scipy.special import chdtrc
 
 from slipmap.diagrams.systems.multiverse_slider import Universes
 from slipmap.diagrams.systems.python_system import PythonSystem, held, read
@@ -70,6 +73,13 @@ class Watch:
         return self.judged[-1].evidence if self.judged else 1.0
 
     @property
+    def joint_p(self) -> float:
+        """Fisher's p of all pushes together that were judged with the effects of now: how often, if nothing
+        is missing, theirs are as small by chance; 1 before any."""
+        same = [push for push in self.judged if push.effects == self.judged[-1].effects]
+        return float(chdtrc(2 * len(same), -2.0 * sum(np.log(max(push.p, 1e-12)) for push in same)))
+
+    @property
     def alarm(self) -> bool:
         """Whether it is given now."""
         return bool(self.judged) and self.judged[-1].alarm
@@ -78,6 +88,20 @@ class Watch:
         """The alarm, the evidence, and each push that was judged."""
         pushes = [asdict(push) for push in self.judged]
         return {"alarm": self.alarm, "evidence": self.evidence, "pushes": pushes}
+
+    def to_run(self) -> dict[str, Any]:
+        """As plain data, for another process to go on from."""
+        return {"trials": self.trials, **self.to_json()}
+
+    @classmethod
+    def of_run(cls, stored: dict[str, Any]) -> Watch:
+        """What `to_run` stored.
+
+        Raises:
+            KeyError, TypeError: data of something else.
+        """
+        pushes = tuple(Judged(**{**push, "effects": tuple(push["effects"])}) for push in stored["pushes"])
+        return cls(int(stored["trials"]), np.full(3, np.nan), pushes)
 
 
 class ModelMonitor(PythonSystem):
@@ -106,6 +130,7 @@ class ModelMonitor(PythonSystem):
         sensors: noise of the recorded poses; position and angle are used.
         period: of looking, s.
         model_error: α, by which share of the way the model is off anyway.
+        before: what an earlier process saw.
 
     Raises:
         ValueError: the noise of position or angle is not given.
@@ -118,7 +143,13 @@ class ModelMonitor(PythonSystem):
         ['residual', 'misfit', 'evidence', 'alarm', 'watch']
     """
 
-    def __init__(self, sensors: Noise, period: float = 0.05, model_error: float = MODEL_ERROR) -> None:
+    def __init__(
+        self,
+        sensors: Noise,
+        period: float = 0.05,
+        model_error: float = MODEL_ERROR,
+        before: Watch | None = None,
+    ) -> None:
         super().__init__()
         self.set_name("model_monitor")
         if sensors.position is None or sensors.angle is None:
@@ -128,7 +159,7 @@ class ModelMonitor(PythonSystem):
             for angle in (sensors.angle, UNSEEN_ANGLE)
         )
         self.declare_inputs("universes", "object_pose", "trials")
-        self._watch = self.DeclareAbstractState(held(Watch(0, np.full(3, np.nan))))
+        self._watch = self.DeclareAbstractState(held(before or Watch(0, np.full(3, np.nan))))
         after = {self.abstract_state_ticket(self._watch)}
         self.declare_vector_output("residual", 3, lambda context: self.watch(context).residual, after)
         self.declare_vector_output("misfit", 1, lambda context: [self.watch(context).misfit], after)

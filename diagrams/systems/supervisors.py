@@ -12,7 +12,7 @@ from pydrake.systems.framework import Context, EventStatus, State
 
 from slipmap.diagrams.execution.requests import ActiveGrasp, ActivePush, ExecutionStatus
 from slipmap.diagrams.systems.diagnosis import Repair
-from slipmap.diagrams.systems.loop_messages import MOST_ATTEMPTS, LoopStatus, PregraspPlan
+from slipmap.diagrams.systems.loop_messages import CHOOSING, MOST_ATTEMPTS, LoopStatus, PregraspPlan
 from slipmap.diagrams.systems.python_system import PythonSystem, held, read, replace_held
 from slipmap.models.perception.seen_object import ObservedPose
 from slipmap.models.robots import FINGER_RADIUS
@@ -78,7 +78,7 @@ class PushSupervisor(PythonSystem):
                 plan = self.input(context, "plan")
                 active = ActivePush(following.number, plan.choice.push)
             replace_held(state, self._active, active)
-        elif now.mode == "choosing" and self.input(context, "object_pose").valid:
+        elif now.mode in CHOOSING and self.input(context, "object_pose").valid:
             # Choosing takes its time; patience is for an object that is out of sight.
             state.get_mutable_discrete_state(0)[0] = context.get_time()
         return EventStatus.Succeeded()
@@ -91,7 +91,7 @@ class PushSupervisor(PythonSystem):
             return LoopStatus("failed", now.push, now.attempt, execution.reason)
         if now.mode == "looking":
             return self._look(context, now)
-        if now.mode == "choosing":
+        if now.mode in CHOOSING:
             plan = self.input(context, "plan")
             if plan is None or plan.number != now.number:
                 if self.input(context, "object_pose").valid:
@@ -106,14 +106,14 @@ class PushSupervisor(PythonSystem):
             if execution.mode == "refused":
                 if now.attempt + 1 == MOST_ATTEMPTS:
                     return LoopStatus("failed", now.push, now.attempt, execution.reason)
-                return LoopStatus("choosing", now.push, now.attempt + 1)
+                return self._choosing(context, now.push, now.attempt + 1)
             return LoopStatus("recording", now.push, now.attempt) if execution.mode == "home" else now
         if now.mode == "recording":
             missed = self.optional_input(context, "missed") or ()
             if now.number in missed:
                 if _too_often(missed, now):
                     return LoopStatus("failed", now.push, now.attempt, _MISSED)
-                return LoopStatus("choosing", now.push, now.attempt + 1)
+                return self._choosing(context, now.push, now.attempt + 1)
             if len(self.input(context, "trials")) > now.push:
                 return LoopStatus("learning", now.push)
             return self._patient(context, now, _unrecorded(self.input(context, "object_pose")))
@@ -131,8 +131,13 @@ class PushSupervisor(PythonSystem):
     def _look(self, context: Context, now: LoopStatus) -> LoopStatus:
         pose = self.input(context, "object_pose")
         if self.input(context, "cell_grid") is not None and pose is not None and pose.valid:
-            return LoopStatus("choosing", now.push)
+            return self._choosing(context, now.push)
         return self._patient(context, now, _unseen(pose))
+
+    def _choosing(self, context: Context, push: int, attempt: int = 0) -> LoopStatus:
+        repair: Repair | None = self.optional_input(context, "repair")
+        asked = repair is not None and repair.question is not None
+        return LoopStatus("telling apart" if asked else "choosing", push, attempt)
 
     def _patient(self, context: Context, now: LoopStatus, reason: str) -> LoopStatus:
         waited = context.get_time() - context.get_discrete_state(0)[0]

@@ -36,7 +36,10 @@ def begun(
     if worker is not None:
         return worker.submit(task, *args, **kwargs)
     future: Future[Result] = Future()
-    future.set_result(task(*args, **kwargs))
+    try:
+        future.set_result(task(*args, **kwargs))
+    except Exception as error:
+        future.set_exception(error)
     return future
 
 

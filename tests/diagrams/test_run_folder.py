@@ -11,7 +11,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from slipmap.diagrams.loops.exploration_loop import LoopOptions, RecordedRun
+from slipmap.diagrams.loops.exploration_loop import (
+    LoopOptions,
+    RecordedRun,
+    exploration_loop,
+    output_of,
+)
 from slipmap.diagrams.loops.run_folder import (
     PICTURE,
     PUSHES,
@@ -23,6 +28,8 @@ from slipmap.diagrams.loops.run_folder import (
     resumed,
 )
 from slipmap.diagrams.station.scenario import Scenario
+from slipmap.diagrams.systems.diagnosis import Finding, Repair
+from slipmap.diagrams.systems.model_monitor import Judged, Watch
 from slipmap.models.files import BadInput
 from slipmap.models.measurements import Channel, Trial, read_dataset, write_dataset, writing as recording
 from slipmap.models.perception.first_look import FirstPicture
@@ -336,3 +343,26 @@ def test_pushes_of_the_robot_are_lost_to_no_other_command(slipmap, whole, tmp_pa
     told = slipmap(*command, tmp_path)
     assert told.code == 2 and f"{tmp_path}: holds a run of the robot's cell" in told.err
     assert contents(tmp_path) == before
+
+
+def test_the_repair_and_what_the_monitor_saw_are_found_again(whole, tmp_path):
+    """However the model stood when the process ended, another one begins with it."""
+    finding = Finding(
+        2, "effect", "The model lacks one effect: table_tilt.", ("table_tilt",), "adopts", "a from b"
+    )
+    repair = Repair(2, ("table_tilt",), 4, (finding,), question=object())
+    judged = Judged(1, 1.2, 0.3, 11.0, True, 0.01, 0.005, True, (), 0.08)
+    watch = Watch(2, np.full(3, np.nan), (judged,))
+    choices = (whole.choices[0], replace(whole.choices[1], why="to tell a from b"))
+    record = recorded(tmp_path, whole, 1)
+    record.keep(replace(part(whole, 2), choices=choices, watch=watch, repair=repair))
+    before = resumed(tmp_path)[2]
+    assert before.repair == replace(repair, question=None)
+    assert (before.watch.trials, before.watch.judged, before.watch.alarm) == (2, (judged,), True)
+    assert [choice.why for choice in before.choices] == ["", "to tell a from b"]
+    loop = exploration_loop(scenario(), LoopOptions(pushes=3, cells=20, adapt=True), before=before)
+    context = loop.CreateDefaultContext()
+    assert output_of(loop, "diagnosis", "effects", context) == ("table_tilt",)
+    assert output_of(loop, "model_monitor", "watch", context).alarm
+    alone = before.all_to_learn_from()
+    assert alone.repair is None and alone.watch is None

@@ -20,8 +20,9 @@ from slipmap.models.measurements.simulated import record_pushes
 from slipmap.models.objects import cells_from_polygon
 from slipmap.models.physics.paper_notation import add
 from slipmap.models.physics.rollout import Maps, Slider
-from slipmap.planners.exploration import candidate_pushes
-from slipmap.planners.telling_push import next_push, push_of
+from slipmap.planners.action_selection import choose_push
+from slipmap.planners.exploration import NoReachablePush, candidate_pushes
+from slipmap.planners.telling_push import next_push, push_of, robots_question
 
 RADIUS, MASS, MU = 0.006, 0.6, 0.3
 SPEED = 0.05
@@ -252,3 +253,51 @@ def test_a_seed_gives_the_same_push(world: World) -> None:
     first = next_push(diagnosis, world.dataset, 4)
     assert first == next_push(diagnosis, world.dataset, 4)
     assert next_push(diagnosis, world.dataset, 5) != first
+
+
+def test_a_robots_push_is_the_one_of_its_own_that_tells_most(world):
+    """Of the pushes that it can make where the object lies."""
+    tilt = world.model("table_tilt", (0.06, 0.0))
+    question = robots_question(world.diagnosis("effect", [tilt]), world.dataset)
+    assert question.words == "table_tilt from no effect"
+    pose, offered = np.array([0.01, 0.02, 0.3]), []
+
+    def chosen(**options):
+        rng = np.random.default_rng(4)
+        return choose_push(world.grid, pose, RADIUS, tap=False, rng=rng, **options)
+
+    def offer(push):
+        offered.append(push)
+        return False
+
+    def told(push):
+        asked = {"pose": pose, "tip_start": push.begin, "tip_end": push.end, "speed": push.speed, "dwell": 0}
+        return apart(world, asked, tilt, world.model())
+
+    with pytest.raises(NoReachablePush):
+        chosen(strategy="random", allowed=offer)
+    best = chosen(question=question)
+    assert len(offered) > 20 and told(best.push) > 1.3 * np.median([told(push) for push in offered])
+    assert best.why.startswith("to tell table_tilt from no effect: ")
+    assert float(best.why.split()[-3]) == pytest.approx(told(best.push), rel=0.2)
+    # Where the arm cannot make it, the next best is taken.
+    other = chosen(question=question, allowed=lambda push: not np.array_equal(push.end, best.push.end))
+    assert float(other.why.split()[-3]) <= float(best.why.split()[-3])
+    assert not np.array_equal(other.push.end, best.push.end)
+
+
+def test_a_robot_asks_what_its_diagnosis_left_open(world):
+    tilt, tether = (
+        world.model("table_tilt", (0.06, 0.0)),
+        world.model("tether", (4.0, 0.3, 0.0, 0.1, 0.0, 0.0)),
+    )
+    ambiguous = robots_question(world.diagnosis("ambiguous", [tilt, tether]), world.dataset)
+    assert ambiguous.words == "table_tilt from tether"
+    undecided = world.diagnosis("undecided", [])
+    gains = [("tether", 1.0), ("viscous_friction", 3.0), ("table_tilt", 5.0), ("sensor_latency", 2.5)]
+    undecided.candidates = tuple(SimpleNamespace(name=n, gain=g, fitted_gain=None) for n, g in gains)
+    assert (
+        robots_question(undecided, world.dataset).words == "table_tilt, viscous_friction and no effect apart"
+    )
+    for verdict in ("adequate", "unknown"):
+        assert robots_question(world.diagnosis(verdict, []), world.dataset) is None

@@ -9,6 +9,7 @@ from __future__ import annotations
 import importlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import product
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -25,6 +26,7 @@ ABOUT = {
     "fig7": "the whole procedure with arm and camera",
     "tilt": "pushing over a tilted table without and with the tilt in the model",
     "coverage": "pushes to the table's edge that end where the belief says",
+    "adapt": "a robot that repairs its model, with something hidden from it",
 }
 """Every experiment, named after the paper's figure, and what goes beyond the paper."""
 
@@ -36,6 +38,7 @@ _PLACES = {
     "fig7": "whole_procedure:FIGURE_7",
     "tilt": "tilted_table:TILTED_TABLE",
     "coverage": "belief_coverage:COVERAGE",
+    "adapt": "adaptation:ADAPTATION",
 }
 
 
@@ -81,7 +84,7 @@ class Experiment:
     # two say
     trial: Callable[..., dict[str, Any]]
     summary: Callable[[Sequence[TrialOutcome]], Summary]  # of their outcomes; failed ones have no result
-    # a parameter and its values, such as the methods that are compared; or nothing
+    # parameters and their values, such as the methods that are compared, tried in every combination
     varied: Mapping[str, Sequence[str]] = field(default_factory=dict)
     # trials with one and the same belief, of whose seed they are told as `belief_seed`; 0 where each has its
     # own
@@ -107,7 +110,7 @@ class Experiment:
                 f"{self.name}: {self.plant_alone} is simulated by plant alone; leave out --truth"
             )
         fixed = {} if self.plant_alone else {"truth": truth}
-        variants = [{key: value} for key, values in self.varied.items() for value in values] or [{}]
+        variants = [dict(zip(self.varied, values, strict=True)) for values in product(*self.varied.values())]
 
         def belief(number: int) -> dict[str, int]:
             return {"belief_seed": number // self.seeds_a_belief} if self.seeds_a_belief else {}

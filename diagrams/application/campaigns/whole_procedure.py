@@ -1,7 +1,9 @@
 """Figure 7 of the paper: how often an unknown object ends in the gripper, with arm and camera in the loop."""
 
+from __future__ import annotations
+
 from collections.abc import Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -14,16 +16,32 @@ from slipmap.diagrams.application.campaigns.methods_compared import compare_meth
 from slipmap.diagrams.application.campaigns.trials import TrialOutcome
 from slipmap.planners.settings import METHODS
 
+if TYPE_CHECKING:
+    from slipmap.diagrams.loops.exploration_run import ExplorationRun
+    from slipmap.diagrams.station.scenario import Scenario
+
 FATES = ("held", "fell", "dropped", "gave up")
 
 
 def trial(*, seed: int, object_name: str, method: str) -> dict[str, Any]:
+    """All of Algorithm 4, done anew in each trial, exploring too; see `taken`."""
+    from slipmap.diagrams.station.scenario import Scenario
+
+    return taken(Scenario(), seed, object_name, method)[0]
+
+
+def taken(
+    scenario: Scenario, seed: int, object_name: str, method: str, *, adapt: bool = False
+) -> tuple[dict[str, Any], ExplorationRun | None]:
     """Put the object down at the table's middle, turned at random, and let the robot take it.
 
-    All of Algorithm 4 is done anew in each trial, exploring too.
+    Args:
+        scenario: of which the object is another.
+        adapt: whether the model is repaired on the way.
 
     Returns:
-        What `PregraspRun.to_json` tells, and `yaw`. A run in which nothing could be learned gave up.
+        What `PregraspRun.to_json` tells, and `yaw`; and what was learned. A run in which nothing could be
+        learned gave up.
 
     Raises:
         KeyboardInterrupt: Ctrl-C, which says nothing of the object.
@@ -31,24 +49,23 @@ def trial(*, seed: int, object_name: str, method: str) -> dict[str, Any]:
     from slipmap.diagrams.loops.exploration_loop import LoopOptions
     from slipmap.diagrams.loops.exploration_run import ExplorationFailed, ExplorationStopped
     from slipmap.diagrams.loops.pregrasp_loop import PregraspOptions, pregrasp
-    from slipmap.diagrams.station.scenario import Scenario
 
-    scenario = Scenario()
     scenario.object.name = object_name
     yaw = float(np.random.default_rng([seed, 3]).uniform(-180.0, 180.0))
     scenario.object.pose = [0.0, 0.0, yaw]
-    options = PregraspOptions(LoopOptions(seed=seed), method=method)
+    options = PregraspOptions(LoopOptions(seed=seed, adapt=adapt), method=method)
+    learned = None
     try:
         run = pregrasp(scenario, options)
         if run.interrupted:
             raise KeyboardInterrupt
-        told = run.to_json()
+        told, learned = run.to_json(), run.exploration
     except ExplorationStopped as error:
         raise KeyboardInterrupt from error
     except ExplorationFailed as error:
         told = {"fate": "gave up", "reason": str(error), "pushes": []}
     # What the clock says depends on the machine, and the same seeds shall give the same result.
-    return {key: value for key, value in told.items() if key != "seconds"} | {"yaw": yaw}
+    return {key: value for key, value in told.items() if key != "seconds"} | {"yaw": yaw}, learned
 
 
 def _summary(outcomes: Sequence[TrialOutcome]) -> Summary:

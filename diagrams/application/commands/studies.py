@@ -395,7 +395,7 @@ _SHOWN_FAILURES = 5
 @options.objects_option("--objects", about="Object", default="all six; fig7: hammer")
 @click.option(
     "--methods", "methods", multiple=True, metavar="NAME",
-    help="Method of fig6 and fig7; may be given several times. [default: all four]",
+    help="Method of fig6 and fig7, or what is hidden in adapt; may be given several times. [default: all]",
 )  # fmt: skip
 @options.count_option(
     "--trials", most=100_000,
@@ -491,13 +491,17 @@ def _by_methods(specs: list[TrialSpec], methods: Sequence[str]) -> list[TrialSpe
     """The trials of some methods, all where none is named."""
     if not methods:
         return specs
-    known = list(dict.fromkeys(spec.parameters["method"] for spec in specs if "method" in spec.parameters))
+    key = "hidden" if "hidden" in specs[0].parameters else "method"
+    known = list(dict.fromkeys(spec.parameters[key] for spec in specs if key in spec.parameters))
     if not known:
-        raise BadInput("--methods chooses among the methods of fig6 and fig7; this experiment has none")
+        raise BadInput(
+            "--methods chooses among the methods of fig6 and fig7, and what is hidden in adapt; this"
+            " experiment has none"
+        )
     for method in methods:
         if method not in known:
             raise BadInput(f"method {method!r} is unknown; choose among {', '.join(known)}")
-    return [spec for spec in specs if spec.parameters["method"] in methods]
+    return [spec for spec in specs if spec.parameters[key] in methods]
 
 
 def _show_summary(summary: Summary, outcomes: Sequence[TrialOutcome]) -> None:

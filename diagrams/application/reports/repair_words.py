@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from statistics import median
 
-from slipmap.diagrams.systems.diagnosis import Finding, Repair
+from slipmap.diagrams.systems.diagnosis import FAILED, TRIED, Finding, Repair
 from slipmap.diagrams.systems.model_monitor import Judged, Watch
 
 _DID = {
     "adopts": "The model was given {effects} from then on.",
     "keeps": "The model kept {effects}.",
-    "drops": "The effect it had was dropped: it did not explain the pushes after all.",
+    "drops": "The effect that was added was dropped: it did not explain the pushes after all.",
     "pushes on": "The robot made another push to find out.",
     "goes on without": "The robot went on with the model it had.",
 }
@@ -22,6 +22,7 @@ def repair_story(repair: Repair, watch: Watch) -> list[str]:
     if not repair.findings:
         return ["The model was not repaired: no push gave cause to look into it."]
     said = [_finding(finding) for finding in repair.findings]
+    said += _widening(repair.findings[-1], watch.judged)
     after = [push for push in watch.judged if set(repair.effects) <= set(push.effects)]
     before = [push for push in watch.judged if push not in after]
     if repair.effects and before and after:
@@ -34,7 +35,22 @@ def repair_story(repair: Repair, watch: Watch) -> list[str]:
 
 def _finding(finding: Finding) -> str:
     did = _DID[finding.action].format(effects=_names(finding.effects))
-    return f"After push {finding.pushes}, diagnosis: {finding.sentence} {did}"
+    looked = "" if finding.verdict in (FAILED, TRIED) else ", diagnosis"
+    said = f"After push {finding.pushes}{looked}: {finding.sentence} {did}"
+    return f"{said} The next pushes were chosen to tell {finding.telling}." if finding.telling else said
+
+
+def _widening(last: Finding, judged: Sequence[Judged]) -> list[str]:
+    """How much wider intervals are since something that no effect names surprised, where that was the end."""
+    before = [push.allowed for push in judged if push.trial < last.pushes]
+    after = [push.allowed for push in judged if push.trial >= last.pushes]
+    if last.verdict != "unknown" or last.action != "goes on without" or not before or not after:
+        return []
+    return [
+        "What it cannot name counts as an error of the model: pushes may end"
+        f" {1e3 * median(after):.1f} mm off before they surprise, in the median; before,"
+        f" {1e3 * before[-1]:.1f} mm."
+    ]
 
 
 def _errors(judged: Sequence[Judged]) -> str:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from slipmap.diagrams.application.reports.repair_words import repair_story
@@ -44,3 +46,25 @@ def test_without_an_effect_no_fall_is_claimed():
     dropped = Finding(7, "undecided", "Too little is seen.", (), "drops")
     (said,) = repair_story(Repair(7, (), 7, (dropped,)), watch((0.02, TILT), (0.03, ())))
     assert said.endswith("it did not explain the pushes after all.")
+
+
+def test_what_has_no_name_widens_intervals_and_that_is_said():
+    unknown = Finding(3, "unknown", "No effect explains the pushes.", (), "goes on without")
+    seen = watch((0.02, ()), (0.03, ()), (0.02, ()))
+    pushes = tuple(replace(push, allowed=0.006 if push.trial < 3 else 0.025) for push in seen.judged)
+    said = repair_story(Repair(3, (), 0, (unknown,)), replace(seen, judged=pushes))
+    assert said[-1].endswith("may end 25.0 mm off before they surprise, in the median; before, 6.0 mm.")
+    assert len(repair_story(Repair(3, (), 0, (unknown,)), replace(seen, judged=pushes[:2]))) == 1
+
+
+def test_a_trial_of_an_effect_and_a_diagnosis_that_failed_are_told():
+    adopted = Finding(5, "effect", "The model lacks table_tilt.", TILT, "adopts", "table_tilt from no effect")
+    tried = Finding(
+        7, "tried", "With table_tilt, 2 pushes ended 9.0 mm off on average; without, 4.0 mm.", (), "drops"
+    )
+    failed = Finding(8, "failed", "The diagnosis failed: too few pushes.", (), "goes on without")
+    first, second, third = repair_story(Repair(8, (), 7, (adopted, tried, failed)), watch((0.02, ())))
+    assert first.endswith("The next pushes were chosen to tell table_tilt from no effect.")
+    assert second.startswith("After push 7: With table_tilt, 2 pushes ended 9.0 mm off")
+    assert second.endswith("it did not explain the pushes after all.")
+    assert "The diagnosis failed: too few pushes. The robot went on" in third

@@ -7,15 +7,21 @@ from dataclasses import asdict, astuple, fields, replace
 import numpy as np
 import pytest
 from pushed_object import FINGER_RADIUS, TestBed
+from pydrake.common.value import AbstractValue
 from pydrake.common.yaml import yaml_dump_typed, yaml_load_typed
 from pydrake.geometry import SceneGraph
 from pydrake.math import RigidTransform, RollPitchYaw
 from pydrake.multibody.math import SpatialVelocity
 from pydrake.multibody.plant import MultibodyPlant
+from pydrake.systems.analysis import Simulator
+from pydrake.systems.framework import Context, DiagramBuilder
+from pydrake.systems.sensors import ImageDepth32F
 
 from slipmap.diagrams.station.hidden_effects import (
     HiddenEffects,
     HiddenEffectsConfig,
+    LatePictures,
+    SensorLatency,
     TableFrictionField,
     TableTilt,
     Tether,
@@ -24,6 +30,7 @@ from slipmap.diagrams.station.hidden_effects import (
     tilted_gravity,
 )
 from slipmap.diagrams.station.sliding_object import add_sliding_object
+from slipmap.diagrams.systems.python_system import PythonSystem
 from slipmap.models.effects import LIBRARY
 from slipmap.models.effects.registry import effects_named
 from slipmap.models.objects.benchmark_objects import benchmark_object
@@ -201,3 +208,37 @@ def test_configuration_goes_through_yaml() -> None:
     config = HiddenEffectsConfig(**SHOWN)  # type: ignore[arg-type]
     again = yaml_load_typed(schema=HiddenEffectsConfig, data=yaml_dump_typed(config))
     assert asdict(again) == asdict(config)
+
+
+class _Clock(PythonSystem):
+    """Pictures of one pixel that shows the time."""
+
+    def __init__(self) -> None:
+        super().__init__()
+
+        def show(context: Context, output: AbstractValue) -> None:
+            output.set_value(ImageDepth32F(1, 1, context.get_time()))
+
+        self.DeclareAbstractOutputPort("image", lambda: AbstractValue.Make(ImageDepth32F()), show)
+
+
+@pytest.mark.parametrize("latency", [0.08, 0.1, 0.13, 0.29])
+def test_late_pictures_show_what_was_a_while_ago(latency: float) -> None:
+    builder, period = DiagramBuilder(), 0.1
+    late = builder.AddSystem(LatePictures(latency, period))
+    builder.Connect(builder.AddSystem(_Clock()).get_output_port(), late.get_input_port())
+    simulator = Simulator(builder.Build())
+    context = late.GetMyContextFromRoot(simulator.get_context())
+    simulator.Initialize()
+    assert late.get_output_port().Eval(context).width() == 0  # nothing was taken so long ago
+    for look in range(5, 9):
+        simulator.AdvanceTo(look * period)
+        shown = late.get_output_port().Eval(context).data[0, 0, 0]
+        assert look * period - shown == pytest.approx(latency, abs=1e-6)
+
+
+def test_a_station_with_late_pictures_moves_nothing() -> None:
+    config = HiddenEffectsConfig(sensor_latency=SensorLatency(0.08))
+    assert not config.is_null and not config.is_forceful
+    with pytest.raises(ValueError, match=r"at most 0.3 s, got 0.5"):
+        HiddenEffectsConfig(sensor_latency=SensorLatency(0.5)).check()

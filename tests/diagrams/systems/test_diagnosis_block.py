@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import dataclass, replace
 from types import SimpleNamespace
 
@@ -9,14 +10,17 @@ import numpy as np
 import pytest
 from driven_block import DrivenBlock
 
+from slipmap.diagrams.systems import diagnosis
 from slipmap.diagrams.systems.diagnosis import PERIOD, Diagnosis, Repair
 from slipmap.diagrams.systems.model_monitor import Judged, Watch
 from slipmap.models.effects.registry import effects_named
 from slipmap.models.inference.diagnosis import procedure
+from slipmap.models.measurements import DatasetError
 from slipmap.planners.settings import RepairSettings
 
 SETTINGS = RepairSettings(pushes=4, fewest=5, doubt=10.0, probation=2)
 PUSHES = 5  # of exploring
+QUESTION = SimpleNamespace(words="table_tilt from tether")
 
 
 @dataclass(frozen=True)
@@ -28,36 +32,65 @@ class Push:
 
 
 class Robot(DrivenBlock):
-    """A block whose diagnoses are what the test says, and which notes what it was asked."""
+    """A block whose diagnoses are what the test says, and which notes what it was asked.
 
-    def __init__(self, monkeypatch, *answers: tuple[str, tuple[str, ...]], settled: int = 0, **given) -> None:
+    Without effects the model of the test is `without` off, m.
+    """
+
+    def __init__(self, monkeypatch, *answers, without: float = 0.03, **given) -> None:
         self.asked: list[int] = []
         waiting = list(answers)
 
         def diagnose(dataset, *, seed):
             assert all(push.role == "fit" for push in dataset)
             self.asked.append(len(dataset))
-            verdict, effects = waiting.pop(0)
+            answer = waiting.pop(0)
+            if isinstance(answer, Exception):
+                raise answer
+            verdict, effects = answer
             named = effects_named(effects)
             rivals = [(effect,) for effect in named] if verdict == "ambiguous" else [named] if named else []
             rivals = [SimpleNamespace(effects=tuple(rival)) for rival in rivals]
             return SimpleNamespace(verdict=verdict, rivals=rivals, sentence=f"{verdict}.")
 
         monkeypatch.setattr(procedure, "diagnose", diagnose)
-        block = Diagnosis(lambda trials, grid: trials, SETTINGS, pushes=PUSHES, settled=settled, **given)
+        monkeypatch.setattr(
+            diagnosis,
+            "robots_question",
+            lambda found, dataset: (
+                QUESTION if found.verdict in ("effect", "ambiguous", "undecided") else None
+            ),
+        )
+        monkeypatch.setattr(
+            diagnosis, "learning", lambda effects: lambda trials, seed: SimpleNamespace(belief=effects)
+        )
+        self.compared: list[tuple[str, ...]] = []
+
+        def predict(belief, trials):
+            self.compared.append(belief)
+            return [SimpleNamespace(final_add=without) for _ in trials]
+
+        monkeypatch.setattr(diagnosis, "predict", predict)
+        block = Diagnosis(lambda trials, grid: trials, SETTINGS, pushes=PUSHES, **given)
         super().__init__(block, trials=(), cell_grid=None, watch=watch(0))
         self.advance(0.5 * PERIOD)
 
+    judged: tuple[Judged, ...] = ()
+
     def push(self, count: int, **seen) -> Repair:
         """The repair after so many pushes and what the monitor made of them."""
-        self.set(trials=tuple(Push(k) for k in range(count)), watch=watch(count, **seen))
+        self.judged = (*self.judged, judged(count, self.read("effects"), **seen))
+        self.set(trials=tuple(Push(k) for k in range(count)), watch=Watch(count, np.zeros(3), self.judged))
         self.advance(2 * PERIOD)
         return self.read("repair")
 
 
-def watch(count: int, evidence: float = 1.0, alarm: bool = False) -> Watch:
-    judged = Judged(count - 1, 1.0, 0.5, evidence, alarm, 1e-3, 5e-3, alarm)
-    return Watch(count, np.zeros(3), (judged,))
+def judged(count, effects=(), evidence=1.0, alarm=False, error=1e-3, p=0.5) -> Judged:
+    return Judged(count - 1, 1.0, p, evidence, alarm, error, 5e-3, alarm, tuple(effects), 0.05)
+
+
+def watch(count: int, **seen) -> Watch:
+    return Watch(count, np.zeros(3), (judged(count, **seen),))
 
 
 def actions(repair: Repair) -> list[str]:
@@ -106,6 +139,7 @@ def test_where_the_answer_is_open_another_push_is_asked_for_up_to_the_budget(mon
         repair = robot.push(count, alarm=True)
         assert repair.wanted == min(count + 1, most)
     assert actions(repair) == ["pushes on"] * (most - PUSHES) + ["goes on without"]
+    assert repair.question is None
 
 
 @pytest.mark.parametrize("verdict", ["unknown", "adequate"])
@@ -133,7 +167,7 @@ def test_an_effect_that_is_named_again_is_kept(monkeypatch):
 
 
 def test_pushes_of_an_earlier_process_are_settled(monkeypatch):
-    robot = Robot(monkeypatch, ("effect", ("tether",)), settled=6)
+    robot = Robot(monkeypatch, ("effect", ("tether",)), before=Repair(6))
     assert robot.push(6, alarm=True) == Repair(6)
     assert replace(robot.push(7, alarm=True), findings=()).effects == ("tether",)
 
@@ -146,3 +180,85 @@ def test_effects_that_the_user_gave_are_never_dropped(monkeypatch):
     assert robot.push(6, alarm=True).effects == ("table_tilt",)
     repair = robot.push(7, alarm=True)
     assert (repair.effects, actions(repair)) == (("table_tilt",), ["adopts", "drops", "goes on without"])
+
+
+@pytest.mark.parametrize("effects", [(), ("table_tilt",)])
+def test_a_diagnosis_that_fails_is_told_and_the_robot_goes_on(monkeypatch, effects):
+    error = DatasetError("dataset recorded has no push left to fit")
+    answers = [("effect", effects)] if effects else []
+    robot = Robot(monkeypatch, *answers, error, ("effect", ("tether",)))
+    for count in range(5, 6 + len(answers)):
+        repair = robot.push(count, alarm=True)
+    assert (repair.trials, repair.effects) == (count, effects)
+    assert actions(repair)[-1] == ("keeps" if effects else "goes on without")
+    assert repair.findings[-1].verdict == "failed" and str(error) in repair.findings[-1].sentence
+    assert robot.push(count + 1, alarm=True).effects == ("tether",)  # the next alarm is looked into again
+
+
+@pytest.mark.parametrize(
+    ("errors", "without", "action", "said"),
+    [
+        ((0.003, 0.005), 0.030, "keeps", "2 pushes ended 4.0 mm off on average; without, 30.0 mm."),
+        ((0.030, 0.020), 0.010, "drops", "2 pushes ended 25.0 mm off on average; without, 10.0 mm."),
+        # The first push does not tell, being about as far off with the effect as without.
+        ((0.0105, 0.030), 0.010, "drops", "1 push ended 30.0 mm off on average; without, 10.0 mm."),
+        ((0.0105, 0.0105), 0.010, "keeps", "10.5 mm off on average; without, 10.0 mm. They do not tell."),
+    ],
+)
+def test_an_adopted_effect_has_to_lower_the_error_of_the_next_pushes(
+    monkeypatch, errors, without, action, said
+):
+    robot = Robot(monkeypatch, ("effect", ("tether",)), without=without)
+    robot.push(5, alarm=True)
+    for count, error in enumerate(errors, 6):
+        repair = robot.push(count, error=error)
+    assert actions(repair) == ["adopts", action] and robot.compared == [()]
+    assert repair.effects == (("tether",) if action == "keeps" else ())
+    assert repair.findings[-1].sentence.endswith(said)
+    assert actions(robot.push(8)) == ["adopts", action]  # it was tried once and for all
+
+
+def test_what_is_left_is_the_question_of_the_next_pushes(monkeypatch):
+    robot = Robot(monkeypatch, ("undecided", ()), ("unknown", ()))
+    repair = robot.push(5, alarm=True)
+    assert repair.question is QUESTION and repair.findings[-1].telling == QUESTION.words
+    repair = robot.push(6, alarm=True)
+    assert repair.question is None and repair.findings[-1].telling == ""
+
+
+def test_another_process_goes_on_with_the_effect_and_its_trial(monkeypatch):
+    first = Robot(monkeypatch, ("effect", ("tether",))).push(5, alarm=True)
+    stored = Repair.of_run(json.loads(json.dumps(first.to_run())))
+    assert stored == replace(first, question=None)
+    robot = Robot(monkeypatch, before=stored, without=0.0)
+    assert robot.read("effects") == ("tether",)
+    robot.push(6, error=0.01)
+    assert actions(robot.push(7, error=0.01)) == ["adopts", "drops"]
+
+
+def test_another_process_asks_an_open_question_anew(monkeypatch):
+    first = Robot(monkeypatch, ("undecided", ())).push(5, alarm=True)
+    robot = Robot(monkeypatch, ("undecided", ()), before=Repair.of_run(first.to_run()))
+    assert robot.push(5, alarm=True) == first and robot.asked == [5]
+
+
+def test_pushes_that_surprise_together_are_looked_into_though_none_does_alone(monkeypatch):
+    robot = Robot(monkeypatch, ("undecided", ()), ("adequate", ()), ("adequate", ()))
+    for count in range(1, 13):
+        robot.push(count, p=0.15)
+    # From the fewest on, again at once while the answer is open, and then after a rest.
+    assert robot.asked == [SETTINGS.fewest, SETTINGS.fewest + 1, SETTINGS.fewest + 1 + SETTINGS.every]
+    quiet = Robot(monkeypatch)
+    for count in range(1, 13):
+        quiet.push(count, p=0.4)
+    assert quiet.asked == []
+
+
+def test_an_effect_is_tried_against_the_one_that_it_replaced(monkeypatch):
+    robot = Robot(monkeypatch, ("effect", ("tether",)), ("effect", ("table_tilt",)), without=0.002)
+    robot.push(5, alarm=True)
+    robot.push(6, alarm=True)
+    robot.push(7, error=0.01)
+    repair = robot.push(8, error=0.01)
+    assert robot.compared == [("tether",)]
+    assert (repair.effects, actions(repair)) == (("tether",), ["adopts", "adopts", "drops"])

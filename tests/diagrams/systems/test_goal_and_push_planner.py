@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -10,6 +11,7 @@ from driven_block import DrivenBlock, seen_at
 
 from slipmap.diagrams.systems.goal_and_push_planner import PERIOD, GoalAndPushPlanner
 from slipmap.diagrams.systems.loop_messages import LoopStatus, PregraspPlan
+from slipmap.models.effects.registry import effects_named
 from slipmap.models.objects.benchmark_objects import benchmark_object
 from slipmap.models.perception.seen_object import ObservedPose
 from slipmap.planners.settings import GoalSettings, PregraspSettings, PushSettings
@@ -104,6 +106,17 @@ def test_without_a_goal_it_says_why(options):
     plan = Planner(**options).plan()
     assert (plan.push, plan.grasp) == (None, None)
     assert "of 200 poses at the edge" in plan.reason
+
+
+def test_a_belief_with_another_effect_is_planned_with_anew():
+    maps = replace(BELIEF.maps, effects=np.full((len(BELIEF), 2), 0.15))
+    tilted = replace(BELIEF, maps=maps, effects=effects_named(["table_tilt"]))
+    planner = Planner()
+    planner.plan(5)
+    ours, theirs = planner.plan(6, belief=tilted), Planner().plan(6, belief=tilted)
+    assert (ours.push.push.end == theirs.push.push.end).all()
+    assert (ours.push.predicted == theirs.push.predicted).all()
+    assert (ours.push.predicted != Planner().plan(6).push.predicted).any()
 
 
 def test_the_true_maps_are_asked_for_by_the_method_true_alone():

@@ -263,3 +263,18 @@ def test_a_push_is_looked_into_and_may_ask_for_more():
     loop.step(trials=2 * (object(),))
     assert loop.step(learned=2).mode == "diagnosing"
     assert mode(loop.step(repair=Repair(2, ("table_tilt",), wanted=2))) == ("finished", 2, 0)
+
+
+def test_where_a_diagnosis_left_a_question_the_next_push_is_to_answer_it():
+    loop = Loop(fit=2)
+    loop.begin_push()
+    loop.step(execution=ExecutionStatus("home", 0))
+    loop.step(trials=(object(),), repair=Repair(0))
+    asking = Repair(1, question=object())
+    assert mode(loop.step(learned=1)) == ("diagnosing", 0, 0)
+    assert mode(loop.step(repair=asking)) == ("looking", 1, 0)
+    assert mode(loop.step(object_pose=seen_at(0, 0, 0))) == ("telling apart", 1, 0)
+    number = loop.read("status").number
+    assert mode(loop.step(plan=ExplorationPlan(number, CHOICE))) == ("pushing", 1, 0)
+    refused = ExecutionStatus("refused", number, "too far")
+    assert mode(loop.step(execution=refused)) == ("telling apart", 1, 1)

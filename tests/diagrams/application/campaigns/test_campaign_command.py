@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from schemas import assert_as_described, assert_json_as_described, validator
 
-from slipmap.diagrams.application.campaigns import pregrasp_success, tilted_table, whole_procedure
+from slipmap.diagrams.application.campaigns import adaptation, pregrasp_success, tilted_table, whole_procedure
 from slipmap.diagrams.application.campaigns.experiments import ABOUT, experiment_of
 from slipmap.diagrams.application.campaigns.pregrasp_success import near
 from slipmap.diagrams.application.campaigns.trials import TrialOutcome, write_outcome
@@ -51,6 +51,8 @@ def _pretend(figure: str, seed: int, parameters: dict[str, Any]) -> dict[str, An
         good = parameters["model"] == "with the tilt" or seed == 1
         fate, errors = ("success", [2e-3, 4e-3]) if good else ("missed", [])
         return {"success": good, "fate": fate, "pushes": 2, "reason": "", "yaw": 0.0, "errors": errors}
+    if figure == "adapt":
+        return _adapted(seed, **parameters)
     good = parameters["method"] == "true" or seed % 2 == 0
     if figure == "fig7":
         return {"fate": "held" if good else "dropped", "pushes": [{}] * (3 + seed), "reason": "", "yaw": 0.0}
@@ -61,6 +63,20 @@ def _pretend(figure: str, seed: int, parameters: dict[str, Any]) -> dict[str, An
         "reason": "",
         "yaw": 0,
     }
+
+
+def _adapted(seed: int, object_name: str, hidden: str, robot: str) -> dict[str, Any]:
+    """Of the tilt, seed 0 is named, 1 is equivalent and 2 is not; else nothing is adopted."""
+    adapting = robot == "adapting"
+    effects = ["table_tilt" if seed == 0 else "tether"] if adapting and hidden == "tilt" else []
+    errors = [(0.020, []), (0.030, []), (0.002 if seed < 2 else 0.015, effects)]
+    judged = [
+        {"trial": k, "error": e, "moved": 0.1, "effects": given} for k, (e, given) in enumerate(errors, 1)
+    ]
+    fate = "held" if adapting or hidden != "tilt" else "fell"
+    repair = {"effects": effects, "findings": []} if adapting else None
+    return {"fate": fate, "pushes": [{}] * (2 if adapting else 3), "reason": "", "yaw": 0.0,
+            "judged": judged, "repair": repair}  # fmt: skip
 
 
 def _campaign(figure: str, folder: Path, objects: Sequence[str], trials: int) -> tuple[int, dict[str, Any]]:
@@ -237,6 +253,37 @@ def test_what_the_missing_tilt_costs(tmp_path: Path, capsys: pytest.CaptureFixtu
         "with the tilt": {"success": 2},
     }
     assert _lines(capsys.readouterr().out, "missed")[0].split() == ["missed", "1", "0"]
+
+
+def test_what_a_robot_that_adapts_adopts(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    code, document = _campaign("adapt", tmp_path, ["book"], 3)
+    assert code == 0
+    told = document["hidden"]
+    assert set(told) == set(adaptation.HIDDEN)
+    assert told["tilt"]["answers"] == {"named": 1, "equivalent": 1, "other": 1, "none": 0}
+    assert [told[name]["right"]["value"] for name in ("tilt", "nothing", "film")] == [2 / 3, 1.0, 0.0]
+    errors = told["tilt"]["errors"]
+    assert (errors["before"]["value"], errors["before"]["count"]) == (pytest.approx(0.25), 3)
+    assert errors["ratio"]["value"] == pytest.approx((0.08 + 0.08 + 0.6) / 3)
+    held = told["tilt"]["held"]
+    assert (held["adapting"]["value"], held["plain"]["value"]) == (1.0, 0.0)
+    assert told["tilt"]["pushes"]["plain"]["value"] == 3.0
+    assert "3 fell" in _lines(capsys.readouterr().out, "tilt")[-1]
+
+
+def test_what_is_hidden_alone(tmp_path: Path) -> None:
+    specs = experiment_of("adapt").specs(["book"], 1, 0, "plant")
+    assert len(specs) == 2 * len(adaptation.HIDDEN)
+    files = tmp_path / "adapt-plant"
+    files.mkdir()
+    for spec in specs:
+        if spec.parameters["hidden"] == "film":
+            write_outcome(TrialOutcome(spec, _pretend("adapt", 0, dict(spec.parameters)), None, 1.0), files)
+    assert run(["campaign", "adapt", "--objects", "book", "--methods", "film", "--trials", "1",
+                "-o", str(tmp_path)]) == 0  # fmt: skip
+    assert sorted(path.stem for path in files.glob("*.json")) == [
+        "book-film-adapting-0", "book-film-plain-0"
+    ]  # fmt: skip
 
 
 def test_the_tilted_table_is_the_plants_alone(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -1,0 +1,197 @@
+"""Whether a robot that repairs its model on the way names what was hidden from it, and what that is good for.
+
+Beyond the paper. Each cell of the station is run twice, with `--adapt` and without: explored, brought to the
+edge, grasped and lifted.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from slipmap.diagrams.application.campaigns import experiments
+from slipmap.diagrams.application.campaigns.trials import Estimate, TrialOutcome, mean, share
+from slipmap.diagrams.application.campaigns.whole_procedure import FATES, taken
+from slipmap.diagrams.station.hidden_effects import (
+    HiddenEffectsConfig,
+    SensorLatency,
+    TableFrictionField,
+    TableTilt,
+    Tether,
+    ViscousFriction,
+)
+from slipmap.diagrams.station.scenario import Scenario
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+ROBOTS = ("adapting", "plain")
+"""How the robot is run: with `--adapt`, or without."""
+
+NOTHING = "nothing"
+
+HIDDEN: dict[str, HiddenEffectsConfig] = {
+    NOTHING: HiddenEffectsConfig(),
+    "tilt": HiddenEffectsConfig(table_tilt=TableTilt(down_x=float(np.radians(2.0)))),
+    "latency": HiddenEffectsConfig(sensor_latency=SensorLatency(0.08)),
+    # Friction is halved on a place beside the middle.
+    "patch": HiddenEffectsConfig(
+        table_friction_field=TableFrictionField(patch=-0.7, patch_x=0.08, patch_y=0.05, patch_radius=0.12)
+    ),
+    "film": HiddenEffectsConfig(viscous_friction=ViscousFriction(400.0)),
+    "tether": HiddenEffectsConfig(tether=Tether(stiffness=5.0, anchor_x=0.35, anchor_y=0.2, slack=0.2)),
+}
+"""What is hidden, by the words of the table."""
+
+NAMES = {
+    "tilt": "table_tilt",
+    "latency": "sensor_latency",
+    "patch": "table_friction_field",
+    "film": "viscous_friction",
+    "tether": "tether",
+}
+"""The effect of the library that is right."""
+
+FELL = 0.4
+"""Share of the error before to which another effect has to lower that of the next pushes to be equivalent."""
+
+NEXT = 5
+"""Pushes after the adoption that count."""
+
+
+def trial(*, seed: int, object_name: str, hidden: str, robot: str) -> dict[str, Any]:
+    """Let the robot take an object; see `whole_procedure`.
+
+    Args:
+        hidden: one of `HIDDEN`.
+        robot: one of `ROBOTS`.
+
+    Returns:
+        What `PregraspRun.to_json` tells, `yaw`, `judged`, how far each push that was predicted ended off and
+        moved the object (m), its p, whether there was an alarm, and with which effects, and `repair`.
+
+    Raises:
+        KeyboardInterrupt: Ctrl-C, which says nothing of the object.
+    """
+    scenario = Scenario(hidden=HIDDEN[hidden])
+    told, run = taken(scenario, seed, object_name, "probabilistic", adapt=robot == "adapting")
+    if run is None:
+        return told | {"judged": [], "repair": None}
+    names = ("trial", "error", "moved", "p", "alarm")
+    judged = [
+        {name: getattr(one, name) for name in names} | {"effects": list(one.effects)}
+        for one in run.watch.judged
+    ]
+    return told | {"judged": judged, "repair": None if run.repair is None else run.repair.to_json()}
+
+
+def adopted(result: dict[str, Any]) -> list[str]:
+    """Effects that the model had in the end."""
+    return [] if result["repair"] is None else list(result["repair"]["effects"])
+
+
+def errors_by_adoption(result: dict[str, Any]) -> tuple[float, float] | None:
+    """Median share of the way by which pushes ended off, before the effects that the model has in the end and
+    over the next ones with them; None where there are none of either."""
+    effects = set(adopted(result))
+    with_them = [push for push in result["judged"] if effects and effects <= set(push["effects"])]
+    if not with_them:
+        return None
+    before = [push for push in result["judged"] if push["trial"] < with_them[0]["trial"]]
+    if not before:
+        return None
+
+    def median(pushes: Sequence[dict[str, Any]]) -> float:
+        return float(np.median([push["error"] / max(push["moved"], 1e-3) for push in pushes]))
+
+    return median(before), median(with_them[:NEXT])
+
+
+def answer(hidden: str, result: dict[str, Any]) -> str:
+    """What the robot made of what was hidden: `none` adopted, `named`, `equivalent`, or `other`."""
+    effects = adopted(result)
+    if not effects:
+        return "none"
+    if NAMES.get(hidden) in effects:
+        return "named"
+    errors = errors_by_adoption(result)
+    lowered = errors is not None and errors[1] <= FELL * errors[0]
+    return "equivalent" if lowered and hidden != NOTHING else "other"
+
+
+_ANSWERS = ("named", "equivalent", "other", "none")
+
+
+def _summary(outcomes: Sequence[TrialOutcome]) -> experiments.Summary:
+    every: dict[str, dict[str, list[dict[str, Any]]]] = {}
+    for outcome in outcomes:
+        told = outcome.spec.parameters
+        of = every.setdefault(told["hidden"], {robot: [] for robot in ROBOTS})
+        if outcome.result is not None:
+            of[told["robot"]].append(outcome.result)
+    answers, off, delivered, fates, held, document = [], [], [], [], {}, {}
+    for hidden, of in every.items():
+        said = [answer(hidden, one) for one in of["adapting"]]
+        counts = {name: said.count(name) for name in _ANSWERS}
+        right = counts["none"] if hidden == NOTHING else counts["named"] + counts["equivalent"]
+        found = share(right, len(said))
+        fell = [pair for one in of["adapting"] if (pair := errors_by_adoption(one)) is not None]
+        errors = {
+            "before": mean([pair[0] for pair in fell]),
+            "after": mean([pair[1] for pair in fell]),
+            "ratio": mean([pair[1] / pair[0] for pair in fell]),
+        }
+        held[hidden] = {robot: share(_count(of[robot], "held"), len(of[robot])) for robot in ROBOTS}
+        pushes = {robot: mean([len(one["pushes"]) for one in of[robot]]) for robot in ROBOTS}
+        answers.append([hidden, str(len(said)), *(str(counts[name]) for name in _ANSWERS), found.percent()])
+        two = (errors[name].short(1e2) for name in ("before", "after"))
+        off.append([hidden, str(len(fell)), *two, errors["ratio"].short(digits=2)])
+        numbers = (pushes[robot].short(digits=2) for robot in ROBOTS)
+        delivered.append([hidden, *(held[hidden][robot].percent() for robot in ROBOTS), *numbers])
+        fates.append([hidden, *(_fates(of[robot]) for robot in ROBOTS)])
+        document[hidden] = {
+            "answers": counts,
+            "right": found.to_json(),
+            "errors": experiments.as_json(errors),
+            "held": experiments.as_json(held[hidden]),
+            "pushes": experiments.as_json(pushes),
+        }
+    title = "Explored, brought to the edge, grasped and lifted"
+    columns = ("hidden", *(f"held {robot}, %" for robot in ROBOTS), *(f"pushes {robot}" for robot in ROBOTS))
+    return experiments.Summary(
+        [
+            experiments.TableText("What was adopted", ("hidden", "trials", *_ANSWERS, "right, %"), answers),
+            experiments.TableText(
+                "Where pushes end off their prediction, median of a trial, % of their way",
+                ("hidden", "trials", "before", "with the effect", "ratio"),
+                off,
+            ),
+            experiments.TableText(title, columns, delivered),
+            experiments.TableText("How trials ended", ("hidden", *ROBOTS), fates),
+        ],
+        f"Another effect is equivalent where it lowers the error of the next {NEXT} pushes to {FELL:.0%} or"
+        " less; where nothing is hidden, none is right. Pushes are those to the edge.",
+        {"hidden": document},
+        lambda: [_figure(title, held)],
+    )
+
+
+def _count(results: Sequence[dict[str, Any]], fate: str) -> int:
+    return sum(one["fate"] == fate for one in results)
+
+
+def _fates(results: Sequence[dict[str, Any]]) -> str:
+    return ", ".join(f"{_count(results, fate)} {fate}" for fate in FATES if _count(results, fate)) or "–"
+
+
+def _figure(title: str, held: dict[str, dict[str, Estimate]]) -> Figure:
+    from slipmap.diagrams.application.figures.campaign_figures import shares_figure
+
+    return shares_figure(title, held, {})
+
+
+ADAPTATION = experiments.Experiment(
+    "adapt", 3, trial, _summary, {"hidden": tuple(HIDDEN), "robot": ROBOTS}, plant_alone="the robot's cell"
+)
