@@ -1,6 +1,6 @@
 """Every command ended at ten moments: `python -m tests.diagrams.application.kill_study FOLDER [COMMAND...]`.
 
-Each runs to its end once, and then again and again, ended by SIGINT and by SIGKILL at ten moments of that time.
+Each runs to its end once, and then again and again, ended by SIGINT and SIGKILL at ten moments of that time.
 Said is what is wrong then: another exit code than 130 (or that of the whole run, where the signal came too
 late, or where Ctrl-C is how the command ends), a traceback, a process left behind, a file that is not whole
 or has no place beside the others, and whether the same command, or `--resume`, goes on afterwards.
