@@ -41,7 +41,7 @@ class DatasetError(ValueError):
         >>> try:
         ...     slipmap.read_dataset("nowhere")
         ... except slipmap.DatasetError as error:
-        ...     print(str(error)[:41])
+        ...     print(str(error).split(";")[0])
         'nowhere': there is no such file or folder
     """
 
