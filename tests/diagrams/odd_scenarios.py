@@ -74,7 +74,7 @@ TRIED: dict[str, dict[str, Any]] = {
     "thin": shape("sheet"),
     "small": shape("die"),
     "four cells": block(cells=4),
-    "creeping arm": {"object": BLOCK, "execution": {"transit_speed": 0.01}},
+    "creeping arm": {"object": BLOCK, "execution": {"transit_speed": 0.05}},
     "pokes of 5 mm": {"object": BLOCK, "pokes": {"shortest": 0.005, "longest": 0.005}},
 }  # fmt: skip
 """Scenarios that only a run decides, by name."""
