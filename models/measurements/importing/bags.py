@@ -195,7 +195,8 @@ def _ros(path: Path, where: str, topics: Collection[str]) -> Iterator[_Message]:
 def _unpacked(path: Path, where: str) -> Iterator[tuple[Path, Callable[[bytes], bytes]]]:
     """A bag of ROS 2 that was packed by zstd, as one that is not, and what unpacks a message of it; rosbags
     would unpack without a bound."""
-    mode, about = "", {}
+    mode = ""
+    about: dict[str, Any] = {}
     if path.is_dir():
         _, about = parsing.read_yaml(path / "metadata.yaml", f"{where}, metadata.yaml")
         mode = str(about["rosbag2_bagfile_information"].get("compression_mode", "")).lower()

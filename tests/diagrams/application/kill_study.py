@@ -1,4 +1,4 @@
-"""Every command ended at ten moments: `python -m tests.diagrams.application.kill_study FOLDER [COMMAND...]`.
+"""Every command ended at ten moments: `python -m tests.diagrams.application.kill_study FOLDER`.
 
 Each runs to its end once, and then again and again, ended by SIGINT and SIGKILL at ten moments of that time.
 Said is what is wrong then: another exit code than 130 (or that of the whole run, where the signal came too
@@ -8,6 +8,7 @@ or has no place beside the others, and whether the same command, or `--resume`, 
 
 from __future__ import annotations
 
+import argparse
 import json
 import os
 import shutil
@@ -29,7 +30,6 @@ from slipmap.models.measurements import write_dataset
 from tests.hardware.made_up_cell import MadeUpCell
 from tests.models.measurements.importing.lab_session import lab_session
 
-MOMENTS = 10
 MARK = "SLIPMAP_KILL_STUDY"
 """Environment variable by which processes that a command left behind are known."""
 SMALL = "camera: {width: 480, height_pixels: 360, rate: 5.0}\nsimulation: {time_step: 0.005}\n"
@@ -87,24 +87,35 @@ CASES = {
 
 def main() -> None:
     """End the commands that are named, or all."""
-    folder = Path(sys.argv[1])
-    data = made_data(folder / "data")
-    for name in sys.argv[2:] or CASES:
-        out, case = folder / "out" / name, CASES[name]
+    reader = argparse.ArgumentParser(description=__doc__)
+    reader.add_argument("folder", type=Path)
+    reader.add_argument("commands", nargs="*", metavar="COMMAND", default=list(CASES))
+    reader.add_argument("--moments", type=int, default=10)
+    asked = reader.parse_args()
+    data = made_data(asked.folder / "data")
+    for name in asked.commands:
+        out, case, faults, stopped = asked.folder / "out" / name, CASES[name], 0, 0
+
+        def complain(text: str) -> None:
+            nonlocal faults
+            faults += 1
+            print(f"    {text}", flush=True)
+
         fresh(out)
         seconds, whole = whole_run(case, out, data)
-        complaints = [] if whole == 0 else [f"the whole run ends with {whole}"]
-        stopped = 0
+        print(f"{name}: {seconds:.1f} s", flush=True)
+        if whole:
+            complain(f"the whole run ends with {whole}")
         for number in (signal.SIGINT, signal.SIGKILL):
-            for moment in range(MOMENTS):
+            for moment in range(asked.moments):
                 fresh(out)
-                ended = End(case, out, data, number, (moment + 0.5) / MOMENTS * seconds)
+                ended = End(case, out, data, number, (moment + 0.5) / asked.moments * seconds)
                 stopped += ended.signalled
-                said = f"{number.name} at {ended.moment:.1f} s: "
-                complaints += [said + text for text in ended.complaints(whole)]
-        complaints += goes_on(case, out, data)
-        print(f"{name}: {seconds:.1f} s, {stopped} of {2 * MOMENTS} stopped, {len(complaints)} complaints")
-        print("".join(f"    {text}\n" for text in complaints), end="", flush=True)
+                for text in ended.complaints(whole):
+                    complain(f"{number.name} at {ended.moment:.1f} s: {text}")
+        for text in goes_on(case, out, data):
+            complain(text)
+        print(f"{name}: {stopped} of {2 * asked.moments} were stopped, {faults} complaints", flush=True)
 
 
 def fresh(out: Path) -> None:
