@@ -48,6 +48,7 @@ from .models.inference.prediction import predict as predict
 from .models.measurements.dataset_check import check_dataset as check_dataset
 from .models.measurements.importing import guess_setup as guess_setup, import_dataset as import_dataset
 from .models.measurements.push_dataset import (
+    DatasetError as DatasetError,
     KnownMaps as KnownMaps,
     PushDataset as PushDataset,
     Table as Table,

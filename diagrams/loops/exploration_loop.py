@@ -18,7 +18,7 @@ from slipmap.diagrams.execution.plans import ArmChecks
 from slipmap.diagrams.execution.push_executor import ObjectWatch, PushExecutor
 from slipmap.diagrams.hardware.guard import CommandGuard
 from slipmap.diagrams.hardware.interface import HardwareInterface
-from slipmap.diagrams.perception.cell_perception import CellPerception
+from slipmap.diagrams.perception.cell_perception import FRAMES, CellPerception
 from slipmap.diagrams.station.arm import HOME, arm_model
 from slipmap.diagrams.station.scenario import Scenario, ScenarioError
 from slipmap.diagrams.station.station import Station
@@ -267,7 +267,7 @@ def add_exploration(
     checks = ArmChecks(scenario.arm.models, scenario.table.make(), execution)
 
     trials = () if before is None else before.trials
-    patience = PATIENCE if worker is None else PATIENCE_REAL
+    patience = patience_for(scenario, worker)
     known = None if before is None else (before.first, trials[-1].object_pose.values[-1])
     step = hypothesis_step(scenario.simulation.time_step)
     make_dataset = partial(recorded_dataset, scenario=scenario)
@@ -331,6 +331,11 @@ def output_of(loop: Diagram, system: str, port: str, root: Context) -> Any:
     """What a port of one of a loop's systems says; `root` is the Context of the loop."""
     block = loop.GetSubsystemByName(system)
     return block.GetOutputPort(port).Eval(block.GetMyContextFromRoot(root))
+
+
+def patience_for(scenario: Scenario, worker: Executor | None) -> float:
+    """s that the object may stay out of sight: no less than the pictures of twice a first look take."""
+    return max(PATIENCE if worker is None else PATIENCE_REAL, 2.0 * FRAMES / scenario.camera.rate)
 
 
 def hypothesis_step(time_step: float) -> float:

@@ -25,6 +25,7 @@ from slipmap.diagrams.loops.exploration_loop import (
     recorded_dataset,
 )
 from slipmap.diagrams.loops.run_folder import Recording, RunFolder
+from slipmap.diagrams.perception.cell_perception import FRAMES
 from slipmap.diagrams.station.scenario import Scenario
 from slipmap.diagrams.station.station import Station, take_fixed_steps
 from slipmap.diagrams.systems.diagnosis import Repair
@@ -39,11 +40,13 @@ from slipmap.models.physics.cell_grid import FloatArray
 from slipmap.models.progress import Progress, silent
 from slipmap.planners.exploration import turn
 
-LONGEST = 60.0
-"""s of simulated time for each push, after which the loop is given up."""
-
-LONGEST_REAL = 300.0
-"""The same in a real cell, where learning and planning take their time, s."""
+_LONGEST = 60.0  # s of simulated time for each push, after which the loop is given up, beside moving
+_LONGEST_REAL = 300.0  # s; the same in a real cell, where learning and planning take their time
+_WAY, _DOWN, _PUSHED = (
+    4.0,
+    0.8,
+    0.3,
+)  # m that the finger goes for a push at most: over, down and up, on the table
 
 DOING = {
     "looking": "looking at the object",
@@ -164,7 +167,7 @@ def explore(
     with real_cell(scenario, hardware, options.effects) as (cell, worker):
         loop = exploration_loop(scenario, options, cell=cell, worker=worker, meshcat=meshcat, before=before)
         recording = None if record is None else Recording(loop, record, before)
-        longest = LONGEST if cell is None else LONGEST_REAL
+        longest = longest_push(scenario, real=cell is not None)
         most = pushes + (scenario.repair.pushes if options.adapt else 0)
         ended = run_loop(loop, "supervisor", ("finished", "failed"), longest * most, watch)
         if ended.interrupted and not learn_when_stopped:
@@ -178,6 +181,14 @@ def explore(
             f"exploration stopped at push {ended.status.push + 1} of {pushes}: {ended.reason}", run
         )
     return run
+
+
+def longest_push(scenario: Scenario, *, real: bool) -> float:
+    """s for each push, after which a loop is given up; a slow arm and a slow camera have longer."""
+    moving = scenario.execution
+    way = _WAY / moving.transit_speed + _DOWN / moving.lowering_speed + _PUSHED / moving.push_speed_limit
+    pictures = 2.0 * FRAMES / scenario.camera.rate
+    return (_LONGEST_REAL if real else _LONGEST) + moving.settle + way + pictures
 
 
 @dataclass(frozen=True, eq=False)

@@ -19,6 +19,7 @@ from slipmap.diagrams.loops.exploration_loop import (
     add_exploration,
     connect,
     output_of,
+    patience_for,
 )
 from slipmap.diagrams.loops.run_folder import Recording, RunFolder
 from slipmap.diagrams.perception.sight import Sight
@@ -28,7 +29,7 @@ from slipmap.diagrams.station.sliding_object import GRAVITY
 from slipmap.diagrams.station.station import Station
 from slipmap.diagrams.systems.goal_and_push_planner import GoalAndPushPlanner
 from slipmap.diagrams.systems.loop_messages import LoopStatus, PregraspPlan
-from slipmap.diagrams.systems.supervisors import PATIENCE, PATIENCE_REAL, PregraspSupervisor
+from slipmap.diagrams.systems.supervisors import PregraspSupervisor
 from slipmap.models.files import plain
 from slipmap.models.geometry import placed, relative
 from slipmap.models.objects.true_object import TrueObject
@@ -125,7 +126,7 @@ def pregrasp_loop(
             worker=worker,
         ),
     )
-    patience = PATIENCE if worker is None else PATIENCE_REAL
+    patience = patience_for(scenario, worker)
     commander = builder.AddNamedSystem("pregrasp_supervisor", PregraspSupervisor(patience))
     repaired: list[Wire] = []
     if blocks.diagnosis is not None:
@@ -276,7 +277,7 @@ def pregrasp(
     """
     with real_cell(scenario, hardware, options.exploration.effects) as (cell, worker):
         loop = pregrasp_loop(scenario, options, cell=cell, worker=worker, meshcat=meshcat)
-        patience = exploration_run.LONGEST if cell is None else exploration_run.LONGEST_REAL
+        patience = exploration_run.longest_push(scenario, real=cell is not None)
         return _run(loop, scenario, options, patience, progress, record)
 
 

@@ -28,6 +28,7 @@ def check_placement(scenario: "Scenario", thing: TrueObject) -> None:
     x, y, degrees = scenario.object.pose
     lies = translate(rotate(thing.grid.polygon, degrees, origin=(0.0, 0.0)), x, y)
     _check_table(scenario, thing, lies)
+    _check_size(thing, lies)
     _check_finger(scenario, thing)
     _check_camera(scenario, thing, lies)
 
@@ -80,14 +81,18 @@ def _check_finger(scenario: "Scenario", thing: TrueObject) -> None:
         )
 
 
-def _check_camera(scenario: "Scenario", thing: TrueObject, lies: Polygon) -> None:
-    camera, highest = scenario.camera, float(thing.height.max())
+def _check_size(thing: TrueObject, lies: Polygon) -> None:
+    highest = float(thing.height.max())
     if highest < LEAST_HEIGHT or lies.area < LEAST_AREA:
         raise ValueError(
             f"object {thing.name} is {1e3 * highest:.1f} mm high and covers {1e4 * lies.area:.1f} cm²; from a"
             f" table the camera tells what is {1e3 * LEAST_HEIGHT:.0f} mm high and covers"
             f" {1e4 * LEAST_AREA:.0f} cm² at least"
         )
+
+
+def _check_camera(scenario: "Scenario", thing: TrueObject, lies: Polygon) -> None:
+    camera, highest = scenario.camera, float(thing.height.max())
     if camera.height - highest < NEAREST:
         raise ValueError(
             f"camera.height: from {camera.height:g} m the top of object {thing.name} is"

@@ -97,6 +97,21 @@ def partner_friction(wanted: FloatArray, given: float, what: str) -> FloatArray:
     return wanted * given / (2 * given - wanted)
 
 
+def own_frictions(
+    true_object: TrueObject, table_friction: float, finger_friction: float = FINGER_FRICTION
+) -> tuple[FloatArray, FloatArray]:
+    """Coefficients of the object's own surfaces: cells (n,), and sides (1,), which a finger pushes.
+
+    Raises:
+        ValueError: see `partner_friction`.
+    """
+    name, sides = true_object.name, np.array([true_object.mu_finger])
+    return (
+        partner_friction(true_object.mu, table_friction, f"object {name} on the table"),
+        partner_friction(sides, finger_friction, f"object {name} at the finger"),
+    )
+
+
 def connect_motion(builder: DiagramBuilder, plant: MultibodyPlant, system: LeafSystem) -> None:
     """Connect where the plant's bodies are, and how they move, to the ports of a system named so."""
     for name in ("body_poses", "body_spatial_velocities"):
@@ -129,11 +144,7 @@ def add_sliding_object(
     Raises:
         ValueError: a friction that Drake's rule cannot reach with the given surfaces.
     """
-    name = true_object.name
-    foot_mu = partner_friction(true_object.mu, table_friction, f"object {name} on the table")
-    block_mu = partner_friction(
-        np.array([true_object.mu_finger]), finger_friction, f"object {name} at the finger"
-    )
+    foot_mu, block_mu = own_frictions(true_object, table_friction, finger_friction)
     instance = plant.AddModelInstance(BODY)
     body = plant.AddRigidBody(BODY, instance, spatial_inertia(true_object))
     grid, gravity = true_object.grid, -float(plant.gravity_field().gravity_vector()[2])
@@ -152,7 +163,7 @@ def add_sliding_object(
             )
     contact = _contact(true_object.total_mass * gravity / _BLOCK_SINK, block_mu[0])
     for index, points in enumerate(_block_corners(true_object)):
-        shape = geometry.Convex(points=points, label=f"{name} block {index}")
+        shape = geometry.Convex(points=points, label=f"{true_object.name} block {index}")
         block_shapes.append(
             plant.RegisterCollisionGeometry(body, RigidTransform(), shape, f"block_{index}", contact)
         )

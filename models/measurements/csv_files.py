@@ -185,7 +185,7 @@ def _table(content: bytes, where: str, columns: CsvColumns) -> _Table:
             continue
         if len(cells) != len(header):
             raise DatasetError(f"{where}, row {row}: has {len(cells)} cells, the header {len(header)}")
-        push = "" if push_place is None else cells[push_place].strip()
+        push = "" if push_place is None else parsing.push_label(cells[push_place])
         if push_place is not None and not push:
             raise DatasetError(
                 f"{where}, row {row}: its {PUSH_COLUMN} is empty; say which push it belongs to"

@@ -307,6 +307,12 @@ def listed(names: Sequence[str], most: int = 5) -> str:
     return ", ".join(names[:most]) + (f" and {len(names) - most} more" if len(names) > most else "")
 
 
+def push_label(text: str) -> str:
+    """What numbers a push, as one file has it and another may: 1.0 and 01 are 1."""
+    number = re.fullmatch(r"0*(\d+)(?:[.,]0*)?", text.strip())
+    return number[1] if number else text.strip()
+
+
 def number_in(cell: str, where: str) -> float:
     """The number that a cell of a table holds; Python's underscores are none.
 

@@ -34,7 +34,16 @@ _LEAST_NOISE = {"position": 1e-6, "angle": 1e-5, "tip": 1e-6, "force": 1e-4}  # 
 
 
 class DatasetError(ValueError):
-    """Measurements that cannot be used. Its text is one paragraph: file, trial, row and what to do."""
+    """Measurements that cannot be used. Its text is one paragraph: file, trial, row and what to do.
+
+    Example:
+        >>> import slipmap
+        >>> try:
+        ...     slipmap.read_dataset("nowhere")
+        ... except slipmap.DatasetError as error:
+        ...     print(str(error).split(";")[0])
+        'nowhere': there is no such file or folder
+    """
 
     def __init__(self, text: str):
         super().__init__(" ".join(text.split()))

@@ -22,8 +22,7 @@ def write_dataset(dataset: PushDataset, folder: str | os.PathLike[str], *, overw
 
     All files are written to a folder beside the target, which is then renamed: a reader finds the old
     dataset, the new one or none, never half of one. Trials keep their names where those are relative JSON
-    files, else all are numbered trials/000.json and on. The format has no place for openings in the
-    object; a finger pushes from outside, so they are left out.
+    files, else all are numbered trials/000.json and on.
 
     Args:
         folder: the target; its parents are made.

@@ -43,7 +43,9 @@ _OUTLINE_POINTS = 300
 _INNER_POINTS = 400
 _INSET = 0.006  # m between inner points and the outline, or half of what the object's width allows
 _RIM = 1.5e-3  # m
-_ARM_NEAR = 6  # pixels
+ARM_NEAR = 6
+"""Pixels between object and arm below which the first look waits."""
+
 _REACHES = (4.0, *(3.0,) * 6)  # pixels
 _LARGEST_FILE = 2**29  # bytes, unpacked; pictures are at most 4096 by 4096
 
@@ -136,7 +138,7 @@ def _standing_object(
             f" tells from it and covers more than {1e4 * LEAST_AREA:.0f} cm²",
         )
     if blocked is not None:
-        size = 2 * _ARM_NEAR + 1
+        size = 2 * ARM_NEAR + 1
         around = cv2.dilate(mask.astype(np.uint8), np.ones((size, size), np.uint8)) > 0
         if np.any(around & blocked):
             raise ObjectNotSeen("occluded", "the arm is in front of the object or beside it; move it away")

@@ -134,8 +134,8 @@ SEARCHED = 0.04  # m; the table is looked for this far above and below W's z = 0
 _SAMPLED = 20_000  # pixels; enough for a plane
 _BINS = 40
 _ROUNDS = 12
-_WIDEST, _NARROWEST = 0.012, 0.004  # m; what belongs to the table, from the first to the last round
-_LEAST_SHARE = 0.02  # of the picture
+_WIDEST, NARROWEST = 0.012, 0.004  # m; what belongs to the table, from the first to the last round
+LEAST_SHARE = 0.02  # of the picture
 
 
 class NoTable(ValueError):
@@ -194,15 +194,17 @@ def fit_table(depth: DepthImage, view: View) -> TablePlane:
         view: the camera, with z = 0 of W within 40 mm of the table.
 
     Raises:
-        NoTable: too few readings near z = 0, or no plane among them.
+        NoTable: too few readings, too few near z = 0, or no plane among them.
     """
     step = max(1, int(np.sqrt(depth.size / _SAMPLED)))
     sampled = depth[::step, ::step].astype(float)
     rays = view.rays[::step, ::step].astype(float)
     seen = np.isfinite(sampled) & (sampled > 0)
+    if not (sampled > 0).sum() >= LEAST_SHARE * sampled.size:
+        raise NoTable(f"no table: only {(sampled > 0).sum()} of {sampled.size} sampled pixels have a reading")
     points = view.p_WC + sampled[seen][:, None] * rays[seen]
     near = points[np.abs(points[:, 2]) < SEARCHED]
-    if len(near) < _LEAST_SHARE * sampled.size:
+    if len(near) < LEAST_SHARE * sampled.size:
         raise NoTable(
             f"no table: only {len(near)} of {sampled.size} sampled pixels lie within {1e3 * SEARCHED:.0f} mm "
             f"of z = 0 in the world frame; check the camera's pose X_WC and what the camera sees"
@@ -211,9 +213,12 @@ def fit_table(depth: DepthImage, view: View) -> TablePlane:
     highest = int(np.argmax(count[:-1] + count[1:]))
     plane = np.array([0.0, 0.0, border[highest + 1]])
     columns = np.column_stack([near[:, :2], np.ones(len(near))])
-    for width in np.geomspace(_WIDEST, _NARROWEST, _ROUNDS):
+    for width in np.geomspace(_WIDEST, NARROWEST, _ROUNDS):
         close = np.abs(near[:, 2] - columns @ plane) < width
-        if close.sum() < _LEAST_SHARE * sampled.size:
-            raise NoTable("no table: the points near z = 0 in the world frame do not lie in one plane")
+        if close.sum() < LEAST_SHARE * sampled.size:
+            raise NoTable(
+                "no table: too few of the points near z = 0 in the world frame lie in one plane: see whether the"
+                " table fills enough of the picture, and the camera's noise"
+            )
         plane = np.linalg.lstsq(columns[close], near[close, 2], rcond=None)[0]
     return TablePlane(*(float(value) for value in plane))

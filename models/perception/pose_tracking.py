@@ -135,7 +135,13 @@ def track(
         return ObservedPose.unseen("left the table", time)
     tried = [found for found in (*tried, anywhere) if found is not None]
     misfit = min((found.misfit for found in tried), default=1.0)
-    detail = f"what stands on the table does not fit the outline that was seen first (misfit {misfit:.2f})"
+    detail = (
+        f"what stands on the table does not fit the outline that was seen first (misfit {misfit:.2f},"
+        f" {_GOOD} is"
+        " allowed); it is another thing, or pictures are too noisy"
+        if misfit >= _GOOD
+        else "where the object lies is not sure: too little of it is seen, or pixels are too coarse for it"
+    )
     return ObservedPose.unseen("no object", time, detail)
 
 

@@ -189,17 +189,39 @@ def test_a_log_that_is_not_there(slipmap, tmp_path):
     assert said.code == 2 and "cannot be read (No such file" in said.err
 
 
-def test_record_writes_what_it_heard(slipmap, tmp_path, monkeypatch, recorded):
-    """All of the command but the network, and what the pushes say of the camera."""
-
+def heard_on_the_network(monkeypatch, events: list[Event]) -> None:
     class Stream(list[Event]):
         def __init__(self, url: str, heard: list[str]) -> None:
-            super().__init__(recorded.events)
+            super().__init__(events)
 
         def close(self) -> None:
             pass
 
     monkeypatch.setattr("slipmap.diagrams.hardware.message_stream.MessageStream", Stream)
+
+
+def test_what_is_recorded_as_mcap_can_be_replayed(slipmap, tmp_path, monkeypatch, recorded):
+    """The log holds all that came, junk included; from it the same push is found again."""
+    heard_on_the_network(monkeypatch, recorded.events)
+    monkeypatch.setattr("slipmap.models.inference.camera_lag.camera_lag", lambda dataset, progress: None)
+    cell, log = tmp_path / "cell.yaml", tmp_path / "box.mcap"
+    cell.write_text(CELL)
+    said = slipmap("record", "--scenario", cell, "-o", tmp_path / "box", "--log", log, "--pushes", 1)
+    assert said.code == 0 and f"messages: {log}" in said.err
+    out = tmp_path / "out"
+    said = slipmap("replay", log, "--scenario", cell, "-o", out, "--hypotheses", 2)
+    assert said.code == 0
+    (first,), (again,) = read_dataset(tmp_path / "box").trials, read_dataset(out / "pushes").trials
+    for channel in ("object_pose", "tip_pose", "ft_wrench"):
+        assert np.array_equal(getattr(first, channel).values, getattr(again, channel).values)
+        np.testing.assert_allclose(getattr(first, channel).time, getattr(again, channel).time, atol=1e-9)
+    assert (out / "belief.npz").is_file() and (out / "report.html").is_file()
+
+
+def test_record_writes_what_it_heard(slipmap, tmp_path, monkeypatch, recorded):
+    """All of the command but the network, and what the pushes say of the camera."""
+
+    heard_on_the_network(monkeypatch, recorded.events)
     monkeypatch.setattr("slipmap.models.inference.camera_lag.camera_lag", lambda dataset, progress: None)
     cell = tmp_path / "cell.yaml"
     cell.write_text(CELL)

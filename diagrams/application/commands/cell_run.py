@@ -207,7 +207,9 @@ def scenario_of(path: Path | None, object_name: str | None, *, simulated: bool =
         check_rest(scenario, thing)
         if simulated:
             from slipmap.diagrams.loops.exploration_loop import check_reach
+            from slipmap.diagrams.station.feasibility import check_feasible
 
+            check_feasible(scenario, thing)
             check_reach(scenario, thing)
     except ValueError as error:
         raise BadInput(str(error) if path is None else f"{path}: {error}") from error

@@ -9,11 +9,14 @@ from __future__ import annotations
 import json
 from bz2 import BZ2Decompressor
 from collections.abc import Callable, Collection, Iterator, Mapping
+from contextlib import ExitStack, contextmanager
 from dataclasses import fields, is_dataclass
-from pathlib import Path
+from pathlib import Path, PurePosixPath
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
+import yaml
 
 from slipmap.models.files import UnreadableFile, check_file
 from slipmap.models.measurements import parsing
@@ -29,6 +32,7 @@ from slipmap.models.measurements.push_dataset import DatasetError
 BAG_ENDINGS = (".bag", ".db3", ".mcap")
 
 _LARGEST_CHUNK = 2**28  # bytes of a chunk when unpacked; recorders make chunks of about 1 MB
+_PART = 2**20  # bytes that are unpacked at a time
 _LONGEST_ARRAY = 32  # numbers of a field that become columns
 _DEEPEST = 8
 _NO_POSES = ("Image", "CompressedImage", "PointCloud", "PointCloud2", "LaserScan", "Log", "DiagnosticArray",
@@ -43,7 +47,7 @@ def read_bag(path: Path, where: str, wanted: Collection[str] = ()) -> list[Sourc
     """The topics of a bag, all that may hold poses or forces, or those that are wanted alone.
 
     Raises:
-        DatasetError: a library is not installed, or the bag is broken, packed as a whole, or too large.
+        DatasetError: a library is not installed, or the bag is broken, or too large.
     """
     for file in path.iterdir() if path.is_dir() else [path]:
         try:
@@ -161,11 +165,11 @@ def _ros(path: Path, where: str, topics: Collection[str]) -> Iterator[_Message]:
         raise missing_library(where, "rosbags") from None
     first = path.suffix.lower() == ".bag"
     store = get_typestore(Stores.ROS1_NOETIC if first else Stores.LATEST)
-    with (BagReader if first else FolderReader)(path) as bag:
+    with ExitStack() as stack:
+        place, unpacked = stack.enter_context(_unpacked(path, where))
+        bag = stack.enter_context((BagReader if first else FolderReader)(place))
         if first:
             bag.chunks = {place: _bounded(chunk, where) for place, chunk in bag.chunks.items()}
-        elif bag.compression_mode:
-            raise DatasetError(f"{where}: is a packed bag; unpack it with `ros2 bag convert`")
         chosen = []
         for connection in bag.connections:
             kind = connection.msgtype
@@ -184,7 +188,53 @@ def _ros(path: Path, where: str, topics: Collection[str]) -> Iterator[_Message]:
         if not chosen:
             return
         for connection, received, raw in bag.messages(chosen):
-            yield connection.topic, 1e-9 * received, read(raw, connection.msgtype)
+            yield connection.topic, 1e-9 * received, read(unpacked(raw), connection.msgtype)
+
+
+@contextmanager
+def _unpacked(path: Path, where: str) -> Iterator[tuple[Path, Callable[[bytes], bytes]]]:
+    """A bag of ROS 2 that was packed by zstd, as one that is not, and what unpacks a message of it; rosbags
+    would unpack without a bound."""
+    mode = ""
+    about: dict[str, Any] = {}
+    if path.is_dir():
+        _, about = parsing.read_yaml(path / "metadata.yaml", f"{where}, metadata.yaml")
+        mode = str(about["rosbag2_bagfile_information"].get("compression_mode", "")).lower()
+    if mode in ("", "none", "storage"):
+        yield path, bytes
+        return
+    from rosbags.rosbag2.reader import zstd
+
+    def unpacked(raw: bytes) -> bytes:
+        stream = zstd.ZstdDecompressor()
+        content: bytes = stream.decompress(raw, max_length=_LARGEST_CHUNK)
+        if not stream.eof:
+            raise DatasetError(
+                f"{where}: a message is cut off, or unpacks to more than {_LARGEST_CHUNK} bytes"
+            )
+        return content
+
+    with TemporaryDirectory() as scratch:
+        said, names = about["rosbag2_bagfile_information"], []
+        for file in (path / PurePosixPath(name).name for name in said["relative_file_paths"]):
+            names.append(file.stem if mode == "file" else file.name)
+            if mode == "file":
+                _unpack_file(zstd, file, Path(scratch) / names[-1], where)
+            else:
+                (Path(scratch) / names[-1]).symlink_to(file.resolve())
+        said |= {"compression_mode": "", "compression_format": "", "relative_file_paths": names}
+        (Path(scratch) / "metadata.yaml").write_text(yaml.safe_dump(about), encoding="utf-8")
+        yield Path(scratch), unpacked if mode == "message" else bytes
+
+
+def _unpack_file(zstd: Any, file: Path, place: Path, where: str) -> None:
+    with zstd.open(file, "rb") as packed, open(place, "wb") as whole:
+        size = 0
+        while part := packed.read(_PART):
+            size += len(part)
+            if size > LARGEST_FILE:
+                raise DatasetError(f"{where}: {file.name} unpacks to more than {LARGEST_FILE} bytes")
+            whole.write(part)
 
 
 def _bounded(chunk: Any, where: str) -> Any:

@@ -24,6 +24,7 @@ _READERS: dict[str, Reader] = {
     ".zarr": read_zarr,
     **dict.fromkeys(TEXT_ENDINGS, read_text),
 }
+_SPREADSHEETS = (".xlsx", ".xls", ".ods")
 _PICKLES = (".pkl", ".pickle", ".npy", ".npz", ".pt", ".pth", ".joblib")
 _NO_TABLES = ("readme", "license")  # beginnings of names of texts in a folder of tables
 KINDS = ", ".join(sorted({*_READERS, *BAG_ENDINGS})) + " and folders of ROS 2 bags"
@@ -75,6 +76,8 @@ def _is_table(path: Path) -> bool:
 def _instead(path: Path) -> str:
     if path.suffix.lower() in _PICKLES:
         return "such files can hold programs and are never loaded; write a table as CSV, HDF5 or parquet"
+    if path.suffix.lower() in _SPREADSHEETS:
+        return "save the sheet as CSV; decimal commas and semicolons are read"
     return f"there are readers for {KINDS}"
 
 

@@ -288,7 +288,10 @@ def _pushes_told_apart(
     if "object_pose" not in columns:
         yield from _cut_where_stamps_start_anew(name, sources, said)
         return
-    numbers = {channel: np.array(sources[channel].texts(column)) for channel, column in columns.items()}
+    numbers = {
+        channel: np.array([parsing.push_label(text) for text in sources[channel].texts(column)])
+        for channel, column in columns.items()
+    }
     for push in dict.fromkeys(numbers["object_pose"].tolist()):
         if not push:
             raise DatasetError(

@@ -29,7 +29,9 @@ MOST_CELLS = 2**24
 Column = FloatArray | Sequence[str]
 """(T,) numbers, NaN where there is none; or texts as they stand in the file."""
 
-_NO_NUMBER = frozenset({"", "n/a", "na", "#n/a", "nan", "null", "none", "-", "--", "?", "missing"})
+NO_NUMBER = frozenset({"", "n/a", "na", "#n/a", "nan", "null", "none", "-", "--", "?", "missing"})
+"""Words that stand for no number, in small letters."""
+
 _MOST_NAMED = 12
 
 
@@ -99,7 +101,7 @@ class Source:
             return np.array([self._number(cell, name, row) for row, cell in enumerate(cells)], dtype=float)
 
     def _number(self, cell: str, name: str, row: int) -> float:
-        if cell.strip().lower() in _NO_NUMBER:
+        if cell.strip().lower() in NO_NUMBER:
             return float("nan")
         return parsing.number_in(cell, f"{self.where}, row {row + self.first_row}, {name}")
 

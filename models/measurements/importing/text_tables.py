@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from slipmap.models.measurements import parsing
-from slipmap.models.measurements.importing.source import LARGEST_FILE, MOST_CELLS, Column, Source
+from slipmap.models.measurements.importing.source import LARGEST_FILE, MOST_CELLS, NO_NUMBER, Column, Source
 from slipmap.models.measurements.push_dataset import DatasetError
 from slipmap.models.physics.cell_grid import FloatArray
 
@@ -26,6 +26,10 @@ _CLOCK = re.compile(r"(?:(\d+):)?(\d+):(\d+(?:[.,]\d+)?)$")
 _PER_SECOND = ((1e17, 1e9, "ns"), (1e14, 1e6, "µs"), (1e11, 1e3, "ms"))
 """Stamps since 1970 above the first number count so many a second: none between 1973 and 5138 is both."""
 
+_SIGN_OF_EXCEL = re.compile(r"\A\"?sep=.\"?\s*\n", re.I)
+"""First line of some exports, which says what parts the cells; the others show it."""
+
+_THOUSANDS = re.compile(r"[-+]?\d{1,3}(,\d{3})+")
 _LINES_SNIFFED = 30
 _LENGTHS = {"meters": "m", "centimeters": "cm", "millimeters": "mm", "m": "m", "cm": "cm", "mm": "mm"}
 
@@ -44,6 +48,7 @@ def read_text(path: Path, where: str) -> list[Source]:
         text = content.decode("latin-1")
     if "\0" in text:
         raise DatasetError(f"{where}: this is no text; is its ending right?")
+    text = _SIGN_OF_EXCEL.sub("", text)
     lines = text.splitlines()
     first = next((line for line in lines if line.strip()), "")
     if not first:
@@ -100,13 +105,19 @@ def _table(text: str, lines: Sequence[str], where: str) -> Source:
     if not body or (comments and _is_header(lines[comments - 1].lstrip("# "), body[0], sign)):
         header_line = lines[comments - 1].lstrip("# ") if comments else ""
     rows = _rows("\n".join(body), sign, where)
-    decimal = "," if sign != "," and _uses_comma(rows) else "."
+    decimal = "," if _uses_comma(rows) else "."
     if header_line is not None:
         names = _rows(header_line, sign, where)[0] if header_line else []
     elif rows and all(_numeric(cell, decimal) for cell in rows[0]):
         names = [str(number) for number in range(len(rows[0]))]
     else:
         names, rows = (rows[0], rows[1:]) if rows else ([], [])
+        if len(rows) > 1 and _words_over_numbers(rows[0], rows[1], decimal):
+            raise DatasetError(
+                f"{where}, row 0: words stand under the header, such as {parsing.shown(rows[0][0])}; if they"
+                " are"
+                " units, delete the line, and say them in setup.yaml under `unit`"
+            )
     names = [name.strip() for name in names]
     wide = {len(row) for row in rows}
     if len(names) > 1 and not names[-1] and wide <= {0, len(names), len(names) - 1}:
@@ -137,7 +148,17 @@ def _uses_comma(rows: Sequence[Sequence[str]]) -> bool:
     cells = [cell for row in rows[1:_LINES_SNIFFED] for cell in row]
     commas = [cell for cell in cells if "," in cell and _numeric(cell, ",")]
     points = any("." in cell and _numeric(cell, ".") for cell in cells)
-    return bool(commas) and not points and not any("." in cell for cell in commas)
+    if not commas or points or any("." in cell for cell in commas):
+        return False
+    return not all(_THOUSANDS.fullmatch(cell.strip()) for cell in commas)
+
+
+def _words_over_numbers(first: Sequence[str], second: Sequence[str], decimal: str) -> bool:
+    """Whether every cell of a row is a word or empty, and numbers stand under the words."""
+    words = [k for k, cell in enumerate(first) if cell.strip().lower() not in NO_NUMBER]
+    if not words or any(any(sign.isdigit() for sign in first[k]) or _numeric(first[k]) for k in words):
+        return False
+    return all(k < len(second) and second[k].strip() and _numeric(second[k], decimal) for k in words)
 
 
 def _columns(names: Sequence[str], rows: Sequence[Sequence[str]], where: str) -> dict[str, Column]:

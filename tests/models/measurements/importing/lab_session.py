@@ -11,13 +11,15 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from shapely.geometry import Point
 
 from slipmap.models.geometry import rotated, seen_from
 from slipmap.models.measurements import Noise
 from slipmap.models.measurements.simulated import record_pushes
 from slipmap.models.objects.benchmark_objects import hammer
+from slipmap.models.physics.cell_grid import CellGrid
 from slipmap.models.physics.rollout import Maps, Slider
-from slipmap.planners.exploration import candidate_pushes
+from slipmap.planners.exploration import Candidate, candidate_pushes
 
 RADIUS = 0.008
 ROBOT_CLOCK = 1.7e9 + 123.4567  # what the robot's clock shows when Motive's shows 0
@@ -26,7 +28,8 @@ ROBOT_FRAME = np.array([0.4, -0.25, np.radians(30.0)])  # of the robot's base on
 BIAS = np.array([0.8, -0.35])  # N, in the sensor's axes
 SENSOR_TURN = np.radians(45.0)
 _FINE = 1000.0  # Hz
-_TRAVEL = 2.0  # s between two pushes
+_DRAWN = 60  # pushes to choose from
+_TRAVEL, _LIFT = 2.0, 0.2  # s between two pushes, and the share of it for going up, and down
 _NOISE_FREE = Noise(None, None, None, None)
 
 
@@ -47,7 +50,7 @@ def lab_session(folder: Path, seed: int = 3, pushes: int = 8) -> LabSession:
     slider = Slider(grid, RADIUS)
     time, pose, tip, force, up = [], [], [], [], []
     start, now = np.zeros(3), 0.0
-    for candidate in candidate_pushes(grid, RADIUS, rng, pushes):
+    for candidate in _all_around(grid, rng, pushes):
         push = candidate.push(start, rest=0.6)
         dataset = record_pushes(slider, maps, [push], rng, noise=_NOISE_FREE, rate=_FINE)
         trial = dataset.trials[0]
@@ -55,14 +58,12 @@ def lab_session(folder: Path, seed: int = 3, pushes: int = 8) -> LabSession:
         if time:  # the finger goes up, over and down
             steps = np.arange(0.0, _TRAVEL, 1.0 / _FINE)
             share = steps[:, None] / _TRAVEL
+            over = np.clip((share - _LIFT) / (1.0 - 2.0 * _LIFT), 0.0, 1.0)
             time.append(now + steps)
             pose.append(np.tile(start, (len(steps), 1)))
-            tip.append((1.0 - share) * tip[-1][-1] + share * trial.tip_pose.values[0])
+            tip.append((1.0 - over) * tip[-1][-1] + over * trial.tip_pose.values[0])
             force.append(np.zeros((len(steps), 2)))
-            up.append(0.05 * np.minimum(1.0, 5.0 * np.minimum(share[:, 0], 1.0 - share[:, 0])))
-            lowered = up[-1] < 0.01  # then it has not moved sideways yet, or has arrived
-            tip[-1][lowered & (share[:, 0] < 0.5)] = tip[-2][-1]
-            tip[-1][lowered & (share[:, 0] > 0.5)] = trial.tip_pose.values[0]
+            up.append(0.05 * np.minimum(1.0, np.minimum(share[:, 0], 1.0 - share[:, 0]) / _LIFT))
             now += _TRAVEL
         time.append(now + rows)
         pose.append(trial.object_pose.values)
@@ -98,6 +99,22 @@ ft_wrench:
   frame: [0, 0, 45 deg]
 """
     return LabSession(folder, maps, setup)
+
+
+def _all_around(grid: CellGrid, rng: np.random.Generator, count: int) -> list[Candidate]:
+    """Pushes as a laboratory chooses them: first such that teach, evenly around the object, then others."""
+    drawn = candidate_pushes(grid, RADIUS, rng, _DRAWN)
+    ring = grid.polygon.exterior
+    places = np.array([ring.project(Point(push.touch), normalized=True) for push in drawn])
+    first, judge = rng.uniform(), max(1, count // 4)
+    wanted = [(first + k / (count - judge)) % 1.0 for k in range(count - judge)] + list(
+        rng.uniform(size=judge)
+    )
+    chosen: list[int] = []
+    for place in wanted:
+        nearest = np.argsort(np.abs((places - place + 0.5) % 1.0 - 0.5))
+        chosen.append(next(int(k) for k in nearest if k not in chosen))
+    return [drawn[k] for k in chosen]
 
 
 def _write_motive(path, times, at, pose, rng):

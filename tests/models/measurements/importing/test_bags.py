@@ -49,10 +49,10 @@ def ros_rows(store, first):
         yield "/ft", kinds["geometry_msgs/msg/WrenchStamped"](header(time), force), stamp
 
 
-def bag_of(tmp_path, first, packed=False, plugin="SQLITE3"):
+def bag_of(tmp_path, first, packed=False, plugin="SQLITE3", mode="NONE"):
     pytest.importorskip("rosbags")
     from rosbags.rosbag1 import Writer as BagWriter
-    from rosbags.rosbag2 import StoragePlugin, Writer as FolderWriter
+    from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer as FolderWriter
     from rosbags.typesys import Stores, get_typestore
 
     store = get_typestore(Stores.ROS1_NOETIC if first else Stores.ROS2_HUMBLE)
@@ -60,6 +60,8 @@ def bag_of(tmp_path, first, packed=False, plugin="SQLITE3"):
     writer = BagWriter(path) if first else FolderWriter(path, version=9, storage_plugin=StoragePlugin[plugin])
     if packed:
         writer.set_compression(BagWriter.CompressionFormat.BZ2)
+    elif mode != "NONE":
+        writer.set_compression(CompressionMode[mode], CompressionFormat.ZSTD)
     with writer:
         connections = {}
         for topic, message, stamp in ros_rows(store, first):
@@ -79,9 +81,10 @@ def test_a_bag_of_ros_2(tmp_path):
     check(tmp_path, bag_of(tmp_path, first=False))
 
 
-def test_mcap_of_ros_2(tmp_path):
+@pytest.mark.parametrize("mode", ["NONE", "STORAGE"])
+def test_mcap_of_ros_2(tmp_path, mode):
     pytest.importorskip("mcap")
-    folder = bag_of(tmp_path, first=False, plugin="MCAP")
+    folder = bag_of(tmp_path, first=False, plugin="MCAP", mode=mode)
     check(tmp_path, folder)
     (alone,) = folder.glob("*.mcap")
     alone.rename(tmp_path / "alone.mcap")
@@ -93,6 +96,22 @@ def test_a_chunk_that_explodes_is_refused(tmp_path, monkeypatch):
     monkeypatch.setattr("slipmap.models.measurements.importing.bags._LARGEST_CHUNK", 1000)
     with pytest.raises(DatasetError, match="unpacks to more than 1000"):
         read_bag(path, "a.bag")
+
+
+@pytest.mark.parametrize("mode", ["FILE", "MESSAGE"])
+def test_a_packed_bag_of_ros_2(tmp_path, mode):
+    check(tmp_path, bag_of(tmp_path, first=False, mode=mode))
+
+
+@pytest.mark.parametrize("mode", ["FILE", "MESSAGE"])
+def test_a_packed_bag_of_ros_2_that_explodes_is_refused(tmp_path, monkeypatch, mode):
+    path = bag_of(tmp_path, first=False, mode=mode)
+    monkeypatch.setattr("slipmap.models.measurements.importing.bags._LARGEST_CHUNK", 20)
+    if mode == "FILE":
+        packed = max(file.stat().st_size for file in path.iterdir())
+        monkeypatch.setattr("slipmap.models.measurements.importing.bags.LARGEST_FILE", packed)
+    with pytest.raises(DatasetError, match="unpacks to more than"):
+        read_bag(path, "a")
 
 
 def test_mcap_in_json(tmp_path):

@@ -13,17 +13,17 @@ from slipmap.models.measurements.dataset_check import check_dataset
 from slipmap.models.measurements.importing import import_dataset
 
 
-@pytest.fixture(scope="module")
-def session(tmp_path_factory):
-    return lab_session(tmp_path_factory.mktemp("lab"), seed=6)
-
-
-@pytest.fixture(scope="module")
-def imported(session):
+def imported_session(folder, seed):
+    session = lab_session(folder, seed=seed)
     setup = session.folder / "setup.yaml"
     setup.write_text(session.setup)
     assert len(session.setup.splitlines()) <= 25
-    return import_dataset(session.sources, setup, tell=lambda text: pytest.fail(text))
+    return session, import_dataset(session.sources, setup, tell=lambda text: pytest.fail(text))
+
+
+@pytest.fixture(scope="module")
+def imported(tmp_path_factory):
+    return imported_session(tmp_path_factory.mktemp("lab"), 0)[1]
 
 
 def added(dataset, channel):
@@ -56,7 +56,9 @@ def test_nothing_is_wrong_with_it(imported):
     assert not check.wrong, check.findings
 
 
-def test_what_is_learned_is_true(session, imported):
+@pytest.mark.parametrize("seed", range(4))
+def test_what_is_learned_is_true(tmp_path, seed):
+    session, imported = imported_session(tmp_path, seed)
     belief = identify(imported, friction_laws=False, hypotheses=8).belief
     load = belief.maps.mass * belief.maps.mu
     middle = belief.probability @ ((load @ belief.grid.centers) / load.sum(axis=1, keepdims=True))

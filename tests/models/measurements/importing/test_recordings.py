@@ -156,6 +156,22 @@ def test_stamps_that_start_anew_part_the_pushes(tmp_path, again):
         assert trial.object_pose.values[:, :2] == pytest.approx(POSE[:, :2] + 0.01 * k, abs=1e-6)
 
 
+def test_a_push_has_one_number_however_files_write_it(tmp_path):
+    """A spreadsheet makes 1.0 of 1, and a robot writes 001."""
+    numbers = np.repeat([1, 2], len(TIME))
+    twice = [np.tile(TIME, 2), np.concatenate([POSE, POSE + 0.01])]
+    written(tmp_path / "cam.csv", ["push_id", "t", "x", "y", "theta"], [numbers, *twice])  # 1.000000
+    rows = zip(numbers, np.tile(TIME, 2), np.concatenate([TIP, TIP + 0.01]), strict=True)
+    lines = ["push_id,t,a,b", *(f"{number:03d},{t},{a},{b}" for number, t, (a, b) in rows)]
+    (tmp_path / "robot.csv").write_text("\n".join(lines))
+    (tmp_path / "s.yaml").write_text(
+        SETUP + "object_pose: {source: cam.csv}\ntip_pose: {source: robot.csv, position: [a, b], clock: 0}\n"
+    )
+    dataset = import_dataset(tmp_path, tmp_path / "s.yaml")
+    assert [trial.name for trial in dataset.trials] == ["cam.csv#1", "cam.csv#2"]
+    assert dataset.trials[1].tip_pose.values[0] == pytest.approx(TIP[0] + 0.01)
+
+
 def test_stamps_that_start_anew_in_one_file_alone_are_refused(tmp_path):
     twice = [np.tile(TIME, 2), np.tile(POSE, (2, 1))]
     written(tmp_path / "cam.csv", ["t", "x", "y", "theta"], twice)

@@ -29,12 +29,27 @@ def source(tmp_path, text):
         '"t","x"\r\n"0","1.5"\r\n"0.5","-2.25"\r\n',
         "t, x,\n0, 1.5,\n0.5, -2.25,\n",
         "\ufefft,x\n0,1.5\n0.5,-2.25\n",
+        "\ufeffsep=;\r\nt;x\r\n0;1,5\r\n0,5;-2,25\r\n",
+        't,x\n"0,0","1,5"\n"0,5","-2,25"\n',
     ],
 )
 def test_dialects(tmp_path, text):
     (table,) = source(tmp_path, text)
     assert table.numbers("t") == pytest.approx([0.0, 0.5])
     assert table.numbers("x") == pytest.approx([1.5, -2.25])
+
+
+def test_a_line_of_units_under_the_header_is_told(tmp_path):
+    with pytest.raises(DatasetError, match=r"row 0: words stand under the header, such as 'ms'"):
+        source(tmp_path, "t,x\nms,mm\n0,1.5\n")
+    (table,) = source(tmp_path, "t,x\n,N/A\n0,1.5\n")
+    assert table.numbers("x")[1] == 1.5
+
+
+def test_thousands_are_no_decimals(tmp_path):
+    (table,) = source(tmp_path, 't,x\n1,"1,500"\n2,"2,500"\n')
+    with pytest.raises(DatasetError, match="'1,500' is no number"):
+        table.numbers("x")
 
 
 def test_no_header(tmp_path):
