@@ -123,7 +123,7 @@ def test_a_typical_misfit_far_above_the_noise_is_not_adequate(misfit, far):
         assert said.verdict == "undecided" and "not adequate" in said.sentence and "15 times" in said.sentence
 
 
-def verdict(monkeypatch, gain, found=(), misfit=1.5):
+def verdict(monkeypatch, gain, found=(), misfit=1.5, fault=None):
     """Of an inquiry in which the largest gain is `gain` nats and no single effect is accepted."""
     candidates = (LIBRARY[0], PROBES[0])
     first = SimpleNamespace(candidates=candidates, gain=np.array([1.0, gain]))
@@ -133,6 +133,7 @@ def verdict(monkeypatch, gain, found=(), misfit=1.5):
     for name, value in {
         "rules": SimpleNamespace(missing=lambda screening: True),
         "fitter": None, "base": None, "effects": (), "scene": None, "draws": 0, "report": print,
+        "fault": fault,
         "accepted": [], "_ask_every_effect": lambda: first, "_found_better_base": lambda: False,
         "_disagreement": lambda: None, "misfit": lambda: np.array([misfit]),
         "_ask_what_is_left": lambda: {"some": first}, "_pairs": lambda rest: list(found),
@@ -149,6 +150,13 @@ def test_only_a_clear_finding_is_called_unknown(monkeypatch, gain, said):
 def test_pushes_that_are_missed_by_far_do_not_show_too_little(monkeypatch):
     assert "too little" in verdict(monkeypatch, 15.0).sentence
     assert "not adequate" in verdict(monkeypatch, 15.0, misfit=40.0).sentence
+
+
+def test_records_that_contradict_themselves_come_first(monkeypatch):
+    found = verdict(monkeypatch, 90.0, [pair(0, 2)], misfit=40.0, fault="12 mm deep: is theta's sign right?")
+    assert found.verdict == "undecided" and found.effects == () and "theta's sign" in found.sentence
+    # What is met to the noise cannot be so wrong.
+    assert verdict(monkeypatch, 90.0, [pair(0, 2)], fault="12 mm deep").effects == names(0, 2)
 
 
 def pair(first, second):
