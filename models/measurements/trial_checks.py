@@ -178,7 +178,7 @@ def contradicted_by_contact(setup: Setup, trials: Sequence[Trial]) -> bool:
 
 
 def fault_of_frame(setup: Setup, trials: Sequence[Trial]) -> str | None:
-    """What says that theta's sign is wrong, or theta off by a quarter or half turn, as a clause; None if nothing.
+    """What says that theta's sign is wrong, or theta off by a quarter or half turn, as a clause; else None.
 
     That is where the finger goes into the object in half of the pushes or more, and would not but for this.
     No effect explains it.

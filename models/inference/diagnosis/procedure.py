@@ -129,7 +129,7 @@ def diagnose(
         objections = {
             name: text
             for rival, (name, own) in zip(answer.rivals, with_each.items(), strict=True)
-            if (text := objection(rival.effects, own, inquiry.error.motion, before, locked_errors(own)))
+            if (text := objection(rival.effects, own, inquiry.rough, before, locked_errors(own)))
         }
         kept = outcomes.without_those_objected_to(answer, objections, inquiry.base, inquiry.first)
         return kept, [with_each[outcomes.name_of(rival)] for rival in kept.rivals]
@@ -140,6 +140,7 @@ def diagnose(
         found, with_it = judged(again) if again is not None else (outcome, learnt)
         if found.rivals:
             outcome, learnt = found, with_it
+            inquiry.accepted = list(found.effects)
     misfit = far_above_noise(inquiry.misfit() if before is None else before.misfit)
     if misfit is not None and outcome.verdict == "adequate":
         outcome = outcomes.far_off(inquiry.base, misfit)
@@ -195,6 +196,7 @@ class Inquiry:
         self.refits = Refits(self.error, {}, {})
         self.left: dict[str, Remainder] = {}
         self.accepted: list[str] = []
+        self.faint = False
         self.first: Screening
         self.p_value: float | None = None
 
@@ -248,6 +250,11 @@ class Inquiry:
         named = [effect in self.effects for effect in first.candidates]
         self.p_value = self.rules.p_value(first, float(first.gain[named].max()))
         return first
+
+    @property
+    def rough(self) -> bool:
+        """Whether the locked pushes have to become better by more than chance."""
+        return self.faint or self.error.motion > ROUGH
 
     def misfit(self) -> FloatArray:
         """(B,) of each open push by the model without effects, in sensor noise, forces among it."""
@@ -308,6 +315,7 @@ class Inquiry:
         best = gains[order[0]]
         asked = [name for name in order if worth_asking(gains[name], best)][: 5 if self.draws else 2]
         rest: dict[str, Screening] = {}
+        faint: list[str] = []
         for step, name in enumerate(asked):
             self.report("asking what is left", step, len(asked))
             rival = self.rules.rivals_the_best(gains[name], best)
@@ -318,6 +326,10 @@ class Inquiry:
             explains = self.left[name].rejected_by is None
             if explains and rival and self.rules.stands(self.first, name, gains[name]):
                 self.accepted.append(name)
+            elif explains and rival and self.rules.stands_faintly(self.first, name, gains[name]):
+                faint.append(name)
+        if faint and not self.accepted:
+            self.accepted, self.faint = faint, True
         self.report("asking what is left", len(asked), len(asked))
         return rest
 
@@ -360,7 +372,6 @@ class Inquiry:
         fitted = self.fitter.with_effects((effect,), self.error, self.base, guess, afresh=True)
         if fitted is None:
             return None
-        self.accepted = [effect.name]
         return outcomes.one_of([fitted])
 
     def candidates(self, learnt: Sequence[Identification]) -> list[CandidateResult]:

@@ -9,6 +9,7 @@ from slipmap.models.effects.library import LIBRARY
 from slipmap.models.effects.probes import PROBES
 from slipmap.models.inference.diagnosis import outcomes, procedure as steps
 from slipmap.models.inference.diagnosis.locked import LockedErrors
+from slipmap.models.inference.diagnosis.screening import Screening
 from slipmap.models.inference.diagnosis.verdict_rules import (
     STAYS_OFF,
     Remainder,
@@ -62,7 +63,7 @@ def errors(*misfits):
     ],
 )
 def test_locked_pushes_that_do_not_fall_veto_at_any_misfit(before, after, objects):
-    assert locked_pushes_object(0.01, errors(*before), errors(*after)) is objects
+    assert locked_pushes_object(False, errors(*before), errors(*after)) is objects
 
 
 TILT, MASS = (
@@ -88,7 +89,7 @@ def learnt(effect, **intervals):
 def test_an_interval_that_holds_nothing_at_all_vetoes(effect, intervals, holds):
     own = learnt(effect, **intervals)
     assert holds_null(effect, own) is holds
-    said = objection((effect,), own, 0.01, errors(20.0, 20.0), errors(2.0, 2.0))
+    said = objection((effect,), own, False, errors(20.0, 20.0), errors(2.0, 2.0))
     assert (said is not None) is holds
 
 
@@ -238,6 +239,26 @@ def test_what_is_left_rejects_by_its_share_and_by_its_size(left, own, rejected):
     said = Rules(LIBRARY, simulated=False).remainder(rest, own)
     assert said.rejected_by == (PROBES[0].name if rejected else None)
     assert said.gain == left
+
+
+@pytest.mark.parametrize(
+    ("gain", "refitted", "by_chance", "how"),
+    [
+        (30.0, 40.0, 1.0, "stands"),
+        (15.0, 40.0, 1.0, "faintly"),
+        (15.0, 40.0, 16.0, ""),
+        (15.0, 25.0, 1.0, ""),
+    ],
+)
+def test_a_faint_finding_is_left_to_the_locked_pushes(gain, refitted, by_chance, how):
+    effect, rules = LIBRARY[0], Rules(LIBRARY, simulated=True)
+    chance = np.full((1, 199), by_chance)
+    first = Screening((effect,), np.array([gain]), np.zeros(1), chance, chance, np.ones(1))
+    assert rules.stands(first, effect.name, refitted) is (how == "stands")
+    assert how == "stands" or rules.stands_faintly(first, effect.name, refitted) is (how == "faintly")
+    # Two pushes of which one is hardly helped: that may be chance.
+    before, after = errors(4.0, 4.0), errors(1.0, 3.9)
+    assert locked_pushes_object(True, before, after) and not locked_pushes_object(False, before, after)
 
 
 @pytest.mark.parametrize(("together", "named"), [(60.0, 0), (120.0, 1)])
