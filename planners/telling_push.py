@@ -101,7 +101,7 @@ def next_push(diagnosis: Diagnosis, dataset: PushDataset, seed: int = 0) -> dict
         `speed`, `length` from first touch to stop, `dwell` half-way (0 for none), `separates` names,
         `separation` in standard deviations of the error model, and a `sentence` that says all this.
     """
-    if diagnosis.verdict == "adequate":
+    if diagnosis.verdict == "adequate" or diagnosis.fault is not None:
         return None
     observations = diagnosis.base.likelihood.observations
     habits = habits_of(observations, dataset)

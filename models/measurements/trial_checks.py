@@ -16,6 +16,7 @@ from slipmap.models.measurements import parsing
 from slipmap.models.measurements.bad_rows import sound_rows
 from slipmap.models.measurements.contact import (
     CALIBRATION_ERROR,
+    Cause,
     ContactRows,
     common_cause,
     contact_rows,
@@ -47,6 +48,9 @@ _MOST_ROWS = 500  # of a track that are compared with the outline
 _LONERS = 10  # one push in so many may be left out, or one,
 _FEWEST_TRIALS = 5  # of so many or more
 _ALONE = 1.5  # times as deep as the others
+
+_FRAME_WRONG = ("sign", "turn")
+"""Kinds of causes by which the object's frame is wrong, which no effect explains."""
 
 _PULLS = (
     "the force points against the finger's way, as if it pulled; ft_wrench is the force of the finger on the"
@@ -173,6 +177,38 @@ def contradicted_by_contact(setup: Setup, trials: Sequence[Trial]) -> bool:
     return force_complaint(setup, seen) is not None
 
 
+def fault_of_frame(setup: Setup, trials: Sequence[Trial]) -> str | None:
+    """What says that theta's sign is wrong, or theta off by a quarter or half turn, as a clause; else None.
+
+    That is where the finger goes into the object in half of the pushes or more, and would not but for this.
+    No effect explains it.
+    """
+    seen = [rows for trial in trials if (rows := contact_rows(setup, trial)) is not None]
+    deep = [rows for rows in seen if _too_deep(setup, rows)]
+    cause = common_cause(setup, seen, len(deep)) if len(deep) >= len(seen) / 2 > 0 else None
+    if cause is None or cause.kind not in _FRAME_WRONG:
+        return None
+    fixed = [replace(rows, gap=cause.applied(setup, rows)) for rows in seen]
+    if sum(rows.depth > _deepest(setup) for rows in fixed) > len(deep) / 2:
+        return None
+    return _explained(deep, fixed, cause)
+
+
+def _too_deep(setup: Setup, rows: ContactRows) -> bool:
+    """Whether the finger goes deeper than calibration allows."""
+    return max(rows.depth, -float(rows.gap[0])) > _deepest(setup)
+
+
+def _deepest(setup: Setup) -> float:
+    """Depth that calibration allows, m."""
+    return CALIBRATION_ERROR + 3.0 * float(np.hypot(setup.noise.position or 0.0, setup.noise.tip or 0.0))
+
+
+def _explained(deep: Sequence[ContactRows], fixed: Sequence[ContactRows], cause: Cause) -> str:
+    """How deep the finger goes, and what would mend it."""
+    return f"{_deep_text(deep, len(fixed))}; it would be {_depth_text(fixed)} but for one thing: {cause.text}"
+
+
 def _judged(
     setup: Setup,
     trials: Sequence[Trial],
@@ -189,8 +225,7 @@ def _judged(
     few = max(1, len(trials) // _LONERS) if len(trials) >= _FEWEST_TRIALS else 0
     fit = {trial.name for trial in trials if trial.role == "fit"}
     faults = {name: carried_text(carry) for name, carry in carried.items()}
-    limit = CALIBRATION_ERROR + 3.0 * float(np.hypot(setup.noise.position or 0.0, setup.noise.tip or 0.0))
-    deep = [rows for rows in pushes if rows.depth > limit or -rows.gap[0] > limit]
+    deep = [rows for rows in pushes if _too_deep(setup, rows)]
     warnings = []
     frame_wrong = False
     if faults and (len(faults) > few or (fit and fit <= set(faults))):
@@ -211,13 +246,11 @@ def _judged(
         fixed = (
             pushes if cause is None else [replace(rows, gap=cause.applied(setup, rows)) for rows in pushes]
         )
-        left = [rows for rows in fixed if rows.depth > limit]
+        left = [rows for rows in fixed if rows.depth > _deepest(setup)]
         if cause is not None and len(left) <= len(deep) / 2:
-            frame_wrong = cause.kind in ("sign", "turn")
-            warnings.append(
-                f"{parsing.listed([rows.trial.name for rows in deep])}: {_deep_text(deep, len(pushes))};"
-                f" it would be {_depth_text(fixed)} but for one thing: {cause.text}"
-            )
+            frame_wrong = cause.kind in _FRAME_WRONG
+            whose = parsing.listed([rows.trial.name for rows in deep])
+            warnings.append(f"{whose}: {_explained(deep, fixed, cause)}")
             pushes, deep = fixed, left
         else:
             cause = None

@@ -32,12 +32,12 @@ class BuiltIn:
 BUILT_IN = {
     "mujoco": BuiltIn(
         "mujoco", "mujoco_engine:MujocoEngine", {"pyramidal": {}, "elliptic": {"cone": "elliptic"}},
-        ("dt", "impratio"),
+        ("dt", "impratio", "timeconst"),
         {
             "diamond": 'cone="elliptic" in MuJoCo\'s <option> gives a cone (mujoco:elliptic)',
             "creep": "impratio of 10 to 100 in MuJoCo's <option> cures creep (mujoco:elliptic,impratio=100)",
             "load_follows_slip": "against load that follows slip no setting of MuJoCo is known (impratio and"
-            " a smaller step do not help)",
+            " a smaller step do not help, contacts of a shorter timeconst make it worse)",
         },
     ),
     "bullet": BuiltIn(

@@ -27,6 +27,7 @@ class MujocoEngine:
     dt: ClassVar[float] = 2e-3  # MuJoCo's default
     cone: ClassVar[str] = "pyramidal"
     impratio: ClassVar[float] = 1.0
+    timeconst: ClassVar[float] = 0.02  # s, of the feet's contacts; MuJoCo's default
 
     def __init__(self, scene: EngineScene, gravity: FloatArray) -> None:
         self._model = mujoco.MjModel.from_xml_string(self._description(scene))
@@ -74,7 +75,7 @@ class MujocoEngine:
             impedance = 1 / (1 + softness[i])
             pairs.append(
                 f'<pair geom1="table" geom2="foot {i}" condim="3" friction="{mu} {mu} 0 0 0"'
-                f' solimp="{impedance} {impedance} 0.001"/>'
+                f' solimp="{impedance} {impedance} 0.001" solref="{self.timeconst} 1"/>'
             )
         for i, piece in enumerate(scene.pieces):
             corners = " ".join(f"{x} {y} {z}" for z in (-0.02, 0.02) for x, y in piece)

@@ -22,6 +22,7 @@ class Outcome:
     together: bool = False  # whether the effects are needed at the same time
     depends_on: str | None = None  # sentence of the probe that finds structure that no effect explains
     rivals: tuple[Fitted, ...] = ()  # fitted models of the effects
+    fault: str | None = None  # of the records, which has to be mended before anything can be told
     # what speaks against those that the open pushes would name, by their names
     objections: Mapping[str, str] = field(default_factory=dict)
 
@@ -114,6 +115,12 @@ def far_off(base: Fitted, misfit: float) -> Outcome:
         " the object's outline. What reading warns of comes first."
     )
     return Outcome("undecided", sentence, base)
+
+
+def records_wrong(base: Fitted, fault: str) -> Outcome:
+    """Finger and object do not touch in the records; `fault` is a clause that says how, and asks why."""
+    sentence = f"The records contradict themselves, so that no effect can be told: {fault}"
+    return Outcome("undecided", sentence, base, fault=fault)
 
 
 def name_of(rival: Fitted) -> str:

@@ -8,6 +8,7 @@
 4. Each that is left is asked the same question again: does anything gain on top of it? The true effect
    leaves nothing to gain; an impostor leaves the true one. Those that pass are the answer: one, or a set.
 5. Where none passes, pairs are tried; where no pair passes, the effect is unknown to the library.
+6. Where nothing is named and the model is far off, a fit that forgives large errors is asked (`several`).
 
 `verdict_rules` says what counts, `outcomes` what it comes to.
 """
@@ -16,6 +17,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
+from contextlib import suppress
 from functools import partial
 
 import numpy as np
@@ -37,6 +39,7 @@ from slipmap.models.inference.diagnosis.results import (
     parameter_estimates,
 )
 from slipmap.models.inference.diagnosis.screening import Screening, screen
+from slipmap.models.inference.diagnosis.several import named_by_evidence
 from slipmap.models.inference.diagnosis.verdict_rules import (
     AGREEMENT,
     CLEARLY_WORSE_GAIN,
@@ -60,7 +63,9 @@ from slipmap.models.inference.identification import identify, learn
 from slipmap.models.inference.observations import Observation, observe_all
 from slipmap.models.inference.results import Identification
 from slipmap.models.measurements import DatasetError, PushDataset
+from slipmap.models.measurements.trial_checks import fault_of_frame
 from slipmap.models.physics.cell_grid import FloatArray
+from slipmap.models.physics.rollout import RolloutError
 from slipmap.models.progress import Progress, StageProgress, about, silent
 
 
@@ -111,20 +116,31 @@ def diagnose(
     everything = observe_all(divided)
     own = about("without effects", report)
     without = identify(divided, seed=seed, progress=own)
-    with_each = {
-        outcomes.name_of(rival): learn(
-            divided, everything, rival, seed=seed, report=about("with effects", report)
-        )
-        for rival in outcome.rivals
-    }
     before = locked_errors(without)
-    objections = {
-        name: text
-        for rival, (name, own) in zip(outcome.rivals, with_each.items(), strict=True)
-        if (text := objection(rival.effects, own, inquiry.error.motion, before, locked_errors(own)))
-    }
-    outcome = outcomes.without_those_objected_to(outcome, objections, inquiry.base, inquiry.first)
-    learnt = [with_each[outcomes.name_of(rival)] for rival in outcome.rivals]
+
+    def judged(answer: Outcome) -> tuple[Outcome, list[Identification]]:
+        """An answer less what the locked pushes speak against, and what is learnt with what is left."""
+        with_each = {
+            outcomes.name_of(rival): learn(
+                divided, everything, rival, seed=seed, report=about("with effects", report)
+            )
+            for rival in answer.rivals
+        }
+        objections = {
+            name: text
+            for rival, (name, own) in zip(answer.rivals, with_each.items(), strict=True)
+            if (text := objection(rival.effects, own, inquiry.rough, before, locked_errors(own)))
+        }
+        kept = outcomes.without_those_objected_to(answer, objections, inquiry.base, inquiry.first)
+        return kept, [with_each[outcomes.name_of(rival)] for rival in kept.rivals]
+
+    outcome, learnt = judged(outcome)
+    if not (outcome.rivals or outcome.fault or quick) and before is not None:
+        again = inquiry.by_evidence(divided, seed)
+        found, with_it = judged(again) if again is not None else (outcome, learnt)
+        if found.rivals:
+            outcome, learnt = found, with_it
+            inquiry.accepted = list(found.effects)
     misfit = far_above_noise(inquiry.misfit() if before is None else before.misfit)
     if misfit is not None and outcome.verdict == "adequate":
         outcome = outcomes.far_off(inquiry.base, misfit)
@@ -165,6 +181,7 @@ class Inquiry:
         # A force that was not measured says nothing of its sensor.
         effects = tuple(effect for effect in effects if measured or not effect.only_force)
         self.effects = effects
+        self.fault = fault_of_frame(dataset, dataset.trials)
         self.draws = draws
         self.rng = rng
         self.report = report
@@ -179,12 +196,15 @@ class Inquiry:
         self.refits = Refits(self.error, {}, {})
         self.left: dict[str, Remainder] = {}
         self.accepted: list[str] = []
+        self.faint = False
         self.first: Screening
         self.p_value: float | None = None
 
     def run(self) -> Outcome:
         """Go through the steps."""
         self.first = self._ask_every_effect()
+        if self.fault is not None and far_above_noise(self.misfit()) is not None:
+            return outcomes.records_wrong(self.base, self.fault)
         missing = self.rules.missing(self.first)
         if not missing and far_above_noise(self.misfit()) is None:
             return self._nothing_found()
@@ -230,6 +250,11 @@ class Inquiry:
         named = [effect in self.effects for effect in first.candidates]
         self.p_value = self.rules.p_value(first, float(first.gain[named].max()))
         return first
+
+    @property
+    def rough(self) -> bool:
+        """Whether the locked pushes have to become better by more than chance."""
+        return self.faint or self.error.motion > ROUGH
 
     def misfit(self) -> FloatArray:
         """(B,) of each open push by the model without effects, in sensor noise, forces among it."""
@@ -290,6 +315,7 @@ class Inquiry:
         best = gains[order[0]]
         asked = [name for name in order if worth_asking(gains[name], best)][: 5 if self.draws else 2]
         rest: dict[str, Screening] = {}
+        faint: list[str] = []
         for step, name in enumerate(asked):
             self.report("asking what is left", step, len(asked))
             rival = self.rules.rivals_the_best(gains[name], best)
@@ -300,6 +326,10 @@ class Inquiry:
             explains = self.left[name].rejected_by is None
             if explains and rival and self.rules.stands(self.first, name, gains[name]):
                 self.accepted.append(name)
+            elif explains and rival and self.rules.stands_faintly(self.first, name, gains[name]):
+                faint.append(name)
+        if faint and not self.accepted:
+            self.accepted, self.faint = faint, True
         self.report("asking what is left", len(asked), len(asked))
         return rest
 
@@ -320,6 +350,29 @@ class Inquiry:
                     break
         found.sort(key=lambda pair: pair.cost)
         return [pair for pair in found if pair.cost < found[0].cost + CLEARLY_WORSE_GAIN]
+
+    def by_evidence(self, divided: PushDataset, seed: int) -> Outcome | None:
+        """The effect that a fit which forgives large errors names; None where it names none.
+
+        Where the model is off by far more than the noise, a few pushes decide a strict fit. Where nothing is
+        known of the noise either, pushes may scatter that much.
+        """
+        if self.error.motion <= ROUGH or not (self.fitter.noise.declared or divided.known):
+            return None
+        effect = None
+        with suppress(RolloutError):
+            effect = named_by_evidence(
+                divided, self.effects, seed, partial(self.report, "asking a forgiving fit")
+            )
+        if effect is None:
+            return None
+        place = self.first.candidates.index(effect)
+        start = effect.start_values(self.scene)[int(self.first.start[place])]
+        guess = self.fitter.start_of(effect, start, self.error, self.base)
+        fitted = self.fitter.with_effects((effect,), self.error, self.base, guess, afresh=True)
+        if fitted is None:
+            return None
+        return outcomes.one_of([fitted])
 
     def candidates(self, learnt: Sequence[Identification]) -> list[CandidateResult]:
         """All named candidates, best first; those of the answer have the parameters that were learnt."""

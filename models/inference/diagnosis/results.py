@@ -125,6 +125,8 @@ class Diagnosis(Outcome):
     def next_step(self, where: str = "DATASET") -> str:
         """What to do next, with the command to type; `where` is the dataset as a command takes it."""
         again = f"`slipmap diagnose {where}`"
+        if self.fault is not None:
+            return f"mend the records; `slipmap check {where}` says whether they fit, then {again} again."
         push = "record the proposed push" if self.next_push is not None else "record more pushes"
         if self.quick and self.verdict != "adequate":
             return f"{again}, without --quick, says how sure that is."

@@ -45,6 +45,9 @@ _REFITTED = 8
 _EVIDENCE = 5.0
 """Nats from which an effect counts: 150 to 1."""
 
+_ALONE, _AHEAD = 20.0, 0.8
+"""The same where one dataset answers alone, and the share of it that the next effect may have at most."""
+
 _RIVAL = 3.0
 """Nats by which a rival may be behind, and by which the cost of the locked pushes has to fall: 20 to 1."""
 
@@ -201,9 +204,41 @@ def diagnose_together(
     strangers = [owner for owner in apart if owner not in get_args(Owner)]
     if strangers:
         raise ValueError(f"apart: there is no {strangers[0]!r}; there are {', '.join(get_args(Owner))}")
+    names = [dataset.name for dataset in datasets]
+    if len(datasets) < 2 or len(set(names)) < len(names):
+        raise DatasetError(
+            f"several datasets are diagnosed together: give two or more of different names, got"
+            f" {', '.join(names) or 'none'}"
+        )
     started = time.perf_counter()
     inquiry = _Inquiry(datasets, tuple(effects), frozenset(apart), seed, progress or silent)
     return replace(inquiry.run(), seconds=time.perf_counter() - started)
+
+
+def named_by_evidence(
+    dataset: PushDataset, effects: Sequence[Effect], seed: int, progress: StageProgress
+) -> Effect | None:
+    """The effect that one dataset names by evidence and by its locked pushes, under the forgiving likelihood.
+
+    Where pushes are missed by many times the noise, a few of them decide a strict fit. It has to be the one
+    of the largest evidence, far ahead of the next, and beyond what the errors of grid and contact may feign.
+
+    Args:
+        dataset: with the locked pushes held out.
+        effects: candidates.
+        seed: of the predictions.
+        progress: called with the number of parts done and that of all.
+    """
+    inquiry = _Inquiry([dataset], tuple(effects), frozenset(), seed, lambda _, *parts: progress(*parts))
+    found = inquiry.run()
+    evidence = {one.name: one.evidence for one in found.candidates if one.evidence is not None}
+    if found.effect is None:
+        return None
+    first, *others = sorted(evidence, key=lambda name: -evidence[name])
+    least = max([_ALONE, *(evidence[name] / _AHEAD for name in others)])
+    if found.effect != first or evidence[first] < least:
+        return None
+    return next(effect for effect in effects if effect.name == first)
 
 
 @dataclass(frozen=True, eq=False)
@@ -266,12 +301,6 @@ class _Inquiry:
         seed: int,
         report: Progress,
     ) -> None:
-        names = [dataset.name for dataset in datasets]
-        if len(datasets) < 2 or len(set(names)) < len(names):
-            raise DatasetError(
-                f"several datasets are diagnosed together: give two or more of different names, got"
-                f" {', '.join(names) or 'none'}"
-            )
         self.effects, self.apart, self.seed, self.report = effects, apart, seed, report
         rng = np.random.default_rng(seed)
         count = len(datasets)
@@ -419,7 +448,9 @@ def _ground(dataset: PushDataset, whole: bool, rng: np.random.Generator, progres
 
 def _between(values: FloatArray, deviations: FloatArray) -> float:
     """Variance of a quantity between datasets, beyond what each one's standard deviation explains
-    (DerSimonian and Laird, 1986)."""
+    (DerSimonian and Laird, 1986); 0 of one."""
+    if len(values) < 2:
+        return 0.0
     weights = deviations**-2.0
     mean = float(weights @ values / weights.sum())
     excess = float(weights @ (values - mean) ** 2) - (len(values) - 1)

@@ -150,6 +150,19 @@ class Rules:
         gain = float(first.gain[[c.name for c in first.candidates].index(name)])
         return (gain > PROBE_GAIN and self.beyond_chance(first, gain)) or fitted_gain > 3 * PROBE_GAIN
 
+    def stands_faintly(self, first: Screening, name: str, fitted_gain: float) -> bool:
+        """Whether it is half of what `stands` asks, and beyond chance: then the locked pushes decide.
+
+        Of what has nothing hidden, hardly one in forty comes so far.
+        """
+        gain = float(first.gain[[c.name for c in first.candidates].index(name)])
+        return (
+            self.simulated
+            and gain > PROBE_GAIN / 2
+            and fitted_gain > 3 * PROBE_GAIN / 2
+            and self.beyond_chance(first, gain)
+        )
+
     def completes(self, rest: Screening, second_gain: float) -> bool:
         """Whether a second effect that gains `second_gain` nats makes a pair that leaves nothing.
 
@@ -231,7 +244,7 @@ def with_better_predictors(
 def objection(
     effects: Sequence[Effect],
     learnt: Identification,
-    motion_error: float,
+    rough: bool,
     before: LockedErrors | None,
     after: LockedErrors | None,
 ) -> str | None:
@@ -240,7 +253,7 @@ def objection(
     Args:
         effects: of the answer.
         learnt: with them, from the open pushes.
-        motion_error: α.
+        rough: whether pushes scatter, or the answer is faint, so that chance could help the locked pushes.
         before: errors of the locked pushes without the answer.
         after: the same with it.
     """
@@ -248,7 +261,7 @@ def objection(
         if holds_null(effect, learnt):
             whose = "its" if len(effects) == 1 else f"{effect.name}'s"
             return f"{whose} 90 % interval holds nothing at all"
-    if locked_pushes_object(motion_error, before, after):
+    if locked_pushes_object(rough, before, after):
         return "the locked pushes do not clearly become better with it"
     if locked_pushes_stay_off(before, after):
         return STAYS_OFF
@@ -266,18 +279,17 @@ def holds_null(effect: Effect, learnt: Identification) -> bool:
     return all(told[p.name]["low"] <= p.center <= told[p.name]["high"] for p in amplitudes)
 
 
-def locked_pushes_object(
-    motion_error: float, before: LockedErrors | None, after: LockedErrors | None
-) -> bool:
-    """Whether pushes that were locked away speak against an answer, or not clearly for it where they scatter.
+def locked_pushes_object(rough: bool, before: LockedErrors | None, after: LockedErrors | None) -> bool:
+    """Whether pushes that were locked away speak against an answer, or, if `rough`, not clearly for it.
 
     Their misfit has to fall: as a geometric mean and, where it is near to the noise, as a root mean square,
-    too. Where pushes scatter it has to fall by more than chance from push to push would have it.
+    too. Where pushes scatter, or the answer is faint, it has to fall by more than chance from push to push
+    would have it.
     """
     if before is None or after is None:
         return False
     paired = Paired.of(before.misfit, after.misfit)
-    if motion_error > ROUGH and len(before.misfit) > 1:
+    if rough and len(before.misfit) > 1:
         return paired.verdict != "for"
     near = before.total_misfit < _FAR_OFF
     return paired.ratio >= 1.0 or (near and after.total_misfit >= before.total_misfit)

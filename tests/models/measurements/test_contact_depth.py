@@ -9,6 +9,7 @@ from straight_pushes import RADIUS, forced, posed, reread, straight_pushes, tipp
 
 from slipmap.models.geometry import compose, rotated
 from slipmap.models.measurements import Channel, DatasetError, read_dataset, write_dataset
+from slipmap.models.measurements.trial_checks import fault_of_frame
 
 
 def same(trial):
@@ -49,6 +50,23 @@ def test_what_is_common_to_all_pushes_is_named_and_kept(tmp_path, change, words)
     assert len(deep) == 1, dataset.warnings
     for word in ["the object", "of 12 pushes; it would be 0.0 mm but for one thing", *words]:
         assert word in deep[0], deep[0]
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (posed(lambda pose: pose * [1.0, 1.0, -1.0]), "is theta's sign right?"),
+        (posed(lambda pose: np.add(pose, [0.0, 0.0, np.pi / 2])), "turned by"),
+        (tipped(lambda tip: np.add(tip, [0.006, -0.003])), None),
+        (posed(lambda pose: pose), None),
+    ],
+)
+def test_a_frame_that_no_effect_can_mend_is_told(tmp_path, change, words):
+    dataset = reread(tmp_path, straight_pushes(), change)
+    fault = fault_of_frame(dataset, dataset.trials)
+    assert fault is None if words is None else words in fault
+    # What an effect explains is told among the warnings alone.
+    assert fault is None or any(fault in warning for warning in dataset.warnings)
 
 
 def test_warnings_reach_python(tmp_path, caplog):

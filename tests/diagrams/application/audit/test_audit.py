@@ -185,7 +185,10 @@ def test_a_faulty_file_is_refused_with_what_is_wrong(tmp_path: Path, text: str, 
     [
         ("havok", "there is no engine 'havok'; name mujoco, bullet, drake"),
         ("missing.py:Engine", "engine file missing.py: there is no such file"),
-        ("mujoco:round", "there is no setting 'round'; there are pyramidal, elliptic, dt=…, impratio=…"),
+        (
+            "mujoco:round",
+            "there is no setting 'round'; there are pyramidal, elliptic, dt=…, impratio=…, timeconst=…",
+        ),
         ("mujoco:impratio=much", "impratio must be a number, got 'much'"),
         ("bullet:iterations=nan", "iterations must be a positive number, got 'nan'"),
         ("bullet:iterations=-3", "iterations must be a positive number, got '-3'"),

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from slipmap.models.effects.library import AnisotropicTable, SensorLatency, TrackerScale
-from slipmap.models.inference.diagnosis.several import _between, diagnose_together
+from slipmap.models.inference.diagnosis.several import _between, diagnose_together, named_by_evidence
 from slipmap.models.measurements import DatasetError
 
 EFFECTS = (SensorLatency(), AnisotropicTable(), TrackerScale())
@@ -35,6 +35,15 @@ def test_a_lag_that_two_datasets_share_is_named(recorded):
     assert all(one.after.path.mean() < one.before.path.mean() and one.fall > 0.0 for one in found.datasets)
     document = found.to_json()
     assert document["effect"] == "sensor_latency" and len(document["candidates"]) == len(EFFECTS)
+
+
+def test_one_dataset_names_what_is_clear_and_what_leads_alone(recorded):
+    def asked(dataset, effects):
+        found = named_by_evidence(dataset, effects, 0, lambda done, total: None)
+        return None if found is None else found.name
+
+    assert asked(late(recorded.dataset, 0.03, "late"), EFFECTS) == "sensor_latency"
+    assert asked(recorded.dataset, EFFECTS) is None
 
 
 def test_nothing_is_named_where_nothing_is_hidden_and_one_object_in_four_is_locked(recorded):

@@ -9,6 +9,7 @@ from slipmap.models.effects.library import LIBRARY
 from slipmap.models.effects.probes import PROBES
 from slipmap.models.inference.diagnosis import outcomes, procedure as steps
 from slipmap.models.inference.diagnosis.locked import LockedErrors
+from slipmap.models.inference.diagnosis.screening import Screening
 from slipmap.models.inference.diagnosis.verdict_rules import (
     STAYS_OFF,
     Remainder,
@@ -62,7 +63,7 @@ def errors(*misfits):
     ],
 )
 def test_locked_pushes_that_do_not_fall_veto_at_any_misfit(before, after, objects):
-    assert locked_pushes_object(0.01, errors(*before), errors(*after)) is objects
+    assert locked_pushes_object(False, errors(*before), errors(*after)) is objects
 
 
 TILT, MASS = (
@@ -88,7 +89,7 @@ def learnt(effect, **intervals):
 def test_an_interval_that_holds_nothing_at_all_vetoes(effect, intervals, holds):
     own = learnt(effect, **intervals)
     assert holds_null(effect, own) is holds
-    said = objection((effect,), own, 0.01, errors(20.0, 20.0), errors(2.0, 2.0))
+    said = objection((effect,), own, False, errors(20.0, 20.0), errors(2.0, 2.0))
     assert (said is not None) is holds
 
 
@@ -123,7 +124,7 @@ def test_a_typical_misfit_far_above_the_noise_is_not_adequate(misfit, far):
         assert said.verdict == "undecided" and "not adequate" in said.sentence and "15 times" in said.sentence
 
 
-def verdict(monkeypatch, gain, found=(), misfit=1.5):
+def verdict(monkeypatch, gain, found=(), misfit=1.5, fault=None):
     """Of an inquiry in which the largest gain is `gain` nats and no single effect is accepted."""
     candidates = (LIBRARY[0], PROBES[0])
     first = SimpleNamespace(candidates=candidates, gain=np.array([1.0, gain]))
@@ -133,6 +134,7 @@ def verdict(monkeypatch, gain, found=(), misfit=1.5):
     for name, value in {
         "rules": SimpleNamespace(missing=lambda screening: True),
         "fitter": None, "base": None, "effects": (), "scene": None, "draws": 0, "report": print,
+        "fault": fault,
         "accepted": [], "_ask_every_effect": lambda: first, "_found_better_base": lambda: False,
         "_disagreement": lambda: None, "misfit": lambda: np.array([misfit]),
         "_ask_what_is_left": lambda: {"some": first}, "_pairs": lambda rest: list(found),
@@ -149,6 +151,13 @@ def test_only_a_clear_finding_is_called_unknown(monkeypatch, gain, said):
 def test_pushes_that_are_missed_by_far_do_not_show_too_little(monkeypatch):
     assert "too little" in verdict(monkeypatch, 15.0).sentence
     assert "not adequate" in verdict(monkeypatch, 15.0, misfit=40.0).sentence
+
+
+def test_records_that_contradict_themselves_come_first(monkeypatch):
+    found = verdict(monkeypatch, 90.0, [pair(0, 2)], misfit=40.0, fault="12 mm deep: is theta's sign right?")
+    assert found.verdict == "undecided" and found.effects == () and "theta's sign" in found.sentence
+    # What is met to the noise cannot be so wrong.
+    assert verdict(monkeypatch, 90.0, [pair(0, 2)], fault="12 mm deep").effects == names(0, 2)
 
 
 def pair(first, second):
@@ -230,6 +239,26 @@ def test_what_is_left_rejects_by_its_share_and_by_its_size(left, own, rejected):
     said = Rules(LIBRARY, simulated=False).remainder(rest, own)
     assert said.rejected_by == (PROBES[0].name if rejected else None)
     assert said.gain == left
+
+
+@pytest.mark.parametrize(
+    ("gain", "refitted", "by_chance", "how"),
+    [
+        (30.0, 40.0, 1.0, "stands"),
+        (15.0, 40.0, 1.0, "faintly"),
+        (15.0, 40.0, 16.0, ""),
+        (15.0, 25.0, 1.0, ""),
+    ],
+)
+def test_a_faint_finding_is_left_to_the_locked_pushes(gain, refitted, by_chance, how):
+    effect, rules = LIBRARY[0], Rules(LIBRARY, simulated=True)
+    chance = np.full((1, 199), by_chance)
+    first = Screening((effect,), np.array([gain]), np.zeros(1), chance, chance, np.ones(1))
+    assert rules.stands(first, effect.name, refitted) is (how == "stands")
+    assert how == "stands" or rules.stands_faintly(first, effect.name, refitted) is (how == "faintly")
+    # Two pushes of which one is hardly helped: that may be chance.
+    before, after = errors(4.0, 4.0), errors(1.0, 3.9)
+    assert locked_pushes_object(True, before, after) and not locked_pushes_object(False, before, after)
 
 
 @pytest.mark.parametrize(("together", "named"), [(60.0, 0), (120.0, 1)])
