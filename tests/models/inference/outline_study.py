@@ -21,6 +21,7 @@ from slipmap.models.objects.benchmark_objects import BENCHMARK_OBJECTS
 from slipmap.models.physics.cell_grid import CellGrid
 
 PUSHES, HELDOUT, SEEN = 5, 5, 0.001
+COMMAND = "python -m tests.models.inference.outline_study"
 QUANTITIES = (
     "even object's centre off, mm",
     "centre of mass off, mm",
@@ -87,9 +88,9 @@ def main() -> None:
     lines = [
         "# What squares cost that do not fit the outline",
         "",
-        f"Made by `python -m tests.models.inference.outline_study --objects {len(names)} --page PAGE.md`:",
-        f"benchmark objects in turn, seeds from 0, {PUSHES} pushes to learn from, outlines seen with an error of",
-        f"{1e3 * SEEN:g} mm and cut anew. Medians over the objects.",
+        f"Made by `{COMMAND} --objects {len(names)} --page PAGE.md`:",
+        f"benchmark objects in turn, seeds from 0, {PUSHES} pushes to learn from, outlines seen with an",
+        f"error of {1e3 * SEEN:g} mm and cut anew. Medians over the objects.",
         "",
         "| quantity | every square alike | areas of the outline | smaller with areas |",
         "| --- | --- | --- | --- |",
