@@ -16,8 +16,7 @@ from slipmap.diagrams.station.sliding_object import own_frictions
 from slipmap.models.objects.true_object import TrueObject
 from slipmap.models.perception.first_look import ARM_NEAR
 from slipmap.models.perception.object_mask import draw_hulls
-from slipmap.models.perception.pinhole_camera import View, pixel_size
-from slipmap.models.perception.pinhole_camera import LEAST_SHARE, NARROWEST
+from slipmap.models.perception.pinhole_camera import LEAST_SHARE, NARROWEST, View, pixel_size
 
 if TYPE_CHECKING:
     from slipmap.diagrams.station.scenario import Scenario
