@@ -187,7 +187,7 @@ def _fates(results: Sequence[dict[str, Any]]) -> str:
 
 
 def _figure(title: str, held: dict[str, dict[str, Estimate]]) -> Figure:
-    from slipmap.diagrams.application.figures.campaign_figures import shares_figure
+    from slipmap.diagrams.application.figures.study_figures import shares_figure
 
     return shares_figure(title, held, {})
 
