@@ -211,6 +211,6 @@ def test_a_guess_takes_units_from_names_and_finds_the_number_of_a_push(tmp_path)
     }  # fmt: skip
     (tmp_path / "s.yaml").write_text(yaml.safe_dump(said | yaml.safe_load(SETUP)))
     first, second = import_dataset(file, tmp_path / "s.yaml", tell=lambda text: None).trials
-    assert [first.name, second.name] == ["p.csv#3.000000", "p.csv#4.000000"]
+    assert [first.name, second.name] == ["p.csv#3", "p.csv#4"]
     assert second.object_pose.values == pytest.approx(POSE + np.array([0.0, 0.0, 0.2]), abs=1e-7)
     assert second.tip_pose.values == pytest.approx(TIP, abs=1e-7)
