@@ -10,7 +10,7 @@ import sys
 from types import SimpleNamespace
 
 import pytest
-from test_command_line import ENVIRONMENT, files_in
+from test_command_line import ENVIRONMENT, files_in, hear_ctrl_c
 
 from slipmap.diagrams.application import terminal
 from slipmap.diagrams.application.commands.cell_run import CellRun
@@ -125,6 +125,19 @@ def test_an_output_that_is_closed_is_no_failure(reader):
         shell = ["sh", "-c", '"$@" >&-', "sh", *command]
         done = subprocess.run(shell, env=ENVIRONMENT, stderr=subprocess.PIPE)
     assert (done.returncode, done.stderr) == (0, b"")
+
+
+def test_ctrl_c_after_the_end_does_not_spoil_it():
+    """Python takes a while to end; what the command wrote is there by then."""
+    script = (
+        "import atexit, os, signal, sys; from slipmap.diagrams.application.command_line import main;"
+        "sys.argv = ['slipmap', 'completion', 'bash'];"
+        "atexit.register(lambda: os.kill(os.getpid(), signal.SIGINT)); main()"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", script], env=ENVIRONMENT, capture_output=True, preexec_fn=hear_ctrl_c
+    )
+    assert (done.returncode, done.stderr) == (0, b"") and done.stdout
 
 
 def test_control_characters_of_names_do_not_reach_the_terminal(capsys):
