@@ -86,8 +86,8 @@ def slipmap(ctx: click.Context) -> None:
     From a few recorded pushes, slipmap learns how mass and friction are spread over an object, says how
     sure it is, predicts further pushes, and names the physical effect that its model misses.
 
-    New here? `slipmap example` writes pushes to try the commands on, `slipmap demo` shows a belief beside
-    the truth, and `slipmap doctor` says whether this machine has all that is needed.
+    New here? `slipmap example` writes pushes to try commands on, `slipmap demo` shows a belief beside the
+    truth, and `slipmap doctor` says whether this machine has all that is needed.
     """
     if ctx.invoked_subcommand is None:
         click.echo(ctx.get_help(), err=True)

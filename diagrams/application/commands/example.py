@@ -17,7 +17,7 @@ from slipmap.models.files import BadInput, writing
     "-o", "--output", "folder", default="tilted", metavar="DIR", about="New folder for the pushes.",
 )  # fmt: skip
 def example(folder: Path) -> None:
-    """Write twelve pushes of a block, with a hidden effect to find.
+    """Write pushes of a block with a hidden effect to find.
 
     They are simulated, and the table is not level, which the model does not know. Learn from them, see the
     model fail, find out why, and mend it.
