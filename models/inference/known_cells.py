@@ -37,10 +37,10 @@ class KnownCells:
     mass_spread: float  # of it
 
     @classmethod
-    def of(cls, known: KnownMaps, areas: FloatArray, settings: PriorSettings) -> KnownCells:
-        """Of a prior with some settings; what is free is even over the areas (n,) that cells stand for."""
-        a, cells = settings.mass_share, len(areas)
-        log_mass, mass_spread, has_mass = _logarithms(known.mass, known.mass_spread, np.log(areas), cells)
+    def of(cls, known: KnownMaps, cells: int, settings: PriorSettings) -> KnownCells:
+        """Of a prior with some settings."""
+        a = settings.mass_share
+        log_mass, mass_spread, has_mass = _logarithms(known.mass, known.mass_spread, 0.0, cells)
         middle = np.log(settings.friction_mean)
         log_friction, friction_spread, has_friction = _logarithms(
             known.friction, known.friction_spread, middle, cells
@@ -90,10 +90,9 @@ class KnownCells:
 
 
 def _logarithms(
-    values: FloatArray | None, spread: FloatArray | float, free: FloatArray | float, cells: int
+    values: FloatArray | None, spread: FloatArray | float, free: float, cells: int
 ) -> tuple[FloatArray, FloatArray, NDArray[np.bool_]]:
-    """Logarithms (n,), `free` where nothing is known, standard deviations of each half of the error (n,), and
-    which are known."""
+    """Logarithms (n,), standard deviations of each half of the error (n,), and which are known."""
     values = np.full(cells, np.nan) if values is None else values
     known = ~np.isnan(values)
     logarithms = np.where(known, np.log(np.where(known, values, 1.0)), free)

@@ -76,6 +76,7 @@ class PushLikelihood(ABC):
     Args:
         prior: coordinates of the maps.
         observations: B pushes.
+        pushes: what to roll out of them, with the times at which a residual is needed.
         start_sigma: (B, 3) standard deviations of start offsets, m and rad.
     """
 
@@ -83,6 +84,7 @@ class PushLikelihood(ABC):
         self,
         prior: MapPrior,
         observations: Sequence[Observation],
+        pushes: Sequence[Push],
         start_sigma: FloatArray,
     ) -> None:
         self.prior = prior
@@ -90,8 +92,7 @@ class PushLikelihood(ABC):
         self.start_sigma = start_sigma
         grid = prior.slider.grid
         self._centroid, self._radius = grid.centers.mean(axis=0), radius_of_gyration(grid)
-        pushes, self._means = zip(*(one.force_means for one in self.observations), strict=True)
-        self._pushes: list[Push] = list(pushes)
+        self._pushes = list(pushes)
         self._starts = np.array([push.start_pose for push in pushes])
         self._twists = np.array([push.start_twist for push in pushes])
 
@@ -173,14 +174,6 @@ class PushLikelihood(ABC):
         )
         return np.concatenate([here - there, turn], axis=-1), slopes
 
-    def _force_errors(self, rollouts: Rollouts, b: int, place: int) -> tuple[FloatArray, FloatArray]:
-        """Mean forces that count, predicted minus measured (K, T, 2), N, and derivatives (K, T, 2, P)."""
-        observation, means = self.observations[b], self._means[b]
-        every = self._by_own(rollouts.d_forces_of(place), rollouts, place)
-        K, steps, _, P = every.shape
-        slopes = (means @ every.reshape(K, steps, 2 * P)).reshape(K, -1, 2, P)
-        return means @ rollouts.forces_of(place) - observation.forces[observation.sliding], slopes
-
     def _by_own(self, slopes: FloatArray, rollouts: Rollouts, place: int) -> FloatArray:
         """Derivatives (…, P) of the push at a place, without columns by masses that are all zero."""
         return slopes if rollouts.reached[:, place].any() else slopes[..., : self.prior.slider.columns]
@@ -213,7 +206,8 @@ class Likelihood(PushLikelihood):
             # Where there are many rows the start is a mean of several, hence better known than a row.
             single = any(len(observation.poses) == 1 for observation in observations)
             start = (1.0 if single else 0.4) * np.array([noise.position, noise.position, noise.angle])
-        super().__init__(prior, observations, np.tile(start, (len(observations), 1)))
+        pushes = [observation.push for observation in observations]
+        super().__init__(prior, observations, pushes, np.tile(start, (len(pushes), 1)))
         self.settings = settings
         self._sigmas = [self._pose_sigma(observation, noise) for observation in self.observations]
         self._force_sigmas = [self._force_sigma(observation, noise) for observation in self.observations]
@@ -258,10 +252,11 @@ class Likelihood(PushLikelihood):
         groups: list[tuple[FloatArray, FloatArray, FloatArray | float, float]] = [
             (error, slopes, self._sigmas[b], settings.independent)
         ]
-        if observation.sliding.any():
-            groups.append(
-                (*self._force_errors(rollouts, b, place), self._force_sigmas[b], settings.independent_forces)
-            )
+        sliding = observation.sliding
+        if sliding.any():
+            error = rollouts.forces_of(place)[:, sliding] - observation.forces[sliding]
+            slopes = self._by_own(rollouts.d_forces_of(place), rollouts, place)[:, sliding]
+            groups.append((error, slopes, self._force_sigmas[b], settings.independent_forces))
         K, P = len(error), slopes.shape[-1]
         jacobians, residuals, costs = [], [], np.zeros(K)
         for error, slopes, sigma, independent in groups:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
-from functools import cached_property
 
 import numpy as np
 from scipy.ndimage import binary_erosion, uniform_filter1d
@@ -51,30 +50,6 @@ class Observation:
     def without_forces(self) -> Observation:
         """The same, as if no force counted."""
         return replace(self, sliding=np.zeros(len(self.sliding), dtype=bool))
-
-    @cached_property
-    def force_means(self) -> tuple[Push, FloatArray]:
-        """The push with the times of all steps in the stretches whose mean force counts, and the matrix
-        (T counted, steps) that takes these means of forces.
-
-        The force of a single step is not to be compared with a mean: a finger path with a little noise
-        rattles the object, and contact comes and goes. Over a stretch that is the same in the force as
-        measured and as predicted, if all of it is counted.
-        """
-        push = self.push
-        middles = np.asarray(push.force_times)[self.sliding]
-        if len(middles) == 0:
-            return replace(push, force_times=np.zeros(0)), np.zeros((0, 0))
-        steps = len(push.tip) - 1
-        half = 0.5 * steps * push.h / SAMPLES
-        times = (np.arange(steps) + 0.5) * push.h
-        inside = np.abs(times[None] - middles[:, None]) <= half * (1 + 1e-9)
-        # A stretch shorter than a step takes the step that holds it.
-        empty = ~inside.any(axis=1)
-        inside[empty, np.clip((middles[empty] / push.h).astype(int), 0, steps - 1)] = True
-        used = inside.any(axis=0)
-        means = inside[:, used] / inside.sum(axis=1, keepdims=True)
-        return replace(push, force_times=times[used]), means
 
     def travel(self, centers: FloatArray) -> FloatArray:
         """(S,) ADD between each measured pose and the start, m."""

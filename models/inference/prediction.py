@@ -273,16 +273,15 @@ def end_deviations(belief: Belief, start: FloatArray, ends: FloatArray, noise: S
 
 
 def uniform_maps(belief: Belief) -> Maps:
-    """The baseline: the belief's total mass and finger friction, spread evenly over the outline's area, with
-    one friction; effects as the belief has them on average."""
+    """The baseline: the belief's total mass and finger friction, spread evenly, with one friction; effects as
+    the belief has them on average."""
+    n = len(belief.grid)
     p = belief.probability
     mass = p @ belief.maps.mass.sum(axis=1)
     load = p @ (belief.maps.mass * belief.maps.mu).sum(axis=1)
     finger = p @ belief.maps.mu_finger
     effects = p @ belief.maps.effects
-    areas = belief.grid.area_ratios
-    masses, friction = mass * areas / areas.sum(), np.full(len(areas), load / mass)
-    return Maps(masses[None], friction[None], np.array([finger]), effects[None])
+    return Maps(np.full((1, n), mass / n), np.full((1, n), load / mass), np.array([finger]), effects[None])
 
 
 def _shifted(pushes: Sequence[Push], shift: float) -> list[Push]:

@@ -3,12 +3,11 @@
 Maps are functions of whitened coordinates z, so that the prior is z ~ N(0, 1) in each:
 
     l = σ_load B z_load,    s = σ_split B z_split
-    m_i   = m_total · A_i exp(a l_i + s_i) / Σ_j A_j exp(a l_j + s_j)
+    m_i   = m_total · exp(a l_i + s_i) / Σ_j exp(a l_j + s_j)
     mu_i  = exp(log mu_0 + σ_scale z_mu0 + (1 - a) l_i - s_i)
     mu_f  = exp(log mu_f0 + σ_f z_f),        m_total = m_0 exp(σ_total z_total)
     effect parameters:  p = p_0 + scale z_p, within their bounds
 
-A_i is the area that a cell stands for (`CellGrid.area_ratios`): the middle is an even plate with the outline.
 Where masses or frictions are known beforehand (`KnownMaps`), they are the middle, and deviations of known
 cells shrink to what their spread leaves (`known_cells`).
 
@@ -159,7 +158,7 @@ class MapPrior(EffectCoordinates):
         self.slider = slider
         self.settings = settings
         self.known = known
-        self.cells = KnownCells.of(known or KnownMaps(), slider.grid.area_ratios, settings)
+        self.cells = KnownCells.of(known or KnownMaps(), len(slider.grid), settings)
         self.total_mass, self.total_spread = self.cells.total(mass, settings)
         self.mass = mass
         self.finger_mean, self.finger_spread = settings.finger_friction_mean, settings.finger_friction
@@ -202,7 +201,7 @@ class MapPrior(EffectCoordinates):
         s, K, cells = self.settings, len(maps), self.cells
         free, sized = cells.free, cells.sized
         of_load, of_split = self.spreads(np.ones(1))
-        log_mass, log_mu = np.log(maps.mass) - np.where(free, cells.log_mass, 0.0), np.log(maps.mu)
+        log_mass, log_mu = np.log(maps.mass), np.log(maps.mu)
 
         def projected(spread: float, rows: FloatArray) -> tuple[FloatArray, FloatArray]:
             """Coordinates (K, r) of rows (K, n) up to a constant, and the rows that they give."""

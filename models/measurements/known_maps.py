@@ -54,7 +54,7 @@ def parse_known(value: object, grid: CellGrid, mass: float | None, where: str) -
     fields = parsing.section(value, ("spread", "finger_friction", "regions", *_NUMBERS), where, warnings)
     usual = _SPREAD.read(fields.get("spread", _USUAL_SPREAD), f"{where}: spread")
     maps = {
-        name: _Map.parsed(name, fields.get(name), grid.area_ratios, usual, f"{where}: {name}", warnings)
+        name: _Map.parsed(name, fields.get(name), len(grid), usual, f"{where}: {name}", warnings)
         for name in _NUMBERS
     }
     regions = fields.get("regions", [])
@@ -68,7 +68,7 @@ def parse_known(value: object, grid: CellGrid, mass: float | None, where: str) -
     single = rubbing.get("value") if isinstance(rubbing, dict) else rubbing
     if single is not None and (isinstance(single, bool) or not isinstance(single, int | float)):
         raise DatasetError(f"{where}: finger_friction must be a number, got {parsing.shown(single)}")
-    finger = _Map.parsed("friction", rubbing, np.ones(1), usual, f"{where}: finger_friction", warnings)
+    finger = _Map.parsed("friction", rubbing, 1, usual, f"{where}: finger_friction", warnings)
     named = {name: one for name, one in maps.items() if not np.isnan(one.values).all()}
     if not named and np.isnan(finger.values[0]):
         unknown = f" ({'; '.join(warnings)})" if warnings else ""
@@ -117,10 +117,10 @@ class _Map:
 
     @classmethod
     def parsed(
-        cls, name: str, value: object, areas: FloatArray, usual: float, where: str, warnings: list[str]
+        cls, name: str, value: object, cells: int, usual: float, where: str, warnings: list[str]
     ) -> _Map:
         """From `uniform`, a number or one number a cell, or a mapping of `value` and perhaps `spread`."""
-        fields, cells = {"value": value}, len(areas)
+        fields: dict[str, Any] = {"value": value}
         if isinstance(value, dict):
             fields = parsing.section(value, ("value", "spread", "ratios"), where, warnings)
             parsing.required(fields, "value", where, "say what is known")
@@ -128,7 +128,7 @@ class _Map:
         if not isinstance(ratios, bool):
             raise DatasetError(f"{where}.ratios: must be true or false, got {parsing.shown(ratios)}")
         if value == "uniform":
-            value, ratios = areas.tolist() if name == "mass" else [1.0] * cells, True
+            value, ratios = [1.0] * cells, True
         elif name == "mass" and value is not None and not isinstance(value, list):
             raise DatasetError(
                 f"{where}: must be `uniform` or a list of every cell's mass in kg, got"
@@ -169,8 +169,7 @@ def _lay(
                 f"{where}.{name}: cannot lie over a {name} of which only ratios are known; give every cell's"
                 f" {name} in numbers, or leave it out of one of the two"
             )
-        areas = grid.area_ratios[cells]
-        maps[name].values[cells] = number * areas / areas.sum() if name == "mass" else number
+        maps[name].values[cells] = number / len(cells) if name == "mass" else number
         maps[name].spread[cells] = spread
 
 

@@ -6,18 +6,10 @@ from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
-import shapely
 from numpy.typing import ArrayLike, NDArray
-from scipy.spatial import cKDTree
 from shapely.geometry import Polygon
 
 FloatArray = NDArray[np.float64]
-
-_FINEST, _SAMPLES = 16, 200_000  # samples of the outline's area: to a cell's side, and in all
-_LEAST_AREA = 0.02  # that a cell stands for, over the mean
-_EVEN = 0.02  # what samples of squares that cover the outline are off by
-_MOST_TAKEN = 0.6  # of a cell's area for the sake of the moments
-_FEWEST_CELLS = 12  # whose areas can be fitted to the outline's six moments
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,46 +69,6 @@ class CellGrid:
         edges = np.concatenate([np.hstack([ring, np.roll(ring, -1, axis=0)]) for ring in rings])
         # A corner that is listed twice is no edge.
         return np.ascontiguousarray(edges[(edges[:, :2] != edges[:, 2:]).any(axis=1)])
-
-    @cached_property
-    def area_ratios(self) -> FloatArray:
-        """(n,) part of the outline's area that a cell stands for, over the mean: masses of an even plate.
-
-        Squares cover an outline badly where it is narrow or slanted: those on the rim reach beyond it, or
-        leave a strip uncovered. Each cell stands for the part of the area that it is nearest to, changed by a
-        quadratic of its place such that area, centroid and second moments are those of the outline.
-        """
-        n, w = len(self), self.width
-        fine = int(np.clip(np.sqrt(_SAMPLES / n), 2, _FINEST))
-        step, corner = w / fine, self.centers[0] - 0.5 * w
-        low, high = np.reshape(self.polygon.bounds, (2, 2))
-        axes = [
-            c + step * (np.arange(np.floor((a - c) / step), np.ceil((b - c) / step)) + 0.5)
-            for a, b, c in zip(low, high, corner, strict=True)
-        ]
-        points = np.stack(np.meshgrid(*axes), axis=-1).reshape(-1, 2)
-        points = points[shapely.contains_xy(self.polygon, *points.T)]
-        if len(points) == 0:
-            return np.ones(n)
-        owned = np.bincount(cKDTree(self.centers).query(points)[1], minlength=n) / len(points)
-        middle, size = points.mean(axis=0), float(np.ptp(points, axis=0).max())
-
-        def moments(places: FloatArray, side: float) -> tuple[FloatArray, FloatArray]:
-            """(k, 6) of points, and of squares around them."""
-            x, y = ((places - middle) / size).T
-            own = (side / size) ** 2 / 12.0
-            of_points = np.column_stack([np.ones(len(x)), x, y, x * x, x * y, y * y])
-            return of_points, of_points + own * np.array([0, 0, 0, 1, 0, 1])
-
-        at, squares = moments(self.centers, w)
-        missing = moments(points, step)[1].mean(axis=0) - owned @ squares
-        if n >= _FEWEST_CELLS:
-            change = at @ np.linalg.lstsq((owned[:, None] * squares).T @ at, missing, rcond=None)[0]
-            owned = owned * (1.0 + change * min(1.0, _MOST_TAKEN / max(-float(change.min()), 1e-9)))
-        if (np.abs(n * owned - 1.0) < _EVEN).all():
-            return np.ones(n)
-        owned = np.maximum(n * owned, _LEAST_AREA)
-        return owned / owned.mean()
 
 
 def checked_polygon(exterior: ArrayLike, holes: tuple[FloatArray, ...] = ()) -> Polygon:

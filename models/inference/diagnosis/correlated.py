@@ -7,7 +7,7 @@ spelled out, and all count.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy.linalg
@@ -16,10 +16,10 @@ from numpy.typing import NDArray
 from slipmap.models.geometry import radius_of_gyration
 from slipmap.models.inference.error_model import ErrorModel, SensorNoise, travelled
 from slipmap.models.inference.likelihood import PushLikelihood
-from slipmap.models.inference.observations import AVERAGED, Observation
+from slipmap.models.inference.observations import AVERAGED, SAMPLES, Observation
 from slipmap.models.inference.prior import MapPrior
 from slipmap.models.physics.cell_grid import CellGrid, FloatArray
-from slipmap.models.physics.rollout import Rollouts
+from slipmap.models.physics.rollout import Push, Rollouts
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,7 +39,7 @@ class Whitener:
 
 
 class FitData:
-    """What fits of all models to the same pushes share: how residuals are whitened.
+    """What fits of all models to the same pushes share: which forces count, and how residuals are whitened.
 
     Args:
         observations: B pushes.
@@ -47,11 +47,18 @@ class FitData:
 
     Attributes:
         observations: the same.
+        pushes: to roll out, with the times of all forces that count.
+        stretches: (T, steps) of each push, the matrix that takes the means of these forces.
         radius: ρ of the object's cells, m.
     """
 
     def __init__(self, observations: Sequence[Observation], grid: CellGrid) -> None:
         self.observations: Sequence[Observation] = list(observations)
+        dense = [_force_steps(o) for o in self.observations]
+        self.pushes: list[Push] = [
+            replace(o.push, force_times=times) for o, (times, _) in zip(self.observations, dense, strict=True)
+        ]
+        self.stretches = [stretch for _, stretch in dense]
         self.radius = radius_of_gyration(grid)
         self._travel = [travelled(o, grid.centers) for o in self.observations]
         self._kept: dict[tuple[str, SensorNoise, float], list[tuple[FloatArray, float]]] = {}
@@ -90,6 +97,27 @@ def _inverse_factors(covariances: FloatArray) -> tuple[FloatArray, float]:
     return inverses, float(np.log(np.diagonal(factors, axis1=-2, axis2=-1)).sum())
 
 
+def _force_steps(observation: Observation) -> tuple[FloatArray, FloatArray]:
+    """Times of all steps in the stretches whose mean force counts, and the matrix (T, steps) of the means.
+
+    A finger path with a little noise rattles the object; over a stretch that cancels in the force as measured
+    and as predicted, if all of it is counted.
+    """
+    push = observation.push
+    middles = np.asarray(push.force_times)[observation.sliding]
+    if len(middles) == 0:
+        return np.zeros(0), np.zeros((0, 0))
+    steps = len(push.tip) - 1
+    half = 0.5 * steps * push.h / SAMPLES
+    times = (np.arange(steps) + 0.5) * push.h
+    inside = np.abs(times[None] - middles[:, None]) <= half * (1 + 1e-9)
+    # A stretch shorter than a step takes the step that holds it.
+    empty = ~inside.any(axis=1)
+    inside[empty, np.clip((middles[empty] / push.h).astype(int), 0, steps - 1)] = True
+    used = inside.any(axis=0)
+    return times[used], inside[:, used] / inside.sum(axis=1, keepdims=True)
+
+
 @dataclass(frozen=True, eq=False)
 class Linearised:
     """Residuals of one push and their derivatives, of one model and not whitened."""
@@ -123,7 +151,7 @@ class CorrelatedLikelihood(PushLikelihood):
         # Where the object is still at first, the start is a mean of many rows; it may settle meanwhile.
         start_rows = np.minimum([o.start_rows for o in measured.observations], AVERAGED)
         start = np.array([noise.position, noise.position, noise.angle]) / np.sqrt(start_rows)[:, None]
-        super().__init__(prior, measured.observations, start)
+        super().__init__(prior, measured.observations, measured.pushes, start)
         self.measured = measured
         self.error = error
         self.whiteners = measured.whiteners(error)
@@ -143,6 +171,14 @@ class CorrelatedLikelihood(PushLikelihood):
                 )
             )  # fmt: skip
         return found
+
+    def _force_errors(self, rollouts: Rollouts, b: int, place: int) -> tuple[FloatArray, FloatArray]:
+        """Mean forces, predicted minus measured (K, T, 2), N, and derivatives (K, T, 2, P)."""
+        observation, mean = self.observations[b], self.measured.stretches[b]
+        every = self._by_own(rollouts.d_forces_of(place), rollouts, place)
+        K, steps, _, P = every.shape
+        slopes = (mean @ every.reshape(K, steps, 2 * P)).reshape(K, -1, 2, P)
+        return mean @ rollouts.forces_of(place) - observation.forces[observation.sliding], slopes
 
     def _whitened(self, rollouts: Rollouts, b: int, place: int) -> tuple[FloatArray, FloatArray, FloatArray]:
         pose, pose_slopes = self._pose_errors(rollouts, b, place)

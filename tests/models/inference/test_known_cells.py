@@ -40,8 +40,7 @@ def test_the_middle_of_the_prior_is_what_is_known():
     prior = prior_of(PARTS)
     maps = prior.maps(prior.starts())
     assert maps.mass[0, :8] == pytest.approx(0.05) and maps.mass.sum() == pytest.approx(0.8)
-    areas = SQUARE.area_ratios[8:]
-    assert maps.mass[0, 8:] == pytest.approx(0.4 * areas / areas.sum())
+    assert maps.mass[0, 8:] == pytest.approx(0.4 / (N - 8))
     assert maps.mu[0, :12] == pytest.approx(0.5) and maps.mu[0, 12:] == pytest.approx(0.3)
     assert maps.mu_finger == pytest.approx(0.25)
 

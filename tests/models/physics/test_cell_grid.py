@@ -2,10 +2,8 @@
 
 import numpy as np
 import pytest
-import shapely
 from numpy.testing import assert_allclose
 
-from slipmap.models.objects.footprints import polygon_moments
 from slipmap.models.physics.cell_grid import CellGrid, checked_points, checked_polygon
 
 SQUARE = np.array([[0.0, 0.0], [0.1, 0.0], [0.1, 0.1], [0.0, 0.1]])
@@ -66,41 +64,3 @@ def test_points_are_returned_as_floats():
     assert points.dtype == float
     with pytest.raises(ValueError, match="corner: expected an"):
         checked_points([1, 2], "corner")
-
-
-HAMMER = 0.01 * np.array(
-    [[-14, -6], [-10, -6], [-10, -1.4], [19, -1.4], [19, 1.4], [-10, 1.4], [-10, 6], [-14, 6]]
-)
-
-
-@pytest.mark.parametrize("shift", [0.0, 0.003, 0.0071])
-@pytest.mark.parametrize("turn", [0.0, 0.3])
-def test_areas_of_cells_have_the_moments_of_the_outline(shift, turn):
-    """Also where squares cover it badly, here by up to a tenth of its radius of gyration."""
-    rotation = np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
-    outline = HAMMER @ rotation.T
-    line = np.arange(-0.2, 0.21, 0.0142) + shift
-    points = np.stack(np.meshgrid(line, line), axis=-1).reshape(-1, 2)
-    polygon = checked_polygon(outline)
-    grid = CellGrid(points[shapely.contains_xy(polygon, *points.T)], 0.0142, outline)
-    share = grid.area_ratios / len(grid)
-    area, centroid, polar = polygon_moments(polygon)
-    radius = np.sqrt(polar / area)
-    arms = grid.centers - centroid
-    assert share.sum() == pytest.approx(1.0) and (share > 0).all()
-    assert np.hypot(*(share @ arms)) < 0.008 * radius
-    assert share @ (arms**2).sum(axis=1) + grid.width**2 / 6 == pytest.approx(polar / area, rel=0.007)
-
-
-def test_squares_that_cover_the_outline_have_areas_alike():
-    line = 0.1 * (np.arange(8) + 0.5) / 8
-    centers = np.stack(np.meshgrid(line, line), axis=-1).reshape(-1, 2)
-    assert (CellGrid(centers, 0.0125, SQUARE).area_ratios == 1.0).all()
-    assert (CellGrid([[0.05, 0.05]], 0.1, SQUARE).area_ratios == 1.0).all()
-
-
-def test_a_cell_beside_the_outline_stands_for_next_to_nothing():
-    line = 0.1 * (np.arange(8) + 0.5) / 8
-    centers = np.stack(np.meshgrid(line, line), axis=-1).reshape(-1, 2)
-    ratios = CellGrid(np.vstack([centers, [0.2, 0.2]]), 0.0125, SQUARE).area_ratios
-    assert ratios[-1] < 0.03 and ratios[:-1] == pytest.approx(ratios[0], rel=0.02)

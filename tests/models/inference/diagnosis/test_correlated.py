@@ -88,7 +88,7 @@ def test_whitened_residuals_of_the_truth_are_of_size_one(recorded, thinned) -> N
     )
     # The true maps in the prior's coordinates, with all modes kept: log of the maps is linear in them.
     basis, s = prior.basis, prior.settings
-    log_mass = np.log(recorded.truth.mass[0] / d.grid.area_ratios)
+    log_mass = np.log(recorded.truth.mass[0])
     log_mu = np.log(recorded.truth.mu[0] / s.friction_mean)
     z = np.zeros(prior.size)
     r = basis.shape[1]
