@@ -79,6 +79,7 @@ class World:
             candidates=(),
             quick=False,
             coarseness=1.0,
+            fault=None,
         )
 
 
