@@ -36,7 +36,7 @@ def taken(
     """Put the object down at the table's middle, turned at random, and let the robot take it.
 
     Args:
-        scenario: of which the object is another.
+        scenario: the cell; `object_name` stands for its object.
         adapt: whether the model is repaired on the way.
 
     Returns:
