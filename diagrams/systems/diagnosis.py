@@ -110,8 +110,9 @@ class Diagnosis(PythonSystem):
 
     Adopted effects are tried by the next pushes: where these end no nearer to their predictions than a model
     without the effects, learnt from the pushes before, would have had them, the effects are dropped. Where
-    they surprise, all pushes are diagnosed again, and an effect that is not named any more is dropped. What
-    a diagnosis raises is told as its finding, and the robot goes on with the model that it has.
+    they surprise, all pushes are diagnosed again, and an effect that is not named any more is dropped,
+    unless it was tried and kept, and the answer is open or unknown. What a diagnosis raises is told as
+    its finding, and the robot goes on with the model that it has.
 
     Args:
         make_dataset: makes trials and grid a dataset with all that is known of the place.
@@ -199,6 +200,9 @@ class Diagnosis(PythonSystem):
         effects, question = (*self._given, *named), found.question
         if found.verdict == FAILED:
             effects, question = repair.effects, None
+        elif found.verdict in ("unknown", "undecided") and self._confirmed(repair):
+            # Something else is wrong as well, and pushes have shown what the effects are good for.
+            effects = repair.effects
         if named:
             action = "keeps" if set(effects) == set(repair.effects) else "adopts"
         elif effects != repair.effects:
@@ -232,6 +236,13 @@ class Diagnosis(PythonSystem):
             effects, action = self._without(repair), "drops"
         finding = Finding(count, TRIED, said, effects, action)
         return Repair(count, effects, repair.wanted, (*repair.findings, finding))
+
+    def _confirmed(self, repair: Repair) -> bool:
+        """Whether the present effects were tried by pushes, and kept."""
+        return any(
+            one.verdict == TRIED and one.action == "keeps" and one.effects == repair.effects
+            for one in repair.findings
+        )
 
     def _without(self, repair: Repair) -> tuple[str, ...]:
         """The effects that the model had before those that are tried."""

@@ -172,6 +172,18 @@ def test_pushes_of_an_earlier_process_are_settled(monkeypatch):
     assert replace(robot.push(7, alarm=True), findings=()).effects == ("tether",)
 
 
+@pytest.mark.parametrize(("verdict", "kept"), [("unknown", True), ("undecided", True), ("adequate", False)])
+def test_an_effect_that_was_tried_and_kept_is_dropped_where_nothing_is_missing_alone(
+    monkeypatch, verdict, kept
+):
+    robot = Robot(monkeypatch, ("effect", ("tether",)), (verdict, ()), without=0.03)
+    for count in (5, 6, 7):
+        robot.push(count, alarm=count == 5)
+    repair = robot.push(8, alarm=True)
+    assert repair.effects == (("tether",) if kept else ())
+    assert [finding.verdict for finding in repair.findings] == ["effect", "tried", verdict]
+
+
 def test_effects_that_the_user_gave_are_never_dropped(monkeypatch):
     answers = [("effect", ("tether",)), ("undecided", ()), ("effect", ("table_tilt",))]
     robot = Robot(monkeypatch, *answers, effects=("table_tilt",))
