@@ -118,7 +118,9 @@ def test_loads_hold_the_weight_where_it_acts(case: tuple[CellGrid, FloatArray, F
     assert np.isfinite(found).all() and (found >= 0).all()
     shares = np.prod([share(d, grid.width) for d in inside(grid, pose, table)], axis=0)
     assert (found[shares == 0] == 0).all()
-    hull = shapely.MultiPoint(grid.centers[shares > 0.1]).convex_hull
+    # On cells that are all but massless the terms that make F's minimum unique show in the moments.
+    holding = mass * shares > 0.01 * mass.mean()
+    hull = shapely.MultiPoint(grid.centers[holding]).convex_hull
     if hull.geom_type == "Polygon":
         hull = hull.buffer(-0.05 * grid.width)
     assume(hull.distance(shapely.Point(center)) < 1e-9)
