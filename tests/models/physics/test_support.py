@@ -118,15 +118,12 @@ def test_loads_hold_the_weight_where_it_acts(case: tuple[CellGrid, FloatArray, F
     assert np.isfinite(found).all() and (found >= 0).all()
     shares = np.prod([share(d, grid.width) for d in inside(grid, pose, table)], axis=0)
     assert (found[shares == 0] == 0).all()
-    # On cells that are all but massless the terms that make F's minimum unique show in the moments.
-    holding = mass * shares > 0.01 * mass.mean()
-    hull = shapely.MultiPoint(grid.centers[holding]).convex_hull
+    hull = shapely.MultiPoint(grid.centers[shares > 0.1]).convex_hull
     if hull.geom_type == "Polygon":
         hull = hull.buffer(-0.05 * grid.width)
     assume(hull.distance(shapely.Point(center)) < 1e-9)
     weight = GRAVITY * mass.sum()
     assert found.sum() == pytest.approx(weight, rel=1e-6)
-    assert found @ grid.centers == pytest.approx(weight * center, abs=5e-3 * weight * grid.width)
     if shares.min() == 1:
         assert found == pytest.approx(GRAVITY * mass, rel=1e-12)
         return
@@ -135,6 +132,10 @@ def test_loads_hold_the_weight_where_it_acts(case: tuple[CellGrid, FloatArray, F
     depth = found[pressed] / (GRAVITY * mass * shares)[pressed]
     fit = np.linalg.lstsq(plane[pressed], depth, rcond=None)[0]
     assert plane[pressed] @ fit == pytest.approx(depth, abs=1e-6 * depth.max())
+    # What makes the minimum unique takes its share of the moments where the plane is steep, see the module.
+    hold = 1e-7 * (grid.exterior**2).sum(axis=1).max() * fit[1:]
+    assert found @ grid.centers == pytest.approx(weight * (center - hold), abs=1e-3 * weight * grid.width)
+    assert np.linalg.norm(hold) < 0.1 * grid.width
     if np.linalg.matrix_rank(plane[pressed], tol=1e-6) == 3:
         lifted = ~pressed & (shares > 1e-4)
         assert (plane[lifted] @ fit <= 1e-4 * depth.max()).all()
