@@ -59,7 +59,8 @@ def fit(
         strength: (K,) see `MapPrior.maps`, ones if None.
         offsets: (K, B, 3) start offsets to start from, zeros if None.
         iterations: at most.
-        tolerance: a hypothesis rests when an accepted step lowers its cost by less than this share.
+        tolerance: a hypothesis rests when a step lowers its cost by less than this share, or, where it was
+            rejected, promised to lower it by no more.
         progress: called with (iteration, iterations).
     """
     K, B = len(start), len(likelihood.observations)
@@ -95,7 +96,10 @@ def fit(
         for k in active:
             step[k] = _damped_step(equations, int(k), z[k] - mean[k], damping[k])
         new_z = z[active] + step[active]
-        new_shift = _shifted(equations, active, step[active], shift[active], likelihood.start_sigma)
+        new_shift = _shifted(
+            equations, active, step[active], damping[active], shift[active], likelihood.start_sigma
+        )
+        promised = _promised(equations, active, step[active], (z - mean)[active], weights[active])
         trial = likelihood.linearise(new_z, new_shift, strength[active], weights[active])
         new_cost = total(trial.cost, new_z, active)
         better = new_cost < cost[active]
@@ -103,8 +107,9 @@ def fit(
         winners = active[better]
         z[winners], shift[winners], cost[winners] = new_z[better], new_shift[better], new_cost[better]
         _overwrite(equations, winners, trial, better)
-        damping[active] = np.where(better, np.maximum(damping[active] * 0.3, 1e-6), damping[active] * 6.0)
-        resting = (better & (gain < tolerance * np.maximum(cost[active], 1e-3))) | (damping[active] > 1e4)
+        damping[active] = np.maximum(damping[active] * np.where(better, 0.3, 6.0), 1e-6)
+        worth = tolerance * np.maximum(cost[active], 1e-3)
+        resting = np.where(better, gain, promised) < worth
         active = active[~resting]
         if progress is not None:
             progress(done, iterations)
@@ -125,14 +130,35 @@ def _damped_step(equations: NormalEquations, k: int, from_mean: FloatArray, damp
 
 
 def _shifted(
-    equations: NormalEquations, who: np.ndarray, step: FloatArray, shift: FloatArray, sigma: FloatArray
+    equations: NormalEquations,
+    who: np.ndarray,
+    step: FloatArray,
+    damping: FloatArray,
+    shift: FloatArray,
+    sigma: FloatArray,
 ) -> FloatArray:
-    """Start offsets that go with a step of the maps, kept within four standard deviations."""
+    """Start offsets that go with a step of the maps, damped as it is, within four standard deviations."""
     result = shift.copy()
     for b in range(shift.shape[1]):
         slope = equations.start_gradient[b, who] + np.einsum("kdj,kd->kj", equations.coupling[b, who], step)
-        result[:, b] -= np.einsum("kij,kj->ki", equations.start_gain[b, who], slope)
+        own = np.einsum("kij,kj->ki", equations.start_gain[b, who], slope)
+        result[:, b] -= own / (1.0 + damping[:, None])
     return np.clip(result, -4.0 * sigma, 4.0 * sigma)
+
+
+def _promised(
+    equations: NormalEquations,
+    who: np.ndarray,
+    step: FloatArray,
+    from_mean: FloatArray,
+    weights: FloatArray,
+) -> FloatArray:
+    """(K,) by how much the quadratic model says that a step of the maps lowers the cost, with the start
+    offsets that are best for it."""
+    curved = np.einsum("kij,kj->ki", equations.hessian[who], step) + step
+    maps = -((equations.gradient[who] + from_mean + 0.5 * curved) * step).sum(axis=1)
+    slopes, gains = equations.start_gradient[:, who], equations.start_gain[:, who]
+    return maps + 0.5 * np.einsum("kb,bki,bkij,bkj->k", weights, slopes, gains, slopes)
 
 
 def _overwrite(old: NormalEquations, who: np.ndarray, new: NormalEquations, rows: np.ndarray) -> None:

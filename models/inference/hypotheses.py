@@ -51,6 +51,8 @@ def fit_with_trust(
     noise: Noise,
     starts: FloatArray,
     progress: StageProgress,
+    *,
+    only_exact: bool = False,
 ) -> Ladder:
     """The best fit under every α up to the one of the largest evidence.
 
@@ -62,6 +64,7 @@ def fit_with_trust(
         noise: of the sensors, where declared.
         starts: (K, d) coordinates to start from.
         progress: called with (done, total); often it ends before all is done.
+        only_exact: stop after the smallest α where that does not explain the pushes exactly.
 
     Returns:
         For each α, ascending: the likelihood with that α in its settings, and the fit, one hypothesis.
@@ -76,8 +79,16 @@ def fit_with_trust(
         if evidence < highest:
             break
         found.append((likelihood, best))
+        if only_exact and not explains_exactly(likelihood, best):
+            break
         highest, starts, offsets = evidence, best.z, best.offsets
     return found
+
+
+def explains_exactly(likelihood: Likelihood, found: Fits) -> bool:
+    """Whether residuals are, on average, no larger than the likelihood's standard deviations."""
+    # A pose has three residuals; each costs a half if it is as large as its standard deviation.
+    return bool(found.push_cost.sum() <= 1.5 * likelihood.rows_counted)
 
 
 def trusting(alpha: float) -> LikelihoodSettings:

@@ -11,8 +11,8 @@ errors along a push for as independent as the likelihood does, and the likelihoo
 neither is so, the less the further the best model is off.
 
 Maps that vary much can follow the errors of a wrong law in a few pushes, and then predict badly. With fewer
-than `_ENOUGH_PUSHES`, such maps count only where they explain the pushes exactly by the plain law, with the
-smallest α.
+than `_ENOUGH_PUSHES`, such maps count only where they explain the pushes exactly by the plain law: with the
+smallest α, and with residuals no larger than that α allows.
 """
 
 from __future__ import annotations
@@ -32,6 +32,7 @@ from slipmap.models.inference.gauss_newton import Fits
 from slipmap.models.inference.hypotheses import (
     MODEL_ERRORS,
     Ladder,
+    explains_exactly,
     fit_with_trust,
     log_evidence,
     refits,
@@ -80,6 +81,11 @@ class Explanation:
     def model_error(self) -> float:
         """α of the best fit."""
         return self.likelihood.settings.model_error
+
+    @property
+    def exact(self) -> bool:
+        """Whether the smallest α is the best, and the misfit no larger than it allows on average."""
+        return self.model_error == MODEL_ERRORS[0] and explains_exactly(*self.ladder[0])
 
     @property
     def maps(self) -> Maps:
@@ -144,8 +150,9 @@ def explain(
                 starts = np.concatenate([starts, prior.near(found.maps)])
         own = part_of(progress, asked, total)
         asked += 1
+        only_exact = structure in BOLD and len(observations) < _ENOUGH_PUSHES
         try:
-            ladder = fit_with_trust(prior, observations, dataset.noise, starts, own)
+            ladder = fit_with_trust(prior, observations, dataset.noise, starts, own, only_exact=only_exact)
         except (RolloutError, np.linalg.LinAlgError):
             if not known:
                 raise
@@ -180,8 +187,7 @@ def _admitted(every: Sequence[Explanation]) -> list[Explanation]:
     """Those that so many pushes can speak for."""
     if len(every[0].likelihood.observations) >= _ENOUGH_PUSHES:
         return list(every)
-    exact = [one for one in every if one.law == PLAIN and one.model_error == MODEL_ERRORS[0]]
-    return [one for one in every if one.structure not in BOLD or one in exact]
+    return [one for one in every if one.structure not in BOLD or (one.law == PLAIN and one.exact)]
 
 
 def _likeliest(every: Sequence[Explanation]) -> Explanation:

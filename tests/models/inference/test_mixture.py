@@ -112,13 +112,19 @@ def test_a_law_that_cannot_be_refitted_is_left_out(recorded, monkeypatch) -> Non
 
 
 def explained(
-    law: str, structure: str, evidence: float, alpha: float = 0.005, pushes: int = 10
+    law: str,
+    structure: str,
+    evidence: float,
+    alpha: float = 0.005,
+    pushes: int = 10,
+    cost_per_row: float = 0.5,
 ) -> Explanation:
     """Pushes that count as five rows each."""
     likelihood: Any = SimpleNamespace(
         settings=trusting(alpha), observations=[None] * pushes, rows_counted=5.0 * pushes
     )
-    return Explanation(law, structure, [(likelihood, None)], evidence)  # type: ignore[list-item]
+    best: Any = SimpleNamespace(push_cost=np.full((1, pushes), 5.0 * cost_per_row))
+    return Explanation(law, structure, [(likelihood, best)], evidence)
 
 
 def shares(*every: Explanation) -> dict[str, float]:
@@ -148,14 +154,16 @@ def test_the_further_the_model_is_off_the_less_evidence_tells() -> None:
 
 
 def test_few_pushes_do_not_speak_for_wild_maps_that_merely_follow_them() -> None:
-    def of(pushes: int, alpha: float) -> dict[str, float]:
+    def of(pushes: int, alpha: float, cost_per_row: float = 0.5) -> dict[str, float]:
         return shares(
             explained("plain", "uneven", 10.0, 0.1, pushes),
-            explained("plain", "few points", 900.0, alpha, pushes),
+            explained("plain", "few points", 900.0, alpha, pushes, cost_per_row),
         )
 
     assert of(5, 0.015) == {"plain uneven": 1.0}
     assert of(5, 0.005) == {"plain few points": 1.0}
+    # The smallest alpha is the best, and yet residuals are larger than it allows.
+    assert of(5, 0.005, cost_per_row=2.0) == {"plain uneven": 1.0}
     assert of(8, 0.015) == {"plain few points": 1.0}
 
 
