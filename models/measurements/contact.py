@@ -10,7 +10,7 @@ import shapely
 from numpy.typing import NDArray
 
 from slipmap.models.geometry import angle_between, compose, rotated, seen_from
-from slipmap.models.measurements.push_dataset import Setup, Trial
+from slipmap.models.measurements.push_dataset import Channel, Setup, Trial
 from slipmap.models.physics.cell_grid import FloatArray
 
 CALIBRATION_ERROR = 3e-3  # m; good laboratories have 2 mm
@@ -22,6 +22,7 @@ _WINDOW = 0.1  # s over which speeds are taken
 _MOVING = 0.3  # of the speed that the object hardly exceeds
 _SLOWEST = 2e-3  # m/s
 _GAP_ROWS = 3.0  # usual steps without a pose, across which nothing is said
+_LARGEST_KINK = 1e-3  # m by which the object may be off a straight line between two poses, and noise
 
 # Of what may be common to all pushes.
 _MOST_TRIALS, _ROWS_EACH = 40, 25  # that are looked at
@@ -112,13 +113,32 @@ def contact_rows(setup: Setup, trial: Trial) -> ContactRows | None:
         after = np.clip(np.searchsorted(pose.time, time), 1, len(pose.time) - 1)
         step = pose.time[after] - pose.time[after - 1]
         known = (step <= _GAP_ROWS * np.median(np.diff(pose.time))) | np.isin(time, pose.time)
-        time = time[known]
+        noise = setup.noise.position or 0.0
+        time = time[known & (_kinks(setup, pose, time, after) <= _LARGEST_KINK + 3.0 * noise)]
     tips, poses = tip.at(time), pose.at(time)
     if trial.ends_only:  # of what moved, the finger mostly stops where it pushed it to
         pressed = np.array([False, not np.array_equal(pose.values[0], pose.values[-1])])
     else:
         pressed = _moving(setup, trial, time)
     return ContactRows(trial, time, tips, poses, pressed, gaps(setup, tips, poses))
+
+
+def _kinks(setup: Setup, pose: Channel, time: FloatArray, after: NDArray[np.int_]) -> FloatArray:
+    """(k,) how far the object may be from the straight line between two poses, m.
+
+    An object that starts or stops between two rows moves along two lines, those of the intervals before and
+    after. At a share s of the interval Δt they are s Δt |v - v_before| and (1 - s) Δt |v_after - v| away.
+
+    Args:
+        after: (k,) the row of the pose that follows each time.
+    """
+    reach = float(np.max(np.hypot(*setup.grid.exterior.T)))
+    velocity = np.diff(pose.values * [1.0, 1.0, reach], axis=0) / np.diff(pose.time)[:, None]
+    change = np.linalg.norm(np.diff(velocity, axis=0), axis=1)
+    before, behind = np.append(0.0, change)[after - 1], np.append(change, 0.0)[after - 1]
+    step = pose.time[after] - pose.time[after - 1]
+    passed = time - pose.time[after - 1]
+    return np.asarray(np.minimum(passed * before, (step - passed) * behind))
 
 
 def _moving(setup: Setup, trial: Trial, time: FloatArray) -> NDArray[np.bool_]:

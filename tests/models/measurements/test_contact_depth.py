@@ -213,3 +213,21 @@ def test_the_reference_of_the_rotated_force_is_read_without_a_word(shared_data):
 def test_good_measurements_have_no_warning(shared_data, kind):
     for path in sorted(shared_data.glob(f"{kind}/*/dataset.yaml")):
         assert read_dataset(path).warnings == (), path
+
+
+def seldom_seen(trial):
+    """Four times as fast as the others, and seen so seldom that no pose tells when the bar stops."""
+    pose, tip, wrench = trial.object_pose, trial.tip_pose, trial.ft_wrench
+    rows = np.isin(np.arange(len(pose.time)), range(0, len(pose.time), 40))
+    return replace(
+        trial,
+        object_pose=Channel(pose.time[rows] / 4.0, pose.values[rows]),
+        tip_pose=Channel(tip.time / 4.0, tip.values),
+        ft_wrench=Channel(wrench.time / 4.0, wrench.values),
+    )
+
+
+def test_between_poses_that_are_far_apart_nothing_is_said_of_contact(tmp_path):
+    """The bar stops between two poses; a line between them has the finger 7 mm in the bar."""
+    dataset = reread(tmp_path, straight_pushes(), seldom_seen, only=5)
+    assert len(dataset.trials) == 12 and not any("into" in warning for warning in dataset.warnings)
