@@ -126,16 +126,17 @@ def contact_rows(setup: Setup, trial: Trial) -> ContactRows | None:
 def _kinks(setup: Setup, pose: Channel, time: FloatArray, after: NDArray[np.int_]) -> FloatArray:
     """(k,) how far the object may be from the straight line between two poses, m.
 
-    An object that starts or stops between two rows moves along two lines, those of the intervals before and
-    after. At a share s of the interval Δt they are s Δt |v - v_before| and (1 - s) Δt |v_after - v| away.
+    An object that starts or stops between two poses moves along two lines, those of the intervals before and
+    after; before the first pose and after the last it rests. At a share s of the interval Δt these lines are
+    s Δt |v - v_before| and (1 - s) Δt |v_after - v| away.
 
     Args:
         after: (k,) the row of the pose that follows each time.
     """
     reach = float(np.max(np.hypot(*setup.grid.exterior.T)))
     velocity = np.diff(pose.values * [1.0, 1.0, reach], axis=0) / np.diff(pose.time)[:, None]
-    change = np.linalg.norm(np.diff(velocity, axis=0), axis=1)
-    before, behind = np.append(0.0, change)[after - 1], np.append(change, 0.0)[after - 1]
+    change = np.linalg.norm(np.diff(velocity, axis=0, prepend=0.0, append=0.0), axis=1)
+    before, behind = change[after - 1], change[after]
     step = pose.time[after] - pose.time[after - 1]
     passed = time - pose.time[after - 1]
     return np.asarray(np.minimum(passed * before, (step - passed) * behind))
