@@ -54,7 +54,7 @@ width, the cells' centroid (2), the inverse of their second moments about it (xx
 """
 
 AFTER = 8
-"""Number of inputs of memory formulas besides y: x, y, θ, v_x, v_y, omega after the step, and its force (2)."""
+"""Number of inputs of memory formulas besides y: x, y, θ, v_x, v_y, omega after the step, its force (2)."""
 
 RIDGE = 10.0
 """ε_p in units of ε: with sharper pyramids, a step in which all cells slide along one side would need many

@@ -144,7 +144,7 @@ FAULTS = {
     "null outside": ("0.1, 0.0),", "0.1, 99.0),", r"line 6.*null or start 99.0 must lie between"),
     "scale": ("0.1, 0.0),", "0.0, 0.0),", r"line 6.*scale must be positive"),
     "infinite bound": ("50.0, 0.1", 'float("inf"), 0.1', r"line 6.*must be finite"),
-    "name": ('"magnet"', '"My Magnet"', r"line 6.*: name 'My Magnet' must be lower case"),
+    "name": ('"magnet"', '"My Magnet"', r"line 6.*: name 'My Magnet' must be lower-case"),
     "no sentence": ('    sentence = "A magnet under the table pulls."\n', "",
                     r"line 6.*: it has no sentence"),
     "not at null": ("p.strength *", "(p.strength + 1) *",
