@@ -117,8 +117,8 @@ class View:
             image = image[:, :, 0]
         if image.shape != (self.camera.height, self.camera.width):
             raise ValueError(
-                f"depth image: expected the camera's {self.camera.height} rows and {self.camera.width} columns,"
-                f" got shape {image.shape}"
+                f"depth image: expected the camera's {self.camera.height} rows and"
+                f" {self.camera.width} columns, got shape {image.shape}"
             )
         return image
 
@@ -217,8 +217,8 @@ def fit_table(depth: DepthImage, view: View) -> TablePlane:
         close = np.abs(near[:, 2] - columns @ plane) < width
         if close.sum() < LEAST_SHARE * sampled.size:
             raise NoTable(
-                "no table: too few of the points near z = 0 in the world frame lie in one plane; check that the"
-                " table fills enough of the picture, and the camera's noise"
+                "no table: too few of the points near z = 0 in the world frame lie in one plane; check that"
+                " the table fills enough of the picture, and the camera's noise"
             )
         plane = np.linalg.lstsq(columns[close], near[close, 2], rcond=None)[0]
     return TablePlane(*(float(value) for value in plane))
