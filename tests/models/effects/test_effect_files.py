@@ -1,4 +1,4 @@
-"""Effects by name, and effects that users bring: good ones are used, faulty ones told with file and line."""
+"""Effects by name and from users' files: good ones act, faulty ones are refused with file and line."""
 
 from __future__ import annotations
 
@@ -105,7 +105,7 @@ def test_classes_of_one_function_are_different_effects(file) -> None:  # type: i
 
 
 def test_a_file_that_is_read_twice_leaves_the_first_as_it_was(file) -> None:  # type: ignore[no-untyped-def]
-    """Machine code is freed with the module that holds it; a second reading of the file makes another."""
+    """Machine code is freed with the module that holds it; reading the file again makes another module."""
     path, maps, push = file(GOOD), with_values(plain_maps(), [2.0]), sliding_push()
     first = Slider(BLOCK, RADIUS, effects=list(load_effects(path)))
     before = first.rollout(maps, [push]).end
