@@ -229,7 +229,7 @@ def test_a_force_sensor_reports_another_force_of_the_same_motion(name, values, r
 
 
 def test_a_late_force_is_that_of_before() -> None:
-    """A delay of whole steps shifts forces by these, half a step more averages two; at first, the first holds."""
+    """A delay of whole steps shifts the forces, half a step more averages two; at first, the first holds."""
     push, steps = steady_push(0.7, yaw=0.1), 12
     true = slide([], [], push, grid=SQUARE).forces[0]
     late = slide([EFFECTS["force_latency"]], [steps * push.h], push, grid=SQUARE).forces[0]

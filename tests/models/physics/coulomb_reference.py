@@ -145,7 +145,7 @@ def _least_power_twist(
     if abs(along) <= mu_finger * float(-force @ normal):
         at_contact = finger
     else:
-        # The finger slips: the force is on the edge of the cone; power is minimal for a given motion along it.
+        # The finger slips: the force is on the edge of the cone; power is least for a given motion along it.
         edge = -normal + np.sign(along) * mu_finger * tangent
         across = np.array([-edge[1], edge[0]])
 

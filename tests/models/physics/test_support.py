@@ -263,7 +263,7 @@ def test_derivatives_of_a_slide_from_the_rim_to_the_middle(names: tuple[str, ...
 
 
 def test_derivatives_of_pushes_that_stay_and_that_come_near() -> None:
-    """Joint and separate rollouts agree; pushes far from the rim have no mass columns, or zeros beside others."""
+    """Joint and separate rollouts agree; pushes far from the rim have no mass columns, or zeros there."""
     slider, maps = Slider(BLOCK, RADIUS, table=ROUND), plain_maps()
     away = push_over()
     inner = finger_push(away.tip - [0.3, 0.0], away.h, start_pose=away.start_pose - [0.3, 0, 0])
